@@ -1,0 +1,134 @@
+#include "client/cli/commands.hpp"
+
+#include <CLI/CLI.hpp>
+#include <array>
+#include <charconv>
+#include <csignal>
+#include <cstdlib>
+#include <fstream>
+#include <memory>
+#include <stdexcept>
+#include <utility>
+
+namespace incise::client {
+namespace {
+
+volatile std::sig_atomic_t g_interrupted = 0;
+
+void on_signal(int) {
+  g_interrupted = 1;
+}
+
+void add_server_options(CLI::App& command, ServerOptions& server) {
+  command
+      .add_option("--token-file", server.token_file,
+                  "file whose first line is the access token; else $INCISE_TOKEN")
+      ->check(CLI::ExistingFile);
+  command
+      .add_option("--ca", server.ca_file, "PEM file of the authority that signed the server's certificate")
+      ->check(CLI::ExistingFile);
+}
+
+}  // namespace
+
+bool interrupted() {
+  static const bool installed = [] {
+    struct sigaction action {};
+    action.sa_handler = on_signal;
+    action.sa_flags = SA_RESETHAND;
+    ::sigaction(SIGINT, &action, nullptr);
+    ::sigaction(SIGTERM, &action, nullptr);
+    return true;
+  }();
+  return installed && g_interrupted != 0;
+}
+
+Address parse_address(const std::string& text) {
+  constexpr std::array<std::pair<const char*, std::pair<TransportKind, bool>>, 4> kSchemes{{
+      {"tcp://", {TransportKind::kTcp, false}},
+      {"tls://", {TransportKind::kTcp, true}},
+      {"ws://", {TransportKind::kWebSocket, false}},
+      {"wss://", {TransportKind::kWebSocket, true}},
+  }};
+  const auto fail = [&]() -> std::invalid_argument {
+    return std::invalid_argument(
+        "server \"" + text +
+        "\": accepted is HOST:PORT, with tcp://, tls://, ws:// or wss:// before it or not");
+  };
+  Address address;
+  std::string rest = text;
+  for (const auto& [prefix, how] : kSchemes) {
+    if (rest.rfind(prefix, 0) != 0) continue;
+    std::tie(address.transport, address.tls) = how;
+    rest = rest.substr(std::string(prefix).size());
+    break;
+  }
+  const std::size_t colon = rest.rfind(':');
+  if (colon == std::string::npos || colon == 0) throw fail();
+  address.host = rest.substr(0, colon);
+  if (address.host.front() == '[' && address.host.back() == ']') {
+    address.host = address.host.substr(1, address.host.size() - 2);
+  } else if (address.host.find_first_of("/:@ ") != std::string::npos) {
+    throw fail();
+  }
+  const char* begin = rest.data() + colon + 1;
+  const char* end = rest.data() + rest.size();
+  const auto [stop, error] = std::from_chars(begin, end, address.port);
+  if (error != std::errc() || stop != end || address.port == 0 || address.host.empty()) throw fail();
+  return address;
+}
+
+Options ServerOptions::options(Address& where) const {
+  where = parse_address(address);
+  Options options;
+  options.transport = where.transport;
+  options.tls = where.tls;
+  options.ca_file = ca_file.string();
+  options.client_name = "incise";
+  if (!token_file.empty()) {
+    std::ifstream in(token_file);
+    if (!std::getline(in, options.token))
+      throw std::runtime_error(token_file.string() + ": no token in its first line");
+  } else if (const char* token = std::getenv("INCISE_TOKEN")) {
+    options.token = token;
+  }
+  return options;
+}
+
+void add_network_commands(CLI::App& app, int& exit_code) {
+  {
+    auto command = std::make_shared<StreamCommand>();
+    CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
+    sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")
+        ->required()
+        ->check(CLI::ExistingFile);
+    sub->add_option("--to", command->server.address, "[tcp://|tls://|ws://|wss://]HOST:PORT")->required();
+    sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
+        ->check(CLI::Range(0.0, 1000.0))
+        ->capture_default_str();
+    sub->add_flag("--loop", command->loop, "over and over, until interrupted");
+    sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
+    sub->add_flag("--take-over", command->take_over, "take the blade from whoever holds it");
+    sub->add_flag("--json", command->json, "print the summary as JSON");
+    add_server_options(*sub, command->server);
+    sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
+  }
+  {
+    auto command = std::make_shared<WatchCommand>();
+    CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
+    sub->add_option("server", command->server.address, "[tcp://|tls://|ws://|wss://]HOST:PORT")->required();
+    sub->add_option("--view", command->view, "what to hold a replica of")
+        ->check(CLI::IsMember({"volume", "surface"}))
+        ->capture_default_str();
+    sub->add_option("--max-rate", command->max_rate_hz, "deltas a second at most; 0: one for each revision")
+        ->check(CLI::Range(0.0, 10000.0));
+    sub->add_option("--for", command->for_s, "seconds; 0: until interrupted")->check(CLI::NonNegativeNumber);
+    sub->add_option("--until-revision", command->until_revision, "end when the replica is there");
+    sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
+    sub->add_flag("--json", command->json, "print JSON lines");
+    add_server_options(*sub, command->server);
+    sub->callback([command, &exit_code] { exit_code = run_watch(*command); });
+  }
+}
+
+}  // namespace incise::client

@@ -1,0 +1,66 @@
+#pragma once
+
+// The commands of `incise` that talk to a running incised.
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "client/client.hpp"
+
+namespace CLI {
+class App;
+}
+
+namespace incise::client {
+
+// Where a server is: [tcp://|tls://|ws://|wss://]HOST:PORT, an IPv6 address in brackets. Plain is tcp.
+struct Address {
+  std::string host;
+  std::uint16_t port = 0;
+  TransportKind transport = TransportKind::kTcp;
+  bool tls = false;
+};
+// Throws std::invalid_argument with what was found and what is accepted.
+Address parse_address(const std::string& text);
+
+struct ServerOptions {
+  std::string address;
+  std::filesystem::path token_file, ca_file;
+  // Options for a session there. Throws std::invalid_argument, std::runtime_error.
+  Options options(Address& where) const;
+};
+
+struct StreamCommand {
+  std::filesystem::path poses;
+  ServerOptions server;
+  double speed = 1;  // times the recorded one; 0: as fast as they are taken
+  bool loop = false;
+  std::string source_name = "blade";
+  bool take_over = false;
+  bool json = false;
+};
+// Plays a motion against a server; waits until the server has dealt with every pose. 0: it has.
+int run_stream(const StreamCommand& command);
+
+struct WatchCommand {
+  ServerOptions server;
+  std::string view = "volume";
+  double max_rate_hz = 0;
+  double for_s = 0;                             // 0: until interrupted
+  std::optional<std::uint64_t> until_revision;  // or until it is there
+  std::filesystem::path save;                   // the replica's canonical bytes, at the end
+  bool json = false;
+};
+// Shows what a server does, once a second. 0: interrupted, or what was waited for has come.
+int run_watch(const WatchCommand& command);
+
+// Adds the commands to `incise`; the one that runs sets the program's exit code.
+void add_network_commands(CLI::App& app, int& exit_code);
+
+// Whether the program has been asked to end (SIGINT, SIGTERM), from the first call on: a second signal kills
+// it.
+bool interrupted();
+
+}  // namespace incise::client

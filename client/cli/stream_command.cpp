@@ -1,0 +1,198 @@
+#include <chrono>
+#include <cinttypes>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <thread>
+
+#include "client/cli/commands.hpp"
+#include "protocol/capture.hpp"
+#include "protocol/motion.hpp"
+
+namespace incise::client {
+namespace {
+
+using protocol::PoseSample;
+using std::chrono::steady_clock;
+constexpr std::chrono::milliseconds kStep{1};
+constexpr std::size_t kAtOnce = 1000;                // poses in a message when there is no rate to keep
+constexpr std::int64_t kLoopPause_ns = 500'000'000;  // between two rounds: a new stroke
+constexpr double kPatience_s = 10;                   // without any progress of the server's
+
+// The poses of a file: a capture's first source, or a motion. Those of a motion without buttons hold the
+// button that engages, or nothing would be cut.
+std::vector<PoseSample> read_poses(const std::filesystem::path& path, std::int32_t engage_button) {
+  std::ifstream in(path, std::ios::binary);
+  if (!in) throw std::runtime_error(path.string() + ": cannot be opened");
+  protocol::CaptureReader capture(in);
+  std::vector<PoseSample> poses;
+  if (capture.header_ok()) {
+    protocol::CaptureRecord record;
+    std::optional<std::uint32_t> source;
+    while (capture.next(record) == protocol::CaptureReader::Status::Record) {
+      const auto* pose = std::get_if<protocol::PoseRecord>(&record);
+      if (!pose || pose->source != source.value_or(pose->source)) continue;
+      source = pose->source;
+      poses.push_back(pose->pose);
+    }
+  } else {
+    protocol::Motion motion = protocol::read_motion(path.string());
+    poses = std::move(motion.samples);
+    if (!motion.has_buttons && engage_button >= 0) {
+      for (PoseSample& pose : poses) pose.buttons |= 1u << engage_button;
+    }
+  }
+  if (poses.empty()) throw std::runtime_error(path.string() + ": there is no pose in it");
+  return poses;
+}
+
+class Player {
+ public:
+  Player(const StreamCommand& command, Client& client)
+      : command_(command),
+        client_(client),
+        poses_(read_poses(command.poses, client.welcome().engage_button)),
+        welcome_(client.welcome()) {}
+
+  int run() {
+    const auto began = steady_clock::now();
+    do {
+      play_once();
+      ++rounds_;
+    } while (command_.loop && !interrupted() && connected());
+    client_.end_stroke(last_source_ns_);
+    const bool settled = wait_until_settled();
+    seconds_ = std::chrono::duration<double>(steady_clock::now() - began).count();
+    print(settled);
+    if (!connected()) throw std::runtime_error(command_.server.address + ": " + client_.last_error());
+    return settled ? 0 : 1;
+  }
+
+ private:
+  bool connected() const { return client_.status() == Status::kConnected; }
+
+  // Sends every pose at its time. The deadlines are absolute: a late one does not make all others late.
+  void play_once() {
+    const std::int64_t first_ns = poses_.front().source_ns;
+    const std::int64_t shift_ns = rounds_ == 0 ? 0 : last_source_ns_ + kLoopPause_ns - first_ns;
+    const auto began = steady_clock::now();
+    std::vector<PoseSample> due;
+    std::size_t next = 0;
+    while (next < poses_.size() && !interrupted() && connected()) {
+      due.clear();
+      const auto elapsed = steady_clock::now() - began;
+      while (next + due.size() < poses_.size() && due.size() < kAtOnce) {
+        PoseSample pose = poses_[next + due.size()];
+        if (command_.speed > 0) {
+          const auto at = std::chrono::duration<double, std::nano>(
+              static_cast<double>(pose.source_ns - first_ns) / command_.speed);
+          if (at > elapsed) break;
+        }
+        pose.source_ns += shift_ns;
+        due.push_back(pose);
+      }
+      const std::uint64_t sequence = client_.send_poses(due);
+      if (sequence == 0) {
+        std::this_thread::sleep_for(kStep);  // nothing due yet, or the network is behind
+        continue;
+      }
+      last_sequence_ = sequence;
+      last_source_ns_ = due.back().source_ns;
+      next += due.size();
+      sent_ += due.size();
+    }
+  }
+
+  // Until the server has counted every pose, and cut what they called for. As long as it takes, while it goes
+  // on.
+  bool wait_until_settled() {
+    protocol::PoseReport last = client_.report();
+    std::uint64_t last_revision = client_.revision();
+    auto progress = steady_clock::now();
+    while (connected()) {
+      std::this_thread::sleep_for(10 * kStep);
+      const protocol::PoseReport report = client_.report();
+      const std::uint64_t revision = client_.revision();
+      if (report.through_sequence != last.through_sequence || report.accepted != last.accepted ||
+          report.backlog_segments != last.backlog_segments || revision != last_revision) {
+        progress = steady_clock::now();
+      }
+      last = report;
+      last_revision = revision;
+      const auto quiet = steady_clock::now() - progress;
+      // The last batch is reported before its delta is here: a moment without news says that it is.
+      if (report.through_sequence >= last_sequence_ && report.backlog_segments == 0 &&
+          quiet > std::chrono::milliseconds(300)) {
+        return true;
+      }
+      if (quiet > std::chrono::duration<double>(kPatience_s)) return false;
+    }
+    return false;
+  }
+
+  void print(bool settled) const {
+    const protocol::PoseReport r = client_.report();
+    const std::uint64_t revision = client_.revision();
+    const std::uint64_t rejected = r.not_finite + r.not_unit + r.time_not_rising + r.queue_full;
+    if (command_.json) {
+      const nlohmann::ordered_json summary{{"poses_sent", sent_},
+                                           {"accepted", r.accepted},
+                                           {"rejected",
+                                            {{"not_finite", r.not_finite},
+                                             {"not_unit", r.not_unit},
+                                             {"time_not_rising", r.time_not_rising},
+                                             {"queue_full", r.queue_full}}},
+                                           {"new_strokes_by_speed_or_gap", r.too_fast},
+                                           {"settled", settled},
+                                           {"first_revision", welcome_.revision},
+                                           {"revision", revision},
+                                           {"revisions", revision - std::min(revision, welcome_.revision)},
+                                           {"session", welcome_.session},
+                                           {"rounds", rounds_},
+                                           {"seconds", seconds_}};
+      std::printf("%s\n", summary.dump().c_str());
+      return;
+    }
+    std::printf("sent %" PRIu64 " poses in %.2f s: %" PRIu64 " accepted, %" PRIu64 " rejected", sent_,
+                seconds_, r.accepted, rejected);
+    if (rejected > 0) {
+      std::printf(" (%" PRIu64 " not finite, %" PRIu64 " without a unit quaternion, %" PRIu64
+                  " with a time that does not rise, %" PRIu64 " queue full)",
+                  r.not_finite, r.not_unit, r.time_not_rising, r.queue_full);
+    }
+    std::printf("; %" PRIu64 " new strokes by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
+                r.too_fast, welcome_.revision, revision);
+    if (!settled) std::printf("the server has not dealt with all of them\n");
+  }
+
+  const StreamCommand& command_;
+  Client& client_;
+  const std::vector<PoseSample> poses_;
+  const protocol::Welcome welcome_;
+  std::uint64_t rounds_ = 0, sent_ = 0, last_sequence_ = 0;
+  std::int64_t last_source_ns_ = 0;
+  double seconds_ = 0;
+};
+
+}  // namespace
+
+int run_stream(const StreamCommand& command) {
+  Address where;
+  Options options = command.server.options(where);
+  options.role = protocol::Role::Operator;
+  // For the revision, which the view None would not tell: the smaller view, a few times a second.
+  options.view = protocol::View::Surface;
+  options.max_rate_hz = 10;
+  options.source_name = command.source_name;
+  options.take_over = command.take_over;
+  interrupted();  // from here on Ctrl-C ends the playing, not the program
+  Callbacks callbacks;
+  callbacks.on_error = [](const protocol::Error& error) {
+    std::fprintf(stderr, "incise: server: %s: %s\n", name_of(error.code), error.text.c_str());
+  };
+  const auto client = Client::connect(where.host, where.port, options, std::move(callbacks));
+  return Player(command, *client).run();
+}
+
+}  // namespace incise::client

@@ -1,0 +1,253 @@
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cinttypes>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <stdexcept>
+#include <thread>
+
+#include "client/cli/commands.hpp"
+
+namespace incise::client {
+namespace {
+
+using protocol::View;
+using std::chrono::steady_clock;
+
+// Nearest-rank percentile; 0 of nothing. Sorts.
+double percentile(std::vector<double>& values, double p) {
+  if (values.empty()) return 0;
+  std::sort(values.begin(), values.end());
+  const auto rank = static_cast<std::size_t>(std::ceil(p / 100 * static_cast<double>(values.size())));
+  return values[std::max<std::size_t>(rank, 1) - 1];
+}
+
+double cut_area_of(const protocol::Replica& mesh) {
+  double area = 0;
+  mesh.for_each_boundary_face([&](std::uint32_t t, int face) {
+    if (!(mesh.cut_mask(t) >> face & 1)) return;
+    const auto v = mesh.face_vertices(t, face);
+    const protocol::Vec3 a = mesh.position(v[0]), b = mesh.position(v[1]), c = mesh.position(v[2]);
+    const double ux = b.x - a.x, uy = b.y - a.y, uz = b.z - a.z, wx = c.x - a.x, wy = c.y - a.y,
+                 wz = c.z - a.z;
+    area += std::hypot(uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx) / 2;
+  });
+  return area / 2;  // both sides are there
+}
+
+// What came since the last line. Filled on the client's thread, taken on the printer's.
+struct Window {
+  std::vector<double> pose_to_cut_ms, cut_to_here_ms, pose_to_here_ms;
+};
+
+class Watcher {
+ public:
+  explicit Watcher(const WatchCommand& command) : command_(command) {}
+
+  int run() {
+    interrupted();
+    Address where;
+    Options options = command_.server.options(where);
+    options.view = command_.view == "surface" ? View::Surface : View::Volume;
+    options.max_rate_hz = static_cast<float>(command_.max_rate_hz);
+    options.reconnect = true;
+    client_ = Client::connect(where.host, where.port, options, callbacks());
+    connected_ = client_.get();
+    const auto began = steady_clock::now();
+    auto next = began + std::chrono::seconds(1);
+    bool reached = false;
+    while (!interrupted() && !reached) {
+      if (client_->status() == Status::kClosed)
+        throw std::runtime_error(command_.server.address + ": " + client_->last_error());
+      reached = command_.until_revision && client_->wait_for_revision(*command_.until_revision, 0.02);
+      if (!command_.until_revision) std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      const auto now = steady_clock::now();
+      if (now >= next) {
+        print_line();
+        next += std::chrono::seconds(1);
+      }
+      if (command_.for_s > 0 && now - began >= std::chrono::duration<double>(command_.for_s)) break;
+    }
+    print_line();
+    if (terminal_ && !command_.json) std::printf("\n");
+    save();
+    client_->close();
+    if (command_.until_revision && !reached && !interrupted()) {
+      std::fprintf(stderr, "incise: revision %" PRIu64 " was not reached\n", *command_.until_revision);
+      return 1;
+    }
+    return 0;
+  }
+
+ private:
+  Callbacks callbacks() {
+    Callbacks c;
+    c.on_delta = [this](const protocol::Replica&, const protocol::Delta& d, const Arrival& a) {
+      note(d.steps, a);
+    };
+    c.on_surface_delta = [this](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& d,
+                                const Arrival& a) {
+      live_tets_ = d.live_tets;
+      note(d.steps, a);
+    };
+    c.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) { count_area_ = true; };
+    c.on_stats = [this](const protocol::Stats& stats) {
+      const std::scoped_lock lock(mutex_);
+      stats_ = stats;
+    };
+    c.on_error = [](const protocol::Error& e) {
+      std::fprintf(stderr, "incise: server: %s: %s\n", name_of(e.code), e.text.c_str());
+    };
+    c.on_resync = [](const std::string& why) { std::fprintf(stderr, "incise: resync: %s\n", why.c_str()); };
+    c.on_disconnect = [](const std::string& why) { std::fprintf(stderr, "incise: %s\n", why.c_str()); };
+    return c;
+  }
+
+  // The callbacks come before connect() has returned.
+  std::int64_t clock_offset_ns() const {
+    const Client* client = connected_;
+    return client ? client->clock_offset_ns() : 0;
+  }
+
+  void note(const std::vector<protocol::Step>& steps, const Arrival& arrival) {
+    const double here_ns = static_cast<double>(arrival.received_ns + clock_offset_ns());
+    const std::scoped_lock lock(mutex_);
+    for (const protocol::Step& step : steps) {
+      cut_area_ += step.cut_area_m2;
+      window_.pose_to_cut_ms.push_back(1e-6 * static_cast<double>(step.cut_ns - step.arrival_ns));
+      window_.cut_to_here_ms.push_back(1e-6 * (here_ns - static_cast<double>(step.cut_ns)));
+      window_.pose_to_here_ms.push_back(1e-6 * (here_ns - static_cast<double>(step.arrival_ns)));
+    }
+  }
+
+  void measure(std::uint32_t& tets, std::size_t& pieces) {
+    if (command_.view == "surface") {
+      tets = live_tets_;
+      std::set<std::uint32_t> ids;
+      client_->read_surface([&](const protocol::SurfaceReplica& s) {
+        for (const auto& [id, triangle] : s.triangles()) ids.insert(triangle.piece);
+      });
+      pieces = ids.size();
+      return;
+    }
+    client_->read([&](const protocol::Replica& mesh) {
+      tets = mesh.live_tets();
+      std::set<std::uint32_t> ids;
+      std::uint32_t last = protocol::kNoId;
+      mesh.for_each_tet([&](std::uint32_t t) {
+        if (mesh.piece(t) != last) ids.insert(last = mesh.piece(t));
+      });
+      pieces = ids.size();
+      if (count_area_.exchange(false)) {
+        const std::scoped_lock lock(mutex_);
+        cut_area_ = cut_area_of(mesh);
+      }
+    });
+  }
+
+  void print_line() {
+    std::uint32_t tets = 0;
+    std::size_t pieces = 0;
+    measure(tets, pieces);
+    const Counters now = client_->counters();
+    const auto time = steady_clock::now();
+    const double seconds = std::max(1e-3, std::chrono::duration<double>(time - printed_).count());
+    printed_ = time;
+    const auto rate = [&](std::uint64_t a, std::uint64_t b) { return static_cast<double>(a - b) / seconds; };
+    const double steps_s = rate(now.steps, before_.steps), deltas_s = rate(now.deltas, before_.deltas),
+                 bytes_s = rate(now.bytes_in, before_.bytes_in);
+    before_ = now;
+    Window w;
+    double area = 0;
+    std::optional<protocol::Stats> stats;
+    {
+      const std::scoped_lock lock(mutex_);
+      w = std::exchange(window_, {});
+      area = cut_area_;
+      stats = stats_;
+    }
+    if (stats && stats->pieces > 0) pieces = stats->pieces;
+    const std::uint64_t revision = client_->revision();
+    if (command_.json) {
+      nlohmann::ordered_json line{
+          {"revision", revision},
+          {"connected", client_->status() == Status::kConnected},
+          {"revisions_per_s", steps_s},
+          {"deltas_per_s", deltas_s},
+          {"bytes_per_s", bytes_s},
+          {"pose_to_cut_ms",
+           {{"p50", percentile(w.pose_to_cut_ms, 50)}, {"p99", percentile(w.pose_to_cut_ms, 99)}}},
+          {"cut_to_here_ms",
+           {{"p50", percentile(w.cut_to_here_ms, 50)}, {"p99", percentile(w.cut_to_here_ms, 99)}}},
+          {"pose_to_here_ms",
+           {{"p50", percentile(w.pose_to_here_ms, 50)}, {"p99", percentile(w.pose_to_here_ms, 99)}}},
+          {"tets", tets},
+          {"pieces", pieces},
+          {"cut_area_m2", area},
+          {"snapshots", now.snapshots},
+          {"resyncs", now.resyncs},
+          {"reconnects", now.reconnects}};
+      if (stats) {
+        line["server"] = {{"sessions", stats->sessions},
+                          {"backlog_segments", stats->backlog_segments},
+                          {"frames", stats->frames},
+                          {"late_frames", stats->late_frames},
+                          {"poses_accepted", stats->poses_accepted},
+                          {"poses_rejected", stats->poses_rejected},
+                          {"frame_work_p99_us", stats->frame_work_p99_us},
+                          {"pose_to_delta_p99_us", stats->pose_to_delta_p99_us}};
+      }
+      std::printf("%s\n", line.dump().c_str());
+    } else {
+      std::printf("%srevision %" PRIu64
+                  "  %.0f/s  pose to cut %.2f/%.2f ms  cut to here %.2f/%.2f ms (p50/p99)  "
+                  "%u tets  %zu pieces  cut %.2f cm2  %.1f kB/s%s%s",
+                  terminal_ ? "\r\x1b[K" : "", revision, steps_s, percentile(w.pose_to_cut_ms, 50),
+                  percentile(w.pose_to_cut_ms, 99), percentile(w.cut_to_here_ms, 50),
+                  percentile(w.cut_to_here_ms, 99), tets, pieces, 1e4 * area, 1e-3 * bytes_s,
+                  client_->status() == Status::kConnected ? "" : "  (connecting again)",
+                  terminal_ ? "" : "\n");
+    }
+    std::fflush(stdout);
+  }
+
+  void save() const {
+    if (command_.save.empty()) return;
+    const std::vector<std::byte> bytes =
+        command_.view == "surface"
+            ? client_->read_surface([](const protocol::SurfaceReplica& s) { return s.canonical_bytes(); })
+            : client_->read([](const protocol::Replica& mesh) { return mesh.canonical_bytes(); });
+    std::ofstream out(command_.save, std::ios::binary);
+    out.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    out.close();
+    if (!out) throw std::runtime_error(command_.save.string() + ": cannot be written");
+  }
+
+  const WatchCommand& command_;
+  const bool terminal_ = ::isatty(STDOUT_FILENO) != 0;
+  std::mutex mutex_;
+  Window window_;
+  double cut_area_ = 0;
+  std::optional<protocol::Stats> stats_;
+  std::atomic<bool> count_area_{false};
+  std::atomic<std::uint32_t> live_tets_{0};
+  std::atomic<const Client*> connected_{nullptr};
+  Counters before_;
+  steady_clock::time_point printed_ = steady_clock::now();
+  std::unique_ptr<Client> client_;  // last: its thread calls into all above
+};
+
+}  // namespace
+
+int run_watch(const WatchCommand& command) {
+  return Watcher(command).run();
+}
+
+}  // namespace incise::client

@@ -1,0 +1,165 @@
+#pragma once
+
+// The client library: connects to an incised, holds a replica of its mesh in step, sends poses.
+//
+//   auto client = incise::client::Client::connect("127.0.0.1", 7450, {.role =
+//   incise::protocol::Role::Operator}); client->send_poses(poses); client->wait_for_revision(10, 5.0);
+//   client->read([](const incise::protocol::Replica& mesh) { draw(mesh.positions()); });
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <span>
+#include <stdexcept>
+#include <string>
+
+#include "protocol/messages.hpp"
+#include "protocol/replica.hpp"
+#include "protocol/surface.hpp"
+
+namespace incise::client {
+
+// No session came about. The message says with whom and why.
+struct ConnectError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+enum class TransportKind : std::uint8_t { kTcp, kWebSocket };
+
+struct Options {
+  TransportKind transport = TransportKind::kTcp;
+  bool tls = false;
+  std::string ca_file;  // PEM; empty: the system's
+  protocol::Role role = protocol::Role::Viewer;
+  protocol::View view = protocol::View::Volume;
+  std::string token;
+  std::string client_name = "incise_client";
+  std::string source_name = "blade";  // operator: which blade
+  bool take_over = false;             // operator: take it from whoever holds it
+  float max_rate_hz = 0;              // deltas a second at most, coalesced; 0: one for each revision
+  double connect_timeout_s = 5;
+  // Connects again when the connection is lost, as often as it takes, and goes on where it was.
+  bool reconnect = false;
+  // The hash of each delta is checked anyway; every so many revisions the whole replica is hashed anew. 0:
+  // never.
+  std::uint32_t full_check_interval = 0;
+  // A thread of the client's own does the work; else poll() does.
+  bool background = true;
+  std::size_t max_outbox_bytes = 8u << 20;  // of poses that wait for the network
+  // What the replica may grow to.
+  std::uint32_t max_vertices = protocol::kDefaultReplicaVertices;
+  std::uint32_t max_tets = protocol::kDefaultReplicaTets;
+};
+
+// How a message came.
+struct Arrival {
+  std::int64_t received_ns = 0;  // CLOCK_MONOTONIC here
+  std::int64_t sent_ns = 0;      // the server's clock
+  std::size_t bytes = 0;
+};
+
+// Called on the client's thread (background) or within poll(), one at a time, after the replica has changed.
+// They may call the client's send and accessor functions, but not close(), poll(), or the wait functions.
+// Must not throw.
+struct Callbacks {
+  std::function<void(const protocol::Replica&, const protocol::Delta&, const Arrival&)> on_delta;
+  std::function<void(const protocol::SurfaceReplica&, const protocol::SurfaceDelta&, const Arrival&)>
+      on_surface_delta;
+  std::function<void(const protocol::SnapshotEnd&, protocol::SnapshotCause)> on_snapshot;
+  std::function<void(std::uint32_t done, std::uint32_t chunks)> on_snapshot_progress;
+  std::function<void(const protocol::Force&)> on_force;
+  std::function<void(const protocol::PoseReport&)> on_report;
+  std::function<void(const protocol::Stats&)> on_stats;
+  std::function<void(const protocol::Error&)> on_error;
+  std::function<void(const std::string& reason)>
+      on_resync;  // the replica was wrong; a snapshot has been asked for
+  std::function<void(const std::string& reason)> on_disconnect;
+  std::function<void(const protocol::Welcome&)> on_welcome;  // again after a reset and a reconnection
+};
+
+enum class Status : std::uint8_t { kConnected, kReconnecting, kClosed };
+
+struct Counters {
+  std::uint64_t bytes_in = 0, bytes_out = 0, messages_in = 0, deltas = 0, steps = 0, snapshots = 0,
+                resyncs = 0, reconnects = 0;
+};
+
+// A session with an incised.
+//
+// Thread: every function may be called from any thread, poll() from one at a time and only without a
+// background thread. The replica changes on the client's thread; read() locks it out for as long as its
+// function runs. Owns: the connection, the replica, the background thread.
+class Client {
+ public:
+  // Connects and waits for Welcome. Throws ConnectError: no such host, no answer in time, refused.
+  static std::unique_ptr<Client> connect(const std::string& host, std::uint16_t port, Options options = {},
+                                         Callbacks callbacks = {});
+  // Says goodbye, closes.
+  ~Client();
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  // Queues poses in order, splitting them into messages as needed. Returns the sequence of the last message,
+  // which PoseReport::through_sequence will reach; 0, and nothing is queued, where there is no connection or
+  // no room for them: try again.
+  std::uint64_t send_poses(std::span<const protocol::PoseSample> poses);
+  // Ends the running stroke after the poses sent so far. False without a connection.
+  bool end_stroke(std::int64_t source_ns);
+  // Another view or rate from here on.
+  bool subscribe(protocol::View view, float max_rate_hz);
+  // Administrators: the mesh as it was loaded, for all.
+  bool reset();
+
+  Status status() const;
+  // Why it is not connected; empty while it is.
+  std::string last_error() const;
+  protocol::Welcome welcome() const;
+  protocol::PoseReport report() const;  // the last one
+  Counters counters() const;
+  // Of the view in force: what the replica has.
+  std::uint64_t revision() const;
+  // The server's monotonic clock minus ours, from the ping with the shortest way, and that way there and
+  // back.
+  std::int64_t clock_offset_ns() const;
+  std::int64_t round_trip_ns() const;
+
+  // Runs function(const Replica&), or with the surface replica of view Surface, while nothing changes it.
+  template <class F>
+  auto read(F&& function) const {
+    const std::scoped_lock lock(state_mutex());
+    return function(volume());
+  }
+  template <class F>
+  auto read_surface(F&& function) const {
+    const std::scoped_lock lock(state_mutex());
+    return function(surface());
+  }
+
+  // Wait until the replica is at `revision` or later, or until the server has dealt with all poses up to a
+  // message, or until all that was queued here is on the network. False when the time is over or the client
+  // is closed.
+  bool wait_for_revision(std::uint64_t revision, double timeout_s);
+  bool wait_for_report(std::uint64_t sequence, double timeout_s);
+
+  // Without a background thread: handles what has come, waiting for it at most so long. Returns whether the
+  // client is still open.
+  bool poll(double timeout_s = 0);
+
+  // Says goodbye and waits, half a second at most, until all that was queued has been sent.
+  void close();
+  // Cuts the connection without a word, as a lost network does. With Options::reconnect it comes back.
+  void drop_connection();
+
+ private:
+  struct Impl;
+  explicit Client(std::unique_ptr<Impl> impl);
+  std::mutex& state_mutex() const;
+  const protocol::Replica& volume() const;
+  const protocol::SurfaceReplica& surface() const;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace incise::client

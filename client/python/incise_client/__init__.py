@@ -1,0 +1,21 @@
+"""A client of incised in Python: NumPy arrays of a mesh that is being cut, kept in step over TCP.
+
+Needs NumPy and the flatbuffers package (Debian: python3-numpy, python3-flatbuffers), and the module ``incise.wire`` that the
+build makes from ``protocol/incise.fbs``::
+
+    PYTHONPATH=client/python:build/release/python python3 my_program.py
+
+    import incise_client
+    with incise_client.connect("127.0.0.1", 7450) as client:
+        client.wait_for_revision(10)
+        print(client.replica.live_tets, client.replica.positions.mean(axis=0))
+"""
+
+from .client import Client, ConnectError, Pose, connect
+from .replica import ApplyError, Replica
+from .state_hash import element_hashes, tet_hashes, vertex_hashes, xor_of
+
+__all__ = [
+    "ApplyError", "Client", "ConnectError", "Pose", "Replica", "connect", "element_hashes", "tet_hashes",
+    "vertex_hashes", "xor_of",
+]

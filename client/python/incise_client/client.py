@@ -1,0 +1,262 @@
+"""A session with an incised over TCP."""
+
+from __future__ import annotations
+
+import socket
+import ssl as tls
+import struct
+import time
+from dataclasses import dataclass
+from typing import Any, Callable, Iterable, Optional
+
+import flatbuffers
+import numpy as np
+
+from incise.wire import (Body, Bye, Delta, Error, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync, Role,
+                         SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl, View, Welcome)
+
+from .replica import ApplyError, Replica
+
+MAX_MESSAGE_BYTES = 64 << 20
+MAX_POSES_PER_BATCH = 8192
+
+# The schema's struct PoseSample, byte for byte.
+POSE_DTYPE = np.dtype([("source_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("buttons", "<u4"),
+                       ("reserved", "<u4")])
+
+
+class ConnectError(Exception):
+    """No session came about, or it has ended. The text says why."""
+
+
+@dataclass
+class Pose:
+    """Where the tool is: world_from_tool. Nanoseconds of the source's clock, metres, unit quaternion w x y z."""
+
+    source_ns: int
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    buttons: int = 0
+
+
+_MODULES = {
+    Body.Body.Welcome: Welcome.Welcome, Body.Body.Ping: Ping.Ping, Body.Body.Error: Error.Error, Body.Body.Bye: Bye.Bye,
+    Body.Body.PoseReport: PoseReport.PoseReport, Body.Body.Delta: Delta.Delta,
+    Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
+    Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd,
+}
+
+
+class Client:
+    """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it."""
+
+    def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
+                 token: str = "", source_name: str = "blade", take_over: bool = False, max_rate_hz: float = 0.0,
+                 timeout_s: float = 5.0, resume: Optional["Client"] = None,
+                 ssl_context: Optional[tls.SSLContext] = None) -> None:
+        self.replica = resume.replica if resume else Replica()
+        self.welcome: Any = None
+        self.report: Any = None  # the last PoseReport
+        self.resyncs = 0
+        self.snapshots = 0
+        self.on_delta: Optional[Callable[["Client", Any], None]] = None
+        self._sequence = 0
+        self._input = bytearray()
+        self._snapshot: Optional[tuple[Any, list[Any]]] = None
+        self._awaiting_snapshot = False
+        try:
+            self._socket: Any = socket.create_connection((host, port), timeout_s)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if ssl_context:
+                self._socket = ssl_context.wrap_socket(self._socket, server_hostname=host)
+        except OSError as error:
+            raise ConnectError(f"{host}:{port}: {error}") from error
+        session = resume.welcome.Session() if resume else 0
+        self._send_hello(role, view, token, source_name, take_over, max_rate_hz, session)
+        end = time.monotonic() + timeout_s
+        try:
+            while self.welcome is None:
+                if time.monotonic() > end:
+                    raise ConnectError(f"{host}:{port}: no Welcome in time")
+                self.poll(0.1)
+        except (ConnectError, OSError):
+            self._socket.close()
+            raise
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Says goodbye and closes."""
+        try:
+            self._send(Body.Body.Bye, lambda b: _table(b, Bye, [("Reason", 1)]))
+        except OSError:
+            pass
+        self._socket.close()
+
+    # ---- Receiving ----
+
+    def poll(self, timeout_s: float = 0.0) -> int:
+        """Handles what has come, waiting at most so long for the first byte. Returns the number of messages."""
+        self._socket.settimeout(max(timeout_s, 1e-6))
+        try:
+            data = self._socket.recv(1 << 20)
+            if not data:
+                raise ConnectError("the server has closed the connection")
+            self._input += data
+        except (TimeoutError, tls.SSLWantReadError):
+            pass
+        handled = 0
+        while len(self._input) >= 4:
+            (size,) = struct.unpack_from("<I", self._input)
+            if not 16 <= size <= MAX_MESSAGE_BYTES:
+                raise ConnectError(f"a message of {size} bytes")
+            if len(self._input) < 4 + size:
+                break
+            body = bytes(self._input[4:4 + size])
+            del self._input[:4 + size]
+            self._handle(body)
+            handled += 1
+        return handled
+
+    def wait_for_revision(self, revision: int, timeout_s: float = 10.0) -> bool:
+        """Polls until the replica is at the revision or beyond. False: not in that time."""
+        return self._wait(lambda: self.snapshots_or_resumed and self.replica.revision >= revision, timeout_s)
+
+    def wait_for_report(self, sequence: int, timeout_s: float = 10.0) -> bool:
+        """Polls until the server has dealt with all poses up to the message of that number."""
+        return self._wait(lambda: self.report is not None and self.report.ThroughSequence() >= sequence, timeout_s)
+
+    @property
+    def snapshots_or_resumed(self) -> bool:
+        """Whether the replica holds a state of this session."""
+        return self.snapshots > 0 or bool(self.welcome and self.welcome.Resumed())
+
+    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not done():
+            left = end - time.monotonic()
+            if left <= 0:
+                return False
+            self.poll(min(left, 0.1))
+        return True
+
+    def _handle(self, data: bytes) -> None:
+        if data[4:8] != b"INC1":
+            raise ConnectError("the server sent what is no message of this protocol")
+        message = Message.Message.GetRootAs(data, 0)
+        table = _MODULES.get(message.BodyType())
+        if table is None:
+            return  # not for us
+        body = table()
+        body.Init(message.Body().Bytes, message.Body().Pos)
+        kind = message.BodyType()
+        if kind == Body.Body.Welcome:
+            self.welcome = body
+            if not body.Resumed():
+                self.replica = Replica()
+                self._awaiting_snapshot = True
+        elif kind == Body.Body.Ping:
+            pairs = [("Nonce", body.Nonce()), ("PingSentNs", body.SentNs()), ("ReceivedNs", time.monotonic_ns())]
+            self._send(Body.Body.Pong, lambda b: _table(b, Pong, pairs))
+        elif kind == Body.Body.Error and body.Fatal():
+            raise ConnectError(_text(body.Text()))
+        elif kind == Body.Body.Bye:
+            raise ConnectError(_text(body.Text()) or "the server said goodbye")
+        elif kind == Body.Body.PoseReport:
+            self.report = body
+        elif kind == Body.Body.Delta and not self._awaiting_snapshot:
+            if self._fits(lambda: self.replica.apply(body)) and self.on_delta:
+                self.on_delta(self, body)
+        elif kind == Body.Body.SnapshotBegin:
+            self._snapshot = (body, [])
+        elif kind == Body.Body.SnapshotChunk and self._snapshot:
+            self._snapshot[1].append(body)
+        elif kind == Body.Body.SnapshotEnd and self._snapshot:
+            self._fits(lambda: self._end_snapshot(body))
+
+    def _end_snapshot(self, end: Any) -> None:
+        begin, chunks = self._snapshot or (None, [])
+        self._snapshot = None
+        self.replica = Replica.from_snapshot(begin, chunks, end)
+        self.snapshots += 1
+        self._awaiting_snapshot = False
+
+    def _fits(self, change: Callable[[], None]) -> bool:
+        """Makes a change; where it does not fit, asks for the whole state."""
+        try:
+            change()
+            return True
+        except ApplyError:
+            self.resyncs += 1
+            self._awaiting_snapshot = True
+            self._send(Body.Body.Resync, lambda b: _table(b, Resync, [("Revision", self.replica.revision)]))
+            return False
+
+    # ---- Sending ----
+
+    def send_poses(self, poses: Iterable[Pose]) -> int:
+        """Sends poses in time order. Returns the sequence that wait_for_report() takes."""
+        rows = [(p.source_ns, p.position, p.orientation, p.buttons, 0) for p in poses]
+        return self.send_pose_array(np.array(rows, POSE_DTYPE))
+
+    def send_pose_array(self, poses: Any) -> int:
+        """The same from an array of POSE_DTYPE."""
+        for first in range(0, len(poses), MAX_POSES_PER_BATCH):
+            part = np.ascontiguousarray(poses[first:first + MAX_POSES_PER_BATCH], POSE_DTYPE)
+
+            def build(b: Any, raw: bytes = part.tobytes(), n: int = len(part)) -> int:
+                b.StartVector(POSE_DTYPE.itemsize, n, 8)
+                b.head -= len(raw)
+                b.Bytes[b.head:b.head + len(raw)] = raw
+                return _table(b, PoseBatch, [("Poses", b.EndVector())])
+
+            self._send(Body.Body.PoseBatch, build)
+        return self._sequence
+
+    def end_stroke(self) -> None:
+        """Ends the running stroke after the poses sent so far."""
+        self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
+
+    def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, max_rate_hz: float,
+                    session: int) -> None:
+        def build(b: Any) -> int:
+            name, source, secret = b.CreateString("incise_client.py"), b.CreateString(source_name), b.CreateString(token)
+            return _table(b, Hello, [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
+                                     ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
+                                     ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
+                                     ("ResumeRevision", self.replica.revision if session else 0)])
+
+        self._send(Body.Body.Hello, build)
+
+    def _send(self, kind: int, build: Callable[[Any], int]) -> None:
+        builder = flatbuffers.Builder(1024)
+        if kind == Body.Body.PoseBatch:
+            builder = flatbuffers.Builder(MAX_POSES_PER_BATCH * POSE_DTYPE.itemsize + 1024)
+        body = build(builder)
+        self._sequence += 1
+        message = _table(builder, Message, [("Sequence", self._sequence), ("SentNs", time.monotonic_ns()),
+                                            ("BodyType", kind), ("Body", body)])
+        builder.Finish(message, file_identifier=b"INC1")
+        data = bytes(builder.Output())
+        self._socket.settimeout(10)
+        self._socket.sendall(struct.pack("<I", len(data)) + data)
+
+
+def _table(builder: Any, module: Any, fields: list[tuple[str, Any]]) -> int:
+    module.Start(builder)
+    for name, value in fields:
+        getattr(module, "Add" + name)(builder, value)
+    return int(module.End(builder))
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if value else ""
+
+
+def connect(host: str, port: int, **options: Any) -> Client:
+    """Connects and waits for Welcome; see Client for the options. Throws ConnectError."""
+    return Client(host, port, **options)

@@ -1,0 +1,211 @@
+"""The state that a stream of view Volume describes, as NumPy arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .state_hash import tet_hashes, vertex_hashes, xor_of
+
+NO_ID = 0xFFFFFFFF
+
+
+class ApplyError(Exception):
+    """A part of the state that does not fit. The replica is as it was: ask for a resync."""
+
+
+def _array(value: Any, dtype: Any) -> Any:
+    """An array of a message; FlatBuffers gives 0 for one that is absent."""
+    return np.empty(0, dtype) if isinstance(value, int) else value
+
+
+class _Tets:
+    def __init__(self, table: Any) -> None:
+        if table is None:
+            self.ids = np.empty(0, np.uint32)
+            self.vertices = np.empty((0, 4), np.uint32)
+            self.regions = np.empty(0, np.int32)
+            self.cut_masks = self.boundary_masks = np.empty(0, np.uint8)
+            return
+        self.ids = _array(table.IdsAsNumpy(), np.uint32)
+        self.vertices = _array(table.VerticesAsNumpy(), np.uint32).reshape(-1, 4)
+        self.regions = _array(table.RegionsAsNumpy(), np.int32)
+        self.cut_masks = _array(table.CutMasksAsNumpy(), np.uint8)
+        self.boundary_masks = _array(table.BoundaryMasksAsNumpy(), np.uint8)
+        for other in (self.vertices, self.regions, self.cut_masks, self.boundary_masks):
+            if len(other) != len(self.ids):
+                raise ApplyError("tetrahedra: arrays of different lengths")
+        _check_ascending(self.ids, "tetrahedra")
+
+    def hashes(self) -> npt.NDArray[np.uint64]:
+        return tet_hashes(self.ids, self.vertices, self.regions, self.cut_masks)
+
+
+def _check_ascending(ids: npt.NDArray[np.uint32], what: str) -> None:
+    if len(ids) > 1 and not (ids[1:] > ids[:-1]).all():
+        raise ApplyError(f"{what}: ids that do not ascend")
+
+
+class Replica:
+    """Arrays by id. ``tets[t]`` is all NO_ID where there is no tetrahedron t; ``alive`` says the same.
+
+    positions (n, 3) float64, metres; tets (m, 4) uint32; regions int32; cut_masks and boundary_masks uint8, bit f for the
+    face opposite to vertex f; pieces uint32. The arrays are replaced or changed by apply(): copy what you keep.
+    """
+
+    def __init__(self) -> None:
+        self.revision = 0
+        self.state_hash = 0
+        self.live_tets = 0
+        self.positions = np.empty((0, 3))
+        self._set_slots(0)
+
+    def _set_slots(self, n: int) -> None:
+        self.tets = np.full((n, 4), NO_ID, np.uint32)
+        self.regions = np.zeros(n, np.int32)
+        self.cut_masks = np.zeros(n, np.uint8)
+        self.boundary_masks = np.zeros(n, np.uint8)
+        self.pieces = np.zeros(n, np.uint32)
+
+    def _grow(self, n: int) -> None:
+        more = n - len(self.tets)
+        if more <= 0:
+            return
+        self.tets = np.concatenate([self.tets, np.full((more, 4), NO_ID, np.uint32)])
+        for name in ("regions", "cut_masks", "boundary_masks", "pieces"):
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate([old, np.zeros(more, old.dtype)]))
+
+    @property
+    def alive(self) -> npt.NDArray[np.bool_]:
+        """One for each id: whether there is such a tetrahedron."""
+        return self.tets[:, 0] != NO_ID
+
+    def boundary_triangles(self) -> npt.NDArray[np.uint32]:
+        """Vertices of all boundary faces, (n, 3), counter-clockwise seen from outside."""
+        faces = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+        return np.concatenate([self.tets[(self.boundary_masks >> f & 1).astype(bool)][:, list(faces[f])] for f in range(4)])
+
+    def compute_state_hash(self) -> int:
+        """The state hash from scratch. O(mesh)."""
+        ids = np.flatnonzero(self.alive).astype(np.uint32)
+        return xor_of(vertex_hashes(np.arange(len(self.positions), dtype=np.uint32), self.positions)) ^ xor_of(
+            tet_hashes(ids, self.tets[ids], self.regions[ids], self.cut_masks[ids]))
+
+    def canonical_bytes(self) -> bytes:
+        """PROTOCOL.md, section 13: equal for equal states."""
+        ids = np.flatnonzero(self.alive)
+        tets = np.empty((len(ids), 8), np.uint32)
+        tets[:, 0] = ids
+        tets[:, 1:5] = self.tets[ids]
+        tets[:, 5] = self.regions[ids].view(np.uint32)
+        tets[:, 6] = self.pieces[ids]
+        tets[:, 7] = self.cut_masks[ids] + 256 * self.boundary_masks[ids].astype(np.uint32)
+        head = np.array([self.revision, self.state_hash], np.uint64).tobytes()
+        counts = np.array([len(self.positions), self.live_tets], np.uint32).tobytes()
+        return head + counts + self.positions.tobytes() + tets.tobytes()
+
+    # ---- A snapshot ----
+
+    @staticmethod
+    def from_snapshot(begin: Any, chunks: list[Any], end: Any) -> "Replica":
+        """A replica of SnapshotBegin, all SnapshotChunk and SnapshotEnd. Throws ApplyError."""
+        new = Replica()
+        if len(chunks) != begin.Chunks() or end.Revision() != begin.Revision():
+            raise ApplyError(f"snapshot with {len(chunks)} of {begin.Chunks()} chunks")
+        parts = [_array(c.PositionsAsNumpy(), np.float64).reshape(-1, 3) for c in chunks]
+        new.positions = np.concatenate(parts) if parts else np.empty((0, 3))
+        tets = [_Tets(c.Tets()) for c in chunks]
+        pieces = [_array(c.TetPiecesAsNumpy(), np.uint32) for c in chunks]
+        last = max((int(t.ids[-1]) for t in tets if len(t.ids)), default=-1)
+        new._set_slots(last + 1)
+        for t, p in zip(tets, pieces):
+            new._put(t)
+            if len(p):
+                new.pieces[t.ids] = p
+            new.live_tets += len(t.ids)
+        if len(new.positions) != begin.VertexCount() or new.live_tets != begin.TetCount():
+            raise ApplyError("snapshot that does not add up")
+        if last >= 0 and int(new.tets[new.alive].max(initial=0)) >= len(new.positions):
+            raise ApplyError("snapshot: a tetrahedron of vertices that do not exist")
+        new.revision = begin.Revision()
+        new.state_hash = new.compute_state_hash()
+        if new.state_hash != end.StateHash():
+            raise ApplyError(f"snapshot with hash {new.state_hash:016x}, announced was {end.StateHash():016x}")
+        return new
+
+    def _put(self, t: _Tets) -> None:
+        self.tets[t.ids] = t.vertices
+        self.regions[t.ids] = t.regions
+        self.cut_masks[t.ids] = t.cut_masks
+        self.boundary_masks[t.ids] = t.boundary_masks
+
+    # ---- A delta ----
+
+    def apply(self, delta: Any) -> None:
+        """Takes the state from the delta's base revision to its revision, completely or not at all. Throws ApplyError.
+
+        Hashing costs what the delta changes; adding vertices or tetrahedra copies their arrays.
+        """
+        if delta.BaseRevision() != self.revision or delta.Revision() <= self.revision:
+            raise ApplyError(f"delta from {delta.BaseRevision()} to {delta.Revision()}, this state is at {self.revision}")
+        moved = _array(delta.MovedIdsAsNumpy(), np.uint32)
+        moved_to = _array(delta.MovedPositionsAsNumpy(), np.float64).reshape(-1, 3)
+        added = _array(delta.AddedPositionsAsNumpy(), np.float64).reshape(-1, 3)
+        tets = _Tets(delta.Tets())
+        removed = _array(delta.RemovedTetsAsNumpy(), np.uint32)
+        piece_sizes = _array(delta.PieceSizesAsNumpy(), np.uint32)
+        piece_ids = _array(delta.PieceIdsAsNumpy(), np.uint32)
+        piece_tets = _array(delta.PieceTetsAsNumpy(), np.uint32)
+        old_vertices, old_slots = len(self.positions), len(self.tets)
+        vertices = old_vertices + len(added)
+        _check_ascending(moved, "moved vertices")
+        _check_ascending(removed, "removed tetrahedra")
+        if len(moved) != len(moved_to) or (len(moved) and int(moved[-1]) >= old_vertices):
+            raise ApplyError("moved vertices that do not exist")
+        if (len(added) and delta.FirstAdded() != old_vertices) or delta.VertexCount() != vertices:
+            raise ApplyError("added vertices that do not follow on")
+        if len(tets.ids) and int(tets.vertices.max()) >= vertices:
+            raise ApplyError("a tetrahedron of vertices that do not exist")
+        if len(removed) and (int(removed[-1]) >= old_slots or not self.alive[removed].all()):
+            raise ApplyError("removed tetrahedra that do not exist")
+        if np.intersect1d(removed, tets.ids, assume_unique=True).size:
+            raise ApplyError("tetrahedra that change and go")
+        is_new = tets.ids >= delta.FirstNewTet()
+        changed = tets.ids[~is_new]
+        if delta.FirstNewTet() < old_slots or (
+                len(changed) and (int(changed[-1]) >= old_slots or not self.alive[changed].all())):
+            raise ApplyError("changed tetrahedra that do not exist")
+        live = self.live_tets + int(is_new.sum()) - len(removed)
+        if live != delta.LiveTets() or int(piece_sizes.sum()) != len(piece_tets) or len(piece_sizes) != len(piece_ids):
+            raise ApplyError("delta that does not add up")
+
+        gone = np.concatenate([changed, removed])
+        new_ids = np.arange(old_vertices, vertices, dtype=np.uint32)
+        state_hash = self.state_hash
+        for part in (vertex_hashes(moved, self.positions[moved]), vertex_hashes(moved, moved_to),
+                     vertex_hashes(new_ids, added),
+                     tet_hashes(gone, self.tets[gone], self.regions[gone], self.cut_masks[gone]), tets.hashes()):
+            state_hash ^= xor_of(part)
+        if state_hash != delta.StateHash():
+            raise ApplyError(f"revision {delta.Revision()} has hash {state_hash:016x}, announced was {delta.StateHash():016x}")
+
+        slots = max(old_slots, int(tets.ids[-1]) + 1 if len(tets.ids) else 0)
+        if len(piece_tets) and int(piece_tets.max()) >= slots:
+            raise ApplyError("a piece of tetrahedra that do not exist")
+        if len(added):
+            self.positions = np.concatenate([self.positions, added])
+        elif not self.positions.flags.writeable:
+            self.positions = self.positions.copy()
+        self.positions[moved] = moved_to
+        self._grow(slots)
+        self.tets[removed] = NO_ID
+        for array in (self.regions, self.cut_masks, self.boundary_masks, self.pieces):
+            array[removed] = 0
+        self._put(tets)
+        self.pieces[piece_tets] = np.repeat(piece_ids, piece_sizes)
+        self.live_tets = live
+        self.state_hash = state_hash
+        self.revision = delta.Revision()

@@ -1,0 +1,197 @@
+#include "protocol/coalesce.hpp"
+
+#include <algorithm>
+#include <map>
+#include <stdexcept>
+
+namespace incise::protocol {
+namespace {
+
+template <class T>
+void append(std::vector<T>& out, std::span<const T> values) {
+  out.insert(out.end(), values.begin(), values.end());
+}
+
+// Where the newest entry of an id stands: entry `index` of delta `delta`, or its removal.
+struct Place {
+  std::size_t delta = 0;
+  std::size_t index = 0;
+  bool removed = false;
+};
+using Places = std::map<std::uint32_t, Place>;
+
+void note(Places& places, std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
+  for (std::size_t i = 0; i < ids.size(); ++i) places[ids[i]] = {delta, i, removed};
+}
+
+template <class D>
+void check_chain(std::span<const D> deltas) {
+  if (deltas.empty()) throw std::invalid_argument("coalesce: no delta");
+  for (std::size_t i = 1; i < deltas.size(); ++i) {
+    if (deltas[i].base_revision != deltas[i - 1].revision) {
+      throw std::invalid_argument("coalesce: a delta from revision " +
+                                  std::to_string(deltas[i].base_revision) + " after one to " +
+                                  std::to_string(deltas[i - 1].revision));
+    }
+  }
+}
+
+}  // namespace
+
+Delta OwnedDelta::view() const {
+  Delta d;
+  d.base_revision = base_revision;
+  d.revision = revision;
+  d.steps = steps;
+  d.moved_ids = moved_ids;
+  d.moved_positions = moved_positions;
+  d.first_added = first_added;
+  d.added_positions = added_positions;
+  d.provenance_a = provenance_a;
+  d.provenance_b = provenance_b;
+  d.provenance_t = provenance_t;
+  d.tets = {tet_ids, tet_vertices, tet_regions, tet_cut_masks, tet_boundary_masks};
+  d.removed_tets = removed_tets;
+  d.boundary_upserted = boundary_upserted;
+  d.boundary_removed = boundary_removed;
+  d.piece_ids = piece_ids;
+  d.piece_sizes = piece_sizes;
+  d.piece_tets = piece_tets;
+  d.vertex_count = vertex_count;
+  d.live_tets = live_tets;
+  d.state_hash = state_hash;
+  d.first_new_tet = first_new_tet;
+  return d;
+}
+
+SurfaceDelta OwnedSurfaceDelta::view() const {
+  return {base_revision,
+          revision,
+          steps,
+          change.vertices(),
+          change.removed_vertices,
+          change.triangles(),
+          change.removed_triangles,
+          surface_hash,
+          state_hash,
+          live_tets};
+}
+
+OwnedDelta coalesce(std::span<const Delta> deltas) {
+  check_chain(deltas);
+  const Delta& first = deltas.front();
+  const Delta& last = deltas.back();
+  OwnedDelta out;
+  out.base_revision = first.base_revision;
+  out.revision = last.revision;
+  out.vertex_count = last.vertex_count;
+  out.live_tets = last.live_tets;
+  out.state_hash = last.state_hash;
+  out.first_new_tet = first.first_new_tet;
+  out.first_added = first.vertex_count - static_cast<std::uint32_t>(first.provenance_t.size());
+
+  Places moved, tets, faces;
+  std::map<std::uint32_t, std::uint32_t> piece_of;
+  for (std::size_t k = 0; k < deltas.size(); ++k) {
+    const Delta& d = deltas[k];
+    out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
+    append(out.added_positions, d.added_positions);
+    append(out.provenance_a, d.provenance_a);
+    append(out.provenance_b, d.provenance_b);
+    append(out.provenance_t, d.provenance_t);
+    note(moved, d.moved_ids, k, false);
+    note(tets, d.tets.ids, k, false);
+    note(tets, d.removed_tets, k, true);
+    note(faces, d.boundary_upserted, k, false);
+    note(faces, d.boundary_removed, k, true);
+    std::size_t next = 0;
+    for (std::size_t p = 0; p < d.piece_ids.size(); ++p) {
+      for (std::uint32_t n = 0; n < d.piece_sizes[p]; ++n) piece_of[d.piece_tets[next++]] = d.piece_ids[p];
+    }
+  }
+
+  for (const auto& [id, place] : moved) {
+    const double* position = &deltas[place.delta].moved_positions[3 * place.index];
+    if (id >= out.first_added) {  // added in one of these deltas, moved in a later one
+      std::copy_n(position, 3, &out.added_positions[3 * std::size_t{id - out.first_added}]);
+      continue;
+    }
+    out.moved_ids.push_back(id);
+    out.moved_positions.insert(out.moved_positions.end(), position, position + 3);
+  }
+  for (const auto& [id, place] : tets) {
+    if (place.removed) {
+      if (id < out.first_new_tet) out.removed_tets.push_back(id);
+      continue;
+    }
+    const TetArrays& t = deltas[place.delta].tets;
+    out.tet_ids.push_back(id);
+    append(out.tet_vertices, t.vertices.subspan(4 * place.index, 4));
+    out.tet_regions.push_back(t.regions[place.index]);
+    out.tet_cut_masks.push_back(t.cut_masks[place.index]);
+    out.tet_boundary_masks.push_back(t.boundary_masks[place.index]);
+  }
+  for (const auto& [half_face, place] : faces) {
+    if (!place.removed) {
+      out.boundary_upserted.push_back(half_face);
+    } else if (half_face / 4 < out.first_new_tet) {
+      out.boundary_removed.push_back(half_face);
+    }
+  }
+  std::map<std::uint32_t, std::vector<std::uint32_t>> pieces;
+  for (const auto& [tet, piece] : piece_of) {
+    const auto place = tets.find(tet);
+    if (place == tets.end() || !place->second.removed) pieces[piece].push_back(tet);
+  }
+  for (const auto& [piece, members] : pieces) {
+    out.piece_ids.push_back(piece);
+    out.piece_sizes.push_back(static_cast<std::uint32_t>(members.size()));
+    append<std::uint32_t>(out.piece_tets, members);
+  }
+  return out;
+}
+
+OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
+  check_chain(deltas);
+  const SurfaceDelta& last = deltas.back();
+  OwnedSurfaceDelta out;
+  out.base_revision = deltas.front().base_revision;
+  out.revision = last.revision;
+  out.surface_hash = last.surface_hash;
+  out.state_hash = last.state_hash;
+  out.live_tets = last.live_tets;
+
+  Places vertices, triangles;
+  for (std::size_t k = 0; k < deltas.size(); ++k) {
+    const SurfaceDelta& d = deltas[k];
+    out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
+    note(vertices, d.vertices.ids, k, false);
+    note(vertices, d.removed_vertices, k, true);
+    note(triangles, d.triangles.ids, k, false);
+    note(triangles, d.removed_triangles, k, true);
+  }
+  SurfaceChange& c = out.change;
+  for (const auto& [id, place] : vertices) {
+    if (place.removed) {
+      c.removed_vertices.push_back(id);
+      continue;
+    }
+    c.vertex_ids.push_back(id);
+    append(c.vertex_positions, deltas[place.delta].vertices.positions.subspan(3 * place.index, 3));
+  }
+  for (const auto& [id, place] : triangles) {
+    if (place.removed) {
+      c.removed_triangles.push_back(id);
+      continue;
+    }
+    const TriangleArrays& t = deltas[place.delta].triangles;
+    c.triangle_ids.push_back(id);
+    append(c.triangle_vertices, t.vertices.subspan(3 * place.index, 3));
+    c.triangle_flags.push_back(t.flags[place.index]);
+    c.triangle_pieces.push_back(t.pieces[place.index]);
+    c.triangle_regions.push_back(t.regions[place.index]);
+  }
+  return out;
+}
+
+}  // namespace incise::protocol

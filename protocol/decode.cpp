@@ -1,0 +1,539 @@
+// The receiving half of framing.hpp: bytes from a stranger to a checked message.
+
+#include <cmath>
+#include <cstring>
+#include <memory>
+#include <type_traits>
+
+#include "protocol/framing.hpp"
+#include "protocol/incise_generated.h"
+
+namespace incise::protocol {
+namespace {
+
+template <class T>
+using Vec = flatbuffers::Vector<T>;
+
+// Reads the fields of one message and keeps the first thing that is wrong with them.
+class Reader {
+ public:
+  explicit Reader(const char* message) : message_(message) {}
+
+  bool ok() const { return error_.empty(); }
+  const std::string& error() const { return error_; }
+
+  void fail(const char* field, const std::string& what) {
+    if (ok()) error_ = std::string(message_) + '.' + field + ": " + what;
+  }
+  void require(bool condition, const char* field, const char* what) {
+    if (!condition) fail(field, what);
+  }
+
+  std::string text(const char* field, const flatbuffers::String* value, std::size_t limit = kMaxNameBytes) {
+    if (value == nullptr) return {};
+    if (value->size() > limit) {
+      fail(field, std::to_string(value->size()) + " bytes, accepted are at most " + std::to_string(limit));
+      return {};
+    }
+    return value->str();
+  }
+
+  // On a little-endian machine the elements lie there as they are. The verifier has checked that they lie within the
+  // message; that they are aligned for their type it leaves to us.
+  template <class T, class Element = T>
+  std::span<const T> array(const char* field, const Vec<Element>* value) {
+    if (value == nullptr || value->size() == 0) return {};
+    if (reinterpret_cast<std::uintptr_t>(value->Data()) % alignof(T) != 0) {
+      fail(field, "not aligned to " + std::to_string(alignof(T)) + " bytes");
+      return {};
+    }
+    return {reinterpret_cast<const T*>(value->Data()), value->size()};
+  }
+
+  // An array that goes with `count` elements, `each` numbers to one.
+  template <class T>
+  std::span<const T> array(const char* field, const Vec<T>* value, std::size_t count, std::size_t each) {
+    const std::span<const T> values = array<T>(field, value);
+    if (values.size() != count * each) {
+      fail(field, std::to_string(values.size()) + " entries where " + std::to_string(count) +
+                      " elements have " + std::to_string(each) + " each");
+    }
+    return values;
+  }
+
+  // Ids, strictly ascending and below `limit`.
+  std::span<const std::uint32_t> ids(const char* field, const Vec<std::uint32_t>* value,
+                                     std::uint32_t limit) {
+    const std::span<const std::uint32_t> values = array<std::uint32_t>(field, value);
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      if (values[i] >= limit) {
+        fail(field,
+             "id " + std::to_string(values[i]) + ", accepted are those below " + std::to_string(limit));
+        break;
+      }
+      if (i > 0 && values[i] <= values[i - 1]) {
+        fail(field, "id " + std::to_string(values[i]) + " after " + std::to_string(values[i - 1]) +
+                        ", accepted are ascending ids");
+        break;
+      }
+    }
+    return values;
+  }
+
+  template <class T>
+  void coordinates(const char* field, std::span<const T> values) {
+    for (const T x : values) {
+      if (!(std::abs(static_cast<double>(x)) <= kMaxCoordinate)) {
+        fail(field, std::to_string(x) + ", accepted are coordinates within +-1e6 m");
+        return;
+      }
+    }
+  }
+  template <class T>
+  std::span<const T> positions(const char* field, const Vec<T>* value, std::size_t vertices) {
+    const auto values = array(field, value, vertices, 3);
+    coordinates(field, values);
+    return values;
+  }
+
+  double finite(const char* field, double value) {
+    if (!std::isfinite(value)) fail(field, std::to_string(value) + ", accepted are finite numbers");
+    return value;
+  }
+  float finite(const char* field, float value) {
+    finite(field, static_cast<double>(value));
+    return value;
+  }
+
+  Vec3 vector(const char* field, const wire::Vec3* value) {
+    if (value == nullptr) return {};
+    const Vec3 v{value->x(), value->y(), value->z()};
+    const double numbers[] = {v.x, v.y, v.z};
+    coordinates(field, std::span<const double>(numbers));
+    return v;
+  }
+
+  template <class To, class From>
+  To enumeration(const char* field, From value) {
+    if (value > From::MAX) {
+      fail(field, std::to_string(static_cast<unsigned>(value)) + ", accepted are 0 to " +
+                      std::to_string(static_cast<unsigned>(From::MAX)));
+    }
+    return static_cast<To>(value);
+  }
+
+  std::optional<Box> box(const char* field, const wire::Box* value) {
+    if (value == nullptr) return std::nullopt;
+    const Box b{vector(field, value->min()), vector(field, value->max())};
+    require(b.min.x <= b.max.x && b.min.y <= b.max.y && b.min.z <= b.max.z, field, "min above max");
+    return b;
+  }
+
+  TetArrays tets(const wire::Tets* t) {
+    if (t == nullptr) return {};
+    TetArrays out;
+    out.ids = ids("tets.ids", t->ids(), kMaxTets);
+    const std::size_t n = out.ids.size();
+    out.vertices = array("tets.vertices", t->vertices(), n, 4);
+    out.regions = array("tets.regions", t->regions(), n, 1);
+    out.cut_masks = array("tets.cut_masks", t->cut_masks(), n, 1);
+    out.boundary_masks = array("tets.boundary_masks", t->boundary_masks(), n, 1);
+    std::uint8_t bits = 0;
+    for (const std::uint8_t m : out.cut_masks) bits |= m;
+    for (const std::uint8_t m : out.boundary_masks) bits |= m;
+    require(bits <= 15, "tets.*_masks", "a bit above 3 is set: there are four faces");
+    return out;
+  }
+
+  TriangleArrays triangles(const wire::Triangles* t) {
+    if (t == nullptr) return {};
+    TriangleArrays out;
+    out.ids = ids("triangles.ids", t->ids(), 4 * kMaxTets);
+    const std::size_t n = out.ids.size();
+    out.vertices = array("triangles.vertices", t->vertices(), n, 3);
+    out.flags = array("triangles.flags", t->flags(), n, 1);
+    out.pieces = array("triangles.pieces", t->pieces(), n, 1);
+    out.regions = array("triangles.regions", t->regions(), n, 1);
+    return out;
+  }
+
+  SurfaceVertexArrays surface_vertices(const char* ids_field, const char* positions_field,
+                                       const wire::SurfaceVertices* v) {
+    if (v == nullptr) return {};
+    SurfaceVertexArrays out;
+    out.ids = ids(ids_field, v->ids(), kMaxVertices);
+    out.positions = positions(positions_field, v->positions(), out.ids.size());
+    return out;
+  }
+
+  std::vector<Step> steps(const flatbuffers::Vector<flatbuffers::Offset<wire::Step>>* values,
+                          std::uint64_t base, std::uint64_t revision) {
+    std::vector<Step> out;
+    if (revision <= base) fail("revision", std::to_string(revision) + " from " + std::to_string(base));
+    if (values == nullptr) return out;
+    if (values->size() > kMaxStepsPerDelta) {
+      fail("steps",
+           std::to_string(values->size()) + ", accepted are at most " + std::to_string(kMaxStepsPerDelta));
+      return out;
+    }
+    out.reserve(values->size());
+    std::uint64_t last = base;
+    for (const wire::Step* s : *values) {
+      require(s->revision() > last && s->revision() <= revision, "steps.revision",
+              "not rising, or outside of the delta's revisions");
+      last = s->revision();
+      Step step;
+      step.revision = s->revision();
+      step.source = s->source();
+      step.stroke = s->stroke();
+      step.batch = s->batch();
+      step.stroke_ended = s->stroke_ended();
+      step.from_heel = vector("steps.from_heel", s->from_heel());
+      step.from_tip = vector("steps.from_tip", s->from_tip());
+      step.to_heel = vector("steps.to_heel", s->to_heel());
+      step.to_tip = vector("steps.to_tip", s->to_tip());
+      step.from_source_ns = s->from_source_ns();
+      step.to_source_ns = s->to_source_ns();
+      step.arrival_ns = s->arrival_ns();
+      step.drain_ns = s->drain_ns();
+      step.cut_ns = s->cut_ns();
+      step.cut_faces = s->cut_faces();
+      step.cut_area_m2 = finite("steps.cut_area_m2", s->cut_area_m2());
+      step.snaps = s->snaps();
+      step.splits = s->splits();
+      step.min_dihedral_deg = finite("steps.min_dihedral_deg", s->min_dihedral_deg());
+      step.max_deviation_h = finite("steps.max_deviation_h", s->max_deviation_h());
+      step.state_hash = s->state_hash();
+      out.push_back(step);
+    }
+    return out;
+  }
+
+  // ---- One overload a message ----
+
+  Body read(const wire::Hello& m) {
+    Hello out;
+    out.protocol_version = m.protocol_version();
+    out.role = enumeration<Role>("role", m.role());
+    out.view = enumeration<View>("view", m.view());
+    out.client_name = text("client_name", m.client_name());
+    out.client_version = text("client_version", m.client_version());
+    out.token = text("token", m.token(), kMaxTokenBytes);
+    out.resume_session = m.resume_session();
+    out.resume_revision = m.resume_revision();
+    out.max_rate_hz = rate(m.max_rate_hz());
+    out.box = box("box", m.box());
+    out.source_name = text("source_name", m.source_name());
+    out.take_over = m.take_over();
+    return out;
+  }
+  Body read(const wire::Welcome& m) {
+    Welcome out;
+    out.protocol_version = m.protocol_version();
+    out.session = m.session();
+    out.role = enumeration<Role>("role", m.role());
+    out.view = enumeration<View>("view", m.view());
+    out.resumed = m.resumed();
+    out.revision = m.revision();
+    out.state_hash = m.state_hash();
+    if (const wire::MeshFacts* mesh = m.mesh()) {
+      out.mesh.name = text("mesh.name", mesh->name());
+      out.mesh.content_hash = text("mesh.content_hash", mesh->content_hash());
+      out.mesh.vertices = mesh->vertices();
+      out.mesh.tets = mesh->tets();
+      out.mesh.boundary_faces = mesh->boundary_faces();
+      out.mesh.mean_edge_length_m = finite("mesh.mean_edge_length_m", mesh->mean_edge_length_m());
+      out.mesh.box = box("mesh.box", mesh->box()).value_or(Box{});
+    }
+    out.blade_heel = vector("blade_heel", m.blade_heel());
+    out.blade_tip = vector("blade_tip", m.blade_tip());
+    out.source = m.source();
+    out.engage_button = m.engage_button();
+    require(out.engage_button >= -1 && out.engage_button < 32, "engage_button", "accepted are -1 to 31");
+    out.max_speed_m_s = finite("max_speed_m_s", m.max_speed_m_s());
+    out.frame_rate_hz = finite("frame_rate_hz", m.frame_rate_hz());
+    out.max_message_bytes = m.max_message_bytes();
+    out.server_name = text("server_name", m.server_name());
+    out.server_version = text("server_version", m.server_version());
+    out.server_monotonic_ns = m.server_monotonic_ns();
+    out.server_unix_ns = m.server_unix_ns();
+    out.policy = text("policy", m.policy());
+    return out;
+  }
+  Body read(const wire::Subscribe& m) {
+    return Subscribe{enumeration<View>("view", m.view()), rate(m.max_rate_hz()), box("box", m.box())};
+  }
+  Body read(const wire::Resync& m) {
+    return Resync{m.revision(), m.hash(), text("reason", m.reason(), kMaxTextBytes)};
+  }
+  Body read(const wire::Ping& m) { return Ping{m.nonce(), m.sent_ns()}; }
+  Body read(const wire::Pong& m) { return Pong{m.nonce(), m.ping_sent_ns(), m.received_ns()}; }
+  Body read(const wire::Error& m) {
+    // Codes and reasons of a later version are still errors: what is unknown reads as Unknown.
+    const auto code = m.code() > wire::ErrorCode::MAX ? ErrorCode::Unknown : static_cast<ErrorCode>(m.code());
+    return Error{code, text("text", m.text(), kMaxTextBytes), m.fatal(), m.in_reply_to()};
+  }
+  Body read(const wire::Bye& m) {
+    const auto reason =
+        m.reason() > wire::ByeReason::MAX ? ByeReason::Unknown : static_cast<ByeReason>(m.reason());
+    return Bye{reason, text("text", m.text(), kMaxTextBytes)};
+  }
+  Body read(const wire::PoseBatch& m) {
+    // Poses as they come: which to take is the input's to decide, pose by pose, and to report.
+    const std::size_t n = m.poses()->size();
+    if (n > kMaxPosesPerBatch) {
+      fail("poses", std::to_string(n) + ", accepted are at most " + std::to_string(kMaxPosesPerBatch));
+    }
+    return PoseBatch{array<PoseSample>("poses", m.poses())};
+  }
+  Body read(const wire::PoseReport& m) {
+    return PoseReport{m.through_sequence(), m.accepted(),        m.not_finite(),
+                      m.not_unit(),         m.time_not_rising(), m.queue_full(),
+                      m.too_fast(),         m.last_source_ns(),  m.backlog_segments()};
+  }
+  Body read(const wire::StrokeControl& m) {
+    return StrokeControl{enumeration<StrokeAction>("action", m.action()), m.source_ns()};
+  }
+  Body read(const wire::Force& m) {
+    Force out;
+    out.source = m.source();
+    out.source_ns = m.source_ns();
+    out.force_n = vector("force_n", m.force_n());
+    out.engaged_length_m = finite("engaged_length_m", m.engaged_length_m());
+    if (const wire::LocalContact* c = m.contact()) {
+      LocalContact contact;
+      contact.point = vector("contact.point", c->point());
+      contact.normal = vector("contact.normal", c->normal());
+      contact.stiffness_n_per_m = finite("contact.stiffness_n_per_m", c->stiffness_n_per_m());
+      contact.damping_n_s_per_m = finite("contact.damping_n_s_per_m", c->damping_n_s_per_m());
+      contact.cutting_resistance_n = finite("contact.cutting_resistance_n", c->cutting_resistance_n());
+      contact.friction_n_s_per_m = finite("contact.friction_n_s_per_m", c->friction_n_s_per_m());
+      contact.valid_for_ns = c->valid_for_ns();
+      out.contact = contact;
+    }
+    out.saturated = m.saturated();
+    return out;
+  }
+  Body read(const wire::Delta& m) {
+    Delta out;
+    out.base_revision = m.base_revision();
+    out.revision = m.revision();
+    out.steps = steps(m.steps(), out.base_revision, out.revision);
+    out.moved_ids = ids("moved_ids", m.moved_ids(), kMaxVertices);
+    out.moved_positions = positions("moved_positions", m.moved_positions(), out.moved_ids.size());
+    out.first_added = m.first_added();
+    const std::size_t added = m.provenance_t() == nullptr ? 0 : m.provenance_t()->size();
+    out.added_positions = positions("added_positions", m.added_positions(), added);
+    out.provenance_a = array("provenance_a", m.provenance_a(), added, 1);
+    out.provenance_b = array("provenance_b", m.provenance_b(), added, 1);
+    out.provenance_t = array<double>("provenance_t", m.provenance_t());
+    for (const double t : out.provenance_t) require(t >= 0 && t <= 1, "provenance_t", "accepted are 0 to 1");
+    out.tets = tets(m.tets());
+    out.removed_tets = ids("removed_tets", m.removed_tets(), kMaxTets);
+    out.boundary_upserted = ids("boundary_upserted", m.boundary_upserted(), 4 * kMaxTets);
+    out.boundary_removed = ids("boundary_removed", m.boundary_removed(), 4 * kMaxTets);
+    out.piece_ids = array<std::uint32_t>("piece_ids", m.piece_ids());
+    out.piece_sizes = array("piece_sizes", m.piece_sizes(), out.piece_ids.size(), 1);
+    out.piece_tets = array<std::uint32_t>("piece_tets", m.piece_tets());
+    std::uint64_t listed = 0;
+    for (const std::uint32_t n : out.piece_sizes) listed += n;
+    if (listed != out.piece_tets.size()) {
+      fail("piece_tets", std::to_string(out.piece_tets.size()) + " entries, piece_sizes add up to " +
+                             std::to_string(listed));
+    }
+    out.vertex_count = m.vertex_count();
+    require(out.vertex_count <= kMaxVertices, "vertex_count", "above the limit");
+    out.live_tets = m.live_tets();
+    out.state_hash = m.state_hash();
+    out.first_new_tet = m.first_new_tet();
+    return out;
+  }
+  Body read(const wire::SurfaceDelta& m) {
+    SurfaceDelta out;
+    out.base_revision = m.base_revision();
+    out.revision = m.revision();
+    out.steps = steps(m.steps(), out.base_revision, out.revision);
+    out.vertices = surface_vertices("vertices.ids", "vertices.positions", m.vertices());
+    out.removed_vertices = ids("removed_vertices", m.removed_vertices(), kMaxVertices);
+    out.triangles = triangles(m.triangles());
+    out.removed_triangles = ids("removed_triangles", m.removed_triangles(), 4 * kMaxTets);
+    out.surface_hash = m.surface_hash();
+    out.state_hash = m.state_hash();
+    out.live_tets = m.live_tets();
+    return out;
+  }
+  Body read(const wire::SnapshotBegin& m) {
+    SnapshotBegin out;
+    out.view = enumeration<View>("view", m.view());
+    require(out.view != View::None, "view", "None has no snapshot");
+    out.revision = m.revision();
+    out.cause =
+        m.cause() > wire::SnapshotCause::MAX ? SnapshotCause::Join : static_cast<SnapshotCause>(m.cause());
+    out.chunks = m.chunks();
+    require(out.chunks <= kMaxSnapshotChunks, "chunks", "above the limit of 65536");
+    out.vertex_count = m.vertex_count();
+    require(out.vertex_count <= kMaxVertices, "vertex_count", "above the limit");
+    out.tet_count = m.tet_count();
+    require(out.tet_count <= kMaxTets, "tet_count", "above the limit");
+    out.triangle_count = m.triangle_count();
+    require(out.triangle_count <= 4 * kMaxTets, "triangle_count", "above the limit");
+    out.box = box("box", m.box());
+    return out;
+  }
+  Body read(const wire::SnapshotChunk& m) {
+    SnapshotChunk out;
+    out.index = m.index();
+    out.first_vertex = m.first_vertex();
+    const std::size_t numbers = m.positions() == nullptr ? 0 : m.positions()->size();
+    out.positions = positions("positions", m.positions(), numbers / 3);
+    out.tets = tets(m.tets());
+    out.tet_pieces = array("tet_pieces", m.tet_pieces(), out.tets.ids.size(), 1);
+    out.surface_vertices =
+        surface_vertices("surface_vertices.ids", "surface_vertices.positions", m.surface_vertices());
+    out.triangles = triangles(m.triangles());
+    return out;
+  }
+  Body read(const wire::SnapshotEnd& m) {
+    return SnapshotEnd{m.revision(), m.state_hash(), m.surface_hash()};
+  }
+  Body read(const wire::Positions& m) {
+    Positions out;
+    out.frame = m.frame();
+    out.revision = m.revision();
+    out.source_ns = m.source_ns();
+    out.ids = ids("ids", m.ids(), kMaxVertices);
+    out.first = m.first();
+    const std::size_t single = m.f32() == nullptr ? 0 : m.f32()->size();
+    const std::size_t twice = m.f64() == nullptr ? 0 : m.f64()->size();
+    require(single == 0 || twice == 0, "f64", "present beside f32, accepted is one of them");
+    const std::size_t vertices = out.ids.empty() ? (single + twice) / 3 : out.ids.size();
+    if (single > 0) out.f32 = positions("f32", m.f32(), vertices);
+    if (twice > 0) out.f64 = positions("f64", m.f64(), vertices);
+    require(single + twice == 3 * vertices, "ids", "without positions");
+    require(vertices <= kMaxPositionsVertices, "ids", "more vertices than a Positions message may have");
+    require(out.first <= kMaxVertices - vertices, "first", "above the limit");
+    return out;
+  }
+  Body read(const wire::Stats& m) {
+    Stats out;
+    out.json = text("json", m.json(), kMaxStatsJsonBytes);
+    out.revision = m.revision();
+    out.live_tets = m.live_tets();
+    out.pieces = m.pieces();
+    out.sessions = m.sessions();
+    out.backlog_segments = m.backlog_segments();
+    out.frames = m.frames();
+    out.late_frames = m.late_frames();
+    out.poses_accepted = m.poses_accepted();
+    out.poses_rejected = m.poses_rejected();
+    out.frame_work_p99_us = finite("frame_work_p99_us", m.frame_work_p99_us());
+    out.pose_to_delta_p99_us = finite("pose_to_delta_p99_us", m.pose_to_delta_p99_us());
+    return out;
+  }
+  Body read(const wire::Reset&) { return Reset{}; }
+  Body read(const wire::ReplayControl& m) {
+    const float speed = finite("speed", m.speed());
+    require(speed > 0, "speed", "accepted are numbers above 0");
+    return ReplayControl{enumeration<ReplayAction>("action", m.action()), text("capture", m.capture()), speed,
+                         m.revision()};
+  }
+  Body read(const wire::ReplayState& m) {
+    return ReplayState{text("capture", m.capture()),
+                       m.playing(),
+                       finite("speed", m.speed()),
+                       m.revision(),
+                       m.last_revision(),
+                       text("text", m.text(), kMaxTextBytes)};
+  }
+
+ private:
+  float rate(float hz) {
+    finite("max_rate_hz", hz);
+    require(hz >= 0, "max_rate_hz", "accepted are numbers from 0");
+    return hz;
+  }
+
+  const char* message_;
+  std::string error_;
+};
+
+Body read_body(Reader& reader, const wire::Message& message) {
+  switch (message.body_type()) {
+#define INCISE_MESSAGE(Type) \
+  case wire::Body::Type:     \
+    return reader.read(*message.body_as_##Type())
+    INCISE_MESSAGE(Hello);
+    INCISE_MESSAGE(Welcome);
+    INCISE_MESSAGE(Subscribe);
+    INCISE_MESSAGE(Resync);
+    INCISE_MESSAGE(Ping);
+    INCISE_MESSAGE(Pong);
+    INCISE_MESSAGE(Error);
+    INCISE_MESSAGE(Bye);
+    INCISE_MESSAGE(PoseBatch);
+    INCISE_MESSAGE(PoseReport);
+    INCISE_MESSAGE(StrokeControl);
+    INCISE_MESSAGE(Force);
+    INCISE_MESSAGE(Delta);
+    INCISE_MESSAGE(SurfaceDelta);
+    INCISE_MESSAGE(SnapshotBegin);
+    INCISE_MESSAGE(SnapshotChunk);
+    INCISE_MESSAGE(SnapshotEnd);
+    INCISE_MESSAGE(Positions);
+    INCISE_MESSAGE(Stats);
+    INCISE_MESSAGE(Reset);
+    INCISE_MESSAGE(ReplayControl);
+    INCISE_MESSAGE(ReplayState);
+#undef INCISE_MESSAGE
+    case wire::Body::NONE:
+      break;
+  }
+  return Reset{};  // not reached: decode() has refused every other type
+}
+
+DecodeResult bad(ErrorCode code, std::string error) {
+  return {std::nullopt, code, std::move(error)};
+}
+
+}  // namespace
+
+DecodeResult decode(std::span<const std::byte> bytes, std::size_t max_bytes) {
+  if (bytes.size() > max_bytes) {
+    return bad(ErrorCode::TooLong, "message of " + std::to_string(bytes.size()) +
+                                       " bytes, accepted are at most " + std::to_string(max_bytes));
+  }
+  if (bytes.size() < kMinMessageBytes) {
+    return bad(ErrorCode::BadFrame, "message of " + std::to_string(bytes.size()) +
+                                        " bytes, accepted are at least " + std::to_string(kMinMessageBytes));
+  }
+  std::shared_ptr<const void> storage;
+  if (reinterpret_cast<std::uintptr_t>(bytes.data()) % 8 != 0) {
+    auto copy = std::make_shared<std::vector<std::uint64_t>>((bytes.size() + 7) / 8);
+    std::memcpy(copy->data(), bytes.data(), bytes.size());
+    bytes = {reinterpret_cast<const std::byte*>(copy->data()), bytes.size()};
+    storage = std::move(copy);
+  }
+  const auto* data = reinterpret_cast<const std::uint8_t*>(bytes.data());
+  if (!wire::MessageBufferHasIdentifier(data)) {
+    return bad(ErrorCode::BadFrame,
+               std::string("message without the identifier ") + wire::MessageIdentifier());
+  }
+  flatbuffers::Verifier verifier(data, bytes.size(), kMaxDepth, kMaxTables);
+  if (!wire::VerifyMessageBuffer(verifier)) {
+    return bad(ErrorCode::BadFrame, "message that is no valid FlatBuffer of incise.fbs");
+  }
+  const wire::Message& message = *wire::GetMessage(data);
+  if (message.body_type() == wire::Body::NONE || message.body_type() > wire::Body::MAX) {
+    return bad(ErrorCode::BadFrame,
+               "message type " + std::to_string(static_cast<unsigned>(message.body_type())) +
+                   ", accepted are 1 to " + std::to_string(static_cast<unsigned>(wire::Body::MAX)));
+  }
+  Reader reader(wire::EnumNameBody(message.body_type()));
+  Body body = read_body(reader, message);
+  if (!reader.ok()) return bad(ErrorCode::BadFrame, reader.error());
+  return {Message{{message.sequence(), message.sent_ns()}, std::move(body), std::move(storage)},
+          ErrorCode::Unknown,
+          {}};
+}
+
+}  // namespace incise::protocol

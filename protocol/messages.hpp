@@ -1,0 +1,336 @@
+#pragma once
+
+// The messages of incise.fbs as plain structs, for senders and receivers in C++. Arrays are spans: a sender
+// points them at what it has, a receiver finds them pointing into the message's bytes. The schema and
+// PROTOCOL.md say what each field means; comments here add only what C++ users need.
+//
+// Flat arrays: positions hold x y z for each vertex, tetrahedra four ids, triangles three.
+
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <span>
+#include <string>
+#include <variant>
+#include <vector>
+
+namespace incise::protocol {
+
+inline constexpr std::uint32_t kProtocolVersion = 1;
+inline constexpr std::uint32_t kNoId = 0xffffffffu;
+
+struct Vec3 {
+  double x = 0, y = 0, z = 0;
+  friend bool operator==(const Vec3&, const Vec3&) = default;
+};
+
+struct Quat {
+  double w = 1, x = 0, y = 0, z = 0;
+  friend bool operator==(const Quat&, const Quat&) = default;
+};
+
+// world_from_tool at one moment of the source's clock.
+struct PoseSample {
+  std::int64_t source_ns = 0;
+  Vec3 position;     // metres
+  Quat orientation;  // unit
+  std::uint32_t buttons = 0;
+  std::uint32_t reserved = 0;
+  friend bool operator==(const PoseSample&, const PoseSample&) = default;
+};
+static_assert(sizeof(PoseSample) == 72, "the schema's struct, byte for byte");
+
+struct Box {
+  Vec3 min, max;
+  friend bool operator==(const Box&, const Box&) = default;
+};
+
+enum class Role : std::uint8_t { Viewer, Operator, Simulator, Admin };
+enum class View : std::uint8_t { None, Surface, Volume };
+
+struct Hello {
+  std::uint32_t protocol_version = kProtocolVersion;
+  Role role = Role::Viewer;
+  View view = View::None;
+  std::string client_name, client_version;
+  std::string token;
+  std::uint64_t resume_session = 0;
+  std::uint64_t resume_revision = 0;
+  float max_rate_hz = 0;
+  std::optional<Box> box;
+  std::string source_name;
+  bool take_over = false;
+};
+
+struct MeshFacts {
+  std::string name, content_hash;
+  std::uint32_t vertices = 0, tets = 0, boundary_faces = 0;
+  double mean_edge_length_m = 0;
+  Box box;
+};
+
+struct Welcome {
+  std::uint32_t protocol_version = kProtocolVersion;
+  std::uint64_t session = 0;
+  Role role = Role::Viewer;
+  View view = View::None;
+  bool resumed = false;
+  std::uint64_t revision = 0;
+  std::uint64_t state_hash = 0;
+  MeshFacts mesh;
+  Vec3 blade_heel, blade_tip;
+  std::uint32_t source = 0;
+  std::int32_t engage_button = -1;
+  double max_speed_m_s = 0;
+  double frame_rate_hz = 0;
+  std::uint32_t max_message_bytes = 0;
+  std::string server_name, server_version;
+  std::int64_t server_monotonic_ns = 0;
+  std::int64_t server_unix_ns = 0;
+  std::string policy;
+};
+
+struct Subscribe {
+  View view = View::None;
+  float max_rate_hz = 0;
+  std::optional<Box> box;
+};
+
+struct Resync {
+  std::uint64_t revision = 0;
+  std::uint64_t hash = 0;
+  std::string reason;
+};
+
+struct Ping {
+  std::uint64_t nonce = 0;
+  std::int64_t sent_ns = 0;
+};
+
+struct Pong {
+  std::uint64_t nonce = 0;
+  std::int64_t ping_sent_ns = 0;
+  std::int64_t received_ns = 0;
+};
+
+enum class ErrorCode : std::uint16_t {
+  Unknown,
+  BadFrame,
+  TooLong,
+  BadVersion,
+  BadState,
+  Unauthorized,
+  Forbidden,
+  BladeTaken,
+  UnknownSource,
+  TooManySessions,
+  RateExceeded,
+  NotAvailable,
+  BadRequest,
+  Internal,
+};
+
+struct Error {
+  ErrorCode code = ErrorCode::Unknown;
+  std::string text;
+  bool fatal = false;
+  std::uint64_t in_reply_to = 0;
+};
+
+enum class ByeReason : std::uint8_t {
+  Unknown,
+  Done,
+  ServerStops,
+  TooSlow,
+  Idle,
+  HandshakeTimeout,
+  HandedOver,
+  Refused,
+};
+
+struct Bye {
+  ByeReason reason = ByeReason::Unknown;
+  std::string text;
+};
+
+struct PoseBatch {
+  std::span<const PoseSample> poses;
+};
+
+struct PoseReport {
+  std::uint64_t through_sequence = 0;
+  std::uint64_t accepted = 0, not_finite = 0, not_unit = 0, time_not_rising = 0, queue_full = 0, too_fast = 0;
+  std::int64_t last_source_ns = 0;
+  std::uint32_t backlog_segments = 0;
+};
+
+enum class StrokeAction : std::uint8_t { Engage, End, HandOver };
+
+struct StrokeControl {
+  StrokeAction action = StrokeAction::Engage;
+  std::int64_t source_ns = 0;
+};
+
+struct LocalContact {
+  Vec3 point;
+  Vec3 normal{0, 0, 1};
+  double stiffness_n_per_m = 0;
+  double damping_n_s_per_m = 0;
+  double cutting_resistance_n = 0;
+  double friction_n_s_per_m = 0;
+  std::int64_t valid_for_ns = 0;
+};
+
+struct Force {
+  std::uint32_t source = 0;
+  std::int64_t source_ns = 0;
+  Vec3 force_n;
+  double engaged_length_m = 0;
+  std::optional<LocalContact> contact;
+  bool saturated = false;
+};
+
+struct TetArrays {
+  std::span<const std::uint32_t> ids;
+  std::span<const std::uint32_t> vertices;
+  std::span<const std::int32_t> regions;
+  std::span<const std::uint8_t> cut_masks;
+  std::span<const std::uint8_t> boundary_masks;
+};
+
+struct TriangleArrays {
+  std::span<const std::uint32_t> ids;  // half-faces
+  std::span<const std::uint32_t> vertices;
+  std::span<const std::uint8_t> flags;
+  std::span<const std::uint32_t> pieces;
+  std::span<const std::int32_t> regions;
+};
+inline constexpr std::uint8_t kTriangleCut = 1;  // TriangleArrays::flags: a cut face
+
+struct SurfaceVertexArrays {
+  std::span<const std::uint32_t> ids;
+  std::span<const float> positions;
+};
+
+struct Step {
+  std::uint64_t revision = 0;
+  std::uint32_t source = 0, stroke = 0, batch = 0;
+  bool stroke_ended = false;
+  Vec3 from_heel, from_tip, to_heel, to_tip;
+  std::int64_t from_source_ns = 0, to_source_ns = 0;
+  std::int64_t arrival_ns = 0, drain_ns = 0, cut_ns = 0;
+  std::uint32_t cut_faces = 0;
+  double cut_area_m2 = 0;
+  std::uint32_t snaps = 0, splits = 0;
+  double min_dihedral_deg = 180;
+  double max_deviation_h = 0;
+  std::uint64_t state_hash = 0;
+  friend bool operator==(const Step&, const Step&) = default;
+};
+
+struct Delta {
+  std::uint64_t base_revision = 0, revision = 0;
+  std::vector<Step> steps;
+  std::span<const std::uint32_t> moved_ids;
+  std::span<const double> moved_positions;
+  std::uint32_t first_added = 0;
+  std::span<const double> added_positions;
+  std::span<const std::uint32_t> provenance_a, provenance_b;
+  std::span<const double> provenance_t;
+  TetArrays tets;
+  std::span<const std::uint32_t> removed_tets;
+  std::span<const std::uint32_t> boundary_upserted, boundary_removed;
+  std::span<const std::uint32_t> piece_ids, piece_sizes, piece_tets;
+  std::uint32_t vertex_count = 0;
+  std::uint32_t live_tets = 0;
+  std::uint64_t state_hash = 0;
+  std::uint32_t first_new_tet = 0;
+};
+
+struct SurfaceDelta {
+  std::uint64_t base_revision = 0, revision = 0;
+  std::vector<Step> steps;
+  SurfaceVertexArrays vertices;
+  std::span<const std::uint32_t> removed_vertices;
+  TriangleArrays triangles;
+  std::span<const std::uint32_t> removed_triangles;
+  std::uint64_t surface_hash = 0;
+  std::uint64_t state_hash = 0;
+  std::uint32_t live_tets = 0;
+};
+
+enum class SnapshotCause : std::uint8_t { Join, ResumeGone, Resync, TooSlow, Reset, Subscribe };
+
+struct SnapshotBegin {
+  View view = View::Volume;
+  std::uint64_t revision = 0;
+  SnapshotCause cause = SnapshotCause::Join;
+  std::uint32_t chunks = 0;
+  std::uint32_t vertex_count = 0, tet_count = 0, triangle_count = 0;
+  std::optional<Box> box;
+};
+
+struct SnapshotChunk {
+  std::uint32_t index = 0;
+  std::uint32_t first_vertex = 0;
+  std::span<const double> positions;
+  TetArrays tets;
+  std::span<const std::uint32_t> tet_pieces;
+  SurfaceVertexArrays surface_vertices;
+  TriangleArrays triangles;
+};
+
+struct SnapshotEnd {
+  std::uint64_t revision = 0;
+  std::uint64_t state_hash = 0;
+  std::uint64_t surface_hash = 0;
+};
+
+struct Positions {
+  std::uint64_t frame = 0;
+  std::uint64_t revision = 0;
+  std::int64_t source_ns = 0;
+  std::span<const std::uint32_t> ids;
+  std::uint32_t first = 0;
+  std::span<const float> f32;
+  std::span<const double> f64;
+};
+
+struct Stats {
+  std::string json;
+  std::uint64_t revision = 0;
+  std::uint32_t live_tets = 0, pieces = 0, sessions = 0, backlog_segments = 0;
+  std::uint64_t frames = 0, late_frames = 0, poses_accepted = 0, poses_rejected = 0;
+  float frame_work_p99_us = 0, pose_to_delta_p99_us = 0;
+};
+
+struct Reset {};
+
+enum class ReplayAction : std::uint8_t { Open, Play, Pause, Step, Seek, Close };
+
+struct ReplayControl {
+  ReplayAction action = ReplayAction::Open;
+  std::string capture;
+  float speed = 1;
+  std::uint64_t revision = 0;
+};
+
+struct ReplayState {
+  std::string capture;
+  bool playing = false;
+  float speed = 1;
+  std::uint64_t revision = 0, last_revision = 0;
+  std::string text;
+};
+
+// In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
+using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
+                          StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
+                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState>;
+
+// The message's name as in the schema, e.g. "PoseBatch".
+const char* name_of(const Body& body);
+// The code's name as in the schema, e.g. "BadFrame"; "?" for a number that is none.
+const char* name_of(ErrorCode code);
+
+}  // namespace incise::protocol

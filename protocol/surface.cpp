@@ -1,0 +1,363 @@
+#include "protocol/surface.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <functional>
+#include <string>
+
+#include "protocol/state_hash.hpp"
+
+namespace incise::protocol {
+namespace {
+
+ApplyResult refuse(ApplyError error, std::string text) {
+  return {error, std::move(text)};
+}
+
+std::string number(std::uint64_t n) {
+  return std::to_string(n);
+}
+
+bool ascending(std::span<const std::uint32_t> ids) {
+  return std::adjacent_find(ids.begin(), ids.end(), std::greater_equal<>()) == ids.end();
+}
+
+bool contains(std::span<const std::uint32_t> ids, std::uint32_t id) {
+  return std::binary_search(ids.begin(), ids.end(), id);
+}
+
+SurfaceReplica::Triangle entry(const TriangleArrays& t, std::size_t i) {
+  return {{t.vertices[3 * i], t.vertices[3 * i + 1], t.vertices[3 * i + 2]},
+          t.flags[i],
+          t.pieces[i],
+          t.regions[i]};
+}
+
+std::uint64_t hash_of(std::uint32_t id, const SurfaceReplica::Triangle& t) {
+  return triangle_hash(id, t.vertices.data(), t.flags);
+}
+
+// As the hash sees them: 0 and -0 are two.
+bool same_bits(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+  return std::memcmp(a.data(), b.data(), sizeof a) == 0;
+}
+
+void append(SurfaceChange& out, std::uint32_t id, const SurfaceReplica::Triangle& t) {
+  out.triangle_ids.push_back(id);
+  out.triangle_vertices.insert(out.triangle_vertices.end(), t.vertices.begin(), t.vertices.end());
+  out.triangle_flags.push_back(t.flags);
+  out.triangle_pieces.push_back(t.piece);
+  out.triangle_regions.push_back(t.region);
+}
+
+void append(SurfaceChange& out, std::uint32_t id, const std::array<float, 3>& position) {
+  out.vertex_ids.push_back(id);
+  out.vertex_positions.insert(out.vertex_positions.end(), position.begin(), position.end());
+}
+
+}  // namespace
+
+// ---- Receiving ----
+
+ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
+                                         std::span<const std::uint32_t> removed_vertices,
+                                         const TriangleArrays& t,
+                                         std::span<const std::uint32_t> removed_triangles,
+                                         std::uint64_t& hash_after) const {
+  const std::size_t n = t.ids.size();
+  if (v.positions.size() != 3 * v.ids.size() || t.vertices.size() != 3 * n || t.flags.size() != n ||
+      t.pieces.size() != n || t.regions.size() != n) {
+    return refuse(ApplyError::BadShape, "surface: arrays of different lengths");
+  }
+  if (!ascending(v.ids) || !ascending(removed_vertices) || !ascending(t.ids) ||
+      !ascending(removed_triangles)) {
+    return refuse(ApplyError::BadIndex, "surface: ids that do not ascend");
+  }
+  hash_after = hash;
+  for (std::size_t i = 0; i < v.ids.size(); ++i) {
+    if (contains(removed_vertices, v.ids[i])) {
+      return refuse(ApplyError::BadIndex, "surface vertex " + number(v.ids[i]) + " removed and set");
+    }
+    const auto old = vertices.find(v.ids[i]);
+    if (old != vertices.end()) hash_after ^= surface_vertex_hash(old->first, old->second.position.data());
+    hash_after ^= surface_vertex_hash(v.ids[i], &v.positions[3 * i]);
+  }
+  // How many more triangles each vertex has afterwards.
+  std::map<std::uint32_t, std::int64_t> more_uses;
+  for (const std::uint32_t id : removed_triangles) {
+    if (contains(t.ids, id))
+      return refuse(ApplyError::BadIndex, "triangle " + number(id) + " removed and set");
+    const auto old = triangles.find(id);
+    if (old == triangles.end()) continue;
+    hash_after ^= hash_of(id, old->second);
+    for (const std::uint32_t vertex : old->second.vertices) --more_uses[vertex];
+  }
+  for (std::size_t i = 0; i < n; ++i) {
+    const Triangle triangle = entry(t, i);
+    const auto& [a, b, c] = triangle.vertices;
+    if (a == b || b == c || c == a) {
+      return refuse(ApplyError::BadIndex, "triangle " + number(t.ids[i]) + ": a vertex twice");
+    }
+    for (const std::uint32_t vertex : triangle.vertices) {
+      const bool known = contains(v.ids, vertex) || vertices.contains(vertex);
+      if (!known || contains(removed_vertices, vertex)) {
+        return refuse(ApplyError::BadIndex, "triangle " + number(t.ids[i]) + ": vertex " + number(vertex) +
+                                                " is not on the surface");
+      }
+      ++more_uses[vertex];
+    }
+    const auto old = triangles.find(t.ids[i]);
+    if (old != triangles.end()) {
+      hash_after ^= hash_of(old->first, old->second);
+      for (const std::uint32_t vertex : old->second.vertices) --more_uses[vertex];
+    }
+    hash_after ^= hash_of(t.ids[i], triangle);
+  }
+  for (const std::uint32_t id : removed_vertices) {
+    const auto old = vertices.find(id);
+    if (old == vertices.end()) continue;
+    const auto more = more_uses.find(id);
+    if (old->second.uses + (more == more_uses.end() ? 0 : more->second) != 0) {
+      return refuse(ApplyError::BadIndex, "removed surface vertex " + number(id) + " still has triangles");
+    }
+    hash_after ^= surface_vertex_hash(id, old->second.position.data());
+  }
+  return {};
+}
+
+void SurfaceReplica::State::apply(const SurfaceVertexArrays& v,
+                                  std::span<const std::uint32_t> removed_vertices, const TriangleArrays& t,
+                                  std::span<const std::uint32_t> removed_triangles,
+                                  std::uint64_t hash_after) {
+  const auto use = [&](const Triangle& triangle, std::uint32_t sign) {
+    for (const std::uint32_t vertex : triangle.vertices) vertices[vertex].uses += sign;
+  };
+  constexpr auto kLess = static_cast<std::uint32_t>(-1);
+  for (std::size_t i = 0; i < v.ids.size(); ++i)
+    std::copy_n(&v.positions[3 * i], 3, vertices[v.ids[i]].position.begin());
+  for (std::size_t i = 0; i < t.ids.size(); ++i) {
+    const auto [place, is_new] = triangles.try_emplace(t.ids[i]);
+    if (!is_new) use(place->second, kLess);
+    place->second = entry(t, i);
+    use(place->second, 1);
+  }
+  for (const std::uint32_t id : removed_triangles) {
+    const auto old = triangles.find(id);
+    if (old == triangles.end()) continue;
+    use(old->second, kLess);
+    triangles.erase(old);
+  }
+  for (const std::uint32_t id : removed_vertices) vertices.erase(id);
+  hash = hash_after;
+}
+
+ApplyResult SurfaceReplica::apply(const SurfaceDelta& d) {
+  if (d.base_revision != state_.revision || d.revision <= d.base_revision) {
+    return refuse(ApplyError::WrongBase, "surface delta from revision " + number(d.base_revision) + " to " +
+                                             number(d.revision) + ", this state is at " +
+                                             number(state_.revision));
+  }
+  std::uint64_t hash = 0;
+  if (ApplyResult r = state_.check(d.vertices, d.removed_vertices, d.triangles, d.removed_triangles, hash);
+      !r) {
+    return r;
+  }
+  if (hash != d.surface_hash) {
+    return refuse(ApplyError::HashMismatch,
+                  "surface of revision " + number(d.revision) + " has another hash");
+  }
+  state_.apply(d.vertices, d.removed_vertices, d.triangles, d.removed_triangles, hash);
+  state_.revision = d.revision;
+  return {};
+}
+
+ApplyResult SurfaceReplica::abandon(ApplyResult why) {
+  staged_.reset();
+  return why;
+}
+
+ApplyResult SurfaceReplica::begin(const SnapshotBegin& part) {
+  staged_.reset();
+  if (part.view != View::Surface)
+    return refuse(ApplyError::BadShape, "snapshot of another view than Surface");
+  staged_ = std::make_unique<Staged>();
+  staged_->begin = part;
+  staged_->state.revision = part.revision;
+  return {};
+}
+
+ApplyResult SurfaceReplica::chunk(const SnapshotChunk& part) {
+  if (!staged_) return refuse(ApplyError::OutOfOrder, "snapshot chunk without a snapshot");
+  Staged& s = *staged_;
+  if (part.index != s.chunks_done || part.index >= s.begin.chunks) {
+    return abandon(refuse(ApplyError::OutOfOrder, "snapshot chunk " + number(part.index) + ", expected is " +
+                                                      number(s.chunks_done) + " of " +
+                                                      number(s.begin.chunks)));
+  }
+  std::uint64_t hash = 0;
+  if (ApplyResult r = s.state.check(part.surface_vertices, {}, part.triangles, {}, hash); !r)
+    return abandon(r);
+  s.state.apply(part.surface_vertices, {}, part.triangles, {}, hash);
+  ++s.chunks_done;
+  return {};
+}
+
+ApplyResult SurfaceReplica::end(const SnapshotEnd& part) {
+  if (!staged_) return refuse(ApplyError::OutOfOrder, "end of a snapshot that has not begun");
+  const Staged& s = *staged_;
+  if (s.chunks_done != s.begin.chunks || part.revision != s.begin.revision) {
+    return abandon(refuse(ApplyError::OutOfOrder, "end of the snapshot of revision " + number(part.revision) +
+                                                      " after " + number(s.chunks_done) + " of " +
+                                                      number(s.begin.chunks) + " chunks"));
+  }
+  if (s.state.vertices.size() != s.begin.vertex_count || s.state.triangles.size() != s.begin.triangle_count) {
+    return abandon(refuse(ApplyError::BadShape,
+                          "snapshot with " + number(s.state.vertices.size()) + " vertices and " +
+                              number(s.state.triangles.size()) + " triangles, announced were " +
+                              number(s.begin.vertex_count) + " and " + number(s.begin.triangle_count)));
+  }
+  if (s.state.hash != part.surface_hash) {
+    return abandon(refuse(ApplyError::HashMismatch,
+                          "surface snapshot of revision " + number(part.revision) + " has another hash"));
+  }
+  state_ = std::move(staged_->state);
+  staged_.reset();
+  return {};
+}
+
+std::uint64_t SurfaceReplica::compute_surface_hash() const {
+  std::uint64_t hash = 0;
+  for (const auto& [id, vertex] : vertices()) hash ^= surface_vertex_hash(id, vertex.position.data());
+  for (const auto& [id, triangle] : triangles()) hash ^= hash_of(id, triangle);
+  return hash;
+}
+
+std::vector<std::byte> SurfaceReplica::canonical_bytes() const {
+  std::vector<std::byte> out;
+  out.reserve(24 + vertices().size() * 16 + triangles().size() * 28);
+  const auto put = [&](const auto& value) {
+    const auto* bytes = reinterpret_cast<const std::byte*>(&value);
+    out.insert(out.end(), bytes, bytes + sizeof value);
+  };
+  put(revision());
+  put(surface_hash());
+  put(static_cast<std::uint32_t>(vertices().size()));
+  put(static_cast<std::uint32_t>(triangles().size()));
+  for (const auto& [id, vertex] : vertices()) {
+    put(id);
+    for (const float x : vertex.position) put(x);
+  }
+  for (const auto& [id, triangle] : triangles()) {
+    put(id);
+    for (const std::uint32_t v : triangle.vertices) put(v);
+    put(triangle.region);
+    put(triangle.piece);
+    put(std::uint32_t{triangle.flags});
+  }
+  return out;
+}
+
+// ---- The server's side ----
+
+SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
+                                          std::span<const std::uint32_t> moved) {
+  SurfaceChange out;
+  std::map<std::uint32_t, std::int64_t> more_uses;
+  for (const std::uint32_t v : moved) more_uses[v];
+  for (const std::uint32_t t : tets) {
+    for (int face = 0; face < 4; ++face) {
+      const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
+      const auto old = state_.triangles.find(id);
+      if (!mesh.alive(t) || !(mesh.boundary_mask(t) >> face & 1)) {
+        if (old == state_.triangles.end()) continue;
+        for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+        out.removed_triangles.push_back(id);
+        continue;
+      }
+      const std::uint8_t flags = mesh.cut_mask(t) >> face & 1 ? kTriangleCut : std::uint8_t{0};
+      const Triangle now{mesh.face_vertices(t, face), flags, mesh.piece(t), mesh.region(t)};
+      if (old != state_.triangles.end()) {
+        if (old->second == now) continue;
+        for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+      }
+      for (const std::uint32_t v : now.vertices) ++more_uses[v];
+      append(out, id, now);
+    }
+  }
+  for (const auto& [v, more] : more_uses) {
+    const auto old = state_.vertices.find(v);
+    if ((old == state_.vertices.end() ? 0 : old->second.uses) + more == 0) {
+      if (old != state_.vertices.end()) out.removed_vertices.push_back(v);
+      continue;
+    }
+    const Vec3 p = mesh.position(v);
+    const std::array<float, 3> position{static_cast<float>(p.x), static_cast<float>(p.y),
+                                        static_cast<float>(p.z)};
+    if (old == state_.vertices.end() || !same_bits(old->second.position, position)) {
+      append(out, v, position);
+    }
+  }
+  std::uint64_t hash = 0;
+  state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.revision = mesh.revision();
+  return out;
+}
+
+void SurfaceReplica::load(const Replica& mesh) {
+  state_ = {};
+  staged_.reset();
+  std::vector<std::uint32_t> tets;
+  mesh.for_each_tet([&](std::uint32_t t) {
+    if (mesh.boundary_mask(t) != 0) tets.push_back(t);
+  });
+  follow_tets(mesh, tets, {});
+}
+
+SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta) {
+  std::vector<std::uint32_t> tets(delta.tets.ids.begin(), delta.tets.ids.end());
+  tets.insert(tets.end(), delta.removed_tets.begin(), delta.removed_tets.end());
+  tets.insert(tets.end(), delta.piece_tets.begin(), delta.piece_tets.end());
+  std::sort(tets.begin(), tets.end());
+  tets.erase(std::unique(tets.begin(), tets.end()), tets.end());
+  return follow_tets(mesh, tets, delta.moved_ids);
+}
+
+SurfaceSnapshotWriter::SurfaceSnapshotWriter(const SurfaceReplica& surface, SnapshotCause cause,
+                                             std::size_t chunk_elements)
+    : surface_(surface),
+      chunk_elements_(std::max<std::size_t>(1, chunk_elements)),
+      next_vertex_(surface.vertices().begin()),
+      next_triangle_(surface.triangles().begin()) {
+  const auto chunks_of = [&](std::size_t n) { return (n + chunk_elements_ - 1) / chunk_elements_; };
+  begin_.view = View::Surface;
+  begin_.revision = surface.revision();
+  begin_.cause = cause;
+  begin_.vertex_count = static_cast<std::uint32_t>(surface.vertices().size());
+  begin_.triangle_count = static_cast<std::uint32_t>(surface.triangles().size());
+  begin_.chunks = static_cast<std::uint32_t>(chunks_of(surface.vertices().size()) +
+                                             chunks_of(surface.triangles().size()));
+}
+
+bool SurfaceSnapshotWriter::next() {
+  if (chunks_made_ == begin_.chunks) return false;
+  arrays_ = {};
+  chunk_ = {};
+  chunk_.index = chunks_made_++;
+  if (next_vertex_ != surface_.vertices().end()) {
+    for (; next_vertex_ != surface_.vertices().end() && arrays_.vertex_ids.size() < chunk_elements_;
+         ++next_vertex_) {
+      append(arrays_, next_vertex_->first, next_vertex_->second.position);
+    }
+  } else {
+    const auto end = surface_.triangles().end();
+    for (; next_triangle_ != end && arrays_.triangle_ids.size() < chunk_elements_; ++next_triangle_) {
+      append(arrays_, next_triangle_->first, next_triangle_->second);
+    }
+  }
+  chunk_.surface_vertices = arrays_.vertices();
+  chunk_.triangles = arrays_.triangles();
+  return true;
+}
+
+}  // namespace incise::protocol

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "protocol/capture.hpp"
+#include "server/loop/journal.hpp"
+
+namespace incise::app {
+
+// A journal that goes to a capture file. Thread: one, at a time.
+class CaptureJournal final : public loop::JournalSink {
+ public:
+  // A new capture, in place of whatever `path` was. Throws std::system_error.
+  CaptureJournal(const std::string& path, const protocol::CaptureHeader& header);
+  // Goes on with a capture whose whole records end at `offset` and number `records`.
+  CaptureJournal(const std::string& path, std::uint64_t offset, std::uint64_t records);
+  void write(const loop::JournalRecord& record) override;
+  void flush() override;
+  void sync() override;
+  // Marks the end, on the disk: the capture was closed, not cut off.
+  void close() override;
+
+ private:
+  std::string path_;
+  protocol::FileSink sink_;
+  protocol::CaptureWriter writer_;
+};
+
+}  // namespace incise::app

@@ -1,0 +1,562 @@
+#include "server/app/config.hpp"
+
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <sstream>
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr std::size_t kMaxConfigBytes = 1u << 20;
+
+// ------------------------------------------------------------------------------------------------ the table
+
+// One key: its place ("section.key"), what it takes, what it means, and how it is got and set.
+struct Key {
+  std::string name;
+  std::string accepted;
+  std::string meaning;
+  std::function<Json(const Config&)> get;
+  std::function<bool(Config&, const Json&)> set;  // false: not acceptable, and nothing is set
+
+  std::string section() const { return name.substr(0, name.find('.')); }
+  std::string leaf() const { return name.substr(name.find('.') + 1); }
+};
+
+// The fewest digits that mean the same number: 0.6, 4000, 1e-09.
+std::string text_of(double number) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, number).ptr};
+}
+
+std::string text_of(std::int64_t number) {
+  return std::to_string(number);
+}
+
+template <class Field>
+Key number(std::string name, Field field, double least, double most, std::string meaning) {
+  return {std::move(name), "a number from " + text_of(least) + " to " + text_of(most), std::move(meaning),
+          [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
+          [=](Config& c, const Json& value) {
+            if (!value.is_number()) return false;
+            const double given = value.get<double>();
+            if (!(given >= least && given <= most)) return false;
+            field(c) = given;
+            return true;
+          }};
+}
+
+template <class Field>
+Key integer(std::string name, Field field, std::int64_t least, std::int64_t most, std::string meaning) {
+  return {
+      std::move(name), "a whole number from " + text_of(least) + " to " + text_of(most), std::move(meaning),
+      [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
+      [=](Config& c, const Json& value) {
+        if (!value.is_number_integer()) return false;
+        if (value.is_number_unsigned() && value.get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX))
+          return false;
+        const auto given = value.get<std::int64_t>();
+        if (given < least || given > most) return false;
+        field(c) = static_cast<std::remove_reference_t<decltype(field(c))>>(given);
+        return true;
+      }};
+}
+
+template <class Field>
+Key boolean(std::string name, Field field, std::string meaning) {
+  return {std::move(name), "true or false", std::move(meaning),
+          [field](const Config& c) { return Json(static_cast<bool>(field(const_cast<Config&>(c)))); },
+          [field](Config& c, const Json& value) {
+            if (!value.is_boolean()) return false;
+            field(c) = value.get<bool>();
+            return true;
+          }};
+}
+
+template <class Field>
+Key text(std::string name, Field field, std::string accepted, std::string meaning) {
+  return {std::move(name), std::move(accepted), std::move(meaning),
+          [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
+          [field](Config& c, const Json& value) {
+            if (!value.is_string()) return false;
+            // A null byte would end the path or address early for the system, but not for us.
+            const auto given = value.get<std::string>();
+            if (given.size() > 4096 || given.find('\0') != std::string::npos) return false;
+            field(c) = given;
+            return true;
+          }};
+}
+
+std::string quoted_list(const std::vector<std::string>& names) {
+  std::string list;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    list += (i == 0 ? "\"" : i + 1 == names.size() ? " or \"" : ", \"") + names[i] + '"';
+  }
+  return list;
+}
+
+// One of some words; `get` and `set` convert between words and the field.
+template <class Get, class Set>
+Key choice(std::string name, std::vector<std::string> words, Get get, Set set, std::string meaning) {
+  return {std::move(name), quoted_list(words), std::move(meaning),
+          [=](const Config& c) { return Json(words[static_cast<std::size_t>(get(c))]); },
+          [=](Config& c, const Json& value) {
+            if (!value.is_string()) return false;
+            for (std::size_t i = 0; i < words.size(); ++i) {
+              if (words[i] != value.get<std::string>()) continue;
+              set(c, i);
+              return true;
+            }
+            return false;
+          }};
+}
+
+template <class Field>
+Key word(std::string name, std::vector<std::string> words, Field field, std::string meaning) {
+  const auto get = [=](const Config& c) {
+    const std::string& current = field(const_cast<Config&>(c));
+    return static_cast<std::size_t>(std::find(words.begin(), words.end(), current) - words.begin());
+  };
+  const auto set = [=](Config& c, std::size_t i) { field(c) = words[i]; };
+  return choice(std::move(name), words, get, set, std::move(meaning));
+}
+
+constexpr const char* kPoint = "[x, y, z], three numbers from -10000 to 10000";
+
+Json point_json(const core::Vec3& p) {
+  return Json::array({p.x, p.y, p.z});
+}
+
+bool read_point(const Json& value, core::Vec3& point) {
+  if (!value.is_array() || value.size() != 3) return false;
+  double xyz[3];
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (!value[i].is_number()) return false;
+    xyz[i] = value[i].get<double>();
+    if (!(std::abs(xyz[i]) <= 1e4)) return false;
+  }
+  point = {xyz[0], xyz[1], xyz[2]};
+  return true;
+}
+
+template <class Field>
+Key point(std::string name, Field field, std::string meaning) {
+  return {std::move(name), kPoint, std::move(meaning),
+          [field](const Config& c) { return point_json(field(const_cast<Config&>(c))); },
+          [field](Config& c, const Json& value) { return read_point(value, field(c)); }};
+}
+
+template <class Field>
+Key texts(std::string name, Field field, std::string accepted, std::string meaning) {
+  return {std::move(name), std::move(accepted), std::move(meaning),
+          [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
+          [field](Config& c, const Json& value) {
+            if (!value.is_array() || value.size() > 256) return false;
+            for (const Json& entry : value) {
+              if (!entry.is_string()) return false;
+            }
+            field(c) = value.get<std::vector<std::string>>();
+            return true;
+          }};
+}
+
+#define INCISE_FIELD(member) \
+  [](Config & c) -> auto& {  \
+    return c.member;         \
+  }
+
+const std::vector<Key>& keys() {
+  static const std::vector<Key> table{
+      text("mesh.path", INCISE_FIELD(mesh.path), "a path, relative to this file",
+           "The body: a tetrahedral mesh (TetGen .node/.ele, or their common name) or a closed surface (.stl "
+           ".ply .off "
+           ".obj), which is filled with tetrahedra."),
+      word("mesh.phantom", {"", "liver", "cylinder", "slab"}, INCISE_FIELD(mesh.phantom),
+           "Instead of a file: a body of our own, made at the start with mesh.target_tets tetrahedra."),
+      number("mesh.scale_to_metres", INCISE_FIELD(mesh.scale_to_metres), 1e-9, 1e9,
+             "The file's coordinates times this are metres: 0.001 for a file in millimetres."),
+      integer("mesh.target_tets", INCISE_FIELD(mesh.target_tets), 0, 20'000'000,
+              "Tetrahedra wanted when a surface is filled (0: as few as the surface allows) or a phantom is "
+              "made."),
+      text("mesh.tetgen_switches", INCISE_FIELD(mesh.tetgen_switches), "TetGen's switches, a text",
+           "How a surface is filled; TetGen's manual, section 4.2. The volume bound comes from "
+           "mesh.target_tets."),
+      number("mesh.fill_time_limit_s", INCISE_FIELD(mesh.fill_time_limit_s), 1, 86'400,
+             "Filling that takes longer is given up."),
+      integer("mesh.fill_memory_limit_mb", INCISE_FIELD(mesh.fill_memory_limit_mb), 64, 1 << 24,
+              "Memory that filling may take."),
+      text("mesh.cache_directory", INCISE_FIELD(mesh.cache_directory),
+           "a path, relative to this file; or \"\"",
+           "Where filled surfaces are kept for the next start; \"\": ~/.cache/incise."),
+
+      point("blade.heel", INCISE_FIELD(cut.blade.heel),
+            "One end of the cutting edge in the tool's frame, metres."),
+      point("blade.tip", INCISE_FIELD(cut.blade.tip), "Its other end."),
+
+      choice(
+          "cut.policy", {"conforming", "croll"},
+          [](const Config& c) { return static_cast<int>(c.cut.policy); },
+          [](Config& c, std::size_t i) { c.cut.policy = static_cast<core::Policy>(i); },
+          "How a swept surface becomes a cut: \"conforming\" follows it exactly; \"croll\" is the baseline "
+          "of 2007."),
+      choice(
+          "cut.growth", {"none", "balanced"},
+          [](const Config& c) { return static_cast<int>(c.cut.growth); },
+          [](Config& c, std::size_t i) { c.cut.growth = static_cast<core::Growth>(i); },
+          "What to prefer where accuracy and few new tetrahedra are at odds (policy conforming): \"none\" "
+          "never adds one, and leaves the cut ragged where no vertex can be moved."),
+      choice(
+          "cut.engage", {"buttons", "always"}, [](const Config& c) { return c.cut.always_engaged ? 1 : 0; },
+          [](Config& c, std::size_t i) { c.cut.always_engaged = i == 1; },
+          "When the blade cuts: while one of cut.engage_buttons is held, or always."),
+      integer(
+          "cut.engage_buttons", INCISE_FIELD(cut.engage_buttons), 1, 0xffffffff,
+          "The buttons that engage the blade, as a sum: 1 for button 0, 2 for button 1, 4 for button 2, ..."),
+      number("cut.batch_h", INCISE_FIELD(cut.batch_h), 0.05, 100,
+             "The blade's travel that is committed together, in mean edge lengths."),
+      number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
+             "How far the cut surface may leave the poses that it stands for, in mean edge lengths."),
+      number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e3,
+             "A faster motion is a jump: it ends the stroke and begins another, and does not cut."),
+      number("cut.gap_limit_s", INCISE_FIELD(cut.gap_limit_s), 1e-3, 3600,
+             "So does a longer silence between two poses."),
+
+      number("loop.rate_hz", INCISE_FIELD(loop.rate_hz), 250, 4000, "Frames a second."),
+      number("loop.budget_fraction", INCISE_FIELD(loop.budget_fraction), 0.01, 0.95,
+             "The part of a frame that input and cutting may use; what does not fit waits for the next."),
+      integer("loop.realtime_priority", INCISE_FIELD(loop.realtime_priority), 0, 99,
+              "Priority of the loop's thread under SCHED_FIFO, where the system grants it; 0: do not ask."),
+      integer("loop.cpu", INCISE_FIELD(loop.cpu), -1, 1023,
+              "The processor that the loop's thread keeps to; -1: any."),
+      boolean("loop.lock_memory", INCISE_FIELD(loop.lock_memory),
+              "Keep all memory from being swapped out, where the system grants it."),
+
+      text("listen.address", INCISE_FIELD(listen.address), "an IP address",
+           "Where clients connect. Beyond loopback it needs listen.token_file and a certificate, or "
+           "listen.insecure."),
+      integer("listen.tcp_port", INCISE_FIELD(listen.tcp_port), -1, 65535,
+              "Port of the binary protocol; 0: any free one, -1: off."),
+      integer("listen.http_port", INCISE_FIELD(listen.http_port), -1, 65535,
+              "Port of WebSocket, the viewer page, /stats and /metrics; 0: any free one, -1: off."),
+      text("listen.viewer_directory", INCISE_FIELD(listen.viewer_directory),
+           "a path, relative to this file; or \"\"",
+           "Static files that the HTTP port serves: the built viewer."),
+      texts("listen.allowed_origins", INCISE_FIELD(listen.allowed_origins), "a list of texts",
+            "Origins of web pages that may connect beside the server's own; \"*\": any."),
+      text("listen.token_file", INCISE_FIELD(listen.token_file), "a path, relative to this file; or \"\"",
+           "JSON: [{\"token\": \"...\", \"roles\": [\"viewer\", \"operator\", \"simulator\", \"admin\"]}, "
+           "...]. With one, "
+           "nobody enters without a token."),
+      text("listen.certificate_file", INCISE_FIELD(listen.certificate_file),
+           "a path, relative to this file; or \"\"", "PEM; with it and the key both ports speak TLS."),
+      text("listen.private_key_file", INCISE_FIELD(listen.private_key_file),
+           "a path, relative to this file; or \"\"", "PEM."),
+      boolean("listen.insecure", INCISE_FIELD(listen.insecure),
+              "Listen beyond loopback without tokens and TLS: whoever reaches the port may cut, watch and "
+              "reset."),
+      integer("listen.max_sessions", INCISE_FIELD(listen.max_sessions), 1, 100'000, "Clients at once."),
+      integer("listen.max_handshakes", INCISE_FIELD(listen.max_handshakes), 1, 10'000,
+              "Connections at once that have not introduced themselves."),
+      number("listen.handshake_timeout_s", INCISE_FIELD(listen.handshake_timeout_s), 0.1, 600,
+             "For a client to introduce itself."),
+      number("listen.idle_timeout_s", INCISE_FIELD(listen.idle_timeout_s), 1, 86'400,
+             "A client that is silent longer is disconnected; it is pinged before."),
+      number("listen.write_timeout_s", INCISE_FIELD(listen.write_timeout_s), 0.1, 600,
+             "For one message to go out to a client."),
+      number("listen.stop_grace_s", INCISE_FIELD(listen.stop_grace_s), 0, 60,
+             "At the end, time for clients to receive what was published."),
+      integer("listen.max_messages_per_s", INCISE_FIELD(listen.max_messages_per_s), 1, 1'000'000,
+              "Messages a second from one client, beside poses."),
+
+      integer("stream.ring_bytes", INCISE_FIELD(stream.ring_bytes), 1 << 16, std::int64_t{1} << 36,
+              "Deltas kept for clients that return or fall behind."),
+      integer("stream.outbox_bytes", INCISE_FIELD(stream.outbox_bytes), 1 << 16, std::int64_t{1} << 32,
+              "What may wait for one client; beyond it, it gets coalesced deltas or a snapshot."),
+      integer("stream.max_slow_snapshots", INCISE_FIELD(stream.max_slow_snapshots), 1, 1000,
+              "A client that needs so many snapshots in a row without catching up is disconnected."),
+      number("stream.max_report_rate_hz", INCISE_FIELD(stream.max_report_rate_hz), 1, 1000,
+             "Pose reports to an operator, a second."),
+
+      text("capture.path", INCISE_FIELD(capture.path), "a path, relative to this file; or \"\"",
+           "Where the poses that the loop took and the marks of its batches are recorded; \"\": nowhere."),
+      word("capture.sync", {"none", "group", "always"}, INCISE_FIELD(capture.sync),
+           "When what was recorded must be on the disk: left to the system, every capture.sync_interval_ms, "
+           "or at once."),
+      number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
+             "What a power failure may cost under \"group\"."),
+
+      word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
+           "What is worth a line."),
+      word("log.format", {"text", "json"}, INCISE_FIELD(log.format),
+           "Lines for people, or a JSON object each."),
+  };
+  return table;
+}
+
+#undef INCISE_FIELD
+
+// Blades that differ from `blade`, by their sources' names.
+constexpr const char* kSourcesAccepted =
+    "a list of at most 8 objects {\"name\": a text of 1 to 64 characters, \"heel\": [x, y, z], \"tip\": [x, "
+    "y, z]} with "
+    "different names";
+constexpr const char* kSourcesMeaning =
+    "Blades of their own for sources of these names; any other source has the blade above.";
+
+// ------------------------------------------------------------------------------------------------ reading
+
+[[noreturn]] void refuse(const std::string& file, const std::string& key, const std::string& found,
+                         const std::string& accepted) {
+  throw ConfigError(file + ": " + key + ": found " + found + "; accepted is " + accepted);
+}
+
+std::string shown(const Json& value) {
+  std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  if (text.size() > 80) text = text.substr(0, 77) + "...";
+  return text;
+}
+
+std::string joined(const std::set<std::string>& names) {
+  std::string list;
+  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
+  return list;
+}
+
+// Refuses a key that stands twice in one object: JSON leaves open which of the two counts.
+Json parse_json(std::string_view text, const std::string& file) {
+  std::vector<std::set<std::string>> open;
+  std::string twice;
+  const auto watch = [&](int, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::object_start) open.emplace_back();
+    if (event == Json::parse_event_t::object_end) open.pop_back();
+    if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second &&
+        twice.empty()) {
+      twice = parsed.get<std::string>();
+    }
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(text, watch, true, true);
+  } catch (const nlohmann::json::exception& error) {
+    // "[json.exception.parse_error.101] parse error at line 3, column 5: ..."
+    std::string what = error.what();
+    if (const auto at = what.find("] "); at != std::string::npos) what = what.substr(at + 2);
+    for (char& c : what) {
+      if (static_cast<unsigned char>(c) < ' ') c = ' ';
+    }
+    throw ConfigError(file + ": not JSON: " + what);
+  }
+  if (!twice.empty())
+    throw ConfigError(file + ": the key \"" + twice + "\" stands twice in one object; accepted is once");
+  return root;
+}
+
+void read_sources(Config& config, const Json& value, const std::string& file) {
+  if (!value.is_array() || value.size() > core::kMaxSources)
+    refuse(file, "sources", shown(value), kSourcesAccepted);
+  std::set<std::string> names;
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    const std::string at = "sources[" + std::to_string(i) + "]";
+    const Json& entry = value[i];
+    if (!entry.is_object()) refuse(file, at, shown(entry), kSourcesAccepted);
+    Config::Source source;
+    source.blade = config.cut.blade;
+    for (const auto& [key, given] : entry.items()) {
+      if (key == "name") {
+        if (!given.is_string() || given.get<std::string>().empty() || given.get<std::string>().size() > 64) {
+          refuse(file, at + ".name", shown(given), "a text of 1 to 64 characters");
+        }
+        source.name = given.get<std::string>();
+      } else if (key == "heel" || key == "tip") {
+        if (!read_point(given, key == "heel" ? source.blade.heel : source.blade.tip)) {
+          refuse(file, at + "." + key, shown(given), kPoint);
+        }
+      } else {
+        throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are heel, name, tip");
+      }
+    }
+    if (source.name.empty()) refuse(file, at + ".name", "nothing", "a text of 1 to 64 characters");
+    if (!names.insert(source.name).second)
+      refuse(file, at + ".name", shown(source.name), "a name that no other source has");
+    if (source.blade.heel == source.blade.tip) {
+      refuse(file, at + ".tip", shown(point_json(source.blade.tip)), "a point that is not the heel");
+    }
+    config.sources.push_back(std::move(source));
+  }
+}
+
+// What one key alone cannot tell.
+void check_together(const Config& config, const std::string& file) {
+  if (!config.mesh.path.empty() && !config.mesh.phantom.empty()) {
+    refuse(file, "mesh.phantom", shown(config.mesh.phantom), "\"\" where mesh.path is given");
+  }
+  if (!config.mesh.phantom.empty() && config.mesh.target_tets < 500) {
+    refuse(file, "mesh.target_tets", std::to_string(config.mesh.target_tets), "500 or more for a phantom");
+  }
+  if (config.cut.blade.heel == config.cut.blade.tip) {
+    refuse(file, "blade.tip", shown(point_json(config.cut.blade.tip)), "a point that is not the heel");
+  }
+  if (config.listen.certificate_file.empty() != config.listen.private_key_file.empty()) {
+    const bool key = config.listen.private_key_file.empty();
+    refuse(file, key ? "listen.private_key_file" : "listen.certificate_file", "\"\"",
+           key ? "a path where listen.certificate_file is given"
+               : "a path where listen.private_key_file is given");
+  }
+  if (config.listen.tcp_port > 0 && config.listen.tcp_port == config.listen.http_port) {
+    refuse(file, "listen.http_port", std::to_string(config.listen.http_port),
+           "a port other than listen.tcp_port");
+  }
+}
+
+}  // namespace
+
+std::filesystem::path Config::resolve(const std::string& path) const {
+  return path.empty() || directory.empty() ? std::filesystem::path(path) : directory / path;
+}
+
+Config parse_config(std::string_view text, const std::string& name) {
+  const Json root = parse_json(text, name);
+  if (!root.is_object()) throw ConfigError(name + ": found " + shown(root) + "; accepted is a JSON object");
+  std::set<std::string> sections{"sources"};
+  for (const Key& key : keys()) sections.insert(key.section());
+
+  Config config;
+  for (const auto& [section, values] : root.items()) {
+    if (!sections.contains(section)) {
+      throw ConfigError(name + ": unknown key \"" + section + "\"; accepted are " + joined(sections));
+    }
+    if (section == "sources") continue;
+    if (!values.is_object()) refuse(name, section, shown(values), "an object {...}");
+    for (const auto& [leaf, value] : values.items()) {
+      const Key* found = nullptr;
+      std::set<std::string> known;
+      for (const Key& key : keys()) {
+        if (key.section() != section) continue;
+        known.insert(key.leaf());
+        if (key.leaf() == leaf) found = &key;
+      }
+      if (!found) {
+        throw ConfigError(name + ": unknown key \"" + section + "." + leaf + "\"; accepted in " + section +
+                          " are " + joined(known));
+      }
+      if (!found->set(config, value)) refuse(name, found->name, shown(value), found->accepted);
+    }
+  }
+  if (root.contains("sources")) read_sources(config, root["sources"], name);
+  check_together(config, name);
+  return config;
+}
+
+Config load_config(const std::filesystem::path& file) {
+  std::error_code error;
+  if (std::filesystem::is_directory(file, error))
+    throw ConfigError(file.string() + ": is a directory; accepted is a file");
+  std::ifstream in(file, std::ios::binary);
+  if (!in) throw ConfigError(file.string() + ": cannot be opened: " + std::generic_category().message(errno));
+  std::string text(kMaxConfigBytes + 1, '\0');
+  in.read(text.data(), static_cast<std::streamsize>(text.size()));
+  text.resize(static_cast<std::size_t>(in.gcount()));
+  if (text.size() > kMaxConfigBytes) {
+    throw ConfigError(file.string() + ": longer than " + std::to_string(kMaxConfigBytes) +
+                      " bytes; that is no configuration");
+  }
+  Config config = parse_config(text, file.string());
+  config.directory = file.parent_path();
+  return config;
+}
+
+void check_config(const Config& config, const std::string& file) {
+  const auto readable = [&](const std::string& key, const std::string& value) {
+    if (!value.empty() && !std::ifstream(config.resolve(value))) {
+      refuse(file, key,
+             shown(value) + " (" + config.resolve(value).string() + ": " +
+                 std::generic_category().message(errno) + ")",
+             "a file that can be read");
+    }
+  };
+  if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
+    refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
+  }
+  std::filesystem::path node = config.resolve(config.mesh.path);
+  node += ".node";
+  std::error_code error;
+  if (config.mesh.phantom.empty() && !std::filesystem::exists(node, error))
+    readable("mesh.path", config.mesh.path);
+  readable("listen.token_file", config.listen.token_file);
+  readable("listen.certificate_file", config.listen.certificate_file);
+  readable("listen.private_key_file", config.listen.private_key_file);
+  const bool loopback = config.listen.address.starts_with("127.") || config.listen.address == "::1" ||
+                        config.listen.address == "localhost";
+  if (!loopback && !config.listen.insecure &&
+      (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
+    refuse(file, "listen.address", shown(config.listen.address),
+           "a loopback address, or any where listen.token_file and listen.certificate_file are given, or "
+           "listen.insecure is "
+           "true");
+  }
+}
+
+// ------------------------------------------------------------------------------------------------ writing
+
+namespace {
+
+Json sources_json(const Config& config) {
+  Json list = Json::array();
+  for (const Config::Source& source : config.sources) {
+    list.push_back({{"name", source.name},
+                    {"heel", point_json(source.blade.heel)},
+                    {"tip", point_json(source.blade.tip)}});
+  }
+  return list;
+}
+
+void append_comment(std::string& out, const std::string& text, const std::string& indent) {
+  constexpr std::size_t kWidth = 100;
+  std::istringstream words(text);
+  std::string line = indent + "//", word;
+  while (words >> word) {
+    if (line.size() + 1 + word.size() > kWidth) {
+      out += line + '\n';
+      line = indent + "//";
+    }
+    line += ' ' + word;
+  }
+  out += line + '\n';
+}
+
+}  // namespace
+
+std::string commented(const Config& config) {
+  std::string out = "{\n", section;
+  for (const Key& key : keys()) {
+    if (key.section() != section) {
+      if (!section.empty()) out += "\n  },\n";
+      section = key.section();
+      out += "  \"" + section + "\": {\n";
+    } else {
+      out += ",\n";
+    }
+    append_comment(out, key.meaning + " Accepted: " + key.accepted + '.', "    ");
+    out += "    \"" + key.leaf() + "\": " + key.get(config).dump();
+  }
+  out += "\n  },\n";
+  append_comment(out, std::string(kSourcesMeaning) + " Accepted: " + kSourcesAccepted + '.', "  ");
+  out += "  \"sources\": " + sources_json(config).dump() + "\n}\n";
+  return out;
+}
+
+std::string compact(const Config& config) {
+  Json root;
+  for (const Key& key : keys()) root[key.section()][key.leaf()] = key.get(config);
+  root["sources"] = sources_json(config);
+  return root.dump();
+}
+
+}  // namespace incise::app

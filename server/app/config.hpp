@@ -1,0 +1,107 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "server/core/cut_config.hpp"
+
+namespace incise::app {
+
+// A configuration that cannot be used. One line: file, key, what was found, what is accepted.
+struct ConfigError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// All that `incised` can be told. One table in config.cpp says for each key its place in the JSON file, what
+// it accepts and what it means: reading, --print-config and the error texts come from there. Defaults are
+// those here.
+struct Config {
+  struct Mesh {
+    std::string path;     // as given; resolve() says where that is
+    std::string phantom;  // instead: "liver", "cylinder" or "slab"
+    double scale_to_metres = 1;
+    std::int64_t target_tets = 60'000;
+    std::string tetgen_switches = "pYq1.4";
+    double fill_time_limit_s = 300;
+    std::int64_t fill_memory_limit_mb = 8192;
+    std::string cache_directory;
+  } mesh;
+
+  core::CutConfig cut;  // with the blade
+
+  struct Loop {
+    double rate_hz = 1000;
+    double budget_fraction = 0.6;
+    std::int64_t realtime_priority = 40;  // SCHED_FIFO; 0: do not ask
+    std::int64_t cpu = -1;                // to run on; -1: any
+    bool lock_memory = true;
+  } loop;
+
+  struct Listen {
+    std::string address = "127.0.0.1";
+    std::int64_t tcp_port = 7450;
+    std::int64_t http_port = 7480;
+    std::string viewer_directory;
+    std::vector<std::string> allowed_origins;
+    std::string token_file;
+    std::string certificate_file, private_key_file;
+    bool insecure = false;
+    std::int64_t max_sessions = 300;
+    std::int64_t max_handshakes = 64;
+    double handshake_timeout_s = 5;
+    double idle_timeout_s = 30;
+    double write_timeout_s = 10;
+    double stop_grace_s = 2;
+    std::int64_t max_messages_per_s = 500;
+  } listen;
+
+  struct Stream {
+    std::int64_t ring_bytes = 64 << 20;
+    std::int64_t outbox_bytes = 4 << 20;
+    std::int64_t max_slow_snapshots = 3;
+    double max_report_rate_hz = 20;
+  } stream;
+
+  struct Capture {
+    std::string path;  // empty: none is written
+    std::string sync = "group";
+    double sync_interval_ms = 100;
+  } capture;
+
+  struct Log {
+    std::string level = "info";
+    std::string format = "text";
+  } log;
+
+  struct Source {
+    std::string name;
+    core::Blade blade;
+  };
+  std::vector<Source> sources;
+
+  // Where the file was read from; paths in it are relative to that. Empty: the working directory.
+  std::filesystem::path directory;
+  std::filesystem::path resolve(const std::string& path) const;
+};
+
+// Reads a configuration file: JSON, // and /* */ comments allowed. Keys that are absent have their defaults;
+// unknown ones are refused. Throws ConfigError.
+Config load_config(const std::filesystem::path& file);
+// The same from a text; `name` stands for the file in messages.
+Config parse_config(std::string_view text, const std::string& name);
+
+// What a server needs beyond what parsing asks: a mesh that exists, files that can be read. Throws ConfigError with
+// `file` in front.
+void check_config(const Config& config, const std::string& file);
+
+// The configuration as a file of all keys, each with a comment that says what it means and accepts.
+std::string commented(const Config& config);
+// As one line of JSON: what a capture carries.
+std::string compact(const Config& config);
+
+}  // namespace incise::app

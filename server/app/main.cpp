@@ -1,0 +1,86 @@
+// incised: the server. Start-up faults end it with one line that says what to do.
+
+#include <spdlog/async.h>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <exception>
+
+#include "server/app/config.hpp"
+#include "server/app/server_run.hpp"
+#include "server/app/version.hpp"
+
+namespace {
+
+void start_log(const incise::app::Config::Log& log) {
+  // A full queue drops the oldest line: no thread of the server ever waits for the log.
+  spdlog::init_thread_pool(8192, 1);
+  auto sink = std::make_shared<spdlog::sinks::stderr_color_sink_mt>();
+  auto logger = std::make_shared<spdlog::async_logger>("incised", sink, spdlog::thread_pool(),
+                                                       spdlog::async_overflow_policy::overrun_oldest);
+  if (log.format == "json") {
+    logger->set_pattern(R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level":"%l","thread":%t,"text":"%v"})");
+  } else {
+    logger->set_pattern("%Y-%m-%d %H:%M:%S.%e %^%l%$ %v");
+  }
+  logger->set_level(spdlog::level::from_str(log.level));
+  logger->flush_on(spdlog::level::info);
+  spdlog::set_default_logger(logger);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("The cut server: holds one mesh, takes blade poses, cuts, and streams what changed.",
+               "incised");
+  app.set_version_flag("--version", incise::app::kSoftware);
+  std::string config_file, check_file;
+  bool print_config = false, resume = false;
+  app.add_option("--config", config_file, "Run with this configuration");
+  app.add_flag("--resume", resume, "With --config: go on with the session that capture.path recorded");
+  app.add_option("--check", check_file, "Check a configuration and say what is wrong with it");
+  app.add_flag("--print-config", print_config,
+               "Print a configuration of all keys, their defaults and meanings");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    if (error.get_exit_code() == 0) return app.exit(error);
+    std::fprintf(stderr, "incised: %s; see incised --help\n", error.what());
+    return 2;
+  }
+  try {
+    if (print_config) {
+      std::fputs(incise::app::commented({}).c_str(), stdout);
+      return 0;
+    }
+    if (!check_file.empty()) {
+      incise::app::check_config(incise::app::load_config(check_file), check_file);
+      std::printf("%s: good\n", check_file.c_str());
+      return 0;
+    }
+    if (config_file.empty()) {
+      if (resume) {
+        std::fputs("incised: --resume needs --config; see incised --help\n", stderr);
+        return 2;
+      }
+      std::fputs(app.help().c_str(), stdout);
+      return 0;
+    }
+    const incise::app::Config config = incise::app::load_config(config_file);
+    incise::app::check_config(config, config_file);
+    start_log(config.log);
+    try {
+      incise::app::run_server(config, resume);
+    } catch (...) {
+      spdlog::shutdown();  // what was logged comes before the reason
+      throw;
+    }
+    spdlog::shutdown();
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "incised: %s\n", error.what());
+    return 1;
+  }
+}

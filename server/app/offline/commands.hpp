@@ -1,0 +1,72 @@
+#pragma once
+
+// The commands of `incise` that need no server. Each returns the program's exit code (0 only on success), prints its
+// result on stdout and warnings on stderr, and throws std::exception with one line that says what is wrong and what to do.
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+namespace CLI {
+class App;
+}
+
+namespace incise::app {
+
+struct CutCommand {
+  std::filesystem::path mesh, poses, out, report;
+  std::string blade;             // "hx,hy,hz:tx,ty,tz"; empty: the configuration's
+  std::filesystem::path config;  // empty: the capture's where poses are one, else the defaults
+  std::string policy, growth;    // empty: the configuration's
+  bool json = false;
+};
+// Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report of it.
+int run_cut(const CutCommand& command);
+
+struct ReplayCommand {
+  std::filesystem::path capture;
+  std::filesystem::path mesh;  // instead of the one that the capture names
+  bool verify = false;
+  bool json = false;
+};
+// Replays a capture and compares the hash of every batch: 1 where one differs.
+int run_replay(const ReplayCommand& command);
+
+struct InfoCommand {
+  std::filesystem::path file;
+  std::filesystem::path config;
+  bool json = false;
+};
+// What a file is, and the facts about it: mesh, surface, motion, capture or configuration.
+int run_info(const InfoCommand& command);
+
+struct PhantomCommand {
+  std::string kind;
+  std::uint64_t size = 60'000;  // tetrahedra
+  std::filesystem::path out;
+  bool json = false;
+};
+// Makes a test body: tetrahedra, or their surface, by the ending of `out`.
+int run_phantom(const PhantomCommand& command);
+
+struct ExportCommand {
+  std::filesystem::path capture, mesh, out;
+  std::optional<std::uint64_t> revision;  // nothing: the last
+  bool json = false;
+};
+// Replays a capture up to a revision and writes the mesh there.
+int run_export(const ExportCommand& command);
+
+struct ConvertCommand {
+  std::filesystem::path motion, out, config, mesh;
+  bool json = false;
+};
+// Makes a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with
+// it, batch marks and all.
+int run_convert(const ConvertCommand& command);
+
+// Adds all of these to `app`; a command that is called puts its exit code into `exit_code`.
+void add_offline_commands(CLI::App& app, int& exit_code);
+
+}  // namespace incise::app

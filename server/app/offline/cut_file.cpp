@@ -1,0 +1,77 @@
+#include "server/app/offline/cut_file.hpp"
+
+#include <bit>
+#include <fstream>
+#include <system_error>
+
+#include "server/core/quality.hpp"
+
+namespace incise::app {
+
+namespace fs = std::filesystem;
+
+void require_writable(const fs::path& path, const std::string& option) {
+  std::error_code error;
+  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
+  if (!fs::is_directory(parent, error)) {
+    throw std::runtime_error(option + " " + path.string() + ": the directory " + parent.string() +
+                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
+  }
+  if (path.empty() || !path.has_filename() || fs::is_directory(path, error)) {
+    throw std::runtime_error(option + " " + path.string() + ": is a directory; accepted is a file's name");
+  }
+}
+
+void require_mesh_output(const fs::path& path, const std::string& option) {
+  require_writable(path, option);
+  if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path)) {
+    throw std::runtime_error(option + " " + path.string() + ": the ending \"" + path.extension().string() +
+                             "\" is none that can be written; accepted are " +
+                             std::string(mesh_io::mesh_file_endings()) + ", " +
+                             std::string(mesh_io::surface_file_endings()) + ", or none for TetGen's pair");
+  }
+}
+
+void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {
+  const core::MeshData data = mesh.export_data();
+  if (mesh_io::is_surface_file(path)) {
+    mesh_io::write_surface(path, mesh_io::boundary_surface(data.positions, data.tets));
+    return;
+  }
+  if (!path.has_extension()) {
+    fs::path node = path;
+    node += ".node";
+    mesh_io::write_mesh(node, data);
+    return;
+  }
+  const std::vector<std::uint32_t> pieces = core::label_pieces(mesh);
+  std::vector<std::uint32_t> ids, piece;
+  std::vector<std::uint8_t> mask, faces;
+  std::vector<double> dihedral, volume;
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    ids.push_back(t);
+    piece.push_back(pieces[t]);
+    mask.push_back(mesh.cut_mask(t));
+    faces.push_back(static_cast<std::uint8_t>(std::popcount(mesh.cut_mask(t))));
+    dihedral.push_back(core::measure_to_degrees(mesh.worst_dihedral(t)));
+    volume.push_back(mesh.volume(t));
+  }
+  const mesh_io::CellArray arrays[] = {
+      {"tet_id", std::move(ids)},      {"region", data.regions},
+      {"piece", std::move(piece)},     {"cut_mask", std::move(mask)},
+      {"cut_faces", std::move(faces)}, {"min_dihedral_deg", std::move(dihedral)},
+      {"volume", std::move(volume)}};
+  mesh_io::write_mesh(path, data.positions, data.tets, arrays);
+}
+
+void write_text(const fs::path& path, const std::string& text) {
+  std::ofstream out(path, std::ios::binary);
+  out << text;
+  out.close();
+  if (!out)
+    throw std::runtime_error(path.string() +
+                             ": cannot be written: " + std::generic_category().message(errno));
+}
+
+}  // namespace incise::app

@@ -1,0 +1,249 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "server/app/body.hpp"
+#include "server/app/offline/commands.hpp"
+#include "server/app/offline/cut_file.hpp"
+#include "server/app/offline/recorded_motion.hpp"
+#include "server/app/offline/terminal.hpp"
+#include "server/core/measure.hpp"
+#include "server/mesh_io/phantom.hpp"
+#include "server/mesh_io/surface_check.hpp"
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+namespace fs = std::filesystem;
+
+Json point(const core::Vec3& p) {
+  return Json::array({p.x, p.y, p.z});
+}
+
+struct Bounds {
+  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
+  void add(const core::Vec3& p) {
+    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  }
+  Json json() const { return {{"min", point(low)}, {"max", point(high)}}; }
+};
+
+Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
+  const core::TetMesh mesh(loaded.mesh);
+  const core::CutReport report = core::measure(mesh);
+  Bounds bounds;
+  for (const core::Vec3& p : loaded.mesh.positions) bounds.add(p);
+  std::set<std::int32_t> regions(loaded.mesh.regions.begin(), loaded.mesh.regions.end());
+  if (regions.empty()) regions.insert(0);
+  Json facts;
+  facts["kind"] = "tetrahedral mesh";
+  facts["vertices"] = loaded.mesh.positions.size();
+  facts["tets"] = report.tets;
+  facts["boundary_faces"] = report.boundary_faces;
+  facts["pieces"] = report.pieces;
+  facts["regions"] = regions;
+  facts["volume_m3"] = report.volume;
+  facts["mean_edge_length_m"] = mesh.mean_edge_length();
+  facts["min_dihedral_deg"] = report.min_dihedral_deg;
+  facts["inverted"] = report.inverted;
+  facts["box_m"] = bounds.json();
+  facts["content_hash"] = loaded.content_hash;
+  facts["warnings"] = loaded.warnings;
+  return facts;
+}
+
+Json describe_surface(const fs::path& file) {
+  std::vector<std::string> warnings;
+  mesh_io::Surface surface = mesh_io::read_surface(file, warnings);
+  Bounds bounds;
+  for (const core::Vec3& p : surface.positions) bounds.add(p);
+  Json facts;
+  facts["kind"] = "surface";
+  facts["vertices"] = surface.positions.size();
+  facts["triangles"] = surface.triangles.size();
+  facts["box_file_units"] = bounds.json();
+  try {
+    facts["volume_file_units"] = mesh_io::check_surface(std::move(surface), file.string(), warnings).volume;
+    facts["fillable"] = true;
+  } catch (const mesh_io::MeshError& error) {
+    facts["fillable"] = false;
+    facts["problem"] = error.what();
+  }
+  facts["warnings"] = warnings;
+  return facts;
+}
+
+Json describe_motion(const RecordedMotion& motion) {
+  Json facts;
+  facts["kind"] = motion.format == "capture" ? "capture" : "motion, " + motion.format;
+  if (motion.header) {
+    facts["software"] = motion.header->software;
+    facts["mesh"] = motion.header->mesh_path;
+    facts["mesh_content_hash"] = motion.header->mesh_content_hash;
+    facts["records"] = motion.records;
+    facts["batch_marks"] = motion.marks.size();
+    facts["last_revision"] = motion.marks.empty() ? 0 : motion.marks.back().revision;
+    facts["checkpoints"] = motion.checkpoints.size();
+    facts["closed"] = motion.closed;
+  }
+  facts["poses"] = motion.poses();
+  std::map<std::uint32_t, std::vector<const core::Pose*>> by_source;
+  Bounds bounds;
+  for (const MotionEvent& event : motion.events) {
+    if (event.kind != MotionEvent::Kind::kPose) continue;
+    by_source[event.source].push_back(&event.pose);
+    bounds.add(event.pose.position);
+  }
+  Json sources = Json::array();
+  for (const auto& [number, poses] : by_source) {
+    double path = 0, fastest = 0;
+    std::size_t held = poses.front()->buttons != 0;
+    std::vector<double> gaps;
+    for (std::size_t i = 1; i < poses.size(); ++i) {
+      const double dt = static_cast<double>(poses[i]->t_ns - poses[i - 1]->t_ns) * 1e-9;
+      const double step = core::distance(poses[i]->position, poses[i - 1]->position);
+      path += step;
+      if (dt > 0) {
+        fastest = std::max(fastest, step / dt);
+        gaps.push_back(dt);
+      }
+      held += poses[i]->buttons != 0;
+    }
+    std::sort(gaps.begin(), gaps.end());
+    const double duration = static_cast<double>(poses.back()->t_ns - poses.front()->t_ns) * 1e-9;
+    sources.push_back({{"source", number},
+                       {"poses", poses.size()},
+                       {"duration_s", duration},
+                       {"rate_hz", gaps.empty() ? 0.0 : 1 / gaps[gaps.size() / 2]},
+                       {"longest_gap_s", gaps.empty() ? 0.0 : gaps.back()},
+                       {"path_m", path},
+                       {"fastest_m_s", fastest},
+                       {"poses_with_a_button", held}});
+  }
+  facts["sources"] = sources;
+  if (!by_source.empty()) facts["box_m"] = bounds.json();
+  facts["warnings"] = motion.warnings;
+  return facts;
+}
+
+bool looks_like_config(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  char c = 0;
+  while (in.get(c) && (c == ' ' || c == '\n' || c == '\r' || c == '\t')) {
+  }
+  return in && (c == '{' || (c == '/' && file.extension() == ".json"));
+}
+
+void print(const Json& facts) {
+  for (const auto& [name, value] : facts.items()) {
+    if (name == "warnings") {
+      for (const auto& warning : value)
+        std::fprintf(stderr, "warning: %s\n", warning.get<std::string>().c_str());
+    } else if (name == "sources") {
+      for (const Json& source : value) {
+        std::string line;
+        for (const auto& [key, number] : source.items()) {
+          if (key == "source") continue;
+          line += (line.empty() ? "" : ", ") + key + " " +
+                  (number.is_number_float() ? short_number(number.get<double>()) : number.dump());
+        }
+        print_row("source " + source["source"].dump(), line);
+      }
+    } else if (value.is_object() && value.contains("min")) {
+      std::string line;
+      for (const char* end : {"min", "max"}) {
+        line += line.empty() ? "(" : " to (";
+        for (std::size_t i = 0; i < 3; ++i)
+          line += (i ? ", " : "") + short_number(value[end][i].get<double>());
+        line += ")";
+      }
+      print_row(name, line);
+    } else {
+      print_row(name, value.is_string()         ? value.get<std::string>()
+                      : value.is_number_float() ? short_number(value.get<double>())
+                                                : value.dump());
+    }
+  }
+}
+
+}  // namespace
+
+int run_info(const InfoCommand& command) {
+  const fs::path& file = command.file;
+  std::error_code error;
+  fs::path node = file;
+  node += ".node";
+  const Config config = command.config.empty() ? Config{} : load_config(command.config);
+  Json facts;
+  if (mesh_io::is_surface_file(file)) {
+    facts = describe_surface(file);
+  } else if (mesh_io::is_mesh_file(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
+    facts = describe_mesh(mesh_io::load_mesh(file, load_options(config)));
+  } else if (!fs::exists(file, error)) {
+    throw std::runtime_error(file.string() + ": no such file; accepted are a mesh (" +
+                             std::string(mesh_io::mesh_file_endings()) + "), a surface (" +
+                             std::string(mesh_io::surface_file_endings()) +
+                             "), a motion, a capture, or a configuration");
+  } else if (looks_like_config(file)) {
+    const Config described = load_config(file);
+    facts = {{"kind", "configuration"}, {"values", Json::parse(compact(described))}};
+    if (!command.json) {
+      std::printf("%s", commented(described).c_str());
+      return 0;
+    }
+  } else {
+    facts = describe_motion(read_recorded_motion(file));
+  }
+  Json named{{"file", file.string()}};
+  named.update(facts);
+  if (command.json) {
+    std::printf("%s\n", named.dump(2).c_str());
+  } else {
+    print(named);
+  }
+  return 0;
+}
+
+int run_phantom(const PhantomCommand& command) {
+  const auto kind = mesh_io::phantom_kind(command.kind);
+  if (!kind)
+    throw std::runtime_error("found \"" + command.kind + "\"; accepted are liver, cylinder and slab");
+  require_mesh_output(command.out, "--out");
+  Json facts;
+  std::vector<std::string> warnings;
+  if (mesh_io::is_surface_file(command.out)) {
+    const mesh_io::Surface surface = mesh_io::make_phantom_surface(*kind, command.size);
+    mesh_io::write_surface(command.out, surface);
+    facts = {
+        {"kind", "surface"}, {"vertices", surface.positions.size()}, {"triangles", surface.triangles.size()}};
+  } else {
+    Progress filling("making the " + command.kind);
+    mesh_io::FillOptions options;
+    options.target_tets = command.size;
+    options.progress = [&](std::string_view stage, double) { filling.show(-1, stage); };
+    const core::MeshData data = mesh_io::make_phantom(*kind, options, warnings);
+    const core::TetMesh mesh(data);
+    write_cut_mesh(command.out, mesh);
+    facts = {{"kind", "tetrahedral mesh"},
+             {"vertices", data.positions.size()},
+             {"tets", data.tets.size()},
+             {"min_dihedral_deg", core::measure(mesh).min_dihedral_deg}};
+  }
+  facts["out"] = command.out.string();
+  facts["warnings"] = warnings;
+  if (command.json) {
+    std::printf("%s\n", facts.dump(2).c_str());
+  } else {
+    print(facts);
+  }
+  return 0;
+}
+
+}  // namespace incise::app

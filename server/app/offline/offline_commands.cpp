@@ -1,0 +1,79 @@
+#include <CLI/CLI.hpp>
+#include <memory>
+
+#include "server/app/offline/commands.hpp"
+
+namespace incise::app {
+
+void add_offline_commands(CLI::App& app, int& exit_code) {
+  {
+    auto command = std::make_shared<CutCommand>();
+    CLI::App* sub = app.add_subcommand("cut", "Cut a mesh by a recorded motion, without a server");
+    sub->add_option("--mesh", command->mesh, "TetGen .node/.ele (or their common name), or a closed surface")
+        ->required();
+    sub->add_option("--poses", command->poses, "The motion: a capture, TUM or CSV")->required();
+    sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres");
+    sub->add_option("--config", command->config, "A configuration: its cut, blade and mesh sections count");
+    sub->add_option("--policy", command->policy, "conforming or croll")
+        ->check(CLI::IsMember({"conforming", "croll"}));
+    sub->add_option("--growth", command->growth, "none or balanced")
+        ->check(CLI::IsMember({"none", "balanced"}));
+    sub->add_option("--out", command->out,
+                    "Where the cut mesh goes: .vtu, TetGen by its name, or a surface's ending")
+        ->required();
+    sub->add_option("--report", command->report, "Where the report goes: JSON");
+    sub->add_flag("--json", command->json, "Print the report as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_cut(*command); });
+  }
+  {
+    auto command = std::make_shared<ReplayCommand>();
+    CLI::App* sub = app.add_subcommand("replay", "Replay a capture and compare the hash of every batch");
+    sub->add_option("capture", command->capture, "The capture")->required();
+    sub->add_option("--mesh", command->mesh, "The mesh, where the capture's is elsewhere now");
+    sub->add_flag("--verify", command->verify, "Stop at the first batch that differs, and fail");
+    sub->add_flag("--json", command->json, "Print the result as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_replay(*command); });
+  }
+  {
+    auto command = std::make_shared<InfoCommand>();
+    CLI::App* sub =
+        app.add_subcommand("info", "Say what a file is: mesh, surface, motion, capture or configuration");
+    sub->add_option("file", command->file, "The file")->required();
+    sub->add_option("--config", command->config, "A configuration: how a mesh is to be read");
+    sub->add_flag("--json", command->json, "Print the facts as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_info(*command); });
+  }
+  {
+    auto command = std::make_shared<PhantomCommand>();
+    CLI::App* sub = app.add_subcommand("phantom", "Make a test body: liver, cylinder or slab");
+    sub->add_option("kind", command->kind, "liver, cylinder or slab")->required();
+    sub->add_option("--size", command->size, "Tetrahedra, about")->capture_default_str();
+    sub->add_option("--out", command->out,
+                    "Where it goes: .node, .vtu, or a surface's ending for its surface")
+        ->required();
+    sub->add_flag("--json", command->json, "Print the facts as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_phantom(*command); });
+  }
+  {
+    auto command = std::make_shared<ExportCommand>();
+    CLI::App* sub = app.add_subcommand("export", "Write the mesh of a capture, at its end or at a revision");
+    sub->add_option("capture", command->capture, "The capture")->required();
+    sub->add_option("--mesh", command->mesh, "The mesh, where the capture's is elsewhere now");
+    sub->add_option("--revision", command->revision, "The revision; the last one if not given");
+    sub->add_option("--out", command->out, "Where it goes: .vtu, .node, or a surface's ending")->required();
+    sub->add_flag("--json", command->json, "Print the facts as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_export(*command); });
+  }
+  {
+    auto command = std::make_shared<ConvertCommand>();
+    CLI::App* sub = app.add_subcommand("convert", "Make a motion into a capture of cutting a mesh with it");
+    sub->add_option("motion", command->motion, "The motion: TUM or CSV")->required();
+    sub->add_option("--mesh", command->mesh, "The mesh; the configuration's if not given");
+    sub->add_option("--config", command->config, "A configuration; without one the blade is always engaged");
+    sub->add_option("--out", command->out, "Where the capture goes")->required();
+    sub->add_flag("--json", command->json, "Print the facts as JSON");
+    sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
+  }
+}
+
+}  // namespace incise::app

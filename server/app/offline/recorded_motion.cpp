@@ -1,0 +1,153 @@
+#include "server/app/offline/recorded_motion.hpp"
+
+#include <algorithm>
+#include <array>
+#include <fstream>
+
+#include "protocol/motion.hpp"
+
+namespace incise::app {
+namespace {
+
+core::Pose to_core(const protocol::PoseSample& sample) {
+  const protocol::Vec3& p = sample.position;
+  const protocol::Quat& q = sample.orientation;
+  return {sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons};
+}
+
+struct RecordReader {
+  RecordedMotion& motion;
+  const std::string& name;
+
+  void operator()(const protocol::PoseRecord& record) {
+    check_source(record.source);
+    motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose)});
+  }
+  void operator()(const protocol::StrokeRecord& record) {
+    check_source(record.source);
+    // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
+    if (record.action == protocol::StrokeAction::End) {
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}});
+    } else if (record.action == protocol::StrokeAction::HandOver) {
+      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}});
+    }
+  }
+  void operator()(const protocol::BatchMark& record) { motion.marks.push_back(record); }
+  void operator()(const protocol::NoteRecord&) {}
+  void operator()(const protocol::GapRecord& record) {
+    throw std::runtime_error(name + ": " + std::to_string(record.records) +
+                             " records are missing after record " + std::to_string(motion.records) + " (" +
+                             record.reason +
+                             "): what follows cannot be replayed; use a capture without a gap");
+  }
+  void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
+  void operator()(const protocol::PositionsRecord&) {}
+  // One replay is of one session: that after the last reset.
+  void operator()(const protocol::ResetRecord& record) {
+    motion.events.clear();
+    motion.marks.clear();
+    motion.checkpoints.clear();
+    motion.session = record.session;
+    ++motion.resets;
+  }
+  void operator()(const protocol::EndRecord&) {}
+
+  void check_source(std::uint32_t source) const {
+    if (source < core::kMaxSources) return;
+    throw std::runtime_error(name + ": record " + std::to_string(motion.records) + ": source " +
+                             std::to_string(source) + "; accepted are 0 to " +
+                             std::to_string(core::kMaxSources - 1));
+  }
+};
+
+void read_capture(std::istream& in, const std::string& name, RecordedMotion& motion) {
+  motion.format = "capture";
+  protocol::CaptureReader reader(in);
+  protocol::CaptureRecord record;
+  RecordReader read{motion, name};
+  motion.session = reader.header().session;
+  using Status = protocol::CaptureReader::Status;
+  Status status;
+  while ((status = reader.next(record)) == Status::Record) {
+    motion.records = reader.records();
+    std::visit(read, record);
+  }
+  if (reader.good_bytes() > 0) motion.header = reader.header();
+  if (status == Status::Corrupt || !motion.header) throw std::runtime_error(name + ": " + reader.error());
+  if (status == Status::Torn) {
+    motion.end_error = reader.error();
+    motion.warnings.push_back(name + ": cut off at its end (" + reader.error() +
+                              "); all before that is used");
+  }
+  if (motion.resets > 0) {
+    motion.warnings.push_back(name + ": the mesh was reset " + std::to_string(motion.resets) +
+                              " times; what came after the last reset is used");
+  }
+  motion.records = reader.records();
+  motion.good_bytes = reader.good_bytes();
+  motion.closed = reader.closed();
+}
+
+}  // namespace
+
+std::size_t RecordedMotion::poses() const {
+  return static_cast<std::size_t>(std::count_if(
+      events.begin(), events.end(), [](const MotionEvent& e) { return e.kind == MotionEvent::Kind::kPose; }));
+}
+
+RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
+  const std::string name = path.string();
+  std::error_code error;
+  if (std::filesystem::is_directory(path, error))
+    throw std::runtime_error(name + ": is a directory; accepted is a file");
+  std::ifstream in(path, std::ios::binary);
+  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
+  std::array<char, 8> head{};
+  in.read(head.data(), head.size());
+  const auto got = in.gcount();
+  in.clear();
+  in.seekg(0);
+  RecordedMotion motion;
+  if (std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP") {
+    read_capture(in, name, motion);
+    return motion;
+  }
+  const protocol::Motion text = protocol::read_motion(in, name);
+  std::string line;
+  in.clear();
+  in.seekg(0);
+  while (std::getline(in, line) && (line.empty() || line[0] == '#' || line[0] == '\r')) {
+  }
+  motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
+  motion.has_orientation = text.has_orientation;
+  for (const protocol::PoseSample& sample : text.samples) {
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample)});
+  }
+  if (!text.has_orientation) {
+    motion.warnings.push_back(name +
+                              ": no orientations (columns qw, qx, qy, qz): the blade keeps its direction");
+  }
+  return motion;
+}
+
+Config config_of(const protocol::CaptureHeader& header, const std::string& name) {
+  return parse_config(header.config_json, name + " (the configuration in its header)");
+}
+
+void apply(core::CutSession& session, const MotionEvent& event, const Config& config) {
+  switch (event.kind) {
+    case MotionEvent::Kind::kPose:
+      session.push(event.source, event.pose);
+      break;
+    case MotionEvent::Kind::kEndStroke:
+      session.end_stroke(event.source);
+      break;
+    case MotionEvent::Kind::kOpened:
+      session.set_blade(event.source, event.source < config.sources.size()
+                                          ? config.sources[event.source].blade
+                                          : config.cut.blade);
+      break;
+  }
+}
+
+}  // namespace incise::app

@@ -1,0 +1,281 @@
+#include <cinttypes>
+#include <cstdio>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "server/app/body.hpp"
+#include "server/app/capture_journal.hpp"
+#include "server/app/offline/commands.hpp"
+#include "server/app/offline/cut_file.hpp"
+#include "server/app/offline/recorded_motion.hpp"
+#include "server/app/offline/terminal.hpp"
+#include "server/app/version.hpp"
+#include "server/core/cut_session.hpp"
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+std::string hex(std::uint64_t hash) {
+  char text[17];
+  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
+  return text;
+}
+
+bool mesh_is_there(const std::filesystem::path& path) {
+  std::filesystem::path node = path;
+  node += ".node";
+  std::error_code error;
+  return std::filesystem::exists(path, error) || std::filesystem::exists(node, error);
+}
+
+// A capture with what is needed to replay it.
+struct Replayable {
+  RecordedMotion motion;
+  Config config;
+  Body body;
+};
+
+Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh) {
+  Replayable opened;
+  opened.motion = read_recorded_motion(capture);
+  if (!opened.motion.header) {
+    throw std::runtime_error(capture.string() + ": is a " + opened.motion.format +
+                             " motion; accepted is a capture (incise convert makes one of a motion)");
+  }
+  const protocol::CaptureHeader& header = *opened.motion.header;
+  opened.config = config_of(header, capture.string());
+  if (!mesh.empty()) {
+    opened.config.mesh.phantom.clear();
+    opened.config.mesh.path = std::filesystem::absolute(mesh).string();
+  } else if (!opened.config.mesh.path.empty()) {
+    // As it was given to the server, which looked beside its configuration; then beside the capture.
+    opened.config.mesh.path = header.mesh_path;
+    const std::filesystem::path beside =
+        capture.parent_path() / std::filesystem::path(header.mesh_path).filename();
+    if (!mesh_is_there(header.mesh_path) && mesh_is_there(beside)) opened.config.mesh.path = beside.string();
+  }
+  Progress filling("loading the mesh");
+  opened.body = load_body(opened.config, [&](std::string_view stage, double) { filling.show(-1, stage); });
+  if (opened.body.loaded.content_hash != header.mesh_content_hash) {
+    throw std::runtime_error(capture.string() + ": was recorded with another mesh: its hash is " +
+                             header.mesh_content_hash + ", that of " + opened.body.name + " is " +
+                             opened.body.loaded.content_hash + "; give the right one with --mesh");
+  }
+  return opened;
+}
+
+// Replays the events, and calls `committed` after each batch until it returns false.
+void replay(core::CutSession& session, const Replayable& opened,
+            const std::function<bool(const core::Delta&)>& committed) {
+  core::Delta delta;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  Progress progress("replaying");
+  const auto& events = opened.motion.events;
+  for (std::size_t i = 0; i <= events.size(); ++i) {
+    if (i < events.size()) apply(session, events[i], opened.config);
+    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      if (!committed(delta)) return;
+    }
+    if (i % 64 == 0) progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
+  }
+}
+
+void print_warnings(const std::vector<std::string>& warnings) {
+  for (const std::string& warning : warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
+}
+
+}  // namespace
+
+int run_replay(const ReplayCommand& command) {
+  const Replayable opened = open_capture(command.capture, command.mesh);
+  std::map<std::uint64_t, protocol::BatchMark> marks;
+  for (const protocol::BatchMark& mark : opened.motion.marks) marks[mark.revision] = mark;
+
+  core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
+  std::uint64_t compared = 0;
+  Json difference;
+  replay(session, opened, [&](const core::Delta& delta) {
+    const auto mark = marks.find(delta.revision);
+    if (mark == marks.end()) return true;
+    ++compared;
+    if (mark->second.state_hash == delta.state_hash) return true;
+    difference = {{"revision", delta.revision},
+                  {"source", delta.source},
+                  {"stroke", delta.stroke},
+                  {"batch", delta.batch},
+                  {"recorded_hash", hex(mark->second.state_hash)},
+                  {"replayed_hash", hex(delta.state_hash)}};
+    return !command.verify;  // the first one is what counts
+  });
+  const std::uint64_t last_mark = marks.empty() ? 0 : marks.rbegin()->first;
+  const bool short_of = difference.is_null() && session.revision() < last_mark;
+  const bool verified = difference.is_null() && !short_of;
+
+  Json result;
+  result["capture"] = command.capture.string();
+  result["poses"] = opened.motion.poses();
+  result["batches"] = session.revision();
+  result["compared"] = compared;
+  result["closed"] = opened.motion.closed;
+  result["state_hash"] = hex(session.mesh().state_hash());
+  result["tets"] = session.mesh().live_tets();
+  result["verified"] = verified;
+  result["first_difference"] = difference;
+  std::vector<std::string> warnings = opened.motion.warnings;
+  if (compared == 0)
+    warnings.push_back(command.capture.string() + ": has no batch marks; nothing was compared");
+  result["warnings"] = warnings;
+  print_warnings(warnings);
+  if (command.json) {
+    std::printf("%s\n", result.dump(2).c_str());
+  } else {
+    print_row("poses", std::to_string(opened.motion.poses()));
+    print_row("batches",
+              std::to_string(session.revision()) + ", " + std::to_string(compared) + " with a mark");
+    print_row("state hash", hex(session.mesh().state_hash()));
+  }
+  if (!difference.is_null()) {
+    std::fprintf(stderr,
+                 "%s: batch %u of stroke %u of source %u is the first that differs: revision %" PRIu64
+                 " was recorded with hash %s and replays with %s\n",
+                 command.capture.c_str(), difference["batch"].get<unsigned>(),
+                 difference["stroke"].get<unsigned>(), difference["source"].get<unsigned>(),
+                 difference["revision"].get<std::uint64_t>(),
+                 difference["recorded_hash"].get<std::string>().c_str(),
+                 difference["replayed_hash"].get<std::string>().c_str());
+  } else if (short_of) {
+    std::fprintf(stderr,
+                 "%s: the replay ends at revision %" PRIu64 ", but a mark is of revision %" PRIu64 "\n",
+                 command.capture.c_str(), session.revision(), last_mark);
+  }
+  if (command.verify && verified && !command.json)
+    std::printf("verified: every recorded hash is the replayed one\n");
+  return command.verify && (!verified || compared == 0) ? 1 : 0;
+}
+
+int run_export(const ExportCommand& command) {
+  require_mesh_output(command.out, "--out");
+  const Replayable opened = open_capture(command.capture, command.mesh);
+  core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
+  if (!command.revision || *command.revision > 0) {
+    replay(session, opened,
+           [&](const core::Delta& delta) { return !command.revision || delta.revision < *command.revision; });
+  }
+  if (command.revision && session.revision() != *command.revision) {
+    throw std::runtime_error("--revision: found " + std::to_string(*command.revision) +
+                             "; accepted are 0 to " + std::to_string(session.revision()) +
+                             ", which is where " + command.capture.string() + " ends");
+  }
+  write_cut_mesh(command.out, session.mesh());
+  print_warnings(opened.motion.warnings);
+  if (command.json) {
+    std::printf("%s\n", Json{{"out", command.out.string()},
+                             {"revision", session.revision()},
+                             {"tets", session.mesh().live_tets()},
+                             {"state_hash", hex(session.mesh().state_hash())}}
+                            .dump(2)
+                            .c_str());
+    return 0;
+  }
+  print_row("revision", std::to_string(session.revision()));
+  print_row("tetrahedra", std::to_string(session.mesh().live_tets()));
+  print_row("state hash", hex(session.mesh().state_hash()));
+  print_row("written", command.out.string());
+  return 0;
+}
+
+int run_convert(const ConvertCommand& command) {
+  require_writable(command.out, "--out");
+  const RecordedMotion motion = read_recorded_motion(command.motion);
+  Config config;
+  if (!command.config.empty()) {
+    config = load_config(command.config);
+  } else if (motion.header) {
+    config = config_of(*motion.header, command.motion.string());
+  } else {
+    config.cut.always_engaged = true;
+  }
+  if (!command.mesh.empty()) {
+    config.mesh.phantom.clear();
+    config.mesh.path = command.mesh.string();
+    config.directory.clear();
+  }
+  Progress filling("loading the mesh");
+  const Body body = load_body(config, [&](std::string_view stage, double) { filling.show(-1, stage); });
+
+  protocol::CaptureHeader header;
+  header.mesh_path =
+      config.mesh.path.empty() ? config.mesh.phantom : config.resolve(config.mesh.path).string();
+  header.mesh_content_hash = body.loaded.content_hash;
+  header.session = 1;
+  header.software = kSoftware;
+  header.config_json = compact(config);
+  CaptureJournal capture(command.out.string(), header);
+  core::CutSession session(body.loaded.mesh, config.cut);
+  core::Delta delta;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  const auto commit_all = [&] {
+    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      loop::JournalRecord mark;
+      mark.kind = loop::JournalRecord::Kind::kCommit;
+      mark.source = delta.source;
+      mark.stroke = delta.stroke;
+      mark.batch = delta.batch;
+      mark.stroke_ended = delta.stroke_ended;
+      mark.revision = delta.revision;
+      mark.state_hash = delta.state_hash;
+      capture.write(mark);
+    }
+  };
+  std::array<bool, core::kMaxSources> used{};
+  {
+    Progress progress("converting");
+    for (std::size_t i = 0; i < motion.events.size(); ++i) {
+      const MotionEvent& event = motion.events[i];
+      loop::JournalRecord record;
+      record.source = event.source;
+      record.arrival_ns = event.pose.t_ns;
+      record.pose = event.pose;
+      if (event.kind == MotionEvent::Kind::kEndStroke) record.kind = loop::JournalRecord::Kind::kEndStroke;
+      if (event.kind == MotionEvent::Kind::kOpened) record.kind = loop::JournalRecord::Kind::kOpened;
+      used[event.source] = true;
+      apply(session, event, config);
+      capture.write(record);
+      commit_all();
+      if (i % 64 == 0) {
+        capture.flush();
+        progress.show(static_cast<double>(i) / static_cast<double>(motion.events.size()));
+      }
+    }
+    for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+      if (!used[source]) continue;
+      loop::JournalRecord record;
+      record.kind = loop::JournalRecord::Kind::kEndStroke;
+      record.source = source;
+      session.end_stroke(source);
+      capture.write(record);
+      commit_all();
+    }
+  }
+  capture.close();
+  print_warnings(motion.warnings);
+  if (command.json) {
+    std::printf("%s\n", Json{{"out", command.out.string()},
+                             {"poses", motion.poses()},
+                             {"batches", session.revision()},
+                             {"state_hash", hex(session.mesh().state_hash())}}
+                            .dump(2)
+                            .c_str());
+    return 0;
+  }
+  print_row("poses", std::to_string(motion.poses()));
+  print_row("batches", std::to_string(session.revision()));
+  print_row("state hash", hex(session.mesh().state_hash()));
+  print_row("written", command.out.string());
+  return 0;
+}
+
+}  // namespace incise::app

@@ -1,0 +1,183 @@
+#include "server/app/telemetry.hpp"
+
+#include <cinttypes>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "server/app/version.hpp"
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using loop::Histogram;
+using loop::LoopStats;
+
+// The stages of a pose's way and of a frame, as they are named everywhere.
+struct Stage {
+  const char* name;
+  const char* meaning;
+  Histogram LoopStats::*histogram;
+};
+constexpr Stage kStages[] = {
+    {"wake_late", "start of a frame after its deadline", &LoopStats::wake_late},
+    {"frame_work", "work of a frame", &LoopStats::frame_work},
+    {"drain", "taking poses, in a frame", &LoopStats::drain},
+    {"cut", "cutting, in a frame", &LoopStats::cut},
+    {"publish", "handing deltas on, in a frame", &LoopStats::publish},
+    {"batch_cut", "cutting a batch, over all its frames", &LoopStats::batch_cut},
+    {"pose_to_drain", "arrival of a batch's last pose until the loop took it", &LoopStats::pose_to_drain},
+    {"pose_to_cut", "arrival of a batch's last pose until the batch was cut", &LoopStats::pose_to_cut},
+};
+constexpr double kQuantiles[] = {0.5, 0.9, 0.99, 0.999};
+constexpr const char* kQuantileNames[] = {"p50", "p90", "p99", "p99.9"};
+
+double us(std::uint64_t ns) {
+  return static_cast<double>(ns) * 1e-3;
+}
+
+std::string hex(std::uint64_t hash) {
+  char text[17];
+  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
+  return text;
+}
+
+std::string number(double value) {
+  return Json(value).dump();
+}
+
+}  // namespace
+
+Telemetry::Telemetry(const loop::LoopStats& stats, const input::InputHub& hub, const loop::Journal* journal,
+                     double rate_hz)
+    : stats_(stats), hub_(hub), journal_(journal), rate_hz_(rate_hz) {}
+
+std::string Telemetry::json() const {
+  const loop::LoopState state = stats_.state.load();
+  Json root;
+  root["software"] = kSoftware;
+  root["revision"] = state.revision;
+  root["state_hash"] = hex(state.state_hash);
+  root["live_tets"] = state.live_tets;
+  root["vertices"] = state.vertices;
+  root["strokes"] = state.strokes;
+  root["batches"] = stats_.batches.load(std::memory_order_relaxed);
+  root["cut_faces"] = state.cut_faces;
+  root["cut_area_m2"] = state.cut_area_m2;
+  root["sources"] = hub_.open_sources();
+  Json poses;
+  for (int i = 0; i < core::kPoseVerdicts; ++i) {
+    poses[core::to_string(static_cast<core::PoseVerdict>(i))] =
+        stats_.verdicts[static_cast<std::size_t>(i)].load(std::memory_order_relaxed);
+  }
+  root["poses"] = poses;
+  Json late;
+  for (int i = 0; i < loop::kLateCauses; ++i) {
+    late[to_string(static_cast<loop::LateCause>(i))] =
+        stats_.late[static_cast<std::size_t>(i)].load(std::memory_order_relaxed);
+  }
+  root["frames"] = {
+      {"rate_hz", rate_hz_}, {"count", state.frames}, {"skipped", state.skipped_frames}, {"late", late}};
+  root["backlog"] = {{"poses", state.backlog_events},
+                     {"batches", state.backlog_batches},
+                     {"segments", state.backlog_segments},
+                     {"work_ms", static_cast<double>(state.backlog_ns) * 1e-6},
+                     {"recovery_ms", static_cast<double>(state.recovery_ns) * 1e-6}};
+  root["limits"] = {{"budget_spent", (state.flags & loop::kBudgetSpent) != 0},
+                    {"input_carried", (state.flags & loop::kInputCarried) != 0},
+                    {"deltas_blocked", (state.flags & loop::kDeltasBlocked) != 0},
+                    {"journal_blocked", (state.flags & loop::kJournalBlocked) != 0}};
+  root["ns_per_work_unit"] = state.ns_per_unit;
+  if (journal_) {
+    root["journal"] = {
+        {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};
+  }
+  Json stages;
+  for (const Stage& stage : kStages) {
+    const Histogram& histogram = stats_.*stage.histogram;
+    Json figures{{"count", histogram.count()}};
+    for (std::size_t q = 0; q < std::size(kQuantiles); ++q) {
+      figures[kQuantileNames[q]] = us(histogram.quantile_ns(kQuantiles[q]));
+    }
+    figures["max"] = us(histogram.max_ns());
+    stages[stage.name] = figures;
+  }
+  root["stages_us"] = stages;
+  return root.dump();
+}
+
+std::string Telemetry::metrics() const {
+  const loop::LoopState state = stats_.state.load();
+  std::string out;
+  const auto family = [&](const std::string& name, const char* type, const std::string& help) {
+    out += "# HELP incise_" + name + ' ' + help + "\n# TYPE incise_" + name + ' ' + type + '\n';
+  };
+  const auto one = [&](const std::string& name, const char* type, const std::string& help, double value) {
+    family(name, type, help);
+    out += "incise_" + name + ' ' + number(value) + '\n';
+  };
+  one("revision", "gauge", "Committed batches since the mesh was loaded.",
+      static_cast<double>(state.revision));
+  one("live_tets", "gauge", "Tetrahedra.", static_cast<double>(state.live_tets));
+  one("strokes_total", "counter", "Strokes begun.", static_cast<double>(state.strokes));
+  one("cut_faces_total", "counter", "Faces opened.", static_cast<double>(state.cut_faces));
+  one("cut_area_square_metres_total", "counter", "Area of the faces opened, one side.", state.cut_area_m2);
+  one("sources", "gauge", "Pose sources that are open.", hub_.open_sources());
+  one("frames_total", "counter", "Frames of the loop.", static_cast<double>(state.frames));
+  one("frames_skipped_total", "counter", "Frames whose time had passed before they could begin.",
+      static_cast<double>(state.skipped_frames));
+  one("backlog_poses", "gauge", "Poses in the queues.", static_cast<double>(state.backlog_events));
+  one("backlog_segments", "gauge", "Segments to be cut.", static_cast<double>(state.backlog_segments));
+  one("backlog_seconds", "gauge", "Work that these stand for, estimated.",
+      static_cast<double>(state.backlog_ns) * 1e-9);
+  if (journal_) {
+    one("journal_lost_total", "counter", "Records that the journal could not take.",
+        static_cast<double>(journal_->lost()));
+    one("journal_failing", "gauge", "1 while the journal cannot be written.", journal_->failing() ? 1 : 0);
+  }
+  family("poses_total", "counter", "Poses by what became of them.");
+  for (int i = 0; i < core::kPoseVerdicts; ++i) {
+    out += "incise_poses_total{verdict=\"" + std::string(core::to_string(static_cast<core::PoseVerdict>(i))) +
+           "\"} " +
+           std::to_string(stats_.verdicts[static_cast<std::size_t>(i)].load(std::memory_order_relaxed)) +
+           '\n';
+  }
+  family("late_frames_total", "counter", "Frames that ended after the next should have begun, by cause.");
+  for (int i = 0; i < loop::kLateCauses; ++i) {
+    out += "incise_late_frames_total{cause=\"" + std::string(to_string(static_cast<loop::LateCause>(i))) +
+           "\"} " + std::to_string(stats_.late[static_cast<std::size_t>(i)].load(std::memory_order_relaxed)) +
+           '\n';
+  }
+  for (const Stage& stage : kStages) {
+    const Histogram& histogram = stats_.*stage.histogram;
+    const std::string name = std::string(stage.name) + "_seconds";
+    family(name, "summary", std::string(stage.meaning) + ".");
+    for (const double q : kQuantiles) {
+      out += "incise_" + name + "{quantile=\"" + number(q) + "\"} " +
+             number(static_cast<double>(histogram.quantile_ns(q)) * 1e-9) + '\n';
+    }
+    out += "incise_" + name + "_sum " + number(static_cast<double>(histogram.sum_ns()) * 1e-9) + '\n';
+    out += "incise_" + name + "_count " + std::to_string(histogram.count()) + '\n';
+  }
+  return out;
+}
+
+protocol::Stats Telemetry::message() const {
+  const loop::LoopState state = stats_.state.load();
+  protocol::Stats stats;
+  stats.json = json();
+  stats.live_tets = static_cast<std::uint32_t>(state.live_tets);
+  stats.backlog_segments = static_cast<std::uint32_t>(state.backlog_segments);
+  stats.frames = state.frames;
+  stats.late_frames = stats_.late_frames();
+  for (int i = 0; i < core::kPoseVerdicts; ++i) {
+    const std::uint64_t count = stats_.verdicts[static_cast<std::size_t>(i)].load(std::memory_order_relaxed);
+    (core::accepted(static_cast<core::PoseVerdict>(i)) ? stats.poses_accepted : stats.poses_rejected) +=
+        count;
+  }
+  stats.frame_work_p99_us = static_cast<float>(us(stats_.frame_work.quantile_ns(0.99)));
+  stats.pose_to_delta_p99_us = static_cast<float>(us(stats_.pose_to_cut.quantile_ns(0.99)));
+  return stats;
+}
+
+}  // namespace incise::app

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <string>
+
+#include "protocol/messages.hpp"
+#include "server/input/input_hub.hpp"
+#include "server/loop/journal.hpp"
+#include "server/loop/loop_stats.hpp"
+
+namespace incise::app {
+
+// What the server tells about itself, from any thread: the loop's statistics as JSON, as Prometheus text and as the
+// statistics message. Reads counters only; takes no lock that the loop could wait for.
+class Telemetry {
+ public:
+  // `journal` may be null. All must outlive this.
+  Telemetry(const loop::LoopStats& stats, const input::InputHub& hub, const loop::Journal* journal,
+            double rate_hz);
+
+  // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
+  std::string json() const;
+  // Prometheus text format 0.0.4.
+  std::string metrics() const;
+  protocol::Stats message() const;
+
+ private:
+  const loop::LoopStats& stats_;
+  const input::InputHub& hub_;
+  const loop::Journal* const journal_;
+  const double rate_hz_;
+};
+
+}  // namespace incise::app

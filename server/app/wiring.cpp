@@ -1,0 +1,199 @@
+#include "server/app/wiring.hpp"
+
+#include <sys/random.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr const char* kTokensAccepted =
+    "[{\"token\": a text of 16 to 1024 characters, \"roles\": a list of \"viewer\", \"operator\", "
+    "\"simulator\", "
+    "\"admin\"}, ...]";
+
+protocol::Vec3 to_protocol(const core::Vec3& p) {
+  return {p.x, p.y, p.z};
+}
+
+// The messages name the place, never the token.
+std::vector<stream::AccessToken> read_tokens(const std::filesystem::path& path) {
+  const auto refuse = [&](const std::string& what) {
+    throw ConfigError("listen.token_file " + path.string() + ": " + what + "; accepted is " +
+                      kTokensAccepted);
+  };
+  std::ifstream in(path, std::ios::binary);
+  if (!in) refuse("cannot be opened: " + std::generic_category().message(errno));
+  const Json root = Json::parse(in, nullptr, false);
+  if (!root.is_array() || root.empty() || root.size() > 10'000) refuse("found no list of tokens");
+  constexpr std::array<const char*, 4> kRoles{"viewer", "operator", "simulator", "admin"};
+  std::vector<stream::AccessToken> tokens;
+  for (std::size_t i = 0; i < root.size(); ++i) {
+    const Json& entry = root[i];
+    const std::string at = "entry " + std::to_string(i + 1);
+    if (!entry.is_object() || entry.size() != 2 || !entry.contains("token") || !entry.contains("roles")) {
+      refuse(at + " is not an object of token and roles");
+    }
+    stream::AccessToken token;
+    if (entry["token"].is_string()) token.token = entry["token"].get<std::string>();
+    if (token.token.size() < 16 || token.token.size() > 1024)
+      refuse(at + ": the token's length is out of range");
+    if (!entry["roles"].is_array() || entry["roles"].empty()) refuse(at + ": no roles");
+    for (const Json& role : entry["roles"]) {
+      const auto found =
+          std::find_if(kRoles.begin(), kRoles.end(), [&](const char* name) { return role == name; });
+      if (found == kRoles.end()) refuse(at + ": found role " + role.dump());
+      token.roles.push_back(static_cast<protocol::Role>(found - kRoles.begin()));
+    }
+    tokens.push_back(std::move(token));
+  }
+  return tokens;
+}
+
+// A session's blade. Thread: the stream's.
+class HubSource final : public stream::PoseSource {
+ public:
+  HubSource(input::SourceHandle handle, const core::Blade& blade, const loop::LoopStats* stats)
+      : handle_(std::move(handle)), blade_(blade), stats_(stats) {}
+
+  std::uint32_t number() const override { return handle_.number(); }
+
+  std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) override {
+    std::array<input::TimedPose, 256> chunk;
+    std::size_t taken = 0;
+    while (taken < poses.size()) {
+      const std::size_t count = std::min(chunk.size(), poses.size() - taken);
+      for (std::size_t i = 0; i < count; ++i) {
+        const protocol::PoseSample& sample = poses[taken + i];
+        const protocol::Vec3& p = sample.position;
+        const protocol::Quat& q = sample.orientation;
+        chunk[i] = {{sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons}, arrival_ns};
+      }
+      const std::size_t pushed = handle_.push(std::span(chunk).first(count));
+      taken += pushed;
+      if (pushed < count) break;
+    }
+    return taken;
+  }
+
+  bool end_stroke(std::int64_t arrival_ns) override { return handle_.end_stroke(arrival_ns); }
+
+  stream::PoseTotals totals() const override {
+    using core::PoseVerdict;
+    const input::SourceCounts counts = handle_.counts();
+    stream::PoseTotals totals;
+    totals.too_fast = counts.count(PoseVerdict::kNewStroke);
+    totals.accepted = counts.count(PoseVerdict::kAccepted) + totals.too_fast;
+    totals.not_finite = counts.count(PoseVerdict::kNotFinite);
+    totals.not_unit = counts.count(PoseVerdict::kNotUnit);
+    totals.time_not_rising = counts.count(PoseVerdict::kTimeNotIncreasing);
+    totals.last_source_ns = counts.last_source_ns;
+    if (stats_) totals.backlog_segments = static_cast<std::uint32_t>(stats_->state.load().backlog_segments);
+    return totals;
+  }
+
+  protocol::Vec3 heel() const override { return to_protocol(blade_.heel); }
+  protocol::Vec3 tip() const override { return to_protocol(blade_.tip); }
+
+ private:
+  input::SourceHandle handle_;
+  const core::Blade blade_;
+  const loop::LoopStats* const stats_;
+};
+
+}  // namespace
+
+std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name) {
+  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name);
+  if (!handle) return nullptr;
+  const std::uint32_t number = handle->number();
+  const core::Blade& blade =
+      number < config_.sources.size() ? config_.sources[number].blade : config_.cut.blade;
+  return std::make_unique<HubSource>(std::move(*handle), blade, loop_ ? &loop_->stats() : nullptr);
+}
+
+stream::StreamConfig stream_config(const Config& config) {
+  const Config::Listen& listen = config.listen;
+  stream::StreamConfig made;
+  made.address = listen.address;
+  made.tcp_port = static_cast<int>(listen.tcp_port);
+  made.http_port = static_cast<int>(listen.http_port);
+  made.viewer_directory = config.resolve(listen.viewer_directory).string();
+  made.allowed_origins = listen.allowed_origins;
+  if (!listen.token_file.empty()) made.tokens = read_tokens(config.resolve(listen.token_file));
+  made.certificate_file = config.resolve(listen.certificate_file).string();
+  made.private_key_file = config.resolve(listen.private_key_file).string();
+  made.insecure = listen.insecure;
+  made.max_sessions = static_cast<std::uint32_t>(listen.max_sessions);
+  made.max_handshakes = static_cast<std::uint32_t>(listen.max_handshakes);
+  made.handshake_timeout_s = listen.handshake_timeout_s;
+  made.idle_timeout_s = listen.idle_timeout_s;
+  made.write_timeout_s = listen.write_timeout_s;
+  made.stop_grace_s = listen.stop_grace_s;
+  made.max_messages_per_s = static_cast<std::uint32_t>(listen.max_messages_per_s);
+  made.outbox_bytes = static_cast<std::size_t>(config.stream.outbox_bytes);
+  made.max_slow_snapshots = static_cast<std::uint32_t>(config.stream.max_slow_snapshots);
+  made.ring_bytes = static_cast<std::size_t>(config.stream.ring_bytes);
+  made.max_report_rate_hz = config.stream.max_report_rate_hz;
+  return made;
+}
+
+stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh) {
+  stream::ServerFacts facts;
+  facts.mesh.name = body.name.substr(0, 200);
+  facts.mesh.content_hash = body.loaded.content_hash;
+  facts.mesh.vertices = static_cast<std::uint32_t>(body.loaded.mesh.positions.size());
+  facts.mesh.tets = static_cast<std::uint32_t>(body.loaded.mesh.tets.size());
+  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
+  for (const core::Vec3& p : body.loaded.mesh.positions) {
+    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  }
+  facts.mesh.box = {to_protocol(low), to_protocol(high)};
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (mesh.alive(t))
+      facts.mesh.boundary_faces += static_cast<std::uint32_t>(std::popcount(mesh.boundary_mask(t)));
+  }
+  facts.mesh.mean_edge_length_m = mesh.mean_edge_length();
+  facts.blade_heel = to_protocol(config.cut.blade.heel);
+  facts.blade_tip = to_protocol(config.cut.blade.tip);
+  facts.engage_button = config.cut.always_engaged ? -1 : std::countr_zero(config.cut.engage_buttons);
+  facts.max_speed_m_s = config.cut.speed_limit_m_s;
+  facts.frame_rate_hz = config.loop.rate_hz;
+  facts.policy = config.cut.policy == core::Policy::kCroll ? "croll" : "conforming";
+  return facts;
+}
+
+stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id) {
+  const core::TetMesh& mesh = session.mesh();
+  stream::InitialState state;
+  state.session = session_id;
+  state.revision = session.revision();
+  state.positions.reserve(mesh.vertex_slots());
+  for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
+  state.tets.reserve(mesh.live_tets());
+  state.pieces.reserve(mesh.live_tets());
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    state.tets.push_back(mesh.state(t));
+    state.pieces.push_back(mesh.piece(t));
+  }
+  return state;
+}
+
+std::uint64_t fresh_session_id() {
+  std::uint64_t id = 0;
+  while (id == 0) {
+    if (getrandom(&id, sizeof id, 0) != sizeof id) id = static_cast<std::uint64_t>(input::monotonic_ns());
+  }
+  return id;
+}
+
+}  // namespace incise::app

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "server/app/body.hpp"
+#include "server/app/config.hpp"
+#include "server/core/cut_session.hpp"
+#include "server/input/input_hub.hpp"
+#include "server/loop/frame_loop.hpp"
+#include "server/stream/server.hpp"
+
+namespace incise::app {
+
+// Joins the parts, which do not know each other, in the terms of each.
+
+// The stream's configuration, tokens read from their file. Throws ConfigError.
+stream::StreamConfig stream_config(const Config& config);
+// What the server says of itself in Welcome.
+stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh);
+// The state that clients start from. O(mesh).
+stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id);
+// A number that no other run has: names a run of ids. Never 0.
+std::uint64_t fresh_session_id();
+
+// Sessions that send poses, as sources of the hub.
+class HubInput final : public stream::InputSink {
+ public:
+  // Both must outlive this. A source without a name is called "blade".
+  HubInput(input::InputHub& hub, const Config& config) : hub_(hub), config_(config) {}
+  // The loop that takes the poses, for its backlog and for resets; before the first session.
+  void join(loop::FrameLoop& loop) { loop_ = &loop; }
+  std::unique_ptr<stream::PoseSource> open(std::string_view source_name) override;
+  bool reset() override { return loop_ && loop_->request_reset(); }
+
+ private:
+  input::InputHub& hub_;
+  const Config& config_;
+  loop::FrameLoop* loop_ = nullptr;
+};
+
+// The loop's deltas, to the stream.
+class StreamOutput final : public loop::DeltaSink {
+ public:
+  explicit StreamOutput(stream::Server& server) : server_(server) {}
+  void publish(std::shared_ptr<const loop::PublishedDelta> delta) noexcept override {
+    server_.publish(std::move(delta));
+  }
+
+ private:
+  stream::Server& server_;
+};
+
+}  // namespace incise::app

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "server/core/swept_triangle.hpp"
+#include "server/core/tet_mesh.hpp"
+
+namespace incise::core {
+
+// Where the boundary is: a uniform grid of the tetrahedra that have boundary faces. A blade that enters the tissue,
+// or a sweep that meets a part of it that it has not met before, is found here; from there on adjacency leads. Built
+// at load, O(boundary); tetrahedra that get boundary faces later are added, those that lose them are just stale.
+class BoundaryGrid {
+ public:
+  explicit BoundaryGrid(const TetMesh& mesh);
+
+  // A box that holds the tissue.
+  const Vec3& low() const { return low_; }
+  const Vec3& high() const { return high_; }
+
+  // Adds a tetrahedron that has got a boundary face. O(1).
+  void add(const TetMesh& mesh, TetId t);
+
+  // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. Cost: the cells that the
+  // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box.
+  void near(const SweptTriangle& triangle, std::vector<TetId>& out) const;
+
+  // A tetrahedron that contains p, found from the boundary inwards; kNone where p is outside. O(mesh^(1/3)).
+  TetId locate(const TetMesh& mesh, const Vec3& p) const;
+
+ private:
+  struct Node {
+    TetId tet;
+    std::uint32_t next;
+  };
+  std::int64_t cell_of(double x, int axis) const;
+  template <class Visit>
+  void visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const;
+
+  Vec3 origin_;
+  Vec3 low_, high_;
+  double cell_ = 1, inverse_ = 1;
+  std::int64_t count_[3] = {1, 1, 1};
+  std::vector<std::uint32_t> head_;  // a list of nodes for each cell
+  std::vector<Node> nodes_;
+};
+
+// Follows the segment from p, inside tetrahedron `from` or on its surface, towards q. Calls visit(tet, t_in, t_out)
+// for each tetrahedron passed, with the parameters between which the segment is in it. Returns the tetrahedron that
+// q lies in; kNone where the segment leaves through the boundary before. O(tetrahedra passed).
+template <class Visit>
+TetId walk(const TetMesh& mesh, TetId from, const Vec3& p, const Vec3& q, Visit visit) {
+  const Vec3 d = q - p;
+  double t_in = 0;
+  TetId t = from;
+  int entered = -1;
+  for (std::uint32_t steps = 0; steps < 100000; ++steps) {
+    const auto& v = mesh.vertices(t);
+    double t_out = 2;
+    int exit = -1;
+    for (int f = 0; f < 4; ++f) {
+      if (f == entered) continue;
+      const auto& k = kFaceVertices[f];
+      const Vec3& a = mesh.position(v[k[0]]);
+      const Vec3 n = cross(mesh.position(v[k[1]]) - a, mesh.position(v[k[2]]) - a);
+      const double speed = dot(n, d);
+      if (speed <= 0) continue;
+      const double at = dot(n, a - p) / speed;
+      if (at < t_out) {
+        t_out = at;
+        exit = f;
+      }
+    }
+    if (exit < 0 || t_out >= 1) {
+      visit(t, t_in, 1.0);
+      return t;
+    }
+    if (t_out < t_in) t_out = t_in;
+    visit(t, t_in, t_out);
+    const HalfFace o = mesh.opposite(half_face(t, exit));
+    if (o == kNone) return kNone;
+    t = tet_of(o);
+    entered = face_of(o);
+    t_in = t_out;
+  }
+  return kNone;
+}
+
+}  // namespace incise::core

@@ -1,0 +1,987 @@
+#include "server/core/conforming_cutter.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "server/core/check.hpp"
+#include "server/core/validate.hpp"
+
+namespace incise::core {
+namespace {
+
+// Cosines of dihedral angles, as measures: a snap is taken freely while its star keeps the first angle; when nothing
+// better is left, down to the second.
+constexpr double kGood = dihedral_measure(0.9781476007);       // 12 degrees
+constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
+constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
+// Tetrahedra worse than this are repaired.
+constexpr double kRepair = dihedral_measure(0.9876883406);  // 9 degrees
+// A crossing this near to an end that is on the surface already, by the edge's length, is that vertex.
+constexpr double kAtVertex = 0.25;
+// A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
+constexpr double kFlat_h = 0.03;
+// A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
+constexpr double kRim_h = 0.5;
+// How far from the blade's line, by the local edge length, a vertex waits.
+constexpr double kHot = 1.5;
+
+}  // namespace
+
+ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const CutConfig& config)
+    : mesh_(mesh),
+      workspace_(workspace),
+      config_(config),
+      h_(mesh.mean_edge_length()),
+      clear_(1e-6 * mesh.mean_edge_length()) {}
+
+void ConformingCutter::begin(const Batch& batch) {
+  INCISE_CHECK(phase_ == Phase::kIdle);
+  counts_ = {};
+  if (batch.stroke != stroke_) {
+    stroke_ = batch.stroke;
+    heading_ = {};
+    events_.clear();
+    rim_events_.clear();
+    surface_.clear();
+    active_.clear();
+  }
+  batch_ = batch.number;
+  // Triangles that nothing active can need any more.
+  std::uint32_t oldest = batch_;
+  for (const Active& a : active_) oldest = std::min(oldest, a.batch);
+  surface_.drop_before(oldest > 0 ? oldest - 1 : 0);
+
+  // Cells somewhat larger than tetrahedra, and flat to within the tolerance.
+  const double cell_m = 2 * h_;
+  const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
+  const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / cell_m), 1.0, 256.0));
+  for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
+    const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
+    const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+    const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
+    const double rows =
+        std::max(travel_m / cell_m, 0.25 * twist_m / (columns * config_.chord_tolerance_h * h_));
+    surface_.add_quad(from, to, static_cast<int>(std::clamp(std::ceil(rows), 1.0, 1024.0)), columns, batch_,
+                      turns_sharply(from, to), workspace_.grid.low(), workspace_.grid.high());
+  }
+  surface_.build();
+  front_ = batch.lines.back();
+  has_front_ = !batch.ends_stroke;
+  changed_.clear();
+  next_changed_ = 0;
+  collection_ = ++workspace_.serial;
+  for (std::uint32_t e = 0; e < events_.size(); ++e) {
+    const VertexId a = events_[e].a;
+    events_[e].next = workspace_.event_stamp[a] == collection_ ? workspace_.event_head[a] : kNone;
+    workspace_.event_stamp[a] = collection_;
+    workspace_.event_head[a] = e;
+  }
+  phase_ = Phase::kSearch;
+  seeded_ = false;
+}
+
+// Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.
+bool ConformingCutter::turns_sharply(const BladeLine& from, const BladeLine& to) {
+  constexpr double kSharp =
+      0.9;  // cosine of some 26 degrees, all turns since the last sharp one taken together
+  const Vec3 motion = 0.5 * ((to.heel - from.heel) + (to.tip - from.tip));
+  const Vec3 normal = normalized(cross(from.tip - from.heel, motion));
+  const bool begins = squared_length(heading_) == 0;
+  if (squared_length(normal) == 0) return begins;
+  // Straight back is no bend: the surface lies on itself.
+  if (!begins && std::abs(dot(normal, heading_)) > kSharp) return false;
+  heading_ = normal;
+  return true;
+}
+
+bool ConformingCutter::advance(WorkBudget& budget) {
+  while (phase_ != Phase::kIdle) {
+    if (budget.spent()) return false;
+    switch (phase_) {
+      case Phase::kSearch:
+        search(budget);
+        break;
+      case Phase::kRim:
+        work_rim(budget);
+        break;
+      case Phase::kOrder:
+        order(budget);
+        break;
+      case Phase::kEvents:
+        work_events(budget);
+        break;
+      case Phase::kRepair:
+        repair(budget);
+        break;
+      case Phase::kVerify:
+        verify(budget);
+        break;
+      case Phase::kSelect:
+        select(budget);
+        break;
+      case Phase::kOpen:
+        open(budget);
+        break;
+      case Phase::kIdle:
+        break;
+    }
+  }
+  return true;
+}
+
+// ------------------------------------------------------------------------------------------------ search
+
+void ConformingCutter::activate(TetId t) {
+  if (workspace_.active[t] == stroke_) return;
+  workspace_.active[t] = stroke_;
+  active_.push_back({t, batch_});
+}
+
+void ConformingCutter::enqueue(TetId t) {
+  if (workspace_.seen[t] == search_) return;
+  workspace_.seen[t] = search_;
+  if (mesh_.alive(t) && probe(t)) queue_.push_back(t);
+}
+
+void ConformingCutter::add_event(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at) {
+  if (b < a) {
+    std::swap(a, b);
+    at = 1 - at;
+  }
+  if (workspace_.event_stamp[a] != collection_) {
+    workspace_.event_stamp[a] = collection_;
+    workspace_.event_head[a] = kNone;
+  }
+  for (std::uint32_t e = workspace_.event_head[a]; e != kNone; e = events_[e].next) {
+    if (events_[e].b == b) return;
+  }
+  events_.push_back({std::min(at, 1 - at), at, a, b, t, triangle, workspace_.event_head[a], batch_, false});
+  workspace_.event_head[a] = static_cast<std::uint32_t>(events_.size() - 1);
+}
+
+// Whether the tetrahedron meets what this batch has swept, to within what the flood needs: it may say yes to one
+// that passes close by a corner of a triangle. Adds the crossings of its edges to the events.
+bool ConformingCutter::probe(TetId t) {
+  const auto& v = mesh_.vertices(t);
+  const Vec3* p[4];
+  for (int i = 0; i < 4; ++i) p[i] = &mesh_.position(v[i]);
+  const Vec3 low{std::min({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
+                 std::min({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
+                 std::min({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
+  const Vec3 high{std::max({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
+                  std::max({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
+                  std::max({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
+  bool meets = false;
+  surface_.any_overlapping(low, high, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = surface_[index];
+    if (triangle.batch != batch_) return false;
+    double d[4];
+    int above = 0;
+    for (int i = 0; i < 4; ++i) {
+      d[i] = triangle.signed_distance(*p[i]);
+      above += d[i] >= 0;
+    }
+    for (int k = 0; k < 3; ++k) {
+      if (triangle.rim >> k & 1) probe_rim(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
+    }
+    if (above == 0 || above == 4) return false;
+    // The corners of the section with the plane, each against the three edges of the triangle: outside one of them
+    // with all of the section is outside.
+    bool beside[3] = {true, true, true};
+    for (const auto& edge : kEdgeVertices) {
+      const int i = edge[0], j = edge[1];
+      if ((d[i] >= 0) == (d[j] >= 0)) continue;
+      const double at = d[i] / (d[i] - d[j]);
+      const Vec3 x = lerp(*p[i], *p[j], at);
+      double least = INFINITY;
+      for (int k = 0; k < 3; ++k) {
+        const double inside = dot(triangle.inward[k], x) - triangle.inward_offset[k];
+        beside[k] = beside[k] && inside < 0;
+        least = std::min(least, inside);
+      }
+      if (least < -clear_) continue;
+      if ((on_surface(v[i]) && std::abs(d[i]) <= clear_) || (on_surface(v[j]) && std::abs(d[j]) <= clear_))
+        continue;
+      const bool sure = least > clear_ && std::abs(d[i]) > clear_ && std::abs(d[j]) > clear_;
+      if (sure || crosses(*p[i], *p[j], triangle)) add_event(v[i], v[j], t, index, at);
+    }
+    meets = meets || !(beside[0] || beside[1] || beside[2]);
+    return false;
+  });
+  return meets;
+}
+
+void ConformingCutter::search(WorkBudget& budget) {
+  if (!seeded_) {
+    search_ = ++workspace_.serial;
+    queue_.clear();
+    queue_next_ = 0;
+    for (const Active& a : active_) enqueue(a.tet);
+    if (!has_front_) {
+      // The stroke's last line is a rim, too; all that is near it is still active.
+      for (std::size_t i = 0; i < active_.size(); ++i) {
+        if (mesh_.alive(active_[i].tet)) probe_rim(active_[i].tet, front_.heel, front_.tip);
+      }
+    }
+    std::vector<TetId>& candidates = ring_;
+    candidates.clear();
+    for (const SweptTriangle& triangle : surface_.triangles()) {
+      if (triangle.batch == batch_) workspace_.grid.near(triangle, candidates);
+    }
+    for (TetId t : candidates) enqueue(t);
+    budget.charge(static_cast<std::int64_t>(active_.size() + candidates.size()) / 2 + 1);
+    if (queue_.empty() && surface_.size() > 0 && surface_[surface_.size() - 1].batch == batch_) {
+      // The sweep meets no boundary: all of it is inside the tissue, or all of it outside.
+      const auto& c = surface_[surface_.size() - 1].corners;
+      const TetId t = workspace_.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]));
+      if (t != kNone) {
+        workspace_.seen[t] = search_;
+        queue_.push_back(t);
+      }
+      budget.charge(50);
+    }
+    seeded_ = true;
+  }
+  while (queue_next_ < queue_.size()) {
+    if (budget.spent()) return;
+    const TetId t = queue_[queue_next_++];
+    activate(t);
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      if (n != kNone) enqueue(n);
+    }
+    budget.charge(2);
+  }
+  if (!has_front_) {
+    for (TetId t : queue_) probe_rim(t, front_.heel, front_.tip);
+  }
+  round_ = 0;
+  next_rim_ = 0;
+  phase_ = Phase::kRim;
+}
+
+// ------------------------------------------------------------------------------------------------ the rim
+
+// Whether v is the rim's vertex where the rim pierces a face of v's at `point`.
+bool ConformingCutter::stands_for(VertexId v, const Vec3& point) const {
+  return on_rim(v) && distance(mesh_.position(v), point) < kRim_h * mesh_.local_h(v);
+}
+
+// Adds the faces of t that the stretch of the rim pierces.
+void ConformingCutter::probe_rim(TetId t, const Vec3& from, const Vec3& to) {
+  for (int f = 0; f < 4; ++f) {
+    const auto face = mesh_.face_vertices(half_face(t, f));
+    const Vec3 &a = mesh_.position(face[0]), &b = mesh_.position(face[1]), &c = mesh_.position(face[2]);
+    const Vec3 normal = cross(b - a, c - a);
+    const double above = dot(normal, from - a), below = dot(normal, to - a);
+    if ((above >= 0) == (below >= 0)) continue;
+    const Vec3 x = lerp(from, to, above / (above - below));
+    if (dot(cross(b - a, x - a), normal) < 0 || dot(cross(c - b, x - b), normal) < 0 ||
+        dot(cross(a - c, x - c), normal) < 0) {
+      continue;
+    }
+    if (stands_for(face[0], x) || stands_for(face[1], x) || stands_for(face[2], x)) continue;
+    rim_events_.push_back({t, face, x, from, to, false, false});
+  }
+}
+
+void ConformingCutter::work_rim(WorkBudget& budget) {
+  while (next_rim_ < rim_events_.size()) {
+    if (budget.spent()) return;
+    const std::size_t i = next_rim_++;
+    const RimEvent event = rim_events_[i];
+    if (hot(event.face[0]) || hot(event.face[1]) || hot(event.face[2])) continue;
+    rim_events_[i].done = true;
+    budget.charge(60);
+    handle(event);
+    if (event.again) continue;
+    // Other events here may have changed the faces that the rim pierces: look once more.
+    const std::size_t first = rim_events_.size();
+    for (VertexId v : event.face) {
+      mesh_.star(v, rim_star_);
+      for (std::uint32_t corner : rim_star_) probe_rim(corner >> 2, event.from, event.to);
+    }
+    for (std::size_t k = first; k < rim_events_.size(); ++k) rim_events_[k].again = true;
+  }
+  std::erase_if(rim_events_, [](const RimEvent& e) { return e.done; });
+  phase_ = Phase::kOrder;
+}
+
+// Puts a vertex of the pierced face on the rim, where it is pierced or nearer.
+void ConformingCutter::handle(const RimEvent& event) {
+  if (!mesh_.alive(event.tet)) return;
+  for (VertexId v : event.face) {
+    if (mesh_.local_index(event.tet, v) < 0) return;
+  }
+  std::array<VertexId, 3> nearest = event.face;
+  std::sort(nearest.begin(), nearest.end(), [&](VertexId v, VertexId w) {
+    const double dv = squared_length(mesh_.position(v) - event.point);
+    const double dw = squared_length(mesh_.position(w) - event.point);
+    return dv != dw ? dv < dw : v < w;
+  });
+  for (VertexId v : nearest) {
+    if (stands_for(v, event.point)) return;
+  }
+  const Vec3 direction = normalized(event.to - event.from);
+  const double length_m = distance(event.from, event.to);
+  const auto put = [&](VertexId v, double limit) {
+    gather(star_, v);
+    const double middle = dot(star_.position() - event.from, direction);
+    const double pierced = dot(event.point - event.from, direction);
+    const double h = star_.local_h();
+    for (const double along : {middle, pierced, pierced - 0.15 * h, pierced + 0.15 * h}) {
+      const Vec3 target = event.from + std::clamp(along, 0.0, length_m) * direction;
+      if (distance(target, star_.position()) > 0.75 * h) continue;
+      if (!star_.keeps_boundary(target)) continue;
+      if (star_.worst_at(target, limit, kFlat_h * h, flat_) > limit) continue;
+      workspace_.rim[v] = stroke_;
+      snap(star_, v, target);
+      return true;
+    }
+    return false;
+  };
+  for (const double limit : {kGood, kSnapFloor}) {
+    for (VertexId v : nearest) {
+      if (!on_rim(v) && put(v, limit)) return;
+    }
+  }
+  if (config_.growth == Growth::kNoGrowth) return;
+  // A new vertex, then, on the face's edge nearest to the rim.
+  VertexId a = kNone, b = kNone;
+  double best = INFINITY, at = 0;
+  for (int k = 0; k < 3; ++k) {
+    const Vec3 &p = mesh_.position(event.face[k]), &q = mesh_.position(event.face[(k + 1) % 3]);
+    const double t = std::clamp(dot(event.point - p, q - p) / squared_length(q - p), 0.2, 0.8);
+    const double d2 = squared_length(lerp(p, q, t) - event.point);
+    if (d2 < best) {
+      best = d2;
+      at = t;
+      a = event.face[k];
+      b = event.face[(k + 1) % 3];
+    }
+  }
+  if (split_worst(event.tet, a, b, at, kSnapFloor) > kSnapFloor) return;
+  split(event.tet, a, b, at);
+  const VertexId m = mesh_.vertex_slots() - 1;
+  workspace_.surface[m] = 0;
+  changed_.pop_back();
+  put(m, kSnapFloor);
+}
+
+// ------------------------------------------------------------------------------------------------ events
+
+bool ConformingCutter::hot(VertexId v) const {
+  if (!has_front_) return false;
+  const double reach = kHot * mesh_.local_h(v);
+  return squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip) < reach * reach;
+}
+
+bool ConformingCutter::ripe(TetId t) const {
+  if (!has_front_) return true;
+  for (VertexId v : mesh_.vertices(t)) {
+    if (hot(v)) return false;
+  }
+  return true;
+}
+
+bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on,
+                                     std::uint32_t& triangle, double& t) const {
+  const Vec3 low{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
+  const Vec3 high{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
+  return surface_.any_overlapping(low, high, [&](std::uint32_t i) {
+    const SweptTriangle& s = surface_[i];
+    const double da = s.signed_distance(a), db = s.signed_distance(b);
+    if ((da > clear_ && db > clear_) || (da < -clear_ && db < -clear_)) return false;
+    // An end on the surface is where the edge meets it.
+    if ((a_on && std::abs(da) <= clear_) || (b_on && std::abs(db) <= clear_)) return false;
+    if (!crosses(a, b, s)) return false;
+    triangle = i;
+    t = da == db ? 0.5 : std::clamp(da / (da - db), 0.0, 1.0);
+    return true;
+  });
+}
+
+void ConformingCutter::collect_from(TetId t) {
+  const auto& v = mesh_.vertices(t);
+  for (const auto& edge : kEdgeVertices) {
+    const VertexId a = v[edge[0]], b = v[edge[1]];
+    const bool a_on = on_surface(a), b_on = on_surface(b);
+    if (a_on && b_on) continue;
+    std::uint32_t triangle = 0;
+    double at = 0;
+    if (!find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, triangle, at)) continue;
+    if ((a_on && at < kAtVertex) || (b_on && at > 1 - kAtVertex)) {
+      // A vertex on another part of the surface is as near as can be had.
+      workspace_.failed[a] = workspace_.failed[b] = stroke_;
+      continue;
+    }
+    add_event(a, b, t, triangle, at);
+  }
+}
+
+// Takes the events that need not wait any more, nearest first.
+void ConformingCutter::order(WorkBudget& budget) {
+  order_.clear();
+  for (std::uint32_t i = 0; i < events_.size(); ++i) {
+    if (!events_[i].done && !hot(events_[i].a) && !hot(events_[i].b)) order_.push_back(i);
+  }
+  std::sort(order_.begin(), order_.end(), [this](std::uint32_t i, std::uint32_t j) {
+    const Event &a = events_[i], &b = events_[j];
+    if (a.nearness != b.nearness) return a.nearness < b.nearness;
+    return a.a != b.a ? a.a < b.a : a.b < b.b;
+  });
+  next_event_ = 0;
+  pass_ = 0;
+  retry_.clear();
+  phase_ = Phase::kEvents;
+  budget.charge(static_cast<std::int64_t>(events_.size()));
+}
+
+void ConformingCutter::work_events(WorkBudget& budget) {
+  for (;;) {
+    while (next_event_ < order_.size()) {
+      if (budget.spent()) return;
+      handle(order_[next_event_++], budget);
+    }
+    if (retry_.empty()) break;
+    ++pass_;
+    order_.swap(retry_);
+    retry_.clear();
+    next_event_ = 0;
+  }
+  phase_ = Phase::kRepair;
+}
+
+// On which side of the surface a vertex is: 0 where it is on it, or far from it. Beyond the surface's rim the answer
+// means nothing.
+int ConformingCutter::side(VertexId v) {
+  if (on_surface(v)) return 0;
+  std::uint32_t& known = workspace_.side[v];
+  if (known >> 2 == (sides_ & 0x3fffffffu)) return static_cast<int>(known & 3u) - 1;
+  Vec3 closest;
+  std::uint32_t triangle;
+  int result = 0;
+  if (surface_.closest(mesh_.position(v), 1.5 * mesh_.local_h(v), closest, triangle)) {
+    result = surface_[triangle].signed_distance(mesh_.position(v)) >= 0 ? 1 : -1;
+  }
+  known = (sides_ & 0x3fffffffu) << 2 | static_cast<std::uint32_t>(result + 1);
+  return result;
+}
+
+// A snap may leave an edge that crosses another part of a bent surface, and so may a repair. Tetrahedra with vertices
+// on both sides are looked at again.
+void ConformingCutter::verify(WorkBudget& budget) {
+  if (next_active_ == 0) {
+    sides_ = ++workspace_.serial;
+    collection_ = ++workspace_.serial;
+    first_leftover_ = events_.size();
+  }
+  while (next_active_ < active_.size()) {
+    if (budget.spent()) return;
+    const TetId t = active_[next_active_++].tet;
+    budget.charge(2);
+    if (!mesh_.alive(t) || !ripe(t)) continue;
+    bool above = false, below = false;
+    for (VertexId v : mesh_.vertices(t)) {
+      const int s = side(v);
+      above = above || s > 0;
+      below = below || s < 0;
+    }
+    if (above && below) collect_from(t);
+  }
+  next_active_ = 0;
+  if (events_.size() > first_leftover_ && ++round_ < 3) {
+    phase_ = Phase::kOrder;
+  } else {
+    for (std::size_t i = first_leftover_; i < events_.size(); ++i) {
+      workspace_.failed[events_[i].a] = workspace_.failed[events_[i].b] = stroke_;
+      events_[i].done = true;
+      ++counts_.failed;
+    }
+    phase_ = Phase::kSelect;
+  }
+}
+
+// The directions in which a vertex may move: within the boundary, along a crease of it, within the swept surface.
+int ConformingCutter::freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const {
+  Vec3 normals[3];
+  int fixed = 0;
+  const auto fix = [&](Vec3 n, double least) {
+    for (int i = 0; i < fixed; ++i) n = n - dot(n, normals[i]) * normals[i];
+    const double l = length(n);
+    if (fixed < 3 && l > least) normals[fixed++] = (1 / l) * n;
+  };
+  if (surface_normal != nullptr) fix(*surface_normal, 0);
+  if (star.on_boundary()) {
+    // Boundary faces within 20 degrees of the first are one smooth patch: its mean plane. Others make a crease.
+    const Vec3& first = star.walls()[0];
+    Vec3 mean{};
+    for (const Vec3& w : star.walls()) {
+      if (dot(first, w) > 0.94) mean += w;
+    }
+    fix(normalized(mean), 0.05);
+    for (const Vec3& w : star.walls()) {
+      if (dot(first, w) <= 0.94) fix(w, 0.34);
+    }
+  }
+  if (fixed == 0) {
+    basis[0] = {1, 0, 0};
+    basis[1] = {0, 1, 0};
+    basis[2] = {0, 0, 1};
+    return 3;
+  }
+  if (fixed == 1) {
+    const Vec3& n = normals[0];
+    const Vec3 axis = std::abs(n.x) < 0.6 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
+    basis[0] = normalized(cross(n, axis));
+    basis[1] = cross(n, basis[0]);
+    return 2;
+  }
+  if (fixed == 2) {
+    basis[0] = cross(normals[0], normals[1]);
+    return 1;
+  }
+  return 0;
+}
+
+// Looks around for a place where the star is better, from one where its worst measure is `placement.worst`: a
+// pattern search that halves its step, until `goal` is reached. Keeps to the swept surface where told so, and to the
+// boundary.
+void ConformingCutter::search_placement(const VertexStar& star, bool on_surface, std::uint32_t triangle,
+                                        double goal, double thickness, Placement& placement) {
+  Vec3 basis[3];
+  const int count = freedom(star, on_surface ? &surface_[triangle].normal : nullptr, basis);
+  if (count == 0) return;
+  double step = 0.25 * star.local_h();
+  for (int level = 0; level < 3 && placement.worst > goal; ++level, step *= 0.5) {
+    for (int turn = 0; turn < 2; ++turn) {
+      const Vec3 origin = placement.target;
+      bool better = false;
+      for (int k = 0; k < 2 * count && placement.worst > goal; ++k) {
+        Vec3 p = origin + (k % 2 == 0 ? step : -step) * basis[k / 2];
+        if (on_surface) {
+          Vec3 closest;
+          if (!surface_.near(p, 0.2 * star.local_h(), closest, triangle)) continue;
+          p = closest;
+        }
+        if (!star.keeps_boundary(p)) continue;
+        const double worst = star.worst_at(p, placement.worst, thickness, flat_);
+        if (worst >= placement.worst) continue;
+        std::uint32_t crossed;
+        double t;
+        // What is beside the surface stays on its side.
+        if (!on_surface && find_crossing(star.position(), false, p, false, crossed, t)) continue;
+        placement = {p, worst};
+        better = true;
+      }
+      if (!better) break;
+    }
+  }
+}
+
+// Where on the surface v would best go: its closest point, or the crossing; a boundary vertex slides along the
+// boundary. `search`: also looks around, until `limit` is reached.
+ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v, const Event& event,
+                                                    const Vec3& crossing, double limit, bool search) {
+  gather(star, v);
+  Vec3 targets[2];
+  int count = 0;
+  std::uint32_t triangle = event.triangle;
+  const Vec3& p = star.position();
+  const double reach = 0.75 * distance(mesh_.position(event.a), mesh_.position(event.b));
+  Vec3 closest;
+  const bool near = surface_.near(p, reach, closest, triangle);
+  const Vec3 normal = surface_[triangle].normal;
+  if (!star.on_boundary()) {
+    if (near) targets[count++] = closest;
+  } else {
+    // Along the line in which the boundary meets the surface (Croll 2007, equations 11 to 14); where two boundary
+    // planes meet at v, along their crease.
+    Vec3 basis[3];
+    const int directions = freedom(star, nullptr, basis);
+    Vec3 direction{};
+    for (int i = 0; i < directions; ++i) direction += dot(normal, basis[i]) * basis[i];
+    const double slope = dot(normal, direction);
+    if (slope > 1e-3) {
+      const Vec3 target = p + (-surface_[triangle].signed_distance(p) / slope) * direction;
+      if (surface_.near(target, 1e-3 * h_, closest, triangle)) targets[count++] = target;
+    }
+  }
+  targets[count++] = crossing;
+  Placement best{p, kInverted};
+  for (int i = 0; i < count && best.worst > limit; ++i) {
+    if (distance(targets[i], p) > reach) continue;
+    if (!star.keeps_boundary(targets[i])) continue;
+    const double worst = star.worst_at(targets[i], search ? best.worst : std::min(best.worst, limit),
+                                       kFlat_h * star.local_h(), flat_);
+    if (worst < best.worst) best = {targets[i], worst};
+  }
+  if (search && best.worst > limit && best.worst < kInverted)
+    search_placement(star, true, triangle, limit, kFlat_h * star.local_h(), best);
+  return best;
+}
+
+void ConformingCutter::remove_flat(TetId t) {
+  TetId neighbors[4];
+  for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
+  mesh_.remove_tet(t);
+  ++counts_.removed_tets;
+  for (TetId n : neighbors) {
+    if (n != kNone) workspace_.grid.add(mesh_, n);
+  }
+  workspace_.grow(mesh_);
+}
+
+void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
+  star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
+  mesh_.move_vertex(v, target);
+  workspace_.surface[v] = stroke_;
+  changed_.push_back(v);
+  ++counts_.snaps;
+  for (TetId t : flat_) remove_flat(t);
+}
+
+// What the worst of the tetrahedra would be that splitting the edge makes; stops beyond `limit`.
+double ConformingCutter::split_worst(TetId tet, VertexId a, VertexId b, double t, double limit) {
+  mesh_.ring(tet, a, b, ring_);
+  const Vec3 x = lerp(mesh_.position(a), mesh_.position(b), t);
+  double worst = -1;
+  for (TetId r : ring_) {
+    const auto& v = mesh_.vertices(r);
+    Vec3 near[4], far[4];
+    for (int i = 0; i < 4; ++i) {
+      near[i] = v[i] == b ? x : mesh_.position(v[i]);
+      far[i] = v[i] == a ? x : mesh_.position(v[i]);
+    }
+    worst = std::max({worst, worst_dihedral(near[0], near[1], near[2], near[3]),
+                      worst_dihedral(far[0], far[1], far[2], far[3])});
+    if (worst > limit) break;
+  }
+  return worst;
+}
+
+// Splits the edge whose ring ring_ holds.
+void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
+  const TetId first = mesh_.tet_slots();
+  const VertexId m = mesh_.split_edge(tet, a, b, t);
+  workspace_.grow(mesh_);
+  workspace_.surface[m] = stroke_;
+  changed_.push_back(m);
+  for (TetId r : ring_) activate(r);
+  for (TetId n = first; n < mesh_.tet_slots(); ++n) activate(n);
+  ++counts_.splits;
+}
+
+void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
+  events_[index].done = true;
+  Event event = events_[index];
+  const VertexId a = event.a, b = event.b;
+  const bool a_on = on_surface(a), b_on = on_surface(b);
+  budget.charge(1);
+  // Dealt with by a snap of one end, as a rule; verify() finds the exceptions.
+  if (round_ == 0 && (a_on || b_on)) return;
+  if (!mesh_.alive(event.tet) || mesh_.local_index(event.tet, a) < 0 || mesh_.local_index(event.tet, b) < 0) {
+    event.tet = mesh_.find_edge(a, b);
+    if (event.tet == kNone) return;
+  }
+  if (round_ > 0 || event.batch != batch_) {
+    if (!find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, event.triangle, event.at)) return;
+    if ((a_on && event.at < kAtVertex) || (b_on && event.at > 1 - kAtVertex)) return;
+  }
+  const Vec3 crossing = lerp(mesh_.position(a), mesh_.position(b), event.at);
+  const VertexId ends[2] = {event.at <= 0.5 ? a : b, event.at <= 0.5 ? b : a};
+  VertexStar* stars[2] = {&star_, &other_star_};
+  Placement best[2];
+  for (int i = 0; i < 2; ++i) {
+    if (on_surface(ends[i])) continue;
+    best[i] = place(*stars[i], ends[i], event, crossing, kGood, pass_ > 0);
+    budget.charge(pass_ > 0 ? 100 : 20);
+    if (best[i].worst <= kGood) {
+      ++counts_.events;
+      snap(*stars[i], ends[i], best[i].target);
+      return;
+    }
+  }
+  if (pass_ == 0) {
+    events_[index].done = false;
+    retry_.push_back(index);
+    return;
+  }
+  ++counts_.events;
+  const int i = best[1].worst < best[0].worst ? 1 : 0;
+  const bool may_split = config_.growth != Growth::kNoGrowth;
+  const double by_split =
+      best[i].worst <= kSnapFloor || !may_split ? kInverted : split_worst(event.tet, a, b, event.at, kFloor);
+  if (best[i].worst <= kSnapFloor || (best[i].worst <= by_split && best[i].worst <= kFloor)) {
+    snap(*stars[i], ends[i], best[i].target);
+  } else if (by_split <= kFloor) {
+    split(event.tet, a, b, event.at);
+  } else {
+    workspace_.failed[a] = workspace_.failed[b] = stroke_;
+    ++counts_.failed;
+  }
+}
+
+// ------------------------------------------------------------------------------------------------ repair
+
+// Improves what is poor around the vertices that this batch has put on the surface.
+void ConformingCutter::repair(WorkBudget& budget) {
+  while (next_changed_ < changed_.size()) {
+    if (budget.spent()) return;
+    const VertexId v = changed_[next_changed_++];
+    budget.charge(10);
+    if (mesh_.vertex_tet(v) == kNone) continue;
+    if (mesh_.is_new(v)) thin_out(v);
+    if (mesh_.vertex_tet(v) == kNone) continue;
+    gather(star_, v);
+    poor_.clear();
+    for (const VertexStar::Corner& c : star_.corners()) {
+      if (mesh_.worst_dihedral(c.tet) > kRepair) poor_.push_back(c.tet);
+      // Those that only now have a face on the surface may have to open it.
+      const int on = on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]);
+      if (on >= 2) activate(c.tet);
+    }
+    for (TetId t : poor_) {
+      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kRepair) {
+        improve(t);
+        budget.charge(50);
+      }
+    }
+  }
+  phase_ = Phase::kVerify;
+  next_active_ = 0;
+}
+
+// Moves the vertices of a poor tetrahedron, one after the other, while that helps; else collapses an edge of it.
+void ConformingCutter::improve(TetId t) {
+  const auto vertices = mesh_.vertices(t);
+  for (VertexId v : vertices) {
+    if (on_rim(v)) continue;
+    gather(star_, v);
+    Placement place{mesh_.position(v), star_.worst_now()};
+    if (place.worst <= kRepair) break;
+    const double before = place.worst;
+    Vec3 closest;
+    std::uint32_t triangle = 0;
+    const bool on = on_surface(v);
+    if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) continue;
+    search_placement(star_, on, triangle, kRepair, -1, place);
+    if (place.worst >= before) continue;
+    mesh_.move_vertex(v, place.target);
+    ++counts_.repairs;
+    if (mesh_.worst_dihedral(t) <= kRepair) return;
+  }
+  for (const auto& edge : kEdgeVertices) {
+    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kRepair) ||
+        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kRepair)) {
+      return;
+    }
+  }
+}
+
+// A vertex that came from a split often has another one near on the surface, or the end of the edge that could not be
+// snapped: merging the two takes back the tetrahedra that the split cost.
+void ConformingCutter::thin_out(VertexId v) {
+  gather(star_, v);
+  struct Candidate {
+    double length;
+    VertexId vertex;
+    TetId tet;
+  };
+  Candidate nearest[4];
+  int count = 0;
+  for (const VertexStar::Corner& c : star_.corners()) {
+    for (int k = 0; k < 3; ++k) {
+      const double l = distance(star_.position(), c.points[k]);
+      if (l > 0.8 * star_.local_h()) continue;
+      bool known = false;
+      for (int i = 0; i < count; ++i) known = known || nearest[i].vertex == c.others[k];
+      if (known) continue;
+      if (count == 4 && nearest[3].length <= l) continue;
+      int at = count < 4 ? count++ : 3;
+      nearest[at] = {l, c.others[k], c.tet};
+      for (; at > 0 && nearest[at].length < nearest[at - 1].length; --at)
+        std::swap(nearest[at], nearest[at - 1]);
+    }
+  }
+  for (int i = 0; i < count; ++i) {
+    if (!mesh_.alive(nearest[i].tet) || mesh_.local_index(nearest[i].tet, v) < 0) continue;
+    if (try_collapse(nearest[i].tet, nearest[i].vertex, v, kGood)) continue;
+    if (try_collapse(nearest[i].tet, v, nearest[i].vertex, kGood)) return;
+  }
+}
+
+// Merges v into w where v is free to go there and its star stays below `limit`.
+bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limit) {
+  if (on_rim(v) || (on_surface(v) && !on_surface(w))) return false;
+  VertexStar& star = other_star_;
+  gather(star, v);
+  if (star.on_boundary()) return false;
+  const Vec3& target = mesh_.position(w);
+  double worst = -1;
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (c.others[0] == w || c.others[1] == w || c.others[2] == w) continue;
+    worst = std::max(worst, worst_dihedral(target, c.points[0], c.points[1], c.points[2]));
+    if (worst > limit) return false;
+  }
+  if (!mesh_.may_collapse(t, v, w)) return false;
+  mesh_.collapse(t, v, w);
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (mesh_.alive(c.tet)) activate(c.tet);
+  }
+  ++counts_.repairs;
+  return true;
+}
+
+// ------------------------------------------------------------------------------------------------ opening
+
+bool ConformingCutter::separates(TetId a, TetId b) const {
+  std::uint32_t triangle;
+  double t;
+  return find_crossing(mesh_.barycentre(a), false, mesh_.barycentre(b), false, triangle, t);
+}
+
+// A face opens where it lies on the surface. Where a crossing near it could not be dealt with, it opens wherever its
+// tetrahedra are separated: better ragged than a bridge.
+bool ConformingCutter::may_open(HalfFace h) const {
+  bool on = true, failed = false;
+  for (VertexId v : mesh_.face_vertices(h)) {
+    on = on && on_surface(v);
+    failed = failed || workspace_.failed[v] == stroke_;
+  }
+  return on || failed;
+}
+
+// Which faces of ripe tetrahedra open; a tetrahedron all of whose faces are decided leaves the active ones.
+void ConformingCutter::select(WorkBudget& budget) {
+  if (next_active_ == 0) {
+    // What survives is compacted to the front as the scan goes.
+    to_open_.clear();
+    next_open_ = 0;
+  }
+  while (next_active_ < active_.size()) {
+    if (budget.spent()) return;
+    Active& entry = active_[next_active_++];
+    const TetId t = entry.tet;
+    budget.charge(4);
+    if (!mesh_.alive(t)) continue;
+    bool waits = !ripe(t);
+    if (!waits) {
+      for (int f = 0; f < 4; ++f) {
+        const HalfFace o = mesh_.opposite(half_face(t, f));
+        if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
+        if (!may_open(half_face(t, f))) continue;
+        if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
+          waits = true;
+          continue;
+        }
+        if (!separates(t, tet_of(o))) continue;
+        workspace_.pending[t] |= static_cast<std::uint8_t>(1u << f);
+        workspace_.pending[tet_of(o)] |= static_cast<std::uint8_t>(1u << face_of(o));
+        to_open_.push_back(half_face(t, f));
+      }
+    }
+    if (waits) {
+      active_[next_open_++] = entry;
+    } else {
+      workspace_.active[t] = 0;
+    }
+  }
+  active_.resize(next_open_);
+  spare_islands();
+  next_open_ = 0;
+  phase_ = Phase::kOpen;
+}
+
+// A few tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with
+// their neighbours.
+void ConformingCutter::spare_islands() {
+  constexpr std::size_t kMost = 8;
+  for (HalfFace h : to_open_) {
+    for (HalfFace side : {h, mesh_.opposite(h)}) {
+      const TetId t = tet_of(side);
+      if (!(workspace_.pending[t] >> face_of(side) & 1)) continue;
+      // The component of t behind the faces that are about to open.
+      TetId members[kMost];
+      std::size_t size = 1;
+      members[0] = t;
+      bool small = true;
+      for (std::size_t i = 0; i < size && small; ++i) {
+        for (int f = 0; f < 4 && small; ++f) {
+          if (workspace_.pending[members[i]] >> f & 1) continue;
+          const TetId n = mesh_.neighbor(members[i], f);
+          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+          if (size == kMost) {
+            small = false;
+          } else {
+            members[size++] = n;
+          }
+        }
+      }
+      if (!small) continue;
+      // A real piece has a vertex off the surface, and lies on one clean patch of it.
+      bool off_surface = false, clean = true;
+      for (std::size_t i = 0; i < size; ++i) {
+        for (VertexId v : mesh_.vertices(members[i])) off_surface = off_surface || !on_surface(v);
+        for (int f = 0; f < 4; ++f) {
+          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
+          for (VertexId v : mesh_.face_vertices(half_face(members[i], f))) clean = clean && on_surface(v);
+        }
+      }
+      if (off_surface && clean) continue;
+      for (std::size_t i = 0; i < size; ++i) {
+        for (int f = 0; f < 4; ++f) {
+          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
+          const HalfFace o = mesh_.opposite(half_face(members[i], f));
+          workspace_.pending[members[i]] &= static_cast<std::uint8_t>(~(1u << f));
+          workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+        }
+      }
+    }
+  }
+  std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+}
+
+void ConformingCutter::open(WorkBudget& budget) {
+  constexpr std::size_t kChunk = 64;
+  while (next_open_ < to_open_.size()) {
+    if (budget.spent()) return;
+    const std::size_t end = std::min(next_open_ + kChunk, to_open_.size());
+    const std::span<const HalfFace> chunk(to_open_.data() + next_open_, end - next_open_);
+    for (HalfFace h : chunk) {
+      const HalfFace o = mesh_.opposite(h);
+      workspace_.pending[tet_of(h)] &= static_cast<std::uint8_t>(~(1u << face_of(h)));
+      workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+      workspace_.grid.add(mesh_, tet_of(h));
+      workspace_.grid.add(mesh_, tet_of(o));
+      const auto v = mesh_.face_vertices(h);
+      const Vec3 &p = mesh_.position(v[0]), &q = mesh_.position(v[1]), &r = mesh_.position(v[2]);
+      counts_.cut_area += 0.5 * length(cross(q - p, r - p));
+      for (VertexId w : v) {
+        if (on_surface(w)) continue;
+        std::uint32_t triangle;
+        Vec3 closest = mesh_.position(w);
+        surface_.closest(mesh_.position(w), 4 * h_, closest, triangle);
+        counts_.max_deviation_h =
+            std::max(counts_.max_deviation_h, distance(closest, mesh_.position(w)) / h_);
+      }
+    }
+    counts_.cut_faces += mesh_.open_faces(chunk);
+    workspace_.grow(mesh_);
+    budget.charge(static_cast<std::int64_t>(20 * chunk.size()));
+    next_open_ = end;
+  }
+  finish();
+}
+
+void ConformingCutter::finish() {
+  std::erase_if(events_, [](const Event& e) { return e.done; });
+  counts_.pending = static_cast<std::uint32_t>(active_.size());
+  if (!has_front_) {
+    active_.clear();
+    surface_.clear();
+  }
+  phase_ = Phase::kIdle;
+}
+
+}  // namespace incise::core

@@ -1,0 +1,174 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "server/core/cut_config.hpp"
+#include "server/core/cut_workspace.hpp"
+#include "server/core/cutter.hpp"
+#include "server/core/swept_surface.hpp"
+#include "server/core/tet_mesh.hpp"
+#include "server/core/vertex_star.hpp"
+
+namespace incise::core {
+
+// The policy `conforming`, for one blade. Five phases for each batch:
+//
+//   search    which tetrahedra the new swept triangles meet: from the ones met before and from the boundary inwards,
+//             then by adjacency. They join the active tetrahedra.
+//   events    where the surface crosses an edge of an active tetrahedron, a vertex is put on the surface: the nearer
+//             end of the edge is snapped there, else the farther end, else the edge is split. A tetrahedron that
+//             thereby gets all four vertices on the surface is flat and is removed.
+//   repair    poor tetrahedra that this has left are improved.
+//   open      a face opens exactly when the line between the reference points of its two tetrahedra crosses the
+//             surface; each vertex gets one copy for each component of its star.
+//
+// All but the search keep one element behind the blade: a tetrahedron with a vertex near the blade's present line
+// waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is chopped.
+// At the stroke's end nothing waits any more.
+//
+// Each operation leaves a valid mesh, and the budget is looked at after each.
+class ConformingCutter final : public Cutter {
+ public:
+  // Both must outlive this; the workspace is shared by all blades of the mesh.
+  ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const CutConfig& config);
+
+  void begin(const Batch& batch) override;
+  bool advance(WorkBudget& budget) override;
+  const CutCounts& counts() const override { return counts_; }
+
+ private:
+  enum class Phase { kIdle, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kOpen };
+
+  // The surface crosses the edge (a, b) with a < b.
+  struct Event {
+    double nearness;  // distance of the crossing from the nearer end, by the edge's length: nearest go first
+    double at;        // the crossing is at a + at (b - a)
+    VertexId a, b;
+    TetId tet;               // one that had the edge
+    std::uint32_t triangle;  // of surface_
+    std::uint32_t next;      // in the chain of events at vertex a
+    std::uint32_t batch;     // that found it
+    bool done;
+  };
+
+  // The rim of the sweep pierces a face: the paper's second move, to the front and back planes, in general.
+  struct RimEvent {
+    TetId tet;
+    std::array<VertexId, 3> face;
+    Vec3 point;     // where
+    Vec3 from, to;  // the stretch of the rim
+    bool again;     // found on the second look
+    bool done;
+  };
+
+  bool turns_sharply(const BladeLine& from, const BladeLine& to);
+
+  // --- search
+  void search(WorkBudget& budget);
+  bool probe(TetId t);
+  void add_event(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at);
+  void enqueue(TetId t);
+  void activate(TetId t);
+  void gather(VertexStar& star, VertexId v) const {
+    star.gather(mesh_, v, [this](VertexId w) { return on_surface(w); });
+  }
+
+  // --- the rim
+  bool stands_for(VertexId v, const Vec3& point) const;
+  void probe_rim(TetId t, const Vec3& from, const Vec3& to);
+  void work_rim(WorkBudget& budget);
+  void handle(const RimEvent& event);
+
+  // --- events
+  void order(WorkBudget& budget);
+  void work_events(WorkBudget& budget);
+  void verify(WorkBudget& budget);
+  void collect_from(TetId t);
+  int side(VertexId v);
+  bool ripe(TetId t) const;
+  bool hot(VertexId v) const;
+  bool on_rim(VertexId v) const { return workspace_.rim[v] == stroke_; }
+  bool on_surface(VertexId v) const { return workspace_.surface[v] == stroke_; }
+  bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
+                     double& t) const;
+  void handle(std::uint32_t index, WorkBudget& budget);
+  struct Placement {
+    Vec3 target;
+    double worst = kInverted;  // the star's worst measure there
+  };
+  int freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const;
+  void search_placement(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
+                        double thickness, Placement& placement);
+  Placement place(VertexStar& star, VertexId v, const Event& event, const Vec3& crossing, double limit,
+                  bool search);
+  void snap(const VertexStar& star, VertexId v, const Vec3& target);
+  double split_worst(TetId tet, VertexId a, VertexId b, double t, double limit);
+  void split(TetId tet, VertexId a, VertexId b, double t);
+  void remove_flat(TetId t);
+
+  // --- repair
+  void repair(WorkBudget& budget);
+  void improve(TetId t);
+  void thin_out(VertexId v);
+  bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
+
+  // --- opening
+  void select(WorkBudget& budget);
+  bool may_open(HalfFace h) const;
+  bool separates(TetId a, TetId b) const;
+  void spare_islands();
+  void open(WorkBudget& budget);
+  void finish();
+
+  TetMesh& mesh_;
+  CutWorkspace& workspace_;
+  const CutConfig config_;
+  const double h_;
+  const double clear_;  // nearer to a plane than this, m, only exact arithmetic decides
+
+  Phase phase_ = Phase::kIdle;
+  CutCounts counts_;
+  std::uint32_t stroke_ = 0, batch_ = 0;
+  bool has_front_ = false;
+  BladeLine front_;       // the blade now
+  Vec3 heading_;          // normal of the sweep where it began or last turned sharply
+  SweptSurface surface_;  // as far back as active tetrahedra may still need it
+  struct Active {
+    TetId tet;
+    std::uint32_t batch;  // since which it is active
+  };
+  std::vector<Active> active_;
+
+  std::vector<TetId> queue_;  // of the search at work
+  std::size_t queue_next_ = 0;
+  std::uint32_t search_ = 0;  // its serial
+  bool seeded_ = false;
+
+  std::vector<RimEvent> rim_events_;
+  std::size_t next_rim_ = 0;
+  std::vector<std::uint32_t> rim_star_;
+
+  std::size_t next_active_ = 0;
+  int round_ = 0;
+  std::vector<Event> events_;
+  std::vector<std::uint32_t> order_;
+  std::size_t next_event_ = 0;
+  int pass_ = 0;
+  std::vector<std::uint32_t> retry_;
+  std::uint32_t collection_ = 0;
+  std::uint32_t sides_ = 0;
+  std::size_t first_leftover_ = 0;
+
+  std::vector<HalfFace> to_open_;
+  std::size_t next_open_ = 0;
+
+  std::vector<VertexId> changed_;  // put on the surface by this batch
+  std::size_t next_changed_ = 0;
+  std::vector<TetId> poor_;
+
+  VertexStar star_, other_star_;
+  std::vector<TetId> flat_, ring_;
+};
+
+}  // namespace incise::core

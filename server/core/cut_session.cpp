@@ -1,0 +1,104 @@
+#include "server/core/cut_session.hpp"
+
+#include <algorithm>
+#include <string>
+
+#include "server/core/check.hpp"
+#include "server/core/conforming_cutter.hpp"
+#include "server/core/croll_cutter.hpp"
+#include "server/core/quality.hpp"
+#include "server/core/validate.hpp"
+
+namespace incise::core {
+
+struct CutSession::Source {
+  StrokeBuilder builder;
+  std::unique_ptr<Cutter> cutter;
+};
+
+CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
+    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_) {}
+
+CutSession::~CutSession() = default;
+
+CutSession::Source& CutSession::source(std::uint32_t number) {
+  if (!sources_[number]) set_blade(number, config_.blade);
+  return *sources_[number];
+}
+
+void CutSession::set_blade(std::uint32_t number, const Blade& blade) {
+  INCISE_CHECK(number < kMaxSources, number);
+  if (sources_[number]) end_stroke(number);
+  CutConfig config = config_;
+  config.blade = blade;
+  std::unique_ptr<Cutter> cutter;
+  if (sources_[number]) {
+    cutter = std::move(sources_[number]->cutter);
+  } else if (config_.policy == Policy::kCroll) {
+    cutter = std::make_unique<CrollCutter>(mesh_);
+  } else {
+    cutter = std::make_unique<ConformingCutter>(mesh_, workspace_, config_);
+  }
+  sources_[number].reset(new Source{StrokeBuilder(number, config, mesh_.mean_edge_length(), stroke_counter_),
+                                    std::move(cutter)});
+}
+
+PoseVerdict CutSession::push(std::uint32_t number, const Pose& pose) {
+  if (number >= kMaxSources) return PoseVerdict::kUnknownSource;
+  return source(number).builder.push(pose, queue_);
+}
+
+void CutSession::end_stroke(std::uint32_t number) {
+  if (number < kMaxSources && sources_[number]) sources_[number]->builder.end_stroke(queue_);
+}
+
+bool CutSession::in_stroke(std::uint32_t number) const {
+  return number < kMaxSources && sources_[number] && sources_[number]->builder.in_stroke();
+}
+
+CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
+  if (queue_.empty()) return Progress::kIdle;
+  Cutter& cutter = *sources_[queue_.front().source]->cutter;
+  if (!begun_) {
+    cutter.begin(queue_.front());
+    begun_ = true;
+  }
+  if (!cut_) {
+    if (!cutter.advance(budget)) return Progress::kSpent;
+    cut_ = true;
+    pieces_.begin();
+  }
+  if (!pieces_.advance(budget)) return Progress::kSpent;
+  begun_ = cut_ = false;
+  queue_.pop(committed_);
+  committed_counts_ = cutter.counts();
+
+  delta.revision = ++revision_;
+  delta.source = committed_.source;
+  delta.stroke = committed_.stroke;
+  delta.batch = committed_.number;
+  delta.stroke_ended = committed_.ends_stroke;
+  delta.from = committed_.lines.front();
+  delta.to = committed_.lines.back();
+  delta.from_t_ns = committed_.from_t_ns;
+  delta.to_t_ns = committed_.to_t_ns;
+  delta.snaps = committed_counts_.snaps;
+  delta.splits = committed_counts_.splits;
+  delta.max_deviation = committed_counts_.max_deviation_h;
+#ifdef INCISE_VALIDATE
+  const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
+  INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
+  pieces_.report(delta);
+  mesh_.commit(delta);
+  double worst = -kInverted;
+  for (const TetState& tet : delta.upserted) worst = std::max(worst, mesh_.worst_dihedral(tet.id));
+  for (VertexId v : delta.moved) {
+    mesh_.star(v, star_);
+    for (std::uint32_t corner : star_) worst = std::max(worst, mesh_.worst_dihedral(corner >> 2));
+  }
+  delta.min_dihedral_deg = worst > -kInverted ? measure_to_degrees(worst) : 180.0;
+  return Progress::kCommitted;
+}
+
+}  // namespace incise::core

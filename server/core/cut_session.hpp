@@ -1,0 +1,75 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "server/core/cut_config.hpp"
+#include "server/core/cut_workspace.hpp"
+#include "server/core/cutter.hpp"
+#include "server/core/delta.hpp"
+#include "server/core/piece_tracker.hpp"
+#include "server/core/stroke_builder.hpp"
+#include "server/core/tet_mesh.hpp"
+
+namespace incise::core {
+
+// A mesh and the blades that cut it: poses in, deltas out. The server, `incise cut` and `incise replay` all run this.
+//
+// Determinism: the state after revision n is a function of the mesh, the configuration and the calls to push() and
+// end_stroke() in their order. Budgets and call times decide when work is done, never what is done.
+//
+// Thread: one, at a time. Owns the mesh.
+class CutSession {
+ public:
+  CutSession(const MeshData& mesh, const CutConfig& config);
+  ~CutSession();
+
+  // Gives the blade of one source; the configuration's blade stands for all until then. Between strokes only.
+  void set_blade(std::uint32_t source, const Blade& blade);
+
+  // Takes a pose of source 0 ... kMaxSources - 1. Rejected poses change nothing.
+  PoseVerdict push(std::uint32_t source, const Pose& pose);
+  // Ends the running stroke of a source (it was let go, or it vanished); nothing where there is none.
+  void end_stroke(std::uint32_t source);
+
+  enum class Progress {
+    kIdle,       // no batch waits
+    kSpent,      // the budget is spent; work is left
+    kCommitted,  // a batch is done: `delta` takes the mesh to revision()
+  };
+  // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
+  // arrays keep their capacity: reuse it); call again for the next batch.
+  Progress advance(WorkBudget& budget, Delta& delta);
+
+  const TetMesh& mesh() const { return mesh_; }
+  const CutConfig& config() const { return config_; }
+  std::uint64_t revision() const { return revision_; }
+  // Batches that wait, the one at work included, and their segments.
+  std::size_t backlog_batches() const { return queue_.size(); }
+  std::size_t backlog_segments() const { return queue_.segments(); }
+  bool in_stroke(std::uint32_t source) const;
+  // The batch that the last kCommitted was about, and what it did.
+  const Batch& committed_batch() const { return committed_; }
+  const CutCounts& committed_counts() const { return committed_counts_; }
+
+ private:
+  struct Source;
+  Source& source(std::uint32_t number);
+
+  TetMesh mesh_;
+  CutConfig config_;
+  CutWorkspace workspace_;
+  PieceTracker pieces_;
+  std::uint32_t stroke_counter_ = 0;
+  std::array<std::unique_ptr<Source>, kMaxSources> sources_;
+  BatchQueue queue_;
+  bool cut_ = false;    // it is cut; what it has cut off is being looked for
+  bool begun_ = false;  // the oldest batch is at work
+  std::uint64_t revision_ = 0;
+  Batch committed_;
+  CutCounts committed_counts_;
+  std::vector<std::uint32_t> star_;
+};
+
+}  // namespace incise::core

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "server/core/blade.hpp"
+#include "server/core/vec3.hpp"
+
+namespace incise::core {
+
+// One triangle of a swept surface.
+struct SweptTriangle {
+  std::array<Vec3, 3> corners;
+  Vec3 normal;        // unit
+  double offset = 0;  // normal . x = offset in its plane
+  Vec3 low, high;     // bounding box
+  // Unit vectors in the plane, pointing inwards from the edge between corners k and k+1, and their offsets:
+  // inward[k] . x >= inward_offset[k] on the triangle's side.
+  std::array<Vec3, 3> inward;
+  std::array<double, 3> inward_offset{};
+  std::uint32_t batch = 0;  // that swept it
+  std::uint8_t rim = 0;     // bit k: the sweep ends at the edge between corners k and k+1
+
+  double signed_distance(const Vec3& p) const { return dot(normal, p) - offset; }
+};
+
+// Makes the triangle; false where its corners lie on a line (a blade that turns about its heel, or moves along
+// itself): it has swept no area.
+bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTriangle& out);
+
+// Whether the segment p q crosses the triangle, decided exactly. A point in the plane counts as on the positive side
+// and a segment through an edge as on one fixed side of it, whichever of the triangles at that edge asks: so a
+// segment that crosses a surface made of triangles crosses an odd number of them, never none because it slips
+// through between two.
+bool crosses(const Vec3& p, const Vec3& q, const SweptTriangle& triangle);
+
+// The point of the triangle closest to p (Ericson 2004, "Real-Time Collision Detection", section 5.1.5).
+Vec3 closest_point(const Vec3& p, const SweptTriangle& triangle);
+
+// The distance between p and the segment a b, squared.
+double squared_distance_to_segment(const Vec3& p, const Vec3& a, const Vec3& b);
+
+}  // namespace incise::core

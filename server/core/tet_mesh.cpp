@@ -1,0 +1,754 @@
+#include "server/core/tet_mesh.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include "protocol/state_hash.hpp"
+#include "server/core/check.hpp"
+#include "server/core/quality.hpp"
+
+namespace incise::core {
+namespace {
+
+// Room for a long session, so that growth does not copy a large mesh in the middle of a frame. Untouched memory
+// costs nothing but address space.
+std::size_t roomy(std::size_t count) {
+  return count + count / 4 + 65536;
+}
+
+std::array<VertexId, 3> sorted(std::array<VertexId, 3> f) {
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  if (f[1] > f[2]) std::swap(f[1], f[2]);
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  return f;
+}
+
+}  // namespace
+
+// ------------------------------------------------------------------------------------------------ building
+
+TetMesh::TetMesh(const MeshData& data) {
+  const std::size_t vertex_count = data.positions.size(), tet_count = data.tets.size();
+  if (vertex_count >= kNone / 2 || tet_count >= kNone / 16) {
+    throw MeshError("the mesh has " + std::to_string(tet_count) + " tetrahedra; at most " +
+                    std::to_string(kNone / 16 - 1) + " fit");
+  }
+  if (!data.regions.empty() && data.regions.size() != tet_count) {
+    throw MeshError("regions given for " + std::to_string(data.regions.size()) + " of " +
+                    std::to_string(tet_count) + " tetrahedra");
+  }
+  vertices_.reserve(roomy(vertex_count));
+  for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
+  tets_.reserve(roomy(tet_count));
+  attributes_.reserve(roomy(tet_count));
+  for (std::size_t t = 0; t < tet_count; ++t) {
+    const auto& v = data.tets[t];
+    for (int i = 0; i < 4; ++i) {
+      if (v[i] >= vertex_count) {
+        throw MeshError("tetrahedron " + std::to_string(t) + " names vertex " + std::to_string(v[i]) +
+                        " of " + std::to_string(vertex_count));
+      }
+      for (int j = 0; j < i; ++j) {
+        if (v[i] == v[j]) {
+          throw MeshError("tetrahedron " + std::to_string(t) + " names vertex " + std::to_string(v[i]) +
+                          " twice");
+        }
+      }
+      vertices_[v[i]].tet = static_cast<TetId>(t);
+    }
+    tets_.push_back({v, {kNone, kNone, kNone, kNone}});
+    attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0, 0});
+  }
+  live_tets_ = static_cast<std::uint32_t>(tet_count);
+
+  // Edge lengths: an edge counts once for each tetrahedron around it, which weighs it by the space it stands for.
+  std::vector<double> sums(vertex_count, 0.0);
+  std::vector<std::uint32_t> counts(vertex_count, 0);
+  double sum = 0;
+  for (const Tet& tet : tets_) {
+    for (const auto& edge : kEdgeVertices) {
+      const VertexId a = tet.vertices[edge[0]], b = tet.vertices[edge[1]];
+      const double l = distance(vertices_[a].position, vertices_[b].position);
+      sum += l;
+      sums[a] += l;
+      sums[b] += l;
+      ++counts[a];
+      ++counts[b];
+    }
+  }
+  for (std::size_t v = 0; v < vertex_count; ++v) {
+    if (counts[v] > 0) vertices_[v].h = static_cast<float>(sums[v] / counts[v]);
+  }
+  mean_edge_length_ = tet_count > 0 ? sum / (6.0 * static_cast<double>(tet_count)) : 0;
+
+  vertex_step_.reserve(roomy(vertex_count));
+  vertex_mark_.reserve(roomy(vertex_count));
+  tet_step_.reserve(roomy(tet_count));
+  tet_mark_.reserve(roomy(tet_count));
+  vertex_step_.resize(vertex_count, 0);
+  vertex_mark_.resize(vertex_count, 0);
+  tet_step_.resize(tet_count, 0);
+  tet_mark_.resize(tet_count, 0);
+
+  build_adjacency();
+  split_initial_vertices();
+
+  touched_vertices_.clear();
+  touched_tets_.clear();
+  before_.clear();
+  provenance_.clear();
+  ++step_;
+  first_new_vertex_ = vertex_slots();
+  first_new_tet_ = tet_slots();
+  hash_ = compute_state_hash();
+}
+
+void TetMesh::link(HalfFace a, HalfFace b) {
+  if (a != kNone) tets_[tet_of(a)].opposite[face_of(a)] = b;
+  if (b != kNone) tets_[tet_of(b)].opposite[face_of(b)] = a;
+}
+
+// Buckets the faces by their lowest vertex, then matches within the bucket: linear in the mesh.
+void TetMesh::build_adjacency() {
+  std::vector<std::uint32_t> begin(vertices_.size() + 1, 0);
+  const HalfFace half_faces = 4 * tet_slots();
+  for (HalfFace h = 0; h < half_faces; ++h) ++begin[sorted(face_vertices(h))[0] + 1];
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  struct Entry {
+    VertexId mid, max;
+    HalfFace h;
+  };
+  std::vector<Entry> entries(half_faces);
+  {
+    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
+    for (HalfFace h = 0; h < half_faces; ++h) {
+      const auto f = sorted(face_vertices(h));
+      entries[next[f[0]]++] = {f[1], f[2], h};
+    }
+  }
+  for (std::size_t v = 0; v < vertices_.size(); ++v) {
+    const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
+    std::sort(first, last, [](const Entry& a, const Entry& b) {
+      return a.mid != b.mid ? a.mid < b.mid : a.max != b.max ? a.max < b.max : a.h < b.h;
+    });
+    for (auto it = first; it != last;) {
+      auto end = it + 1;
+      while (end != last && end->mid == it->mid && end->max == it->max) ++end;
+      if (end - it > 2) {
+        throw MeshError("tetrahedra " + std::to_string(tet_of(it->h)) + ", " +
+                        std::to_string(tet_of((it + 1)->h)) + " and " + std::to_string(tet_of((it + 2)->h)) +
+                        " share the face (" + std::to_string(v) + ", " + std::to_string(it->mid) + ", " +
+                        std::to_string(it->max) + ")");
+      }
+      if (end - it == 2) link(it->h, (it + 1)->h);
+      it = end;
+    }
+  }
+}
+
+// Real meshes have a few vertices where two parts merely touch.
+void TetMesh::split_initial_vertices() {
+  std::vector<std::uint32_t> incident(vertices_.size(), 0);
+  for (const Tet& tet : tets_) {
+    for (VertexId v : tet.vertices) ++incident[v];
+  }
+  std::vector<bool> pinched(vertices_.size(), false);
+  bool any = false;
+  for (VertexId v = 0; v < incident.size(); ++v) {
+    if (incident[v] == 0) continue;
+    star(v, star_scratch_);
+    if (star_scratch_.size() != incident[v]) pinched[v] = any = true;
+  }
+  if (!any) return;
+  std::vector<std::vector<std::uint32_t>> corners(vertices_.size());
+  for (TetId t = 0; t < tet_slots(); ++t) {
+    for (std::uint32_t i = 0; i < 4; ++i) {
+      if (pinched[tets_[t].vertices[i]]) corners[tets_[t].vertices[i]].push_back(4 * t + i);
+    }
+  }
+  for (VertexId v = 0; v < corners.size(); ++v) {
+    if (corners[v].empty()) continue;
+    noted_stars_.push_back({v, static_cast<std::uint32_t>(noted_corners_.size()),
+                            static_cast<std::uint32_t>(noted_corners_.size() + corners[v].size())});
+    noted_corners_.insert(noted_corners_.end(), corners[v].begin(), corners[v].end());
+  }
+  const std::uint32_t slots = vertex_slots();
+  split_noted_stars();
+  initial_vertex_copies_ = vertex_slots() - slots;
+}
+
+// ------------------------------------------------------------------------------------------------ queries
+
+std::uint8_t TetMesh::boundary_mask(TetId t) const {
+  unsigned mask = 0;
+  for (unsigned f = 0; f < 4; ++f) mask |= (tets_[t].opposite[f] == kNone ? 1u : 0u) << f;
+  return static_cast<std::uint8_t>(mask);
+}
+
+std::array<VertexId, 3> TetMesh::face_vertices(HalfFace h) const {
+  const auto& v = tets_[tet_of(h)].vertices;
+  const auto& f = kFaceVertices[face_of(h)];
+  return {v[f[0]], v[f[1]], v[f[2]]};
+}
+
+int TetMesh::local_index(TetId t, VertexId v) const {
+  const auto& tet = tets_[t].vertices;
+  for (int i = 0; i < 4; ++i) {
+    if (tet[i] == v) return i;
+  }
+  return -1;
+}
+
+TetState TetMesh::state(TetId t) const {
+  return {t, tets_[t].vertices, attributes_[t].region, attributes_[t].cut_mask, boundary_mask(t)};
+}
+
+double TetMesh::volume(TetId t) const {
+  const auto& v = tets_[t].vertices;
+  return signed_volume(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+}
+
+double TetMesh::worst_dihedral(TetId t) const {
+  const auto& v = tets_[t].vertices;
+  return core::worst_dihedral(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+}
+
+Vec3 TetMesh::barycentre(TetId t) const {
+  const auto& v = tets_[t].vertices;
+  return 0.25 * ((position(v[0]) + position(v[1])) + (position(v[2]) + position(v[3])));
+}
+
+// A mark that no tetrahedron bears. After 2^32 of them, some hours of cutting, the old ones are wiped.
+void TetMesh::next_mark() const {
+  if (++mark_ != 0) return;
+  std::fill(tet_mark_.begin(), tet_mark_.end(), 0u);
+  mark_ = 1;
+}
+
+// The same for vertices: `count` marks, the last of which is vertex_mark_value_.
+void TetMesh::next_vertex_marks(std::uint32_t count) const {
+  if (vertex_mark_value_ > kNone - count) {
+    std::fill(vertex_mark_.begin(), vertex_mark_.end(), 0u);
+    vertex_mark_value_ = 0;
+  }
+  vertex_mark_value_ += count;
+}
+
+// The tetrahedra around v that can be reached from `from` through faces that contain v.
+void TetMesh::component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const {
+  const auto corner_of = [this, v](TetId t) {
+    const auto& vertices = tets_[t].vertices;
+    const std::uint32_t i = vertices[0] == v ? 0 : vertices[1] == v ? 1 : vertices[2] == v ? 2 : 3;
+    return 4 * t + i;
+  };
+  std::size_t next = corners.size();
+  tet_mark_[from] = mark_;
+  corners.push_back(corner_of(from));
+  while (next < corners.size()) {
+    const std::uint32_t corner = corners[next++];
+    const auto& opposite = tets_[corner >> 2].opposite;
+    for (std::uint32_t f = 0; f < 4; ++f) {
+      if (f == (corner & 3u) || opposite[f] == kNone) continue;
+      const TetId t = tet_of(opposite[f]);
+      if (tet_mark_[t] == mark_) continue;
+      tet_mark_[t] = mark_;
+      corners.push_back(corner_of(t));
+    }
+  }
+}
+
+void TetMesh::star(VertexId v, std::vector<std::uint32_t>& star) const {
+  star.clear();
+  if (vertices_[v].tet == kNone) return;
+  next_mark();
+  component(v, vertices_[v].tet, star);
+}
+
+void TetMesh::ring(TetId from, VertexId a, VertexId b, std::vector<TetId>& ring) const {
+  ring.clear();
+  // The two vertices of `from` off the edge.
+  VertexId off[2];
+  int n = 0;
+  for (VertexId v : tets_[from].vertices) {
+    if (v != a && v != b) off[n++] = v;
+  }
+  INCISE_CHECK(n == 2, from, a, b);
+  // Turns around the edge: leaves through the face opposite to `behind`, so that `ahead` is the next one's behind.
+  const auto turn = [&](VertexId behind, VertexId ahead) {
+    TetId t = from;
+    for (;;) {
+      const HalfFace h = tets_[t].opposite[local_index(t, behind)];
+      if (h == kNone) return false;
+      t = tet_of(h);
+      if (t == from) return true;
+      ring.push_back(t);
+      behind = ahead;
+      ahead = tets_[t].vertices[face_of(h)];
+    }
+  };
+  ring.push_back(from);
+  if (turn(off[0], off[1])) return;
+  std::reverse(ring.begin(), ring.end());
+  turn(off[1], off[0]);
+}
+
+TetId TetMesh::find_edge(VertexId a, VertexId b) const {
+  if (vertices_[a].tet == kNone) return kNone;
+  next_mark();
+  star_scratch_.clear();
+  component(a, vertices_[a].tet, star_scratch_);
+  for (std::uint32_t corner : star_scratch_) {
+    if (local_index(corner >> 2, b) >= 0) return corner >> 2;
+  }
+  return kNone;
+}
+
+// ------------------------------------------------------------------------------------------------ the record
+
+std::uint64_t TetMesh::hash_of_vertex(VertexId v) const {
+  const Vec3& p = vertices_[v].position;
+  return protocol::vertex_hash(v, p.x, p.y, p.z);
+}
+
+std::uint64_t TetMesh::hash_of_tet(TetId t) const {
+  return protocol::tet_hash(t, tets_[t].vertices.data(), attributes_[t].region, attributes_[t].cut_mask);
+}
+
+void TetMesh::touch_vertex(VertexId v) {
+  if (vertex_step_[v] == step_) return;
+  vertex_step_[v] = step_;
+  touched_vertices_.push_back(v);
+  hash_ ^= hash_of_vertex(v);
+}
+
+void TetMesh::touch_tet(TetId t) {
+  if (tet_step_[t] == step_) return;
+  tet_step_[t] = step_;
+  touched_tets_.push_back(t);
+  before_.push_back(state(t));
+  hash_ ^= hash_of_tet(t);
+}
+
+VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance, float h) {
+  const VertexId v = vertex_slots();
+  vertices_.push_back({position, kNone, h});
+  vertex_step_.push_back(step_);
+  vertex_mark_.push_back(0);
+  provenance_.push_back(provenance);
+  return v;
+}
+
+TetId TetMesh::add_tet(const std::array<VertexId, 4>& vertices, TetId parent) {
+  const TetId t = tet_slots();
+  tets_.push_back({vertices, {kNone, kNone, kNone, kNone}});
+  attributes_.push_back({attributes_[parent].region, attributes_[parent].piece, 0});
+  tet_mark_.push_back(0);
+  tet_step_.push_back(step_);
+  touched_tets_.push_back(t);
+  before_.push_back({});
+  ++live_tets_;
+  return t;
+}
+
+void TetMesh::kill_tet(TetId t) {
+  touch_tet(t);
+  tets_[t].vertices[0] = kNone;
+  --live_tets_;
+}
+
+void TetMesh::commit(Delta& delta) {
+  std::sort(touched_vertices_.begin(), touched_vertices_.end());
+  delta.moved.clear();
+  delta.moved_positions.clear();
+  for (VertexId v : touched_vertices_) {
+    hash_ ^= hash_of_vertex(v);
+    delta.moved.push_back(v);
+    delta.moved_positions.push_back(vertices_[v].position);
+  }
+  delta.first_added = first_new_vertex_;
+  delta.added_positions.clear();
+  delta.provenance.assign(provenance_.begin(), provenance_.end());
+  for (VertexId v = first_new_vertex_; v < vertex_slots(); ++v) {
+    hash_ ^= hash_of_vertex(v);
+    delta.added_positions.push_back(vertices_[v].position);
+  }
+
+  order_scratch_.resize(touched_tets_.size());
+  std::iota(order_scratch_.begin(), order_scratch_.end(), 0u);
+  std::sort(order_scratch_.begin(), order_scratch_.end(),
+            [this](std::uint32_t a, std::uint32_t b) { return touched_tets_[a] < touched_tets_[b]; });
+  delta.upserted.clear();
+  delta.removed.clear();
+  delta.boundary_upserted.clear();
+  delta.boundary_removed.clear();
+  int cut_sides = 0;
+  double cut_side_area = 0;
+  const auto count_sides = [&](const TetState& tet, int sign) {
+    for (int f = 0; f < 4; ++f) {
+      if (!(tet.cut_mask >> f & 1)) continue;
+      const Vec3& a = position(tet.vertices[kFaceVertices[f][0]]);
+      const Vec3 n = cross(position(tet.vertices[kFaceVertices[f][1]]) - a,
+                           position(tet.vertices[kFaceVertices[f][2]]) - a);
+      cut_sides += sign;
+      cut_side_area += sign * 0.5 * length(n);
+    }
+  };
+  for (std::uint32_t i : order_scratch_) {
+    const TetId t = touched_tets_[i];
+    const TetState& before = before_[i];
+    const bool existed = before.id != kNone;
+    const bool lives = alive(t);
+    if (lives) {
+      delta.upserted.push_back(state(t));
+      hash_ ^= hash_of_tet(t);
+    } else if (existed) {
+      delta.removed.push_back(t);
+    }
+    const TetState after = lives ? delta.upserted.back() : TetState{};
+    if (existed) count_sides(before, -1);
+    if (lives) count_sides(after, 1);
+    for (int f = 0; f < 4; ++f) {
+      const bool was = existed && (before.boundary_mask >> f & 1);
+      const bool is = lives && (after.boundary_mask >> f & 1);
+      if (is) {
+        const auto same = [&](int k) {
+          return before.vertices[kFaceVertices[f][k]] == after.vertices[kFaceVertices[f][k]];
+        };
+        const bool cut_as_before = (before.cut_mask >> f & 1) == (after.cut_mask >> f & 1);
+        if (!was || !cut_as_before || !same(0) || !same(1) || !same(2)) {
+          delta.boundary_upserted.push_back(half_face(t, f));
+        }
+      } else if (was) {
+        delta.boundary_removed.push_back(half_face(t, f));
+      }
+    }
+  }
+
+  // Of the totals, so that steps with an odd number of sides add up.
+  const std::int64_t faces_before = (cut_sides_ + 1) / 2;
+  cut_sides_ += cut_sides;
+  delta.cut_faces =
+      static_cast<std::uint32_t>(std::max<std::int64_t>((cut_sides_ + 1) / 2 - faces_before, 0));
+  delta.cut_area = std::max(0.5 * cut_side_area, 0.0);
+
+  touched_vertices_.clear();
+  touched_tets_.clear();
+  before_.clear();
+  provenance_.clear();
+  first_new_vertex_ = vertex_slots();
+  first_new_tet_ = tet_slots();
+  if (++step_ == 0) {
+    std::fill(vertex_step_.begin(), vertex_step_.end(), 0u);
+    std::fill(tet_step_.begin(), tet_step_.end(), 0u);
+    step_ = 1;
+  }
+  delta.state_hash = hash_;
+}
+
+std::uint64_t TetMesh::compute_state_hash() const {
+  std::uint64_t hash = 0;
+  for (VertexId v = 0; v < vertex_slots(); ++v) hash ^= hash_of_vertex(v);
+  for (TetId t = 0; t < tet_slots(); ++t) {
+    if (alive(t)) hash ^= hash_of_tet(t);
+  }
+  return hash;
+}
+
+// ------------------------------------------------------------------------------------------------ changes
+
+void TetMesh::move_vertex(VertexId v, const Vec3& position) {
+  touch_vertex(v);
+  vertices_[v].position = position;
+}
+
+VertexId TetMesh::split_edge(TetId from, VertexId a, VertexId b, double t) {
+  ring(from, a, b, ring_scratch_);
+  const float h = 0.5f * (vertices_[a].h + vertices_[b].h);
+  const VertexId m = add_vertex(lerp(position(a), position(b), t), {a, b, t}, h);
+  const std::size_t n = ring_scratch_.size();
+  const TetId first_half = tet_slots();
+  for (TetId tet : ring_scratch_) {
+    touch_tet(tet);
+    std::array<VertexId, 4> half = tets_[tet].vertices;
+    for (VertexId& v : half) {
+      if (v == a) v = m;
+    }
+    add_tet(half, tet);
+  }
+  // The half at b of the ring's r-th tetrahedron is first_half + r, laid out as the tetrahedron was.
+  for (std::size_t r = 0; r < n; ++r) {
+    const TetId near = ring_scratch_[r];
+    const TetId far = first_half + static_cast<TetId>(r);
+    const int i = local_index(near, a), j = local_index(near, b);
+    for (int k = 0; k < 4; ++k) {
+      const HalfFace h_near = tets_[near].opposite[k];
+      if (k == i) {
+        link(half_face(far, i), h_near);
+      } else if (k != j && h_near != kNone) {
+        const TetId other = tet_of(h_near);
+        const std::size_t next = r + 1 == n ? 0 : r + 1, previous = r == 0 ? n - 1 : r - 1;
+        const std::size_t q = ring_scratch_[next] == other ? next : previous;
+        tets_[far].opposite[k] = half_face(first_half + static_cast<TetId>(q), face_of(h_near));
+      }
+    }
+    link(half_face(near, i), half_face(far, j));
+    const unsigned mask = attributes_[near].cut_mask, bit_i = 1u << i, bit_j = 1u << j;
+    attributes_[far].cut_mask = static_cast<std::uint8_t>(mask & ~bit_j);
+    attributes_[near].cut_mask = static_cast<std::uint8_t>(mask & ~bit_i);
+    tets_[near].vertices[j] = m;
+  }
+  vertices_[m].tet = ring_scratch_[0];
+  vertices_[b].tet = first_half;
+  return m;
+}
+
+bool TetMesh::may_collapse(TetId from, VertexId v, VertexId w) const {
+  ring(from, v, w, ring_scratch_);
+  // Vertices of the edge's link carry the first mark, the other neighbours of w the second.
+  next_vertex_marks(2);
+  const std::uint32_t in_ring = vertex_mark_value_ - 1, at_w = vertex_mark_value_;
+  for (TetId t : ring_scratch_) {
+    for (VertexId x : tets_[t].vertices) vertex_mark_[x] = in_ring;
+  }
+  star(w, star_scratch_);
+  for (std::uint32_t corner : star_scratch_) {
+    for (VertexId x : tets_[corner >> 2].vertices) {
+      if (vertex_mark_[x] != in_ring) vertex_mark_[x] = at_w;
+    }
+  }
+  star(v, star_scratch_);
+  for (std::uint32_t corner : star_scratch_) {
+    const auto& tet = tets_[corner >> 2].vertices;
+    int ring_vertices = 0;
+    bool has_w = false;
+    for (VertexId x : tet) {
+      if (x == v) continue;
+      if (vertex_mark_[x] == at_w) return false;
+      has_w = has_w || x == w;
+      ring_vertices += vertex_mark_[x] == in_ring;
+    }
+    // Two of the link's vertices in a face at v: where the edge between them is not around (v, w), it may be in w's
+    // link as well. Three are in three such faces.
+    if (has_w || ring_vertices < 2) continue;
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < i; ++j) {
+        const VertexId x = tet[i], y = tet[j];
+        if (x == v || y == v || vertex_mark_[x] != in_ring || vertex_mark_[y] != in_ring) continue;
+        const bool around = std::any_of(ring_scratch_.begin(), ring_scratch_.end(), [&](TetId t) {
+          return local_index(t, x) >= 0 && local_index(t, y) >= 0;
+        });
+        if (!around) return false;
+      }
+    }
+  }
+  return true;
+}
+
+void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
+  ring(from, v, w, ring_scratch_);
+  star(v, star_scratch_);
+  for (TetId t : ring_scratch_) {
+    const int at_v = local_index(t, v), at_w = local_index(t, w);
+    const HalfFace beyond_v = tets_[t].opposite[at_v];  // across the face that has w
+    const HalfFace beyond_w = tets_[t].opposite[at_w];
+    const bool cut = (attributes_[t].cut_mask >> at_v & 1) != 0;
+    for (HalfFace h : {beyond_v, beyond_w}) {
+      if (h == kNone) continue;
+      // A vertex that named this tetrahedron finds a neighbour there.
+      for (VertexId x : tets_[tet_of(h)].vertices) {
+        if (vertices_[x].tet == t) vertices_[x].tet = tet_of(h);
+      }
+    }
+    if (beyond_v == kNone && beyond_w != kNone) {
+      touch_tet(tet_of(beyond_w));
+      if (cut) attributes_[tet_of(beyond_w)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(beyond_w));
+    }
+    if (beyond_w == kNone && beyond_v != kNone) touch_tet(tet_of(beyond_v));
+    link(beyond_v, beyond_w);
+    if (beyond_v == kNone && beyond_w != kNone) tets_[tet_of(beyond_w)].opposite[face_of(beyond_w)] = kNone;
+  }
+  for (TetId t : ring_scratch_) kill_tet(t);
+  for (std::uint32_t corner : star_scratch_) {
+    const TetId t = corner >> 2;
+    if (!alive(t)) continue;
+    touch_tet(t);
+    tets_[t].vertices[corner & 3u] = w;
+    vertices_[w].tet = t;
+  }
+  vertices_[v].tet = kNone;
+}
+
+void TetMesh::note_star(VertexId v) {
+  if (vertex_mark_[v] == vertex_mark_value_) return;
+  vertex_mark_[v] = vertex_mark_value_;
+  star(v, star_scratch_);
+  const auto begin = static_cast<std::uint32_t>(noted_corners_.size());
+  noted_corners_.insert(noted_corners_.end(), star_scratch_.begin(), star_scratch_.end());
+  noted_stars_.push_back({v, begin, static_cast<std::uint32_t>(noted_corners_.size())});
+}
+
+void TetMesh::split_noted_stars() {
+  for (const NotedStar& noted : noted_stars_) {
+    next_mark();
+    bool first = true;
+    const VertexId v = noted.vertex;
+    for (std::uint32_t c = noted.begin; c < noted.end; ++c) {
+      const TetId t = noted_corners_[c] >> 2;
+      if (!alive(t) || tet_mark_[t] == mark_) continue;
+      star_scratch_.clear();
+      component(v, t, star_scratch_);
+      if (first) {  // the first component keeps the vertex
+        vertices_[v].tet = t;
+        first = false;
+        continue;
+      }
+      const VertexId copy = add_vertex(vertices_[v].position, {v, v, 0}, vertices_[v].h);
+      vertices_[copy].tet = t;
+      for (std::uint32_t corner : star_scratch_) {
+        touch_tet(corner >> 2);
+        tets_[corner >> 2].vertices[corner & 3u] = copy;
+      }
+    }
+    if (first) vertices_[v].tet = kNone;  // nothing is left around it
+  }
+  noted_stars_.clear();
+  noted_corners_.clear();
+}
+
+std::uint32_t TetMesh::open_faces(std::span<const HalfFace> faces) {
+  next_vertex_marks(1);
+  std::uint32_t opened = 0;
+  for (HalfFace h : faces) {
+    if (opposite(h) == kNone) continue;
+    for (VertexId v : face_vertices(h)) note_star(v);
+  }
+  for (HalfFace h : faces) {
+    const HalfFace o = opposite(h);
+    if (o == kNone) continue;
+    ++opened;
+    for (HalfFace side : {h, o}) {
+      touch_tet(tet_of(side));
+      tets_[tet_of(side)].opposite[face_of(side)] = kNone;
+      attributes_[tet_of(side)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(side));
+    }
+  }
+  split_noted_stars();
+  return opened;
+}
+
+void TetMesh::remove_tet(TetId t) {
+  next_vertex_marks(1);
+  for (VertexId v : std::array<VertexId, 4>(tets_[t].vertices)) note_star(v);
+  for (int f = 0; f < 4; ++f) {
+    const HalfFace o = tets_[t].opposite[f];
+    if (o == kNone) continue;
+    touch_tet(tet_of(o));
+    tets_[tet_of(o)].opposite[face_of(o)] = kNone;
+    attributes_[tet_of(o)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(o));
+  }
+  kill_tet(t);
+  split_noted_stars();
+}
+
+bool TetMesh::replace(std::span<const TetId> removed, std::span<const std::array<VertexId, 4>> added,
+                      std::vector<TetId>& new_ids) {
+  constexpr std::size_t kMost = 32;
+  struct Face {
+    std::array<VertexId, 3> vertices;  // ascending
+    HalfFace outside = kNone;          // for faces of the removed set: what lies beyond
+    std::uint32_t side = 0;            // for faces of the added set: 4 i + f
+    bool cut = false, matched = false;
+  };
+  new_ids.clear();
+  if (removed.empty() || removed.size() > kMost || added.size() > kMost) return false;
+  const auto within = [&](TetId t) { return std::find(removed.begin(), removed.end(), t) != removed.end(); };
+  std::array<Face, 4 * kMost> shell;
+  std::size_t shell_size = 0;
+  for (TetId t : removed) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace o = tets_[t].opposite[f];
+      if (o != kNone && within(tet_of(o))) continue;
+      shell[shell_size++] = {sorted(face_vertices(half_face(t, f))), o, 0,
+                             (attributes_[t].cut_mask >> f & 1) != 0, false};
+    }
+  }
+  // Match the faces of the added set with the shell, then with each other.
+  std::array<std::uint32_t, 4 * kMost>
+      partner;  // 4 i + f of the other side, or kNone - 1 - (index in the shell)
+  partner.fill(kNone);
+  const auto face_of_added = [&](std::size_t i, int f) {
+    const auto& k = kFaceVertices[f];
+    return sorted({added[i][k[0]], added[i][k[1]], added[i][k[2]]});
+  };
+  std::size_t shell_matched = 0;
+  for (std::size_t i = 0; i < added.size(); ++i) {
+    for (int f = 0; f < 4; ++f) {
+      if (partner[4 * i + f] != kNone) continue;
+      const auto face = face_of_added(i, f);
+      bool found = false;
+      for (std::size_t s = 0; s < shell_size && !found; ++s) {
+        if (shell[s].matched || shell[s].vertices != face) continue;
+        shell[s].matched = found = true;
+        shell[s].side = static_cast<std::uint32_t>(4 * i + f);
+        ++shell_matched;
+        partner[4 * i + f] = kNone - 1;
+      }
+      for (std::size_t j = i + 1; j < added.size() && !found; ++j) {
+        for (int g = 0; g < 4 && !found; ++g) {
+          if (partner[4 * j + g] != kNone || face_of_added(j, g) != face) continue;
+          found = true;
+          partner[4 * i + f] = static_cast<std::uint32_t>(4 * j + g);
+          partner[4 * j + g] = static_cast<std::uint32_t>(4 * i + f);
+        }
+      }
+      if (!found) return false;
+    }
+  }
+  if (shell_matched != shell_size) return false;
+
+  const TetId first = tet_slots();
+  for (const auto& vertices : added) new_ids.push_back(add_tet(vertices, removed[0]));
+  for (std::size_t i = 0; i < added.size(); ++i) {
+    for (int f = 0; f < 4; ++f) {
+      const std::uint32_t p = partner[4 * i + f];
+      if (p < kNone - 1) tets_[new_ids[i]].opposite[f] = 4 * first + p;
+      vertices_[added[i][f]].tet = new_ids[i];
+    }
+  }
+  for (std::size_t s = 0; s < shell_size; ++s) {
+    const HalfFace h = 4 * first + shell[s].side;
+    link(h, shell[s].outside);
+    if (shell[s].cut) attributes_[tet_of(h)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(h));
+  }
+  for (TetId t : removed) {
+    for (VertexId v : tets_[t].vertices) {
+      // A vertex that the added set does not have (a collapse) is left without this tetrahedron.
+      if (vertices_[v].tet == t) vertices_[v].tet = kNone;
+    }
+    kill_tet(t);
+  }
+  return true;
+}
+
+MeshData TetMesh::export_data() const {
+  MeshData data;
+  std::vector<VertexId> renumbered(vertices_.size(), kNone);
+  for (const Tet& tet : tets_) {
+    if (tet.vertices[0] == kNone) continue;
+    for (VertexId v : tet.vertices) renumbered[v] = 0;
+  }
+  for (VertexId v = 0; v < vertex_slots(); ++v) {
+    if (renumbered[v] == kNone) continue;
+    renumbered[v] = static_cast<VertexId>(data.positions.size());
+    data.positions.push_back(vertices_[v].position);
+  }
+  for (TetId t = 0; t < tet_slots(); ++t) {
+    if (!alive(t)) continue;
+    const auto& v = tets_[t].vertices;
+    data.tets.push_back({renumbered[v[0]], renumbered[v[1]], renumbered[v[2]], renumbered[v[3]]});
+    data.regions.push_back(attributes_[t].region);
+  }
+  return data;
+}
+
+}  // namespace incise::core

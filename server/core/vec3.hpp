@@ -1,0 +1,58 @@
+#pragma once
+
+#include <cmath>
+
+namespace incise::core {
+
+// A point or a vector in three dimensions. Metres unless a name says otherwise.
+struct Vec3 {
+  double x = 0, y = 0, z = 0;
+
+  friend bool operator==(const Vec3&, const Vec3&) = default;
+};
+
+inline Vec3 operator+(const Vec3& a, const Vec3& b) {
+  return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+inline Vec3 operator-(const Vec3& a, const Vec3& b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+inline Vec3 operator-(const Vec3& a) {
+  return {-a.x, -a.y, -a.z};
+}
+inline Vec3 operator*(double s, const Vec3& a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+inline Vec3& operator+=(Vec3& a, const Vec3& b) {
+  return a = a + b;
+}
+
+inline double dot(const Vec3& a, const Vec3& b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+inline Vec3 cross(const Vec3& a, const Vec3& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+inline double squared_length(const Vec3& a) {
+  return dot(a, a);
+}
+inline double length(const Vec3& a) {
+  return std::sqrt(dot(a, a));
+}  // sqrt is exactly rounded by IEEE 754
+inline double distance(const Vec3& a, const Vec3& b) {
+  return length(a - b);
+}
+// The point a + t (b - a).
+inline Vec3 lerp(const Vec3& a, const Vec3& b, double t) {
+  return a + t * (b - a);
+}
+// a / |a|, or the zero vector where |a| is zero.
+inline Vec3 normalized(const Vec3& a) {
+  const double l = length(a);
+  return l > 0 ? (1.0 / l) * a : Vec3{};
+}
+inline bool is_finite(const Vec3& a) {
+  return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
+}
+
+}  // namespace incise::core

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "server/stream/published_delta.hpp"
+
+namespace incise::loop {
+
+using stream::PublishedDelta;
+
+// Takes the deltas that the loop publishes, in order. Called on the loop's thread: must not block.
+class DeltaSink {
+ public:
+  virtual ~DeltaSink() = default;
+  // Immutable from here on; whoever gets a copy lets go of it when done.
+  virtual void publish(std::shared_ptr<const PublishedDelta> delta) noexcept = 0;
+};
+
+// Objects for deltas that go round: one that all readers have let go of is filled again, arrays and all, so a
+// steady frame allocates nothing. Readers are expected to let go in the order of publishing.
+//
+// Thread: take() from the loop's; letting go from any. A reader may outlive the pool.
+class DeltaPool {
+ public:
+  // `warm`: objects made in advance, with room for the deltas of common batches. `most`: objects at most,
+  // which bounds the memory that a reader who has stopped reading can hold.
+  explicit DeltaPool(std::size_t warm = 64, std::size_t most = 1u << 16);
+
+  // An object to fill; null where `most` are held by readers. One that was taken is taken again until
+  // given().
+  std::shared_ptr<PublishedDelta> take();
+  // The object that take() gave is on its way to the readers.
+  void given() { next_ = (next_ + 1) % ring_.size(); }
+
+  // Objects there are now. From any thread.
+  std::size_t size() const { return size_.load(std::memory_order_relaxed); }
+
+ private:
+  const std::size_t most_;
+  std::vector<std::shared_ptr<PublishedDelta>> ring_;  // in the order of publishing
+  std::size_t next_ = 0;                               // the oldest
+  std::atomic<std::size_t> size_{0};
+};
+
+}  // namespace incise::loop

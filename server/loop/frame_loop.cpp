@@ -1,0 +1,320 @@
+#include "server/loop/frame_loop.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <ctime>
+
+namespace incise::loop {
+namespace {
+
+using input::monotonic_ns;
+
+// The clock is read after so many poses (some 100 ns each), and after so long a slice of cutting.
+constexpr std::uint32_t kPosesPerLook = 64;
+constexpr std::int64_t kSlice_ns = 50'000;
+// A sleep ends up to some 50 us late without real-time priority; the last stretch is spent looking at the
+// clock.
+constexpr std::int64_t kSpin_ns = 20'000;
+// The part of a frame's budget that taking poses may use: after a burst the rest is for cutting.
+constexpr double kInputShare = 0.5;
+
+void sleep_until(std::int64_t ns) {
+  const timespec at{ns / 1'000'000'000, ns % 1'000'000'000};
+  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr) == EINTR) {
+  }
+}
+
+}  // namespace
+
+const char* to_string(LateCause cause) {
+  switch (cause) {
+    case LateCause::kWakeUp:
+      return "wake-up";
+    case LateCause::kInput:
+      return "input";
+    case LateCause::kCut:
+      return "cut";
+    case LateCause::kPublish:
+      return "publish";
+  }
+  return "?";
+}
+
+FrameLoop::FrameLoop(core::CutSession& session, input::InputHub& input, DeltaSink& sink, Journal* journal,
+                     const LoopOptions& options)
+    : session_(&session),
+      input_(input),
+      sink_(sink),
+      journal_(journal),
+      options_(options),
+      period_ns_(static_cast<std::int64_t>(1e9 / options.rate_hz)),
+      budget_ns_(static_cast<std::int64_t>(options.budget_fraction * 1e9 / options.rate_hz)),
+      pool_(64, options.most_unread_deltas),
+      stamps_(64) {
+  ready_.reserve(1024);
+  state_.revision = session.revision();
+  state_.state_hash = session.mesh().state_hash();
+  state_.live_tets = session.mesh().live_tets();
+  state_.vertices = session.mesh().vertex_slots();
+  stats_.state.store(state_);
+}
+
+void FrameLoop::run(const std::stop_token& stop) noexcept {
+  std::int64_t deadline = monotonic_ns() + period_ns_;
+  while (!stop.stop_requested()) {
+    if (deadline - monotonic_ns() > kSpin_ns) sleep_until(deadline - kSpin_ns);
+    while (monotonic_ns() < deadline) {
+    }
+    frame(deadline);
+    deadline += period_ns_;
+    if (const std::int64_t behind = monotonic_ns() - deadline; behind > 0) {
+      const std::int64_t skipped = behind / period_ns_ + 1;
+      state_.skipped_frames += static_cast<std::uint64_t>(skipped);
+      deadline += skipped * period_ns_;
+    }
+  }
+  finish();
+}
+
+void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
+  const std::int64_t start = monotonic_ns();
+  state_.flags = 0;
+  if (reset_wanted_.load(std::memory_order_relaxed)) reset();
+  drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
+  const std::int64_t drained = monotonic_ns();
+  cut(start + budget_ns_);
+  const std::int64_t cut_done = monotonic_ns();
+  publish();
+  account(deadline_ns, start, drained, cut_done, monotonic_ns());
+}
+
+void FrameLoop::finish() noexcept {
+  input_.close();
+  while (input_.waiting() > 0) drain(monotonic_ns(), INT64_MAX);
+  drain(monotonic_ns(), INT64_MAX);  // sources that have closed end their strokes
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if (session_->in_stroke(source)) {
+      const std::int64_t now = monotonic_ns();
+      take(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}}, now);
+    }
+  }
+  // A reader that has gone for good must not keep the server from ending: what it has not read by then it
+  // will not.
+  do {
+    state_.flags &= ~std::uint64_t{kDeltasBlocked};
+    cut(INT64_MAX);
+    publish();
+  } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0);
+  const std::int64_t now = monotonic_ns();
+  account(now, now, now, now, now);
+}
+
+// ------------------------------------------------------------------------------------------------ input
+
+void FrameLoop::drain(std::int64_t now_ns, std::int64_t until_ns) {
+  std::uint32_t taken = 0;
+  input_.drain([&](std::uint32_t source, const input::InputEvent& event) {
+    take(source, event, now_ns);
+    if (++taken % kPosesPerLook != 0) return true;
+    now_ns = monotonic_ns();
+    if (now_ns < until_ns) return true;
+    state_.flags |= kInputCarried;
+    return false;
+  });
+}
+
+void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns) {
+  using Kind = input::InputEvent::Kind;
+  const std::size_t batches = session_->backlog_batches();
+  JournalRecord record;
+  record.source = source;
+  record.arrival_ns = event.pose.arrival_ns;
+  switch (event.kind) {
+    case Kind::kOpened:
+      record.kind = JournalRecord::Kind::kOpened;
+      session_->set_blade(source, event.blade);
+      blades_[source] = event.blade;
+      break;
+    case Kind::kPose: {
+      record.kind = JournalRecord::Kind::kPose;
+      record.pose = event.pose.pose;
+      const bool stroking = session_->in_stroke(source);
+      const core::PoseVerdict verdict = session_->push(source, event.pose.pose);
+      if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
+        ++state_.strokes;
+      input_.count(source, verdict, event.pose.pose.t_ns);
+      bump(stats_.verdicts[static_cast<std::size_t>(verdict)]);
+      break;
+    }
+    case Kind::kEndStroke:
+      record.kind = JournalRecord::Kind::kEndStroke;
+      session_->end_stroke(source);
+      break;
+  }
+  write(record);
+  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) {
+    if (stamp_count_ == stamps_.size()) {
+      std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_),
+                  stamps_.end());
+      first_stamp_ = 0;
+      stamps_.resize(2 * stamps_.size());
+    }
+    stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {event.pose.arrival_ns, now_ns};
+  }
+}
+
+void FrameLoop::write(const JournalRecord& record) {
+  if (journal_ && !journal_->record(record)) {
+    state_.flags |= kJournalBlocked;
+    bump(stats_.journal_lost);
+  }
+}
+
+// ------------------------------------------------------------------------------------------------ reset
+
+void FrameLoop::offer_reset(Restart restart, ResetDone done) {
+  restart_ = std::move(restart);
+  reset_done_ = std::move(done);
+}
+
+bool FrameLoop::request_reset() {
+  if (!restart_) return false;
+  reset_wanted_.store(true, std::memory_order_relaxed);
+  return true;
+}
+
+void FrameLoop::reset() {
+  reset_wanted_.store(false, std::memory_order_relaxed);
+  auto fresh = restart_();
+  own_session_ = std::move(fresh);
+  session_ = own_session_.get();
+  stamp_count_ = 0;
+  batch_work_ns_ = 0;
+  LoopState as_loaded;
+  as_loaded.frames = state_.frames;
+  as_loaded.skipped_frames = state_.skipped_frames;
+  as_loaded.state_hash = session_->mesh().state_hash();
+  as_loaded.live_tets = session_->mesh().live_tets();
+  as_loaded.vertices = session_->mesh().vertex_slots();
+  state_ = as_loaded;
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kReset;
+  record.session = reset_done_(*session_);
+  record.arrival_ns = monotonic_ns();
+  write(record);
+  record.kind = JournalRecord::Kind::kOpened;
+  for (record.source = 0; record.source < core::kMaxSources; ++record.source) {
+    if (!blades_[record.source]) continue;
+    session_->set_blade(record.source, *blades_[record.source]);
+    write(record);
+  }
+}
+
+// ------------------------------------------------------------------------------------------------ cutting
+
+void FrameLoop::cut(std::int64_t until_ns) {
+  std::int64_t units_left = options_.units_per_frame > 0 ? options_.units_per_frame : INT64_MAX;
+  std::int64_t now = monotonic_ns();
+  // At least one slice, however late it is: a frame that never cuts would never end the backlog.
+  while (session_->backlog_batches() > 0) {
+    const std::shared_ptr<PublishedDelta> out = pool_.take();
+    if (!out) {
+      state_.flags |= kDeltasBlocked;
+      return;
+    }
+    const std::int64_t slice = std::min(kSlice_ns, until_ns - now);
+    std::int64_t units = cost_.units_in(std::max<std::int64_t>(slice, 0));
+    if (options_.units_per_frame > 0) units = units_left;
+    core::WorkBudget budget{units};
+    const std::size_t segments = session_->backlog_segments();
+    const auto progress = session_->advance(budget, out->delta);
+    const std::int64_t then = now, used = units - budget.left;
+    now = monotonic_ns();
+    cost_.observe(used, now - then);
+    units_left -= used;
+    batch_work_ns_ += now - then;
+    if (progress == core::CutSession::Progress::kCommitted) {
+      const auto done =
+          static_cast<double>(std::max<std::size_t>(1, segments - session_->backlog_segments()));
+      ns_per_segment_ += 0.1 * (static_cast<double>(batch_work_ns_) / done - ns_per_segment_);
+      commit(*out, now);
+      pool_.given();
+      ready_.push_back(out);
+    }
+    if (now >= until_ns || units_left <= 0) {
+      if (session_->backlog_batches() > 0) state_.flags |= kBudgetSpent;
+      return;
+    }
+  }
+}
+
+void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
+  const core::Delta& delta = out.delta;
+  const Stamp stamp = stamps_[first_stamp_];
+  first_stamp_ = (first_stamp_ + 1) % stamps_.size();
+  --stamp_count_;
+  out.arrival_ns = stamp.arrival_ns;
+  out.drain_ns = stamp.drain_ns;
+  out.cut_ns = now_ns;
+
+  stats_.batch_cut.record(batch_work_ns_);
+  stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
+  stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
+  bump(stats_.batches);
+  batch_work_ns_ = 0;
+  state_.revision = delta.revision;
+  state_.state_hash = delta.state_hash;
+  state_.live_tets = session_->mesh().live_tets();
+  state_.vertices = session_->mesh().vertex_slots();
+  state_.cut_faces += delta.cut_faces;
+  state_.cut_area_m2 += delta.cut_area;
+
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kCommit;
+  record.source = delta.source;
+  record.arrival_ns = now_ns;
+  record.stroke = delta.stroke;
+  record.batch = delta.batch;
+  record.stroke_ended = delta.stroke_ended;
+  record.frame = state_.frames;
+  record.revision = delta.revision;
+  record.state_hash = delta.state_hash;
+  write(record);
+}
+
+void FrameLoop::publish() {
+  for (auto& delta : ready_) sink_.publish(std::move(delta));
+  ready_.clear();
+}
+
+// ------------------------------------------------------------------------------------------------ accounts
+
+void FrameLoop::account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns,
+                        std::int64_t cut_ns, std::int64_t end_ns) {
+  ++state_.frames;
+  stats_.wake_late.record(start_ns - deadline_ns);
+  stats_.frame_work.record(end_ns - start_ns);
+  stats_.drain.record(drained_ns - start_ns);
+  stats_.cut.record(cut_ns - drained_ns);
+  stats_.publish.record(end_ns - cut_ns);
+  if (end_ns > deadline_ns + period_ns_) {
+    // The stage that most exceeded its share is the cause.
+    const auto share = [&](double part) {
+      return static_cast<std::int64_t>(part * static_cast<double>(budget_ns_));
+    };
+    const std::int64_t excess[kLateCauses] = {
+        start_ns - deadline_ns - share(0.1), drained_ns - start_ns - share(kInputShare),
+        cut_ns - std::max(drained_ns, start_ns + budget_ns_), end_ns - cut_ns};
+    bump(stats_.late[static_cast<std::size_t>(std::max_element(excess, excess + kLateCauses) - excess)]);
+  }
+  state_.backlog_events = input_.waiting();
+  state_.backlog_batches = session_->backlog_batches();
+  state_.backlog_segments = session_->backlog_segments();
+  const double backlog_ns = ns_per_segment_ * static_cast<double>(state_.backlog_segments);
+  state_.backlog_ns = static_cast<std::uint64_t>(backlog_ns);
+  state_.recovery_ns = static_cast<std::uint64_t>(backlog_ns / options_.budget_fraction);
+  state_.ns_per_unit = cost_.ns_per_unit();
+  stats_.state.store(state_);
+}
+
+}  // namespace incise::loop

@@ -1,0 +1,105 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <stop_token>
+#include <vector>
+
+#include "server/core/cut_session.hpp"
+#include "server/input/input_hub.hpp"
+#include "server/loop/cost_model.hpp"
+#include "server/loop/delta_pool.hpp"
+#include "server/loop/journal.hpp"
+#include "server/loop/loop_stats.hpp"
+
+namespace incise::loop {
+
+struct LoopOptions {
+  double rate_hz = 1000;         // frames a second
+  double budget_fraction = 0.6;  // of a frame, for input and cutting
+  // Not 0: a frame's cutting is so many work units instead of what fits into its time. For tests: the result
+  // must not depend on it.
+  std::int64_t units_per_frame = 0;
+  // Deltas that the sink's readers may hold at once; with more the cut waits for them.
+  std::size_t most_unread_deltas = 1u << 16;
+};
+
+// The real-time loop. Once a frame, in this order: take the poses that wait, check and batch them, cut until
+// the budget is spent, publish the deltas of finished batches, account. What does not fit is carried over to
+// the next frame; poses stay in their queues until the loop can take them, and none is dropped.
+//
+// A frame takes no lock, throws nothing and logs nothing, and once buffers are warm it allocates nothing.
+//
+// Thread: one runs frames; stats() is for any. Owns nothing but its buffers: session, hub, channel and
+// journal must outlive it.
+class FrameLoop {
+ public:
+  // `journal` may be null.
+  FrameLoop(core::CutSession& session, input::InputHub& input, DeltaSink& sink, Journal* journal,
+            const LoopOptions& options);
+
+  // Makes resets possible; before the first frame. `restart` gives a session as it was loaded; `done` gets it before its
+  // first pose, tells whoever must know, and returns the new session's id. Both run on the loop's thread and may take as
+  // long as loading did: the frame is late.
+  using Restart = std::function<std::unique_ptr<core::CutSession>()>;
+  using ResetDone = std::function<std::uint64_t(const core::CutSession& fresh)>;
+  void offer_reset(Restart restart, ResetDone done);
+  // Asks for one, at the start of the next frame: revision 0, strokes gone, blades with their owners as before. False
+  // where it was not offered. From any thread.
+  bool request_reset();
+
+  // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
+  // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
+  // as frames.
+  void run(const std::stop_token& stop) noexcept;
+  // One frame that should have begun at `deadline_ns` (CLOCK_MONOTONIC).
+  void frame(std::int64_t deadline_ns) noexcept;
+  // Closes the hub, takes what waits, ends all strokes, cuts and publishes all of it.
+  void finish() noexcept;
+
+  const LoopStats& stats() const { return stats_; }
+
+ private:
+  // What a waiting batch needs for its delta's times, oldest first: as CutSession's queue, in a ring that
+  // grows.
+  struct Stamp {
+    std::int64_t arrival_ns, drain_ns;
+  };
+  void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
+  void drain(std::int64_t now_ns, std::int64_t until_ns);
+  void cut(std::int64_t until_ns);
+  void commit(PublishedDelta& out, std::int64_t now_ns);
+  void publish();
+  void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t cut_ns,
+               std::int64_t end_ns);
+  void write(const JournalRecord& record);
+  void reset();
+
+  core::CutSession* session_;
+  std::unique_ptr<core::CutSession> own_session_;  // since the last reset
+  Restart restart_;
+  ResetDone reset_done_;
+  std::atomic<bool> reset_wanted_{false};
+  std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
+  input::InputHub& input_;
+  DeltaSink& sink_;
+  Journal* const journal_;
+  const LoopOptions options_;
+  const std::int64_t period_ns_, budget_ns_;
+
+  CostModel cost_;
+  double ns_per_segment_ = 20'000;  // of whole batches, measured: for the estimate of the backlog
+  DeltaPool pool_;
+  std::vector<std::shared_ptr<const PublishedDelta>> ready_;  // committed in this frame
+  std::int64_t batch_work_ns_ = 0;                            // on the batch at work, so far
+  std::vector<Stamp> stamps_;
+  std::size_t first_stamp_ = 0, stamp_count_ = 0;
+  LoopState state_;
+  LoopStats stats_;
+};
+
+}  // namespace incise::loop

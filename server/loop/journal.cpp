@@ -1,0 +1,106 @@
+#include "server/loop/journal.hpp"
+
+#include <chrono>
+#include <exception>
+
+#include "server/loop/loop_stats.hpp"
+
+namespace incise::loop {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::steady_clock;
+
+// How often the thread looks for records. The queue holds a second of them at the least, so this bounds only
+// how old a record is when it reaches the system.
+constexpr milliseconds kPoll{5};
+// How long a failing sink is left alone.
+constexpr milliseconds kRetry{1000};
+
+JournalRecord gap_of(std::uint64_t lost) {
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kGap;
+  record.lost = lost;
+  return record;
+}
+
+}  // namespace
+
+Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble)
+    : sink_(std::move(sink)),
+      options_(options),
+      on_trouble_(std::move(on_trouble)),
+      queue_(options.capacity) {
+  thread_ = std::thread([this] { run(); });
+}
+
+Journal::~Journal() {
+  while (gap_ > 0 && !queue_.push(gap_of(gap_))) std::this_thread::sleep_for(kPoll);
+  stop_.store(true, std::memory_order_release);
+  thread_.join();
+}
+
+bool Journal::record(const JournalRecord& record) noexcept {
+  if (gap_ > 0 && queue_.push(gap_of(gap_))) gap_ = 0;
+  if (gap_ == 0 && queue_.push(record)) return true;
+  ++gap_;
+  bump(lost_unqueued_);
+  return false;
+}
+
+bool Journal::write_waiting() {
+  if (failing() && unflushed_ > 0)
+    sink_->write(gap_of(unflushed_));  // what was lost when it failed, and since
+  JournalRecord record;
+  bool any = failing();
+  while (queue_.pop(record)) {
+    const std::uint64_t gap = record.kind == JournalRecord::Kind::kGap ? record.lost : 0;
+    unflushed_ += gap > 0 ? gap : 1;
+    unflushed_gaps_ += gap;
+    sink_->write(record);
+    any = true;
+  }
+  if (!any) return false;
+  sink_->flush();
+  unflushed_ = unflushed_gaps_ = 0;
+  return true;
+}
+
+void Journal::run() {
+  auto last_sync = steady_clock::now(), last_try = last_sync;
+  bool unsynced = false;
+  for (;;) {
+    const bool stopping = stop_.load(std::memory_order_acquire);
+    if (failing() && !stopping && steady_clock::now() - last_try < kRetry) {
+      std::this_thread::sleep_for(kPoll);
+      continue;
+    }
+    try {
+      last_try = steady_clock::now();
+      unsynced |= write_waiting();
+      const bool due =
+          options_.policy == SyncPolicy::kAlways ||
+          (options_.policy == SyncPolicy::kGroup &&
+           (stopping || steady_clock::now() - last_sync >= milliseconds(options_.sync_interval_ms)));
+      if (unsynced && due) {
+        sink_->sync();
+        last_sync = steady_clock::now();
+        unsynced = false;
+      }
+      if (failing()) {
+        lost_unwritten_before_ = lost_unwritten_.load(std::memory_order_relaxed);
+        failing_.store(false, std::memory_order_relaxed);
+        on_trouble_("");
+      }
+      if (stopping) sink_->close();
+    } catch (const std::exception& error) {
+      lost_unwritten_.store(lost_unwritten_before_ + unflushed_ - unflushed_gaps_, std::memory_order_relaxed);
+      if (!failing()) on_trouble_(error.what());
+      failing_.store(true, std::memory_order_relaxed);
+    }
+    if (stopping) return;
+    std::this_thread::sleep_for(kPoll);
+  }
+}
+
+}  // namespace incise::loop

@@ -1,0 +1,107 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "server/core/blade.hpp"
+#include "server/input/spsc_queue.hpp"
+
+namespace incise::loop {
+
+// One thing that the loop did that its state depends on (kOpened, kPose, kEndStroke), or a mark to check it
+// by.
+struct JournalRecord {
+  enum class Kind : std::uint8_t {
+    kOpened,     // source, arrival_ns: the source has another owner
+    kPose,       // source, arrival_ns, pose
+    kEndStroke,  // source, arrival_ns
+    kCommit,     // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
+    kReset,      // session, arrival_ns: the mesh is as loaded again
+    kGap,        // lost: so many records are missing here
+  };
+  Kind kind = Kind::kPose;
+  std::uint32_t source = 0;
+  std::int64_t arrival_ns = 0;
+  core::Pose pose;
+  std::uint32_t stroke = 0, batch = 0;
+  bool stroke_ended = false;
+  std::uint64_t revision = 0;
+  std::uint64_t state_hash = 0;
+  std::uint64_t frame = 0;  // of the loop, since it started
+  std::uint64_t session = 0;
+  std::uint64_t lost = 0;
+};
+
+// Where a journal goes. Called from the journal's thread only; whatever fails throws.
+class JournalSink {
+ public:
+  virtual ~JournalSink() = default;
+  virtual void write(const JournalRecord& record) = 0;
+  // Hands what was written to the system. Where that fails, all that was written since the last flush is dropped.
+  virtual void flush() = 0;
+  // Returns when what was flushed survives a loss of power.
+  virtual void sync() = 0;
+  // The last call: nothing more will come, and nothing is missing since the last gap.
+  virtual void close() = 0;
+};
+
+// When what was written must be on the disk.
+enum class SyncPolicy : std::uint8_t {
+  kNone,    // when the system pleases: survives a crash of incised, not of the machine
+  kGroup,   // at most sync_interval_ms after it was drained
+  kAlways,  // as soon as possible
+};
+
+// Writes what the loop drained, in its order, from a thread of its own. The loop never waits for the disk:
+// where the queue is full, or the sink fails (disk full), records are lost; lost() counts them, and a kGap
+// record says so at that place as soon as the sink takes it. What follows a gap can be replayed only from a
+// checkpoint after it.
+//
+// Thread: record() from the loop's; the rest from any. Owns: the sink, its thread.
+class Journal {
+ public:
+  struct Options {
+    SyncPolicy policy = SyncPolicy::kGroup;
+    std::int64_t sync_interval_ms = 100;
+    std::size_t capacity = 1u << 16;  // records
+  };
+  // Called from the journal's thread when the sink begins to fail, with the reason, and with an empty text
+  // when it works again.
+  using OnTrouble = std::function<void(const std::string&)>;
+  Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble);
+  // Writes what waits, flushes, ends the thread. The loop must have stopped.
+  ~Journal();
+
+  // False where the record is lost.
+  bool record(const JournalRecord& record) noexcept;
+
+  std::uint64_t lost() const {
+    return lost_unqueued_.load(std::memory_order_relaxed) + lost_unwritten_.load(std::memory_order_relaxed);
+  }
+  bool failing() const { return failing_.load(std::memory_order_relaxed); }
+  // Records that wait.
+  std::size_t waiting() const { return queue_.size(); }
+
+ private:
+  void run();
+  // Writes and flushes what waits; whether there was anything.
+  bool write_waiting();
+
+  const std::unique_ptr<JournalSink> sink_;
+  const Options options_;
+  const OnTrouble on_trouble_;
+  input::SpscQueue<JournalRecord> queue_;
+  std::uint64_t gap_ = 0;  // the loop's: records lost since the last one that was queued
+  // The thread's: records that the sink has not flushed, and of them those that lost_unqueued_ counts already.
+  std::uint64_t unflushed_ = 0, unflushed_gaps_ = 0;
+  std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
+  std::atomic<std::uint64_t> lost_unqueued_{0}, lost_unwritten_{0};
+  std::atomic<bool> failing_{false}, stop_{false};
+  std::thread thread_;
+};
+
+}  // namespace incise::loop

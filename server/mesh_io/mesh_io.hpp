@@ -1,0 +1,64 @@
+#pragma once
+
+// Mesh files in and out: what server/app and the tests use. Files are told apart by their ending.
+
+#include <filesystem>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "server/core/mesh_data.hpp"
+#include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/surface.hpp"
+#include "server/mesh_io/tetgen_fill.hpp"
+
+namespace incise::mesh_io {
+
+struct LoadOptions {
+  double scale_to_metres = 1;  // the file's coordinates times this are metres; > 0 and finite
+  FillOptions fill;            // how a surface is filled with tetrahedra; unused for a tetrahedral mesh
+};
+
+struct LoadedMesh {
+  core::MeshData mesh;                // valid: what core::TetMesh takes, every tetrahedron positive
+  std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and where
+  std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash)
+  bool filled = false;                // from a surface
+  bool from_cache = false;            // and the fill was found in the cache
+};
+
+// Reads a tetrahedral mesh (.node, .ele, or the base name of both) or a closed surface (.stl, .ply, .off,
+// .obj), which is checked and filled by TetGen in a child process. The mesh is scaled, checked and repaired
+// (repair_tets). Throws MeshError.
+LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
+
+// Reads a triangle surface by its ending, in the file's units, unchecked (check_surface in
+// surface_check.hpp).
+Surface read_surface(const std::filesystem::path& path, std::vector<std::string>& warnings);
+
+// SHA-256, as 64 hexadecimal digits, of the counts, coordinates, tetrahedra and regions: two meshes with the
+// same hash are the same bits.
+std::string mesh_hash(const core::MeshData& mesh);
+
+// Whether write_mesh / write_surface takes a file of this ending.
+bool is_mesh_file(const std::filesystem::path& path);
+bool is_surface_file(const std::filesystem::path& path);
+// ".vtu, .node, .ele" and so on, for messages and --help.
+std::string_view mesh_file_endings();
+std::string_view surface_file_endings();
+
+// Writes a tetrahedral mesh by the ending of `path`: .vtu with all of `cell_data`, or .node and .ele with the
+// array named "region" as the attribute. Each array has one value a tetrahedron. Throws MeshError.
+void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
+                std::span<const std::array<core::VertexId, 4>> tets,
+                std::span<const CellArray> cell_data = {});
+// The same for a mesh as loaded: positions, tetrahedra, regions.
+void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh);
+
+// Writes a surface by the ending of `path`: .vtp and .ply with all of `cell_data`, one value a triangle; .stl
+// (binary, float32), .off and .obj without. Throws MeshError.
+void write_surface(const std::filesystem::path& path, const Surface& surface,
+                   std::span<const CellArray> cell_data = {});
+
+}  // namespace incise::mesh_io

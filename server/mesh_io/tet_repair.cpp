@@ -1,0 +1,502 @@
+#include "server/mesh_io/tet_repair.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <optional>
+#include <span>
+#include <tuple>
+
+#include "server/core/predicates.hpp"
+#include "server/core/quality.hpp"
+#include "server/core/tet_mesh.hpp"
+#include "server/mesh_io/mesh_error.hpp"
+
+namespace incise::mesh_io {
+namespace {
+
+using core::HalfFace;
+using core::kNone;
+using core::MeshData;
+using core::TetId;
+using core::Vec3;
+using core::VertexId;
+
+// core::orient3d is exact for magnitudes from 1e-90 to 1e+90, products of three included; bodies are far
+// inside.
+constexpr double kLargest = 1e+60, kSmallest = 1e-60;
+// More bad tetrahedra than this are no slip of a mesher but a tangled mesh: one in fifty, or sixteen.
+constexpr double kMaxBadShare = 0.02;
+constexpr std::size_t kMaxBadCount = 16;
+class TetRepair {
+ public:
+  TetRepair(MeshData& mesh, const std::string& file, int index_base, std::vector<std::string>& warnings)
+      : mesh_(mesh), file_(file), base_(index_base), warnings_(warnings) {}
+
+  void run() {
+    check_positions();
+    check_tets();
+    match_faces();
+    list_stars();
+    orient();
+    mend();
+    note_loose_vertices();
+    drop_unused_vertices();
+    note_coincident_vertices();
+  }
+
+ private:
+  [[noreturn]] void fail(const std::string& message) const { throw MeshError(file_ + ": " + message); }
+  void warn(const std::string& message) { warnings_.push_back(file_ + ": " + message); }
+
+  std::string name(VertexId v) const { return std::to_string(static_cast<std::int64_t>(v) + base_); }
+  std::string place(VertexId v) const { return "vertex " + name(v) + " at " + to_text(mesh_.positions[v]); }
+  std::string tet_name(TetId t) const {
+    return "tetrahedron " + std::to_string(static_cast<std::int64_t>(t) + base_);
+  }
+  std::string place(const std::array<VertexId, 4>& v) const {
+    return "vertices " + name(v[0]) + ", " + name(v[1]) + ", " + name(v[2]) + ", " + name(v[3]) +
+           ", around " + to_text(barycentre(v));
+  }
+  Vec3 barycentre(const std::array<VertexId, 4>& v) const {
+    return 0.25 *
+           (mesh_.positions[v[0]] + mesh_.positions[v[1]] + mesh_.positions[v[2]] + mesh_.positions[v[3]]);
+  }
+  double volume(TetId t) const {
+    const auto& v = mesh_.tets[t];
+    const auto& p = mesh_.positions;
+    return core::signed_volume(p[v[0]], p[v[1]], p[v[2]], p[v[3]]);
+  }
+  bool is_positive(TetId t) const {
+    const auto& v = mesh_.tets[t];
+    const auto& p = mesh_.positions;
+    return core::orient3d(p[v[0]], p[v[1]], p[v[2]], p[v[3]]) > 0;
+  }
+
+  void check_positions() {
+    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+      Vec3& p = mesh_.positions[v];
+      for (double* x : {&p.x, &p.y, &p.z}) {
+        if (!std::isfinite(*x)) fail("vertex " + name(v) + " has a coordinate that is not finite");
+        if (std::abs(*x) > kLargest) {
+          fail(place(v) + " lies beyond " + to_text(kLargest) + " m: check the file's numbers and the scale");
+        }
+        if (std::abs(*x) < kSmallest) *x = 0;
+      }
+    }
+  }
+
+  void check_tets() {
+    if (mesh_.tets.empty()) fail("there is no tetrahedron");
+    for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+      const auto& v = mesh_.tets[t];
+      for (std::size_t i = 0; i < 4; ++i) {
+        if (v[i] >= mesh_.positions.size()) {
+          fail(tet_name(t) + " has vertex " + name(v[i]) + "; the file has " + std::to_string(base_) +
+               " to " + name(static_cast<VertexId>(mesh_.positions.size() - 1)));
+        }
+        for (std::size_t j = 0; j < i; ++j) {
+          if (v[i] == v[j]) fail(tet_name(t) + " has " + place(v[i]) + " twice: remove the tetrahedron");
+        }
+      }
+    }
+  }
+
+  // The vertices of a face in ascending order, and whether that took an odd permutation.
+  struct SortedFace {
+    std::array<VertexId, 3> v;
+    bool odd;
+  };
+  SortedFace sorted_face(HalfFace h) const {
+    const auto& tet = mesh_.tets[core::tet_of(h)];
+    const auto& f = core::kFaceVertices[core::face_of(h)];
+    SortedFace face{{tet[f[0]], tet[f[1]], tet[f[2]]}, false};
+    const auto order = [&face](std::size_t i, std::size_t j) {
+      if (face.v[i] > face.v[j]) {
+        std::swap(face.v[i], face.v[j]);
+        face.odd = !face.odd;
+      }
+    };
+    order(0, 1);
+    order(1, 2);
+    order(0, 1);
+    return face;
+  }
+
+  // Fills opposite_: buckets the faces by their lowest vertex, sorts each small bucket.
+  void match_faces() {
+    const auto half_faces = static_cast<HalfFace>(4 * mesh_.tets.size());
+    opposite_.assign(half_faces, kNone);
+    std::vector<std::uint32_t> begin(mesh_.positions.size() + 1, 0);
+    for (HalfFace h = 0; h < half_faces; ++h) ++begin[sorted_face(h).v[0] + 1];
+    std::partial_sum(begin.begin(), begin.end(), begin.begin());
+    struct Entry {
+      VertexId mid, high;
+      HalfFace h;
+    };
+    std::vector<Entry> entries(half_faces);
+    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
+    for (HalfFace h = 0; h < half_faces; ++h) {
+      const auto face = sorted_face(h);
+      entries[next[face.v[0]]++] = {face.v[1], face.v[2], h};
+    }
+    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+      const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
+      std::sort(first, last, [](const Entry& a, const Entry& b) {
+        return std::tie(a.mid, a.high, a.h) < std::tie(b.mid, b.high, b.h);
+      });
+      for (auto it = first; it != last;) {
+        auto end = it + 1;
+        while (end != last && end->mid == it->mid && end->high == it->high) ++end;
+        if (end - it > 2) refuse_shared_face(it->h, (it + 1)->h, (it + 2)->h, end - it);
+        if (end - it == 2) {
+          const HalfFace a = it->h, b = (it + 1)->h;
+          if (mesh_.tets[core::tet_of(a)][core::face_of(a)] ==
+              mesh_.tets[core::tet_of(b)][core::face_of(b)]) {
+            refuse_twins(a, b);
+          }
+          opposite_[a] = b;
+          opposite_[b] = a;
+        }
+        it = end;
+      }
+    }
+  }
+
+  [[noreturn]] void refuse_twins(HalfFace a, HalfFace b) const {
+    fail(tet_name(core::tet_of(a)) + " and " + std::to_string(core::tet_of(b) + static_cast<TetId>(base_)) +
+         " have the same " + place(mesh_.tets[core::tet_of(a)]) + ": remove one of them");
+  }
+
+  [[noreturn]] void refuse_shared_face(HalfFace a, HalfFace b, HalfFace c, std::ptrdiff_t count) const {
+    const auto opposite_vertex = [this](HalfFace h) { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; };
+    if (opposite_vertex(a) == opposite_vertex(b)) refuse_twins(a, b);
+    if (opposite_vertex(b) == opposite_vertex(c)) refuse_twins(b, c);
+    if (opposite_vertex(a) == opposite_vertex(c)) refuse_twins(a, c);
+    const auto f = sorted_face(a).v;
+    const auto tet = [this](HalfFace h) {
+      return std::to_string(static_cast<std::int64_t>(core::tet_of(h)) + base_);
+    };
+    fail(std::to_string(count) + " tetrahedra (" + tet(a) + ", " + tet(b) + ", " + tet(c) +
+         (count > 3 ? ", ..." : "") + ") share the face with " + place(f[0]) + ", " + place(f[1]) + " and " +
+         place(f[2]) + "; a face has one or two: remove those that overlap");
+  }
+
+  // star_begin_, star_: the tetrahedra of each vertex.
+  void list_stars() {
+    star_begin_.assign(mesh_.positions.size() + 1, 0);
+    for (const auto& tet : mesh_.tets) {
+      for (const VertexId v : tet) ++star_begin_[v + 1];
+    }
+    std::partial_sum(star_begin_.begin(), star_begin_.end(), star_begin_.begin());
+    star_.resize(4 * mesh_.tets.size());
+    std::vector<std::uint32_t> next(star_begin_.begin(), star_begin_.end() - 1);
+    for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+      for (const VertexId v : mesh_.tets[t]) star_[next[v]++] = t;
+    }
+  }
+  std::span<const TetId> star(VertexId v) const {
+    return {star_.data() + star_begin_[v], star_.data() + star_begin_[v + 1]};
+  }
+
+  // Floods each body over its faces so that neighbours see a shared face from opposite sides, then turns the
+  // body right-handed by its total volume. What is negative after that lies folded over its neighbours: no
+  // order of its indices is right.
+  void orient() {
+    std::vector<std::uint8_t> seen(mesh_.tets.size(), 0), flip(mesh_.tets.size(), 0);
+    std::vector<TetId> body;
+    std::size_t flipped = 0;
+    TetId first_flipped = kNone;
+    for (TetId seed = 0; seed < mesh_.tets.size(); ++seed) {
+      if (seen[seed]) continue;
+      body.assign(1, seed);
+      seen[seed] = 1;
+      double total = 0;
+      for (std::size_t i = 0; i < body.size(); ++i) {
+        const TetId t = body[i];
+        total += flip[t] ? -volume(t) : volume(t);
+        for (int f = 0; f < 4; ++f) {
+          const HalfFace h = core::half_face(t, f), g = opposite_[h];
+          if (g == kNone) continue;
+          const bool turned = sorted_face(h).odd == sorted_face(g).odd;
+          const auto wanted = static_cast<std::uint8_t>(flip[t] ^ static_cast<std::uint8_t>(turned));
+          const TetId n = core::tet_of(g);
+          if (!seen[n]) {
+            seen[n] = 1;
+            flip[n] = wanted;
+            body.push_back(n);
+          } else if (flip[n] != wanted) {
+            fail(tet_name(t) + " and " + std::to_string(static_cast<std::int64_t>(n) + base_) +
+                 " share a face in a body that cannot be oriented (" + place(mesh_.tets[t]) +
+                 "): some of its tetrahedra are turned inside out, remesh it");
+          }
+        }
+      }
+      const std::uint8_t turn = total < 0 ? 1 : 0;
+      for (const TetId t : body) {
+        if ((flip[t] ^ turn) == 0) continue;
+        std::swap(mesh_.tets[t][2], mesh_.tets[t][3]);
+        if (flipped++ == 0 || t < first_flipped) first_flipped = t;
+      }
+    }
+    if (flipped == 0) return;
+    if (flipped == mesh_.tets.size()) {
+      warn("all " + std::to_string(flipped) +
+           " tetrahedra are left-handed: two vertices of each are exchanged");
+    } else {
+      warn(std::to_string(flipped) + " of " + std::to_string(mesh_.tets.size()) +
+           " tetrahedra are left-handed (the first: " + tet_name(first_flipped) +
+           "): two vertices of each are exchanged");
+    }
+    match_faces();  // exchanging vertices renumbered the faces
+  }
+
+  bool on_boundary(TetId t) const {
+    for (int f = 0; f < 4; ++f) {
+      if (opposite_[core::half_face(t, f)] == kNone) return true;
+    }
+    return false;
+  }
+
+  std::vector<TetId> bad_tets() const {
+    std::vector<TetId> bad;
+    for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+      if (!removed_[t] && !is_positive(t)) bad.push_back(t);
+    }
+    return bad;
+  }
+
+  void mend() {
+    removed_.assign(mesh_.tets.size(), 0);
+    std::vector<TetId> bad = bad_tets();
+    if (bad.empty()) return;
+    const auto limit = std::max(
+        kMaxBadCount, static_cast<std::size_t>(kMaxBadShare * static_cast<double>(mesh_.tets.size())));
+    if (bad.size() > limit) {
+      fail(std::to_string(bad.size()) + " of " + std::to_string(mesh_.tets.size()) +
+           " tetrahedra are flat or folded over their neighbours (the first: " + tet_name(bad[0]) + ", " +
+           place(mesh_.tets[bad[0]]) + ", volume " + to_text(volume(bad[0])) + " m^3): remesh it");
+    }
+    mark_boundary_vertices();
+    // A move can mend several, and a removal can bring others to the boundary: until nothing changes.
+    for (bool progress = true; progress && !bad.empty();) {
+      progress = false;
+      for (const TetId t : bad) {
+        if (!is_positive(t) && nudge(t)) progress = true;
+      }
+      bad = bad_tets();
+      if (progress) continue;
+      for (const TetId t : bad) {
+        if (!on_boundary(t)) continue;
+        remove(t);
+        progress = true;
+      }
+      std::erase_if(bad, [this](TetId t) { return removed_[t] != 0; });
+    }
+    if (!bad.empty()) {
+      fail(tet_name(bad[0]) + " (" + place(mesh_.tets[bad[0]]) + ") is " +
+           (volume(bad[0]) < 0 ? "inverted" : "flat") + ", volume " + to_text(volume(bad[0])) +
+           " m^3, inside the body, and no small move of a vertex mends it: remesh it there");
+    }
+    compact();
+  }
+
+  void mark_boundary_vertices() {
+    boundary_.assign(mesh_.positions.size(), 0);
+    for (HalfFace h = 0; h < opposite_.size(); ++h) {
+      if (opposite_[h] != kNone) continue;
+      for (const VertexId v : sorted_face(h).v) boundary_[v] = 1;
+    }
+  }
+
+  // Of the star of v: how many tetrahedra are not positive, and the worst dihedral measure of the others.
+  struct StarQuality {
+    std::size_t bad = 0;
+    double worst = -core::kInverted;
+  };
+  StarQuality star_quality(VertexId v) const {
+    StarQuality quality;
+    for (const TetId t : star(v)) {
+      if (removed_[t]) continue;
+      const auto& tet = mesh_.tets[t];
+      const auto& p = mesh_.positions;
+      if (is_positive(t)) {
+        quality.worst =
+            std::max(quality.worst, core::worst_dihedral(p[tet[0]], p[tet[1]], p[tet[2]], p[tet[3]]));
+      } else {
+        ++quality.bad;
+      }
+    }
+    return quality;
+  }
+
+  // Moves one vertex of t so that fewer tetrahedra of its star are bad: away from the plane of the opposite
+  // face, to a few heights, or (an interior vertex) towards the middle of its star. A boundary vertex moves
+  // by no more than a twentieth of the edges around it, which a viewer does not see; an interior one by no
+  // more than a third.
+  bool nudge(TetId t) {
+    std::optional<Vec3> best_position;
+    VertexId best_vertex = kNone;
+    double best_worst = 0;
+    std::ptrdiff_t best_mended = 0;
+    for (int i = 0; i < 4; ++i) {
+      const VertexId v = mesh_.tets[t][i];
+      const auto& f = core::kFaceVertices[i];
+      const Vec3 a = mesh_.positions[mesh_.tets[t][f[0]]], b = mesh_.positions[mesh_.tets[t][f[1]]],
+                 c = mesh_.positions[mesh_.tets[t][f[2]]];
+      const Vec3 start = mesh_.positions[v];
+      const Vec3 inward = -core::normalized(core::cross(b - a, c - a));
+      double edge = 0;
+      Vec3 middle;
+      for (const TetId s : star(v)) {
+        for (const VertexId w : mesh_.tets[s]) {
+          edge += core::distance(mesh_.positions[w], start) / (3.0 * static_cast<double>(star(v).size()));
+          if (w != v) middle += (1.0 / (3.0 * static_cast<double>(star(v).size()))) * mesh_.positions[w];
+        }
+      }
+      const double height = core::dot(start - a, inward);
+      const StarQuality before = star_quality(v);
+      const double reach = (boundary_[v] ? 0.05 : 0.34) * edge;
+      std::vector<Vec3> candidates;
+      for (const double target : {0.002, 0.01, 0.03, 0.1})
+        candidates.push_back(start + (target * edge - height) * inward);
+      if (!boundary_[v]) {
+        for (const double share : {0.1, 0.3, 1.0}) candidates.push_back(core::lerp(start, middle, share));
+      }
+      for (const Vec3& candidate : candidates) {
+        if (!(core::distance(candidate, start) <= reach)) continue;
+        mesh_.positions[v] = candidate;
+        const StarQuality after = star_quality(v);
+        const auto mended = static_cast<std::ptrdiff_t>(before.bad) - static_cast<std::ptrdiff_t>(after.bad);
+        if (mended > best_mended || (mended > 0 && mended == best_mended && after.worst < best_worst)) {
+          best_mended = mended;
+          best_worst = after.worst;
+          best_vertex = v;
+          best_position = candidate;
+        }
+      }
+      mesh_.positions[v] = start;
+    }
+    if (!best_position) return false;
+    const double moved = core::distance(*best_position, mesh_.positions[best_vertex]);
+    warn(tet_name(t) + " (" + place(mesh_.tets[t]) + ") is " + (volume(t) < 0 ? "inverted" : "flat") +
+         ", volume " + to_text(volume(t)) + " m^3: " + place(best_vertex) + " is moved by " + to_text(moved) +
+         " m");
+    mesh_.positions[best_vertex] = *best_position;
+    return true;
+  }
+
+  void remove(TetId t) {
+    warn(tet_name(t) + " (" + place(mesh_.tets[t]) + ") is " + (volume(t) < 0 ? "inverted" : "flat") +
+         ", volume " + to_text(volume(t)) + " m^3, on the boundary: it is removed");
+    removed_[t] = 1;
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace h = core::half_face(t, f);
+      if (opposite_[h] != kNone) opposite_[opposite_[h]] = kNone;
+      for (const VertexId v : sorted_face(h).v) boundary_[v] = 1;
+    }
+  }
+
+  void compact() {
+    TetId kept = 0;
+    for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+      if (removed_[t]) continue;
+      mesh_.tets[kept] = mesh_.tets[t];
+      if (!mesh_.regions.empty()) mesh_.regions[kept] = mesh_.regions[t];
+      ++kept;
+    }
+    if (kept == mesh_.tets.size()) return;
+    if (kept == 0) fail("no tetrahedron of positive volume is left");
+    mesh_.tets.resize(kept);
+    if (!mesh_.regions.empty()) mesh_.regions.resize(kept);
+    match_faces();
+    list_stars();
+  }
+
+  // Vertices where parts of the body touch in a point or along an edge only.
+  void note_loose_vertices() {
+    std::vector<std::uint32_t> mark(mesh_.tets.size(), kNone);
+    std::vector<TetId> reached;
+    std::size_t count = 0;
+    VertexId first = kNone;
+    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+      if (star(v).empty()) continue;
+      reached.assign(1, star(v)[0]);
+      mark[reached[0]] = v;
+      for (std::size_t i = 0; i < reached.size(); ++i) {
+        for (int f = 0; f < 4; ++f) {
+          const HalfFace g = opposite_[core::half_face(reached[i], f)];
+          if (g == kNone || mesh_.tets[reached[i]][f] == v || mark[core::tet_of(g)] == v) continue;
+          mark[core::tet_of(g)] = v;
+          reached.push_back(core::tet_of(g));
+        }
+      }
+      if (reached.size() == star(v).size()) continue;
+      if (count++ == 0) first = v;
+    }
+    if (count == 0) return;
+    warn((count == 1 ? "1 vertex is non-manifold: its"
+                     : std::to_string(count) + " vertices are non-manifold: their") +
+         " tetrahedra are not connected through faces (the first: " + place(first) +
+         "); each connected part gets a copy of its own");
+  }
+
+  void drop_unused_vertices() {
+    std::vector<VertexId> renumbered(mesh_.positions.size(), kNone);
+    std::size_t unused = 0;
+    VertexId kept = 0, first = kNone;
+    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+      if (star(v).empty()) {
+        if (unused++ == 0) first = v;
+      } else {
+        renumbered[v] = kept++;
+      }
+    }
+    if (unused == 0) return;
+    warn((unused == 1 ? std::string("1 vertex has") : std::to_string(unused) + " vertices have") +
+         " no tetrahedron (the first: " + place(first) + "): dropped");
+    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+      if (renumbered[v] != kNone) mesh_.positions[renumbered[v]] = mesh_.positions[v];
+    }
+    mesh_.positions.resize(kept);
+    for (auto& tet : mesh_.tets) {
+      for (VertexId& v : tet) v = renumbered[v];
+    }
+  }
+
+  void note_coincident_vertices() {
+    std::vector<VertexId> order(mesh_.positions.size());
+    std::iota(order.begin(), order.end(), VertexId{0});
+    const auto& p = mesh_.positions;
+    std::sort(order.begin(), order.end(), [&p](VertexId a, VertexId b) {
+      return std::tie(p[a].x, p[a].y, p[a].z, a) < std::tie(p[b].x, p[b].y, p[b].z, b);
+    });
+    std::size_t count = 0;
+    VertexId first = kNone;
+    for (std::size_t i = 1; i < order.size(); ++i) {
+      if (p[order[i]] == p[order[i - 1]] && count++ == 0) first = order[i];
+    }
+    if (count == 0) return;
+    warn(std::to_string(count) + " vertices lie exactly on another one (the first at " + to_text(p[first]) +
+         "): the mesh is not connected there");
+  }
+
+  MeshData& mesh_;
+  const std::string& file_;
+  const int base_;
+  std::vector<std::string>& warnings_;
+  std::vector<HalfFace> opposite_;
+  std::vector<std::uint32_t> star_begin_;
+  std::vector<TetId> star_;
+  std::vector<std::uint8_t> boundary_;
+  std::vector<std::uint8_t> removed_;
+};
+
+}  // namespace
+
+void repair_tets(core::MeshData& mesh, const std::string& file, int index_base,
+                 std::vector<std::string>& warnings) {
+  TetRepair(mesh, file, index_base, warnings).run();
+}
+
+}  // namespace incise::mesh_io

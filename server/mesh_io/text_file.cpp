@@ -1,0 +1,162 @@
+#include "server/mesh_io/text_file.hpp"
+
+#include <unistd.h>
+
+#include <atomic>
+#include <cerrno>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <memory>
+
+#include "server/mesh_io/mesh_error.hpp"
+
+namespace incise::mesh_io {
+namespace {
+
+struct CloseFile {
+  void operator()(std::FILE* file) const { std::fclose(file); }
+};
+
+// At most 40 printable characters of a field, for a message: a binary file read as text must not spill into
+// it.
+std::string quoted(std::string_view field) {
+  std::string text = "'";
+  for (const char c : field.substr(0, 40)) text += c >= ' ' && c <= '~' ? c : '?';
+  return text + (field.size() > 40 ? "...'" : "'");
+}
+
+}  // namespace
+
+std::string to_text(double number) {
+  char buffer[32];
+  const auto end = std::to_chars(buffer, buffer + sizeof buffer, number).ptr;
+  return {buffer, end};
+}
+
+std::string to_text(const core::Vec3& point) {
+  char buffer[96];
+  std::snprintf(buffer, sizeof buffer, "(%.9g, %.9g, %.9g)", point.x, point.y, point.z);
+  return buffer;
+}
+
+std::string read_whole_file(const std::filesystem::path& path) {
+  std::error_code error;
+  const auto status = std::filesystem::status(path, error);
+  if (!std::filesystem::exists(status)) throw MeshError(path.string() + ": no such file");
+  // A FIFO or a device would block or never end.
+  if (!std::filesystem::is_regular_file(status)) throw MeshError(path.string() + ": not a regular file");
+  const std::unique_ptr<std::FILE, CloseFile> file(std::fopen(path.c_str(), "rb"));
+  if (!file) throw MeshError(path.string() + ": cannot be opened: " + std::strerror(errno));
+  const auto size = std::filesystem::file_size(path, error);
+  if (error) throw MeshError(path.string() + ": cannot be read: " + error.message());
+  std::string bytes(size, '\0');
+  bytes.resize(std::fread(bytes.data(), 1, bytes.size(), file.get()));
+  if (std::ferror(file.get())) throw MeshError(path.string() + ": cannot be read: " + std::strerror(errno));
+  if (bytes.empty()) throw MeshError(path.string() + ": the file is empty");
+  return bytes;
+}
+
+void write_whole_file(const std::filesystem::path& path, std::string_view bytes) {
+  auto temporary = path;
+  static std::atomic<unsigned> count{0};  // two threads may write the same file
+  temporary += ".tmp" + std::to_string(::getpid()) + "-" + std::to_string(count++);
+  const auto fail = [&](const std::string& reason) {
+    std::error_code ignored;
+    std::filesystem::remove(temporary, ignored);
+    throw MeshError(path.string() + ": cannot be written: " + reason);
+  };
+  std::unique_ptr<std::FILE, CloseFile> file(std::fopen(temporary.c_str(), "wb"));
+  if (!file) fail(std::strerror(errno));
+  if (std::fwrite(bytes.data(), 1, bytes.size(), file.get()) != bytes.size()) fail(std::strerror(errno));
+  if (std::fclose(file.release()) != 0) fail(std::strerror(errno));
+  std::error_code error;
+  std::filesystem::rename(temporary, path, error);
+  if (error) fail(error.message());
+}
+
+void append_number(std::string& text, double number) {
+  char buffer[40];
+  text.append(buffer,
+              std::to_chars(buffer, buffer + sizeof buffer, number, std::chars_format::general, 17).ptr);
+}
+
+void append_number(std::string& text, std::int64_t number) {
+  char buffer[24];
+  text.append(buffer, std::to_chars(buffer, buffer + sizeof buffer, number).ptr);
+}
+
+LineReader::LineReader(std::string_view text, std::string file_name, char comment)
+    : text_(text), file_name_(std::move(file_name)), comment_(comment) {
+  if (text_.starts_with("\xef\xbb\xbf")) position_ = 3;  // a byte order mark
+}
+
+bool LineReader::next() {
+  fields_.clear();
+  while (position_ < text_.size()) {
+    ++line_;
+    const auto end = std::min(text_.find('\n', position_), text_.size());
+    std::string_view line = text_.substr(position_, end - position_);
+    position_ = std::min(end + 1, text_.size());
+    if (comment_ != '\0') line = line.substr(0, line.find(comment_));
+    for (std::size_t i = 0; i < line.size();) {
+      const auto blank = [](char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; };
+      while (i < line.size() && blank(line[i])) ++i;
+      const std::size_t begin = i;
+      while (i < line.size() && !blank(line[i])) ++i;
+      if (i > begin) fields_.push_back(line.substr(begin, i - begin));
+    }
+    if (!fields_.empty()) return true;
+  }
+  return false;
+}
+
+void LineReader::require(std::string_view what) {
+  if (!next())
+    throw MeshError(file_name_ + ": ends after line " + std::to_string(line_) + ", where " +
+                    std::string(what) + " should be: the file is cut short");
+}
+
+double LineReader::number(std::size_t i, std::string_view what) const {
+  if (i >= fields_.size()) fail(std::string(what) + " is missing");
+  std::string_view field = fields_[i];
+  if (field.starts_with('+')) field.remove_prefix(1);
+  double value = 0;
+  const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
+  // A number too small for a double is zero to any mesh; one too large is refused below.
+  if (error == std::errc::result_out_of_range) {
+    value = std::strtod(std::string(field).c_str(), nullptr);
+  } else if (error != std::errc() || end != field.data() + field.size()) {
+    fail(std::string(what) + " is " + quoted(fields_[i]) + ", not a number");
+  }
+  if (!std::isfinite(value)) fail(std::string(what) + " is " + quoted(fields_[i]) + ", not a finite number");
+  return value;
+}
+
+std::int64_t LineReader::integer(std::size_t i, std::string_view what) const {
+  if (i >= fields_.size()) fail(std::string(what) + " is missing");
+  std::string_view field = fields_[i];
+  if (field.starts_with('+')) field.remove_prefix(1);
+  std::int64_t value = 0;
+  const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
+  if (error != std::errc() || end != field.data() + field.size()) {
+    fail(std::string(what) + " is " + quoted(fields_[i]) + ", not an integer");
+  }
+  return value;
+}
+
+std::size_t LineReader::count(std::size_t i, std::string_view what, std::size_t limit) const {
+  const std::int64_t value = integer(i, what);
+  if (value < 0 || static_cast<std::uint64_t>(value) > limit) {
+    fail(std::string(what) + " is " + std::to_string(value) + "; at most " + std::to_string(limit) +
+         " can follow in a file of this size");
+  }
+  return static_cast<std::size_t>(value);
+}
+
+void LineReader::fail(std::string_view message) const {
+  throw MeshError(file_name_ + ":" + std::to_string(line_) + ": " + std::string(message));
+}
+
+}  // namespace incise::mesh_io

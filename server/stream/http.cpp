@@ -1,0 +1,209 @@
+#include "server/stream/http.hpp"
+
+#include <algorithm>
+#include <boost/asio/as_tuple.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <boost/beast/core.hpp>
+#include <boost/beast/http.hpp>
+#include <boost/beast/websocket/rfc6455.hpp>
+#include <memory>
+#include <optional>
+
+#include "server/stream/origin.hpp"
+#include "server/stream/session.hpp"
+
+namespace incise::stream {
+namespace {
+
+namespace beast = boost::beast;
+namespace http = beast::http;
+using boost::system::error_code;
+constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+constexpr std::uint32_t kMaxHeaderBytes = 16 * 1024;
+constexpr std::chrono::seconds kRequestTime{15};
+
+struct Answer {
+  http::status status = http::status::ok;
+  std::string type = "text/plain; charset=utf-8";
+  std::string body;
+};
+
+std::string_view view_of(beast::string_view s) {
+  return {s.data(), s.size()};
+}
+
+template <class Message>
+void set_common(Message& message, const HttpRequest& request) {
+  message.version(request.version());
+  message.keep_alive(request.keep_alive());
+  message.set(http::field::server, "incised");
+  message.set("X-Content-Type-Options", "nosniff");
+  message.set("X-Frame-Options", "SAMEORIGIN");
+}
+
+void metric(std::string& out, const char* name, const char* type, const char* help, std::uint64_t value) {
+  out += std::string("# HELP incise_stream_") + name + ' ' + help + "\n# TYPE incise_stream_" + name + ' ' +
+         type + "\nincise_stream_" + name + ' ' + std::to_string(value) + '\n';
+}
+
+std::string stream_metrics(Hub& hub) {
+  const HubCounters& c = hub.counters();
+  std::string out;
+  metric(out, "revision", "gauge", "Revision that clients can see.", c.revision);
+  metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.sessions);
+  metric(out, "connections", "gauge", "Open connections.", c.connections);
+  metric(out, "accepted_total", "counter", "Connections taken in.", c.accepted);
+  metric(out, "refused_total", "counter", "Connections refused at the door.", c.refused);
+  metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);
+  metric(out, "bytes_out_total", "counter", "Bytes of messages sent.", c.bytes_out);
+  metric(out, "bytes_in_total", "counter", "Bytes of messages received.", c.bytes_in);
+  metric(out, "messages_in_total", "counter", "Messages received.", c.messages_in);
+  metric(out, "bad_messages_total", "counter", "Messages that were none.", c.bad_messages);
+  metric(out, "coalesced_total", "counter", "Deltas that stood for several steps.", c.coalesced);
+  metric(out, "snapshots_total", "counter", "Snapshots sent.", c.snapshots);
+  metric(out, "slow_snapshots_total", "counter", "Snapshots for sessions that fell behind.",
+         c.slow_snapshots);
+  metric(out, "slow_disconnects_total", "counter", "Sessions ended because they did not read.",
+         c.slow_disconnects);
+  metric(out, "resumed_total", "counter", "Sessions that went on where they had been.", c.resumed);
+  metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
+  return out;
+}
+
+// What the server itself has to say at a path; nothing: it is a file, if anything.
+std::optional<Answer> answer(Hub& hub, std::string_view path) {
+  const Providers& providers = hub.providers();
+  const HubCounters& counters = hub.counters();
+  if (path == "/healthz") {
+    return Answer{http::status::ok, "application/json",
+                  "{\"status\":\"ok\",\"revision\":" + std::to_string(counters.revision) +
+                      ",\"sessions\":" + std::to_string(counters.sessions) + "}\n"};
+  }
+  if (path == "/metrics") {
+    return Answer{http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
+                  (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(hub)};
+  }
+  if (path == "/stats" && providers.stats_json) {
+    return Answer{http::status::ok, "application/json", providers.stats_json()};
+  }
+  if (path == "/stats" || path == "/ws") {
+    return Answer{path == "/ws" ? http::status::upgrade_required : http::status::not_found,
+                  "text/plain; charset=utf-8", path == "/ws" ? "a WebSocket, please\n" : "not found\n"};
+  }
+  return std::nullopt;
+}
+
+asio::awaitable<bool> send_answer(NetStream& stream, const HttpRequest& request, Answer answer) {
+  http::response<http::string_body> response(answer.status, request.version());
+  set_common(response, request);
+  response.set(http::field::content_type, answer.type);
+  response.set(http::field::cache_control, "no-store");
+  if (answer.status == http::status::method_not_allowed) response.set(http::field::allow, "GET, HEAD");
+  response.body() = std::move(answer.body);
+  response.prepare_payload();
+  if (request.method() == http::verb::head) response.body().clear();
+  const auto [ec, n] = co_await http::async_write(stream, response, kTuple);
+  co_return !ec && response.keep_alive();
+}
+
+// Not a coroutine: GCC 12 destroys an aggregate made within a co_await expression twice.
+asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, http::status status,
+                                const char* text) {
+  return send_answer(stream, request, Answer{status, "text/plain; charset=utf-8", text});
+}
+
+asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
+                                const StaticFiles::File& file) {
+  const bool unchanged = view_of(request[http::field::if_none_match]) == file.etag;
+  http::response<http::file_body> response(http::status::ok, request.version());
+  http::response<http::empty_body> head(unchanged ? http::status::not_modified : http::status::ok,
+                                        request.version());
+  const auto set = [&](auto& message) {
+    set_common(message, request);
+    message.set(http::field::content_type, file.mime_type);
+    message.set(http::field::etag, file.etag);
+    message.set(http::field::cache_control, file.cache_control);
+  };
+  set(response);
+  set(head);
+  error_code error;
+  response.body().open(file.path.c_str(), beast::file_mode::scan, error);
+  if (error) {
+    co_return co_await send_text(stream, request, http::status::not_found, "not found\n");
+  }
+  if (unchanged || request.method() == http::verb::head) {
+    if (!unchanged) head.content_length(response.body().size());
+    http::response_serializer<http::empty_body> serializer(head);
+    const auto [ec, n] = co_await http::async_write_header(stream, serializer, kTuple);
+    co_return !ec && head.keep_alive();
+  }
+  response.prepare_payload();
+  const auto [ec, n] = co_await http::async_write(stream, response, kTuple);
+  co_return !ec && response.keep_alive();
+}
+
+// Reads a request; nothing where none came, or none that can be answered otherwise than by hanging up.
+asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beast::flat_buffer& buffer) {
+  http::request_parser<http::string_body> parser;
+  parser.header_limit(kMaxHeaderBytes);
+  parser.body_limit(kMaxHeaderBytes);
+  stream.tcp().expires_after(kRequestTime);
+  const auto [ec, n] = co_await http::async_read(stream, buffer, parser, kTuple);
+  if (!ec) co_return parser.release();
+  if (ec == http::error::header_limit || ec == http::error::body_limit ||
+      (ec.category() == make_error_code(http::error::end_of_stream).category() &&
+       ec != http::error::end_of_stream && ec != http::error::partial_message)) {
+    const bool large = ec == http::error::header_limit || ec == http::error::body_limit;
+    HttpRequest none;
+    none.version(11);
+    none.keep_alive(false);
+    co_await send_text(stream, none,
+                       large ? http::status::request_header_fields_too_large : http::status::bad_request,
+                       "not a request that is understood here\n");
+  }
+  co_return std::nullopt;
+}
+
+asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStream& stream,
+                                    const HttpRequest& request) {
+  if (request.method() != http::verb::get && request.method() != http::verb::head) {
+    co_return co_await send_text(stream, request, http::status::method_not_allowed, "GET and HEAD only\n");
+  }
+  const std::string_view target = view_of(request.target());
+  const std::string_view path = target.substr(0, target.find('?'));
+  if (std::optional<Answer> own = answer(hub, path)) {
+    co_return co_await send_answer(stream, request, std::move(*own));
+  }
+  if (const std::optional<StaticFiles::File> file = files.find(target)) {
+    co_return co_await send_file(stream, request, *file);
+  }
+  co_return co_await send_text(stream, request, http::status::not_found, "not found\n");
+}
+
+}  // namespace
+
+asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket) {
+  beast::flat_buffer buffer;
+  bool go_on = true;
+  while (go_on) {
+    const std::optional<HttpRequest> request = co_await read_request(stream, buffer);
+    if (!request) break;
+    const std::string_view target = view_of(request->target());
+    if (beast::websocket::is_upgrade(*request) && target.substr(0, target.find('?')) == "/ws") {
+      if (!origin_allowed(view_of((*request)[http::field::origin]), view_of((*request)[http::field::host]),
+                          hub.config().allowed_origins)) {
+        co_await send_text(stream, *request, http::status::forbidden, "this page may not connect here\n");
+        break;
+      }
+      std::unique_ptr<Transport> transport = co_await accept_websocket(std::move(stream), *request);
+      if (!transport) co_return;
+      const auto session = std::make_shared<Session>(hub, std::move(transport), std::move(ticket));
+      co_await session->run();
+      co_return;
+    }
+    go_on = co_await serve_request(hub, files, stream, *request);
+  }
+  stream.shut_down(asio::ip::tcp::socket::shutdown_both);
+}
+
+}  // namespace incise::stream

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <boost/asio/awaitable.hpp>
+
+#include "server/stream/hub.hpp"
+#include "server/stream/static_files.hpp"
+#include "server/stream/transport.hpp"
+
+namespace incise::stream {
+
+// Serves one connection of the HTTP port until it ends: /healthz, /stats, /metrics, the viewer's files, and
+// /ws, which turns it into a session.
+asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket);
+
+}  // namespace incise::stream

@@ -1,0 +1,127 @@
+#pragma once
+
+#include <atomic>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+
+#include "server/stream/delta_ring.hpp"
+#include "server/stream/mirror.hpp"
+#include "server/stream/server.hpp"
+#include "server/stream/snapshot_keeper.hpp"
+
+namespace incise::stream {
+
+namespace asio = boost::asio;
+class Session;
+
+// What StreamCounters are made of, to be read from any thread.
+struct HubCounters {
+  std::atomic<std::uint64_t> revision{0}, state_hash{0}, accepted{0}, refused{0}, deltas{0}, bytes_out{0},
+      bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
+      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0};
+  std::atomic<std::uint32_t> sessions{0}, connections{0};
+};
+
+// What all sessions share: the mirror, the ring of encoded steps, the list of sessions, who holds which
+// blade.
+//
+// Thread: the stream thread, counters() apart. Owns: the mirror, the snapshot thread.
+class Hub {
+ public:
+  Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, InputSink& sink,
+      Providers providers);
+  ~Hub();
+
+  // A new state for all; at the start and after a reset.
+  void reset(std::shared_ptr<const InitialState> initial);
+  // Sends what apply() has added; once for many deltas, so that a thread that is behind makes fewer, larger writes.
+  void advance_all();
+  void send_force(const protocol::Force& force);
+  void apply(const std::shared_ptr<const PublishedDelta>& delta);
+
+  asio::io_context& io() { return io_; }
+  const StreamConfig& config() const { return config_; }
+  const ServerFacts& facts() const { return facts_; }
+  const Providers& providers() const { return providers_; }
+  InputSink& sink() { return sink_; }
+  const Mirror& mirror() const { return mirror_; }
+  const DeltaRing& ring() const { return ring_; }
+  HubCounters& counters() { return *counters_; }
+
+  // Calls `ready` on this thread, later.
+  void request_snapshot(protocol::View view, SnapshotKeeper::Ready ready);
+  // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
+  // helps.
+  SharedFrame coalesced(protocol::View view, std::uint64_t base);
+
+  // Takes a connection in, or refuses it: too many, or too many that have not said Hello.
+  class Ticket;
+  std::optional<Ticket> admit();
+  void add(const std::shared_ptr<Session>& session) { sessions_.insert(session); }
+  void remove(const std::shared_ptr<Session>& session) { sessions_.erase(session); }
+  // Whether another session may be welcomed.
+  bool has_room() const { return counters_->sessions.load(std::memory_order_relaxed) < config_.max_sessions; }
+  // Who holds the source of that name, if it is a session of ours.
+  std::shared_ptr<Session> holder(const std::string& source_name) const;
+
+  // Deadlines, pings and reports; starts the clock that calls itself.
+  void start_clock();
+  // Says goodbye to all sessions. None is left when their connections have ended.
+  void stop();
+  // Ends what is left.
+  void close_all();
+  bool idle() const { return sessions_.empty(); }
+
+ private:
+  void tick();
+  void send_statistics();
+
+  asio::io_context& io_;
+  const StreamConfig& config_;
+  ServerFacts facts_;
+  InputSink& sink_;
+  Providers providers_;
+  Mirror mirror_;
+  DeltaRing ring_;
+  // Shared with the tickets: connections that never end are destroyed with the io_context, after the hub.
+  std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
+  std::set<std::shared_ptr<Session>> sessions_;
+  std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
+  asio::steady_timer clock_;
+  std::uint64_t ticks_ = 0;
+  bool stopping_ = false;
+  SnapshotKeeper keeper_;
+};
+
+// One connection's place in the counts. Moves.
+class Hub::Ticket {
+ public:
+  explicit Ticket(std::shared_ptr<HubCounters> counters) : counters_(std::move(counters)) {
+    ++counters_->connections;
+  }
+  Ticket(Ticket&& other) noexcept
+      : counters_(std::exchange(other.counters_, nullptr)),
+        welcomed_(std::exchange(other.welcomed_, false)) {}
+  Ticket& operator=(Ticket&&) = delete;
+  ~Ticket() {
+    if (!counters_) return;
+    if (welcomed_) --counters_->sessions;
+    --counters_->connections;
+  }
+  void welcome() {
+    if (!std::exchange(welcomed_, true)) ++counters_->sessions;
+  }
+
+ private:
+  std::shared_ptr<HubCounters> counters_;
+  bool welcomed_ = false;
+};
+
+}  // namespace incise::stream

@@ -1,0 +1,56 @@
+#pragma once
+
+// What the stream needs of the input side. server/app joins it to input::InputHub.
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string_view>
+
+#include "protocol/messages.hpp"
+
+namespace incise::stream {
+
+// What became of the poses of one source since it was opened; the sums of a PoseReport.
+struct PoseTotals {
+  std::uint64_t accepted = 0;  // those counted in too_fast too
+  std::uint64_t not_finite = 0, not_unit = 0, time_not_rising = 0, queue_full = 0;
+  std::uint64_t too_fast = 0;  // accepted, but each began a new stroke
+  std::int64_t last_source_ns = 0;
+  std::uint32_t backlog_segments = 0;
+
+  // Poses whose fate is known.
+  std::uint64_t settled() const { return accepted + not_finite + not_unit + time_not_rising + queue_full; }
+};
+
+// A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
+//
+// Thread: the stream thread.
+class PoseSource {
+ public:
+  virtual ~PoseSource() = default;
+  virtual std::uint32_t number() const = 0;
+  // Queues poses in order; returns how many were taken. Where that is not all the session reads no more from
+  // its peer and offers the rest again: no pose is dropped.
+  virtual std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) = 0;
+  // Ends the running stroke after the poses pushed so far. False: no room, try again.
+  virtual bool end_stroke(std::int64_t arrival_ns) = 0;
+  virtual PoseTotals totals() const = 0;
+  // The blade's edge in the tool's frame, metres.
+  virtual protocol::Vec3 heel() const = 0;
+  virtual protocol::Vec3 tip() const = 0;
+};
+
+// Thread: all calls come from the stream thread.
+class InputSink {
+ public:
+  virtual ~InputSink() = default;
+  // Takes a blade by its source's name. Null where somebody holds it, or no blade is free.
+  virtual std::unique_ptr<PoseSource> open(std::string_view source_name) = 0;
+  // An administrator wants the mesh as loaded. False where the server does not offer that. When it is done,
+  // Server::publish_reset() follows.
+  virtual bool reset() { return false; }
+};
+
+}  // namespace incise::stream

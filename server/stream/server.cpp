@@ -1,0 +1,313 @@
+#include "server/stream/server.hpp"
+
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <boost/asio/as_tuple.hpp>
+#include <boost/asio/co_spawn.hpp>
+#include <boost/asio/detached.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/posix/stream_descriptor.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/ssl.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <chrono>
+#include <optional>
+#include <stdexcept>
+#include <system_error>
+#include <thread>
+
+#include "server/core/check.hpp"
+#include "server/stream/handoff_queue.hpp"
+#include "server/stream/http.hpp"
+#include "server/stream/hub.hpp"
+#include "server/stream/session.hpp"
+
+namespace incise::stream {
+namespace {
+
+using asio::ip::tcp;
+using boost::system::error_code;
+constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+constexpr int kMostAtOnce = 256;  // deltas applied before sessions get them
+
+// What the loop hands over: one of the three.
+struct Item {
+  std::shared_ptr<const PublishedDelta> delta;
+  std::shared_ptr<const InitialState> initial;
+  std::optional<protocol::Force> force;
+};
+
+void check_safe(const StreamConfig& config, const asio::ip::address& address) {
+  const bool tls = !config.certificate_file.empty();
+  if (tls == config.private_key_file.empty()) {
+    throw std::runtime_error(
+        "stream: TLS needs both a certificate and a private key, found only one of the two");
+  }
+  if (address.is_loopback() || config.insecure || (tls && !config.tokens.empty())) return;
+  throw std::runtime_error("stream.address: " + config.address +
+                           " is not loopback: give tokens and a TLS certificate, " +
+                           "or set stream.insecure, which lets everybody on that network cut and watch");
+}
+
+tcp::acceptor listen(asio::io_context& io, const asio::ip::address& address, int port, const char* what) {
+  if (port > 65535) {
+    throw std::runtime_error(std::string("stream.") + what + ": " + std::to_string(port) +
+                             ", accepted are -1 (off) to 65535");
+  }
+  try {
+    tcp::acceptor acceptor(io);
+    const tcp::endpoint endpoint(address, static_cast<std::uint16_t>(port));
+    acceptor.open(endpoint.protocol());
+    acceptor.set_option(tcp::acceptor::reuse_address(true));
+    acceptor.bind(endpoint);
+    acceptor.listen(512);
+    return acceptor;
+  } catch (const boost::system::system_error& error) {
+    throw std::runtime_error(std::string("stream.") + what + ": cannot listen on " + address.to_string() +
+                             ":" + std::to_string(port) + ": " + error.code().message());
+  }
+}
+
+}  // namespace
+
+struct Server::Impl {
+  Impl(StreamConfig given, ServerFacts facts, const InitialState& initial, InputSink& sink,
+       Providers providers)
+      : config(std::move(given)),
+        files(config.viewer_directory),
+        event_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+        wake(io),
+        hub(io, config, std::move(facts), sink, std::move(providers)) {
+    if (event_fd < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
+    wake.assign(event_fd);
+    error_code error;
+    const asio::ip::address address = asio::ip::make_address(config.address, error);
+    if (error) {
+      throw std::runtime_error("stream.address: \"" + config.address +
+                               "\", accepted is an IP address such as 127.0.0.1");
+    }
+    check_safe(config, address);
+    if (!config.certificate_file.empty()) load_tls();
+    if (config.tcp_port >= 0) tcp_acceptor.emplace(listen(io, address, config.tcp_port, "tcp_port"));
+    if (config.http_port >= 0) http_acceptor.emplace(listen(io, address, config.http_port, "http_port"));
+    if (tcp_acceptor) tcp_port = tcp_acceptor->local_endpoint().port();
+    if (http_acceptor) http_port = http_acceptor->local_endpoint().port();
+    hub.reset(std::make_shared<const InitialState>(initial));
+  }
+
+  void load_tls() {
+    namespace ssl = asio::ssl;
+    tls.emplace(ssl::context::tls_server);
+    tls->set_options(ssl::context::default_workarounds | ssl::context::no_sslv2 | ssl::context::no_sslv3 |
+                     ssl::context::no_tlsv1 | ssl::context::no_tlsv1_1);
+    error_code error;
+    tls->use_certificate_chain_file(config.certificate_file, error);
+    if (error) {
+      throw std::runtime_error("stream.certificate_file: " + config.certificate_file + ": " +
+                               error.message());
+    }
+    tls->use_private_key_file(config.private_key_file, ssl::context::pem, error);
+    if (error) {
+      throw std::runtime_error("stream.private_key_file: " + config.private_key_file + ": " +
+                               error.message());
+    }
+  }
+
+  // ---- The loop's side ----
+
+  void publish(Item item) {
+    queue.push(std::move(item));
+    if (!awake.exchange(true)) {
+      const std::uint64_t one = 1;
+      // It can only fail when the counter is full, and then the reader is awake.
+      [[maybe_unused]] const auto written = ::write(event_fd, &one, sizeof one);
+    }
+  }
+
+  // ---- The stream thread ----
+
+  void drain() {
+    // Before the queue is looked at: whoever pushes after the last look finds the flag down and wakes us
+    // again.
+    awake.exchange(false);
+    Item item;
+    bool moved = false;
+    for (int taken = 0; taken < kMostAtOnce && queue.pop(item); ++taken) {
+      moved = moved || item.delta;
+      if (item.delta) {
+        hub.apply(item.delta);
+      } else if (item.force) {
+        hub.send_force(*item.force);
+      } else {
+        hub.reset(item.initial);
+      }
+      item = {};
+    }
+    if (moved) hub.advance_all();
+    // The sessions have their turn in between.
+    if (queue.size() > 0 && !awake.exchange(true)) asio::post(io, [this] { drain(); });
+  }
+
+  void wait_for_work() {
+    wake.async_read_some(asio::buffer(&wake_count, sizeof wake_count), [this](error_code error, std::size_t) {
+      if (error == asio::error::operation_aborted) return;
+      drain();
+      wait_for_work();
+    });
+  }
+
+  // With TLS where there is a certificate; nothing where the peer's handshake fails.
+  asio::awaitable<std::optional<NetStream>> secure(NetStream::Tcp tcp) {
+    if (!tls) co_return NetStream(std::move(tcp));
+    NetStream stream(std::move(tcp), *tls);
+    stream.tcp().expires_after(
+        std::chrono::milliseconds(static_cast<std::int64_t>(config.handshake_timeout_s * 1000)));
+    const auto [ec] = co_await stream.tls()->async_handshake(asio::ssl::stream_base::server, kTuple);
+    if (ec) co_return std::nullopt;
+    co_return std::move(stream);
+  }
+
+  asio::awaitable<void> serve(NetStream::Tcp tcp, Hub::Ticket ticket, bool web) {
+    std::optional<NetStream> stream = co_await secure(std::move(tcp));
+    if (!stream) co_return;
+    if (web) {
+      co_await serve_http(hub, files, std::move(*stream), std::move(ticket));
+      co_return;
+    }
+    const auto session =
+        std::make_shared<Session>(hub, make_tcp_transport(std::move(*stream)), std::move(ticket));
+    co_await session->run();
+  }
+
+  asio::awaitable<void> accept(tcp::acceptor& acceptor, bool web) {
+    for (;;) {
+      auto [ec, socket] = co_await acceptor.async_accept(kTuple);
+      if (ec == asio::error::operation_aborted || !acceptor.is_open()) co_return;
+      if (ec) {
+        // Out of descriptors, most likely: those who are here go on, and some will leave.
+        asio::steady_timer timer(io, std::chrono::milliseconds(100));
+        co_await timer.async_wait(kTuple);
+        continue;
+      }
+      std::optional<Hub::Ticket> ticket = hub.admit();
+      if (!ticket) continue;  // the socket closes here
+      socket.set_option(tcp::no_delay(true), ec);
+      // One connection's failure is its own.
+      asio::co_spawn(io, serve(NetStream::Tcp(std::move(socket)), std::move(*ticket), web),
+                     [](std::exception_ptr) {});
+    }
+  }
+
+  void start() {
+    INCISE_CHECK(!thread.joinable());
+    if (tcp_acceptor) asio::co_spawn(io, accept(*tcp_acceptor, false), asio::detached);
+    if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
+    wait_for_work();
+    hub.start_clock();
+    thread = std::thread([this] { io.run(); });
+  }
+
+  void stop() {
+    if (!thread.joinable()) return;
+    asio::post(io, [this] {
+      error_code ignored;
+      if (tcp_acceptor) tcp_acceptor->close(ignored);
+      if (http_acceptor) http_acceptor->close(ignored);
+      while (queue.size() > 0) drain();
+      wake.cancel(ignored);
+      hub.stop();
+      const auto deadline = std::chrono::steady_clock::now() +
+                            std::chrono::milliseconds(static_cast<std::int64_t>(config.stop_grace_s * 1000));
+      wait_for_goodbyes(deadline);
+    });
+    thread.join();
+  }
+
+  // Ends the thread's work once every session has ended or the grace is over. Connections that are none (HTTP, and who
+  // has not said Hello) have nothing to lose.
+  void wait_for_goodbyes(std::chrono::steady_clock::time_point deadline) {
+    if (hub.idle() || std::chrono::steady_clock::now() >= deadline) {
+      hub.close_all();
+      io.stop();
+      return;
+    }
+    stop_timer.expires_after(std::chrono::milliseconds(5));
+    stop_timer.async_wait([this, deadline](error_code) { wait_for_goodbyes(deadline); });
+  }
+
+  const StreamConfig config;
+  const StaticFiles files;
+  asio::io_context io{1};
+  int event_fd;
+  asio::posix::stream_descriptor wake;  // owns event_fd
+  std::uint64_t wake_count = 0;
+  std::atomic<bool> awake{false};
+  HandoffQueue<Item> queue;
+  std::optional<asio::ssl::context> tls;
+  std::optional<tcp::acceptor> tcp_acceptor, http_acceptor;
+  std::uint16_t tcp_port = 0, http_port = 0;
+  asio::steady_timer stop_timer{io};
+  Hub hub;
+  std::thread thread;
+};
+
+Server::Server(StreamConfig config, ServerFacts facts, const InitialState& initial, InputSink& sink,
+               Providers providers)
+    : impl_(
+          std::make_unique<Impl>(std::move(config), std::move(facts), initial, sink, std::move(providers))) {}
+
+Server::~Server() {
+  stop();
+}
+
+void Server::start() {
+  impl_->start();
+}
+void Server::stop() {
+  impl_->stop();
+}
+
+void Server::publish(std::shared_ptr<const PublishedDelta> delta) noexcept {
+  impl_->publish({std::move(delta), nullptr, {}});
+}
+void Server::publish_reset(std::shared_ptr<const InitialState> initial) noexcept {
+  impl_->publish({nullptr, std::move(initial), {}});
+}
+void Server::publish_force(const protocol::Force& force) noexcept {
+  impl_->publish({nullptr, nullptr, force});
+}
+
+std::uint16_t Server::tcp_port() const {
+  return impl_->tcp_port;
+}
+std::uint16_t Server::http_port() const {
+  return impl_->http_port;
+}
+
+StreamCounters Server::counters() const {
+  const HubCounters& c = impl_->hub.counters();
+  StreamCounters out;
+  out.revision = c.revision;
+  out.state_hash = c.state_hash;
+  out.sessions = c.sessions;
+  out.connections = c.connections;
+  out.accepted = c.accepted;
+  out.refused = c.refused;
+  out.deltas = c.deltas;
+  out.queued = impl_->queue.size();
+  out.bytes_out = c.bytes_out;
+  out.bytes_in = c.bytes_in;
+  out.messages_in = c.messages_in;
+  out.bad_messages = c.bad_messages;
+  out.coalesced = c.coalesced;
+  out.snapshots = c.snapshots;
+  out.slow_snapshots = c.slow_snapshots;
+  out.slow_disconnects = c.slow_disconnects;
+  out.resumed = c.resumed;
+  out.ring_bytes = c.ring_bytes;
+  out.ring_deltas = c.ring_deltas;
+  return out;
+}
+
+}  // namespace incise::stream

@@ -1,0 +1,88 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "protocol/messages.hpp"
+#include "server/stream/input_sink.hpp"
+#include "server/stream/published_delta.hpp"
+#include "server/stream/stream_config.hpp"
+
+namespace incise::stream {
+
+// What Welcome says beside what the stream knows itself.
+struct ServerFacts {
+  protocol::MeshFacts mesh;
+  protocol::Vec3 blade_heel, blade_tip;  // of who holds no blade of its own
+  std::int32_t engage_button = -1;       // -1: always engaged
+  double max_speed_m_s = 0;
+  double frame_rate_hz = 0;
+  std::string policy;
+};
+
+// What the HTTP port and the statistics message show. Called on the stream thread; must not block. An absent
+// one makes the address answer 404, and the message is not sent.
+struct Providers {
+  std::function<std::string()> stats_json;    // GET /stats
+  std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
+  std::function<protocol::Stats()>
+      statistics;  // once a second to every session; sessions and revision are filled in
+};
+
+// What the stream has done since it started.
+struct StreamCounters {
+  std::uint64_t revision = 0;  // of the mirror: what clients can see
+  std::uint64_t state_hash = 0;
+  std::uint32_t sessions = 0;               // welcomed
+  std::uint32_t connections = 0;            // open, with those in their handshake
+  std::uint64_t accepted = 0, refused = 0;  // connections
+  std::uint64_t deltas = 0;                 // applied to the mirror
+  std::uint64_t queued = 0;                 // published, and not applied yet
+  std::uint64_t bytes_out = 0, bytes_in = 0;
+  std::uint64_t messages_in = 0, bad_messages = 0;
+  std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;
+  std::uint64_t ring_bytes = 0, ring_deltas = 0;
+};
+
+// The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.
+//
+// Thread: publish*() from the loop's thread; everything else from the thread that made it, counters() from
+// any. Owns: the stream thread, which runs all sessions and the mirror, and the snapshot thread, which
+// encodes whole states.
+class Server {
+ public:
+  // Listens at once; bytes flow from start(). Throws std::runtime_error where an address cannot be had or the
+  // configuration is not safe. `sink` must outlive the server.
+  Server(StreamConfig config, ServerFacts facts, const InitialState& initial, InputSink& sink,
+         Providers providers = {});
+  ~Server();
+  Server(const Server&) = delete;
+  Server& operator=(const Server&) = delete;
+
+  void start();
+  // Says goodbye to all sessions once what was published has gone out, at most `stop_grace_s`, then ends the
+  // threads.
+  void stop();
+
+  // Hands a delta on. Never blocks and never fails: a short critical path of two stores and, when the stream
+  // thread sleeps, one write to an eventfd. Memory for the queue grows only while the stream thread falls
+  // behind.
+  void publish(std::shared_ptr<const PublishedDelta> delta) noexcept;
+  // The ids start again: every session gets a Welcome with the new session id and a snapshot.
+  // The force on a blade, for the operator who holds it. Only the latest is sent where the network is slower.
+  void publish_force(const protocol::Force& force) noexcept;
+  void publish_reset(std::shared_ptr<const InitialState> initial) noexcept;
+
+  // The ports in use, where the configuration asked for 0; 0: that listener is off.
+  std::uint16_t tcp_port() const;
+  std::uint16_t http_port() const;
+  StreamCounters counters() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace incise::stream

@@ -1,0 +1,124 @@
+#pragma once
+
+#include <boost/asio/awaitable.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "server/stream/hub.hpp"
+#include "server/stream/transport.hpp"
+
+namespace incise::stream {
+
+// One peer, from Hello to Bye. Reads with a coroutine; writes from a bounded outbox, whose policy
+// StreamConfig gives.
+//
+// Thread: the stream thread. Owns: the transport, an operator's blade.
+class Session : public std::enable_shared_from_this<Session> {
+ public:
+  Session(Hub& hub, std::unique_ptr<Transport> transport, Hub::Ticket ticket);
+  ~Session();
+
+  // Serves the peer until the connection has ended.
+  asio::awaitable<void> run();
+
+  // The mirror has moved on, or the outbox has room again: sends what the peer should have.
+  void advance();
+  // Another session of ids: Welcome again, and a snapshot.
+  void restart();
+  // Deadlines, pings, pose reports. About 20 times a second.
+  void tick(std::int64_t now_ns);
+  // A frame beside the state, e.g. statistics. Only to who has been welcomed.
+  void send(SharedFrame frame);
+  // To the operator who holds that blade: the latest, when the one before is out.
+  void send_force(const protocol::Force& force);
+  // Says goodbye and ends the connection once that is written.
+  void finish(protocol::ByeReason reason, const std::string& text);
+  void close();
+
+  bool open() const { return stage_ == Stage::kOpen; }
+  bool holds(const std::string& source_name) const { return source_ && source_name_ == source_name; }
+
+ private:
+  enum class Stage { kHandshake, kOpen, kClosing, kClosed };
+
+  asio::awaitable<bool> receive();
+  asio::awaitable<void> handle(protocol::Message message);
+  asio::awaitable<void> on_hello(const protocol::Hello& hello, std::uint64_t sequence);
+  asio::awaitable<bool> take_blade(const protocol::Hello& hello, std::uint64_t sequence);
+  asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
+  asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
+  void on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t sequence);
+  void on_resync();
+  void on_reset(std::uint64_t sequence);
+  bool allowed(protocol::Role role, const std::string& token) const;
+  bool within_rate();
+  asio::awaitable<void> pause(std::chrono::milliseconds time);
+
+  void refuse(protocol::ErrorCode code, const std::string& text, std::uint64_t sequence = 0);  // fatal
+  void complain(protocol::ErrorCode code, const std::string& text, std::uint64_t sequence);
+  void send_welcome(bool resumed);
+  void report_poses();
+
+  void request_snapshot(protocol::SnapshotCause cause);
+  void on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_t request);
+  void feed_snapshot();
+  void drop_state();  // what waits of the state, and has not begun to go out
+  void push_control(SharedFrame frame);
+  void push_state(SharedFrame frame);
+  void write();
+  void on_written(boost::system::error_code error);
+
+  Hub& hub_;
+  std::unique_ptr<Transport> transport_;
+  Hub::Ticket ticket_;
+  Stage stage_ = Stage::kHandshake;
+  std::string peer_;
+
+  protocol::Role role_ = protocol::Role::Viewer;
+  protocol::View view_ = protocol::View::None;
+  float max_rate_hz_ = 0;
+
+  // An operator's.
+  std::unique_ptr<PoseSource> source_;
+  std::string source_name_;
+  std::uint64_t offered_ = 0;  // poses pushed since Welcome
+  struct Offered {
+    std::uint64_t sequence, offered;
+  };
+  std::deque<Offered> unsettled_;  // messages whose poses the loop has not all counted yet
+  std::uint64_t through_sequence_ = 0;
+  protocol::PoseReport last_report_;
+
+  // The outbox.
+  std::deque<SharedFrame> control_, state_;
+  std::size_t control_bytes_ = 0, state_bytes_ = 0;  // waiting and being written
+  std::optional<protocol::Force> force_;
+  std::vector<SharedFrame> writing_;
+  std::size_t writing_control_ = 0, writing_state_ = 0;  // bytes of them
+  std::int64_t write_began_ns_ = 0;                      // 0: no write is under way
+
+  // Where the peer's state is, with all that the outbox holds.
+  std::uint64_t revision_ = 0;
+  bool behind_ = false;                       // the outbox was full: it must half empty first
+  std::shared_ptr<const Snapshot> snapshot_;  // on its way
+  std::size_t next_chunk_ = 0;
+  std::uint64_t snapshot_request_ = 0;  // the last one's number
+  bool snapshot_wanted_ = false;        // requested, not here yet
+  bool resync_again_ = false;
+  protocol::SnapshotCause snapshot_cause_ = protocol::SnapshotCause::Join;
+  std::uint32_t slow_snapshots_ = 0;
+  std::int64_t next_due_ns_ = 0;  // of a rate-limited peer
+  asio::steady_timer rate_timer_;
+  bool rate_timer_armed_ = false;
+
+  std::int64_t opened_ns_, last_received_ns_, last_ping_ns_ = 0, closing_since_ns_ = 0, last_report_ns_ = 0;
+  std::int64_t rate_window_ns_ = 0;
+  std::uint32_t rate_count_ = 0, rate_pose_messages_ = 0;
+};
+
+}  // namespace incise::stream

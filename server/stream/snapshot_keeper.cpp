@@ -1,0 +1,96 @@
+#include "server/stream/snapshot_keeper.hpp"
+
+#include <string>
+#include <utility>
+
+#include "protocol/surface.hpp"
+#include "server/core/check.hpp"
+
+namespace incise::stream {
+
+SnapshotKeeper::SnapshotKeeper() : thread_([this] { run(); }) {}
+
+SnapshotKeeper::~SnapshotKeeper() {
+  {
+    const std::scoped_lock lock(mutex_);
+    stopping_ = true;
+  }
+  wake_.notify_one();
+  thread_.join();
+}
+
+void SnapshotKeeper::enqueue(Task task) {
+  {
+    const std::scoped_lock lock(mutex_);
+    tasks_.push_back(std::move(task));
+  }
+  wake_.notify_one();
+}
+
+void SnapshotKeeper::reset(std::shared_ptr<const InitialState> initial) {
+  enqueue(std::move(initial));
+}
+void SnapshotKeeper::push(std::shared_ptr<const PublishedDelta> delta) {
+  enqueue(std::move(delta));
+}
+void SnapshotKeeper::request(protocol::View view, Ready ready) {
+  enqueue(Request{view, std::move(ready)});
+}
+
+void SnapshotKeeper::run() {
+  std::vector<Task> tasks;
+  for (;;) {
+    tasks.clear();
+    {
+      std::unique_lock lock(mutex_);
+      wake_.wait(lock, [&] { return stopping_ || !tasks_.empty(); });
+      if (stopping_) return;
+      tasks.swap(tasks_);
+    }
+    for (Task& task : tasks) {
+      if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
+        const std::string problem = load_initial(**initial, replica_);
+        INCISE_CHECK(problem.empty(), problem);
+        session_ = (*initial)->session;
+      } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
+        const protocol::ApplyResult result = replica_.apply(arrays_.assign(**delta, replica_));
+        INCISE_CHECK(result, result.text);
+      } else {
+        const Request& request = std::get<Request>(task);
+        request.ready(encode(request.view));
+      }
+      task = Task{};  // lets go of the delta as soon as it is applied
+    }
+  }
+}
+
+std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view) {
+  std::weak_ptr<const Snapshot>& last = last_[static_cast<std::size_t>(view)];
+  if (auto same = last.lock();
+      same && same->session == session_ && same->begin.revision == replica_.revision()) {
+    return same;
+  }
+  auto snapshot = std::make_shared<Snapshot>();
+  snapshot->session = session_;
+  const auto add = [&](const protocol::SnapshotChunk& chunk) {
+    snapshot->chunks.push_back(make_frame(chunk));
+    snapshot->bytes += snapshot->chunks.back()->tcp().size();
+  };
+  if (view == protocol::View::Surface) {
+    protocol::SurfaceReplica surface;
+    surface.load(replica_);
+    protocol::SurfaceSnapshotWriter writer(surface, protocol::SnapshotCause::Join);
+    snapshot->begin = writer.begin();
+    while (writer.next()) add(writer.chunk());
+    snapshot->end = make_frame(writer.end(replica_.state_hash()));
+  } else {
+    protocol::SnapshotWriter writer(replica_, protocol::SnapshotCause::Join);
+    snapshot->begin = writer.begin();
+    while (writer.next()) add(writer.chunk());
+    snapshot->end = make_frame(writer.end());
+  }
+  last = snapshot;
+  return snapshot;
+}
+
+}  // namespace incise::stream

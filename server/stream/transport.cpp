@@ -1,0 +1,155 @@
+#include "server/stream/transport.hpp"
+
+#include <array>
+#include <boost/asio/as_tuple.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <boost/asio/write.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/websocket.hpp>
+#include <vector>
+
+namespace incise::stream {
+namespace {
+
+namespace beast = boost::beast;
+namespace websocket = beast::websocket;
+using boost::system::error_code;
+constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+
+std::string name_of(NetStream::Tcp& stream) {
+  error_code ec;
+  const auto endpoint = stream.socket().remote_endpoint(ec);
+  return ec ? "?" : endpoint.address().to_string() + ":" + std::to_string(endpoint.port());
+}
+
+class TcpTransport final : public Transport {
+ public:
+  explicit TcpTransport(NetStream stream) : stream_(std::move(stream)), peer_(name_of(stream_.tcp())) {
+    stream_.tcp().expires_never();
+  }
+
+  asio::awaitable<Received> read() override {
+    for (;;) {
+      const auto status = reader_.read(input_);
+      if (status == protocol::FrameReader::Status::Complete)
+        co_return Received::message(reader_.body());
+      if (status == protocol::FrameReader::Status::Failed) co_return Received::bad(reader_.error(), true);
+      const auto [ec, n] = co_await stream_.async_read_some(asio::buffer(buffer_), kTuple);
+      if (ec) co_return Received::end(ec);
+      input_ = std::span<const std::byte>(buffer_).first(n);
+    }
+  }
+
+  void set_max_bytes(std::size_t max_bytes) override { reader_.set_max_bytes(max_bytes); }
+
+  void write(std::span<const SharedFrame> frames, std::function<void(error_code)> done) override {
+    buffers_.clear();
+    for (const SharedFrame& frame : frames) buffers_.emplace_back(frame->tcp().data(), frame->tcp().size());
+    asio::async_write(stream_, buffers_, [done = std::move(done)](error_code ec, std::size_t) { done(ec); });
+  }
+
+  asio::awaitable<void> discard() override {
+    for (;;) {
+      const auto [ec, n] = co_await stream_.async_read_some(asio::buffer(buffer_), kTuple);
+      if (ec) co_return;
+    }
+  }
+
+  void shut_down(std::shared_ptr<void>) override { stream_.shut_down(asio::ip::tcp::socket::shutdown_send); }
+  void close() override { stream_.close(); }
+  std::string peer() const override { return peer_; }
+  asio::any_io_executor executor() override { return stream_.get_executor(); }
+
+ private:
+  NetStream stream_;
+  std::string peer_;
+  protocol::FrameReader reader_{protocol::kMaxHandshakeBytes};
+  std::array<std::byte, 16384> buffer_;
+  std::span<const std::byte> input_;
+  std::vector<asio::const_buffer> buffers_;
+};
+
+class WebSocketTransport final : public Transport {
+ public:
+  explicit WebSocketTransport(NetStream stream)
+      : stream_(std::move(stream)), peer_(name_of(stream_.next_layer().tcp())) {
+    stream_.next_layer().tcp().expires_never();
+    stream_.binary(true);
+    stream_.auto_fragment(false);
+    stream_.read_message_max(protocol::kMaxHandshakeBytes);
+    // The session has its own deadlines and its own pings.
+    stream_.set_option(
+        websocket::stream_base::timeout{std::chrono::seconds(5), websocket::stream_base::none(), false});
+    stream_.set_option(websocket::stream_base::decorator(
+        [](websocket::response_type& response) { response.set(beast::http::field::server, "incised"); }));
+  }
+
+  asio::awaitable<bool> accept(const HttpRequest& request) {
+    const auto [ec] = co_await stream_.async_accept(request, kTuple);
+    co_return !ec;
+  }
+
+  asio::awaitable<Received> read() override {
+    buffer_.consume(buffer_.size());
+    const auto [ec, n] = co_await stream_.async_read(buffer_, kTuple);
+    if (ec == websocket::error::message_too_big || ec == websocket::error::buffer_overflow) {
+      co_return Received::bad("WebSocket message longer than accepted", true);
+    }
+    if (ec) co_return Received::end(ec);
+    if (!stream_.got_binary())
+      co_return Received::bad("WebSocket text frame, accepted are binary ones", false);
+    const auto data = buffer_.cdata();
+    co_return Received::message({static_cast<const std::byte*>(data.data()), data.size()});
+  }
+
+  void set_max_bytes(std::size_t max_bytes) override { stream_.read_message_max(max_bytes); }
+
+  void write(std::span<const SharedFrame> frames, std::function<void(error_code)> done) override {
+    write_next(frames, std::move(done), {});
+  }
+
+  asio::awaitable<void> discard() override {
+    for (;;) {
+      buffer_.consume(buffer_.size());
+      const auto [ec, n] = co_await stream_.async_read(buffer_, kTuple);
+      if (ec) co_return;
+    }
+  }
+
+  void shut_down(std::shared_ptr<void> keep) override {
+    stream_.async_close(websocket::close_code::normal, [keep = std::move(keep)](error_code) {});
+  }
+  void close() override { stream_.next_layer().close(); }
+  std::string peer() const override { return peer_; }
+  asio::any_io_executor executor() override { return stream_.get_executor(); }
+
+ private:
+  void write_next(std::span<const SharedFrame> frames, std::function<void(error_code)> done, error_code ec) {
+    if (ec || frames.empty()) return done(ec);
+    const auto body = frames.front()->body();
+    stream_.async_write(
+        asio::const_buffer(body.data(), body.size()),
+        [this, rest = frames.subspan(1), done = std::move(done)](error_code result, std::size_t) mutable {
+          write_next(rest, std::move(done), result);
+        });
+  }
+
+  websocket::stream<NetStream> stream_;
+  std::string peer_;
+  beast::flat_buffer buffer_;
+};
+
+}  // namespace
+
+std::unique_ptr<Transport> make_tcp_transport(NetStream stream) {
+  return std::make_unique<TcpTransport>(std::move(stream));
+}
+
+asio::awaitable<std::unique_ptr<Transport>> accept_websocket(NetStream stream, const HttpRequest& request) {
+  auto transport = std::make_unique<WebSocketTransport>(std::move(stream));
+  const bool ok = co_await transport->accept(request);
+  if (!ok) co_return nullptr;
+  co_return transport;
+}
+
+}  // namespace incise::stream

@@ -1,0 +1,248 @@
+#include "server/app/config.hpp"
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <string>
+
+namespace incise::app {
+namespace {
+
+std::string error_of(const std::string& text) {
+  try {
+    parse_config(text, "test.json");
+  } catch (const ConfigError& error) {
+    return error.what();
+  }
+  return "";
+}
+
+TEST(Config, AnEmptyObjectIsAllDefaults) {
+  const Config config = parse_config("{}", "test.json");
+  EXPECT_EQ(config.loop.rate_hz, 1000);
+  EXPECT_EQ(config.loop.budget_fraction, 0.6);
+  EXPECT_EQ(config.listen.tcp_port, 7450);
+  EXPECT_EQ(config.listen.http_port, 7480);
+  EXPECT_EQ(config.cut.policy, core::Policy::kConforming);
+  EXPECT_FALSE(config.cut.always_engaged);
+}
+
+TEST(Config, ReadsWhatItPrints) {
+  Config config = parse_config(R"({
+    "mesh": {"phantom": "liver", "target_tets": 60000},
+    "blade": {"heel": [0, 0, 0.01], "tip": [0, 0, -0.08]},
+    "cut": {"policy": "croll", "growth": "none", "engage": "always", "engage_buttons": 6, "batch_h": 0.5},
+    "loop": {"rate_hz": 250, "cpu": 1},
+    "listen": {"tcp_port": 0, "allowed_origins": ["https://a.example"]},
+    "log": {"format": "json"},
+    "sources": [{"name": "left"}, {"name": "right", "tip": [0, 0, 0.03]}]
+  })",
+                               "test.json");
+  EXPECT_EQ(config.cut.policy, core::Policy::kCroll);
+  EXPECT_EQ(config.cut.growth, core::Growth::kNoGrowth);
+  EXPECT_TRUE(config.cut.always_engaged);
+  EXPECT_EQ(config.cut.engage_buttons, 6u);
+  ASSERT_EQ(config.sources.size(), 2u);
+  EXPECT_EQ(config.sources[0].blade, config.cut.blade);
+  EXPECT_EQ(config.sources[1].blade.tip, (core::Vec3{0, 0, 0.03}));
+  for (const std::string& text : {commented(config), compact(config)}) {
+    EXPECT_EQ(compact(parse_config(text, "printed")), compact(config));
+  }
+}
+
+TEST(Config, EveryPrintedKeyHasAComment) {
+  std::istringstream lines(commented({}));
+  std::string line, before;
+  int keys = 0;
+  while (std::getline(lines, line)) {
+    const bool key = line.starts_with("    \"");
+    if (key) {
+      EXPECT_NE(before.find("//"), std::string::npos) << line;
+      ++keys;
+    }
+    before = line;
+  }
+  EXPECT_GE(keys, 45);
+}
+
+TEST(Config, PathsAreRelativeToTheFile) {
+  Config config;
+  config.directory = "/etc/incise";
+  EXPECT_EQ(config.resolve("liver.node"), "/etc/incise/liver.node");
+  EXPECT_EQ(config.resolve("/data/liver.node"), "/data/liver.node");
+  EXPECT_EQ(config.resolve(""), "");
+}
+
+TEST(Config, TheShippedFilesAreGood) {
+  for (const char* name : {"incised.json", "demo.json"}) {
+    const std::filesystem::path file = std::filesystem::path(INCISE_SOURCE_DIR) / "config" / name;
+    EXPECT_NO_THROW(load_config(file)) << file;
+  }
+}
+
+// Each malformed configuration, and what its error must name: the key, what was found or what is accepted.
+struct Malformed {
+  const char* text;
+  std::vector<const char*> named;
+};
+
+class MalformedConfigs : public ::testing::TestWithParam<Malformed> {};
+
+TEST_P(MalformedConfigs, GetOneLineThatNamesFileKeyAndWhatIsAccepted) {
+  const std::string error = error_of(GetParam().text);
+  ASSERT_NE(error, "") << GetParam().text << " was accepted";
+  EXPECT_EQ(error.rfind("test.json: ", 0), 0u) << error;
+  EXPECT_EQ(error.find('\n'), std::string::npos) << error;
+  EXPECT_LT(error.size(), 600u) << error;
+  for (const char* part : GetParam().named)
+    EXPECT_NE(error.find(part), std::string::npos) << error << "\nlacks " << part;
+}
+
+const Malformed kMalformed[] = {
+    // Not JSON, or not an object.
+    {"", {"not JSON"}},
+    {"{", {"not JSON"}},
+    {"}", {"not JSON", "line 1"}},
+    {"{\"loop\": {\"rate_hz\": 1000,}}", {"not JSON"}},
+    {"{\"loop\": {\"rate_hz\": 1e999}}", {"not JSON"}},
+    {"{\"loop\": {\"rate_hz\": NaN}}", {"not JSON"}},
+    {"{'loop': {}}", {"not JSON"}},
+    {"{\"loop\": {\"rate_hz\" 1000}}", {"not JSON"}},
+    {"{\"log\": {\"level\": \"info}}", {"not JSON"}},
+    {"\xff\xfe{}", {"not JSON"}},
+    {"{\"log\": {\"level\": \"\xc3\x28\"}}", {"not JSON"}},
+    {"[]", {"object"}},
+    {"null", {"object"}},
+    {"42", {"42", "object"}},
+    {"\"mesh\"", {"object"}},
+    {"{} {}", {"not JSON"}},
+    // Unknown or doubled keys.
+    {"{\"mash\": {}}", {"unknown key \"mash\"", "mesh", "loop"}},
+    {"{\"loop\": {\"rate\": 1000}}", {"unknown key \"loop.rate\"", "rate_hz"}},
+    {"{\"Loop\": {}}", {"unknown key \"Loop\""}},
+    {"{\"\": {}}", {"unknown key \"\""}},
+    {"{\"loop.rate_hz\": 1000}", {"unknown key \"loop.rate_hz\""}},
+    {"{\"blade\": {\"heel\": [0,0,0], \"point\": [0,0,1]}}", {"unknown key \"blade.point\"", "tip"}},
+    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"\"cpu\"", "twice"}},
+    {"{\"log\": {}, \"log\": {}}", {"\"log\"", "twice"}},
+    // A section that is none.
+    {"{\"loop\": 1000}", {"loop", "1000", "object"}},
+    {"{\"mesh\": \"liver.node\"}", {"mesh", "liver.node", "object"}},
+    {"{\"cut\": null}", {"cut", "null", "object"}},
+    {"{\"listen\": []}", {"listen", "object"}},
+    // Numbers.
+    {"{\"loop\": {\"rate_hz\": 249.9}}", {"loop.rate_hz", "249.9", "from 250", "to 4000"}},
+    {"{\"loop\": {\"rate_hz\": 4001}}", {"loop.rate_hz", "4001"}},
+    {"{\"loop\": {\"rate_hz\": \"1000\"}}", {"loop.rate_hz", "\"1000\"", "number"}},
+    {"{\"loop\": {\"rate_hz\": null}}", {"loop.rate_hz", "null"}},
+    {"{\"loop\": {\"rate_hz\": true}}", {"loop.rate_hz", "true"}},
+    {"{\"loop\": {\"rate_hz\": [1000]}}", {"loop.rate_hz"}},
+    {"{\"loop\": {\"budget_fraction\": 0}}", {"loop.budget_fraction", "0.01"}},
+    {"{\"loop\": {\"budget_fraction\": 1}}", {"loop.budget_fraction", "0.95"}},
+    {"{\"loop\": {\"budget_fraction\": -0.5}}", {"loop.budget_fraction", "-0.5"}},
+    {"{\"mesh\": {\"scale_to_metres\": 0}}", {"mesh.scale_to_metres"}},
+    {"{\"mesh\": {\"fill_time_limit_s\": 0}}", {"mesh.fill_time_limit_s"}},
+    {"{\"cut\": {\"batch_h\": 1e300}}", {"cut.batch_h", "to 100"}},
+    {"{\"cut\": {\"chord_tolerance_h\": 0}}", {"cut.chord_tolerance_h"}},
+    {"{\"cut\": {\"speed_limit_m_s\": -2}}", {"cut.speed_limit_m_s", "-2"}},
+    {"{\"cut\": {\"gap_limit_s\": {}}}", {"cut.gap_limit_s"}},
+    {"{\"capture\": {\"sync_interval_ms\": 0}}", {"capture.sync_interval_ms"}},
+    {"{\"listen\": {\"idle_timeout_s\": 0.5}}", {"listen.idle_timeout_s"}},
+    // Whole numbers.
+    {"{\"listen\": {\"tcp_port\": 65536}}", {"listen.tcp_port", "65536", "65535"}},
+    {"{\"listen\": {\"tcp_port\": -2}}", {"listen.tcp_port", "-2"}},
+    {"{\"listen\": {\"tcp_port\": 7450.5}}", {"listen.tcp_port", "7450.5", "whole number"}},
+    {"{\"listen\": {\"http_port\": 18446744073709551615}}", {"listen.http_port", "18446744073709551615"}},
+    {"{\"listen\": {\"max_sessions\": 0}}", {"listen.max_sessions"}},
+    {"{\"loop\": {\"realtime_priority\": 100}}", {"loop.realtime_priority", "99"}},
+    {"{\"loop\": {\"cpu\": -2}}", {"loop.cpu", "-2"}},
+    {"{\"mesh\": {\"target_tets\": 60000.0}}", {"mesh.target_tets", "whole number"}},
+    {"{\"mesh\": {\"target_tets\": 30000000}}", {"mesh.target_tets"}},
+    {"{\"mesh\": {\"fill_memory_limit_mb\": 1}}", {"mesh.fill_memory_limit_mb"}},
+    {"{\"cut\": {\"engage_buttons\": 0}}", {"cut.engage_buttons"}},
+    {"{\"cut\": {\"engage_buttons\": 4294967296}}", {"cut.engage_buttons"}},
+    {"{\"stream\": {\"ring_bytes\": 10}}", {"stream.ring_bytes"}},
+    {"{\"stream\": {\"outbox_bytes\": \"4 MB\"}}", {"stream.outbox_bytes", "4 MB"}},
+    // Words.
+    {"{\"cut\": {\"policy\": \"Croll\"}}", {"cut.policy", "\"Croll\"", "\"conforming\" or \"croll\""}},
+    {"{\"cut\": {\"policy\": 1}}", {"cut.policy"}},
+    {"{\"cut\": {\"growth\": \"fast\"}}", {"cut.growth", "balanced"}},
+    {"{\"cut\": {\"engage\": true}}", {"cut.engage", "buttons"}},
+    {"{\"mesh\": {\"phantom\": \"kidney\"}}", {"mesh.phantom", "kidney", "liver"}},
+    {"{\"capture\": {\"sync\": \"sometimes\"}}", {"capture.sync", "group"}},
+    {"{\"log\": {\"level\": \"loud\"}}", {"log.level", "loud", "warning"}},
+    {"{\"log\": {\"format\": \"xml\"}}", {"log.format", "text"}},
+    // Texts, truths and points.
+    {"{\"mesh\": {\"path\": 7}}", {"mesh.path", "7", "path"}},
+    {"{\"mesh\": {\"path\": \"a\\u0000b\"}}", {"mesh.path"}},
+    {"{\"loop\": {\"lock_memory\": 1}}", {"loop.lock_memory", "true or false"}},
+    {"{\"listen\": {\"insecure\": \"yes\"}}", {"listen.insecure"}},
+    {"{\"listen\": {\"allowed_origins\": \"*\"}}", {"listen.allowed_origins", "list"}},
+    {"{\"listen\": {\"allowed_origins\": [1]}}", {"listen.allowed_origins"}},
+    {"{\"blade\": {\"tip\": [0, 0]}}", {"blade.tip", "[0,0]", "[x, y, z]"}},
+    {"{\"blade\": {\"tip\": [0, 0, 0, 1]}}", {"blade.tip"}},
+    {"{\"blade\": {\"tip\": [0, 0, \"1\"]}}", {"blade.tip"}},
+    {"{\"blade\": {\"heel\": [0, 0, 1e9]}}", {"blade.heel"}},
+    {"{\"blade\": {\"heel\": \"0,0,0\"}}", {"blade.heel"}},
+    // What does not go together.
+    {"{\"blade\": {\"heel\": [0,0,0], \"tip\": [0,0,0]}}", {"blade.tip", "not the heel"}},
+    {"{\"mesh\": {\"path\": \"a.node\", \"phantom\": \"liver\"}}", {"mesh.phantom", "mesh.path"}},
+    {"{\"mesh\": {\"phantom\": \"liver\", \"target_tets\": 10}}", {"mesh.target_tets", "500"}},
+    {"{\"listen\": {\"certificate_file\": \"c.pem\"}}", {"listen.private_key_file"}},
+    {"{\"listen\": {\"private_key_file\": \"k.pem\"}}", {"listen.certificate_file"}},
+    {"{\"listen\": {\"tcp_port\": 8000, \"http_port\": 8000}}", {"listen.http_port", "8000"}},
+    // Sources.
+    {"{\"sources\": {}}", {"sources", "list"}},
+    {"{\"sources\": [1]}", {"sources[0]", "1"}},
+    {"{\"sources\": [{}]}", {"sources[0].name"}},
+    {"{\"sources\": [{\"name\": \"\"}]}", {"sources[0].name"}},
+    {"{\"sources\": [{\"name\": 5}]}", {"sources[0].name", "5"}},
+    {"{\"sources\": [{\"name\": \"a\"}, {\"name\": \"a\"}]}", {"sources[1].name", "\"a\""}},
+    {"{\"sources\": [{\"name\": \"a\", \"blade\": 1}]}", {"sources[0]", "unknown key \"blade\"", "heel"}},
+    {"{\"sources\": [{\"name\": \"a\", \"tip\": [0]}]}", {"sources[0].tip"}},
+    {"{\"sources\": [{\"name\": \"a\", \"heel\": [1,1,1], \"tip\": [1,1,1]}]}", {"sources[0].tip", "heel"}},
+    {"{\"sources\": [{\"name\":\"1\"},{\"name\":\"2\"},{\"name\":\"3\"},{\"name\":\"4\"},{\"name\":\"5\"},"
+     "{\"name\":\"6\"},{\"name\":\"7\"},{\"name\":\"8\"},{\"name\":\"9\"}]}",
+     {"sources", "at most 8"}},
+};
+static_assert(std::size(kMalformed) >= 60);
+INSTANTIATE_TEST_SUITE_P(, MalformedConfigs, ::testing::ValuesIn(kMalformed));
+
+TEST(Config, FilesThatCannotBeReadSayWhy) {
+  const auto error = [](const std::filesystem::path& file) -> std::string {
+    try {
+      load_config(file);
+    } catch (const ConfigError& refused) {
+      return refused.what();
+    }
+    return "";
+  };
+  const auto dir = std::filesystem::path(::testing::TempDir());
+  EXPECT_NE(error(dir / "none.json").find("none.json: cannot be opened"), std::string::npos);
+  EXPECT_NE(error(dir).find("is a directory"), std::string::npos);
+  const auto long_file = dir / "long.json";
+  std::ofstream(long_file) << std::string((1 << 20) + 1, ' ');
+  EXPECT_NE(error(long_file).find("longer than"), std::string::npos);
+}
+
+TEST(Config, CheckAsksForWhatAServerNeeds) {
+  const auto error = [](const std::string& text) -> std::string {
+    try {
+      check_config(parse_config(text, "test.json"), "test.json");
+    } catch (const ConfigError& refused) {
+      return refused.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(error(R"({"mesh": {"phantom": "slab"}})"), "");
+  EXPECT_NE(error("{}").find("mesh.path"), std::string::npos);
+  EXPECT_NE(error(R"({"mesh": {"path": "/nowhere/a.node"}})").find("mesh.path"), std::string::npos);
+  EXPECT_NE(
+      error(R"({"mesh": {"phantom": "slab"}, "listen": {"address": "0.0.0.0"}})").find("listen.insecure"),
+      std::string::npos);
+  EXPECT_EQ(error(R"({"mesh": {"phantom": "slab"}, "listen": {"address": "0.0.0.0", "insecure": true}})"),
+            "");
+}
+
+}  // namespace
+}  // namespace incise::app

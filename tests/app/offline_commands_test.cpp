@@ -1,0 +1,375 @@
+// The commands of `incise` on files, as a user runs them: the built program, its exit codes and its messages.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <nlohmann/json.hpp>
+
+#include "server/core/measure.hpp"
+#include "server/core/validate.hpp"
+#include "server/mesh_io/mesh_io.hpp"
+#include "tests/support/bodies.hpp"
+#include "tests/support/run_program.hpp"
+
+namespace incise::app {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using tests::RunResult;
+
+class Incise : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = tests::fresh_directory(::testing::UnitTest::GetInstance()->current_test_info()->name());
+  }
+  void TearDown() override {
+    if (!HasFailure()) fs::remove_all(dir_);
+  }
+
+  RunResult run(const std::vector<std::string>& arguments) {
+    return tests::run_program("incise", arguments, dir_);
+  }
+  void write(const std::string& name, const std::string& text) {
+    std::ofstream(dir_ / name, std::ios::binary) << text;
+  }
+
+  // A cube of 6 x 6 x 6 x 6 tetrahedra, 0.1 m, and a motion of a 0.14 m blade right through it, as CSV.
+  void write_cube_and_sweep(double x = 0.37, std::size_t poses = 400) {
+    mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
+    std::string csv = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
+    char line[256];
+    for (const core::Pose& pose : tests::sweep_through(poses, 1000, x)) {
+      std::snprintf(line, sizeof line, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%u\n",
+                    static_cast<double>(pose.t_ns) * 1e-9, pose.position.x, pose.position.y, pose.position.z,
+                    pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z,
+                    pose.buttons);
+      csv += line;
+    }
+    write("sweep.csv", csv);
+  }
+  static constexpr const char* kBlade = "0,0,0:0,0,-0.14";
+
+  fs::path dir_;
+};
+
+// An error: this exit code, nothing on stdout, one line on stderr that holds `parts`.
+void expect_error(const RunResult& result, int exit_code, const std::vector<std::string>& parts) {
+  EXPECT_EQ(result.exit_code, exit_code) << result.err;
+  EXPECT_EQ(result.out, "");
+  EXPECT_EQ(std::count(result.err.begin(), result.err.end(), '\n'), 1) << result.err;
+  EXPECT_EQ(result.err.rfind("incise: ", 0), 0u) << result.err;
+  for (const std::string& part : parts)
+    EXPECT_NE(result.err.find(part), std::string::npos) << result.err << "lacks " << part;
+}
+
+TEST_F(Incise, WithoutArgumentsShowsItsCommands) {
+  const RunResult result = run({});
+  EXPECT_EQ(result.exit_code, 0);
+  for (const char* command : {"cut", "replay", "info", "phantom", "export", "convert"}) {
+    EXPECT_NE(result.out.find(command), std::string::npos) << command;
+  }
+  EXPECT_EQ(result.err, "");
+  EXPECT_EQ(run({"--help"}).out, result.out);
+  EXPECT_EQ(run({"cut", "--help"}).exit_code, 0);
+  EXPECT_EQ(run({"--version"}).out.rfind("incise ", 0), 0u);
+}
+
+TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
+  expect_error(run({"cot"}), 2, {"cot", "incise --help"});
+  expect_error(run({"cut"}), 2, {"--mesh is required", "incise cut --help"});
+  expect_error(run({"cut", "--mesh"}), 2, {"--mesh"});
+  expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--policy", "sharp"}), 2,
+               {"--policy", "sharp"});
+  expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--frob"}), 2, {"--frob"});
+  expect_error(run({"replay"}), 2, {"capture", "replay --help"});
+}
+
+TEST_F(Incise, CutWritesWhatItsReportSays) {
+  write_cube_and_sweep();
+  for (const char* policy : {"conforming", "croll"}) {
+    const RunResult result = run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade,
+                                  "--policy", policy, "--out", "cut.node", "--report", "report.json"});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_EQ(result.err, "");
+    const json report = json::parse(tests::read_file(dir_ / "report.json"));
+    for (const char* key : {"vertices",
+                            "tets",
+                            "pieces",
+                            "cut_faces",
+                            "cut_area",
+                            "snaps",
+                            "splits",
+                            "removed_tets",
+                            "volume_before",
+                            "volume_after",
+                            "min_dihedral_deg_before",
+                            "min_dihedral_deg_after",
+                            "deviation_max_h",
+                            "deviation_mean_h",
+                            "batches",
+                            "events",
+                            "cut_time_us",
+                            "state_hash",
+                            "inverted",
+                            "vertices_before",
+                            "tets_before",
+                            "warnings",
+                            "h"}) {
+      EXPECT_TRUE(report.contains(key)) << key;
+    }
+    EXPECT_EQ(report["policy"], policy);
+    EXPECT_EQ(report["tets_before"], 6 * 6 * 6 * 6);
+    EXPECT_EQ(report["vertices_before"], 7 * 7 * 7);
+    EXPECT_GT(report["batches"], 3);
+    EXPECT_GE(report["cut_faces"], 50);
+    EXPECT_NEAR(report["volume_before"].get<double>(), 1e-3, 1e-12);
+    EXPECT_EQ(report["state_hash"].get<std::string>().size(), 16u);
+    EXPECT_EQ(report["warnings"].size(), 0u);
+    for (const char* key : {"p50", "p99", "max"}) EXPECT_GT(report["cut_time_us"][key], 0.0);
+
+    if (std::string(policy) == "croll") continue;  // leaves inverted tetrahedra, which do not load
+    const core::TetMesh again(mesh_io::load_mesh(dir_ / "cut.node").mesh);
+    EXPECT_EQ(report["pieces"], 2);
+    EXPECT_EQ(report["inverted"], 0);
+    EXPECT_NEAR(report["volume_after"].get<double>(), 1e-3, 1e-6);
+    EXPECT_NEAR(report["cut_area"].get<double>(), 0.01, 2e-4);
+    EXPECT_EQ(core::validate(again), "");
+    const core::CutReport measured = core::measure(again);
+    EXPECT_EQ(report["tets"], measured.tets);
+    EXPECT_EQ(report["vertices"], measured.vertices);
+    EXPECT_EQ(report["pieces"], measured.pieces);
+    EXPECT_DOUBLE_EQ(report["volume_after"], measured.volume);
+    EXPECT_DOUBLE_EQ(report["min_dihedral_deg_after"], measured.min_dihedral_deg);
+  }
+}
+
+TEST_F(Incise, CutIsTheSameEveryTimeAndInEveryFormat) {
+  write_cube_and_sweep();
+  std::vector<std::string> hashes;
+  for (const char* out : {"a.vtu", "b.node", "c", "d.stl"}) {
+    const RunResult result = run(
+        {"cut", "--mesh", "cube.node", "--poses", "sweep.csv", "--blade", kBlade, "--out", out, "--json"});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    hashes.push_back(json::parse(result.out)["state_hash"]);
+  }
+  for (const std::string& hash : hashes) EXPECT_EQ(hash, hashes[0]);
+  EXPECT_EQ(tests::read_file(dir_ / "b.node"), tests::read_file(dir_ / "c.node"));
+  EXPECT_EQ(tests::read_file(dir_ / "b.ele"), tests::read_file(dir_ / "c.ele"));
+  const std::string vtu = tests::read_file(dir_ / "a.vtu");
+  for (const char* array : {"cut_mask", "cut_faces", "piece", "min_dihedral_deg", "region", "tet_id"}) {
+    EXPECT_NE(vtu.find("Name=\"" + std::string(array) + "\""), std::string::npos) << array;
+  }
+}
+
+// The same motion in 2, 11 and 1,001 poses, at whatever rate: two pieces each time. Two poses a second apart, or a
+// body crossed in two milliseconds, are no jumps when that is how the whole motion goes.
+TEST_F(Incise, AMotionOfFewPosesCutsAsWellAsOneOfMany) {
+  mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
+  for (const double duration_s : {0.002, 1.0, 30.0}) {
+    for (const int poses : {2, 11, 1001}) {
+      std::string csv = "t_s,x_m,y_m,z_m\n";
+      char line[128];
+      for (int i = 0; i < poses; ++i) {
+        const double s = static_cast<double>(i) / (poses - 1);
+        std::snprintf(line, sizeof line, "%.9f,0.041,%.17g,0.12\n", duration_s * s, -0.02 + 0.14 * s);
+        csv += line;
+      }
+      write("straight.csv", csv);
+      const RunResult result = run({"cut", "--mesh", "cube", "--poses", "straight.csv", "--blade", kBlade,
+                                    "--out", "out.vtu", "--json"});
+      ASSERT_EQ(result.exit_code, 0) << result.err;
+      EXPECT_EQ(json::parse(result.out)["pieces"], 2) << poses << " poses in " << duration_s << " s";
+    }
+  }
+}
+
+TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
+  write_cube_and_sweep(3.0);
+  const RunResult result =
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "out.vtu"});
+  EXPECT_EQ(result.exit_code, 0);
+  EXPECT_NE(result.err.find("warning: nothing was cut: the blade swept (0.2"), std::string::npos)
+      << result.err;
+}
+
+TEST_F(Incise, CutSaysWhatIsWrongWithWhatItIsGiven) {
+  write_cube_and_sweep();
+  const std::vector<std::string> good{"cut", "--mesh", "cube", "--poses", "sweep.csv", "--out", "out.vtu"};
+  const auto with = [&](std::size_t at, const std::string& value, std::vector<std::string> more = {}) {
+    auto arguments = good;
+    if (at > 0) arguments[at] = value;
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run(arguments);
+  };
+  expect_error(with(2, "nothing"), 1, {"nothing", "no such file"});
+  expect_error(with(2, "sweep.csv"), 1, {"sweep.csv"});
+  expect_error(with(4, "nothing.csv"), 1, {"nothing.csv", "cannot be opened"});
+  expect_error(with(4, "."), 1, {"directory"});
+  expect_error(with(4, "cube.node"), 1, {"cube.node"});
+  expect_error(with(6, "nowhere/out.vtu"), 1,
+               {"--out nowhere/out.vtu", "does not exist", "mkdir -p nowhere"});
+  expect_error(with(6, "."), 1, {"--out"});
+  expect_error(with(6, "out.docx"), 1, {"--out", ".docx", ".vtu"});
+  expect_error(with(0, "", {"--report", "nowhere/r.json"}), 1, {"--report nowhere/r.json", "does not exist"});
+  expect_error(with(0, "", {"--blade", "0,0,0"}), 1, {"--blade", "\"0,0,0\"", "hx,hy,hz:tx,ty,tz"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,0"}), 1, {"--blade"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,x"}), 1, {"--blade"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,1,2"}), 1, {"--blade"});
+  expect_error(with(0, "", {"--config", "none.json"}), 1, {"none.json", "cannot be opened"});
+  write("bad.json", "{\"cut\": {\"batch_h\": -1}}");
+  expect_error(with(0, "", {"--config", "bad.json"}), 1, {"bad.json: cut.batch_h", "-1"});
+  write("empty.csv", "");
+  expect_error(with(4, "empty.csv"), 1, {"empty.csv"});
+  EXPECT_FALSE(fs::exists(dir_ / "out.vtu"));
+}
+
+TEST_F(Incise, ConvertReplayAndExportAgree) {
+  write_cube_and_sweep();
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})");
+  RunResult result = run(
+      {"convert", "sweep.csv", "--mesh", "cube", "--config", "c.json", "--out", "sweep.capture", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json converted = json::parse(result.out);
+  result = run({"replay", "sweep.capture", "--verify", "--json"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  const json replayed = json::parse(result.out);
+  EXPECT_TRUE(replayed["verified"]);
+  EXPECT_EQ(replayed["state_hash"], converted["state_hash"]);
+  EXPECT_EQ(replayed["compared"], converted["batches"]);
+  EXPECT_EQ(run({"replay", "sweep.capture", "--verify"}).exit_code, 0);
+
+  result = run({"cut", "--mesh", "cube", "--poses", "sweep.capture", "--out", "out.node", "--json"});
+  EXPECT_EQ(json::parse(result.out)["state_hash"], converted["state_hash"]);
+  result = run({"export", "sweep.capture", "--out", "exported.node", "--json"});
+  EXPECT_EQ(json::parse(result.out)["state_hash"], converted["state_hash"]);
+  EXPECT_EQ(tests::read_file(dir_ / "exported.ele"), tests::read_file(dir_ / "out.ele"));
+
+  EXPECT_EQ(run({"export", "sweep.capture", "--revision", "0", "--out", "start.node"}).exit_code, 0);
+  EXPECT_EQ(mesh_io::load_mesh(dir_ / "start.node").mesh.tets, tests::cube(6).tets);
+  expect_error(run({"export", "sweep.capture", "--revision", "100000", "--out", "x.node"}), 1,
+               {"--revision", "100000"});
+  expect_error(run({"replay", "sweep.csv"}), 1, {"sweep.csv", "capture", "convert"});
+  mesh_io::write_mesh(dir_ / "other.node", tests::cube(5));
+  expect_error(run({"replay", "sweep.capture", "--mesh", "other"}), 1, {"another mesh", "--mesh"});
+}
+
+TEST_F(Incise, ReplayNamesTheFirstBatchThatDiffers) {
+  write_cube_and_sweep();
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})");
+  ASSERT_EQ(
+      run({"convert", "sweep.csv", "--mesh", "cube", "--config", "c.json", "--out", "a.capture"}).exit_code,
+      0);
+  // The same mesh and marks, but another configuration in its header: the hashes must differ.
+  write("d.json",
+        R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always", "batch_h": 0.4}})");
+  ASSERT_EQ(
+      run({"convert", "sweep.csv", "--mesh", "cube", "--config", "d.json", "--out", "b.capture"}).exit_code,
+      0);
+  std::string a = tests::read_file(dir_ / "a.capture");
+  const std::string b = tests::read_file(dir_ / "b.capture");
+  // Header of b (its length stands at byte 12, its bytes from 20 on), records of a.
+  const auto header_end = [](const std::string& capture) {
+    std::uint32_t length = 0;
+    std::memcpy(&length, capture.data() + 12, sizeof length);
+    return std::size_t{20} + length;
+  };
+  write("mixed.capture", b.substr(0, header_end(b)) + a.substr(header_end(a)));
+  const RunResult result = run({"replay", "mixed.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("is the first that differs"), std::string::npos) << result.err;
+  EXPECT_NE(result.err.find("batch "), std::string::npos);
+}
+
+TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  const std::string whole = tests::read_file(dir_ / "a.capture");
+  write("torn.capture", whole.substr(0, whole.size() - 37));
+  RunResult result = run({"replay", "torn.capture", "--json"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_NE(result.err.find("warning: torn.capture: cut off"), std::string::npos) << result.err;
+  EXPECT_FALSE(json::parse(result.out)["closed"]);
+  std::string corrupt = whole;
+  corrupt[whole.size() / 2] = static_cast<char>(corrupt[whole.size() / 2] ^ 0x10);
+  write("corrupt.capture", corrupt);
+  expect_error(run({"replay", "corrupt.capture"}), 1, {"corrupt.capture"});
+}
+
+TEST_F(Incise, InfoKnowsWhatAFileIs) {
+  write_cube_and_sweep();
+  const auto facts = [&](const std::string& file) {
+    const RunResult result = run({"info", file, "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return result.exit_code == 0 ? json::parse(result.out) : json();
+  };
+  json mesh = facts("cube");
+  EXPECT_EQ(mesh["kind"], "tetrahedral mesh");
+  EXPECT_EQ(mesh["tets"], 1296);
+  EXPECT_EQ(mesh["boundary_faces"], 6 * 72);
+  json motion = facts("sweep.csv");
+  EXPECT_EQ(motion["kind"], "motion, CSV");
+  EXPECT_EQ(motion["poses"], 400);
+  EXPECT_NEAR(motion["sources"][0]["rate_hz"].get<double>(), 1000, 1);
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  json capture = facts("a.capture");
+  EXPECT_EQ(capture["kind"], "capture");
+  EXPECT_EQ(capture["poses"], 400);
+  EXPECT_TRUE(capture["closed"]);
+  ASSERT_EQ(run({"phantom", "slab", "--size", "600", "--out", "slab.stl"}).exit_code, 0);
+  json surface = facts("slab.stl");
+  EXPECT_EQ(surface["kind"], "surface");
+  EXPECT_TRUE(surface["fillable"]);
+  write("c.json", "{}");
+  EXPECT_EQ(facts("c.json")["kind"], "configuration");
+  for (const char* file : {"cube", "sweep.csv", "a.capture", "slab.stl", "c.json"}) {
+    EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
+  }
+  expect_error(run({"info", "nothing"}), 1, {"nothing", "no such file"});
+}
+
+TEST_F(Incise, PhantomsAreTheSameEveryTime) {
+  for (const char* out : {"a.node", "b.node"}) {
+    const RunResult result = run({"phantom", "cylinder", "--size", "1500", "--out", out});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+  }
+  EXPECT_EQ(tests::read_file(dir_ / "a.node"), tests::read_file(dir_ / "b.node"));
+  EXPECT_EQ(tests::read_file(dir_ / "a.ele"), tests::read_file(dir_ / "b.ele"));
+  expect_error(run({"phantom", "kidney", "--out", "k.node"}), 1, {"kidney", "liver"});
+  expect_error(run({"phantom", "slab", "--size", "10", "--out", "k.node"}), 1, {"10"});
+  expect_error(run({"phantom", "slab", "--out", "nowhere/k.node"}), 1, {"nowhere"});
+}
+
+TEST_F(Incise, CutsTheRealOrgansOfTheTestData) {
+  const char* data = std::getenv("INCISE_DATA");
+  if (!data) GTEST_SKIP() << "INCISE_DATA is not set: no real meshes";
+  for (const char* name : {"liver_6564", "seed_1720", "armadillo_3717", "wound_1476"}) {
+    const std::string mesh = std::string(data) + "/meshes/" + name;
+    const json facts = json::parse(run({"info", mesh, "--json"}).out);
+    const auto low = facts["box_m"]["min"].get<std::vector<double>>(),
+               high = facts["box_m"]["max"].get<std::vector<double>>();
+    // A plane through the middle: the blade along z, from below y to above it.
+    std::string csv = "t_s,x_m,y_m,z_m\n";
+    for (int i = 0; i <= 100; ++i) {
+      const double s = i / 100.0;
+      csv += std::to_string(s) + "," + std::to_string(0.53 * low[0] + 0.47 * high[0]) + "," +
+             std::to_string(low[1] + (1.2 * s - 0.1) * (high[1] - low[1])) + "," + std::to_string(low[2]) +
+             "\n";
+    }
+    write("plane.csv", csv);
+    const double size = high[2] - low[2];
+    const RunResult result = run({"cut", "--mesh", mesh, "--poses", "plane.csv", "--blade",
+                                  "0,0," + std::to_string(-0.1 * size) + ":0,0," + std::to_string(1.1 * size),
+                                  "--out", "out.vtu", "--json"});
+    ASSERT_EQ(result.exit_code, 0) << name << ": " << result.err;
+    const json report = json::parse(result.out);
+    EXPECT_GE(report["pieces"], report["pieces_before"].get<int>() + 1) << name;
+    EXPECT_EQ(report["inverted"], 0) << name;
+    EXPECT_NEAR(report["volume_after"].get<double>() / report["volume_before"].get<double>(), 1.0, 1e-3)
+        << name;
+  }
+}
+
+}  // namespace
+}  // namespace incise::app

@@ -1,0 +1,158 @@
+// incised as a user starts it: the built program, its exit codes and its messages.
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <spawn.h>
+
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "server/app/config.hpp"
+#include "server/mesh_io/mesh_io.hpp"
+#include "tests/support/bodies.hpp"
+#include "tests/support/run_program.hpp"
+
+namespace incise::app {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using tests::RunResult;
+
+class Incised : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = tests::fresh_directory(::testing::UnitTest::GetInstance()->current_test_info()->name());
+    mesh_io::write_mesh(dir_ / "cube.node", tests::cube(4));
+  }
+  void TearDown() override {
+    if (!HasFailure()) fs::remove_all(dir_);
+  }
+  RunResult run(const std::vector<std::string>& arguments) {
+    return tests::run_program("incised", arguments, dir_);
+  }
+  void write(const std::string& name, const std::string& text) {
+    std::ofstream(dir_ / name, std::ios::binary) << text;
+  }
+
+  // A server in the background; waits until it is ready.
+  pid_t start(std::vector<std::string> arguments) {
+    const std::string log = (dir_ / "log.txt").string(), program = std::string(INCISE_BIN_DIR) + "/incised";
+    fs::remove(log);
+    posix_spawn_file_actions_t files;
+    posix_spawn_file_actions_init(&files);
+    posix_spawn_file_actions_addopen(&files, 1, log.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND, 0644);
+    posix_spawn_file_actions_adddup2(&files, 1, 2);
+    arguments.insert(arguments.begin(), program);
+    std::vector<char*> argv;
+    for (std::string& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    pid_t pid = -1;
+    EXPECT_EQ(posix_spawn(&pid, program.c_str(), &files, nullptr, argv.data(), environ), 0);
+    posix_spawn_file_actions_destroy(&files);
+    while (tests::read_file(log).find("ready:") == std::string::npos) {
+      if (waitpid(pid, nullptr, WNOHANG) == pid) {
+        ADD_FAILURE() << tests::read_file(log);
+        return -1;
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+    return pid;
+  }
+  static int stop(pid_t pid, int signal) {
+    kill(pid, signal);
+    int status = -1;
+    waitpid(pid, &status, 0);
+    return status;
+  }
+  std::string config(const std::string& more = "") const {
+    return R"({"mesh": {"path": "cube.node"}, "listen": {"tcp_port": 0, "http_port": 0},
+               "loop": {"realtime_priority": 0, "lock_memory": false}, "capture": {"path": "session.capture"})" +
+           more + "}";
+  }
+  fs::path dir_;
+};
+
+TEST_F(Incised, WithoutArgumentsShowsItsOptions) {
+  const RunResult result = run({});
+  EXPECT_EQ(result.exit_code, 0);
+  for (const char* option : {"--config", "--check", "--print-config", "--resume"}) {
+    EXPECT_NE(result.out.find(option), std::string::npos) << option;
+  }
+  EXPECT_EQ(run({"--help"}).out, result.out);
+  EXPECT_EQ(run({"--frob"}).exit_code, 2);
+  EXPECT_EQ(run({"--resume"}).exit_code, 2);
+}
+
+TEST_F(Incised, PrintConfigPrintsAFileThatItTakes) {
+  const RunResult printed = run({"--print-config"});
+  ASSERT_EQ(printed.exit_code, 0);
+  EXPECT_EQ(compact(parse_config(printed.out, "printed")), compact(Config{}));
+}
+
+TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
+  write("good.json", config());
+  RunResult result = run({"--check", "good.json"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_EQ(result.out, "good.json: good\n");
+  write("bad.json", R"({"loop": {"rate_hz": 100}})");
+  result = run({"--check", "bad.json"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_EQ(result.out, "");
+  EXPECT_EQ(result.err,
+            "incised: bad.json: loop.rate_hz: found 100; accepted is a number from 250 to 4000\n");
+  write("none.json", R"({"mesh": {"path": "nowhere.node"}})");
+  EXPECT_NE(run({"--check", "none.json"}).err.find("mesh.path"), std::string::npos);
+  EXPECT_EQ(run({"--config", "bad.json"}).exit_code, 1);
+  EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);
+}
+
+TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
+  write("c.json", config());
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+    ASSERT_GT(pid, 0);
+    EXPECT_EQ(stop(pid, signal), 0);
+    const std::string log = tests::read_file(dir_ / "log.txt");
+    EXPECT_NE(log.find("listening tcp=127.0.0.1:"), std::string::npos) << log;
+    EXPECT_NE(log.find("ended at revision 0"), std::string::npos) << log;
+    const RunResult info = tests::run_program("incise", {"info", "session.capture", "--json"}, dir_);
+    ASSERT_EQ(info.exit_code, 0) << info.err;
+    EXPECT_TRUE(json::parse(info.out)["closed"]);
+  }
+}
+
+TEST_F(Incised, ResumesAfterKill) {
+  write("c.json", config());
+  const std::string file = (dir_ / "c.json").string();
+  pid_t pid = start({"--config", file});
+  ASSERT_GT(pid, 0);
+  EXPECT_NE(stop(pid, SIGKILL), 0);
+  pid = start({"--config", file, "--resume"});
+  ASSERT_GT(pid, 0);
+  EXPECT_NE(tests::read_file(dir_ / "log.txt").find("resumed"), std::string::npos);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  // Other values of cut are refused: the session could not go on as it began.
+  write("c.json", config(R"(, "cut": {"batch_h": 0.5})"));
+  const RunResult refused = run({"--config", "c.json", "--resume"});
+  EXPECT_EQ(refused.exit_code, 1);
+  EXPECT_NE(refused.err.find("other values of cut"), std::string::npos) << refused.err;
+}
+
+TEST_F(Incised, APortInUseIsAnErrorThatNamesIt) {
+  write("c.json", config());
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  const std::string log = tests::read_file(dir_ / "log.txt");
+  const auto at = log.find("listening tcp=127.0.0.1:") + 24;
+  const std::string port = log.substr(at, log.find(' ', at) - at);
+  write("d.json", R"({"mesh": {"path": "cube.node"}, "listen": {"http_port": 0, "tcp_port": )" + port + "}}");
+  const RunResult result = run({"--config", "d.json"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find(port), std::string::npos) << result.err;
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+}
+
+}  // namespace
+}  // namespace incise::app

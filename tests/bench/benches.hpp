@@ -1,0 +1,16 @@
+#pragma once
+
+namespace CLI {
+class App;
+}
+
+// The registry: each <name>_bench.cpp adds its subcommand, whose callback runs the bench and fills the report.
+namespace incise::bench {
+
+class Report;
+
+void add_micro_bench(CLI::App& app, Report& report);
+void add_paper_bench(CLI::App& app, Report& report);
+void add_loop_bench(CLI::App& app, Report& report);
+
+}  // namespace incise::bench

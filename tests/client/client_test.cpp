@@ -1,0 +1,264 @@
+#include "client/client.hpp"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <thread>
+
+#include "tests/stream/mini_loop.hpp"
+
+namespace incise::client {
+namespace {
+
+using protocol::Role;
+using protocol::View;
+using stream::TestServer;
+
+constexpr double kPatience_s = 20;
+
+Options options(Role role = Role::Viewer, TransportKind transport = TransportKind::kTcp,
+                View view = View::Volume) {
+  Options o;
+  o.role = role;
+  o.transport = transport;
+  o.view = view;
+  o.full_check_interval = 5;
+  return o;
+}
+
+std::unique_ptr<Client> connect(TestServer& test, Options o, Callbacks callbacks = {}) {
+  const std::uint16_t port =
+      o.transport == TransportKind::kTcp ? test.server.tcp_port() : test.server.http_port();
+  return Client::connect("127.0.0.1", port, std::move(o), std::move(callbacks));
+}
+
+std::vector<std::byte> bytes_of(const Client& client) {
+  return client.read([](const protocol::Replica& mesh) { return mesh.canonical_bytes(); });
+}
+
+TEST(Client, BothTransportsHoldTheServersMesh) {
+  TestServer test;
+  std::atomic<int> resyncs{0};
+  Callbacks count;
+  count.on_resync = [&](const std::string&) { ++resyncs; };
+  const auto tcp = connect(test, options(), count);
+  const auto web = connect(test, options(Role::Viewer, TransportKind::kWebSocket), count);
+  test.cut(3);
+  const auto late = connect(test, options(Role::Viewer, TransportKind::kWebSocket), count);
+  test.cut(3);
+  for (Client* client : {tcp.get(), web.get(), late.get()}) {
+    ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s)) << client->last_error();
+  }
+  EXPECT_EQ(tcp->counters().steps, test.loop.revision());
+  const auto bytes = bytes_of(*tcp);
+  EXPECT_GT(bytes.size(), 10'000u);
+  EXPECT_EQ(bytes_of(*web), bytes);
+  EXPECT_EQ(bytes_of(*late), bytes);
+  EXPECT_EQ(tcp->read([](const protocol::Replica& m) { return m.compute_state_hash(); }),
+            test.loop.state_hash());
+  EXPECT_EQ(resyncs, 0);
+}
+
+TEST(Client, TheSurfaceIsThatOfTheVolume) {
+  TestServer test;
+  const auto volume = connect(test, options());
+  const auto surface = connect(test, options(Role::Viewer, TransportKind::kTcp, View::Surface));
+  auto slow_options = options(Role::Viewer, TransportKind::kWebSocket, View::Surface);
+  slow_options.max_rate_hz = 10;
+  const auto slow = connect(test, slow_options);
+  test.cut(4);
+  ASSERT_TRUE(volume->wait_for_revision(test.loop.revision(), kPatience_s));
+  ASSERT_TRUE(surface->wait_for_revision(test.loop.revision(), kPatience_s));
+  ASSERT_TRUE(slow->wait_for_revision(test.loop.revision(), kPatience_s));
+  protocol::SurfaceReplica expected;
+  volume->read([&](const protocol::Replica& mesh) { expected.load(mesh); });
+  surface->read_surface([&](const protocol::SurfaceReplica& s) {
+    EXPECT_EQ(s.canonical_bytes(), expected.canonical_bytes());
+    EXPECT_EQ(s.compute_surface_hash(), expected.surface_hash());
+  });
+  slow->read_surface(
+      [&](const protocol::SurfaceReplica& s) { EXPECT_EQ(s.canonical_bytes(), expected.canonical_bytes()); });
+  EXPECT_LT(slow->counters().deltas, surface->counters().deltas);
+  EXPECT_EQ(slow->counters().steps, surface->counters().steps);
+}
+
+TEST(Client, AnOperatorCutsAndKnowsWhatBecameOfItsPoses) {
+  TestServer test;
+  test.loop.start();
+  const auto client = connect(test, options(Role::Operator));
+  EXPECT_EQ(client->welcome().engage_button, 0);
+  const auto poses = stream::sweep(0.03, 20'000, 1, test.side);  // more than one message
+  const std::uint64_t sequence = client->send_poses(poses);
+  ASSERT_NE(sequence, 0u);
+  ASSERT_TRUE(client->wait_for_report(sequence, kPatience_s));
+  EXPECT_EQ(client->report().accepted, poses.size());
+  ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+  EXPECT_GT(test.loop.revision(), 3u);
+  EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.state_hash(); }), test.loop.state_hash());
+}
+
+TEST(Client, ComesBackWhereItWas) {
+  TestServer test;
+  std::atomic<int> disconnects{0}, snapshots{0};
+  Callbacks callbacks;
+  callbacks.on_disconnect = [&](const std::string&) { ++disconnects; };
+  callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause) { ++snapshots; };
+  Options o = options();
+  o.reconnect = true;
+  const auto client = connect(test, o, callbacks);
+  ASSERT_TRUE(client->wait_for_revision(0, kPatience_s));
+  for (int i = 1; i <= 5; ++i) {
+    test.cut();
+    client->drop_connection();
+    test.cut();
+    ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+    ASSERT_TRUE(
+        stream::eventually([&] { return client->counters().reconnects == static_cast<std::uint64_t>(i); }));
+  }
+  EXPECT_EQ(disconnects, 5);
+  EXPECT_EQ(snapshots, 1) << "each time the ring had what was missed";
+  EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.compute_state_hash(); }),
+            test.loop.state_hash());
+  EXPECT_EQ(client->counters().steps, test.loop.revision());
+}
+
+TEST(Client, OperatorsComeBackToTheirBlade) {
+  TestServer test;
+  test.loop.start();
+  Options o = options(Role::Operator);
+  o.reconnect = true;
+  const auto client = connect(test, o);
+  client->drop_connection();
+  ASSERT_TRUE(stream::eventually([&] { return client->counters().reconnects == 1; })) << client->last_error();
+  const auto poses = stream::sweep(0.03, 100, 1, test.side);
+  const std::uint64_t sequence = client->send_poses(poses);
+  ASSERT_TRUE(client->wait_for_report(sequence, kPatience_s));
+  EXPECT_EQ(client->report().accepted, poses.size());
+}
+
+TEST(Client, FollowsAReset) {
+  TestServer test;
+  test.cut(2);
+  test.loop.start();
+  const auto viewer = connect(test, options());
+  const auto admin = connect(test, options(Role::Admin, TransportKind::kWebSocket, View::None));
+  ASSERT_TRUE(viewer->wait_for_revision(test.loop.revision(), kPatience_s));
+  const std::uint64_t session = viewer->welcome().session;
+  ASSERT_TRUE(admin->reset());
+  ASSERT_TRUE(
+      stream::eventually([&] { return viewer->welcome().session != session && viewer->revision() == 0; }));
+  EXPECT_EQ(viewer->read([](const protocol::Replica& m) { return m.compute_state_hash(); }),
+            test.loop.state_hash());
+}
+
+TEST(Client, ChangesItsView) {
+  TestServer test;
+  test.cut();
+  const auto client = connect(test, options(Role::Viewer, TransportKind::kTcp, View::None));
+  test.cut();
+  ASSERT_TRUE(client->subscribe(View::Surface, 0));
+  ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+  EXPECT_EQ(client->read_surface([](const protocol::SurfaceReplica& s) { return s.revision(); }),
+            test.loop.revision());
+  ASSERT_TRUE(client->subscribe(View::Volume, 0));
+  ASSERT_TRUE(stream::eventually([&] { return client->counters().snapshots == 2; }));
+  test.cut();
+  ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+  EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.state_hash(); }), test.loop.state_hash());
+}
+
+TEST(Client, WithoutAThreadItWorksInPoll) {
+  TestServer test;
+  const std::thread::id here = std::this_thread::get_id();
+  int deltas = 0;
+  Callbacks callbacks;
+  callbacks.on_delta = [&](const protocol::Replica&, const protocol::Delta&, const Arrival&) {
+    EXPECT_EQ(std::this_thread::get_id(), here);
+    ++deltas;
+  };
+  Options o = options();
+  o.background = false;
+  const auto client = connect(test, o, callbacks);
+  test.cut();
+  EXPECT_TRUE(stream::eventually([&] {
+    client->poll(0.01);
+    return client->revision() == test.loop.revision();
+  }));
+  test.cut();
+  ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+  EXPECT_GT(deltas, 0);
+  client->close();
+  EXPECT_FALSE(client->poll());
+}
+
+TEST(Client, MeasuresTheClocks) {
+  TestServer test(2);
+  const auto client = connect(test, options());
+  ASSERT_TRUE(stream::eventually([&] { return client->round_trip_ns() > 0; }));
+  // One machine, one clock.
+  EXPECT_LE(std::abs(client->clock_offset_ns()), client->round_trip_ns());
+}
+
+TEST(Client, SaysWhyItCannotConnect) {
+  const auto problem = [](const std::string& host, std::uint16_t port, Options o = {}) {
+    try {
+      o.connect_timeout_s = 2;
+      Client::connect(host, port, o);
+      return std::string();
+    } catch (const ConnectError& error) {
+      return std::string(error.what());
+    }
+  };
+  std::uint16_t gone = 0;
+  {
+    TestServer test(2);
+    gone = test.server.tcp_port();
+    Options web;
+    web.transport = TransportKind::kWebSocket;
+    EXPECT_NE(problem("127.0.0.1", test.server.tcp_port(), web), "") << "a WebSocket on the TCP port";
+    EXPECT_NE(problem("127.0.0.1", test.server.http_port()), "") << "TCP on the HTTP port";
+    test.loop.start();
+    Options op = options(Role::Operator);
+    const auto first = Client::connect("127.0.0.1", gone, op);
+    EXPECT_NE(problem("127.0.0.1", gone, op).find("held by another operator"), std::string::npos);
+  }
+  EXPECT_NE(problem("127.0.0.1", gone).find("127.0.0.1:" + std::to_string(gone)), std::string::npos);
+}
+
+TEST(Client, AReplicaThatMayNotGrowEndsTheSessionWithTheReason) {
+  TestServer test;
+  Options o = options();
+  o.max_tets = 100;
+  o.reconnect = true;
+  // The snapshot may arrive before connect() is done, or after.
+  std::string reason;
+  try {
+    const auto client = connect(test, o);
+    ASSERT_TRUE(stream::eventually([&] { return client->status() == Status::kClosed; }));
+    reason = client->last_error();
+  } catch (const std::exception& e) {
+    reason = e.what();
+  }
+  EXPECT_NE(reason.find("and 100"), std::string::npos) << reason;
+}
+
+TEST(Client, ServerThatStopsIsNoticedAndFoundAgain) {
+  auto test = std::make_unique<TestServer>();
+  stream::StreamConfig config = stream::test_config();
+  config.tcp_port = test->server.tcp_port();
+  Options o = options();
+  o.reconnect = true;
+  const auto client = connect(*test, o);
+  test->cut(2);
+  ASSERT_TRUE(client->wait_for_revision(test->loop.revision(), kPatience_s));
+  test.reset();
+  ASSERT_TRUE(stream::eventually([&] { return client->status() == Status::kReconnecting; }));
+  TestServer again(4, config);  // another mesh
+  ASSERT_TRUE(stream::eventually([&] {
+    return client->status() == Status::kConnected &&
+           client->read([](const protocol::Replica& m) { return m.state_hash(); }) == again.loop.state_hash();
+  }));
+}
+
+}  // namespace
+}  // namespace incise::client

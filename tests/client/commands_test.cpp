@@ -1,0 +1,126 @@
+#include "client/cli/commands.hpp"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <thread>
+
+#include "tests/stream/mini_loop.hpp"
+
+namespace incise::client {
+namespace {
+
+namespace fs = std::filesystem;
+using stream::TestServer;
+
+TEST(ParseAddress, TakesTransportHostAndPort) {
+  const auto check = [](const std::string& text, const std::string& host, int port, TransportKind kind,
+                        bool tls) {
+    const Address a = parse_address(text);
+    EXPECT_EQ(a.host, host) << text;
+    EXPECT_EQ(a.port, port) << text;
+    EXPECT_EQ(a.transport, kind) << text;
+    EXPECT_EQ(a.tls, tls) << text;
+  };
+  check("localhost:7450", "localhost", 7450, TransportKind::kTcp, false);
+  check("tcp://127.0.0.1:1", "127.0.0.1", 1, TransportKind::kTcp, false);
+  check("tls://a.example:65535", "a.example", 65535, TransportKind::kTcp, true);
+  check("ws://[::1]:80", "::1", 80, TransportKind::kWebSocket, false);
+  check("wss://b:443", "b", 443, TransportKind::kWebSocket, true);
+}
+
+TEST(ParseAddress, NamesWhatItCannotUse) {
+  for (const char* text : {"", "localhost", ":7450", "host:", "host:0", "host:65536", "host:12x", "host:-1",
+                           "::1:80", "http://host:80", "ws://host:80/ws", "user@host:80", "[]:80"}) {
+    try {
+      parse_address(text);
+      ADD_FAILURE() << text;
+    } catch (const std::invalid_argument& error) {
+      EXPECT_NE(std::string(error.what()).find('"' + std::string(text) + '"'), std::string::npos);
+    }
+  }
+}
+
+class CommandsTest : public ::testing::Test {
+ protected:
+  CommandsTest() {
+    fs::create_directories(directory);
+    std::ofstream csv(directory / "motion.csv");
+    csv << "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
+    for (const auto& p : stream::sweep(0.03, 200, 1'000'000, 0.06)) {
+      csv << static_cast<double>(p.source_ns) * 1e-9 << ',' << p.position.x << ',' << p.position.y << ','
+          << p.position.z << ",1,0,0,0," << p.buttons << '\n';
+    }
+    test.loop.start();
+  }
+  ~CommandsTest() override { fs::remove_all(directory); }
+  std::string address() const { return "127.0.0.1:" + std::to_string(test.server.tcp_port()); }
+
+  fs::path directory = fs::temp_directory_path() / ("incise_commands_" + std::to_string(::getpid()));
+  TestServer test;
+};
+
+TEST_F(CommandsTest, StreamPlaysAMotionAndSumsUp) {
+  StreamCommand command;
+  command.poses = directory / "motion.csv";
+  command.server.address = address();
+  command.speed = 4;
+  command.json = true;
+  ::testing::internal::CaptureStdout();
+  EXPECT_EQ(run_stream(command), 0);
+  const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  EXPECT_EQ(summary["poses_sent"], 200);
+  EXPECT_EQ(summary["accepted"], 200);
+  EXPECT_EQ(summary["settled"], true);
+  EXPECT_EQ(summary["first_revision"], 0);
+  EXPECT_EQ(summary["revision"], test.loop.revision());
+  EXPECT_GT(test.loop.revision(), 3u);
+}
+
+TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
+  StreamCommand play;
+  play.poses = directory / "motion.csv";
+  play.server.address = address();
+  play.speed = 0;
+  ::testing::internal::CaptureStdout();
+  EXPECT_EQ(run_stream(play), 0);
+  for (const char* name : {"tcp", "ws"}) {
+    WatchCommand watch;
+    watch.server.address =
+        name == std::string("tcp") ? address() : "ws://127.0.0.1:" + std::to_string(test.server.http_port());
+    watch.until_revision = test.loop.revision();
+    watch.for_s = 20;
+    watch.save = directory / name;
+    watch.json = true;
+    EXPECT_EQ(run_watch(watch), 0);
+  }
+  const std::string printed = ::testing::internal::GetCapturedStdout();
+  EXPECT_NE(printed.find("\"revision\":" + std::to_string(test.loop.revision())), std::string::npos)
+      << printed;
+  const auto bytes = [&](const char* name) {
+    std::ifstream in(directory / name, std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  EXPECT_GT(bytes("tcp").size(), 1000u);
+  EXPECT_EQ(bytes("tcp"), bytes("ws"));
+}
+
+TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
+  std::ofstream(directory / "nonsense.csv") << "a,b\n1,2\n";
+  StreamCommand command;
+  command.poses = directory / "nonsense.csv";
+  command.server.address = address();
+  try {
+    run_stream(command);
+    FAIL();
+  } catch (const std::exception& error) {
+    EXPECT_NE(std::string(error.what()).find("nonsense.csv"), std::string::npos) << error.what();
+  }
+}
+
+}  // namespace
+}  // namespace incise::client

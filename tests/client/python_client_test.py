@@ -1,0 +1,165 @@
+"""The Python client against the protocol's golden vectors, and against a server that is played from them.
+
+Run with client/python and the build's python directory on PYTHONPATH; INCISE_SOURCE_DIR names the source tree.
+"""
+
+import json
+import os
+import pathlib
+import socket
+import struct
+import threading
+import unittest
+
+import numpy as np
+
+import incise_client
+from incise.wire import Body, Delta, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd
+
+VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
+
+
+def split(stream):
+    """The messages of a TCP stream."""
+    while stream:
+        (size,) = struct.unpack_from("<I", stream)
+        yield bytes(stream[4:4 + size])
+        stream = stream[4 + size:]
+
+
+def parse(data):
+    message = Message.Message.GetRootAs(data, 0)
+    kinds = {Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
+             Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Delta: Delta.Delta, Body.Body.Hello: Hello.Hello}
+    table = kinds.get(message.BodyType())
+    if not table:
+        return None
+    body = table()
+    body.Init(message.Body().Bytes, message.Body().Pos)
+    return body
+
+
+class Hashes(unittest.TestCase):
+    def test_the_examples_of_the_specification(self):
+        vertex = incise_client.vertex_hashes(np.array([1], np.uint32), np.array([[0.01, -0.02, 0.03]]))
+        self.assertEqual(int(vertex[0]), 0xDA475B55C0D64116)
+        tet = incise_client.tet_hashes(np.array([7], np.uint32), np.array([[3, 2, 1, 0]], np.uint32),
+                                       np.array([-5], np.int32), np.array([9], np.uint8))
+        self.assertEqual(int(tet[0]), 0x849A8E5067505862)
+
+    def test_nothing_hashes_to_zero(self):
+        self.assertEqual(incise_client.Replica().compute_state_hash(), 0)
+
+
+class Vectors(unittest.TestCase):
+    """The golden stream: a snapshot, then deltas; canonical bytes after each."""
+
+    def setUp(self):
+        self.messages = list(split((VECTORS / "streams" / "volume.bin").read_bytes()))
+        self.expected = json.loads((VECTORS / "streams" / "volume.json").read_text())
+
+    def states(self):
+        replica, begin, chunks = None, None, []
+        for body in map(parse, self.messages):
+            if isinstance(body, SnapshotBegin.SnapshotBegin):
+                begin, chunks = body, []
+            elif isinstance(body, SnapshotChunk.SnapshotChunk):
+                chunks.append(body)
+            elif isinstance(body, SnapshotEnd.SnapshotEnd):
+                replica = incise_client.Replica.from_snapshot(begin, chunks, body)
+                yield replica
+            elif isinstance(body, Delta.Delta):
+                replica.apply(body)
+                yield replica
+
+    def test_every_state_is_the_expected_one(self):
+        count = 0
+        for replica, expected in zip(self.states(), self.expected):
+            self.assertEqual(replica.revision, expected["revision"])
+            self.assertEqual(f"{replica.state_hash:016x}", expected["hash"])
+            self.assertEqual(replica.compute_state_hash(), replica.state_hash)
+            self.assertEqual(replica.canonical_bytes().hex(), expected["canonical_bytes"])
+            self.assertEqual(len(replica.boundary_triangles()), int(sum(bin(m).count("1") for m in replica.boundary_masks)))
+            count += 1
+        self.assertEqual(count, len(self.expected))
+        self.assertGreaterEqual(count, 3)
+
+    def test_a_delta_of_another_base_changes_nothing(self):
+        replica = next(self.states())
+        before = replica.canonical_bytes()
+        deltas = [b for b in map(parse, self.messages) if isinstance(b, Delta.Delta)]
+        with self.assertRaises(incise_client.ApplyError):
+            replica.apply(deltas[1])
+        self.assertEqual(replica.canonical_bytes(), before)
+
+    def test_a_state_that_is_wrong_is_found_by_its_hash(self):
+        replica = next(self.states())
+        deltas = [b for b in map(parse, self.messages) if isinstance(b, Delta.Delta)]
+        replica.state_hash ^= 1
+        before = replica.canonical_bytes()
+        with self.assertRaises(incise_client.ApplyError):
+            replica.apply(deltas[0])
+        self.assertEqual(replica.canonical_bytes(), before)
+
+
+class Session(unittest.TestCase):
+    """A client against a server that says what the vectors say."""
+
+    def serve(self, stream):
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.received = []
+
+        def run():
+            peer, _ = listener.accept()
+            with peer:
+                (size,) = struct.unpack("<I", peer.recv(4, socket.MSG_WAITALL))
+                self.received.append(peer.recv(size, socket.MSG_WAITALL))
+                for i in range(0, len(stream), 7):  # in bits that end anywhere
+                    peer.sendall(stream[i:i + 7])
+                while True:
+                    head = peer.recv(4, socket.MSG_WAITALL)
+                    if len(head) < 4:
+                        return
+                    self.received.append(peer.recv(struct.unpack("<I", head)[0], socket.MSG_WAITALL))
+
+        self.thread = threading.Thread(target=run)
+        self.thread.start()
+        self.addCleanup(listener.close)
+        return listener.getsockname()[1]
+
+    def test_holds_the_replica_and_sends_poses(self):
+        stream = (VECTORS / "streams" / "volume.bin").read_bytes()
+        expected = json.loads((VECTORS / "streams" / "volume.json").read_text())
+        last = len(stream)
+        bodies = list(split(stream))
+        last -= 4 + len(bodies[-1])  # without the Bye
+        port = self.serve(stream[:last])
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Operator, source_name="left") as client:
+            self.assertTrue(client.wait_for_revision(expected[-1]["revision"]))
+            self.assertEqual(client.replica.canonical_bytes().hex(), expected[-1]["canonical_bytes"])
+            self.assertEqual(client.resyncs, 0)
+            client.send_poses([incise_client.Pose(5, (1.0, 2.0, 3.0), buttons=1), incise_client.Pose(6, (4.0, 5.0, 6.0))])
+        self.thread.join()
+        hello = parse(self.received[0])
+        self.assertEqual((hello.ProtocolVersion(), hello.Role(), hello.SourceName()), (1, Role.Role.Operator, b"left"))
+        self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
+        self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
+        self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
+
+    def test_says_why_it_ends(self):
+        port = self.serve((VECTORS / "streams" / "volume.bin").read_bytes())
+        with self.assertRaisesRegex(incise_client.ConnectError, "the server stops"):
+            with incise_client.connect("127.0.0.1", port) as client:
+                client.wait_for_revision(10**6)
+        self.thread.join()
+
+    def test_nobody_there(self):
+        listener = socket.create_server(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+        listener.close()
+        with self.assertRaisesRegex(incise_client.ConnectError, str(port)):
+            incise_client.connect("127.0.0.1", port)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,408 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "server/core/cut_session.hpp"
+#include "server/core/measure.hpp"
+#include "server/core/swept_surface.hpp"
+#include "server/core/validate.hpp"
+#include "tests/core/test_meshes.hpp"
+
+namespace incise::core {
+namespace {
+
+using namespace incise::core::testing;
+
+constexpr double kPi = 3.14159265358979323846;
+
+CutConfig cutting_config(const Blade& blade) {
+  CutConfig config;
+  config.blade = blade;
+  config.always_engaged = true;
+  config.speed_limit_m_s = 1e9;
+  config.gap_limit_s = 1e9;
+  return config;
+}
+
+// A session that is cut by blade lines as they stand: the tool's frame is the world's, each line becomes a pose that
+// takes a blade along z to it.
+class Cut {
+ public:
+  Cut(const MeshData& mesh, double blade_m, Growth growth = Growth::kBalanced)
+      : session_(mesh, with(cutting_config({{0, 0, 0}, {0, 0, blade_m}}), growth)),
+        volume_before_(measure(session_.mesh()).volume) {}
+
+  // The blade with its heel at `heel`, pointing along `direction` (of any length).
+  void pose(const Vec3& heel, const Vec3& direction) {
+    const Vec3 d = normalized(direction);
+    const Vec3 axis = cross({0, 0, 1}, d);
+    Quat q{1 + d.z, axis.x, axis.y, axis.z};
+    if (q.w < 1e-9) q = {0, 1, 0, 0};
+    const double n = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
+    t_ns_ += 1'000'000;
+    ASSERT_TRUE(accepted(session_.push(0, {t_ns_, heel, {q.w / n, q.x / n, q.y / n, q.z / n}, 1})));
+    drain();
+  }
+  // Straight on from `from` to `to` in `poses` steps.
+  void sweep(const Vec3& from, const Vec3& to, const Vec3& direction, int poses) {
+    for (int i = 0; i <= poses; ++i) pose(lerp(from, to, static_cast<double>(i) / poses), direction);
+  }
+  void lift() {
+    session_.end_stroke(0);
+    drain();
+  }
+  void set_budget(std::int64_t units) { budget_ = units; }
+
+  const TetMesh& mesh() const { return session_.mesh(); }
+  const CutCounts& totals() const { return totals_; }
+  const std::vector<std::uint64_t>& hashes() const { return hashes_; }
+  const std::vector<Delta::Piece>& last_pieces() const { return pieces_; }
+
+  // What must hold whatever was cut.
+  void expect_sound(double volume_tolerance = 2e-4) const {
+    EXPECT_EQ(validate(mesh()), "");
+    const CutReport report = measure(mesh());
+    EXPECT_EQ(report.inverted, 0u);
+    EXPECT_NEAR(report.volume / volume_before_, 1.0, volume_tolerance);
+  }
+  SweptSurface swept() const {
+    SweptSurface surface;
+    for (const auto& stroke : strokes_) add_sweep(surface, stroke, 1e-3 * mesh().mean_edge_length());
+    surface.build();
+    return surface;
+  }
+  // Of the cut faces from the surface swept.
+  Deviation cut_deviation() const { return deviation(mesh(), swept()); }
+  // How many pieces one through-cut makes of `uncut`: the components of its vertices on either side, joined by edges
+  // that stay on it. Those of one or two vertices are specks at the surface that a cut may take or leave.
+  std::pair<std::uint32_t, std::uint32_t> expected_pieces(const MeshData& uncut) const {
+    const SweptSurface surface = swept();
+    std::vector<std::uint32_t> parent(uncut.positions.size()), size(uncut.positions.size(), 0);
+    std::vector<bool> above(uncut.positions.size());
+    for (std::uint32_t v = 0; v < parent.size(); ++v) {
+      parent[v] = v;
+      Vec3 closest;
+      std::uint32_t triangle = 0;
+      surface.closest(uncut.positions[v], 1e9, closest, triangle);
+      above[v] = surface[triangle].signed_distance(uncut.positions[v]) >= 0;
+    }
+    const auto find = [&parent](std::uint32_t v) {
+      while (parent[v] != v) v = parent[v] = parent[parent[v]];
+      return v;
+    };
+    std::vector<bool> used(parent.size(), false);
+    for (const auto& tet : uncut.tets) {
+      for (const auto& edge : kEdgeVertices) {
+        const VertexId a = tet[edge[0]], b = tet[edge[1]];
+        used[a] = used[b] = true;
+        if (above[a] == above[b]) parent[find(a)] = find(b);
+      }
+    }
+    for (std::uint32_t v = 0; v < parent.size(); ++v) size[find(v)] += used[v];
+    const auto count = [&](std::uint32_t from) {
+      return static_cast<std::uint32_t>(
+          std::count_if(size.begin(), size.end(), [from](std::uint32_t n) { return n >= from; }));
+    };
+    return {count(3), count(1)};
+  }
+
+ private:
+  static CutConfig with(CutConfig config, Growth growth) {
+    config.growth = growth;
+    return config;
+  }
+  void drain() {
+    Delta delta;
+    for (;;) {
+      WorkBudget budget{budget_};
+      const auto progress = session_.advance(budget, delta);
+      if (progress == CutSession::Progress::kIdle) return;
+      if (progress == CutSession::Progress::kSpent) {
+        ASSERT_EQ(validate(mesh()), "") << "after a stop within a batch";
+        continue;
+      }
+      hashes_.push_back(delta.state_hash);
+      pieces_.insert(pieces_.end(), delta.pieces.begin(), delta.pieces.end());
+      const CutCounts& c = session_.committed_counts();
+      totals_.snaps += c.snaps;
+      totals_.splits += c.splits;
+      totals_.failed += c.failed;
+      totals_.cut_faces += delta.cut_faces;
+      totals_.cut_area += delta.cut_area;
+      const Batch& batch = session_.committed_batch();
+      if (batch.number == 1) strokes_.emplace_back();
+      auto& lines = strokes_.back();
+      lines.insert(lines.end(), batch.lines.begin() + (batch.number == 1 ? 0 : 1), batch.lines.end());
+    }
+  }
+
+  CutSession session_;
+  double volume_before_;
+  std::int64_t t_ns_ = 0;
+  std::int64_t budget_ = INT64_MAX;
+  CutCounts totals_;
+  std::vector<std::uint64_t> hashes_;
+  std::vector<Delta::Piece> pieces_;
+  std::vector<std::vector<BladeLine>> strokes_;
+};
+
+// A block of 8 x 8 x 8 cells of width 1, its vertices shaken so that nothing is aligned.
+MeshData block() {
+  return shaken_box(8, 8, 8, 7, 0.15);
+}
+
+std::uint32_t pieces(const Cut& cut) {
+  return measure(cut.mesh()).pieces;
+}
+
+TEST(ConformingCutter, through_cut_makes_two_pieces_and_says_so) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 10, -2}, {0, 0, 1}, 40);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  ASSERT_EQ(cut.last_pieces().size(), 1u);
+  const auto label = cut.last_pieces()[0];
+  std::uint32_t labelled = 0;
+  for (TetId t = 0; t < cut.mesh().tet_slots(); ++t)
+    labelled += cut.mesh().alive(t) && cut.mesh().piece(t) == label.id;
+  EXPECT_EQ(labelled, label.tets.size());
+  EXPECT_LT(labelled, cut.mesh().live_tets());
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+  EXPECT_NEAR(cut.totals().cut_area, 64, 1.5);
+  EXPECT_EQ(cut.totals().failed, 0u);
+}
+
+TEST(ConformingCutter, stops_anywhere_with_the_same_result) {
+  const auto run = [](std::int64_t units) {
+    Cut cut(block(), 12);
+    cut.set_budget(units);
+    cut.sweep({4.13, -2, -2}, {3.4, 10, -2}, {0.1, 0, 1}, 25);
+    cut.lift();
+    return cut.hashes();
+  };
+  const auto unlimited = run(INT64_MAX);
+  ASSERT_GT(unlimited.size(), 5u);
+  for (const std::int64_t units : {1, 7, 100, 5000})
+    EXPECT_EQ(run(units), unlimited) << units << " units a call";
+}
+
+TEST(ConformingCutter, the_same_motion_in_any_number_of_poses) {
+  double area = 0;
+  for (const int poses : {1, 10, 200, 5000}) {
+    Cut cut(block(), 12);
+    cut.sweep({4.13, -2, -2}, {4.13, 10, -2}, {0.05, 0, 1}, poses);
+    cut.lift();
+    cut.expect_sound();
+    EXPECT_EQ(pieces(cut), 2u) << poses;
+    EXPECT_LE(cut.cut_deviation().max_h, 0.1) << poses;
+    const double now = measure(cut.mesh()).cut_area;
+    if (area > 0) {
+      EXPECT_NEAR(now / area, 1.0, 0.01) << poses;
+    }
+    area = now;
+  }
+}
+
+TEST(ConformingCutter, twisted_sweep_through) {
+  Cut cut(block(), 14);
+  for (int i = 0; i <= 60; ++i) {
+    const double u = i / 60.0, angle = 0.8 * (u - 0.5);
+    const Vec3 d{std::sin(angle), 0, std::cos(angle)};
+    cut.pose(Vec3{4.1, -2 + 12 * u, 4} - 7.0 * d, d);
+  }
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+  EXPECT_LE(cut.cut_deviation().mean_h, 0.01);
+}
+
+TEST(ConformingCutter, tip_inside_the_tissue_leaves_one_piece) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, 13}, {4.13, 5.3, 13}, {0, 0, -1}, 40);  // the tip 1 below the upper side
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 1u);
+  EXPECT_GT(cut.totals().cut_faces, 10u);
+  EXPECT_NEAR(measure(cut.mesh()).cut_area, 7 * 5.3, 0.1 * 7 * 5.3);
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+}
+
+TEST(ConformingCutter, stop_and_go_on) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 4, -2}, {0, 0, 1}, 20);
+  for (int i = 0; i < 200; ++i) cut.pose({4.13, 4, -2}, {0, 0, 1});
+  EXPECT_EQ(pieces(cut), 1u);
+  cut.sweep({4.13, 4, -2}, {4.13, 10, -2}, {0, 0, 1}, 20);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+}
+
+TEST(ConformingCutter, back_up_and_go_on) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 5, -2}, {0, 0, 1}, 30);
+  cut.sweep({4.13, 5, -2}, {4.13, 2, -2}, {0, 0, 1}, 20);
+  cut.sweep({4.13, 2, -2}, {4.13, 10, -2}, {0, 0, 1}, 40);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+}
+
+TEST(ConformingCutter, tremble_in_place_adds_nothing_much) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 4, -2}, {0, 0, 1}, 20);
+  Random random(11);
+  const std::uint32_t before = cut.mesh().live_tets();
+  for (int i = 0; i < 2000; ++i) {
+    cut.pose({4.13 + 0.05 * (random.uniform(-0.5, 0.5)), 4 + 0.3 * (random.uniform(-0.5, 0.5)), -2},
+             {0, 0, 1});
+  }
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 1u);
+  EXPECT_LT(cut.mesh().live_tets(), before + 300);
+}
+
+TEST(ConformingCutter, lift_out_and_re_enter_in_the_old_cut) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 5, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  EXPECT_EQ(pieces(cut), 1u);
+  cut.sweep({4.13, 3, -2}, {4.13, 10, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+}
+
+TEST(ConformingCutter, across_an_older_cut_makes_four_pieces) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 10, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.sweep({-2, 3.87, -2}, {10, 3.87, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 4u);
+}
+
+TEST(ConformingCutter, corner_cut_off) {
+  Cut cut(block(), 20);
+  cut.sweep({4.6, 10, -3}, {10, 4.6, -3}, {0, 0, 1}, 20);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+}
+
+TEST(ConformingCutter, along_the_surface_outside_cuts_nothing) {
+  const MeshData mesh = box(6, 6, 6);
+  Cut cut(mesh, 10);
+  cut.sweep({-1e-9, -2, -2}, {-1e-9, 8, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(cut.mesh().live_tets(), mesh.tets.size());
+  EXPECT_EQ(cut.totals().cut_faces, 0u);
+}
+
+TEST(ConformingCutter, in_the_plane_of_faces_through_vertices_along_edges) {
+  // An unshaken box: the sweep runs exactly in a layer of faces.
+  const MeshData mesh = box(6, 6, 6);
+  Cut cut(mesh, 10);
+  cut.sweep({3, -2, -2}, {3, 8, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  EXPECT_NEAR(measure(cut.mesh()).cut_area, 36, 1e-6);
+  // Diagonally: through vertices and along the cells' diagonals.
+  Cut diagonal(mesh, 10);
+  diagonal.sweep({-1, -1, -2}, {7, 7, -2}, {0, 0, 1}, 30);
+  diagonal.lift();
+  diagonal.expect_sound();
+  EXPECT_EQ(pieces(diagonal), 2u);
+}
+
+TEST(ConformingCutter, sharp_turn) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 4.1, -2}, {0, 0, 1}, 30);
+  cut.sweep({4.13, 4.1, -2}, {10, 4.1, -2}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+}
+
+TEST(ConformingCutter, begins_and_ends_inside) {
+  Cut cut(block(), 3);
+  cut.sweep({4.1, 2, 2.5}, {4.1, 6, 2.5}, {0, 0, 1}, 30);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 1u);
+  EXPECT_NEAR(measure(cut.mesh()).cut_area, 12, 1.2);
+}
+
+TEST(ConformingCutter, no_growth_adds_no_tetrahedron) {
+  const MeshData mesh = block();
+  Cut cut(mesh, 12, Growth::kNoGrowth);
+  cut.sweep({4.13, -2, -2}, {3.3, 10, -2}, {0.2, 0, 1}, 30);
+  cut.lift();
+  EXPECT_EQ(validate(cut.mesh()), "");
+  EXPECT_LE(cut.mesh().live_tets(), mesh.tets.size());
+  EXPECT_EQ(cut.totals().splits, 0u);
+  EXPECT_EQ(pieces(cut), 2u);
+}
+
+// Random through-cuts of real meshes: planar, twisted and bent ones.
+class ThroughCuts : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
+  if (data_folder().empty()) GTEST_SKIP() << "INCISE_DATA is not set: no real meshes";
+  const MeshData mesh = real_mesh(GetParam());
+  Vec3 low = mesh.positions[0], high = low;
+  for (const Vec3& p : mesh.positions) {
+    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  }
+  const Vec3 centre = 0.5 * (low + high);
+  const double radius = 0.5 * distance(low, high);
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random random(seed);
+    const auto centred = [&] { return random.uniform(-1, 1); };
+    const Vec3 d = normalized({centred(), centred(), centred()});
+    const Vec3 a = normalized(cross(d, {centred(), centred(), centred()}));
+    const Vec3 n = cross(a, d);
+    const Vec3 origin = centre + 0.3 * radius * centred() * n;
+    const double twist = seed % 2 == 0 ? 0.8 * centred() : 0, bend = seed > 2 ? 0.2 * radius * centred() : 0;
+    const int poses = seed == 1 ? 1 : 60;
+    Cut cut(mesh, 2.6 * radius);
+    for (int i = 0; i <= poses; ++i) {
+      const double u = static_cast<double>(i) / poses;
+      const Vec3 axis = std::cos(twist * (u - 0.5)) * a + std::sin(twist * (u - 0.5)) * n;
+      const Vec3 middle = origin + 1.3 * radius * (2 * u - 1) * d + bend * std::sin(kPi * u) * n;
+      cut.pose(middle - 1.3 * radius * axis, axis);
+    }
+    cut.lift();
+    cut.expect_sound(1e-3);  // the coarsest have 1,500 tetrahedra, most of them at the boundary
+    const auto [least, most] = cut.expected_pieces(mesh);
+    EXPECT_GE(pieces(cut), least);
+    EXPECT_LE(pieces(cut), most);
+    const Deviation off = cut.cut_deviation();
+    EXPECT_LE(off.max_h, 0.1);
+    EXPECT_LE(off.mean_h, 0.01);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Meshes, ThroughCuts,
+                         ::testing::Values("seed_1720", "seed_3234", "armadillo_3717", "wound_1476",
+                                           "bunny_27226", "intestine_52567"),
+                         [](const auto& mesh) { return std::string(mesh.param); });
+
+}  // namespace
+}  // namespace incise::core

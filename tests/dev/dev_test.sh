@@ -1,0 +1,173 @@
+#!/usr/bin/env bash
+# The command line of ./dev, in a copy of its own where cmake, dpkg-query and the like are stand-ins: nothing is built
+# or installed, and nothing outside the copy is touched.
+# shellcheck disable=SC2016  # the stand-ins expand what is in single quotes
+set -euo pipefail
+
+source_dir="$(cd "$(dirname "$0")/../.." && pwd)"
+work="$(mktemp -d)"
+trap 'rm -rf "$work"' EXIT
+mkdir "$work/config" "$work/stand_ins"
+cp "$source_dir/dev" "$source_dir/CMakePresets.json" "$work/"
+cp "$source_dir/config/packages.txt" "$work/config/"
+
+# A program of that name which runs BODY.
+stand_in() { # NAME BODY
+  printf '#!/bin/bash\n%s\n' "$2" > "$work/stand_ins/$1"
+  chmod +x "$work/stand_ins/$1"
+}
+export PATH="$work/stand_ins:$PATH"
+export CALLS="$work/calls"
+
+failures=0
+# Runs ./dev and compares its exit status and, where given, a part of what it printed.
+expect() { # STATUS TEXT [ARGUMENTS OF dev...]
+  local wanted="$1" text="$2" status=0 output
+  shift 2
+  : > "$CALLS"
+  output="$("$work/dev" "$@" 2>&1)" || status=$?
+  if [[ $status != "$wanted" || $output != *"$text"* ]]; then
+    printf 'dev %s: status %s, wanted %s and "%s"; it printed:\n%s\n' "$*" "$status" "$wanted" "$text" "$output"
+    failures=$((failures + 1))
+  fi
+}
+# Whether the stand-ins were called with this, after the last expect.
+expect_call() { # TEXT
+  if ! grep -qF -- "$1" "$CALLS"; then
+    printf 'no call "%s" among:\n%s\n' "$1" "$(cat "$CALLS")"
+    failures=$((failures + 1))
+  fi
+}
+expect_no_call() { # TEXT
+  if grep -qF -- "$1" "$CALLS"; then
+    printf 'unwanted call "%s" among:\n%s\n' "$1" "$(cat "$CALLS")"
+    failures=$((failures + 1))
+  fi
+}
+
+all_packages="$(sed 's/[ #].*//; /^\[/d; /^$/d' "$work/config/packages.txt" | sort -u)"
+installed() { # PACKAGES, one a line: what dpkg-query reports
+  stand_in dpkg-query "printf 'installed %s, \n' $(tr '\n' ' ' <<< "$1")"
+}
+stand_in cmake 'echo "cmake $*" >> "$CALLS"'
+stand_in ctest 'echo "ctest $*" >> "$CALLS"; printf "    Start 1: core\n1/1 Test #1: core ...   Passed    0.01 sec\n\n100%% tests passed, 0 tests failed out of 1\n"; exit "${CTEST_STATUS:-0}"'
+stand_in apt-get 'echo "apt-get $*" >> "$CALLS"; exit "${APT_STATUS:-0}"'
+stand_in sudo 'exec "$@"'
+installed "$all_packages"
+
+# Help, and mistakes.
+expect 0 'usage: ./dev COMMAND'
+expect 0 'usage: ./dev COMMAND' help
+expect 0 'usage: ./dev COMMAND' --help
+expect 2 "unknown command 'biuld'" biuld
+expect 2 "unknown preset 'relaese'; the presets are release debug" build relaese
+expect 2 "unknown preset 'fuzz'; the presets are release debug" test fuzz
+expect 2 "unknown preset '../..'" clean ../..
+expect 2 "build takes one preset" build debug asan
+expect 2 "--minutes takes a whole number from 1; found '0.5'" fuzz --minutes 0.5
+expect 2 "unknown argument '--twice' of demo" demo --twice
+expect 2 "lint takes no argument" lint server
+
+# Presets and ctest's arguments go through; a passed test prints nothing of its own, ctest's last line stays.
+expect 0 '' build
+expect_call 'cmake --preset release'
+expect_call "cmake --build $work/build/release"
+expect_no_call apt-get
+expect 0 '100% tests passed, 0 tests failed out of 1' test asan -R core
+expect_call "cmake --build $work/build/asan"
+expect_call "ctest --test-dir $work/build/asan --output-on-failure"
+expect_call '-R core'
+if "$work/dev" test | grep -q 'Test *#1'; then
+  echo 'dev test prints the tests that passed'
+  failures=$((failures + 1))
+fi
+CTEST_STATUS=8 expect 8 '' test
+INCISE_DATA='' expect 0 'INCISE_DATA is not set' test
+
+# Only what is missing is installed, and only for the command at hand.
+installed "$(grep -vxE 'ccache|clang|chromium' <<< "$all_packages")"
+expect 0 'installing 1 Debian packages: ccache' build
+expect_call 'install -y --no-install-recommends --no-remove ccache'
+expect_no_call 'apt-get -q -o Dpkg::Use-Pty=0 -o DPkg::Lock::Timeout=300 update'
+expect 0 'installing 2 Debian packages: ccache clang' build clang
+APT_STATUS=100 expect 1 'the packages could not be installed' build
+expect_call ' update'
+expect_no_call cmake
+
+# What another package provides counts as installed.
+installed "$(grep -vx 'zlib1g-dev' <<< "$all_packages")"
+stand_in dpkg-query "$(tail -n +2 "$work/stand_ins/dpkg-query"); echo 'installed zlib-ng-compat, libz-dev, zlib1g-dev (= 1:1.3)'"
+expect 0 '' build
+expect_no_call apt-get
+
+# Clean removes one preset, or everything.
+mkdir -p "$work/build/debug" "$work/build/asan"
+expect 0 '' clean debug
+[[ ! -e $work/build/debug && -e $work/build/asan ]] || { echo 'clean debug removed the wrong thing'; failures=$((failures + 1)); }
+expect 0 '' clean
+[[ ! -e $work/build ]] || { echo 'clean left build/'; failures=$((failures + 1)); }
+
+# The demo: a server and a motion that are stand-ins, on two free ports.
+bin="$work/build/release/bin"
+mkdir -p "$bin"
+cat > "$bin/incised" << 'END'
+#!/usr/bin/env python3
+import json, os, signal, socket, sys, time
+config = json.load(open(sys.argv[sys.argv.index("--config") + 1]))
+calls = open(os.environ["CALLS"], "a", buffering=1)
+def stop(*_):
+    print("incised stopped", file=calls)
+    sys.exit(0)
+signal.signal(signal.SIGTERM, stop)
+if os.environ.get("REFUSE"):
+    sys.exit("config/demo.json: mesh.path: no such file")
+sockets = [socket.create_server(("127.0.0.1", port)) for port in config["listen"].values()]
+while True:
+    time.sleep(1)
+END
+printf '#!/bin/bash\necho "incise $*" >> "$CALLS"; exec sleep "${MOTION_S:-0}"\n' > "$bin/incise"
+chmod +x "$bin/incised" "$bin/incise"
+read -r tcp_port http_port < <(python3 -c '
+import socket
+a, b = socket.create_server(("127.0.0.1", 0)), socket.create_server(("127.0.0.1", 0))
+print(a.getsockname()[1], b.getsockname()[1])')
+printf '{\n  "listen": { "tcp_port": %s, "http_port": %s }\n}\n' "$tcp_port" "$http_port" > "$work/config/demo.json"
+
+# Whether the stand-in server ends within twenty seconds.
+expect_server_gone() {
+  local tick
+  for ((tick = 0; tick < 200; tick++)); do
+    grep -q 'incised stopped' "$CALLS" && return
+    sleep 0.1
+  done
+  echo "the demo's server is still there: $1"
+  failures=$((failures + 1))
+}
+# Starts a demo whose motion takes a minute, in the background, its process id in $!, and waits until it plays.
+begin_demo() {
+  : > "$CALLS"
+  MOTION_S=60 "$work/dev" demo > /dev/null 2>&1 &
+  local tick
+  for ((tick = 0; tick < 200; tick++)); do
+    grep -q '^incise stream' "$CALLS" && return
+    sleep 0.1
+  done
+  echo 'the demo does not play its motion'
+  failures=$((failures + 1))
+}
+
+expect 0 "http://127.0.0.1:$http_port/" demo --once
+expect_call "incise stream config/demo_motion.csv --to 127.0.0.1:$tcp_port"
+expect_server_gone 'after --once'
+REFUSE=1 expect 1 'mesh.path: no such file' demo
+begin_demo
+expect 1 'is in use' demo
+kill -TERM "$!"
+wait "$!" || { echo "the demo ended with $? at a TERM"; failures=$((failures + 1)); }
+begin_demo
+kill -KILL "$!"
+wait "$!" 2> /dev/null || true
+expect_server_gone 'after kill -9 of dev'
+
+((failures == 0)) || exit 1
+echo "the command line of ./dev holds"

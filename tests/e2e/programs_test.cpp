@@ -1,0 +1,195 @@
+// incised and incise as their users run them: a configuration, a server, a streamed motion, watchers, the capture.
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <thread>
+
+#include "client/client.hpp"
+#include "tests/e2e/process.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
+
+namespace incise::e2e {
+namespace {
+
+namespace fs = std::filesystem;
+
+class ProgramsTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    for (const char* name : {"incised", "incise"}) {
+      if (!have_program(name)) GTEST_SKIP() << name << " has not been built";
+    }
+    fs::create_directories(directory);
+    // A cylinder's axis may lie anywhere; the motion follows what the server says of its mesh.
+    std::ofstream(directory / "server.json") << R"({
+      "mesh": {"phantom": "slab", "target_tets": 4000},
+      "blade": {"heel": [0, 0, 0], "tip": [0, 0, -1]},
+      "cut": {"speed_limit_m_s": 50},
+      "listen": {"tcp_port": 0, "http_port": 0},
+      "loop": {"realtime_priority": 0, "lock_memory": false},
+      "capture": {"path": "run.incise"},
+      "log": {"level": "warning"}
+    })";
+  }
+  ~ProgramsTest() override { fs::remove_all(directory); }
+
+  std::unique_ptr<Process> start(bool resume = false) {
+    std::vector<std::string> arguments{"incised", "--config", file("server.json")};
+    if (resume) arguments.emplace_back("--resume");
+    auto server = std::make_unique<Process>(arguments);
+    const std::string line = server->line("listening ");
+    const auto port_after = [&](const std::string& key) {
+      const auto at = line.find(key);
+      const auto colon = at == std::string::npos ? at : line.find(':', at);
+      return colon == std::string::npos ? 0 : std::atoi(line.c_str() + colon + 1);
+    };
+    tcp_port = static_cast<std::uint16_t>(port_after("tcp="));
+    http_port = static_cast<std::uint16_t>(port_after("http="));
+    EXPECT_NE(tcp_port, 0) << line;
+    EXPECT_NE(http_port, 0) << line;
+    return server;
+  }
+  std::string file(const std::string& name) const { return (directory / name).string(); }
+  std::string tcp() const { return "127.0.0.1:" + std::to_string(tcp_port); }
+  std::string web() const { return "ws://127.0.0.1:" + std::to_string(http_port); }
+
+  // A motion right through the body, as a file: along x, the blade straight down.
+  void write_motion(const protocol::Box& box, double share_of_y, int poses = 400) {
+    const double y = box.min.y + share_of_y * (box.max.y - box.min.y);
+    const double margin = 0.1 * (box.max.x - box.min.x);
+    std::ofstream csv(directory / "motion.csv");
+    csv.precision(12);
+    csv << "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
+    for (int i = 0; i < poses; ++i) {
+      const double s = static_cast<double>(i) / (poses - 1);
+      csv << 0.002 * i << ',' << box.min.x - margin + s * (box.max.x - box.min.x + 2 * margin) << ',' << y
+          << ',' << box.max.z + margin << ",1,0,0,0," << (i + 1 < poses) << '\n';
+    }
+  }
+  nlohmann::json stream(const std::string& speed) {
+    Process player({"incise", "stream", file("motion.csv"), "--to", tcp(), "--speed", speed, "--json"});
+    const std::string printed = player.line("{");
+    EXPECT_EQ(player.wait(), 0);
+    return nlohmann::json::parse(printed);
+  }
+  std::string bytes(const std::string& name) const {
+    std::ifstream in(directory / name, std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  }
+
+  fs::path directory = fs::temp_directory_path() / ("incise_e2e_" + std::to_string(::getpid()));
+  std::uint16_t tcp_port = 0, http_port = 0;
+};
+
+TEST_F(ProgramsTest, AStreamedMotionCutsAndEverybodySeesTheSame) {
+  const auto server = start();
+  const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
+  write_motion(viewer->welcome().mesh.box, 0.5);
+  Process watcher({"incise", "watch", web(), "--until-revision", "3", "--for", "60", "--json"});
+  const auto summary = stream("1");
+  EXPECT_EQ(summary["poses_sent"], 400);
+  EXPECT_EQ(summary["accepted"], 400);
+  EXPECT_TRUE(summary["settled"]);
+  const std::uint64_t revision = summary["revision"];
+  ASSERT_GE(revision, 3u);
+  EXPECT_EQ(watcher.wait(), 0);
+
+  ASSERT_TRUE(viewer->wait_for_revision(revision, 20));
+  const std::uint64_t hash = viewer->read([](const protocol::Replica& m) { return m.compute_state_hash(); });
+  EXPECT_EQ(hash, viewer->read([](const protocol::Replica& m) { return m.state_hash(); }));
+  for (const auto& [address, name] : {std::pair(tcp(), "tcp.bin"), std::pair(web(), "web.bin")}) {
+    Process watch({"incise", "watch", address, "--until-revision", std::to_string(revision), "--for", "20",
+                   "--save", file(name), "--json"});
+    EXPECT_EQ(watch.wait(), 0);
+  }
+  EXPECT_GT(bytes("tcp.bin").size(), 10'000u);
+  EXPECT_EQ(bytes("tcp.bin"), bytes("web.bin"));
+
+  EXPECT_NE(stream::http(http_port, "/healthz").find("\"revision\":" + std::to_string(revision)),
+            std::string::npos);
+  EXPECT_NE(stream::http(http_port, "/metrics").find("incise_stream_revision " + std::to_string(revision)),
+            std::string::npos);
+  const std::string stats = stream::http(http_port, "/stats");
+  EXPECT_FALSE(nlohmann::json::parse(stats.substr(stats.find("\r\n\r\n") + 4)).empty());
+
+  server->signal(SIGTERM);
+  EXPECT_EQ(server->wait(), 0);
+  Process replay({"incise", "replay", file("run.incise"), "--verify"});
+  EXPECT_EQ(replay.wait(), 0);
+}
+
+TEST_F(ProgramsTest, AKilledServerGoesOnWhereItWas) {
+  auto server = start();
+  client::Options options;
+  options.reconnect = true;
+  auto viewer = client::Client::connect("127.0.0.1", tcp_port, options);
+  write_motion(viewer->welcome().mesh.box, 0.4);
+  const std::uint64_t revision = stream("2")["revision"];
+  ASSERT_TRUE(viewer->wait_for_revision(revision, 20));
+  const std::uint64_t session = viewer->welcome().session;
+  const auto held = viewer->read([](const protocol::Replica& m) { return m.canonical_bytes(); });
+  std::this_thread::sleep_for(std::chrono::milliseconds(500));  // the journal's group commit
+  server->signal(SIGKILL);
+  EXPECT_EQ(server->wait(), 128 + SIGKILL);
+  viewer->close();
+
+  server = start(true);
+  viewer = client::Client::connect("127.0.0.1", tcp_port, options);
+  EXPECT_EQ(viewer->welcome().session, session);
+  ASSERT_TRUE(viewer->wait_for_revision(revision, 20));
+  EXPECT_EQ(viewer->read([](const protocol::Replica& m) { return m.canonical_bytes(); }), held);
+  write_motion(viewer->welcome().mesh.box, 0.6);
+  EXPECT_GT(stream("0")["revision"], revision);
+  server->signal(SIGINT);
+  EXPECT_EQ(server->wait(), 0);
+}
+
+TEST_F(ProgramsTest, ThePythonClientCutsAndHoldsTheSame) {
+  const std::string script = std::string(INCISE_SOURCE_DIR) + "/tests/e2e/python_session.py";
+  const auto server = start();
+  const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
+  write_motion(viewer->welcome().mesh.box, 0.5);
+  Process session(
+      {"/usr/bin/env", "PYTHONPATH=" + std::string(INCISE_SOURCE_DIR) + "/client/python:" + INCISE_PYTHON_DIR,
+       "/usr/bin/python3", script, std::to_string(tcp_port), file("motion.csv"), file("python.bin")});
+  const std::string printed = session.rest();
+  ASSERT_EQ(session.wait(), 0);
+  const std::uint64_t revision = std::stoull(printed);
+  ASSERT_TRUE(viewer->wait_for_revision(revision, 20));
+  ASSERT_EQ(viewer->revision(), revision);
+  const auto held = viewer->read([](const protocol::Replica& m) { return m.canonical_bytes(); });
+  EXPECT_EQ(bytes("python.bin"), std::string(reinterpret_cast<const char*>(held.data()), held.size()));
+}
+
+TEST_F(ProgramsTest, MalformedMessagesDoNotStopTheServer) {
+  const auto server = start();
+  std::mt19937_64 random(11);
+  for (int i = 0; i < 120; ++i) {
+    stream::RawPeer peer(i % 4 == 3 ? http_port : tcp_port);
+    ASSERT_TRUE(peer.connected()) << "case " << i;
+    std::vector<std::byte> garbage(1 + random() % 300);
+    for (std::byte& b : garbage) b = std::byte(random() & 0xff);
+    if (i % 2 == 0 && garbage.size() > 4) {
+      const auto size = static_cast<std::uint32_t>(garbage.size() - 4);  // at least the length is right
+      std::memcpy(garbage.data(), &size, 4);
+    }
+    peer.send(garbage);
+    if (i % 3 == 0) peer.vanish();
+  }
+  ASSERT_TRUE(server->running());
+  const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
+  EXPECT_TRUE(viewer->wait_for_revision(0, 20));
+  server->signal(SIGTERM);
+  EXPECT_EQ(server->wait(), 0);
+}
+
+}  // namespace
+}  // namespace incise::e2e

@@ -1,0 +1,83 @@
+#include "server/loop/delta_pool.hpp"
+
+#include <gtest/gtest.h>
+
+#include <thread>
+#include <vector>
+
+#include "server/input/spsc_queue.hpp"
+
+namespace incise::loop {
+namespace {
+
+TEST(DeltaPool, ObjectsGoRoundInOrder) {
+  DeltaPool pool(2);
+  std::vector<std::shared_ptr<const PublishedDelta>> readers;
+  std::vector<const PublishedDelta*> seen;
+  for (int i = 0; i < 6; ++i) {
+    const PublishedDelta* const first = pool.take().get();
+    auto delta = pool.take();
+    EXPECT_EQ(delta.get(), first) << "not given yet";
+    seen.push_back(delta.get());
+    pool.given();
+    readers.push_back(std::move(delta));
+    if (readers.size() == 2) readers.erase(readers.begin());
+  }
+  EXPECT_EQ(pool.size(), 2u);
+  EXPECT_EQ(seen[0], seen[2]);
+  EXPECT_EQ(seen[1], seen[3]);
+  EXPECT_NE(seen[0], seen[1]);
+}
+
+TEST(DeltaPool, GrowsForASlowReaderUpToItsLimit) {
+  DeltaPool pool(2, 5);
+  std::vector<std::shared_ptr<const PublishedDelta>> readers;
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    auto delta = pool.take();
+    ASSERT_TRUE(delta);
+    delta->delta.revision = i;
+    pool.given();
+    readers.push_back(std::move(delta));
+  }
+  EXPECT_EQ(pool.size(), 5u);
+  EXPECT_FALSE(pool.take());
+  for (std::uint64_t i = 0; i < 5; ++i) EXPECT_EQ(readers[i]->delta.revision, i);
+  readers.erase(readers.begin());
+  EXPECT_TRUE(pool.take());
+  EXPECT_EQ(pool.size(), 5u);
+}
+
+// Under ThreadSanitizer: an object is not written again while a reader may still read it.
+TEST(DeltaPool, AReaderInAnotherThreadSeesWhatWasPublished) {
+  constexpr std::uint64_t kDeltas = 20'000;
+  DeltaPool pool(4, 64);
+  input::SpscQueue<std::shared_ptr<const PublishedDelta>> queue(128);
+  std::thread loop([&] {
+    for (std::uint64_t i = 1; i <= kDeltas;) {
+      auto delta = pool.take();
+      if (!delta) {
+        std::this_thread::yield();
+        continue;
+      }
+      delta->delta.revision = i;
+      delta->delta.moved.assign(3, static_cast<std::uint32_t>(i));
+      pool.given();
+      ASSERT_TRUE(queue.push(std::shared_ptr<const PublishedDelta>(std::move(delta))));
+      ++i;
+    }
+  });
+  for (std::uint64_t next = 1; next <= kDeltas;) {
+    std::shared_ptr<const PublishedDelta> delta;
+    if (!queue.pop(delta)) {
+      std::this_thread::yield();
+      continue;
+    }
+    ASSERT_EQ(delta->delta.revision, next);
+    ASSERT_EQ(delta->delta.moved.back(), static_cast<std::uint32_t>(next));
+    ++next;
+  }
+  loop.join();
+}
+
+}  // namespace
+}  // namespace incise::loop

@@ -1,0 +1,356 @@
+#include "server/loop/frame_loop.hpp"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <thread>
+#include <vector>
+
+#include "tests/support/bodies.hpp"
+
+namespace incise::loop {
+namespace {
+
+using core::Policy;
+using input::InputHub;
+using input::monotonic_ns;
+using input::SourceHandle;
+using input::TimedPose;
+
+core::CutConfig config(Policy policy) {
+  core::CutConfig made;
+  made.policy = policy;
+  made.blade = tests::long_blade();
+  return made;
+}
+
+std::vector<TimedPose> timed(const std::vector<core::Pose>& poses) {
+  std::vector<TimedPose> made;
+  for (const core::Pose& pose : poses) made.push_back({pose, monotonic_ns()});
+  return made;
+}
+
+// The hash of each revision.
+using Hashes = std::map<std::uint64_t, std::uint64_t>;
+
+Hashes without_loop(Policy policy, const core::MeshData& mesh, const std::vector<core::Pose>& poses) {
+  core::CutSession session(mesh, config(policy));
+  Hashes hashes;
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  for (const core::Pose& pose : poses) session.push(0, pose);
+  session.end_stroke(0);
+  while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+    hashes[delta.revision] = delta.state_hash;
+  }
+  return hashes;
+}
+
+// Reads nothing until it is asked to.
+struct Kept : DeltaSink {
+  void publish(std::shared_ptr<const PublishedDelta> delta) noexcept override {
+    deltas.push_back(std::move(delta));
+  }
+  std::vector<std::shared_ptr<const PublishedDelta>> deltas;
+};
+
+// A loop with all that it needs.
+struct Rig {
+  Rig(Policy policy, const core::MeshData& mesh, const LoopOptions& options = {},
+      std::size_t queue_capacity = 8192)
+      : session(mesh, config(policy)),
+        hub(tests::long_blade(), {}, queue_capacity),
+        loop(session, hub, kept, nullptr, options) {}
+
+  void read() {
+    for (const auto& lease : kept.deltas) {
+      hashes[lease->delta.revision] = lease->delta.state_hash;
+      cut_faces += lease->delta.cut_faces;
+      EXPECT_LE(lease->arrival_ns, lease->drain_ns);
+      EXPECT_LE(lease->drain_ns, lease->cut_ns);
+      EXPECT_EQ(lease->delta.revision, ++revision);
+    }
+    kept.deltas.clear();
+  }
+
+  core::CutSession session;
+  InputHub hub;
+  Kept kept;
+  FrameLoop loop;
+  Hashes hashes;
+  std::uint64_t revision = 0, cut_faces = 0;
+};
+
+class FrameLoopPolicies : public ::testing::TestWithParam<Policy> {};
+INSTANTIATE_TEST_SUITE_P(, FrameLoopPolicies, ::testing::Values(Policy::kConforming, Policy::kCroll),
+                         [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });
+
+// "The budget decides when work is done, never what is done."
+TEST_P(FrameLoopPolicies, EveryBudgetGivesTheSameHashes) {
+  const core::MeshData mesh = tests::cube(6);
+  const auto poses = tests::sweep_through(300);
+  const Hashes wanted = without_loop(GetParam(), mesh, poses);
+  ASSERT_GE(wanted.size(), 5u);
+  for (std::int64_t units :
+       {std::int64_t{1}, std::int64_t{7}, std::int64_t{100}, std::int64_t{5000}, INT64_MAX}) {
+    LoopOptions options;
+    options.units_per_frame = units;
+    Rig rig(GetParam(), mesh, options);
+    {
+      auto source = rig.hub.open_source("blade");
+      const auto all = timed(poses);
+      for (std::size_t i = 0; i < all.size(); ++i) {  // a pose a frame, as at 1 kHz
+        ASSERT_EQ(source->push(std::span(&all[i], 1)), 1u);
+        rig.loop.frame(monotonic_ns());
+      }
+    }
+    rig.loop.finish();
+    rig.read();
+    EXPECT_EQ(rig.hashes, wanted) << units << " units a frame";
+    EXPECT_GT(rig.cut_faces, 0u);
+    EXPECT_EQ(rig.loop.stats().state.load().state_hash, wanted.rbegin()->second);
+    EXPECT_EQ(rig.loop.stats().state.load().backlog_batches, 0u);
+  }
+}
+
+// 100,000 poses at once, into a queue that holds a twelfth of them, and frames of 50 us: all are taken, none
+// twice, and the mesh is that of a run without a limit.
+TEST_P(FrameLoopPolicies, ABurstOfPosesIsCarriedOverAndEndsWithTheSameHash) {
+  const core::MeshData mesh = tests::cube(6);
+  const auto poses = tests::sweep_through(100'000, 100'000);
+  const Hashes wanted = without_loop(GetParam(), mesh, poses);
+  LoopOptions options;
+  options.rate_hz = 4000;
+  options.budget_fraction = 0.2;
+  Rig rig(GetParam(), mesh, options);
+  std::uint64_t carried = 0;
+  {
+    auto source = rig.hub.open_source("blade");
+    const auto all = timed(poses);
+    for (std::size_t pushed = 0; pushed < all.size();) {
+      pushed += source->push(std::span(all).subspan(pushed));
+      rig.loop.frame(monotonic_ns());
+      carried += (rig.loop.stats().state.load().flags & kInputCarried) != 0;
+    }
+    rig.loop.finish();
+    EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), poses.size());
+    EXPECT_EQ(source->counts().drained, poses.size());
+  }
+  EXPECT_GT(carried, 0u);
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+}
+
+TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
+  const core::MeshData mesh = tests::cube(5);
+  const auto poses = tests::sweep_through(200);
+  const Hashes wanted = without_loop(Policy::kCroll, mesh, poses);
+  Rig rig(Policy::kCroll, mesh);
+  std::jthread thread([&](const std::stop_token& stop) { rig.loop.run(stop); });
+  {
+    auto source = rig.hub.open_source("blade");
+    const auto all = timed(poses);
+    for (std::size_t pushed = 0; pushed < all.size();) {
+      pushed += source->push(std::span(all).subspan(pushed, std::min<std::size_t>(9, all.size() - pushed)));
+      std::this_thread::yield();
+    }
+  }
+  while (rig.loop.stats().state.load().frames < 20) std::this_thread::yield();
+  thread.request_stop();
+  thread.join();
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+  EXPECT_FALSE(rig.hub.open_source("late"));
+  EXPECT_EQ(rig.loop.stats().frame_work.count(), rig.loop.stats().state.load().frames);
+}
+
+// Poses that are still queued when the server stops are cut all the same, and the stroke is ended.
+TEST(FrameLoop, FinishTakesWhatWaitsAndEndsStrokes) {
+  const core::MeshData mesh = tests::cube(5);
+  const auto poses = tests::sweep_through(200);
+  const Hashes wanted = without_loop(Policy::kCroll, mesh, poses);
+  Rig rig(Policy::kCroll, mesh);
+  auto source = rig.hub.open_source("blade");
+  ASSERT_EQ(source->push(timed(poses)), poses.size());
+  rig.loop.finish();
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+  EXPECT_EQ(rig.loop.stats().state.load().backlog_events, 0u);
+}
+
+TEST(FrameLoop, RejectedPosesAreCountedAndChangeNothing) {
+  const core::MeshData mesh = tests::cube(5);
+  auto poses = tests::sweep_through(200);
+  const Hashes wanted = without_loop(Policy::kCroll, mesh, poses);
+  auto broken = poses[50];
+  broken.position.x = std::numeric_limits<double>::quiet_NaN();
+  poses.insert(poses.begin() + 51, broken);
+  broken = poses[80];
+  broken.orientation.w = 3;
+  poses.insert(poses.begin() + 81, broken);
+  poses.insert(poses.begin() + 101, poses[100]);  // the same time again
+  Rig rig(Policy::kCroll, mesh);
+  auto source = rig.hub.open_source("blade");
+  source->push(timed(poses));
+  rig.loop.finish();
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+  const auto counts = source->counts();
+  EXPECT_EQ(counts.count(core::PoseVerdict::kNotFinite), 1u);
+  EXPECT_EQ(counts.count(core::PoseVerdict::kNotUnit), 1u);
+  EXPECT_EQ(counts.count(core::PoseVerdict::kTimeNotIncreasing), 1u);
+}
+
+// A source's next owner has a clock of its own; it may well be behind the last one's.
+TEST(FrameLoop, TheNextOwnerOfABladeStartsItsOwnClock) {
+  Rig rig(Policy::kCroll, tests::cube(5));
+  for (int owner = 0; owner < 3; ++owner) {
+    auto source = rig.hub.open_source("blade");
+    ASSERT_TRUE(source) << owner;
+    source->push(timed(tests::sweep_through(100, 1000, 0.2 + 0.2 * owner)));
+    rig.loop.frame(monotonic_ns());
+    EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), 100u);
+    source.reset();
+    rig.loop.frame(monotonic_ns());
+  }
+  rig.loop.finish();
+  EXPECT_EQ(rig.loop.stats().state.load().strokes, 3u);
+}
+
+// A stream that reads nothing stops the cutting, loses nothing, and all goes on when it reads again.
+TEST(FrameLoop, AStreamThatDoesNotReadHoldsTheCutAndLosesNothing) {
+  const core::MeshData mesh = tests::cube(3);
+  core::CutConfig fine = config(Policy::kConforming);
+  fine.batch_h = 1e-6;  // a batch for each pose
+  core::CutSession session(mesh, fine);
+  InputHub hub(tests::long_blade());
+  Kept kept;
+  LoopOptions options;
+  options.most_unread_deltas = 1000;
+  FrameLoop loop(session, hub, kept, nullptr, options);
+  auto source = hub.open_source("blade");
+  const auto all = timed(tests::sweep_through(5'000, 10'000, 2.0));  // beside the body
+  std::size_t pushed = 0;
+  while (pushed < all.size()) {
+    pushed += source->push(std::span(all).subspan(pushed));
+    loop.frame(monotonic_ns());
+  }
+  while ((loop.stats().state.load().flags & kDeltasBlocked) == 0 && session.backlog_batches() > 0) {
+    loop.frame(monotonic_ns());
+  }
+  EXPECT_NE(loop.stats().state.load().flags & kDeltasBlocked, 0u);
+  EXPECT_EQ(kept.deltas.size(), 1000u);
+  EXPECT_EQ(session.revision(), 1000u);
+  std::uint64_t next = 1;
+  while (session.backlog_batches() > 0) {
+    for (const auto& delta : kept.deltas) EXPECT_EQ(delta->delta.revision, next++);
+    kept.deltas.clear();
+    loop.frame(monotonic_ns());
+  }
+  EXPECT_GT(session.revision(), 2000u);
+}
+
+// A reset in the middle of a stroke: what was cut is gone, the blade is still there, and what follows is what a fresh
+// session makes of the poses after it.
+TEST(FrameLoop, AResetStartsAgainFromTheMeshAsLoaded) {
+  const core::MeshData mesh = tests::cube(6);
+  const auto poses = tests::sweep_through(300);
+  const std::size_t half = 150;
+  const Hashes wanted = without_loop(Policy::kConforming, mesh, {poses.begin() + half, poses.end()});
+  Rig rig(Policy::kConforming, mesh);
+  EXPECT_FALSE(rig.loop.request_reset()) << "not offered";
+  std::uint64_t resets = 0;
+  rig.loop.offer_reset([&] { return std::make_unique<core::CutSession>(mesh, config(Policy::kConforming)); },
+                       [&](const core::CutSession& fresh) {
+                         EXPECT_EQ(fresh.revision(), 0u);
+                         rig.read();  // what was published before the reset came before it
+                         rig.hashes.clear();
+                         rig.revision = 0;
+                         return ++resets;
+                       });
+  auto source = rig.hub.open_source("blade");
+  const auto all = timed(poses);
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (i == half) {
+      EXPECT_GT(rig.loop.stats().state.load().revision, 0u);
+      EXPECT_TRUE(rig.loop.request_reset());
+    }
+    source->push(std::span(&all[i], 1));
+    rig.loop.frame(monotonic_ns());
+  }
+  rig.loop.finish();
+  rig.read();
+  EXPECT_EQ(resets, 1u);
+  EXPECT_EQ(rig.hashes, wanted);
+  EXPECT_EQ(rig.loop.stats().state.load().state_hash, wanted.rbegin()->second);
+}
+
+// Two hands: the order of commits is the order in which poses were drained, so the journal's order replays
+// it.
+TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
+  class Memory : public JournalSink {
+   public:
+    explicit Memory(std::vector<JournalRecord>& records) : records_(records) {}
+    void write(const JournalRecord& record) override { records_.push_back(record); }
+    void flush() override {}
+    void sync() override {}
+    void close() override {}
+
+   private:
+    std::vector<JournalRecord>& records_;
+  };
+  const core::MeshData mesh = tests::cube(6);
+  std::vector<JournalRecord> records;
+  Hashes hashes;
+  {
+    core::CutSession session(mesh, config(Policy::kCroll));
+    InputHub hub(tests::long_blade());
+    Kept kept;
+    Journal journal(std::make_unique<Memory>(records), {}, [](const std::string&) {});
+    LoopOptions options;
+    options.units_per_frame = 50;
+    FrameLoop loop(session, hub, kept, &journal, options);
+    auto left = hub.open_source("left"), right = hub.open_source("right");
+    const auto a = timed(tests::sweep_through(300, 1000, 0.3)),
+               b = timed(tests::sweep_through(400, 1000, 0.62));
+    for (std::size_t i = 0; i < b.size(); ++i) {
+      if (i < a.size()) left->push(std::span(&a[i], 1));
+      right->push(std::span(&b[i], 1));
+      if (i % 3 == 0) loop.frame(monotonic_ns());
+    }
+    loop.finish();
+    for (const auto& delta : kept.deltas) hashes[delta->delta.revision] = delta->delta.state_hash;
+  }
+  ASSERT_GE(hashes.size(), 10u);
+  core::CutSession replay(mesh, config(Policy::kCroll));
+  Hashes marked, replayed;
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  for (const JournalRecord& record : records) {
+    switch (record.kind) {
+      case JournalRecord::Kind::kOpened:
+        replay.set_blade(record.source, tests::long_blade());
+        break;
+      case JournalRecord::Kind::kPose:
+        replay.push(record.source, record.pose);
+        break;
+      case JournalRecord::Kind::kEndStroke:
+        replay.end_stroke(record.source);
+        break;
+      case JournalRecord::Kind::kCommit:
+        marked[record.revision] = record.state_hash;
+        break;
+      case JournalRecord::Kind::kReset:
+      case JournalRecord::Kind::kGap:
+        FAIL() << "neither happened";
+    }
+  }
+  while (replay.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+    replayed[delta.revision] = delta.state_hash;
+  }
+  EXPECT_EQ(marked, hashes);
+  EXPECT_EQ(replayed, hashes);
+}
+
+}  // namespace
+}  // namespace incise::loop

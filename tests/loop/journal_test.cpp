@@ -1,0 +1,134 @@
+#include "server/loop/journal.hpp"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <mutex>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+namespace incise::loop {
+namespace {
+
+using Kind = JournalRecord::Kind;
+
+// What reached the "disk"; can be told to fail.
+struct Disk {
+  std::mutex mutex;
+  std::vector<JournalRecord> records;
+  std::atomic<int> syncs{0};
+  std::atomic<bool> closed{false};
+  std::atomic<bool> full{false}, slow{false};
+};
+
+class DiskSink : public JournalSink {
+ public:
+  explicit DiskSink(Disk& disk) : disk_(disk) {}
+  void write(const JournalRecord& record) override {
+    while (disk_.slow) std::this_thread::yield();
+    buffer_.push_back(record);
+  }
+  void flush() override {
+    if (disk_.full) {
+      buffer_.clear();
+      throw std::runtime_error("no space left on device");
+    }
+    const std::scoped_lock lock(disk_.mutex);
+    disk_.records.insert(disk_.records.end(), buffer_.begin(), buffer_.end());
+    buffer_.clear();
+  }
+  void sync() override { ++disk_.syncs; }
+  void close() override { disk_.closed = true; }
+
+ private:
+  std::vector<JournalRecord> buffer_;
+  Disk& disk_;
+};
+
+JournalRecord pose(std::uint64_t number) {
+  JournalRecord record;
+  record.revision = number;
+  return record;
+}
+
+TEST(Journal, WritesEverythingInOrderAndSyncsAtTheEnd) {
+  Disk disk;
+  {
+    Journal journal(std::make_unique<DiskSink>(disk), {}, [](const std::string&) {});
+    for (std::uint64_t i = 0; i < 1000; ++i) EXPECT_TRUE(journal.record(pose(i)));
+  }
+  ASSERT_EQ(disk.records.size(), 1000u);
+  for (std::uint64_t i = 0; i < 1000; ++i) EXPECT_EQ(disk.records[i].revision, i);
+  EXPECT_GE(disk.syncs, 1);
+  EXPECT_TRUE(disk.closed);
+}
+
+TEST(Journal, WithoutAPolicyItLeavesTheDiskToTheSystem) {
+  Disk disk;
+  {
+    Journal journal(std::make_unique<DiskSink>(disk), {SyncPolicy::kNone, 100, 64},
+                    [](const std::string&) {});
+    journal.record(pose(1));
+  }
+  EXPECT_EQ(disk.records.size(), 1u);
+  EXPECT_EQ(disk.syncs, 0);
+}
+
+// The queue of a slow disk overflows: the records that were lost are counted, and a gap of so many stands
+// where they were.
+TEST(Journal, ASlowDiskLeavesAnHonestGap) {
+  Disk disk;
+  disk.slow = true;
+  std::uint64_t taken = 0, lost = 0;
+  {
+    Journal journal(std::make_unique<DiskSink>(disk), {SyncPolicy::kGroup, 100, 16},
+                    [](const std::string&) {});
+    for (std::uint64_t i = 0; i < 100; ++i) ++(journal.record(pose(i)) ? taken : lost);
+    EXPECT_GT(lost, 0u);
+    EXPECT_EQ(journal.lost(), lost);
+    disk.slow = false;
+  }
+  std::uint64_t written = 0, next = 0;
+  for (const JournalRecord& record : disk.records) {
+    if (record.kind == Kind::kGap) {
+      next += record.lost;
+    } else {
+      EXPECT_EQ(record.revision, next++);
+      ++written;
+    }
+  }
+  EXPECT_EQ(written, taken);
+  EXPECT_EQ(next, 100u);
+}
+
+TEST(Journal, AFullDiskIsToldOnceAndTheGapIsMarkedWhenThereIsRoomAgain) {
+  Disk disk;
+  disk.full = true;
+  std::mutex mutex;
+  std::vector<std::string> told;
+  std::uint64_t lost = 0;
+  {
+    Journal journal(std::make_unique<DiskSink>(disk), {}, [&](const std::string& text) {
+      const std::scoped_lock lock(mutex);
+      told.push_back(text);
+    });
+    for (std::uint64_t i = 0; i < 10; ++i) journal.record(pose(i));
+    while (!journal.failing() || journal.waiting() > 0) std::this_thread::yield();
+    disk.full = false;
+    while (journal.failing()) std::this_thread::yield();
+    EXPECT_TRUE(journal.record(pose(10)));
+    lost = journal.lost();
+  }
+  ASSERT_EQ(told.size(), 2u);
+  EXPECT_EQ(told[0], "no space left on device");
+  EXPECT_EQ(told[1], "");
+  EXPECT_EQ(lost, 10u);
+  ASSERT_EQ(disk.records.size(), 2u);
+  EXPECT_EQ(disk.records[0].kind, Kind::kGap);
+  EXPECT_EQ(disk.records[0].lost, 10u);
+  EXPECT_EQ(disk.records[1].revision, 10u);
+}
+
+}  // namespace
+}  // namespace incise::loop

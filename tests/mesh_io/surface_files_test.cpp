@@ -1,0 +1,204 @@
+#include "server/mesh_io/surface_files.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+
+#include "server/mesh_io/mesh_io.hpp"
+#include "server/mesh_io/surface_check.hpp"
+#include "tests/mesh_io/test_meshes.hpp"
+
+namespace incise::mesh_io {
+namespace {
+
+using namespace testing;
+
+Surface read(const std::filesystem::path& path) {
+  std::vector<std::string> warnings;
+  Surface surface = read_surface(path, warnings);
+  EXPECT_TRUE(warnings.empty()) << warnings[0];
+  return surface;
+}
+
+// Volume 1, 8 vertices, 12 triangles, closed: the unit cube, whatever the order.
+void expect_unit_cube(const Surface& surface) {
+  EXPECT_EQ(surface.positions.size(), 8u);
+  EXPECT_EQ(surface.triangles.size(), 12u);
+  std::vector<std::string> warnings;
+  EXPECT_NEAR(check_surface(surface, "FILE", warnings).volume, 1, 1e-12);
+  EXPECT_TRUE(warnings.empty()) << warnings[0];
+}
+
+constexpr const char* kObjCube = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1\n";
+
+TEST(SurfaceFiles, EachFormatReadsBackWhatWasWritten) {
+  const TestDirectory directory;
+  for (const char* name : {"a.stl", "a.ply", "a.off", "a.obj", "A.STL", "A.Obj"}) {
+    SCOPED_TRACE(name);
+    write_surface(directory / name, cube());
+    expect_unit_cube(read(directory / name));
+  }
+}
+
+TEST(SurfaceFiles, TextFormatsKeepEveryBit) {
+  const TestDirectory directory;
+  Surface surface = cube({0.1, 1.0 / 3.0, -1e-7}, 1.0 / 7.0);
+  for (const char* name : {"a.ply", "a.off", "a.obj"}) {
+    write_surface(directory / name, surface);
+    EXPECT_EQ(read(directory / name).positions, surface.positions) << name;
+    EXPECT_EQ(read(directory / name).triangles, surface.triangles) << name;
+  }
+}
+
+TEST(SurfaceFiles, UnknownEndings) {
+  const TestDirectory directory;
+  EXPECT_NE(error_of([&] { write_surface(directory / "a.xyz", cube()); }).find(".stl, .ply"),
+            std::string::npos);
+  directory.write("a.xyz", "1");
+  EXPECT_NE(error_of([&] { load_mesh(directory / "a.xyz"); }).find(".node, .ele"), std::string::npos);
+  EXPECT_NE(error_of([&] { load_mesh(directory / "b.off"); }).find("no such file"), std::string::npos);
+}
+
+TEST(SurfaceFiles, AsciiStlWithSeveralSolidsInAnyCase) {
+  const TestDirectory directory;
+  std::string text = "SOLID first part\n";
+  const Surface surface = cube();
+  for (std::size_t i = 0; i < surface.triangles.size(); ++i) {
+    if (i == 6) text += "endsolid first part\r\n\r\nsolid second\n";
+    text += " facet normal 0 0 0\n  OUTER loop\n";
+    for (const auto v : surface.triangles[i]) {
+      const core::Vec3& p = surface.positions[v];
+      text +=
+          "   Vertex " + std::to_string(p.x) + " " + std::to_string(p.y) + "\t" + std::to_string(p.z) + "\n";
+    }
+    text += "  endloop\n endfacet\n";
+  }
+  expect_unit_cube(read(directory.write("a.stl", text + "endsolid\n")));
+}
+
+TEST(SurfaceFiles, BinaryStlThatBeginsWithSolid) {
+  const TestDirectory directory;
+  write_surface(directory / "a.stl", cube());
+  std::string bytes(84 + 50 * 12, ' ');
+  {
+    FILE* file = std::fopen((directory / "a.stl").c_str(), "rb");
+    ASSERT_EQ(std::fread(bytes.data(), 1, bytes.size(), file), bytes.size());
+    std::fclose(file);
+  }
+  std::memcpy(bytes.data(), "solid binary", 12);
+  expect_unit_cube(read(directory.write("b.stl", bytes)));
+  // Bytes after the last triangle are left alone, with a warning.
+  std::memcpy(bytes.data(), "header      ", 12);
+  std::vector<std::string> warnings;
+  expect_unit_cube(read_surface(directory.write("c.stl", bytes + "xyz"), warnings));
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("3 bytes after the last of 12 triangles"), std::string::npos) << warnings[0];
+}
+
+std::string ply_cube(bool big) {
+  const Surface surface = cube();
+  std::string bytes =
+      std::string("ply\nformat binary_") + (big ? "big" : "little") +
+      "_endian 1.0\ncomment made by hand\nelement material 2\nproperty uchar red\nproperty list uchar "
+      "short codes\nelement vertex 8\nproperty uchar flag\nproperty double z\nproperty double x\n"
+      "property double y\nobj_info none\nelement face 12\nproperty list int uint vertex_index\n"
+      "property float quality\nend_header\n";
+  const auto append = [&bytes, big](auto value) {
+    char raw[sizeof value];
+    std::memcpy(raw, &value, sizeof value);
+    if (big) std::reverse(raw, raw + sizeof value);
+    bytes.append(raw, sizeof value);
+  };
+  for (const int codes : {0, 3}) {
+    append(std::uint8_t{7});
+    append(static_cast<std::uint8_t>(codes));
+    for (int i = 0; i < codes; ++i) append(std::int16_t{-2});
+  }
+  for (const core::Vec3& p : surface.positions) {
+    append(std::uint8_t{1});
+    append(p.z);
+    append(p.x);
+    append(p.y);
+  }
+  for (const auto& t : surface.triangles) {
+    append(std::int32_t{3});
+    for (const auto v : t) append(v);
+    append(0.5f);
+  }
+  return bytes;
+}
+
+TEST(SurfaceFiles, PlyOfEitherByteOrderWithOtherElements) {
+  const TestDirectory directory;
+  expect_unit_cube(read(directory.write("l.ply", ply_cube(false))));
+  expect_unit_cube(read(directory.write("b.ply", ply_cube(true))));
+}
+
+TEST(SurfaceFiles, AsciiPlyWithQuads) {
+  const TestDirectory directory;
+  expect_unit_cube(read(directory.write(
+      "a.ply",
+      "ply\r\nformat ascii 1.0\r\nelement vertex 8\r\nproperty float32 x\r\nproperty float32 y\r\nproperty "
+      "float32 z\r\n"
+      "property uchar red\r\nelement face 6\r\nproperty list uint8 int32 vertex_indices\r\nend_header\r\n"
+      "0 0 0 1\r\n1 0 0 2\r\n0 1 0 3\r\n1 1 0 4\r\n0 0 1 5\r\n1 0 1 6\r\n0 1 1 7\r\n1 1 1 255\r\n"
+      "4 0 2 3 1\r\n4 4 5 7 6\r\n4 0 1 5 4\r\n4 2 6 7 3\r\n4 0 4 6 2\r\n4 1 3 7 5\r\n")));
+}
+
+TEST(SurfaceFiles, OffVariants) {
+  const TestDirectory directory;
+  const std::string vertices = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n0 0 1\n1 0 1\n0 1 1\n1 1 1\n";
+  const std::string faces = "4 0 2 3 1\n4 4 5 7 6 255 0 0\n4 0 1 5 4\n4 2 6 7 3\n4 0 4 6 2\n4 1 3 7 5\n";
+  expect_unit_cube(read(directory.write("a.off", "OFF 8 6 12\n" + vertices + faces)));
+  expect_unit_cube(
+      read(directory.write("b.off", "# first\n\nOFF\n# then\n8 6 0\n" + vertices + "# faces\n" + faces)));
+  expect_unit_cube(read(directory.write("c.off", "8 6 0\n" + vertices + faces)));
+  std::string coloured = "COFF\n8 6 0\n";
+  for (const char c : vertices) {
+    if (c == '\n') coloured += " 0.5 0.5 0.5 1";
+    coloured += c;
+  }
+  expect_unit_cube(read(directory.write("d.off", coloured + faces)));
+}
+
+TEST(SurfaceFiles, ObjPolygonsTextureIndicesNegativesAndContinuedLines) {
+  const TestDirectory directory;
+  expect_unit_cube(read(directory.write(
+      "a.obj",
+      std::string("# a cube\nmtllib x.mtl\no cube\n") + kObjCube +
+          "vt 0 0\nvn 0 0 1\ns off\nusemtl m\nf 1/1/1 3/1/1 4/1/1 2/1/1\nf 5//1 6//1 8//1 7//1\n"
+          "f 1/1 2/1 6/1 5/1\nf -6 -2 -1 -5 # negative\nf 1 5 \\\n7 3\ng group\nf 2 4 8 6\nl 1 2\n")));
+}
+
+TEST(SurfaceFiles, VerticesAtOnePlaceAreWeldedAndUnusedOnesDropped) {
+  const TestDirectory directory;
+  std::string text;
+  const Surface surface = cube();
+  for (const auto& t : surface.triangles) {
+    text += "v 5 5 5\n";
+    for (const auto v : t) {
+      const core::Vec3& p = surface.positions[v];
+      text += "v " + std::to_string(p.x) + " " + std::to_string(p.y) + " " + std::to_string(p.z) + "\n";
+    }
+    text += "f -3 -2 -1\n";
+  }
+  expect_unit_cube(read(directory.write("a.obj", text)));
+}
+
+TEST(SurfaceFiles, BoundaryOfAMeshFacesOutward) {
+  const core::MeshData mesh = cube_mesh(3);
+  std::vector<std::uint32_t> half_faces;
+  const Surface surface = boundary_surface(mesh.positions, mesh.tets, &half_faces);
+  EXPECT_EQ(surface.triangles.size(), 6u * 9 * 2);
+  EXPECT_EQ(half_faces.size(), surface.triangles.size());
+  EXPECT_EQ(surface.positions.size(), 64u - 8);
+  EXPECT_NEAR(signed_volume(surface), 27, 1e-12);
+  std::vector<std::string> warnings;
+  check_surface(surface, "FILE", warnings);
+  EXPECT_TRUE(warnings.empty());
+}
+
+}  // namespace
+}  // namespace incise::mesh_io

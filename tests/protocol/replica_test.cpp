@@ -1,0 +1,342 @@
+#include "protocol/replica.hpp"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <random>
+
+#include "protocol/coalesce.hpp"
+#include "protocol/framing.hpp"
+#include "tests/protocol/model.hpp"
+#include "tests/protocol/samples.hpp"
+
+namespace incise::protocol {
+namespace {
+
+// Sends a snapshot of `from` to `to`, through bytes, in chunks of `elements`.
+ApplyResult send_snapshot(const Replica& from, Replica& to, std::size_t elements) {
+  SnapshotWriter writer(from, SnapshotCause::Join, elements);
+  const auto through_bytes = [](const Body& body) { return *decode(encode(body).body()).message; };
+  const Message begin = through_bytes(writer.begin());
+  ApplyResult result = to.begin(std::get<SnapshotBegin>(begin.body));
+  while (result && writer.next()) {
+    const Message chunk = through_bytes(writer.chunk());
+    result = to.chunk(std::get<SnapshotChunk>(chunk.body));
+  }
+  if (!result) return result;
+  const Message end = through_bytes(writer.end());
+  return to.end(std::get<SnapshotEnd>(end.body));
+}
+
+TEST(Replica, AnEmptyOneHasHashZero) {
+  const Replica replica;
+  EXPECT_EQ(replica.state_hash(), 0u);
+  EXPECT_EQ(replica.compute_state_hash(), 0u);
+  EXPECT_EQ(replica.canonical_bytes().size(), 24u);
+}
+
+TEST(Replica, LoadsAMeshAndWalksItsBoundary) {
+  const Model model = box_model(3, 2, 1);
+  const Replica replica = model.replica();
+  EXPECT_TRUE(holds(replica, model));
+  EXPECT_EQ(replica.compute_state_hash(), replica.state_hash());
+  // Two triangles for each of the 22 squares of the surface; outward normals enclose the volume.
+  EXPECT_EQ(replica.boundary_faces(), 44u);
+  std::size_t faces = 0;
+  double six_volumes = 0;
+  replica.for_each_boundary_face([&](std::uint32_t tet, int face) {
+    ++faces;
+    const auto v = replica.face_vertices(tet, face);
+    const Vec3 a = replica.position(v[0]), b = replica.position(v[1]), c = replica.position(v[2]);
+    six_volumes +=
+        a.x * (b.y * c.z - b.z * c.y) + a.y * (b.z * c.x - b.x * c.z) + a.z * (b.x * c.y - b.y * c.x);
+  });
+  EXPECT_EQ(faces, 44u);
+  EXPECT_NEAR(six_volumes / 6, 6e-6, 1e-18);
+}
+
+TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  Model model = box_model(3, 3, 2);
+  Replica replica = model.replica();
+  for (int i = 0; i < 400; ++i) {
+    const Model before = model;
+    mutate(model, random);
+    const Frame frame = encode(difference(before, model).view());
+    const DecodeResult decoded = decode(frame.body());
+    ASSERT_TRUE(decoded) << decoded.error;
+    const ApplyResult applied = replica.apply(std::get<Delta>(decoded.message->body));
+    ASSERT_TRUE(applied) << applied.text;
+    ASSERT_TRUE(holds(replica, model)) << "revision " << model.revision;
+    ASSERT_EQ(replica.state_hash(), replica.compute_state_hash());
+  }
+}
+
+TEST(Replica, ASnapshotInAnyChunksPlusTheRestIsTheSameBytes) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  Model model = box_model(3, 2, 2);
+  Replica mirror = model.replica();
+  std::vector<Replica> joined(3);
+  const std::size_t chunk_elements[] = {1, 7, kChunkElements};
+  for (int i = 0; i < 60; ++i) {
+    const Model before = model;
+    mutate(model, random);
+    const OwnedDelta delta = difference(before, model);
+    ASSERT_TRUE(mirror.apply(delta.view()));
+    for (std::size_t k = 0; k < joined.size(); ++k) {
+      if (i == static_cast<int>(10 * k + 5)) {
+        const ApplyResult result = send_snapshot(mirror, joined[k], chunk_elements[k]);
+        ASSERT_TRUE(result) << result.text;
+      } else if (i > static_cast<int>(10 * k + 5)) {
+        const ApplyResult result = joined[k].apply(delta.view());
+        ASSERT_TRUE(result) << result.text;
+      }
+    }
+  }
+  for (const Replica& replica : joined) EXPECT_EQ(replica.canonical_bytes(), mirror.canonical_bytes());
+}
+
+// ---- All or nothing ----
+
+TEST(Replica, ABadDeltaChangesNothing) {
+  const Model from = samples::two_tets(0), to = samples::two_tets(1);
+  const OwnedDelta good = difference(from, to);
+  struct Case {
+    const char* what;
+    ApplyError error;
+    std::function<void(OwnedDelta&)> change;
+  };
+  const Case cases[] = {
+      {"another base", ApplyError::WrongBase, [](OwnedDelta& d) { d.base_revision = 1, d.revision = 2; }},
+      {"backwards", ApplyError::WrongBase, [](OwnedDelta& d) { d.revision = 0; }},
+      {"moved vertex that does not exist", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.moved_ids = {5}, d.moved_positions = {0, 0, 0};
+       }},
+      {"moved vertices out of order", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.moved_ids = {2, 1}, d.moved_positions.assign(6, 0);
+       }},
+      {"moved vertex twice", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.moved_ids = {2, 2}, d.moved_positions.assign(6, 0);
+       }},
+      {"moved without position", ApplyError::BadShape, [](OwnedDelta& d) { d.moved_ids = {2}; }},
+      {"added at another id", ApplyError::BadIndex, [](OwnedDelta& d) { d.first_added = 4; }},
+      {"another vertex count", ApplyError::BadIndex, [](OwnedDelta& d) { d.vertex_count = 9; }},
+      {"provenance of itself", ApplyError::BadIndex, [](OwnedDelta& d) { d.provenance_a[1] = 6; }},
+      {"provenance shorter", ApplyError::BadShape, [](OwnedDelta& d) { d.provenance_b.pop_back(); }},
+      {"tetrahedron with a vertex that does not exist", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[5] = 8; }},
+      {"tetrahedron with a vertex twice", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[5] = d.tet_vertices[6]; }},
+      {"tetrahedron arrays of different lengths", ApplyError::BadShape,
+       [](OwnedDelta& d) { d.tet_regions.pop_back(); }},
+      {"mask bit above 3", ApplyError::BadShape, [](OwnedDelta& d) { d.tet_cut_masks[0] = 16; }},
+      {"changed tetrahedron that does not exist", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_ids[1] = 5, d.first_new_tet = 9; }},
+      {"new ids among the used ones", ApplyError::BadIndex, [](OwnedDelta& d) { d.first_new_tet = 1; }},
+      {"tetrahedra out of order", ApplyError::BadIndex,
+       [](OwnedDelta& d) { std::swap(d.tet_ids[0], d.tet_ids[1]); }},
+      {"id beyond the limit", ApplyError::LimitReached, [](OwnedDelta& d) { d.tet_ids[1] = kMaxTets - 1; }},
+      {"removed that does not exist", ApplyError::BadIndex, [](OwnedDelta& d) { d.removed_tets = {2}; }},
+      {"removed and changed", ApplyError::BadIndex, [](OwnedDelta& d) { d.removed_tets = {1}; }},
+      {"another count of tetrahedra", ApplyError::BadShape, [](OwnedDelta& d) { d.live_tets = 3; }},
+      {"boundary face that is none", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_boundary_masks[0] = 0b1110, d.boundary_upserted = {0}; }},
+      {"boundary face of no tetrahedron", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.boundary_upserted = {400}; }},
+      {"removed boundary face that is there", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.boundary_removed = {1}; }},
+      {"piece of nothing", ApplyError::BadIndex, [](OwnedDelta& d) { d.piece_tets[0] = 2; }},
+      {"piece sizes that do not add up", ApplyError::BadShape, [](OwnedDelta& d) { d.piece_sizes[0] = 2; }},
+      {"another hash", ApplyError::HashMismatch, [](OwnedDelta& d) { d.state_hash ^= 1; }},
+      {"another position", ApplyError::HashMismatch, [](OwnedDelta& d) { d.added_positions[3] += 1e-17; }},
+      {"another region", ApplyError::HashMismatch, [](OwnedDelta& d) { d.tet_regions[0] = 8; }},
+      {"another cut mask", ApplyError::HashMismatch, [](OwnedDelta& d) { d.tet_cut_masks[0] = 3; }},
+      {"vertices in another order", ApplyError::HashMismatch,
+       [](OwnedDelta& d) { std::swap(d.tet_vertices[4], d.tet_vertices[5]); }},
+  };
+  Replica replica = from.replica();
+  const std::vector<std::byte> before = replica.canonical_bytes();
+  for (const Case& c : cases) {
+    OwnedDelta bad = good;
+    c.change(bad);
+    const ApplyResult result = replica.apply(bad.view());
+    EXPECT_EQ(result.error, c.error) << c.what << ": " << result.text;
+    EXPECT_FALSE(result.text.empty()) << c.what;
+    EXPECT_EQ(replica.canonical_bytes(), before) << c.what;
+    EXPECT_EQ(replica.compute_state_hash(), replica.state_hash()) << c.what;
+  }
+  // After all of that the good one still applies.
+  const ApplyResult result = replica.apply(good.view());
+  EXPECT_TRUE(result) << result.text;
+  EXPECT_TRUE(holds(replica, to));
+}
+
+TEST(Replica, FlippedBitsInADeltaNeverLeaveAHalfAppliedState) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  Model model = box_model(2, 2, 1);
+  const Model before = model;
+  for (int i = 0; i < 3; ++i) mutate(model, random);
+  const Frame frame = encode(difference(before, model).view());
+  Replica replica = before.replica();
+  const std::vector<std::byte> untouched = replica.canonical_bytes();
+  int refused = 0, accepted = 0;
+  for (int i = 0; i < 20000; ++i) {
+    std::vector<std::byte> bytes(frame.body().begin(), frame.body().end());
+    bytes[random() % bytes.size()] ^= static_cast<std::byte>(1u << random() % 8);
+    const DecodeResult decoded = decode(bytes);
+    const Delta* delta = decoded ? std::get_if<Delta>(&decoded.message->body) : nullptr;
+    if (delta == nullptr) continue;
+    if (replica.apply(*delta)) {
+      // Something that the hash does not cover: a step, a piece, a boundary list.
+      ++accepted;
+      EXPECT_EQ(replica.state_hash(), replica.compute_state_hash());
+      replica = before.replica();
+    } else {
+      ++refused;
+      if (refused % 100 == 0) {
+        ASSERT_EQ(replica.canonical_bytes(), untouched);
+      }
+    }
+  }
+  EXPECT_EQ(replica.canonical_bytes(), untouched);
+  EXPECT_GT(refused, 1000);
+  EXPECT_GT(accepted, 0);
+}
+
+TEST(Replica, ABadSnapshotLeavesTheStateBefore) {
+  const Replica source = samples::two_tets(2).replica();
+  Replica replica = box_model(1, 1, 1).replica();
+  const std::vector<std::byte> before = replica.canonical_bytes();
+
+  const auto attempt =
+      [&](const char* what, ApplyError expected,
+          const std::function<void(SnapshotBegin&, std::vector<SnapshotChunk>&, SnapshotEnd&)>& change) {
+        SnapshotWriter writer(source, SnapshotCause::Join, 1000);
+        SnapshotBegin begin = writer.begin();
+        ASSERT_EQ(begin.chunks, 2u);
+        ASSERT_TRUE(writer.next());
+        std::vector<SnapshotChunk> chunks{writer.chunk()};
+        ASSERT_TRUE(writer.next());
+        chunks.push_back(writer.chunk());
+        SnapshotEnd end = writer.end();
+        change(begin, chunks, end);
+        ApplyResult result = replica.begin(begin);
+        for (const SnapshotChunk& chunk : chunks) {
+          if (result) result = replica.chunk(chunk);
+        }
+        if (result) result = replica.end(end);
+        EXPECT_EQ(result.error, expected) << what << ": " << result.text;
+        if (expected != ApplyError::None) {
+          EXPECT_EQ(replica.canonical_bytes(), before) << what;
+        }
+        EXPECT_EQ(replica.chunks_total(), 0u) << what;
+      };
+  attempt("another view", ApplyError::BadShape, [](auto& b, auto&, auto&) { b.view = View::Surface; });
+  attempt("chunk missing", ApplyError::OutOfOrder, [](auto&, auto& c, auto&) { c.pop_back(); });
+  attempt("chunk first", ApplyError::OutOfOrder, [](auto&, auto& c, auto&) { std::swap(c[0], c[1]); });
+  attempt("chunk twice", ApplyError::OutOfOrder, [](auto&, auto& c, auto&) { c.insert(c.begin(), c[0]); });
+  attempt("one chunk more", ApplyError::OutOfOrder, [](auto&, auto& c, auto&) {
+    c.push_back({});
+    c.back().index = 2;
+  });
+  attempt("vertices from elsewhere", ApplyError::OutOfOrder,
+          [](auto&, auto& c, auto&) { c[0].first_vertex = 1; });
+  attempt("fewer vertices", ApplyError::BadShape,
+          [](auto&, auto& c, auto&) { c[0].positions = c[0].positions.first(24); });
+  attempt("more vertices than announced", ApplyError::BadShape,
+          [](auto& b, auto&, auto&) { b.vertex_count = 8; });
+  attempt("vertex that is not announced", ApplyError::BadIndex, [](auto& b, auto& c, auto&) {
+    b.vertex_count = 8;
+    c[0].positions = c[0].positions.first(24);
+  });
+  attempt("fewer tetrahedra than announced", ApplyError::BadShape,
+          [](auto& b, auto&, auto&) { b.tet_count = 4; });
+  attempt("more tetrahedra than announced", ApplyError::BadShape,
+          [](auto& b, auto&, auto&) { b.tet_count = 2; });
+  attempt("without pieces", ApplyError::BadShape, [](auto&, auto& c, auto&) { c[1].tet_pieces = {}; });
+  attempt("too large", ApplyError::LimitReached,
+          [](auto& b, auto&, auto&) { b.tet_count = kDefaultReplicaTets + 1; });
+  attempt("another hash", ApplyError::HashMismatch, [](auto&, auto&, auto& e) { e.state_hash ^= 1; });
+  attempt("another revision at the end", ApplyError::OutOfOrder,
+          [](auto&, auto&, auto& e) { e.revision = 3; });
+  EXPECT_EQ(replica.chunk({}).error, ApplyError::OutOfOrder);
+  EXPECT_EQ(replica.end({}).error, ApplyError::OutOfOrder);
+  attempt("nothing", ApplyError::None, [](auto&, auto&, auto&) {});
+  EXPECT_EQ(replica.state_hash(), source.state_hash());
+}
+
+TEST(Replica, LoadRefusesWhatIsNoMesh) {
+  const Model model = box_model(1, 1, 1);
+  Replica replica = model.replica();
+  const std::vector<std::byte> before = replica.canonical_bytes();
+  const std::vector<double> positions(12, 0.5);
+  const std::vector<std::uint32_t> ids{0}, vertices{0, 1, 2, 3}, wrong{0, 1, 2, 4};
+  const std::vector<std::int32_t> regions{0};
+  const std::vector<std::uint8_t> masks{0};
+  EXPECT_EQ(replica.load(positions, {ids, wrong, regions, masks, masks}, 0).error, ApplyError::BadIndex);
+  EXPECT_EQ(replica.load(positions, {ids, vertices, regions, masks, {}}, 0).error, ApplyError::BadShape);
+  EXPECT_EQ(replica.load(std::span(positions).first(11), {}, 0).error, ApplyError::BadShape);
+  EXPECT_EQ(Replica(3, 10).load(positions, {}, 0).error, ApplyError::LimitReached);
+  EXPECT_EQ(replica.canonical_bytes(), before);
+}
+
+// ---- Coalescing ----
+
+TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  for (int trial = 0; trial < 60; ++trial) {
+    Model model = box_model(2, 2, 1);
+    Replica one_by_one = model.replica(), at_once = model.replica();
+    std::vector<OwnedDelta> owned;
+    for (std::uint64_t n = 1 + random() % 12; n > 0; --n) {
+      const Model before = model;
+      mutate(model, random);
+      owned.push_back(difference(before, model));
+      ASSERT_TRUE(one_by_one.apply(owned.back().view()));
+    }
+    std::vector<Delta> deltas;
+    for (const OwnedDelta& d : owned) deltas.push_back(d.view());
+    const OwnedDelta sum = coalesce(std::span<const Delta>(deltas));
+    EXPECT_EQ(sum.steps.size(), owned.size());
+    const Frame frame = encode(sum.view());
+    const DecodeResult decoded = decode(frame.body());
+    ASSERT_TRUE(decoded) << decoded.error;
+    const ApplyResult applied = at_once.apply(std::get<Delta>(decoded.message->body));
+    ASSERT_TRUE(applied) << applied.text;
+    EXPECT_TRUE(holds(at_once, model));
+    EXPECT_EQ(at_once.canonical_bytes(), one_by_one.canonical_bytes());
+
+    // It does not matter how they are put together.
+    if (deltas.size() >= 2) {
+      const std::size_t cut = 1 + random() % (deltas.size() - 1);
+      const OwnedDelta left = coalesce(std::span<const Delta>(deltas).first(cut));
+      const OwnedDelta right = coalesce(std::span<const Delta>(deltas).subspan(cut));
+      const std::vector<Delta> halves{left.view(), right.view()};
+      const OwnedDelta again = coalesce(std::span<const Delta>(halves));
+      const Frame other = encode(again.view());
+      EXPECT_TRUE(std::ranges::equal(other.body(), frame.body()));
+    }
+  }
+}
+
+TEST(Coalesce, RefusesDeltasThatDoNotFollowOnEachOther) {
+  const OwnedDelta a = difference(samples::two_tets(0), samples::two_tets(1));
+  const OwnedDelta b = difference(samples::two_tets(1), samples::two_tets(2));
+  const std::vector<Delta> wrong{b.view(), a.view()};
+  EXPECT_THROW(coalesce(std::span<const Delta>(wrong)), std::invalid_argument);
+  EXPECT_THROW(coalesce(std::span<const Delta>()), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace incise::protocol

@@ -1,0 +1,125 @@
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "server/stream/origin.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
+
+namespace incise::stream {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string status_of(const std::string& answer) {
+  return answer.substr(0, answer.find('\r'));
+}
+std::string body_of(const std::string& answer) {
+  const auto end = answer.find("\r\n\r\n");
+  return end == std::string::npos ? "" : answer.substr(end + 4);
+}
+
+class HttpTest : public ::testing::Test {
+ protected:
+  HttpTest() {
+    fs::create_directories(site);
+    std::ofstream(site / "index.html") << "<!doctype html><title>Incise</title>";
+    std::ofstream(site.parent_path() / "secret.txt") << "secret";
+    StreamConfig config = test_config();
+    config.viewer_directory = site;
+    Providers providers;
+    providers.stats_json = [] { return std::string("{\"frames\":1}"); };
+    providers.metrics_text = [] { return std::string("incise_frames_total 1\n"); };
+    test = std::make_unique<TestServer>(2, config, providers);
+  }
+  ~HttpTest() override {
+    test.reset();
+    fs::remove_all(site.parent_path());
+  }
+  std::uint16_t port() const { return test->server.http_port(); }
+
+  fs::path site = fs::temp_directory_path() / ("incise_http_" + std::to_string(::getpid())) / "site";
+  std::unique_ptr<TestServer> test;
+};
+
+TEST_F(HttpTest, TellsHowItIs) {
+  test->cut();
+  const std::string health = http(port(), "/healthz");
+  EXPECT_EQ(status_of(health), "HTTP/1.1 200 OK");
+  EXPECT_NE(body_of(health).find("\"revision\":" + std::to_string(test->loop.revision())), std::string::npos);
+  EXPECT_EQ(body_of(http(port(), "/stats")), "{\"frames\":1}");
+  const std::string metrics = body_of(http(port(), "/metrics"));
+  EXPECT_EQ(metrics.rfind("incise_frames_total 1\n", 0), 0u);
+  EXPECT_NE(metrics.find("\nincise_stream_revision " + std::to_string(test->loop.revision()) + "\n"),
+            std::string::npos);
+}
+
+TEST_F(HttpTest, ServesTheViewer) {
+  const std::string page = http(port(), "/");
+  EXPECT_EQ(status_of(page), "HTTP/1.1 200 OK");
+  EXPECT_NE(page.find("Content-Type: text/html; charset=utf-8"), std::string::npos);
+  EXPECT_EQ(body_of(page), "<!doctype html><title>Incise</title>");
+  const auto at = page.find("ETag: ");
+  ASSERT_NE(at, std::string::npos);
+  const std::string etag = page.substr(at + 6, page.find('\r', at) - at - 6);
+  const std::string again = http(port(), "/", "GET", "If-None-Match: " + etag + "\r\n");
+  EXPECT_EQ(status_of(again), "HTTP/1.1 304 Not Modified");
+  EXPECT_EQ(body_of(again), "");
+  const std::string head = http(port(), "/", "HEAD");
+  EXPECT_EQ(status_of(head), "HTTP/1.1 200 OK");
+  EXPECT_NE(head.find("Content-Length: 36"), std::string::npos);
+  EXPECT_EQ(body_of(head), "");
+}
+
+TEST_F(HttpTest, RefusesTheRest) {
+  for (const char* target :
+       {"/../secret.txt", "/%2e%2e/secret.txt", "/..%2Fsecret.txt", "/none", "//etc/passwd"}) {
+    const std::string answer = http(port(), target);
+    EXPECT_EQ(status_of(answer), "HTTP/1.1 404 Not Found") << target;
+    EXPECT_EQ(answer.find("secret\n"), std::string::npos);
+  }
+  EXPECT_EQ(status_of(http(port(), "/", "POST")), "HTTP/1.1 405 Method Not Allowed");
+  EXPECT_EQ(status_of(http(port(), "/ws")), "HTTP/1.1 426 Upgrade Required");
+  EXPECT_EQ(status_of(http(port(), "/", "GET", "X: " + std::string(40'000, 'x') + "\r\n")).substr(0, 12),
+            "HTTP/1.1 431");
+  RawPeer garbage(port());
+  garbage.send(std::string_view("\x16\x03\x01\x02\0\x01nonsense\r\n\r\n", 18));
+  EXPECT_EQ(garbage.read_all().substr(0, 12), "HTTP/1.1 400");
+  EXPECT_EQ(status_of(http(port(), "/healthz")), "HTTP/1.1 200 OK");
+}
+
+std::string upgrade(std::uint16_t port, const std::string& headers, const std::string& host) {
+  RawPeer peer(port);
+  peer.send("GET /ws HTTP/1.1\r\nHost: " + host +
+            "\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" +
+            headers + "\r\n");
+  return status_of(peer.read_all(12));
+}
+
+TEST_F(HttpTest, ForeignPagesGetNoWebSocket) {
+  const std::string host = "127.0.0.1:" + std::to_string(port());
+  EXPECT_EQ(upgrade(port(), "", host).substr(0, 12), "HTTP/1.1 101");
+  EXPECT_EQ(upgrade(port(), "Origin: http://" + host + "\r\n", host).substr(0, 12), "HTTP/1.1 101");
+  EXPECT_EQ(upgrade(port(), "Origin: http://evil.example\r\n", host).substr(0, 12), "HTTP/1.1 403");
+  EXPECT_EQ(upgrade(port(), "Origin: null\r\n", host).substr(0, 12), "HTTP/1.1 403");
+}
+
+TEST(OriginAllowed, IsTheServersOwnOrAListedOne) {
+  EXPECT_TRUE(origin_allowed("", "127.0.0.1:7462", {}));
+  EXPECT_TRUE(origin_allowed("http://127.0.0.1:7462", "127.0.0.1:7462", {}));
+  EXPECT_TRUE(origin_allowed("http://localhost:7462", "localhost:7462", {}));
+  EXPECT_TRUE(origin_allowed("https://[::1]:7462", "[::1]:7462", {}));
+  EXPECT_TRUE(origin_allowed("https://10.0.0.5", "10.0.0.5", {}));
+  EXPECT_FALSE(origin_allowed("http://localhost:8080", "localhost:7462", {}));
+  // A name that its owner has pointed at this machine.
+  EXPECT_FALSE(origin_allowed("http://evil.example:7462", "evil.example:7462", {}));
+  EXPECT_TRUE(origin_allowed("http://lab.example", "127.0.0.1:7462", {"http://lab.example"}));
+  EXPECT_FALSE(origin_allowed("http://lab.example.evil", "127.0.0.1:7462", {"http://lab.example"}));
+  EXPECT_TRUE(origin_allowed("http://anything", "127.0.0.1:7462", {"*"}));
+}
+
+}  // namespace
+}  // namespace incise::stream

@@ -1,0 +1,613 @@
+#include "server/stream/server.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <random>
+#include <thread>
+
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
+#include "tests/stream/viewer.hpp"
+
+namespace incise::stream {
+namespace {
+
+using protocol::ByeReason;
+using protocol::ErrorCode;
+using protocol::Role;
+using protocol::View;
+
+// That somebody else is served as if nothing had happened.
+void expect_serves_others(TestServer& test) {
+  test.cut();
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_EQ(viewer.replica.state_hash(), test.loop.state_hash());
+}
+
+ErrorCode answer_to(TestServer& test, const std::vector<std::byte>& bytes) {
+  RawPeer peer(test.server.tcp_port());
+  peer.send(bytes);
+  const auto error = peer.receive_until<protocol::Error>();
+  return error ? std::get<protocol::Error>(error->message.body).code : ErrorCode::Unknown;
+}
+
+TEST(Server, WelcomesAndSendsTheState) {
+  TestServer test;
+  test.cut(2);
+  ASSERT_GT(test.loop.revision(), 5u);
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_EQ(viewer.welcome.session, 4711u);
+  EXPECT_EQ(viewer.welcome.mesh.name, "box");
+  EXPECT_EQ(viewer.welcome.revision, test.loop.revision());
+  EXPECT_EQ(viewer.welcome.state_hash, test.loop.state_hash());
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+  EXPECT_EQ(viewer.deltas, 0u);
+  const std::uint64_t joined = test.loop.revision();
+  test.cut(2);
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_EQ(viewer.deltas, test.loop.revision() - joined)
+      << "one delta for each revision, none twice, none missing";
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+}
+
+TEST(Server, JoinersInTheMiddleOfAStrokeMissNothing) {
+  TestServer test(6);
+  std::vector<std::unique_ptr<Viewer>> viewers;
+  for (int i = 0; i < 12; ++i) {
+    viewers.push_back(std::make_unique<Viewer>(test.server.tcp_port()));
+    test.loop.cut(sweep(0.004 + 0.004 * i, 80, std::int64_t{i} * 1'000'000'000 + 1, test.side));
+  }
+  test.wait_for_mirror();
+  ASSERT_TRUE(viewers[0]->follow(test.loop.revision()));
+  const auto bytes = viewers[0]->replica.canonical_bytes();
+  for (auto& viewer : viewers) {
+    ASSERT_TRUE(viewer->follow(test.loop.revision()));
+    EXPECT_EQ(viewer->replica.canonical_bytes(), bytes);
+  }
+  EXPECT_EQ(viewers[0]->replica.compute_state_hash(), test.loop.state_hash());
+}
+
+TEST(Server, ReturningViewersGoOnFromTheRing) {
+  TestServer test;
+  test.cut(2);
+  protocol::Replica held;
+  std::uint64_t at = 0;
+  {
+    Viewer viewer(test.server.tcp_port());
+    ASSERT_TRUE(viewer.follow(test.loop.revision()));
+    held = std::move(viewer.replica);
+    at = held.revision();
+    viewer.peer.vanish();
+  }
+  test.cut(2);
+  protocol::Hello back = hello(Role::Viewer, View::Volume);
+  back.resume_session = 4711;
+  back.resume_revision = at;
+  Viewer viewer(test.server.tcp_port(), back);
+  viewer.replica = std::move(held);
+  viewer.whole = true;
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_TRUE(viewer.welcome.resumed);
+  EXPECT_TRUE(viewer.causes.empty());
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+  EXPECT_EQ(test.server.counters().resumed, 1u);
+}
+
+TEST(Server, WhoLiesAboutItsRevisionGetsASnapshot) {
+  TestServer test;
+  test.cut(2);
+  for (const auto& [session, revision] : std::vector<std::pair<std::uint64_t, std::uint64_t>>{
+           {4711, test.loop.revision() + 1}, {4711, ~0ull}, {4712, test.loop.revision()}, {1, 0}}) {
+    protocol::Hello back = hello(Role::Viewer, View::Volume);
+    back.resume_session = session;
+    back.resume_revision = revision;
+    Viewer viewer(test.server.tcp_port(), back);
+    ASSERT_TRUE(viewer.follow(test.loop.revision()));
+    EXPECT_FALSE(viewer.welcome.resumed);
+    ASSERT_EQ(viewer.causes.size(), 1u);
+    EXPECT_EQ(viewer.causes[0], protocol::SnapshotCause::ResumeGone);
+    EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+  }
+}
+
+TEST(Server, WhatTheRingHasLetGoOfComesAsASnapshot) {
+  StreamConfig config = test_config();
+  config.ring_bytes = 20'000;  // a few deltas
+  TestServer test(6, config);
+  test.cut(4);
+  EXPECT_LE(test.server.counters().ring_bytes, 20'000u);
+  protocol::Hello back = hello(Role::Viewer, View::Volume);
+  back.resume_session = 4711;
+  back.resume_revision = 0;
+  Viewer viewer(test.server.tcp_port(), back);
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_FALSE(viewer.welcome.resumed);
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+}
+
+TEST(Server, ARateLimitedViewerGetsCoalescedDeltas) {
+  TestServer test;
+  protocol::Hello slow = hello(Role::Viewer, View::Volume);
+  slow.max_rate_hz = 5;
+  Viewer viewer(test.server.tcp_port(), slow);
+  Viewer every(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(0));
+  ASSERT_TRUE(every.follow(0));
+  test.cut(6);
+  ASSERT_TRUE(every.follow(test.loop.revision()));
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_LT(viewer.deltas, every.deltas / 2);
+  EXPECT_EQ(viewer.steps, test.loop.revision());
+  EXPECT_EQ(viewer.replica.canonical_bytes(), every.replica.canonical_bytes());
+}
+
+TEST(Server, ASlowReaderIsCaughtUpAndHurtsNobody) {
+  StreamConfig config = test_config();
+  config.outbox_bytes = 16 << 10;
+  config.write_timeout_s = 120;  // it reads nothing for as long as the cutting takes
+  TestServer test(8, config);
+  Viewer slow(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096);
+  Viewer other(test.server.tcp_port());
+  ASSERT_TRUE(slow.follow(0));
+  // More than the kernel's buffers hold, while the slow one reads nothing.
+  for (int i = 0; i < 60; ++i) {
+    test.cut(2);
+    ASSERT_TRUE(other.follow(test.loop.revision()));
+  }
+  ASSERT_TRUE(slow.follow(test.loop.revision()));
+  EXPECT_EQ(slow.steps, test.loop.revision());
+  EXPECT_LT(slow.deltas, test.loop.revision() / 2);
+  EXPECT_EQ(slow.causes.size(), 1u);
+  EXPECT_EQ(slow.replica.canonical_bytes(), other.replica.canonical_bytes());
+  EXPECT_GT(test.server.counters().coalesced, 0u);
+}
+
+TEST(Server, WhoNeverReadsIsDisconnected) {
+  StreamConfig config = test_config();
+  config.outbox_bytes = 16 << 10;
+  config.ring_bytes = 64 << 10;
+  config.write_timeout_s = 0.5;
+  TestServer test(8, config);
+  Viewer stalled(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096);
+  Viewer other(test.server.tcp_port());
+  ASSERT_TRUE(eventually([&] { return test.server.counters().sessions == 2; }));
+  ASSERT_TRUE(eventually([&] {
+    test.cut(4);
+    EXPECT_TRUE(other.follow(test.loop.revision()));
+    return test.server.counters().slow_disconnects > 0;
+  }));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().sessions == 1; }));
+  expect_serves_others(test);
+}
+
+TEST(Server, RefusesWhatIsNoHello) {
+  TestServer test;
+  {
+    RawPeer peer(test.server.tcp_port());
+    peer.send(protocol::Ping{1, 2}, 7);
+    const auto error = peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    const auto& body = std::get<protocol::Error>(error->message.body);
+    EXPECT_EQ(body.code, ErrorCode::BadState);
+    EXPECT_TRUE(body.fatal);
+    EXPECT_EQ(body.in_reply_to, 7u);
+    const auto bye = peer.receive_until<protocol::Bye>();
+    ASSERT_TRUE(bye);
+    EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::Refused);
+    EXPECT_TRUE(peer.closes());
+  }
+  {
+    RawPeer peer(test.server.tcp_port());
+    protocol::Hello old = hello(Role::Viewer, View::None);
+    old.protocol_version = 99;
+    peer.send(old);
+    const auto error = peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BadVersion);
+  }
+  {
+    // Two Hellos: the second is out of place, but not fatal.
+    Viewer viewer(test.server.tcp_port());
+    ASSERT_TRUE(viewer.follow(0));
+    viewer.peer.send(hello(Role::Viewer, View::Volume), 2);
+    const auto error = viewer.peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    EXPECT_FALSE(std::get<protocol::Error>(error->message.body).fatal);
+    test.cut();
+    EXPECT_TRUE(viewer.follow(test.loop.revision()));
+  }
+}
+
+TEST(Server, GarbageIsAnsweredAndTheRestLives) {
+  TestServer test;
+  const auto bytes = [](std::string_view text) {
+    const auto span = std::as_bytes(std::span(text));
+    return std::vector<std::byte>(span.begin(), span.end());
+  };
+  EXPECT_EQ(answer_to(test, bytes("GET / HTTP/1.1\r\nHost: x\r\n\r\n")), ErrorCode::TooLong);
+  EXPECT_EQ(answer_to(test, bytes(std::string_view("\0\0\0\0", 4))), ErrorCode::TooLong);
+  EXPECT_EQ(answer_to(test, bytes(std::string_view("\xff\xff\xff\xff", 4))), ErrorCode::TooLong);
+  // A stranger may send a few kilobytes, not the megabyte that a session may.
+  EXPECT_EQ(answer_to(test, bytes(std::string_view("\0\0\x08\0", 4))), ErrorCode::TooLong);
+  EXPECT_EQ(answer_to(test, bytes(std::string("\x20\0\0\0", 4) + std::string(32, 'x'))), ErrorCode::BadFrame);
+
+  // Every kind of damage to a good Hello: each an answer or a goodbye, never a silent hang, never a death.
+  const protocol::Frame good = protocol::encode(hello(Role::Viewer, View::Volume), {1, 0});
+  std::mt19937_64 random(20260807);
+  int refused = 0;
+  for (int i = 0; i < 150; ++i) {
+    std::vector<std::byte> damaged(good.tcp().begin(), good.tcp().end());
+    const int hits = 1 + i % 4;
+    for (int k = 0; k < hits; ++k) damaged[4 + random() % (damaged.size() - 4)] = std::byte(random() & 0xff);
+    RawPeer peer(test.server.tcp_port());
+    ASSERT_TRUE(peer.connected());
+    peer.send(damaged);
+    const auto answer = peer.receive();
+    ASSERT_TRUE(answer) << "seed 20260807, case " << i;
+    refused += std::holds_alternative<protocol::Error>(answer->message.body);
+  }
+  EXPECT_GT(refused, 20);
+  expect_serves_others(test);
+}
+
+TEST(Server, DamagedMessagesInAnOpenSessionEndThatSessionOnly) {
+  TestServer test;
+  test.loop.start();
+  const auto poses = sweep(0.03, 40, 1, test.side);
+  const protocol::Frame good = protocol::encode(protocol::PoseBatch{poses}, {2, 0});
+  std::mt19937_64 random(7);
+  for (int i = 0; i < 60; ++i) {
+    RawPeer peer(test.server.tcp_port());
+    peer.send(hello(Role::Operator, View::None));
+    ASSERT_TRUE(peer.receive_until<protocol::Welcome>()) << "seed 7, case " << i;
+    std::vector<std::byte> damaged(good.tcp().begin(), good.tcp().end());
+    if (i % 3 == 0) {
+      damaged.resize(4 + random() % (damaged.size() - 4));  // cut off in the middle
+    } else {
+      for (int k = 0; k < 8; ++k) damaged[4 + random() % 60] = std::byte(random() & 0xff);
+    }
+    peer.send(damaged);
+    peer.vanish();
+    ASSERT_TRUE(eventually([&] { return test.loop.open_sources() == 0; }));
+  }
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+}
+
+TEST(Server, WhoSaysNothingIsShownTheDoor) {
+  StreamConfig config = test_config();
+  config.handshake_timeout_s = 0.2;
+  TestServer test(2, config);
+  RawPeer silent(test.server.tcp_port());
+  RawPeer drip(test.server.tcp_port());
+  drip.send(std::string_view("\x40\0", 2));
+  const auto bye = silent.receive_until<protocol::Bye>();
+  ASSERT_TRUE(bye);
+  EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::HandshakeTimeout);
+  EXPECT_TRUE(silent.closes());
+  EXPECT_TRUE(drip.closes());
+  ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 0; }));
+}
+
+TEST(Server, IdlePeersArePingedAndThenLeave) {
+  StreamConfig config = test_config();
+  config.idle_timeout_s = 0.6;
+  TestServer test(2, config);
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Viewer, View::None));
+  const auto ping = peer.receive_until<protocol::Ping>();
+  ASSERT_TRUE(ping);
+  const auto bye = peer.receive_until<protocol::Bye>();
+  ASSERT_TRUE(bye);
+  EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::Idle);
+}
+
+TEST(Server, TooManyHandshakesAreRefusedAtTheDoor) {
+  StreamConfig config = test_config();
+  config.max_handshakes = 4;
+  config.handshake_timeout_s = 1;
+  TestServer test(2, config);
+  std::vector<std::unique_ptr<RawPeer>> flood;
+  for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.tcp_port()));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().refused >= 36; }));
+  EXPECT_LE(test.server.counters().connections, 4u);
+  flood.clear();
+  ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 0; }));
+  expect_serves_others(test);
+}
+
+TEST(Server, SessionsAreCounted) {
+  StreamConfig config = test_config();
+  config.max_sessions = 2;
+  TestServer test(2, config);
+  Viewer a(test.server.tcp_port()), b(test.server.tcp_port());
+  ASSERT_TRUE(a.follow(0));
+  ASSERT_TRUE(b.follow(0));
+  RawPeer c(test.server.tcp_port());
+  c.send(hello(Role::Viewer, View::Volume));
+  const auto error = c.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::TooManySessions);
+}
+
+TEST(Server, AFloodOfSmallMessagesEndsTheFlooder) {
+  StreamConfig config = test_config();
+  config.max_messages_per_s = 50;
+  TestServer test(2, config);
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Viewer, View::None));
+  for (std::uint64_t i = 0; i < 300; ++i) peer.send(protocol::Ping{i, 0}, 2 + i);
+  const auto error = peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::RateExceeded);
+  EXPECT_TRUE(peer.closes());
+  expect_serves_others(test);
+}
+
+TEST(Server, PosesAreCountedAndReported) {
+  TestServer test;
+  test.loop.start();
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Operator, View::None));
+  ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
+  auto poses = sweep(0.03, 50, 1, test.side);
+  poses[10].source_ns = 5;               // in the past
+  poses[20].orientation = {2, 0, 0, 0};  // no rotation
+  poses[30].position.x = 5e5;            // nowhere near
+  peer.send(protocol::PoseBatch{std::span(poses).first(25)}, 2);
+  peer.send(protocol::PoseBatch{std::span(poses).subspan(25)}, 3);
+  protocol::PoseReport report;
+  while (report.through_sequence < 3) {
+    const auto received = peer.receive_until<protocol::PoseReport>();
+    ASSERT_TRUE(received);
+    report = std::get<protocol::PoseReport>(received->message.body);
+  }
+  EXPECT_EQ(report.accepted + report.not_finite + report.not_unit + report.time_not_rising, 50u);
+  EXPECT_EQ(report.time_not_rising, 1u);
+  EXPECT_EQ(report.not_unit + report.not_finite, 2u);
+  EXPECT_EQ(report.last_source_ns, poses.back().source_ns);
+}
+
+TEST(Server, OnlyOperatorsSendPoses) {
+  TestServer test(2);
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Viewer, View::None));
+  const auto poses = sweep(0.03, 5, 1);
+  peer.send(protocol::PoseBatch{poses}, 2);
+  const auto error = peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::Forbidden);
+  EXPECT_FALSE(std::get<protocol::Error>(error->message.body).fatal);
+  peer.send(protocol::Reset{}, 3);
+  const auto second = peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(second);
+  EXPECT_EQ(std::get<protocol::Error>(second->message.body).in_reply_to, 3u);
+}
+
+TEST(Server, ASecondOperatorIsRefusedOrTakesOver) {
+  TestServer test;
+  test.loop.start();
+  RawPeer first(test.server.tcp_port());
+  first.send(hello(Role::Operator, View::None));
+  ASSERT_TRUE(first.receive_until<protocol::Welcome>());
+  const auto poses = sweep(0.03, 80, 1, test.side);
+  first.send(protocol::PoseBatch{std::span(poses).first(60)}, 2);
+  ASSERT_TRUE(first.receive_until<protocol::PoseReport>());
+
+  RawPeer second(test.server.tcp_port());
+  second.send(hello(Role::Operator, View::None));
+  const auto error = second.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BladeTaken);
+
+  RawPeer other_blade(test.server.tcp_port());
+  protocol::Hello other = hello(Role::Operator, View::None);
+  other.source_name = "left";
+  other_blade.send(other);
+  const auto welcome = other_blade.receive_until<protocol::Welcome>();
+  ASSERT_TRUE(welcome);
+  EXPECT_EQ(std::get<protocol::Welcome>(welcome->message.body).source, 1u);
+
+  RawPeer third(test.server.tcp_port());
+  protocol::Hello take = hello(Role::Operator, View::None);
+  take.take_over = true;
+  third.send(take);
+  ASSERT_TRUE(third.receive_until<protocol::Welcome>());
+  const auto bye = first.receive_until<protocol::Bye>();
+  ASSERT_TRUE(bye);
+  EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::HandedOver);
+  EXPECT_EQ(test.loop.strokes_ended(), 1u) << "the stroke of who held the blade has ended";
+}
+
+TEST(Server, AVanishedOperatorEndsItsStroke) {
+  TestServer test;
+  test.loop.start();
+  {
+    RawPeer peer(test.server.tcp_port());
+    peer.send(hello(Role::Operator, View::None));
+    ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
+    const auto poses = sweep(0.03, 60, 1, test.side);
+    peer.send(protocol::PoseBatch{std::span(poses).first(40)}, 2);
+    ASSERT_TRUE(eventually([&] { return test.loop.revision() > 0; }));
+    peer.vanish();
+  }
+  EXPECT_TRUE(eventually([&] { return test.loop.strokes_ended() == 1 && test.loop.open_sources() == 0; }));
+}
+
+TEST(Server, AFullQueueHoldsTheSenderBackAndLosesNothing) {
+  TestServer test(2);
+  test.loop.hold(true);
+  test.loop.start();
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Operator, View::None));
+  ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
+  // Beside the tissue, so that nothing is cut; more than the queue holds.
+  std::vector<protocol::PoseSample> poses(30'000);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    poses[i].source_ns = 1'000'000'000'000 + static_cast<std::int64_t>(i) * 1000;
+    poses[i].position = {5, 5, 5};
+  }
+  std::thread sender([&] {
+    for (std::size_t i = 0; i < poses.size(); i += 1000) {
+      peer.send(protocol::PoseBatch{std::span(poses).subspan(i, 1000)}, 2 + i / 1000);
+    }
+  });
+  expect_serves_others(test);
+  test.loop.hold(false);
+  sender.join();
+  protocol::PoseReport report;
+  while (report.through_sequence < 31) {
+    const auto received = peer.receive_until<protocol::PoseReport>();
+    ASSERT_TRUE(received);
+    report = std::get<protocol::PoseReport>(received->message.body);
+  }
+  EXPECT_EQ(report.accepted, 30'000u);
+  EXPECT_EQ(report.queue_full, 0u);
+}
+
+TEST(Server, ForcesGoToWhoHoldsTheBlade) {
+  TestServer test(2);
+  RawPeer right(test.server.tcp_port()), left(test.server.tcp_port());
+  right.send(hello(Role::Operator, View::None));
+  ASSERT_TRUE(right.receive_until<protocol::Welcome>());
+  protocol::Hello other = hello(Role::Operator, View::None);
+  other.source_name = "left";
+  left.send(other);
+  ASSERT_TRUE(left.receive_until<protocol::Welcome>());
+  protocol::Force force;
+  force.source = 1;
+  force.force_n = {0, 0, 2.5};
+  test.server.publish_force(force);
+  force.source = 0;
+  for (int i = 1; i <= 100; ++i) {
+    force.source_ns = i;
+    test.server.publish_force(force);
+  }
+  const auto at_left = left.receive_until<protocol::Force>();
+  ASSERT_TRUE(at_left);
+  EXPECT_EQ(std::get<protocol::Force>(at_left->message.body).force_n.z, 2.5);
+  std::int64_t last = 0;
+  while (last < 100) {
+    const auto at_right = right.receive_until<protocol::Force>();
+    ASSERT_TRUE(at_right);
+    EXPECT_GT(std::get<protocol::Force>(at_right->message.body).source_ns, last);
+    last = std::get<protocol::Force>(at_right->message.body).source_ns;
+  }
+}
+
+TEST(Server, AResetStartsAnotherSession) {
+  TestServer test;
+  test.cut(2);
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(test.loop.revision()));
+  test.loop.start();
+  RawPeer admin(test.server.tcp_port());
+  admin.send(hello(Role::Admin, View::None));
+  ASSERT_TRUE(admin.receive_until<protocol::Welcome>());
+  admin.send(protocol::Reset{}, 2);
+  viewer.whole = false;
+  ASSERT_TRUE(viewer.follow(0));
+  EXPECT_EQ(viewer.welcome.session, 4712u);
+  ASSERT_EQ(viewer.causes.back(), protocol::SnapshotCause::Reset);
+  EXPECT_EQ(viewer.replica.revision(), 0u);
+  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+}
+
+TEST(Server, AsksForATokenWhereThereAreSome) {
+  StreamConfig config = test_config();
+  config.tokens = {{"open sesame", {Role::Viewer}}, {"scalpel", {Role::Operator, Role::Viewer}}};
+  TestServer test(2, config);
+  const auto answer = [&](Role role, const std::string& token) {
+    RawPeer peer(test.server.tcp_port());
+    protocol::Hello h = hello(role, View::None);
+    h.token = token;
+    peer.send(h);
+    const auto received = peer.receive();
+    return received && std::holds_alternative<protocol::Welcome>(received->message.body);
+  };
+  EXPECT_TRUE(answer(Role::Viewer, "open sesame"));
+  EXPECT_TRUE(answer(Role::Viewer, "scalpel"));
+  EXPECT_TRUE(answer(Role::Operator, "scalpel"));
+  EXPECT_FALSE(answer(Role::Operator, "open sesame"));
+  EXPECT_FALSE(answer(Role::Admin, "scalpel"));
+  EXPECT_FALSE(answer(Role::Viewer, ""));
+  EXPECT_FALSE(answer(Role::Viewer, "open sesam"));
+  EXPECT_FALSE(answer(Role::Viewer, "open sesame "));
+}
+
+TEST(Server, BeyondLoopbackItWantsTokensAndTls) {
+  MiniLoop loop(box_mesh(2));
+  StreamConfig config = test_config();
+  config.address = "0.0.0.0";
+  const auto problem = [&] {
+    try {
+      Server server(config, loop.facts(), loop.initial(), loop);
+      return std::string();
+    } catch (const std::runtime_error& error) {
+      return std::string(error.what());
+    }
+  };
+  EXPECT_NE(problem().find("not loopback"), std::string::npos);
+  config.tokens = {{"secret", {Role::Viewer}}};
+  EXPECT_NE(problem().find("not loopback"), std::string::npos);
+  config.insecure = true;
+  EXPECT_EQ(problem(), "");
+  config.address = "somewhere";
+  EXPECT_NE(problem().find("\"somewhere\""), std::string::npos);
+}
+
+TEST(Server, APortInUseIsNamed) {
+  TestServer test(2);
+  MiniLoop loop(box_mesh(2));
+  StreamConfig config = test_config();
+  config.tcp_port = test.server.tcp_port();
+  try {
+    Server server(config, loop.facts(), loop.initial(), loop);
+    FAIL() << "listened twice on one port";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("tcp_port"), std::string::npos);
+    EXPECT_NE(std::string(error.what()).find(std::to_string(config.tcp_port)), std::string::npos);
+  }
+}
+
+TEST(Server, ManyViewersAreServedWhileSomeStall) {
+  StreamConfig config = test_config();
+  config.max_handshakes = 300;
+  config.outbox_bytes = 32 << 10;
+  config.ring_bytes = 256 << 10;
+  config.write_timeout_s = 1;
+  TestServer test(5, config);
+  std::vector<std::unique_ptr<Viewer>> stalled, viewers;
+  for (int i = 0; i < 5; ++i) {
+    stalled.push_back(
+        std::make_unique<Viewer>(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096));
+  }
+  for (int i = 0; i < 251; ++i) viewers.push_back(std::make_unique<Viewer>(test.server.tcp_port()));
+  for (auto& viewer : viewers) ASSERT_TRUE(viewer->follow(0));
+  for (int i = 0; i < 4; ++i) {
+    test.cut(2);
+    for (auto& viewer : viewers) ASSERT_TRUE(viewer->follow(test.loop.revision()));
+  }
+  const auto bytes = viewers[0]->replica.canonical_bytes();
+  EXPECT_EQ(viewers[0]->replica.compute_state_hash(), test.loop.state_hash());
+  for (auto& viewer : viewers) EXPECT_EQ(viewer->replica.canonical_bytes(), bytes);
+}
+
+TEST(Server, SaysGoodbyeWhenItStops) {
+  auto test = std::make_unique<TestServer>();
+  Viewer viewer(test->server.tcp_port());
+  ASSERT_TRUE(viewer.follow(0));
+  test->cut();
+  test->server.stop();
+  ASSERT_TRUE(viewer.follow(test->loop.revision())) << "what was published comes before the goodbye";
+  const auto bye = viewer.peer.receive_until<protocol::Bye>();
+  ASSERT_TRUE(bye);
+  EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::ServerStops);
+}
+
+}  // namespace
+}  // namespace incise::stream
