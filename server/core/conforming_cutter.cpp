@@ -22,6 +22,8 @@ constexpr double kAtVertex = 0.25;
 constexpr double kFlat_h = 0.03;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
 constexpr double kRim_h = 0.5;
+// What reaches no farther than this from the surface, by the local edge length, is no part of the tissue.
+constexpr double kThin_h = 0.1;
 // How far from the blade's line, by the local edge length, a vertex waits.
 constexpr double kHot = 1.5;
 
@@ -452,27 +454,9 @@ void ConformingCutter::work_events(WorkBudget& budget) {
   phase_ = Phase::kRepair;
 }
 
-// On which side of the surface a vertex is: 0 where it is on it, or far from it. Beyond the surface's rim the answer
-// means nothing.
-int ConformingCutter::side(VertexId v) {
-  if (on_surface(v)) return 0;
-  std::uint32_t& known = workspace_.side[v];
-  if (known >> 2 == (sides_ & 0x3fffffffu)) return static_cast<int>(known & 3u) - 1;
-  Vec3 closest;
-  std::uint32_t triangle;
-  int result = 0;
-  if (surface_.closest(mesh_.position(v), 1.5 * mesh_.local_h(v), closest, triangle)) {
-    result = surface_[triangle].signed_distance(mesh_.position(v)) >= 0 ? 1 : -1;
-  }
-  known = (sides_ & 0x3fffffffu) << 2 | static_cast<std::uint32_t>(result + 1);
-  return result;
-}
-
-// A snap may leave an edge that crosses another part of a bent surface, and so may a repair. Tetrahedra with vertices
-// on both sides are looked at again.
+// A snap may leave an edge that crosses another part of a bent surface, and so may a repair.
 void ConformingCutter::verify(WorkBudget& budget) {
   if (next_active_ == 0) {
-    sides_ = ++workspace_.serial;
     collection_ = ++workspace_.serial;
     first_leftover_ = events_.size();
   }
@@ -481,13 +465,7 @@ void ConformingCutter::verify(WorkBudget& budget) {
     const TetId t = active_[next_active_++].tet;
     budget.charge(2);
     if (!mesh_.alive(t) || !ripe(t)) continue;
-    bool above = false, below = false;
-    for (VertexId v : mesh_.vertices(t)) {
-      const int s = side(v);
-      above = above || s > 0;
-      below = below || s < 0;
-    }
-    if (above && below) collect_from(t);
+    collect_from(t);
   }
   next_active_ = 0;
   if (events_.size() > first_leftover_ && ++round_ < 3) {
@@ -835,21 +813,49 @@ bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limi
 
 // ------------------------------------------------------------------------------------------------ opening
 
-bool ConformingCutter::separates(TetId a, TetId b) const {
-  std::uint32_t triangle;
-  double t;
-  return find_crossing(mesh_.barycentre(a), false, mesh_.barycentre(b), false, triangle, t);
+// A point that stands for the tetrahedron's side of the surface: amid its vertices off the surface, since the barycentre
+// of one that lies in a bend may be beyond it.
+Vec3 ConformingCutter::reference(TetId t) const {
+  Vec3 sum{};
+  int count = 0;
+  for (VertexId v : mesh_.vertices(t)) {
+    if (on_surface(v)) continue;
+    sum += mesh_.position(v);
+    ++count;
+  }
+  return count == 0 ? mesh_.barycentre(t) : (1.0 / count) * sum;
 }
 
-// A face opens where it lies on the surface. Where a crossing near it could not be dealt with, it opens wherever its
-// tetrahedra are separated: better ragged than a bridge.
-bool ConformingCutter::may_open(HalfFace h) const {
-  bool on = true, failed = false;
+// Whether the surface separates the two tetrahedra at an interior face, so that it has to open: whether it crosses the
+// way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
+// separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
+// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
+bool ConformingCutter::separates(HalfFace h) const {
+  const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
+  Vec3 middle{}, off{};
+  int off_count = 0;
+  bool failed = false;
   for (VertexId v : mesh_.face_vertices(h)) {
-    on = on && on_surface(v);
+    middle += (1.0 / 3.0) * mesh_.position(v);
     failed = failed || workspace_.failed[v] == stroke_;
+    if (on_surface(v)) continue;
+    off += mesh_.position(v);
+    ++off_count;
   }
-  return on || failed;
+  if (off_count > 0 && !failed) return false;
+  std::uint32_t triangle;
+  double t;
+  const Vec3 from = reference(a), to = reference(b);
+  if (off_count > 0) {
+    const Vec3 by = (1.0 / off_count) * off;
+    return find_crossing(from, false, by, false, triangle, t) ||
+           find_crossing(by, false, to, false, triangle, t);
+  }
+  constexpr double kClose = 0.25;
+  const Vec3 near_a = lerp(middle, from, kClose), near_b = lerp(middle, to, kClose);
+  return find_crossing(near_a, false, near_b, false, triangle, t) ||
+         find_crossing(from, false, near_a, false, triangle, t) ||
+         find_crossing(near_b, false, to, false, triangle, t);
 }
 
 // Which faces of ripe tetrahedra open; a tetrahedron all of whose faces are decided leaves the active ones.
@@ -870,12 +876,11 @@ void ConformingCutter::select(WorkBudget& budget) {
       for (int f = 0; f < 4; ++f) {
         const HalfFace o = mesh_.opposite(half_face(t, f));
         if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
-        if (!may_open(half_face(t, f))) continue;
+        if (!separates(half_face(t, f))) continue;
         if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
           waits = true;
           continue;
         }
-        if (!separates(t, tet_of(o))) continue;
         workspace_.pending[t] |= static_cast<std::uint8_t>(1u << f);
         workspace_.pending[tet_of(o)] |= static_cast<std::uint8_t>(1u << face_of(o));
         to_open_.push_back(half_face(t, f));
@@ -893,42 +898,39 @@ void ConformingCutter::select(WorkBudget& budget) {
   phase_ = Phase::kOpen;
 }
 
-// A few tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with
-// their neighbours.
+// Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
+// neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface.
 void ConformingCutter::spare_islands() {
-  constexpr std::size_t kMost = 8;
+  constexpr std::size_t kRagged = 8, kSheet = 64;
   for (HalfFace h : to_open_) {
     for (HalfFace side : {h, mesh_.opposite(h)}) {
-      const TetId t = tet_of(side);
-      if (!(workspace_.pending[t] >> face_of(side) & 1)) continue;
-      // The component of t behind the faces that are about to open.
-      TetId members[kMost];
-      std::size_t size = 1;
-      members[0] = t;
-      bool small = true;
-      for (std::size_t i = 0; i < size && small; ++i) {
-        for (int f = 0; f < 4 && small; ++f) {
-          if (workspace_.pending[members[i]] >> f & 1) continue;
-          const TetId n = mesh_.neighbor(members[i], f);
-          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
-          if (size == kMost) {
-            small = false;
-          } else {
-            members[size++] = n;
-          }
+      if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) continue;
+      // The component behind the faces that are about to open.
+      TetId members[kSheet];
+      std::size_t size = 1, most = kSheet;
+      members[0] = tet_of(side);
+      bool clean = true, thin = true;
+      for (std::size_t i = 0; i < size && size <= most; ++i) {
+        const TetId t = members[i];
+        if (thin && !is_thin(t)) {
+          thin = false;
+          most = kRagged;
         }
-      }
-      if (!small) continue;
-      // A real piece has a vertex off the surface, and lies on one clean patch of it.
-      bool off_surface = false, clean = true;
-      for (std::size_t i = 0; i < size; ++i) {
-        for (VertexId v : mesh_.vertices(members[i])) off_surface = off_surface || !on_surface(v);
         for (int f = 0; f < 4; ++f) {
-          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
-          for (VertexId v : mesh_.face_vertices(half_face(members[i], f))) clean = clean && on_surface(v);
+          if (workspace_.pending[t] >> f & 1) {
+            for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
+            continue;
+          }
+          const TetId n = mesh_.neighbor(t, f);
+          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+          if (size == kSheet) {
+            size = kSheet + 1;
+            break;
+          }
+          members[size++] = n;
         }
       }
-      if (off_surface && clean) continue;
+      if (size > most || (clean && !thin)) continue;
       for (std::size_t i = 0; i < size; ++i) {
         for (int f = 0; f < 4; ++f) {
           if (!(workspace_.pending[members[i]] >> f & 1)) continue;
@@ -940,6 +942,28 @@ void ConformingCutter::spare_islands() {
     }
   }
   std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+}
+
+// Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.
+bool ConformingCutter::stands_clear(HalfFace h) const {
+  const auto face = mesh_.face_vertices(h);
+  if (!on_surface(face[0]) || !on_surface(face[1]) || !on_surface(face[2])) return false;
+  const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
+  if (on_surface(apex)) return false;
+  const Vec3& a = mesh_.position(face[0]);
+  const Vec3 n = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
+  return std::abs(dot(n, mesh_.position(apex) - a)) > kThin_h * mesh_.local_h(apex) * length(n);
+}
+
+// Whether all of a tetrahedron is near the surface.
+bool ConformingCutter::is_thin(TetId t) const {
+  for (VertexId v : mesh_.vertices(t)) {
+    Vec3 closest;
+    std::uint32_t triangle;
+    if (!on_surface(v) && !surface_.closest(mesh_.position(v), kThin_h * mesh_.local_h(v), closest, triangle))
+      return false;
+  }
+  return true;
 }
 
 void ConformingCutter::open(WorkBudget& budget) {

@@ -85,7 +85,6 @@ class ConformingCutter final : public Cutter {
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
   void collect_from(TetId t);
-  int side(VertexId v);
   bool ripe(TetId t) const;
   bool hot(VertexId v) const;
   bool on_rim(VertexId v) const { return workspace_.rim[v] == stroke_; }
@@ -115,9 +114,11 @@ class ConformingCutter final : public Cutter {
 
   // --- opening
   void select(WorkBudget& budget);
-  bool may_open(HalfFace h) const;
-  bool separates(TetId a, TetId b) const;
+  Vec3 reference(TetId t) const;
+  bool separates(HalfFace h) const;
   void spare_islands();
+  bool stands_clear(HalfFace h) const;
+  bool is_thin(TetId t) const;
   void open(WorkBudget& budget);
   void finish();
 
@@ -157,7 +158,6 @@ class ConformingCutter final : public Cutter {
   int pass_ = 0;
   std::vector<std::uint32_t> retry_;
   std::uint32_t collection_ = 0;
-  std::uint32_t sides_ = 0;
   std::size_t first_leftover_ = 0;
 
   std::vector<HalfFace> to_open_;
