@@ -9,13 +9,12 @@
 namespace incise::core {
 namespace {
 
-// Cosines of dihedral angles, as measures: a snap is taken freely while its star keeps the first angle; when nothing
-// better is left, down to the second.
-constexpr double kGood = dihedral_measure(0.9781476007);       // 12 degrees
+// Cosines of dihedral angles, as measures. A star with no angle below the first is good: a snap that leaves it so is
+// taken freely, and nothing in it is repaired. When nothing better is left, a snap is taken down to the second, and in
+// need to the third.
+constexpr double kGood = dihedral_measure(0.9876883406);       // 9 degrees
 constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
 constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
-// Tetrahedra worse than this are repaired.
-constexpr double kRepair = dihedral_measure(0.9876883406);  // 9 degrees
 // A crossing this near to an end that is on the surface already, by the edge's length, is that vertex.
 constexpr double kAtVertex = 0.25;
 // A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
@@ -26,6 +25,19 @@ constexpr double kRim_h = 0.5;
 constexpr double kThin_h = 0.1;
 // How far from the blade's line, by the local edge length, a vertex waits.
 constexpr double kHot = 1.5;
+
+struct Bounds {
+  Vec3 low, high;
+};
+
+Bounds box_of(const Vec3* const (&p)[4]) {
+  return {{std::min(std::min(p[0]->x, p[1]->x), std::min(p[2]->x, p[3]->x)),
+           std::min(std::min(p[0]->y, p[1]->y), std::min(p[2]->y, p[3]->y)),
+           std::min(std::min(p[0]->z, p[1]->z), std::min(p[2]->z, p[3]->z))},
+          {std::max(std::max(p[0]->x, p[1]->x), std::max(p[2]->x, p[3]->x)),
+           std::max(std::max(p[0]->y, p[1]->y), std::max(p[2]->y, p[3]->y)),
+           std::max(std::max(p[0]->z, p[1]->z), std::max(p[2]->z, p[3]->z))}};
+}
 
 }  // namespace
 
@@ -54,7 +66,7 @@ void ConformingCutter::begin(const Batch& batch) {
   surface_.drop_before(oldest > 0 ? oldest - 1 : 0);
 
   // Cells somewhat larger than tetrahedra, and flat to within the tolerance.
-  const double cell_m = 2 * h_;
+  const double cell_m = 4 * h_;
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
   const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / cell_m), 1.0, 256.0));
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
@@ -167,12 +179,7 @@ bool ConformingCutter::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
   const Vec3* p[4];
   for (int i = 0; i < 4; ++i) p[i] = &mesh_.position(v[i]);
-  const Vec3 low{std::min({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
-                 std::min({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
-                 std::min({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
-  const Vec3 high{std::max({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
-                  std::max({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
-                  std::max({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
+  const auto [low, high] = box_of(p);
   bool meets = false;
   surface_.any_overlapping(low, high, [&](std::uint32_t index) {
     const SweptTriangle& triangle = surface_[index];
@@ -300,8 +307,8 @@ void ConformingCutter::work_rim(WorkBudget& budget) {
     // Other events here may have changed the faces that the rim pierces: look once more.
     const std::size_t first = rim_events_.size();
     for (VertexId v : event.face) {
-      mesh_.star(v, rim_star_);
-      for (std::uint32_t corner : rim_star_) probe_rim(corner >> 2, event.from, event.to);
+      mesh_.star(v, star_ids_);
+      for (std::uint32_t corner : star_ids_) probe_rim(corner >> 2, event.from, event.to);
     }
     for (std::size_t k = first; k < rim_events_.size(); ++k) rim_events_[k].again = true;
   }
@@ -403,22 +410,43 @@ bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bo
   });
 }
 
+// Adds the crossings of the tetrahedron's edges.
 void ConformingCutter::collect_from(TetId t) {
   const auto& v = mesh_.vertices(t);
-  for (const auto& edge : kEdgeVertices) {
-    const VertexId a = v[edge[0]], b = v[edge[1]];
-    const bool a_on = on_surface(a), b_on = on_surface(b);
-    if (a_on && b_on) continue;
-    std::uint32_t triangle = 0;
-    double at = 0;
-    if (!find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, triangle, at)) continue;
-    if ((a_on && at < kAtVertex) || (b_on && at > 1 - kAtVertex)) {
-      // A vertex on another part of the surface is as near as can be had.
-      workspace_.failed[a] = workspace_.failed[b] = stroke_;
-      continue;
-    }
-    add_event(a, b, t, triangle, at);
+  const Vec3* p[4];
+  bool on[4];
+  for (int i = 0; i < 4; ++i) {
+    p[i] = &mesh_.position(v[i]);
+    on[i] = on_surface(v[i]);
   }
+  const auto [low, high] = box_of(p);
+  surface_.any_overlapping(low, high, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = surface_[index];
+    double d[4];
+    int above = 0, below = 0;
+    for (int i = 0; i < 4; ++i) {
+      d[i] = triangle.signed_distance(*p[i]);
+      above += d[i] > clear_ || (d[i] >= -clear_ && !on[i]);
+      below += d[i] < -clear_ || (d[i] <= clear_ && !on[i]);
+    }
+    if (above == 0 || below == 0) return false;
+    for (const auto& edge : kEdgeVertices) {
+      const int i = edge[0], j = edge[1];
+      if (on[i] && on[j]) continue;
+      if ((d[i] > clear_ && d[j] > clear_) || (d[i] < -clear_ && d[j] < -clear_)) continue;
+      // An end on the surface is where the edge meets it.
+      if ((on[i] && std::abs(d[i]) <= clear_) || (on[j] && std::abs(d[j]) <= clear_)) continue;
+      if (!crosses(*p[i], *p[j], triangle)) continue;
+      const double at = d[i] == d[j] ? 0.5 : std::clamp(d[i] / (d[i] - d[j]), 0.0, 1.0);
+      if ((on[i] && at < kAtVertex) || (on[j] && at > 1 - kAtVertex)) {
+        // A vertex on another part of the surface is as near as can be had.
+        workspace_.failed[v[i]] = workspace_.failed[v[j]] = stroke_;
+      } else {
+        add_event(v[i], v[j], t, index, at);
+      }
+    }
+    return false;
+  });
 }
 
 // Takes the events that need not wait any more, nearest first.
@@ -611,10 +639,10 @@ void ConformingCutter::remove_flat(TetId t) {
 }
 
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
-  star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
+  const double worst = star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
   mesh_.move_vertex(v, target);
   workspace_.surface[v] = stroke_;
-  changed_.push_back(v);
+  changed_.push_back({v, worst <= kGood && flat_.empty()});
   ++counts_.snaps;
   for (TetId t : flat_) remove_flat(t);
 }
@@ -644,7 +672,7 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   workspace_.grow(mesh_);
   workspace_.surface[m] = stroke_;
-  changed_.push_back(m);
+  changed_.push_back({m, false});
   for (TetId r : ring_) activate(r);
   for (TetId n = first; n < mesh_.tet_slots(); ++n) activate(n);
   ++counts_.splits;
@@ -706,21 +734,23 @@ void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
 void ConformingCutter::repair(WorkBudget& budget) {
   while (next_changed_ < changed_.size()) {
     if (budget.spent()) return;
-    const VertexId v = changed_[next_changed_++];
+    const auto [v, good] = changed_[next_changed_++];
     budget.charge(10);
     if (mesh_.vertex_tet(v) == kNone) continue;
+    if (good) {
+      activate_faces_at(v);
+      continue;
+    }
     if (mesh_.is_new(v)) thin_out(v);
     if (mesh_.vertex_tet(v) == kNone) continue;
     gather(star_, v);
+    activate_faces_at(v);
     poor_.clear();
     for (const VertexStar::Corner& c : star_.corners()) {
-      if (mesh_.worst_dihedral(c.tet) > kRepair) poor_.push_back(c.tet);
-      // Those that only now have a face on the surface may have to open it.
-      const int on = on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]);
-      if (on >= 2) activate(c.tet);
+      if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
     }
     for (TetId t : poor_) {
-      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kRepair) {
+      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood) {
         improve(t);
         budget.charge(50);
       }
@@ -730,6 +760,15 @@ void ConformingCutter::repair(WorkBudget& budget) {
   next_active_ = 0;
 }
 
+// Tetrahedra that only now have a face on the surface may have to open it.
+void ConformingCutter::activate_faces_at(VertexId v) {
+  mesh_.star(v, star_ids_);
+  for (std::uint32_t corner : star_ids_) {
+    const auto& w = mesh_.vertices(corner >> 2);
+    if (on_surface(w[0]) + on_surface(w[1]) + on_surface(w[2]) + on_surface(w[3]) >= 3) activate(corner >> 2);
+  }
+}
+
 // Moves the vertices of a poor tetrahedron, one after the other, while that helps; else collapses an edge of it.
 void ConformingCutter::improve(TetId t) {
   const auto vertices = mesh_.vertices(t);
@@ -737,21 +776,21 @@ void ConformingCutter::improve(TetId t) {
     if (on_rim(v)) continue;
     gather(star_, v);
     Placement place{mesh_.position(v), star_.worst_now()};
-    if (place.worst <= kRepair) break;
+    if (place.worst <= kGood) break;
     const double before = place.worst;
     Vec3 closest;
     std::uint32_t triangle = 0;
     const bool on = on_surface(v);
     if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) continue;
-    search_placement(star_, on, triangle, kRepair, -1, place);
+    search_placement(star_, on, triangle, kGood, -1, place);
     if (place.worst >= before) continue;
     mesh_.move_vertex(v, place.target);
     ++counts_.repairs;
-    if (mesh_.worst_dihedral(t) <= kRepair) return;
+    if (mesh_.worst_dihedral(t) <= kGood) return;
   }
   for (const auto& edge : kEdgeVertices) {
-    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kRepair) ||
-        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kRepair)) {
+    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kGood) ||
+        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kGood)) {
       return;
     }
   }
@@ -768,12 +807,13 @@ void ConformingCutter::thin_out(VertexId v) {
   };
   Candidate nearest[4];
   int count = 0;
-  for (const VertexStar::Corner& c : star_.corners()) {
+  for (std::size_t i = 0; i < star_.corners().size(); ++i) {
+    const VertexStar::Corner& c = star_.corners()[i];
     for (int k = 0; k < 3; ++k) {
-      const double l = distance(star_.position(), c.points[k]);
+      const double l = distance(star_.position(), star_.point(i, k));
       if (l > 0.8 * star_.local_h()) continue;
       bool known = false;
-      for (int i = 0; i < count; ++i) known = known || nearest[i].vertex == c.others[k];
+      for (int n = 0; n < count; ++n) known = known || nearest[n].vertex == c.others[k];
       if (known) continue;
       if (count == 4 && nearest[3].length <= l) continue;
       int at = count < 4 ? count++ : 3;
@@ -797,9 +837,10 @@ bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limi
   if (star.on_boundary()) return false;
   const Vec3& target = mesh_.position(w);
   double worst = -1;
-  for (const VertexStar::Corner& c : star.corners()) {
-    if (c.others[0] == w || c.others[1] == w || c.others[2] == w) continue;
-    worst = std::max(worst, worst_dihedral(target, c.points[0], c.points[1], c.points[2]));
+  for (std::size_t i = 0; i < star.corners().size(); ++i) {
+    const auto& others = star.corners()[i].others;
+    if (others[0] == w || others[1] == w || others[2] == w) continue;
+    worst = std::max(worst, worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)));
     if (worst > limit) return false;
   }
   if (!mesh_.may_collapse(t, v, w)) return false;

@@ -108,6 +108,7 @@ class ConformingCutter final : public Cutter {
 
   // --- repair
   void repair(WorkBudget& budget);
+  void activate_faces_at(VertexId v);
   void improve(TetId t);
   void thin_out(VertexId v);
   bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
@@ -148,7 +149,6 @@ class ConformingCutter final : public Cutter {
 
   std::vector<RimEvent> rim_events_;
   std::size_t next_rim_ = 0;
-  std::vector<std::uint32_t> rim_star_;
 
   std::size_t next_active_ = 0;
   int round_ = 0;
@@ -163,12 +163,17 @@ class ConformingCutter final : public Cutter {
   std::vector<HalfFace> to_open_;
   std::size_t next_open_ = 0;
 
-  std::vector<VertexId> changed_;  // put on the surface by this batch
+  struct Changed {
+    VertexId vertex;
+    bool good;  // its star was good when it was put there
+  };
+  std::vector<Changed> changed_;  // put on the surface by this batch
   std::size_t next_changed_ = 0;
   std::vector<TetId> poor_;
 
   VertexStar star_, other_star_;
   std::vector<TetId> flat_, ring_;
+  std::vector<std::uint32_t> star_ids_;
 };
 
 }  // namespace incise::core
