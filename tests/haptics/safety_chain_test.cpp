@@ -1,0 +1,1 @@
+#include "server/haptics/safety_chain.hpp"
