@@ -32,9 +32,7 @@ void SafetyChain::arm(std::uint32_t losses, std::uint32_t failed_writes) noexcep
   fault_count_ = 0;
   recent_ = 0;
   // What acts now fades as after a fault; then the ramp begins.
-  fading_ = true;
-  fade_ = 1;
-  fade_from_ = acting_;
+  begin_fade(last_ns_);
 }
 
 void SafetyChain::rearm_after_faults() noexcept {
@@ -45,6 +43,7 @@ void SafetyChain::rearm_after_faults() noexcept {
 
 Vec3 SafetyChain::update(const SafetyInput& in) noexcept {
   const double dt = started_ ? std::max(0.0, seconds(in.now_ns - last_ns_)) : 0;
+  const std::int64_t before_ns = started_ ? last_ns_ : in.now_ns;
   started_ = true;
   last_ns_ = in.now_ns;
   present_ = 0;
@@ -52,10 +51,10 @@ Vec3 SafetyChain::update(const SafetyInput& in) noexcept {
 
   const Vec3 computed = finite(in.wanted);
   const Vec3 clamped = clamp(computed, most);
-  if (const std::uint32_t faults = look(in) | present_; faults != 0) note_fault(faults, in.now_ns);
+  if (const std::uint32_t faults = look(in) | present_; faults != 0) note_fault(faults, before_ns, in.now_ns);
   const Vec3 slewed = fading_ ? slewed_ : slew(clamped, std::min(dt, kLongestStep_s));
   const Vec3 ramped = fading_ ? fade_from_ : ramp(slewed, std::min(dt, kLongestStep_s), in.contact);
-  const Vec3 watched = watchdog(ramped, dt);
+  const Vec3 watched = watchdog(ramped, in.now_ns);
   acting_ = latch(watched);
   limited_ = squared_length(computed - acting_) > 1e-12;
   return acting_;
@@ -74,7 +73,14 @@ std::uint32_t SafetyChain::look(const SafetyInput& in) noexcept {
   return faults;
 }
 
-void SafetyChain::note_fault(std::uint32_t faults, std::int64_t now_ns) noexcept {
+void SafetyChain::begin_fade(std::int64_t from_ns) noexcept {
+  fading_ = true;
+  fade_begin_ns_ = from_ns;
+  fade_from_ = acting_;
+}
+
+// `before_ns`: the frame before, up to which the force that acts was right.
+void SafetyChain::note_fault(std::uint32_t faults, std::int64_t before_ns, std::int64_t now_ns) noexcept {
   const bool acts = squared_length(acting_) > 0;
   const bool device = (faults & (kDeviceLost | kWriteFailed)) != 0;
   present_ = faults;
@@ -85,9 +91,7 @@ void SafetyChain::note_fault(std::uint32_t faults, std::int64_t now_ns) noexcept
   }
   const bool counts = acts || device || (faults & kNotFinite) != 0;
   if (!fading_) {
-    fading_ = true;
-    fade_ = 1;
-    fade_from_ = acting_;
+    begin_fade(before_ns);
     if (counts) {
       if (seconds(now_ns - recent_ns_) > limits_.fault_memory_s || recent_ == 0) {
         recent_ = 0;
@@ -132,11 +136,11 @@ Vec3 SafetyChain::ramp(const Vec3& f, double dt_s, bool contact) noexcept {
   return ramp_ * f;
 }
 
-Vec3 SafetyChain::watchdog(const Vec3& f, double dt_s) noexcept {
+Vec3 SafetyChain::watchdog(const Vec3& f, std::int64_t now_ns) noexcept {
   if (!fading_) return f;
-  fade_ = std::max(0.0, fade_ - dt_s / limits_.decay_s);
-  if (fade_ > 0 && squared_length(fade_from_) > 0) return fade_ * f;
-  slewed_ = {};
+  const double left = 1 - seconds(now_ns - fade_begin_ns_) / limits_.decay_s;
+  if (left > 0 && squared_length(fade_from_) > 0) return left * f;
+  fade_from_ = slewed_ = {};
   ramp_ = 0;
   touched_ = false;
   if (present_ == 0 && !latched_) fading_ = false;
@@ -145,7 +149,7 @@ Vec3 SafetyChain::watchdog(const Vec3& f, double dt_s) noexcept {
 
 Vec3 SafetyChain::latch(const Vec3& f) noexcept {
   // The fade that leads to it is the watchdog's.
-  return latched_ && (fade_ == 0 || !fading_) ? Vec3{} : f;
+  return latched_ && !fading_ ? Vec3{} : f;
 }
 
 }  // namespace incise::haptics

@@ -85,10 +85,11 @@ class SafetyChain {
   core::Vec3 clamp(const core::Vec3& f, double most) const noexcept;
   core::Vec3 slew(const core::Vec3& f, double dt_s) noexcept;
   core::Vec3 ramp(const core::Vec3& f, double dt_s, bool contact) noexcept;
-  core::Vec3 watchdog(const core::Vec3& f, double dt_s) noexcept;
+  core::Vec3 watchdog(const core::Vec3& f, std::int64_t now_ns) noexcept;
   core::Vec3 latch(const core::Vec3& f) noexcept;
   std::uint32_t look(const SafetyInput& in) noexcept;
-  void note_fault(std::uint32_t faults, std::int64_t now_ns) noexcept;
+  void note_fault(std::uint32_t faults, std::int64_t before_ns, std::int64_t now_ns) noexcept;
+  void begin_fade(std::int64_t from_ns) noexcept;
 
   const SafetyLimits limits_;
   bool started_ = false;
@@ -100,7 +101,7 @@ class SafetyChain {
   core::Vec3 acting_;          // the last result
   std::uint32_t present_ = 0;  // faults of this frame
   bool fading_ = false;
-  double fade_ = 1;  // 1 to 0 while fading_
+  std::int64_t fade_begin_ns_ = 0;
   core::Vec3 fade_from_;
   bool latched_ = false, device_gone_ = false;
   bool limited_ = false;
