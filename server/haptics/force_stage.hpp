@@ -6,18 +6,12 @@
 
 #include "server/core/cut_config.hpp"
 #include "server/core/cut_session.hpp"
+#include "server/haptics/force_config.hpp"
 #include "server/haptics/force_model.hpp"
 #include "server/haptics/force_slot.hpp"
 #include "server/haptics/safety_chain.hpp"
 
 namespace incise::haptics {
-
-struct ForceConfig {
-  Materials materials;
-  double stiffest_n_m = 2000;  // of any spring
-  double damping_n_s_m = 0.5;  // of contact, along the surface's normal
-  SafetyLimits limits;
-};
 
 // What a blade makes its user feel from one frame on.
 struct BladeForce {
