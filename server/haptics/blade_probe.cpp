@@ -198,6 +198,14 @@ class Sum {
   Vec3 at(double t) const noexcept { return lerp(line_.heel, line_.tip, t); }
 
   void add(TetId t, double in, double out) noexcept {
+    if (in <=
+        out) {  // forward: what was counted is not counted again, though inverted tetrahedra may overlap
+      in = std::max(in, counted_to_);
+      counted_to_ = std::max(counted_to_, out);
+      if (out <= in) return;
+    } else {
+      counted_to_ = std::max(counted_to_, in);
+    }
     const double piece = std::abs(out - in) * length_;
     if (!(piece > 0)) return;
     const Material& material = materials_.of(mesh_.region(t));
@@ -236,7 +244,7 @@ class Sum {
   const CutStretches& cuts_;
   const BladeLine line_;
   const double length_;
-  double stretch_from_ = -1, stretch_to_ = -1;
+  double stretch_from_ = -1, stretch_to_ = -1, counted_to_ = 0;
   double point_stiffness_ = 0;  // times length
   Engagement sum_;
   Vec3 cut_normal_;

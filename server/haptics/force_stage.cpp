@@ -32,10 +32,19 @@ void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_
                     pose.orientation == hand.pose.orientation && pose.buttons == hand.pose.buttons;
   if (!same) hand.moved_ns = arrival_ns;
   hand.pressed_anew = hand.pressed_anew || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
-  hand.jumped = hand.jumped || jumped;
+  hand.jumped = hand.jumped || jumped || (hand.has_pose && too_far(hand.blade, hand.pose, pose));
   hand.pose = pose;
   hand.arrival_ns = arrival_ns;
   hand.has_pose = true;
+}
+
+// Not moved there, but put there: as a stroke judges it, of blades that do not cut, too.
+bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
+                         const core::Pose& to) const noexcept {
+  const core::BladeLine a = core::blade_line(blade, from), b = core::blade_line(blade, to);
+  const double dt = static_cast<double>(to.t_ns - from.t_ns) * 1e-9;
+  return dt > cut_.gap_limit_s ||
+         std::max(distance(a.heel, b.heel), distance(a.tip, b.tip)) > cut_.speed_limit_m_s * dt;
 }
 
 void ForceStage::restart() noexcept {

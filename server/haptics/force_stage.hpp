@@ -66,6 +66,7 @@ class ForceStage {
   bool engaged(const core::Pose& pose) const noexcept {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
   }
+  bool too_far(const core::Blade& blade, const core::Pose& from, const core::Pose& to) const noexcept;
   BladeForce feel(std::uint32_t source, Hand& hand, const core::CutSession& session, std::int64_t now_ns,
                   std::int64_t late_ns) noexcept;
 
