@@ -188,11 +188,12 @@ TEST_F(ProgramsTest, AnOperatorFeelsTheTissue) {
     forces.push_back(force);
   };
   const auto size = [](const protocol::Vec3& v) { return std::sqrt(v.x * v.x + v.y * v.y + v.z * v.z); };
+  client::Options options;
+  options.role = protocol::Role::Operator;
   bool felt = false, planes = false, rendered = false;
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(120);
   while (!(felt && planes && rendered) && std::chrono::steady_clock::now() < deadline) {
-    const auto blade =
-        client::Client::connect("127.0.0.1", tcp_port, {.role = protocol::Role::Operator}, callbacks);
+    const auto blade = client::Client::connect("127.0.0.1", tcp_port, options, callbacks);
     const protocol::Box box = blade->welcome().mesh.box;
     const auto begun = now_ns();
     bool latched = false;
