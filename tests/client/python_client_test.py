@@ -56,7 +56,7 @@ class Contact(unittest.TestCase):
     """The golden Force: a plane at z = 0.03 of 800 N/m, 2.5 N s/m, that gives way at 0.75 N, for 20 ms."""
 
     def setUp(self):
-        self.force = parse((VECTORS / "messages" / "Force.bin").read_bytes()[4:])
+        self.force = parse((VECTORS / "messages" / "Force.bin").read_bytes())
         self.renderer = incise_client.ContactRenderer(ramp_s=0.1)
         self.now = 1_000_000_000
 
@@ -69,7 +69,7 @@ class Contact(unittest.TestCase):
     def test_a_spring_that_gives_way_and_expires(self):
         for i in range(200):
             force = self.at(0.031 - 1e-5 * i)
-        self.assertAlmostEqual(force[2], 0.75, delta=0.02)  # 1 mm deep would be 0.8 N
+        self.assertAlmostEqual(force[2], 0.75 + (2.5 + 0.125) * 0.01, delta=0.002)  # at 0.01 m/s
         for _ in range(19):
             force = self.at(0.029, fresh=False)
         self.assertGreater(force[2], 0.5)
