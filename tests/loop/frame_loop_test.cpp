@@ -81,6 +81,74 @@ struct Rig {
   std::uint64_t revision = 0, cut_faces = 0;
 };
 
+// Forces only look: a session cuts the same with and without them.
+TEST(FrameLoop, ForcesChangeNoCut) {
+  for (const Policy policy : {Policy::kConforming, Policy::kCroll}) {
+    const core::MeshData mesh = tests::cube(6);
+    const auto poses = tests::sweep_through(300);
+    Rig rig(policy, mesh);
+    haptics::ForceSlots slots;
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override {
+        most = std::max(most, force.feel.engagement.length_m);
+      }
+      double most = 0;
+    } sink;
+    rig.loop.offer_forces({}, &sink, &slots);
+    {
+      auto source = rig.hub.open_source("blade");
+      for (const TimedPose& pose : timed(poses)) {
+        ASSERT_EQ(source->push(std::span(&pose, 1)), 1u);
+        rig.loop.frame(monotonic_ns());
+      }
+    }
+    rig.loop.finish();
+    rig.read();
+    EXPECT_EQ(rig.hashes, without_loop(policy, mesh, poses));
+    EXPECT_NEAR(sink.most, 0.1, 0.005) << "croll snaps the boundary, too";
+    haptics::ForceCommand command;
+    EXPECT_TRUE(slots[0].read(command));
+    EXPECT_GT(rig.loop.stats().force.count(), 300u);
+  }
+}
+
+// A frame that hangs ends the force of the next one, whatever deadline that one was given. On a loaded machine frames
+// hang by themselves, before there is a force: then it is tried anew.
+TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
+  core::CutConfig made = config(Policy::kConforming);
+  made.blade = {{0, 0, 0}, {0, 0, -0.05}};
+  const core::MeshData mesh = tests::cube(2);
+  for (int attempt = 0; attempt < 1000; ++attempt) {
+    core::CutSession session(mesh, made);
+    InputHub hub(made.blade);
+    Kept kept;
+    FrameLoop loop(session, hub, kept, nullptr, {});
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override { last = force; }
+      haptics::BladeForce last;
+    } sink;
+    loop.offer_forces({}, &sink, nullptr);
+    auto source = hub.open_source("blade");
+    int frame = 0;
+    const auto press = [&] {
+      TimedPose timed;
+      timed.pose.t_ns = 1 + std::int64_t{++frame} * 1'000'000;
+      timed.pose.position = {0.05 + 1e-6 * frame, 0.05, std::max(0.151 - 5e-5 * frame, 0.148)};
+      timed.arrival_ns = monotonic_ns();
+      source->push(std::span(&timed, 1));
+      loop.frame(monotonic_ns());
+    };
+    while (frame < 100 && sink.last.newtons.z == 0) press();
+    if (sink.last.newtons.z == 0) continue;
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    press();
+    EXPECT_EQ(sink.last.newtons.z, 0) << "30 ms late: faded in one step";
+    EXPECT_NE(sink.last.faults & haptics::kLate, 0u);
+    return;
+  }
+  FAIL() << "there was never a force";
+}
+
 class FrameLoopPolicies : public ::testing::TestWithParam<Policy> {};
 INSTANTIATE_TEST_SUITE_P(, FrameLoopPolicies, ::testing::Values(Policy::kConforming, Policy::kCroll),
                          [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });
