@@ -38,6 +38,8 @@ class ConformingCutter final : public Cutter {
   const CutCounts& counts() const override { return counts_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   enum class Phase { kIdle, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kOpen };
 
   // The surface crosses the edge (a, b) with a < b.

@@ -29,6 +29,8 @@ class PieceTracker {
   std::uint32_t pieces() const { return next_piece_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   std::uint32_t find(std::uint32_t group);
   void claim(TetId t, std::uint32_t group);
 
