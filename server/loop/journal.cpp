@@ -1,5 +1,7 @@
 #include "server/loop/journal.hpp"
 
+#include <sys/random.h>
+
 #include <chrono>
 #include <exception>
 
@@ -26,10 +28,12 @@ JournalRecord gap_of(std::uint64_t lost) {
 
 }  // namespace
 
-Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble)
+Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
+                 std::unique_ptr<Checkpointer> checkpointer)
     : sink_(std::move(sink)),
       options_(options),
       on_trouble_(std::move(on_trouble)),
+      checkpointer_(std::move(checkpointer)),
       queue_(options.capacity) {
   thread_ = std::thread([this] { run(); });
 }
@@ -57,6 +61,7 @@ bool Journal::write_waiting() {
     const std::uint64_t gap = record.kind == JournalRecord::Kind::kGap ? record.lost : 0;
     unflushed_ += gap > 0 ? gap : 1;
     unflushed_gaps_ += gap;
+    if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
     sink_->write(record);
     any = true;
   }
@@ -64,6 +69,18 @@ bool Journal::write_waiting() {
   sink_->flush();
   unflushed_ = unflushed_gaps_ = 0;
   return true;
+}
+
+// Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
+void Journal::mark_checkpoint() {
+  if (!checkpointer_ || !checkpointer_->due() || failing()) return;
+  JournalRecord mark;
+  mark.kind = JournalRecord::Kind::kCheckpoint;
+  if (getrandom(&mark.checkpoint, sizeof mark.checkpoint, 0) != sizeof mark.checkpoint) return;
+  const JournalSink::Position at = sink_->position();
+  sink_->write(mark);
+  sink_->flush();
+  checkpointer_->mark(mark.checkpoint, at.bytes, at.records);
 }
 
 void Journal::run() {
@@ -77,6 +94,7 @@ void Journal::run() {
     }
     try {
       last_try = steady_clock::now();
+      mark_checkpoint();
       unsynced |= write_waiting();
       const bool due =
           options_.policy == SyncPolicy::kAlways ||
@@ -90,6 +108,7 @@ void Journal::run() {
       if (failing()) {
         lost_unwritten_before_ = lost_unwritten_.load(std::memory_order_relaxed);
         failing_.store(false, std::memory_order_relaxed);
+        if (checkpointer_ && checkpointer_->following()) checkpointer_->ask();
         on_trouble_("");
       }
       if (stopping) sink_->close();
