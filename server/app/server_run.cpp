@@ -31,6 +31,8 @@ class EndSignals {
     pthread_sigmask(SIG_BLOCK, &set_, nullptr);
     // A peer that has gone shows as an error of the write.
     std::signal(SIGPIPE, SIG_IGN);
+    // So does a file that has reached its limit: a full disk, to the journal.
+    std::signal(SIGXFSZ, SIG_IGN);
   }
   // The signal's name; null after a second without one.
   const char* wait() const {
