@@ -11,6 +11,7 @@ class Report;
 
 void add_micro_bench(CLI::App& app, Report& report);
 void add_paper_bench(CLI::App& app, Report& report);
+void add_live_bench(CLI::App& app, Report& report);
 void add_loop_bench(CLI::App& app, Report& report);
 
 }  // namespace incise::bench

@@ -128,6 +128,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
   constexpr std::int64_t kChunk_ns = 4'000'000;  // 250 messages a second
   std::unique_ptr<client::Client> client;
   std::vector<protocol::PoseSample> chunk;
+  protocol::PoseSample latest;
   std::uint64_t sequence = 0;
   std::int64_t last_ns = 0;
   client::Callbacks callbacks;
@@ -161,12 +162,18 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
       chunk.push_back({last_ns, {p.x, p.y, p.z}, {1, 0, 0, 0}, pose.buttons, 0});
     }
     if (chunk.empty()) continue;
+    latest = chunk.back();
     if (const std::uint64_t n = client->send_poses(chunk)) {
       sequence = n;
       sent_ += chunk.size();
     }
   }
-  settled_ = client && client->wait_for_report(sequence, 60);
+  if (!client || sequence == 0) return;
+  latest.source_ns = last_ns + 1;
+  latest.buttons = 0;
+  const std::uint64_t last = client->send_poses(std::span(&latest, 1));
+  sent_ += last > 0;
+  settled_ = client->wait_for_report(std::max(sequence, last), 60);
 }
 
 // ------------------------------------------------------------------------------------------------ second opinion

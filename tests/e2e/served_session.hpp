@@ -65,8 +65,8 @@ class PoseDriver {
   PoseDriver(const ServedSession& session, double rate_hz, double speed_m_s,
              const std::string& source = "blade");
   ~PoseDriver();
-  // Ends sending; waits until the server has dealt with all that was sent in this connection. False where it has not
-  // within a minute.
+  // Lifts the blade and ends sending; waits until the server has dealt with all that was sent in this connection. False
+  // where it has not within a minute.
   bool settle();
   std::uint64_t sent() const { return sent_; }
   // Source time of the last pose that the server says it has taken; the clock is CLOCK_MONOTONIC, ns.
