@@ -239,11 +239,19 @@ void run_soak(const Soak& soak) {
   CaptureFollower offline(session);
   PoseDriver driver(session, soak.pose_rate_hz, 0.2), second(session, 1000, 0.1, "left");
   Crowd crowd(session, soak.seed + 1);
-  int kills = 0;
+  int kills = 0, resets = 0;
   const auto end = monotonic_ns() + static_cast<std::int64_t>(1e9 * soak.seconds);
   while (monotonic_ns() < end) {
     std::this_thread::sleep_for(milliseconds(1000 + random() % 4000));
     if (random() % 4 == 0) by_tcp->drop_connection();
+    // A body that has been cut to crumbs is as little like a day's work as one that has not been cut.
+    if (kills % 8 == 2) {
+      client::Options admin;
+      admin.role = Role::Admin;
+      admin.view = View::None;
+      resets += viewer(session, admin)->reset();
+      std::this_thread::sleep_for(milliseconds(random() % 300));
+    }
     session.kill();
     ++kills;
     const std::string problem = offline.follow();
@@ -296,9 +304,9 @@ void run_soak(const Soak& soak) {
   require(converted["state_hash"] == text, "the offline conversion ends with another hash");
 
   std::printf(
-      "seconds                       %.0f\nkills                         %d\nvisits by other clients       "
-      "%d\n",
-      soak.seconds, kills, crowd.visits());
+      "seconds                       %.0f\nkills, resets                 %d, %d\nvisits by other clients     "
+      "  %d\n",
+      soak.seconds, kills, resets, crowd.visits());
   std::printf("poses sent / recorded         %" PRIu64 " / %" PRIu64
               "\nrevision                      %" PRIu64
               "\nstate hash                    %s\nhashes compared               %" PRIu64 "\n",

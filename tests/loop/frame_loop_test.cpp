@@ -141,6 +141,35 @@ TEST_P(FrameLoopPolicies, ABurstOfPosesIsCarriedOverAndEndsWithTheSameHash) {
   EXPECT_EQ(rig.hashes, wanted);
 }
 
+// A mesh ten times too fine for its frames: batches of many frames each, a backlog that is told, the same mesh.
+TEST(FrameLoop, AMeshThatIsFarTooFineEndsWithTheSameHash) {
+  const core::MeshData mesh = tests::cube(22);
+  const auto poses = tests::sweep_through(700);
+  const Hashes wanted = without_loop(Policy::kConforming, mesh, poses);
+  LoopOptions options;
+  options.units_per_frame = 100;  // some 5 us, on any machine
+  Rig rig(Policy::kConforming, mesh, options);
+  std::uint64_t most_segments = 0, most_recovery_ns = 0;
+  {
+    auto source = rig.hub.open_source("blade");
+    const auto all = timed(poses);
+    for (std::size_t i = 0; i < all.size(); i += 4) {  // poses come at four times the frames' rate
+      source->push(std::span(all).subspan(i, std::min<std::size_t>(4, all.size() - i)));
+      rig.loop.frame(monotonic_ns());
+      const LoopState state = rig.loop.stats().state.load();
+      most_segments = std::max(most_segments, state.backlog_segments);
+      most_recovery_ns = std::max(most_recovery_ns, state.recovery_ns);
+    }
+    rig.loop.finish();
+    EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), poses.size());
+  }
+  EXPECT_GT(most_segments, 5u);
+  EXPECT_GT(most_recovery_ns, 0u);
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+  EXPECT_EQ(rig.loop.stats().state.load().backlog_segments, 0u);
+}
+
 TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
   const core::MeshData mesh = tests::cube(5);
   const auto poses = tests::sweep_through(200);
