@@ -70,7 +70,7 @@ struct GapRecord {
   friend bool operator==(const GapRecord&, const GapRecord&) = default;
 };
 
-// A checkpoint was begun here: a file that carries this id holds the state that replaying all before gives.
+// A checkpoint may be of this place: a file that carries this id holds the state that replaying all before gives.
 struct CheckpointRecord {
   std::uint64_t id = 0;  // random
   friend bool operator==(const CheckpointRecord&, const CheckpointRecord&) = default;

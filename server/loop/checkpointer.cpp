@@ -1,7 +1,7 @@
 #include "server/loop/checkpointer.hpp"
 
-#include <sys/resource.h>
-#include <unistd.h>
+#include <pthread.h>
+#include <sched.h>
 
 #include <algorithm>
 #include <ctime>
@@ -12,9 +12,6 @@
 
 namespace incise::loop {
 namespace {
-
-// Of nice(1): the loop, the stream and the journal come first where processors are short.
-constexpr int kNice = 10;
 
 double thread_cpu_s() {
   timespec now{};
@@ -45,10 +42,10 @@ void Checkpointer::record(const JournalRecord& record) {
   push(item);
 }
 
-void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records) {
-  due_.store(false, std::memory_order_relaxed);
+void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted) {
   Item item;
   item.mark = true;
+  item.wanted = wanted;
   item.id = id;
   item.offset = offset;
   item.records = records;
@@ -78,14 +75,16 @@ void Checkpointer::give_up(const std::string& why) {
   if (!session_) return;
   session_.reset();
   computed_.clear();
-  due_.store(false, std::memory_order_relaxed);
   following_.store(false, std::memory_order_relaxed);
   tell_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
 }
 
 void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>& first) {
-  setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kNice);  // on Linux: of this thread alone
+  // Never preempts when it wakes up: the loop, the stream and the journal come first.
+  const sched_param none{};
+  pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
   session_ = first();
+  began_s_ = thread_cpu_s();
   std::deque<Item> taken;
   for (;;) {
     {
@@ -106,14 +105,8 @@ void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>&
         waiting_.pop_front();
       }
     }
-    const double before = thread_cpu_s();
     for (const Item& item : taken) handle(item);
     taken.clear();
-    spent_s_ += thread_cpu_s() - before;
-    if (session_ && spent_s_ >= std::max(options_.replay_s, 10 * write_s_)) {
-      spent_s_ = 0;
-      due_.store(true, std::memory_order_relaxed);
-    }
   }
 }
 
@@ -129,7 +122,8 @@ void Checkpointer::handle(const Item& item) {
   }
   if (!session_) return;
   if (item.mark) {
-    write(item);
+    const double spent_s = thread_cpu_s() - began_s_;
+    if (item.wanted || spent_s >= std::max(options_.replay_s, 10 * write_s_)) write(item);
     return;
   }
   switch (record.kind) {
@@ -194,8 +188,8 @@ void Checkpointer::write(const Item& mark) {
     if (!failing_) tell_(false, std::string("a checkpoint cannot be written: ") + error.what());
     failing_ = true;
   }
-  write_s_ = thread_cpu_s() - before;
-  spent_s_ -= write_s_;  // that is no work that a replay repeats
+  began_s_ = thread_cpu_s();
+  write_s_ = began_s_ - before;
 }
 
 }  // namespace incise::loop

@@ -21,16 +21,19 @@ namespace incise::loop {
 // goes on. It computes each revision again and compares the hash, so that a journal that does not replay is known
 // while the server still runs.
 //
-// It costs as much memory as the loop's session and, at a low priority, as much computing.
+// The journal marks places where a checkpoint may be, more than are used: which of them is, the thread decides when it
+// comes there, however far behind the loop it is.
 //
-// Thread: record(), due() and mark() from the journal's; figures from any. Owns: the second session, its thread, the
+// It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH).
+//
+// Thread: record() and mark() from the journal's; figures from any. Owns: the second session, its thread, the
 // checkpoint files.
 class Checkpointer {
  public:
   struct Options {
     std::string journal;  // the path that the checkpoints' names begin with
-    // A checkpoint is due when what followed the last one took so long to compute again; more seldom where writing one
-    // takes more than a tenth of that.
+    // A checkpoint is written when what followed the last one took so long to compute again; more seldom where writing
+    // one takes more than a tenth of that.
     double replay_s = 1;
     std::size_t capacity = 1u << 20;                           // records that may wait
     std::function<core::Blade(std::uint32_t)> blade_of;        // that a source has when it is opened
@@ -49,12 +52,9 @@ class Checkpointer {
   // The next record that the journal took from the loop, written or not. Where more wait than `capacity` the second
   // session cannot follow any more, until the next reset.
   void record(const JournalRecord& record);
-  // Whether a checkpoint should be begun.
-  bool due() const { return due_.load(std::memory_order_relaxed); }
-  // Asks for one: the journal has a gap, and only a checkpoint after it leads on.
-  void ask() { due_.store(true, std::memory_order_relaxed); }
-  // One begins here: `offset` and `records` of the journal's record that says so.
-  void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records);
+  // A checkpoint may be here: `offset` and `records` of the journal's record that says so. `wanted`: it must be: the
+  // journal has a gap, and only a checkpoint after it leads on.
+  void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
 
   std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
   std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
@@ -65,7 +65,7 @@ class Checkpointer {
  private:
   struct Item {
     JournalRecord record;
-    bool mark = false;
+    bool mark = false, wanted = false;
     std::uint64_t id = 0, offset = 0, records = 0;
   };
   void push(const Item& item);
@@ -83,7 +83,7 @@ class Checkpointer {
   std::deque<Item> waiting_;  // under mutex_
   bool overflow_ = false;     // under mutex_
   bool stop_ = false;         // under mutex_
-  std::atomic<bool> due_{false}, following_{true};
+  std::atomic<bool> following_{true};
   std::atomic<std::uint64_t> written_{0}, last_revision_{0};
   std::atomic<std::size_t> behind_{0};
 
@@ -92,7 +92,8 @@ class Checkpointer {
   std::uint64_t session_id_;
   int next_file_;
   bool failing_ = false;
-  double spent_s_ = 0, write_s_ = 0;  // since the last checkpoint began; on the last one
+  double began_s_ = 0,
+         write_s_ = 0;  // the thread's processor time when the last checkpoint was done; what it took
   struct Computed {
     std::uint64_t revision, hash;
   };

@@ -18,6 +18,8 @@ using std::chrono::steady_clock;
 constexpr milliseconds kPoll{5};
 // How long a failing sink is left alone.
 constexpr milliseconds kRetry{1000};
+// Between two places where a checkpoint may be.
+constexpr milliseconds kMarks{250};
 
 JournalRecord gap_of(std::uint64_t lost) {
   JournalRecord record;
@@ -62,6 +64,7 @@ bool Journal::write_waiting() {
     unflushed_ += gap > 0 ? gap : 1;
     unflushed_gaps_ += gap;
     if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
+    unmarked_ = true;
     sink_->write(record);
     any = true;
   }
@@ -73,14 +76,17 @@ bool Journal::write_waiting() {
 
 // Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
 void Journal::mark_checkpoint() {
-  if (!checkpointer_ || !checkpointer_->due() || failing()) return;
+  const auto now = steady_clock::now();
+  if (!checkpointer_ || failing() || !(wanted_ || (unmarked_ && now - last_mark_ >= kMarks))) return;
   JournalRecord mark;
   mark.kind = JournalRecord::Kind::kCheckpoint;
   if (getrandom(&mark.checkpoint, sizeof mark.checkpoint, 0) != sizeof mark.checkpoint) return;
   const JournalSink::Position at = sink_->position();
   sink_->write(mark);
   sink_->flush();
-  checkpointer_->mark(mark.checkpoint, at.bytes, at.records);
+  checkpointer_->mark(mark.checkpoint, at.bytes, at.records, wanted_);
+  last_mark_ = now;
+  wanted_ = unmarked_ = false;
 }
 
 void Journal::run() {
@@ -108,7 +114,7 @@ void Journal::run() {
       if (failing()) {
         lost_unwritten_before_ = lost_unwritten_.load(std::memory_order_relaxed);
         failing_.store(false, std::memory_order_relaxed);
-        if (checkpointer_ && checkpointer_->following()) checkpointer_->ask();
+        wanted_ = true;
         on_trouble_("");
       }
       if (stopping) sink_->close();

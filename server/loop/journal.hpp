@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -75,7 +76,7 @@ class Journal {
   void run();
   // Writes and flushes what waits; whether there was anything.
   bool write_waiting();
-  // Begins a checkpoint where one is due.
+  // Marks a place where a checkpoint may be, now and then, and one where it must be, after a gap.
   void mark_checkpoint();
 
   const std::unique_ptr<JournalSink> sink_;
@@ -87,6 +88,8 @@ class Journal {
   // The thread's: records that the sink has not flushed, and of them those that lost_unqueued_ counts already.
   std::uint64_t unflushed_ = 0, unflushed_gaps_ = 0;
   std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
+  bool unmarked_ = false, wanted_ = false;   // records since the last mark; a gap since the last one
+  std::chrono::steady_clock::time_point last_mark_{};
   std::atomic<std::uint64_t> lost_unqueued_{0}, lost_unwritten_{0};
   std::atomic<bool> failing_{false}, stop_{false};
   std::thread thread_;

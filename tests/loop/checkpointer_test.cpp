@@ -105,7 +105,7 @@ TEST_F(CheckpointerTest, ACheckpointAndTheRecordsAfterItGiveWhatAllRecordsGive) 
   std::size_t next = 0;
   for (std::size_t i = 0; i < records.size(); ++i) {
     if (next < 3 && i == marks[next]) {
-      checkpointer->mark(100 + next, 1000 * next, i);
+      checkpointer->mark(100 + next, 1000 * next, i, true);
       ++next;
     }
     checkpointer->record(records[i]);
@@ -130,14 +130,23 @@ TEST_F(CheckpointerTest, ACheckpointAndTheRecordsAfterItGiveWhatAllRecordsGive) 
   }
 }
 
-TEST_F(CheckpointerTest, IsDueByTheWorkDoneSinceTheLast) {
-  const auto checkpointer = make(1e-6);
-  EXPECT_FALSE(checkpointer->due());
-  for (const JournalRecord& record : stroke()) checkpointer->record(record);
-  EXPECT_TRUE(wait_for([&] { return checkpointer->due(); }));
-  checkpointer->mark(1, 0, 0);
-  EXPECT_FALSE(checkpointer->due());
-  EXPECT_TRUE(wait_for([&] { return checkpointer->written() == 1; }));
+// Of the places that are marked those are used that enough work lies before.
+TEST_F(CheckpointerTest, AMarkIsUsedWhereWorkLiesBehindIt) {
+  const auto never = make(1000);
+  const auto often = make(1e-6);
+  for (const auto& checkpointer : {never.get(), often.get()}) {
+    std::uint64_t i = 0;
+    for (const JournalRecord& record : stroke()) {
+      if (++i % 50 == 0) checkpointer->mark(i, i, i, false);
+      checkpointer->record(record);
+    }
+    JournalRecord last;
+    last.kind = Kind::kCommit;
+    checkpointer->record(last);
+    EXPECT_TRUE(wait_for([&] { return checkpointer->behind() == 0; }));
+  }
+  EXPECT_TRUE(wait_for([&] { return often->written() >= 1; }));
+  EXPECT_EQ(never->written(), 0u);
 }
 
 TEST_F(CheckpointerTest, AnotherHashIsToldAndEndsIt) {
@@ -150,7 +159,7 @@ TEST_F(CheckpointerTest, AnotherHashIsToldAndEndsIt) {
   for (const JournalRecord& record : records) checkpointer->record(record);
   EXPECT_TRUE(wait_for([&] { return !checkpointer->following(); }));
   EXPECT_NE(told().find("revision 3 came out with another hash"), std::string::npos) << told();
-  checkpointer->mark(1, 0, 0);
+  checkpointer->mark(1, 0, 0, true);
   checkpointer->record({});
   EXPECT_TRUE(wait_for([&] { return checkpointer->behind() == 0; }));
   EXPECT_EQ(checkpointer->written(), 0u);
@@ -172,7 +181,7 @@ TEST_F(CheckpointerTest, AfterLostRecordsAResetMakesItFollowAgain) {
   reset.session = 8;
   checkpointer->record(reset);
   for (const JournalRecord& record : records) checkpointer->record(record);
-  checkpointer->mark(5, 1, 2);
+  checkpointer->mark(5, 1, 2, true);
   EXPECT_TRUE(wait_for([&] { return checkpointer->written() == 1; }));
   EXPECT_TRUE(checkpointer->following());
   std::string error;
