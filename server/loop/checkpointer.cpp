@@ -123,7 +123,7 @@ void Checkpointer::handle(const Item& item) {
   if (!session_) return;
   if (item.mark) {
     const double spent_s = thread_cpu_s() - began_s_;
-    if (item.wanted || spent_s >= std::max(options_.replay_s, 10 * write_s_)) write(item);
+    if (item.wanted || spent_s >= std::max(options_.replay_s, 5 * write_s_)) write(item);
     return;
   }
   switch (record.kind) {

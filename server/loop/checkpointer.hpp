@@ -33,7 +33,7 @@ class Checkpointer {
   struct Options {
     std::string journal;  // the path that the checkpoints' names begin with
     // A checkpoint is written when what followed the last one took so long to compute again; more seldom where writing
-    // one takes more than a tenth of that.
+    // one takes more than a fifth of that.
     double replay_s = 1;
     std::size_t capacity = 1u << 20;                           // records that may wait
     std::function<core::Blade(std::uint32_t)> blade_of;        // that a source has when it is opened
