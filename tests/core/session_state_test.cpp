@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdlib>
+#include <fstream>
 #include <functional>
 
 #include "server/core/validate.hpp"
@@ -116,6 +118,30 @@ TEST(SessionState, WhatIsCutOffOrIsAnotherPolicysIsRefused) {
   }
   bytes.push_back({});
   EXPECT_FALSE(restore_session(bytes, session.config(), error));
+}
+
+// Seeds for tests/fuzz/corpus/session_state, of a mesh of a few tetrahedra: INCISE_WRITE_CORPUS names the folder.
+TEST(SessionState, SmallSessionsAreRestored) {
+  const char* folder = std::getenv("INCISE_WRITE_CORPUS");
+  for (const Policy policy : {Policy::kConforming, Policy::kCroll}) {
+    CutConfig small = config(policy);
+    small.blade = {{0, 0, -1}, {0, 0, 2}};
+    CutSession session(testing::shaken_box(1, 1, 1, 1, 0.1, 0.01), small);
+    std::vector<std::uint64_t> hashes;
+    for (int i = 0; i < 12; ++i) {
+      session.push(0, {1 + 20'000'000ll * i, {-0.005 + 0.001 * i, 0.0042, 0}, {}, 1});
+      commit_all(session, hashes);
+      const auto again = restored(session);
+      ASSERT_TRUE(again);
+      if (folder != nullptr && i % 4 == 3) {
+        const auto bytes = save_session(session);
+        std::ofstream(
+            std::string(folder) + (policy == Policy::kCroll ? "/croll_" : "/conforming_") + std::to_string(i),
+            std::ios::binary)
+            .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+      }
+    }
+  }
 }
 
 // Bytes that are wrong either are refused or make a session that can be cut.
