@@ -139,6 +139,35 @@ void replay(const Config& config, const std::string& path, Start& start, Capture
   journal.sync();
 }
 
+double thread_cpu_s() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+// A checkpoint of the session as it is now, at the end of its capture.
+void write_checkpoint(const std::string& path, Recording& recording) {
+  loop::JournalRecord mark;
+  mark.kind = loop::JournalRecord::Kind::kCheckpoint;
+  mark.checkpoint = fresh_session_id();
+  loop::Checkpoint checkpoint;
+  checkpoint.id = mark.checkpoint;
+  checkpoint.session = recording.session_id;
+  checkpoint.offset = recording.journal->position().bytes;
+  checkpoint.records = recording.journal->position().records;
+  checkpoint.revision = recording.session->revision();
+  checkpoint.state_hash = recording.session->mesh().state_hash();
+  checkpoint.state = core::save_session(*recording.session);
+  recording.journal->write(mark);
+  recording.journal->flush();
+  try {
+    loop::write_checkpoint(loop::checkpoint_path(path, recording.next_checkpoint), checkpoint);
+    recording.next_checkpoint = (recording.next_checkpoint + 1) % loop::kCheckpointFiles;
+  } catch (const std::exception& error) {
+    spdlog::warn("a checkpoint cannot be written: {}", error.what());
+  }
+}
+
 }  // namespace
 
 Recording begin_recording(const Config& config, const Body& body) {
@@ -211,8 +240,12 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.next_checkpoint = start->next_checkpoint;
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
+  const double before_s = thread_cpu_s();
   replay(config, path, *start, *recording.journal);
   recording.session = std::move(start->session);
+  // A server that crashes soon after each start would have more to replay each time.
+  const double most_s = config.capture.checkpoint_replay_s;
+  if (most_s > 0 && thread_cpu_s() - before_s > most_s) write_checkpoint(path, recording);
   spdlog::info("resumed {} at revision {} in {:.2f} s: {}, {} poses replayed", path,
                recording.session->revision(), static_cast<double>(input::monotonic_ns() - began) * 1e-9,
                checkpointed ? fmt::format("from the checkpoint at revision {}", from) : "from the beginning",

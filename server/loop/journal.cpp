@@ -6,6 +6,7 @@
 #include <exception>
 
 #include "server/loop/loop_stats.hpp"
+#include "server/loop/realtime.hpp"
 
 namespace incise::loop {
 namespace {
@@ -90,6 +91,7 @@ void Journal::mark_checkpoint() {
 }
 
 void Journal::run() {
+  if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
   auto last_sync = steady_clock::now(), last_try = last_sync;
   bool unsynced = false;
   for (;;) {

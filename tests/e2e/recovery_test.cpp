@@ -132,6 +132,31 @@ TEST(Recovery, BehindAGapASessionGoesOnFromTheNextCheckpoint) {
   EXPECT_EQ(replay.wait(), 1) << "a capture with a gap is not verified";
 }
 
+// Where a start has had to replay more than checkpoints allow, it writes one itself: a server that is killed again and again
+// before its checkpoints come around would else have more to replay each time.
+TEST(Recovery, AStartThatHadToReplayMuchWritesACheckpoint) {
+  ServedSession session("replayed", 4000, R"(, "checkpoint_replay_s": 0)");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  Held before;
+  {
+    const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+    PoseDriver driver(session, 500, 0.2);
+    ASSERT_TRUE(viewer->wait_for_revision(8, 60));
+    before = settle(session, driver, *viewer);
+  }
+  session.kill();
+  EXPECT_FALSE(fs::exists(loop::checkpoint_path(session.capture(), 0))) << "0: none";
+  session.set_capture(R"(, "checkpoint_replay_s": 0.000001)");
+  for (const char* from : {"from the beginning", "from the checkpoint at revision "}) {
+    const std::size_t logged = session.log().size();
+    ASSERT_TRUE(session.start(true)) << session.log();
+    session.kill();
+    EXPECT_NE(session.log().find(from, logged), std::string::npos) << session.log();
+  }
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_EQ(what_the_server_has(session), before);
+}
+
 TEST(Recovery, DamagedCheckpointsFallBackToTheOneBeforeAndToTheBeginning) {
   ServedSession session("damage", 4000, R"(, "checkpoint_replay_s": 0.0001)");
   ASSERT_TRUE(session.start(false)) << session.log();
@@ -144,6 +169,8 @@ TEST(Recovery, DamagedCheckpointsFallBackToTheOneBeforeAndToTheBeginning) {
     before = settle(session, driver, *viewer);
   }
   session.kill();
+  // Nor does a start write one, where what it has replayed is less than this.
+  session.set_capture(R"(, "checkpoint_replay_s": 1000)");
   std::string error;
   const auto first = loop::read_checkpoint(loop::checkpoint_path(session.capture(), 0), error);
   const auto second = loop::read_checkpoint(loop::checkpoint_path(session.capture(), 1), error);

@@ -28,6 +28,11 @@ class ServedSession {
   ServedSession(const std::string& name, int target_tets, const std::string& capture);
   ~ServedSession();
 
+  // Other keys for "capture", from the next start on.
+  void set_capture(const std::string& capture) {
+    more_capture_ = capture;
+    write_config();
+  }
   // Starts it; waits until it listens where told so. False where it ended instead, or did not listen within a minute. After
   // the first time it listens where it did then, so that clients find it again.
   bool start(bool resume, bool wait = true);
@@ -51,7 +56,7 @@ class ServedSession {
   void write_config() const;
   std::filesystem::path directory_;
   const int target_tets_;
-  const std::string more_capture_;
+  std::string more_capture_;
   std::uint16_t tcp_port_ = 0, http_port_ = 0;
   app::Config config_;
   app::Body body_;

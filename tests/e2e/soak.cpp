@@ -225,7 +225,7 @@ nlohmann::json run_command(std::vector<std::string> arguments) {
 
 void run_soak(const Soak& soak) {
   std::mt19937_64 random(soak.seed);
-  ServedSession session("soak", soak.tets, R"(, "checkpoint_replay_s": 0.1)");
+  ServedSession session("soak", soak.tets, R"(, "checkpoint_replay_s": 0.2)");
   require(session.start(false), "the server did not start: " + session.log());
   client::Options options;
   options.reconnect = true;
@@ -245,7 +245,7 @@ void run_soak(const Soak& soak) {
     std::this_thread::sleep_for(milliseconds(1000 + random() % 4000));
     if (random() % 4 == 0) by_tcp->drop_connection();
     // A body that has been cut to crumbs is as little like a day's work as one that has not been cut.
-    if (kills % 8 == 2) {
+    if (kills % 4 == 2) {
       client::Options admin;
       admin.role = Role::Admin;
       admin.view = View::None;
