@@ -173,7 +173,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
   latest.buttons = 0;
   const std::uint64_t last = client->send_poses(std::span(&latest, 1));
   sent_ += last > 0;
-  settled_ = client->wait_for_report(std::max(sequence, last), 60);
+  settled_ = client->wait_for_report(std::max(sequence, last), 300);
 }
 
 // ------------------------------------------------------------------------------------------------ second opinion

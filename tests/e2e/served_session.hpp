@@ -71,7 +71,7 @@ class PoseDriver {
              const std::string& source = "blade");
   ~PoseDriver();
   // Lifts the blade and ends sending; waits until the server has dealt with all that was sent in this connection. False
-  // where it has not within a minute.
+  // where it has not within five minutes.
   bool settle();
   std::uint64_t sent() const { return sent_; }
   // Source time of the last pose that the server says it has taken; the clock is CLOCK_MONOTONIC, ns.

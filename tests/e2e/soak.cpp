@@ -264,7 +264,7 @@ void run_soak(const Soak& soak) {
   require(driver.rejected() + second.rejected() == 0, "poses were rejected");
   // Letting the blades go ends their strokes; the capture says so, and what they made of the mesh.
   std::string problem;
-  for (int i = 0; i < 600 && problem.empty(); ++i) {
+  for (int i = 0; i < 3000 && problem.empty(); ++i) {
     problem = offline.follow();
     if (session.stat("/sources") == 0.0 && !offline.in_stroke() && by_tcp->revision() == offline.revision())
       break;
@@ -274,10 +274,10 @@ void run_soak(const Soak& soak) {
   const std::uint64_t revision = offline.revision();
   require(revision > 0, "nothing was cut");
   for (const auto* client : {by_tcp.get(), by_web.get(), surface.get()})
-    require(const_cast<Client*>(client)->wait_for_revision(revision, 60), "a client did not get to the end");
+    require(const_cast<Client*>(client)->wait_for_revision(revision, 300), "a client did not get to the end");
   options.reconnect = false;
   const auto late = viewer(session, options);
-  require(late->wait_for_revision(revision, 60), "a late viewer did not get to the end");
+  require(late->wait_for_revision(revision, 300), "a late viewer did not get to the end");
   const auto surface_bytes = [](const Client& c) {
     return c.read_surface([](const protocol::SurfaceReplica& s) { return s.canonical_bytes(); });
   };
