@@ -115,6 +115,7 @@ struct SessionFields {
   static void mesh(Io& io, Mesh& m) {
     io(m.mean_edge_length_);
     io(m.initial_vertex_copies_);
+    io(m.has_regions_);
     io(m.cut_sides_);
     io(m.hash_);
     // Which tetrahedron a vertex names is part of the state: stars are walked from there, and ids follow from the walk.
@@ -228,7 +229,7 @@ struct SessionFields {
                     w.active.size() == tets,
                 "stamps and mesh differ in size");
       if (io.failed()) return;
-      for (auto* by_vertex : {&w.surface, &w.failed, &w.rim, &w.side, &w.event_head, &w.event_stamp})
+      for (auto* by_vertex : {&w.surface, &w.failed, &w.rim, &w.event_head, &w.event_stamp})
         grow_to(*by_vertex, vertices);
       for (auto* by_tet : {&w.seen, &w.active}) grow_to(*by_tet, tets);
       grow_to(w.pending, tets);

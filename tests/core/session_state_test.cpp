@@ -22,7 +22,11 @@ CutConfig config(Policy policy) {
 }
 
 MeshData body() {
-  return testing::shaken_box(8, 6, 6, 1, 0.1, 0.01);
+  MeshData mesh = testing::shaken_box(8, 6, 6, 1, 0.1, 0.01);
+  mesh.regions.assign(mesh.tets.size(), 0);
+  for (std::size_t t = 0; t < mesh.tets.size(); ++t)
+    mesh.regions[t] = mesh.positions[mesh.tets[t][0]].z > 0.03 ? 1 : 0;
+  return mesh;
 }
 
 // What happens to a session, one call after another: two blades at once, on bent paths that cross each other and their
