@@ -320,6 +320,10 @@ const std::vector<Key>& keys() {
            "or at once."),
       number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
              "What a power failure may cost under \"group\"."),
+      number("capture.checkpoint_replay_s", INCISE_FIELD(capture.checkpoint_replay_s), 0, 3600,
+             "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
+             "seconds "
+             "of work; they cost a second copy of the mesh and of that work, at low priority. 0: none."),
 
       word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
            "What is worth a line."),

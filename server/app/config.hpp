@@ -78,6 +78,7 @@ struct Config {
     std::string path;  // empty: none is written
     std::string sync = "group";
     double sync_interval_ms = 100;
+    double checkpoint_replay_s = 1;
   } capture;
 
   struct Log {

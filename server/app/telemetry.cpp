@@ -92,6 +92,12 @@ std::string Telemetry::json() const {
   if (journal_) {
     root["journal"] = {
         {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};
+    if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
+      root["checkpoints"] = {{"written", checkpoints->written()},
+                             {"last_revision", checkpoints->last_revision()},
+                             {"behind", checkpoints->behind()},
+                             {"following", checkpoints->following()}};
+    }
   }
   Json stages;
   for (const Stage& stage : kStages) {
@@ -135,6 +141,14 @@ std::string Telemetry::metrics() const {
     one("journal_lost_total", "counter", "Records that the journal could not take.",
         static_cast<double>(journal_->lost()));
     one("journal_failing", "gauge", "1 while the journal cannot be written.", journal_->failing() ? 1 : 0);
+    if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
+      one("checkpoints_total", "counter", "Checkpoints written.",
+          static_cast<double>(checkpoints->written()));
+      one("checkpoint_revision", "gauge", "Revision of the last checkpoint.",
+          static_cast<double>(checkpoints->last_revision()));
+      one("checkpoints_following", "gauge", "0 where there can be no checkpoints until the next reset.",
+          checkpoints->following() ? 1 : 0);
+    }
   }
   family("poses_total", "counter", "Poses by what became of them.");
   for (int i = 0; i < core::kPoseVerdicts; ++i) {

@@ -37,6 +37,8 @@ class BoundaryGrid {
   TetId locate(const TetMesh& mesh, const Vec3& p) const;
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct Node {
     TetId tet;
     std::uint32_t next;

@@ -39,6 +39,8 @@ class ConformingCutter final : public Cutter {
   const CutCounts& counts() const override { return counts_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   // Measures of dihedral angles. A star with no angle below the first is good: a snap that leaves it so is taken freely,
   // and nothing in it is repaired. When nothing better is left, a snap is taken down to the second, and in need to the
   // third.

@@ -11,11 +11,6 @@
 
 namespace incise::core {
 
-struct CutSession::Source {
-  StrokeBuilder builder;
-  std::unique_ptr<Cutter> cutter;
-};
-
 CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
     : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_) {}
 

@@ -56,7 +56,12 @@ class CutSession {
   const CutCounts& committed_counts() const { return committed_counts_; }
 
  private:
-  struct Source;
+  friend struct SessionFields;  // session_state.cpp
+
+  struct Source {
+    StrokeBuilder builder;
+    std::unique_ptr<Cutter> cutter;
+  };
   Source& source(std::uint32_t number);
 
   TetMesh mesh_;

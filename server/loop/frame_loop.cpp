@@ -292,16 +292,9 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.cut_faces += delta.cut_faces;
   state_.cut_area_m2 += delta.cut_area;
 
-  JournalRecord record;
-  record.kind = JournalRecord::Kind::kCommit;
-  record.source = delta.source;
+  JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;
-  record.stroke = delta.stroke;
-  record.batch = delta.batch;
-  record.stroke_ended = delta.stroke_ended;
   record.frame = state_.frames;
-  record.revision = delta.revision;
-  record.state_hash = delta.state_hash;
   write(record);
 }
 
