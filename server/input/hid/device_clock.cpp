@@ -36,10 +36,12 @@ void DeviceClock::anchor(std::uint64_t count, std::int64_t arrival_ns) noexcept 
 void DeviceClock::end_window() noexcept {
   const double length = device_ns_ - window_start_ns_;
   if (windows_ > 0 && length < 3 * kWindow_ns) {
-    const double measured = std::clamp((window_least_ns_ - last_least_ns_) / length, -kMostSlope, kMostSlope);
+    const double between = window_start_ns_ - last_start_ns_;
+    const double measured = std::clamp((window_least_ns_ - last_least_ns_) / between, -kMostSlope, kMostSlope);
     slope_ += (measured - slope_) / static_cast<double>(std::min<std::uint64_t>(windows_, 8));
   }
   last_least_ns_ = window_least_ns_;
+  last_start_ns_ = window_start_ns_;
   window_least_ns_ = INFINITY;
   window_start_ns_ = device_ns_;
   ++windows_;
@@ -53,7 +55,7 @@ std::int64_t DeviceClock::host_ns(std::uint64_t count, std::int64_t arrival_ns) 
   const double waited = static_cast<double>(arrival_ns - last_arrival_ns_);
   double step = static_cast<double>((count - last_count_) & mask_) * tick_ns_;
   step += std::max(0.0, std::round((waited - step) / period_ns_)) * period_ns_;  // whole turns of the counter
-  if (std::abs(step - waited) > std::max(kLeap_ns, period_ns_ / 2)) {
+  if (std::abs(step - waited) > kLeap_ns) {
     ++restarts_;
     anchor(count, arrival_ns);
     return zero_ns_;
@@ -61,11 +63,13 @@ std::int64_t DeviceClock::host_ns(std::uint64_t count, std::int64_t arrival_ns) 
   last_count_ = count;
   last_arrival_ns_ = arrival_ns;
   device_ns_ += step;
-  const double offset = static_cast<double>(arrival_ns - zero_ns_) - device_ns_;
+  // Offsets as they were at the beginning of their window, by the drift known so far.
+  const double since = slope_ * (device_ns_ - window_start_ns_);
+  const double offset = static_cast<double>(arrival_ns - zero_ns_) - device_ns_ - since;
   window_least_ns_ = std::min(window_least_ns_, offset);
-  // The best guess of the least offset now: that of the window before, carried on by the drift, or a lower one since.
-  const double carried = last_least_ns_ + slope_ * (device_ns_ - window_start_ns_);
-  const double least = windows_ == 0 ? window_least_ns_ : std::min(carried, window_least_ns_);
+  // The best guess of the least offset now: that of the window before, or a lower one since, carried on by the drift.
+  double least = window_least_ns_ + since;
+  if (windows_ > 0) least = std::min(least, last_least_ns_ + slope_ * (device_ns_ - last_start_ns_));
   if (step > 0) {
     const double error = device_ns_ + least - host_ns_ - step;
     const double correction =

@@ -18,8 +18,8 @@ class DeviceClock {
   DeviceClock(double tick_s, unsigned bits) noexcept;
 
   // When the report was measured, CLOCK_MONOTONIC ns. Rises with every count; a count that stands still gives the same
-  // time again. A leap that the arrivals do not confirm (within a second or half the counter's period) is a clock that
-  // began anew.
+  // time again. A leap that the arrivals do not confirm within a second is a clock that began anew; one whose counter
+  // turns in less cannot show that.
   std::int64_t host_ns(std::uint64_t count, std::int64_t arrival_ns) noexcept;
 
   double drift_ppm() const noexcept { return slope_ * 1e6; }  // > 0: the device's clock is slow
@@ -38,7 +38,7 @@ class DeviceClock {
   std::int64_t zero_ns_ = 0;  // arrival of the anchor; the times below count from there
   double device_ns_ = 0;      // by the device's clock
   double host_ns_ = 0;        // what was given out
-  double window_start_ns_ = 0, window_least_ns_ = 0, last_least_ns_ = 0;
+  double window_start_ns_ = 0, window_least_ns_ = 0, last_start_ns_ = 0, last_least_ns_ = 0;
   std::uint64_t windows_ = 0;
   double slope_ = 0;  // of the offset, per device ns
   std::uint64_t restarts_ = 0;
