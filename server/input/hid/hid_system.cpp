@@ -95,7 +95,12 @@ void complete(udev* context, HidInterface& interface) {
   if (!interface.trouble.empty() && hid_syspath.empty()) return;
   std::string error;
   interface.descriptor = parse_report_descriptor(descriptor_bytes(hid_syspath, interface.path), error);
-  if (!interface.descriptor && interface.trouble.empty()) {
+  if (interface.descriptor) {  // hidapi does not always find the usages
+    interface.usages.clear();
+    for (const std::uint32_t usage : interface.descriptor->applications) {
+      interface.usages.push_back({static_cast<std::uint16_t>(usage >> 16), static_cast<std::uint16_t>(usage)});
+    }
+  } else if (interface.trouble.empty()) {
     interface.trouble = interface.path + ": its report descriptor " + error;
   }
 }

@@ -52,11 +52,17 @@ class HidInputTest : public ::testing::Test {
       return seen[source].poses.size() >= poses;
     });
   }
-  bool open(const std::string& source) {
-    return eventually([&] {
+  ::testing::AssertionResult open(const std::string& source) {
+    const bool came = eventually([&] {
       drain();
       return hub.is_open(source);
     });
+    if (came) return ::testing::AssertionSuccess();
+    auto failure = ::testing::AssertionFailure() << "not opened; there is";
+    for (const DeviceStatus& status : input->status()) {
+      failure << "\n  " << status.path << ' ' << status.identity << " profile " << status.profile << ": " << status.why;
+    }
+    return failure;
   }
   DeviceStatus status_of(const std::string& path) {
     for (const DeviceStatus& status : input->status()) {
