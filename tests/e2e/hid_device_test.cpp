@@ -72,7 +72,7 @@ class HidDevice : public ::testing::Test {
     for (const json& one : all["devices"]) {
       if (!one["sources"].empty()) return one;
     }
-    return {};
+    return json::object();
   }
 
   // The pass through the liver of README's first cut, as a stylus at 1 kHz makes it: from y = -0.1 to 0.1 m in `count`
@@ -126,7 +126,7 @@ TEST_F(HidDevice, AStylusAtOneKilohertzCutsTheLiverInTwo) {
   constexpr int kReports = 2000;
   const auto stylus = machine.plug(tests::stylus());
   start();
-  ASSERT_TRUE(eventually([&] { return !device().is_null(); }));
+  ASSERT_TRUE(eventually([&] { return !device().empty(); }));
   pass(*stylus, kReports);
   ASSERT_TRUE(settled(kReports)) << stats();
   const json seen = device();
@@ -149,7 +149,7 @@ TEST_F(HidDevice, PulledOutInAStrokeAndPutBackElsewhere) {
   constexpr int kReports = 1000;
   auto stylus = machine.plug(tests::stylus("S1", 0, 1));
   start();
-  ASSERT_TRUE(eventually([&] { return !device().is_null(); }));
+  ASSERT_TRUE(eventually([&] { return !device().empty(); }));
   pass(*stylus, kReports, 0, 500);
   ASSERT_TRUE(settled(500));
   stylus.reset();

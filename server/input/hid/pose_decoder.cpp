@@ -9,6 +9,8 @@ namespace {
 using core::Quat;
 using core::Vec3;
 
+constexpr double kFarthest = 1e6;  // metres, radians or deflections: beyond that a number is no part of a pose
+
 Quat product(const Quat& a, const Quat& b) {
   return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
           a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
@@ -184,7 +186,7 @@ bool PoseDecoder::read_axes(const ToolProfile& tool, std::uint8_t number,
   const auto read = [&](const std::optional<ReportField>& field, double& value) {
     if (!field || field->report != number) return false;
     value = field->value(report);
-    good = good && std::isfinite(value);
+    good = good && std::abs(value) <= kFarthest;  // a NaN is not
     return true;
   };
   for (std::size_t i = 0; i < 3; ++i) read(tool.position_fields[i], axes.position[i]);
