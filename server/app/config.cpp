@@ -6,6 +6,7 @@
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <set>
 #include <sstream>
 
@@ -328,6 +329,35 @@ const std::vector<Key>& keys() {
       boolean("loop.lock_memory", INCISE_FIELD(loop.lock_memory),
               "Keep all memory from being swapped out, where the system grants it."),
 
+      boolean("haptics.forces", INCISE_FIELD(haptics.forces),
+              "Compute the force on each blade, in each frame, for devices and operators."),
+      number("haptics.max_force_n", INCISE_FIELD(haptics.force.limits.most_n), 0.01, 100,
+             "No force is larger; a device's own limit may be smaller."),
+      number(
+          "haptics.slew_n_s", INCISE_FIELD(haptics.force.limits.slew_n_s), 1, 1e5,
+          "No force changes faster; at least a hundred times haptics.max_force_n, so that a fault ends it in "
+          "10 ms."),
+      number("haptics.frozen_s", INCISE_FIELD(haptics.force.limits.frozen_s), 0.02, 1e6,
+             "Poses that repeat each other so long to the bit while a force acts: the device is stuck, the "
+             "force "
+             "ends."),
+      number("haptics.stiffest_n_m", INCISE_FIELD(haptics.force.stiffest_n_m), 10, 20'000,
+             "The stiffest that tissue may feel: more makes a device tremble."),
+      number("haptics.damping_n_s_m", INCISE_FIELD(haptics.force.damping_n_s_m), 0, 50,
+             "Damping of the contact with a surface, along its normal."),
+      number("haptics.contact_valid_ms", INCISE_FIELD(haptics.contact_valid_ms), 1, 1000,
+             "How long an operator on the network may go on with the last contact it was told of."),
+      number("haptics.toughness_j_m2", INCISE_FIELD(haptics.force.materials.tissue.toughness_j_m2), 0, 1e5,
+             "Of the tissue: work for each area of cut. Liver: 76 to 185, 164 in bovine."),
+      number("haptics.puncture_n", INCISE_FIELD(haptics.force.materials.tissue.puncture_n), 0, 100,
+             "What a point must press with before it gets in."),
+      number("haptics.stiffness_n_m", INCISE_FIELD(haptics.force.materials.tissue.stiffness_n_m), 1, 1e5,
+             "How fast the force grows under a point before the tissue tears."),
+      number("haptics.stiffness_pa", INCISE_FIELD(haptics.force.materials.tissue.stiffness_pa), 0, 1e7,
+             "How much faster for each metre of edge that presses."),
+      number("haptics.friction_n_s_m2", INCISE_FIELD(haptics.force.materials.tissue.friction_n_s_m2), 0, 1e4,
+             "Viscous friction on the blade's faces, for each metre of edge inside."),
+
       text("listen.address", INCISE_FIELD(listen.address), "an IP address",
            "Where clients connect. Beyond loopback it needs listen.token_file and a certificate, or "
            "listen.insecure."),
@@ -408,6 +438,23 @@ constexpr const char* kSourcesAccepted =
     "different names";
 constexpr const char* kSourcesMeaning =
     "Blades of their own for sources of these names; any other source has the blade above.";
+
+// Tissue that differs from the rest, by the mesh's region attribute.
+struct MaterialKey {
+  const char* name;
+  double haptics::Material::*field;
+};
+constexpr MaterialKey kMaterialKeys[] = {{"toughness_j_m2", &haptics::Material::toughness_j_m2},
+                                         {"puncture_n", &haptics::Material::puncture_n},
+                                         {"stiffness_n_m", &haptics::Material::stiffness_n_m},
+                                         {"stiffness_pa", &haptics::Material::stiffness_pa},
+                                         {"friction_n_s_m2", &haptics::Material::friction_n_s_m2}};
+constexpr std::size_t kMostMaterials = 64;
+constexpr const char* kMaterialsAccepted =
+    "a list of at most 64 objects {\"region\": a whole number, \"toughness_j_m2\", \"puncture_n\", "
+    "\"stiffness_n_m\", \"stiffness_pa\", \"friction_n_s_m2\": numbers as in haptics} with different regions";
+constexpr const char* kMaterialsMeaning =
+    "What the regions of the mesh feel like, by its region attribute; what is absent is as in haptics.";
 
 // ------------------------------------------------------------------------------------------------ reading
 
@@ -492,6 +539,45 @@ void read_sources(Config& config, const Json& value, const std::string& file) {
   }
 }
 
+haptics::Material read_material(const Config& config, const Json& entry, const std::string& at,
+                                const std::string& file) {
+  Config scratch = config;  // takes the values under the keys of haptics, which know their ranges
+  for (const auto& [key, given] : entry.items()) {
+    if (key == "region") continue;
+    const auto known = std::find_if(std::begin(kMaterialKeys), std::end(kMaterialKeys),
+                                    [&](const MaterialKey& k) { return key == k.name; });
+    if (known == std::end(kMaterialKeys)) {
+      throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are region" +
+                        std::accumulate(std::begin(kMaterialKeys), std::end(kMaterialKeys), std::string(),
+                                        [](std::string list, const MaterialKey& k) {
+                                          return std::move(list) + ", " + k.name;
+                                        }));
+    }
+    const auto table =
+        std::find_if(keys().begin(), keys().end(), [&](const Key& k) { return k.name == "haptics." + key; });
+    if (!table->set(scratch, given)) refuse(file, at + "." + key, shown(given), table->accepted);
+  }
+  return scratch.haptics.force.materials.tissue;
+}
+
+void read_materials(Config& config, const Json& value, const std::string& file) {
+  if (!value.is_array() || value.size() > kMostMaterials)
+    refuse(file, "materials", shown(value), kMaterialsAccepted);
+  std::set<std::int32_t> regions;
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    const std::string at = "materials[" + std::to_string(i) + "]";
+    const Json& entry = value[i];
+    if (!entry.is_object()) refuse(file, at, shown(entry), kMaterialsAccepted);
+    const Json region = entry.value("region", Json());
+    if (!region.is_number_integer() || region.get<double>() < INT32_MIN || region.get<double>() > INT32_MAX)
+      refuse(file, at + ".region", region.is_null() ? "nothing" : shown(region), "a whole number");
+    const auto number = region.get<std::int32_t>();
+    if (!regions.insert(number).second)
+      refuse(file, at + ".region", shown(region), "a region that no other entry has");
+    config.haptics.force.materials.by_region.emplace_back(number, read_material(config, entry, at, file));
+  }
+}
+
 // What one key alone cannot tell.
 void check_together(const Config& config, const std::string& file) {
   if (!config.mesh.path.empty() && !config.mesh.phantom.empty()) {
@@ -502,6 +588,11 @@ void check_together(const Config& config, const std::string& file) {
   }
   if (config.cut.blade.heel == config.cut.blade.tip) {
     refuse(file, "blade.tip", shown(point_json(config.cut.blade.tip)), "a point that is not the heel");
+  }
+  const haptics::SafetyLimits& limits = config.haptics.force.limits;
+  if (limits.slew_n_s < limits.most_n / limits.decay_s) {
+    refuse(file, "haptics.slew_n_s", text_of(limits.slew_n_s),
+           "a number from " + text_of(limits.most_n / limits.decay_s) + ", 100 times haptics.max_force_n");
   }
   if (config.listen.certificate_file.empty() != config.listen.private_key_file.empty()) {
     const bool key = config.listen.private_key_file.empty();
@@ -524,7 +615,7 @@ std::filesystem::path Config::resolve(const std::string& path) const {
 Config parse_config(std::string_view text, const std::string& name) {
   const Json root = parse_json(text, name);
   if (!root.is_object()) throw ConfigError(name + ": found " + shown(root) + "; accepted is a JSON object");
-  std::set<std::string> sections{"sources"};
+  std::set<std::string> sections{"sources", "materials"};
   for (const Key& key : keys()) sections.insert(key.section());
 
   Config config;
@@ -532,7 +623,7 @@ Config parse_config(std::string_view text, const std::string& name) {
     if (!sections.contains(section)) {
       throw ConfigError(name + ": unknown key \"" + section + "\"; accepted are " + joined(sections));
     }
-    if (section == "sources") continue;
+    if (section == "sources" || section == "materials") continue;
     if (!values.is_object()) refuse(name, section, shown(values), "an object {...}");
     for (const auto& [leaf, value] : values.items()) {
       const Key* found = nullptr;
@@ -550,6 +641,7 @@ Config parse_config(std::string_view text, const std::string& name) {
     }
   }
   if (root.contains("sources")) read_sources(config, root["sources"], name);
+  if (root.contains("materials")) read_materials(config, root["materials"], name);
   check_together(config, name);
   return config;
 }
@@ -642,6 +734,16 @@ Json sources_json(const Config& config) {
   return list;
 }
 
+Json materials_json(const Config& config) {
+  Json list = Json::array();
+  for (const auto& [region, material] : config.haptics.force.materials.by_region) {
+    Json entry{{"region", region}};
+    for (const MaterialKey& key : kMaterialKeys) entry[key.name] = material.*key.field;
+    list.push_back(entry);
+  }
+  return list;
+}
+
 void append_comment(std::string& out, const std::string& text, const std::string& indent) {
   constexpr std::size_t kWidth = 100;
   std::istringstream words(text);
@@ -673,7 +775,9 @@ std::string commented(const Config& config) {
   }
   out += "\n  },\n";
   append_comment(out, std::string(kSourcesMeaning) + " Accepted: " + kSourcesAccepted + '.', "  ");
-  out += "  \"sources\": " + sources_json(config).dump() + "\n}\n";
+  out += "  \"sources\": " + sources_json(config).dump() + ",\n";
+  append_comment(out, std::string(kMaterialsMeaning) + " Accepted: " + kMaterialsAccepted + '.', "  ");
+  out += "  \"materials\": " + materials_json(config).dump() + "\n}\n";
   return out;
 }
 
@@ -681,6 +785,7 @@ std::string compact(const Config& config) {
   Json root;
   for (const Key& key : keys()) root[key.section()][key.leaf()] = key.get(config);
   root["sources"] = sources_json(config);
+  root["materials"] = materials_json(config);
   return root.dump();
 }
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "server/core/cut_config.hpp"
+#include "server/haptics/force_config.hpp"
 #include "server/input/hid/hid_input.hpp"
 
 namespace incise::app {
@@ -42,6 +43,12 @@ struct Config {
     std::int64_t cpu = -1;                // to run on; -1: any
     bool lock_memory = true;
   } loop;
+
+  struct Haptics {
+    bool forces = true;
+    double contact_valid_ms = 50;
+    haptics::ForceConfig force;  // with the materials
+  } haptics;
 
   struct Listen {
     std::string address = "127.0.0.1";

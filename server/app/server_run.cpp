@@ -276,6 +276,9 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  haptics::ForceSlots forces;
+  ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
+  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(
@@ -286,11 +289,10 @@ void run_server(const Config& config, bool resume) {
         return id;
       });
 
-  haptics::ForceSlots force_slots;
   std::unique_ptr<input::HidInput> devices;
   if (config.devices.enabled) {
     devices = std::make_unique<input::HidInput>(
-        hub, force_slots, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
+        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
                                                 const int priority =
                                                     static_cast<int>(config.loop.realtime_priority);
                                                 if (priority > 0) loop::request_priority(priority);

@@ -23,6 +23,7 @@ constexpr Stage kStages[] = {
     {"wake_late", "start of a frame after its deadline", &LoopStats::wake_late},
     {"frame_work", "work of a frame", &LoopStats::frame_work},
     {"drain", "taking poses, in a frame", &LoopStats::drain},
+    {"force", "updating the forces, in a frame", &LoopStats::force},
     {"cut", "cutting, in a frame", &LoopStats::cut},
     {"publish", "handing deltas on, in a frame", &LoopStats::publish},
     {"batch_cut", "cutting a batch, over all its frames", &LoopStats::batch_cut},

@@ -43,6 +43,8 @@ class CutSession {
   Progress advance(WorkBudget& budget, Delta& delta);
 
   const TetMesh& mesh() const { return mesh_; }
+  // Where the mesh's boundary is, cut faces included, as of the last operation.
+  const BoundaryGrid& boundary() const { return workspace_.grid; }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
   // Batches that wait, the one at work included, and their segments.

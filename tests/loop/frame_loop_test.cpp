@@ -81,6 +81,37 @@ struct Rig {
   std::uint64_t revision = 0, cut_faces = 0;
 };
 
+// Forces only look: a session cuts the same with and without them.
+TEST(FrameLoop, ForcesChangeNoCut) {
+  for (const Policy policy : {Policy::kConforming, Policy::kCroll}) {
+    const core::MeshData mesh = tests::cube(6);
+    const auto poses = tests::sweep_through(300);
+    Rig rig(policy, mesh);
+    haptics::ForceSlots slots;
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override {
+        most = std::max(most, force.feel.engagement.length_m);
+      }
+      double most = 0;
+    } sink;
+    rig.loop.offer_forces({}, &sink, &slots);
+    {
+      auto source = rig.hub.open_source("blade");
+      for (const TimedPose& pose : timed(poses)) {
+        ASSERT_EQ(source->push(std::span(&pose, 1)), 1u);
+        rig.loop.frame(monotonic_ns());
+      }
+    }
+    rig.loop.finish();
+    rig.read();
+    EXPECT_EQ(rig.hashes, without_loop(policy, mesh, poses));
+    EXPECT_NEAR(sink.most, 0.1, 0.005) << "croll snaps the boundary, too";
+    haptics::ForceCommand command;
+    EXPECT_TRUE(slots[0].read(command));
+    EXPECT_GT(rig.loop.stats().force.count(), 300u);
+  }
+}
+
 class FrameLoopPolicies : public ::testing::TestWithParam<Policy> {};
 INSTANTIATE_TEST_SUITE_P(, FrameLoopPolicies, ::testing::Values(Policy::kConforming, Policy::kCroll),
                          [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });

@@ -135,8 +135,8 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.source_name = "right hand";
   hello.take_over = true;
 
-  Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true};
-  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000};
+  Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
+  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
 
   SurfaceReplica surface;
   surface.load(replica_at(0));
