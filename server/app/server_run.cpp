@@ -286,11 +286,11 @@ void run_server(const Config& config, bool resume) {
         return id;
       });
 
-  haptics::ForceSlots force_slots;
+  haptics::ForceSlots forces;
   std::unique_ptr<input::HidInput> devices;
   if (config.devices.enabled) {
     devices = std::make_unique<input::HidInput>(
-        hub, force_slots, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
+        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
                                                 const int priority =
                                                     static_cast<int>(config.loop.realtime_priority);
                                                 if (priority > 0) loop::request_priority(priority);
