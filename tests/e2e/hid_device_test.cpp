@@ -136,13 +136,28 @@ TEST_F(HidDevice, AStylusAtOneKilohertzCutsTheLiverInTwo) {
   EXPECT_EQ(seen["reports"]["bad_values"], 0);
   EXPECT_EQ(stats()["strokes"], 1);
   EXPECT_EQ(pieces(), 2u);
+  // What the hand felt: never more than the device can make, not nothing, and at the end nothing.
+  double strongest = 0;
+  std::size_t felt = 0;
+  for (const MockDevice::Sent& sent : stylus->outputs()) {
+    incise_stylus_output output;
+    ASSERT_EQ(sent.bytes.size(), sizeof output);
+    std::memcpy(&output, sent.bytes.data(), sizeof output);
+    const core::Vec3 force{1e-6 * output.force[0], 1e-6 * output.force[1], 1e-6 * output.force[2]};
+    strongest = std::max(strongest, core::length(force));
+    felt += core::length(force) > 0;
+  }
+  EXPECT_LE(strongest, 3.3 + 1e-5);
+  EXPECT_GT(strongest, 0.01);
+  EXPECT_GT(felt, 100u);
+  EXPECT_EQ(device()["forces"]["failed"], 0);
   stop();
-  // A session with a device is recorded as any other.
-  Process replay({"incise", "replay", file("run.capture"), "--verify"});
-  EXPECT_EQ(replay.wait(120), 0);
   tests::Bytes released(sizeof(incise_stylus_output), 0);
   released[0] = INCISE_STYLUS_OUTPUT;
   EXPECT_EQ(stylus->outputs().back().bytes, released);
+  // A session with a device is recorded as any other.
+  Process replay({"incise", "replay", file("run.capture"), "--verify"});
+  EXPECT_EQ(replay.wait(120), 0);
 }
 
 TEST_F(HidDevice, PulledOutInAStrokeAndPutBackElsewhere) {
