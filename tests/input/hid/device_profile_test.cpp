@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 
 #include "server/input/hid/hid_system.hpp"
 
@@ -140,6 +141,46 @@ TEST(DeviceProfile, TheShippedOnesAreGood) {
     ids.push_back(p.id);
   EXPECT_EQ(ids, (std::vector<std::string>{"3dconnexion_spacemouse_wireless", "3dconnexion_spacenavigator",
                                            "incise_stylus", "razer_hydra", "sony_dualsense"}));
+}
+
+// What README shows to those who write one must work.
+TEST(DeviceProfile, TheOneInTheReadmeIsGood) {
+  std::ifstream in(std::string(INCISE_SOURCE_DIR) + "/README.md");
+  const std::string readme((std::istreambuf_iterator<char>(in)), {});
+  const auto begin = readme.find("```json\n", readme.find("## Writing a device profile")) + 8;
+  const DeviceProfile pen =
+      parse_profile(readme.substr(begin, readme.find("```", begin) - begin), "my_pen.json");
+  EXPECT_EQ(pen.name, "My Pen");
+  EXPECT_TRUE(pen.clock && pen.counter && pen.force);
+  std::uint32_t end = 0;
+  for (const auto& button : pen.tools[0].buttons) end = std::max(end, button.field.end());
+  EXPECT_EQ(end, 22u);
+}
+
+// README's tables have a row for each key that is accepted: one that is not would have named them all.
+TEST(DeviceProfile, TheReadmeKnowsEveryKey) {
+  std::ifstream in(std::string(INCISE_SOURCE_DIR) + "/README.md");
+  const std::string readme((std::istreambuf_iterator<char>(in)), {});
+  const std::string page = readme.substr(readme.find("## Writing a device profile"));
+  const std::pair<const char*, const char*> wrong[] = {
+      {"\"rate_hz\"", "\"?\""},     {"\"step\"", "\"?\""},
+      {"\"tick_s\"", "\"?\""},      {"\"buttons\"", "\"?\""},
+      {"\"full_m_s\"", "\"?\""},    {"\"mode\": \"quaternion\"", "\"?\": 1"},
+      {"\"from\"", "\"?\""},        {"\"interface\": 0", "\"?\": 0"},
+      {"\"max_newtons\"", "\"?\""},
+  };
+  for (const auto& [from, to] : wrong) {
+    const std::string error = error_of(with(from, to));
+    const auto at = error.find("accepted are ");
+    ASSERT_NE(at, std::string::npos) << from << ": " << error;
+    std::istringstream keys(error.substr(at + 13));
+    for (std::string key; std::getline(keys >> std::ws, key, ',');) {
+      EXPECT_NE(page.find("`" + key + "`") == std::string::npos &&
+                    page.find("\"" + key + "\"") == std::string::npos,
+                true)
+          << "README says nothing of " << key;
+    }
+  }
 }
 
 TEST(DeviceProfile, AFolderThatIsNotThereIsNamed) {
