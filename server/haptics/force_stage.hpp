@@ -33,7 +33,8 @@ class ForceSink {
 
 // The forces of all blades, once a frame: newest pose -> force model -> safety chain -> the source's slot and the sink.
 // The sink gets a force for each new pose while there is tissue at the blade or a force acts, and one more when that
-// ends; the slot gets one in every frame.
+// ends; the slot gets one in every frame,
+// until the source has been silent for a second.
 //
 // Thread: the loop's. frame() is bounded by the blades' lengths, allocates nothing, and does not change the mesh.
 class ForceStage {

@@ -82,7 +82,10 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
   const std::int64_t drained = monotonic_ns();
-  const std::int64_t felt = feel(drained, start - deadline_ns);
+  // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
+  const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
+  last_start_ns_ = start;
+  const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
   cut(start + budget_ns_);
   const std::int64_t cut_done = monotonic_ns();
   publish();

@@ -90,6 +90,7 @@ class FrameLoop {
   Restart restart_;
   ResetDone reset_done_;
   std::atomic<bool> reset_wanted_{false};
+  std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
   input::InputHub& input_;

@@ -112,6 +112,43 @@ TEST(FrameLoop, ForcesChangeNoCut) {
   }
 }
 
+// A frame that hangs ends the force of the next one, whatever deadline that one was given. On a loaded machine frames
+// hang by themselves, before there is a force: then it is tried anew.
+TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
+  core::CutConfig made = config(Policy::kConforming);
+  made.blade = {{0, 0, 0}, {0, 0, -0.05}};
+  const core::MeshData mesh = tests::cube(2);
+  for (int attempt = 0; attempt < 1000; ++attempt) {
+    core::CutSession session(mesh, made);
+    InputHub hub(made.blade);
+    Kept kept;
+    FrameLoop loop(session, hub, kept, nullptr, {});
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override { last = force; }
+      haptics::BladeForce last;
+    } sink;
+    loop.offer_forces({}, &sink, nullptr);
+    auto source = hub.open_source("blade");
+    int frame = 0;
+    const auto press = [&] {
+      TimedPose timed;
+      timed.pose.t_ns = 1 + std::int64_t{++frame} * 1'000'000;
+      timed.pose.position = {0.05 + 1e-6 * frame, 0.05, std::max(0.151 - 5e-5 * frame, 0.148)};
+      timed.arrival_ns = monotonic_ns();
+      source->push(std::span(&timed, 1));
+      loop.frame(monotonic_ns());
+    };
+    while (frame < 100 && sink.last.newtons.z == 0) press();
+    if (sink.last.newtons.z == 0) continue;
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    press();
+    EXPECT_EQ(sink.last.newtons.z, 0) << "30 ms late: faded in one step";
+    EXPECT_NE(sink.last.faults & haptics::kLate, 0u);
+    return;
+  }
+  FAIL() << "there was never a force";
+}
+
 class FrameLoopPolicies : public ::testing::TestWithParam<Policy> {};
 INSTANTIATE_TEST_SUITE_P(, FrameLoopPolicies, ::testing::Values(Policy::kConforming, Policy::kCroll),
                          [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });
