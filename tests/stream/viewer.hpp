@@ -55,6 +55,8 @@ struct Viewer {
       steps += delta->steps.size();
     } else if (const auto* w = std::get_if<protocol::Welcome>(&body)) {
       welcome = *w;
+    } else if (const auto* ping = std::get_if<protocol::Ping>(&body)) {
+      peer.send(protocol::Pong{ping->nonce, ping->sent_ns, 0});  // or it would be taken for gone
     }
     EXPECT_TRUE(result) << result.text;
     return static_cast<bool>(result);
