@@ -168,6 +168,9 @@ MockDevice::~MockDevice() {
   g_object_unref(handler_);
   ::unlink((bus_.root_ + format("/dev/hidraw%d", node)).c_str());
   ::close(pipe_);
+  const std::scoped_lock lock(mutex_);  // after the last handler
+  outputs_.clear();
+  features_.clear();
 }
 
 bool MockDevice::report(std::span<const std::uint8_t> bytes) {

@@ -37,7 +37,8 @@ void DeviceClock::end_window() noexcept {
   const double length = device_ns_ - window_start_ns_;
   if (windows_ > 0 && length < 3 * kWindow_ns) {
     const double between = window_start_ns_ - last_start_ns_;
-    const double measured = std::clamp((window_least_ns_ - last_least_ns_) / between, -kMostSlope, kMostSlope);
+    const double measured =
+        std::clamp((window_least_ns_ - last_least_ns_) / between, -kMostSlope, kMostSlope);
     slope_ += (measured - slope_) / static_cast<double>(std::min<std::uint64_t>(windows_, 8));
   }
   last_least_ns_ = window_least_ns_;

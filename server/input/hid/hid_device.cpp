@@ -11,9 +11,9 @@ namespace {
 
 constexpr int kReadTimeout_ms = 50;  // how long the end of the thread may have to wait
 
-void sleep_ns(std::int64_t ns) {
+void sleep_until(std::int64_t ns) {
   const timespec time{ns / 1'000'000'000, ns % 1'000'000'000};
-  clock_nanosleep(CLOCK_MONOTONIC, 0, &time, nullptr);
+  clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, nullptr);
 }
 
 }  // namespace
@@ -112,7 +112,8 @@ void HidDevice::take(std::span<const std::uint8_t> report, const std::stop_token
   for (const PoseDecoder::Sample& sample : decoder_.take(report, arrival_ns)) push(sample, arrival_ns, stop);
 }
 
-void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop) {
+void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
+                     const std::stop_token& stop) {
   const std::size_t tool = sample.tool;
   const auto pushed = [&] {
     if (sample.valid) {
@@ -124,7 +125,7 @@ void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
   // A full queue: the loop is far behind. The reports wait in the system's queue, and what does not fit there shows in
   // the device's counter.
   while (!pushed() && !stop.stop_requested()) {
-    sleep_ns(1'000'000);
+    sleep_until(monotonic_ns() + 1'000'000);
     ++full_queue_ms_;
   }
   in_sight_[tool] = sample.valid;
@@ -172,9 +173,9 @@ void HidDevice::write_loop(const std::stop_token& stop) {
     if (fresh || now_ns - last_ns >= 2 * period_ns) {
       write(report.make(newest, now_ns));
       last_ns = now_ns;
-      sleep_ns(period_ns * 4 / 5);  // then look often: this falls into step with the loop
+      sleep_until(now_ns + period_ns * 4 / 5);  // then look often: this falls into step with the loop
     } else {
-      sleep_ns(std::min<std::int64_t>(period_ns / 10, 1'000'000));
+      sleep_until(now_ns + std::min<std::int64_t>(period_ns / 10, 1'000'000));
     }
   }
   write(report.zero());

@@ -98,7 +98,8 @@ void complete(udev* context, HidInterface& interface) {
   if (interface.descriptor) {  // hidapi does not always find the usages
     interface.usages.clear();
     for (const std::uint32_t usage : interface.descriptor->applications) {
-      interface.usages.push_back({static_cast<std::uint16_t>(usage >> 16), static_cast<std::uint16_t>(usage)});
+      interface.usages.push_back(
+          {static_cast<std::uint16_t>(usage >> 16), static_cast<std::uint16_t>(usage)});
     }
   } else if (interface.trouble.empty()) {
     interface.trouble = interface.path + ": its report descriptor " + error;

@@ -9,7 +9,8 @@ namespace {
 using core::Quat;
 using core::Vec3;
 
-constexpr double kFarthest = 1e6;  // metres, radians or deflections: beyond that a number is no part of a pose
+constexpr double kFarthest =
+    1e6;  // metres, radians or deflections: beyond that a number is no part of a pose
 
 Quat product(const Quat& a, const Quat& b) {
   return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,

@@ -60,7 +60,8 @@ class HidInputTest : public ::testing::Test {
     if (came) return ::testing::AssertionSuccess();
     auto failure = ::testing::AssertionFailure() << "not opened; there is";
     for (const DeviceStatus& status : input->status()) {
-      failure << "\n  " << status.path << ' ' << status.identity << " profile " << status.profile << ": " << status.why;
+      failure << "\n  " << status.path << ' ' << status.identity << " profile " << status.profile << ": "
+              << status.why;
     }
     return failure;
   }
