@@ -71,17 +71,49 @@ bool eventually(const std::function<bool()>& condition) {
   return condition();
 }
 
+// ------------------------------------------------------------------------------------------------ MockNode
+
+// /dev/hidrawN. umockdev ends a program that opens a node whose handler comes or goes just then: so a node gets its
+// handler before anybody can see it, and keeps it. Without a device every call fails with EIO.
+struct MockNode {
+  static int on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node);
+  static int on_read(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node);
+  static int on_write(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node);
+
+  UMockdevIoctlBase* handler = nullptr;
+  std::mutex mutex;  // guards device
+  MockDevice* device = nullptr;
+};
+
 // ------------------------------------------------------------------------------------------------ MockHid
+
+MockNode& MockHid::node(int hidraw) {
+  std::unique_ptr<MockNode>& made = nodes_[hidraw];
+  if (made) return *made;
+  made = std::make_unique<MockNode>();
+  made->handler = umockdev_ioctl_base_new();
+  g_signal_connect(made->handler, "handle-ioctl", G_CALLBACK(MockNode::on_ioctl), made.get());
+  g_signal_connect(made->handler, "handle-read", G_CALLBACK(MockNode::on_read), made.get());
+  g_signal_connect(made->handler, "handle-write", G_CALLBACK(MockNode::on_write), made.get());
+  GError* error = nullptr;
+  const std::string path = format("/dev/hidraw%d", hidraw);
+  if (!umockdev_testbed_attach_ioctl(testbed_, path.c_str(), made->handler, &error)) {
+    throw std::runtime_error(error->message);
+  }
+  return *made;
+}
 
 MockHid::MockHid() : testbed_(umockdev_testbed_new()) {
   must(umockdev_in_mock_environment(), "umockdev's library is not preloaded");
   gchar* const root = umockdev_testbed_get_root_dir(testbed_);
   root_ = root;
+  ::mkdir((root_ + "/dev").c_str(), 0755);
   g_free(root);
 }
 
 MockHid::~MockHid() {
   g_object_unref(testbed_);
+  for (const auto& [number, node] : nodes_) g_object_unref(node->handler);
 }
 
 std::unique_ptr<MockDevice> MockHid::plug(MockDevice::Kind kind) {
@@ -98,7 +130,8 @@ std::string MockDevice::interface_path() const {
   return usb_path() + format("/1-%d:1.%d", kind_.port, kind_.interface);
 }
 
-MockDevice::MockDevice(MockHid& bus, Kind kind) : bus_(bus), kind_(std::move(kind)) {
+MockDevice::MockDevice(MockHid& bus, Kind kind)
+    : bus_(bus), kind_(std::move(kind)), node_(bus.node(kind_.hidraw)) {
   const int node = kind_.hidraw;
   const std::string hid =
       interface_path() + format("/0003:%04X:%04X.%04X", kind_.vendor, kind_.product, node + 1);
@@ -107,6 +140,17 @@ MockDevice::MockDevice(MockHid& bus, Kind kind) : bus_(bus), kind_(std::move(kin
     if (!umockdev_testbed_add_from_string(bus_.testbed_, text.c_str(), &error))
       throw std::runtime_error(error->message);
   };
+  // All is there before anybody is told of it.
+  const std::string pipe = bus_.root_ + format("/dev/hidraw%d", node);
+  must(::mkfifo(pipe.c_str(), 0600) == 0, "mkfifo");
+  pipe_ = ::open(pipe.c_str(), O_RDWR | O_CLOEXEC);
+  must(pipe_ >= 0, "open");
+  must(::fcntl(pipe_, F_SETFL, O_DIRECT | O_NONBLOCK) == 0, "packet mode");
+  must(::fcntl(pipe_, F_SETPIPE_SZ, 64 * 4096) > 0, "F_SETPIPE_SZ");
+  {
+    const std::scoped_lock lock(node_.mutex);
+    node_.device = this;
+  }
   // Another interface of the same device may have brought it.
   if (::access((bus_.root_ + "/sys" + usb_path()).c_str(), F_OK) != 0) {
     add("P: " + usb_path() + "\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\n" +
@@ -120,31 +164,16 @@ MockDevice::MockDevice(MockHid& bus, Kind kind) : bus_(bus), kind_(std::move(kin
       format("E: HID_ID=0003:%08X:%08X\n", kind_.vendor, kind_.product) + "E: HID_NAME=" + kind_.name +
       "\nE: HID_UNIQ=" + kind_.serial + "\nH: report_descriptor=" + hex(kind_.descriptor) + "\n");
   const std::string hidraw = hid + format("/hidraw/hidraw%d", node);
-  add("P: " + hidraw +
-      format("\nN: hidraw%d=00\nE: SUBSYSTEM=hidraw\nE: DEVNAME=/dev/hidraw%d\n", node, node));
+  add("P: " + hidraw + format("\nE: SUBSYSTEM=hidraw\nE: DEVNAME=/dev/hidraw%d\n", node));
 
-  const std::string pipe = bus_.root_ + format("/dev/hidraw%d", node);
-  ::unlink(pipe.c_str());
-  must(::mkfifo(pipe.c_str(), 0600) == 0, "mkfifo");
-  pipe_ = ::open(pipe.c_str(), O_RDWR | O_CLOEXEC);
-  must(pipe_ >= 0, "open");
-  must(::fcntl(pipe_, F_SETFL, O_DIRECT | O_NONBLOCK) == 0, "packet mode");
-  must(::fcntl(pipe_, F_SETPIPE_SZ, 64 * 4096) > 0, "F_SETPIPE_SZ");
-
-  handler_ = umockdev_ioctl_base_new();
-  g_signal_connect(handler_, "handle-ioctl", G_CALLBACK(on_ioctl), this);
-  g_signal_connect(handler_, "handle-read", G_CALLBACK(on_read), this);
-  g_signal_connect(handler_, "handle-write", G_CALLBACK(on_write), this);
-  GError* error = nullptr;
-  if (!umockdev_testbed_attach_ioctl(bus_.testbed_, format("/dev/hidraw%d", node).c_str(), handler_,
-                                     &error)) {
-    throw std::runtime_error(error->message);
-  }
   umockdev_testbed_uevent(bus_.testbed_, ("/sys" + hidraw).c_str(), "add");
 }
 
 MockDevice::~MockDevice() {
-  unplugged_ = true;
+  {
+    const std::scoped_lock lock(node_.mutex);
+    node_.device = nullptr;
+  }
   const std::uint8_t wake = 0;
   for (int i = 0; i < 2; ++i) (void)!::write(pipe_, &wake, 1);  // readers are woken and told EIO
   const int node = kind_.hidraw;
@@ -160,17 +189,8 @@ MockDevice::~MockDevice() {
   for (int i = 0; i < 8; ++i)
     others = others || ::access((usb + format("/1-%d:1.%d", kind_.port, i)).c_str(), F_OK) == 0;
   if (!others) umockdev_testbed_remove_device(bus_.testbed_, ("/sys" + usb_path()).c_str());
-  // Handles that are still open keep the handler's socket: they get EIO until they close.
-  GError* error = nullptr;
-  umockdev_testbed_detach_ioctl(bus_.testbed_, format("/dev/hidraw%d", node).c_str(), &error);
-  if (error) g_error_free(error);
-  g_signal_handlers_disconnect_by_data(handler_, this);
-  g_object_unref(handler_);
   ::unlink((bus_.root_ + format("/dev/hidraw%d", node)).c_str());
   ::close(pipe_);
-  const std::scoped_lock lock(mutex_);  // after the last handler
-  outputs_.clear();
-  features_.clear();
 }
 
 bool MockDevice::report(std::span<const std::uint8_t> bytes) {
@@ -192,7 +212,9 @@ bool MockDevice::wait_until_open() const {
 }
 
 // Each handler answers with complete() and TRUE, or leaves the call to the system with FALSE.
-int MockDevice::on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self) {
+int MockNode::on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node) {
+  const std::scoped_lock device_lock(node->mutex);
+  MockDevice* const self = node->device;
   const gulong request = umockdev_ioctl_client_get_request(client);
   UMockdevIoctlData* const argument = umockdev_ioctl_client_get_arg(client);
   const std::size_t size = _IOC_SIZE(request);
@@ -205,7 +227,7 @@ int MockDevice::on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDe
   };
   if (_IOC_TYPE(request) != 'H') {
     umockdev_ioctl_client_complete(client, -1, ENOTTY);
-  } else if (self->unplugged_) {
+  } else if (!self) {
     umockdev_ioctl_client_complete(client, -1, EIO);
   } else if (_IOC_NR(request) == 1) {  // HIDIOCGRDESCSIZE
     const int count = static_cast<int>(self->kind_.descriptor.size());
@@ -234,16 +256,21 @@ int MockDevice::on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDe
   return TRUE;
 }
 
-int MockDevice::on_read(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self) {
-  if (!self->unplugged_) return FALSE;
+int MockNode::on_read(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node) {
+  {
+    const std::scoped_lock device_lock(node->mutex);
+    if (node->device) return FALSE;
+  }
   umockdev_ioctl_client_complete(client, -1, EIO);
   return TRUE;
 }
 
-int MockDevice::on_write(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self) {
+int MockNode::on_write(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockNode* node) {
+  const std::scoped_lock device_lock(node->mutex);
+  MockDevice* const self = node->device;
   UMockdevIoctlData* const argument = umockdev_ioctl_client_get_arg(client);
-  if (self->unplugged_ || self->refuse_) {
-    umockdev_ioctl_client_complete(client, -1, self->unplugged_ ? EIO : EPIPE);
+  if (!self || self->refuse_) {
+    umockdev_ioctl_client_complete(client, -1, !self ? EIO : EPIPE);
   } else {
     {
       const std::scoped_lock lock(self->mutex_);

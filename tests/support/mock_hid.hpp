@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <span>
@@ -25,6 +26,7 @@ using Bytes = std::vector<std::uint8_t>;
 Bytes from_hex(std::string_view text);
 
 class MockHid;
+struct MockNode;
 
 // A device that is plugged in; unplugged when destroyed.
 class MockDevice {
@@ -56,18 +58,16 @@ class MockDevice {
 
  private:
   friend class MockHid;
+  friend struct MockNode;
   MockDevice(MockHid& bus, Kind kind);
-  static int on_ioctl(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self);
-  static int on_read(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self);
-  static int on_write(UMockdevIoctlBase*, UMockdevIoctlClient* client, MockDevice* self);
   std::string usb_path() const;
   std::string interface_path() const;
 
   MockHid& bus_;
   const Kind kind_;
-  UMockdevIoctlBase* handler_ = nullptr;
+  MockNode& node_;
   int pipe_ = -1;
-  std::atomic<bool> unplugged_{false}, refuse_{false};
+  std::atomic<bool> refuse_{false};
   std::atomic<int> opened_{0};
   mutable std::mutex mutex_;  // guards outputs_, features_
   std::vector<Sent> outputs_, features_;
@@ -82,8 +82,11 @@ class MockHid {
 
  private:
   friend class MockDevice;
+  MockNode& node(int hidraw);
+
   UMockdevTestbed* testbed_;
   std::string root_;
+  std::map<int, std::unique_ptr<MockNode>> nodes_;
 };
 
 // Waits for a condition that comes true without our doing, 30 s at most. Whether it did.
