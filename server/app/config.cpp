@@ -168,6 +168,97 @@ Key texts(std::string name, Field field, std::string accepted, std::string meani
           }};
 }
 
+constexpr const char* kOverridesAccepted =
+    "a list of at most 32 objects {\"device\": \"vvvv:pppp\" or \"vvvv:pppp:serial\" as incise devices shows "
+    "it, "
+    "\"use\": \"profile\", \"descriptor\" or \"ignore\", \"source\": a text of 1 to 48 characters, "
+    "\"origin\": [x, y, "
+    "z] in metres, \"rotation\": [w, x, y, z], a unit quaternion, \"scale\": a number from 0.001 to 1000}";
+
+bool read_quaternion(const Json& value, core::Quat& q) {
+  if (!value.is_array() || value.size() != 4) return false;
+  double wxyz[4], norm2 = 0;
+  for (std::size_t i = 0; i < 4; ++i) {
+    if (!value[i].is_number()) return false;
+    wxyz[i] = value[i].get<double>();
+    norm2 += wxyz[i] * wxyz[i];
+  }
+  if (!(std::abs(norm2 - 1) < 1e-3)) return false;
+  const double n = std::abs(norm2 - 1) < 1e-14 ? 1 : std::sqrt(norm2);  // a unit one stays as it was printed
+  q = {wxyz[0] / n, wxyz[1] / n, wxyz[2] / n, wxyz[3] / n};
+  return true;
+}
+
+constexpr const char* kUses[] = {"profile", "descriptor", "ignore"};
+
+bool read_override(const Json& value, input::DeviceOverride& over) {
+  if (!value.is_object() || !value.contains("device")) return false;
+  for (const auto& [key, given] : value.items()) {
+    if (key == "device") {
+      if (!given.is_string()) return false;
+      over.device = given.get<std::string>();
+      const auto hex = [&](std::size_t i) {
+        return std::string_view("0123456789abcdef").find(over.device[i]) < 16;
+      };
+      bool good = over.device.size() >= 9 && over.device.size() <= 138 && over.device[4] == ':' &&
+                  (over.device.size() == 9 || (over.device.size() > 10 && over.device[9] == ':'));
+      for (std::size_t i = 0; good && i < 9; ++i) good = i == 4 || hex(i);
+      if (!good) return false;
+    } else if (key == "use") {
+      const auto* const use = std::find(std::begin(kUses), std::end(kUses), given);
+      if (use == std::end(kUses)) return false;
+      over.use = static_cast<input::DeviceOverride::Use>(use - kUses);
+    } else if (key == "source") {
+      if (!given.is_string()) return false;
+      over.source = given.get<std::string>();
+      if (over.source.empty() || over.source.size() > 48) return false;
+    } else if (key == "origin") {
+      if (!read_point(given, over.placement.origin)) return false;
+    } else if (key == "rotation") {
+      if (!read_quaternion(given, over.placement.rotation)) return false;
+    } else if (key == "scale") {
+      over.placement.scale = given.is_number() ? given.get<double>() : 0;
+      if (!(over.placement.scale >= 1e-3 && over.placement.scale <= 1e3)) return false;
+    } else {
+      return false;
+    }
+  }
+  return true;
+}
+
+Json override_json(const input::DeviceOverride& over) {
+  const core::Quat& q = over.placement.rotation;
+  Json json{{"device", over.device}, {"use", kUses[static_cast<std::size_t>(over.use)]}};
+  if (!over.source.empty()) json["source"] = over.source;
+  json["origin"] = point_json(over.placement.origin);
+  json["rotation"] = Json::array({q.w, q.x, q.y, q.z});
+  json["scale"] = over.placement.scale;
+  return json;
+}
+
+Key overrides() {
+  return {"devices.overrides", kOverridesAccepted,
+          "What is to be different for some devices: where their workspace lies in the world (a point p of "
+          "it is at "
+          "origin + rotation (scale p); a tool that is steered by deflection starts at the origin), the name "
+          "of their "
+          "source, whether they are read by a profile, by their report descriptor alone, or not at all.",
+          [](const Config& c) {
+            Json list = Json::array();
+            for (const auto& over : c.devices.overrides) list.push_back(override_json(over));
+            return list;
+          },
+          [](Config& c, const Json& value) {
+            if (!value.is_array() || value.size() > 32) return false;
+            std::vector<input::DeviceOverride> made(value.size());
+            for (std::size_t i = 0; i < value.size(); ++i) {
+              if (!read_override(value[i], made[i])) return false;
+            }
+            c.devices.overrides = std::move(made);
+            return true;
+          }};
+}
+
 #define INCISE_FIELD(member) \
   [](Config & c) -> auto& {  \
     return c.member;         \
@@ -324,6 +415,15 @@ const std::vector<Key>& keys() {
              "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
              "seconds "
              "of work; they cost a second copy of the mesh and of that work, at low priority. 0: none."),
+
+      boolean("devices.enabled", INCISE_FIELD(devices.enabled),
+              "Read HID devices of this machine that a profile fits (incise devices lists them) as sources "
+              "of poses."),
+      text("devices.profiles", INCISE_FIELD(devices.profiles),
+           "the path of a folder, relative to this file; or \"\"",
+           "Device profiles of your own, *.json; they go before the shipped ones. README, \"Writing a device "
+           "profile\"."),
+      overrides(),
 
       word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
            "What is worth a line."),
@@ -588,6 +688,7 @@ void check_config(const Config& config, const std::string& file) {
   readable("listen.token_file", config.listen.token_file);
   readable("listen.certificate_file", config.listen.certificate_file);
   readable("listen.private_key_file", config.listen.private_key_file);
+  device_profiles(config);
   const bool loopback = config.listen.address.starts_with("127.") || config.listen.address == "::1" ||
                         config.listen.address == "localhost";
   if (!loopback && !config.listen.insecure &&
@@ -597,6 +698,30 @@ void check_config(const Config& config, const std::string& file) {
            "listen.insecure is "
            "true");
   }
+}
+
+std::vector<input::DeviceProfile> device_profiles(const Config& config) {
+  std::vector<input::DeviceProfile> profiles;
+  if (!config.devices.enabled) return profiles;
+  try {
+    if (!config.devices.profiles.empty())
+      profiles = input::load_profiles(config.resolve(config.devices.profiles));
+    // A profile of one's own replaces the shipped one of the same name.
+    for (input::DeviceProfile& shipped : input::load_profiles(shipped_profiles())) {
+      const auto same = [&](const input::DeviceProfile& own) { return own.id == shipped.id; };
+      if (std::none_of(profiles.begin(), profiles.end(), same)) profiles.push_back(std::move(shipped));
+    }
+  } catch (const input::ProfileError& error) {
+    throw ConfigError(std::string("devices.profiles: ") + error.what());
+  }
+  return profiles;
+}
+
+std::filesystem::path shipped_profiles() {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path installed = program.parent_path().parent_path() / "share/incise/devices";
+  return std::filesystem::is_directory(installed, error) ? installed : INCISE_DEVICE_PROFILES;
 }
 
 // ------------------------------------------------------------------------------------------------ writing

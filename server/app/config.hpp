@@ -10,6 +10,7 @@
 
 #include "server/core/cut_config.hpp"
 #include "server/haptics/force_config.hpp"
+#include "server/input/hid/hid_input.hpp"
 
 namespace incise::app {
 
@@ -81,6 +82,12 @@ struct Config {
     double checkpoint_replay_s = 1;
   } capture;
 
+  struct Devices {
+    bool enabled = true;
+    std::string profiles;  // a folder; "": the shipped ones alone
+    std::vector<input::DeviceOverride> overrides;
+  } devices;
+
   struct Log {
     std::string level = "info";
     std::string format = "text";
@@ -106,6 +113,11 @@ Config parse_config(std::string_view text, const std::string& name);
 // What a server needs beyond what parsing asks: a mesh that exists, files that can be read. Throws ConfigError with
 // `file` in front.
 void check_config(const Config& config, const std::string& file);
+
+// The profiles of devices.profiles, then the shipped ones; none where devices are not enabled. Throws ConfigError.
+std::vector<input::DeviceProfile> device_profiles(const Config& config);
+// The folder of those that come with the programs.
+std::filesystem::path shipped_profiles();
 
 // The configuration as a file of all keys, each with a comment that says what it means and accepts.
 std::string commented(const Config& config);

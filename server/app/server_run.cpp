@@ -185,6 +185,17 @@ void run_server(const Config& config, bool resume) {
         return id;
       });
 
+  std::unique_ptr<input::HidInput> devices;
+  if (config.devices.enabled) {
+    devices = std::make_unique<input::HidInput>(
+        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
+                                                const int priority =
+                                                    static_cast<int>(config.loop.realtime_priority);
+                                                if (priority > 0) loop::request_priority(priority);
+                                              }});
+    telemetry->join([&] { return devices->status(); });
+  }
+
   if (config.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server.start();
   std::jthread loop_thread([&](const std::stop_token& stop) {
@@ -210,6 +221,7 @@ void run_server(const Config& config, bool resume) {
   while (!(signal = signals.wait())) watch.look();
 
   spdlog::info("{}: ending", signal);
+  if (devices) devices->stop();  // forces go to zero first
   loop_thread.request_stop();
   loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
   server.stop();

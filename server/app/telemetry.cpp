@@ -43,6 +43,24 @@ std::string hex(std::uint64_t hash) {
   return text;
 }
 
+Json device_json(const input::DeviceStatus& device) {
+  const input::DeviceFigures& figures = device.figures;
+  const input::ReportCounts& reports = figures.reports;
+  Json json{
+      {"device", device.identity}, {"path", device.path}, {"name", device.name}, {"profile", device.profile}};
+  json["sources"] = device.sources;
+  if (!device.why.empty()) json["not_read"] = device.why;
+  json["connections"] = device.connections;
+  json["reports"] = {{"count", reports.reports},     {"lost", reports.lost},
+                     {"short", reports.short_ones},  {"other", reports.other},
+                     {"repeated", reports.repeated}, {"bad_values", reports.bad_values},
+                     {"restarts", reports.restarts}};
+  json["clock_drift_ppm"] = figures.drift_ppm;
+  json["full_queue_ms"] = figures.full_queue_ms;
+  json["forces"] = {{"written", figures.forces_written}, {"failed", figures.forces_failed}};
+  return json;
+}
+
 std::string number(double value) {
   return Json(value).dump();
 }
@@ -99,6 +117,12 @@ std::string Telemetry::json() const {
                              {"following", checkpoints->following()}};
     }
   }
+  if (devices_) {
+    root["devices"] = Json::array();
+    for (const input::DeviceStatus& device : devices_()) {
+      if (!device.profile.empty()) root["devices"].push_back(device_json(device));
+    }
+  }
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;
@@ -148,6 +172,20 @@ std::string Telemetry::metrics() const {
           static_cast<double>(checkpoints->last_revision()));
       one("checkpoints_following", "gauge", "0 where there can be no checkpoints until the next reset.",
           checkpoints->following() ? 1 : 0);
+    }
+  }
+  if (devices_) {
+    family("device_reports_total", "counter", "Reports of HID devices by what became of them.");
+    for (const input::DeviceStatus& device : devices_()) {
+      if (device.sources.empty()) continue;
+      const input::ReportCounts& r = device.figures.reports;
+      const std::pair<const char*, std::uint64_t> counts[]{
+          {"arrived", r.reports}, {"lost", r.lost},         {"short", r.short_ones},
+          {"other", r.other},     {"repeated", r.repeated}, {"bad_values", r.bad_values}};
+      for (const auto& [what, count] : counts) {
+        out += "incise_device_reports_total{source=\"" + device.sources.front() + "\",what=\"" + what +
+               "\"} " + std::to_string(count) + '\n';
+      }
     }
   }
   family("poses_total", "counter", "Poses by what became of them.");
