@@ -246,7 +246,7 @@ const std::vector<Key>& keys() {
               "Port of WebSocket, the viewer page, /stats and /metrics; 0: any free one, -1: off."),
       text("listen.viewer_directory", INCISE_FIELD(listen.viewer_directory),
            "a path, relative to this file; or \"\"",
-           "Static files that the HTTP port serves: the built viewer."),
+           "Static files that the HTTP port serves; \"\": the viewer that was built with the program."),
       texts("listen.allowed_origins", INCISE_FIELD(listen.allowed_origins), "a list of texts",
             "Origins of web pages that may connect beside the server's own; \"*\": any."),
       text("listen.token_file", INCISE_FIELD(listen.token_file), "a path, relative to this file; or \"\"",
