@@ -290,6 +290,8 @@ const std::vector<Key>& keys() {
            "or at once."),
       number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
              "What a power failure may cost under \"group\"."),
+      text("capture.library", INCISE_FIELD(capture.library), "a path, relative to this file; or \"\"",
+           "A directory of captures (*.capture) that whoever may watch can replay in the viewer; \"\": none."),
 
       word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
            "What is worth a line."),

@@ -11,6 +11,7 @@
 
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
+#include "server/app/capture_library.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/telemetry.hpp"
 #include "server/app/version.hpp"
@@ -267,8 +268,9 @@ void run_server(const Config& config, bool resume) {
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
   std::optional<Telemetry> telemetry;
+  CaptureLibrary library(config.resolve(config.capture.library), body);
   stream::Providers providers{[&] { return telemetry->json(); }, [&] { return telemetry->metrics(); },
-                              [&] { return telemetry->message(); }};
+                              [&] { return telemetry->message(); }, &library};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);
@@ -314,6 +316,7 @@ void run_server(const Config& config, bool resume) {
   loop_thread.request_stop();
   loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
   server.stop();
+  library.stop();
   const loop::LoopState state = frames.stats().state.load();
   const std::uint64_t lost = journal ? journal->lost() : 0;
   journal.reset();

@@ -95,7 +95,7 @@ std::string Telemetry::json() const {
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;
-    Json figures{{"count", histogram.count()}};
+    Json figures{{"count", histogram.count()}, {"sum", us(histogram.sum_ns())}};
     for (std::size_t q = 0; q < std::size(kQuantiles); ++q) {
       figures[kQuantileNames[q]] = us(histogram.quantile_ns(kQuantiles[q]));
     }

@@ -8,6 +8,7 @@
 #include "protocol/messages.hpp"
 #include "server/stream/input_sink.hpp"
 #include "server/stream/published_delta.hpp"
+#include "server/stream/replay_library.hpp"
 #include "server/stream/stream_config.hpp"
 
 namespace incise::stream {
@@ -29,6 +30,7 @@ struct Providers {
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
   std::function<protocol::Stats()>
       statistics;  // once a second to every session; sessions and revision are filled in
+  ReplayLibrary* library = nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
 };
 
 // What the stream has done since it started.

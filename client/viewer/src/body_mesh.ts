@@ -105,6 +105,16 @@ export class BodyMesh {
     this.pieceTexture.needsUpdate = true;
   }
 
+  /** 9 numbers for each triangle that is drawn. */
+  drawnTriangles(): Float32Array {
+    const p = this.positions();
+    const out: number[] = [];
+    for (let i = 0; i < 9 * this.slots; i += 9) {
+      if (p.subarray(i, i + 9).some((x) => x !== 0)) out.push(...p.subarray(i, i + 9));
+    }
+    return Float32Array.from(out);
+  }
+
   setColouring(colouring: Colouring): void {
     this.uniforms.uColouring.value = { tissue: 0, pieces: 1, quality: 2 }[colouring];
   }

@@ -180,7 +180,19 @@ export class Stage {
     this.covered_px = pixels;
     this.resize();
   }
+  get covered(): number {
+    return this.covered_px;
+  }
   private covered_px = 0;
+
+  /** Red, green, blue, opacity (0 to 255) at a place in shares of the picture. Draws anew: a drawn picture is gone. */
+  colourAt(x: number, y: number): number[] {
+    this.renderer.render(this.scene, this.camera);
+    const gl = this.renderer.getContext();
+    const pixel = new Uint8Array(4);
+    gl.readPixels(Math.floor(x * gl.drawingBufferWidth), Math.floor((1 - y) * gl.drawingBufferHeight), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    return Array.from(pixel);
+  }
 
   private applySection(): void {
     const plane = this.body.uniforms.uSection.value as THREE.Vector4;

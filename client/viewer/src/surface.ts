@@ -34,6 +34,7 @@ export class Surface {
   private free: number[] = [];
   private slotOf = new IdMap();
   private hash = new StateHash();
+  private trianglesOf = new Map<number, number>(); // of each piece
   private words = new Uint32Array(5);
   private floatBits = new Uint32Array(0); // positions, as bits
 
@@ -43,6 +44,10 @@ export class Surface {
 
   get triangleCount(): number {
     return this.slotOf.size;
+  }
+  /** Every piece has a boundary, so its triangles are all here. */
+  get pieceCount(): number {
+    return this.trianglesOf.size;
   }
   get surfaceHash(): bigint {
     return this.hash.value;
@@ -55,6 +60,7 @@ export class Surface {
     this.vertexCount = this.slots = 0;
     this.free.length = 0;
     this.slotOf.clear();
+    this.trianglesOf.clear();
     this.hash.clear();
     this.clearTouched();
   }
@@ -151,6 +157,7 @@ export class Surface {
 
   private hang(slot: number): void {
     this.toggleTriangle(slot);
+    this.trianglesOf.set(this.pieces[slot], (this.trianglesOf.get(this.pieces[slot]) ?? 0) + 1);
     for (let c = 3 * slot; c < 3 * slot + 3; ++c) {
       const v = this.corners[c];
       this.next[c] = this.head[v];
@@ -162,6 +169,9 @@ export class Surface {
 
   private unhang(slot: number): void {
     this.toggleTriangle(slot);
+    const left = this.trianglesOf.get(this.pieces[slot])! - 1;
+    if (left > 0) this.trianglesOf.set(this.pieces[slot], left);
+    else this.trianglesOf.delete(this.pieces[slot]);
     for (let c = 3 * slot; c < 3 * slot + 3; ++c) {
       const v = this.corners[c];
       if (this.head[v] === c) {

@@ -114,23 +114,8 @@ function scheduleOpening(pause_ms: number): void {
       lips[3 * c + 2] = opening.lips[v + 2];
     }
     const pieces = opening.pieces.slice(0, 4 * builder.rowCount);
-    countPieces();
     post({ kind: "opening", lips, pieces }, [lips.buffer, pieces.buffer]);
   }, pause_ms);
-}
-
-function countPieces(): void {
-  const seen = new Uint8Array(builder.rowCount);
-  let count = 0;
-  for (let s = 0; s < surface.slots; ++s) {
-    if (surface.ids[s] === kNone) continue;
-    const row = builder.rowOf(surface.pieces[s]);
-    if (row < seen.length && !seen[row]) {
-      seen[row] = 1;
-      ++count;
-    }
-  }
-  progress.pieces = count;
 }
 
 // ---- In: the state ----
@@ -167,7 +152,6 @@ function onSnapshotEnd(end: SnapshotEnd): void {
   check(good, end.surfaceHash(), end.stateHash());
   progress.posed_ms = 0;
   countRows();
-  countPieces();
   postAll();
 }
 
@@ -200,6 +184,7 @@ function check(good: boolean, surfaceHash: bigint, stateHash: bigint): void {
   const agrees = good && surfaceHash === surface.surfaceHash;
   progress.revision = Number(revision);
   progress.triangles = surface.triangleCount;
+  progress.pieces = surface.pieceCount;
   progress.hash = hex(stateHash);
   progress.hashAgrees = agrees;
   progress.arrived_ms = performance.timeOrigin + performance.now();
