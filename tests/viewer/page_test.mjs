@@ -27,8 +27,11 @@ const shot = (page, name) => page.screenshot({ path: join(screenshots, `${name}.
 
 /** Drags across the picture, in shares of its free part. */
 async function drag(page, from, to, steps = 30) {
-  const box = await page.evaluate(() => ({ width: innerWidth - window.incise.stage.covered, height: innerHeight }));
-  const at = (p) => [p[0] * box.width, p[1] * box.height];
+  const free = await page.evaluate(() => {
+    const { left, right, top, bottom } = window.incise.stage.cover;
+    return { x: left, y: top, width: innerWidth - left - right, height: innerHeight - top - bottom };
+  });
+  const at = (p) => [free.x + p[0] * free.width, free.y + p[1] * free.height];
   await page.mouse.move(...at(from));
   await page.mouse.down();
   for (let i = 1; i <= steps; ++i) {
@@ -111,13 +114,13 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   const { page, faults } = await look(t, server.url);
   await bladeIsReady(page);
   await page.locator("#depth").fill("0.15");
-  await drag(page, [0.62, 0.12], [0.66, 0.85]);
+  await drag(page, [0.66, 0.05], [0.68, 0.92]);
   await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
   await page.waitForTimeout(500);
   assert.equal((await progress(page)).pieces, 1);
   await shot(page, "shallow_cut");
   await page.locator("#depth").fill("1");
-  await drag(page, [0.42, 0.08], [0.46, 0.9]);
+  await drag(page, [0.42, 0.02], [0.46, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2);
   await page.waitForTimeout(500);
   assert.equal((await progress(page)).pieces, 2);
@@ -183,7 +186,7 @@ test("reset gives everybody a fresh body", async (t) => {
   assert.equal((await progress(page)).hashAgrees, true);
   // The blade is still in hand.
   await bladeIsReady(page);
-  await drag(page, [0.42, 0.08], [0.46, 0.9]);
+  await drag(page, [0.42, 0.02], [0.46, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2);
   assert.deepEqual(faults, []);
 });

@@ -82,15 +82,15 @@ export const bodyFragmentShader = /* glsl */ `
     float fine = noise(place * uGrain * 4.3 + 7.0);
     bool cut = vFacts.x > 0.5 || inside;
 
-    vec3 skin = mix(vec3(0.120, 0.020, 0.017), vec3(0.215, 0.042, 0.032), 0.6 * coarse + 0.4 * fine);
+    vec3 skin = mix(vec3(0.098, 0.0155, 0.012), vec3(0.178, 0.033, 0.023), 0.6 * coarse + 0.4 * fine);
     vec3 flesh = mix(vec3(0.36, 0.075, 0.055), vec3(0.50, 0.150, 0.110), 0.45 * coarse + 0.55 * fine);
     flesh = mix(flesh, vec3(0.20, 0.025, 0.022), smoothstep(0.64, 0.80, fine) * 0.6);
     vec3 base = cut ? flesh : skin;
     if (uColouring == 1) base = pieceColour(vFacts.z) * (0.8 + 0.2 * coarse) * (cut ? 1.5 : 1.0);
-    if (uColouring == 2) base = qualityColour(vFacts.y);
+    if (uColouring == 2) base = inside ? vec3(0.12) : 0.42 * qualityColour(vFacts.y);
 
-    vec3 n = normalize(inside ? uSection.xyz : vNormal);
-    if (!inside && uColouring != 2) n = normalize(n + (cut ? 0.14 : 0.11) * (vec3(fine, coarse, noise(place.zxy * uGrain * 3.1)) - 0.5));
+    vec3 n = normalize(!inside ? vNormal : dot(uSection.xyz, uSection.xyz) > 0.5 ? uSection.xyz : -vNormal);
+    if (!inside && uColouring != 2) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, noise(place.zxy * uGrain * 3.1)) - 0.5));
     float wrap = clamp((dot(n, uLight) + 0.35) / 1.35, 0.0, 1.0);
     float fill = clamp(dot(n, uFill) * 0.5 + 0.5, 0.0, 1.0);
     float sky = 0.5 + 0.5 * n.z;

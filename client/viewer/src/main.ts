@@ -48,9 +48,7 @@ class Page {
   private hints = 0;
   private posed_ms = 0; // of the state in the picture that is on its way to the screen
   private latencies: number[] = [];
-  private lastFigures = { deltas: 0, bytes: 0, work_us: 0, frames: 0, area: -1 };
-  private cutArea_m2 = 0;
-  private statsArea = 0;
+  private lastFigures = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
   private readonly charts = {
     latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20),
     budget: new Chart(element<HTMLCanvasElement>("budget-chart"), 100, 1),
@@ -71,6 +69,7 @@ class Page {
     this.setTheme(localStorage.getItem("incise-theme") ?? "auto");
     this.togglePanel(innerWidth > 1000);
     setInterval(() => this.showRates(), kFiguresEvery_ms);
+    addEventListener("resize", () => this.measureCover());
     addEventListener("online", () => this.send({ kind: "wake" }));
     document.addEventListener("visibilitychange", () => {
       if (document.visibilityState === "visible") this.send({ kind: "wake" });
@@ -114,6 +113,7 @@ class Page {
         break;
       case "opening":
         this.stage.body.setOpening(message.lips, message.pieces);
+        element("cut-area").textContent = number(message.cutArea_m2 * 1e4, 1);
         this.stage.draw();
         break;
       case "link":
@@ -139,15 +139,10 @@ class Page {
   }
 
   private onFacts(facts: Facts): void {
-    const fresh = facts.session !== this.facts?.session;
     this.facts = facts;
     element("body-name").textContent = `${facts.meshName}, ${number(facts.tets)} tetrahedra`;
     element("server").textContent = facts.server;
     document.title = `${facts.meshName} · Incise`;
-    if (fresh) {
-      this.cutArea_m2 = 0;
-      this.statsArea = 0;
-    }
     const place = [facts.min, facts.max].join();
     if (place !== this.fitted) {
       this.fitted = place;
@@ -232,11 +227,6 @@ class Page {
     } catch {
       return;
     }
-    if (this.facts && typeof stats.cut_area_m2 === "number") {
-      this.statsArea = stats.cut_area_m2;
-      this.lastFigures.area = this.progress?.cutArea_m2 ?? 0;
-      this.showArea();
-    }
     const work = stats.stages_us?.frame_work;
     const rate = stats.frames?.rate_hz ?? 1000;
     if (work?.sum !== undefined) {
@@ -253,7 +243,6 @@ class Page {
     this.charts.backlog.push(segments);
     element("backlog").textContent = segments > 0 ? `${number(segments)} segments, ${number(stats.backlog.work_ms)} ms` : "none";
     element("connection").title = `Round trip ${roundTrip_ms.toFixed(1)} ms`;
-    if (this.progress) element("tets").textContent = number(stats.live_tets);
   }
 
   // ---- Figures ----
@@ -266,13 +255,7 @@ class Page {
     element("hash-row").dataset.agrees = String(progress.hashAgrees);
     element("hash-text").textContent = progress.hashAgrees ? "State checked: hash agrees" : "Hash differs; asking for the state anew";
     element("hash").textContent = progress.hash;
-    this.showArea();
     this.showConnection();
-  }
-
-  private showArea(): void {
-    const since = this.lastFigures.area >= 0 ? (this.progress?.cutArea_m2 ?? 0) - this.lastFigures.area : 0;
-    element("cut-area").textContent = number((this.statsArea + Math.max(0, since)) * 1e4, 1);
   }
 
   private showRates(): void {
@@ -438,8 +421,21 @@ class Page {
   private togglePanel(open = document.body.dataset.panel === "closed"): void {
     document.body.dataset.panel = open ? "open" : "closed";
     element("panel-toggle").setAttribute("aria-expanded", String(open));
-    this.stage.setCovered(open && innerWidth > 760 ? 284 : 0);
+    this.measureCover();
     for (const chart of Object.values(this.charts)) chart.draw();
+  }
+
+  /** What the panels leave free of the picture is where the body is shown. */
+  private measureCover(): void {
+    const panel = document.body.dataset.panel !== "closed" && innerWidth > 760;
+    this.stage.setCover({
+      left: 0,
+      right: panel ? innerWidth - element("panel").offsetLeft : 0,
+      top: 0.6 * element("title").offsetHeight,
+      bottom: innerHeight - element("tools").offsetTop,
+    });
+    document.body.style.setProperty("--tools-top", `${innerHeight - element("tools").offsetTop}px`);
+    document.body.style.setProperty("--free-middle", `${(panel ? element("panel").offsetLeft : innerWidth) / 2}px`);
   }
 
   private setTheme(theme: string): void {

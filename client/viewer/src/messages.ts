@@ -45,7 +45,6 @@ export interface Progress {
   hashAgrees: boolean;
   deltas: number; // since the page was loaded
   bytes: number;
-  cutArea_m2: number; // of the deltas that this page saw
   /** When the last pose behind this change was made, ms of absolute time; 0: unknown. */
   posed_ms: number;
   arrived_ms: number;
@@ -81,7 +80,7 @@ export type FromWorker =
   | { kind: "geometry"; slots: number; capacity: number; corners: Corners; progress: Progress }
   | { kind: "patch"; slots: Uint32Array; highest: number; corners: Corners; rows: number; steps: BladeStep[]; progress: Progress }
   /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
-  | { kind: "opening"; lips: Float32Array; pieces: Float32Array }
+  | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
   | { kind: "stats"; json: string; roundTrip_ms: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   | { kind: "notice"; text: string }

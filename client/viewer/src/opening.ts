@@ -4,8 +4,9 @@ import { kNone, type Surface, withRoom } from "./surface";
 // that has come free. Only what is drawn moves; positions and hashes stay.
 
 const kCut = 1;
-const kRounds = 60;
-const kSpread = 0.06; // the share that a vertex away from the cut loses: the reach is about 1 / sqrt(kSpread) edges
+const kRounds = 70;
+const kSpread = 0.03; // the share that a vertex away from the cut loses: the reach is about 1 / sqrt(kSpread) edges
+const kLift = 0.085; // of the body's size: how far a lip is pulled
 const kPull = 0.12; // of a cut face's vertex away from the gap
 
 /** Union-find over slots: patches of cut faces that hang together. */
@@ -29,6 +30,8 @@ export interface Opening {
   lips: Float32Array;
   /** 4 a row of a piece: x, y, z in metres, and 0. */
   pieces: Float32Array;
+  /** One side, m^2. */
+  cutArea_m2: number;
 }
 
 /**
@@ -48,6 +51,7 @@ export function computeOpening(surface: Surface, rowOf: (piece: number) => numbe
   const areas = new Float32Array(slots);
   const patches = new Patches(slots);
   let cutFaces = 0;
+  out.cutArea_m2 = 0;
   for (let s = 0; s < slots; ++s) {
     if (ids[s] === kNone) continue;
     const a = 3 * corners[3 * s], b = 3 * corners[3 * s + 1], c = 3 * corners[3 * s + 2];
@@ -59,6 +63,7 @@ export function computeOpening(surface: Surface, rowOf: (piece: number) => numbe
     areas[s] = Math.hypot(normals[3 * s], normals[3 * s + 1], normals[3 * s + 2]);
     if (!(flags[s] & kCut)) continue;
     ++cutFaces;
+    out.cutArea_m2 += areas[s] / 2;
     for (let k = 0; k < 3; ++k) {
       for (let other = head[corners[3 * s + k]]; other !== kNone; other = next[other]) {
         const t = (other / 3) | 0;
@@ -100,12 +105,12 @@ export function computeOpening(surface: Surface, rowOf: (piece: number) => numbe
       pull[v] = 1e3;
     } else {
       pull[v] = kPull;
-      const lift = (-0.16 * size) / length;
+      const lift = (-kLift * size) / length;
       target.set([lift * x, lift * y, lift * z], 3 * v);
     }
   }
   // The skin within reach of the lips.
-  for (let from = 0, ring = 0; ring < 9; ++ring) {
+  for (let from = 0, ring = 0; ring < 14; ++ring) {
     const end = near.length;
     for (; from < end; ++from) {
       for (let c = head[near[from]]; c !== kNone; c = next[c]) {

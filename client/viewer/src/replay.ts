@@ -37,7 +37,7 @@ export class Replay {
         const item = document.createElement("li");
         const button = document.createElement("button");
         button.className = "text";
-        button.textContent = name;
+        button.textContent = name.replace(/\.capture$/, "");
         button.onclick = () => this.send({ kind: "replay", action: "open", capture: name });
         item.append(button);
         return item;

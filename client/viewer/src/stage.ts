@@ -5,7 +5,7 @@ import { BodyMesh } from "./body_mesh";
 import type { Vec3 } from "./messages";
 
 const kSlowFrame_ms = 34;
-const kLeastScale = 0.5;
+const kLeastScale = 0.6;
 const kSettle_ms = 220; // after the last motion the picture is drawn once more in full sharpness
 
 export type Tool = "cut" | "turn";
@@ -112,10 +112,12 @@ export class Stage {
 
   /** The whole body in view, from a little above and the side that faces the reader. */
   fit(at_once = false, direction = new THREE.Vector3(-0.18, -0.62, 0.76)): void {
-    const half = Math.tan((this.camera.fov * Math.PI) / 360);
-    const free = (this.canvas.clientWidth - this.covered_px) / (this.canvas.clientHeight || 1);
-    const narrow = Math.min(1, 0.92 * free);
-    const to = direction.normalize().multiplyScalar((0.5 * this.bodySize_m) / (half * narrow) * 0.98).add(this.centre);
+    const { left, right, top, bottom } = this.cover;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    // The angle that the shorter free side spans, of the whole height's.
+    const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
+    const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
+    const to = direction.normalize().multiplyScalar((0.40 * this.bodySize_m) / half).add(this.centre);
     if (at_once || this.calm.matches) {
       this.camera.position.copy(to);
       this.controls.target.copy(this.centre);
@@ -175,15 +177,12 @@ export class Stage {
     this.draw();
   }
 
-  /** So many pixels on the right lie under the panel. */
-  setCovered(pixels: number): void {
-    this.covered_px = pixels;
+  /** So many pixels at each side lie under panels. */
+  setCover(cover: { left: number; right: number; top: number; bottom: number }): void {
+    this.cover = cover;
     this.resize();
   }
-  get covered(): number {
-    return this.covered_px;
-  }
-  private covered_px = 0;
+  cover = { left: 0, right: 0, top: 0, bottom: 0 };
 
   /** Red, green, blue, opacity (0 to 255) at a place in shares of the picture. Draws anew: a drawn picture is gone. */
   colourAt(x: number, y: number): number[] {
@@ -212,10 +211,9 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (width === 0 || height === 0) return;
     this.camera.aspect = width / height;
-    // The panel covers the right side: the middle of the picture is that of what is left.
-    const shift = Math.min(this.covered_px, width / 2) / 2;
-    if (shift > 0) this.camera.setViewOffset(width, height, shift, 0, width, height);
-    else this.camera.clearViewOffset();
+    // The middle of the picture is that of what panels leave free.
+    const { left, right, top, bottom } = this.cover;
+    this.camera.setViewOffset(width, height, (right - left) / 2, (bottom - top) / 2, width, height);
     this.camera.updateProjectionMatrix();
     this.applyScale();
     this.draw();

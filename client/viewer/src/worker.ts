@@ -32,7 +32,7 @@ const kOpeningPause_ms = 120; // between two looks at how the body opens
 
 const surface = new Surface();
 const builder = new CornerBuilder(surface);
-const opening: Opening = { lips: new Float32Array(0), pieces: new Float32Array(0) };
+const opening: Opening = { lips: new Float32Array(0), pieces: new Float32Array(0), cutArea_m2: 0 };
 
 let url = "";
 let token = "";
@@ -46,6 +46,7 @@ let revision = 0n;
 let holding = false; // a whole state
 let staged: SnapshotChunk[] | null = null;
 let resyncing = false;
+let replaying = false; // the statistics are of the live mesh
 let bodySize_m = 1;
 
 let capacity = 0; // slots that the page has room for
@@ -53,7 +54,7 @@ let waiting = false; // the page has a patch that it has not applied yet
 let steps: BladeStep[] = [];
 let openingTimer: ReturnType<typeof setTimeout> | undefined;
 const progress: Progress = {
-  revision: 0, tets: 0, triangles: 0, pieces: 1, hash: "", hashAgrees: true, deltas: 0, bytes: 0, cutArea_m2: 0,
+  revision: 0, tets: 0, triangles: 0, pieces: 1, hash: "", hashAgrees: true, deltas: 0, bytes: 0,
   posed_ms: 0, arrived_ms: 0,
 };
 
@@ -114,7 +115,7 @@ function scheduleOpening(pause_ms: number): void {
       lips[3 * c + 2] = opening.lips[v + 2];
     }
     const pieces = opening.pieces.slice(0, 4 * builder.rowCount);
-    post({ kind: "opening", lips, pieces }, [lips.buffer, pieces.buffer]);
+    post({ kind: "opening", lips, pieces, cutArea_m2: opening.cutArea_m2 }, [lips.buffer, pieces.buffer]);
   }, pause_ms);
 }
 
@@ -128,6 +129,7 @@ function onWelcome(welcome: Welcome): void {
   staged = null;
   resyncing = false;
   if (welcome.session() !== session) holding = false;
+  progress.tets = 0;
   session = welcome.session();
   post({
     kind: "facts",
@@ -171,7 +173,6 @@ function onDelta(delta: SurfaceDelta): void {
   for (let i = 0; i < delta.stepsLength(); ++i) {
     const step = delta.steps(i)!;
     const own = step.source() === ownSource && blade?.open === true;
-    progress.cutArea_m2 += step.cutAreaM2();
     progress.posed_ms = Number((own ? step.toSourceNs() : step.arrivalNs() - (view?.clockOffset_ns ?? 0n)) / 1000n) / 1e3;
     steps.push({ source: step.source(), own, heel: vec(step.toHeel()), tip: vec(step.toTip()), ended: step.strokeEnded() });
   }
@@ -216,12 +217,13 @@ function onViewMessage(type: Body, message: Message, bytes: number): void {
       break;
     case Body.Stats: {
       const stats: Stats = message.body(new Stats());
-      progress.tets = stats.liveTets();
+      if (!replaying && stats.revision() === revision) progress.tets = stats.liveTets();
       post({ kind: "stats", json: stats.json() ?? "{}", roundTrip_ms: view?.roundTrip_ms ?? 0 });
       break;
     }
     case Body.ReplayState: {
       const state: ReplayState = message.body(new ReplayState());
+      replaying = Boolean(state.capture());
       post({
         kind: "replay",
         facts: state.capture() ? {
