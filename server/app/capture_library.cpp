@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 using protocol::ReplayAction;
 using std::chrono::steady_clock;
 
-constexpr std::size_t kMostPlaying = 4;           // each holds a mesh and three replicas of it
+constexpr std::size_t kMostPlaying = 4;              // each holds a mesh and three replicas of it
 constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a recording is shortened to this
 constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
@@ -32,7 +32,8 @@ bool is_plain(const std::string& name) {
 // One capture's replay, on its thread: what was asked for is in `wish`, under the mutex.
 class Replay {
  public:
-  Replay(std::string name, stream::ReplayEvents events) : name_(std::move(name)), events_(std::move(events)) {}
+  Replay(std::string name, stream::ReplayEvents events)
+      : name_(std::move(name)), events_(std::move(events)) {}
 
   void load(const fs::path& path, const Body& live) {
     motion_ = read_recorded_motion(path);
@@ -44,11 +45,13 @@ class Replay {
       if (!config_.mesh.path.empty()) config_.mesh.path = motion_.header->mesh_path;
       own_body_ = load_body(config_);
       if (own_body_.loaded.content_hash != motion_.header->mesh_content_hash) {
-        throw std::runtime_error(name_ + ": was recorded with another mesh than " + own_body_.name + " is now");
+        throw std::runtime_error(name_ + ": was recorded with another mesh than " + own_body_.name +
+                                 " is now");
       }
       body_ = &own_body_;
     }
-    for (const protocol::BatchMark& mark : motion_.marks) last_revision_ = std::max(last_revision_, mark.revision);
+    for (const protocol::BatchMark& mark : motion_.marks)
+      last_revision_ = std::max(last_revision_, mark.revision);
     begin();
     show();
   }
@@ -98,8 +101,8 @@ class Replay {
  private:
   std::int64_t pause_ns() const {
     if (next_ == 0) return 0;
-    return std::clamp<std::int64_t>(
-        motion_.events[next_].arrival_ns - motion_.events[next_ - 1].arrival_ns, 0, kMostPause_ns);
+    return std::clamp<std::int64_t>(motion_.events[next_].arrival_ns - motion_.events[next_ - 1].arrival_ns,
+                                    0, kMostPause_ns);
   }
   void begin() {
     session_.emplace(body_->loaded.mesh, config_.cut);
@@ -107,8 +110,9 @@ class Replay {
     clock_ns_ = 0;
   }
   void show() {
-    events_.restarted(server_facts(config_, *body_, session_->mesh()).mesh,
-                      std::make_shared<const stream::InitialState>(initial_state(*session_, fresh_session_id())));
+    events_.restarted(
+        server_facts(config_, *body_, session_->mesh()).mesh,
+        std::make_shared<const stream::InitialState>(initial_state(*session_, fresh_session_id())));
   }
 
   const std::string name_;
@@ -153,8 +157,9 @@ struct CaptureLibrary::Playing {
       std::vector<protocol::ReplayControl> taken;
       {
         std::unique_lock lock(mutex);
-        const auto due = since + std::chrono::nanoseconds(static_cast<std::int64_t>(
-                                     static_cast<double>(replay.due_ns() - from_ns) / static_cast<double>(speed)));
+        const auto due =
+            since + std::chrono::nanoseconds(static_cast<std::int64_t>(
+                        static_cast<double>(replay.due_ns() - from_ns) / static_cast<double>(speed)));
         const auto asked = [&] { return stop || !wishes.empty(); };
         if (playing) {
           wake.wait_until(lock, due, asked);
@@ -251,10 +256,12 @@ void CaptureLibrary::forget_ended() {
   });
 }
 
-std::unique_ptr<stream::ReplayPlayer> CaptureLibrary::open(const std::string& name, stream::ReplayEvents events) {
+std::unique_ptr<stream::ReplayPlayer> CaptureLibrary::open(const std::string& name,
+                                                           stream::ReplayEvents events) {
   forget_ended();
   const std::vector<std::string> known = names();
-  const auto running = std::count_if(playing_.begin(), playing_.end(), [](const auto& p) { return !p->stop; });
+  const auto running =
+      std::count_if(playing_.begin(), playing_.end(), [](const auto& p) { return !p->stop; });
   if (std::find(known.begin(), known.end(), name) == known.end()) return nullptr;
   if (static_cast<std::size_t>(running) >= kMostPlaying) return nullptr;
   auto playing = std::make_shared<Playing>();

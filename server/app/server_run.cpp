@@ -270,7 +270,8 @@ void run_server(const Config& config, bool resume) {
   std::optional<Telemetry> telemetry;
   CaptureLibrary library(config.resolve(config.capture.library), body);
   stream::Providers providers{[&] { return telemetry->json(); }, [&] { return telemetry->metrics(); },
-                              [&] { return telemetry->message(); }, &library};
+                              [&] { return telemetry->message(); }, [&] { return telemetry->blades(); },
+                              &library};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);

@@ -180,4 +180,17 @@ protocol::Stats Telemetry::message() const {
   return stats;
 }
 
+std::vector<protocol::BladePose> Telemetry::blades() const {
+  const auto to_protocol = [](const core::Vec3& p) { return protocol::Vec3{p.x, p.y, p.z}; };
+  std::vector<protocol::BladePose> blades;
+  const loop::BladesNow now = stats_.blades.load();
+  for (std::uint32_t source = 0; source < now.size(); ++source) {
+    const loop::BladeNow& blade = now[source];
+    if (blade.arrival_ns == 0) continue;
+    blades.push_back({source, blade.cutting != 0, to_protocol(blade.line.heel), to_protocol(blade.line.tip),
+                      blade.arrival_ns});
+  }
+  return blades;
+}
+
 }  // namespace incise::app

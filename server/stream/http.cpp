@@ -86,7 +86,8 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
   if (path == "/captures") {
     // Names are those of files: nothing in them but what a library takes.
     std::string list;
-    for (const std::string& name : providers.library ? providers.library->names() : std::vector<std::string>()) {
+    for (const std::string& name :
+         providers.library ? providers.library->names() : std::vector<std::string>()) {
       list += (list.empty() ? "\"" : ",\"") + name + '"';
     }
     return Answer{http::status::ok, "application/json", "[" + list + "]\n"};

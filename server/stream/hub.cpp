@@ -1,5 +1,6 @@
 #include "server/stream/hub.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <vector>
 
@@ -9,6 +10,7 @@ namespace incise::stream {
 namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
+constexpr std::chrono::milliseconds kBladeTick{16};  // a screen's
 constexpr std::uint64_t kTicksPerStatistics = 20;
 
 }  // namespace
@@ -21,6 +23,7 @@ Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, In
       sink_(sink),
       providers_(std::move(providers)),
       clock_(io),
+      blade_clock_(io),
       live_(io, config.ring_bytes) {}
 
 Hub::~Hub() = default;
@@ -72,6 +75,29 @@ std::shared_ptr<Session> Hub::holder(const std::string& source_name) const {
 
 void Hub::start_clock() {
   tick();
+  if (providers_.blades) send_blades();
+}
+
+void Hub::send_blades() {
+  const bool wanted =
+      std::any_of(sessions_.begin(), sessions_.end(), [](const auto& s) { return s->wants_blades(); });
+  if (wanted) {
+    const std::int64_t now = monotonic_ns();
+    std::vector<SharedFrame> frames;
+    for (const protocol::BladePose& blade : providers_.blades()) {
+      std::int64_t& sent_ns = blade_sent_ns_[blade.source];
+      if (sent_ns == blade.arrival_ns) continue;
+      sent_ns = blade.arrival_ns;
+      frames.push_back(make_frame(blade));
+    }
+    if (!frames.empty()) {
+      for (const auto& session : sessions_) session->send_blades(frames, now);
+    }
+  }
+  blade_clock_.expires_after(wanted ? kBladeTick : kTick);
+  blade_clock_.async_wait([this](boost::system::error_code error) {
+    if (!error) send_blades();
+  });
 }
 
 void Hub::tick() {
@@ -103,6 +129,7 @@ void Hub::stop() {
 
 void Hub::close_all() {
   clock_.cancel();
+  blade_clock_.cancel();
   const auto sessions = sessions_;
   for (const auto& session : sessions) session->close();
 }

@@ -4,6 +4,7 @@
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -71,6 +72,7 @@ class Hub {
  private:
   void tick();
   void send_statistics();
+  void send_blades();
 
   asio::io_context& io_;
   const StreamConfig& config_;
@@ -80,7 +82,8 @@ class Hub {
   // Shared with the tickets: connections that never end are destroyed with the io_context, after the hub.
   std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
   std::set<std::shared_ptr<Session>> sessions_;
-  asio::steady_timer clock_;
+  asio::steady_timer clock_, blade_clock_;
+  std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
   bool stopping_ = false;
   Feed live_;

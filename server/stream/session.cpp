@@ -18,8 +18,9 @@ using protocol::SnapshotCause;
 using protocol::View;
 using std::chrono::milliseconds;
 
-constexpr std::size_t kMaxControlBytes = 1u << 20;  // beyond that a peer does not read what it asked for
-constexpr std::size_t kMaxWriteBytes = 1u << 20;    // in one go, so that a deadline is about so much
+constexpr std::size_t kMaxControlBytes = 1u << 20;   // beyond that a peer does not read what it asked for
+constexpr std::size_t kMaxWaitingBladeBytes = 4096;  // older poses are of no use
+constexpr std::size_t kMaxWriteBytes = 1u << 20;     // in one go, so that a deadline is about so much
 constexpr std::size_t kMaxWriteFrames = 32;
 constexpr std::uint32_t kMaxPoseMessagesPerSecond =
     20'000;                                         // more than any device sends; beyond that they wait
@@ -198,6 +199,7 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   role_ = hello.role;
   view_ = hello.view;
   max_rate_hz_ = hello.max_rate_hz;
+  blade_rate_hz_ = hello.blade_rate_hz;
   stage_ = Stage::kOpen;
   transport_->set_max_bytes(accepted_bytes(role_));
 
@@ -407,7 +409,8 @@ ReplayEvents Session::replay_events(std::uint64_t number) {
   const auto post = [&io = hub_.io(), weak = weak_from_this(), number](auto what) {
     asio::post(io, [weak, number, what = std::move(what)]() mutable {
       const auto self = weak.lock();
-      if (self && self->player_ && self->replay_number_ == number && self->stage_ == Stage::kOpen) what(*self);
+      if (self && self->player_ && self->replay_number_ == number && self->stage_ == Stage::kOpen)
+        what(*self);
     });
   };
   ReplayEvents events;
@@ -561,6 +564,12 @@ void Session::send_force(const protocol::Force& force) {
   write();
 }
 
+void Session::send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns) {
+  if (!wants_blades() || now_ns < blades_due_ns_ || control_bytes_ > kMaxWaitingBladeBytes) return;
+  blades_due_ns_ = now_ns + to_ns(0.9 / static_cast<double>(blade_rate_hz_));
+  for (const SharedFrame& frame : frames) push_control(frame);
+}
+
 void Session::push_control(SharedFrame frame) {
   if (stage_ == Stage::kClosing || stage_ == Stage::kClosed) return;
   control_bytes_ += frame->tcp().size();
@@ -646,9 +655,11 @@ void Session::request_snapshot(SnapshotCause cause) {
   snapshot_cause_ = cause;
   const std::uint64_t request = ++snapshot_request_;
   ++hub_.counters().snapshots;
-  feed().request_snapshot(view_, [weak = weak_from_this(), request](std::shared_ptr<const Snapshot> snapshot) {
-    if (const auto self = weak.lock()) self->on_snapshot(std::move(snapshot), request);
-  });
+  feed().request_snapshot(view_,
+                          [weak = weak_from_this(), request](std::shared_ptr<const Snapshot> snapshot) {
+                            if (const auto self = weak.lock())
+                              self->on_snapshot(std::move(snapshot), request);
+                          });
 }
 
 void Session::on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_t request) {

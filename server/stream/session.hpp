@@ -37,6 +37,10 @@ class Session : public std::enable_shared_from_this<Session> {
   void send(SharedFrame frame);
   // To the operator who holds that blade: the latest, when the one before is out.
   void send_force(const protocol::Force& force);
+  // Whether it asked for the blades' poses, and follows the mesh that they cut.
+  bool wants_blades() const { return stage_ == Stage::kOpen && blade_rate_hz_ > 0 && !scratch_; }
+  // Leaves them out while more is on its way to the peer already, or the last ones went out too short a time ago.
+  void send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns);
   // Says goodbye and ends the connection once that is written.
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
@@ -89,6 +93,8 @@ class Session : public std::enable_shared_from_this<Session> {
   protocol::Role role_ = protocol::Role::Viewer;
   protocol::View view_ = protocol::View::None;
   float max_rate_hz_ = 0;
+  float blade_rate_hz_ = 0;
+  std::int64_t blades_due_ns_ = 0;
 
   // An operator's.
   std::unique_ptr<PoseSource> source_;

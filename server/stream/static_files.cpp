@@ -89,8 +89,7 @@ std::optional<StaticFiles::File> StaticFiles::find(std::string_view target) cons
   const auto known = std::find_if(kMimeTypes.begin(), kMimeTypes.end(),
                                   [&](const auto& entry) { return entry.first == extension; });
   file.mime_type = known == kMimeTypes.end() ? "application/octet-stream" : std::string(known->second);
-  const std::string version =
-      std::to_string(size) + '-' + std::to_string(changed.time_since_epoch().count());
+  const std::string version = std::to_string(size) + '-' + std::to_string(changed.time_since_epoch().count());
   file.etag = '"' + version + '"';
   fs::path packed = path;
   packed += ".gz";

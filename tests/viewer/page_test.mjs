@@ -1,7 +1,7 @@
 // The viewer page, in a real browser against a real server.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { mkdirSync, readFileSync, renameSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { launch, openPage, progress, screenshots, Server, until } from "./server.mjs";
@@ -88,7 +88,7 @@ test("a streamed cut changes the picture, and the page's triangles are those of 
   await until(page, () => window.incise.stage.framesDrawn > 0);
   const before = await page.locator("#picture").screenshot();
   server.stream([0.03, -0.03]);
-  const revision = JSON.parse(await (await fetch(server.url + "stats")).text()).revision;
+  const { revision } = await server.stats();
   assert.ok(revision >= 4, `revision ${revision}`);
   await until(page, (r) => window.incise.progress.revision === r, revision);
   await until(page, () => window.incise.progress.pieces === 3);
@@ -191,6 +191,46 @@ test("reset gives everybody a fresh body", async (t) => {
   assert.deepEqual(faults, []);
 });
 
+test("a recording is replayed in a scratch copy, and the live mesh stays as it is", async (t) => {
+  const server = new Server();
+  t.after(() => server.end());
+  server.config.capture = { path: "captures/first.capture", library: "captures" };
+  mkdirSync(server.file("captures"));
+  await server.start();
+  server.stream([0.03, -0.03]);
+  const recorded = await server.stats();
+  await server.stop();
+  renameSync(server.file("captures/first.capture"), server.file("captures/old.capture"));
+  await server.start();
+
+  const { page, faults } = await look(t, server.url);
+  await page.locator("#panel-toggle").click();
+  await page.getByRole("button", { name: "old", exact: true }).click();
+  await until(page, () => window.incise.replay.facts !== null);
+  const scrub = (revision) => page.locator("#scrub").evaluate((e, r) => {
+    e.valueAsNumber = r;
+    e.dispatchEvent(new Event("change"));
+  }, revision);
+  await scrub(recorded.revision);
+  await until(page, (r) => window.incise.progress.revision === r, recorded.revision);
+  assert.equal((await progress(page)).hash, recorded.state_hash);
+  assert.equal((await progress(page)).pieces, 3);
+  await shot(page, "replay");
+  await scrub(2);
+  await until(page, () => window.incise.progress.revision === 2);
+  await page.getByRole("button", { name: "One batch on" }).click();
+  await until(page, () => window.incise.progress.revision === 3);
+  await page.locator("#speed").selectOption("16");
+  await page.getByRole("button", { name: "Play" }).click();
+  await until(page, (r) => window.incise.progress.revision === r, recorded.revision);
+  assert.equal((await progress(page)).hash, recorded.state_hash);
+  assert.equal((await server.stats()).revision, 0);
+  await page.getByRole("button", { name: "Back to live" }).click();
+  await until(page, () => window.incise.replay.facts === null && window.incise.progress.revision === 0);
+  assert.equal((await progress(page)).hashAgrees, true);
+  assert.deepEqual(faults, []);
+});
+
 test("a server with tokens asks for one", async (t) => {
   const server = new Server();
   t.after(() => server.end());
@@ -278,7 +318,7 @@ test("memory stays flat over many deltas", async (t) => {
   for (let i = 0; i < 4; ++i) pass(i);
   const warm = await used();
   for (let i = 4; i < 12; ++i) pass(i);
-  const { revision } = JSON.parse(await (await fetch(server.url + "stats")).text());
+  const { revision } = await server.stats();
   await until(page, (r) => window.incise.progress.revision === r, revision);
   assert.equal((await progress(page)).hashAgrees, true);
   const then = await used();

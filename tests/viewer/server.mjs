@@ -26,7 +26,7 @@ export class Server {
       blade: { heel: [0, 0, 0], tip: [0, 0, -0.12] },
       sources: [{ name: "mouse", heel: [0, 0, 0], tip: [0, 0, -0.35] }],
       capture: { path: "session.capture" },
-      loop: { realtime_priority: 0, lock_memory: false },
+      loop: { rate_hz: 250, realtime_priority: 0, lock_memory: false },
       log: { level: "warning" },
       ...config,
     };
@@ -79,7 +79,19 @@ export class Server {
         rows.push([pass * 2 + i / lines, x, -0.12 + (0.24 * i) / lines, depth_m, 1, 0, 0, 0, i < lines ? 1 : 0].join());
       }
     });
-    this.incise("stream", this.file("motion.csv", rows.join("\n") + "\n"), "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed);
+    const motion = this.file("motion.csv", rows.join("\n") + "\n");
+    for (let tries = 10; ; --tries) {
+      try {
+        return this.incise("stream", motion, "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed);
+      } catch (error) {
+        // It waits for a few seconds only, which a busy machine may take to answer.
+        if (tries === 0 || !String(error).includes("no answer in time")) throw error;
+      }
+    }
+  }
+
+  async stats() {
+    return (await fetch(this.url + "stats")).json();
   }
 }
 

@@ -27,6 +27,7 @@ export interface HelloFields {
   token: string;
   sourceName?: string;
   takeOver?: boolean;
+  bladeRate_hz?: number;
   resumeSession?: bigint;
   resumeRevision?: bigint;
 }
@@ -270,5 +271,6 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   Hello.addResumeRevision(builder, fields.resumeRevision ?? 0n);
   if (source) Hello.addSourceName(builder, source);
   Hello.addTakeOver(builder, fields.takeOver ?? false);
+  Hello.addBladeRateHz(builder, fields.bladeRate_hz ?? 0);
   return Hello.endHello(builder);
 }

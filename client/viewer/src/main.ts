@@ -7,6 +7,7 @@ import { Stage, type Tool } from "./stage";
 
 const kFiguresEvery_ms = 500;
 const kOpenAfterStroke_ms = 300;
+const kPosesStale_ms = 1500;
 const kNoticeTime_ms = 8000;
 
 const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -46,6 +47,7 @@ class Page {
   private viewState = { stage: "connecting", text: "Connecting…" };
   private fitted = "";
   private hints = 0;
+  private livePoses_ms = new Map<number, number>(); // when the last one came, by source
   private posed_ms = 0; // of the state in the picture that is on its way to the screen
   private latencies: number[] = [];
   private lastFigures = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
@@ -123,6 +125,11 @@ class Page {
         this.mouse.facts = message.facts;
         this.showDepth();
         break;
+      case "blade-pose":
+        this.livePoses_ms.set(message.source, performance.now());
+        this.stage.blade(message.source, false).move(message.heel, message.tip, message.cutting);
+        this.stage.draw();
+        break;
       case "stats":
         this.onStats(message.json, message.roundTrip_ms);
         break;
@@ -166,10 +173,10 @@ class Page {
     return true;
   }
 
-  /** Blades that others hold are seen where their batches end. */
+  /** Blades of whom no poses come, as in a replay, are seen where their batches end. */
   private follow(steps: BladeStep[]): void {
     for (const step of steps) {
-      if (step.own) continue;
+      if (step.own || performance.now() - (this.livePoses_ms.get(step.source) ?? -1e6) < kPosesStale_ms) continue;
       const blade = this.stage.blade(step.source, false);
       blade.move(step.heel, step.tip, true);
       if (step.ended) blade.endStroke();

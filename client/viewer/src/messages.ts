@@ -81,6 +81,8 @@ export type FromWorker =
   | { kind: "patch"; slots: Uint32Array; highest: number; corners: Corners; rows: number; steps: BladeStep[]; progress: Progress }
   /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
+  /** Where somebody else's blade is now. */
+  | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   | { kind: "notice"; text: string }

@@ -6,6 +6,7 @@ import type { BladeStep, FromWorker, Progress, ToWorker, Vec3 } from "./messages
 import { computeOpening, type Opening } from "./opening";
 import { hex } from "./state_hash";
 import { kNone, Surface } from "./surface";
+import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
 import type { Message } from "./wire/incise/wire/message";
 import { PoseBatch } from "./wire/incise/wire/pose-batch";
@@ -129,7 +130,7 @@ function onWelcome(welcome: Welcome): void {
   staged = null;
   resyncing = false;
   if (welcome.session() !== session) holding = false;
-  progress.tets = 0;
+  progress.tets = welcome.revision() === 0n ? (facts?.tets() ?? 0) : 0;
   session = welcome.session();
   post({
     kind: "facts",
@@ -215,6 +216,12 @@ function onViewMessage(type: Body, message: Message, bytes: number): void {
       onDelta(message.body(new SurfaceDelta()));
       postChanges();
       break;
+    case Body.BladePose: {
+      const pose: BladePose = message.body(new BladePose());
+      if (pose.source() === ownSource && blade?.open) break; // the page knows that one first
+      post({ kind: "blade-pose", source: pose.source(), heel: vec(pose.heel()), tip: vec(pose.tip()), cutting: pose.cutting() });
+      break;
+    }
     case Body.Stats: {
       const stats: Stats = message.body(new Stats());
       if (!replaying && stats.revision() === revision) progress.tets = stats.liveTets();
@@ -242,7 +249,7 @@ function openView(): void {
   view?.end();
   view = new Link(url, {
     hello: (): HelloFields => ({
-      role: Role.Viewer, view: View.Surface, token,
+      role: Role.Viewer, view: View.Surface, token, bladeRate_hz: 60,
       resumeSession: holding ? session : 0n, resumeRevision: holding ? revision : 0n,
     }),
     welcome: onWelcome,
