@@ -109,6 +109,7 @@ struct Client::Impl {
       again = options.reconnect && started && !closing;
       error_text = failure;
       current_status = again ? Status::kReconnecting : Status::kClosed;
+      if (!again) started = true;  // an answer, too, for whoever waits for the first connection
       outbox.clear();
       outbox_bytes = 0;
       changed.notify_all();

@@ -9,21 +9,35 @@
 namespace incise::core {
 namespace {
 
-// Cosines of dihedral angles, as measures: a snap is taken freely while its star keeps the first angle; when nothing
-// better is left, down to the second.
-constexpr double kGood = dihedral_measure(0.9781476007);       // 12 degrees
+// Cosines of dihedral angles, as measures. A star with no angle below the first is good: a snap that leaves it so is
+// taken freely, and nothing in it is repaired. When nothing better is left, a snap is taken down to the second, and in
+// need to the third.
+constexpr double kGood = dihedral_measure(0.9876883406);       // 9 degrees
 constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
 constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
-// Tetrahedra worse than this are repaired.
-constexpr double kRepair = dihedral_measure(0.9876883406);  // 9 degrees
 // A crossing this near to an end that is on the surface already, by the edge's length, is that vertex.
 constexpr double kAtVertex = 0.25;
 // A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
 constexpr double kFlat_h = 0.03;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
 constexpr double kRim_h = 0.5;
+// What reaches no farther than this from the surface, by the local edge length, is no part of the tissue.
+constexpr double kThin_h = 0.1;
 // How far from the blade's line, by the local edge length, a vertex waits.
 constexpr double kHot = 1.5;
+
+struct Bounds {
+  Vec3 low, high;
+};
+
+Bounds box_of(const Vec3* const (&p)[4]) {
+  return {{std::min(std::min(p[0]->x, p[1]->x), std::min(p[2]->x, p[3]->x)),
+           std::min(std::min(p[0]->y, p[1]->y), std::min(p[2]->y, p[3]->y)),
+           std::min(std::min(p[0]->z, p[1]->z), std::min(p[2]->z, p[3]->z))},
+          {std::max(std::max(p[0]->x, p[1]->x), std::max(p[2]->x, p[3]->x)),
+           std::max(std::max(p[0]->y, p[1]->y), std::max(p[2]->y, p[3]->y)),
+           std::max(std::max(p[0]->z, p[1]->z), std::max(p[2]->z, p[3]->z))}};
+}
 
 }  // namespace
 
@@ -52,7 +66,7 @@ void ConformingCutter::begin(const Batch& batch) {
   surface_.drop_before(oldest > 0 ? oldest - 1 : 0);
 
   // Cells somewhat larger than tetrahedra, and flat to within the tolerance.
-  const double cell_m = 2 * h_;
+  const double cell_m = 4 * h_;
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
   const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / cell_m), 1.0, 256.0));
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
@@ -165,12 +179,7 @@ bool ConformingCutter::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
   const Vec3* p[4];
   for (int i = 0; i < 4; ++i) p[i] = &mesh_.position(v[i]);
-  const Vec3 low{std::min({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
-                 std::min({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
-                 std::min({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
-  const Vec3 high{std::max({p[0]->x, p[1]->x, p[2]->x, p[3]->x}),
-                  std::max({p[0]->y, p[1]->y, p[2]->y, p[3]->y}),
-                  std::max({p[0]->z, p[1]->z, p[2]->z, p[3]->z})};
+  const auto [low, high] = box_of(p);
   bool meets = false;
   surface_.any_overlapping(low, high, [&](std::uint32_t index) {
     const SweptTriangle& triangle = surface_[index];
@@ -298,8 +307,8 @@ void ConformingCutter::work_rim(WorkBudget& budget) {
     // Other events here may have changed the faces that the rim pierces: look once more.
     const std::size_t first = rim_events_.size();
     for (VertexId v : event.face) {
-      mesh_.star(v, rim_star_);
-      for (std::uint32_t corner : rim_star_) probe_rim(corner >> 2, event.from, event.to);
+      mesh_.star(v, star_ids_);
+      for (std::uint32_t corner : star_ids_) probe_rim(corner >> 2, event.from, event.to);
     }
     for (std::size_t k = first; k < rim_events_.size(); ++k) rim_events_[k].again = true;
   }
@@ -401,22 +410,43 @@ bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bo
   });
 }
 
+// Adds the crossings of the tetrahedron's edges.
 void ConformingCutter::collect_from(TetId t) {
   const auto& v = mesh_.vertices(t);
-  for (const auto& edge : kEdgeVertices) {
-    const VertexId a = v[edge[0]], b = v[edge[1]];
-    const bool a_on = on_surface(a), b_on = on_surface(b);
-    if (a_on && b_on) continue;
-    std::uint32_t triangle = 0;
-    double at = 0;
-    if (!find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, triangle, at)) continue;
-    if ((a_on && at < kAtVertex) || (b_on && at > 1 - kAtVertex)) {
-      // A vertex on another part of the surface is as near as can be had.
-      workspace_.failed[a] = workspace_.failed[b] = stroke_;
-      continue;
-    }
-    add_event(a, b, t, triangle, at);
+  const Vec3* p[4];
+  bool on[4];
+  for (int i = 0; i < 4; ++i) {
+    p[i] = &mesh_.position(v[i]);
+    on[i] = on_surface(v[i]);
   }
+  const auto [low, high] = box_of(p);
+  surface_.any_overlapping(low, high, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = surface_[index];
+    double d[4];
+    int above = 0, below = 0;
+    for (int i = 0; i < 4; ++i) {
+      d[i] = triangle.signed_distance(*p[i]);
+      above += d[i] > clear_ || (d[i] >= -clear_ && !on[i]);
+      below += d[i] < -clear_ || (d[i] <= clear_ && !on[i]);
+    }
+    if (above == 0 || below == 0) return false;
+    for (const auto& edge : kEdgeVertices) {
+      const int i = edge[0], j = edge[1];
+      if (on[i] && on[j]) continue;
+      if ((d[i] > clear_ && d[j] > clear_) || (d[i] < -clear_ && d[j] < -clear_)) continue;
+      // An end on the surface is where the edge meets it.
+      if ((on[i] && std::abs(d[i]) <= clear_) || (on[j] && std::abs(d[j]) <= clear_)) continue;
+      if (!crosses(*p[i], *p[j], triangle)) continue;
+      const double at = d[i] == d[j] ? 0.5 : std::clamp(d[i] / (d[i] - d[j]), 0.0, 1.0);
+      if ((on[i] && at < kAtVertex) || (on[j] && at > 1 - kAtVertex)) {
+        // A vertex on another part of the surface is as near as can be had.
+        workspace_.failed[v[i]] = workspace_.failed[v[j]] = stroke_;
+      } else {
+        add_event(v[i], v[j], t, index, at);
+      }
+    }
+    return false;
+  });
 }
 
 // Takes the events that need not wait any more, nearest first.
@@ -452,27 +482,9 @@ void ConformingCutter::work_events(WorkBudget& budget) {
   phase_ = Phase::kRepair;
 }
 
-// On which side of the surface a vertex is: 0 where it is on it, or far from it. Beyond the surface's rim the answer
-// means nothing.
-int ConformingCutter::side(VertexId v) {
-  if (on_surface(v)) return 0;
-  std::uint32_t& known = workspace_.side[v];
-  if (known >> 2 == (sides_ & 0x3fffffffu)) return static_cast<int>(known & 3u) - 1;
-  Vec3 closest;
-  std::uint32_t triangle;
-  int result = 0;
-  if (surface_.closest(mesh_.position(v), 1.5 * mesh_.local_h(v), closest, triangle)) {
-    result = surface_[triangle].signed_distance(mesh_.position(v)) >= 0 ? 1 : -1;
-  }
-  known = (sides_ & 0x3fffffffu) << 2 | static_cast<std::uint32_t>(result + 1);
-  return result;
-}
-
-// A snap may leave an edge that crosses another part of a bent surface, and so may a repair. Tetrahedra with vertices
-// on both sides are looked at again.
+// A snap may leave an edge that crosses another part of a bent surface, and so may a repair.
 void ConformingCutter::verify(WorkBudget& budget) {
   if (next_active_ == 0) {
-    sides_ = ++workspace_.serial;
     collection_ = ++workspace_.serial;
     first_leftover_ = events_.size();
   }
@@ -481,13 +493,7 @@ void ConformingCutter::verify(WorkBudget& budget) {
     const TetId t = active_[next_active_++].tet;
     budget.charge(2);
     if (!mesh_.alive(t) || !ripe(t)) continue;
-    bool above = false, below = false;
-    for (VertexId v : mesh_.vertices(t)) {
-      const int s = side(v);
-      above = above || s > 0;
-      below = below || s < 0;
-    }
-    if (above && below) collect_from(t);
+    collect_from(t);
   }
   next_active_ = 0;
   if (events_.size() > first_leftover_ && ++round_ < 3) {
@@ -633,10 +639,10 @@ void ConformingCutter::remove_flat(TetId t) {
 }
 
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
-  star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
+  const double worst = star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
   mesh_.move_vertex(v, target);
   workspace_.surface[v] = stroke_;
-  changed_.push_back(v);
+  changed_.push_back({v, worst <= kGood && flat_.empty()});
   ++counts_.snaps;
   for (TetId t : flat_) remove_flat(t);
 }
@@ -666,7 +672,7 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   workspace_.grow(mesh_);
   workspace_.surface[m] = stroke_;
-  changed_.push_back(m);
+  changed_.push_back({m, false});
   for (TetId r : ring_) activate(r);
   for (TetId n = first; n < mesh_.tet_slots(); ++n) activate(n);
   ++counts_.splits;
@@ -728,21 +734,23 @@ void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
 void ConformingCutter::repair(WorkBudget& budget) {
   while (next_changed_ < changed_.size()) {
     if (budget.spent()) return;
-    const VertexId v = changed_[next_changed_++];
+    const auto [v, good] = changed_[next_changed_++];
     budget.charge(10);
     if (mesh_.vertex_tet(v) == kNone) continue;
+    if (good) {
+      activate_faces_at(v);
+      continue;
+    }
     if (mesh_.is_new(v)) thin_out(v);
     if (mesh_.vertex_tet(v) == kNone) continue;
     gather(star_, v);
+    activate_faces_at(v);
     poor_.clear();
     for (const VertexStar::Corner& c : star_.corners()) {
-      if (mesh_.worst_dihedral(c.tet) > kRepair) poor_.push_back(c.tet);
-      // Those that only now have a face on the surface may have to open it.
-      const int on = on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]);
-      if (on >= 2) activate(c.tet);
+      if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
     }
     for (TetId t : poor_) {
-      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kRepair) {
+      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood) {
         improve(t);
         budget.charge(50);
       }
@@ -752,6 +760,15 @@ void ConformingCutter::repair(WorkBudget& budget) {
   next_active_ = 0;
 }
 
+// Tetrahedra that only now have a face on the surface may have to open it.
+void ConformingCutter::activate_faces_at(VertexId v) {
+  mesh_.star(v, star_ids_);
+  for (std::uint32_t corner : star_ids_) {
+    const auto& w = mesh_.vertices(corner >> 2);
+    if (on_surface(w[0]) + on_surface(w[1]) + on_surface(w[2]) + on_surface(w[3]) >= 3) activate(corner >> 2);
+  }
+}
+
 // Moves the vertices of a poor tetrahedron, one after the other, while that helps; else collapses an edge of it.
 void ConformingCutter::improve(TetId t) {
   const auto vertices = mesh_.vertices(t);
@@ -759,21 +776,21 @@ void ConformingCutter::improve(TetId t) {
     if (on_rim(v)) continue;
     gather(star_, v);
     Placement place{mesh_.position(v), star_.worst_now()};
-    if (place.worst <= kRepair) break;
+    if (place.worst <= kGood) break;
     const double before = place.worst;
     Vec3 closest;
     std::uint32_t triangle = 0;
     const bool on = on_surface(v);
     if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) continue;
-    search_placement(star_, on, triangle, kRepair, -1, place);
+    search_placement(star_, on, triangle, kGood, -1, place);
     if (place.worst >= before) continue;
     mesh_.move_vertex(v, place.target);
     ++counts_.repairs;
-    if (mesh_.worst_dihedral(t) <= kRepair) return;
+    if (mesh_.worst_dihedral(t) <= kGood) return;
   }
   for (const auto& edge : kEdgeVertices) {
-    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kRepair) ||
-        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kRepair)) {
+    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kGood) ||
+        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kGood)) {
       return;
     }
   }
@@ -790,12 +807,13 @@ void ConformingCutter::thin_out(VertexId v) {
   };
   Candidate nearest[4];
   int count = 0;
-  for (const VertexStar::Corner& c : star_.corners()) {
+  for (std::size_t i = 0; i < star_.corners().size(); ++i) {
+    const VertexStar::Corner& c = star_.corners()[i];
     for (int k = 0; k < 3; ++k) {
-      const double l = distance(star_.position(), c.points[k]);
+      const double l = distance(star_.position(), star_.point(i, k));
       if (l > 0.8 * star_.local_h()) continue;
       bool known = false;
-      for (int i = 0; i < count; ++i) known = known || nearest[i].vertex == c.others[k];
+      for (int n = 0; n < count; ++n) known = known || nearest[n].vertex == c.others[k];
       if (known) continue;
       if (count == 4 && nearest[3].length <= l) continue;
       int at = count < 4 ? count++ : 3;
@@ -819,9 +837,10 @@ bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limi
   if (star.on_boundary()) return false;
   const Vec3& target = mesh_.position(w);
   double worst = -1;
-  for (const VertexStar::Corner& c : star.corners()) {
-    if (c.others[0] == w || c.others[1] == w || c.others[2] == w) continue;
-    worst = std::max(worst, worst_dihedral(target, c.points[0], c.points[1], c.points[2]));
+  for (std::size_t i = 0; i < star.corners().size(); ++i) {
+    const auto& others = star.corners()[i].others;
+    if (others[0] == w || others[1] == w || others[2] == w) continue;
+    worst = std::max(worst, worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)));
     if (worst > limit) return false;
   }
   if (!mesh_.may_collapse(t, v, w)) return false;
@@ -835,21 +854,49 @@ bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limi
 
 // ------------------------------------------------------------------------------------------------ opening
 
-bool ConformingCutter::separates(TetId a, TetId b) const {
-  std::uint32_t triangle;
-  double t;
-  return find_crossing(mesh_.barycentre(a), false, mesh_.barycentre(b), false, triangle, t);
+// A point that stands for the tetrahedron's side of the surface: amid its vertices off the surface, since the barycentre
+// of one that lies in a bend may be beyond it.
+Vec3 ConformingCutter::reference(TetId t) const {
+  Vec3 sum{};
+  int count = 0;
+  for (VertexId v : mesh_.vertices(t)) {
+    if (on_surface(v)) continue;
+    sum += mesh_.position(v);
+    ++count;
+  }
+  return count == 0 ? mesh_.barycentre(t) : (1.0 / count) * sum;
 }
 
-// A face opens where it lies on the surface. Where a crossing near it could not be dealt with, it opens wherever its
-// tetrahedra are separated: better ragged than a bridge.
-bool ConformingCutter::may_open(HalfFace h) const {
-  bool on = true, failed = false;
+// Whether the surface separates the two tetrahedra at an interior face, so that it has to open: whether it crosses the
+// way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
+// separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
+// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
+bool ConformingCutter::separates(HalfFace h) const {
+  const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
+  Vec3 middle{}, off{};
+  int off_count = 0;
+  bool failed = false;
   for (VertexId v : mesh_.face_vertices(h)) {
-    on = on && on_surface(v);
+    middle += (1.0 / 3.0) * mesh_.position(v);
     failed = failed || workspace_.failed[v] == stroke_;
+    if (on_surface(v)) continue;
+    off += mesh_.position(v);
+    ++off_count;
   }
-  return on || failed;
+  if (off_count > 0 && !failed) return false;
+  std::uint32_t triangle;
+  double t;
+  const Vec3 from = reference(a), to = reference(b);
+  if (off_count > 0) {
+    const Vec3 by = (1.0 / off_count) * off;
+    return find_crossing(from, false, by, false, triangle, t) ||
+           find_crossing(by, false, to, false, triangle, t);
+  }
+  constexpr double kClose = 0.25;
+  const Vec3 near_a = lerp(middle, from, kClose), near_b = lerp(middle, to, kClose);
+  return find_crossing(near_a, false, near_b, false, triangle, t) ||
+         find_crossing(from, false, near_a, false, triangle, t) ||
+         find_crossing(near_b, false, to, false, triangle, t);
 }
 
 // Which faces of ripe tetrahedra open; a tetrahedron all of whose faces are decided leaves the active ones.
@@ -870,12 +917,11 @@ void ConformingCutter::select(WorkBudget& budget) {
       for (int f = 0; f < 4; ++f) {
         const HalfFace o = mesh_.opposite(half_face(t, f));
         if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
-        if (!may_open(half_face(t, f))) continue;
+        if (!separates(half_face(t, f))) continue;
         if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
           waits = true;
           continue;
         }
-        if (!separates(t, tet_of(o))) continue;
         workspace_.pending[t] |= static_cast<std::uint8_t>(1u << f);
         workspace_.pending[tet_of(o)] |= static_cast<std::uint8_t>(1u << face_of(o));
         to_open_.push_back(half_face(t, f));
@@ -893,42 +939,39 @@ void ConformingCutter::select(WorkBudget& budget) {
   phase_ = Phase::kOpen;
 }
 
-// A few tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with
-// their neighbours.
+// Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
+// neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface.
 void ConformingCutter::spare_islands() {
-  constexpr std::size_t kMost = 8;
+  constexpr std::size_t kRagged = 8, kSheet = 64;
   for (HalfFace h : to_open_) {
     for (HalfFace side : {h, mesh_.opposite(h)}) {
-      const TetId t = tet_of(side);
-      if (!(workspace_.pending[t] >> face_of(side) & 1)) continue;
-      // The component of t behind the faces that are about to open.
-      TetId members[kMost];
-      std::size_t size = 1;
-      members[0] = t;
-      bool small = true;
-      for (std::size_t i = 0; i < size && small; ++i) {
-        for (int f = 0; f < 4 && small; ++f) {
-          if (workspace_.pending[members[i]] >> f & 1) continue;
-          const TetId n = mesh_.neighbor(members[i], f);
-          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
-          if (size == kMost) {
-            small = false;
-          } else {
-            members[size++] = n;
-          }
+      if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) continue;
+      // The component behind the faces that are about to open.
+      TetId members[kSheet];
+      std::size_t size = 1, most = kSheet;
+      members[0] = tet_of(side);
+      bool clean = true, thin = true;
+      for (std::size_t i = 0; i < size && size <= most; ++i) {
+        const TetId t = members[i];
+        if (thin && !is_thin(t)) {
+          thin = false;
+          most = kRagged;
         }
-      }
-      if (!small) continue;
-      // A real piece has a vertex off the surface, and lies on one clean patch of it.
-      bool off_surface = false, clean = true;
-      for (std::size_t i = 0; i < size; ++i) {
-        for (VertexId v : mesh_.vertices(members[i])) off_surface = off_surface || !on_surface(v);
         for (int f = 0; f < 4; ++f) {
-          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
-          for (VertexId v : mesh_.face_vertices(half_face(members[i], f))) clean = clean && on_surface(v);
+          if (workspace_.pending[t] >> f & 1) {
+            for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
+            continue;
+          }
+          const TetId n = mesh_.neighbor(t, f);
+          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+          if (size == kSheet) {
+            size = kSheet + 1;
+            break;
+          }
+          members[size++] = n;
         }
       }
-      if (off_surface && clean) continue;
+      if (size > most || (clean && !thin)) continue;
       for (std::size_t i = 0; i < size; ++i) {
         for (int f = 0; f < 4; ++f) {
           if (!(workspace_.pending[members[i]] >> f & 1)) continue;
@@ -940,6 +983,28 @@ void ConformingCutter::spare_islands() {
     }
   }
   std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+}
+
+// Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.
+bool ConformingCutter::stands_clear(HalfFace h) const {
+  const auto face = mesh_.face_vertices(h);
+  if (!on_surface(face[0]) || !on_surface(face[1]) || !on_surface(face[2])) return false;
+  const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
+  if (on_surface(apex)) return false;
+  const Vec3& a = mesh_.position(face[0]);
+  const Vec3 n = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
+  return std::abs(dot(n, mesh_.position(apex) - a)) > kThin_h * mesh_.local_h(apex) * length(n);
+}
+
+// Whether all of a tetrahedron is near the surface.
+bool ConformingCutter::is_thin(TetId t) const {
+  for (VertexId v : mesh_.vertices(t)) {
+    Vec3 closest;
+    std::uint32_t triangle;
+    if (!on_surface(v) && !surface_.closest(mesh_.position(v), kThin_h * mesh_.local_h(v), closest, triangle))
+      return false;
+  }
+  return true;
 }
 
 void ConformingCutter::open(WorkBudget& budget) {

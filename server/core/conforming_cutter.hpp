@@ -85,7 +85,6 @@ class ConformingCutter final : public Cutter {
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
   void collect_from(TetId t);
-  int side(VertexId v);
   bool ripe(TetId t) const;
   bool hot(VertexId v) const;
   bool on_rim(VertexId v) const { return workspace_.rim[v] == stroke_; }
@@ -109,15 +108,18 @@ class ConformingCutter final : public Cutter {
 
   // --- repair
   void repair(WorkBudget& budget);
+  void activate_faces_at(VertexId v);
   void improve(TetId t);
   void thin_out(VertexId v);
   bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
 
   // --- opening
   void select(WorkBudget& budget);
-  bool may_open(HalfFace h) const;
-  bool separates(TetId a, TetId b) const;
+  Vec3 reference(TetId t) const;
+  bool separates(HalfFace h) const;
   void spare_islands();
+  bool stands_clear(HalfFace h) const;
+  bool is_thin(TetId t) const;
   void open(WorkBudget& budget);
   void finish();
 
@@ -147,7 +149,6 @@ class ConformingCutter final : public Cutter {
 
   std::vector<RimEvent> rim_events_;
   std::size_t next_rim_ = 0;
-  std::vector<std::uint32_t> rim_star_;
 
   std::size_t next_active_ = 0;
   int round_ = 0;
@@ -157,18 +158,22 @@ class ConformingCutter final : public Cutter {
   int pass_ = 0;
   std::vector<std::uint32_t> retry_;
   std::uint32_t collection_ = 0;
-  std::uint32_t sides_ = 0;
   std::size_t first_leftover_ = 0;
 
   std::vector<HalfFace> to_open_;
   std::size_t next_open_ = 0;
 
-  std::vector<VertexId> changed_;  // put on the surface by this batch
+  struct Changed {
+    VertexId vertex;
+    bool good;  // its star was good when it was put there
+  };
+  std::vector<Changed> changed_;  // put on the surface by this batch
   std::size_t next_changed_ = 0;
   std::vector<TetId> poor_;
 
   VertexStar star_, other_star_;
   std::vector<TetId> flat_, ring_;
+  std::vector<std::uint32_t> star_ids_;
 };
 
 }  // namespace incise::core

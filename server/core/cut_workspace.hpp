@@ -16,7 +16,6 @@ struct CutWorkspace {
     surface.reserve(vertices + vertices / 4 + 65536);
     failed.reserve(surface.capacity());
     rim.reserve(surface.capacity());
-    side.reserve(surface.capacity());
     event_head.reserve(surface.capacity());
     event_stamp.reserve(surface.capacity());
     seen.reserve(tets + tets / 4 + 65536);
@@ -33,7 +32,6 @@ struct CutWorkspace {
       surface.push_back(original == kNone ? 0 : surface[original]);
       failed.push_back(original == kNone ? 0 : failed[original]);
       rim.push_back(original == kNone ? 0 : rim[original]);
-      side.push_back(0);
       event_head.push_back(0);
       event_stamp.push_back(0);
     }
@@ -46,7 +44,6 @@ struct CutWorkspace {
   std::vector<std::uint32_t> surface;      // by vertex: the stroke on whose swept surface it was put
   std::vector<std::uint32_t> failed;       // by vertex: the stroke that could not deal with a crossing at it
   std::vector<std::uint32_t> rim;          // by vertex: the stroke on whose sweep's rim it was put
-  std::vector<std::uint32_t> side;         // by vertex: serial of a check << 2 | side of the surface + 1
   std::vector<std::uint32_t> event_head;   // by vertex: the first event of an edge whose lower vertex it is
   std::vector<std::uint32_t> event_stamp;  // by vertex: the collection that event_head belongs to
   std::vector<std::uint32_t> seen;         // by tetrahedron: the last search that came by

@@ -4,24 +4,14 @@
 
 namespace incise::core {
 
-std::uint32_t PieceTracker::find(std::uint32_t group) {
-  while (groups_[group].parent != group) {
-    groups_[group].parent = groups_[groups_[group].parent].parent;
-    group = groups_[group].parent;
-  }
-  return group;
-}
-
 void PieceTracker::claim(TetId t, std::uint32_t group) {
-  seen_[t] = search_;
-  owner_[t] = group;
+  claims_[t] = {search_, group};
   visited_.push_back(t);
   ++groups_[group].waiting;
 }
 
 void PieceTracker::begin() {
-  seen_.resize(mesh_.tet_slots(), 0);
-  owner_.resize(mesh_.tet_slots(), 0);
+  claims_.resize(mesh_.tet_slots(), {0, 0});
   ++search_;
   visited_.clear();
   next_ = 0;
@@ -44,16 +34,17 @@ bool PieceTracker::advance(WorkBudget& budget) {
     if (budget.spent()) return false;
     budget.charge(1);
     const TetId t = visited_[next_++];
-    std::uint32_t group = find(owner_[t]);
+    std::uint32_t group = find(claims_[t].group);
     --groups_[group].waiting;
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
       if (n == kNone) continue;
-      if (seen_[n] != search_) {
+      if (claims_[n].search != search_) {
         claim(n, group);
         continue;
       }
-      const std::uint32_t other = find(owner_[n]);
+      if (claims_[n].group == group) continue;
+      const std::uint32_t other = find(claims_[n].group);
       if (other == group) continue;
       // One piece is one component, so both began in the same one.
       groups_[other].parent = group;
@@ -70,10 +61,10 @@ bool PieceTracker::advance(WorkBudget& budget) {
     }
   }
   for (TetId t : visited_) {
-    const std::uint32_t fresh = groups_[find(owner_[t])].fresh;
+    const std::uint32_t fresh = groups_[find(claims_[t].group)].fresh;
     if (fresh == 0) continue;
     mesh_.set_piece(t, fresh);
-    changed_.push_back({fresh, t});
+    changed_.push_back(std::uint64_t{fresh} << 32 | t);
   }
   return true;
 }
@@ -83,13 +74,16 @@ void PieceTracker::report(Delta& delta) {
   for (TetId t : mesh_.touched_tets()) {
     if (!mesh_.alive(t) || !mesh_.is_new_tet(t) || mesh_.piece(t) == 0) continue;
     // Those that this search has put elsewhere are listed already.
-    if (seen_[t] == search_ && owner_[t] < groups_.size() && groups_[find(owner_[t])].fresh != 0) continue;
-    changed_.push_back({mesh_.piece(t), t});
+    if (claims_[t].search == search_ && claims_[t].group < groups_.size() &&
+        groups_[find(claims_[t].group)].fresh != 0)
+      continue;
+    changed_.push_back(std::uint64_t{mesh_.piece(t)} << 32 | t);
   }
   std::sort(changed_.begin(), changed_.end());
-  for (const auto& [piece, t] : changed_) {
+  for (const std::uint64_t change : changed_) {
+    const auto piece = static_cast<std::uint32_t>(change >> 32);
     if (delta.pieces.empty() || delta.pieces.back().id != piece) delta.pieces.push_back({piece, {}});
-    delta.pieces.back().tets.push_back(t);
+    delta.pieces.back().tets.push_back(static_cast<TetId>(change));
   }
 }
 

@@ -29,14 +29,23 @@ class PieceTracker {
   std::uint32_t pieces() const { return next_piece_; }
 
  private:
-  std::uint32_t find(std::uint32_t group);
+  std::uint32_t find(std::uint32_t group) {
+    while (groups_[group].parent != group) {
+      groups_[group].parent = groups_[groups_[group].parent].parent;
+      group = groups_[group].parent;
+    }
+    return group;
+  }
   void claim(TetId t, std::uint32_t group);
 
   TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
-  std::uint32_t search_ = 0;                 // serial of the running search
-  std::vector<std::uint32_t> seen_, owner_;  // by tetrahedron: the search that came by, and its group
-  std::vector<TetId> visited_;               // breadth first
+  std::uint32_t search_ = 0;  // serial of the running search
+  struct Claim {
+    std::uint32_t search, group;
+  };
+  std::vector<Claim> claims_;   // by tetrahedron: the search that came by, and its group
+  std::vector<TetId> visited_;  // breadth first
   std::size_t next_ = 0;
   struct Group {
     std::uint32_t parent;
@@ -47,7 +56,7 @@ class PieceTracker {
   std::vector<Group> groups_;
   std::vector<std::uint32_t> searching_;  // by piece: its groups that still have somewhere to go
   std::uint32_t undecided_ = 0;           // pieces with more than one of them
-  std::vector<std::pair<std::uint32_t, TetId>> changed_;
+  std::vector<std::uint64_t> changed_;    // piece << 32 | tetrahedron
 };
 
 }  // namespace incise::core

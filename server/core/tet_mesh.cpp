@@ -60,6 +60,7 @@ TetMesh::TetMesh(const MeshData& data) {
     attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0, 0});
   }
   live_tets_ = static_cast<std::uint32_t>(tet_count);
+  for (const std::int32_t region : data.regions) has_regions_ = has_regions_ || region != data.regions[0];
 
   // Edge lengths: an edge counts once for each tetrahedron around it, which weighs it by the space it stands for.
   std::vector<double> sums(vertex_count, 0.0);

@@ -73,6 +73,8 @@ class TetMesh {
     return h == kNone ? kNone : tet_of(h);
   }
   std::int32_t region(TetId t) const { return attributes_[t].region; }
+  // Whether there is more than one.
+  bool has_regions() const { return has_regions_; }
   // Which piece of the body it is in (server/core/piece_tracker.hpp). Not part of the state that the hash names.
   std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
   void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
@@ -172,6 +174,7 @@ class TetMesh {
   std::vector<Tet> tets_;
   std::vector<Attributes> attributes_;
   std::uint32_t live_tets_ = 0;
+  bool has_regions_ = false;
   std::uint32_t initial_vertex_copies_ = 0;
   std::int64_t cut_sides_ = 0;
   double mean_edge_length_ = 0;

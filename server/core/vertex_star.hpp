@@ -15,46 +15,29 @@ class VertexStar {
   struct Corner {
     TetId tet;
     std::array<VertexId, 3> others;  // (v, others) is positively oriented
-    std::array<Vec3, 3> points;
-    bool may_flatten;  // all others lie on the swept surface
+    bool may_flatten;                // all others lie on the swept surface
   };
 
   // Reads the star of v. on_surface(vertex) says whether a vertex lies on the swept surface.
   template <class OnSurface>
   void gather(const TetMesh& mesh, VertexId v, OnSurface on_surface) {
-    mesh.star(v, corners_ids_);
-    position_ = mesh.position(v);
-    local_h_ = mesh.local_h(v);
-    corners_.clear();
-    walls_.clear();
-    wall_area_ = {};
-    for (std::uint32_t id : corners_ids_) {
-      Corner& corner = corners_.emplace_back();
-      corner.tet = id >> 2;
-      const int i = static_cast<int>(id & 3u);
-      const auto& vertices = mesh.vertices(corner.tet);
-      corner.may_flatten = true;
-      for (int k = 0; k < 3; ++k) {
-        const VertexId other = vertices[kFaceVertices[i][k]];
-        corner.others[k] = other;
-        corner.points[k] = mesh.position(other);
-        corner.may_flatten = corner.may_flatten && on_surface(other);
-      }
-      for (int f = 0; f < 4; ++f) {
-        if (f == i) continue;
-        const TetId beyond = mesh.neighbor(corner.tet, f);
-        // What lies between two materials is as fixed as what lies between tissue and air.
-        if (beyond != kNone && mesh.region(beyond) == mesh.region(corner.tet)) continue;
-        const auto& k = kFaceVertices[f];
-        const Vec3& a = mesh.position(vertices[k[0]]);
-        const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
-        walls_.push_back(normalized(twice));
-        wall_area_ += 0.5 * twice;
-      }
+    begin(mesh, v);
+    for (std::uint32_t id : corner_ids_) {
+      Corner& corner = add(mesh, id);
+      corner.may_flatten =
+          on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]);
+      if (corner.may_flatten) flattenable_.push_back(static_cast<std::uint32_t>(corners_.size() - 1));
     }
+    finish();
   }
 
   const std::vector<Corner>& corners() const { return corners_; }
+  // Where others[k] of the corner is.
+  Vec3 point(std::size_t corner, int k) const {
+    const auto& p = lanes_[corner / 4].p;
+    const std::size_t lane = corner % 4, row = 3 * static_cast<std::size_t>(k);
+    return {p[row][lane], p[row + 1][lane], p[row + 2][lane]};
+  }
   const Vec3& position() const { return position_; }
   // The mesh width at the vertex, m.
   double local_h() const { return local_h_; }
@@ -72,10 +55,22 @@ class VertexStar {
   bool keeps_boundary(const Vec3& p) const;
 
  private:
+  // The points of four corners, side by side for vector instructions: rows are the coordinates of others[0], [1], [2].
+  struct alignas(32) Lanes {
+    double p[9][4];
+  };
+  friend struct LaneKernels;
+
+  void begin(const TetMesh& mesh, VertexId v);
+  Corner& add(const TetMesh& mesh, std::uint32_t id);
+  void finish();
+
   Vec3 position_;
   double local_h_ = 0;
-  std::vector<std::uint32_t> corners_ids_;
+  std::vector<std::uint32_t> corner_ids_;
   std::vector<Corner> corners_;
+  std::vector<Lanes> lanes_;                // the last one is filled up with copies of the last corner
+  std::vector<std::uint32_t> flattenable_;  // corners that may flatten
   std::vector<Vec3> walls_;
   Vec3 wall_area_;  // the sum of the boundary faces' area vectors
 };

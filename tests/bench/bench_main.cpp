@@ -12,6 +12,7 @@ int main(int argc, char** argv) {
   app.add_flag("--json", report.json, "Print one JSON object instead of tables");
   app.fallthrough();
   app.require_subcommand(0, 1);
+  incise::bench::add_cut_bench(app, report);
   incise::bench::add_micro_bench(app, report);
   incise::bench::add_paper_bench(app, report);
   incise::bench::add_loop_bench(app, report);

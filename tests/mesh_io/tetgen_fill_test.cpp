@@ -237,7 +237,7 @@ TEST(TetgenFill, MemoryLimit) {
 
 TEST(TetgenFill, TimeLimitOfTheRealChild) {
   FillOptions options = uncached(4'000'000);
-  options.time_limit = std::chrono::milliseconds(400);
+  options.time_limit = std::chrono::milliseconds(1);  // no machine runs its first attempt in that
   EXPECT_SAYS(error_of([&] { fill(cube(), options); }), "was stopped after 0.");
 }
 

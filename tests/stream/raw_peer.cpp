@@ -13,7 +13,7 @@ namespace incise::stream {
 RawPeer::RawPeer(std::uint16_t port, int receive_buffer) {
   const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (receive_buffer > 0) ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &receive_buffer, sizeof receive_buffer);
-  const timeval patience{10, 0};
+  const timeval patience{60, 0};
   ::setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
   ::setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
   sockaddr_in address{};
@@ -95,6 +95,10 @@ void RawPeer::vanish() {
   const linger now{1, 0};
   ::setsockopt(fd_, SOL_SOCKET, SO_LINGER, &now, sizeof now);
   ::close(std::exchange(fd_, -1));
+}
+
+void RawPeer::shut_down() {
+  ::shutdown(fd_, SHUT_RDWR);
 }
 
 std::string http(std::uint16_t port, const std::string& target, const std::string& method,

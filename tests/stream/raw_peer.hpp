@@ -16,7 +16,7 @@ namespace incise::stream {
 
 class RawPeer {
  public:
-  // Connects to 127.0.0.1; reads time out after 10 s. `receive_buffer`: bytes for the kernel's, 0 for its
+  // Connects to 127.0.0.1; reads time out after 60 s. `receive_buffer`: bytes for the kernel's, 0 for its
   // default.
   explicit RawPeer(std::uint16_t port, int receive_buffer = 0);
   ~RawPeer();
@@ -49,6 +49,8 @@ class RawPeer {
   std::string read_all(std::size_t enough = SIZE_MAX);
   // Ends the connection with a reset, as a peer does that crashes.
   void vanish();
+  // Ends both directions; a receive() in another thread returns. The only call that another thread may make.
+  void shut_down();
 
  private:
   int fd_ = -1;

@@ -4,8 +4,10 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cstdint>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "protocol/replica.hpp"
@@ -53,6 +55,8 @@ struct Viewer {
       steps += delta->steps.size();
     } else if (const auto* w = std::get_if<protocol::Welcome>(&body)) {
       welcome = *w;
+    } else if (const auto* ping = std::get_if<protocol::Ping>(&body)) {
+      peer.send(protocol::Pong{ping->nonce, ping->sent_ns, 0});  // or it would be taken for gone
     }
     EXPECT_TRUE(result) << result.text;
     return static_cast<bool>(result);
@@ -64,6 +68,41 @@ struct Viewer {
   bool whole = false;
   std::vector<protocol::SnapshotCause> causes;
   std::size_t deltas = 0, steps = 0;
+};
+
+// A viewer that reads all the time, in a thread of its own, as a healthy one does.
+class ReadingViewer {
+ public:
+  explicit ReadingViewer(std::uint16_t port) : viewer_(port), thread_([this] { read(); }) {}
+  ~ReadingViewer() { stop(); }
+  ReadingViewer(const ReadingViewer&) = delete;
+  ReadingViewer& operator=(const ReadingViewer&) = delete;
+
+  // Whether it holds a whole state of at least `revision`, now.
+  bool at(std::uint64_t revision) const { return whole_ && revision_ >= revision; }
+  // Whether the server, or a part that it refused, ended its reading.
+  bool ended() const { return ended_; }
+  // Ends the reading; then the viewer is the caller's.
+  Viewer& stop() {
+    viewer_.peer.shut_down();
+    if (thread_.joinable()) thread_.join();
+    return viewer_;
+  }
+
+ private:
+  void read() {
+    while (auto received = viewer_.peer.receive()) {
+      if (!viewer_.take(received->message.body)) break;
+      revision_ = viewer_.replica.revision();
+      whole_ = viewer_.whole;
+    }
+    ended_ = true;
+  }
+
+  Viewer viewer_;
+  std::atomic<std::uint64_t> revision_{0};
+  std::atomic<bool> whole_{false}, ended_{false};
+  std::thread thread_;
 };
 
 }  // namespace incise::stream

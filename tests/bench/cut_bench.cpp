@@ -1,0 +1,202 @@
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <memory>
+
+#include "tests/bench/bench_util.hpp"
+#include "tests/bench/benches.hpp"
+#include "tests/bench/random_cut.hpp"
+
+// Random cuts right through any mesh, judged by geometry: pieces, deviation, growth, angles, time.
+namespace incise::bench {
+namespace {
+
+using core::Vec3;
+
+struct Setting {
+  std::string name;
+  core::Policy policy;
+  core::Growth growth;
+};
+const std::vector<Setting> kSettings = {
+    {"croll", core::Policy::kCroll, core::Growth::kBalanced},
+    {"no-growth", core::Policy::kConforming, core::Growth::kNoGrowth},
+    {"balanced", core::Policy::kConforming, core::Growth::kBalanced},
+};
+
+struct Options {
+  std::vector<std::string> meshes, settings{"balanced"}, shapes{"planar", "twisted", "curved", "both"};
+  double scale = 1;
+  std::vector<int> segments{1, 10, 100};
+  int cuts = 10;
+  std::uint64_t seed = 1;
+  bool each = false;
+};
+
+// What one cut left.
+struct Outcome {
+  core::CutReport after;
+  SessionTotals totals;
+  RandomCut::Pieces expected;
+  std::uint32_t mixed = 0;  // pieces with tetrahedra well on both sides
+  double seconds = 0;
+  double max_deviation_h = 0, mean_deviation_h = 0, growth = 0;
+  std::uint64_t hash = 0;
+};
+
+Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const RandomCut& cut,
+                const Setting& setting) {
+  core::CutConfig config = bench_config(setting.policy);
+  config.growth = setting.growth;
+  core::CutSession session(mesh.mesh, config);
+  cut.push(session);
+  Outcome outcome;
+  const double start = thread_cpu_s();
+  outcome.totals = run_all(session);
+  outcome.seconds = thread_cpu_s() - start;
+  const core::TetMesh& cut_mesh = session.mesh();
+  const double h = cut_mesh.mean_edge_length();
+  outcome.after = core::measure(cut_mesh);
+  outcome.expected = cut.pieces(mesh.mesh, 0.75 * h);
+  outcome.hash = cut_mesh.state_hash();
+
+  std::uint32_t count = 0;
+  const auto labels = core::label_pieces(cut_mesh, &count);
+  std::vector<std::uint8_t> sides(count, 0);
+  std::uint64_t samples = 0;
+  double sum = 0;
+  for (core::TetId t = 0; t < cut_mesh.tet_slots(); ++t) {
+    if (!cut_mesh.alive(t)) continue;
+    const double side = cut.side(cut_mesh.barycentre(t));
+    if (std::abs(side) > 0.75 * h) sides[labels[t]] |= side > 0 ? 1 : 2;
+    for (int f = 0; f < 4; ++f) {
+      if (!(cut_mesh.cut_mask(t) >> f & 1)) continue;
+      for (core::VertexId v : cut_mesh.face_vertices(core::half_face(t, f))) {
+        const double off = std::abs(cut.side(cut_mesh.position(v))) / h;
+        outcome.max_deviation_h = std::max(outcome.max_deviation_h, off);
+        sum += off;
+        ++samples;
+      }
+    }
+  }
+  for (std::uint8_t s : sides) outcome.mixed += s == 3;
+  outcome.mean_deviation_h = samples > 0 ? sum / static_cast<double>(samples) : 0;
+  outcome.growth =
+      (static_cast<double>(outcome.after.tets) - before.tets) / std::max(outcome.after.cut_faces, 1u);
+  return outcome;
+}
+
+void run(const Options& options, Report& report) {
+  report.begin("cut");
+  std::vector<NamedMesh> meshes;
+  for (const std::string& path : options.meshes) meshes.push_back(load(path, options.scale));
+  if (meshes.empty() && !data_folder().empty()) {
+    for (const char* name : {"seed_1720", "seed_3234", "armadillo_3717", "liver_80298"})
+      meshes.push_back(load(data_folder() + "/meshes/" + name + ".node", 1));
+  }
+  if (meshes.empty()) meshes = {phantom("cylinder", 15000), phantom("liver", 20000)};
+  report.fact("seed", count(options.seed));
+
+  std::vector<std::string> each;
+  report.table("random cuts right through, judged by geometry", {{"mesh"},
+                                                                 {"policy"},
+                                                                 {"shape"},
+                                                                 {"segments"},
+                                                                 {"cuts"},
+                                                                 {"wrong"},
+                                                                 {"islands"},
+                                                                 {"inverted"},
+                                                                 {"faces"},
+                                                                 {"growth/face", 2},
+                                                                 {"worst", 2},
+                                                                 {"dev mean h", 4},
+                                                                 {"max h", 3},
+                                                                 {"angle in", 2},
+                                                                 {"p50", 2},
+                                                                 {"worst deg", 2},
+                                                                 {"ms a cut", 2},
+                                                                 {"us an event", 2},
+                                                                 {"units"}});
+  for (const NamedMesh& mesh : meshes) {
+    const core::CutReport before = core::measure(core::TetMesh(mesh.mesh));
+    for (const Setting& setting : kSettings) {
+      if (std::find(options.settings.begin(), options.settings.end(), setting.name) == options.settings.end())
+        continue;
+      for (Shape shape : {Shape::kPlanar, Shape::kTwisted, Shape::kCurved, Shape::kBoth}) {
+        if (std::find(options.shapes.begin(), options.shapes.end(), to_string(shape)) == options.shapes.end())
+          continue;
+        for (int segments : options.segments) {
+          std::int64_t wrong = 0, islands = 0, inverted = 0, faces = 0, units = 0;
+          std::vector<double> growths, angles, seconds, event_us;
+          double mean = 0, max = 0;
+          for (int i = 0; i < options.cuts; ++i) {
+            const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
+            const Outcome o = run_one(mesh, before, RandomCut(mesh.mesh, shape, segments, seed), setting);
+            const bool right =
+                o.after.pieces >= o.expected.least && o.after.pieces <= o.expected.most && o.mixed == 0;
+            wrong += !right;
+            islands += o.after.islands;
+            inverted += o.after.inverted;
+            faces += o.after.cut_faces;
+            units += o.totals.work_units;
+            growths.push_back(o.growth);
+            angles.push_back(o.after.min_dihedral_deg);
+            seconds.push_back(o.seconds);
+            event_us.push_back(1e6 * o.seconds / std::max(o.totals.counts.events, 1u));
+            mean += o.mean_deviation_h / options.cuts;
+            max = std::max(max, o.max_deviation_h);
+            if (!right || options.each) {
+              std::fprintf(stderr,
+                           "%s %s %s, %d segments, seed %llu: %u pieces, expected %u to %u, %u mixed; "
+                           "deviation %.3f h, "
+                           "angle %.2f degrees, growth %.2f, hash %s\n",
+                           mesh.name.c_str(), setting.name.c_str(), to_string(shape), segments,
+                           static_cast<unsigned long long>(seed), o.after.pieces, o.expected.least,
+                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth,
+                           std::get<std::string>(hex(o.hash)).c_str());
+            }
+          }
+          report.row({mesh.name, setting.name, std::string(to_string(shape)), std::int64_t{segments},
+                      std::int64_t{options.cuts}, wrong, islands, inverted, faces / options.cuts,
+                      percentile(growths, 0.5), percentile(growths, 1), mean, max, before.min_dihedral_deg,
+                      percentile(angles, 0.5), *std::min_element(angles.begin(), angles.end()),
+                      1e3 * percentile(seconds, 0.5), percentile(event_us, 0.5), units / options.cuts});
+        }
+      }
+    }
+  }
+}
+
+}  // namespace
+
+void add_cut_bench(CLI::App& app, Report& report) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command =
+      app.add_subcommand("cut", "Random cuts right through any mesh, judged by geometry, and their time");
+  command->add_option("--mesh", options->meshes, "Mesh files; without: some of INCISE_DATA's, or phantoms");
+  command->add_option("--scale", options->scale, "Metres in a unit of the files")->capture_default_str();
+  std::vector<std::string> names;
+  for (const Setting& setting : kSettings) names.push_back(setting.name);
+  command->add_option("--policy", options->settings, "Which: croll, no-growth, balanced")
+      ->delimiter(',')
+      ->check(CLI::IsMember(names))
+      ->capture_default_str();
+  command->add_option("--shape", options->shapes, "Which: planar, twisted, curved, both")
+      ->delimiter(',')
+      ->check(CLI::IsMember({"planar", "twisted", "curved", "both"}))
+      ->capture_default_str();
+  command->add_option("--segments", options->segments, "Steps that describe the motion")
+      ->delimiter(',')
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  command->add_option("--cuts", options->cuts, "Cuts for each line of the table")
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  command->add_option("--seed", options->seed, "Of the first cut; the others count on")
+      ->capture_default_str();
+  command->add_flag("--each", options->each, "Say a line about each cut, not only about wrong ones");
+  command->callback([options, &report] { run(*options, report); });
+}
+
+}  // namespace incise::bench

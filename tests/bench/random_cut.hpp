@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "server/core/cut_session.hpp"
+#include "server/core/mesh_data.hpp"
+
+// Random cuts right through a body, with what geometry says about each: the sweep is a surface that is known in closed
+// form, so nothing of the cutter's own is needed to judge it.
+namespace incise::bench {
+
+enum class Shape { kPlanar, kTwisted, kCurved, kBoth };
+const char* to_string(Shape shape);
+
+class RandomCut {
+ public:
+  // A sweep through `mesh` in `segments` equal steps: at a random place near its middle, in a random direction. Twisted: the
+  // blade turns about the line of its motion by up to 25 degrees each way; curved: its path bends sideways by up to an
+  // eighth of the body. The same seed gives the same cut, however many segments describe it.
+  RandomCut(const core::MeshData& mesh, Shape shape, int segments, std::uint64_t seed);
+
+  // Pushes it into source 0, and ends the stroke. The session wants bench_config().
+  void push(core::CutSession& session) const;
+
+  // How far p lies off the swept surface, along the normal of the blade line beside it, m: positive on one side. The
+  // distance is at most its magnitude.
+  double side(const core::Vec3& p) const;
+
+  // How many pieces the cut makes of `uncut`: the components of the body's parts on either side. Those that nowhere reach
+  // farther from the surface than `thin_m` may come away or not: they count only into `most`.
+  struct Pieces {
+    std::uint32_t least = 0, most = 0;
+  };
+  Pieces pieces(const core::MeshData& uncut, double thin_m) const;
+
+ private:
+  core::BladeLine line(double s) const;  // s from 0 to 1, on the ideal sweep
+
+  core::Vec3 middle_, ahead_, along_, normal_;
+  double reach_ = 0, turn_ = 0, bend_ = 0, phase_ = 0;
+  int segments_ = 1;
+};
+
+}  // namespace incise::bench
