@@ -40,6 +40,8 @@ export interface LinkEvents {
   state(state: LinkState): void;
   /** The server did not do what it was asked for; the connection stays. */
   refused(text: string): void;
+  /** A message made no sense; the connection is opened anew. */
+  unreadable(): void;
 }
 
 const kFirstPause_ms = 250;
@@ -166,6 +168,17 @@ export class Link {
 
   private onMessage(data: ArrayBuffer): void {
     this.lastHeard_ms = performance.now();
+    try {
+      this.read(data);
+    } catch (error) {
+      // FlatBuffers has no verifier here: what leads out of the message throws when it is read.
+      console.error(error);
+      this.events.unreadable();
+      this.drop("The server sent something that cannot be read.");
+    }
+  }
+
+  private read(data: ArrayBuffer): void {
     const buffer = new flatbuffers.ByteBuffer(new Uint8Array(data));
     if (data.byteLength < 16 || !Message.bufferHasIdentifier(buffer)) {
       this.drop("The server sent something that is no message.");

@@ -48,6 +48,7 @@ class Page {
   private fitted = "";
   private hints = 0;
   private livePoses_ms = new Map<number, number>(); // when the last one came, by source
+  shownAfter_ms = 0; // from the page's start to its first state
   private posed_ms = 0; // of the state in the picture that is on its way to the screen
   private latencies: number[] = [];
   private lastFigures = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
@@ -59,6 +60,7 @@ class Page {
   };
 
   constructor() {
+    this.worker.onerror = (event) => this.notice(`The page failed (${event.message}). Reload it.`);
     this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.onMessage(data);
     this.stage.beforeDraw = () => {
       this.mouse.tick();
@@ -104,6 +106,7 @@ class Page {
       case "geometry":
         this.stage.body.replace(message.slots, message.capacity, message.corners);
         this.patch = null;
+        this.shownAfter_ms ||= performance.now();
         this.show(message.progress);
         if (message.progress.revision === 0) this.stage.body.setOpening(new Float32Array(0), new Float32Array(0));
         this.send({ kind: "applied" });
@@ -329,6 +332,10 @@ class Page {
   }
 
   setTool(tool: Tool, connect = true): void {
+    if (tool === "cut" && this.replay.facts) {
+      this.notice("A recording cannot be cut.", "Back to live", () => this.send({ kind: "replay", action: "close" }));
+      tool = "turn";
+    }
     this.tool = tool;
     this.mouse.cancel();
     document.body.dataset.tool = tool;
@@ -343,9 +350,13 @@ class Page {
     const share = input("depth").valueAsNumber;
     const facts = this.mouse.facts;
     const length = facts ? Math.hypot(...facts.tip.map((t, k) => t - facts.heel[k])) : 0.1;
-    const most = Math.min(length, 0.6 * this.stage.bodySize_m);
-    this.mouse.depth_m = share >= 1 ? null : share * most;
-    element("depth-text").textContent = share >= 1 ? "through" : `${number(share * most * 1000)} mm`;
+    // A blade that is too short to reach through goes in up to its heel.
+    const reaches = length >= 0.75 * this.stage.bodySize_m;
+    const most = Math.min(0.97 * length, 0.6 * this.stage.bodySize_m);
+    const through = share >= 1 && reaches;
+    this.mouse.depth_m = through ? null : share * most;
+    element("depth-text").textContent = through ? "through" : `${number(share * most * 1000)} mm`;
+    element("depth-text").title = reaches ? "" : "The blade is shorter than the body: give the source \"mouse\" a longer one in the server's configuration.";
   }
 
   private bindTools(): void {
@@ -475,6 +486,7 @@ class Page {
     this.replay.show(facts);
     const is = this.replay.facts !== null;
     document.body.dataset.replay = is ? "on" : "off";
+    element<HTMLButtonElement>("reset").disabled = is;
     if (is && !was) {
       this.setTool("turn");
       this.send({ kind: "release-blade" });

@@ -53,6 +53,7 @@ let bodySize_m = 1;
 let capacity = 0; // slots that the page has room for
 let waiting = false; // the page has a patch that it has not applied yet
 let steps: BladeStep[] = [];
+let openingCost_ms = 0;
 let openingTimer: ReturnType<typeof setTimeout> | undefined;
 const progress: Progress = {
   revision: 0, tets: 0, triangles: 0, pieces: 1, hash: "", hashAgrees: true, deltas: 0, bytes: 0,
@@ -99,13 +100,14 @@ function postChanges(): void {
   post({ kind: "patch", slots, highest: surface.slots, corners: changed, rows: builder.rowCount, steps, progress: { ...progress } },
        [slots.buffer, ...transferable(changed)]);
   steps = [];
-  scheduleOpening(kOpeningPause_ms);
+  scheduleOpening(Math.max(kOpeningPause_ms, 8 * openingCost_ms)); // of a large body it must not eat up the worker
 }
 
 function scheduleOpening(pause_ms: number): void {
   openingTimer ??= setTimeout(() => {
     openingTimer = undefined;
     if (!holding) return;
+    const began_ms = performance.now();
     computeOpening(surface, (piece) => builder.rowOf(piece), builder.rowCount, bodySize_m, opening);
     const lips = new Float32Array(9 * surface.slots);
     for (let c = 0; c < 3 * surface.slots; ++c) {
@@ -117,6 +119,7 @@ function scheduleOpening(pause_ms: number): void {
     }
     const pieces = opening.pieces.slice(0, 4 * builder.rowCount);
     post({ kind: "opening", lips, pieces, cutArea_m2: opening.cutArea_m2 }, [lips.buffer, pieces.buffer]);
+    openingCost_ms = performance.now() - began_ms;
   }, pause_ms);
 }
 
@@ -256,6 +259,7 @@ function openView(): void {
     message: onViewMessage,
     state: (state) => post({ kind: "link", which: "view", state }),
     refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => (holding = false), // whatever it did to the state
   });
 }
 
@@ -281,6 +285,7 @@ function takeBlade(takeOver: boolean): void {
       post({ kind: "link", which: "blade", state });
     },
     refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => {},
   });
 }
 
@@ -298,6 +303,7 @@ function reset(): void {
       if (state.stage !== "open") post({ kind: "link", which: "admin", state });
     },
     refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => {},
   });
 }
 
