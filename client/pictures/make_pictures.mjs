@@ -42,6 +42,7 @@ async function open(options) {
 
 /** Takes the picture once it rests, at full sharpness. */
 async function shoot(page, name) {
+  await page.evaluate(() => document.activeElement.blur());
   await page.waitForTimeout(3000);
   await page.screenshot({ path: fileURLToPath(new URL(name, here)) });
   await page.context().close();

@@ -217,6 +217,7 @@ class Page {
     }
     this.mouse.enabled = false;
     this.mouse.cancel();
+    this.nextHint(true);
     if (state.stage !== "ended") return;
     this.setTool("turn");
     if (state.reason === "taken") {
@@ -460,7 +461,7 @@ class Page {
     if (theme !== "auto") localStorage.setItem("incise-theme", theme);
     const light = theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches);
     document.documentElement.dataset.theme = light ? "light" : "dark";
-    this.stage.setInk(light ? 0x4a5a6a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1);
+    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1);
     for (const chart of Object.values(this.charts)) chart.draw();
   }
 

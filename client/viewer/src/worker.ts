@@ -177,7 +177,8 @@ function onDelta(delta: SurfaceDelta): void {
   for (let i = 0; i < delta.stepsLength(); ++i) {
     const step = delta.steps(i)!;
     const own = step.source() === ownSource && blade?.open === true;
-    progress.posed_ms = Number((own ? step.toSourceNs() : step.arrivalNs() - (view?.clockOffset_ns ?? 0n)) / 1000n) / 1e3;
+    // In a replay nobody posed.
+    progress.posed_ms = replaying ? 0 : Number((own ? step.toSourceNs() : step.arrivalNs() - (view?.clockOffset_ns ?? 0n)) / 1000n) / 1e3;
     steps.push({ source: step.source(), own, heel: vec(step.toHeel()), tip: vec(step.toTip()), ended: step.strokeEnded() });
   }
   if (steps.length > 256) steps.splice(0, steps.length - 256); // of a page that does not look
