@@ -45,6 +45,7 @@ export class BodyMesh {
         uLight: { value: new THREE.Vector3(0, 0, 1) },
         uFill: { value: new THREE.Vector3(0, 0, 1) },
         uAmbient: { value: 1 },
+        uDetail: { value: 1 },
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);

@@ -3,6 +3,7 @@
 
 export const bodyVertexShader = /* glsl */ `
   precision highp float;
+  out float vCoarse;
   in vec4 aNormal;
   in vec4 aFacts;  // cut face, quality, row of the piece (low, high)
   in vec3 aLips;
@@ -23,6 +24,7 @@ export const bodyVertexShader = /* glsl */ `
     vFacts = vec3(aFacts.x, aFacts.y / 255.0, float(row));
     vNormal = aNormal.xyz;
     vRest = position;
+    vCoarse = aNormal.w;
     vWorld = shown;
     gl_Position = projectionMatrix * viewMatrix * vec4(shown, 1.0);
   }
@@ -31,6 +33,7 @@ export const bodyVertexShader = /* glsl */ `
 export const bodyFragmentShader = /* glsl */ `
   precision highp float;
   in vec3 vNormal;
+  in float vCoarse;
   in vec3 vRest;
   in vec3 vWorld;
   in vec3 vEdge;
@@ -42,6 +45,7 @@ export const bodyFragmentShader = /* glsl */ `
   uniform vec3 uLight;      // towards the lights, unit
   uniform vec3 uFill;
   uniform float uAmbient;
+  uniform float uDetail;    // 0: no fine grain, while things move on a slow machine
   out vec4 colour;
 
   float hash(vec3 p) {
@@ -55,7 +59,6 @@ export const bodyFragmentShader = /* glsl */ `
     return mix(mix(mix(hash(i), hash(i + vec3(1, 0, 0)), f.x), mix(hash(i + vec3(0, 1, 0)), hash(i + vec3(1, 1, 0)), f.x), f.y),
                mix(mix(hash(i + vec3(0, 0, 1)), hash(i + vec3(1, 0, 1)), f.x), mix(hash(i + vec3(0, 1, 1)), hash(i + vec3(1, 1, 1)), f.x), f.y), f.z);
   }
-
   vec3 pieceColour(float row) {
     if (row < 0.5) return vec3(0.30, 0.075, 0.060);
     float h = fract(0.08 + row * 0.61803399);
@@ -78,8 +81,8 @@ export const bodyFragmentShader = /* glsl */ `
       float along = dot(toEye, uSection.xyz);
       if (abs(along) > 1e-4) place = vWorld + toEye * (uSection.w - dot(vWorld, uSection.xyz)) / along;
     }
-    float coarse = noise(place * uGrain);
-    float fine = noise(place * uGrain * 4.3 + 7.0);
+    float coarse = vCoarse;
+    float fine = uDetail > 0.5 ? noise(place * uGrain * 4.3 + 7.0) : 0.5;
     bool cut = vFacts.x > 0.5 || inside;
 
     vec3 skin = mix(vec3(0.098, 0.0155, 0.012), vec3(0.178, 0.033, 0.023), 0.6 * coarse + 0.4 * fine);
@@ -90,7 +93,7 @@ export const bodyFragmentShader = /* glsl */ `
     if (uColouring == 2) base = inside ? vec3(0.12) : 0.42 * qualityColour(vFacts.y);
 
     vec3 n = normalize(!inside ? vNormal : dot(uSection.xyz, uSection.xyz) > 0.5 ? uSection.xyz : -vNormal);
-    if (!inside && uColouring != 2) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, noise(place.zxy * uGrain * 3.1)) - 0.5));
+    if (!inside && uColouring != 2) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, fract(3.0 * fine + 2.0 * coarse)) - 0.5));
     float wrap = clamp((dot(n, uLight) + 0.35) / 1.35, 0.0, 1.0);
     float fill = clamp(dot(n, uFill) * 0.5 + 0.5, 0.0, 1.0);
     float sky = 0.5 + 0.5 * n.z;

@@ -3,7 +3,7 @@ import { kNone, type Surface, withRoom } from "./surface";
 /** What the graphics card gets of each corner of a triangle; a slot's three corners lie together. */
 export interface Corners {
   positions: Float32Array; // 3 a corner, metres
-  normals: Int16Array; // 4 a corner, normalised; the fourth is unused
+  normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
   facts: Uint8Array; // 4 a corner: is a cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
 }
 
@@ -18,6 +18,26 @@ export function allocateCorners(slots: number): Corners {
 // Faces that meet at less than this are shaded as one smooth surface.
 const kCreaseCosine = Math.cos((42 * Math.PI) / 180);
 const kCut = 1;
+
+function hash(x: number, y: number, z: number): number {
+  let h = Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d);
+  h = Math.imul(h ^ (h >>> 15), 0x2c1b3c6d);
+  return ((h ^ (h >>> 13)) >>> 0) / 2 ** 32;
+}
+
+/** A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. Fixed to the place, so to the tissue. */
+function grain(p: Float32Array, at: number, cells: number): number {
+  const x = p[at] * cells, y = p[at + 1] * cells, z = p[at + 2] * cells;
+  const i = Math.floor(x), j = Math.floor(y), k = Math.floor(z);
+  const ease = (t: number) => t * t * (3 - 2 * t);
+  const u = ease(x - i), v = ease(y - j), w = ease(z - k);
+  let sum = 0;
+  for (let corner = 0; corner < 8; ++corner) {
+    const a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
+    sum += hash(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
+  }
+  return sum;
+}
 
 /** Makes corners from a surface: normals smooth over skin and over cut faces, with an edge between the two. */
 export class CornerBuilder {
@@ -36,6 +56,9 @@ export class CornerBuilder {
   get rowCount(): number {
     return this.rows.size;
   }
+
+  /** Cells of the tissue's grain in a metre. */
+  grainCells = 200;
 
   restart(): void {
     this.rows.clear();
@@ -94,6 +117,7 @@ export class CornerBuilder {
       const v = surface.corners[3 * slot + k];
       for (let i = 0; i < 3; ++i) out.positions[9 * at + 3 * k + i] = surface.positions[3 * v + i];
       this.writeNormal(slot, v, faceNormals, out.normals, 12 * at + 4 * k);
+      out.normals[12 * at + 4 * k + 3] = 32767 * grain(surface.positions, 3 * v, this.grainCells);
       const fact = 12 * at + 4 * k;
       out.facts[fact] = surface.flags[slot] & kCut;
       out.facts[fact + 1] = this.quality[slot];

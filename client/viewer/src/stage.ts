@@ -8,6 +8,15 @@ const kSlowFrame_ms = 34;
 const kLeastScale = 0.6;
 const kSettle_ms = 220; // after the last motion the picture is drawn once more in full sharpness
 
+/** Whether the browser draws on the processor. */
+function drawnInSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
 export type Tool = "cut" | "turn";
 
 /** The picture: camera, lights, body, blades. Draws when something has changed, and no more. */
@@ -23,6 +32,7 @@ export class Stage {
   /** Called when a picture that showed new state is on its way to the screen. */
   afterDraw: () => void = () => {};
   framesDrawn = 0;
+  readonly software: boolean;
 
   private readonly scene = new THREE.Scene();
   private readonly ground: THREE.Mesh<THREE.PlaneGeometry, THREE.ShaderMaterial>;
@@ -39,7 +49,11 @@ export class Stage {
   readonly calm = matchMedia("(prefers-reduced-motion: reduce)");
 
   constructor(private readonly canvas: HTMLCanvasElement) {
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
+    // Without a graphics card: fewer pixels, no blur behind panels.
+    this.software = drawnInSoftware();
+    document.body.classList.toggle("software", this.software);
+    if (this.software) this.scale = kLeastScale;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: true, powerPreference: "high-performance" });
     this.renderer.setClearAlpha(0);
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -267,6 +281,7 @@ export class Stage {
   private render(_now_ms: number): void {
     const u = this.body.uniforms;
     u.uOpen.value = this.openNow;
+    u.uDetail.value = this.sharp || !this.software ? 1 : 0;
     // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);

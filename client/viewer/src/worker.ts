@@ -130,6 +130,7 @@ function onWelcome(welcome: Welcome): void {
   const box = facts?.box();
   const min = vec(box?.min() ?? null), max = vec(box?.max() ?? null);
   bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
+  builder.grainCells = 55 / bodySize_m;
   staged = null;
   resyncing = false;
   if (welcome.session() !== session) holding = false;
