@@ -59,6 +59,12 @@ export const bodyFragmentShader = /* glsl */ `
     return mix(mix(mix(hash(i), hash(i + vec3(1, 0, 0)), f.x), mix(hash(i + vec3(0, 1, 0)), hash(i + vec3(1, 1, 0)), f.x), f.y),
                mix(mix(hash(i + vec3(0, 0, 1)), hash(i + vec3(1, 0, 1)), f.x), mix(hash(i + vec3(0, 1, 1)), hash(i + vec3(1, 1, 1)), f.x), f.y), f.z);
   }
+  float fourth(float x) { x *= x; return x * x; }
+  // sRGB's curve by roots: several times quicker than pow() on a processor, and within half a step of 255 (Chilliant 2012).
+  vec3 srgb(vec3 c) {
+    vec3 a = sqrt(clamp(c, 0.0, 1.0)), b = sqrt(a), d = sqrt(b);
+    return 0.662002687 * a + 0.684122060 * b - 0.323583601 * d - 0.0225411470 * c;
+  }
   vec3 pieceColour(float row) {
     if (row < 0.5) return vec3(0.30, 0.075, 0.060);
     float h = fract(0.08 + row * 0.61803399);
@@ -105,12 +111,14 @@ export const bodyFragmentShader = /* glsl */ `
     if (!inside && uColouring != 2) {
       vec3 h = normalize(uLight + toEye);
       float nh = max(dot(n, h), 0.0);
-      float rim = pow(1.0 - max(dot(n, toEye), 0.0), 4.0);
+      float rim = fourth(1.0 - max(dot(n, toEye), 0.0));
+      float broad = fourth(fourth(nh));
       float wet = cut ? 0.55 : 1.0;
-      lit += wet * (0.13 * pow(nh, 16.0) + 0.42 * pow(nh, 140.0)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
+      lit += wet * (0.13 * broad + 0.42 * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
       lit += wet * rim * vec3(0.10, 0.11, 0.13);
       vec3 h2 = normalize(uFill + toEye);
-      lit += wet * 0.06 * pow(max(dot(n, h2), 0.0), 40.0);
+      float second = fourth(max(dot(n, h2), 0.0));
+      lit += wet * 0.06 * fourth(second) * fourth(second);
     }
     if (uWire > 0.0 && !inside) {
       vec3 d = vEdge / fwidth(vEdge);
@@ -120,6 +128,6 @@ export const bodyFragmentShader = /* glsl */ `
     }
     // A shoulder for the highlights, then sRGB.
     lit = lit / (1.0 + 0.22 * lit);
-    colour = linearToOutputTexel(vec4(lit, 1.0));
+    colour = vec4(srgb(lit), 1.0);
   }
 `;

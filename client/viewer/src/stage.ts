@@ -281,6 +281,13 @@ export class Stage {
   private render(_now_ms: number): void {
     const u = this.body.uniforms;
     u.uOpen.value = this.openNow;
+    // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
+    // may take the trouble.
+    const side = this.software && this.section < 0 ? THREE.FrontSide : THREE.DoubleSide;
+    if (this.body.mesh.material.side !== side) {
+      this.body.mesh.material.side = side;
+      this.body.mesh.material.needsUpdate = true;
+    }
     u.uDetail.value = this.sharp || !this.software ? 1 : 0;
     // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
