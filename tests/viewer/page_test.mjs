@@ -130,6 +130,31 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   assert.deepEqual(faults, []);
 });
 
+test("a flick cuts as well as a slow hand, and one that stalls on its way", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await bladeIsReady(page);
+  // Two events for the whole way: the blade may not be faster than the server takes for a motion.
+  await drag(page, [0.42, 0.02], [0.46, 0.98], 2);
+  await until(page, () => window.incise.progress.pieces === 2);
+  // The page hangs in the middle of a stroke for longer than the server waits for a pose.
+  await page.evaluate(() => {
+    const stage = window.incise.stage;
+    const began = performance.now();
+    const hang = setInterval(() => {
+      if (!document.body.dataset.stroke && performance.now() - began < 60_000) return;
+      clearInterval(hang);
+      const until = performance.now() + 700;
+      while (performance.now() < until) stage.framesDrawn;
+    }, 1);
+  });
+  await drag(page, [0.62, 0.02], [0.64, 0.98]);
+  await until(page, () => window.incise.progress.pieces === 3);
+  assert.equal((await progress(page)).hashAgrees, true);
+  assert.equal((await server.stats()).strokes, 2);
+  assert.deepEqual(faults, []);
+});
+
 test("the page comes back by itself when the server does", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);

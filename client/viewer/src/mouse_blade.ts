@@ -5,6 +5,7 @@ import type { Stage } from "./stage";
 const kStep_ms = 4; // poses between two pointer events that lie farther apart
 const kStart_px = 3; // a click is no stroke
 const kStill_ms = 60; // a hand that rests still says where it is: a longer silence would end the stroke
+const kLongestStep_ms = 30; // between two poses of a stroke
 const kSafeSpeed = 0.4; // of the speed that the server takes for a jump
 
 interface Sample {
@@ -205,19 +206,33 @@ export class MouseBlade {
     return { time_ms: sample.time_ms, heel, tip };
   }
 
-  /** The next pose, not faster than the server takes for a motion: a flick takes a little longer on the blade's clock. */
+  /** The next pose, not faster than the server takes for a motion: a flick takes a little longer on the blade's clock, and
+   * a long way is gone in several steps, since a long silence would be taken for the stroke's end. */
   private put(pose: Pose, buttons: number): void {
     const facts = this.facts!;
-    const way = this.last ? Math.max(this.last.heel.distanceTo(pose.heel), this.last.tip.distanceTo(pose.tip)) : 0;
+    const before = this.last;
+    const way = before ? Math.max(before.heel.distanceTo(pose.heel), before.tip.distanceTo(pose.tip)) : 0;
     const least_ms = facts.maxSpeed_m_s > 0 ? (1000 * way) / (kSafeSpeed * facts.maxSpeed_m_s) : 0;
-    this.sourceTime_ms = Math.max(pose.time_ms, this.sourceTime_ms + Math.max(0.01, least_ms));
-    const toolDown = new THREE.Vector3(...facts.tip).sub(new THREE.Vector3(...facts.heel)).normalize();
-    const down = pose.tip.clone().sub(pose.heel).normalize();
-    const turn = new THREE.Quaternion().setFromUnitVectors(toolDown, down);
-    const at = pose.heel.clone().sub(new THREE.Vector3(...facts.heel).applyQuaternion(turn));
-    this.batch.push(this.sourceTime_ms, at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z, buttons);
+    const begin_ms = this.sourceTime_ms;
+    const end_ms = Math.max(pose.time_ms, begin_ms + Math.max(0.01, least_ms));
+    const steps = before && buttons !== 0 ? Math.max(1, Math.ceil((end_ms - begin_ms) / kLongestStep_ms)) : 1;
+    for (let n = 1; n <= steps; ++n) {
+      const t = n / steps;
+      this.push(before ? before.heel.clone().lerp(pose.heel, t) : pose.heel, before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
+                steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms), buttons);
+    }
     this.last = pose;
     this.events.moved(pose.heel.toArray(), pose.tip.toArray(), buttons !== 0 || facts.engageButton < 0);
+  }
+
+  private push(heel: THREE.Vector3, tip: THREE.Vector3, time_ms: number, buttons: number): void {
+    const facts = this.facts!;
+    const toolHeel = new THREE.Vector3(...facts.heel);
+    const toolDown = new THREE.Vector3(...facts.tip).sub(toolHeel).normalize();
+    const turn = new THREE.Quaternion().setFromUnitVectors(toolDown, tip.clone().sub(heel).normalize());
+    const at = heel.clone().sub(toolHeel.applyQuaternion(turn));
+    this.sourceTime_ms = time_ms;
+    this.batch.push(time_ms, at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z, buttons);
   }
 
   private flush(): void {
