@@ -33,6 +33,8 @@ class PieceTracker {
   std::uint32_t pieces() const { return next_piece_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   std::uint32_t find(std::uint32_t group) {
     while (groups_[group].parent != group) {
       groups_[group].parent = groups_[groups_[group].parent].parent;

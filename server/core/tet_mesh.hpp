@@ -140,6 +140,8 @@ class TetMesh {
   MeshData export_data() const;  // live tetrahedra and used vertices, renumbered in id order
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct Vertex {
     Vec3 position;
     TetId tet = kNone;
