@@ -113,8 +113,8 @@ export async function openPage(browser, url, { width = 800, height = 560, colorS
   const faults = [];
   page.on("console", (message) => {
     if (message.type() !== "error" && message.type() !== "warning") return;
-    // Of a server that is away the browser itself complains; and of reading pixels back, which is what screenshots do.
-    if (/WebSocket connection|ERR_CONNECTION_REFUSED|GPU stall due to ReadPixels/.test(message.text())) return;
+    // Of a server that is away the browser itself complains; and the driver of what costs it time, as screenshots do.
+    if (/WebSocket connection|ERR_CONNECTION_REFUSED|GL Driver Message \(OpenGL, Performance/.test(message.text())) return;
     faults.push(message.text());
   });
   page.on("pageerror", (error) => faults.push(String(error)));
