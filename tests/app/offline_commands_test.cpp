@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "server/core/measure.hpp"
@@ -160,6 +161,45 @@ TEST_F(Incise, CutIsTheSameEveryTimeAndInEveryFormat) {
   const std::string vtu = tests::read_file(dir_ / "a.vtu");
   for (const char* array : {"cut_mask", "cut_faces", "piece", "min_dihedral_deg", "region", "tet_id"}) {
     EXPECT_NE(vtu.find("Name=\"" + std::string(array) + "\""), std::string::npos) << array;
+  }
+}
+
+TEST_F(Incise, RegionsSurviveACutInEveryFormat) {
+  write_cube_and_sweep();
+  core::MeshData cube = tests::cube(6);
+  // Two tissues whose border the cut crosses: left and right of the middle in y.
+  for (const auto& tet : cube.tets) {
+    double y = 0;
+    for (const auto v : tet) y += cube.positions[v].y / 4;
+    cube.regions.push_back(y < 0.05 ? 3 : 8);
+  }
+  const auto volumes = [](const core::MeshData& mesh) {
+    std::map<int, double> sums;
+    for (std::size_t t = 0; t < mesh.tets.size(); ++t) {
+      const auto& v = mesh.tets[t];
+      const core::Vec3 o = mesh.positions[v[0]];
+      sums[mesh.regions.empty() ? 0 : mesh.regions[t]] +=
+          core::dot(core::cross(mesh.positions[v[1]] - o, mesh.positions[v[2]] - o),
+                    mesh.positions[v[3]] - o) /
+          6;
+    }
+    return sums;
+  };
+  const auto before = volumes(cube);
+  ASSERT_EQ(before.size(), 2u);
+  for (const char* ending : {".msh", ".msh2", ".vtk", ".vtu", ".mesh", ".node"}) {
+    SCOPED_TRACE(ending);
+    const std::string in = std::string("in") + ending, out = std::string("out") + ending;
+    mesh_io::write_mesh(dir_ / in, cube);
+    const RunResult result = run(
+        {"cut", "--mesh", in, "--poses", "sweep.csv", "--blade", kBlade, "--out", out, "--report", "r.json"});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    const core::MeshData cut = mesh_io::load_mesh(dir_ / out).mesh;
+    EXPECT_GT(cut.positions.size(), cube.positions.size());
+    const auto after = volumes(cut);
+    ASSERT_EQ(after.size(), 2u);
+    for (const auto& [region, volume] : before)
+      EXPECT_NEAR(after.at(region), volume, 0.02 * volume) << region;
   }
 }
 
