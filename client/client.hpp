@@ -70,7 +70,7 @@ struct Callbacks {
       on_surface_delta;
   std::function<void(const protocol::SnapshotEnd&, protocol::SnapshotCause)> on_snapshot;
   std::function<void(std::uint32_t done, std::uint32_t chunks)> on_snapshot_progress;
-  std::function<void(const protocol::Force&)> on_force;
+  std::function<void(const protocol::Force&)> on_force;  // for ContactRenderer::take
   std::function<void(const protocol::PoseReport&)> on_report;
   std::function<void(const protocol::Stats&)> on_stats;
   std::function<void(const protocol::Error&)> on_error;

@@ -147,10 +147,7 @@ void fields(Io& io, R& r) {
     io(r.to_ns);
     io.rest(r.reason);
   } else if constexpr (std::is_same_v<T, CheckpointRecord>) {
-    io(r.revision);
-    io(r.state_hash);
-    io(r.file_crc32c);
-    io.rest(r.path);
+    io(r.id);
   } else if constexpr (std::is_same_v<T, ResetRecord>) {
     io(r.session);
     io(r.arrival_ns);
@@ -418,6 +415,16 @@ void CaptureReader::read_header() {
   }
   window_begin_ = kPreambleBytes + length;
   good_ = window_begin_;
+}
+
+void CaptureReader::skip_to(std::uint64_t offset, std::uint64_t records) {
+  if (!header_ok() || offset < good_) return;
+  in_.clear();
+  in_.seekg(static_cast<std::streamoff>(offset));
+  window_.clear();
+  window_begin_ = 0;
+  good_ = offset;
+  records_ = records;
 }
 
 // A record that cannot be read: torn where nothing good comes behind it, else corrupt. `claimed`: its bytes,

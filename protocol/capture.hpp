@@ -70,12 +70,9 @@ struct GapRecord {
   friend bool operator==(const GapRecord&, const GapRecord&) = default;
 };
 
-// The state at this revision lies in a file of its own.
+// A checkpoint may be of this place: a file that carries this id holds the state that replaying all before gives.
 struct CheckpointRecord {
-  std::uint64_t revision = 0;
-  std::uint64_t state_hash = 0;
-  std::uint32_t file_crc32c = 0;
-  std::string path;  // relative to the capture
+  std::uint64_t id = 0;  // random
   friend bool operator==(const CheckpointRecord&, const CheckpointRecord&) = default;
 };
 
@@ -196,6 +193,10 @@ class CaptureReader {
 
   // Reads and checks the header. `in` must outlive the reader.
   explicit CaptureReader(std::istream& in);
+
+  // Goes on at `offset`, where a record begins that `records` others stand before, as a checkpoint says. Where none begins
+  // there, next() gives Torn or Corrupt. Before the first next(), with a good header.
+  void skip_to(std::uint64_t offset, std::uint64_t records);
 
   // Whether the header is good: without it next() gives Torn or Corrupt at once.
   bool header_ok() const { return status_ == Status::Record; }

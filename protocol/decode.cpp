@@ -309,9 +309,12 @@ class Reader {
       contact.cutting_resistance_n = finite("contact.cutting_resistance_n", c->cutting_resistance_n());
       contact.friction_n_s_per_m = finite("contact.friction_n_s_per_m", c->friction_n_s_per_m());
       contact.valid_for_ns = c->valid_for_ns();
+      contact.penetrated = c->penetrated();
       out.contact = contact;
     }
     out.saturated = m.saturated();
+    out.ramping = m.ramping();
+    out.latched_off = m.latched_off();
     return out;
   }
   Body read(const wire::Delta& m) {

@@ -143,10 +143,12 @@ struct Encoder {
       const wire::Vec3 point = to_wire(m.contact->point), normal = to_wire(m.contact->normal);
       contact = wire::CreateLocalContact(b, &point, &normal, m.contact->stiffness_n_per_m,
                                          m.contact->damping_n_s_per_m, m.contact->cutting_resistance_n,
-                                         m.contact->friction_n_s_per_m, m.contact->valid_for_ns);
+                                         m.contact->friction_n_s_per_m, m.contact->valid_for_ns,
+                                         m.contact->penetrated);
     }
     const wire::Vec3 force = to_wire(m.force_n);
-    return wire::CreateForce(b, m.source, m.source_ns, &force, m.engaged_length_m, contact, m.saturated)
+    return wire::CreateForce(b, m.source, m.source_ns, &force, m.engaged_length_m, contact, m.saturated,
+                             m.ramping, m.latched_off)
         .Union();
   }
   auto operator()(const Delta& m) {

@@ -179,6 +179,7 @@ struct LocalContact {
   double cutting_resistance_n = 0;
   double friction_n_s_per_m = 0;
   std::int64_t valid_for_ns = 0;
+  bool penetrated = false;
 };
 
 struct Force {
@@ -188,6 +189,8 @@ struct Force {
   double engaged_length_m = 0;
   std::optional<LocalContact> contact;
   bool saturated = false;
+  bool ramping = false;
+  bool latched_off = false;
 };
 
 struct TetArrays {

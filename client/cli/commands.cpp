@@ -123,6 +123,10 @@ void add_network_commands(CLI::App& app, int& exit_code) {
     sub->add_option("--max-rate", command->max_rate_hz, "deltas a second at most; 0: one for each revision")
         ->check(CLI::Range(0.0, 10000.0));
     sub->add_option("--for", command->for_s, "seconds; 0: until interrupted")->check(CLI::NonNegativeNumber);
+    sub->add_option("--give-up-after", command->give_up_after_s,
+                    "seconds to try to connect again when the server has gone; 0: for ever")
+        ->check(CLI::NonNegativeNumber)
+        ->capture_default_str();
     sub->add_option("--until-revision", command->until_revision, "end when the replica is there");
     sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
     sub->add_flag("--json", command->json, "print JSON lines");

@@ -49,11 +49,13 @@ struct WatchCommand {
   std::string view = "volume";
   double max_rate_hz = 0;
   double for_s = 0;                             // 0: until interrupted
+  double give_up_after_s = 30;                  // without a connection; 0: never
   std::optional<std::uint64_t> until_revision;  // or until it is there
   std::filesystem::path save;                   // the replica's canonical bytes, at the end
   bool json = false;
 };
-// Shows what a server does, once a second. 0: interrupted, or what was waited for has come.
+// Shows what a server does, once a second. 0: interrupted, or what was waited for has come. 1: the server has gone, and
+// did not come back in time.
 int run_watch(const WatchCommand& command);
 
 // Adds the commands to `incise`; the one that runs sets the program's exit code.

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <thread>
@@ -73,12 +74,18 @@ class Watcher {
         print_line();
         next += std::chrono::seconds(1);
       }
+      if (given_up(now)) break;
       if (command_.for_s > 0 && now - began >= std::chrono::duration<double>(command_.for_s)) break;
     }
     print_line();
     if (terminal_ && !command_.json) std::printf("\n");
     save();
     client_->close();
+    if (gone_since_ && !interrupted()) {
+      std::fprintf(stderr, "incise: %s did not come back within %g s\n", command_.server.address.c_str(),
+                   command_.give_up_after_s);
+      return 1;
+    }
     if (command_.until_revision && !reached && !interrupted()) {
       std::fprintf(stderr, "incise: revision %" PRIu64 " was not reached\n", *command_.until_revision);
       return 1;
@@ -87,6 +94,30 @@ class Watcher {
   }
 
  private:
+  // Whether the server has been gone for too long. Says so when it goes and when it comes back.
+  bool given_up(steady_clock::time_point now) {
+    if (client_->status() != Status::kReconnecting) {
+      if (gone_since_) std::fprintf(stderr, "incise: connected again\n");
+      gone_since_.reset();
+      return false;
+    }
+    if (!gone_since_) {
+      gone_since_ = now;
+      const std::string until = command_.give_up_after_s > 0
+                                    ? " for " + number(command_.give_up_after_s) + " s"
+                                    : " until it is interrupted";
+      std::fprintf(stderr, "incise: %s is gone; trying to connect again%s\n", command_.server.address.c_str(),
+                   until.c_str());
+    }
+    return command_.give_up_after_s > 0 &&
+           now - *gone_since_ >= std::chrono::duration<double>(command_.give_up_after_s);
+  }
+  static std::string number(double value) {
+    char text[32];
+    std::snprintf(text, sizeof text, "%g", value);
+    return text;
+  }
+
   Callbacks callbacks() {
     Callbacks c;
     c.on_delta = [this](const protocol::Replica&, const protocol::Delta& d, const Arrival& a) {
@@ -239,6 +270,7 @@ class Watcher {
   std::atomic<bool> count_area_{false};
   std::atomic<std::uint32_t> live_tets_{0};
   std::atomic<const Client*> connected_{nullptr};
+  std::optional<steady_clock::time_point> gone_since_;  // without a connection
   Counters before_;
   steady_clock::time_point printed_ = steady_clock::now();
   std::unique_ptr<Client> client_;  // last: its thread calls into all above

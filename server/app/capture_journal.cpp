@@ -20,6 +20,8 @@ protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
     case Kind::kGap:
       return protocol::GapRecord{record.lost, 0, record.arrival_ns, record.arrival_ns,
                                  "the disk was full or too slow"};
+    case Kind::kCheckpoint:
+      return protocol::CheckpointRecord{record.checkpoint};
     case Kind::kPose:
       break;
   }
@@ -54,6 +56,10 @@ void CaptureJournal::flush() {
 
 void CaptureJournal::sync() {
   if (const std::error_code error = writer_.sync()) throw std::system_error(error, path_);
+}
+
+loop::JournalSink::Position CaptureJournal::position() const {
+  return {writer_.written_bytes(), writer_.records()};
 }
 
 void CaptureJournal::close() {

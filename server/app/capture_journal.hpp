@@ -20,6 +20,8 @@ class CaptureJournal final : public loop::JournalSink {
   void sync() override;
   // Marks the end, on the disk: the capture was closed, not cut off.
   void close() override;
+  // Between two flushes it counts what waits as well: ask after a flush.
+  Position position() const override;
 
  private:
   std::string path_;

@@ -1,10 +1,12 @@
 #include "server/app/config.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <set>
 #include <sstream>
 
@@ -166,6 +168,97 @@ Key texts(std::string name, Field field, std::string accepted, std::string meani
           }};
 }
 
+constexpr const char* kOverridesAccepted =
+    "a list of at most 32 objects {\"device\": \"vvvv:pppp\" or \"vvvv:pppp:serial\" as incise devices shows "
+    "it, "
+    "\"use\": \"profile\", \"descriptor\" or \"ignore\", \"source\": a text of 1 to 48 characters, "
+    "\"origin\": [x, y, "
+    "z] in metres, \"rotation\": [w, x, y, z], a unit quaternion, \"scale\": a number from 0.001 to 1000}";
+
+bool read_quaternion(const Json& value, core::Quat& q) {
+  if (!value.is_array() || value.size() != 4) return false;
+  double wxyz[4], norm2 = 0;
+  for (std::size_t i = 0; i < 4; ++i) {
+    if (!value[i].is_number()) return false;
+    wxyz[i] = value[i].get<double>();
+    norm2 += wxyz[i] * wxyz[i];
+  }
+  if (!(std::abs(norm2 - 1) < 1e-3)) return false;
+  const double n = std::abs(norm2 - 1) < 1e-14 ? 1 : std::sqrt(norm2);  // a unit one stays as it was printed
+  q = {wxyz[0] / n, wxyz[1] / n, wxyz[2] / n, wxyz[3] / n};
+  return true;
+}
+
+constexpr const char* kUses[] = {"profile", "descriptor", "ignore"};
+
+bool read_override(const Json& value, input::DeviceOverride& over) {
+  if (!value.is_object() || !value.contains("device")) return false;
+  for (const auto& [key, given] : value.items()) {
+    if (key == "device") {
+      if (!given.is_string()) return false;
+      over.device = given.get<std::string>();
+      const auto hex = [&](std::size_t i) {
+        return std::string_view("0123456789abcdef").find(over.device[i]) < 16;
+      };
+      bool good = over.device.size() >= 9 && over.device.size() <= 138 && over.device[4] == ':' &&
+                  (over.device.size() == 9 || (over.device.size() > 10 && over.device[9] == ':'));
+      for (std::size_t i = 0; good && i < 9; ++i) good = i == 4 || hex(i);
+      if (!good) return false;
+    } else if (key == "use") {
+      const auto* const use = std::find(std::begin(kUses), std::end(kUses), given);
+      if (use == std::end(kUses)) return false;
+      over.use = static_cast<input::DeviceOverride::Use>(use - kUses);
+    } else if (key == "source") {
+      if (!given.is_string()) return false;
+      over.source = given.get<std::string>();
+      if (over.source.empty() || over.source.size() > 48) return false;
+    } else if (key == "origin") {
+      if (!read_point(given, over.placement.origin)) return false;
+    } else if (key == "rotation") {
+      if (!read_quaternion(given, over.placement.rotation)) return false;
+    } else if (key == "scale") {
+      over.placement.scale = given.is_number() ? given.get<double>() : 0;
+      if (!(over.placement.scale >= 1e-3 && over.placement.scale <= 1e3)) return false;
+    } else {
+      return false;
+    }
+  }
+  return true;
+}
+
+Json override_json(const input::DeviceOverride& over) {
+  const core::Quat& q = over.placement.rotation;
+  Json json{{"device", over.device}, {"use", kUses[static_cast<std::size_t>(over.use)]}};
+  if (!over.source.empty()) json["source"] = over.source;
+  json["origin"] = point_json(over.placement.origin);
+  json["rotation"] = Json::array({q.w, q.x, q.y, q.z});
+  json["scale"] = over.placement.scale;
+  return json;
+}
+
+Key overrides() {
+  return {"devices.overrides", kOverridesAccepted,
+          "What is to be different for some devices: where their workspace lies in the world (a point p of "
+          "it is at "
+          "origin + rotation (scale p); a tool that is steered by deflection starts at the origin), the name "
+          "of their "
+          "source, whether they are read by a profile, by their report descriptor alone, or not at all.",
+          [](const Config& c) {
+            Json list = Json::array();
+            for (const auto& over : c.devices.overrides) list.push_back(override_json(over));
+            return list;
+          },
+          [](Config& c, const Json& value) {
+            if (!value.is_array() || value.size() > 32) return false;
+            std::vector<input::DeviceOverride> made(value.size());
+            for (std::size_t i = 0; i < value.size(); ++i) {
+              if (!read_override(value[i], made[i])) return false;
+            }
+            c.devices.overrides = std::move(made);
+            return true;
+          }};
+}
+
 #define INCISE_FIELD(member) \
   [](Config & c) -> auto& {  \
     return c.member;         \
@@ -205,8 +298,7 @@ const std::vector<Key>& keys() {
           "How a swept surface becomes a cut: \"conforming\" follows it exactly; \"croll\" is the baseline "
           "of 2007."),
       choice(
-          "cut.growth", {"none", "balanced"},
-          [](const Config& c) { return static_cast<int>(c.cut.growth); },
+          "cut.growth", {"none", "balanced"}, [](const Config& c) { return static_cast<int>(c.cut.growth); },
           [](Config& c, std::size_t i) { c.cut.growth = static_cast<core::Growth>(i); },
           "What to prefer where accuracy and few new tetrahedra are at odds (policy conforming): \"none\" "
           "never adds one, and leaves the cut ragged where no vertex can be moved."),
@@ -235,6 +327,35 @@ const std::vector<Key>& keys() {
               "The processor that the loop's thread keeps to; -1: any."),
       boolean("loop.lock_memory", INCISE_FIELD(loop.lock_memory),
               "Keep all memory from being swapped out, where the system grants it."),
+
+      boolean("haptics.forces", INCISE_FIELD(haptics.forces),
+              "Compute the force on each blade, in each frame, for devices and operators."),
+      number("haptics.max_force_n", INCISE_FIELD(haptics.force.limits.most_n), 0.01, 100,
+             "No force is larger; a device's own limit may be smaller."),
+      number(
+          "haptics.slew_n_s", INCISE_FIELD(haptics.force.limits.slew_n_s), 1, 1e5,
+          "No force changes faster; at least a hundred times haptics.max_force_n, so that a fault ends it in "
+          "10 ms."),
+      number("haptics.frozen_s", INCISE_FIELD(haptics.force.limits.frozen_s), 0.02, 1e6,
+             "Poses that repeat each other so long to the bit while a force acts: the device is stuck, the "
+             "force "
+             "ends."),
+      number("haptics.stiffest_n_m", INCISE_FIELD(haptics.force.stiffest_n_m), 10, 20'000,
+             "The stiffest that tissue may feel: more makes a device tremble."),
+      number("haptics.damping_n_s_m", INCISE_FIELD(haptics.force.damping_n_s_m), 0, 50,
+             "Damping of the contact with a surface, along its normal."),
+      number("haptics.contact_valid_ms", INCISE_FIELD(haptics.contact_valid_ms), 1, 1000,
+             "How long an operator on the network may go on with the last contact it was told of."),
+      number("haptics.toughness_j_m2", INCISE_FIELD(haptics.force.materials.tissue.toughness_j_m2), 0, 1e5,
+             "Of the tissue: work for each area of cut. Liver: 76 to 185, 164 in bovine."),
+      number("haptics.puncture_n", INCISE_FIELD(haptics.force.materials.tissue.puncture_n), 0, 100,
+             "What a point must press with before it gets in."),
+      number("haptics.stiffness_n_m", INCISE_FIELD(haptics.force.materials.tissue.stiffness_n_m), 1, 1e5,
+             "How fast the force grows under a point before the tissue tears."),
+      number("haptics.stiffness_pa", INCISE_FIELD(haptics.force.materials.tissue.stiffness_pa), 0, 1e7,
+             "How much faster for each metre of edge that presses."),
+      number("haptics.friction_n_s_m2", INCISE_FIELD(haptics.force.materials.tissue.friction_n_s_m2), 0, 1e4,
+             "Viscous friction on the blade's faces, for each metre of edge inside."),
 
       text("listen.address", INCISE_FIELD(listen.address), "an IP address",
            "Where clients connect. Beyond loopback it needs listen.token_file and a certificate, or "
@@ -289,6 +410,19 @@ const std::vector<Key>& keys() {
            "or at once."),
       number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
              "What a power failure may cost under \"group\"."),
+      number("capture.checkpoint_replay_s", INCISE_FIELD(capture.checkpoint_replay_s), 0, 3600,
+             "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
+             "seconds "
+             "of work; they cost a second copy of the mesh and of that work, at low priority. 0: none."),
+
+      boolean("devices.enabled", INCISE_FIELD(devices.enabled),
+              "Read HID devices of this machine that a profile fits (incise devices lists them) as sources "
+              "of poses."),
+      text("devices.profiles", INCISE_FIELD(devices.profiles),
+           "the path of a folder, relative to this file; or \"\"",
+           "Device profiles of your own, *.json; they go before the shipped ones. README, \"Writing a device "
+           "profile\"."),
+      overrides(),
 
       word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
            "What is worth a line."),
@@ -307,6 +441,23 @@ constexpr const char* kSourcesAccepted =
     "different names";
 constexpr const char* kSourcesMeaning =
     "Blades of their own for sources of these names; any other source has the blade above.";
+
+// Tissue that differs from the rest, by the mesh's region attribute.
+struct MaterialKey {
+  const char* name;
+  double haptics::Material::*field;
+};
+constexpr MaterialKey kMaterialKeys[] = {{"toughness_j_m2", &haptics::Material::toughness_j_m2},
+                                         {"puncture_n", &haptics::Material::puncture_n},
+                                         {"stiffness_n_m", &haptics::Material::stiffness_n_m},
+                                         {"stiffness_pa", &haptics::Material::stiffness_pa},
+                                         {"friction_n_s_m2", &haptics::Material::friction_n_s_m2}};
+constexpr std::size_t kMostMaterials = 64;
+constexpr const char* kMaterialsAccepted =
+    "a list of at most 64 objects {\"region\": a whole number, \"toughness_j_m2\", \"puncture_n\", "
+    "\"stiffness_n_m\", \"stiffness_pa\", \"friction_n_s_m2\": numbers as in haptics} with different regions";
+constexpr const char* kMaterialsMeaning =
+    "What the regions of the mesh feel like, by its region attribute; what is absent is as in haptics.";
 
 // ------------------------------------------------------------------------------------------------ reading
 
@@ -391,6 +542,45 @@ void read_sources(Config& config, const Json& value, const std::string& file) {
   }
 }
 
+haptics::Material read_material(const Config& config, const Json& entry, const std::string& at,
+                                const std::string& file) {
+  Config scratch = config;  // takes the values under the keys of haptics, which know their ranges
+  for (const auto& [key, given] : entry.items()) {
+    if (key == "region") continue;
+    const auto known = std::find_if(std::begin(kMaterialKeys), std::end(kMaterialKeys),
+                                    [&](const MaterialKey& k) { return key == k.name; });
+    if (known == std::end(kMaterialKeys)) {
+      throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are region" +
+                        std::accumulate(std::begin(kMaterialKeys), std::end(kMaterialKeys), std::string(),
+                                        [](std::string list, const MaterialKey& k) {
+                                          return std::move(list) + ", " + k.name;
+                                        }));
+    }
+    const auto table =
+        std::find_if(keys().begin(), keys().end(), [&](const Key& k) { return k.name == "haptics." + key; });
+    if (!table->set(scratch, given)) refuse(file, at + "." + key, shown(given), table->accepted);
+  }
+  return scratch.haptics.force.materials.tissue;
+}
+
+void read_materials(Config& config, const Json& value, const std::string& file) {
+  if (!value.is_array() || value.size() > kMostMaterials)
+    refuse(file, "materials", shown(value), kMaterialsAccepted);
+  std::set<std::int32_t> regions;
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    const std::string at = "materials[" + std::to_string(i) + "]";
+    const Json& entry = value[i];
+    if (!entry.is_object()) refuse(file, at, shown(entry), kMaterialsAccepted);
+    const Json region = entry.value("region", Json());
+    if (!region.is_number_integer() || region.get<double>() < INT32_MIN || region.get<double>() > INT32_MAX)
+      refuse(file, at + ".region", region.is_null() ? "nothing" : shown(region), "a whole number");
+    const auto number = region.get<std::int32_t>();
+    if (!regions.insert(number).second)
+      refuse(file, at + ".region", shown(region), "a region that no other entry has");
+    config.haptics.force.materials.by_region.emplace_back(number, read_material(config, entry, at, file));
+  }
+}
+
 // What one key alone cannot tell.
 void check_together(const Config& config, const std::string& file) {
   if (!config.mesh.path.empty() && !config.mesh.phantom.empty()) {
@@ -401,6 +591,11 @@ void check_together(const Config& config, const std::string& file) {
   }
   if (config.cut.blade.heel == config.cut.blade.tip) {
     refuse(file, "blade.tip", shown(point_json(config.cut.blade.tip)), "a point that is not the heel");
+  }
+  const haptics::SafetyLimits& limits = config.haptics.force.limits;
+  if (limits.slew_n_s < limits.most_n / limits.decay_s) {
+    refuse(file, "haptics.slew_n_s", text_of(limits.slew_n_s),
+           "a number from " + text_of(limits.most_n / limits.decay_s) + ", 100 times haptics.max_force_n");
   }
   if (config.listen.certificate_file.empty() != config.listen.private_key_file.empty()) {
     const bool key = config.listen.private_key_file.empty();
@@ -423,7 +618,7 @@ std::filesystem::path Config::resolve(const std::string& path) const {
 Config parse_config(std::string_view text, const std::string& name) {
   const Json root = parse_json(text, name);
   if (!root.is_object()) throw ConfigError(name + ": found " + shown(root) + "; accepted is a JSON object");
-  std::set<std::string> sections{"sources"};
+  std::set<std::string> sections{"sources", "materials"};
   for (const Key& key : keys()) sections.insert(key.section());
 
   Config config;
@@ -431,7 +626,7 @@ Config parse_config(std::string_view text, const std::string& name) {
     if (!sections.contains(section)) {
       throw ConfigError(name + ": unknown key \"" + section + "\"; accepted are " + joined(sections));
     }
-    if (section == "sources") continue;
+    if (section == "sources" || section == "materials") continue;
     if (!values.is_object()) refuse(name, section, shown(values), "an object {...}");
     for (const auto& [leaf, value] : values.items()) {
       const Key* found = nullptr;
@@ -449,6 +644,7 @@ Config parse_config(std::string_view text, const std::string& name) {
     }
   }
   if (root.contains("sources")) read_sources(config, root["sources"], name);
+  if (root.contains("materials")) read_materials(config, root["materials"], name);
   check_together(config, name);
   return config;
 }
@@ -491,6 +687,7 @@ void check_config(const Config& config, const std::string& file) {
   readable("listen.token_file", config.listen.token_file);
   readable("listen.certificate_file", config.listen.certificate_file);
   readable("listen.private_key_file", config.listen.private_key_file);
+  device_profiles(config);
   const bool loopback = config.listen.address.starts_with("127.") || config.listen.address == "::1" ||
                         config.listen.address == "localhost";
   if (!loopback && !config.listen.insecure &&
@@ -500,6 +697,30 @@ void check_config(const Config& config, const std::string& file) {
            "listen.insecure is "
            "true");
   }
+}
+
+std::vector<input::DeviceProfile> device_profiles(const Config& config) {
+  std::vector<input::DeviceProfile> profiles;
+  if (!config.devices.enabled) return profiles;
+  try {
+    if (!config.devices.profiles.empty())
+      profiles = input::load_profiles(config.resolve(config.devices.profiles));
+    // A profile of one's own replaces the shipped one of the same name.
+    for (input::DeviceProfile& shipped : input::load_profiles(shipped_profiles())) {
+      const auto same = [&](const input::DeviceProfile& own) { return own.id == shipped.id; };
+      if (std::none_of(profiles.begin(), profiles.end(), same)) profiles.push_back(std::move(shipped));
+    }
+  } catch (const input::ProfileError& error) {
+    throw ConfigError(std::string("devices.profiles: ") + error.what());
+  }
+  return profiles;
+}
+
+std::filesystem::path shipped_profiles() {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path installed = program.parent_path().parent_path() / "share/incise/devices";
+  return std::filesystem::is_directory(installed, error) ? installed : INCISE_DEVICE_PROFILES;
 }
 
 // ------------------------------------------------------------------------------------------------ writing
@@ -512,6 +733,16 @@ Json sources_json(const Config& config) {
     list.push_back({{"name", source.name},
                     {"heel", point_json(source.blade.heel)},
                     {"tip", point_json(source.blade.tip)}});
+  }
+  return list;
+}
+
+Json materials_json(const Config& config) {
+  Json list = Json::array();
+  for (const auto& [region, material] : config.haptics.force.materials.by_region) {
+    Json entry{{"region", region}};
+    for (const MaterialKey& key : kMaterialKeys) entry[key.name] = material.*key.field;
+    list.push_back(entry);
   }
   return list;
 }
@@ -547,7 +778,9 @@ std::string commented(const Config& config) {
   }
   out += "\n  },\n";
   append_comment(out, std::string(kSourcesMeaning) + " Accepted: " + kSourcesAccepted + '.', "  ");
-  out += "  \"sources\": " + sources_json(config).dump() + "\n}\n";
+  out += "  \"sources\": " + sources_json(config).dump() + ",\n";
+  append_comment(out, std::string(kMaterialsMeaning) + " Accepted: " + kMaterialsAccepted + '.', "  ");
+  out += "  \"materials\": " + materials_json(config).dump() + "\n}\n";
   return out;
 }
 
@@ -555,6 +788,7 @@ std::string compact(const Config& config) {
   Json root;
   for (const Key& key : keys()) root[key.section()][key.leaf()] = key.get(config);
   root["sources"] = sources_json(config);
+  root["materials"] = materials_json(config);
   return root.dump();
 }
 

@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "server/core/cut_config.hpp"
+#include "server/haptics/force_config.hpp"
+#include "server/input/hid/hid_input.hpp"
 
 namespace incise::app {
 
@@ -42,6 +44,12 @@ struct Config {
     bool lock_memory = true;
   } loop;
 
+  struct Haptics {
+    bool forces = true;
+    double contact_valid_ms = 50;
+    haptics::ForceConfig force;  // with the materials
+  } haptics;
+
   struct Listen {
     std::string address = "127.0.0.1";
     std::int64_t tcp_port = 7450;
@@ -71,7 +79,14 @@ struct Config {
     std::string path;  // empty: none is written
     std::string sync = "group";
     double sync_interval_ms = 100;
+    double checkpoint_replay_s = 1;
   } capture;
+
+  struct Devices {
+    bool enabled = true;
+    std::string profiles;  // a folder; "": the shipped ones alone
+    std::vector<input::DeviceOverride> overrides;
+  } devices;
 
   struct Log {
     std::string level = "info";
@@ -98,6 +113,11 @@ Config parse_config(std::string_view text, const std::string& name);
 // What a server needs beyond what parsing asks: a mesh that exists, files that can be read. Throws ConfigError with
 // `file` in front.
 void check_config(const Config& config, const std::string& file);
+
+// The profiles of devices.profiles, then the shipped ones; none where devices are not enabled. Throws ConfigError.
+std::vector<input::DeviceProfile> device_profiles(const Config& config);
+// The folder of those that come with the programs.
+std::filesystem::path shipped_profiles();
 
 // The configuration as a file of all keys, each with a comment that says what it means and accepts.
 std::string commented(const Config& config);

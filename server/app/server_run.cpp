@@ -10,11 +10,12 @@
 #include <thread>
 
 #include "server/app/body.hpp"
-#include "server/app/capture_journal.hpp"
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/app/recording.hpp"
 #include "server/app/telemetry.hpp"
-#include "server/app/version.hpp"
 #include "server/app/wiring.hpp"
+#include "server/core/check.hpp"
+#include "server/core/session_state.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {
@@ -30,6 +31,8 @@ class EndSignals {
     pthread_sigmask(SIG_BLOCK, &set_, nullptr);
     // A peer that has gone shows as an error of the write.
     std::signal(SIGPIPE, SIG_IGN);
+    // So does a file that has reached its limit: a full disk, to the journal.
+    std::signal(SIGXFSZ, SIG_IGN);
   }
   // The signal's name; null after a second without one.
   const char* wait() const {
@@ -41,141 +44,6 @@ class EndSignals {
  private:
   sigset_t set_;
 };
-
-std::int64_t unix_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_REALTIME, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
-
-// The parts of a configuration that a session's state depends on.
-bool same_cut(const Config& a, const Config& b) {
-  const auto cut_only = [](const Config& config) {
-    Config kept;
-    kept.cut = config.cut;
-    kept.sources = config.sources;
-    return compact(kept);
-  };
-  return cut_only(a) == cut_only(b);
-}
-
-// Where the journal of a session goes, and what names the session.
-struct Recording {
-  std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
-  std::uint64_t session_id = 0;
-};
-
-Recording begin_recording(const Config& config, const Body& body) {
-  Recording recording;
-  recording.session_id = fresh_session_id();
-  if (config.capture.path.empty()) return recording;
-  const std::filesystem::path path = config.resolve(config.capture.path);
-  std::error_code error;
-  const auto parent = path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
-  if (!std::filesystem::is_directory(parent, error)) {
-    throw ConfigError("capture.path: the directory " + parent.string() +
-                      " does not exist; make it first (mkdir -p " + parent.string() + ")");
-  }
-  // A recording is somebody's work: the one before is kept under another name.
-  if (std::filesystem::exists(path, error) && std::filesystem::file_size(path, error) > 0) {
-    std::filesystem::path old = path;
-    old += ".old";
-    std::filesystem::rename(path, old, error);
-    if (error)
-      throw std::runtime_error(path.string() + ": cannot be moved to " + old.string() + ": " +
-                               error.message());
-    spdlog::warn("{} is there already; it is now {} (incised --resume would have gone on with it)",
-                 path.string(), old.string());
-  }
-  protocol::CaptureHeader header;
-  header.mesh_path = config.mesh.path.empty()
-                         ? config.mesh.phantom
-                         : std::filesystem::absolute(config.resolve(config.mesh.path)).string();
-  header.mesh_content_hash = body.loaded.content_hash;
-  header.session = recording.session_id;
-  header.created_unix_ns = unix_ns();
-  header.software = kSoftware;
-  header.config_json = compact(config);
-  recording.journal = std::make_unique<CaptureJournal>(path.string(), header);
-  return recording;
-}
-
-// Brings `session` to where its capture ends, checking every hash on the way, and ends the strokes of those who held a
-// blade then: they are gone.
-Recording resume_recording(const Config& config, const Body& body, core::CutSession& session) {
-  if (config.capture.path.empty()) {
-    throw ConfigError(
-        "capture.path: found \"\"; accepted with --resume is the path of the capture to go on with");
-  }
-  const std::string path = config.resolve(config.capture.path).string();
-  const RecordedMotion motion = read_recorded_motion(path);
-  if (!motion.header)
-    throw std::runtime_error(path + ": is no capture; accepted with --resume is one of incised");
-  if (motion.header->mesh_content_hash != body.loaded.content_hash) {
-    throw std::runtime_error(path + ": was recorded with another mesh: its hash is " +
-                             motion.header->mesh_content_hash + ", that of " + body.name + " is " +
-                             body.loaded.content_hash);
-  }
-  if (!same_cut(config, config_of(*motion.header, path))) {
-    throw std::runtime_error(
-        path +
-        ": was recorded with other values of cut, blade or sources; a session goes on only "
-        "with those it began with (incise info " +
-        path + " and incised --config show both)");
-  }
-  for (const std::string& warning : motion.warnings) spdlog::warn("{}", warning);
-
-  Recording recording;
-  recording.session_id = motion.session;
-  recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
-  std::size_t next_mark = 0;
-  core::Delta delta;
-  core::WorkBudget budget = core::WorkBudget::unlimited();
-  const auto commit_all = [&] {
-    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-      if (next_mark < motion.marks.size()) {
-        const protocol::BatchMark& mark = motion.marks[next_mark++];
-        if (mark.revision != delta.revision || mark.state_hash != delta.state_hash) {
-          throw std::runtime_error(
-              path + ": revision " + std::to_string(delta.revision) +
-              " replays with another hash than it was recorded with: written by other software (" +
-              motion.header->software + ")? incise replay --verify says more");
-        }
-        continue;
-      }
-      // The crash took this mark, or it never came to the batch.
-      loop::JournalRecord mark;
-      mark.kind = loop::JournalRecord::Kind::kCommit;
-      mark.source = delta.source;
-      mark.stroke = delta.stroke;
-      mark.batch = delta.batch;
-      mark.stroke_ended = delta.stroke_ended;
-      mark.revision = delta.revision;
-      mark.state_hash = delta.state_hash;
-      recording.journal->write(mark);
-    }
-  };
-  const auto start = input::monotonic_ns();
-  for (const MotionEvent& event : motion.events) {
-    apply(session, event, config);
-    commit_all();
-  }
-  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
-    if (!session.in_stroke(source)) continue;
-    loop::JournalRecord end;
-    end.kind = loop::JournalRecord::Kind::kEndStroke;
-    end.source = source;
-    end.arrival_ns = input::monotonic_ns();
-    session.end_stroke(source);
-    recording.journal->write(end);
-    commit_all();
-  }
-  recording.journal->flush();
-  recording.journal->sync();
-  spdlog::info("resumed {} at revision {}: {} poses replayed in {:.1f} s", path, session.revision(),
-               motion.poses(), static_cast<double>(input::monotonic_ns() - start) * 1e-9);
-  return recording;
-}
 
 // Tells in the log, at most once a second, what the loop cannot tell itself.
 class Watch {
@@ -223,6 +91,32 @@ class Watch {
   bool behind_ = false;
 };
 
+// Follows the session of `recording` from here on; null where there are to be no checkpoints.
+std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, const Body& body,
+                                                      const Recording& recording) {
+  if (config.capture.checkpoint_replay_s == 0) return nullptr;
+  loop::Checkpointer::Options options;
+  options.journal = config.resolve(config.capture.path).string();
+  options.replay_s = config.capture.checkpoint_replay_s;
+  options.blade_of = [&config](std::uint32_t source) { return blade_of(config, source); };
+  options.fresh = [&config, &body] {
+    return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  };
+  auto first = options.fresh;
+  if (recording.session->revision() > 0) {
+    first = [&config, state = core::save_session(*recording.session)] {
+      std::string error;
+      auto copy = core::restore_session(state, config.cut, error);
+      INCISE_CHECK(copy, error);
+      return copy;
+    };
+  }
+  return std::make_unique<loop::Checkpointer>(
+      options, recording.session_id, recording.next_checkpoint, first, [](bool bad, const std::string& text) {
+        spdlog::log(bad ? spdlog::level::err : spdlog::level::warn, "{}", text);
+      });
+}
+
 }  // namespace
 
 void run_server(const Config& config, bool resume) {
@@ -233,30 +127,32 @@ void run_server(const Config& config, bool resume) {
     if (seconds > 2 && told != stage) spdlog::info("filling the mesh: {}", told = stage);
   });
   for (const std::string& warning : body.loaded.warnings) spdlog::warn("{}", warning);
-  core::CutSession session(body.loaded.mesh, config.cut);
+  Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body);
+  core::CutSession& session = *recording.session;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
-               body.loaded.mesh.positions.size(), session.mesh().live_tets(),
+               body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                session.mesh().mean_edge_length(),
                static_cast<double>(input::monotonic_ns() - started) * 1e-9);
-
-  Recording recording = resume ? resume_recording(config, body, session) : begin_recording(config, body);
-  CaptureJournal* const capture = recording.journal.get();
+  const bool capture = recording.journal != nullptr;
   std::unique_ptr<loop::Journal> journal;
   if (capture) {
     loop::Journal::Options options;
     options.policy = config.capture.sync == "none"     ? loop::SyncPolicy::kNone
                      : config.capture.sync == "always" ? loop::SyncPolicy::kAlways
                                                        : loop::SyncPolicy::kGroup;
+    options.realtime_priority = static_cast<int>(config.loop.realtime_priority) / 2;
     options.sync_interval_ms = static_cast<std::int64_t>(config.capture.sync_interval_ms);
     journal = std::make_unique<loop::Journal>(
-        std::move(recording.journal), options, [](const std::string& trouble) {
+        std::move(recording.journal), options,
+        [](const std::string& trouble) {
           if (trouble.empty()) {
             spdlog::info("the capture can be written again; the gap is marked in it");
           } else {
             spdlog::error("the capture cannot be written: {}; cutting goes on, poses are not recorded",
                           trouble);
           }
-        });
+        },
+        make_checkpointer(config, body, recording));
   }
 
   std::vector<input::InputHub::Declared> declared;
@@ -276,6 +172,9 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  haptics::ForceSlots forces;
+  ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
+  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(
@@ -285,6 +184,17 @@ void run_server(const Config& config, bool resume) {
         server.publish_reset(std::make_shared<const stream::InitialState>(initial_state(fresh, id)));
         return id;
       });
+
+  std::unique_ptr<input::HidInput> devices;
+  if (config.devices.enabled) {
+    devices = std::make_unique<input::HidInput>(
+        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
+                                                const int priority =
+                                                    static_cast<int>(config.loop.realtime_priority);
+                                                if (priority > 0) loop::request_priority(priority);
+                                              }});
+    telemetry->join([&] { return devices->status(); });
+  }
 
   if (config.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server.start();
@@ -311,6 +221,7 @@ void run_server(const Config& config, bool resume) {
   while (!(signal = signals.wait())) watch.look();
 
   spdlog::info("{}: ending", signal);
+  if (devices) devices->stop();  // forces go to zero first
   loop_thread.request_stop();
   loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
   server.stop();

@@ -23,6 +23,7 @@ constexpr Stage kStages[] = {
     {"wake_late", "start of a frame after its deadline", &LoopStats::wake_late},
     {"frame_work", "work of a frame", &LoopStats::frame_work},
     {"drain", "taking poses, in a frame", &LoopStats::drain},
+    {"force", "updating the forces, in a frame", &LoopStats::force},
     {"cut", "cutting, in a frame", &LoopStats::cut},
     {"publish", "handing deltas on, in a frame", &LoopStats::publish},
     {"batch_cut", "cutting a batch, over all its frames", &LoopStats::batch_cut},
@@ -40,6 +41,24 @@ std::string hex(std::uint64_t hash) {
   char text[17];
   std::snprintf(text, sizeof text, "%016" PRIx64, hash);
   return text;
+}
+
+Json device_json(const input::DeviceStatus& device) {
+  const input::DeviceFigures& figures = device.figures;
+  const input::ReportCounts& reports = figures.reports;
+  Json json{
+      {"device", device.identity}, {"path", device.path}, {"name", device.name}, {"profile", device.profile}};
+  json["sources"] = device.sources;
+  if (!device.why.empty()) json["not_read"] = device.why;
+  json["connections"] = device.connections;
+  json["reports"] = {{"count", reports.reports},     {"lost", reports.lost},
+                     {"short", reports.short_ones},  {"other", reports.other},
+                     {"repeated", reports.repeated}, {"bad_values", reports.bad_values},
+                     {"restarts", reports.restarts}};
+  json["clock_drift_ppm"] = figures.drift_ppm;
+  json["full_queue_ms"] = figures.full_queue_ms;
+  json["forces"] = {{"written", figures.forces_written}, {"failed", figures.forces_failed}};
+  return json;
 }
 
 std::string number(double value) {
@@ -91,6 +110,18 @@ std::string Telemetry::json() const {
   if (journal_) {
     root["journal"] = {
         {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};
+    if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
+      root["checkpoints"] = {{"written", checkpoints->written()},
+                             {"last_revision", checkpoints->last_revision()},
+                             {"behind", checkpoints->behind()},
+                             {"following", checkpoints->following()}};
+    }
+  }
+  if (devices_) {
+    root["devices"] = Json::array();
+    for (const input::DeviceStatus& device : devices_()) {
+      if (!device.profile.empty()) root["devices"].push_back(device_json(device));
+    }
   }
   Json stages;
   for (const Stage& stage : kStages) {
@@ -134,6 +165,28 @@ std::string Telemetry::metrics() const {
     one("journal_lost_total", "counter", "Records that the journal could not take.",
         static_cast<double>(journal_->lost()));
     one("journal_failing", "gauge", "1 while the journal cannot be written.", journal_->failing() ? 1 : 0);
+    if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
+      one("checkpoints_total", "counter", "Checkpoints written.",
+          static_cast<double>(checkpoints->written()));
+      one("checkpoint_revision", "gauge", "Revision of the last checkpoint.",
+          static_cast<double>(checkpoints->last_revision()));
+      one("checkpoints_following", "gauge", "0 where there can be no checkpoints until the next reset.",
+          checkpoints->following() ? 1 : 0);
+    }
+  }
+  if (devices_) {
+    family("device_reports_total", "counter", "Reports of HID devices by what became of them.");
+    for (const input::DeviceStatus& device : devices_()) {
+      if (device.sources.empty()) continue;
+      const input::ReportCounts& r = device.figures.reports;
+      const std::pair<const char*, std::uint64_t> counts[]{
+          {"arrived", r.reports}, {"lost", r.lost},         {"short", r.short_ones},
+          {"other", r.other},     {"repeated", r.repeated}, {"bad_values", r.bad_values}};
+      for (const auto& [what, count] : counts) {
+        out += "incise_device_reports_total{source=\"" + device.sources.front() + "\",what=\"" + what +
+               "\"} " + std::to_string(count) + '\n';
+      }
+    }
   }
   family("poses_total", "counter", "Poses by what became of them.");
   for (int i = 0; i < core::kPoseVerdicts; ++i) {

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <functional>
 #include <string>
+#include <vector>
 
 #include "protocol/messages.hpp"
+#include "server/input/hid/hid_input.hpp"
 #include "server/input/input_hub.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
@@ -16,6 +19,8 @@ class Telemetry {
   // `journal` may be null. All must outlive this.
   Telemetry(const loop::LoopStats& stats, const input::InputHub& hub, const loop::Journal* journal,
             double rate_hz);
+  // Who tells about the devices; before the first question.
+  void join(std::function<std::vector<input::DeviceStatus>()> devices) { devices_ = std::move(devices); }
 
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
@@ -28,6 +33,7 @@ class Telemetry {
   const input::InputHub& hub_;
   const loop::Journal* const journal_;
   const double rate_hz_;
+  std::function<std::vector<input::DeviceStatus>()> devices_;
 };
 
 }  // namespace incise::app

@@ -119,6 +119,25 @@ std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name)
   return std::make_unique<HubSource>(std::move(*handle), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
+void ForceOutput::feel(const haptics::BladeForce& force) noexcept {
+  protocol::Force message;
+  message.source = force.source;
+  message.source_ns = force.pose_t_ns;
+  message.force_n = to_protocol(force.newtons);
+  message.engaged_length_m = force.feel.engagement.length_m;
+  message.saturated = (force.flags & haptics::kForceLimited) != 0;
+  message.ramping = (force.flags & haptics::kForceRamping) != 0;
+  message.latched_off = (force.flags & haptics::kForceLatchedOff) != 0;
+  // A latch holds on the far side, too.
+  if (force.feel.contact && !message.latched_off) {
+    const haptics::ContactPlane& plane = *force.feel.contact;
+    message.contact = protocol::LocalContact{
+        to_protocol(plane.point), to_protocol(plane.normal), plane.stiffness_n_m, plane.damping_n_s_m,
+        plane.resistance_n,       plane.friction_n_s_m,      valid_ns_,           plane.penetrated};
+  }
+  server_.publish_force(message);
+}
+
 stream::StreamConfig stream_config(const Config& config) {
   const Config::Listen& listen = config.listen;
   stream::StreamConfig made;

@@ -52,4 +52,16 @@ class StreamOutput final : public loop::DeltaSink {
   stream::Server& server_;
 };
 
+// The loop's forces, to the operators who hold the blades.
+class ForceOutput final : public haptics::ForceSink {
+ public:
+  // `valid_ns`: how long a contact may be rendered after it was received.
+  ForceOutput(stream::Server& server, std::int64_t valid_ns) : server_(server), valid_ns_(valid_ns) {}
+  void feel(const haptics::BladeForce& force) noexcept override;
+
+ private:
+  stream::Server& server_;
+  const std::int64_t valid_ns_;
+};
+
 }  // namespace incise::app

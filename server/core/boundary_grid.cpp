@@ -76,12 +76,6 @@ void BoundaryGrid::add(const TetMesh& mesh, TetId t) {
   }
 }
 
-template <class Visit>
-void BoundaryGrid::visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const {
-  const auto cell = static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k);
-  for (std::uint32_t n = head_[cell]; n != kNone; n = nodes_[n].next) visit(nodes_[n].tet);
-}
-
 void BoundaryGrid::near(const SweptTriangle& triangle, std::vector<TetId>& out) const {
   if (nodes_.empty()) return;
   // Columns of cells along the axis that the normal is nearest to: each holds a few cells of the plane.

@@ -26,10 +26,19 @@ class BoundaryGrid {
   // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box.
   void near(const SweptTriangle& triangle, std::vector<TetId>& out) const;
 
+  // Calls visit(tet) for the boundary tetrahedra of all cells that the box meets: all that meet the box, others, some
+  // more than once, and some that are gone or have lost their boundary face. O(cells of the box, and what they hold).
+  template <class Visit>
+  void visit_box(const Vec3& low, const Vec3& high, Visit visit) const;
+  // The width of a cell, m.
+  double cell() const { return cell_; }
+
   // A tetrahedron that contains p, found from the boundary inwards; kNone where p is outside. O(mesh^(1/3)).
   TetId locate(const TetMesh& mesh, const Vec3& p) const;
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct Node {
     TetId tet;
     std::uint32_t next;
@@ -46,16 +55,39 @@ class BoundaryGrid {
   std::vector<Node> nodes_;
 };
 
+template <class Visit>
+void BoundaryGrid::visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const {
+  const auto cell = static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k);
+  for (std::uint32_t n = head_[cell]; n != kNone; n = nodes_[n].next) visit(nodes_[n].tet);
+}
+
+template <class Visit>
+void BoundaryGrid::visit_box(const Vec3& low, const Vec3& high, Visit visit) const {
+  if (nodes_.empty() || low.x > high_.x || low.y > high_.y || low.z > high_.z || high.x < low_.x ||
+      high.y < low_.y || high.z < low_.z)
+    return;
+  // Vertices that slid since they were entered may stick out of their cells by half an h: a quarter of a cell.
+  const double slack = 0.25 * cell_;
+  const std::int64_t last[3] = {cell_of(high.x + slack, 0), cell_of(high.y + slack, 1),
+                                cell_of(high.z + slack, 2)};
+  for (std::int64_t i = cell_of(low.x - slack, 0); i <= last[0]; ++i) {
+    for (std::int64_t j = cell_of(low.y - slack, 1); j <= last[1]; ++j) {
+      for (std::int64_t k = cell_of(low.z - slack, 2); k <= last[2]; ++k) visit_cell(i, j, k, visit);
+    }
+  }
+}
+
 // Follows the segment from p, inside tetrahedron `from` or on its surface, towards q. Calls visit(tet, t_in, t_out)
 // for each tetrahedron passed, with the parameters between which the segment is in it. Returns the tetrahedron that
-// q lies in; kNone where the segment leaves through the boundary before. O(tetrahedra passed).
+// q lies in; kNone where the segment leaves through the boundary before, or after `most` tetrahedra. O(tetrahedra passed).
 template <class Visit>
-TetId walk(const TetMesh& mesh, TetId from, const Vec3& p, const Vec3& q, Visit visit) {
+TetId walk(const TetMesh& mesh, TetId from, const Vec3& p, const Vec3& q, Visit visit,
+           std::uint32_t most = 100000) {
   const Vec3 d = q - p;
   double t_in = 0;
   TetId t = from;
   int entered = -1;
-  for (std::uint32_t steps = 0; steps < 100000; ++steps) {
+  for (std::uint32_t steps = 0; steps < most; ++steps) {
     const auto& v = mesh.vertices(t);
     double t_out = 2;
     int exit = -1;

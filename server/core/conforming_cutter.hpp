@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/cut_config.hpp"
@@ -38,6 +39,15 @@ class ConformingCutter final : public Cutter {
   const CutCounts& counts() const override { return counts_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
+  // Measures of dihedral angles. A star with no angle below the first is good: a snap that leaves it so is taken freely,
+  // and nothing in it is repaired. When nothing better is left, a snap is taken down to the second, and in need to the
+  // third.
+  static constexpr double kGood = dihedral_measure(0.9876883406);       // 9 degrees
+  static constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
+  static constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
+
   enum class Phase { kIdle, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kOpen };
 
   // The surface crosses the edge (a, b) with a < b.
@@ -112,6 +122,10 @@ class ConformingCutter final : public Cutter {
   void improve(TetId t);
   void thin_out(VertexId v);
   bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
+  bool try_flips(TetId t);
+  bool remove_edge(TetId t, VertexId a, VertexId b);
+  bool flip_face(HalfFace h);
+  bool replace(std::span<const TetId> removed, std::span<const std::array<VertexId, 4>> added);
 
   // --- opening
   void select(WorkBudget& budget);
@@ -165,14 +179,15 @@ class ConformingCutter final : public Cutter {
 
   struct Changed {
     VertexId vertex;
-    bool good;  // its star was good when it was put there
+    bool good;           // its star was good when it was put there
+    bool again = false;  // repaired once, not well enough
   };
   std::vector<Changed> changed_;  // put on the surface by this batch
   std::size_t next_changed_ = 0;
   std::vector<TetId> poor_;
 
   VertexStar star_, other_star_;
-  std::vector<TetId> flat_, ring_;
+  std::vector<TetId> flat_, ring_, new_tets_;
   std::vector<std::uint32_t> star_ids_;
 };
 

@@ -11,11 +11,6 @@
 
 namespace incise::core {
 
-struct CutSession::Source {
-  StrokeBuilder builder;
-  std::unique_ptr<Cutter> cutter;
-};
-
 CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
     : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_) {}
 
@@ -91,6 +86,11 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
 #endif
   pieces_.report(delta);
   mesh_.commit(delta);
+  if (config_.policy == Policy::kCroll) {  // which does not use the grid itself
+    for (const TetState& tet : delta.upserted) {
+      if (tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
+    }
+  }
   double worst = -kInverted;
   for (const TetState& tet : delta.upserted) worst = std::max(worst, mesh_.worst_dihedral(tet.id));
   for (VertexId v : delta.moved) {

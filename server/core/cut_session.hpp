@@ -43,6 +43,8 @@ class CutSession {
   Progress advance(WorkBudget& budget, Delta& delta);
 
   const TetMesh& mesh() const { return mesh_; }
+  // Where the mesh's boundary is, cut faces included, as of the last operation.
+  const BoundaryGrid& boundary() const { return workspace_.grid; }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
   // Batches that wait, the one at work included, and their segments.
@@ -54,7 +56,12 @@ class CutSession {
   const CutCounts& committed_counts() const { return committed_counts_; }
 
  private:
-  struct Source;
+  friend struct SessionFields;  // session_state.cpp
+
+  struct Source {
+    StrokeBuilder builder;
+    std::unique_ptr<Cutter> cutter;
+  };
   Source& source(std::uint32_t number);
 
   TetMesh mesh_;

@@ -1,8 +1,33 @@
 #include "server/core/piece_tracker.hpp"
 
 #include <algorithm>
+#include <array>
 
 namespace incise::core {
+namespace {
+
+constexpr std::size_t kAhead = 8;  // how far to look ahead in the queue
+
+// Sorts ascending, by digits of 11 bits from the lowest (radix sort): a piece may hold half the mesh.
+void sort_ids(std::vector<TetId>& ids, std::vector<TetId>& scratch) {
+  constexpr std::size_t kFew = 1024;
+  if (ids.size() < kFew) {
+    std::sort(ids.begin(), ids.end());
+    return;
+  }
+  constexpr int kBits = 11;
+  constexpr std::uint32_t kMask = (1u << kBits) - 1;
+  scratch.resize(ids.size());
+  for (int shift = 0; shift < 32; shift += kBits) {
+    std::array<std::uint32_t, kMask + 2> begin{};
+    for (const TetId t : ids) ++begin[(t >> shift & kMask) + 1];
+    for (std::size_t i = 1; i < begin.size(); ++i) begin[i] += begin[i - 1];
+    for (const TetId t : ids) scratch[begin[t >> shift & kMask]++] = t;
+    ids.swap(scratch);
+  }
+}
+
+}  // namespace
 
 void PieceTracker::claim(TetId t, std::uint32_t group) {
   claims_[t] = {search_, group};
@@ -29,10 +54,21 @@ void PieceTracker::begin() {
   }
 }
 
+// The queue says what will be needed soon: without this, waiting for memory is most of the search's time.
+void PieceTracker::fetch_ahead() const {
+  if (next_ + 2 * kAhead < visited_.size()) mesh_.prefetch(visited_[next_ + 2 * kAhead]);
+  if (next_ + kAhead >= visited_.size()) return;
+  for (int f = 0; f < 4; ++f) {
+    const TetId n = mesh_.neighbor(visited_[next_ + kAhead], f);
+    if (n != kNone) __builtin_prefetch(&claims_[n]);
+  }
+}
+
 bool PieceTracker::advance(WorkBudget& budget) {
   while (undecided_ > 0 && next_ < visited_.size()) {
     if (budget.spent()) return false;
     budget.charge(1);
+    fetch_ahead();
     const TetId t = visited_[next_++];
     std::uint32_t group = find(claims_[t].group);
     --groups_[group].waiting;
@@ -60,11 +96,13 @@ bool PieceTracker::advance(WorkBudget& budget) {
       }
     }
   }
-  for (TetId t : visited_) {
+  for (std::size_t i = 0; i < visited_.size(); ++i) {
+    if (i + kAhead < visited_.size()) mesh_.prefetch_piece(visited_[i + kAhead]);
+    const TetId t = visited_[i];
     const std::uint32_t fresh = groups_[find(claims_[t].group)].fresh;
     if (fresh == 0) continue;
     mesh_.set_piece(t, fresh);
-    changed_.push_back(std::uint64_t{fresh} << 32 | t);
+    changed_.push_back({fresh, t});
   }
   return true;
 }
@@ -77,14 +115,20 @@ void PieceTracker::report(Delta& delta) {
     if (claims_[t].search == search_ && claims_[t].group < groups_.size() &&
         groups_[find(claims_[t].group)].fresh != 0)
       continue;
-    changed_.push_back(std::uint64_t{mesh_.piece(t)} << 32 | t);
+    changed_.push_back({mesh_.piece(t), t});
   }
-  std::sort(changed_.begin(), changed_.end());
-  for (const std::uint64_t change : changed_) {
-    const auto piece = static_cast<std::uint32_t>(change >> 32);
-    if (delta.pieces.empty() || delta.pieces.back().id != piece) delta.pieces.push_back({piece, {}});
-    delta.pieces.back().tets.push_back(static_cast<TetId>(change));
+  std::size_t last = 0;
+  for (const auto& [piece, t] : changed_) {
+    if (last >= delta.pieces.size() || delta.pieces[last].id != piece) {
+      for (last = 0; last < delta.pieces.size() && delta.pieces[last].id != piece; ++last) {
+      }
+      if (last == delta.pieces.size()) delta.pieces.push_back({piece, {}});
+    }
+    delta.pieces[last].tets.push_back(t);
   }
+  std::sort(delta.pieces.begin(), delta.pieces.end(),
+            [](const Delta::Piece& a, const Delta::Piece& b) { return a.id < b.id; });
+  for (Delta::Piece& piece : delta.pieces) sort_ids(piece.tets, scratch_);
 }
 
 }  // namespace incise::core

@@ -15,7 +15,11 @@ namespace incise::core {
 // two), and next to nothing where the two sides of a cut still hang together around its front.
 class PieceTracker {
  public:
-  explicit PieceTracker(TetMesh& mesh) : mesh_(mesh) {}
+  // O(mesh): later steps only add what the mesh has grown by.
+  explicit PieceTracker(TetMesh& mesh) : mesh_(mesh) {
+    claims_.reserve(mesh.tet_slots() + mesh.tet_slots() / 4 + 65536);
+    claims_.resize(mesh.tet_slots(), {0, 0});
+  }
 
   // Begins with the tetrahedra that the running step has touched.
   void begin();
@@ -29,6 +33,8 @@ class PieceTracker {
   std::uint32_t pieces() const { return next_piece_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   std::uint32_t find(std::uint32_t group) {
     while (groups_[group].parent != group) {
       groups_[group].parent = groups_[groups_[group].parent].parent;
@@ -37,6 +43,7 @@ class PieceTracker {
     return group;
   }
   void claim(TetId t, std::uint32_t group);
+  void fetch_ahead() const;
 
   TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
@@ -56,7 +63,12 @@ class PieceTracker {
   std::vector<Group> groups_;
   std::vector<std::uint32_t> searching_;  // by piece: its groups that still have somewhere to go
   std::uint32_t undecided_ = 0;           // pieces with more than one of them
-  std::vector<std::uint64_t> changed_;    // piece << 32 | tetrahedron
+  struct Change {
+    std::uint32_t piece;
+    TetId tet;
+  };
+  std::vector<Change> changed_;
+  std::vector<TetId> scratch_;
 };
 
 }  // namespace incise::core

@@ -74,6 +74,8 @@ class StrokeBuilder {
   const Pose& last_pose() const { return last_pose_; }
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct TimedLine {
     BladeLine line;
     std::int64_t t_ns;

@@ -62,6 +62,8 @@ class SweptSurface {
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct Box {
     Vec3 low, high;
   };

@@ -78,6 +78,9 @@ class TetMesh {
   // Which piece of the body it is in (server/core/piece_tracker.hpp). Not part of the state that the hash names.
   std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
   void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
+  // Hints that the tetrahedron's vertices and neighbours, or its piece, will be read soon.
+  void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
+  void prefetch_piece(TetId t) const { __builtin_prefetch(&attributes_[t], 1); }
   std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
   std::uint8_t boundary_mask(TetId t) const;
   std::array<VertexId, 3> face_vertices(HalfFace h) const;
@@ -137,6 +140,8 @@ class TetMesh {
   MeshData export_data() const;  // live tetrahedra and used vertices, renumbered in id order
 
  private:
+  friend struct SessionFields;  // session_state.cpp
+
   struct Vertex {
     Vec3 position;
     TetId tet = kNone;

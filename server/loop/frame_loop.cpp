@@ -82,10 +82,14 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
   const std::int64_t drained = monotonic_ns();
+  // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
+  const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
+  last_start_ns_ = start;
+  const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
   cut(start + budget_ns_);
   const std::int64_t cut_done = monotonic_ns();
   publish();
-  account(deadline_ns, start, drained, cut_done, monotonic_ns());
+  account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
 }
 
 void FrameLoop::finish() noexcept {
@@ -106,7 +110,7 @@ void FrameLoop::finish() noexcept {
     publish();
   } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0);
   const std::int64_t now = monotonic_ns();
-  account(now, now, now, now, now);
+  account(now, now, now, now, now, now);
 }
 
 // ------------------------------------------------------------------------------------------------ input
@@ -134,6 +138,7 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       record.kind = JournalRecord::Kind::kOpened;
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
+      if (forces_) forces_->opened(source, event.blade);
       break;
     case Kind::kPose: {
       record.kind = JournalRecord::Kind::kPose;
@@ -143,6 +148,10 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
         ++state_.strokes;
       input_.count(source, verdict, event.pose.pose.t_ns);
+      if (forces_ && accepted(verdict)) {
+        forces_->posed(source, event.pose.pose, event.pose.arrival_ns,
+                       verdict == core::PoseVerdict::kNewStroke);
+      }
       bump(stats_.verdicts[static_cast<std::size_t>(verdict)]);
       break;
     }
@@ -170,6 +179,19 @@ void FrameLoop::write(const JournalRecord& record) {
   }
 }
 
+// ------------------------------------------------------------------------------------------------ forces
+
+void FrameLoop::offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink,
+                             haptics::ForceSlots* slots) {
+  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), sink, slots);
+}
+
+std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
+  if (!forces_) return now_ns;
+  forces_->frame(*session_, now_ns, late_ns);
+  return monotonic_ns();
+}
+
 // ------------------------------------------------------------------------------------------------ reset
 
 void FrameLoop::offer_reset(Restart restart, ResetDone done) {
@@ -188,6 +210,7 @@ void FrameLoop::reset() {
   auto fresh = restart_();
   own_session_ = std::move(fresh);
   session_ = own_session_.get();
+  if (forces_) forces_->restart();
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   LoopState as_loaded;
@@ -269,16 +292,9 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.cut_faces += delta.cut_faces;
   state_.cut_area_m2 += delta.cut_area;
 
-  JournalRecord record;
-  record.kind = JournalRecord::Kind::kCommit;
-  record.source = delta.source;
+  JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;
-  record.stroke = delta.stroke;
-  record.batch = delta.batch;
-  record.stroke_ended = delta.stroke_ended;
   record.frame = state_.frames;
-  record.revision = delta.revision;
-  record.state_hash = delta.state_hash;
   write(record);
 }
 
@@ -290,12 +306,13 @@ void FrameLoop::publish() {
 // ------------------------------------------------------------------------------------------------ accounts
 
 void FrameLoop::account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns,
-                        std::int64_t cut_ns, std::int64_t end_ns) {
+                        std::int64_t felt_ns, std::int64_t cut_ns, std::int64_t end_ns) {
   ++state_.frames;
   stats_.wake_late.record(start_ns - deadline_ns);
   stats_.frame_work.record(end_ns - start_ns);
   stats_.drain.record(drained_ns - start_ns);
-  stats_.cut.record(cut_ns - drained_ns);
+  if (forces_) stats_.force.record(felt_ns - drained_ns);
+  stats_.cut.record(cut_ns - felt_ns);
   stats_.publish.record(end_ns - cut_ns);
   if (end_ns > deadline_ns + period_ns_) {
     // The stage that most exceeded its share is the cause.

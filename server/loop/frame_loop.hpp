@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "server/core/cut_session.hpp"
+#include "server/haptics/force_stage.hpp"
 #include "server/input/input_hub.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
@@ -28,8 +29,8 @@ struct LoopOptions {
   std::size_t most_unread_deltas = 1u << 16;
 };
 
-// The real-time loop. Once a frame, in this order: take the poses that wait, check and batch them, cut until
-// the budget is spent, publish the deltas of finished batches, account. What does not fit is carried over to
+// The real-time loop. Once a frame, in this order: take the poses that wait, check and batch them, update the
+// forces, cut until the budget is spent, publish the deltas of finished batches, account. What does not fit is carried over to
 // the next frame; poses stay in their queues until the loop can take them, and none is dropped.
 //
 // A frame takes no lock, throws nothing and logs nothing, and once buffers are warm it allocates nothing.
@@ -52,6 +53,10 @@ class FrameLoop {
   // where it was not offered. From any thread.
   bool request_reset();
 
+  // Makes forces, in each frame between drain and cut; before the first frame. `sink` and `slots` may be null; what is
+  // not must outlive this.
+  void offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink, haptics::ForceSlots* slots);
+
   // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
   // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
   // as frames.
@@ -71,11 +76,12 @@ class FrameLoop {
   };
   void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
+  std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
   void cut(std::int64_t until_ns);
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
-  void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t cut_ns,
-               std::int64_t end_ns);
+  void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
+               std::int64_t cut_ns, std::int64_t end_ns);
   void write(const JournalRecord& record);
   void reset();
 
@@ -84,6 +90,8 @@ class FrameLoop {
   Restart restart_;
   ResetDone reset_done_;
   std::atomic<bool> reset_wanted_{false};
+  std::int64_t last_start_ns_ = 0;                                    // of the frame before
+  std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
   input::InputHub& input_;
   DeltaSink& sink_;

@@ -1,9 +1,12 @@
 #include "server/loop/journal.hpp"
 
+#include <sys/random.h>
+
 #include <chrono>
 #include <exception>
 
 #include "server/loop/loop_stats.hpp"
+#include "server/loop/realtime.hpp"
 
 namespace incise::loop {
 namespace {
@@ -16,6 +19,8 @@ using std::chrono::steady_clock;
 constexpr milliseconds kPoll{5};
 // How long a failing sink is left alone.
 constexpr milliseconds kRetry{1000};
+// Between two places where a checkpoint may be.
+constexpr milliseconds kMarks{250};
 
 JournalRecord gap_of(std::uint64_t lost) {
   JournalRecord record;
@@ -26,10 +31,12 @@ JournalRecord gap_of(std::uint64_t lost) {
 
 }  // namespace
 
-Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble)
+Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
+                 std::unique_ptr<Checkpointer> checkpointer)
     : sink_(std::move(sink)),
       options_(options),
       on_trouble_(std::move(on_trouble)),
+      checkpointer_(std::move(checkpointer)),
       queue_(options.capacity) {
   thread_ = std::thread([this] { run(); });
 }
@@ -57,6 +64,8 @@ bool Journal::write_waiting() {
     const std::uint64_t gap = record.kind == JournalRecord::Kind::kGap ? record.lost : 0;
     unflushed_ += gap > 0 ? gap : 1;
     unflushed_gaps_ += gap;
+    if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
+    unmarked_ = true;
     sink_->write(record);
     any = true;
   }
@@ -66,7 +75,23 @@ bool Journal::write_waiting() {
   return true;
 }
 
+// Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
+void Journal::mark_checkpoint() {
+  const auto now = steady_clock::now();
+  if (!checkpointer_ || failing() || !(wanted_ || (unmarked_ && now - last_mark_ >= kMarks))) return;
+  JournalRecord mark;
+  mark.kind = JournalRecord::Kind::kCheckpoint;
+  if (getrandom(&mark.checkpoint, sizeof mark.checkpoint, 0) != sizeof mark.checkpoint) return;
+  const JournalSink::Position at = sink_->position();
+  sink_->write(mark);
+  sink_->flush();
+  checkpointer_->mark(mark.checkpoint, at.bytes, at.records, wanted_);
+  last_mark_ = now;
+  wanted_ = unmarked_ = false;
+}
+
 void Journal::run() {
+  if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
   auto last_sync = steady_clock::now(), last_try = last_sync;
   bool unsynced = false;
   for (;;) {
@@ -77,6 +102,7 @@ void Journal::run() {
     }
     try {
       last_try = steady_clock::now();
+      mark_checkpoint();
       unsynced |= write_waiting();
       const bool due =
           options_.policy == SyncPolicy::kAlways ||
@@ -90,6 +116,7 @@ void Journal::run() {
       if (failing()) {
         lost_unwritten_before_ = lost_unwritten_.load(std::memory_order_relaxed);
         failing_.store(false, std::memory_order_relaxed);
+        wanted_ = true;
         on_trouble_("");
       }
       if (stopping) sink_->close();

@@ -1,40 +1,18 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
 #include <thread>
 
-#include "server/core/blade.hpp"
 #include "server/input/spsc_queue.hpp"
+#include "server/loop/checkpointer.hpp"
+#include "server/loop/journal_record.hpp"
 
 namespace incise::loop {
-
-// One thing that the loop did that its state depends on (kOpened, kPose, kEndStroke), or a mark to check it
-// by.
-struct JournalRecord {
-  enum class Kind : std::uint8_t {
-    kOpened,     // source, arrival_ns: the source has another owner
-    kPose,       // source, arrival_ns, pose
-    kEndStroke,  // source, arrival_ns
-    kCommit,     // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
-    kReset,      // session, arrival_ns: the mesh is as loaded again
-    kGap,        // lost: so many records are missing here
-  };
-  Kind kind = Kind::kPose;
-  std::uint32_t source = 0;
-  std::int64_t arrival_ns = 0;
-  core::Pose pose;
-  std::uint32_t stroke = 0, batch = 0;
-  bool stroke_ended = false;
-  std::uint64_t revision = 0;
-  std::uint64_t state_hash = 0;
-  std::uint64_t frame = 0;  // of the loop, since it started
-  std::uint64_t session = 0;
-  std::uint64_t lost = 0;
-};
 
 // Where a journal goes. Called from the journal's thread only; whatever fails throws.
 class JournalSink {
@@ -47,6 +25,11 @@ class JournalSink {
   virtual void sync() = 0;
   // The last call: nothing more will come, and nothing is missing since the last gap.
   virtual void close() = 0;
+  // Up to where all was flushed: bytes, and the records in them.
+  struct Position {
+    std::uint64_t bytes = 0, records = 0;
+  };
+  virtual Position position() const { return {}; }
 };
 
 // When what was written must be on the disk.
@@ -59,20 +42,24 @@ enum class SyncPolicy : std::uint8_t {
 // Writes what the loop drained, in its order, from a thread of its own. The loop never waits for the disk:
 // where the queue is full, or the sink fails (disk full), records are lost; lost() counts them, and a kGap
 // record says so at that place as soon as the sink takes it. What follows a gap can be replayed only from a
-// checkpoint after it.
+// checkpoint after it: the journal asks for one as soon as it can be written again.
 //
-// Thread: record() from the loop's; the rest from any. Owns: the sink, its thread.
+// Thread: record() from the loop's; the rest from any. Owns: the sink, the checkpointer, its thread.
 class Journal {
  public:
   struct Options {
     SyncPolicy policy = SyncPolicy::kGroup;
     std::int64_t sync_interval_ms = 100;
     std::size_t capacity = 1u << 16;  // records
+    // SCHED_FIFO for its thread; 0: none. What a crash loses is what this thread has not come to; it needs little time.
+    int realtime_priority = 0;
   };
   // Called from the journal's thread when the sink begins to fail, with the reason, and with an empty text
   // when it works again.
   using OnTrouble = std::function<void(const std::string&)>;
-  Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble);
+  // `checkpointer` may be null: no checkpoints.
+  Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
+          std::unique_ptr<Checkpointer> checkpointer = nullptr);
   // Writes what waits, flushes, ends the thread. The loop must have stopped.
   ~Journal();
 
@@ -85,20 +72,26 @@ class Journal {
   bool failing() const { return failing_.load(std::memory_order_relaxed); }
   // Records that wait.
   std::size_t waiting() const { return queue_.size(); }
+  const Checkpointer* checkpointer() const { return checkpointer_.get(); }
 
  private:
   void run();
   // Writes and flushes what waits; whether there was anything.
   bool write_waiting();
+  // Marks a place where a checkpoint may be, now and then, and one where it must be, after a gap.
+  void mark_checkpoint();
 
   const std::unique_ptr<JournalSink> sink_;
   const Options options_;
   const OnTrouble on_trouble_;
+  const std::unique_ptr<Checkpointer> checkpointer_;
   input::SpscQueue<JournalRecord> queue_;
   std::uint64_t gap_ = 0;  // the loop's: records lost since the last one that was queued
   // The thread's: records that the sink has not flushed, and of them those that lost_unqueued_ counts already.
   std::uint64_t unflushed_ = 0, unflushed_gaps_ = 0;
   std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
+  bool unmarked_ = false, wanted_ = false;   // records since the last mark; a gap since the last one
+  std::chrono::steady_clock::time_point last_mark_{};
   std::atomic<std::uint64_t> lost_unqueued_{0}, lost_unwritten_{0};
   std::atomic<bool> failing_{false}, stop_{false};
   std::thread thread_;

@@ -89,6 +89,7 @@ struct LoopStats {
   Histogram wake_late;   // start of a frame after its deadline
   Histogram frame_work;  // start to end of a frame
   Histogram drain;       // stages of a frame that had something to do
+  Histogram force;
   Histogram cut;
   Histogram publish;
   Histogram batch_cut;      // work on one batch, over all its frames

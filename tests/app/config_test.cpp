@@ -73,6 +73,19 @@ TEST(Config, PathsAreRelativeToTheFile) {
   EXPECT_EQ(config.resolve(""), "");
 }
 
+TEST(Config, AMaterialHasTheTissuesValuesWhereItNamesNone) {
+  const Config config = parse_config(
+      R"({"materials": [{"region": 7, "toughness_j_m2": 2500}], "haptics": {"puncture_n": 2}})", "test.json");
+  const haptics::Materials& materials = config.haptics.force.materials;
+  EXPECT_EQ(materials.of(7).toughness_j_m2, 2500);
+  EXPECT_EQ(materials.of(7).puncture_n, 2);
+  EXPECT_EQ(materials.of(7).stiffness_pa, haptics::Material().stiffness_pa);
+  EXPECT_EQ(materials.of(8), materials.tissue);
+  EXPECT_EQ(materials.of(8).toughness_j_m2, 164);
+  const Config again = parse_config(compact(config), "compact");
+  EXPECT_EQ(again.haptics.force.materials.by_region, materials.by_region);
+}
+
 TEST(Config, TheShippedFilesAreGood) {
   for (const char* name : {"incised.json", "demo.json"}) {
     const std::filesystem::path file = std::filesystem::path(INCISE_SOURCE_DIR) / "config" / name;
@@ -116,6 +129,18 @@ const Malformed kMalformed[] = {
     {"42", {"42", "object"}},
     {"\"mesh\"", {"object"}},
     {"{} {}", {"not JSON"}},
+    // Tissue.
+    {"{\"haptics\": {\"toughness_j_m2\": -1}}", {"haptics.toughness_j_m2", "-1", "from 0"}},
+    {"{\"haptics\": {\"max_force_n\": 10}}", {"haptics.slew_n_s", "500", "100 times haptics.max_force_n"}},
+    {"{\"materials\": {}}", {"materials", "a list of at most 64"}},
+    {"{\"materials\": [{\"toughness_j_m2\": 1}]}", {"materials[0].region", "nothing"}},
+    {"{\"materials\": [{\"region\": 1.5}]}", {"materials[0].region", "1.5", "whole number"}},
+    {"{\"materials\": [{\"region\": 3e9}]}", {"materials[0].region", "whole number"}},
+    {"{\"materials\": [{\"region\": 1}, {\"region\": 1}]}", {"materials[1].region", "no other entry"}},
+    {"{\"materials\": [{\"region\": 1, \"softness\": 1}]}",
+     {"softness", "accepted are region, toughness_j_m2"}},
+    {"{\"materials\": [{\"region\": 1, \"puncture_n\": \"hard\"}]}",
+     {"materials[0].puncture_n", "hard", "number"}},
     // Unknown or doubled keys.
     {"{\"mash\": {}}", {"unknown key \"mash\"", "mesh", "loop"}},
     {"{\"loop\": {\"rate\": 1000}}", {"unknown key \"loop.rate\"", "rate_hz"}},

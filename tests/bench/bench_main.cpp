@@ -16,6 +16,12 @@ int main(int argc, char** argv) {
   incise::bench::add_micro_bench(app, report);
   incise::bench::add_paper_bench(app, report);
   incise::bench::add_loop_bench(app, report);
+  incise::bench::add_plane_bench(app, report);
+  incise::bench::add_scale_bench(app, report);
+  incise::bench::add_events_bench(app, report);
+#ifdef INCISE_LIVE_BENCH
+  incise::bench::add_live_bench(app, report);
+#endif
   try {
     app.parse(argc, argv);
     if (app.get_subcommands().empty()) std::printf("%s", app.help().c_str());

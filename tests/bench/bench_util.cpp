@@ -133,14 +133,19 @@ std::string data_folder() {
   return folder != nullptr ? folder : "";
 }
 
-ThroughCut through_cut(const core::MeshData& mesh, const core::Vec3& normal) {
-  using core::Vec3;
+std::pair<core::Vec3, core::Vec3> bounds(const core::MeshData& mesh) {
   INCISE_CHECK(!mesh.positions.empty());
-  Vec3 low = mesh.positions[0], high = low;
-  for (const Vec3& p : mesh.positions) {
+  core::Vec3 low = mesh.positions[0], high = low;
+  for (const core::Vec3& p : mesh.positions) {
     low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
     high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
   }
+  return {low, high};
+}
+
+ThroughCut through_cut(const core::MeshData& mesh, const core::Vec3& normal) {
+  using core::Vec3;
+  const auto [low, high] = bounds(mesh);
   const Vec3 n = core::normalized(normal);
   const Vec3 other = std::abs(n.x) < 0.9 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
   const Vec3 along = core::normalized(core::cross(n, other)), ahead = core::cross(n, along);

@@ -88,6 +88,8 @@ struct NamedMesh {
 NamedMesh load(const std::string& path, double scale);
 // The phantom "liver", "cylinder" or "slab" with about `tets` tetrahedra.
 NamedMesh phantom(const std::string& kind, std::size_t tets);
+// The corners of a mesh's bounding box.
+std::pair<core::Vec3, core::Vec3> bounds(const core::MeshData& mesh);
 // The folder of real meshes that the environment variable INCISE_DATA names; empty without.
 std::string data_folder();
 

@@ -2,7 +2,6 @@
 // wake-up, a pose's way to the cut; and what the input path takes when poses come all at once.
 
 #include <CLI/CLI.hpp>
-#include <atomic>
 #include <cmath>
 #include <memory>
 #include <thread>
@@ -11,6 +10,7 @@
 #include "server/loop/realtime.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
+#include "tests/support/to_and_fro.hpp"
 
 namespace incise::bench {
 namespace {
@@ -25,6 +25,7 @@ struct LoopBench {
   std::size_t tets = 60'000;
   int realtime_priority = 0;
   bool load = false;
+  double jitter_seconds = 3;
 };
 
 // Lets go of every delta at once, as a stream does that keeps up.
@@ -35,48 +36,54 @@ struct Discard : loop::DeltaSink {
   std::uint64_t hash = 0;
 };
 
-// To and fro across the body, each pass a little further along it, engaged while inside.
-class Motion {
- public:
-  Motion(const core::MeshData& mesh, double speed_m_s, double rate_hz)
-      : step_m_(speed_m_s / rate_hz), rate_hz_(rate_hz) {
-    low_ = high_ = mesh.positions.front();
-    for (const core::Vec3& p : mesh.positions) {
-      low_ = {std::min(low_.x, p.x), std::min(low_.y, p.y), std::min(low_.z, p.z)};
-      high_ = {std::max(high_.x, p.x), std::max(high_.y, p.y), std::max(high_.z, p.z)};
-    }
-  }
-  core::Pose next() {
-    const double margin = 0.1 * (high_.y - low_.y), width = high_.y - low_.y + 2 * margin;
-    const double travelled = step_m_ * static_cast<double>(count_);
-    const double pass = std::floor(travelled / width), within = travelled - pass * width;
-    const bool back = std::fmod(pass, 2) == 1;
-    core::Pose pose;
-    pose.t_ns = static_cast<std::int64_t>(1e9 / rate_hz_ * static_cast<double>(++count_));
-    const double along = std::fmod(0.1 + 0.03819 * pass, 0.8) + 0.1;
-    pose.position = {low_.x + along * (high_.x - low_.x),
-                     back ? high_.y + margin - within : low_.y - margin + within, high_.z + 0.01};
-    // Lifted while it moves along the body.
-    pose.buttons = within > 2 * step_m_ && within < width - 2 * step_m_ ? 1 : 0;
-    return pose;
-  }
-  core::Blade blade() const { return {{0, 0, 0}, {0, 0, -(high_.z - low_.z + 0.02)}}; }
-
- private:
-  core::Vec3 low_, high_;
-  double step_m_, rate_hz_;
-  std::uint64_t count_ = 0;
-};
-
 void add_row(Report& report, const char* name, const loop::Histogram& histogram) {
   const auto us = [](std::uint64_t ns) { return static_cast<double>(ns) * 1e-3; };
   report.row({std::string(name), count(histogram.count()), us(histogram.quantile_ns(0.5)),
               us(histogram.quantile_ns(0.99)), us(histogram.quantile_ns(0.999)), us(histogram.max_ns())});
 }
 
+// Computes all the time, in a thread of its own.
+class Load {
+ public:
+  explicit Load(bool wanted) {
+    if (!wanted) return;
+    thread_ = std::jthread([](const std::stop_token& stop) {
+      volatile double x = 1;
+      while (!stop.stop_requested()) x = std::sqrt(x + 1);
+    });
+  }
+
+ private:
+  std::jthread thread_;
+};
+
+// How late empty frames begin, with nothing else of ours to run and beside a thread that computes.
+void bench_jitter(const LoopBench& bench, const core::MeshData& mesh, const core::CutConfig& config,
+                  Report& report) {
+  report.table("wake-up late, us", {{"beside"}, {"count"}, {"p50", 1}, {"p99", 1}, {"p99.9", 1}, {"max", 1}});
+  for (const bool loaded : {false, true}) {
+    core::CutSession session(mesh, config);
+    input::InputHub hub(config.blade);
+    Discard sink;
+    loop::LoopOptions options;
+    options.rate_hz = bench.frame_rate_hz;
+    loop::FrameLoop frames(session, hub, sink, nullptr, options);
+    const Load load(loaded);
+    std::jthread thread([&](const std::stop_token& stop) {
+      if (bench.realtime_priority > 0) loop::request_priority(bench.realtime_priority);
+      frames.run(stop);
+    });
+    std::this_thread::sleep_for(std::chrono::duration<double>(bench.jitter_seconds));
+    thread.request_stop();
+    thread.join();
+    add_row(report, loaded ? "a thread that computes" : "nothing", frames.stats().wake_late);
+  }
+}
+
 void run(const LoopBench& bench, Report& report) {
   const NamedMesh body = phantom("liver", bench.tets);
-  Motion motion(body.mesh, bench.speed_m_s, bench.pose_rate_hz);
+  const auto [low, high] = bounds(body.mesh);
+  tests::ToAndFro motion(low, high, bench.speed_m_s, bench.pose_rate_hz);
   core::CutConfig config;
   config.blade = motion.blade();
   core::CutSession session(body.mesh, config);
@@ -86,14 +93,7 @@ void run(const LoopBench& bench, Report& report) {
   options.rate_hz = bench.frame_rate_hz;
   loop::FrameLoop frames(session, hub, sink, nullptr, options);
 
-  std::atomic<bool> done{false};
-  std::thread load;
-  if (bench.load) {
-    load = std::thread([&] {
-      volatile double x = 1;
-      while (!done) x = std::sqrt(x + 1);
-    });
-  }
+  auto load = std::make_unique<Load>(bench.load);
   std::string granted;
   std::jthread loop_thread([&](const std::stop_token& stop) {
     if (bench.realtime_priority > 0) granted = loop::request_priority(bench.realtime_priority);
@@ -112,8 +112,7 @@ void run(const LoopBench& bench, Report& report) {
   }
   loop_thread.request_stop();
   loop_thread.join();
-  done = true;
-  if (load.joinable()) load.join();
+  load.reset();
 
   const loop::LoopStats& stats = frames.stats();
   const loop::LoopState state = stats.state.load();
@@ -141,6 +140,8 @@ void run(const LoopBench& bench, Report& report) {
   add_row(report, "batch cut", stats.batch_cut);
   add_row(report, "pose to drain", stats.pose_to_drain);
   add_row(report, "pose to cut", stats.pose_to_cut);
+
+  bench_jitter(bench, body.mesh, config, report);
 
   // The input path alone: poses beside the body, as fast as one thread gives them and the loop takes them.
   core::CutSession idle(body.mesh, config);
@@ -174,6 +175,8 @@ void add_loop_bench(CLI::App& app, Report& report) {
   sub->add_option("--speed", bench->speed_m_s, "Of the blade, m/s")->capture_default_str();
   sub->add_option("--tets", bench->tets, "Of the phantom liver")->capture_default_str();
   sub->add_option("--priority", bench->realtime_priority, "SCHED_FIFO priority; 0: none")
+      ->capture_default_str();
+  sub->add_option("--jitter-seconds", bench->jitter_seconds, "Of empty frames, free and beside a load")
       ->capture_default_str();
   sub->add_flag("--load", bench->load, "With another thread that computes all the time");
   sub->callback([bench, &report] { run(*bench, report); });

@@ -6,6 +6,7 @@
 #include "server/core/predicates.hpp"
 #include "server/core/quality.hpp"
 #include "server/core/tet_mesh.hpp"
+#include "server/haptics/force_model.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/core/test_meshes.hpp"
@@ -134,6 +135,31 @@ void build(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(body().tets.size()));
 }
 
+// One frame's force on a blade that is drawn to and fro: `on_surface` presses without cutting, else it lies across the
+// whole body.
+void force(benchmark::State& state, bool on_surface) {
+  const TetMesh mesh(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
+  const core::BoundaryGrid grid(mesh);
+  haptics::Materials materials;
+  haptics::ForceModel model(materials, 2000, 0.5);
+  haptics::BladeMotion motion;
+  motion.engaged = !on_surface;
+  motion.dt_s = motion.elapsed_s = 1e-3;
+  haptics::Feel feel;
+  int i = 0;
+  const auto move = [&](double up) {
+    i = (i + 1) % 1000;
+    const double s = 1e-5 * (i < 500 ? i : 1000 - i);
+    motion.tool = {0.0613 + s, 0.0487 + 0.7 * s, 0.15 + up};
+    motion.line = {motion.tool, motion.tool - Vec3{0, 0, on_surface ? 0.032 : 0.16}};
+    feel = model.update(mesh, grid, motion, feel.force);
+  };
+  for (int k = 0; on_surface && k < 40; ++k) move(0.006 - 1.5e-4 * k);  // down to the surface
+  for (auto _ : state) move(0);
+  state.counters["N"] = length(feel.force);
+  state.counters["edge_mm"] = 1e3 * feel.engagement.length_m;
+}
+
 int run(const std::string& filter, double min_time_s, bool json) {
   benchmark::RegisterBenchmark("orient3d/random", [](benchmark::State& s) { orient3d(s, false); });
   benchmark::RegisterBenchmark("orient3d/coplanar", [](benchmark::State& s) { orient3d(s, true); });
@@ -144,6 +170,8 @@ int run(const std::string& filter, double min_time_s, bool json) {
   benchmark::RegisterBenchmark("open_faces/one", open_faces);
   benchmark::RegisterBenchmark("move_and_commit", move_and_commit)->Arg(1)->Arg(100);
   benchmark::RegisterBenchmark("build", build)->Unit(benchmark::kMillisecond);
+  benchmark::RegisterBenchmark("force/pressing", [](benchmark::State& s) { force(s, true); });
+  benchmark::RegisterBenchmark("force/cutting_120_mm", [](benchmark::State& s) { force(s, false); });
   std::vector<std::string> arguments{"incise-bench", "--benchmark_filter=" + filter,
                                      "--benchmark_min_time=" + std::to_string(min_time_s)};
   if (json) arguments.push_back("--benchmark_format=json");

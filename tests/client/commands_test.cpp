@@ -109,6 +109,27 @@ TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
   EXPECT_EQ(bytes("tcp"), bytes("ws"));
 }
 
+TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
+  WatchCommand watch;
+  watch.server.address = address();
+  watch.give_up_after_s = 0.3;
+  watch.save = directory / "last";
+  std::thread stopping([&] {
+    while (test.server.counters().sessions == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    test.server.stop();
+  });
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(run_watch(watch), 1);
+  stopping.join();
+  ::testing::internal::GetCapturedStdout();
+  const std::string told = ::testing::internal::GetCapturedStderr();
+  EXPECT_NE(told.find("is gone; trying to connect again for 0.3 s"), std::string::npos) << told;
+  EXPECT_NE(told.find("did not come back within 0.3 s"), std::string::npos) << told;
+  EXPECT_TRUE(fs::exists(directory / "last")) << "what was held is saved all the same";
+}
+
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
   std::ofstream(directory / "nonsense.csv") << "a,b\n1,2\n";
   StreamCommand command;

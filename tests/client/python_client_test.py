@@ -14,7 +14,7 @@ import unittest
 import numpy as np
 
 import incise_client
-from incise.wire import Body, Delta, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd
+from incise.wire import Body, Delta, Force, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -30,7 +30,8 @@ def split(stream):
 def parse(data):
     message = Message.Message.GetRootAs(data, 0)
     kinds = {Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
-             Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Delta: Delta.Delta, Body.Body.Hello: Hello.Hello}
+             Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Delta: Delta.Delta, Body.Body.Hello: Hello.Hello,
+             Body.Body.Force: Force.Force}
     table = kinds.get(message.BodyType())
     if not table:
         return None
@@ -49,6 +50,41 @@ class Hashes(unittest.TestCase):
 
     def test_nothing_hashes_to_zero(self):
         self.assertEqual(incise_client.Replica().compute_state_hash(), 0)
+
+
+class Contact(unittest.TestCase):
+    """The golden Force: a plane at z = 0.03 of 800 N/m, 2.5 N s/m, that gives way at 0.75 N, for 20 ms."""
+
+    def setUp(self):
+        self.force = parse((VECTORS / "messages" / "Force.bin").read_bytes())
+        self.renderer = incise_client.ContactRenderer(ramp_s=0.1)
+        self.now = 1_000_000_000
+
+    def at(self, z, fresh=True):
+        self.now += 1_000_000
+        if fresh:
+            self.renderer.take(self.force, self.now)
+        return self.renderer.force((0.0, 0.0, z), self.now)
+
+    def test_a_spring_that_gives_way_and_expires(self):
+        for i in range(200):
+            force = self.at(0.031 - 1e-5 * i)
+        self.assertAlmostEqual(force[2], 0.75 + (2.5 + 0.125) * 0.01, delta=0.002)  # at 0.01 m/s
+        for _ in range(19):
+            force = self.at(0.029, fresh=False)
+        self.assertGreater(force[2], 0.5)
+        for _ in range(12):
+            force = self.at(0.029, fresh=False)
+        self.assertEqual(float(np.abs(force).max()), 0.0)
+
+    def test_never_beyond_the_limits(self):
+        last = np.zeros(3)
+        for i in range(500):
+            force = self.at(float("nan") if i % 50 == 7 else 0.03 * (-1) ** i)
+            self.assertTrue(np.isfinite(force).all())
+            self.assertLessEqual(float(np.linalg.norm(force)), 3.3 + 1e-9)
+            self.assertLessEqual(float(np.linalg.norm(force - last)), 0.5 + 0.04)
+            last = force
 
 
 class Vectors(unittest.TestCase):

@@ -14,11 +14,12 @@ from pathlib import Path
 # What may be included is a list of parts, or of single files.
 STATE_HASH = "protocol/state_hash.hpp"
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
+FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
 DELTA = ["server/core/check.hpp", "server/core/delta.hpp", "server/core/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
     "server/core": [STATE_HASH],
     "server/mesh_io": ["server/core"],
-    "server/input": ["server/core", "protocol"],
+    "server/input": ["server/core", "protocol", FORCE_SLOT],
     "server/haptics": ["server/core"],
     "server/loop": ["server/core", "server/input", "server/haptics", "protocol", PUBLISHED_DELTA],
     "server/stream": ["protocol"] + DELTA,

@@ -22,6 +22,7 @@ class Process {
   std::string line(const std::string& prefix, double seconds = 60);
   // All that is left of its output.
   std::string rest();
+  pid_t pid() const { return pid_; }
   void signal(int number);
   // Its exit code once it has ended; 128 + the signal that killed it; -1 after `seconds`.
   int wait(double seconds = 60);

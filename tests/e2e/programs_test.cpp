@@ -3,15 +3,19 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <chrono>
+#include <cmath>
 #include <csignal>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <thread>
 
 #include "client/client.hpp"
+#include "client/contact_renderer.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"
@@ -167,6 +171,56 @@ TEST_F(ProgramsTest, ThePythonClientCutsAndHoldsTheSame) {
   ASSERT_EQ(viewer->revision(), revision);
   const auto held = viewer->read([](const protocol::Replica& m) { return m.canonical_bytes(); });
   EXPECT_EQ(bytes("python.bin"), std::string(reinterpret_cast<const char*>(held.data()), held.size()));
+}
+
+// An operator that leans its blade on the body gets forces within the limits, and planes that it can render. On a loaded
+// machine the poses may come so unsteadily that the safety chain latches the force off: then a new session begins.
+TEST_F(ProgramsTest, AnOperatorFeelsTheTissue) {
+  const auto server = start();
+  std::mutex mutex;
+  std::vector<protocol::Force> forces;
+  client::ContactRenderer renderer;
+  client::Callbacks callbacks;
+  const auto now_ns = [] { return std::chrono::steady_clock::now().time_since_epoch().count(); };
+  callbacks.on_force = [&](const protocol::Force& force) {
+    renderer.take(force, now_ns());
+    const std::scoped_lock lock(mutex);
+    forces.push_back(force);
+  };
+  const auto size = [](const protocol::Vec3& v) { return std::sqrt(v.x * v.x + v.y * v.y + v.z * v.z); };
+  client::Options options;
+  options.role = protocol::Role::Operator;
+  bool felt = false, planes = false, rendered = false;
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(120);
+  while (!(felt && planes && rendered) && std::chrono::steady_clock::now() < deadline) {
+    const auto blade = client::Client::connect("127.0.0.1", tcp_port, options, callbacks);
+    const protocol::Box box = blade->welcome().mesh.box;
+    const auto begun = now_ns();
+    bool latched = false;
+    while (!latched && !(felt && planes && rendered) && std::chrono::steady_clock::now() < deadline) {
+      const double in = std::min(0.004, 2e-3 * 1e-9 * static_cast<double>(now_ns() - begun));
+      protocol::PoseSample pose;
+      pose.source_ns = now_ns();
+      pose.position = {box.min.x - 1e-4 + in, 0.5 * (box.min.y + box.max.y) + 1e-3 * in, box.max.z + 0.01};
+      pose.orientation = {1, 0, 0, 0};
+      blade->send_poses(std::span(&pose, 1));
+      rendered = size(renderer.force(pose.position, now_ns())) > 0 || rendered;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      const std::scoped_lock lock(mutex);
+      for (const protocol::Force& force : forces) {
+        EXPECT_LE(size(force.force_n), 3.3 + 1e-9);
+        felt = felt || force.force_n.x < 0;
+        planes = planes || (force.contact && force.contact->normal.x < -0.5);
+        latched = latched || force.latched_off;
+      }
+      forces.clear();
+    }
+  }
+  EXPECT_TRUE(felt) << "out of the body, against the motion";
+  EXPECT_TRUE(planes);
+  EXPECT_TRUE(rendered);
+  server->signal(SIGTERM);
+  EXPECT_EQ(server->wait(), 0);
 }
 
 TEST_F(ProgramsTest, MalformedMessagesDoNotStopTheServer) {

@@ -81,6 +81,74 @@ struct Rig {
   std::uint64_t revision = 0, cut_faces = 0;
 };
 
+// Forces only look: a session cuts the same with and without them.
+TEST(FrameLoop, ForcesChangeNoCut) {
+  for (const Policy policy : {Policy::kConforming, Policy::kCroll}) {
+    const core::MeshData mesh = tests::cube(6);
+    const auto poses = tests::sweep_through(300);
+    Rig rig(policy, mesh);
+    haptics::ForceSlots slots;
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override {
+        most = std::max(most, force.feel.engagement.length_m);
+      }
+      double most = 0;
+    } sink;
+    rig.loop.offer_forces({}, &sink, &slots);
+    {
+      auto source = rig.hub.open_source("blade");
+      for (const TimedPose& pose : timed(poses)) {
+        ASSERT_EQ(source->push(std::span(&pose, 1)), 1u);
+        rig.loop.frame(monotonic_ns());
+      }
+    }
+    rig.loop.finish();
+    rig.read();
+    EXPECT_EQ(rig.hashes, without_loop(policy, mesh, poses));
+    EXPECT_NEAR(sink.most, 0.1, 0.005) << "croll snaps the boundary, too";
+    haptics::ForceCommand command;
+    EXPECT_TRUE(slots[0].read(command));
+    EXPECT_GT(rig.loop.stats().force.count(), 300u);
+  }
+}
+
+// A frame that hangs ends the force of the next one, whatever deadline that one was given. On a loaded machine frames
+// hang by themselves, before there is a force: then it is tried anew.
+TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
+  core::CutConfig made = config(Policy::kConforming);
+  made.blade = {{0, 0, 0}, {0, 0, -0.05}};
+  const core::MeshData mesh = tests::cube(2);
+  for (int attempt = 0; attempt < 1000; ++attempt) {
+    core::CutSession session(mesh, made);
+    InputHub hub(made.blade);
+    Kept kept;
+    FrameLoop loop(session, hub, kept, nullptr, {});
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override { last = force; }
+      haptics::BladeForce last;
+    } sink;
+    loop.offer_forces({}, &sink, nullptr);
+    auto source = hub.open_source("blade");
+    int frame = 0;
+    const auto press = [&] {
+      TimedPose timed;
+      timed.pose.t_ns = 1 + std::int64_t{++frame} * 1'000'000;
+      timed.pose.position = {0.05 + 1e-6 * frame, 0.05, std::max(0.151 - 5e-5 * frame, 0.148)};
+      timed.arrival_ns = monotonic_ns();
+      source->push(std::span(&timed, 1));
+      loop.frame(monotonic_ns());
+    };
+    while (frame < 100 && sink.last.newtons.z == 0) press();
+    if (sink.last.newtons.z == 0) continue;
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    press();
+    EXPECT_EQ(sink.last.newtons.z, 0) << "30 ms late: faded in one step";
+    EXPECT_NE(sink.last.faults & haptics::kLate, 0u);
+    return;
+  }
+  FAIL() << "there was never a force";
+}
+
 class FrameLoopPolicies : public ::testing::TestWithParam<Policy> {};
 INSTANTIATE_TEST_SUITE_P(, FrameLoopPolicies, ::testing::Values(Policy::kConforming, Policy::kCroll),
                          [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });
@@ -139,6 +207,35 @@ TEST_P(FrameLoopPolicies, ABurstOfPosesIsCarriedOverAndEndsWithTheSameHash) {
   EXPECT_GT(carried, 0u);
   rig.read();
   EXPECT_EQ(rig.hashes, wanted);
+}
+
+// A mesh ten times too fine for its frames: batches of many frames each, a backlog that is told, the same mesh.
+TEST(FrameLoop, AMeshThatIsFarTooFineEndsWithTheSameHash) {
+  const core::MeshData mesh = tests::cube(22);
+  const auto poses = tests::sweep_through(700);
+  const Hashes wanted = without_loop(Policy::kConforming, mesh, poses);
+  LoopOptions options;
+  options.units_per_frame = 100;  // some 5 us, on any machine
+  Rig rig(Policy::kConforming, mesh, options);
+  std::uint64_t most_segments = 0, most_recovery_ns = 0;
+  {
+    auto source = rig.hub.open_source("blade");
+    const auto all = timed(poses);
+    for (std::size_t i = 0; i < all.size(); i += 4) {  // poses come at four times the frames' rate
+      source->push(std::span(all).subspan(i, std::min<std::size_t>(4, all.size() - i)));
+      rig.loop.frame(monotonic_ns());
+      const LoopState state = rig.loop.stats().state.load();
+      most_segments = std::max(most_segments, state.backlog_segments);
+      most_recovery_ns = std::max(most_recovery_ns, state.recovery_ns);
+    }
+    rig.loop.finish();
+    EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), poses.size());
+  }
+  EXPECT_GT(most_segments, 5u);
+  EXPECT_GT(most_recovery_ns, 0u);
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+  EXPECT_EQ(rig.loop.stats().state.load().backlog_segments, 0u);
 }
 
 TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
@@ -235,14 +332,16 @@ TEST(FrameLoop, AStreamThatDoesNotReadHoldsTheCutAndLosesNothing) {
     pushed += source->push(std::span(all).subspan(pushed));
     loop.frame(monotonic_ns());
   }
-  while ((loop.stats().state.load().flags & kDeltasBlocked) == 0 && session.backlog_batches() > 0) {
+  // A frame that was held up takes but some of the poses that wait.
+  const auto left = [&] { return session.backlog_batches() > 0 || hub.waiting() > 0; };
+  while ((loop.stats().state.load().flags & kDeltasBlocked) == 0 && left()) {
     loop.frame(monotonic_ns());
   }
   EXPECT_NE(loop.stats().state.load().flags & kDeltasBlocked, 0u);
   EXPECT_EQ(kept.deltas.size(), 1000u);
   EXPECT_EQ(session.revision(), 1000u);
   std::uint64_t next = 1;
-  while (session.backlog_batches() > 0) {
+  while (left()) {
     for (const auto& delta : kept.deltas) EXPECT_EQ(delta->delta.revision, next++);
     kept.deltas.clear();
     loop.frame(monotonic_ns());
@@ -342,7 +441,8 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
         break;
       case JournalRecord::Kind::kReset:
       case JournalRecord::Kind::kGap:
-        FAIL() << "neither happened";
+      case JournalRecord::Kind::kCheckpoint:
+        FAIL() << "none of these happened";
     }
   }
   while (replay.advance(budget, delta) == core::CutSession::Progress::kCommitted) {

@@ -83,7 +83,16 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
     std::shared_ptr<const PublishedDelta> last;
     std::uint64_t count = 0;
   } sink;
-  FrameLoop loop(session, hub, sink, nullptr, {});
+  struct Nowhere : JournalSink {
+    void write(const JournalRecord&) override {}
+    void flush() override {}
+    void sync() override {}
+    void close() override {}
+  };
+  Journal::Options roomy;
+  roomy.capacity = 1u << 18;  // frames come faster here than any journal's thread may get a processor
+  Journal journal(std::make_unique<Nowhere>(), roomy, [](const std::string&) {});
+  FrameLoop loop(session, hub, sink, &journal, {});
   auto source = hub.open_source("blade");
   constexpr int kWarm = 5'000, kFrames = 100'000;
   for (int i = 0; i < kWarm + kFrames; ++i) {
@@ -100,7 +109,50 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
   }
   EXPECT_EQ(allocations, 0u);
   EXPECT_EQ(locks, 0u);
+  EXPECT_EQ(loop.stats().journal_lost.load(), 0u);
   EXPECT_GT(sink.count, 100u) << "batches must have been committed for the count to mean anything";
+}
+
+// Forces are made in the frame, too: a tip presses on the body, slides over it, lies in it, and leaves.
+TEST(SteadyFrame, ForcesAllocateNothing) {
+  if (!INCISE_COUNTS) GTEST_SKIP() << "a sanitizer's build: allocations cannot be counted";
+  core::CutConfig config;
+  config.blade = {{0, 0, 0}, {0, 0, -0.05}};
+  core::CutSession session(tests::cube(6), config);
+  input::InputHub hub(config.blade);
+  struct : DeltaSink {
+    void publish(std::shared_ptr<const PublishedDelta>) noexcept override {}
+  } deltas;
+  struct : haptics::ForceSink {
+    void feel(const haptics::BladeForce& force) noexcept override {
+      ++count;
+      inside += force.feel.contact && force.feel.contact->penetrated;
+    }
+    std::uint64_t count = 0, inside = 0;
+  } forces;
+  FrameLoop loop(session, hub, deltas, nullptr, {});
+  haptics::ForceSlots slots;
+  loop.offer_forces({}, &forces, &slots);
+  auto source = hub.open_source("blade");
+  constexpr int kWarm = 1'000, kFrames = 10'000;
+  for (int i = 0; i < kWarm + kFrames; ++i) {
+    input::TimedPose timed;
+    timed.pose.t_ns = 1 + std::int64_t{i} * 1'000'000;
+    const int phase = i % 1000;
+    const double depth = 1e-5 * (phase < 500 ? phase : 1000 - phase);
+    // The first pose of every fifth second is put into the tissue: too fast to have been moved there.
+    const bool buried = i / 1000 % 5 == 4;
+    timed.pose.position = {0.03 + 2e-5 * phase, 0.05, buried ? 0.08 : 0.151 - depth};
+    timed.arrival_ns = input::monotonic_ns();
+    ASSERT_EQ(source->push(std::span(&timed, 1)), 1u);
+    counting = i >= kWarm;
+    loop.frame(input::monotonic_ns());
+    counting = false;
+  }
+  EXPECT_EQ(allocations, 0u);
+  EXPECT_EQ(locks, 0u);
+  EXPECT_GT(forces.count, 5'000u);
+  EXPECT_GT(forces.inside, 1'000u);
 }
 
 TEST(SteadyFrame, TheCountersCount) {

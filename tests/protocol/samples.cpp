@@ -135,8 +135,8 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.source_name = "right hand";
   hello.take_over = true;
 
-  Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true};
-  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000};
+  Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
+  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
 
   SurfaceReplica surface;
   surface.load(replica_at(0));
@@ -297,7 +297,7 @@ std::vector<CaptureRecord> capture_records() {
       BatchMark{1, two_tets(1).hash(), 2, 3, 1, true, 77001},
       NoteRecord{R"({"late_frames":0})"},
       GapRecord{12, 1068, 77'002'000'000, 77'003'000'000, "No space left on device"},
-      CheckpointRecord{1, two_tets(1).hash(), 0xe3069283, "liver-1.checkpoint"},
+      CheckpointRecord{0x0f1e2d3c4b5a6978},
       PositionsRecord{900, 1, 5, 77'004'000'000, 0, {0, 4}, {0, 0, -0.001, 0.01, 0.01, 0.009}},
       ResetRecord{0x99aabbccddeeff00, 77'005'000'000},
       EndRecord{8},

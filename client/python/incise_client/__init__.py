@@ -12,10 +12,11 @@ build makes from ``protocol/incise.fbs``::
 """
 
 from .client import Client, ConnectError, Pose, connect
+from .contact import ContactRenderer
 from .replica import ApplyError, Replica
 from .state_hash import element_hashes, tet_hashes, vertex_hashes, xor_of
 
 __all__ = [
-    "ApplyError", "Client", "ConnectError", "Pose", "Replica", "connect", "element_hashes", "tet_hashes",
+    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "connect", "element_hashes", "tet_hashes",
     "vertex_hashes", "xor_of",
 ]

@@ -12,7 +12,7 @@ from typing import Any, Callable, Iterable, Optional
 import flatbuffers
 import numpy as np
 
-from incise.wire import (Body, Bye, Delta, Error, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync, Role,
+from incise.wire import (Body, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync, Role,
                          SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl, View, Welcome)
 
 from .replica import ApplyError, Replica
@@ -43,7 +43,7 @@ _MODULES = {
     Body.Body.Welcome: Welcome.Welcome, Body.Body.Ping: Ping.Ping, Body.Body.Error: Error.Error, Body.Body.Bye: Bye.Bye,
     Body.Body.PoseReport: PoseReport.PoseReport, Body.Body.Delta: Delta.Delta,
     Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
-    Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd,
+    Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Force: Force.Force,
 }
 
 
@@ -60,6 +60,7 @@ class Client:
         self.resyncs = 0
         self.snapshots = 0
         self.on_delta: Optional[Callable[["Client", Any], None]] = None
+        self.on_force: Optional[Callable[["Client", Any], None]] = None  # a wire.Force; for ContactRenderer.take
         self._sequence = 0
         self._input = bytearray()
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
@@ -168,6 +169,9 @@ class Client:
             raise ConnectError(_text(body.Text()) or "the server said goodbye")
         elif kind == Body.Body.PoseReport:
             self.report = body
+        elif kind == Body.Body.Force:
+            if self.on_force:
+                self.on_force(self, body)
         elif kind == Body.Body.Delta and not self._awaiting_snapshot:
             if self._fits(lambda: self.replica.apply(body)) and self.on_delta:
                 self.on_delta(self, body)

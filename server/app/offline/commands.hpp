@@ -66,6 +66,18 @@ struct ConvertCommand {
 // it, batch marks and all.
 int run_convert(const ConvertCommand& command);
 
+struct DevicesCommand {
+  std::filesystem::path config;  // its devices section counts
+  std::filesystem::path check;   // a profile
+  bool monitor = false;
+  std::string device;  // "vvvv:pppp", with :serial or not; empty: all that a profile fits
+  double for_s = 0;    // 0: until interrupted
+  bool json = false;
+};
+// Lists the HID devices of this machine and which profile fits each, or why none does; or shows live what they say; or
+// checks a profile.
+int run_devices(const DevicesCommand& command);
+
 // Adds all of these to `app`; a command that is called puts its exit code into `exit_code`.
 void add_offline_commands(CLI::App& app, int& exit_code);
 

@@ -74,6 +74,21 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_flag("--json", command->json, "Print the facts as JSON");
     sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
   }
+  {
+    auto command = std::make_shared<DevicesCommand>();
+    CLI::App* sub =
+        app.add_subcommand("devices", "List HID devices and their profiles, or show what they say");
+    sub->add_option("--config", command->config, "A configuration: its devices section counts");
+    sub->add_option("--check", command->check, "Check a device profile and say what is wrong with it");
+    sub->add_flag("--monitor", command->monitor, "Show reports and axes as they come, until interrupted");
+    sub->add_option(
+        "--device", command->device,
+        "Only this one: vvvv:pppp, with :serial or not; --monitor then shows it without a profile, too");
+    sub->add_option("--for", command->for_s, "With --monitor: end after so many seconds")
+        ->check(CLI::NonNegativeNumber);
+    sub->add_flag("--json", command->json, "Print JSON");
+    sub->callback([command, &exit_code] { exit_code = run_devices(*command); });
+  }
 }
 
 }  // namespace incise::app

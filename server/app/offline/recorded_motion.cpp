@@ -21,10 +21,12 @@ struct RecordReader {
 
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
+    if (motion.gap) return;
     motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose)});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
+    if (motion.gap) return;
     // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
     if (record.action == protocol::StrokeAction::End) {
       motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}});
@@ -32,13 +34,15 @@ struct RecordReader {
       motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}});
     }
   }
-  void operator()(const protocol::BatchMark& record) { motion.marks.push_back(record); }
+  void operator()(const protocol::BatchMark& record) {
+    if (!motion.gap) motion.marks.push_back(record);
+  }
   void operator()(const protocol::NoteRecord&) {}
   void operator()(const protocol::GapRecord& record) {
-    throw std::runtime_error(name + ": " + std::to_string(record.records) +
-                             " records are missing after record " + std::to_string(motion.records) + " (" +
-                             record.reason +
-                             "): what follows cannot be replayed; use a capture without a gap");
+    if (motion.gap) return;
+    motion.gap.emplace();
+    motion.gap->text = std::to_string(record.records) + " records are missing after record " +
+                       std::to_string(motion.records - 1) + " (" + record.reason + ")";
   }
   void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
   void operator()(const protocol::PositionsRecord&) {}
@@ -47,6 +51,7 @@ struct RecordReader {
     motion.events.clear();
     motion.marks.clear();
     motion.checkpoints.clear();
+    motion.gap.reset();
     motion.session = record.session;
     ++motion.resets;
   }
@@ -60,25 +65,37 @@ struct RecordReader {
   }
 };
 
-void read_capture(std::istream& in, const std::string& name, RecordedMotion& motion) {
+void read_capture(std::istream& in, const std::string& name, const CaptureStart* start,
+                  RecordedMotion& motion) {
   motion.format = "capture";
   protocol::CaptureReader reader(in);
   protocol::CaptureRecord record;
   RecordReader read{motion, name};
   motion.session = reader.header().session;
+  if (reader.good_bytes() > 0) motion.header = reader.header();
   using Status = protocol::CaptureReader::Status;
-  Status status;
+  Status status = Status::Record;
+  if (start != nullptr) {
+    reader.skip_to(start->offset, start->records);
+    status = reader.next(record);
+    const auto* checkpoint = std::get_if<protocol::CheckpointRecord>(&record);
+    if (status != Status::Record || checkpoint == nullptr || checkpoint->id != start->checkpoint) {
+      motion.header.reset();
+      return;
+    }
+    motion.session = start->session;
+  }
   while ((status = reader.next(record)) == Status::Record) {
     motion.records = reader.records();
     std::visit(read, record);
   }
-  if (reader.good_bytes() > 0) motion.header = reader.header();
   if (status == Status::Corrupt || !motion.header) throw std::runtime_error(name + ": " + reader.error());
   if (status == Status::Torn) {
     motion.end_error = reader.error();
     motion.warnings.push_back(name + ": cut off at its end (" + reader.error() +
                               "); all before that is used");
   }
+  if (motion.gap) motion.warnings.push_back(name + ": " + motion.gap->text + "; all before that is used");
   if (motion.resets > 0) {
     motion.warnings.push_back(name + ": the mesh was reset " + std::to_string(motion.resets) +
                               " times; what came after the last reset is used");
@@ -86,6 +103,15 @@ void read_capture(std::istream& in, const std::string& name, RecordedMotion& mot
   motion.records = reader.records();
   motion.good_bytes = reader.good_bytes();
   motion.closed = reader.closed();
+}
+
+std::ifstream open_file(const std::string& name) {
+  std::error_code error;
+  if (std::filesystem::is_directory(name, error))
+    throw std::runtime_error(name + ": is a directory; accepted is a file");
+  std::ifstream in(name, std::ios::binary);
+  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
+  return in;
 }
 
 }  // namespace
@@ -97,11 +123,7 @@ std::size_t RecordedMotion::poses() const {
 
 RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   const std::string name = path.string();
-  std::error_code error;
-  if (std::filesystem::is_directory(path, error))
-    throw std::runtime_error(name + ": is a directory; accepted is a file");
-  std::ifstream in(path, std::ios::binary);
-  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
+  std::ifstream in = open_file(name);
   std::array<char, 8> head{};
   in.read(head.data(), head.size());
   const auto got = in.gcount();
@@ -109,7 +131,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   in.seekg(0);
   RecordedMotion motion;
   if (std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP") {
-    read_capture(in, name, motion);
+    read_capture(in, name, nullptr, motion);
     return motion;
   }
   const protocol::Motion text = protocol::read_motion(in, name);
@@ -130,6 +152,27 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   return motion;
 }
 
+std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path,
+                                                const CaptureStart& start) {
+  std::ifstream in = open_file(path.string());
+  RecordedMotion motion;
+  read_capture(in, path.string(), &start, motion);
+  if (!motion.header) return std::nullopt;
+  return motion;
+}
+
+protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
+  std::ifstream in = open_file(path.string());
+  const protocol::CaptureReader reader(in);
+  if (!reader.header_ok())
+    throw std::runtime_error(path.string() + ": is no capture of incised: " + reader.error());
+  return reader.header();
+}
+
+const core::Blade& blade_of(const Config& config, std::uint32_t source) {
+  return source < config.sources.size() ? config.sources[source].blade : config.cut.blade;
+}
+
 Config config_of(const protocol::CaptureHeader& header, const std::string& name) {
   return parse_config(header.config_json, name + " (the configuration in its header)");
 }
@@ -143,9 +186,7 @@ void apply(core::CutSession& session, const MotionEvent& event, const Config& co
       session.end_stroke(event.source);
       break;
     case MotionEvent::Kind::kOpened:
-      session.set_blade(event.source, event.source < config.sources.size()
-                                          ? config.sources[event.source].blade
-                                          : config.cut.blade);
+      session.set_blade(event.source, blade_of(config, event.source));
       break;
   }
 }

@@ -35,18 +35,39 @@ struct RecordedMotion {
   bool closed = false;           // it was ended, not cut off
   std::uint64_t records = 0;     // all kinds
   std::uint64_t good_bytes = 0;  // up to where they end
-  std::string end_error;         // where it is torn: at which byte and how
+  // Records are missing: events and marks end there, unless a reset comes after.
+  struct Gap {
+    std::string text;  // how many, where, and why
+  };
+  std::optional<Gap> gap;
+  std::string end_error;  // where it is torn: at which byte and how
 
   std::size_t poses() const;
 };
 
 // Reads a capture, a TUM trajectory or a CSV motion, told apart by their contents. A capture is read up to a torn end,
-// which is a warning; wrong bytes before the end, and gaps, are errors. Throws protocol::MotionError or
-// std::runtime_error: one line.
+// which is a warning; wrong bytes before the end are an error. Throws protocol::MotionError or std::runtime_error: one
+// line.
 RecordedMotion read_recorded_motion(const std::filesystem::path& path);
+
+// Where a capture is read from: the record of a checkpoint.
+struct CaptureStart {
+  std::uint64_t offset = 0, records = 0;  // of it; before it
+  std::uint64_t checkpoint = 0;           // its id
+  std::uint64_t session = 0;              // there
+};
+// What a capture holds behind that record; nothing where no such record is there. Costs what is read, not what lies
+// before. Throws std::runtime_error.
+std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path, const CaptureStart& start);
+
+// Throws std::runtime_error where it is no capture.
+protocol::CaptureHeader read_capture_header(const std::filesystem::path& path);
 
 // The configuration that a capture was recorded with. Throws ConfigError.
 Config config_of(const protocol::CaptureHeader& header, const std::string& name);
+
+// The blade of a source: its own, or the one for all.
+const core::Blade& blade_of(const Config& config, std::uint32_t source);
 
 // Does to a session what an event says. The blade of a source that is opened is the configuration's.
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config);

@@ -112,7 +112,7 @@ int run_replay(const ReplayCommand& command) {
   });
   const std::uint64_t last_mark = marks.empty() ? 0 : marks.rbegin()->first;
   const bool short_of = difference.is_null() && session.revision() < last_mark;
-  const bool verified = difference.is_null() && !short_of;
+  const bool verified = difference.is_null() && !short_of && !opened.motion.gap;
 
   Json result;
   result["capture"] = command.capture.string();
@@ -151,6 +151,9 @@ int run_replay(const ReplayCommand& command) {
                  "%s: the replay ends at revision %" PRIu64 ", but a mark is of revision %" PRIu64 "\n",
                  command.capture.c_str(), session.revision(), last_mark);
   }
+  if (opened.motion.gap)
+    std::fprintf(stderr, "%s: has a gap; revisions after %" PRIu64 " cannot be verified\n",
+                 command.capture.c_str(), session.revision());
   if (command.verify && verified && !command.json)
     std::printf("verified: every recorded hash is the replayed one\n");
   return command.verify && (!verified || compared == 0) ? 1 : 0;
@@ -219,15 +222,7 @@ int run_convert(const ConvertCommand& command) {
   core::WorkBudget budget = core::WorkBudget::unlimited();
   const auto commit_all = [&] {
     while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-      loop::JournalRecord mark;
-      mark.kind = loop::JournalRecord::Kind::kCommit;
-      mark.source = delta.source;
-      mark.stroke = delta.stroke;
-      mark.batch = delta.batch;
-      mark.stroke_ended = delta.stroke_ended;
-      mark.revision = delta.revision;
-      mark.state_hash = delta.state_hash;
-      capture.write(mark);
+      capture.write(loop::commit_record(delta));
     }
   };
   std::array<bool, core::kMaxSources> used{};

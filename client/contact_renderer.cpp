@@ -1,0 +1,119 @@
+#include "client/contact_renderer.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace incise::client {
+namespace {
+
+using protocol::Vec3;
+
+constexpr double kSmoothing_s = 0.005;               // of the velocity
+constexpr double kLongestStep_s = 0.005;             // what a force may grow by after a pause of the caller
+constexpr std::int64_t kLongest_ns = 1'000'000'000;  // that a plane may be valid, whatever it says
+
+Vec3 add(const Vec3& a, const Vec3& b, double s = 1) {
+  return {a.x + s * b.x, a.y + s * b.y, a.z + s * b.z};
+}
+Vec3 scale(double s, const Vec3& a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+double dot(const Vec3& a, const Vec3& b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+double length(const Vec3& a) {
+  return std::sqrt(dot(a, a));
+}
+bool finite(const Vec3& a) {
+  return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
+}
+
+bool sound(const protocol::LocalContact& c) {
+  return finite(c.point) && finite(c.normal) && length(c.normal) > 0.5 && length(c.normal) < 2 &&
+         c.stiffness_n_per_m >= 0 && c.damping_n_s_per_m >= 0 && c.cutting_resistance_n >= 0 &&
+         c.friction_n_s_per_m >= 0 && c.valid_for_ns > 0;
+}
+
+}  // namespace
+
+void ContactRenderer::take(const protocol::Force& force, std::int64_t now_ns) {
+  const std::scoped_lock lock(mutex_);
+  ++newest_.number;
+  newest_.until_ns = now_ns;
+  newest_.over = true;
+  if (!force.contact || !sound(*force.contact)) return;
+  newest_.contact = *force.contact;
+  protocol::LocalContact& c = newest_.contact;
+  c.normal = scale(1 / length(c.normal), c.normal);
+  c.stiffness_n_per_m = std::min(c.stiffness_n_per_m, limits_.stiffest_n_m);
+  newest_.over = false;
+  newest_.until_ns = now_ns + std::min(c.valid_for_ns, kLongest_ns);
+}
+
+Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
+  {
+    const std::scoped_lock lock(mutex_);
+    // A plane that is still the same keeps where it has given way to.
+    if (newest_.number != plane_.number) plane_ = newest_;
+  }
+  const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - last_ns_) * 1e-9) : 0;
+  const bool usable = finite(tool);
+  if (begun_ && dt > 0 && usable) {
+    const Vec3 step = add(tool, last_tool_, -1);
+    account_ += kLeak_w * dt - dot(applied_, step);
+    velocity_ = add(velocity_, add(scale(1 / dt, step), velocity_, -1), dt / (kSmoothing_s + dt));
+  }
+  last_ns_ = now_ns;
+  if (usable) {
+    last_tool_ = tool;
+    begun_ = true;
+  }
+
+  // The plane: a spring that gives way at its resistance, a damper that does not pull, friction.
+  protocol::LocalContact& c = plane_.contact;
+  const bool valid = usable && now_ns < plane_.until_ns;
+  double energy = 0;
+  Vec3 elastic, viscous;
+  if (valid) {
+    double depth = -dot(c.normal, add(tool, c.point, -1));
+    if (c.cutting_resistance_n > 0 && c.stiffness_n_per_m * depth > c.cutting_resistance_n) {
+      const double holds = c.cutting_resistance_n / c.stiffness_n_per_m;
+      c.point = add(c.point, c.normal, holds - depth);
+      depth = holds;
+    }
+    const double away = dot(c.normal, velocity_);
+    if (depth > 0) {
+      const double spring = c.stiffness_n_per_m * depth;
+      energy = 0.5 * spring * depth;
+      elastic = scale(spring, c.normal);
+      viscous = scale(std::max(-c.damping_n_s_per_m * away, -spring), c.normal);
+    }
+    if (c.penetrated) {
+      viscous = add(viscous, velocity_, -c.friction_n_s_per_m);
+    } else if (depth > 0) {
+      viscous = add(viscous, add(velocity_, c.normal, -away), -c.friction_n_s_per_m);
+    }
+  }
+  account_ = std::min(account_, energy + kReserve_j);
+  const double held = std::max(account_, 0.0);
+  Vec3 wanted =
+      add(scale(energy > held ? held / energy : 1, elastic), viscous, std::min(1.0, held / kReserve_j));
+
+  // The limits, in the order of the server's: finite, clamp, slew, ramp.
+  if (!finite(wanted)) wanted = {};
+  if (const double size = length(wanted); size > limits_.most_n)
+    wanted = scale(limits_.most_n / size, wanted);
+  const double growing = std::min(dt, kLongestStep_s);
+  const double most = std::max(0.0, limits_.slew_n_s - limits_.most_n / limits_.ramp_s) * growing;
+  const Vec3 change = add(wanted, slewed_, -1);
+  const double size = length(change);
+  slewed_ = size > most ? add(slewed_, change, most / size) : wanted;
+  if (valid && (ramp_ > 0 || energy > 0 || c.penetrated))
+    ramp_ = std::min(1.0, ramp_ + growing / limits_.ramp_s);
+  applied_ = scale(ramp_, slewed_);
+  // One that ran out while it acted begins anew, once it has faded.
+  if (!valid && !plane_.over && length(slewed_) == 0) ramp_ = 0;
+  return applied_;
+}
+
+}  // namespace incise::client

@@ -1,0 +1,256 @@
+#include "server/app/recording.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <ctime>
+#include <fstream>
+#include <optional>
+#include <vector>
+
+#include "server/app/offline/recorded_motion.hpp"
+#include "server/app/version.hpp"
+#include "server/app/wiring.hpp"
+#include "server/core/session_state.hpp"
+#include "server/loop/checkpoint_file.hpp"
+
+namespace incise::app {
+namespace {
+
+std::int64_t unix_ns() {
+  timespec now{};
+  clock_gettime(CLOCK_REALTIME, &now);
+  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
+}
+
+// The parts of a configuration that a session's state depends on.
+bool same_cut(const Config& a, const Config& b) {
+  const auto cut_only = [](const Config& config) {
+    Config kept;
+    kept.cut = config.cut;
+    kept.sources = config.sources;
+    return compact(kept);
+  };
+  return cut_only(a) == cut_only(b);
+}
+
+// Whether the capture belongs to this mesh and configuration; throws where not.
+void require_same(const Config& config, const Body& body, const protocol::CaptureHeader& header,
+                  const std::string& path) {
+  if (header.mesh_content_hash != body.loaded.content_hash) {
+    throw std::runtime_error(path + ": was recorded with another mesh: its hash is " +
+                             header.mesh_content_hash + ", that of " + body.name + " is " +
+                             body.loaded.content_hash);
+  }
+  if (!same_cut(config, config_of(header, path))) {
+    throw std::runtime_error(
+        path +
+        ": was recorded with other values of cut, blade or sources; a session goes on only "
+        "with those it began with (incise info " +
+        path + " and incised --config show both)");
+  }
+}
+
+// A place in the capture to go on from.
+struct Start {
+  std::unique_ptr<core::CutSession> session;
+  RecordedMotion rest;  // what the capture holds after it
+  int next_checkpoint = 0;
+};
+
+std::optional<Start> from_checkpoint(const Config& config, const std::string& path) {
+  struct Found {
+    int number;
+    loop::Checkpoint checkpoint;
+  };
+  std::vector<Found> found;
+  for (int number = 0; number < loop::kCheckpointFiles; ++number) {
+    std::string error;
+    auto checkpoint = loop::read_checkpoint(loop::checkpoint_path(path, number), error);
+    if (!error.empty()) spdlog::warn("{}; it is passed over", error);
+    if (checkpoint) found.push_back({number, std::move(*checkpoint)});
+  }
+  std::sort(found.begin(), found.end(),
+            [](const Found& a, const Found& b) { return a.checkpoint.offset > b.checkpoint.offset; });
+  for (const auto& [number, checkpoint] : found) {
+    const std::string name = loop::checkpoint_path(path, number);
+    Start start;
+    start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
+    auto rest =
+        read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
+    if (!rest) {
+      spdlog::warn(
+          "{}: belongs to another capture, or to a part of this one that was lost; it is passed over", name);
+      continue;
+    }
+    start.rest = std::move(*rest);
+    std::string error;
+    start.session = core::restore_session(checkpoint.state, config.cut, error);
+    if (!start.session || start.session->revision() != checkpoint.revision ||
+        start.session->mesh().state_hash() != checkpoint.state_hash) {
+      spdlog::warn("{}: cannot be used: {}; it is passed over", name,
+                   start.session ? "revision or hash is another" : error);
+      continue;
+    }
+    return start;
+  }
+  return std::nullopt;
+}
+
+// Applies what the capture holds behind the start, and compares the hashes.
+void replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+  core::CutSession* session = start.session.get();
+  const RecordedMotion& motion = start.rest;
+  const std::uint64_t begin = session->revision();
+  auto mark = std::find_if(motion.marks.begin(), motion.marks.end(),
+                           [&](const protocol::BatchMark& m) { return m.revision > begin; });
+  core::Delta delta;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  const auto commit_all = [&] {
+    while (session->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      if (mark == motion.marks.end()) {  // the crash took this mark, or it never came to the batch
+        journal.write(loop::commit_record(delta));
+        continue;
+      }
+      if (mark->revision != delta.revision || mark->state_hash != delta.state_hash) {
+        throw std::runtime_error(
+            path + ": revision " + std::to_string(delta.revision) +
+            " replays with another hash than it was recorded with: written by other software (" +
+            motion.header->software + ")? incise replay --verify says more");
+      }
+      ++mark;
+    }
+  };
+  for (const MotionEvent& event : motion.events) {
+    apply(*session, event, config);
+    commit_all();
+  }
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if (!session->in_stroke(source)) continue;
+    loop::JournalRecord end;
+    end.kind = loop::JournalRecord::Kind::kEndStroke;
+    end.source = source;
+    end.arrival_ns = input::monotonic_ns();
+    session->end_stroke(source);
+    journal.write(end);
+    commit_all();
+  }
+  journal.flush();
+  journal.sync();
+}
+
+double thread_cpu_s() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+// A checkpoint of the session as it is now, at the end of its capture.
+void write_checkpoint(const std::string& path, Recording& recording) {
+  loop::JournalRecord mark;
+  mark.kind = loop::JournalRecord::Kind::kCheckpoint;
+  mark.checkpoint = fresh_session_id();
+  loop::Checkpoint checkpoint;
+  checkpoint.id = mark.checkpoint;
+  checkpoint.session = recording.session_id;
+  checkpoint.offset = recording.journal->position().bytes;
+  checkpoint.records = recording.journal->position().records;
+  checkpoint.revision = recording.session->revision();
+  checkpoint.state_hash = recording.session->mesh().state_hash();
+  checkpoint.state = core::save_session(*recording.session);
+  recording.journal->write(mark);
+  recording.journal->flush();
+  try {
+    loop::write_checkpoint(loop::checkpoint_path(path, recording.next_checkpoint), checkpoint);
+    recording.next_checkpoint = (recording.next_checkpoint + 1) % loop::kCheckpointFiles;
+  } catch (const std::exception& error) {
+    spdlog::warn("a checkpoint cannot be written: {}", error.what());
+  }
+}
+
+}  // namespace
+
+Recording begin_recording(const Config& config, const Body& body) {
+  Recording recording;
+  recording.session_id = fresh_session_id();
+  recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  if (config.capture.path.empty()) return recording;
+  const std::filesystem::path path = config.resolve(config.capture.path);
+  std::error_code error;
+  const auto parent = path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
+  if (!std::filesystem::is_directory(parent, error)) {
+    throw ConfigError("capture.path: the directory " + parent.string() +
+                      " does not exist; make it first (mkdir -p " + parent.string() + ")");
+  }
+  // A recording is somebody's work: the one before is kept under another name.
+  if (std::filesystem::exists(path, error) && std::filesystem::file_size(path, error) > 0) {
+    std::filesystem::path old = path;
+    old += ".old";
+    std::filesystem::rename(path, old, error);
+    if (error)
+      throw std::runtime_error(path.string() + ": cannot be moved to " + old.string() + ": " +
+                               error.message());
+    for (int number = 0; number < loop::kCheckpointFiles; ++number) {
+      std::filesystem::remove(loop::checkpoint_path(old.string(), number), error);
+      std::filesystem::rename(loop::checkpoint_path(path.string(), number),
+                              loop::checkpoint_path(old.string(), number), error);
+    }
+    spdlog::warn("{} is there already; it is now {} (incised --resume would have gone on with it)",
+                 path.string(), old.string());
+  }
+  protocol::CaptureHeader header;
+  header.mesh_path = config.mesh.path.empty()
+                         ? config.mesh.phantom
+                         : std::filesystem::absolute(config.resolve(config.mesh.path)).string();
+  header.mesh_content_hash = body.loaded.content_hash;
+  header.session = recording.session_id;
+  header.created_unix_ns = unix_ns();
+  header.software = kSoftware;
+  header.config_json = compact(config);
+  recording.journal = std::make_unique<CaptureJournal>(path.string(), header);
+  return recording;
+}
+
+Recording resume_recording(const Config& config, const Body& body) {
+  if (config.capture.path.empty()) {
+    throw ConfigError(
+        "capture.path: found \"\"; accepted with --resume is the path of the capture to go on with");
+  }
+  const std::string path = config.resolve(config.capture.path).string();
+  const auto began = input::monotonic_ns();
+  require_same(config, body, read_capture_header(path), path);
+  std::optional<Start> start = from_checkpoint(config, path);
+  const bool checkpointed = start.has_value() && start->rest.resets == 0;
+  if (!start) {
+    start.emplace();
+    start->rest = read_recorded_motion(path);
+  }
+  RecordedMotion& motion = start->rest;
+  for (const std::string& warning : motion.warnings) spdlog::warn("{}", warning);
+  if (motion.gap) {
+    throw std::runtime_error(
+        path + ": " + motion.gap->text +
+        ", and no checkpoint behind that can be used: the session cannot go on. incise export " + path +
+        " --out MESH saves the mesh as it was before; without --resume a new session begins, "
+        "and this capture is kept");
+  }
+  if (!checkpointed) start->session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  Recording recording;
+  recording.session_id = motion.session;
+  recording.next_checkpoint = start->next_checkpoint;
+  recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
+  const std::uint64_t from = start->session->revision();
+  const double before_s = thread_cpu_s();
+  replay(config, path, *start, *recording.journal);
+  recording.session = std::move(start->session);
+  // A server that crashes soon after each start would have more to replay each time.
+  const double most_s = config.capture.checkpoint_replay_s;
+  if (most_s > 0 && thread_cpu_s() - before_s > most_s) write_checkpoint(path, recording);
+  spdlog::info("resumed {} at revision {} in {:.2f} s: {}, {} poses replayed", path,
+               recording.session->revision(), static_cast<double>(input::monotonic_ns() - began) * 1e-9,
+               checkpointed ? fmt::format("from the checkpoint at revision {}", from) : "from the beginning",
+               motion.poses());
+  return recording;
+}
+
+}  // namespace incise::app

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+
+#include "server/app/body.hpp"
+#include "server/app/capture_journal.hpp"
+#include "server/app/config.hpp"
+#include "server/core/cut_session.hpp"
+
+namespace incise::app {
+
+// A session at the start of a server, and the journal that records what is done to it.
+struct Recording {
+  std::unique_ptr<core::CutSession> session;
+  std::uint64_t session_id = 0;             // names the run of ids
+  std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
+  int next_checkpoint = 0;                  // the checkpoint file that may be written over
+};
+
+// A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,
+// std::runtime_error.
+Recording begin_recording(const Config& config, const Body& body);
+
+// The session that config.capture.path recorded, where it ended: from the newest checkpoint that is whole, else from the
+// one before, else from the beginning; what the capture holds after that is replayed, with every hash compared. Ends the
+// strokes of those who held a blade: they are gone. Throws ConfigError, or std::runtime_error with one line that says
+// what to do.
+Recording resume_recording(const Config& config, const Body& body);
+
+}  // namespace incise::app

@@ -1,0 +1,210 @@
+#include <algorithm>
+#include <cmath>
+
+#include "server/core/conforming_cutter.hpp"
+
+// ConformingCutter, the last phases: which faces separate, and opening them.
+namespace incise::core {
+namespace {
+
+// What reaches no farther than this from the surface, by the local edge length, is no part of the tissue.
+constexpr double kThin_h = 0.1;
+
+}  // namespace
+
+// A point that stands for the tetrahedron's side of the surface: amid its vertices off the surface, since the barycentre
+// of one that lies in a bend may be beyond it.
+Vec3 ConformingCutter::reference(TetId t) const {
+  Vec3 sum{};
+  int count = 0;
+  for (VertexId v : mesh_.vertices(t)) {
+    if (on_surface(v)) continue;
+    sum += mesh_.position(v);
+    ++count;
+  }
+  return count == 0 ? mesh_.barycentre(t) : (1.0 / count) * sum;
+}
+
+// Whether the surface separates the two tetrahedra at an interior face, so that it has to open: whether it crosses the
+// way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
+// separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
+// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
+bool ConformingCutter::separates(HalfFace h) const {
+  const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
+  Vec3 middle{}, off{};
+  int off_count = 0;
+  bool failed = false;
+  for (VertexId v : mesh_.face_vertices(h)) {
+    middle += (1.0 / 3.0) * mesh_.position(v);
+    failed = failed || workspace_.failed[v] == stroke_;
+    if (on_surface(v)) continue;
+    off += mesh_.position(v);
+    ++off_count;
+  }
+  if (off_count > 0 && !failed) return false;
+  std::uint32_t triangle;
+  double t;
+  const Vec3 from = reference(a), to = reference(b);
+  if (off_count > 0) {
+    const Vec3 by = (1.0 / off_count) * off;
+    return find_crossing(from, false, by, false, triangle, t) ||
+           find_crossing(by, false, to, false, triangle, t);
+  }
+  constexpr double kClose = 0.25;
+  const Vec3 near_a = lerp(middle, from, kClose), near_b = lerp(middle, to, kClose);
+  return find_crossing(near_a, false, near_b, false, triangle, t) ||
+         find_crossing(from, false, near_a, false, triangle, t) ||
+         find_crossing(near_b, false, to, false, triangle, t);
+}
+
+// Which faces of ripe tetrahedra open; a tetrahedron all of whose faces are decided leaves the active ones.
+void ConformingCutter::select(WorkBudget& budget) {
+  if (next_active_ == 0) {
+    // What survives is compacted to the front as the scan goes.
+    to_open_.clear();
+    next_open_ = 0;
+  }
+  while (next_active_ < active_.size()) {
+    if (budget.spent()) return;
+    Active& entry = active_[next_active_++];
+    const TetId t = entry.tet;
+    budget.charge(4);
+    if (!mesh_.alive(t)) continue;
+    bool waits = !ripe(t);
+    if (!waits) {
+      for (int f = 0; f < 4; ++f) {
+        const HalfFace o = mesh_.opposite(half_face(t, f));
+        if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
+        if (!separates(half_face(t, f))) continue;
+        if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
+          waits = true;
+          continue;
+        }
+        workspace_.pending[t] |= static_cast<std::uint8_t>(1u << f);
+        workspace_.pending[tet_of(o)] |= static_cast<std::uint8_t>(1u << face_of(o));
+        to_open_.push_back(half_face(t, f));
+      }
+    }
+    if (waits) {
+      active_[next_open_++] = entry;
+    } else {
+      workspace_.active[t] = 0;
+    }
+  }
+  active_.resize(next_open_);
+  spare_islands();
+  next_open_ = 0;
+  phase_ = Phase::kOpen;
+}
+
+// Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
+// neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface.
+void ConformingCutter::spare_islands() {
+  constexpr std::size_t kRagged = 8, kSheet = 64;
+  for (HalfFace h : to_open_) {
+    for (HalfFace side : {h, mesh_.opposite(h)}) {
+      if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) continue;
+      // The component behind the faces that are about to open.
+      TetId members[kSheet];
+      std::size_t size = 1, most = kSheet;
+      members[0] = tet_of(side);
+      bool clean = true, thin = true;
+      for (std::size_t i = 0; i < size && size <= most; ++i) {
+        const TetId t = members[i];
+        if (thin && !is_thin(t)) {
+          thin = false;
+          most = kRagged;
+        }
+        for (int f = 0; f < 4; ++f) {
+          if (workspace_.pending[t] >> f & 1) {
+            for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
+            continue;
+          }
+          const TetId n = mesh_.neighbor(t, f);
+          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+          if (size == kSheet) {
+            size = kSheet + 1;
+            break;
+          }
+          members[size++] = n;
+        }
+      }
+      if (size > most || (clean && !thin)) continue;
+      for (std::size_t i = 0; i < size; ++i) {
+        for (int f = 0; f < 4; ++f) {
+          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
+          const HalfFace o = mesh_.opposite(half_face(members[i], f));
+          workspace_.pending[members[i]] &= static_cast<std::uint8_t>(~(1u << f));
+          workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+        }
+      }
+    }
+  }
+  std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+}
+
+// Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.
+bool ConformingCutter::stands_clear(HalfFace h) const {
+  const auto face = mesh_.face_vertices(h);
+  if (!on_surface(face[0]) || !on_surface(face[1]) || !on_surface(face[2])) return false;
+  const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
+  if (on_surface(apex)) return false;
+  const Vec3& a = mesh_.position(face[0]);
+  const Vec3 n = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
+  return std::abs(dot(n, mesh_.position(apex) - a)) > kThin_h * mesh_.local_h(apex) * length(n);
+}
+
+// Whether all of a tetrahedron is near the surface.
+bool ConformingCutter::is_thin(TetId t) const {
+  for (VertexId v : mesh_.vertices(t)) {
+    Vec3 closest;
+    std::uint32_t triangle;
+    if (!on_surface(v) && !surface_.closest(mesh_.position(v), kThin_h * mesh_.local_h(v), closest, triangle))
+      return false;
+  }
+  return true;
+}
+
+void ConformingCutter::open(WorkBudget& budget) {
+  constexpr std::size_t kChunk = 64;
+  while (next_open_ < to_open_.size()) {
+    if (budget.spent()) return;
+    const std::size_t end = std::min(next_open_ + kChunk, to_open_.size());
+    const std::span<const HalfFace> chunk(to_open_.data() + next_open_, end - next_open_);
+    for (HalfFace h : chunk) {
+      const HalfFace o = mesh_.opposite(h);
+      workspace_.pending[tet_of(h)] &= static_cast<std::uint8_t>(~(1u << face_of(h)));
+      workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+      workspace_.grid.add(mesh_, tet_of(h));
+      workspace_.grid.add(mesh_, tet_of(o));
+      const auto v = mesh_.face_vertices(h);
+      const Vec3 &p = mesh_.position(v[0]), &q = mesh_.position(v[1]), &r = mesh_.position(v[2]);
+      counts_.cut_area += 0.5 * length(cross(q - p, r - p));
+      for (VertexId w : v) {
+        if (on_surface(w)) continue;
+        std::uint32_t triangle;
+        Vec3 closest = mesh_.position(w);
+        surface_.closest(mesh_.position(w), 4 * h_, closest, triangle);
+        counts_.max_deviation_h =
+            std::max(counts_.max_deviation_h, distance(closest, mesh_.position(w)) / h_);
+      }
+    }
+    counts_.cut_faces += mesh_.open_faces(chunk);
+    workspace_.grow(mesh_);
+    budget.charge(static_cast<std::int64_t>(20 * chunk.size()));
+    next_open_ = end;
+  }
+  finish();
+}
+
+void ConformingCutter::finish() {
+  std::erase_if(events_, [](const Event& e) { return e.done; });
+  counts_.pending = static_cast<std::uint32_t>(active_.size());
+  if (!has_front_) {
+    active_.clear();
+    surface_.clear();
+  }
+  phase_ = Phase::kIdle;
+}
+
+}  // namespace incise::core

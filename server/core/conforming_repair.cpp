@@ -1,0 +1,315 @@
+#include <algorithm>
+#include <cmath>
+
+#include "server/core/conforming_cutter.hpp"
+
+// ConformingCutter, the quality of what it leaves: where a vertex may go, and what is done about poor tetrahedra.
+namespace incise::core {
+
+// The directions in which a vertex may move: within the boundary, along a crease of it, within the swept surface.
+int ConformingCutter::freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const {
+  Vec3 normals[3];
+  int fixed = 0;
+  const auto fix = [&](Vec3 n, double least) {
+    for (int i = 0; i < fixed; ++i) n = n - dot(n, normals[i]) * normals[i];
+    const double l = length(n);
+    if (fixed < 3 && l > least) normals[fixed++] = (1 / l) * n;
+  };
+  if (surface_normal != nullptr) fix(*surface_normal, 0);
+  if (star.on_boundary()) {
+    // Boundary faces within 20 degrees of the first are one smooth patch: its mean plane. Others make a crease.
+    const Vec3& first = star.walls()[0];
+    Vec3 mean{};
+    for (const Vec3& w : star.walls()) {
+      if (dot(first, w) > 0.94) mean += w;
+    }
+    fix(normalized(mean), 0.05);
+    for (const Vec3& w : star.walls()) {
+      if (dot(first, w) <= 0.94) fix(w, 0.34);
+    }
+  }
+  if (fixed == 0) {
+    basis[0] = {1, 0, 0};
+    basis[1] = {0, 1, 0};
+    basis[2] = {0, 0, 1};
+    return 3;
+  }
+  if (fixed == 1) {
+    const Vec3& n = normals[0];
+    const Vec3 axis = std::abs(n.x) < 0.6 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
+    basis[0] = normalized(cross(n, axis));
+    basis[1] = cross(n, basis[0]);
+    return 2;
+  }
+  if (fixed == 2) {
+    basis[0] = cross(normals[0], normals[1]);
+    return 1;
+  }
+  return 0;
+}
+
+// Looks around for a place where the star is better, from one where its worst measure is `placement.worst`: a
+// pattern search that halves its step, until `goal` is reached. Keeps to the swept surface where told so, and to the
+// boundary.
+void ConformingCutter::search_placement(const VertexStar& star, bool on_surface, std::uint32_t triangle,
+                                        double goal, double thickness, Placement& placement) {
+  Vec3 basis[3];
+  const int count = freedom(star, on_surface ? &surface_[triangle].normal : nullptr, basis);
+  if (count == 0) return;
+  double step = 0.25 * star.local_h();
+  for (int level = 0; level < 3 && placement.worst > goal; ++level, step *= 0.5) {
+    for (int turn = 0; turn < 2; ++turn) {
+      const Vec3 origin = placement.target;
+      bool better = false;
+      for (int k = 0; k < 2 * count && placement.worst > goal; ++k) {
+        Vec3 p = origin + (k % 2 == 0 ? step : -step) * basis[k / 2];
+        if (on_surface) {
+          Vec3 closest;
+          if (!surface_.near(p, 0.2 * star.local_h(), closest, triangle)) continue;
+          p = closest;
+        }
+        if (!star.keeps_boundary(p)) continue;
+        const double worst = star.worst_at(p, placement.worst, thickness, flat_);
+        if (worst >= placement.worst) continue;
+        std::uint32_t crossed;
+        double t;
+        // What is beside the surface stays on its side.
+        if (!on_surface && find_crossing(star.position(), false, p, false, crossed, t)) continue;
+        placement = {p, worst};
+        better = true;
+      }
+      if (!better) break;
+    }
+  }
+}
+
+// Improves what is poor around the vertices that this batch has put on the surface.
+void ConformingCutter::repair(WorkBudget& budget) {
+  while (next_changed_ < changed_.size()) {
+    if (budget.spent()) return;
+    const auto [v, good, again] = changed_[next_changed_++];
+    budget.charge(10);
+    if (mesh_.vertex_tet(v) == kNone) continue;
+    if (good) {
+      activate_faces_at(v);
+      continue;
+    }
+    if (mesh_.is_new(v)) thin_out(v);
+    if (mesh_.vertex_tet(v) == kNone) continue;
+    gather(star_, v);
+    activate_faces_at(v);
+    poor_.clear();
+    for (const VertexStar::Corner& c : star_.corners()) {
+      if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
+    }
+    bool left = false;
+    for (TetId t : poor_) {
+      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood) {
+        improve(t);
+        budget.charge(50);
+        left = left || (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood);
+      }
+    }
+    // What its neighbours' repair moves may free it: once more, after all others.
+    if (left && !again) changed_.push_back({v, false, true});
+  }
+  phase_ = Phase::kVerify;
+  next_active_ = 0;
+}
+
+// Tetrahedra that only now have a face on the surface may have to open it.
+void ConformingCutter::activate_faces_at(VertexId v) {
+  mesh_.star(v, star_ids_);
+  for (std::uint32_t corner : star_ids_) {
+    const auto& w = mesh_.vertices(corner >> 2);
+    if (on_surface(w[0]) + on_surface(w[1]) + on_surface(w[2]) + on_surface(w[3]) >= 3) activate(corner >> 2);
+  }
+}
+
+// Moves the vertices of a poor tetrahedron, one after the other, while that helps; else flips, else collapses an edge.
+void ConformingCutter::improve(TetId t) {
+  const auto vertices = mesh_.vertices(t);
+  for (VertexId v : vertices) {
+    if (on_rim(v)) continue;
+    gather(star_, v);
+    Placement place{mesh_.position(v), star_.worst_now()};
+    if (place.worst <= kGood) break;
+    const double before = place.worst;
+    Vec3 closest;
+    std::uint32_t triangle = 0;
+    const bool on = on_surface(v);
+    if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) continue;
+    search_placement(star_, on, triangle, kGood, -1, place);
+    if (place.worst >= before) continue;
+    mesh_.move_vertex(v, place.target);
+    ++counts_.repairs;
+    if (mesh_.worst_dihedral(t) <= kGood) return;
+  }
+  if (try_flips(t)) return;
+  for (const auto& edge : kEdgeVertices) {
+    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kGood) ||
+        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kGood)) {
+      return;
+    }
+  }
+}
+
+// Replaces the poor tetrahedron and some around it by others between the same vertices (Freitag and Ollivier-Gooch 1997,
+// "Tetrahedral mesh improvement using swapping and smoothing"): an edge of it is removed, or a face of it gives way to an
+// edge. Whatever the swept surface separates later has to stay apart, so edges and faces on it stay; all that shares a
+// vertex off the surface lies on one side of it.
+bool ConformingCutter::try_flips(TetId t) {
+  const auto vertices = mesh_.vertices(t);
+  for (const auto& edge : kEdgeVertices) {
+    if (remove_edge(t, vertices[edge[0]], vertices[edge[1]])) return true;
+  }
+  for (int f = 0; f < 4; ++f) {
+    if (flip_face(half_face(t, f))) return true;
+  }
+  return false;
+}
+
+// Three to two, four to four, five to six: the ring around the edge is filled with triangles instead, each of which makes
+// a tetrahedron with either end.
+bool ConformingCutter::remove_edge(TetId t, VertexId a, VertexId b) {
+  if ((on_surface(a) && on_surface(b)) || on_rim(a) || on_rim(b)) return false;
+  mesh_.ring(t, a, b, ring_);
+  const std::size_t n = ring_.size();
+  if (n < 3 || n > 5) return false;
+  // The ring's vertices in order, so that (a, b, ring[i], ring[i+1]) has one orientation for all i.
+  std::array<VertexId, 5> ring{};
+  double before = -1;
+  for (std::size_t i = 0; i < n; ++i) {
+    const TetId r = ring_[i], next = ring_[(i + 1) % n];
+    before = std::max(before, mesh_.worst_dihedral(r));
+    if (mesh_.region(r) != mesh_.region(t)) return false;
+    ring[i] = kNone;
+    for (VertexId v : mesh_.vertices(r)) {
+      if (v != a && v != b && mesh_.local_index(next, v) >= 0 &&
+          (n > 3 || mesh_.local_index(ring_[(i + 2) % n], v) < 0))
+        ring[i] = v;
+    }
+    // An open ring lies on the boundary.
+    if (ring[i] == kNone) return false;
+  }
+  const Vec3 &pa = mesh_.position(a), &pb = mesh_.position(b);
+  const bool forward = signed_volume(pa, pb, mesh_.position(ring[0]), mesh_.position(ring[1])) > 0;
+  if (!forward) std::reverse(ring.begin(), ring.begin() + static_cast<std::ptrdiff_t>(n));
+  // Triangulations of the ring are fans from one of its vertices: all there are up to five.
+  std::size_t best_apex = n;
+  double best = before;
+  const std::size_t fans = n == 3 ? 1 : n == 4 ? 2 : 5;
+  for (std::size_t apex = 0; apex < fans; ++apex) {
+    double worst = -1;
+    for (std::size_t i = 1; i + 1 < n && worst < best; ++i) {
+      const Vec3 &p = mesh_.position(ring[apex]), &q = mesh_.position(ring[(apex + i) % n]),
+                 &r = mesh_.position(ring[(apex + i + 1) % n]);
+      worst = std::max({worst, worst_dihedral(pa, p, q, r), worst_dihedral(p, q, r, pb)});
+    }
+    if (worst < best) {
+      best = worst;
+      best_apex = apex;
+    }
+  }
+  if (best_apex == n) return false;
+  std::array<std::array<VertexId, 4>, 6> added;
+  std::size_t count = 0;
+  for (std::size_t i = 1; i + 1 < n; ++i) {
+    const VertexId p = ring[best_apex], q = ring[(best_apex + i) % n], r = ring[(best_apex + i + 1) % n];
+    added[count++] = {a, p, q, r};
+    added[count++] = {p, q, r, b};
+  }
+  return replace(ring_, std::span(added.data(), count));
+}
+
+// Two to three.
+bool ConformingCutter::flip_face(HalfFace h) {
+  const HalfFace o = mesh_.opposite(h);
+  if (o == kNone) return false;
+  const auto face = mesh_.face_vertices(h);
+  if (on_surface(face[0]) && on_surface(face[1]) && on_surface(face[2])) return false;
+  const std::array<TetId, 2> two{tet_of(h), tet_of(o)};
+  if (mesh_.region(two[0]) != mesh_.region(two[1])) return false;
+  const VertexId a = mesh_.vertices(two[0])[face_of(h)], b = mesh_.vertices(two[1])[face_of(o)];
+  if (mesh_.find_edge(a, b) != kNone) return false;
+  const double before = std::max(mesh_.worst_dihedral(two[0]), mesh_.worst_dihedral(two[1]));
+  std::array<std::array<VertexId, 4>, 3> added;
+  for (std::size_t i = 0; i < 3; ++i) {
+    // Seen from a, the face is clockwise, since it is counter-clockwise from outside its tetrahedron.
+    added[i] = {a, b, face[i], face[(i + 1) % 3]};
+    if (worst_dihedral(mesh_.position(a), mesh_.position(b), mesh_.position(face[i]),
+                       mesh_.position(face[(i + 1) % 3])) >= before)
+      return false;
+  }
+  return replace(two, added);
+}
+
+bool ConformingCutter::replace(std::span<const TetId> removed,
+                               std::span<const std::array<VertexId, 4>> added) {
+  if (!mesh_.replace(removed, added, new_tets_)) return false;
+  workspace_.grow(mesh_);
+  for (TetId t : new_tets_) {
+    if (mesh_.boundary_mask(t) != 0) workspace_.grid.add(mesh_, t);
+    activate(t);
+  }
+  ++counts_.repairs;
+  return true;
+}
+
+// A vertex that came from a split often has another one near on the surface, or the end of the edge that could not be
+// snapped: merging the two takes back the tetrahedra that the split cost.
+void ConformingCutter::thin_out(VertexId v) {
+  gather(star_, v);
+  struct Candidate {
+    double length;
+    VertexId vertex;
+    TetId tet;
+  };
+  Candidate nearest[4];
+  int count = 0;
+  for (std::size_t i = 0; i < star_.corners().size(); ++i) {
+    const VertexStar::Corner& c = star_.corners()[i];
+    for (int k = 0; k < 3; ++k) {
+      const double l = distance(star_.position(), star_.point(i, k));
+      if (l > 0.8 * star_.local_h()) continue;
+      bool known = false;
+      for (int n = 0; n < count; ++n) known = known || nearest[n].vertex == c.others[k];
+      if (known) continue;
+      if (count == 4 && nearest[3].length <= l) continue;
+      int at = count < 4 ? count++ : 3;
+      nearest[at] = {l, c.others[k], c.tet};
+      for (; at > 0 && nearest[at].length < nearest[at - 1].length; --at)
+        std::swap(nearest[at], nearest[at - 1]);
+    }
+  }
+  for (int i = 0; i < count; ++i) {
+    if (!mesh_.alive(nearest[i].tet) || mesh_.local_index(nearest[i].tet, v) < 0) continue;
+    if (try_collapse(nearest[i].tet, nearest[i].vertex, v, kGood)) continue;
+    if (try_collapse(nearest[i].tet, v, nearest[i].vertex, kGood)) return;
+  }
+}
+
+// Merges v into w where v is free to go there and its star stays below `limit`.
+bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limit) {
+  if (on_rim(v) || (on_surface(v) && !on_surface(w))) return false;
+  VertexStar& star = other_star_;
+  gather(star, v);
+  if (star.on_boundary()) return false;
+  const Vec3& target = mesh_.position(w);
+  double worst = -1;
+  for (std::size_t i = 0; i < star.corners().size(); ++i) {
+    const auto& others = star.corners()[i].others;
+    if (others[0] == w || others[1] == w || others[2] == w) continue;
+    worst = std::max(worst, worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)));
+    if (worst > limit) return false;
+  }
+  if (!mesh_.may_collapse(t, v, w)) return false;
+  mesh_.collapse(t, v, w);
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (mesh_.alive(c.tet)) activate(c.tet);
+  }
+  ++counts_.repairs;
+  return true;
+}
+
+}  // namespace incise::core

@@ -1,0 +1,110 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "server/core/blade.hpp"
+#include "server/core/boundary_grid.hpp"
+#include "server/core/tet_mesh.hpp"
+#include "server/haptics/blade_probe.hpp"
+#include "server/haptics/material.hpp"
+
+namespace incise::haptics {
+
+// Where a blade is in one frame.
+struct BladeMotion {
+  core::BladeLine line;
+  core::Vec3 tool;       // the tool's origin, where a device applies the force, m
+  bool engaged = false;  // it cuts
+  double dt_s = 0;  // since the pose before, by the source's clock; 0: this pose is the one of the last call
+  double elapsed_s = 0;  // since the last call, by ours
+};
+
+// The tissue near the blade as a plane, for whoever renders at a rate of their own (protocol::LocalContact).
+struct ContactPlane {
+  core::Vec3 point;   // the tool's origin when the force begins, m
+  core::Vec3 normal;  // unit, out of the tissue
+  double stiffness_n_m = 0;
+  double damping_n_s_m = 0;   // along the normal
+  double resistance_n = 0;    // at which the tissue gives way; 0: it does not
+  double friction_n_s_m = 0;  // against the motion: across the normal; in all directions once the blade is in
+  bool penetrated = false;
+};
+
+struct Feel {
+  core::Vec3 force;  // on the hand, at the tool's origin, N
+  Engagement engagement;
+  std::optional<ContactPlane> contact;  // absent: no tissue at the blade
+};
+
+// The force of the tissue on one blade, frame by frame. A spring joins the blade to a proxy, which the tissue holds:
+// the virtual coupling of Colgate, Stanley and Brown 1995, "Issues in the haptic display of tool use".
+//
+//   free      nothing of the edge is inside.
+//   contact   the proxy stays on the surface, at the point nearest to the deepest point of the edge: elastic force
+//             and damping along its normal, friction across. While the blade is engaged the surface holds up to
+//             max(puncture, toughness x edge inside); a blade that is not engaged never gets in.
+//   inside    the proxy is the front of the cut. Ahead of it the spring holds up to toughness x length of edge in
+//             uncut tissue, across the edge; beyond that the front moves along and that much work is spent for each
+//             area that the edge sweeps (the deformation and cutting phases of Mahvash and Hayward 2001, "Haptic
+//             rendering of cutting: a fracture mechanics approach"). Behind the front the blade is in its own slit
+//             and feels friction alone, as it does where the mesh is cut already. A motion along the edge sweeps no
+//             area and feels friction alone, too.
+//
+// Passivity. Sampling makes even a spring give back more than it took (Colgate and Schenkel 1997, "Passivity of a
+// class of sampled-data systems"), and turning the tool stretches it without any work on a device that does not feel
+// torques. So what the model gives is bounded by an account of what it got through the tool's origin (after Hannaford
+// and Ryu 2002, "Time-domain passivity control of haptic interfaces"): the elastic force is scaled so that it can
+// return no more than the account holds, and friction stops with the account. The account never holds more than
+// the spring does at full force and kReserve_j: work spent on cutting does not come back. It grows by kLeak_w on its
+// own, so that tissue entered by turning is felt after a moment; hand and device damp more than that.
+// Whatever the motion, the energy that comes out in t seconds, less what went in, is at most
+// kReserve_j + kLeak_w t + the work of a single step.
+//
+// Thread: one. update() costs the probe and, in contact, up to three searches for the surface; it allocates nothing.
+class ForceModel {
+ public:
+  static constexpr double kReserve_j = 5e-4;
+  static constexpr double kLeak_w = 0.01;
+
+  // The spring is never stiffer than `stiffest`, N/m, nor damped by more than `damping` along the normal, N s/m: what a
+  // device can render without trembling. `materials` must outlive this.
+  ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m);
+
+  // The blade is somewhere else, not moved there: everything but the account is forgotten.
+  void jump() noexcept;
+
+  // The force from here on. `applied`: what acted on the hand since the last call, N.
+  Feel update(const core::TetMesh& mesh, const core::BoundaryGrid& grid, const BladeMotion& motion,
+              const core::Vec3& applied) noexcept;
+
+ private:
+  enum class Phase : std::uint8_t { kFree, kContact, kInside };
+  struct Elastic {
+    core::Vec3 force;
+    double energy = 0;  // that the spring can give back
+  };
+  void find_velocity(const BladeMotion& motion, const Engagement& engagement) noexcept;
+  void find_depth(const core::TetMesh& mesh, const core::BoundaryGrid& grid, const BladeMotion& motion,
+                  const Engagement& engagement, double moved) noexcept;
+  Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
+  Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
+  void get_in(const core::Vec3& middle, const core::Vec3& along, const Engagement& engagement) noexcept;
+
+  const Materials& materials_;
+  const double stiffest_, damping_;
+  Phase phase_ = Phase::kFree;
+  bool has_last_ = false;
+  core::BladeLine last_line_;
+  core::Vec3 last_tool_;
+  core::Vec3 velocity_;  // of the edge where it is inside, m/s
+  double account_ = kReserve_j;
+  // Contact.
+  double depth_ = 0;   // m
+  core::Vec3 normal_;  // unit, out of the tissue
+  // Inside.
+  core::Vec3 front_;          // a point of the front's line
+  core::Vec3 front_heading_;  // where it last moved to, unit; zero: it has not
+};
+
+}  // namespace incise::haptics

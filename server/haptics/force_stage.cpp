@@ -1,0 +1,124 @@
+#include "server/haptics/force_stage.hpp"
+
+#include <algorithm>
+
+namespace incise::haptics {
+namespace {
+
+// A source that has been silent for so long is not looked at until it sends again.
+constexpr std::int64_t kAsleep_ns = 1'000'000'000;
+
+}  // namespace
+
+ForceStage::ForceStage(const ForceConfig& config, const core::CutConfig& cut, ForceSink* sink,
+                       ForceSlots* slots)
+    : config_(config), cut_(cut), sink_(sink), slots_(slots) {
+  for (auto& hand : hands_) hand = std::make_unique<Hand>(config_.materials, config_);
+}
+
+void ForceStage::opened(std::uint32_t source, const core::Blade& blade) noexcept {
+  Hand& hand = *hands_[source];
+  hand.blade = blade;
+  hand.opened = true;
+  hand.has_pose = hand.has_felt = hand.pressed_anew = false;
+  hand.model.jump();
+  hand.chain.arm(slots_ ? (*slots_)[source].losses() : 0, slots_ ? (*slots_)[source].failed_writes() : 0);
+}
+
+void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns,
+                       bool jumped) noexcept {
+  Hand& hand = *hands_[source];
+  const bool same = hand.has_pose && pose.position == hand.pose.position &&
+                    pose.orientation == hand.pose.orientation && pose.buttons == hand.pose.buttons;
+  if (!same) hand.moved_ns = arrival_ns;
+  hand.pressed_anew = hand.pressed_anew || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
+  hand.jumped = hand.jumped || jumped || (hand.has_pose && too_far(hand.blade, hand.pose, pose));
+  hand.pose = pose;
+  hand.arrival_ns = arrival_ns;
+  hand.has_pose = true;
+}
+
+// Not moved there, but put there: as a stroke judges it, of blades that do not cut, too.
+bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
+                         const core::Pose& to) const noexcept {
+  const core::BladeLine a = core::blade_line(blade, from), b = core::blade_line(blade, to);
+  const double dt = static_cast<double>(to.t_ns - from.t_ns) * 1e-9;
+  return dt > cut_.gap_limit_s ||
+         std::max(distance(a.heel, b.heel), distance(a.tip, b.tip)) > cut_.speed_limit_m_s * dt;
+}
+
+void ForceStage::restart() noexcept {
+  for (auto& hand : hands_) hand->model.jump();
+}
+
+void ForceStage::frame(const core::CutSession& session, std::int64_t now_ns, std::int64_t late_ns) noexcept {
+  for (std::uint32_t source = 0; source < hands_.size(); ++source) {
+    Hand& hand = *hands_[source];
+    if (!hand.opened || !hand.has_pose) continue;
+    const bool quiet = squared_length(hand.acting) == 0;
+    if (quiet && now_ns - hand.arrival_ns > kAsleep_ns) {
+      hand.has_felt = false;
+      hand.model.jump();
+      continue;
+    }
+    const bool fresh = !hand.has_felt || hand.pose.t_ns != hand.felt.t_ns;
+    const BladeForce force = feel(source, hand, session, now_ns, late_ns);
+    hand.felt = hand.pose;
+    hand.has_felt = true;
+    hand.acting = force.newtons;
+    if (slots_) {
+      (*slots_)[source].write({{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags});
+    }
+    const bool worth = force.feel.contact || squared_length(force.newtons) > 0;
+    const bool changed = fresh || hand.chain.faults() != 0;
+    if (sink_ && ((worth && changed) || (hand.told && !worth))) sink_->feel(force);
+    hand.told = worth;
+  }
+}
+
+BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, const core::CutSession& session,
+                            std::int64_t now_ns, std::int64_t late_ns) noexcept {
+  if (hand.jumped) hand.model.jump();
+  hand.jumped = false;
+  BladeMotion motion;
+  motion.line = core::blade_line(hand.blade, hand.pose);
+  motion.tool = hand.pose.position;
+  motion.engaged = engaged(hand.pose);
+  if (hand.has_felt) {
+    motion.dt_s = static_cast<double>(hand.pose.t_ns - hand.felt.t_ns) * 1e-9;
+    motion.elapsed_s = static_cast<double>(now_ns - hand.last_frame_ns) * 1e-9;
+  }
+  hand.last_frame_ns = now_ns;
+
+  BladeForce force;
+  force.source = source;
+  force.pose_t_ns = hand.pose.t_ns;
+  force.pose_arrival_ns = hand.arrival_ns;
+  force.feel = hand.model.update(session.mesh(), session.boundary(), motion, hand.acting);
+
+  if (hand.pressed_anew && !force.feel.contact) hand.chain.rearm_after_faults();
+  hand.pressed_anew = false;
+  SafetyInput in;
+  in.now_ns = now_ns;
+  in.wanted = force.feel.force;
+  in.contact = force.feel.contact.has_value();
+  in.pose_ns = hand.arrival_ns;
+  in.moved_ns = hand.moved_ns;
+  in.late_ns = late_ns;
+  if (slots_) {
+    const ForceSlot& slot = (*slots_)[source];
+    in.device_most_n = slot.limit();
+    in.losses = slot.losses();
+    in.failed_writes = slot.failed_writes();
+  }
+  force.newtons = hand.chain.update(in);
+  force.faults = hand.chain.faults();
+  const auto flag = [&](bool set, ForceFlag bit) { force.flags |= set ? std::uint32_t{bit} : 0u; };
+  flag(in.contact, kForceContact);
+  flag(hand.chain.limited(), kForceLimited);
+  flag(hand.chain.ramping(), kForceRamping);
+  flag(hand.chain.latched(), kForceLatchedOff);
+  return force;
+}
+
+}  // namespace incise::haptics

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+
+#include "server/core/cut_config.hpp"
+#include "server/core/cut_session.hpp"
+#include "server/haptics/force_config.hpp"
+#include "server/haptics/force_model.hpp"
+#include "server/haptics/force_slot.hpp"
+#include "server/haptics/safety_chain.hpp"
+
+namespace incise::haptics {
+
+// What a blade makes its user feel from one frame on.
+struct BladeForce {
+  std::uint32_t source = 0;
+  std::int64_t pose_t_ns = 0;        // source time of the pose that it belongs to
+  std::int64_t pose_arrival_ns = 0;  // CLOCK_MONOTONIC
+  core::Vec3 newtons;                // on the hand at the tool's origin, world frame
+  std::uint32_t flags = 0;           // ForceFlag
+  std::uint32_t faults = 0;          // SafetyFault: since the source was opened
+  Feel feel;                         // what the safety chain was given, and the tissue at the blade
+};
+
+// Takes the forces that are for somebody on the network. Called on the loop's thread: must not block or allocate.
+class ForceSink {
+ public:
+  virtual ~ForceSink() = default;
+  virtual void feel(const BladeForce& force) noexcept = 0;
+};
+
+// The forces of all blades, once a frame: newest pose -> force model -> safety chain -> the source's slot and the sink.
+// The sink gets a force for each new pose while there is tissue at the blade or a force acts, and one more when that
+// ends; the slot gets one in every frame,
+// until the source has been silent for a second.
+//
+// Thread: the loop's. frame() is bounded by the blades' lengths, allocates nothing, and does not change the mesh.
+class ForceStage {
+ public:
+  // `sink` and `slots` may be null; what is not must outlive this.
+  ForceStage(const ForceConfig& config, const core::CutConfig& cut, ForceSink* sink, ForceSlots* slots);
+
+  // What the loop took: a source opened (its force is armed), a pose that was accepted.
+  void opened(std::uint32_t source, const core::Blade& blade) noexcept;
+  void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
+  // The mesh is another one.
+  void restart() noexcept;
+
+  void frame(const core::CutSession& session, std::int64_t now_ns, std::int64_t late_ns) noexcept;
+
+ private:
+  struct Hand {
+    Hand(const Materials& materials, const ForceConfig& config)
+        : model(materials, config.stiffest_n_m, config.damping_n_s_m), chain(config.limits) {}
+    ForceModel model;
+    SafetyChain chain;
+    core::Blade blade;
+    core::Pose pose, felt;  // the newest; the one that the last frame took
+    std::int64_t arrival_ns = 0, moved_ns = 0, last_frame_ns = 0;
+    bool opened = false, has_pose = false, has_felt = false, jumped = false;
+    bool pressed_anew = false;  // the engage button, since the last frame
+    bool told = false;          // the sink knows of a force or of tissue
+    core::Vec3 acting;          // N
+  };
+  bool engaged(const core::Pose& pose) const noexcept {
+    return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
+  }
+  bool too_far(const core::Blade& blade, const core::Pose& from, const core::Pose& to) const noexcept;
+  BladeForce feel(std::uint32_t source, Hand& hand, const core::CutSession& session, std::int64_t now_ns,
+                  std::int64_t late_ns) noexcept;
+
+  const ForceConfig config_;
+  const core::CutConfig cut_;
+  ForceSink* const sink_;
+  ForceSlots* const slots_;
+  std::array<std::unique_ptr<Hand>, core::kMaxSources> hands_;
+};
+
+}  // namespace incise::haptics

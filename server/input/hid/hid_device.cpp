@@ -1,0 +1,213 @@
+#include "server/input/hid/hid_device.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <ctime>
+
+namespace incise::input {
+namespace {
+
+constexpr int kReadTimeout_ms = 50;  // how long the end of the thread may have to wait
+
+void sleep_until(std::int64_t ns) {
+  const timespec time{ns / 1'000'000'000, ns % 1'000'000'000};
+  clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, nullptr);
+}
+
+}  // namespace
+
+// ------------------------------------------------------------------------------------------------ opening
+
+std::unique_ptr<HidDevice> HidDevice::open(Setup setup, const std::vector<HidInterface>& all,
+                                           const Surroundings& surroundings, std::string& error) {
+  std::unique_ptr<HidDevice> device(new HidDevice(std::move(setup), surroundings));
+  if (!device->open_handles(all, error) || !device->open_sources(error)) return nullptr;
+  if (device->setup_.profile.force) {
+    device->slot_ = &surroundings.forces[device->sources_.front().number()];
+    device->slot_->device_came(device->setup_.profile.force->max_newtons);
+    device->writer_ = std::jthread([d = device.get()](const std::stop_token& stop) { d->write_loop(stop); });
+  }
+  device->reader_ = std::jthread([d = device.get()](const std::stop_token& stop) { d->read_loop(stop); });
+  return device;
+}
+
+HidDevice::HidDevice(Setup setup, const Surroundings& surroundings)
+    : setup_(std::move(setup)), surroundings_(surroundings), decoder_(setup_.profile, setup_.placement) {}
+
+HidDevice::~HidDevice() {
+  if (writer_.joinable()) {
+    writer_.request_stop();
+    writer_.join();
+  }
+  if (reader_.joinable()) {
+    reader_.request_stop();
+    reader_.join();
+  }
+  if (slot_ && !lost()) slot_->device_lost();
+  if (!lost() && writing_) {
+    std::string error;
+    send_all(setup_.profile.stop, setup_.interface, *writing_, list_hid_interfaces(), error);
+  }
+}
+
+bool HidDevice::open_sources(std::string& error) {
+  for (const std::string& name : sources()) {
+    auto source = surroundings_.hub.open_source(name);
+    if (!source) {
+      error =
+          "no blade is free: \"" + name + "\" is taken, or all " + std::to_string(core::kMaxSources) + " are";
+      sources_.clear();
+      return false;
+    }
+    sources_.push_back(std::move(*source));
+  }
+  return true;
+}
+
+bool HidDevice::open_handles(const std::vector<HidInterface>& all, std::string& error) {
+  reading_ = HidHandle::open(setup_.interface.path, error);
+  if (reading_) writing_ = HidHandle::open(setup_.interface.path, error);
+  if (!reading_ || !writing_) return false;
+  return send_all(setup_.profile.start, setup_.interface, *writing_, all, error);
+}
+
+std::vector<std::string> HidDevice::sources() const {
+  std::vector<std::string> names;
+  for (const ToolProfile& tool : setup_.profile.tools) {
+    names.push_back(tool.name.empty() ? setup_.name : setup_.name + "." + tool.name);
+  }
+  return names;
+}
+
+DeviceFigures HidDevice::figures() const {
+  const std::scoped_lock lock(mutex_);
+  DeviceFigures figures = shared_;
+  figures.forces_written = forces_written_.load(std::memory_order_relaxed);
+  figures.forces_failed = forces_failed_.load(std::memory_order_relaxed);
+  return figures;
+}
+
+// ------------------------------------------------------------------------------------------------ reading
+
+void HidDevice::read_loop(const std::stop_token& stop) {
+  surroundings_.on_thread();
+  std::vector<std::uint8_t> report(kMaxReportBytes);
+  while (!stop.stop_requested()) {
+    int bytes = reading_->read(report, kReadTimeout_ms);
+    for (; bytes > 0 && !stop.stop_requested(); bytes = reading_->read(report, 0)) {
+      take(std::span(report).first(static_cast<std::size_t>(bytes)), stop);
+    }
+    publish_figures();
+    if (bytes < 0) {
+      lose();
+      return;
+    }
+  }
+}
+
+void HidDevice::take(std::span<const std::uint8_t> report, const std::stop_token& stop) {
+  const std::int64_t arrival_ns = monotonic_ns();
+  for (const PoseDecoder::Sample& sample : decoder_.take(report, arrival_ns)) push(sample, arrival_ns, stop);
+}
+
+void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
+                     const std::stop_token& stop) {
+  const std::size_t tool = sample.tool;
+  const auto pushed = [&] {
+    if (sample.valid) {
+      const TimedPose pose{sample.pose, arrival_ns};
+      return sources_[tool].push(std::span(&pose, 1)) == 1;
+    }
+    return !in_sight_[tool] || sources_[tool].end_stroke(arrival_ns);
+  };
+  // A full queue: the loop is far behind. The reports wait in the system's queue, and what does not fit there shows in
+  // the device's counter.
+  while (!pushed() && !stop.stop_requested()) {
+    sleep_until(monotonic_ns() + 1'000'000);
+    ++full_queue_ms_;
+  }
+  in_sight_[tool] = sample.valid;
+}
+
+void HidDevice::lose() {
+  // At once: the strokes end, and the loop learns that nobody feels its forces.
+  if (slot_) slot_->device_lost();
+  for (SourceHandle& source : sources_) source.end_stroke(monotonic_ns());
+  lost_.store(true, std::memory_order_release);
+  surroundings_.on_loss();
+}
+
+void HidDevice::publish_figures() {
+  const std::unique_lock lock(mutex_, std::try_to_lock);
+  if (!lock) return;
+  shared_.reports = decoder_.counts();
+  shared_.drift_ppm = decoder_.drift_ppm();
+  shared_.full_queue_ms = full_queue_ms_;
+}
+
+// ------------------------------------------------------------------------------------------------ forces
+
+void HidDevice::write_loop(const std::stop_token& stop) {
+  surroundings_.on_thread();
+  const ForceProfile& profile = *setup_.profile.force;
+  const auto period_ns = static_cast<std::int64_t>(1e9 / profile.rate_hz);
+  ForceReport report(profile, decoder_);
+  haptics::ForceCommand newest;
+  const auto write = [&](std::span<const std::uint8_t> bytes) {
+    if (lost()) return;
+    if (writing_->write(bytes)) {
+      forces_written_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    forces_failed_.fetch_add(1, std::memory_order_relaxed);
+    report.failed();
+    if (!lost()) slot_->write_failed();
+  };
+  std::int64_t last_ns = 0;
+  while (!stop.stop_requested() && !lost()) {
+    const bool fresh = slot_->read(newest);
+    const std::int64_t now_ns = monotonic_ns();
+    // A device may let go when it hears nothing, so it hears something; that also brings an old force to 0.
+    if (fresh || now_ns - last_ns >= 2 * period_ns) {
+      write(report.make(newest, now_ns));
+      last_ns = now_ns;
+      sleep_until(now_ns + period_ns * 4 / 5);  // then look often: this falls into step with the loop
+    } else {
+      sleep_until(now_ns + std::min<std::int64_t>(period_ns / 10, 1'000'000));
+    }
+  }
+  write(report.zero());
+}
+
+ForceReport::ForceReport(const ForceProfile& profile, const PoseDecoder& axes)
+    : profile_(profile), axes_(axes), bytes_(profile.bytes) {}
+
+std::span<const std::uint8_t> ForceReport::zero() noexcept {
+  return make({}, 0);
+}
+
+std::span<const std::uint8_t> ForceReport::make(const haptics::ForceCommand& newest,
+                                                std::int64_t now_ns) noexcept {
+  core::Vec3 force{newest.newtons[0], newest.newtons[1], newest.newtons[2]};
+  double size = core::length(force);
+  if (size == 0) distrusted_ = false;
+  if (!std::isfinite(size) || distrusted_ || now_ns - newest.time_ns > kForceLife_ns) {
+    force = {};
+    size = 0;
+  }
+  if (size > profile_.max_newtons) {
+    force = (profile_.max_newtons / size) * force;
+    size = profile_.max_newtons;
+  }
+  const core::Vec3 device = axes_.device_from_world(force);
+  const double components[3]{device.x, device.y, device.z};
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (profile_.components[i]) profile_.components[i]->write(bytes_, components[i]);
+  }
+  for (const ReportField& field : profile_.magnitudes) field.write(bytes_, size);
+  return bytes_;
+}
+
+}  // namespace incise::input

@@ -1,0 +1,109 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "server/haptics/force_slot.hpp"
+#include "server/input/hid/hid_system.hpp"
+#include "server/input/hid/pose_decoder.hpp"
+#include "server/input/input_hub.hpp"
+
+namespace incise::input {
+
+// Figures of an open device.
+struct DeviceFigures {
+  ReportCounts reports;
+  double drift_ppm = 0;             // of its clock; > 0: slow
+  std::uint64_t full_queue_ms = 0;  // spent waiting for the loop to take poses
+  std::uint64_t forces_written = 0, forces_failed = 0;
+};
+
+// An open device: reads its reports, pushes the poses of its tools to the hub, and writes the newest force to it.
+//
+// Thread: made and destroyed by one thread; status by any. Owns: a reading thread with a handle of its own and, where the
+// profile has forces, a writing thread with another; a source of the hub for each tool. A report that arrives wakes the
+// reader, which drains all that wait: a cut needs every pose.
+class HidDevice {
+ public:
+  struct Setup {
+    HidInterface interface;
+    DeviceProfile profile;
+    Placement placement;
+    std::string name;  // of its source, or the beginning of its sources' names
+  };
+  struct Surroundings {
+    InputHub& hub;
+    haptics::ForceSlots& forces;
+    std::function<void()> on_thread;  // called first in each of its threads
+    std::function<void()> on_loss;    // called by the reader when the device has gone
+  };
+
+  // Sends the profile's start reports and begins to read. Nothing, and why in `error`, where the device cannot be opened
+  // or no blade is free. `all`: the connected interfaces, for start reports that go to others of the same device.
+  static std::unique_ptr<HidDevice> open(Setup setup, const std::vector<HidInterface>& all,
+                                         const Surroundings& surroundings, std::string& error);
+  // Ends the strokes; zeroes the force and sends the stop reports where the device is still there.
+  ~HidDevice();
+  HidDevice(const HidDevice&) = delete;
+  HidDevice& operator=(const HidDevice&) = delete;
+
+  const Setup& setup() const { return setup_; }
+  std::vector<std::string> sources() const;
+  bool lost() const { return lost_.load(std::memory_order_acquire); }
+  DeviceFigures figures() const;
+
+ private:
+  HidDevice(Setup setup, const Surroundings& surroundings);
+  bool open_sources(std::string& error);
+  bool open_handles(const std::vector<HidInterface>& all, std::string& error);
+  void read_loop(const std::stop_token& stop);
+  void take(std::span<const std::uint8_t> report, const std::stop_token& stop);
+  void push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop);
+  void lose();
+  void publish_figures();
+  void write_loop(const std::stop_token& stop);
+
+  const Setup setup_;
+  const Surroundings surroundings_;
+  haptics::ForceSlot* slot_ = nullptr;  // where the profile has forces
+  std::optional<HidHandle> reading_, writing_;
+  std::vector<SourceHandle> sources_;
+  PoseDecoder decoder_;                     // the reader's
+  std::array<bool, kMaxTools> in_sight_{};  // the reader's
+  std::uint64_t full_queue_ms_ = 0;         // the reader's
+  std::atomic<bool> lost_{false};
+  std::atomic<std::uint64_t> forces_written_{0}, forces_failed_{0};
+  mutable std::mutex mutex_;  // guards shared_; the reader only tries it
+  DeviceFigures shared_;
+  std::jthread reader_, writer_;
+};
+
+// Makes force reports of commands: what may leave for a device is decided here, whatever the loop says. A command that
+// is older than 20 ms, is not finite, or follows a failed write counts as no force (until a command of no force has come:
+// then the loop knows); a longer one is cut to the profile's limit.
+//
+// Thread: one.
+class ForceReport {
+ public:
+  ForceReport(const ForceProfile& profile, const PoseDecoder& axes);
+  // The report for the newest command; `now_ns` CLOCK_MONOTONIC.
+  std::span<const std::uint8_t> make(const haptics::ForceCommand& newest, std::int64_t now_ns) noexcept;
+  std::span<const std::uint8_t> zero() noexcept;
+  void failed() noexcept { distrusted_ = true; }
+
+ private:
+  const ForceProfile& profile_;
+  const PoseDecoder& axes_;
+  std::vector<std::uint8_t> bytes_;
+  bool distrusted_ = false;
+};
+
+inline constexpr std::int64_t kForceLife_ns = 20'000'000;
+
+}  // namespace incise::input

@@ -1,0 +1,131 @@
+#include "server/input/hid/json_node.hpp"
+
+#include <charconv>
+#include <set>
+
+#include "server/input/hid/device_profile.hpp"
+
+namespace incise::input {
+namespace {
+
+// The fewest digits that mean the same number.
+std::string shown(double number) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, number).ptr};
+}
+
+}  // namespace
+
+JsonNode::Json JsonNode::parse(std::string_view text, const std::string& file) {
+  std::vector<std::set<std::string>> open;
+  std::string twice;
+  const auto watch = [&](int, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::object_start) open.emplace_back();
+    if (event == Json::parse_event_t::object_end) open.pop_back();
+    if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second) {
+      if (twice.empty()) twice = parsed.get<std::string>();
+    }
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(text, watch, true, true);
+  } catch (const nlohmann::json::exception& error) {
+    std::string what = error.what();
+    if (const auto at = what.find("] "); at != std::string::npos) what = what.substr(at + 2);
+    for (char& c : what) {
+      if (static_cast<unsigned char>(c) < ' ') c = ' ';
+    }
+    throw ProfileError(file + ": not JSON: " + what);
+  }
+  if (!twice.empty()) {
+    throw ProfileError(file + ": " + twice + ": found twice in one object; accepted is once");
+  }
+  return root;
+}
+
+void JsonNode::refuse(const std::string& accepted) const {
+  std::string found = json_->dump(-1, ' ', true, Json::error_handler_t::replace);
+  if (found.size() > 80) found = found.substr(0, 77) + "...";
+  refuse(found, accepted);
+}
+
+void JsonNode::refuse(const std::string& found, const std::string& accepted) const {
+  throw ProfileError(*file_ + ": " + (key_.empty() ? "the file" : key_) + ": found " + found +
+                     "; accepted is " + accepted);
+}
+
+const JsonNode& JsonNode::only(std::initializer_list<const char*> keys) const {
+  if (!json_->is_object()) refuse("an object {...}");
+  for (const auto& [key, value] : json_->items()) {
+    bool known = false;
+    std::string list;
+    for (const char* name : keys) {
+      known = known || key == name;
+      list += (list.empty() ? "" : ", ") + std::string(name);
+    }
+    if (!known) {
+      throw ProfileError(*file_ + ": " + (key_.empty() ? key : key_ + "." + key) +
+                         ": found a key that means nothing here; accepted are " + list);
+    }
+  }
+  return *this;
+}
+
+JsonNode JsonNode::at(const char* key) const {
+  const std::string place = key_.empty() ? key : key_ + "." + key;
+  if (!has(key))
+    throw ProfileError(*file_ + ": " + place + ": found nothing; accepted is a value: it must be given");
+  return {(*json_)[key], place, *file_};
+}
+
+std::vector<JsonNode> JsonNode::list(std::size_t least, std::size_t most) const {
+  if (!json_->is_array() || json_->size() < least || json_->size() > most) {
+    refuse("a list of " + std::to_string(least) + " to " + std::to_string(most) + " entries");
+  }
+  std::vector<JsonNode> entries;
+  for (std::size_t i = 0; i < json_->size(); ++i) {
+    entries.emplace_back((*json_)[i], key_ + "[" + std::to_string(i) + "]", *file_);
+  }
+  return entries;
+}
+
+double JsonNode::number(double least, double most) const {
+  const double value = json_->is_number() ? json_->get<double>() : NAN;
+  if (!(value >= least && value <= most)) refuse("a number from " + shown(least) + " to " + shown(most));
+  return value;
+}
+
+std::int64_t JsonNode::integer(std::int64_t least, std::int64_t most) const {
+  const double value = json_->is_number_integer() ? json_->get<double>() : NAN;
+  if (!(value >= static_cast<double>(least) && value <= static_cast<double>(most))) {
+    refuse("a whole number from " + std::to_string(least) + " to " + std::to_string(most));
+  }
+  return json_->get<std::int64_t>();
+}
+
+std::string JsonNode::text(std::size_t least, std::size_t most) const {
+  const std::string value = json_->is_string() ? json_->get<std::string>() : std::string();
+  if (!json_->is_string() || value.size() < least || value.size() > most) {
+    refuse("a text of " + std::to_string(least) + " to " + std::to_string(most) + " characters");
+  }
+  return value;
+}
+
+bool JsonNode::truth() const {
+  if (!json_->is_boolean()) refuse("true or false");
+  return json_->get<bool>();
+}
+
+std::size_t JsonNode::word(std::initializer_list<const char*> words) const {
+  std::string list;
+  std::size_t i = 0;
+  for (const char* word : words) {
+    if (*json_ == word) return i;
+    list += (i == 0 ? "\"" : i + 1 == words.size() ? " or \"" : ", \"") + std::string(word) + '"';
+    ++i;
+  }
+  refuse(list);
+}
+
+}  // namespace incise::input

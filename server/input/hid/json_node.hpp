@@ -1,0 +1,45 @@
+#pragma once
+
+#include <initializer_list>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace incise::input {
+
+// A value in a JSON file that knows its place, so that whatever is wrong with it names file, key, what was found and
+// what is accepted. Thread: any one. Owns: nothing; file and document must outlive it.
+class JsonNode {
+ public:
+  using Json = nlohmann::ordered_json;
+
+  JsonNode(const Json& json, std::string key, const std::string& file)
+      : json_(&json), key_(std::move(key)), file_(&file) {}
+  // Comments allowed; a key that stands twice is refused, since JSON leaves open which counts. Throws ProfileError.
+  static Json parse(std::string_view text, const std::string& file);
+
+  [[noreturn]] void refuse(const std::string& accepted) const;
+  [[noreturn]] void refuse(const std::string& found, const std::string& accepted) const;
+  // Refuses what is no object, and keys other than these.
+  const JsonNode& only(std::initializer_list<const char*> keys) const;
+  bool has(const char* key) const { return json_->is_object() && json_->contains(key); }
+  // The member; refused where it is absent.
+  JsonNode at(const char* key) const;
+  std::vector<JsonNode> list(std::size_t least, std::size_t most) const;
+
+  double number(double least, double most) const;
+  std::int64_t integer(std::int64_t least, std::int64_t most) const;
+  std::string text(std::size_t least, std::size_t most) const;
+  bool truth() const;
+  // Position among the words.
+  std::size_t word(std::initializer_list<const char*> words) const;
+  bool is_text() const { return json_->is_string(); }
+
+ private:
+  const Json* json_;
+  std::string key_;
+  const std::string* file_;
+};
+
+}  // namespace incise::input

@@ -1,0 +1,195 @@
+#include "server/loop/checkpointer.hpp"
+
+#include <pthread.h>
+#include <sched.h>
+
+#include <algorithm>
+#include <ctime>
+#include <exception>
+
+#include "server/core/session_state.hpp"
+#include "server/loop/checkpoint_file.hpp"
+
+namespace incise::loop {
+namespace {
+
+double thread_cpu_s() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+}  // namespace
+
+Checkpointer::Checkpointer(const Options& options, std::uint64_t session_id, int next_file,
+                           std::function<std::unique_ptr<core::CutSession>()> first, Tell tell)
+    : options_(options), tell_(std::move(tell)), session_id_(session_id), next_file_(next_file) {
+  thread_ = std::thread([this, first = std::move(first)] { run(first); });
+}
+
+Checkpointer::~Checkpointer() {
+  {
+    const std::scoped_lock lock(mutex_);
+    stop_ = true;
+  }
+  wake_.notify_one();
+  thread_.join();
+}
+
+void Checkpointer::record(const JournalRecord& record) {
+  Item item;
+  item.record = record;
+  push(item);
+}
+
+void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted) {
+  Item item;
+  item.mark = true;
+  item.wanted = wanted;
+  item.id = id;
+  item.offset = offset;
+  item.records = records;
+  push(item);
+}
+
+void Checkpointer::push(const Item& item) {
+  {
+    const std::scoped_lock lock(mutex_);
+    // What is dropped here counts until the next reset, which makes all before it past.
+    if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
+      waiting_.clear();
+      overflow_ = false;
+    }
+    if (overflow_) return;
+    if (waiting_.size() >= options_.capacity) {
+      waiting_.clear();
+      overflow_ = true;
+    } else {
+      waiting_.push_back(item);
+    }
+  }
+  wake_.notify_one();
+}
+
+void Checkpointer::give_up(const std::string& why) {
+  if (!session_) return;
+  session_.reset();
+  computed_.clear();
+  following_.store(false, std::memory_order_relaxed);
+  tell_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
+}
+
+void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>& first) {
+  // Never preempts when it wakes up: the loop, the stream and the journal come first.
+  const sched_param none{};
+  pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
+  session_ = first();
+  began_s_ = thread_cpu_s();
+  std::deque<Item> taken;
+  for (;;) {
+    {
+      std::unique_lock lock(mutex_);
+      behind_.store(waiting_.size(), std::memory_order_relaxed);
+      wake_.wait(lock, [this] { return stop_ || overflow_ || !waiting_.empty(); });
+      if (stop_) return;
+      if (overflow_) {
+        lock.unlock();
+        give_up("computing everything again does not keep up with the loop");
+        lock.lock();
+        wake_.wait(lock, [this] { return stop_ || !overflow_; });
+        continue;
+      }
+      // A few at a time: the rest can still be dropped.
+      for (int i = 0; i < 256 && !waiting_.empty(); ++i) {
+        taken.push_back(waiting_.front());
+        waiting_.pop_front();
+      }
+    }
+    for (const Item& item : taken) handle(item);
+    taken.clear();
+  }
+}
+
+void Checkpointer::handle(const Item& item) {
+  using Kind = JournalRecord::Kind;
+  const JournalRecord& record = item.record;
+  if (!item.mark && record.kind == Kind::kReset) {
+    session_ = options_.fresh();
+    session_id_ = record.session;
+    computed_.clear();
+    following_.store(true, std::memory_order_relaxed);
+    return;
+  }
+  if (!session_) return;
+  if (item.mark) {
+    const double spent_s = thread_cpu_s() - began_s_;
+    if (item.wanted || spent_s >= std::max(options_.replay_s, 5 * write_s_)) write(item);
+    return;
+  }
+  switch (record.kind) {
+    case Kind::kOpened:
+      session_->set_blade(record.source, options_.blade_of(record.source));
+      break;
+    case Kind::kPose:
+      session_->push(record.source, record.pose);
+      break;
+    case Kind::kEndStroke:
+      session_->end_stroke(record.source);
+      break;
+    case Kind::kCommit:
+      compare(record);
+      return;
+    case Kind::kGap:
+      give_up("the journal lost records before they were read");
+      return;
+    case Kind::kCheckpoint:
+    case Kind::kReset:
+      return;
+  }
+  commit_all();
+}
+
+void Checkpointer::commit_all() {
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  while (session_->advance(budget, delta_) == core::CutSession::Progress::kCommitted)
+    computed_.push_back({delta_.revision, delta_.state_hash});
+}
+
+void Checkpointer::compare(const JournalRecord& commit) {
+  while (!computed_.empty() && computed_.front().revision < commit.revision) computed_.pop_front();
+  if (computed_.empty() || computed_.front().revision != commit.revision) return;
+  const bool same = computed_.front().hash == commit.state_hash;
+  computed_.pop_front();
+  if (!same) {
+    give_up(
+        "revision " + std::to_string(commit.revision) +
+        " came out with another hash when it was computed again; keep the capture, it shows a fault of the "
+        "program or of this machine's memory");
+  }
+}
+
+void Checkpointer::write(const Item& mark) {
+  const double before = thread_cpu_s();
+  Checkpoint checkpoint;
+  checkpoint.id = mark.id;
+  checkpoint.session = session_id_;
+  checkpoint.offset = mark.offset;
+  checkpoint.records = mark.records;
+  checkpoint.revision = session_->revision();
+  checkpoint.state_hash = session_->mesh().state_hash();
+  checkpoint.state = core::save_session(*session_);
+  try {
+    write_checkpoint(checkpoint_path(options_.journal, next_file_), checkpoint);
+    next_file_ = (next_file_ + 1) % kCheckpointFiles;
+    last_revision_.store(checkpoint.revision, std::memory_order_relaxed);
+    written_.fetch_add(1, std::memory_order_relaxed);
+    failing_ = false;
+  } catch (const std::exception& error) {
+    if (!failing_) tell_(false, std::string("a checkpoint cannot be written: ") + error.what());
+    failing_ = true;
+  }
+  began_s_ = thread_cpu_s();
+  write_s_ = began_s_ - before;
+}
+
+}  // namespace incise::loop

@@ -1,0 +1,105 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "server/core/cut_session.hpp"
+#include "server/loop/journal_record.hpp"
+
+namespace incise::loop {
+
+// Keeps the time that a restart takes short. A second session, which does at its own pace what the loop's did, from the
+// records that the journal writes; between two records it can be saved at leisure, whatever strokes run, while the loop
+// goes on. It computes each revision again and compares the hash, so that a journal that does not replay is known
+// while the server still runs.
+//
+// The journal marks places where a checkpoint may be, more than are used: which of them is, the thread decides when it
+// comes there, however far behind the loop it is.
+//
+// It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH).
+//
+// Thread: record() and mark() from the journal's; figures from any. Owns: the second session, its thread, the
+// checkpoint files.
+class Checkpointer {
+ public:
+  struct Options {
+    std::string journal;  // the path that the checkpoints' names begin with
+    // A checkpoint is written when what followed the last one took so long to compute again; more seldom where writing
+    // one takes more than a fifth of that.
+    double replay_s = 1;
+    std::size_t capacity = 1u << 20;                           // records that may wait
+    std::function<core::Blade(std::uint32_t)> blade_of;        // that a source has when it is opened
+    std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
+  };
+  // Called on its thread, and from record(): a line for the log. `bad`: there will be no checkpoints for now.
+  using Tell = std::function<void(bool bad, const std::string& text)>;
+
+  // `first`: gives the session as it is where the records begin; called on the thread. `next_file`: 0 or 1, not the one
+  // that holds the newest checkpoint.
+  Checkpointer(const Options& options, std::uint64_t session_id, int next_file,
+               std::function<std::unique_ptr<core::CutSession>()> first, Tell tell);
+  // Drops what waits.
+  ~Checkpointer();
+
+  // The next record that the journal took from the loop, written or not. Where more wait than `capacity` the second
+  // session cannot follow any more, until the next reset.
+  void record(const JournalRecord& record);
+  // A checkpoint may be here: `offset` and `records` of the journal's record that says so. `wanted`: it must be: the
+  // journal has a gap, and only a checkpoint after it leads on.
+  void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
+
+  std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
+  std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
+  // Records that wait.
+  std::size_t behind() const { return behind_.load(std::memory_order_relaxed); }
+  bool following() const { return following_.load(std::memory_order_relaxed); }
+
+ private:
+  struct Item {
+    JournalRecord record;
+    bool mark = false, wanted = false;
+    std::uint64_t id = 0, offset = 0, records = 0;
+  };
+  void push(const Item& item);
+  void run(const std::function<std::unique_ptr<core::CutSession>()>& first);
+  void handle(const Item& item);
+  void give_up(const std::string& why);
+  void commit_all();
+  void compare(const JournalRecord& commit);
+  void write(const Item& mark);
+
+  const Options options_;
+  const Tell tell_;
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::deque<Item> waiting_;  // under mutex_
+  bool overflow_ = false;     // under mutex_
+  bool stop_ = false;         // under mutex_
+  std::atomic<bool> following_{true};
+  std::atomic<std::uint64_t> written_{0}, last_revision_{0};
+  std::atomic<std::size_t> behind_{0};
+
+  // The thread's.
+  std::unique_ptr<core::CutSession> session_;  // null: it cannot follow
+  std::uint64_t session_id_;
+  int next_file_;
+  bool failing_ = false;
+  double began_s_ = 0,
+         write_s_ = 0;  // the thread's processor time when the last checkpoint was done; what it took
+  struct Computed {
+    std::uint64_t revision, hash;
+  };
+  std::deque<Computed> computed_;  // whose marks have not come by
+  core::Delta delta_;
+  std::thread thread_;
+};
+
+}  // namespace incise::loop

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstdint>
+
+#include "server/core/blade.hpp"
+#include "server/core/delta.hpp"
+
+namespace incise::loop {
+
+// One thing that the loop did that its state depends on (kOpened, kPose, kEndStroke), or a mark to check it
+// by.
+struct JournalRecord {
+  enum class Kind : std::uint8_t {
+    kOpened,      // source, arrival_ns: the source has another owner
+    kPose,        // source, arrival_ns, pose
+    kEndStroke,   // source, arrival_ns
+    kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
+    kReset,       // session, arrival_ns: the mesh is as loaded again
+    kGap,         // lost: so many records are missing here
+    kCheckpoint,  // checkpoint: the one of this id has the state that all before leads to
+  };
+  Kind kind = Kind::kPose;
+  std::uint32_t source = 0;
+  std::int64_t arrival_ns = 0;
+  core::Pose pose;
+  std::uint32_t stroke = 0, batch = 0;
+  bool stroke_ended = false;
+  std::uint64_t revision = 0;
+  std::uint64_t state_hash = 0;
+  std::uint64_t frame = 0;  // of the loop, since it started
+  std::uint64_t session = 0;
+  std::uint64_t lost = 0;
+  std::uint64_t checkpoint = 0;
+};
+
+// The mark of a finished batch.
+inline JournalRecord commit_record(const core::Delta& delta) {
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kCommit;
+  record.source = delta.source;
+  record.stroke = delta.stroke;
+  record.batch = delta.batch;
+  record.stroke_ended = delta.stroke_ended;
+  record.revision = delta.revision;
+  record.state_hash = delta.state_hash;
+  return record;
+}
+
+}  // namespace incise::loop

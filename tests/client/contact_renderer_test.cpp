@@ -1,0 +1,176 @@
+#include "client/contact_renderer.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <deque>
+#include <limits>
+
+#include "tests/haptics/random.hpp"
+
+namespace incise::client {
+namespace {
+
+using protocol::LocalContact;
+using protocol::Vec3;
+using tests::Random;
+
+constexpr std::int64_t kMs = 1'000'000;
+
+// The top of a table at z = 0.
+protocol::Force table(double stiffness = 800) {
+  protocol::Force force;
+  force.contact = LocalContact{{0, 0, 0}, {0, 0, 1}, stiffness, 0, 0, 0, 50 * kMs, false};
+  return force;
+}
+
+double size(const Vec3& v) {
+  return std::sqrt(v.x * v.x + v.y * v.y + v.z * v.z);
+}
+
+// A device at 1 kHz.
+struct Device {
+  explicit Device(const ContactLimits& with = {}) : limits(with), renderer(with) {}
+  Vec3 at(const Vec3& tool) {
+    now += kMs;
+    work -= last.x * (tool.x - place.x) + last.y * (tool.y - place.y) + last.z * (tool.z - place.z);
+    const Vec3 force = renderer.force(tool, now);
+    EXPECT_TRUE(std::isfinite(size(force)));
+    EXPECT_LE(size(force), limits.most_n + 1e-9);
+    EXPECT_LE(size({force.x - last.x, force.y - last.y, force.z - last.z}), limits.slew_n_s * 1e-3 + 1e-9);
+    place = tool;
+    return last = force;
+  }
+  // Pressed to that depth from above, for so long, with planes that keep coming.
+  Vec3 press(double depth, int frames) {
+    for (int i = 0; i < frames; ++i) {
+      renderer.take(table(), now);
+      at({0, 0, -depth * std::min(1.0, i / 100.0)});
+    }
+    return last;
+  }
+  const ContactLimits limits;
+  ContactRenderer renderer;
+  std::int64_t now = 1'000 * kMs;
+  Vec3 place, last;
+  double work = 0;
+};
+
+TEST(ContactRenderer, IsASpringAfterTheRamp) {
+  Device device;
+  EXPECT_NEAR(device.press(0.002, 1000).z, 0.8, 0.05) << "half way up the ramp";
+  for (int i = 0; i < 1100; ++i) {
+    device.renderer.take(table(), device.now);
+    device.at({0, 0, -0.002});
+  }
+  EXPECT_NEAR(device.last.z, 1.6, 0.01);
+}
+
+TEST(ContactRenderer, FadesWhenThePlaneExpiresAndComesBackWithTheRamp) {
+  Device device;
+  device.press(0.002, 2200);
+  ASSERT_GT(device.last.z, 1.5);
+  for (int i = 0; i < 48; ++i) device.at({0, 0, -0.002});
+  EXPECT_GT(device.last.z, 1.5) << "50 ms are allowed";
+  for (int i = 0; i < 12; ++i) device.at({0, 0, -0.002});
+  EXPECT_EQ(size(device.last), 0);
+  device.renderer.take(table(), device.now);
+  for (int i = 0; i < 20; ++i) device.at({0, 0, -0.002});
+  EXPECT_LT(device.last.z, 0.04);
+}
+
+TEST(ContactRenderer, ThePlaneGivesWayAtItsResistance) {
+  Device device;
+  protocol::Force force = table();
+  force.contact->cutting_resistance_n = 1;
+  force.contact->valid_for_ns = 1000 * kMs;
+  for (int i = 0; i < 5; ++i) {  // past the ramp
+    device.renderer.take(force, device.now);
+    for (int j = 0; j < 500; ++j) device.at({0, 0, 0.001 - 1e-5 * (i == 0 ? j : 500)});
+  }
+  EXPECT_NEAR(device.last.z, 1, 0.01);
+  double least = 10;
+  device.renderer.take(force, device.now);
+  for (int j = 0; j < 500; ++j) least = std::min(least, device.at({0, 0, -0.004 - 1e-5 * j}).z);
+  EXPECT_NEAR(least, 1, 0.05) << "a steady resistance";
+  device.at({0, 0, -0.009 + 0.0005});
+  device.at({0, 0, -0.009 + 0.002});
+  device.at({0, 0, -0.009 + 0.002});
+  EXPECT_LT(device.last.z, 0.05) << "behind the plane, which has moved along";
+}
+
+TEST(ContactRenderer, NothingUnsoundIsRendered) {
+  const double nan = std::numeric_limits<double>::quiet_NaN(),
+               infinite = std::numeric_limits<double>::infinity();
+  Random random(3);
+  Device device;
+  for (int i = 0; i < 3000; ++i) {
+    protocol::Force force = table(1e9);
+    LocalContact& c = *force.contact;
+    double* const fields[] = {&c.point.x,
+                              &c.normal.z,
+                              &c.stiffness_n_per_m,
+                              &c.damping_n_s_per_m,
+                              &c.cutting_resistance_n,
+                              &c.friction_n_s_per_m};
+    if (i % 3 != 0)
+      *fields[random.below(6)] = (random.below(2) ? nan : infinite) * (random.below(2) ? 1 : -1);
+    if (i % 7 == 0) c.valid_for_ns = std::numeric_limits<std::int64_t>::max();
+    device.renderer.take(force, device.now);
+    const Vec3 tool = random.below(50) ? Vec3{0, 0, -0.001 * random.uniform(-1, 1)} : Vec3{nan, infinite, 0};
+    if (std::isfinite(tool.x)) {
+      device.at(tool);
+    } else {
+      device.now += kMs;
+      EXPECT_TRUE(std::isfinite(size(device.last = device.renderer.force(tool, device.now))));
+    }
+  }
+}
+
+// Planes that come late by up to 150 ms, out of step, with losses, for random motions: no energy comes of it beyond
+// the stated tolerance.
+TEST(ContactRenderer, DelayMakesNoEnergy) {
+  int felt = 0;
+  for (std::uint64_t seed = 1; seed <= 30; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random random(seed);
+    Device device;
+    const int delay = static_cast<int>(random.below(150));
+    const double speed = random.uniform(1, 40), swing = random.uniform(0.001, 0.02);
+    const bool cutting = seed % 2 == 0;
+    double front = 0, force = 0, farthest = 0;
+    std::deque<std::pair<int, protocol::Force>> on_the_way;
+    for (int i = 0; i < 6000; ++i) {
+      const Vec3 tool{swing * std::sin(0.37 * speed * i * 1e-3), 0,
+                      swing * std::sin(speed * i * 1e-3) + random.uniform(-1e-4, 1e-4)};
+      // The server: a front at which the tissue gives way.
+      front = cutting ? std::min(front, tool.z + 0.001) : 0;
+      if (random.below(10) != 0) {
+        protocol::Force message = table(random.uniform(200, 3000));
+        message.contact->point = {0, 0, front};
+        message.contact->cutting_resistance_n = cutting ? 1 : 0;
+        message.contact->friction_n_s_per_m = 2;
+        message.contact->damping_n_s_per_m = 1;
+        message.contact->penetrated = cutting && front < -0.001;
+        on_the_way.emplace_back(i + delay + static_cast<int>(random.below(20)), message);
+      }
+      while (!on_the_way.empty() && on_the_way.front().first <= i) {
+        device.renderer.take(on_the_way.front().second, device.now);
+        on_the_way.pop_front();
+      }
+      const Vec3 before = device.place;
+      device.at(tool);
+      farthest = std::max(farthest, size({tool.x - before.x, tool.y - before.y, tool.z - before.z}));
+      force += size(device.last) * 1e-3;
+      // The fade holds a force for up to 10 steps after the account is empty.
+      const double tolerance = ContactRenderer::kReserve_j + ContactRenderer::kLeak_w * 1e-3 * (i + 1) +
+                               10 * device.limits.most_n * farthest;
+      ASSERT_GE(device.work, -tolerance) << "step " << i;
+    }
+    felt += force > 0.1;
+  }
+  EXPECT_GT(felt, 20);
+}
+
+}  // namespace
+}  // namespace incise::client

@@ -1,0 +1,118 @@
+#pragma once
+
+// What the tests of recovery share: incised in a folder of its own, killed and started again; a source of poses that
+// survives it; and a second opinion on its capture.
+
+#include <atomic>
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "client/client.hpp"
+#include "protocol/capture.hpp"
+#include "server/app/body.hpp"
+#include "server/app/config.hpp"
+#include "server/core/cut_session.hpp"
+#include "tests/e2e/process.hpp"
+
+namespace incise::e2e {
+
+// incised on a phantom slab, its files in a folder that goes with this.
+class ServedSession {
+ public:
+  // `capture`: more keys for the configuration's "capture", each with a comma in front.
+  ServedSession(const std::string& name, int target_tets, const std::string& capture);
+  ~ServedSession();
+
+  // Other keys for "capture", from the next start on.
+  void set_capture(const std::string& capture) {
+    more_capture_ = capture;
+    write_config();
+  }
+  // Starts it; waits until it listens where told so. False where it ended instead, or did not listen within a minute. After
+  // the first time it listens where it did then, so that clients find it again.
+  bool start(bool resume, bool wait = true);
+  bool wait_until_listening();
+  // kill -9, and waits for its end.
+  void kill();
+
+  Process& server() { return *server_; }
+  std::uint16_t tcp_port() const { return tcp_port_; }
+  std::uint16_t http_port() const { return http_port_; }
+  std::string capture() const { return (directory_ / "session.capture").string(); }
+  std::string file(const std::string& name) const { return (directory_ / name).string(); }
+  // What it has logged, all starts together.
+  std::string log() const;
+  // One number of /stats, by its path ("/journal/lost"); nothing where it cannot be had.
+  std::optional<double> stat(const std::string& pointer) const;
+  const app::Config& config() const { return config_; }
+  const app::Body& body() const { return body_; }
+
+ private:
+  void write_config() const;
+  std::filesystem::path directory_;
+  const int target_tets_;
+  std::string more_capture_;
+  std::uint16_t tcp_port_ = 0, http_port_ = 0;
+  app::Config config_;
+  app::Body body_;
+  std::unique_ptr<Process> server_;
+};
+
+// Sends poses to and fro across the body, at a device's rate, for as long as it lives: connects again when the server
+// has gone. Thread: its own.
+class PoseDriver {
+ public:
+  PoseDriver(const ServedSession& session, double rate_hz, double speed_m_s,
+             const std::string& source = "blade");
+  ~PoseDriver();
+  // Lifts the blade and ends sending; waits until the server has dealt with all that was sent in this connection. False
+  // where it has not within five minutes.
+  bool settle();
+  std::uint64_t sent() const { return sent_; }
+  // Source time of the last pose that the server says it has taken; the clock is CLOCK_MONOTONIC, ns.
+  std::int64_t acknowledged_ns() const { return acknowledged_ns_; }
+  std::uint64_t rejected() const { return rejected_; }
+
+ private:
+  void run(const ServedSession& session, double rate_hz, double speed_m_s, const std::string& source);
+  std::atomic<bool> stop_{false}, settled_{false};
+  std::atomic<std::uint64_t> sent_{0}, rejected_{0};
+  std::atomic<std::int64_t> acknowledged_ns_{0};
+  std::thread thread_;
+};
+
+// The offline run: reads a capture as it grows, computes with no budget and no server what its poses make, and compares
+// each mark's hash.
+class CaptureFollower {
+ public:
+  explicit CaptureFollower(const ServedSession& session);
+  // Reads on, to the last whole record. Empty, or what is wrong.
+  std::string follow();
+
+  std::uint64_t revision() const { return session_->revision(); }
+  std::uint64_t state_hash() const { return session_->mesh().state_hash(); }
+  bool in_stroke() const {
+    for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
+      if (session_->in_stroke(source)) return true;
+    return false;
+  }
+  std::uint64_t marks() const { return marks_; }
+  std::uint64_t poses() const { return poses_; }
+  std::uint64_t gaps() const { return gaps_; }
+  std::int64_t last_source_ns() const { return last_source_ns_; }
+
+ private:
+  void operator()(const protocol::CaptureRecord& record, std::string& problem);
+  const ServedSession& served_;
+  std::unique_ptr<core::CutSession> session_;
+  std::map<std::uint64_t, std::uint64_t> hashes_;  // of revisions whose marks have not come by
+  std::uint64_t good_bytes_ = 0, records_ = 0, marks_ = 0, poses_ = 0, gaps_ = 0;
+  std::int64_t last_source_ns_ = 0;
+};
+
+}  // namespace incise::e2e
