@@ -167,6 +167,7 @@ TEST_F(Incise, CutIsTheSameEveryTimeAndInEveryFormat) {
 TEST_F(Incise, RegionsSurviveACutInEveryFormat) {
   write_cube_and_sweep();
   core::MeshData cube = tests::cube(6);
+  cube.regions.clear();
   // Two tissues whose border the cut crosses: left and right of the middle in y.
   for (const auto& tet : cube.tets) {
     double y = 0;
