@@ -77,14 +77,14 @@ set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_INCISE_PACKAGE_NAME incise)
-set(CPACK_COMPONENT_INCISE_DESCRIPTION "Cut tetrahedral meshes with a moving blade
- The command line of Incise: cuts, replays, converts and shows meshes, motions and
- captures, and talks to a running cut server.")
+set(CPACK_DEBIAN_INCISE_DESCRIPTION "Cut tetrahedral meshes with a moving blade
+The command line of Incise: cuts, replays, converts and shows meshes, motions and
+captures, and talks to a running cut server.")
 set(CPACK_DEBIAN_INCISED_PACKAGE_NAME incised)
 set(CPACK_DEBIAN_INCISED_PACKAGE_DEPENDS "incise (= ${PROJECT_VERSION}), systemd | systemd-standalone-sysusers")
-set(CPACK_COMPONENT_INCISED_DESCRIPTION "Networked haptic cut server
- Holds a tetrahedral mesh of soft tissue, takes blade poses at haptic rates, cuts the
- mesh inside a fixed share of every millisecond, and streams what changed.")
+set(CPACK_DEBIAN_INCISED_DESCRIPTION "Networked haptic cut server
+Holds a tetrahedral mesh of soft tissue, takes blade poses at haptic rates, cuts the
+mesh inside a fixed share of every millisecond, and streams what changed.")
 set(CPACK_DEBIAN_INCISED_PACKAGE_CONTROL_EXTRA
   "${CMAKE_CURRENT_LIST_DIR}/debian/postinst;${CMAKE_CURRENT_LIST_DIR}/debian/prerm;${CMAKE_CURRENT_LIST_DIR}/debian/postrm;${CMAKE_CURRENT_LIST_DIR}/debian/conffiles")
 set(CPACK_DEBIAN_INCISED_PACKAGE_CONTROL_STRICT_PERMISSION ON)
@@ -92,6 +92,6 @@ set(CPACK_DEBIAN_DEV_PACKAGE_NAME libincise-dev)
 set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS "libssl-dev")
-set(CPACK_COMPONENT_DEV_DESCRIPTION "Libraries for clients of the Incise cut server
- Headers and static libraries: the cut core, the protocol and the client.")
+set(CPACK_DEBIAN_DEV_DESCRIPTION "Libraries for clients of the Incise cut server
+Headers and static libraries: the cut core, the protocol and the client.")
 include(CPack)
