@@ -1,6 +1,9 @@
 // The commands of `incise` on files, as a user runs them: the built program, its exit codes and its messages.
 
+#include <arpa/inet.h>
 #include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
@@ -368,6 +371,49 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
     EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
   }
   expect_error(run({"info", "nothing"}), 1, {"nothing", "no such file"});
+}
+
+TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
+  // A port that somebody has, a processor that is not there, a place where nothing can be written.
+  const int s = ::socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  ASSERT_EQ(::bind(s, reinterpret_cast<sockaddr*>(&address), size), 0);
+  ASSERT_EQ(::listen(s, 1), 0);
+  ASSERT_EQ(::getsockname(s, reinterpret_cast<sockaddr*>(&address), &size), 0);
+  write("bad.json",
+        R"({"mesh": {"phantom": "slab"}, "loop": {"cpu": 1000}, "capture": {"path": "/proc/here/a.capture"},
+    "listen": {"http_port": 0, "tcp_port": )" +
+            std::to_string(ntohs(address.sin_port)) + "}}");
+  const RunResult bad = run({"doctor", "--config", "bad.json", "--json"});
+  EXPECT_EQ(bad.exit_code, 1);
+  std::map<std::string, json> findings;
+  for (const json& finding : json::parse(bad.out)["findings"]) findings[finding["what"]] = finding;
+  for (const auto& [what, found] : {std::pair{"listen.tcp_port", "Address already in use"},
+                                    {"processors", "loop.cpu is 1000"},
+                                    {"capture.path", "/proc: "}}) {
+    ASSERT_TRUE(findings.contains(what)) << bad.out;
+    EXPECT_EQ(findings[what]["verdict"], "fault") << bad.out;
+    EXPECT_NE(findings[what]["found"].get<std::string>().find(found), std::string::npos) << bad.out;
+    EXPECT_TRUE(findings[what].contains("remedy")) << bad.out;
+  }
+  for (const char* what : {"configuration", "clock", "listen.http_port", "incise-tetgen"}) {
+    EXPECT_EQ(findings[what]["verdict"], "good") << what << ": " << bad.out;
+  }
+  ::close(s);
+
+  write("good.json", R"({"mesh": {"phantom": "slab"}, "listen": {"tcp_port": 0, "http_port": 0}})");
+  const RunResult good = run({"doctor", "--config", "good.json"});
+  EXPECT_EQ(good.exit_code, 0) << good.out << good.err;
+  EXPECT_NE(good.out.find(": 0 faults, "), std::string::npos) << good.out;
+
+  write("wrong.json", R"({"mesh": {"phantom": "spleen"}})");
+  const RunResult wrong = run({"doctor", "--config", "wrong.json"});
+  EXPECT_EQ(wrong.exit_code, 1);
+  EXPECT_NE(wrong.out.find("fault    configuration"), std::string::npos) << wrong.out;
+  EXPECT_NE(wrong.out.find("spleen"), std::string::npos) << wrong.out;
 }
 
 TEST_F(Incise, PhantomsAreTheSameEveryTime) {
