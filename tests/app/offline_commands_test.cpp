@@ -384,7 +384,7 @@ TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
   ASSERT_EQ(::listen(s, 1), 0);
   ASSERT_EQ(::getsockname(s, reinterpret_cast<sockaddr*>(&address), &size), 0);
   write("bad.json",
-        R"({"mesh": {"phantom": "slab"}, "loop": {"cpu": 1000}, "capture": {"path": "/proc/here/a.capture"},
+        R"({"mesh": {"phantom": "slab"}, "loop": {"cpu": 1000}, "capture": {"path": "bad.json/a.capture"},
     "listen": {"http_port": 0, "tcp_port": )" +
             std::to_string(ntohs(address.sin_port)) + "}}");
   const RunResult bad = run({"doctor", "--config", "bad.json", "--json"});
@@ -393,7 +393,7 @@ TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
   for (const json& finding : json::parse(bad.out)["findings"]) findings[finding["what"]] = finding;
   for (const auto& [what, found] : {std::pair{"listen.tcp_port", "Address already in use"},
                                     {"processors", "loop.cpu is 1000"},
-                                    {"capture.path", "/proc: "}}) {
+                                    {"capture.path", "bad.json: Not a directory"}}) {
     ASSERT_TRUE(findings.contains(what)) << bad.out;
     EXPECT_EQ(findings[what]["verdict"], "fault") << bad.out;
     EXPECT_NE(findings[what]["found"].get<std::string>().find(found), std::string::npos) << bad.out;
