@@ -390,7 +390,8 @@ TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
   const RunResult bad = run({"doctor", "--config", "bad.json", "--json"});
   EXPECT_EQ(bad.exit_code, 1);
   std::map<std::string, json> findings;
-  for (const json& finding : json::parse(bad.out)["findings"]) findings[finding["what"]] = finding;
+  const json report = json::parse(bad.out);
+  for (const json& finding : report["findings"]) findings[finding["what"]] = finding;
   for (const auto& [what, found] : {std::pair{"listen.tcp_port", "Address already in use"},
                                     {"processors", "loop.cpu is 1000"},
                                     {"capture.path", "bad.json: Not a directory"}}) {

@@ -227,7 +227,10 @@ Finding check_directory(const std::string& what, fs::path directory) {
     directory = directory.parent_path();
   }
   if (directory.empty()) directory = ".";
-  if (access(directory.c_str(), W_OK) == 0)
+  if (!fs::is_directory(directory, error)) {
+    return {what, Verdict::kFault, directory.string() + ": " + reason(ENOTDIR), "name another place"};
+  }
+  if (access(directory.c_str(), W_OK | X_OK) == 0)
     return {what, Verdict::kGood, directory.string() + " can be written", ""};
   return {what, Verdict::kFault, directory.string() + ": " + reason(errno),
           "give this user the right to write there, or name another place"};
