@@ -273,7 +273,8 @@ class VtkReader {
       const std::string_view rest = in_.line();
       if (!rest.empty())
         components = rest.size() == 1 && rest[0] >= '1' && rest[0] <= '4' ? rest[0] - '0' : 0;
-      if (components == 0) in_.fail("the number of components is " + in_quotes(rest) + "; 1 to 4 are accepted");
+      if (components == 0)
+        in_.fail("the number of components is " + in_quotes(rest) + "; 1 to 4 are accepted");
       if (lowercase(in_.peek()) == "lookup_table") {
         in_.line();
       }
@@ -340,7 +341,8 @@ class VtkReader {
       return;
     }
     const auto type = number_type(type_name);
-    if (!type) in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
+    if (!type)
+      in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
     const bool keep =
         of_cells_ && components == 1 && tuples == types_.size() && find_region_array({&name, 1}) >= 0;
     if (binary_) in_.set_binary(std::endian::big);

@@ -128,7 +128,8 @@ double LineReader::number(std::size_t i, std::string_view what) const {
   } else if (error != std::errc() || end != field.data() + field.size()) {
     fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not a number");
   }
-  if (!std::isfinite(value)) fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not a finite number");
+  if (!std::isfinite(value))
+    fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not a finite number");
   return value;
 }
 
