@@ -267,9 +267,9 @@ Key overrides() {
 const std::vector<Key>& keys() {
   static const std::vector<Key> table{
       text("mesh.path", INCISE_FIELD(mesh.path), "a path, relative to this file",
-           "The body: a tetrahedral mesh (TetGen .node/.ele, or their common name) or a closed surface (.stl "
-           ".ply .off "
-           ".obj), which is filled with tetrahedra."),
+           "The body: a tetrahedral mesh (TetGen .node/.ele, or their common name; .msh, .vtk, .vtu, .mesh, "
+           ".veg) or a "
+           "closed surface (.stl .ply .off .obj), which is filled with tetrahedra."),
       word("mesh.phantom", {"", "liver", "cylinder", "slab"}, INCISE_FIELD(mesh.phantom),
            "Instead of a file: a body of our own, made at the start with mesh.target_tets tetrahedra."),
       number("mesh.scale_to_metres", INCISE_FIELD(mesh.scale_to_metres), 1e-9, 1e9,

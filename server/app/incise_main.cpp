@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <exception>
 
+#include "server/app/manual.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/version.hpp"
 #if INCISE_NETWORK_COMMANDS
@@ -19,6 +20,7 @@ int main(int argc, char** argv) {
 #if INCISE_NETWORK_COMMANDS
   incise::client::add_network_commands(app, exit_code);
 #endif
+  incise::app::add_manual_options(app, 1);
   try {
     app.parse(argc, argv);
     if (app.get_subcommands().empty()) std::fputs(app.help().c_str(), stdout);

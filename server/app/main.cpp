@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include "server/app/config.hpp"
+#include "server/app/manual.hpp"
 #include "server/app/server_run.hpp"
 #include "server/app/version.hpp"
 
@@ -60,6 +61,7 @@ int main(int argc, char** argv) {
   app.add_option("--check", check_file, "Check a configuration and say what is wrong with it");
   app.add_flag("--print-config", print_config,
                "Print a configuration of all keys, their defaults and meanings");
+  incise::app::add_manual_options(app, 8);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -6,8 +6,10 @@
 #include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "server/mesh_io/surface_files.hpp"
+#include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/tet_repair.hpp"
 #include "server/mesh_io/tetgen_files.hpp"
+#include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/write_vtk.hpp"
 
 namespace incise::mesh_io {
@@ -30,6 +32,33 @@ bool is_there(const std::filesystem::path& path) {
   return std::filesystem::exists(path, error);
 }
 
+using Parser = core::MeshData (*)(std::string_view, const std::string&, std::vector<std::string>&);
+
+// Of files that hold tetrahedra, TetGen's pair apart. Null: none of these endings.
+Parser parser_of(std::string_view ending) {
+  static constexpr std::pair<std::string_view, Parser> kParsers[] = {
+      {".msh", parse_gmsh}, {".msh2", parse_gmsh},  {".vtk", parse_vtk},
+      {".vtu", parse_vtu},  {".mesh", parse_medit}, {".veg", parse_vega}};
+  for (const auto& [known, parser] : kParsers) {
+    if (ending == known) return parser;
+  }
+  return nullptr;
+}
+
+// The cell array named "region", as integers; empty where there is none.
+std::vector<std::int32_t> regions_in(std::span<const CellArray> cell_data) {
+  std::vector<std::int32_t> regions;
+  for (const CellArray& array : cell_data) {
+    if (array.name != "region") continue;
+    std::visit(
+        [&regions](const auto& values) {
+          for (const auto value : values) regions.push_back(static_cast<std::int32_t>(value));
+        },
+        array.values);
+  }
+  return regions;
+}
+
 void scale(std::vector<core::Vec3>& positions, double factor) {
   if (factor == 1) return;
   for (core::Vec3& p : positions) p = factor * p;
@@ -38,13 +67,17 @@ void scale(std::vector<core::Vec3>& positions, double factor) {
 }  // namespace
 
 std::string_view mesh_file_endings() {
-  return ".vtu, .node, .ele";
+  return ".vtu, .vtk, .msh, .msh2, .mesh, .node, .ele";
 }
 std::string_view surface_file_endings() {
   return ".stl, .ply, .off, .obj, .vtp";
 }
+bool is_mesh_input(const std::filesystem::path& path) {
+  const std::string ending = lowercase_ending(path);
+  return is_one_of(ending, {".node", ".ele"}) || parser_of(ending) != nullptr;
+}
 bool is_mesh_file(const std::filesystem::path& path) {
-  return is_one_of(lowercase_ending(path), {".vtu", ".node", ".ele"});
+  return is_one_of(lowercase_ending(path), {".vtu", ".vtk", ".msh", ".msh2", ".mesh", ".node", ".ele"});
 }
 bool is_surface_file(const std::filesystem::path& path) {
   return is_one_of(lowercase_ending(path), {".stl", ".ply", ".off", ".obj", ".vtp"});
@@ -68,6 +101,9 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
     loaded.filled = true;
     loaded.from_cache = fill.from_cache;
     file += " (filled)";
+  } else if (const Parser parse = parser_of(ending)) {
+    loaded.mesh = parse(read_whole_file(path), file, loaded.warnings);
+    scale(loaded.mesh.positions, options.scale_to_metres);
   } else if (is_one_of(ending, {".node", ".ele"}) || is_there(tetgen_paths(path).node)) {
     loaded.mesh = read_tetgen(path, index_base, loaded.warnings);
     scale(loaded.mesh.positions, options.scale_to_metres);
@@ -77,7 +113,8 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
   } else {
     throw MeshError(
         file + ": the ending '" + ending +
-        "' is not a mesh's; .node, .ele (or their common name), .stl, .ply, .off and .obj are accepted");
+        "' is not a mesh's; .node, .ele (or their common name), .msh, .vtk, .vtu, .mesh, .veg, .stl, "
+        ".ply, .off and .obj are accepted");
   }
   repair_tets(loaded.mesh, file, index_base, loaded.warnings);
   loaded.content_hash = mesh_hash(loaded.mesh);
@@ -107,17 +144,14 @@ void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> p
   const std::string ending = lowercase_ending(path);
   if (ending == ".vtu") {
     write_vtu(path, positions, tets, cell_data);
+  } else if (ending == ".vtk") {
+    write_vtk_legacy(path, positions, tets, cell_data);
+  } else if (is_one_of(ending, {".msh", ".msh2"})) {
+    write_gmsh(path, positions, tets, regions_in(cell_data), ending == ".msh");
+  } else if (ending == ".mesh") {
+    write_medit(path, positions, tets, regions_in(cell_data));
   } else if (is_one_of(ending, {".node", ".ele"})) {
-    std::vector<std::int32_t> regions;
-    for (const CellArray& array : cell_data) {
-      if (array.name != "region") continue;
-      std::visit(
-          [&regions](const auto& values) {
-            for (const auto value : values) regions.push_back(static_cast<std::int32_t>(value));
-          },
-          array.values);
-    }
-    write_tetgen(path, positions, tets, regions);
+    write_tetgen(path, positions, tets, regions_in(cell_data));
   } else {
     throw MeshError(path.string() + ": a tetrahedral mesh cannot be written with the ending '" + ending +
                     "'; " + std::string(mesh_file_endings()) + " are accepted");

@@ -28,7 +28,8 @@ struct LoadedMesh {
   bool from_cache = false;            // and the fill was found in the cache
 };
 
-// Reads a tetrahedral mesh (.node, .ele, or the base name of both) or a closed surface (.stl, .ply, .off,
+// Reads a tetrahedral mesh (.node, .ele, or the base name of both; Gmsh .msh, VTK .vtk and .vtu, Medit .mesh, VegaFEM
+// .veg: see tet_files.hpp) or a closed surface (.stl, .ply, .off,
 // .obj), which is checked and filled by TetGen in a child process. The mesh is scaled, checked and repaired
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
@@ -41,6 +42,8 @@ Surface read_surface(const std::filesystem::path& path, std::vector<std::string>
 // same hash are the same bits.
 std::string mesh_hash(const core::MeshData& mesh);
 
+// Whether load_mesh takes a file of this ending for tetrahedra.
+bool is_mesh_input(const std::filesystem::path& path);
 // Whether write_mesh / write_surface takes a file of this ending.
 bool is_mesh_file(const std::filesystem::path& path);
 bool is_surface_file(const std::filesystem::path& path);
@@ -48,8 +51,9 @@ bool is_surface_file(const std::filesystem::path& path);
 std::string_view mesh_file_endings();
 std::string_view surface_file_endings();
 
-// Writes a tetrahedral mesh by the ending of `path`: .vtu with all of `cell_data`, or .node and .ele with the
-// array named "region" as the attribute. Each array has one value a tetrahedron. Throws MeshError.
+// Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data`; with the array named
+// "region" .node and .ele (as the attribute), .msh (Gmsh 4.1) and .msh2 (Gmsh 2.2; as the physical group), .mesh (as
+// the reference). Each array has one value a tetrahedron. Throws MeshError.
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                 std::span<const std::array<core::VertexId, 4>> tets,
                 std::span<const CellArray> cell_data = {});

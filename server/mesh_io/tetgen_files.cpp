@@ -4,13 +4,12 @@
 #include <limits>
 
 #include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 
 namespace incise::mesh_io {
 namespace {
 
-// What core::TetMesh takes: half-faces and new ids fit in 32 bits.
-constexpr std::size_t kMaxTets = (std::size_t{1} << 28) - 2;
 // "0 0 0 0" and its end of line; "0 0 1 2 3" and its.
 constexpr std::size_t kMinNodeLine = 8, kMinEleLine = 10;
 

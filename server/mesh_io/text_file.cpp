@@ -19,15 +19,13 @@ struct CloseFile {
   void operator()(std::FILE* file) const { std::fclose(file); }
 };
 
-// At most 40 printable characters of a field, for a message: a binary file read as text must not spill into
-// it.
-std::string quoted(std::string_view field) {
+}  // namespace
+
+std::string in_quotes(std::string_view field) {
   std::string text = "'";
   for (const char c : field.substr(0, 40)) text += c >= ' ' && c <= '~' ? c : '?';
   return text + (field.size() > 40 ? "...'" : "'");
 }
-
-}  // namespace
 
 std::string to_text(double number) {
   char buffer[32];
@@ -128,9 +126,10 @@ double LineReader::number(std::size_t i, std::string_view what) const {
   if (error == std::errc::result_out_of_range) {
     value = std::strtod(std::string(field).c_str(), nullptr);
   } else if (error != std::errc() || end != field.data() + field.size()) {
-    fail(std::string(what) + " is " + quoted(fields_[i]) + ", not a number");
+    fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not a number");
   }
-  if (!std::isfinite(value)) fail(std::string(what) + " is " + quoted(fields_[i]) + ", not a finite number");
+  if (!std::isfinite(value))
+    fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not a finite number");
   return value;
 }
 
@@ -141,7 +140,7 @@ std::int64_t LineReader::integer(std::size_t i, std::string_view what) const {
   std::int64_t value = 0;
   const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
   if (error != std::errc() || end != field.data() + field.size()) {
-    fail(std::string(what) + " is " + quoted(fields_[i]) + ", not an integer");
+    fail(std::string(what) + " is " + in_quotes(fields_[i]) + ", not an integer");
   }
   return value;
 }

@@ -20,6 +20,10 @@ void write_whole_file(const std::filesystem::path& path, std::string_view bytes)
 void append_number(std::string& text, double number);
 void append_number(std::string& text, std::int64_t number);
 
+// At most 40 printable characters of a field, in quotes, for a message: a binary file read as text must not spill into
+// it.
+std::string in_quotes(std::string_view field);
+
 // Walks over the lines of a text file that hold something besides blanks and comments, split into fields.
 // Keeps views into `text`, which must outlive it.
 class LineReader {

@@ -1,9 +1,13 @@
 // The commands of `incise` on files, as a user runs them: the built program, its exit codes and its messages.
 
+#include <arpa/inet.h>
 #include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <cstring>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "server/core/measure.hpp"
@@ -160,6 +164,46 @@ TEST_F(Incise, CutIsTheSameEveryTimeAndInEveryFormat) {
   const std::string vtu = tests::read_file(dir_ / "a.vtu");
   for (const char* array : {"cut_mask", "cut_faces", "piece", "min_dihedral_deg", "region", "tet_id"}) {
     EXPECT_NE(vtu.find("Name=\"" + std::string(array) + "\""), std::string::npos) << array;
+  }
+}
+
+TEST_F(Incise, RegionsSurviveACutInEveryFormat) {
+  write_cube_and_sweep();
+  core::MeshData cube = tests::cube(6);
+  cube.regions.clear();
+  // Two tissues whose border the cut crosses: left and right of the middle in y.
+  for (const auto& tet : cube.tets) {
+    double y = 0;
+    for (const auto v : tet) y += cube.positions[v].y / 4;
+    cube.regions.push_back(y < 0.05 ? 3 : 8);
+  }
+  const auto volumes = [](const core::MeshData& mesh) {
+    std::map<int, double> sums;
+    for (std::size_t t = 0; t < mesh.tets.size(); ++t) {
+      const auto& v = mesh.tets[t];
+      const core::Vec3 o = mesh.positions[v[0]];
+      sums[mesh.regions.empty() ? 0 : mesh.regions[t]] +=
+          core::dot(core::cross(mesh.positions[v[1]] - o, mesh.positions[v[2]] - o),
+                    mesh.positions[v[3]] - o) /
+          6;
+    }
+    return sums;
+  };
+  const auto before = volumes(cube);
+  ASSERT_EQ(before.size(), 2u);
+  for (const char* ending : {".msh", ".msh2", ".vtk", ".vtu", ".mesh", ".node"}) {
+    SCOPED_TRACE(ending);
+    const std::string in = std::string("in") + ending, out = std::string("out") + ending;
+    mesh_io::write_mesh(dir_ / in, cube);
+    const RunResult result = run(
+        {"cut", "--mesh", in, "--poses", "sweep.csv", "--blade", kBlade, "--out", out, "--report", "r.json"});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    const core::MeshData cut = mesh_io::load_mesh(dir_ / out).mesh;
+    EXPECT_GT(cut.positions.size(), cube.positions.size());
+    const auto after = volumes(cut);
+    ASSERT_EQ(after.size(), 2u);
+    for (const auto& [region, volume] : before)
+      EXPECT_NEAR(after.at(region), volume, 0.02 * volume) << region;
   }
 }
 
@@ -327,6 +371,50 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
     EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
   }
   expect_error(run({"info", "nothing"}), 1, {"nothing", "no such file"});
+}
+
+TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
+  // A port that somebody has, a processor that is not there, a place where nothing can be written.
+  const int s = ::socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  ASSERT_EQ(::bind(s, reinterpret_cast<sockaddr*>(&address), size), 0);
+  ASSERT_EQ(::listen(s, 1), 0);
+  ASSERT_EQ(::getsockname(s, reinterpret_cast<sockaddr*>(&address), &size), 0);
+  write("bad.json",
+        R"({"mesh": {"phantom": "slab"}, "loop": {"cpu": 1000}, "capture": {"path": "bad.json/a.capture"},
+    "listen": {"http_port": 0, "tcp_port": )" +
+            std::to_string(ntohs(address.sin_port)) + "}}");
+  const RunResult bad = run({"doctor", "--config", "bad.json", "--json"});
+  EXPECT_EQ(bad.exit_code, 1);
+  std::map<std::string, json> findings;
+  const json report = json::parse(bad.out);
+  for (const json& finding : report["findings"]) findings[finding["what"]] = finding;
+  for (const auto& [what, found] : {std::pair{"listen.tcp_port", "Address already in use"},
+                                    {"processors", "loop.cpu is 1000"},
+                                    {"capture.path", "bad.json: Not a directory"}}) {
+    ASSERT_TRUE(findings.contains(what)) << bad.out;
+    EXPECT_EQ(findings[what]["verdict"], "fault") << bad.out;
+    EXPECT_NE(findings[what]["found"].get<std::string>().find(found), std::string::npos) << bad.out;
+    EXPECT_TRUE(findings[what].contains("remedy")) << bad.out;
+  }
+  for (const char* what : {"configuration", "clock", "listen.http_port", "incise-tetgen"}) {
+    EXPECT_EQ(findings[what]["verdict"], "good") << what << ": " << bad.out;
+  }
+  ::close(s);
+
+  write("good.json", R"({"mesh": {"phantom": "slab"}, "listen": {"tcp_port": 0, "http_port": 0}})");
+  const RunResult good = run({"doctor", "--config", "good.json"});
+  EXPECT_EQ(good.exit_code, 0) << good.out << good.err;
+  EXPECT_NE(good.out.find(": 0 faults, "), std::string::npos) << good.out;
+
+  write("wrong.json", R"({"mesh": {"phantom": "spleen"}})");
+  const RunResult wrong = run({"doctor", "--config", "wrong.json"});
+  EXPECT_EQ(wrong.exit_code, 1);
+  EXPECT_NE(wrong.out.find("fault    configuration"), std::string::npos) << wrong.out;
+  EXPECT_NE(wrong.out.find("spleen"), std::string::npos) << wrong.out;
 }
 
 TEST_F(Incise, PhantomsAreTheSameEveryTime) {

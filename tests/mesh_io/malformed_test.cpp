@@ -197,6 +197,132 @@ const BadFile kBadSurfaces[] = {
     {"obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 3 2\n", "have the same vertices"},
 };
 
+#define MSH2 "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+#define MSH4 "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n"
+#define NODES "$Nodes\n4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n$EndNodes\n"
+#define VTK "# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+#define POINTS VTK "POINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+#define VTU(attributes) "<VTKFile type='UnstructuredGrid' " attributes "><UnstructuredGrid>"
+#define PIECE \
+  "<Piece NumberOfPoints='1' NumberOfCells='1'><Points>\n<DataArray type='Float32' NumberOfComponents='3' "
+#define VEG "*VERTICES\n4 3 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n*ELEMENTS\nTET\n"
+
+const BadFile kBadTetFiles[] = {
+    {"msh", "", "a.msh: the file is empty"},
+    {"msh", "solid\n", "a.msh:1: a Gmsh file starts with '$MeshFormat'"},
+    {"msh", "$MeshFormat\n3 0 8\n$EndMeshFormat\n",
+     "a.msh:2: version 3 of the format; 1, 2, 2.1, 2.2 and 4.1"},
+    {"msh", "$MeshFormat\n2.2 7 8\n", "a.msh:2: the file's type is neither"},
+    {"msh", "$MeshFormat\n2.2 1 8\n\2\0\0\0"sv, "a.msh, byte 20: the number one"},
+    {"msh", "$MeshFormat\n2.2 1 8\n\1\0"sv, "a.msh: ends where the number one"},
+    {"msh",
+     "$MeshFormat\n2.2 1 8\n\1\0\0\0\n$EndMeshFormat\n$Nodes\n1\n\1\0\0\0\0\0\0\0\0\0\xf8\x7f"
+     "12345678abcdefgh\n$EndNodes\n"sv,
+     "a coordinate is not finite"},
+    {"msh", MSH2 "$Nodes\n4000000000\n", "a.msh:5: the number of nodes is 4000000000; at most"},
+    {"msh", MSH2 "$Nodes\n-1\n", "a.msh:5: the number of nodes is -1"},
+    {"msh", MSH2 "$Nodes\n1\n1 0 0 nan\n$EndNodes\n",
+     "a.msh:6: the coordinate z is 'nan', not a finite number"},
+    {"msh", MSH2 "$Nodes\n1\n1 0 0 x\n$EndNodes\n", "a.msh:6: the coordinate z is 'x', not a number"},
+    {"msh", MSH2 "$Nodes\n1\n99999999999 0 0 0\n$EndNodes\n",
+     "a.msh:6: the number of a node is 99999999999, out of"},
+    {"msh", MSH2 "$Nodes\n2\n1 0 0 0\n1 1 0 0\n$EndNodes\n", "there are two nodes with the number 1"},
+    {"msh", MSH2 "$Nodes\n1\n1 0 0 0\n2 0 0 0\n$EndNodes\n", "a.msh:7: '$EndNodes' expected"},
+    {"msh", MSH2 NODES, "a.msh: there is no tetrahedron in it"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 2 0 1 2 3\n$EndElements\n",
+     "no tetrahedron in it (1 points, lines or faces)"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 4 0 1 2 3 9\n$EndElements\n",
+     "a.msh:13: the node 9 does not exist; there are 4, the first is 1"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 4 0 1 2 3\n$EndElements\n",
+     "a.msh:14: a node of an element is '$EndElements'"},
+    {"msh", MSH2 NODES "$Elements\n2\n1 4 0 1 2 3 4\n", "a.msh: ends where the number of an element"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 5 0 1 2 3 4\n", "an element of type 5 (hexahedron"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 999 0 1 2 3 4\n", "the element type 999 is not known"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 4 -1 1 2 3 4\n", "an element of -1 tags"},
+    {"msh", MSH2 NODES "$Elements\n1\n1 4 2 4294967296 1 1 2 3 4\n",
+     "a tag of an element is 4294967296, out of range"},
+    {"msh", MSH2 "$Periodic\n1\n", "the section '$Periodic' has no end"},
+    {"msh", MSH2 "hello\n", "a section such as '$Nodes' expected"},
+    {"msh", MSH4 "$Nodes\n1 99999999999 1 1\n", "a.msh:5: the number of nodes is 99999999999; at most"},
+    {"msh", MSH4 "$Nodes\n1 2 1 1\n3 1 0 1\n1\n0 0 0\n$EndNodes\n",
+     "there are 1 nodes in the blocks; the section declares 2"},
+    {"msh", MSH4 "$Nodes\n1 1 1 1\n5 1 0 1\n1\n0 0 0\n$EndNodes\n", "an entity of dimension 5"},
+    {"vtk", "hello\n", "a.vtk:1: the first line is '# vtk DataFile"},
+    {"vtk", "# vtk DataFile Version 3.0\nx\nEBCDIC\n",
+     "a.vtk:3: 'ASCII' or 'BINARY' expected, found 'ebcdic'"},
+    {"vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\n", "a data set of the kind 'POLYDATA'"},
+    {"vtk", VTK, "a.vtk: there is no tetrahedron in it"},
+    {"vtk", VTK "POINTS 3000000000 float\n", "a.vtk:5: the number of points is 3000000000; at most"},
+    {"vtk", VTK "POINTS 1 half\n", "the type of numbers 'half' is not known"},
+    {"vtk", VTK "POINTS 1 float\n0 0 inf\n", "a.vtk:6: the coordinate z is 'inf'"},
+    {"vtk", POINTS "CELLS 1 5\n4 0 1 2 3\n", "a.vtk: there are cells and no 'CELL_TYPES'"},
+    {"vtk", POINTS "CELLS 1 5\n4 0 1 2 4\nCELL_TYPES 1\n10\n", "the node 4 does not exist"},
+    {"vtk", POINTS "CELLS 1 5\n5 0 1 2 3\n", "cell 0 has 5 points: more than the size 5"},
+    {"vtk", POINTS "CELLS 1 5\n-1 0 1 2 3\n", "cell 0 has -1 points"},
+    {"vtk", POINTS "CELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n10\n", "cell 0 has 3 points; its type has 4"},
+    {"vtk", POINTS "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 2\n10\n10\n", "types of 2 cells; there are 1"},
+    {"vtk", POINTS "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n12\n",
+     "cell 0 is of type 12; of cells of three dimensions"},
+    {"vtk", POINTS "CELLS 2 4\nOFFSETS vtktypeint64\n0 9\n", "the offset 9 of cell 1 is out of order"},
+    {"vtk",
+     POINTS
+     "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\nCELL_DATA 1\nSCALARS region int\nLOOKUP_TABLE default\nx\n",
+     "a.vtk:14: a value of the array 'region' is 'x'"},
+    {"vtk", POINTS "nonsense 3\n", "data expected, found 'nonsense'"},
+    {"vtk",
+     "# vtk DataFile Version 3.0\nx\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 1 float\n\x7f\xc0\0\0abcdefgh"sv,
+     "a coordinate of point 0 is not finite"},
+    {"vtk", "# vtk DataFile Version 3.0\nx\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 1 float\nabc",
+     "ends where the coord"},
+    {"vtu", "hello", "a.vtu: a VTK XML file starts with '<VTKFile'"},
+    {"vtu", "<html></html>", "a.vtu:1: a VTK XML file starts with '<VTKFile', found '<html'"},
+    {"vtu", "<VTKFile type='PolyData'>", "a VTK file of the type 'PolyData'"},
+    {"vtu", VTU("compressor='vtkLZ4DataCompressor'"), "the compressor 'vtkLZ4DataCompressor'"},
+    {"vtu", VTU("byte_order='Middle'"), "the byte order 'Middle'"},
+    {"vtu", VTU(""), "a.vtu: ends inside <UnstructuredGrid>"},
+    {"vtu", VTU("") "</Piece>", "the tag '</Piece>' closes nothing"},
+    {"vtu", VTU("") "<Piece NumberOfPoints='-4'", "a tag has no end"},
+    {"vtu", VTU("") "<Piece NumberOfPoints='-4' NumberOfCells='1'>", "NumberOfPoints is '-4', not a count"},
+    {"vtu", VTU("") "<Piece NumberOfPoints=4>",
+     "the value of the attribute 'NumberOfPoints' is not in quotes"},
+    {"vtu", VTU("") PIECE "format='ascii'>0 0 nan</DataArray>", "a.vtu:2: a value of an array is 'nan'"},
+    {"vtu", VTU("") PIECE "format='ascii'>0 0</DataArray></Points></Piece></UnstructuredGrid></VTKFile>",
+     "a.vtu: the points are 2 numbers; the piece declares 3"},
+    {"vtu", VTU("") PIECE "format='binary'>DAAAA!==</DataArray>", "a.vtu:2: the array '' is not base64: '!'"},
+    {"vtu", VTU("") PIECE "format='binary'>////////</DataArray>",
+     "ends too early: 4294967295 bytes should follow"},
+    {"vtu",
+     VTU("compressor='vtkZLibDataCompressor'") PIECE
+     "format='binary'>AQAAAP///38AAAAAAQAAAA==eA==</DataArray>",
+     "a block of 1 bytes cannot hold 2147483647"},
+    {"vtu",
+     VTU("compressor='vtkZLibDataCompressor'") PIECE
+     "format='binary'>AQAAAAwAAAAAAAAAAQAAAA==eA==</DataArray>",
+     "a compressed block is damaged"},
+    {"vtu", VTU("") PIECE "format='appended' offset='0'/>", "is in appended data, and there are none"},
+    {"vtu", VTU("") PIECE "format='appended' offset='9'/><AppendedData encoding='raw'>_12",
+     "has an offset behind the end"},
+    {"mesh", "Vertices\n", "a.mesh:1: a Medit file in ASCII starts with 'MeshVersionFormatted'"},
+    {"mesh", "MeshVersionFormatted 2\nDimension 2\n", "a.mesh:2: the dimension is not 3"},
+    {"mesh", "MeshVersionFormatted 2\nDimension 3\nVertices\n1000000000\n",
+     "a.mesh:4: the number of vertices is 1000000000"},
+    {"mesh", "MeshVersionFormatted 2\nVertices 1\n0 0 0 0\nTetrahedra 1\n1 1 1 2 0\n",
+     "a.mesh:5: the node 2 does not exist"},
+    {"mesh", "MeshVersionFormatted 2\nVertices 1\n0 0 0 0 0\nEnd\n",
+     "a keyword such as 'Vertices' expected, found '0'"},
+    {"mesh", "MeshVersionFormatted 2\nHexahedra 1\n", "elements of the kind 'Hexahedra'"},
+    {"mesh", "MeshVersionFormatted 2\nTetrahedra 1\n", "ends where a vertex of tetrahedron 1"},
+    {"veg", "4 3 0 0\n", "a.veg:1: '*VERTICES', '*ELEMENTS'"},
+    {"veg", "*INCLUDE b.veg\n", "'*INCLUDE' is not accepted"},
+    {"veg", VEG "1 4 0\n1 1 2 3 5\n", "a.veg:10: the node 5 does not exist"},
+    {"veg", VEG "1 8 0\n", "a tetrahedron has 4 vertices"},
+    {"veg", "*ELEMENTS\nCUBIC\n", "a.veg:2: elements of the kind 'CUBIC'"},
+    {"veg", VEG "2 4 0\n1 1 2 3 4\n3 1 2 3 4\n", "the element's number is 3, expected 2"},
+    {"veg", VEG "1 4 0\n1 1 2 3 4\n*SET s\n2,\n", "the element 2 does not exist; there are 1"},
+    {"veg", VEG "1 4 0\n1 1 2 3 4\n*REGION\nallElements, BODY\n", "there is no such material"},
+    {"veg", VEG "1 4 0\n1 1 2 3 4\n*REGION\nbody, BODY\n", "a.veg:12: there is no set 'body'"},
+};
+
 // Loads, and expects one line that starts with a path and contains `part`.
 void expect_error(const std::filesystem::path& path, std::string_view part) {
   LoadOptions options;
@@ -228,6 +354,13 @@ TEST(Malformed, EleFiles) {
 
 TEST(Malformed, SurfaceFiles) {
   for (const BadFile& bad : kBadSurfaces) {
+    const TestDirectory directory;
+    expect_error(directory.write(std::string("a.") + bad.ending, bad.bytes), bad.error);
+  }
+}
+
+TEST(Malformed, TetFiles) {
+  for (const BadFile& bad : kBadTetFiles) {
     const TestDirectory directory;
     expect_error(directory.write(std::string("a.") + bad.ending, bad.bytes), bad.error);
   }

@@ -41,6 +41,11 @@ const TetFile kTetFiles[] = {
     {"seed_1720", 1721, 7864, 8.3, 8.5, nullptr},
     {"seed_3234", 3236, 15281, 7.9, 8.1, nullptr},
     {"wound_1476", 391, 1476, 0, 90, nullptr},
+    {"bullet_ditto.vtk", 2580, 10415, 12.9, 13.1, nullptr},
+    {"sofa_liver2.msh", 507, 1493, 13.3, 13.5, nullptr},
+    {"sofa_volumetricTongue.vtu", 2238, 10980, 0.9, 1.1, nullptr},
+    {"sofahaptic_organs_liver.msh", 2013, 6564, 0.052, 0.054, nullptr},
+    {"tetcutter_whitematter.veg", 23737, 81833, 2.4, 2.5, "all 81833 tetrahedra are left-handed"},
 };
 
 TEST_F(RealMeshes, TetrahedralMeshesLoad) {

@@ -66,6 +66,14 @@ struct ConvertCommand {
 // it, batch marks and all.
 int run_convert(const ConvertCommand& command);
 
+struct DoctorCommand {
+  std::filesystem::path config;  // of the server that is to run; empty: the defaults
+  bool json = false;
+};
+// Looks at what a server needs of this machine (limits, clock, ports, devices, directories) and says what to mend. 1: it
+// would not start, or not work.
+int run_doctor(const DoctorCommand& command);
+
 struct DevicesCommand {
   std::filesystem::path config;  // its devices section counts
   std::filesystem::path check;   // a profile

@@ -14,12 +14,12 @@ namespace incise::app {
 // Throws std::runtime_error where `path` cannot become a file: its directory is missing, or it is a directory. Asked
 // before the work whose result goes there. `option` names it in the message.
 void require_writable(const std::filesystem::path& path, const std::string& option);
-// The same, and that its ending is one that write_cut_mesh takes: .vtu, .node, .ele, a surface's, or none (TetGen).
+// The same, and that its ending is one that write_cut_mesh takes: a mesh's or a surface's that can be written, or none (TetGen).
 void require_mesh_output(const std::filesystem::path& path, const std::string& option);
 
-// Writes what is left of a mesh, ids renumbered in their order: .vtu with, for each tetrahedron, its id (`tet_id`),
+// Writes what is left of a mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
-// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; TetGen .node/.ele with regions; or the
+// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp). Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh);
 

@@ -184,7 +184,7 @@ int run_info(const InfoCommand& command) {
   Json facts;
   if (mesh_io::is_surface_file(file)) {
     facts = describe_surface(file);
-  } else if (mesh_io::is_mesh_file(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
+  } else if (mesh_io::is_mesh_input(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
     facts = describe_mesh(mesh_io::load_mesh(file, load_options(config)));
   } else if (!fs::exists(file, error)) {
     throw std::runtime_error(file.string() + ": no such file; accepted are a mesh (" +

@@ -9,7 +9,8 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
   {
     auto command = std::make_shared<CutCommand>();
     CLI::App* sub = app.add_subcommand("cut", "Cut a mesh by a recorded motion, without a server");
-    sub->add_option("--mesh", command->mesh, "TetGen .node/.ele (or their common name), or a closed surface")
+    sub->add_option("--mesh", command->mesh,
+                    "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
         ->required();
     sub->add_option("--poses", command->poses, "The motion: a capture, TUM or CSV")->required();
     sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres");
@@ -19,7 +20,7 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_option("--growth", command->growth, "none or balanced")
         ->check(CLI::IsMember({"none", "balanced"}));
     sub->add_option("--out", command->out,
-                    "Where the cut mesh goes: .vtu, TetGen by its name, or a surface's ending")
+                    "Where the cut mesh goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending")
         ->required();
     sub->add_option("--report", command->report, "Where the report goes: JSON");
     sub->add_flag("--json", command->json, "Print the report as JSON");
@@ -48,8 +49,9 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     CLI::App* sub = app.add_subcommand("phantom", "Make a test body: liver, cylinder or slab");
     sub->add_option("kind", command->kind, "liver, cylinder or slab")->required();
     sub->add_option("--size", command->size, "Tetrahedra, about")->capture_default_str();
-    sub->add_option("--out", command->out,
-                    "Where it goes: .node, .vtu, or a surface's ending for its surface")
+    sub->add_option(
+           "--out", command->out,
+           "Where it goes: .node, .vtu, .vtk, .msh, .msh2, .mesh, or a surface's ending for its surface")
         ->required();
     sub->add_flag("--json", command->json, "Print the facts as JSON");
     sub->callback([command, &exit_code] { exit_code = run_phantom(*command); });
@@ -60,7 +62,9 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_option("capture", command->capture, "The capture")->required();
     sub->add_option("--mesh", command->mesh, "The mesh, where the capture's is elsewhere now");
     sub->add_option("--revision", command->revision, "The revision; the last one if not given");
-    sub->add_option("--out", command->out, "Where it goes: .vtu, .node, or a surface's ending")->required();
+    sub->add_option("--out", command->out,
+                    "Where it goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending")
+        ->required();
     sub->add_flag("--json", command->json, "Print the facts as JSON");
     sub->callback([command, &exit_code] { exit_code = run_export(*command); });
   }
@@ -73,6 +77,13 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_option("--out", command->out, "Where the capture goes")->required();
     sub->add_flag("--json", command->json, "Print the facts as JSON");
     sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
+  }
+  {
+    auto command = std::make_shared<DoctorCommand>();
+    CLI::App* sub = app.add_subcommand("doctor", "Look for what would keep a server from working well here");
+    sub->add_option("--config", command->config, "The server's configuration; the defaults if not given");
+    sub->add_flag("--json", command->json, "Print JSON");
+    sub->callback([command, &exit_code] { exit_code = run_doctor(*command); });
   }
   {
     auto command = std::make_shared<DevicesCommand>();

@@ -1,0 +1,97 @@
+# What `cmake --install` puts where, and the Debian packages that CPack makes of it (./dev package):
+#   incise         the command line, and incise-tetgen
+#   incised        the server: service, configuration, device profiles, the page for browsers
+#   libincise-dev  headers and static libraries of incise::core, incise::protocol and incise::client
+include(GNUInstallDirs)
+include(CMakePackageConfigHelpers)
+set(INCISE_SHARE ${CMAKE_INSTALL_DATADIR}/incise)
+set(INCISE_ETC ${CMAKE_INSTALL_SYSCONFDIR}/incise)
+
+# --- Programs
+install(TARGETS incise incise-tetgen RUNTIME COMPONENT incise)
+install(TARGETS incised RUNTIME COMPONENT incised)
+install(FILES ${CMAKE_BINARY_DIR}/manual/incise.1 DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT incise)
+install(FILES ${CMAKE_BINARY_DIR}/manual/incised.8 DESTINATION ${CMAKE_INSTALL_MANDIR}/man8 COMPONENT incised)
+foreach(program incise incised)
+  install(FILES ${CMAKE_BINARY_DIR}/manual/${program}.bash RENAME ${program}
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT ${program})
+  install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${program} COMPONENT ${program})
+endforeach()
+install(FILES README.md protocol/PROTOCOL.md DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/incised COMPONENT incised)
+
+# --- The server's configuration, devices, page, service
+if(INCISE_VIEWER)
+  install(DIRECTORY ${CMAKE_BINARY_DIR}/viewer/ DESTINATION ${INCISE_SHARE}/viewer COMPONENT incised)
+endif()
+install(DIRECTORY config/devices DESTINATION ${INCISE_SHARE} COMPONENT incised FILES_MATCHING PATTERN "*.json")
+file(READ config/incised.json incised_json)
+if(INCISE_VIEWER)
+  string(REPLACE "\"viewer_directory\": \"\"" "\"viewer_directory\": \"${CMAKE_INSTALL_FULL_DATADIR}/incise/viewer\"" incised_json
+    "${incised_json}")
+endif()
+file(WRITE ${CMAKE_BINARY_DIR}/install/incised.json "${incised_json}")
+install(FILES ${CMAKE_BINARY_DIR}/install/incised.json DESTINATION ${INCISE_ETC} COMPONENT incised)
+configure_file(config/incised.service.in install/incised.service @ONLY)
+install(FILES ${CMAKE_BINARY_DIR}/install/incised.service DESTINATION lib/systemd/system COMPONENT incised)
+install(FILES config/sysusers.conf RENAME incised.conf DESTINATION lib/sysusers.d COMPONENT incised)
+# The service is nobody at the console: it reads the devices by its group.
+file(READ config/70-incise-devices.rules rules)
+string(REPLACE "TAG+=\"uaccess\"" "TAG+=\"uaccess\", GROUP=\"incise\", MODE=\"0660\"" rules "${rules}")
+file(WRITE ${CMAKE_BINARY_DIR}/install/70-incise-devices.rules "${rules}")
+install(FILES ${CMAKE_BINARY_DIR}/install/70-incise-devices.rules DESTINATION lib/udev/rules.d COMPONENT incised)
+
+# --- Libraries
+foreach(part core protocol client)
+  set_target_properties(incise_${part} PROPERTIES EXPORT_NAME ${part})
+  target_compile_features(incise_${part} PUBLIC cxx_std_20)
+  target_include_directories(incise_${part} INTERFACE $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/incise>)
+  # The linker may keep a user's copy of our inline arithmetic: it must round as ours does.
+  target_compile_options(incise_${part} INTERFACE $<INSTALL_INTERFACE:-ffp-contract=off>)
+endforeach()
+install(TARGETS incise_core incise_protocol incise_client EXPORT incise ARCHIVE COMPONENT dev)
+install(EXPORT incise NAMESPACE incise:: DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/incise FILE inciseTargets.cmake COMPONENT dev)
+file(WRITE ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake
+  "include(CMakeFindDependencyMacro)\nfind_dependency(Threads)\nfind_dependency(OpenSSL)\n"
+  "include(\${CMAKE_CURRENT_LIST_DIR}/inciseTargets.cmake)\n")
+write_basic_package_version_file(${CMAKE_BINARY_DIR}/install/inciseConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake ${CMAKE_BINARY_DIR}/install/inciseConfigVersion.cmake
+  DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/incise COMPONENT dev)
+file(GLOB headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS client/*.hpp protocol/*.hpp server/core/*.hpp)
+list(REMOVE_ITEM headers client/link.hpp) # Asio, for client.cpp alone
+foreach(header ${headers})
+  cmake_path(GET header PARENT_PATH folder)
+  install(FILES ${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/incise/${folder} COMPONENT dev)
+endforeach()
+install(FILES protocol/incise.fbs DESTINATION ${INCISE_SHARE} COMPONENT dev)
+install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/libincise-dev COMPONENT dev)
+
+# --- Debian packages
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME incise)
+set(CPACK_PACKAGE_CONTACT "Incise maintainers <maintainers@incise.invalid>")
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_COMPONENTS_ALL incise incised dev)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_INCISE_PACKAGE_NAME incise)
+set(CPACK_DEBIAN_INCISE_DESCRIPTION "Cut tetrahedral meshes with a moving blade
+The command line of Incise: cuts, replays, converts and shows meshes, motions and
+captures, and talks to a running cut server.")
+set(CPACK_DEBIAN_INCISED_PACKAGE_NAME incised)
+set(CPACK_DEBIAN_INCISED_PACKAGE_DEPENDS "incise (= ${PROJECT_VERSION}), systemd | systemd-standalone-sysusers")
+set(CPACK_DEBIAN_INCISED_DESCRIPTION "Networked haptic cut server
+Holds a tetrahedral mesh of soft tissue, takes blade poses at haptic rates, cuts the
+mesh inside a fixed share of every millisecond, and streams what changed.")
+set(CPACK_DEBIAN_INCISED_PACKAGE_CONTROL_EXTRA
+  "${CMAKE_CURRENT_LIST_DIR}/debian/postinst;${CMAKE_CURRENT_LIST_DIR}/debian/prerm;${CMAKE_CURRENT_LIST_DIR}/debian/postrm;${CMAKE_CURRENT_LIST_DIR}/debian/conffiles")
+set(CPACK_DEBIAN_INCISED_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+set(CPACK_DEBIAN_DEV_PACKAGE_NAME libincise-dev)
+set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
+set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS "libssl-dev")
+set(CPACK_DEBIAN_DEV_DESCRIPTION "Libraries for clients of the Incise cut server
+Headers and static libraries: the cut core, the protocol and the client.")
+include(CPack)

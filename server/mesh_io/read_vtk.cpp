@@ -1,0 +1,455 @@
+// Legacy VTK files. Source of the layout: "VTK File Formats" (Kitware), "Simple Legacy Formats"; for versions 4 and 5.1,
+// what VTK's own writer makes.
+
+#include <algorithm>
+#include <optional>
+
+#include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/tet_collector.hpp"
+#include "server/mesh_io/tet_files.hpp"
+#include "server/mesh_io/text_file.hpp"
+#include "server/mesh_io/token_reader.hpp"
+
+namespace incise::mesh_io {
+namespace {
+
+std::string lowercase(std::string_view text) {
+  std::string lower(text);
+  for (char& c : lower) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return lower;
+}
+
+enum class Number { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kInt64, kUint64, kFloat, kDouble };
+
+std::optional<Number> number_type(const std::string& name) {
+  // vtkIdType is written as 32 bits whatever it has in memory.
+  static const std::pair<const char*, Number> types[] = {{"char", Number::kInt8},
+                                                         {"signed_char", Number::kInt8},
+                                                         {"unsigned_char", Number::kUint8},
+                                                         {"short", Number::kInt16},
+                                                         {"unsigned_short", Number::kUint16},
+                                                         {"int", Number::kInt32},
+                                                         {"unsigned_int", Number::kUint32},
+                                                         {"vtkidtype", Number::kInt32},
+                                                         {"long", Number::kInt64},
+                                                         {"unsigned_long", Number::kUint64},
+                                                         {"vtktypeint64", Number::kInt64},
+                                                         {"vtktypeuint64", Number::kUint64},
+                                                         {"float", Number::kFloat},
+                                                         {"double", Number::kDouble}};
+  for (const auto& [known, type] : types) {
+    if (name == known) return type;
+  }
+  return std::nullopt;
+}
+
+std::size_t size_of(Number type) {
+  switch (type) {
+    case Number::kInt8:
+    case Number::kUint8:
+      return 1;
+    case Number::kInt16:
+    case Number::kUint16:
+      return 2;
+    case Number::kInt32:
+    case Number::kUint32:
+    case Number::kFloat:
+      return 4;
+    case Number::kInt64:
+    case Number::kUint64:
+    case Number::kDouble:
+      return 8;
+  }
+  return 8;
+}
+
+class VtkReader {
+ public:
+  VtkReader(std::string_view bytes, const std::string& file) : in_(bytes, file), out_(in_) {}
+
+  core::MeshData read(std::vector<std::string>& warnings) {
+    read_header();
+    while (!in_.at_end()) read_section();
+    add_tets();
+    return out_.finish(warnings,
+                       skipped_ == 0 ? "" : " (" + std::to_string(skipped_) + " points, lines or faces)");
+  }
+
+ private:
+  void read_header() {
+    if (!in_.line().starts_with("# vtk DataFile Version"))
+      in_.fail("the first line is '# vtk DataFile Version 3.0' or so");
+    in_.line();  // a title
+    const std::string format = lowercase(in_.token("'ASCII' or 'BINARY'"));
+    if (format != "ascii" && format != "binary")
+      in_.fail("'ASCII' or 'BINARY' expected, found " + in_quotes(format));
+    binary_ = format == "binary";
+    if (lowercase(in_.token("'DATASET'")) != "dataset") in_.fail("'DATASET' expected");
+    const std::string_view kind = in_.token("the kind of data");
+    if (lowercase(kind) != "unstructured_grid") {
+      in_.fail("a data set of the kind " + in_quotes(kind) + "; UNSTRUCTURED_GRID is accepted");
+    }
+  }
+
+  void read_section() {
+    in_.set_text();
+    const std::string_view field = in_.token("a keyword");
+    const std::string word = lowercase(field);
+    if (word == "points") {
+      read_points();
+    } else if (word == "cells") {
+      read_cells();
+    } else if (word == "cell_types") {
+      read_types();
+    } else if (word == "cell_data" || word == "point_data") {
+      attributes_ = in_.count("the number of values", 1);
+      of_cells_ = word == "cell_data";
+      if (of_cells_ && attributes_ != types_.size()) {
+        in_.fail("data of " + std::to_string(attributes_) + " cells; there are " +
+                 std::to_string(types_.size()));
+      }
+    } else if (word == "field") {
+      read_field();
+    } else if (word == "metadata") {
+      skip_metadata();
+    } else {
+      read_attribute(word, field);
+    }
+  }
+
+  // Runs `action` on packed numbers, or on text: what follows the current line.
+  template <class F>
+  void data(F&& action) {
+    in_.line();
+    if (binary_) in_.set_binary(std::endian::big);
+    action();
+    in_.set_text();
+  }
+
+  Number read_type() {
+    const std::string_view name = in_.token("a type of numbers");
+    const auto type = number_type(lowercase(name));
+    if (!type) in_.fail("the type of numbers " + in_quotes(name) + " is not known");
+    return *type;
+  }
+
+  double read_number(Number type, std::string_view what) {
+    if (!in_.is_binary()) return in_.number(what);
+    switch (type) {
+      case Number::kFloat:
+        return in_.value<float>(what);
+      case Number::kDouble:
+        return in_.value<double>(what);
+      default:
+        return static_cast<double>(read_integer(type, what));
+    }
+  }
+
+  std::int64_t read_integer(Number type, std::string_view what) {
+    switch (type) {
+      case Number::kInt8:
+        return in_.value<std::int8_t>(what);
+      case Number::kUint8:
+        return in_.value<std::uint8_t>(what);
+      case Number::kInt16:
+        return in_.value<std::int16_t>(what);
+      case Number::kUint16:
+        return in_.value<std::uint16_t>(what);
+      case Number::kInt32:
+        return in_.value<std::int32_t>(what);
+      case Number::kUint32:
+        return in_.value<std::uint32_t>(what);
+      case Number::kInt64:
+        return in_.value<std::int64_t>(what);
+      case Number::kUint64:
+        return static_cast<std::int64_t>(in_.value<std::uint64_t>(what));
+      default:
+        in_.fail(std::string(what) + ": integers expected");
+    }
+  }
+
+  void read_points() {
+    if (out_.node_count() > 0) in_.fail("a second 'POINTS'");
+    const std::size_t count = in_.count("the number of points", binary_ ? 3 : 6);
+    const Number type = read_type();
+    out_.mesh().positions.reserve(count);
+    data([&] {
+      for (std::size_t i = 0; i < count; ++i) {
+        core::Vec3 p;
+        p.x = read_number(type, "the coordinate x");
+        p.y = read_number(type, "the coordinate y");
+        p.z = read_number(type, "the coordinate z");
+        if (!core::is_finite(p)) in_.fail("a coordinate of point " + std::to_string(i) + " is not finite");
+        out_.add_node(static_cast<std::int64_t>(i), p);
+      }
+    });
+    out_.end_nodes();
+  }
+
+  void read_cells() {
+    if (!offsets_.empty()) in_.fail("a second 'CELLS'");
+    const std::size_t count = in_.count("the number of cells", 1);
+    const std::size_t size = in_.count("the size of the list of cells", binary_ ? 1 : 2);
+    in_.line();
+    if (lowercase(in_.peek().substr(0, 7)) == "offsets") {
+      read_offsets(count, size);  // version 5: `count` is that of the offsets, one more than of the cells
+    } else {
+      read_counted_cells(count, size);
+    }
+  }
+
+  // Each cell is the number of its points, and these: as 32-bit integers.
+  void read_counted_cells(std::size_t count, std::size_t size) {
+    if (binary_) in_.set_binary(std::endian::big);
+    offsets_.reserve(count + 1);
+    points_.reserve(size);
+    offsets_.push_back(0);
+    for (std::size_t i = 0; i < count; ++i) {
+      const auto points = in_.value<std::int32_t>("the number of points of a cell");
+      if (points < 0 || static_cast<std::size_t>(points) + points_.size() + i + 1 > size) {
+        in_.fail("cell " + std::to_string(i) + " has " + std::to_string(points) +
+                 " points: more than the size " + std::to_string(size) + " of the list leaves");
+      }
+      for (std::int32_t k = 0; k < points; ++k)
+        points_.push_back(in_.value<std::int32_t>("a point of a cell"));
+      offsets_.push_back(points_.size());
+    }
+    in_.set_text();
+  }
+
+  void read_offsets(std::size_t count, std::size_t size) {
+    in_.token("'OFFSETS'");
+    const Number offset_type = read_type();
+    data([&] {
+      offsets_.reserve(count);
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::int64_t offset = read_integer(offset_type, "an offset");
+        const std::int64_t least = offsets_.empty() ? 0 : static_cast<std::int64_t>(offsets_.back());
+        if (offset < least || static_cast<std::uint64_t>(offset) > size || (i == 0 && offset != 0)) {
+          in_.fail("the offset " + std::to_string(offset) + " of cell " + std::to_string(i) +
+                   " is out of order");
+        }
+        offsets_.push_back(static_cast<std::size_t>(offset));
+      }
+    });
+    if (lowercase(in_.token("'CONNECTIVITY'")) != "connectivity") in_.fail("'CONNECTIVITY' expected");
+    const Number type = read_type();
+    if (count > 0 && offsets_.back() != size)
+      in_.fail("the last offset is not the size of the list of cells");
+    data([&] {
+      points_.reserve(size);
+      for (std::size_t i = 0; i < size; ++i) points_.push_back(read_integer(type, "a point of a cell"));
+    });
+  }
+
+  void read_types() {
+    const std::size_t count = in_.count("the number of cell types", binary_ ? 4 : 2);
+    if (count + 1 != std::max<std::size_t>(offsets_.size(), 1)) {
+      in_.fail("types of " + std::to_string(count) + " cells; there are " +
+               std::to_string(offsets_.empty() ? 0 : offsets_.size() - 1));
+    }
+    types_.reserve(count);
+    data([&] {
+      for (std::size_t i = 0; i < count; ++i) types_.push_back(in_.value<std::int32_t>("the type of a cell"));
+    });
+  }
+
+  // Cell or point data of a single array, of the older kind.
+  void read_attribute(const std::string& word, std::string_view field) {
+    struct Kind {
+      const char* word;
+      std::size_t components;
+    };
+    static const Kind kinds[] = {{"vectors", 3},    {"normals", 3},      {"tensors", 9},   {"tensors6", 6},
+                                 {"global_ids", 1}, {"pedigree_ids", 1}, {"edge_flags", 1}};
+    const auto name_and = [this](std::size_t components) {
+      const std::string name(in_.token("the name of an array"));
+      read_array(name, components, attributes_, read_type_name());
+    };
+    if (word == "scalars") {
+      const std::string name(in_.token("the name of an array"));
+      const std::string type = read_type_name();
+      std::size_t components = 1;
+      const std::string_view rest = in_.line();
+      if (!rest.empty())
+        components = rest.size() == 1 && rest[0] >= '1' && rest[0] <= '4' ? rest[0] - '0' : 0;
+      if (components == 0)
+        in_.fail("the number of components is " + in_quotes(rest) + "; 1 to 4 are accepted");
+      if (lowercase(in_.peek()) == "lookup_table") {
+        in_.line();
+      }
+      read_values(name, components, attributes_, type);
+    } else if (word == "lookup_table") {
+      in_.token("the name of a table");
+      const std::size_t count = in_.count("the size of a table", 4);
+      read_array("", 4, count, binary_ ? "unsigned_char" : "float");
+    } else if (word == "color_scalars") {
+      in_.token("the name of an array");
+      const std::size_t components = in_.count("the number of components", 1);
+      read_array("", components, attributes_, binary_ ? "unsigned_char" : "float");
+    } else if (word == "texture_coordinates") {
+      in_.token("the name of an array");
+      const std::size_t components = in_.count("the number of components", 1);
+      read_array("", components, attributes_, read_type_name());
+    } else {
+      const auto kind =
+          std::find_if(std::begin(kinds), std::end(kinds), [&](const Kind& k) { return word == k.word; });
+      if (kind == std::end(kinds))
+        in_.fail("'POINTS', 'CELLS', 'CELL_TYPES' or data expected, found " + in_quotes(field));
+      name_and(kind->components);
+    }
+  }
+
+  void read_field() {
+    in_.token("the name of a field");
+    const std::size_t arrays = in_.count("the number of arrays", 4);
+    for (std::size_t i = 0; i < arrays; ++i) {
+      const std::string name(in_.token("the name of an array"));
+      if (lowercase(name) == "metadata") {  // of the array before
+        skip_metadata();
+        --i;
+        continue;
+      }
+      const std::size_t components = in_.count("the number of components", 1);
+      const std::size_t tuples = in_.count("the number of values", 1);
+      read_array(name, components, tuples, read_type_name());
+    }
+  }
+
+  std::string read_type_name() { return lowercase(in_.token("a type of numbers")); }
+
+  void read_array(const std::string& name, std::size_t components, std::size_t tuples,
+                  const std::string& type) {
+    in_.line();
+    read_values(name, components, tuples, type);
+  }
+
+  // The values, from the start of a line; kept where they can be the regions.
+  void read_values(const std::string& name, std::size_t components, std::size_t tuples,
+                   const std::string& type_name) {
+    if (components != 0 && tuples > in_.remaining() / components * 8 + 8) {
+      in_.fail(std::to_string(tuples) + " values of " + std::to_string(components) +
+               " numbers: the file is too short");
+    }
+    const std::size_t count = components * tuples;
+    if (type_name == "bit") {
+      if (binary_) {
+        in_.take((count + 7) / 8, "an array of bits");
+      } else {
+        for (std::size_t i = 0; i < count; ++i) in_.token("a value");
+      }
+      return;
+    }
+    const auto type = number_type(type_name);
+    if (!type)
+      in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
+    const bool keep =
+        of_cells_ && components == 1 && tuples == types_.size() && find_region_array({&name, 1}) >= 0;
+    if (binary_) in_.set_binary(std::endian::big);
+    if (!keep) {
+      if (binary_) {
+        in_.take(count * size_of(*type), "the values of an array");
+      } else {
+        for (std::size_t i = 0; i < count; ++i) in_.token("a value");
+      }
+    } else {
+      names_.push_back(name);
+      std::vector<double>& values = arrays_.emplace_back();
+      values.reserve(count);
+      for (std::size_t i = 0; i < count; ++i)
+        values.push_back(read_number(*type, "a value of the array " + in_quotes(name)));
+    }
+    in_.set_text();
+  }
+
+  // Up to a line that is empty.
+  void skip_metadata() {
+    in_.line();
+    while (in_.remaining() > 0 && !in_.line().empty()) {
+    }
+  }
+
+  void add_tets() {
+    if (offsets_.size() > 1 && types_.size() + 1 != offsets_.size()) {
+      throw MeshError(in_.file_name() + ": there are cells and no 'CELL_TYPES'");
+    }
+    const int chosen = find_region_array(names_);
+    for (std::size_t i = 0; i < types_.size(); ++i) {
+      const int nodes = vtk_tet_nodes(types_[i]);
+      if (nodes == 0) {
+        ++skipped_;
+        continue;
+      }
+      const std::string cell = "cell " + std::to_string(i);
+      if (nodes < 0) {
+        throw MeshError(in_.file_name() + ": " + cell + " is of type " + std::to_string(types_[i]) +
+                        "; of cells of three dimensions only tetrahedra (10) can be cut");
+      }
+      const std::size_t first = offsets_[i], size = offsets_[i + 1] - first;
+      if (size < static_cast<std::size_t>(nodes) || (nodes == 4 && size > 4 && types_[i] == 10)) {
+        throw MeshError(in_.file_name() + ": " + cell + " has " + std::to_string(size) +
+                        " points; its type has " + std::to_string(nodes));
+      }
+      if (types_[i] != 10) out_.note_higher_order();
+      std::array<core::VertexId, 4> corners;
+      for (std::size_t k = 0; k < 4; ++k) corners[k] = out_.vertex(points_[first + k]);
+      out_.add_tet(corners, chosen < 0 ? 0 : to_region(arrays_[static_cast<std::size_t>(chosen)][i]));
+    }
+  }
+
+  std::int64_t to_region(double value) {
+    if (!(value >= -2147483648.0 && value <= 2147483647.0))
+      in_.fail("the region " + to_text(value) + " is out of range");
+    return static_cast<std::int64_t>(value);
+  }
+
+  TokenReader in_;
+  TetCollector out_;
+  bool binary_ = false;
+  std::vector<std::size_t> offsets_;  // into points_: where each cell begins, and the end
+  std::vector<std::int64_t> points_;
+  std::vector<std::int64_t> types_;
+  std::size_t attributes_ = 0;  // values of each array that follows
+  bool of_cells_ = false;
+  std::vector<std::string> names_;
+  std::vector<std::vector<double>> arrays_;
+  std::size_t skipped_ = 0;
+};
+
+}  // namespace
+
+int vtk_tet_nodes(std::int64_t type) {
+  switch (type) {
+    case 10:  // VTK_TETRA
+      return 4;
+    case 24:  // VTK_QUADRATIC_TETRA
+      return 10;
+    case 71:  // VTK_LAGRANGE_TETRAHEDRON
+    case 78:  // VTK_BEZIER_TETRAHEDRON
+      return 4;
+    default:
+      break;
+  }
+  // Vertices, lines, polygons, and their curved kinds.
+  static constexpr std::int64_t kLower[] = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  21,
+                                            22, 23, 28, 30, 34, 35, 36, 51, 52, 53, 55,
+                                            56, 60, 61, 62, 63, 68, 69, 70, 75, 76, 77};
+  return std::find(std::begin(kLower), std::end(kLower), type) != std::end(kLower) ? 0 : -1;
+}
+
+int find_region_array(std::span<const std::string> names) {
+  for (const char* wanted : {"region", "regions", "gmsh:physical", "physicalids", "materialids", "material",
+                             "medit:ref", "cellentityids", "attribute"}) {
+    for (std::size_t i = 0; i < names.size(); ++i) {
+      if (lowercase(names[i]) == wanted) return static_cast<int>(i);
+    }
+  }
+  return -1;
+}
+
+core::MeshData parse_vtk(std::string_view bytes, const std::string& file,
+                         std::vector<std::string>& warnings) {
+  return VtkReader(bytes, file).read(warnings);
+}
+
+}  // namespace incise::mesh_io

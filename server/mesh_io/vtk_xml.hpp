@@ -1,0 +1,29 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace incise::mesh_io {
+
+// One <DataArray>: numbers of any type, as doubles (which hold every integer that a mesh of this size needs).
+struct VtkXmlArray {
+  std::string name;
+  std::size_t components = 1;
+  std::vector<double> values;
+};
+
+// A <Piece> of an unstructured grid.
+struct VtkXmlPiece {
+  std::size_t points = 0, cells = 0;
+  std::vector<VtkXmlArray> point_arrays;  // of <Points>
+  std::vector<VtkXmlArray> cell_arrays;   // of <Cells>: connectivity, offsets, types
+  std::vector<VtkXmlArray> cell_data;     // those that can be the region
+};
+
+// Reads a VTK XML file of an unstructured grid (see parse_vtu in tet_files.hpp). Every array is checked against what its
+// bytes can hold before anything is allocated. Throws MeshError with the file and the line, or the array's name.
+std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file);
+
+}  // namespace incise::mesh_io
