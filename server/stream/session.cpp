@@ -57,6 +57,7 @@ Session::Session(Hub& hub, std::unique_ptr<Transport> transport, Hub::Ticket tic
     : hub_(hub),
       transport_(std::move(transport)),
       ticket_(std::move(ticket)),
+      number_(hub.counters().accepted),
       peer_(transport_->peer()),
       rate_timer_(hub.io()),
       opened_ns_(monotonic_ns()),

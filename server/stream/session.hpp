@@ -40,6 +40,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
 
+  // Counted over all connections.
+  std::uint64_t number() const { return number_; }
   bool open() const { return stage_ == Stage::kOpen; }
   bool holds(const std::string& source_name) const { return source_ && source_name_ == source_name; }
 
@@ -76,6 +78,7 @@ class Session : public std::enable_shared_from_this<Session> {
   Hub& hub_;
   std::unique_ptr<Transport> transport_;
   Hub::Ticket ticket_;
+  const std::uint64_t number_;
   Stage stage_ = Stage::kHandshake;
   std::string peer_;
 

@@ -11,7 +11,6 @@
 #include <string>
 #include <thread>
 
-#include "client/client.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/stream/raw_peer.hpp"
 
@@ -64,11 +63,15 @@ LiveServer::~LiveServer() {
   fs::remove_all(folder_, ignored);
 }
 
-LivePoses LiveServer::drive() {
+void LiveServer::connect_device() {
   client::Options options;
   options.role = protocol::Role::Operator;
   options.view = protocol::View::None;
-  const auto device = client::Client::connect("127.0.0.1", tcp_port_, options);
+  device_ = client::Client::connect("127.0.0.1", tcp_port_, options);
+}
+
+LivePoses LiveServer::drive() {
+  if (!device_) connect_device();
   LivePoses poses;
   std::uint64_t sequence = 0;
   const std::int64_t start = input::monotonic_ns(),
@@ -83,13 +86,14 @@ LivePoses LiveServer::drive() {
     const core::Vec3& p = pose.position;
     // The last one is lifted: what was begun is ended.
     const protocol::PoseSample sample{at, {p.x, p.y, p.z}, {1, 0, 0, 0}, i < count ? pose.buttons : 0, 0};
-    if (const std::uint64_t n = device->send_poses(std::span(&sample, 1))) {
+    if (const std::uint64_t n = device_->send_poses(std::span(&sample, 1))) {
       sequence = n;
       ++poses.sent;
     }
   }
-  poses.settled = device->wait_for_report(sequence, 60);
-  poses.accepted = device->report().accepted;
+  poses.settled = device_->wait_for_report(sequence, 60);
+  poses.accepted = device_->report().accepted;
+  device_.reset();
   return poses;
 }
 

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "client/client.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/support/to_and_fro.hpp"
@@ -42,7 +43,9 @@ class LiveServer {
   std::size_t tets() const { return tets_; }
   pid_t pid() const { return process_->pid(); }
 
-  // An operator sends poses at their times, each as soon as it is there; the source's clock is CLOCK_MONOTONIC.
+  // An operator takes the blade; drive() does it where this has not.
+  void connect_device();
+  // The operator sends poses at their times, each as soon as it is there; the source's clock is CLOCK_MONOTONIC.
   // Waits until all of them have been taken.
   LivePoses drive();
   nlohmann::json stats() const;
@@ -56,6 +59,7 @@ class LiveServer {
   std::filesystem::path folder_;
   std::optional<tests::ToAndFro> way_;
   std::unique_ptr<e2e::Process> process_;
+  std::unique_ptr<client::Client> device_;
   std::uint16_t tcp_port_ = 0, http_port_ = 0;
   std::size_t tets_ = 0;
 };

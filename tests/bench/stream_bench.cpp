@@ -130,6 +130,7 @@ void begin_crowd_table(const std::string& title, Report& report) {
 void run_crowd(const std::string& name, const LiveMotion& motion, const nlohmann::json& listen,
                const Crowd::Options& many, const Crowd::Options& few, Report& report) {
   LiveServer server(motion, listen);
+  server.connect_device();
   Crowd viewers(server.tcp_port(), few);
   Crowd others(server.tcp_port(), many);
   server.drive();
