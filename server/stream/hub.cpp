@@ -2,8 +2,10 @@
 
 #include <boost/asio/post.hpp>
 #include <chrono>
+#include <stdexcept>
 #include <vector>
 
+#include "server/core/check.hpp"
 #include "server/stream/session.hpp"
 
 namespace incise::stream {
@@ -63,9 +65,10 @@ void Hub::send_force(const protocol::Force& force) {
   for (const auto& session : sessions_) session->send_force(force);
 }
 
-void Hub::request_snapshot(protocol::View view, SnapshotKeeper::Ready ready) {
+void Hub::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+                           SnapshotKeeper::Ready ready) {
   ++counters_->snapshots;
-  keeper_.request(view, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
+  keeper_.request(view, box, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
     asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
   });
 }
@@ -74,6 +77,20 @@ SharedFrame Hub::coalesced(protocol::View view, std::uint64_t base) {
   const auto [place, is_new] = coalesced_.try_emplace({view, base});
   if (is_new) place->second = coalesce(ring_, view, base, mirror_.revision());
   return place->second;
+}
+
+SharedFrame Hub::part_delta(protocol::SurfaceReplica& part, const protocol::Box& box) {
+  const std::uint64_t base = part.revision(), head = mirror_.revision();
+  const SharedFrame whole =
+      head - base == 1 ? ring_.step(head).surface : coalesced(protocol::View::Surface, base);
+  if (!whole) return nullptr;
+  const protocol::DecodeResult decoded = protocol::decode(whole->body());
+  INCISE_CHECK(decoded, decoded.error);
+  try {
+    return mirror_.follow_part(part, box, std::get<protocol::SurfaceDelta>(decoded.message->body));
+  } catch (const std::length_error&) {
+    return nullptr;
+  }
 }
 
 std::optional<Hub::Ticket> Hub::admit() {
