@@ -132,6 +132,7 @@ class ConformingCutter final : public Cutter {
   Vec3 reference(TetId t) const;
   bool separates(HalfFace h) const;
   void spare_islands();
+  void join_larger_side(std::span<const TetId> members);
   bool stands_clear(HalfFace h) const;
   bool is_thin(TetId t) const;
   void open(WorkBudget& budget);

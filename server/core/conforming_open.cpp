@@ -130,17 +130,40 @@ void ConformingCutter::spare_islands() {
         }
       }
       if (size > most || (clean && !thin)) continue;
-      for (std::size_t i = 0; i < size; ++i) {
-        for (int f = 0; f < 4; ++f) {
-          if (!(workspace_.pending[members[i]] >> f & 1)) continue;
-          const HalfFace o = mesh_.opposite(half_face(members[i], f));
-          workspace_.pending[members[i]] &= static_cast<std::uint8_t>(~(1u << f));
+      join_larger_side(std::span(members, size));
+    }
+  }
+  std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+}
+
+// Keeps a group of tetrahedra together with those of its neighbours that are on one side of the surface: with both it would
+// be a bridge.
+void ConformingCutter::join_larger_side(std::span<const TetId> members) {
+  const auto is_above = [this](HalfFace h) {
+    const auto face = mesh_.face_vertices(h);
+    const Vec3 middle =
+        (1.0 / 3.0) * (mesh_.position(face[0]) + mesh_.position(face[1]) + mesh_.position(face[2]));
+    Vec3 closest;
+    std::uint32_t triangle = 0;
+    return surface_.closest(middle, 4 * h_, closest, triangle) &&
+           surface_[triangle].signed_distance(reference(tet_of(mesh_.opposite(h)))) >= 0;
+  };
+  int above = 0, below = 0;
+  for (const bool decided : {false, true}) {
+    for (TetId t : members) {
+      for (int f = 0; f < 4; ++f) {
+        if (!(workspace_.pending[t] >> f & 1)) continue;
+        const HalfFace o = mesh_.opposite(half_face(t, f));
+        const bool up = is_above(half_face(t, f));
+        if (!decided) {
+          ++(up ? above : below);
+        } else if (up == (above >= below)) {
+          workspace_.pending[t] &= static_cast<std::uint8_t>(~(1u << f));
           workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
         }
       }
     }
   }
-  std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
 }
 
 // Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.

@@ -39,7 +39,7 @@ void PieceTracker::begin() {
   claims_.resize(mesh_.tet_slots(), {0, 0});
   ++search_;
   visited_.clear();
-  next_ = 0;
+  next_ = next_relabelled_ = 0;
   groups_.clear();
   changed_.clear();
   searching_.assign(next_piece_, 0);
@@ -96,9 +96,12 @@ bool PieceTracker::advance(WorkBudget& budget) {
       }
     }
   }
-  for (std::size_t i = 0; i < visited_.size(); ++i) {
-    if (i + kAhead < visited_.size()) mesh_.prefetch_piece(visited_[i + kAhead]);
-    const TetId t = visited_[i];
+  for (; next_relabelled_ < visited_.size(); ++next_relabelled_) {
+    if (budget.spent()) return false;
+    if (next_relabelled_ % 4 == 0) budget.charge(1);
+    if (next_relabelled_ + kAhead < visited_.size())
+      mesh_.prefetch_piece(visited_[next_relabelled_ + kAhead]);
+    const TetId t = visited_[next_relabelled_];
     const std::uint32_t fresh = groups_[find(claims_[t].group)].fresh;
     if (fresh == 0) continue;
     mesh_.set_piece(t, fresh);

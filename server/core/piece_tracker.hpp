@@ -53,7 +53,7 @@ class PieceTracker {
   };
   std::vector<Claim> claims_;   // by tetrahedron: the search that came by, and its group
   std::vector<TetId> visited_;  // breadth first
-  std::size_t next_ = 0;
+  std::size_t next_ = 0, next_relabelled_ = 0;
   struct Group {
     std::uint32_t parent;
     std::uint32_t waiting;  // tetrahedra of the group in visited_[next_...]
