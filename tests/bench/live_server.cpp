@@ -98,9 +98,14 @@ LivePoses LiveServer::drive() {
 }
 
 nlohmann::json LiveServer::stats() const {
-  const std::string answer = stream::http(http_port_, "/stats");
-  const auto body = answer.find("\r\n\r\n");
-  return nlohmann::json::parse(body == std::string::npos ? "" : answer.substr(body + 4), nullptr, false);
+  // While too many connections have not said Hello, others are turned away.
+  for (int i = 0; i < 600; ++i) {
+    const std::string answer = stream::http(http_port_, "/stats");
+    const auto body = answer.find("\r\n\r\n");
+    if (body != std::string::npos) return nlohmann::json::parse(answer.substr(body + 4));
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+  throw std::runtime_error("incised gave no /stats for a minute");
 }
 
 nlohmann::json LiveServer::settled_stats() const {
