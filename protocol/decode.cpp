@@ -221,10 +221,11 @@ class Reader {
     out.token = text("token", m.token(), kMaxTokenBytes);
     out.resume_session = m.resume_session();
     out.resume_revision = m.resume_revision();
-    out.max_rate_hz = rate(m.max_rate_hz());
+    out.max_rate_hz = rate("max_rate_hz", m.max_rate_hz());
     out.box = box("box", m.box());
     out.source_name = text("source_name", m.source_name());
     out.take_over = m.take_over();
+    out.blade_rate_hz = rate("blade_rate_hz", m.blade_rate_hz());
     return out;
   }
   Body read(const wire::Welcome& m) {
@@ -261,7 +262,8 @@ class Reader {
     return out;
   }
   Body read(const wire::Subscribe& m) {
-    return Subscribe{enumeration<View>("view", m.view()), rate(m.max_rate_hz()), box("box", m.box())};
+    return Subscribe{enumeration<View>("view", m.view()), rate("max_rate_hz", m.max_rate_hz()),
+                     box("box", m.box())};
   }
   Body read(const wire::Resync& m) {
     return Resync{m.revision(), m.hash(), text("reason", m.reason(), kMaxTextBytes)};
@@ -440,6 +442,15 @@ class Reader {
     return ReplayControl{enumeration<ReplayAction>("action", m.action()), text("capture", m.capture()), speed,
                          m.revision()};
   }
+  Body read(const wire::BladePose& m) {
+    BladePose out;
+    out.source = m.source();
+    out.cutting = m.cutting();
+    out.heel = vector("heel", m.heel());
+    out.tip = vector("tip", m.tip());
+    out.arrival_ns = m.arrival_ns();
+    return out;
+  }
   Body read(const wire::ReplayState& m) {
     return ReplayState{text("capture", m.capture()),
                        m.playing(),
@@ -450,9 +461,9 @@ class Reader {
   }
 
  private:
-  float rate(float hz) {
-    finite("max_rate_hz", hz);
-    require(hz >= 0, "max_rate_hz", "accepted are numbers from 0");
+  float rate(const char* field, float hz) {
+    finite(field, hz);
+    require(hz >= 0, field, "accepted are numbers from 0");
     return hz;
   }
 
@@ -487,6 +498,7 @@ Body read_body(Reader& reader, const wire::Message& message) {
     INCISE_MESSAGE(Reset);
     INCISE_MESSAGE(ReplayControl);
     INCISE_MESSAGE(ReplayState);
+    INCISE_MESSAGE(BladePose);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

@@ -87,7 +87,7 @@ struct Encoder {
     const auto source = text(b, m.source_name);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over)
+                             m.take_over, m.blade_rate_hz)
         .Union();
   }
   auto operator()(const Welcome& m) {
@@ -215,6 +215,10 @@ struct Encoder {
   auto operator()(const ReplayControl& m) {
     const auto capture = text(b, m.capture);
     return wire::CreateReplayControl(b, wire::ReplayAction(m.action), capture, m.speed, m.revision).Union();
+  }
+  auto operator()(const BladePose& m) {
+    const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip);
+    return wire::CreateBladePose(b, m.source, m.cutting, &heel, &tip, m.arrival_ns).Union();
   }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);

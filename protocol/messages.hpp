@@ -60,6 +60,7 @@ struct Hello {
   std::optional<Box> box;
   std::string source_name;
   bool take_over = false;
+  float blade_rate_hz = 0;
 };
 
 struct MeshFacts {
@@ -326,10 +327,17 @@ struct ReplayState {
   std::string text;
 };
 
+struct BladePose {
+  std::uint32_t source = 0;
+  bool cutting = false;
+  Vec3 heel, tip;
+  std::int64_t arrival_ns = 0;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
 using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
                           StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
-                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState>;
+                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

@@ -367,7 +367,7 @@ const std::vector<Key>& keys() {
               "Port of WebSocket, the viewer page, /stats and /metrics; 0: any free one, -1: off."),
       text("listen.viewer_directory", INCISE_FIELD(listen.viewer_directory),
            "a path, relative to this file; or \"\"",
-           "Static files that the HTTP port serves: the built viewer."),
+           "Static files that the HTTP port serves; \"\": the viewer that was built with the program."),
       texts("listen.allowed_origins", INCISE_FIELD(listen.allowed_origins), "a list of texts",
             "Origins of web pages that may connect beside the server's own; \"*\": any."),
       text("listen.token_file", INCISE_FIELD(listen.token_file), "a path, relative to this file; or \"\"",
@@ -411,6 +411,8 @@ const std::vector<Key>& keys() {
            "or at once."),
       number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
              "What a power failure may cost under \"group\"."),
+      text("capture.library", INCISE_FIELD(capture.library), "a path, relative to this file; or \"\"",
+           "A directory of captures (*.capture) that whoever may watch can replay in the viewer; \"\": none."),
       number("capture.checkpoint_replay_s", INCISE_FIELD(capture.checkpoint_replay_s), 0, 3600,
              "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
              "seconds "

@@ -79,6 +79,7 @@ struct Config {
     std::string path;  // empty: none is written
     std::string sync = "group";
     double sync_interval_ms = 100;
+    std::string library;  // a directory; empty: none
     double checkpoint_replay_s = 1;
   } capture;
 

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "server/app/body.hpp"
+#include "server/app/capture_library.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/recording.hpp"
 #include "server/app/telemetry.hpp"
@@ -163,8 +164,10 @@ void run_server(const Config& config, bool resume) {
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
   std::optional<Telemetry> telemetry;
+  CaptureLibrary library(config.resolve(config.capture.library), body);
   stream::Providers providers{[&] { return telemetry->json(); }, [&] { return telemetry->metrics(); },
-                              [&] { return telemetry->message(); }};
+                              [&] { return telemetry->message(); }, [&] { return telemetry->blades(); },
+                              &library};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);
@@ -225,6 +228,7 @@ void run_server(const Config& config, bool resume) {
   loop_thread.request_stop();
   loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
   server.stop();
+  library.stop();
   const loop::LoopState state = frames.stats().state.load();
   const std::uint64_t lost = journal ? journal->lost() : 0;
   journal.reset();

@@ -126,7 +126,7 @@ std::string Telemetry::json() const {
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;
-    Json figures{{"count", histogram.count()}};
+    Json figures{{"count", histogram.count()}, {"sum", us(histogram.sum_ns())}};
     for (std::size_t q = 0; q < std::size(kQuantiles); ++q) {
       figures[kQuantileNames[q]] = us(histogram.quantile_ns(kQuantiles[q]));
     }
@@ -231,6 +231,19 @@ protocol::Stats Telemetry::message() const {
   stats.frame_work_p99_us = static_cast<float>(us(stats_.frame_work.quantile_ns(0.99)));
   stats.pose_to_delta_p99_us = static_cast<float>(us(stats_.pose_to_cut.quantile_ns(0.99)));
   return stats;
+}
+
+std::vector<protocol::BladePose> Telemetry::blades() const {
+  const auto to_protocol = [](const core::Vec3& p) { return protocol::Vec3{p.x, p.y, p.z}; };
+  std::vector<protocol::BladePose> blades;
+  const loop::BladesNow now = stats_.blades.load();
+  for (std::uint32_t source = 0; source < now.size(); ++source) {
+    const loop::BladeNow& blade = now[source];
+    if (blade.arrival_ns == 0) continue;
+    blades.push_back({source, blade.cutting != 0, to_protocol(blade.line.heel), to_protocol(blade.line.tip),
+                      blade.arrival_ns});
+  }
+  return blades;
 }
 
 }  // namespace incise::app

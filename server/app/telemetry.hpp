@@ -27,6 +27,8 @@ class Telemetry {
   // Prometheus text format 0.0.4.
   std::string metrics() const;
   protocol::Stats message() const;
+  // Where the blades are now.
+  std::vector<protocol::BladePose> blades() const;
 
  private:
   const loop::LoopStats& stats_;

@@ -57,6 +57,14 @@ std::vector<stream::AccessToken> read_tokens(const std::filesystem::path& path) 
   return tokens;
 }
 
+// The viewer that ./dev build puts beside the programs; empty where it was not built.
+std::string built_viewer() {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path viewer = program.parent_path().parent_path() / "viewer";
+  return !error && std::filesystem::exists(viewer / "index.html", error) ? viewer.string() : std::string();
+}
+
 // A session's blade. Thread: the stream's.
 class HubSource final : public stream::PoseSource {
  public:
@@ -144,7 +152,8 @@ stream::StreamConfig stream_config(const Config& config) {
   made.address = listen.address;
   made.tcp_port = static_cast<int>(listen.tcp_port);
   made.http_port = static_cast<int>(listen.http_port);
-  made.viewer_directory = config.resolve(listen.viewer_directory).string();
+  made.viewer_directory =
+      listen.viewer_directory.empty() ? built_viewer() : config.resolve(listen.viewer_directory).string();
   made.allowed_origins = listen.allowed_origins;
   if (!listen.token_file.empty()) made.tokens = read_tokens(config.resolve(listen.token_file));
   made.certificate_file = config.resolve(listen.certificate_file).string();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <ctime>
+#include <utility>
 
 namespace incise::loop {
 namespace {
@@ -145,6 +146,12 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       record.pose = event.pose.pose;
       const bool stroking = session_->in_stroke(source);
       const core::PoseVerdict verdict = session_->push(source, event.pose.pose);
+      if (core::accepted(verdict)) {
+        const core::Blade& blade = blades_[source] ? *blades_[source] : session_->config().blade;
+        blades_now_[source] = {event.pose.arrival_ns, session_->in_stroke(source) ? 1 : 0,
+                               core::blade_line(blade, event.pose.pose)};
+        blades_moved_ = true;
+      }
       if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
         ++state_.strokes;
       input_.count(source, verdict, event.pose.pose.t_ns);
@@ -158,6 +165,8 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
     case Kind::kEndStroke:
       record.kind = JournalRecord::Kind::kEndStroke;
       session_->end_stroke(source);
+      blades_now_[source].cutting = 0;
+      blades_moved_ = true;
       break;
   }
   write(record);
@@ -332,6 +341,7 @@ void FrameLoop::account(std::int64_t deadline_ns, std::int64_t start_ns, std::in
   state_.recovery_ns = static_cast<std::uint64_t>(backlog_ns / options_.budget_fraction);
   state_.ns_per_unit = cost_.ns_per_unit();
   stats_.state.store(state_);
+  if (std::exchange(blades_moved_, false)) stats_.blades.store(blades_now_);
 }
 
 }  // namespace incise::loop

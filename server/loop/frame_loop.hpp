@@ -107,6 +107,8 @@ class FrameLoop {
   std::vector<Stamp> stamps_;
   std::size_t first_stamp_ = 0, stamp_count_ = 0;
   LoopState state_;
+  BladesNow blades_now_{};
+  bool blades_moved_ = false;  // in this frame
   LoopStats stats_;
 };
 

@@ -82,9 +82,18 @@ struct LoopState {
   double ns_per_unit = 0;              // the cost model's
 };
 
+// Where a blade was last; arrival_ns is 0 where there was no pose yet.
+struct BladeNow {
+  std::int64_t arrival_ns = 0;
+  std::int64_t cutting = 0;  // 1: a stroke is under way
+  core::BladeLine line;
+};
+using BladesNow = std::array<BladeNow, core::kMaxSources>;
+
 // What the loop tells about itself. Thread: written by the loop's, read by any.
 struct LoopStats {
   Published<LoopState> state;
+  Published<BladesNow> blades;  // by source
 
   Histogram wake_late;   // start of a frame after its deadline
   Histogram frame_work;  // start to end of a frame

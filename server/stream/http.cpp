@@ -83,6 +83,15 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
     return Answer{http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
                   (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(hub)};
   }
+  if (path == "/captures") {
+    // Names are those of files: nothing in them but what a library takes.
+    std::string list;
+    for (const std::string& name :
+         providers.library ? providers.library->names() : std::vector<std::string>()) {
+      list += (list.empty() ? "\"" : ",\"") + name + '"';
+    }
+    return Answer{http::status::ok, "application/json", "[" + list + "]\n"};
+  }
   if (path == "/stats" && providers.stats_json) {
     return Answer{http::status::ok, "application/json", providers.stats_json()};
   }
@@ -114,20 +123,25 @@ asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, h
 
 asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
                                 const StaticFiles::File& file) {
-  const bool unchanged = view_of(request[http::field::if_none_match]) == file.etag;
+  const bool packed = !file.packed_path.empty() &&
+                      view_of(request[http::field::accept_encoding]).find("gzip") != std::string_view::npos;
+  const std::string etag = packed ? file.packed_etag : file.etag;
+  const bool unchanged = view_of(request[http::field::if_none_match]) == etag;
   http::response<http::file_body> response(http::status::ok, request.version());
   http::response<http::empty_body> head(unchanged ? http::status::not_modified : http::status::ok,
                                         request.version());
   const auto set = [&](auto& message) {
     set_common(message, request);
     message.set(http::field::content_type, file.mime_type);
-    message.set(http::field::etag, file.etag);
+    message.set(http::field::etag, etag);
+    if (!file.packed_path.empty()) message.set(http::field::vary, "Accept-Encoding");
+    if (packed) message.set(http::field::content_encoding, "gzip");
     message.set(http::field::cache_control, file.cache_control);
   };
   set(response);
   set(head);
   error_code error;
-  response.body().open(file.path.c_str(), beast::file_mode::scan, error);
+  response.body().open((packed ? file.packed_path : file.path).c_str(), beast::file_mode::scan, error);
   if (error) {
     co_return co_await send_text(stream, request, http::status::not_found, "not found\n");
   }

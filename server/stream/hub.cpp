@@ -1,17 +1,16 @@
 #include "server/stream/hub.hpp"
 
-#include <boost/asio/post.hpp>
+#include <algorithm>
 #include <chrono>
-#include <stdexcept>
 #include <vector>
 
-#include "server/core/check.hpp"
 #include "server/stream/session.hpp"
 
 namespace incise::stream {
 namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
+constexpr std::chrono::milliseconds kBladeTick{16};  // a screen's
 constexpr std::uint64_t kTicksPerStatistics = 20;
 
 }  // namespace
@@ -23,37 +22,28 @@ Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, In
       facts_(std::move(facts)),
       sink_(sink),
       providers_(std::move(providers)),
-      ring_(config.ring_bytes),
-      clock_(io) {}
+      clock_(io),
+      blade_clock_(io),
+      live_(io, config.ring_bytes) {}
 
 Hub::~Hub() = default;
 
 void Hub::reset(std::shared_ptr<const InitialState> initial) {
-  mirror_.reset(*initial);
-  keeper_.reset(std::move(initial));
-  ring_.clear();
-  coalesced_.clear();
-  counters_->revision = mirror_.revision();
-  counters_->state_hash = mirror_.volume().state_hash();
+  live_.reset(std::move(initial));
+  counters_->revision = live_.mirror().revision();
+  counters_->state_hash = live_.mirror().volume().state_hash();
   counters_->ring_bytes = counters_->ring_deltas = 0;
   const auto sessions = sessions_;
-  for (const auto& session : sessions) session->restart();
+  for (const auto& session : sessions) session->live_restarted();
 }
 
 void Hub::apply(const std::shared_ptr<const PublishedDelta>& delta) {
-  std::optional<EncodedStep> step = mirror_.apply(*delta);
-  keeper_.push(delta);
-  coalesced_.clear();
-  if (step) {
-    ring_.push(std::move(*step));
-  } else {
-    ring_.clear();
-  }
+  live_.apply(delta);
   ++counters_->deltas;
-  counters_->revision = mirror_.revision();
-  counters_->state_hash = mirror_.volume().state_hash();
-  counters_->ring_bytes = ring_.bytes();
-  counters_->ring_deltas = ring_.size();
+  counters_->revision = live_.mirror().revision();
+  counters_->state_hash = live_.mirror().volume().state_hash();
+  counters_->ring_bytes = live_.ring().bytes();
+  counters_->ring_deltas = live_.ring().size();
 }
 
 void Hub::advance_all() {
@@ -63,34 +53,6 @@ void Hub::advance_all() {
 
 void Hub::send_force(const protocol::Force& force) {
   for (const auto& session : sessions_) session->send_force(force);
-}
-
-void Hub::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
-                           SnapshotKeeper::Ready ready) {
-  ++counters_->snapshots;
-  keeper_.request(view, box, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
-    asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
-  });
-}
-
-SharedFrame Hub::coalesced(protocol::View view, std::uint64_t base) {
-  const auto [place, is_new] = coalesced_.try_emplace({view, base});
-  if (is_new) place->second = coalesce(ring_, view, base, mirror_.revision());
-  return place->second;
-}
-
-SharedFrame Hub::part_delta(protocol::SurfaceReplica& part, const protocol::Box& box) {
-  const std::uint64_t base = part.revision(), head = mirror_.revision();
-  const SharedFrame whole =
-      head - base == 1 ? ring_.step(head).surface : coalesced(protocol::View::Surface, base);
-  if (!whole) return nullptr;
-  const protocol::DecodeResult decoded = protocol::decode(whole->body());
-  INCISE_CHECK(decoded, decoded.error);
-  try {
-    return mirror_.follow_part(part, box, std::get<protocol::SurfaceDelta>(decoded.message->body));
-  } catch (const std::length_error&) {
-    return nullptr;
-  }
 }
 
 std::optional<Hub::Ticket> Hub::admit() {
@@ -113,6 +75,29 @@ std::shared_ptr<Session> Hub::holder(const std::string& source_name) const {
 
 void Hub::start_clock() {
   tick();
+  if (providers_.blades) send_blades();
+}
+
+void Hub::send_blades() {
+  const bool wanted =
+      std::any_of(sessions_.begin(), sessions_.end(), [](const auto& s) { return s->wants_blades(); });
+  if (wanted) {
+    const std::int64_t now = monotonic_ns();
+    std::vector<SharedFrame> frames;
+    for (const protocol::BladePose& blade : providers_.blades()) {
+      std::int64_t& sent_ns = blade_sent_ns_[blade.source];
+      if (sent_ns == blade.arrival_ns) continue;
+      sent_ns = blade.arrival_ns;
+      frames.push_back(make_frame(blade));
+    }
+    if (!frames.empty()) {
+      for (const auto& session : sessions_) session->send_blades(frames, now);
+    }
+  }
+  blade_clock_.expires_after(wanted ? kBladeTick : kTick);
+  blade_clock_.async_wait([this](boost::system::error_code error) {
+    if (!error) send_blades();
+  });
 }
 
 void Hub::tick() {
@@ -135,8 +120,8 @@ void Hub::send_statistics() {
     if (!session->open() || session->number() % kTicksPerStatistics != turn) continue;
     if (!frame) {
       protocol::Stats statistics = providers_.statistics();
-      statistics.revision = mirror_.revision();
-      statistics.live_tets = mirror_.volume().live_tets();
+      statistics.revision = live_.mirror().revision();
+      statistics.live_tets = live_.mirror().volume().live_tets();
       statistics.sessions = counters_->sessions;
       frame = make_frame(std::move(statistics));
     }
@@ -152,6 +137,7 @@ void Hub::stop() {
 
 void Hub::close_all() {
   clock_.cancel();
+  blade_clock_.cancel();
   const auto sessions = sessions_;
   for (const auto& session : sessions) session->close();
 }

@@ -11,14 +11,11 @@
 #include <string>
 #include <utility>
 
-#include "server/stream/delta_ring.hpp"
-#include "server/stream/mirror.hpp"
+#include "server/stream/feed.hpp"
 #include "server/stream/server.hpp"
-#include "server/stream/snapshot_keeper.hpp"
 
 namespace incise::stream {
 
-namespace asio = boost::asio;
 class Session;
 
 // What StreamCounters are made of, to be read from any thread.
@@ -29,10 +26,9 @@ struct HubCounters {
   std::atomic<std::uint32_t> sessions{0}, connections{0};
 };
 
-// What all sessions share: the mirror, the ring of encoded steps, the list of sessions, who holds which
-// blade.
+// What all sessions share: the feed of the live mesh, the list of sessions, who holds which blade.
 //
-// Thread: the stream thread, counters() apart. Owns: the mirror, the snapshot thread.
+// Thread: the stream thread, counters() apart. Owns: the live feed.
 class Hub {
  public:
   Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, InputSink& sink,
@@ -51,20 +47,9 @@ class Hub {
   const ServerFacts& facts() const { return facts_; }
   const Providers& providers() const { return providers_; }
   InputSink& sink() { return sink_; }
-  const Mirror& mirror() const { return mirror_; }
-  const DeltaRing& ring() const { return ring_; }
+  ReplayLibrary* library() { return providers_.library; }
+  Feed& live() { return live_; }
   HubCounters& counters() { return *counters_; }
-
-  // Calls `ready` on this thread, later.
-  void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
-                        SnapshotKeeper::Ready ready);
-  // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
-  // helps.
-  SharedFrame coalesced(protocol::View view, std::uint64_t base);
-
-  // From `part`, what a box holds of the surface, which is brought on to the mirror's revision. Null likewise; the part
-  // is then of no use.
-  SharedFrame part_delta(protocol::SurfaceReplica& part, const protocol::Box& box);
 
   // Takes a connection in, or refuses it: too many, or too many that have not said Hello.
   class Ticket;
@@ -87,22 +72,21 @@ class Hub {
  private:
   void tick();
   void send_statistics();
+  void send_blades();
 
   asio::io_context& io_;
   const StreamConfig& config_;
   ServerFacts facts_;
   InputSink& sink_;
   Providers providers_;
-  Mirror mirror_;
-  DeltaRing ring_;
   // Shared with the tickets: connections that never end are destroyed with the io_context, after the hub.
   std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
   std::set<std::shared_ptr<Session>> sessions_;
-  std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
-  asio::steady_timer clock_;
+  asio::steady_timer clock_, blade_clock_;
+  std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
   bool stopping_ = false;
-  SnapshotKeeper keeper_;
+  Feed live_;
 };
 
 // One connection's place in the counts. Moves.

@@ -4,10 +4,12 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "protocol/messages.hpp"
 #include "server/stream/input_sink.hpp"
 #include "server/stream/published_delta.hpp"
+#include "server/stream/replay_library.hpp"
 #include "server/stream/stream_config.hpp"
 
 namespace incise::stream {
@@ -29,6 +31,10 @@ struct Providers {
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
   std::function<protocol::Stats()>
       statistics;  // once a second to every session; sessions and revision are filled in
+  // Where the blades are now, for who asked for that; those that were never moved are left out.
+  std::function<std::vector<protocol::BladePose>()> blades;
+  ReplayLibrary* library =
+      nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
 };
 
 // What the stream has done since it started.

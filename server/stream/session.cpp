@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/asio/as_tuple.hpp>
+#include <boost/asio/post.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <chrono>
 #include <ctime>
@@ -17,8 +18,9 @@ using protocol::SnapshotCause;
 using protocol::View;
 using std::chrono::milliseconds;
 
-constexpr std::size_t kMaxControlBytes = 1u << 20;  // beyond that a peer does not read what it asked for
-constexpr std::size_t kMaxWriteBytes = 1u << 20;    // in one go, so that a deadline is about so much
+constexpr std::size_t kMaxControlBytes = 1u << 20;   // beyond that a peer does not read what it asked for
+constexpr std::size_t kMaxWaitingBladeBytes = 4096;  // older poses are of no use
+constexpr std::size_t kMaxWriteBytes = 1u << 20;     // in one go, so that a deadline is about so much
 constexpr std::size_t kMaxWriteFrames = 32;
 constexpr std::uint32_t kMaxPoseMessagesPerSecond =
     20'000;                                         // more than any device sends; beyond that they wait
@@ -150,8 +152,9 @@ asio::awaitable<void> Session::handle(protocol::Message message) {
     on_reset(sequence);
   } else if (std::holds_alternative<protocol::Bye>(body)) {
     finish(ByeReason::Done, "");
-  } else if (std::holds_alternative<protocol::Positions>(body) ||
-             std::holds_alternative<protocol::ReplayControl>(body)) {
+  } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
+    on_replay(*replay, sequence);
+  } else if (std::holds_alternative<protocol::Positions>(body)) {
     complain(ErrorCode::NotAvailable, std::string(name_of(body)) + ": this server does not offer it",
              sequence);
   } else {
@@ -197,14 +200,15 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   role_ = hello.role;
   view_ = hello.view;
   max_rate_hz_ = hello.max_rate_hz;
+  blade_rate_hz_ = hello.blade_rate_hz;
   stage_ = Stage::kOpen;
   transport_->set_max_bytes(accepted_bytes(role_));
 
-  const std::uint64_t head = hub_.mirror().revision();
+  const std::uint64_t head = feed().mirror().revision();
   const bool returns = view_ != View::None && hello.resume_session != 0;
   // What a box held is not known any longer.
-  const bool resumed = returns && !hello.box && hello.resume_session == hub_.mirror().session() &&
-                       hub_.ring().covers(hello.resume_revision, head);
+  const bool resumed = returns && !hello.box && hello.resume_session == feed().mirror().session() &&
+                       feed().ring().covers(hello.resume_revision, head);
   send_welcome(resumed);
   set_box(hello.box, "Hello.box", sequence);
   if (resumed) {
@@ -243,13 +247,13 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
 void Session::send_welcome(bool resumed) {
   const ServerFacts& facts = hub_.facts();
   protocol::Welcome welcome;
-  welcome.session = hub_.mirror().session();
+  welcome.session = feed().mirror().session();
   welcome.role = role_;
   welcome.view = view_;
   welcome.resumed = resumed;
-  welcome.revision = hub_.mirror().revision();
-  welcome.state_hash = hub_.mirror().volume().state_hash();
-  welcome.mesh = facts.mesh;
+  welcome.revision = feed().mirror().revision();
+  welcome.state_hash = feed().mirror().volume().state_hash();
+  welcome.mesh = scratch_ ? scratch_->mesh : facts.mesh;
   welcome.blade_heel = source_ ? source_->heel() : facts.blade_heel;
   welcome.blade_tip = source_ ? source_->tip() : facts.blade_tip;
   welcome.source = source_ ? source_->number() : 0;
@@ -263,6 +267,10 @@ void Session::send_welcome(bool resumed) {
   welcome.server_unix_ns = unix_ns();
   welcome.policy = facts.policy;
   push_control(make_frame(std::move(welcome)));
+}
+
+void Session::live_restarted() {
+  if (!scratch_) restart();
 }
 
 void Session::restart() {
@@ -368,6 +376,85 @@ void Session::on_reset(std::uint64_t sequence) {
   }
 }
 
+// ---- Replay ----
+
+Feed& Session::feed() {
+  return scratch_ ? scratch_->feed : hub_.live();
+}
+
+void Session::on_replay(const protocol::ReplayControl& control, std::uint64_t sequence) {
+  using protocol::ReplayAction;
+  ReplayLibrary* const library = hub_.library();
+  if (role_ != Role::Viewer && role_ != Role::Admin) {
+    complain(ErrorCode::Forbidden, "ReplayControl: only viewers and admins may", sequence);
+  } else if (!library) {
+    complain(ErrorCode::NotAvailable, "ReplayControl: this server offers no captures", sequence);
+  } else if (control.action == ReplayAction::Open) {
+    end_replay();
+    const std::uint64_t number = ++replay_number_;
+    player_ = library->open(control.capture, replay_events(number));
+    if (!player_) {
+      complain(ErrorCode::BadRequest,
+               "there is no capture \"" + control.capture.substr(0, 256) +
+                   "\", or too many are being replayed; GET /captures lists them",
+               sequence);
+    }
+  } else if (!player_) {
+    complain(ErrorCode::BadState, "ReplayControl: no capture is open", sequence);
+  } else if (control.action == ReplayAction::Close) {
+    end_replay();
+    push_control(make_frame(protocol::ReplayState{}));
+  } else {
+    player_->control(control);
+  }
+}
+
+// What the player says on its thread is done on this one, while it is still that player's turn.
+ReplayEvents Session::replay_events(std::uint64_t number) {
+  const auto post = [&io = hub_.io(), weak = weak_from_this(), number](auto what) {
+    asio::post(io, [weak, number, what = std::move(what)]() mutable {
+      const auto self = weak.lock();
+      if (self && self->player_ && self->replay_number_ == number && self->stage_ == Stage::kOpen)
+        what(*self);
+    });
+  };
+  ReplayEvents events;
+  events.restarted = [post](protocol::MeshFacts mesh, std::shared_ptr<const InitialState> initial) {
+    post([mesh = std::move(mesh), initial = std::move(initial)](Session& self) {
+      if (!self.scratch_) {
+        self.scratch_ = std::make_unique<Scratch>(self.hub_.io(), self.hub_.config().ring_bytes);
+      }
+      self.scratch_->mesh = mesh;
+      self.scratch_->feed.reset(initial);
+      self.restart();
+    });
+  };
+  events.delta = [post](std::shared_ptr<const PublishedDelta> delta) {
+    post([delta = std::move(delta)](Session& self) {
+      self.scratch_->feed.apply(delta);
+      self.advance();
+    });
+  };
+  events.state = [post](protocol::ReplayState state) {
+    post([state = std::move(state)](Session& self) { self.push_control(make_frame(state)); });
+  };
+  events.failed = [post](std::string why) {
+    post([why = std::move(why)](Session& self) {
+      self.complain(ErrorCode::NotAvailable, why.substr(0, protocol::kMaxTextBytes), 0);
+      self.end_replay();
+      self.push_control(make_frame(protocol::ReplayState{}));
+    });
+  };
+  return events;
+}
+
+void Session::end_replay() {
+  player_.reset();
+  if (!scratch_) return;
+  scratch_.reset();
+  restart();
+}
+
 void Session::report_poses() {
   const PoseTotals totals = source_->totals();
   while (!unsettled_.empty() && unsettled_.front().offered <= totals.settled()) {
@@ -452,6 +539,7 @@ void Session::finish(ByeReason reason, const std::string& text) {
   if (reason != ByeReason::ServerStops) drop_state();
   snapshot_.reset();
   source_.reset();
+  player_.reset();
   stage_ = Stage::kClosing;
   closing_since_ns_ = monotonic_ns();
   state_.push_back(make_frame(protocol::Bye{reason, text}));  // behind all else
@@ -463,6 +551,7 @@ void Session::close() {
   if (stage_ == Stage::kClosed) return;
   stage_ = Stage::kClosed;
   source_.reset();
+  player_.reset();
   snapshot_.reset();
   rate_timer_.cancel();
   transport_->close();
@@ -478,6 +567,12 @@ void Session::send_force(const protocol::Force& force) {
   if (stage_ != Stage::kOpen || !source_ || source_->number() != force.source) return;
   force_ = force;
   write();
+}
+
+void Session::send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns) {
+  if (!wants_blades() || now_ns < blades_due_ns_ || control_bytes_ > kMaxWaitingBladeBytes) return;
+  blades_due_ns_ = now_ns + to_ns(0.9 / static_cast<double>(blade_rate_hz_));
+  for (const SharedFrame& frame : frames) push_control(frame);
 }
 
 void Session::push_control(SharedFrame frame) {
@@ -564,16 +659,18 @@ void Session::request_snapshot(SnapshotCause cause) {
   snapshot_wanted_ = true;
   snapshot_cause_ = cause;
   const std::uint64_t request = ++snapshot_request_;
-  hub_.request_snapshot(view_, box_,
-                        [weak = weak_from_this(), request](std::shared_ptr<const Snapshot> snapshot) {
-                          if (const auto self = weak.lock()) self->on_snapshot(std::move(snapshot), request);
-                        });
+  ++hub_.counters().snapshots;
+  feed().request_snapshot(view_, box_,
+                          [weak = weak_from_this(), request](std::shared_ptr<const Snapshot> snapshot) {
+                            if (const auto self = weak.lock())
+                              self->on_snapshot(std::move(snapshot), request);
+                          });
 }
 
 void Session::on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_t request) {
   if (request != snapshot_request_ || !snapshot_wanted_ || stage_ != Stage::kOpen) return;
   snapshot_wanted_ = false;
-  if (snapshot->session != hub_.mirror().session()) {
+  if (snapshot->session != feed().mirror().session()) {
     request_snapshot(snapshot_cause_);  // of before a reset
     return;
   }
@@ -607,7 +704,7 @@ void Session::advance() {
   if (state_bytes_ > limit) behind_ = true;
   if (behind_ && state_bytes_ > limit / 2) return;
   behind_ = false;
-  const std::uint64_t head = hub_.mirror().revision();
+  const std::uint64_t head = feed().mirror().revision();
   if (revision_ == head) {
     if (state_bytes_ == 0) slow_snapshots_ = 0;
     return;
@@ -627,12 +724,12 @@ void Session::advance() {
     }
     next_due_ns_ = now + to_ns(1 / static_cast<double>(max_rate_hz_));
   }
-  if (!hub_.ring().covers(revision_, head)) {
+  if (!feed().ring().covers(revision_, head)) {
     request_snapshot(SnapshotCause::TooSlow);
     return;
   }
   if (box_) {
-    const SharedFrame frame = hub_.part_delta(*part_, *box_);
+    const SharedFrame frame = feed().part_delta(*part_, *box_);
     if (!frame) {
       request_snapshot(SnapshotCause::TooSlow);
       return;
@@ -645,7 +742,7 @@ void Session::advance() {
   // One delta for each revision where the peer did not ask for fewer and there is room for them; else one for
   // all.
   const auto frame_of = [&](std::uint64_t revision) {
-    const EncodedStep& step = hub_.ring().step(revision);
+    const EncodedStep& step = feed().ring().step(revision);
     return view_ == View::Surface ? step.surface : step.volume;
   };
   std::size_t missing = 0;
@@ -656,7 +753,7 @@ void Session::advance() {
     while (revision_ < head && stage_ == Stage::kOpen) push_state(frame_of(++revision_));
     return;
   }
-  const SharedFrame frame = hub_.coalesced(view_, revision_);
+  const SharedFrame frame = feed().coalesced(view_, revision_);
   if (!frame) {
     request_snapshot(SnapshotCause::TooSlow);
     return;

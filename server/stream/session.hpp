@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "server/stream/hub.hpp"
+#include "server/stream/replay_library.hpp"
 #include "server/stream/transport.hpp"
 
 namespace incise::stream {
@@ -28,14 +29,18 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // The mirror has moved on, or the outbox has room again: sends what the peer should have.
   void advance();
-  // Another session of ids: Welcome again, and a snapshot.
-  void restart();
+  // The live mesh's ids start anew: Welcome again, and a snapshot.
+  void live_restarted();
   // Deadlines, pings, pose reports. About 20 times a second.
   void tick(std::int64_t now_ns);
   // A frame beside the state, e.g. statistics. Only to who has been welcomed.
   void send(SharedFrame frame);
   // To the operator who holds that blade: the latest, when the one before is out.
   void send_force(const protocol::Force& force);
+  // Whether it asked for the blades' poses, and follows the mesh that they cut.
+  bool wants_blades() const { return stage_ == Stage::kOpen && blade_rate_hz_ > 0 && !scratch_; }
+  // Leaves them out while more is on its way to the peer already, or the last ones went out too short a time ago.
+  void send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns);
   // Says goodbye and ends the connection once that is written.
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
@@ -59,6 +64,12 @@ class Session : public std::enable_shared_from_this<Session> {
   void set_box(const std::optional<protocol::Box>& box, const char* field, std::uint64_t sequence);
   void on_resync();
   void on_reset(std::uint64_t sequence);
+  void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
+  ReplayEvents replay_events(std::uint64_t number);
+  void end_replay();
+  // What this session follows.
+  Feed& feed();
+  void restart();
   bool allowed(protocol::Role role, const std::string& token) const;
   bool within_rate();
   asio::awaitable<void> pause(std::chrono::milliseconds time);
@@ -88,6 +99,8 @@ class Session : public std::enable_shared_from_this<Session> {
   protocol::View view_ = protocol::View::None;
   std::optional<protocol::Box> box_;  // of view Surface
   float max_rate_hz_ = 0;
+  float blade_rate_hz_ = 0;
+  std::int64_t blades_due_ns_ = 0;
 
   // An operator's.
   std::unique_ptr<PoseSource> source_;
@@ -99,6 +112,16 @@ class Session : public std::enable_shared_from_this<Session> {
   std::deque<Offered> unsettled_;  // messages whose poses the loop has not all counted yet
   std::uint64_t through_sequence_ = 0;
   protocol::PoseReport last_report_;
+
+  // A capture that is replayed for this session alone, and the state that it has come to.
+  struct Scratch {
+    Scratch(asio::io_context& io, std::size_t ring_bytes) : feed(io, ring_bytes) {}
+    protocol::MeshFacts mesh;
+    Feed feed;
+  };
+  std::unique_ptr<ReplayPlayer> player_;
+  std::unique_ptr<Scratch> scratch_;  // null: it follows the live mesh
+  std::uint64_t replay_number_ = 0;   // of the last capture that was opened
 
   // The outbox.
   std::deque<SharedFrame> control_, state_;

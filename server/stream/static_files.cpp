@@ -89,7 +89,14 @@ std::optional<StaticFiles::File> StaticFiles::find(std::string_view target) cons
   const auto known = std::find_if(kMimeTypes.begin(), kMimeTypes.end(),
                                   [&](const auto& entry) { return entry.first == extension; });
   file.mime_type = known == kMimeTypes.end() ? "application/octet-stream" : std::string(known->second);
-  file.etag = '"' + std::to_string(size) + '-' + std::to_string(changed.time_since_epoch().count()) + '"';
+  const std::string version = std::to_string(size) + '-' + std::to_string(changed.time_since_epoch().count());
+  file.etag = '"' + version + '"';
+  fs::path packed = path;
+  packed += ".gz";
+  if (fs::symlink_status(packed, error).type() == fs::file_type::regular) {
+    file.packed_path = packed;
+    file.packed_etag = '"' + version + "-gz\"";
+  }
   const bool hashed = rest != path.end() && *rest == "assets";
   file.cache_control = hashed ? "public, max-age=31536000, immutable" : "no-cache";
   return file;

@@ -14,7 +14,9 @@ class StaticFiles {
   struct File {
     std::filesystem::path path;
     std::string mime_type;
-    std::string etag;           // quoted, of size and time of change
+    std::string etag;                   // quoted, of size and time of change
+    std::filesystem::path packed_path;  // the same with gzip, where it lies beside it (NAME.gz); else empty
+    std::string packed_etag;
     std::string cache_control;  // names under assets/ carry a hash of their content and never change
   };
 

@@ -125,7 +125,7 @@ sockets = [socket.create_server(("127.0.0.1", port)) for port in config["listen"
 while True:
     time.sleep(1)
 END
-printf '#!/bin/bash\necho "incise $*" >> "$CALLS"; exec sleep "${MOTION_S:-0}"\n' > "$bin/incise"
+printf '#!/bin/bash\necho "incise $*" >> "$CALLS"; [[ $1 != stream ]] || exec sleep "${MOTION_S:-0}"\n' > "$bin/incise"
 chmod +x "$bin/incised" "$bin/incise"
 read -r tcp_port http_port < <(python3 -c '
 import socket
@@ -146,7 +146,7 @@ expect_server_gone() {
 # Starts a demo whose motion takes a minute, in the background, its process id in $!, and waits until it plays.
 begin_demo() {
   : > "$CALLS"
-  MOTION_S=60 "$work/dev" demo > /dev/null 2>&1 &
+  MOTION_S=60 "$work/dev" demo --motion > /dev/null 2>&1 &
   local tick
   for ((tick = 0; tick < 200; tick++)); do
     grep -q '^incise stream' "$CALLS" && return
@@ -159,11 +159,23 @@ begin_demo() {
 expect 0 "http://127.0.0.1:$http_port/" demo --once
 expect_call "incise stream config/demo_motion.csv --to 127.0.0.1:$tcp_port"
 expect_server_gone 'after --once'
+expect_call "incise convert config/demo_motion.csv --config config/demo.json --out build/demo/captures/demo.capture"
 REFUSE=1 expect 1 'mesh.path: no such file' demo
 begin_demo
 expect 1 'is in use' demo
 kill -TERM "$!"
 wait "$!" || { echo "the demo ended with $? at a TERM"; failures=$((failures + 1)); }
+# Without a motion it only waits.
+: > "$CALLS"
+"$work/dev" demo > "$work/demo.out" 2>&1 &
+for ((tick = 0; tick < 200; tick++)); do
+  if grep -q "http://127.0.0.1:$http_port/" "$work/demo.out"; then break; fi
+  sleep 0.1
+done
+((tick < 200)) || { echo "the demo prints no address:"; cat "$work/demo.out"; failures=$((failures + 1)); }
+expect_no_call 'incise stream'
+kill -TERM "$!"
+wait "$!" || { echo "the demo without a motion ended with $? at a TERM"; failures=$((failures + 1)); }
 begin_demo
 kill -KILL "$!"
 wait "$!" 2> /dev/null || true

@@ -70,6 +70,7 @@ TEST(Framing, HelloKeepsItsFields) {
   EXPECT_EQ(got.box, sent.box);
   EXPECT_EQ(got.source_name, "right hand");
   EXPECT_TRUE(got.take_over);
+  EXPECT_EQ(got.blade_rate_hz, 60);
 }
 
 TEST(Framing, PosesKeepTheirBitsEvenWhereTheyAreNoNumbers) {

@@ -134,6 +134,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.box = box;
   hello.source_name = "right hand";
   hello.take_over = true;
+  hello.blade_rate_hz = 60;
 
   Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
   force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
@@ -191,6 +192,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Reset", Reset{}},
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
+      {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
   };
 }
 

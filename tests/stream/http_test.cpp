@@ -56,6 +56,33 @@ TEST_F(HttpTest, TellsHowItIs) {
             std::string::npos);
 }
 
+TEST_F(HttpTest, SendsWhatIsPackedToWhoTakesIt) {
+  std::ofstream(site / "page.js") << "let plain;";
+  std::ofstream(site / "page.js.gz") << "as if packed";
+  const std::string packed = http(port(), "/page.js", "GET", "Accept-Encoding: gzip, br\r\n");
+  EXPECT_EQ(status_of(packed), "HTTP/1.1 200 OK");
+  EXPECT_NE(packed.find("Content-Encoding: gzip"), std::string::npos);
+  EXPECT_NE(packed.find("Content-Type: text/javascript; charset=utf-8"), std::string::npos);
+  EXPECT_NE(packed.find("Vary: Accept-Encoding"), std::string::npos);
+  EXPECT_EQ(body_of(packed), "as if packed");
+  const std::string plain = http(port(), "/page.js");
+  EXPECT_EQ(plain.find("Content-Encoding"), std::string::npos);
+  EXPECT_EQ(body_of(plain), "let plain;");
+  // What a cache holds of the one is no answer for the other.
+  const auto etag_of = [](const std::string& answer) {
+    const auto at = answer.find("ETag: ");
+    return at == std::string::npos ? "" : answer.substr(at + 6, answer.find('\r', at) - at - 6);
+  };
+  EXPECT_NE(etag_of(packed), etag_of(plain));
+  const std::string again =
+      http(port(), "/page.js", "GET", "Accept-Encoding: gzip\r\nIf-None-Match: " + etag_of(packed) + "\r\n");
+  EXPECT_EQ(status_of(again), "HTTP/1.1 304 Not Modified");
+}
+
+TEST_F(HttpTest, ListsNoCapturesWhereThereIsNoLibrary) {
+  EXPECT_EQ(body_of(http(port(), "/captures")), "[]\n");
+}
+
 TEST_F(HttpTest, ServesTheViewer) {
   const std::string page = http(port(), "/");
   EXPECT_EQ(status_of(page), "HTTP/1.1 200 OK");

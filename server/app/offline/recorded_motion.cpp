@@ -22,16 +22,16 @@ struct RecordReader {
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
-    motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose)});
+    motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose), record.arrival_ns});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
     // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
     if (record.action == protocol::StrokeAction::End) {
-      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}});
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns});
     } else if (record.action == protocol::StrokeAction::HandOver) {
-      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}});
+      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
     }
   }
   void operator()(const protocol::BatchMark& record) {
@@ -143,7 +143,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
   motion.has_orientation = text.has_orientation;
   for (const protocol::PoseSample& sample : text.samples) {
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample)});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample), sample.source_ns});
   }
   if (!text.has_orientation) {
     motion.warnings.push_back(name +

@@ -18,6 +18,7 @@ struct MotionEvent {
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
   core::Pose pose;
+  std::int64_t arrival_ns = 0;  // at the server that recorded it, its clock; of a text motion the pose's own time
 };
 
 // A motion from a file, whatever its format.

@@ -1,0 +1,108 @@
+import * as THREE from "three";
+import type { Vec3 } from "./messages";
+
+const kTrailSamples = 256;
+const kTrailTime_ms = 1600;
+
+/** One blade's edge and the surface it swept a moment ago. */
+export class BladeView {
+  readonly group = new THREE.Group();
+  private readonly edge: THREE.Mesh;
+  private readonly grip: THREE.Mesh;
+  private readonly trail: THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>;
+  private readonly points = new Float32Array(kTrailSamples * 6); // heel, tip
+  private readonly times = new Float64Array(kTrailSamples).fill(-1e12);
+  private readonly breaks = new Uint8Array(kTrailSamples); // no surface between this sample and the one before
+  private count = 0;
+  private seen_ms = -1e12;
+  private readonly heel = new THREE.Vector3();
+  private readonly tip = new THREE.Vector3();
+  private begins = true;
+
+  constructor(private readonly bodySize_m: number, colour: THREE.ColorRepresentation) {
+    const steel = new THREE.MeshBasicMaterial({ color: colour });
+    this.edge = new THREE.Mesh(new THREE.CylinderGeometry(1, 0.25, 1, 10).translate(0, -0.5, 0), steel);
+    this.grip = new THREE.Mesh(new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0), new THREE.MeshBasicMaterial({ color: 0x2b3440 }));
+    const geometry = new THREE.BufferGeometry();
+    const n = kTrailSamples * 6;
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * n), 3).setUsage(THREE.DynamicDrawUsage));
+    geometry.setAttribute("aAge", new THREE.BufferAttribute(new Float32Array(n), 1).setUsage(THREE.DynamicDrawUsage));
+    this.trail = new THREE.Mesh(geometry, new THREE.ShaderMaterial({
+      transparent: true, depthWrite: false, side: THREE.DoubleSide,
+      uniforms: { uColour: { value: new THREE.Color(colour) } },
+      vertexShader: `attribute float aAge; varying float vAge; void main() { vAge = aAge; gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0); }`,
+      fragmentShader: `uniform vec3 uColour; varying float vAge; void main() { gl_FragColor = vec4(uColour, 0.42 * (1.0 - vAge) * (1.0 - vAge)); }`,
+    }));
+    this.trail.frustumCulled = false;
+    this.group.add(this.edge, this.grip, this.trail);
+  }
+
+  /** The edge is at heel and tip now; while it cuts it leaves a trail. */
+  move(heel: Vec3, tip: Vec3, cuts: boolean): void {
+    const now = performance.now();
+    this.heel.set(...heel);
+    this.tip.set(...tip);
+    this.seen_ms = now;
+    if (cuts) {
+      const i = this.count++ % kTrailSamples;
+      this.points.set([...heel, ...tip], 6 * i);
+      this.times[i] = now;
+      this.breaks[i] = this.begins ? 1 : 0;
+    }
+    this.begins = !cuts;
+    this.place();
+  }
+
+  endStroke(): void {
+    this.begins = true;
+  }
+
+  hide(): void {
+    this.seen_ms = -1e12;
+  }
+
+  private place(): void {
+    const down = new THREE.Vector3().subVectors(this.tip, this.heel);
+    const length = down.length();
+    const thick = 0.006 * this.bodySize_m;
+    this.edge.position.copy(this.heel);
+    this.edge.quaternion.setFromUnitVectors(new THREE.Vector3(0, -1, 0), down.normalize());
+    this.edge.scale.set(thick * 0.5, length, thick * 0.5);
+    this.grip.position.copy(this.heel);
+    this.grip.quaternion.copy(this.edge.quaternion);
+    this.grip.scale.setScalar(thick * 1.6);
+  }
+
+  /** Ages the trail; whether there is anything to be seen that will change. */
+  update(): boolean {
+    const now = performance.now();
+    const idle = now - this.seen_ms;
+    this.edge.visible = this.grip.visible = idle < 2500;
+    const position = this.trail.geometry.getAttribute("position") as THREE.BufferAttribute;
+    const age = this.trail.geometry.getAttribute("aAge") as THREE.BufferAttribute;
+    let at = 0;
+    const put = (sample: number, tip: number, a: number) => {
+      const from = 6 * sample + 3 * tip;
+      position.setXYZ(at, this.points[from], this.points[from + 1], this.points[from + 2]);
+      age.setX(at++, a);
+    };
+    const first = Math.max(0, this.count - kTrailSamples) + 1;
+    for (let k = Math.max(1, first); k < this.count; ++k) {
+      const i = k % kTrailSamples, before = (k - 1) % kTrailSamples;
+      const a0 = (now - this.times[before]) / kTrailTime_ms, a1 = (now - this.times[i]) / kTrailTime_ms;
+      if (this.breaks[i] || a0 >= 1) continue;
+      put(before, 0, a0); put(before, 1, a0); put(i, 0, a1);
+      put(i, 0, a1); put(before, 1, a0); put(i, 1, a1);
+    }
+    this.trail.geometry.setDrawRange(0, at);
+    if (at > 0) position.needsUpdate = age.needsUpdate = true;
+    return at > 0 || (idle < 2600 && idle > 2400);
+  }
+
+  dispose(): void {
+    for (const mesh of [this.edge, this.grip, this.trail]) {
+      mesh.geometry.dispose();
+      (mesh.material as THREE.Material).dispose();
+    }
+  }
+}

@@ -1,0 +1,171 @@
+import * as THREE from "three";
+import type { Corners } from "./corner_buffers";
+import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
+
+const kPieceColumns = 256;
+const kMostRanges = 24; // uploads of single ranges; beyond that one range over all of them is quicker
+
+export type Colouring = "tissue" | "pieces" | "quality";
+
+/** Ranges that cover ascending slots, near ones joined until there are few. */
+export function rangesOf(slots: Uint32Array): [number, number][] {
+  for (let gap = 8; ; gap *= 4) {
+    const ranges: [number, number][] = [];
+    for (const slot of slots) {
+      const last = ranges[ranges.length - 1];
+      if (last && slot - last[1] <= gap) last[1] = slot + 1;
+      else ranges.push([slot, slot + 1]);
+    }
+    if (ranges.length <= kMostRanges) return ranges;
+  }
+}
+
+/** The body on the graphics card: three corners a slot, not indexed, changed in place. */
+export class BodyMesh {
+  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>;
+  readonly positions: () => Float32Array;
+  /** Slots that hold triangles, or did. */
+  slots = 0;
+  private pieceOffsets = new Float32Array(4 * kPieceColumns);
+  private pieceTexture = this.makePieceTexture(1);
+
+  constructor() {
+    const material = new THREE.ShaderMaterial({
+      glslVersion: THREE.GLSL3,
+      vertexShader: bodyVertexShader,
+      fragmentShader: bodyFragmentShader,
+      side: THREE.DoubleSide,
+      uniforms: {
+        uOpen: { value: 0 },
+        uPieces: { value: this.pieceTexture },
+        uColouring: { value: 0 },
+        uWire: { value: 0 },
+        uGrain: { value: 20 },
+        uSection: { value: new THREE.Vector4(0, 0, 0, 1) },
+        uLight: { value: new THREE.Vector3(0, 0, 1) },
+        uFill: { value: new THREE.Vector3(0, 0, 1) },
+        uAmbient: { value: 1 },
+        uDetail: { value: 1 },
+      },
+    });
+    this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
+    this.mesh.frustumCulled = false;
+    this.mesh.visible = false;
+    this.positions = () => (this.mesh.geometry.getAttribute("position")?.array as Float32Array) ?? new Float32Array(0);
+  }
+
+  get uniforms() {
+    return this.mesh.material.uniforms;
+  }
+
+  /** A whole state, in buffers with room for `capacity` slots. */
+  replace(slots: number, capacity: number, corners: Corners): void {
+    const geometry = new THREE.BufferGeometry();
+    const add = (name: string, Type: typeof Float32Array | typeof Int16Array | typeof Uint8Array, size: number, normalised: boolean, from?: ArrayLike<number>) => {
+      const array = new Type(3 * size * capacity);
+      if (from) array.set(from);
+      const attribute = new THREE.BufferAttribute(array, size, normalised);
+      attribute.setUsage(THREE.DynamicDrawUsage);
+      geometry.setAttribute(name, attribute);
+    };
+    add("position", Float32Array, 3, false, corners.positions);
+    add("aNormal", Int16Array, 4, true, corners.normals);
+    add("aFacts", Uint8Array, 4, false, corners.facts);
+    add("aLips", Float32Array, 3, false);
+    geometry.setDrawRange(0, 3 * slots);
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = geometry;
+    this.mesh.visible = slots > 0;
+    this.slots = slots;
+  }
+
+  patch(slots: Uint32Array, highest: number, corners: Corners): void {
+    const ranges = rangesOf(slots);
+    this.write("position", 9, corners.positions, slots, ranges);
+    this.write("aNormal", 12, corners.normals, slots, ranges);
+    this.write("aFacts", 12, corners.facts, slots, ranges);
+    this.slots = Math.max(this.slots, highest);
+    this.mesh.geometry.setDrawRange(0, 3 * this.slots);
+  }
+
+  /** lips: 3 a corner, of the first slots; pieces: 4 a row. */
+  setOpening(lips: Float32Array, pieces: Float32Array): void {
+    const attribute = this.mesh.geometry.getAttribute("aLips") as THREE.BufferAttribute | undefined;
+    if (!attribute) return;
+    const count = Math.min(lips.length, attribute.array.length);
+    (attribute.array as Float32Array).set(lips.subarray(0, count));
+    attribute.addUpdateRange(0, count);
+    attribute.needsUpdate = true;
+    const rows = Math.ceil(pieces.length / 4 / kPieceColumns) || 1;
+    if (rows > this.pieceTexture.image.height) {
+      this.pieceTexture.dispose();
+      this.pieceTexture = this.makePieceTexture(rows);
+      this.uniforms.uPieces.value = this.pieceTexture;
+    }
+    this.pieceOffsets.set(pieces);
+    this.pieceTexture.needsUpdate = true;
+  }
+
+  /** 9 numbers for each triangle that is drawn. */
+  drawnTriangles(): Float32Array {
+    const p = this.positions();
+    const out: number[] = [];
+    for (let i = 0; i < 9 * this.slots; i += 9) {
+      if (p.subarray(i, i + 9).some((x) => x !== 0)) out.push(...p.subarray(i, i + 9));
+    }
+    return Float32Array.from(out);
+  }
+
+  setColouring(colouring: Colouring): void {
+    this.uniforms.uColouring.value = { tissue: 0, pieces: 1, quality: 2 }[colouring];
+  }
+
+  /**
+   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are passed
+   * over: a second stroke through a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
+   */
+  raycast(origin: THREE.Vector3, direction: THREE.Vector3): number {
+    const p = this.positions();
+    const facts = this.mesh.geometry.getAttribute("aFacts")?.array;
+    const { x: ox, y: oy, z: oz } = origin;
+    const { x: dx, y: dy, z: dz } = direction;
+    let nearest = NaN;
+    for (let s = 0; s < this.slots; ++s) {
+      if (facts[12 * s] !== 0) continue;
+      const i = 9 * s;
+      const ax = p[i], ay = p[i + 1], az = p[i + 2];
+      const ux = p[i + 3] - ax, uy = p[i + 4] - ay, uz = p[i + 5] - az;
+      const vx = p[i + 6] - ax, vy = p[i + 7] - ay, vz = p[i + 8] - az;
+      const hx = dy * vz - dz * vy, hy = dz * vx - dx * vz, hz = dx * vy - dy * vx;
+      const det = ux * hx + uy * hy + uz * hz;
+      if (det < 1e-18) continue; // seen from inside, or not at all
+      const tx = ox - ax, ty = oy - ay, tz = oz - az;
+      const a = tx * hx + ty * hy + tz * hz;
+      if (a < 0 || a > det) continue;
+      const qx = ty * uz - tz * uy, qy = tz * ux - tx * uz, qz = tx * uy - ty * ux;
+      const b = dx * qx + dy * qy + dz * qz;
+      if (b < 0 || a + b > det) continue;
+      const t = (vx * qx + vy * qy + vz * qz) / det;
+      if (t > 0 && !(t >= nearest)) nearest = t;
+    }
+    return nearest;
+  }
+
+  private write(name: string, size: number, from: ArrayLike<number>, slots: Uint32Array, ranges: [number, number][]): void {
+    const attribute = this.mesh.geometry.getAttribute(name) as THREE.BufferAttribute;
+    const to = attribute.array;
+    for (let i = 0; i < slots.length; ++i) {
+      const at = size * slots[i];
+      for (let k = 0; k < size; ++k) to[at + k] = from[size * i + k];
+    }
+    for (const [begin, end] of ranges) attribute.addUpdateRange(size * begin, size * (end - begin));
+    attribute.needsUpdate = true;
+  }
+
+  private makePieceTexture(rows: number): THREE.DataTexture {
+    this.pieceOffsets = new Float32Array(4 * kPieceColumns * rows);
+    const texture = new THREE.DataTexture(this.pieceOffsets, kPieceColumns, rows, THREE.RGBAFormat, THREE.FloatType);
+    texture.needsUpdate = true;
+    return texture;
+  }
+}

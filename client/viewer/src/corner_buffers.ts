@@ -1,0 +1,149 @@
+import { kNone, type Surface, withRoom } from "./surface";
+
+/** What the graphics card gets of each corner of a triangle; a slot's three corners lie together. */
+export interface Corners {
+  positions: Float32Array; // 3 a corner, metres
+  normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
+  facts: Uint8Array; // 4 a corner: is a cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
+}
+
+export function allocateCorners(slots: number): Corners {
+  return {
+    positions: new Float32Array(9 * slots),
+    normals: new Int16Array(12 * slots),
+    facts: new Uint8Array(12 * slots),
+  };
+}
+
+// Faces that meet at less than this are shaded as one smooth surface.
+const kCreaseCosine = Math.cos((42 * Math.PI) / 180);
+const kCut = 1;
+
+function hash(x: number, y: number, z: number): number {
+  let h = Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d);
+  h = Math.imul(h ^ (h >>> 15), 0x2c1b3c6d);
+  return ((h ^ (h >>> 13)) >>> 0) / 2 ** 32;
+}
+
+/** A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. Fixed to the place, so to the tissue. */
+function grain(p: Float32Array, at: number, cells: number): number {
+  const x = p[at] * cells, y = p[at + 1] * cells, z = p[at + 2] * cells;
+  const i = Math.floor(x), j = Math.floor(y), k = Math.floor(z);
+  const ease = (t: number) => t * t * (3 - 2 * t);
+  const u = ease(x - i), v = ease(y - j), w = ease(z - k);
+  let sum = 0;
+  for (let corner = 0; corner < 8; ++corner) {
+    const a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
+    sum += hash(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
+  }
+  return sum;
+}
+
+/** Makes corners from a surface: normals smooth over skin and over cut faces, with an edge between the two. */
+export class CornerBuilder {
+  private faceNormals = new Float32Array(0); // 3 a slot, twice the area long
+  private quality = new Uint8Array(0); // a slot
+  private rows = new Map<number, number>();
+
+  constructor(private readonly surface: Surface) {}
+
+  /** A small number for each piece, in the order in which they were met; piece 0 has row 0. */
+  rowOf(piece: number): number {
+    let row = this.rows.get(piece);
+    if (row === undefined) this.rows.set(piece, (row = Math.min(this.rows.size, 65535)));
+    return row;
+  }
+  get rowCount(): number {
+    return this.rows.size;
+  }
+
+  /** Cells of the tissue's grain in a metre. */
+  grainCells = 200;
+
+  restart(): void {
+    this.rows.clear();
+    this.rowOf(0);
+  }
+
+  /** The slots to be drawn anew, ascending: those that changed and those around their vertices. */
+  touched(): Uint32Array {
+    const { surface } = this;
+    const slots = new Set(surface.touchedSlots);
+    for (const v of surface.touchedVertices) {
+      for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
+    }
+    for (const slot of slots) this.measure(slot);
+    // A face that turned shades its neighbours anew.
+    for (const slot of [...slots]) {
+      if (surface.ids[slot] === kNone) continue;
+      for (let k = 0; k < 3; ++k) {
+        for (let c = surface.head[surface.corners[3 * slot + k]]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
+      }
+    }
+    return Uint32Array.from(slots).sort();
+  }
+
+  measureAll(): void {
+    for (let slot = 0; slot < this.surface.slots; ++slot) this.measure(slot);
+  }
+
+  /** Normal and quality of one triangle. */
+  private measure(slot: number): void {
+    this.faceNormals = withRoom(this.faceNormals, 3 * slot + 3);
+    this.quality = withRoom(this.quality, slot + 1);
+    const { positions: p, corners } = this.surface;
+    if (this.surface.ids[slot] === kNone) return;
+    const a = 3 * corners[3 * slot], b = 3 * corners[3 * slot + 1], c = 3 * corners[3 * slot + 2];
+    const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
+    const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
+    const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+    this.faceNormals.set([nx, ny, nz], 3 * slot);
+    const wx = vx - ux, wy = vy - uy, wz = vz - uz;
+    const squares = ux * ux + uy * uy + uz * uz + vx * vx + vy * vy + vz * vz + wx * wx + wy * wy + wz * wz;
+    // 4 sqrt(3) area / sum of squared sides: 1 for an equilateral triangle, 0 for a flat one (Bank 1994).
+    const shape = squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(nx, ny, nz)) / squares : 0;
+    this.quality[slot] = Math.round(255 * Math.min(1, shape));
+  }
+
+  /** Writes the corners of `slot` at place `at` of `out`. A slot without a triangle gets one of no size. */
+  write(slot: number, out: Corners, at: number): void {
+    const { surface, faceNormals } = this;
+    if (surface.ids[slot] === kNone) {
+      out.positions.fill(0, 9 * at, 9 * at + 9);
+      return;
+    }
+    const row = this.rowOf(surface.pieces[slot]);
+    for (let k = 0; k < 3; ++k) {
+      const v = surface.corners[3 * slot + k];
+      for (let i = 0; i < 3; ++i) out.positions[9 * at + 3 * k + i] = surface.positions[3 * v + i];
+      this.writeNormal(slot, v, faceNormals, out.normals, 12 * at + 4 * k);
+      out.normals[12 * at + 4 * k + 3] = 32767 * grain(surface.positions, 3 * v, this.grainCells);
+      const fact = 12 * at + 4 * k;
+      out.facts[fact] = surface.flags[slot] & kCut;
+      out.facts[fact + 1] = this.quality[slot];
+      out.facts[fact + 2] = row & 255;
+      out.facts[fact + 3] = row >> 8;
+    }
+  }
+
+  private writeNormal(slot: number, v: number, n: Float32Array, out: Int16Array, at: number): void {
+    const { surface } = this;
+    const x = n[3 * slot], y = n[3 * slot + 1], z = n[3 * slot + 2];
+    const length = Math.hypot(x, y, z);
+    const cut = surface.flags[slot] & kCut;
+    let sx = 0, sy = 0, sz = 0;
+    for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) {
+      const other = (c / 3) | 0;
+      if ((surface.flags[other] & kCut) !== cut) continue;
+      const ox = n[3 * other], oy = n[3 * other + 1], oz = n[3 * other + 2];
+      if (other !== slot && x * ox + y * oy + z * oz < kCreaseCosine * length * Math.hypot(ox, oy, oz)) continue;
+      sx += ox;
+      sy += oy;
+      sz += oz;
+    }
+    const scale = 32767 / (Math.hypot(sx, sy, sz) || 1);
+    out[at] = sx * scale;
+    out[at + 1] = sy * scale;
+    out[at + 2] = sz * scale;
+  }
+}

@@ -1,0 +1,289 @@
+import * as flatbuffers from "flatbuffers";
+import { Body } from "./wire/incise/wire/body";
+import { Bye } from "./wire/incise/wire/bye";
+import { ByeReason } from "./wire/incise/wire/bye-reason";
+import { Error as WireError } from "./wire/incise/wire/error";
+import { ErrorCode } from "./wire/incise/wire/error-code";
+import { Hello } from "./wire/incise/wire/hello";
+import { Message } from "./wire/incise/wire/message";
+import { Ping } from "./wire/incise/wire/ping";
+import { Pong } from "./wire/incise/wire/pong";
+import type { Role } from "./wire/incise/wire/role";
+import type { View } from "./wire/incise/wire/view";
+import { Welcome } from "./wire/incise/wire/welcome";
+
+/** Where a link stands; `text` says it to the person who looks at the page. */
+export interface LinkState {
+  stage: "connecting" | "open" | "waiting" | "ended";
+  text: string;
+  /** Why it ended: what the page can offer to do about it. */
+  reason?: "token" | "taken" | "handed-over" | "version" | "unavailable";
+  retryAt?: number; // ms of Date.now()
+}
+
+export interface HelloFields {
+  role: Role;
+  view: View;
+  token: string;
+  sourceName?: string;
+  takeOver?: boolean;
+  bladeRate_hz?: number;
+  resumeSession?: bigint;
+  resumeRevision?: bigint;
+}
+
+export interface LinkEvents {
+  hello(): HelloFields;
+  welcome(welcome: Welcome): void;
+  /** Any other message of the server's; its arrays may be kept. */
+  message(type: Body, message: Message, bytes: number): void;
+  state(state: LinkState): void;
+  /** The server did not do what it was asked for; the connection stays. */
+  refused(text: string): void;
+  /** A message made no sense; the connection is opened anew. */
+  unreadable(): void;
+}
+
+const kFirstPause_ms = 250;
+const kLongestPause_ms = 8000;
+const kPingEvery_ms = 2000;
+const kSilence_ms = 9000; // the line is dead: sleep, or another network
+
+/** Absolute time in ns, of the page and its worker alike. */
+export function now_ns(): bigint {
+  return BigInt(Math.round((performance.timeOrigin + performance.now()) * 1e3)) * 1000n;
+}
+
+/** One connection to the server that comes back by itself. Thread: the worker's. */
+export class Link {
+  private socket: WebSocket | null = null;
+  private sequence = 0n;
+  private pause_ms = 0;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private pinger: ReturnType<typeof setInterval> | undefined;
+  private lastHeard_ms = 0;
+  private ended = false;
+  private lost = ""; // what the server said before the connection ended
+  /** Server's monotonic clock minus ours, ns; of the quickest of the last answers. */
+  clockOffset_ns = 0n;
+  private bestRoundTrip_ns = 1n << 62n;
+  roundTrip_ms = 0;
+
+  constructor(private readonly url: string, private readonly events: LinkEvents) {
+    this.connect();
+  }
+
+  get open(): boolean {
+    return this.welcomed;
+  }
+  private welcomed = false;
+
+  /** Tries at once instead of at the end of the pause. */
+  wake(): void {
+    if (this.ended) return;
+    if (this.socket && performance.now() - this.lastHeard_ms > kSilence_ms) {
+      this.drop("Nothing was heard from the server.");
+    }
+    if (this.timer !== undefined) {
+      this.pause_ms = 0;
+      this.connect();
+    }
+  }
+
+  /** As a network loss would. */
+  drop(text = "The connection was lost."): void {
+    const socket = this.socket;
+    if (!socket) return;
+    socket.onclose = socket.onmessage = socket.onerror = null;
+    socket.close();
+    this.onClosed(text);
+  }
+
+  end(): void {
+    this.ended = true;
+    clearTimeout(this.timer);
+    clearInterval(this.pinger);
+    if (this.socket?.readyState === WebSocket.OPEN) {
+      this.send(Body.Bye, (b) => Bye.createBye(b, ByeReason.Done, 0));
+    }
+    this.socket?.close();
+    this.socket = null;
+    this.welcomed = false;
+  }
+
+  send(type: Body, make: (builder: flatbuffers.Builder) => flatbuffers.Offset): bigint {
+    if (this.socket?.readyState !== WebSocket.OPEN) return 0n;
+    const builder = new flatbuffers.Builder(1024);
+    const body = make(builder);
+    const sequence = ++this.sequence;
+    Message.startMessage(builder);
+    Message.addSequence(builder, sequence);
+    Message.addSentNs(builder, now_ns());
+    Message.addBodyType(builder, type);
+    Message.addBody(builder, body);
+    Message.finishMessageBuffer(builder, Message.endMessage(builder));
+    this.socket.send(builder.asUint8Array() as Uint8Array<ArrayBuffer>);
+    return sequence;
+  }
+
+  private connect(): void {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    this.events.state({ stage: "connecting", text: "Connecting to the server…" });
+    const socket = (this.socket = new WebSocket(this.url));
+    socket.binaryType = "arraybuffer";
+    this.sequence = 0n;
+    this.lost = "";
+    this.lastHeard_ms = performance.now();
+    socket.onopen = () => {
+      const fields = this.events.hello();
+      this.send(Body.Hello, (b) => makeHello(b, fields));
+    };
+    socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.onMessage(event.data);
+    socket.onclose = () => this.onClosed("The server does not answer.");
+    clearInterval(this.pinger);
+    this.pinger = setInterval(() => this.ping(), kPingEvery_ms);
+  }
+
+  private ping(): void {
+    if (performance.now() - this.lastHeard_ms > kSilence_ms) {
+      this.drop("Nothing was heard from the server.");
+      return;
+    }
+    if (this.welcomed) this.send(Body.Ping, (b) => Ping.createPing(b, 1n, now_ns()));
+  }
+
+  private onClosed(text: string): void {
+    const was = this.welcomed;
+    this.socket = null;
+    this.welcomed = false;
+    clearInterval(this.pinger);
+    if (this.ended) return;
+    this.pause_ms = was ? kFirstPause_ms : Math.min(kLongestPause_ms, Math.max(kFirstPause_ms, 2 * this.pause_ms));
+    const pause = this.pause_ms * (0.8 + 0.4 * Math.random());
+    this.timer = setTimeout(() => this.connect(), pause);
+    const why = this.lost || (was ? "The connection was lost." : text);
+    this.events.state({ stage: "waiting", text: `${why} Trying again…`, retryAt: Date.now() + pause });
+  }
+
+  private onMessage(data: ArrayBuffer): void {
+    this.lastHeard_ms = performance.now();
+    try {
+      this.read(data);
+    } catch (error) {
+      // FlatBuffers has no verifier here: what leads out of the message throws when it is read.
+      console.error(error);
+      this.events.unreadable();
+      this.drop("The server sent something that cannot be read.");
+    }
+  }
+
+  private read(data: ArrayBuffer): void {
+    const buffer = new flatbuffers.ByteBuffer(new Uint8Array(data));
+    if (data.byteLength < 16 || !Message.bufferHasIdentifier(buffer)) {
+      this.drop("The server sent something that is no message.");
+      return;
+    }
+    const message = Message.getRootAsMessage(buffer);
+    const type = message.bodyType();
+    switch (type) {
+      case Body.Welcome:
+        this.welcomed = true;
+        this.pause_ms = 0;
+        this.bestRoundTrip_ns = 1n << 62n;
+        this.events.welcome(message.body(new Welcome()));
+        this.events.state({ stage: "open", text: "Connected" });
+        this.ping();
+        break;
+      case Body.Ping: {
+        const ping: Ping = message.body(new Ping());
+        this.send(Body.Pong, (b) => Pong.createPong(b, ping.nonce(), ping.sentNs(), now_ns()));
+        break;
+      }
+      case Body.Pong:
+        this.onPong(message.body(new Pong()));
+        break;
+      case Body.Error:
+        this.onError(message.body(new WireError()));
+        break;
+      case Body.Bye:
+        this.onBye(message.body(new Bye()));
+        break;
+      default:
+        this.events.message(type, message, data.byteLength);
+    }
+  }
+
+  private onPong(pong: Pong): void {
+    const now = now_ns();
+    const trip = now - pong.pingSentNs();
+    this.roundTrip_ms = Number(trip) / 1e6;
+    this.bestRoundTrip_ns += this.bestRoundTrip_ns / 16n; // an old best fades: clocks drift
+    if (trip < this.bestRoundTrip_ns) {
+      this.bestRoundTrip_ns = trip;
+      this.clockOffset_ns = pong.receivedNs() - (pong.pingSentNs() + now) / 2n;
+    }
+  }
+
+  private onError(error: WireError): void {
+    const text = error.text() ?? "";
+    if (!error.fatal()) {
+      this.events.refused(text);
+      return;
+    }
+    switch (error.code()) {
+      case ErrorCode.Unauthorized:
+        return this.giveUp("token", "The server asks for a token. Enter one that opens this role.");
+      case ErrorCode.BladeTaken:
+      case ErrorCode.UnknownSource:
+        return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");
+      case ErrorCode.BadVersion:
+        return this.giveUp("version", "This page and the server are of different versions. Reload the page.");
+      case ErrorCode.TooManySessions:
+        this.lost = "The server is full.";
+        break;
+      default:
+        this.lost = `The server refused: ${text}.`;
+    }
+  }
+
+  private onBye(bye: Bye): void {
+    switch (bye.reason()) {
+      case ByeReason.ServerStops:
+        this.lost = "The server has stopped.";
+        break;
+      case ByeReason.HandedOver:
+        this.giveUp("handed-over", "Another window has taken the blade. You can watch, or take it back.");
+        break;
+      case ByeReason.TooSlow:
+        this.lost = "This computer could not keep up with the stream.";
+        break;
+      default:
+        this.lost ||= "The server ended the connection.";
+    }
+  }
+
+  private giveUp(reason: LinkState["reason"], text: string): void {
+    if (this.ended) return;
+    this.end();
+    this.events.state({ stage: "ended", text, reason });
+  }
+}
+
+function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffers.Offset {
+  const name = builder.createString("incise viewer");
+  const token = builder.createString(fields.token);
+  const source = fields.sourceName ? builder.createString(fields.sourceName) : 0;
+  Hello.startHello(builder);
+  Hello.addProtocolVersion(builder, 1);
+  Hello.addRole(builder, fields.role);
+  Hello.addView(builder, fields.view);
+  Hello.addClientName(builder, name);
+  Hello.addToken(builder, token);
+  Hello.addResumeSession(builder, fields.resumeSession ?? 0n);
+  Hello.addResumeRevision(builder, fields.resumeRevision ?? 0n);
+  if (source) Hello.addSourceName(builder, source);
+  Hello.addTakeOver(builder, fields.takeOver ?? false);
+  Hello.addBladeRateHz(builder, fields.bladeRate_hz ?? 0);
+  return Hello.endHello(builder);
+}

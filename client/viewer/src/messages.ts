@@ -1,0 +1,89 @@
+import type { LinkState } from "./link";
+import type { Corners } from "./corner_buffers";
+
+// What the page and its worker say to each other. Large arrays are handed over, not copied.
+
+export type Vec3 = [number, number, number];
+
+export interface Facts {
+  session: string;
+  meshName: string;
+  tets: number;
+  vertices: number;
+  meanEdge_m: number;
+  min: Vec3;
+  max: Vec3;
+  policy: string;
+  server: string;
+  frameRate_hz: number;
+}
+
+/** An operator's own blade, in the tool's frame. */
+export interface BladeFacts {
+  heel: Vec3;
+  tip: Vec3;
+  source: number;
+  engageButton: number;
+  maxSpeed_m_s: number;
+}
+
+/** Where a blade's edge went in one batch. */
+export interface BladeStep {
+  source: number;
+  own: boolean;
+  heel: Vec3;
+  tip: Vec3;
+  ended: boolean;
+}
+
+export interface Progress {
+  revision: number;
+  tets: number;
+  triangles: number;
+  pieces: number;
+  hash: string;
+  hashAgrees: boolean;
+  deltas: number; // since the page was loaded
+  bytes: number;
+  /** When the last pose behind this change was made, ms of absolute time; 0: unknown. */
+  posed_ms: number;
+  arrived_ms: number;
+}
+
+export interface ReplayFacts {
+  capture: string;
+  playing: boolean;
+  speed: number;
+  revision: number;
+  lastRevision: number;
+  text: string;
+}
+
+export type ToWorker =
+  | { kind: "connect"; url: string; token: string }
+  | { kind: "take-blade"; takeOver: boolean }
+  | { kind: "release-blade" }
+  /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
+  | { kind: "poses"; poses: Float64Array }
+  | { kind: "end-stroke" }
+  | { kind: "reset" }
+  | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
+  | { kind: "applied" } // the page has taken in the last patch
+  | { kind: "wake" }
+  | { kind: "drop" } // for tests: as if the network were lost
+  | { kind: "dump" }; // for tests: all triangles
+
+export type FromWorker =
+  | { kind: "link"; which: "view" | "blade" | "admin"; state: LinkState }
+  | { kind: "facts"; facts: Facts }
+  | { kind: "blade"; facts: BladeFacts }
+  | { kind: "geometry"; slots: number; capacity: number; corners: Corners; progress: Progress }
+  | { kind: "patch"; slots: Uint32Array; highest: number; corners: Corners; rows: number; steps: BladeStep[]; progress: Progress }
+  /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
+  | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
+  /** Where somebody else's blade is now. */
+  | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
+  | { kind: "stats"; json: string; roundTrip_ms: number }
+  | { kind: "replay"; facts: ReplayFacts | null }
+  | { kind: "notice"; text: string }
+  | { kind: "dump"; triangles: Float32Array };

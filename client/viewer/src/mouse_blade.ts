@@ -1,0 +1,244 @@
+import * as THREE from "three";
+import type { BladeFacts, Vec3 } from "./messages";
+import type { Stage } from "./stage";
+
+const kStep_ms = 4; // poses between two pointer events that lie farther apart
+const kStart_px = 3; // a click is no stroke
+const kStill_ms = 60; // a hand that rests still says where it is: a longer silence would end the stroke
+const kLongestStep_ms = 30; // between two poses of a stroke
+const kSafeSpeed = 0.4; // of the speed that the server takes for a jump
+
+interface Sample {
+  time_ms: number; // absolute
+  x: number; // normalised device coordinates
+  y: number;
+}
+interface Pose {
+  time_ms: number;
+  heel: THREE.Vector3;
+  tip: THREE.Vector3;
+}
+
+export interface MouseBladeEvents {
+  /** 9 numbers a pose. */
+  poses(poses: Float64Array): void;
+  moved(heel: Vec3, tip: Vec3, cuts: boolean): void;
+  strokeBegan(): void;
+  strokeEnded(): void;
+}
+
+/**
+ * Turns the pointer's way over the picture into the way of a blade that points along the line of sight: what is drawn on
+ * the body is cut, straight down from the eye. `depth_m` is how far its tip goes below the skin; null: right through.
+ */
+export class MouseBlade {
+  facts: BladeFacts | null = null;
+  depth_m: number | null = null;
+  tilt_rad = 0;
+  enabled = false;
+
+  private pointer = -1;
+  private down: Sample | null = null;
+  private engaged = false;
+  private samples: Sample[] = []; // the last three
+  private waitingForSkin: Sample[] = []; // before the stroke first met the body, at a limited depth
+  private reach = NaN; // distance from the eye to the skin, of the last ray that met it
+  private last: Pose | null = null;
+  private sourceTime_ms = 0;
+  private lastSent_ms = 0;
+  private lastEvent: Sample | null = null;
+  private batch: number[] = [];
+  private readonly ray = new THREE.Raycaster();
+
+  constructor(private readonly canvas: HTMLElement, private readonly stage: Stage, private readonly events: MouseBladeEvents) {
+    canvas.addEventListener("pointerdown", (e) => this.onDown(e));
+    canvas.addEventListener("pointermove", (e) => this.onMove(e));
+    canvas.addEventListener("pointerup", (e) => this.onUp(e));
+    canvas.addEventListener("pointercancel", (e) => this.onUp(e));
+    canvas.addEventListener("lostpointercapture", (e) => this.onUp(e));
+  }
+
+  get cutting(): boolean {
+    return this.engaged;
+  }
+
+  /** Ends whatever stroke there is. */
+  cancel(): void {
+    this.finish();
+    this.pointer = -1;
+    this.down = null;
+  }
+
+  /** Once a picture: keeps a resting blade alive. */
+  tick(): void {
+    const now = performance.timeOrigin + performance.now();
+    if (this.engaged && this.lastEvent && now - this.lastSent_ms > kStill_ms) {
+      this.advance({ ...this.lastEvent, time_ms: now });
+      this.flush();
+    }
+  }
+
+  private onDown(event: PointerEvent): void {
+    if (!this.enabled || !this.facts || event.button !== 0) return;
+    if (this.pointer >= 0) return this.cancel(); // a second finger: this becomes a turn
+    if (event.pointerType === "touch" && !event.isPrimary) return;
+    this.pointer = event.pointerId;
+    this.canvas.setPointerCapture(event.pointerId);
+    this.down = this.sample(event);
+    this.samples = [];
+    this.waitingForSkin = [];
+    this.reach = NaN;
+    this.last = null;
+  }
+
+  private onMove(event: PointerEvent): void {
+    if (event.pointerId !== this.pointer || !this.down) return;
+    const all = event.getCoalescedEvents?.() ?? [];
+    const samples = (all.length > 0 ? all : [event]).map((e) => this.sample(e));
+    const last = samples[samples.length - 1];
+    if (!this.engaged) {
+      const dx = ((last.x - this.down.x) * this.canvas.clientWidth) / 2;
+      const dy = ((last.y - this.down.y) * this.canvas.clientHeight) / 2;
+      if (Math.hypot(dx, dy) < kStart_px) return;
+      this.engaged = true;
+      this.sourceTime_ms = Math.max(this.sourceTime_ms + 1, this.down.time_ms);
+      this.events.strokeBegan();
+      this.advance(this.down);
+    }
+    // One ray for each event that the page gets, not for each sample in it.
+    this.findSkin(last);
+    for (const sample of samples) this.advance(sample);
+    this.flush();
+  }
+
+  private onUp(event: PointerEvent): void {
+    if (event.pointerId !== this.pointer) return;
+    this.pointer = -1;
+    this.down = null;
+    this.finish();
+  }
+
+  private finish(): void {
+    if (!this.engaged) return;
+    const samples = this.samples;
+    if (samples.length > 1) this.between(samples[samples.length - 2], samples[samples.length - 1], null);
+    this.engaged = false;
+    if (this.last) this.put({ ...this.last, time_ms: this.last.time_ms + 1 }, 0);
+    this.flush();
+    this.samples = [];
+    this.lastEvent = null;
+    this.events.strokeEnded();
+  }
+
+  private sample(event: PointerEvent): Sample {
+    const box = this.canvas.getBoundingClientRect();
+    return {
+      time_ms: performance.timeOrigin + event.timeStamp,
+      x: (2 * (event.clientX - box.left)) / box.width - 1,
+      y: 1 - (2 * (event.clientY - box.top)) / box.height,
+    };
+  }
+
+  private findSkin(at: Sample): void {
+    this.ray.setFromCamera(new THREE.Vector2(at.x, at.y), this.stage.camera);
+    const distance = this.stage.body.raycast(this.ray.ray.origin, this.ray.ray.direction);
+    if (Number.isNaN(distance)) return;
+    // The skin may jump (an edge in front of what lies behind it); a hand does not.
+    this.reach = Number.isNaN(this.reach) ? distance : this.reach + 0.5 * (distance - this.reach);
+  }
+
+  /** Takes the next sample; poses go out up to the one before it, whose neighbours are known then. */
+  private advance(sample: Sample): void {
+    this.lastEvent = sample;
+    if (this.depth_m !== null && Number.isNaN(this.reach)) {
+      this.waitingForSkin = [sample]; // the last one before the body: the run-up
+      return;
+    }
+    for (const early of this.waitingForSkin.splice(0)) this.advance(early);
+    const samples = this.samples;
+    if (samples.length > 0 && sample.time_ms <= samples[samples.length - 1].time_ms) {
+      sample.time_ms = samples[samples.length - 1].time_ms + 0.01;
+    }
+    samples.push(sample);
+    if (samples.length === 1) this.put(this.poseAt(sample), this.buttons());
+    if (samples.length >= 3) this.between(samples[samples.length - 3], samples[samples.length - 2], sample);
+    if (samples.length > 4) samples.shift();
+  }
+
+  /** Poses after `a` up to `b`, on a cubic through the samples around them (Catmull and Rom 1974, with their times). */
+  private between(a: Sample, b: Sample, after: Sample | null): void {
+    const i = this.samples.indexOf(a);
+    const before = i > 0 ? this.samples[i - 1] : null;
+    const span = b.time_ms - a.time_ms;
+    const slope = (p: Sample | null, q: Sample | null, k: "x" | "y") =>
+      p && q && q.time_ms > p.time_ms ? ((q[k] - p[k]) / (q.time_ms - p.time_ms)) * span : b[k] - a[k];
+    const steps = Math.max(1, Math.min(64, Math.round(span / kStep_ms)));
+    for (let n = 1; n <= steps; ++n) {
+      const t = n / steps;
+      const along = (k: "x" | "y") => {
+        const m0 = slope(before ?? a, b, k), m1 = slope(a, after ?? b, k);
+        return (2 * t * t * t - 3 * t * t + 1) * a[k] + (t * t * t - 2 * t * t + t) * m0 + (3 * t * t - 2 * t * t * t) * b[k] + (t * t * t - t * t) * m1;
+      };
+      this.put(this.poseAt({ time_ms: a.time_ms + t * span, x: along("x"), y: along("y") }), this.buttons());
+    }
+  }
+
+  private buttons(): number {
+    const button = this.facts?.engageButton ?? 0;
+    return this.engaged && button >= 0 ? 1 << button : 0;
+  }
+
+  private poseAt(sample: Sample): Pose {
+    const facts = this.facts!;
+    const camera = this.stage.camera;
+    this.ray.setFromCamera(new THREE.Vector2(sample.x, sample.y), camera);
+    const { origin, direction } = this.ray.ray;
+    const length = new THREE.Vector3(...facts.tip).distanceTo(new THREE.Vector3(...facts.heel));
+    const middle = this.stage.centre.clone().sub(origin).dot(direction);
+    const skin = Number.isNaN(this.reach) ? middle : this.reach;
+    const along = direction.clone();
+    if (this.tilt_rad !== 0) along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
+    const pivot = origin.clone().addScaledVector(direction, this.depth_m === null ? middle : skin);
+    // Right through: the blade's middle in the body's middle, as far as its length allows.
+    const below = this.depth_m === null ? length / 2 : this.depth_m;
+    const tip = pivot.clone().addScaledVector(along, below);
+    const heel = tip.clone().addScaledVector(along, -length);
+    return { time_ms: sample.time_ms, heel, tip };
+  }
+
+  /** The next pose, not faster than the server takes for a motion: a flick takes a little longer on the blade's clock, and
+   * a long way is gone in several steps, since a long silence would be taken for the stroke's end. */
+  private put(pose: Pose, buttons: number): void {
+    const facts = this.facts!;
+    const before = this.last;
+    const way = before ? Math.max(before.heel.distanceTo(pose.heel), before.tip.distanceTo(pose.tip)) : 0;
+    const least_ms = facts.maxSpeed_m_s > 0 ? (1000 * way) / (kSafeSpeed * facts.maxSpeed_m_s) : 0;
+    const begin_ms = this.sourceTime_ms;
+    const end_ms = Math.max(pose.time_ms, begin_ms + Math.max(0.01, least_ms));
+    const steps = before && buttons !== 0 ? Math.max(1, Math.ceil((end_ms - begin_ms) / kLongestStep_ms)) : 1;
+    for (let n = 1; n <= steps; ++n) {
+      const t = n / steps;
+      this.push(before ? before.heel.clone().lerp(pose.heel, t) : pose.heel, before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
+                steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms), buttons);
+    }
+    this.last = pose;
+    this.events.moved(pose.heel.toArray(), pose.tip.toArray(), buttons !== 0 || facts.engageButton < 0);
+  }
+
+  private push(heel: THREE.Vector3, tip: THREE.Vector3, time_ms: number, buttons: number): void {
+    const facts = this.facts!;
+    const toolHeel = new THREE.Vector3(...facts.heel);
+    const toolDown = new THREE.Vector3(...facts.tip).sub(toolHeel).normalize();
+    const turn = new THREE.Quaternion().setFromUnitVectors(toolDown, tip.clone().sub(heel).normalize());
+    const at = heel.clone().sub(toolHeel.applyQuaternion(turn));
+    this.sourceTime_ms = time_ms;
+    this.batch.push(time_ms, at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z, buttons);
+  }
+
+  private flush(): void {
+    if (this.batch.length === 0) return;
+    this.events.poses(Float64Array.from(this.batch));
+    this.batch = [];
+    this.lastSent_ms = performance.timeOrigin + performance.now();
+  }
+}

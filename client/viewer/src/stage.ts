@@ -1,0 +1,312 @@
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { BladeView } from "./blade_view";
+import { BodyMesh } from "./body_mesh";
+import type { Vec3 } from "./messages";
+
+const kSlowFrame_ms = 34;
+const kLeastScale = 0.6;
+const kSettle_ms = 220; // after the last motion the picture is drawn once more in full sharpness
+
+/** Whether the browser draws on the processor. */
+function drawnInSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl!.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
+export type Tool = "cut" | "turn";
+
+/** The picture: camera, lights, body, blades. Draws when something has changed, and no more. */
+export class Stage {
+  readonly renderer: THREE.WebGLRenderer;
+  readonly camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
+  readonly controls: OrbitControls;
+  readonly body = new BodyMesh();
+  readonly centre = new THREE.Vector3();
+  bodySize_m = 0.3;
+  /** Called before each picture; true: something moves, draw again. */
+  beforeDraw: (now_ms: number) => boolean = () => false;
+  /** Called when a picture that showed new state is on its way to the screen. */
+  afterDraw: () => void = () => {};
+  framesDrawn = 0;
+  readonly software: boolean;
+
+  private readonly scene = new THREE.Scene();
+  private readonly ground: THREE.Mesh<THREE.PlaneGeometry, THREE.ShaderMaterial>;
+  private blades = new Map<number, BladeView>();
+  private wanted = true;
+  private scale = 1; // of the resolution, while things move
+  private lastDraw_ms = 0;
+  private average_ms = 16;
+  private sharp = true;
+  private openNow = 0;
+  private openGoal = 0;
+  private section = -1; // share of the body left of the plane; below 0: none
+  private flight: { from: THREE.Vector3; to: THREE.Vector3; targetFrom: THREE.Vector3; began_ms: number } | null = null;
+  readonly calm = matchMedia("(prefers-reduced-motion: reduce)");
+
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    // Without a graphics card: fewer pixels, no blur behind panels.
+    this.software = drawnInSoftware();
+    document.body.classList.toggle("software", this.software);
+    if (this.software) this.scale = kLeastScale;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: true, powerPreference: "high-performance" });
+    this.renderer.setClearAlpha(0);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = !this.calm.matches;
+    this.controls.dampingFactor = 0.12;
+    this.controls.zoomToCursor = true;
+    this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("start", () => (this.flight = null));
+    this.ground = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.ShaderMaterial({
+      transparent: true, depthWrite: false,
+      uniforms: { uInk: { value: new THREE.Color(0xffffff) }, uShade: { value: 0.5 }, uSize: { value: 1 } },
+      vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
+      fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize;
+        float lines(float cell) { vec2 g = abs(fract(vAt / cell - 0.5) - 0.5) / fwidth(vAt / cell); return 1.0 - clamp(min(g.x, g.y), 0.0, 1.0); }
+        void main() {
+          float r = length(vAt) / uSize * 2.0;
+          float fade = 1.0 - smoothstep(0.35, 1.0, r);
+          float grid = max(0.10 * lines(0.01), 0.22 * lines(0.05)) * fade;
+          float shadow = uShade * exp(-r * r * 22.0);
+          gl_FragColor = vec4(mix(uInk, vec3(0.0), shadow / (shadow + grid + 1e-4)), max(grid, shadow));
+        }`,
+    }));
+    this.ground.renderOrder = -1;
+    this.scene.add(this.ground, this.body.mesh);
+    this.setTool("turn");
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  draw(): void {
+    this.wanted = true;
+  }
+
+  setBody(min: Vec3, max: Vec3, meanEdge_m: number): void {
+    this.centre.set((min[0] + max[0]) / 2, (min[1] + max[1]) / 2, (min[2] + max[2]) / 2);
+    this.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
+    this.min = min;
+    this.max = max;
+    this.body.uniforms.uGrain.value = 55 / this.bodySize_m;
+    void meanEdge_m;
+    const size = 2.6 * this.bodySize_m;
+    this.ground.scale.set(size, size, 1);
+    this.ground.material.uniforms.uSize.value = size;
+    this.ground.position.set(this.centre.x, this.centre.y, min[2] - 0.02 * this.bodySize_m);
+    this.camera.near = 0.02 * this.bodySize_m;
+    this.camera.far = 30 * this.bodySize_m;
+    this.controls.minDistance = 0.15 * this.bodySize_m;
+    this.controls.maxDistance = 8 * this.bodySize_m;
+    for (const blade of this.blades.values()) {
+      this.scene.remove(blade.group);
+      blade.dispose();
+    }
+    this.blades.clear();
+    this.applySection();
+  }
+  private min: Vec3 = [0, 0, 0];
+  private max: Vec3 = [0, 0, 0];
+
+  blade(source: number, own: boolean): BladeView {
+    const key = own ? -1 : source;
+    let view = this.blades.get(key);
+    if (!view) {
+      view = new BladeView(this.bodySize_m, own ? 0x39d0c0 : 0xffb84d);
+      this.blades.set(key, view);
+      this.scene.add(view.group);
+    }
+    return view;
+  }
+
+  /** The whole body in view, from a little above and the side that faces the reader. */
+  fit(at_once = false, direction = new THREE.Vector3(-0.18, -0.62, 0.76)): void {
+    const { left, right, top, bottom } = this.cover;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    // The angle that the shorter free side spans, of the whole height's.
+    const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
+    const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
+    const to = direction.normalize().multiplyScalar((0.40 * this.bodySize_m) / half).add(this.centre);
+    if (at_once || this.calm.matches) {
+      this.camera.position.copy(to);
+      this.controls.target.copy(this.centre);
+      this.controls.update();
+      this.draw();
+      return;
+    }
+    this.flight = { from: this.camera.position.clone(), to, targetFrom: this.controls.target.clone(), began_ms: performance.now() };
+    this.draw();
+  }
+
+  /** Around the body, in steps of 6 degrees. */
+  turn(right: number, up: number): void {
+    const step = Math.PI / 30;
+    const arm = this.camera.position.clone().sub(this.controls.target);
+    const at = new THREE.Spherical().setFromVector3(new THREE.Vector3(arm.x, arm.z, -arm.y));
+    at.theta += right * step;
+    at.phi = Math.min(Math.PI - 0.05, Math.max(0.05, at.phi - up * step));
+    const turned = new THREE.Vector3().setFromSpherical(at);
+    this.camera.position.set(turned.x, -turned.z, turned.y).add(this.controls.target);
+    this.controls.update();
+    this.draw();
+  }
+
+  zoom(factor: number): void {
+    this.camera.position.sub(this.controls.target).multiplyScalar(factor).add(this.controls.target);
+    this.controls.update();
+    this.draw();
+  }
+
+  setTool(tool: Tool): void {
+    const { MOUSE, TOUCH } = THREE;
+    const cut = tool === "cut";
+    this.controls.mouseButtons = cut
+      ? { LEFT: null as never, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.ROTATE }
+      : { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.PAN };
+    this.controls.touches = cut ? { ONE: null as never, TWO: TOUCH.DOLLY_ROTATE } : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
+  }
+
+  setOpen(share: number, at_once = false): void {
+    this.openGoal = share;
+    if (at_once || this.calm.matches) this.openNow = share;
+    this.draw();
+  }
+
+  /** share: how much of the body stays, along its longest side; below 0: all. */
+  setSection(share: number): void {
+    this.section = share;
+    this.applySection();
+    this.draw();
+  }
+
+  setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number): void {
+    this.ground.material.uniforms.uInk.value.set(ink);
+    this.ground.material.uniforms.uShade.value = shade;
+    this.body.uniforms.uAmbient.value = ambient;
+    this.draw();
+  }
+
+  /** So many pixels at each side lie under panels. */
+  setCover(cover: { left: number; right: number; top: number; bottom: number }): void {
+    this.cover = cover;
+    this.resize();
+  }
+  cover = { left: 0, right: 0, top: 0, bottom: 0 };
+
+  /** Red, green, blue, opacity (0 to 255) at a place in shares of the picture. Draws anew: a drawn picture is gone. */
+  colourAt(x: number, y: number): number[] {
+    this.renderer.render(this.scene, this.camera);
+    const gl = this.renderer.getContext();
+    const pixel = new Uint8Array(4);
+    gl.readPixels(Math.floor(x * gl.drawingBufferWidth), Math.floor((1 - y) * gl.drawingBufferHeight), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    return Array.from(pixel);
+  }
+
+  private applySection(): void {
+    const plane = this.body.uniforms.uSection.value as THREE.Vector4;
+    if (this.section < 0) {
+      plane.set(0, 0, 0, 1);
+      return;
+    }
+    const sides = [0, 1, 2].map((k) => this.max[k] - this.min[k]);
+    const k = sides.indexOf(Math.max(...sides));
+    const normal = [0, 0, 0];
+    normal[k] = 1;
+    // Opened pieces stand out of the box: the ends lie a little beyond it.
+    plane.set(normal[0], normal[1], normal[2], this.min[k] + sides[k] * (this.section * 1.5 - 0.25));
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (width === 0 || height === 0) return;
+    this.camera.aspect = width / height;
+    // The middle of the picture is that of what panels leave free.
+    const { left, right, top, bottom } = this.cover;
+    this.camera.setViewOffset(width, height, (right - left) / 2, (bottom - top) / 2, width, height);
+    this.camera.updateProjectionMatrix();
+    this.applyScale();
+    this.draw();
+  }
+
+  private applyScale(): void {
+    const ratio = Math.min(devicePixelRatio, 2) * (this.sharp ? 1 : this.scale);
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
+  }
+
+  /** Fewer pixels while it moves on a slow machine, all of them when it rests. */
+  private adapt(spent_ms: number): void {
+    this.average_ms += 0.2 * (Math.min(spent_ms, 200) - this.average_ms);
+    const scale = this.average_ms > kSlowFrame_ms ? Math.max(kLeastScale, this.scale - 0.08)
+                : this.average_ms < 0.6 * kSlowFrame_ms ? Math.min(1, this.scale + 0.02) : this.scale;
+    const changed = scale !== this.scale || (this.sharp && scale < 1);
+    this.scale = scale;
+    if (changed) {
+      this.sharp = scale === 1;
+      this.applyScale();
+    }
+  }
+
+  private frame(now_ms: number): void {
+    requestAnimationFrame((next) => this.frame(next));
+    let moves = this.fly(now_ms);
+    if (this.controls.enabled) this.controls.update();
+    if (this.openNow !== this.openGoal) {
+      const step = 0.22 * (this.openGoal - this.openNow);
+      this.openNow = Math.abs(step) < 0.002 ? this.openGoal : this.openNow + step;
+      moves = true;
+    }
+    for (const blade of this.blades.values()) moves = blade.update() || moves;
+    moves = this.beforeDraw(now_ms) || moves;
+    if (!this.wanted && !moves) {
+      if (!this.sharp && now_ms - this.lastDraw_ms > kSettle_ms) {
+        this.sharp = true;
+        this.applyScale();
+        this.render(now_ms);
+      }
+      return;
+    }
+    const steady = now_ms - this.lastDraw_ms < 250;
+    if (steady) this.adapt(now_ms - this.lastDraw_ms);
+    this.wanted = false;
+    this.render(now_ms);
+    this.lastDraw_ms = now_ms;
+  }
+
+  private render(_now_ms: number): void {
+    const u = this.body.uniforms;
+    u.uOpen.value = this.openNow;
+    // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
+    // may take the trouble.
+    const side = this.software && this.section < 0 ? THREE.FrontSide : THREE.DoubleSide;
+    if (this.body.mesh.material.side !== side) {
+      this.body.mesh.material.side = side;
+      this.body.mesh.material.needsUpdate = true;
+    }
+    u.uDetail.value = this.sharp || !this.software ? 1 : 0;
+    // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
+    const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
+    const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);
+    const back = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);
+    u.uLight.value.copy(back).addScaledVector(up, 0.9).addScaledVector(right, -0.55).normalize();
+    u.uFill.value.copy(back).multiplyScalar(0.4).addScaledVector(right, 1).addScaledVector(up, -0.1).normalize();
+    this.renderer.render(this.scene, this.camera);
+    ++this.framesDrawn;
+    this.afterDraw();
+  }
+
+  private fly(now_ms: number): boolean {
+    if (!this.flight) return false;
+    const t = Math.min(1, (now_ms - this.flight.began_ms) / 380);
+    const s = t * t * (3 - 2 * t);
+    this.camera.position.lerpVectors(this.flight.from, this.flight.to, s);
+    this.controls.target.lerpVectors(this.flight.targetFrom, this.centre, s);
+    if (t === 1) this.flight = null;
+    return true;
+  }
+}

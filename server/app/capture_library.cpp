@@ -1,0 +1,282 @@
+#include "server/app/capture_library.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <optional>
+#include <thread>
+
+#include "server/app/offline/recorded_motion.hpp"
+#include "server/app/wiring.hpp"
+
+namespace incise::app {
+namespace {
+
+namespace fs = std::filesystem;
+using protocol::ReplayAction;
+using std::chrono::steady_clock;
+
+constexpr std::size_t kMostPlaying = 4;              // each holds a mesh and three replicas of it
+constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a recording is shortened to this
+constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
+constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
+
+bool is_plain(const std::string& name) {
+  return std::all_of(name.begin(), name.end(), [](unsigned char c) {
+    return std::isalnum(c) != 0 || c == '-' || c == '_' || c == '.';
+  });
+}
+
+// One capture's replay, on its thread: what was asked for is in `wish`, under the mutex.
+class Replay {
+ public:
+  Replay(std::string name, stream::ReplayEvents events)
+      : name_(std::move(name)), events_(std::move(events)) {}
+
+  void load(const fs::path& path, const Body& live) {
+    motion_ = read_recorded_motion(path);
+    if (!motion_.header) throw std::runtime_error(name_ + ": is no capture");
+    config_ = config_of(*motion_.header, name_);
+    if (motion_.header->mesh_content_hash == live.loaded.content_hash) {
+      body_ = &live;
+    } else {
+      if (!config_.mesh.path.empty()) config_.mesh.path = motion_.header->mesh_path;
+      own_body_ = load_body(config_);
+      if (own_body_.loaded.content_hash != motion_.header->mesh_content_hash) {
+        throw std::runtime_error(name_ + ": was recorded with another mesh than " + own_body_.name +
+                                 " is now");
+      }
+      body_ = &own_body_;
+    }
+    for (const protocol::BatchMark& mark : motion_.marks)
+      last_revision_ = std::max(last_revision_, mark.revision);
+    begin();
+    show();
+  }
+
+  std::uint64_t revision() const { return session_->revision(); }
+  std::uint64_t last_revision() const { return last_revision_; }
+  bool at_end() const { return next_ == motion_.events.size() && session_->backlog_batches() == 0; }
+  // When what comes next arrived, on the recording's clock with its long silences left out; ns.
+  std::int64_t due_ns() const { return next_ < motion_.events.size() ? clock_ns_ + pause_ns() : clock_ns_; }
+  std::int64_t clock_ns() const { return clock_ns_; }
+
+  // Commits a batch that waits, or takes the next event. Whether a batch was committed.
+  bool advance(bool tell) {
+    auto delta = std::make_shared<stream::PublishedDelta>();
+    core::WorkBudget budget = core::WorkBudget::unlimited();
+    if (session_->advance(budget, delta->delta) == core::CutSession::Progress::kCommitted) {
+      delta->arrival_ns = delta->drain_ns = delta->cut_ns = input::monotonic_ns();
+      last_revision_ = std::max(last_revision_, session_->revision());
+      if (tell) events_.delta(std::move(delta));
+      return true;
+    }
+    if (next_ < motion_.events.size()) {
+      clock_ns_ += pause_ns();
+      apply(*session_, motion_.events[next_++], config_);
+    }
+    return false;
+  }
+
+  void seek(std::uint64_t revision, const std::atomic<bool>& stop) {
+    const bool back = revision < this->revision();
+    if (back) begin();
+    while (this->revision() < revision && !at_end() && !stop) advance(!back);
+    if (back) show();
+  }
+
+  void tell(bool playing, float speed) const {
+    protocol::ReplayState state;
+    state.capture = name_;
+    state.playing = playing;
+    state.speed = speed;
+    state.revision = revision();
+    state.last_revision = last_revision_;
+    events_.state(std::move(state));
+  }
+  void fail(const std::string& why) const { events_.failed(why); }
+
+ private:
+  std::int64_t pause_ns() const {
+    if (next_ == 0) return 0;
+    return std::clamp<std::int64_t>(motion_.events[next_].arrival_ns - motion_.events[next_ - 1].arrival_ns,
+                                    0, kMostPause_ns);
+  }
+  void begin() {
+    session_.emplace(body_->loaded.mesh, config_.cut);
+    next_ = 0;
+    clock_ns_ = 0;
+  }
+  void show() {
+    events_.restarted(
+        server_facts(config_, *body_, session_->mesh()).mesh,
+        std::make_shared<const stream::InitialState>(initial_state(*session_, fresh_session_id())));
+  }
+
+  const std::string name_;
+  const stream::ReplayEvents events_;
+  RecordedMotion motion_;
+  Config config_;
+  Body own_body_;
+  const Body* body_ = nullptr;
+  std::optional<core::CutSession> session_;
+  std::size_t next_ = 0;
+  std::int64_t clock_ns_ = 0;
+  std::uint64_t last_revision_ = 0;
+};
+
+}  // namespace
+
+struct CaptureLibrary::Playing {
+  std::mutex mutex;
+  std::condition_variable wake;
+  std::vector<protocol::ReplayControl> wishes;  // guarded by mutex
+  std::atomic<bool> stop{false}, ended{false};
+  std::thread thread;
+
+  void end() {
+    stop = true;
+    const std::scoped_lock lock(mutex);
+    wake.notify_one();
+  }
+
+  void run(Replay& replay) {
+    bool playing = false;
+    float speed = 1;
+    replay.tell(playing, speed);
+    // While it plays: the recording's clock was at `from_ns` at the time `since`.
+    std::int64_t from_ns = 0;
+    steady_clock::time_point since, told;
+    const auto restart_clock = [&] {
+      from_ns = replay.clock_ns();
+      since = steady_clock::now();
+    };
+    while (!stop) {
+      std::vector<protocol::ReplayControl> taken;
+      {
+        std::unique_lock lock(mutex);
+        const auto due =
+            since + std::chrono::nanoseconds(static_cast<std::int64_t>(
+                        static_cast<double>(replay.due_ns() - from_ns) / static_cast<double>(speed)));
+        const auto asked = [&] { return stop || !wishes.empty(); };
+        if (playing) {
+          wake.wait_until(lock, due, asked);
+        } else {
+          wake.wait(lock, asked);
+        }
+        taken.swap(wishes);
+      }
+      for (const protocol::ReplayControl& wish : taken) {
+        switch (wish.action) {
+          case ReplayAction::Play:
+            // From the end it begins anew.
+            if (replay.at_end()) replay.seek(0, stop);
+            playing = true;
+            speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
+            break;
+          case ReplayAction::Pause:
+            playing = false;
+            break;
+          case ReplayAction::Step:
+            playing = false;
+            while (!replay.at_end() && !replay.advance(true) && !stop) {
+            }
+            break;
+          case ReplayAction::Seek:
+            replay.seek(wish.revision, stop);
+            break;
+          case ReplayAction::Open:
+          case ReplayAction::Close:
+            break;
+        }
+        restart_clock();
+      }
+      bool news = !taken.empty();
+      if (playing && taken.empty() && !stop) {
+        replay.advance(true);
+        if (replay.at_end()) playing = false;
+        news = !playing || steady_clock::now() - told > kStateEvery;
+      }
+      if (news) {
+        told = steady_clock::now();
+        replay.tell(playing, speed);
+      }
+    }
+  }
+};
+
+// What the session holds: the wishes go to the thread.
+class CaptureLibrary::Player final : public stream::ReplayPlayer {
+ public:
+  explicit Player(std::shared_ptr<Playing> playing) : playing_(std::move(playing)) {}
+  ~Player() override { playing_->end(); }
+  void control(const protocol::ReplayControl& control) override {
+    const std::scoped_lock lock(playing_->mutex);
+    playing_->wishes.push_back(control);
+    playing_->wake.notify_one();
+  }
+
+ private:
+  std::shared_ptr<Playing> playing_;
+};
+
+CaptureLibrary::CaptureLibrary(fs::path directory, const Body& live)
+    : directory_(std::move(directory)), live_(live) {}
+
+CaptureLibrary::~CaptureLibrary() {
+  stop();
+}
+
+void CaptureLibrary::stop() {
+  for (const auto& playing : playing_) playing->end();
+  for (const auto& playing : playing_) playing->thread.join();
+  playing_.clear();
+}
+
+std::vector<std::string> CaptureLibrary::names() {
+  std::vector<std::string> names;
+  std::error_code error;
+  for (const fs::directory_entry& entry : fs::directory_iterator(directory_, error)) {
+    const std::string name = entry.path().filename().string();
+    if (entry.path().extension() == ".capture" && is_plain(name) && entry.is_regular_file(error)) {
+      names.push_back(name);
+    }
+  }
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+void CaptureLibrary::forget_ended() {
+  std::erase_if(playing_, [](const std::shared_ptr<Playing>& playing) {
+    if (!playing->ended) return false;
+    playing->thread.join();
+    return true;
+  });
+}
+
+std::unique_ptr<stream::ReplayPlayer> CaptureLibrary::open(const std::string& name,
+                                                           stream::ReplayEvents events) {
+  forget_ended();
+  const std::vector<std::string> known = names();
+  const auto running =
+      std::count_if(playing_.begin(), playing_.end(), [](const auto& p) { return !p->stop; });
+  if (std::find(known.begin(), known.end(), name) == known.end()) return nullptr;
+  if (static_cast<std::size_t>(running) >= kMostPlaying) return nullptr;
+  auto playing = std::make_shared<Playing>();
+  playing_.push_back(playing);
+  playing->thread = std::thread([playing, replay = std::make_shared<Replay>(name, std::move(events)),
+                                 path = directory_ / name, &live = live_] {
+    try {
+      replay->load(path, live);
+      playing->run(*replay);
+    } catch (const std::exception& error) {
+      replay->fail(error.what());
+    }
+    playing->ended = true;
+  });
+  return std::make_unique<Player>(std::move(playing));
+}
+
+}  // namespace incise::app

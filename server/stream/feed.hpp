@@ -1,0 +1,51 @@
+#pragma once
+
+#include <boost/asio/io_context.hpp>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "server/stream/delta_ring.hpp"
+#include "server/stream/mirror.hpp"
+#include "server/stream/snapshot_keeper.hpp"
+
+namespace incise::stream {
+
+namespace asio = boost::asio;
+
+// A state that sessions follow, with what they need to: its mirror, the ring of encoded steps, snapshots. There is one of the
+// live mesh, and one for each session that replays a capture.
+//
+// Thread: the stream thread. Owns: the mirror, the snapshot thread.
+class Feed {
+ public:
+  Feed(asio::io_context& io, std::size_t ring_bytes) : io_(io), ring_(ring_bytes) {}
+
+  // Another run of ids.
+  void reset(std::shared_ptr<const InitialState> initial);
+  void apply(const std::shared_ptr<const PublishedDelta>& delta);
+
+  const Mirror& mirror() const { return mirror_; }
+  const DeltaRing& ring() const { return ring_; }
+
+  // Calls `ready` on this thread, later.
+  void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+                        SnapshotKeeper::Ready ready);
+  // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
+  // helps.
+  SharedFrame coalesced(protocol::View view, std::uint64_t base);
+  // From `part`, what a box holds of the surface, which is brought on to the mirror's revision. Null likewise; the part
+  // is then of no use.
+  SharedFrame part_delta(protocol::SurfaceReplica& part, const protocol::Box& box);
+
+ private:
+  asio::io_context& io_;
+  Mirror mirror_;
+  DeltaRing ring_;
+  std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
+  SnapshotKeeper keeper_;
+};
+
+}  // namespace incise::stream
