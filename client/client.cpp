@@ -136,6 +136,7 @@ struct Client::Impl {
     hello.client_version = INCISE_VERSION;
     hello.token = options.token;
     hello.max_rate_hz = options.max_rate_hz;
+    hello.box = options.box;
     hello.source_name = options.source_name;
     // Coming back, the blade may still be held by the connection that was lost.
     hello.take_over = options.take_over || reconnecting;
@@ -616,7 +617,7 @@ bool Client::end_stroke(std::int64_t source_ns) {
 }
 
 bool Client::subscribe(protocol::View view, float max_rate_hz) {
-  return impl_->queue(protocol::Subscribe{view, max_rate_hz, std::nullopt}) != 0;
+  return impl_->queue(protocol::Subscribe{view, max_rate_hz, impl_->options.box}) != 0;
 }
 
 bool Client::reset() {

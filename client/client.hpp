@@ -12,6 +12,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -39,6 +40,7 @@ struct Options {
   std::string client_name = "incise_client";
   std::string source_name = "blade";  // operator: which blade
   bool take_over = false;             // operator: take it from whoever holds it
+  std::optional<protocol::Box> box;   // of view Surface only what touches it
   float max_rate_hz = 0;              // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
   // Connects again when the connection is lost, as often as it takes, and goes on where it was.

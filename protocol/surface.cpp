@@ -323,6 +323,107 @@ SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta) {
   return follow_tets(mesh, tets, delta.moved_ids);
 }
 
+void SurfaceReplica::load_part(const SurfaceReplica& whole, const Box& box) {
+  state_ = {};
+  staged_.reset();
+  std::vector<std::uint32_t> triangles;
+  for (const auto& [id, triangle] : whole.triangles()) triangles.push_back(id);
+  take_part(whole, box, triangles, {});
+}
+
+SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, SurfaceIndex& index,
+                                          const SurfaceDelta& delta, const Box& box) {
+  std::vector<std::uint32_t> triangles(delta.triangles.ids.begin(), delta.triangles.ids.end());
+  triangles.insert(triangles.end(), delta.removed_triangles.begin(), delta.removed_triangles.end());
+  // A vertex that moves takes triangles into the box, or out of it, that are the same otherwise.
+  for (const std::uint32_t v : delta.vertices.ids) index.append_triangles(whole, v, triangles);
+  std::sort(triangles.begin(), triangles.end());
+  triangles.erase(std::unique(triangles.begin(), triangles.end()), triangles.end());
+  return take_part(whole, box, triangles, delta.vertices.ids);
+}
+
+SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& box,
+                                        std::span<const std::uint32_t> triangles,
+                                        std::span<const std::uint32_t> moved) {
+  SurfaceChange out;
+  std::map<std::uint32_t, std::int64_t> more_uses;
+  for (const std::uint32_t v : moved) more_uses[v];
+  for (const std::uint32_t id : triangles) {
+    const auto old = state_.triangles.find(id);
+    const auto now = whole.state_.triangles.find(id);
+    const bool here = old != state_.triangles.end();
+    const bool inside = now != whole.state_.triangles.end() && whole.meets(now->second, box);
+    if (here && inside && old->second == now->second) continue;
+    if (here)
+      for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+    if (here && !inside) out.removed_triangles.push_back(id);
+    if (!inside) continue;
+    for (const std::uint32_t v : now->second.vertices) ++more_uses[v];
+    append(out, id, now->second);
+  }
+  for (const auto& [v, more] : more_uses) {
+    const auto old = state_.vertices.find(v);
+    const bool here = old != state_.vertices.end();
+    if ((here ? old->second.uses : 0) + more == 0) {
+      if (here) out.removed_vertices.push_back(v);
+      continue;
+    }
+    const std::array<float, 3>& position = whole.state_.vertices.at(v).position;
+    if (!here || !same_bits(old->second.position, position)) append(out, v, position);
+  }
+  std::uint64_t hash = 0;
+  state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.revision = whole.revision();
+  return out;
+}
+
+bool SurfaceReplica::meets(const Triangle& triangle, const Box& box) const {
+  const double low[] = {box.min.x, box.min.y, box.min.z}, high[] = {box.max.x, box.max.y, box.max.z};
+  const auto& a = state_.vertices.at(triangle.vertices[0]).position;
+  const auto& b = state_.vertices.at(triangle.vertices[1]).position;
+  const auto& c = state_.vertices.at(triangle.vertices[2]).position;
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (double{std::max({a[k], b[k], c[k]})} < low[k] || double{std::min({a[k], b[k], c[k]})} > high[k])
+      return false;
+  }
+  return true;
+}
+
+void SurfaceIndex::load(const SurfaceReplica& surface) {
+  at_.clear();
+  for (const auto& [id, triangle] : surface.triangles())
+    for (const std::uint32_t v : triangle.vertices) at_[v].push_back(id);
+}
+
+void SurfaceIndex::prune(const SurfaceReplica& surface, std::uint32_t vertex,
+                         std::vector<std::uint32_t>& list) {
+  std::erase_if(list, [&](std::uint32_t id) {
+    const auto found = surface.triangles().find(id);
+    if (found == surface.triangles().end()) return true;
+    const auto& corners = found->second.vertices;
+    return std::find(corners.begin(), corners.end(), vertex) == corners.end();
+  });
+}
+
+void SurfaceIndex::add(const SurfaceReplica& surface, const TriangleArrays& triangles) {
+  for (std::size_t i = 0; i < triangles.vertices.size(); ++i) {
+    const std::uint32_t vertex = triangles.vertices[i], id = triangles.ids[i / 3];
+    std::vector<std::uint32_t>& list = at_[vertex];
+    if (std::find(list.begin(), list.end(), id) != list.end()) continue;
+    if (list.size() == list.capacity()) prune(surface, vertex, list);
+    list.push_back(id);
+  }
+}
+
+void SurfaceIndex::append_triangles(const SurfaceReplica& surface, std::uint32_t vertex,
+                                    std::vector<std::uint32_t>& out) {
+  const auto place = at_.find(vertex);
+  if (place == at_.end()) return;
+  prune(surface, vertex, place->second);
+  out.insert(out.end(), place->second.begin(), place->second.end());
+}
+
 SurfaceSnapshotWriter::SurfaceSnapshotWriter(const SurfaceReplica& surface, SnapshotCause cause,
                                              std::size_t chunk_elements)
     : surface_(surface),

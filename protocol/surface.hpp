@@ -8,6 +8,8 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <span>
+#include <unordered_map>
 #include <vector>
 
 #include "protocol/messages.hpp"
@@ -31,6 +33,8 @@ struct SurfaceChange {
     return {triangle_ids, triangle_vertices, triangle_flags, triangle_pieces, triangle_regions};
   }
 };
+
+class SurfaceIndex;
 
 // Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent, whatever the ids.
 class SurfaceReplica {
@@ -77,6 +81,14 @@ class SurfaceReplica {
   // come ascending; hash and revision are this replica's after it. O(delta log surface).
   SurfaceChange follow(const Replica& mesh, const Delta& delta);
 
+  // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
+  // O(surface).
+  void load_part(const SurfaceReplica& whole, const Box& box);
+  // Where this was that part of the surface that `delta` has since brought to `whole`: makes it that of the surface now,
+  // and returns what changed. `index` is that of `whole`. O(delta log surface).
+  SurfaceChange follow_part(const SurfaceReplica& whole, SurfaceIndex& index, const SurfaceDelta& delta,
+                            const Box& box);
+
  private:
   struct State {
     std::uint64_t revision = 0;
@@ -100,11 +112,32 @@ class SurfaceReplica {
   };
 
   ApplyResult abandon(ApplyResult why);
+  bool meets(const Triangle& triangle, const Box& box) const;
+  SurfaceChange take_part(const SurfaceReplica& whole, const Box& box,
+                          std::span<const std::uint32_t> triangles, std::span<const std::uint32_t> moved);
   SurfaceChange follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                             std::span<const std::uint32_t> moved);
 
   State state_;
   std::unique_ptr<Staged> staged_;
+};
+
+// The triangles at each vertex of a surface, to find what a vertex that moves takes along.
+//
+// Thread: one, at a time. Owns: its lists.
+class SurfaceIndex {
+ public:
+  // Of all of `surface`. O(surface).
+  void load(const SurfaceReplica& surface);
+  // Triangles that were set in it. O(change).
+  void add(const SurfaceReplica& surface, const TriangleArrays& triangles);
+  // Appends the triangles that `vertex` has in `surface`.
+  void append_triangles(const SurfaceReplica& surface, std::uint32_t vertex, std::vector<std::uint32_t>& out);
+
+ private:
+  // What was taken out of the surface leaves its list only now and then.
+  static void prune(const SurfaceReplica& surface, std::uint32_t vertex, std::vector<std::uint32_t>& list);
+  std::unordered_map<std::uint32_t, std::vector<std::uint32_t>> at_;  // at least those that are there
 };
 
 // The parts of a surface snapshot, as SnapshotWriter makes those of a volume.

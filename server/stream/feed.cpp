@@ -1,6 +1,9 @@
 #include "server/stream/feed.hpp"
 
 #include <boost/asio/post.hpp>
+#include <stdexcept>
+
+#include "server/core/check.hpp"
 
 namespace incise::stream {
 
@@ -22,8 +25,9 @@ void Feed::apply(const std::shared_ptr<const PublishedDelta>& delta) {
   }
 }
 
-void Feed::request_snapshot(protocol::View view, SnapshotKeeper::Ready ready) {
-  keeper_.request(view, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
+void Feed::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+                            SnapshotKeeper::Ready ready) {
+  keeper_.request(view, box, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
     asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
   });
 }
@@ -32,6 +36,20 @@ SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {
   const auto [place, is_new] = coalesced_.try_emplace({view, base});
   if (is_new) place->second = coalesce(ring_, view, base, mirror_.revision());
   return place->second;
+}
+
+SharedFrame Feed::part_delta(protocol::SurfaceReplica& part, const protocol::Box& box) {
+  const std::uint64_t base = part.revision(), head = mirror_.revision();
+  const SharedFrame whole =
+      head - base == 1 ? ring_.step(head).surface : coalesced(protocol::View::Surface, base);
+  if (!whole) return nullptr;
+  const protocol::DecodeResult decoded = protocol::decode(whole->body());
+  INCISE_CHECK(decoded, decoded.error);
+  try {
+    return mirror_.follow_part(part, box, std::get<protocol::SurfaceDelta>(decoded.message->body));
+  } catch (const std::length_error&) {
+    return nullptr;
+  }
 }
 
 }  // namespace incise::stream

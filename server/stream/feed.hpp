@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <utility>
 
 #include "server/stream/delta_ring.hpp"
@@ -30,10 +31,14 @@ class Feed {
   const DeltaRing& ring() const { return ring_; }
 
   // Calls `ready` on this thread, later.
-  void request_snapshot(protocol::View view, SnapshotKeeper::Ready ready);
+  void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+                        SnapshotKeeper::Ready ready);
   // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
   // helps.
   SharedFrame coalesced(protocol::View view, std::uint64_t base);
+  // From `part`, what a box holds of the surface, which is brought on to the mirror's revision. Null likewise; the part
+  // is then of no use.
+  SharedFrame part_delta(protocol::SurfaceReplica& part, const protocol::Box& box);
 
  private:
   asio::io_context& io_;

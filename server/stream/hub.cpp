@@ -104,21 +104,29 @@ void Hub::tick() {
   const std::int64_t now = monotonic_ns();
   const std::vector<std::shared_ptr<Session>> sessions(sessions_.begin(), sessions_.end());
   for (const auto& session : sessions) session->tick(now);
-  if (++ticks_ % kTicksPerStatistics == 0) send_statistics();
+  send_statistics();
   clock_.expires_after(kTick);
   clock_.async_wait([this](boost::system::error_code error) {
     if (!error) tick();
   });
 }
 
+// To each session once a second, but not to all at once: a thousand writes in a row would hold up the deltas.
 void Hub::send_statistics() {
-  if (!providers_.statistics || sessions_.empty()) return;
-  protocol::Stats statistics = providers_.statistics();
-  statistics.revision = live_.mirror().revision();
-  statistics.live_tets = live_.mirror().volume().live_tets();
-  statistics.sessions = counters_->sessions;
-  const SharedFrame frame = make_frame(std::move(statistics));
-  for (const auto& session : sessions_) session->send(frame);
+  const std::uint64_t turn = ++ticks_ % kTicksPerStatistics;
+  if (!providers_.statistics) return;
+  SharedFrame frame;
+  for (const auto& session : sessions_) {
+    if (!session->open() || session->number() % kTicksPerStatistics != turn) continue;
+    if (!frame) {
+      protocol::Stats statistics = providers_.statistics();
+      statistics.revision = live_.mirror().revision();
+      statistics.live_tets = live_.mirror().volume().live_tets();
+      statistics.sessions = counters_->sessions;
+      frame = make_frame(std::move(statistics));
+    }
+    session->send(frame);
+  }
 }
 
 void Hub::stop() {

@@ -22,6 +22,7 @@ void Mirror::reset(const InitialState& initial) {
     throw std::runtime_error("initial state: " + problem);
   }
   surface_.load(volume_);
+  index_.load(surface_);
   session_ = initial.session;
 }
 
@@ -30,6 +31,7 @@ std::optional<EncodedStep> Mirror::apply(const PublishedDelta& published) {
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
   const protocol::SurfaceChange change = surface_.follow(volume_, delta);
+  index_.add(surface_, change.triangles());
 
   protocol::SurfaceDelta surface;
   surface.base_revision = delta.base_revision;
@@ -47,6 +49,25 @@ std::optional<EncodedStep> Mirror::apply(const PublishedDelta& published) {
   } catch (const std::length_error&) {
     return std::nullopt;
   }
+}
+
+SharedFrame Mirror::follow_part(protocol::SurfaceReplica& part, const protocol::Box& box,
+                                const protocol::SurfaceDelta& delta) {
+  INCISE_CHECK(part.revision() == delta.base_revision && delta.revision == revision(), part.revision(),
+               delta.revision);
+  const protocol::SurfaceChange change = part.follow_part(surface_, index_, delta, box);
+  protocol::SurfaceDelta out;
+  out.base_revision = delta.base_revision;
+  out.revision = delta.revision;
+  out.steps = delta.steps;
+  out.vertices = change.vertices();
+  out.removed_vertices = change.removed_vertices;
+  out.triangles = change.triangles();
+  out.removed_triangles = change.removed_triangles;
+  out.surface_hash = part.surface_hash();
+  out.state_hash = delta.state_hash;
+  out.live_tets = delta.live_tets;
+  return make_frame(out);
 }
 
 }  // namespace incise::stream

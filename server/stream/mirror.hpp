@@ -40,11 +40,16 @@ class Mirror {
   std::uint64_t revision() const { return volume_.revision(); }
   const protocol::Replica& volume() const { return volume_; }
   const protocol::SurfaceReplica& surface() const { return surface_; }
+  // Brings `part`, of what was the surface when `delta` began, to what it is now, and returns the delta that does so
+  // for whoever holds the part. O(delta log surface).
+  SharedFrame follow_part(protocol::SurfaceReplica& part, const protocol::Box& box,
+                          const protocol::SurfaceDelta& delta);
 
  private:
   std::uint64_t session_ = 0;
   protocol::Replica volume_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;
+  protocol::SurfaceIndex index_;
   DeltaArrays arrays_;
 };
 

@@ -59,6 +59,7 @@ Session::Session(Hub& hub, std::unique_ptr<Transport> transport, Hub::Ticket tic
     : hub_(hub),
       transport_(std::move(transport)),
       ticket_(std::move(ticket)),
+      number_(hub.counters().accepted),
       peer_(transport_->peer()),
       rate_timer_(hub.io()),
       opened_ns_(monotonic_ns()),
@@ -205,13 +206,11 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
 
   const std::uint64_t head = feed().mirror().revision();
   const bool returns = view_ != View::None && hello.resume_session != 0;
-  const bool resumed = returns && hello.resume_session == feed().mirror().session() &&
+  // What a box held is not known any longer.
+  const bool resumed = returns && !hello.box && hello.resume_session == feed().mirror().session() &&
                        feed().ring().covers(hello.resume_revision, head);
   send_welcome(resumed);
-  if (hello.box) {
-    complain(ErrorCode::NotAvailable, "Hello.box: this server sends everything, not a box of interest",
-             sequence);
-  }
+  set_box(hello.box, "Hello.box", sequence);
   if (resumed) {
     ++hub_.counters().resumed;
     revision_ = hello.resume_revision;
@@ -334,23 +333,29 @@ asio::awaitable<void> Session::on_stroke(const protocol::StrokeControl& control,
 }
 
 void Session::on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t sequence) {
-  if (subscribe.box) {
-    complain(ErrorCode::NotAvailable, "Subscribe.box: this server sends everything, not a box of interest",
-             sequence);
-  }
+  const std::optional<protocol::Box> box = box_;
+  const View view = std::exchange(view_, subscribe.view);
+  set_box(subscribe.box, "Subscribe.box", sequence);
   max_rate_hz_ = subscribe.max_rate_hz;
   next_due_ns_ = 0;
-  if (subscribe.view == view_) {
+  if (view == view_ && box == box_) {
     advance();
     return;
   }
-  view_ = subscribe.view;
   drop_state();
   snapshot_.reset();
   resync_again_ = false;
   ++snapshot_request_;  // one of the other view that is on its way is not for us
   snapshot_wanted_ = false;
   request_snapshot(SnapshotCause::Subscribe);
+}
+
+void Session::set_box(const std::optional<protocol::Box>& box, const char* field, std::uint64_t sequence) {
+  box_ = view_ == View::Surface ? box : std::nullopt;
+  if (box && !box_) {
+    complain(ErrorCode::NotAvailable, std::string(field) + ": only view Surface can be limited to a box",
+             sequence);
+  }
 }
 
 void Session::on_resync() {
@@ -655,7 +660,7 @@ void Session::request_snapshot(SnapshotCause cause) {
   snapshot_cause_ = cause;
   const std::uint64_t request = ++snapshot_request_;
   ++hub_.counters().snapshots;
-  feed().request_snapshot(view_,
+  feed().request_snapshot(view_, box_,
                           [weak = weak_from_this(), request](std::shared_ptr<const Snapshot> snapshot) {
                             if (const auto self = weak.lock())
                               self->on_snapshot(std::move(snapshot), request);
@@ -684,6 +689,7 @@ void Session::feed_snapshot() {
   }
   push_state(snapshot_->end);
   revision_ = snapshot_->begin.revision;
+  part_ = snapshot_->part;
   snapshot_.reset();
   if (std::exchange(resync_again_, false)) request_snapshot(SnapshotCause::Resync);
 }
@@ -720,6 +726,17 @@ void Session::advance() {
   }
   if (!feed().ring().covers(revision_, head)) {
     request_snapshot(SnapshotCause::TooSlow);
+    return;
+  }
+  if (box_) {
+    const SharedFrame frame = feed().part_delta(*part_, *box_);
+    if (!frame) {
+      request_snapshot(SnapshotCause::TooSlow);
+      return;
+    }
+    if (head - revision_ > 1) ++hub_.counters().coalesced;
+    revision_ = head;
+    push_state(frame);
     return;
   }
   // One delta for each revision where the peer did not ask for fewer and there is room for them; else one for

@@ -45,6 +45,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
 
+  // Counted over all connections.
+  std::uint64_t number() const { return number_; }
   bool open() const { return stage_ == Stage::kOpen; }
   bool holds(const std::string& source_name) const { return source_ && source_name_ == source_name; }
 
@@ -58,6 +60,8 @@ class Session : public std::enable_shared_from_this<Session> {
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
   void on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t sequence);
+  // Takes a box where the view allows one; says so where not.
+  void set_box(const std::optional<protocol::Box>& box, const char* field, std::uint64_t sequence);
   void on_resync();
   void on_reset(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
@@ -87,11 +91,13 @@ class Session : public std::enable_shared_from_this<Session> {
   Hub& hub_;
   std::unique_ptr<Transport> transport_;
   Hub::Ticket ticket_;
+  const std::uint64_t number_;
   Stage stage_ = Stage::kHandshake;
   std::string peer_;
 
   protocol::Role role_ = protocol::Role::Viewer;
   protocol::View view_ = protocol::View::None;
+  std::optional<protocol::Box> box_;  // of view Surface
   float max_rate_hz_ = 0;
   float blade_rate_hz_ = 0;
   std::int64_t blades_due_ns_ = 0;
@@ -130,8 +136,9 @@ class Session : public std::enable_shared_from_this<Session> {
   bool behind_ = false;                       // the outbox was full: it must half empty first
   std::shared_ptr<const Snapshot> snapshot_;  // on its way
   std::size_t next_chunk_ = 0;
-  std::uint64_t snapshot_request_ = 0;  // the last one's number
-  bool snapshot_wanted_ = false;        // requested, not here yet
+  std::shared_ptr<protocol::SurfaceReplica> part_;  // with a box: what the peer holds at revision_
+  std::uint64_t snapshot_request_ = 0;              // the last one's number
+  bool snapshot_wanted_ = false;                    // requested, not here yet
   bool resync_again_ = false;
   protocol::SnapshotCause snapshot_cause_ = protocol::SnapshotCause::Join;
   std::uint32_t slow_snapshots_ = 0;

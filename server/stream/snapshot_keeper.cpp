@@ -33,8 +33,8 @@ void SnapshotKeeper::reset(std::shared_ptr<const InitialState> initial) {
 void SnapshotKeeper::push(std::shared_ptr<const PublishedDelta> delta) {
   enqueue(std::move(delta));
 }
-void SnapshotKeeper::request(protocol::View view, Ready ready) {
-  enqueue(Request{view, std::move(ready)});
+void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready) {
+  enqueue(Request{view, box, std::move(ready)});
 }
 
 void SnapshotKeeper::run() {
@@ -57,17 +57,18 @@ void SnapshotKeeper::run() {
         INCISE_CHECK(result, result.text);
       } else {
         const Request& request = std::get<Request>(task);
-        request.ready(encode(request.view));
+        request.ready(encode(request.view, request.box));
       }
       task = Task{};  // lets go of the delta as soon as it is applied
     }
   }
 }
 
-std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view) {
+std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
+                                                       const std::optional<protocol::Box>& box) {
   std::weak_ptr<const Snapshot>& last = last_[static_cast<std::size_t>(view)];
   if (auto same = last.lock();
-      same && same->session == session_ && same->begin.revision == replica_.revision()) {
+      same && !box && same->session == session_ && same->begin.revision == replica_.revision()) {
     return same;
   }
   auto snapshot = std::make_shared<Snapshot>();
@@ -79,8 +80,13 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view) {
   if (view == protocol::View::Surface) {
     protocol::SurfaceReplica surface;
     surface.load(replica_);
-    protocol::SurfaceSnapshotWriter writer(surface, protocol::SnapshotCause::Join);
+    if (box) {
+      snapshot->part = std::make_shared<protocol::SurfaceReplica>();
+      snapshot->part->load_part(surface, *box);
+    }
+    protocol::SurfaceSnapshotWriter writer(box ? *snapshot->part : surface, protocol::SnapshotCause::Join);
     snapshot->begin = writer.begin();
+    snapshot->begin.box = box;
     while (writer.next()) add(writer.chunk());
     snapshot->end = make_frame(writer.end(replica_.state_hash()));
   } else {
@@ -89,7 +95,7 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view) {
     while (writer.next()) add(writer.chunk());
     snapshot->end = make_frame(writer.end());
   }
-  last = snapshot;
+  if (!box) last = snapshot;
   return snapshot;
 }
 

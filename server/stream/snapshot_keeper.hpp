@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <variant>
 #include <vector>
@@ -22,6 +23,8 @@ struct Snapshot {
   std::vector<SharedFrame> chunks;
   SharedFrame end;
   std::size_t bytes = 0;
+  // With a box: what it holds. Such a snapshot is for one session, which takes this over.
+  std::shared_ptr<protocol::SurfaceReplica> part;
 };
 
 // Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror: a snapshot of
@@ -39,18 +42,20 @@ class SnapshotKeeper {
 
   void reset(std::shared_ptr<const InitialState> initial);
   void push(std::shared_ptr<const PublishedDelta> delta);
-  void request(protocol::View view, Ready ready);
+  // `box`: of view Surface only what touches it.
+  void request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready);
 
  private:
   struct Request {
     protocol::View view;
+    std::optional<protocol::Box> box;
     Ready ready;
   };
   using Task =
       std::variant<std::shared_ptr<const InitialState>, std::shared_ptr<const PublishedDelta>, Request>;
   void enqueue(Task task);
   void run();
-  std::shared_ptr<const Snapshot> encode(protocol::View view);
+  std::shared_ptr<const Snapshot> encode(protocol::View view, const std::optional<protocol::Box>& box);
 
   // The thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};

@@ -15,6 +15,7 @@ void add_micro_bench(CLI::App& app, Report& report);
 void add_paper_bench(CLI::App& app, Report& report);
 void add_plane_bench(CLI::App& app, Report& report);
 void add_scale_bench(CLI::App& app, Report& report);
+void add_stream_bench(CLI::App& app, Report& report);
 void add_events_bench(CLI::App& app, Report& report);
 void add_live_bench(CLI::App& app, Report& report);
 void add_loop_bench(CLI::App& app, Report& report);

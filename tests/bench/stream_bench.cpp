@@ -1,175 +1,263 @@
-#include <CLI/CLI.hpp>
-#include <algorithm>
-#include <chrono>
-#include <memory>
-#include <thread>
+// incise-bench stream: what a cut costs as deltas, beside sending the surface or the whole mesh anew each time; what many
+// viewers cost a frame, and how long a delta takes to them; what ten thousand connections do.
 
-#include "client/client.hpp"
+#include <CLI/CLI.hpp>
+#include <boost/beast/zlib/deflate_stream.hpp>
+#include <fstream>
+#include <functional>
+#include <memory>
+#include <string>
+
 #include "protocol/surface.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
-#include "tests/stream/mini_loop.hpp"
+#include "tests/bench/crowd.hpp"
+#include "tests/bench/live_server.hpp"
 
-// What a delta costs on the wire and to encode, beside sending the surface or the whole mesh anew each time; how long a
-// snapshot takes to a client on loopback; how long a delta takes to many viewers.
 namespace incise::bench {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-  return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 stream::InitialState initial_state(const core::TetMesh& mesh) {
   stream::InitialState state;
   state.session = 1;
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
-  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) state.tets.push_back(mesh.state(t));
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t)
+    if (mesh.alive(t)) state.tets.push_back(mesh.state(t));
   return state;
 }
 
-// Bytes of a whole state in both views.
-std::pair<std::size_t, std::size_t> snapshot_bytes(const stream::Mirror& mirror) {
-  std::size_t volume = 0, surface = 0;
-  protocol::SnapshotWriter volume_writer(mirror.volume(), protocol::SnapshotCause::Join);
-  while (volume_writer.next()) volume += protocol::encode(volume_writer.chunk()).tcp().size();
-  protocol::SurfaceSnapshotWriter surface_writer(mirror.surface(), protocol::SnapshotCause::Join);
-  while (surface_writer.next()) surface += protocol::encode(surface_writer.chunk()).tcp().size();
-  return {volume, surface};
-}
-
-// One through-cut as a moving blade makes it, in batches.
-std::vector<std::shared_ptr<stream::PublishedDelta>> deltas_of_a_cut(core::CutSession& session,
-                                                                     const core::MeshData& mesh) {
-  push(session, through_cut(mesh, {0.31, 0.17, 1}), 200);
-  std::vector<std::shared_ptr<stream::PublishedDelta>> deltas;
-  for (;;) {
-    auto published = std::make_shared<stream::PublishedDelta>();
-    core::WorkBudget budget = core::WorkBudget::unlimited();
-    if (session.advance(budget, published->delta) != core::CutSession::Progress::kCommitted) return deltas;
-    deltas.push_back(std::move(published));
+// The length of a message as permessage-deflate would send it, with the context of those before it.
+class Deflater {
+ public:
+  Deflater() { stream_.reset(6, 15, 8, boost::beast::zlib::Strategy::normal); }
+  std::size_t operator()(std::span<const std::byte> message) {
+    namespace zlib = boost::beast::zlib;
+    out_.resize(stream_.upper_bound(message.size()) + 64);
+    zlib::z_params z;
+    z.next_in = message.data();
+    z.avail_in = message.size();
+    z.next_out = out_.data();
+    z.avail_out = out_.size();
+    boost::system::error_code error;
+    stream_.write(z, zlib::Flush::sync, error);
+    if (error) throw std::runtime_error("deflate: " + error.message());
+    return out_.size() - z.avail_out - 4;  // the end of the block is left out
   }
+
+ private:
+  boost::beast::zlib::deflate_stream stream_;
+  std::vector<std::byte> out_;
+};
+
+// A way to bring a viewer on: its bytes over all steps, and the CPU time of each.
+struct Way {
+  std::string name;
+  double bytes = 0, deflated = 0;
+  std::vector<double> ms, deflate_ms;
+  Deflater deflater;
+
+  void time(const std::function<std::size_t()>& encode) {
+    const double start = thread_cpu_s();
+    bytes += static_cast<double>(encode());
+    ms.push_back(1e3 * (thread_cpu_s() - start));
+  }
+  void deflate(const stream::SharedFrame& frame) {
+    const double start = thread_cpu_s();
+    deflated += static_cast<double>(deflater(frame->body()));
+    deflate_ms.push_back(1e3 * (thread_cpu_s() - start));
+  }
+};
+
+template <class Writer>
+std::size_t encode_chunks(Writer writer) {
+  std::size_t bytes = 0;
+  while (writer.next()) bytes += protocol::encode(writer.chunk()).tcp().size();
+  return bytes;
 }
 
-void bench_deltas(const NamedMesh& mesh, Report& report) {
-  core::CutSession session(mesh.mesh, bench_config(core::Policy::kConforming));
+std::size_t decode_and_encode(const stream::SharedFrame& frame) {
+  return protocol::encode(protocol::decode(frame->body()).message->body).tcp().size();
+}
+
+// One through-cut, batch by batch as a moving blade makes it, sent in each of four ways after each batch.
+void bench_bytes(const NamedMesh& named, Report& report) {
+  core::CutSession session(named.mesh, bench_config(core::Policy::kConforming));
+  push(session, through_cut(named.mesh, {0.31, 0.17, 1}), 200);
   stream::Mirror mirror;
   mirror.reset(initial_state(session.mesh()));
-  std::vector<double> encode_us;
-  std::size_t volume = 0, surface = 0, faces = 0;
-  const auto deltas = deltas_of_a_cut(session, mesh.mesh);
-  for (const auto& delta : deltas) {
-    const auto start = Clock::now();
-    const auto step = mirror.apply(*delta);
-    encode_us.push_back(1e6 * seconds_since(start));
-    volume += step->volume->tcp().size();
-    surface += step->surface->tcp().size();
-    faces += delta->delta.cut_faces;
+  Way ways[4];
+  ways[0].name = "surface, deltas";
+  ways[1].name = "surface anew";
+  ways[2].name = "volume, deltas";
+  ways[3].name = "whole mesh anew";
+  std::vector<double> mirror_ms;
+  std::uint64_t faces = 0;
+  for (;;) {
+    stream::PublishedDelta published;
+    core::WorkBudget budget = core::WorkBudget::unlimited();
+    if (session.advance(budget, published.delta) != core::CutSession::Progress::kCommitted) break;
+    faces += published.delta.cut_faces;
+    const double start = thread_cpu_s();
+    const auto step = mirror.apply(published);
+    mirror_ms.push_back(1e3 * (thread_cpu_s() - start));
+    if (!step) throw std::runtime_error("a delta longer than a message may be");
+    // Both include reading the arrays that they send, as the snapshots do.
+    ways[0].time([&] { return decode_and_encode(step->surface); });
+    ways[1].time([&] {
+      return encode_chunks(protocol::SurfaceSnapshotWriter(mirror.surface(), protocol::SnapshotCause::Join));
+    });
+    ways[0].deflate(step->surface);
+    ways[2].deflate(step->volume);
+    ways[2].time([&] { return decode_and_encode(step->volume); });
+    ways[3].time([&] {
+      return encode_chunks(protocol::SnapshotWriter(mirror.volume(), protocol::SnapshotCause::Join));
+    });
   }
-  const auto [whole_volume, whole_surface] = snapshot_bytes(mirror);
-  const double n = static_cast<double>(std::max<std::size_t>(1, faces));
-  const double steps = static_cast<double>(deltas.size());
-  report.table("one through-cut of " + mesh.name + ": bytes a cut face",
-               {{"view"}, {"delta", 1}, {"surface anew", 1}, {"mesh anew", 1}, {"surface anew / delta", 1}});
-  report.row({std::string("volume"), static_cast<double>(volume) / n,
-              static_cast<double>(whole_surface) * steps / n, static_cast<double>(whole_volume) * steps / n,
-              static_cast<double>(whole_surface) * steps / static_cast<double>(volume)});
-  report.row({std::string("surface"), static_cast<double>(surface) / n,
-              static_cast<double>(whole_surface) * steps / n, static_cast<double>(whole_volume) * steps / n,
-              static_cast<double>(whole_surface) * steps / static_cast<double>(surface)});
-  report.table("mirror and encoding of both views, us a delta",
-               {{"deltas"}, {"cut faces"}, {"p50", 1}, {"p99", 1}, {"max", 1}});
-  report.row({count(deltas.size()), count(faces), percentile(encode_us, 0.5), percentile(encode_us, 0.99),
-              percentile(encode_us, 1)});
+  report.fact("mesh", named.name);
+  report.fact("tetrahedra", count(named.mesh.tets.size()));
+  report.fact("deltas of the cut", count(mirror_ms.size()));
+  report.fact("cut faces", count(faces));
+  report.table("one through-cut, sent after each batch", {{"way"},
+                                                          {"bytes a cut face"},
+                                                          {"kB a batch", 1},
+                                                          {"encode p50, ms", 3},
+                                                          {"p99, ms", 3},
+                                                          {"max, ms", 3}});
+  for (const Way& way : ways) {
+    report.row({way.name, way.bytes / static_cast<double>(std::max<std::uint64_t>(1, faces)),
+                1e-3 * way.bytes / static_cast<double>(std::max<std::size_t>(1, way.ms.size())),
+                percentile(way.ms, 0.5), percentile(way.ms, 0.99), percentile(way.ms, 1)});
+  }
+  report.row({std::string("(the mirror: both deltas found, checked, encoded)"), std::string(), std::string(),
+              percentile(mirror_ms, 0.5), percentile(mirror_ms, 0.99), percentile(mirror_ms, 1)});
+  report.table("what permessage-deflate would do to the deltas, once for each WebSocket",
+               {{"way"}, {"bytes"}, {"deflated"}, {"p50, ms", 3}, {"p99, ms", 3}, {"max, ms", 3}});
+  for (const Way* way : {&ways[0], &ways[2]}) {
+    report.row({way->name, way->bytes, way->deflated, percentile(way->deflate_ms, 0.5),
+                percentile(way->deflate_ms, 0.99), percentile(way->deflate_ms, 1)});
+  }
 }
 
-void bench_snapshot(std::uint32_t cells, Report& report) {
-  stream::StreamConfig config = stream::test_config();
-  stream::TestServer test(cells, config);
-  report.table("snapshot to a client on loopback, s",
-               {{"transport"}, {"view"}, {"tets"}, {"bytes"}, {"join", 3}});
-  for (const auto transport : {client::TransportKind::kTcp, client::TransportKind::kWebSocket}) {
-    for (const auto view : {protocol::View::Volume, protocol::View::Surface}) {
-      client::Options options;
-      options.transport = transport;
-      options.view = view;
-      const auto start = Clock::now();
-      const auto client = client::Client::connect(
-          "127.0.0.1",
-          transport == client::TransportKind::kTcp ? test.server.tcp_port() : test.server.http_port(),
-          options);
-      client->wait_for_revision(0, 60);
-      const double seconds = seconds_since(start);
-      report.row({std::string(transport == client::TransportKind::kTcp ? "TCP" : "WebSocket"),
-                  std::string(view == protocol::View::Volume ? "volume" : "surface"),
-                  count(6ull * cells * cells * cells), count(client->counters().bytes_in), seconds});
-    }
+// ---- The whole server ----
+
+// Memory in use of a process, MB.
+double resident_mb(pid_t pid) {
+  std::ifstream status("/proc/" + std::to_string(pid) + "/status");
+  for (std::string key; status >> key;) {
+    double kb = 0;
+    if (key == "VmRSS:" && status >> kb) return kb / 1024;
+  }
+  return 0;
+}
+
+void begin_crowd_table(const std::string& title, Report& report) {
+  report.table(title, {{"peers"},
+                       {"frames"},
+                       {"work p50, us", 1},
+                       {"p99, us", 1},
+                       {"p99.9, us", 1},
+                       {"deltas"},
+                       {"viewers' p50, ms", 2},
+                       {"p99, ms", 2},
+                       {"max, ms", 2},
+                       {"viewers lost"},
+                       {"server, MB", 1}});
+}
+
+// The server with that crowd around it, while a device cuts; one row.
+void run_crowd(const std::string& name, const LiveMotion& motion, const nlohmann::json& listen,
+               const Crowd::Options& many, const Crowd::Options& few, Report& report) {
+  LiveServer server(motion, listen);
+  server.connect_device();
+  Crowd viewers(server.tcp_port(), few);
+  Crowd others(server.tcp_port(), many);
+  server.drive();
+  const double memory = resident_mb(server.pid());
+  const nlohmann::json stats = server.settled_stats();
+  if (!viewers.wait_for_revision(stats["revision"], 60))
+    throw std::runtime_error("a viewer fell behind for good");
+  const std::vector<double>& ms = viewers.stop();
+  const auto& work = stats["stages_us"]["frame_work"];
+  report.row({name, count(stats["frames"]["count"]), work["p50"].get<double>(), work["p99"].get<double>(),
+              work["p99.9"].get<double>(), count(stats["revision"]), percentile(ms, 0.5),
+              percentile(ms, 0.99), percentile(ms, 1),
+              count(static_cast<std::uint64_t>(viewers.viewers_lost())), memory});
+  others.stop();
+  server.end();
+}
+
+struct StreamBench : LiveMotion {
+  StreamBench() { seconds = 10; }
+  std::string mesh;
+  double scale = 1;
+  int viewers = 256, stalled = 5, rounds = 2, connections = 0;
+};
+
+void bench_viewers(const StreamBench& bench, Report& report) {
+  begin_crowd_table("a device cuts while viewers of the surface follow", report);
+  const std::string name =
+      std::to_string(bench.viewers) + " viewers and " + std::to_string(bench.stalled) + " that read nothing";
+  for (int round = 0; round < bench.rounds; ++round) {
+    run_crowd("none", bench, nlohmann::json::object(), {}, {}, report);
+    Crowd::Options viewers, stalled;
+    viewers.viewers = bench.viewers;
+    stalled.stalled = bench.stalled;
+    run_crowd(name, bench, nlohmann::json::object(), stalled, viewers, report);
   }
 }
 
-void bench_viewers(const std::vector<int>& counts, Report& report) {
-  report.table("from publishing to viewers, ms",
-               {{"viewers"}, {"deltas"}, {"p50", 3}, {"p99", 3}, {"max", 3}});
-  for (const int viewers : counts) {
-    stream::StreamConfig config = stream::test_config();
-    config.max_handshakes = 1000;
-    config.max_sessions = 1000;
-    stream::TestServer test(10, config);
-    std::mutex mutex;
-    std::vector<double> late_ms;
-    std::vector<std::unique_ptr<client::Client>> clients;
-    for (int i = 0; i < viewers; ++i) {
-      client::Callbacks callbacks;
-      callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
-                                       const client::Arrival& arrival) {
-        const std::scoped_lock lock(mutex);
-        late_ms.push_back(1e-6 * static_cast<double>(arrival.received_ns - delta.steps.back().cut_ns));
-      };
-      client::Options options;
-      options.view = protocol::View::Surface;
-      clients.push_back(
-          client::Client::connect("127.0.0.1", test.server.tcp_port(), options, std::move(callbacks)));
-    }
-    for (const auto& client : clients) client->wait_for_revision(0, 60);
-    for (int i = 0; i < 60; ++i) {
-      test.cut();
-      std::this_thread::sleep_for(std::chrono::milliseconds(30));
-    }
-    for (const auto& client : clients) client->wait_for_revision(test.loop.revision(), 60);
-    const std::scoped_lock lock(mutex);
-    report.row({count(static_cast<std::uint64_t>(viewers)), count(test.loop.revision()),
-                percentile(late_ms, 0.5), percentile(late_ms, 0.99), percentile(late_ms, 1)});
+// Eight viewers follow; the rest is connections: such as say nothing, at the default caps, and sessions that only listen
+// (view None), where the cap is raised.
+void bench_connections(const StreamBench& bench, Report& report) {
+  const std::size_t limit = raise_descriptor_limit();
+  int n = bench.connections;
+  if (static_cast<std::size_t>(n) + 100 > limit) {
+    n = static_cast<int>(limit) - 100;
+    report.fact("connections", std::to_string(n) + ", as this process may have " + std::to_string(limit) +
+                                   " open files (ulimit -n)");
   }
+  begin_crowd_table("a device cuts, 8 viewers follow, and others are connected", report);
+  Crowd::Options viewers, silent, sessions;
+  viewers.viewers = 8;
+  silent.silent = n;
+  sessions.viewers = n;
+  sessions.view = protocol::View::None;
+  run_crowd("8", bench, nlohmann::json::object(), {}, viewers, report);
+  run_crowd("8 and " + std::to_string(n) + " silent", bench, nlohmann::json::object(), silent, viewers,
+            report);
+  run_crowd("8 and " + std::to_string(n) + " sessions", bench, {{"max_sessions", n + 20}}, sessions, viewers,
+            report);
+}
+
+void run(const StreamBench& bench, Report& report) {
+  report.begin("stream");
+  if (bench.connections > 0) return bench_connections(bench, report);
+  bench_bytes(bench.mesh.empty() ? phantom("liver", static_cast<std::size_t>(bench.tets))
+                                 : load(bench.mesh, bench.scale),
+              report);
+  if (bench.rounds > 0) bench_viewers(bench, report);
 }
 
 }  // namespace
 
 void add_stream_bench(CLI::App& app, Report& report) {
-  struct Options {
-    std::string mesh;
-    double scale = 1;
-    std::size_t tets = 60'000;
-    std::uint32_t cells = 63;
-    std::vector<int> viewers{1, 16, 64};
-  };
-  auto options = std::make_shared<Options>();
-  CLI::App* sub = app.add_subcommand("stream", "Bytes a cut face, encoding, snapshots, many viewers");
-  sub->add_option("--mesh", options->mesh, "A mesh to cut, instead of the phantom");
-  sub->add_option("--scale", options->scale, "Its unit in metres");
-  sub->add_option("--tets", options->tets, "Size of the phantom");
-  sub->add_option("--cells", options->cells, "The snapshot's mesh: 6 n^3 tetrahedra")
-      ->check(CLI::Range(1, 100));
-  sub->add_option("--viewers", options->viewers, "Numbers of viewers to serve");
-  sub->callback([options, &report] {
-    report.begin("stream");
-    bench_deltas(
-        options->mesh.empty() ? phantom("liver", options->tets) : load(options->mesh, options->scale),
-        report);
-    bench_snapshot(options->cells, report);
-    bench_viewers(options->viewers, report);
-  });
+  auto bench = std::make_shared<StreamBench>();
+  CLI::App* sub = app.add_subcommand(
+      "stream", "Bytes a cut face and encoding; what viewers cost a frame, and a delta's way to them");
+  sub->add_option("--mesh", bench->mesh, "A mesh whose deltas are measured, instead of the phantom liver");
+  sub->add_option("--scale", bench->scale, "Its unit in metres")->capture_default_str();
+  sub->add_option("--tets", bench->tets, "Of the phantom liver")->capture_default_str();
+  sub->add_option("--seconds", bench->seconds, "How long poses come in each run")->capture_default_str();
+  sub->add_option("--speed", bench->speed_m_s, "Of the blade, m/s")->capture_default_str();
+  sub->add_option("--viewers", bench->viewers, "That follow")->capture_default_str();
+  sub->add_option("--stalled", bench->stalled, "That ask for everything and read nothing")
+      ->capture_default_str();
+  sub->add_option("--rounds", bench->rounds, "Runs without and with viewers, in turn; 0: none")
+      ->capture_default_str();
+  sub->add_option("--connections", bench->connections, "Instead: the server with so many connections")
+      ->check(CLI::Range(1, 100'000));
+  sub->callback([bench, &report] { run(*bench, report); });
 }
 
 }  // namespace incise::bench

@@ -261,5 +261,51 @@ TEST(Client, ServerThatStopsIsNoticedAndFoundAgain) {
   }));
 }
 
+TEST(Client, WithABoxHoldsThatPartOfTheSurface) {
+  TestServer test;
+  std::atomic<int> errors{0};
+  Callbacks count;
+  count.on_error = [&](const protocol::Error& error) {
+    EXPECT_EQ(error.code, protocol::ErrorCode::NotAvailable) << error.text;
+    ++errors;
+  };
+  const double side = test.side;
+  const auto whole = connect(test, options(Role::Viewer, TransportKind::kTcp, View::Surface));
+  Options boxed = options(Role::Viewer, TransportKind::kTcp, View::Surface);
+  boxed.box = protocol::Box{{0.2 * side, 0.2 * side, 0.6 * side}, {0.7 * side, 0.6 * side, 2 * side}};
+  const auto near = connect(test, boxed, count);
+  boxed.max_rate_hz = 20;
+  boxed.transport = TransportKind::kWebSocket;
+  const auto seldom = connect(test, boxed, count);
+  boxed.max_rate_hz = 0;
+  boxed.reconnect = true;
+  const auto cut_off = connect(test, boxed, count);
+  boxed.view = View::Volume;  // which has no part
+  const auto volume = connect(test, boxed, count);
+  for (int i = 0; i < 6; ++i) {
+    test.cut();
+    if (i % 2 == 0) cut_off->drop_connection();
+  }
+  ASSERT_TRUE(whole->wait_for_revision(test.loop.revision(), kPatience_s)) << whole->last_error();
+  protocol::SurfaceReplica part;
+  whole->read_surface([&](const protocol::SurfaceReplica& s) { part.load_part(s, *boxed.box); });
+  const auto triangles =
+      whole->read_surface([](const protocol::SurfaceReplica& s) { return s.triangles().size(); });
+  EXPECT_GT(part.triangles().size(), 20u);
+  EXPECT_LT(part.triangles().size(), triangles / 2);
+  for (Client* client : {near.get(), seldom.get(), cut_off.get()}) {
+    ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s)) << client->last_error();
+    EXPECT_EQ(client->read_surface([](const protocol::SurfaceReplica& s) { return s.canonical_bytes(); }),
+              part.canonical_bytes());
+    EXPECT_EQ(client->counters().resyncs, 0u);
+  }
+  EXPECT_LT(near->counters().bytes_in, whole->counters().bytes_in);
+  EXPECT_GT(cut_off->counters().reconnects, 0u);
+  ASSERT_TRUE(volume->wait_for_revision(test.loop.revision(), kPatience_s)) << volume->last_error();
+  EXPECT_EQ(volume->read([](const protocol::Replica& m) { return m.compute_state_hash(); }),
+            test.loop.state_hash());
+  EXPECT_EQ(errors, 1);
+}
+
 }  // namespace
 }  // namespace incise::client

@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <functional>
+#include <map>
 #include <random>
 
 #include "protocol/coalesce.hpp"
@@ -83,6 +86,105 @@ TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
   result = at_once.apply(coalesce(std::span<const SurfaceDelta>(views)).view());
   ASSERT_TRUE(result) << result.text;
   EXPECT_EQ(at_once.canonical_bytes(), server.canonical_bytes());
+}
+
+// What PROTOCOL.md says a box holds, found the plain way.
+void expect_part(const SurfaceReplica& part, const SurfaceReplica& whole, const Box& box) {
+  std::map<std::uint32_t, SurfaceReplica::Triangle> triangles;
+  std::map<std::uint32_t, std::array<float, 3>> vertices;
+  for (const auto& [id, triangle] : whole.triangles()) {
+    std::array<std::array<float, 3>, 3> p;
+    for (std::size_t i = 0; i < 3; ++i) p[i] = whole.vertices().at(triangle.vertices[i]).position;
+    const auto apart = [&](std::size_t k, double low, double high) {
+      const auto all = [&](auto&& f) { return f(p[0][k]) && f(p[1][k]) && f(p[2][k]); };
+      return all([&](double x) { return x < low; }) || all([&](double x) { return x > high; });
+    };
+    if (apart(0, box.min.x, box.max.x) || apart(1, box.min.y, box.max.y) || apart(2, box.min.z, box.max.z))
+      continue;
+    triangles[id] = triangle;
+    for (std::size_t i = 0; i < 3; ++i) vertices[triangle.vertices[i]] = p[i];
+  }
+  EXPECT_EQ(part.triangles(), triangles);
+  std::map<std::uint32_t, std::array<float, 3>> held;
+  for (const auto& [id, vertex] : part.vertices()) held[id] = vertex.position;
+  EXPECT_EQ(held, vertices);
+  EXPECT_EQ(part.surface_hash(), part.compute_surface_hash());
+  EXPECT_EQ(part.revision(), whole.revision());
+}
+
+// Boxes of any size and place, each followed by deltas over a number of steps of its own.
+TEST(Surface, ThePartInABoxIsThatOfTheWhole) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  Model model = box_model(3, 2, 2);
+  Replica mesh = model.replica();
+  SurfaceReplica whole;
+  whole.load(mesh);
+  SurfaceIndex index;
+  index.load(whole);
+  Vec3 low{1e9, 1e9, 1e9}, high{-1e9, -1e9, -1e9};
+  for (std::uint32_t v = 0; v < mesh.vertex_count(); ++v) {
+    const Vec3 p = mesh.position(v);
+    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  }
+  struct Part {
+    Box box;
+    int every;
+    SurfaceReplica server, client;
+    std::vector<OwnedSurfaceDelta> since;
+  };
+  std::vector<Part> parts(12);
+  int moved_in = 0;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    const auto between = [&](double a, double b) {
+      double x = std::uniform_real_distribution<double>(a, b)(random),
+             y = std::uniform_real_distribution<double>(a, b)(random);
+      return std::pair(std::min(x, y), std::max(x, y));
+    };
+    const auto [x0, x1] = between(low.x, high.x);
+    const auto [y0, y1] = between(low.y, high.y);
+    const auto [z0, z1] = between(low.z, high.z);
+    parts[i].box = {{x0, y0, z0}, {x1, y1, z1}};
+    if (i == 0) parts[i].box = {low, low};  // a corner: the bounds count
+    parts[i].every = 1 + static_cast<int>(i % 5);
+    parts[i].server.load_part(whole, parts[i].box);
+    ASSERT_TRUE(send_snapshot(parts[i].server, parts[i].client, 7));
+  }
+  EXPECT_FALSE(parts[0].client.triangles().empty());
+  for (int i = 0; i < 300; ++i) {
+    const Model before = model;
+    mutate(model, random);
+    const OwnedDelta delta = difference(before, model);
+    ASSERT_TRUE(mesh.apply(delta.view()));
+    const OwnedSurfaceDelta step = follow(whole, mesh, delta.view());
+    index.add(whole, step.change.triangles());
+    for (Part& part : parts) {
+      part.since.push_back(step);
+      if ((i + 1) % part.every != 0) continue;
+      std::vector<SurfaceDelta> views;
+      for (const OwnedSurfaceDelta& d : part.since) views.push_back(d.view());
+      const OwnedSurfaceDelta all = coalesce(std::span<const SurfaceDelta>(views));
+      OwnedSurfaceDelta sent = all;
+      sent.change = part.server.follow_part(whole, index, all.view(), part.box);
+      sent.surface_hash = part.server.surface_hash();
+      part.since.clear();
+      for (const std::uint32_t id : sent.change.triangle_ids)
+        moved_in += std::find(all.change.triangle_ids.begin(), all.change.triangle_ids.end(), id) ==
+                    all.change.triangle_ids.end();
+      const Frame frame = encode(sent.view());
+      const DecodeResult decoded = decode(frame.body());
+      ASSERT_TRUE(decoded) << decoded.error;
+      const ApplyResult result = part.client.apply(std::get<SurfaceDelta>(decoded.message->body));
+      ASSERT_TRUE(result) << result.text;
+      expect_part(part.client, whole, part.box);
+      ASSERT_EQ(part.client.canonical_bytes(), part.server.canonical_bytes());
+      if (HasFailure()) return;
+    }
+  }
+  // Some that did not change came in because a vertex of theirs moved.
+  EXPECT_GT(moved_in, 0);
 }
 
 TEST(Surface, HasTheCutFaceOfBothSides) {

@@ -126,6 +126,26 @@ std::string upgrade(std::uint16_t port, const std::string& headers, const std::s
   return status_of(peer.read_all(12));
 }
 
+// A compressed message could grow a thousandfold on reading. Compression is not granted, and who sends such a message all
+// the same is disconnected before anything is unpacked.
+TEST_F(HttpTest, CompressionIsNotGrantedAndItsMessagesAreRefused) {
+  RawPeer peer(port());
+  peer.send("GET /ws HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port()) +
+            "\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Extensions: permessage-deflate; client_max_window_bits\r\n\r\n");
+  // Binary, final, marked as compressed (RSV1), masked with zeros: zeros, deflated a thousandfold.
+  const std::string deflated("\xec\xc1\x01\x0d\x00\x00\x00\xc2\xa0\xf7\x4f\x6d\x0f\x07\x14\x00", 16);
+  const std::string frame =
+      std::string("\xc2") + static_cast<char>(0x80 | deflated.size()) + std::string(4, '\0') + deflated;
+  peer.send(frame);
+  const std::string answer = peer.read_all();  // to the end that the server makes
+  EXPECT_EQ(status_of(answer), "HTTP/1.1 101 Switching Protocols");
+  EXPECT_EQ(answer.find("permessage-deflate"), std::string::npos);
+  EXPECT_TRUE(eventually([&] { return test->server.counters().connections == 0; }));
+  EXPECT_EQ(test->server.counters().messages_in, 0u);
+}
+
 TEST_F(HttpTest, ForeignPagesGetNoWebSocket) {
   const std::string host = "127.0.0.1:" + std::to_string(port());
   EXPECT_EQ(upgrade(port(), "", host).substr(0, 12), "HTTP/1.1 101");

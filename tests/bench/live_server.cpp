@@ -1,0 +1,125 @@
+#include "tests/bench/live_server.hpp"
+
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <ctime>
+#include <fstream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+
+#include "server/input/input_hub.hpp"
+#include "tests/stream/raw_peer.hpp"
+
+namespace incise::bench {
+namespace {
+
+namespace fs = std::filesystem;
+
+void write_config(const LiveMotion& motion, const core::Blade& blade, const nlohmann::json& listen,
+                  const fs::path& file) {
+  nlohmann::json config{{"mesh", {{"phantom", "liver"}, {"target_tets", motion.tets}}},
+                        {"blade",
+                         {{"heel", {blade.heel.x, blade.heel.y, blade.heel.z}},
+                          {"tip", {blade.tip.x, blade.tip.y, blade.tip.z}}}},
+                        {"listen", {{"tcp_port", 0}, {"http_port", 0}}},
+                        {"log", {{"level", "warning"}}}};
+  config["listen"].update(listen);
+  if (motion.capture) config["capture"]["path"] = "live.capture";
+  if (motion.batch_h > 0) config["cut"]["batch_h"] = motion.batch_h;
+  std::ofstream(file) << config;
+}
+
+std::uint16_t port_after(const std::string& line, const std::string& key) {
+  const auto colon = line.find(':', line.find(key));
+  return static_cast<std::uint16_t>(std::atoi(line.c_str() + colon + 1));
+}
+
+}  // namespace
+
+LiveServer::LiveServer(const LiveMotion& motion, const nlohmann::json& listen)
+    : motion_(motion), folder_(fs::temp_directory_path() / ("incise_live_" + std::to_string(::getpid()))) {
+  const NamedMesh body = phantom("liver", static_cast<std::size_t>(motion.tets));
+  tets_ = body.mesh.tets.size();
+  const auto [low, high] = bounds(body.mesh);
+  way_.emplace(low, high, motion.speed_m_s, motion.pose_rate_hz);
+  fs::remove_all(folder_);
+  fs::create_directories(folder_);
+  const fs::path file = folder_ / "live.json";
+  write_config(motion, way_->blade(), listen, file);
+  process_ = std::make_unique<e2e::Process>(std::vector<std::string>{"incised", "--config", file.string()});
+  const std::string line = process_->line("listening ");
+  if (line.empty()) throw std::runtime_error("incised did not start");
+  tcp_port_ = port_after(line, "tcp=");
+  http_port_ = port_after(line, "http=");
+}
+
+LiveServer::~LiveServer() {
+  process_.reset();
+  std::error_code ignored;
+  fs::remove_all(folder_, ignored);
+}
+
+void LiveServer::connect_device() {
+  client::Options options;
+  options.role = protocol::Role::Operator;
+  options.view = protocol::View::None;
+  device_ = client::Client::connect("127.0.0.1", tcp_port_, options);
+}
+
+LivePoses LiveServer::drive() {
+  if (!device_) connect_device();
+  LivePoses poses;
+  std::uint64_t sequence = 0;
+  const std::int64_t start = input::monotonic_ns(),
+                     period = static_cast<std::int64_t>(1e9 / motion_.pose_rate_hz);
+  const auto count = static_cast<std::int64_t>(motion_.seconds * motion_.pose_rate_hz);
+  for (std::int64_t i = 0; i <= count; ++i) {
+    const std::int64_t at = start + i * period;
+    const timespec when{at / 1'000'000'000, at % 1'000'000'000};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) != 0) {
+    }
+    const core::Pose pose = way_->next();
+    const core::Vec3& p = pose.position;
+    // The last one is lifted: what was begun is ended.
+    const protocol::PoseSample sample{at, {p.x, p.y, p.z}, {1, 0, 0, 0}, i < count ? pose.buttons : 0, 0};
+    if (const std::uint64_t n = device_->send_poses(std::span(&sample, 1))) {
+      sequence = n;
+      ++poses.sent;
+    }
+  }
+  poses.settled = device_->wait_for_report(sequence, 60);
+  poses.accepted = device_->report().accepted;
+  device_.reset();
+  return poses;
+}
+
+nlohmann::json LiveServer::stats() const {
+  // While too many connections have not said Hello, others are turned away.
+  for (int i = 0; i < 600; ++i) {
+    const std::string answer = stream::http(http_port_, "/stats");
+    const auto body = answer.find("\r\n\r\n");
+    if (body != std::string::npos) return nlohmann::json::parse(answer.substr(body + 4));
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+  throw std::runtime_error("incised gave no /stats for a minute");
+}
+
+nlohmann::json LiveServer::settled_stats() const {
+  nlohmann::json now = stats();
+  for (int i = 0; i < 6000 && (now["backlog"]["batches"] != 0 || i < 20); ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    now = stats();
+  }
+  return now;
+}
+
+void LiveServer::end() {
+  process_->signal(SIGTERM);
+  if (process_->wait() != 0) throw std::runtime_error("incised did not end cleanly");
+}
+
+}  // namespace incise::bench
