@@ -411,8 +411,9 @@ const std::vector<Key>& keys() {
            "or at once."),
       number("capture.sync_interval_ms", INCISE_FIELD(capture.sync_interval_ms), 1, 60'000,
              "What a power failure may cost under \"group\"."),
-      text("capture.library", INCISE_FIELD(capture.library), "a path, relative to this file; or \"\"",
-           "A directory of captures (*.capture) that whoever may watch can replay in the viewer; \"\": none."),
+      text(
+          "capture.library", INCISE_FIELD(capture.library), "a path, relative to this file; or \"\"",
+          "A directory of captures (*.capture) that whoever may watch can replay in the viewer; \"\": none."),
       number("capture.checkpoint_replay_s", INCISE_FIELD(capture.checkpoint_replay_s), 0, 3600,
              "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
              "seconds "
@@ -551,7 +552,7 @@ haptics::Material read_material(const Config& config, const Json& entry, const s
   for (const auto& [key, given] : entry.items()) {
     if (key == "region") continue;
     const auto known = std::find_if(std::begin(kMaterialKeys), std::end(kMaterialKeys),
-                                    [&](const MaterialKey& k) { return key == k.name; });
+                                    [&key = key](const MaterialKey& k) { return key == k.name; });
     if (known == std::end(kMaterialKeys)) {
       throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are region" +
                         std::accumulate(std::begin(kMaterialKeys), std::end(kMaterialKeys), std::string(),
@@ -559,8 +560,8 @@ haptics::Material read_material(const Config& config, const Json& entry, const s
                                           return std::move(list) + ", " + k.name;
                                         }));
     }
-    const auto table =
-        std::find_if(keys().begin(), keys().end(), [&](const Key& k) { return k.name == "haptics." + key; });
+    const auto table = std::find_if(keys().begin(), keys().end(),
+                                    [&key = key](const Key& k) { return k.name == "haptics." + key; });
     if (!table->set(scratch, given)) refuse(file, at + "." + key, shown(given), table->accepted);
   }
   return scratch.haptics.force.materials.tissue;
