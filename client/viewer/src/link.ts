@@ -28,6 +28,7 @@ export interface HelloFields {
   sourceName?: string;
   takeOver?: boolean;
   bladeRate_hz?: number;
+  maxRate_hz?: number;
   resumeSession?: bigint;
   resumeRevision?: bigint;
 }
@@ -285,5 +286,6 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   if (source) Hello.addSourceName(builder, source);
   Hello.addTakeOver(builder, fields.takeOver ?? false);
   Hello.addBladeRateHz(builder, fields.bladeRate_hz ?? 0);
+  Hello.addMaxRateHz(builder, fields.maxRate_hz ?? 0);
   return Hello.endHello(builder);
 }

@@ -386,6 +386,7 @@ class Page {
       const colouring = (e.target as HTMLInputElement).value as Colouring;
       this.stage.body.setColouring(colouring);
       element("quality-scale").hidden = colouring !== "quality";
+      this.send({ kind: "colour-by-quality", on: colouring === "quality" });
       this.stage.draw();
     });
     input("wire").addEventListener("change", () => {
@@ -488,6 +489,7 @@ class Page {
     const is = this.replay.facts !== null;
     document.body.dataset.replay = is ? "on" : "off";
     element<HTMLButtonElement>("reset").disabled = is;
+    element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
     if (is && !was) {
       this.setTool("turn");
       this.send({ kind: "release-blade" });

@@ -67,6 +67,7 @@ export type ToWorker =
   | { kind: "poses"; poses: Float64Array }
   | { kind: "end-stroke" }
   | { kind: "reset" }
+  | { kind: "colour-by-quality"; on: boolean }
   | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
   | { kind: "applied" } // the page has taken in the last patch
   | { kind: "wake" }

@@ -1,6 +1,7 @@
 // The page's side of the stream, off its main thread: connections, the state, its hash, and the corners to be drawn.
 
 import { allocateCorners, type Corners, CornerBuilder } from "./corner_buffers";
+import { Elements } from "./elements";
 import { type HelloFields, Link, type LinkState, now_ns } from "./link";
 import type { BladeStep, FromWorker, Progress, ToWorker, Vec3 } from "./messages";
 import { computeOpening, type Opening } from "./opening";
@@ -8,6 +9,7 @@ import { hex } from "./state_hash";
 import { kNone, Surface } from "./surface";
 import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
+import { Delta } from "./wire/incise/wire/delta";
 import type { Message } from "./wire/incise/wire/message";
 import { PoseBatch } from "./wire/incise/wire/pose-batch";
 import { PoseSample } from "./wire/incise/wire/pose-sample";
@@ -29,6 +31,7 @@ import { View } from "./wire/incise/wire/view";
 import type { Welcome } from "./wire/incise/wire/welcome";
 
 const kNumbersPerPose = 9;
+const kElementsRate_hz = 20;
 const kOpeningPause_ms = 120; // between two looks at how the body opens
 
 const surface = new Surface();
@@ -39,6 +42,8 @@ let url = "";
 let token = "";
 let view: Link | null = null;
 let blade: Link | null = null;
+let volume: Link | null = null; // while the page colours by the tetrahedra's quality
+let colourByQuality = false;
 let ownSource = -1;
 
 // The state that the surface holds.
@@ -236,6 +241,7 @@ function onViewMessage(type: Body, message: Message, bytes: number): void {
     case Body.ReplayState: {
       const state: ReplayState = message.body(new ReplayState());
       replaying = Boolean(state.capture());
+      followElements();
       post({
         kind: "replay",
         facts: state.capture() ? {
@@ -288,6 +294,59 @@ function takeBlade(takeOver: boolean): void {
     },
     refused: (text) => post({ kind: "notice", text }),
     unreadable: () => {},
+  });
+}
+
+/** Colours by quality need the tetrahedra. A replay's are not to be had: it is this one link's own. */
+function followElements(): void {
+  const wanted = colourByQuality && !replaying;
+  if (wanted === (volume !== null)) return;
+  builder.elements = null;
+  volume?.end();
+  volume = null;
+  if (!wanted) {
+    builder.touchByQuality();
+    postChanges();
+    return;
+  }
+  const elements = new Elements();
+  let at = 0n;
+  volume = new Link(url, {
+    hello: () => ({ role: Role.Viewer, view: View.Volume, token, maxRate_hz: kElementsRate_hz }),
+    welcome: () => (builder.elements = null),
+    message: (type, message) => {
+      switch (type) {
+        case Body.SnapshotBegin:
+          builder.elements = null;
+          elements.clear();
+          return;
+        case Body.SnapshotChunk:
+          return elements.addChunk(message.body(new SnapshotChunk()));
+        case Body.SnapshotEnd:
+          at = message.body(new SnapshotEnd()).revision();
+          builder.elements = elements;
+          break;
+        case Body.Delta: {
+          const delta: Delta = message.body(new Delta());
+          if (!builder.elements) return; // a snapshot is on its way
+          if (delta.baseRevision() !== at) {
+            builder.elements = null;
+            volume?.send(Body.Resync, (b) => Resync.createResync(b, at, 0n, b.createString("the delta does not follow on the state")));
+            return;
+          }
+          elements.apply(delta);
+          at = delta.revision();
+          break;
+        }
+        default:
+          return;
+      }
+      builder.touchByQuality();
+      postChanges();
+    },
+    state: () => {}, // the view's link says it all
+    refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => (builder.elements = null),
   });
 }
 
@@ -367,6 +426,10 @@ onmessage = ({ data }: MessageEvent<ToWorker>) => {
       break;
     case "reset":
       reset();
+      break;
+    case "colour-by-quality":
+      colourByQuality = data.on;
+      followElements();
       break;
     case "replay":
       view?.send(Body.ReplayControl, (b) =>
