@@ -138,6 +138,7 @@ struct Client::Impl {
     hello.max_rate_hz = options.max_rate_hz;
     hello.box = options.box;
     hello.source_name = options.source_name;
+    hello.blade = options.blade;
     // Coming back, the blade may still be held by the connection that was lost.
     hello.take_over = options.take_over || reconnecting;
     if (reconnecting && state_is_whole) {

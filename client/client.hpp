@@ -38,10 +38,11 @@ struct Options {
   protocol::View view = protocol::View::Volume;
   std::string token;
   std::string client_name = "incise_client";
-  std::string source_name = "blade";  // operator: which blade
-  bool take_over = false;             // operator: take it from whoever holds it
-  std::optional<protocol::Box> box;   // of view Surface only what touches it
-  float max_rate_hz = 0;              // deltas a second at most, coalesced; 0: one for each revision
+  std::string source_name = "blade";         // operator: which blade
+  bool take_over = false;                    // operator: take it from whoever holds it
+  std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
+  std::optional<protocol::Box> box;          // of view Surface only what touches it
+  float max_rate_hz = 0;                     // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
   // Connects again when the connection is lost, as often as it takes, and goes on where it was.
   bool reconnect = false;

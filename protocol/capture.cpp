@@ -130,6 +130,11 @@ void fields(Io& io, R& r) {
     io(r.action);
     io(r.source_ns);
     io(r.arrival_ns);
+  } else if constexpr (std::is_same_v<T, BladeRecord>) {
+    io(r.source);
+    io(r.arrival_ns);
+    io(r.blade.heel);
+    io(r.blade.tip);
   } else if constexpr (std::is_same_v<T, BatchMark>) {
     io(r.revision);
     io(r.state_hash);

@@ -45,6 +45,14 @@ struct StrokeRecord {
   friend bool operator==(const StrokeRecord&, const StrokeRecord&) = default;
 };
 
+// The blade has another holder, whose clock may start anew, and this shape from here on.
+struct BladeRecord {
+  std::uint32_t source = 0;
+  std::int64_t arrival_ns = 0;
+  BladeEdge blade;
+  friend bool operator==(const BladeRecord&, const BladeRecord&) = default;
+};
+
 // A batch was committed: the state has this hash at this revision.
 struct BatchMark {
   std::uint64_t revision = 0;
@@ -102,7 +110,7 @@ struct EndRecord {
 
 // index() + 1 is the type on disk. A reader passes over types that it does not know.
 using CaptureRecord = std::variant<PoseRecord, StrokeRecord, BatchMark, NoteRecord, GapRecord,
-                                   CheckpointRecord, PositionsRecord, ResetRecord, EndRecord>;
+                                   CheckpointRecord, PositionsRecord, ResetRecord, EndRecord, BladeRecord>;
 
 // Where a capture is written to. Errors come back as codes: a full disk is no reason to stop cutting.
 class CaptureSink {

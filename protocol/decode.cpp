@@ -129,6 +129,18 @@ class Reader {
     return b;
   }
 
+  std::optional<BladeEdge> edge(const char* field, const wire::BladeEdge* value) {
+    if (value == nullptr) return std::nullopt;
+    const BladeEdge e{vector(field, value->heel()), vector(field, value->tip())};
+    for (const Vec3& p : {e.heel, e.tip}) {
+      require(std::abs(p.x) <= kMaxBladeCoordinate && std::abs(p.y) <= kMaxBladeCoordinate &&
+                  std::abs(p.z) <= kMaxBladeCoordinate,
+              field, "more than 10 m from the tool's origin");
+    }
+    require(e.heel != e.tip, field, "of no length");
+    return e;
+  }
+
   TetArrays tets(const wire::Tets* t) {
     if (t == nullptr) return {};
     TetArrays out;
@@ -226,6 +238,7 @@ class Reader {
     out.source_name = text("source_name", m.source_name());
     out.take_over = m.take_over();
     out.blade_rate_hz = rate("blade_rate_hz", m.blade_rate_hz());
+    out.blade = edge("blade", m.blade());
     return out;
   }
   Body read(const wire::Welcome& m) {

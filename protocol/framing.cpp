@@ -46,6 +46,12 @@ Offset<wire::Box> box(FlatBufferBuilder& b, const std::optional<Box>& value) {
   return wire::CreateBox(b, &min, &max);
 }
 
+Offset<wire::BladeEdge> edge(FlatBufferBuilder& b, const std::optional<BladeEdge>& value) {
+  if (!value) return {};
+  const wire::Vec3 heel = to_wire(value->heel), tip = to_wire(value->tip);
+  return wire::CreateBladeEdge(b, &heel, &tip);
+}
+
 Offset<wire::Tets> tets(FlatBufferBuilder& b, const TetArrays& t) {
   if (t.ids.empty()) return {};
   return wire::CreateTets(b, array(b, t.ids), array(b, t.vertices), array(b, t.regions),
@@ -85,9 +91,10 @@ struct Encoder {
     const auto name = text(b, m.client_name), version = text(b, m.client_version), token = text(b, m.token);
     const auto interest = box(b, m.box);
     const auto source = text(b, m.source_name);
+    const auto blade = edge(b, m.blade);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over, m.blade_rate_hz)
+                             m.take_over, m.blade_rate_hz, blade)
         .Union();
   }
   auto operator()(const Welcome& m) {

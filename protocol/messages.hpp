@@ -45,6 +45,12 @@ struct Box {
   friend bool operator==(const Box&, const Box&) = default;
 };
 
+// A blade in the tool's frame, metres.
+struct BladeEdge {
+  Vec3 heel, tip;
+  friend bool operator==(const BladeEdge&, const BladeEdge&) = default;
+};
+
 enum class Role : std::uint8_t { Viewer, Operator, Simulator, Admin };
 enum class View : std::uint8_t { None, Surface, Volume };
 
@@ -61,6 +67,7 @@ struct Hello {
   std::string source_name;
   bool take_over = false;
   float blade_rate_hz = 0;
+  std::optional<BladeEdge> blade;
 };
 
 struct MeshFacts {

@@ -186,6 +186,7 @@ int run_stream(const StreamCommand& command) {
   options.max_rate_hz = 10;
   options.source_name = command.source_name;
   options.take_over = command.take_over;
+  if (!command.blade.empty()) options.blade = protocol::parse_blade("--blade", command.blade);
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
   callbacks.on_error = [](const protocol::Error& error) {

@@ -5,11 +5,16 @@
 namespace incise::app {
 namespace {
 
+protocol::Vec3 to_protocol(const core::Vec3& p) {
+  return {p.x, p.y, p.z};
+}
+
 protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
   using Kind = loop::JournalRecord::Kind;
   switch (record.kind) {
     case Kind::kOpened:
-      return protocol::StrokeRecord{record.source, protocol::StrokeAction::HandOver, 0, record.arrival_ns};
+      return protocol::BladeRecord{
+          record.source, record.arrival_ns, {to_protocol(record.blade.heel), to_protocol(record.blade.tip)}};
     case Kind::kEndStroke:
       return protocol::StrokeRecord{record.source, protocol::StrokeAction::End, 0, record.arrival_ns};
     case Kind::kCommit:

@@ -99,7 +99,6 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
   options.replay_s = config.capture.checkpoint_replay_s;
-  options.blade_of = [&config](std::uint32_t source) { return blade_of(config, source); };
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };

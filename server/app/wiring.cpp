@@ -9,6 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "server/app/offline/recorded_motion.hpp"
+
 namespace incise::app {
 namespace {
 
@@ -118,12 +120,13 @@ class HubSource final : public stream::PoseSource {
 
 }  // namespace
 
-std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name) {
-  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name);
+std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name,
+                                                   const std::optional<protocol::BladeEdge>& brought) {
+  std::optional<core::Blade> own;
+  if (brought) own = to_core(*brought);
+  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name, own);
   if (!handle) return nullptr;
-  const std::uint32_t number = handle->number();
-  const core::Blade& blade =
-      number < config_.sources.size() ? config_.sources[number].blade : config_.cut.blade;
+  const core::Blade blade = own ? *own : blade_of(config_, handle->number());
   return std::make_unique<HubSource>(std::move(*handle), blade, loop_ ? &loop_->stats() : nullptr);
 }
 

@@ -31,7 +31,8 @@ class HubInput final : public stream::InputSink {
   HubInput(input::InputHub& hub, const Config& config) : hub_(hub), config_(config) {}
   // The loop that takes the poses, for its backlog and for resets; before the first session.
   void join(loop::FrameLoop& loop) { loop_ = &loop; }
-  std::unique_ptr<stream::PoseSource> open(std::string_view source_name) override;
+  std::unique_ptr<stream::PoseSource> open(std::string_view source_name,
+                                           const std::optional<protocol::BladeEdge>& blade) override;
   bool reset() override { return loop_ && loop_->request_reset(); }
 
  private:

@@ -65,7 +65,8 @@ InputHub::InputHub(const core::Blade& blade, std::vector<Declared> declared, std
 
 InputHub::~InputHub() = default;
 
-std::optional<SourceHandle> InputHub::open_source(std::string_view name) {
+std::optional<SourceHandle> InputHub::open_source(std::string_view name,
+                                                  const std::optional<core::Blade>& own_blade) {
   const std::scoped_lock lock(mutex_);
   if (closed_.load(std::memory_order_acquire)) return std::nullopt;
   const auto free = [&](std::size_t i) {
@@ -86,7 +87,9 @@ std::optional<SourceHandle> InputHub::open_source(std::string_view name) {
   for (auto& verdict : slot.verdicts) verdict.store(0, std::memory_order_relaxed);
   slot.last_source_ns.store(0, std::memory_order_relaxed);
   // The slot is free: its queue is empty, and the loop does not look at it before the state says kOpen.
-  const core::Blade& blade = *number < declared_.size() ? declared_[*number].blade : blade_;
+  const core::Blade& blade = own_blade                    ? *own_blade
+                             : *number < declared_.size() ? declared_[*number].blade
+                                                          : blade_;
   slot.queue.push(InputEvent{InputEvent::Kind::kOpened, {{}, monotonic_ns()}, blade});
   slot.state.store(State::kOpen, std::memory_order_release);
   return SourceHandle(this, *number);

@@ -94,8 +94,9 @@ class InputHub {
   InputHub(const InputHub&) = delete;
   InputHub& operator=(const InputHub&) = delete;
 
-  // Takes a blade. Nothing where the name is taken, no number is free, or the hub is closed.
-  std::optional<SourceHandle> open_source(std::string_view name);
+  // Takes a blade, with the shape declared for it or its owner's. Nothing where the name is taken, no number is free, or the hub is closed.
+  std::optional<SourceHandle> open_source(std::string_view name,
+                                          const std::optional<core::Blade>& own_blade = std::nullopt);
   // Whether somebody holds the blade of that name.
   bool is_open(std::string_view name) const;
   // No source opens from here on and no push takes anything: before the last drain.

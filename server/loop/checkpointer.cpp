@@ -128,7 +128,7 @@ void Checkpointer::handle(const Item& item) {
   }
   switch (record.kind) {
     case Kind::kOpened:
-      session_->set_blade(record.source, options_.blade_of(record.source));
+      session_->set_blade(record.source, record.blade);
       break;
     case Kind::kPose:
       session_->push(record.source, record.pose);

@@ -36,7 +36,6 @@ class Checkpointer {
     // one takes more than a fifth of that.
     double replay_s = 1;
     std::size_t capacity = 1u << 20;                           // records that may wait
-    std::function<core::Blade(std::uint32_t)> blade_of;        // that a source has when it is opened
     std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
   };
   // Called on its thread, and from record(): a line for the log. `bad`: there will be no checkpoints for now.

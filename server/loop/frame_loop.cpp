@@ -137,6 +137,7 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
   switch (event.kind) {
     case Kind::kOpened:
       record.kind = JournalRecord::Kind::kOpened;
+      record.blade = event.blade;
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
       if (forces_) forces_->opened(source, event.blade);
@@ -237,7 +238,8 @@ void FrameLoop::reset() {
   record.kind = JournalRecord::Kind::kOpened;
   for (record.source = 0; record.source < core::kMaxSources; ++record.source) {
     if (!blades_[record.source]) continue;
-    session_->set_blade(record.source, *blades_[record.source]);
+    record.blade = *blades_[record.source];
+    session_->set_blade(record.source, record.blade);
     write(record);
   }
 }

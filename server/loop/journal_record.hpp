@@ -11,7 +11,7 @@ namespace incise::loop {
 // by.
 struct JournalRecord {
   enum class Kind : std::uint8_t {
-    kOpened,      // source, arrival_ns: the source has another owner
+    kOpened,      // source, arrival_ns, blade: the source has another owner
     kPose,        // source, arrival_ns, pose
     kEndStroke,   // source, arrival_ns
     kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
@@ -23,6 +23,7 @@ struct JournalRecord {
   std::uint32_t source = 0;
   std::int64_t arrival_ns = 0;
   core::Pose pose;
+  core::Blade blade;
   std::uint32_t stroke = 0, batch = 0;
   bool stroke_ended = false;
   std::uint64_t revision = 0;

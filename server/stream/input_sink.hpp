@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string_view>
 
@@ -46,8 +47,10 @@ class PoseSource {
 class InputSink {
  public:
   virtual ~InputSink() = default;
-  // Takes a blade by its source's name. Null where somebody holds it, or no blade is free.
-  virtual std::unique_ptr<PoseSource> open(std::string_view source_name) = 0;
+  // Takes a blade by its source's name, with the server's shape or one that the operator brings. Null where somebody
+  // holds it, or no blade is free.
+  virtual std::unique_ptr<PoseSource> open(std::string_view source_name,
+                                           const std::optional<protocol::BladeEdge>& blade) = 0;
   // An administrator wants the mesh as loaded. False where the server does not offer that. When it is done,
   // Server::publish_reset() follows.
   virtual bool reset() { return false; }

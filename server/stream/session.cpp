@@ -221,7 +221,7 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
 }
 
 asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uint64_t sequence) {
-  std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name);
+  std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name, hello.blade);
   if (!source && hello.take_over) {
     if (const auto holder = hub_.holder(hello.source_name)) {
       holder->source_.reset();
@@ -230,7 +230,7 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
     // The blade is free once the loop has ended the stroke that was.
     for (int i = 0; i < kTakeOverTries && !source && stage_ == Stage::kHandshake; ++i) {
       co_await pause(kRetry);
-      source = hub_.sink().open(hello.source_name);
+      source = hub_.sink().open(hello.source_name, hello.blade);
     }
   }
   if (!source) {

@@ -84,6 +84,28 @@ TEST(InputHub, ANameHasOneOwnerAtATime) {
   EXPECT_TRUE(hub.open_source("blade"));
 }
 
+TEST(InputHub, AnOwnerMayBringABlade) {
+  const core::Blade common{{0, 0, 0}, {0, 0, -0.1}}, own{{0, 0, 0.02}, {0, 0, -0.03}};
+  InputHub hub(common);
+  std::vector<core::Blade> opened;
+  const auto look = [&] {
+    hub.drain([&](std::uint32_t, const InputEvent& event) {
+      if (event.kind == InputEvent::Kind::kOpened) opened.push_back(event.blade);
+      return true;
+    });
+  };
+  {
+    auto source = hub.open_source("blade", own);
+    look();
+  }
+  look();  // it ends
+  auto source = hub.open_source("blade");
+  look();
+  ASSERT_EQ(opened.size(), 2u);
+  EXPECT_EQ(opened[0].tip, own.tip);
+  EXPECT_EQ(opened[1].tip, common.tip);
+}
+
 TEST(InputHub, EightSourcesAndNoMore) {
   InputHub hub(core::Blade{});
   std::vector<SourceHandle> handles;

@@ -37,7 +37,6 @@ class CheckpointerTest : public ::testing::Test {
     options.journal = journal();
     options.replay_s = replay_s;
     options.capacity = capacity;
-    options.blade_of = [](std::uint32_t) { return tests::long_blade(); };
     options.fresh = [this] { return std::make_unique<core::CutSession>(mesh_, config()); };
     auto first = [this, fresh = options.fresh] {
       while (held_) std::this_thread::yield();

@@ -135,6 +135,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.source_name = "right hand";
   hello.take_over = true;
   hello.blade_rate_hz = 60;
+  hello.blade = BladeEdge{{0, 0, 0.01}, {0.001, 0, -0.05}};
 
   Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
   force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
@@ -302,7 +303,8 @@ std::vector<CaptureRecord> capture_records() {
       CheckpointRecord{0x0f1e2d3c4b5a6978},
       PositionsRecord{900, 1, 5, 77'004'000'000, 0, {0, 4}, {0, 0, -0.001, 0.01, 0.01, 0.009}},
       ResetRecord{0x99aabbccddeeff00, 77'005'000'000},
-      EndRecord{8},
+      BladeRecord{2, 77'006'000'000, {{0, 0, 0.01}, {0.001, 0, -0.05}}},
+      EndRecord{9},
   };
 }
 

@@ -193,6 +193,28 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   assert.deepEqual(faults, []);
 });
 
+test("a shorter blade does not reach through, and the recording knows how long it was", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const length = () => page.evaluate(() => Math.hypot(...window.incise.mouse.facts.tip));
+  await bladeIsReady(page);
+  const whole = await length();
+  await page.locator("#length").fill("0.1");
+  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) < least, 0.2 * whole);
+  await drag(page, [0.42, 0.02], [0.46, 0.98]);
+  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await page.waitForTimeout(500);
+  assert.equal((await progress(page)).pieces, 1);
+  await page.locator("#length").fill("1");
+  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) > least, 0.9 * whole);
+  await drag(page, [0.46, 0.02], [0.48, 0.98]);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await server.stop();
+  const { batches } = JSON.parse(server.incise("replay", server.file("session.capture"), "--verify", "--json"));
+  assert.ok(batches > 1);
+  assert.deepEqual(faults, []);
+});
+
 test("a flick cuts as well as a slow hand, and one that stalls on its way", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);
@@ -368,7 +390,7 @@ test("everything is reached by keyboard and has a name", async (t) => {
     await page.keyboard.press("Tab");
     seen.add(await page.evaluate(() => document.activeElement.id || document.activeElement.textContent));
   }
-  for (const id of ["theme", "panel-toggle", "wire", "depth", "tilt", "open", "fit", "reset"]) assert.ok(seen.has(id), id);
+  for (const id of ["theme", "panel-toggle", "wire", "depth", "length", "tilt", "open", "fit", "reset"]) assert.ok(seen.has(id), id);
   assert.deepEqual(faults, []);
 });
 

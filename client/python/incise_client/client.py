@@ -7,13 +7,14 @@ import ssl as tls
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Iterable, Optional
+from typing import Any, Callable, Iterable, Optional, Sequence
 
 import flatbuffers
 import numpy as np
 
-from incise.wire import (Body, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync, Role,
-                         SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl, View, Welcome)
+from incise.wire import (BladeEdge, Body, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync,
+                         Role,
+                         SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl, Vec3, View, Welcome)
 
 from .replica import ApplyError, Replica
 
@@ -51,9 +52,11 @@ class Client:
     """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it."""
 
     def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
-                 token: str = "", source_name: str = "blade", take_over: bool = False, max_rate_hz: float = 0.0,
+                 token: str = "", source_name: str = "blade", take_over: bool = False,
+                 blade: Optional[tuple[Sequence[float], Sequence[float]]] = None, max_rate_hz: float = 0.0,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
                  ssl_context: Optional[tls.SSLContext] = None) -> None:
+        """blade: of an operator that brings its own, heel and tip in the tool's frame, metres."""
         self.replica = resume.replica if resume else Replica()
         self.welcome: Any = None
         self.report: Any = None  # the last PoseReport
@@ -73,7 +76,7 @@ class Client:
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
         session = resume.welcome.Session() if resume else 0
-        self._send_hello(role, view, token, source_name, take_over, max_rate_hz, session)
+        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, session)
         end = time.monotonic() + timeout_s
         try:
             while self.welcome is None:
@@ -225,14 +228,20 @@ class Client:
         """Ends the running stroke after the poses sent so far."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
 
-    def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, max_rate_hz: float,
-                    session: int) -> None:
+    def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool,
+                    blade: Optional[tuple[Sequence[float], Sequence[float]]], max_rate_hz: float, session: int) -> None:
         def build(b: Any) -> int:
+            edge = []
+            if blade:
+                BladeEdge.Start(b)
+                BladeEdge.AddHeel(b, Vec3.CreateVec3(b, *blade[0]))
+                BladeEdge.AddTip(b, Vec3.CreateVec3(b, *blade[1]))
+                edge = [("Blade", BladeEdge.End(b))]
             name, source, secret = b.CreateString("incise_client.py"), b.CreateString(source_name), b.CreateString(token)
             return _table(b, Hello, [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
                                      ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
                                      ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
-                                     ("ResumeRevision", self.replica.revision if session else 0)])
+                                     ("ResumeRevision", self.replica.revision if session else 0)] + edge)
 
         self._send(Body.Body.Hello, build)
 

@@ -61,7 +61,7 @@ export interface ReplayFacts {
 
 export type ToWorker =
   | { kind: "connect"; url: string; token: string }
-  | { kind: "take-blade"; takeOver: boolean }
+  | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }

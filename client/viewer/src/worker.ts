@@ -272,10 +272,10 @@ function openView(): void {
 }
 
 /** The mouse's blade has a connection of its own: whether somebody may watch does not depend on whether he may cut. */
-function takeBlade(takeOver: boolean): void {
+function takeBlade(takeOver: boolean, length_m: number): void {
   blade?.end();
   blade = new Link(url, {
-    hello: () => ({ role: Role.Operator, view: View.None, token, sourceName: "mouse", takeOver }),
+    hello: () => ({ role: Role.Operator, view: View.None, token, sourceName: "mouse", takeOver, blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] } }),
     welcome: (welcome) => {
       ownSource = welcome.source();
       takeOver = true; // after a lost connection the server may not know yet that we are gone
@@ -412,7 +412,7 @@ onmessage = ({ data }: MessageEvent<ToWorker>) => {
       openView();
       break;
     case "take-blade":
-      takeBlade(data.takeOver);
+      takeBlade(data.takeOver, data.length_m);
       break;
     case "release-blade":
       blade?.end();

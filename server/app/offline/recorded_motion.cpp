@@ -9,7 +9,7 @@
 namespace incise::app {
 namespace {
 
-core::Pose to_core(const protocol::PoseSample& sample) {
+core::Pose pose_of(const protocol::PoseSample& sample) {
   const protocol::Vec3& p = sample.position;
   const protocol::Quat& q = sample.orientation;
   return {sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons};
@@ -22,7 +22,8 @@ struct RecordReader {
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
-    motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose), record.arrival_ns});
+    motion.events.push_back(
+        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
@@ -33,6 +34,12 @@ struct RecordReader {
     } else if (record.action == protocol::StrokeAction::HandOver) {
       motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
     }
+  }
+  void operator()(const protocol::BladeRecord& record) {
+    check_source(record.source);
+    if (motion.gap) return;
+    motion.events.push_back(
+        {MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, to_core(record.blade)});
   }
   void operator()(const protocol::BatchMark& record) {
     if (!motion.gap) motion.marks.push_back(record);
@@ -143,7 +150,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
   motion.has_orientation = text.has_orientation;
   for (const protocol::PoseSample& sample : text.samples) {
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample), sample.source_ns});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
   }
   if (!text.has_orientation) {
     motion.warnings.push_back(name +
@@ -177,6 +184,11 @@ Config config_of(const protocol::CaptureHeader& header, const std::string& name)
   return parse_config(header.config_json, name + " (the configuration in its header)");
 }
 
+core::Blade to_core(const protocol::BladeEdge& blade) {
+  const auto& [heel, tip] = blade;
+  return {{heel.x, heel.y, heel.z}, {tip.x, tip.y, tip.z}};
+}
+
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config) {
   switch (event.kind) {
     case MotionEvent::Kind::kPose:
@@ -186,7 +198,7 @@ void apply(core::CutSession& session, const MotionEvent& event, const Config& co
       session.end_stroke(event.source);
       break;
     case MotionEvent::Kind::kOpened:
-      session.set_blade(event.source, blade_of(config, event.source));
+      session.set_blade(event.source, event.blade ? *event.blade : blade_of(config, event.source));
       break;
   }
 }

@@ -18,7 +18,9 @@ struct MotionEvent {
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
   core::Pose pose;
-  std::int64_t arrival_ns = 0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::int64_t arrival_ns =
+      0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::optional<core::Blade> blade = std::nullopt;  // of kOpened: its own, else the configuration's
 };
 
 // A motion from a file, whatever its format.
@@ -70,7 +72,9 @@ Config config_of(const protocol::CaptureHeader& header, const std::string& name)
 // The blade of a source: its own, or the one for all.
 const core::Blade& blade_of(const Config& config, std::uint32_t source);
 
-// Does to a session what an event says. The blade of a source that is opened is the configuration's.
+core::Blade to_core(const protocol::BladeEdge& blade);
+
+// Does to a session what an event says.
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config);
 
 }  // namespace incise::app

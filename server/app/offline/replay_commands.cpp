@@ -235,7 +235,10 @@ int run_convert(const ConvertCommand& command) {
       record.arrival_ns = event.pose.t_ns;
       record.pose = event.pose;
       if (event.kind == MotionEvent::Kind::kEndStroke) record.kind = loop::JournalRecord::Kind::kEndStroke;
-      if (event.kind == MotionEvent::Kind::kOpened) record.kind = loop::JournalRecord::Kind::kOpened;
+      if (event.kind == MotionEvent::Kind::kOpened) {
+        record.kind = loop::JournalRecord::Kind::kOpened;
+        record.blade = event.blade ? *event.blade : blade_of(config, event.source);
+      }
       used[event.source] = true;
       apply(session, event, config);
       capture.write(record);
