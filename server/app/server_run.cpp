@@ -177,7 +177,7 @@ void run_server(const Config& config, bool resume) {
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
-  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
+  if (config.haptics.forces) frames.offer_forces(config.haptics.force, body.loaded.mesh, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(

@@ -190,14 +190,15 @@ void FrameLoop::write(const JournalRecord& record) {
 
 // ------------------------------------------------------------------------------------------------ forces
 
-void FrameLoop::offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink,
-                             haptics::ForceSlots* slots) {
-  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), sink, slots);
+void FrameLoop::offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                             haptics::ForceSink* sink, haptics::ForceSlots* slots) {
+  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), loaded, sink, slots);
+  if (session_->revision() > 0) forces_->cut(session_->mesh());
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   if (!forces_) return now_ns;
-  forces_->frame(*session_, now_ns, late_ns);
+  forces_->frame(now_ns, late_ns);
   return monotonic_ns();
 }
 
@@ -300,6 +301,7 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.vertices = session_->mesh().vertex_slots();
   state_.cut_faces += delta.cut_faces;
   state_.cut_area_m2 += delta.cut_area;
+  if (forces_) forces_->cut(session_->mesh(), delta);
 
   JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;

@@ -53,9 +53,10 @@ class FrameLoop {
   // where it was not offered. From any thread.
   bool request_reset();
 
-  // Makes forces, in each frame between drain and cut; before the first frame. `sink` and `slots` may be null; what is
-  // not must outlive this.
-  void offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink, haptics::ForceSlots* slots);
+  // Makes forces, in each frame between drain and cut; before the first frame. `loaded` is the body before its first
+  // cut. `sink` and `slots` may be null; what is not must outlive this.
+  void offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                    haptics::ForceSink* sink, haptics::ForceSlots* slots);
 
   // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
   // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
