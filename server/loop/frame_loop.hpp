@@ -78,12 +78,13 @@ class FrameLoop {
   void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
-  void cut(std::int64_t until_ns);
+  void cut(std::int64_t until_ns, std::int64_t latest_ns);
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
-  void write(const JournalRecord& record);
+  // Whether the journal has it.
+  bool write(const JournalRecord& record);
   void reset();
 
   core::CutSession* session_;
