@@ -51,6 +51,7 @@ CutMap::CutMap(const Vec3& low, const Vec3& high, double h) : origin_(low), asid
     }
     if (cells <= kMostCells) break;
   }
+  inverse_ = 1 / cell_;
   cells_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), 0);
 }
 
@@ -60,7 +61,8 @@ void CutMap::clear() noexcept {
 }
 
 std::size_t CutMap::index(const Vec3& p) const noexcept {
-  const double x = (p.x - origin_.x) / cell_, y = (p.y - origin_.y) / cell_, z = (p.z - origin_.z) / cell_;
+  const double x = (p.x - origin_.x) * inverse_, y = (p.y - origin_.y) * inverse_,
+               z = (p.z - origin_.z) * inverse_;
   if (!(x >= 0 && y >= 0 && z >= 0 && x < static_cast<double>(count_[0]) &&
         y < static_cast<double>(count_[1]) && z < static_cast<double>(count_[2]))) {
     return cells_.size();

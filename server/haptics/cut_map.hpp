@@ -38,7 +38,7 @@ class CutMap {
       const core::Vec3& p) const noexcept;  // of its cell; beyond the last one where p is outside
 
   core::Vec3 origin_;
-  double cell_ = 1, aside_ = 0;
+  double cell_ = 1, inverse_ = 1, aside_ = 0;
   std::int64_t count_[3] = {0, 0, 0};
   std::vector<Directions> cells_;
   bool any_ = false;

@@ -61,6 +61,7 @@ void ForceStage::restart() noexcept {
 }
 
 void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
+  felt_count_ = 0;
   for (std::uint32_t source = 0; source < hands_.size(); ++source) {
     Hand& hand = *hands_[source];
     if (!hand.opened || !hand.has_pose) continue;
@@ -72,11 +73,13 @@ void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
     }
     const bool fresh = !hand.has_felt || hand.pose.t_ns != hand.felt.t_ns;
     const BladeForce force = feel(source, hand, now_ns, late_ns);
+    if (fresh) felt_ns_[felt_count_++] = hand.arrival_ns;
     hand.felt = hand.pose;
     hand.has_felt = true;
     hand.acting = force.newtons;
     if (slots_) {
-      (*slots_)[source].write({{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags});
+      (*slots_)[source].write(
+          {{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags, hand.arrival_ns});
     }
     const bool worth = force.feel.contact || squared_length(force.newtons) > 0;
     const bool changed = fresh || hand.chain.faults() != 0;

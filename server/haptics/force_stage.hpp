@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <span>
 
 #include "server/core/cut_config.hpp"
 #include "server/core/delta.hpp"
@@ -55,6 +56,8 @@ class ForceStage {
 
   void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
+  // When the poses arrived that the last frame was the first to make a force of: one a blade at most.
+  std::span<const std::int64_t> felt_ns() const { return std::span(felt_ns_).first(felt_count_); }
   // Forces for which not all of the edge was looked at: a bound of ProbeWork was met.
   std::uint64_t cut_short() const { return cut_short_; }
 
@@ -84,6 +87,8 @@ class ForceStage {
   ForceSlots* const slots_;
   Tissue tissue_;
   std::uint64_t cut_short_ = 0;
+  std::array<std::int64_t, core::kMaxSources> felt_ns_{};
+  std::size_t felt_count_ = 0;
   std::array<std::unique_ptr<Hand>, core::kMaxSources> hands_;
 };
 

@@ -205,7 +205,10 @@ void FrameLoop::offer_forces(const haptics::ForceConfig& config, const core::Mes
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   if (!forces_) return now_ns;
   forces_->frame(now_ns, late_ns);
-  return monotonic_ns();
+  const std::int64_t done_ns = monotonic_ns();
+  for (const std::int64_t arrival_ns : forces_->felt_ns()) stats_.pose_to_force.record(done_ns - arrival_ns);
+  state_.forces_cut_short = forces_->cut_short();
+  return done_ns;
 }
 
 // ------------------------------------------------------------------------------------------------ reset
@@ -232,6 +235,7 @@ void FrameLoop::reset() {
   LoopState as_loaded;
   as_loaded.frames = state_.frames;
   as_loaded.skipped_frames = state_.skipped_frames;
+  as_loaded.forces_cut_short = state_.forces_cut_short;
   as_loaded.state_hash = session_->mesh().state_hash();
   as_loaded.live_tets = session_->mesh().live_tets();
   as_loaded.vertices = session_->mesh().vertex_slots();
