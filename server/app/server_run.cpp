@@ -133,6 +133,9 @@ void run_server(const Config& config, bool resume) {
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                session.mesh().mean_edge_length(),
                static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+  std::vector<input::InputHub::Declared> declared;
+  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
+  input::InputHub hub(config.cut.blade, declared);
   const bool capture = recording.journal != nullptr;
   std::unique_ptr<loop::Journal> journal;
   if (capture) {
@@ -152,12 +155,10 @@ void run_server(const Config& config, bool resume) {
                           trouble);
           }
         },
-        make_checkpointer(config, body, recording));
+        make_checkpointer(config, body, recording),
+        [&hub](const loop::JournalRecord& pose) { hub.tell(pose.source, pose.verdict, pose.pose.t_ns); });
   }
 
-  std::vector<input::InputHub::Declared> declared;
-  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
-  input::InputHub hub(config.cut.blade, declared);
   HubInput sink(hub, config);
 
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
@@ -176,7 +177,8 @@ void run_server(const Config& config, bool resume) {
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
-  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
+  if (config.haptics.forces)
+    frames.offer_forces(config.haptics.force, body.loaded.mesh, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(

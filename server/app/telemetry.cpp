@@ -27,6 +27,8 @@ constexpr Stage kStages[] = {
     {"cut", "cutting, in a frame", &LoopStats::cut},
     {"publish", "handing deltas on, in a frame", &LoopStats::publish},
     {"batch_cut", "cutting a batch, over all its frames", &LoopStats::batch_cut},
+    {"pose_to_force", "arrival of a blade's newest pose until its force was there",
+     &LoopStats::pose_to_force},
     {"pose_to_drain", "arrival of a batch's last pose until the loop took it", &LoopStats::pose_to_drain},
     {"pose_to_cut", "arrival of a batch's last pose until the batch was cut", &LoopStats::pose_to_cut},
 };
@@ -57,7 +59,13 @@ Json device_json(const input::DeviceStatus& device) {
                      {"restarts", reports.restarts}};
   json["clock_drift_ppm"] = figures.drift_ppm;
   json["full_queue_ms"] = figures.full_queue_ms;
-  json["forces"] = {{"written", figures.forces_written}, {"failed", figures.forces_failed}};
+  json["forces"] = {{"written", figures.forces_written},
+                    {"failed", figures.forces_failed},
+                    {"pose_to_report_us",
+                     {{"p50", figures.pose_to_report.p50_us},
+                      {"p99", figures.pose_to_report.p99_us},
+                      {"p99.9", figures.pose_to_report.p999_us},
+                      {"max", figures.pose_to_report.max_us}}}};
   return json;
 }
 
@@ -107,6 +115,7 @@ std::string Telemetry::json() const {
                     {"deltas_blocked", (state.flags & loop::kDeltasBlocked) != 0},
                     {"journal_blocked", (state.flags & loop::kJournalBlocked) != 0}};
   root["ns_per_work_unit"] = state.ns_per_unit;
+  root["forces_cut_short"] = state.forces_cut_short;
   if (journal_) {
     root["journal"] = {
         {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};

@@ -37,7 +37,8 @@ struct InputEvent {
   core::Blade blade;
 };
 
-// What the loop has made of a source's poses since the source was opened.
+// What has become of a source's poses since the source was opened: of those that the loop has taken and, where there
+// is a journal, that has handed to the system. So what an operator is told of outlives a crash.
 struct SourceCounts {
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts{};  // by PoseVerdict
   std::uint64_t drained = 0;                                  // their sum
@@ -108,7 +109,9 @@ class InputHub {
   template <class Handle>
   void drain(Handle&& handle);
   // The loop's: counts what it did with a pose.
-  void count(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
+  void count(std::uint32_t source, core::PoseVerdict verdict);
+  // Then, in the same order, from the loop's thread or the journal's: the owner may know.
+  void tell(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
   // Events that wait, of all sources.
   std::size_t waiting() const;
   // Sources with an owner now.
@@ -124,7 +127,10 @@ class InputHub {
     SpscQueue<InputEvent> queue;
     std::atomic<State> state{State::kFree};
     std::atomic<std::int64_t> closed_ns{0};
-    std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts> verdicts{};
+    // Of all owners so far. Who opens a source finds what the loop has counted of those before, and what is told beyond
+    // that is of its own poses.
+    using Counts = std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts>;
+    Counts counted{}, told{}, before{};
     std::atomic<std::int64_t> last_source_ns{0};
     std::string name;  // guarded by mutex_
   };

@@ -55,6 +55,9 @@ class Checkpointer {
   // journal has a gap, and only a checkpoint after it leads on.
   void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
 
+  // Tries again to give the thread what it was too busy to take; the journal calls it now and then.
+  void hand_over();
+
   std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
   std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
   // Records that wait.
@@ -67,7 +70,6 @@ class Checkpointer {
     bool mark = false, wanted = false;
     std::uint64_t id = 0, offset = 0, records = 0;
   };
-  void push(const Item& item);
   void run(const std::function<std::unique_ptr<core::CutSession>()>& first);
   void handle(const Item& item);
   void give_up(const std::string& why);
@@ -79,6 +81,7 @@ class Checkpointer {
   const Tell tell_;
   std::mutex mutex_;
   std::condition_variable wake_;
+  std::vector<Item> given_;   // the journal's: not handed over yet
   std::deque<Item> waiting_;  // under mutex_
   bool overflow_ = false;     // under mutex_
   bool stop_ = false;         // under mutex_

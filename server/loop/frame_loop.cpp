@@ -12,10 +12,12 @@ using input::monotonic_ns;
 
 // The clock is read after so many poses (some 100 ns each), and after so long a slice of cutting.
 constexpr std::uint32_t kPosesPerLook = 64;
-constexpr std::int64_t kSlice_ns = 50'000;
+constexpr std::int64_t kSlice_ns = 20'000;
 // A sleep ends up to some 50 us late without real-time priority; the last stretch is spent looking at the
 // clock.
 constexpr std::int64_t kSpin_ns = 20'000;
+// No slice begins that would not be over by then, going by the last ones: the part of a frame.
+constexpr double kLatest = 0.95;
 // The part of a frame's budget that taking poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
 
@@ -87,7 +89,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
-  cut(start + budget_ns_);
+  cut(start + budget_ns_, start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
   const std::int64_t cut_done = monotonic_ns();
   publish();
   account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
@@ -107,7 +109,7 @@ void FrameLoop::finish() noexcept {
   // will not.
   do {
     state_.flags &= ~std::uint64_t{kDeltasBlocked};
-    cut(INT64_MAX);
+    cut(INT64_MAX, INT64_MAX);
     publish();
   } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0);
   const std::int64_t now = monotonic_ns();
@@ -155,7 +157,8 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       }
       if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
         ++state_.strokes;
-      input_.count(source, verdict, event.pose.pose.t_ns);
+      record.verdict = verdict;
+      input_.count(source, verdict);
       if (forces_ && accepted(verdict)) {
         forces_->posed(source, event.pose.pose, event.pose.arrival_ns,
                        verdict == core::PoseVerdict::kNewStroke);
@@ -170,7 +173,9 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       blades_moved_ = true;
       break;
   }
-  write(record);
+  const bool recorded = write(record);
+  // What is in the journal's hands is told of by the journal, once it has handed it on.
+  if (!recorded && event.kind == Kind::kPose) input_.tell(source, record.verdict, record.pose.t_ns);
   for (std::size_t i = batches; i < session_->backlog_batches(); ++i) {
     if (stamp_count_ == stamps_.size()) {
       std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_),
@@ -182,24 +187,29 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
   }
 }
 
-void FrameLoop::write(const JournalRecord& record) {
-  if (journal_ && !journal_->record(record)) {
-    state_.flags |= kJournalBlocked;
-    bump(stats_.journal_lost);
-  }
+bool FrameLoop::write(const JournalRecord& record) {
+  if (!journal_) return false;
+  if (journal_->record(record)) return true;
+  state_.flags |= kJournalBlocked;
+  bump(stats_.journal_lost);
+  return false;
 }
 
 // ------------------------------------------------------------------------------------------------ forces
 
-void FrameLoop::offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink,
-                             haptics::ForceSlots* slots) {
-  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), sink, slots);
+void FrameLoop::offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                             haptics::ForceSink* sink, haptics::ForceSlots* slots) {
+  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), loaded, sink, slots);
+  if (session_->revision() > 0) forces_->cut(session_->mesh());
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   if (!forces_) return now_ns;
-  forces_->frame(*session_, now_ns, late_ns);
-  return monotonic_ns();
+  forces_->frame(now_ns, late_ns);
+  const std::int64_t done_ns = monotonic_ns();
+  for (const std::int64_t arrival_ns : forces_->felt_ns()) stats_.pose_to_force.record(done_ns - arrival_ns);
+  state_.forces_cut_short = forces_->cut_short();
+  return done_ns;
 }
 
 // ------------------------------------------------------------------------------------------------ reset
@@ -226,6 +236,7 @@ void FrameLoop::reset() {
   LoopState as_loaded;
   as_loaded.frames = state_.frames;
   as_loaded.skipped_frames = state_.skipped_frames;
+  as_loaded.forces_cut_short = state_.forces_cut_short;
   as_loaded.state_hash = session_->mesh().state_hash();
   as_loaded.live_tets = session_->mesh().live_tets();
   as_loaded.vertices = session_->mesh().vertex_slots();
@@ -246,13 +257,13 @@ void FrameLoop::reset() {
 
 // ------------------------------------------------------------------------------------------------ cutting
 
-void FrameLoop::cut(std::int64_t until_ns) {
+void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
   std::int64_t units_left = options_.units_per_frame > 0 ? options_.units_per_frame : INT64_MAX;
   std::int64_t now = monotonic_ns();
   // At least one slice, however late it is: a frame that never cuts would never end the backlog.
+  std::shared_ptr<PublishedDelta> out;
   while (session_->backlog_batches() > 0) {
-    const std::shared_ptr<PublishedDelta> out = pool_.take();
-    if (!out) {
+    if (!out && !(out = pool_.take())) {
       state_.flags |= kDeltasBlocked;
       return;
     }
@@ -264,7 +275,7 @@ void FrameLoop::cut(std::int64_t until_ns) {
     const auto progress = session_->advance(budget, out->delta);
     const std::int64_t then = now, used = units - budget.left;
     now = monotonic_ns();
-    cost_.observe(used, now - then);
+    cost_.observe(used, now - then, batch_work_ns_ > 0 && progress == core::CutSession::Progress::kSpent);
     units_left -= used;
     batch_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
@@ -273,9 +284,9 @@ void FrameLoop::cut(std::int64_t until_ns) {
       ns_per_segment_ += 0.1 * (static_cast<double>(batch_work_ns_) / done - ns_per_segment_);
       commit(*out, now);
       pool_.given();
-      ready_.push_back(out);
+      ready_.push_back(std::move(out));
     }
-    if (now >= until_ns || units_left <= 0) {
+    if (now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {
       if (session_->backlog_batches() > 0) state_.flags |= kBudgetSpent;
       return;
     }
@@ -302,6 +313,7 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.vertices = session_->mesh().vertex_slots();
   state_.cut_faces += delta.cut_faces;
   state_.cut_area_m2 += delta.cut_area;
+  if (forces_) forces_->cut(session_->mesh(), delta);
 
   JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;

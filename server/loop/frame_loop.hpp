@@ -53,9 +53,10 @@ class FrameLoop {
   // where it was not offered. From any thread.
   bool request_reset();
 
-  // Makes forces, in each frame between drain and cut; before the first frame. `sink` and `slots` may be null; what is
-  // not must outlive this.
-  void offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink, haptics::ForceSlots* slots);
+  // Makes forces, in each frame between drain and cut; before the first frame. `loaded` is the body before its first
+  // cut. `sink` and `slots` may be null; what is not must outlive this.
+  void offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                    haptics::ForceSink* sink, haptics::ForceSlots* slots);
 
   // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
   // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
@@ -77,12 +78,13 @@ class FrameLoop {
   void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
-  void cut(std::int64_t until_ns);
+  void cut(std::int64_t until_ns, std::int64_t latest_ns);
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
-  void write(const JournalRecord& record);
+  // Whether the journal has it.
+  bool write(const JournalRecord& record);
   void reset();
 
   core::CutSession* session_;

@@ -4,6 +4,7 @@
 
 #include "server/core/blade.hpp"
 #include "server/core/delta.hpp"
+#include "server/core/stroke_builder.hpp"
 
 namespace incise::loop {
 
@@ -12,7 +13,7 @@ namespace incise::loop {
 struct JournalRecord {
   enum class Kind : std::uint8_t {
     kOpened,      // source, arrival_ns, blade: the source has another owner
-    kPose,        // source, arrival_ns, pose
+    kPose,        // source, arrival_ns, pose, verdict
     kEndStroke,   // source, arrival_ns
     kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
     kReset,       // session, arrival_ns: the mesh is as loaded again
@@ -24,6 +25,7 @@ struct JournalRecord {
   std::int64_t arrival_ns = 0;
   core::Pose pose;
   core::Blade blade;
+  core::PoseVerdict verdict = core::PoseVerdict::kAccepted;
   std::uint32_t stroke = 0, batch = 0;
   bool stroke_ended = false;
   std::uint64_t revision = 0;

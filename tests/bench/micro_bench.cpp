@@ -138,8 +138,7 @@ void build(benchmark::State& state) {
 // One frame's force on a blade that is drawn to and fro: `on_surface` presses without cutting, else it lies across the
 // whole body.
 void force(benchmark::State& state, bool on_surface) {
-  const TetMesh mesh(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
-  const core::BoundaryGrid grid(mesh);
+  const haptics::Tissue tissue(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
   haptics::Materials materials;
   haptics::ForceModel model(materials, 2000, 0.5);
   haptics::BladeMotion motion;
@@ -152,7 +151,7 @@ void force(benchmark::State& state, bool on_surface) {
     const double s = 1e-5 * (i < 500 ? i : 1000 - i);
     motion.tool = {0.0613 + s, 0.0487 + 0.7 * s, 0.15 + up};
     motion.line = {motion.tool, motion.tool - Vec3{0, 0, on_surface ? 0.032 : 0.16}};
-    feel = model.update(mesh, grid, motion, feel.force);
+    feel = model.update(tissue, motion, feel.force);
   };
   for (int k = 0; on_surface && k < 40; ++k) move(0.006 - 1.5e-4 * k);  // down to the surface
   for (auto _ : state) move(0);

@@ -183,6 +183,7 @@ CaptureFollower::CaptureFollower(const ServedSession& session)
       session_(std::make_unique<core::CutSession>(session.body().loaded.mesh, session.config().cut)) {}
 
 std::string CaptureFollower::follow() {
+  seen_.clear();
   std::ifstream in(served_.capture(), std::ios::binary);
   protocol::CaptureReader reader(in);
   if (!reader.header_ok())
@@ -206,6 +207,7 @@ void CaptureFollower::operator()(const protocol::CaptureRecord& record, std::str
     session_->push(pose->source,
                    {pose->pose.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, pose->pose.buttons});
     ++poses_;
+    seen_.insert(pose->pose.source_ns);
     last_source_ns_ = std::max(last_source_ns_, pose->pose.source_ns);
   } else if (const auto* stroke = std::get_if<protocol::StrokeRecord>(&record)) {
     if (stroke->action == protocol::StrokeAction::HandOver)
