@@ -46,14 +46,13 @@ int serve(const std::string& type, int version, int count) {
   if (socket.IsNull()) return 1;
   const auto header = igtl::MessageHeader::New();
   header->InitPack();
-  bool timeout = false;
   socket->SetReceiveTimeout(60'000);
-  socket->Receive(header->GetPackPointer(), header->GetPackSize(), timeout);
+  socket->Receive(header->GetPackPointer(), header->GetPackSize());
   header->Unpack();
   if (std::string(header->GetDeviceType()) != "STT_" + type) return 1;
   for (int i = 0; i < count; ++i) {
     const Packed bytes = pose(type, version, i, count);
-    if (socket->Send(bytes.data(), bytes.size()) != 1) return 1;
+    if (socket->Send(bytes.data(), static_cast<int>(bytes.size())) != 1) return 1;
   }
   std::puts("sent");
   std::fflush(stdout);

@@ -89,7 +89,7 @@ struct HaplyInput::Impl {
         connected = false;
         lose();
         publish();
-        events.write(spdlog::level::warn, "haply: " + options.url + ": " + why);
+        if (!stopping) events.write(spdlog::level::warn, "haply: " + options.url + ": " + why);
       } else if (!complained) {
         spdlog::warn("haply: cannot connect to {}: {}; trying again every {} s", options.url, why,
                      kRetry.count());
@@ -146,7 +146,7 @@ struct HaplyInput::Impl {
       }
       if (std::string failed = co_await command(ws, first); !failed.empty()) co_return failed;
       first = false;
-      if (++turns % 64 == 1) publish();
+      if (++turns % 64 == 1 || device.empty()) publish();
     }
     co_return std::string("ended");
   }

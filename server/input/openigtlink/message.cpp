@@ -1,8 +1,10 @@
 #include "server/input/openigtlink/message.hpp"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
+#include <ctime>
 
 namespace incise::input::openigtlink {
 namespace {
@@ -255,25 +257,42 @@ Decoded decode(const Header& header, std::span<const std::uint8_t> body) {
   return decoded;
 }
 
+Writer::Writer(std::string_view type, std::string_view device, std::uint64_t timestamp,
+               std::size_t body_bytes) {
+  bytes_.reserve(kHeaderBytes + body_bytes);
+  number(std::uint16_t{1});
+  text(type, kTypeBytes);
+  text(device, kNameBytes);
+  number(timestamp);
+  bytes_.resize(kHeaderBytes);
+}
+
+void Writer::text(std::string_view text, std::size_t bytes) {
+  for (std::size_t i = 0; i < bytes; ++i)
+    bytes_.push_back(i < text.size() ? static_cast<std::uint8_t>(text[i]) : 0);
+}
+
+std::vector<std::uint8_t> Writer::done() {
+  const Bytes body = Bytes(bytes_).subspan(kHeaderBytes);
+  const std::uint64_t last[] = {body.size(), crc64(body)};
+  for (std::size_t i = 0; i < 16; ++i) {
+    bytes_[kHeaderBytes - 16 + i] = static_cast<std::uint8_t>(last[i / 8] >> (56 - 8 * (i % 8)));
+  }
+  return std::move(bytes_);
+}
+
 std::vector<std::uint8_t> encode(std::string_view type, std::string_view device, std::uint64_t timestamp,
                                  std::span<const std::uint8_t> body) {
-  std::vector<std::uint8_t> bytes;
-  bytes.reserve(kHeaderBytes + body.size());
-  const auto number = [&](std::uint64_t value, int size) {
-    for (int i = size - 1; i >= 0; --i) bytes.push_back(static_cast<std::uint8_t>(value >> 8 * i));
-  };
-  const auto name = [&](std::string_view text, std::size_t size) {
-    for (std::size_t i = 0; i < size; ++i)
-      bytes.push_back(i < text.size() ? static_cast<std::uint8_t>(text[i]) : 0);
-  };
-  number(1, 2);
-  name(type, kTypeBytes);
-  name(device, kNameBytes);
-  number(timestamp, 8);
-  number(body.size(), 8);
-  number(crc64(body), 8);
-  bytes.insert(bytes.end(), body.begin(), body.end());
-  return bytes;
+  Writer writer(type, device, timestamp, body.size());
+  for (const std::uint8_t byte : body) writer.number(byte);
+  return writer.done();
+}
+
+std::uint64_t timestamp_now() {
+  timespec now{};
+  clock_gettime(CLOCK_REALTIME, &now);
+  const auto fraction = (static_cast<std::uint64_t>(now.tv_nsec) << 32) / 1'000'000'000;
+  return static_cast<std::uint64_t>(now.tv_sec) << 32 | fraction;
 }
 
 }  // namespace incise::input::openigtlink

@@ -2,15 +2,16 @@
 
 // OpenIGTLink messages as bytes. https://github.com/openigtlink/OpenIGTLink/tree/master/Documents/Protocol: a header of
 // 58 bytes, a body; all numbers big endian. With header version 2 the body has an extended header in front and metadata
-// behind. Nothing here trusts a length, or needs the library.
+// behind. Nothing here trusts a length.
 
-#include <array>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <vector>
 
 #include "server/core/blade.hpp"
@@ -72,8 +73,39 @@ Decoded decode(const Header& header, std::span<const std::uint8_t> body);
 // ECMA-182, as OpenIGTLink uses it: not reflected, starts at 0.
 std::uint64_t crc64(std::span<const std::uint8_t> bytes);
 
-// A message with a header of version 1, which every peer reads. Names are cut to what a header holds.
+// A message with a header of version 1, which every peer reads: the header, and room for the body behind it.
+class Writer {
+ public:
+  Writer(std::string_view type, std::string_view device, std::uint64_t timestamp, std::size_t body_bytes);
+  // Unsigned, signed or float, big endian.
+  template <class Number>
+  void number(Number value);
+  void text(std::string_view text, std::size_t bytes);  // cut or filled with zeros
+  // The message, with the body's length and CRC.
+  std::vector<std::uint8_t> done();
+
+ private:
+  std::vector<std::uint8_t> bytes_;
+};
+
 std::vector<std::uint8_t> encode(std::string_view type, std::string_view device, std::uint64_t timestamp,
                                  std::span<const std::uint8_t> body);
+
+// CLOCK_REALTIME now, as headers have it.
+std::uint64_t timestamp_now();
+
+template <class Number>
+void Writer::number(Number value) {
+  static_assert(sizeof value <= 8);
+  std::uint64_t bits = 0;
+  if constexpr (std::is_same_v<Number, float>) {
+    bits = std::bit_cast<std::uint32_t>(value);
+  } else {
+    bits = static_cast<std::uint64_t>(value);
+  }
+  for (int shift = 8 * static_cast<int>(sizeof value) - 8; shift >= 0; shift -= 8) {
+    bytes_.push_back(static_cast<std::uint8_t>(bits >> shift));
+  }
+}
 
 }  // namespace incise::input::openigtlink

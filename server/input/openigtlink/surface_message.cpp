@@ -1,29 +1,11 @@
 #include "server/input/openigtlink/surface_message.hpp"
 
-#include <igtlPolyDataMessage.h>
-#include <igtlTimeStamp.h>
-
+#include <unordered_map>
 #include <variant>
 
+#include "server/input/openigtlink/message.hpp"
+
 namespace incise::input::openigtlink {
-namespace {
-
-using Triangles = std::map<std::uint32_t, protocol::SurfaceReplica::Triangle>;
-
-igtl::PolyDataAttribute::Pointer attribute(const char* name, const Triangles& triangles, auto value_of) {
-  const auto attribute = igtl::PolyDataAttribute::New();
-  attribute->SetType(igtl::PolyDataAttribute::CELL_SCALAR);
-  attribute->SetName(name);
-  std::vector<igtlFloat32> values;
-  values.reserve(triangles.size());
-  for (const auto& [id, triangle] : triangles) values.push_back(static_cast<igtlFloat32>(value_of(triangle)));
-  attribute->SetSize(static_cast<igtlUint32>(values.size()));
-  if (!values.empty()) attribute->SetData(values.data());
-  return attribute;
-}
-
-}  // namespace
-
 std::unique_ptr<protocol::SurfaceReplica> surface_of(
     std::span<const std::shared_ptr<const protocol::Frame>> frames, std::string& error) {
   auto surface = std::make_unique<protocol::SurfaceReplica>();
@@ -53,37 +35,37 @@ std::unique_ptr<protocol::SurfaceReplica> surface_of(
 
 std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, const Placement& peers,
                                        const std::string& device) {
-  std::map<std::uint32_t, igtlUint32> index;  // of a vertex among the message's points
-  const auto points = igtl::PolyDataPointArray::New();
-  points->SetNumberOfPoints(static_cast<int>(surface.vertices().size()));
+  constexpr std::string_view kNames("piece\0cut\0", 10);  // of an even length, or a zero would follow
+  constexpr std::uint16_t kCellScalar = 0x1001;           // one component
+  const auto points = static_cast<std::uint32_t>(surface.vertices().size());
+  const auto cells = static_cast<std::uint32_t>(surface.triangles().size());
+  Writer message("POLYDATA", device, timestamp_now(),
+                 62 + std::size_t{12} * points + std::size_t{24} * cells);
+  // Points; vertices, lines, polygons, strips, each with a number of cells and of bytes; attributes.
+  for (const std::uint32_t count : {points, 0U, 0U, 0U, 0U, cells, 16 * cells, 0U, 0U, 2U})
+    message.number(count);
+  std::unordered_map<std::uint32_t, std::uint32_t> index;  // of a vertex among the points
+  index.reserve(points);
   for (const auto& [id, vertex] : surface.vertices()) {
     const core::Vec3 p =
         device_from_world(peers, {vertex.position[0], vertex.position[1], vertex.position[2]});
-    const auto i = static_cast<igtlUint32>(index.size());
-    index.emplace_hint(index.end(), id, i);
-    points->SetPoint(i, static_cast<igtlFloat32>(p.x), static_cast<igtlFloat32>(p.y),
-                     static_cast<igtlFloat32>(p.z));
+    for (const double x : {p.x, p.y, p.z}) message.number(static_cast<float>(x));
+    index.emplace(id, static_cast<std::uint32_t>(index.size()));
   }
-  const auto polygons = igtl::PolyDataCellArray::New();
   for (const auto& [id, triangle] : surface.triangles()) {
-    igtlUint32 corners[3];
-    for (std::size_t i = 0; i < 3; ++i) corners[i] = index.at(triangle.vertices[i]);
-    polygons->AddCell(3, corners);
+    message.number(std::uint32_t{3});
+    for (const std::uint32_t vertex : triangle.vertices) message.number(index.at(vertex));
   }
-  const auto message = igtl::PolyDataMessage::New();
-  igtl::TimeStamp::Pointer time = igtl::TimeStamp::New();
-  time->GetTime();
-  message->SetDeviceName(device.c_str());
-  message->SetTimeStamp(time);
-  message->SetPoints(points);
-  message->SetPolygons(polygons);
-  using Triangle = protocol::SurfaceReplica::Triangle;
-  message->AddAttribute(attribute("piece", surface.triangles(), [](const Triangle& t) { return t.piece; }));
-  message->AddAttribute(attribute("cut", surface.triangles(),
-                                  [](const Triangle& t) { return t.flags & protocol::kTriangleCut; }));
-  message->Pack();
-  const auto* const bytes = static_cast<const std::uint8_t*>(message->GetPackPointer());
-  return {bytes, bytes + message->GetPackSize()};
+  for (int attribute = 0; attribute < 2; ++attribute) {
+    message.number(kCellScalar);
+    message.number(cells);
+  }
+  message.text(kNames, kNames.size());
+  for (const auto& [id, triangle] : surface.triangles()) message.number(static_cast<float>(triangle.piece));
+  for (const auto& [id, triangle] : surface.triangles()) {
+    message.number((triangle.flags & protocol::kTriangleCut) != 0 ? 1.0F : 0.0F);
+  }
+  return message.done();
 }
 
 }  // namespace incise::input::openigtlink

@@ -17,8 +17,7 @@ std::unique_ptr<protocol::SurfaceReplica> surface_of(
     std::span<const std::shared_ptr<const protocol::Frame>> frames, std::string& error);
 
 // A POLYDATA message: the triangles, their vertices in the units and axes of `peers` (the placement of the peers' space
-// in the world), and for each triangle `piece` and `cut` (1 where the blade made it). Packed by the OpenIGTLink library,
-// whose object factory is not safe for threads: from one thread. O(surface).
+// in the world), and for each triangle the scalars `piece` and `cut` (1 where the blade made it). O(surface).
 std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, const Placement& peers,
                                        const std::string& device);
 

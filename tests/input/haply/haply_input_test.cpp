@@ -1,6 +1,7 @@
 #include "server/input/haply/haply_input.hpp"
 
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include <chrono>
 #include <limits>
@@ -85,6 +86,7 @@ TEST(HaplyMessages, AForceInTheWordsOfEachVersion) {
 
 class Haply : public ::testing::Test {
  protected:
+  void SetUp() override { spdlog::set_level(spdlog::level::off); }
   void start(const InverseService& service) {
     HaplyOptions options;
     options.url = service.url();
@@ -131,7 +133,7 @@ TEST_F(Haply, StatesBecomePosesAndForcesGoBack) {
     EXPECT_NEAR(pose.position.y, -0.01, 1e-12);
     EXPECT_NEAR(pose.position.z, 1, 1e-12);
     EXPECT_EQ(pose.buttons, i > 3 ? 1u : 0u);
-    if (i > 1) EXPECT_GT(pose.t_ns, events[i - 1].pose.pose.t_ns);
+    EXPECT_TRUE(i == 1 || pose.t_ns > events[i - 1].pose.pose.t_ns);
   }
   EXPECT_EQ(forces[0].limit(), 2);
   // A force reaches the device in its own axes; one above its limit is cut to that; one that is none is none.

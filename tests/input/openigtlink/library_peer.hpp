@@ -10,7 +10,10 @@
 #include <igtlStringMessage.h>
 #include <igtlTrackingDataMessage.h>
 #include <igtlTransformMessage.h>
+#include <igtl_util.h>
 
+#include <algorithm>
+#include <csignal>
 #include <cstdint>
 #include <set>
 #include <string>
@@ -20,21 +23,46 @@ namespace incise::tests {
 
 using Packed = std::vector<std::uint8_t>;
 
+// The same message with a header of version 2: with an extended header and metadata around the content, as the
+// documentation has them. Debian's library (1.11) writes version 1 alone; the CRC is its.
+inline Packed as_version_2(const Packed& version_1) {
+  constexpr std::size_t kHeader = 58;
+  const std::string key = "TransformStatus", value = "OK, with a text of odd length!!";
+  Packed body;
+  const auto number = [&](std::uint64_t n, int bytes) {
+    for (int i = bytes - 1; i >= 0; --i) body.push_back(static_cast<std::uint8_t>(n >> 8 * i));
+  };
+  number(12, 2);                         // of the extended header
+  number(2 + 8, 2);                      // of the metadata's header
+  number(key.size() + value.size(), 4);  // of the metadata
+  number(7, 4);                          // the message's number
+  body.insert(body.end(), version_1.begin() + kHeader, version_1.end());
+  number(1, 2);
+  number(key.size(), 2);
+  number(3, 2);  // US-ASCII
+  number(value.size(), 4);
+  body.insert(body.end(), key.begin(), key.end());
+  body.insert(body.end(), value.begin(), value.end());
+  Packed message(version_1.begin(), version_1.begin() + kHeader - 16);
+  message[1] = 2;
+  const std::uint64_t crc = ::crc64(body.data(), body.size(), 0);
+  for (const std::uint64_t n : {std::uint64_t{body.size()}, crc}) {
+    for (int i = 7; i >= 0; --i) message.push_back(static_cast<std::uint8_t>(n >> 8 * i));
+  }
+  message.insert(message.end(), body.begin(), body.end());
+  return message;
+}
+
 inline Packed pack(igtl::MessageBase& message, const std::string& device, std::int64_t t_ns,
                    int version = 1) {
   igtl::TimeStamp::Pointer time = igtl::TimeStamp::New();
   time->SetTimeInNanoseconds(static_cast<igtlUint64>(t_ns));
-  message.SetHeaderVersion(static_cast<unsigned short>(version));
-  message.SetDeviceName(device);
+  message.SetDeviceName(device.c_str());
   message.SetTimeStamp(time);
-  if (version >= 2) {
-    message.SetMessageID(7);
-    message.SetMetaDataElement("TransformStatus", IANA_TYPE_US_ASCII, "OK");
-    message.SetMetaDataElement("Depth", IANA_TYPE_US_ASCII, "a longer value, of odd length");
-  }
   message.Pack();
   const auto* const bytes = static_cast<const std::uint8_t*>(message.GetPackPointer());
-  return {bytes, bytes + message.GetPackSize()};
+  Packed packed(bytes, bytes + message.GetPackSize());
+  return version == 1 ? packed : as_version_2(packed);
 }
 
 struct PlacedTool {
@@ -87,7 +115,7 @@ inline Packed qtdata(const std::vector<PlacedTool>& tools, std::int64_t t_ns, in
 
 inline Packed string_message(const std::string& device, const std::string& text, int version = 1) {
   const auto message = igtl::StringMessage::New();
-  message->SetString(text);
+  message->SetString(text.c_str());
   return pack(*message, device, 0, version);
 }
 
@@ -108,32 +136,30 @@ inline Packed get_polydata() {
 class LibraryPeer {
  public:
   explicit LibraryPeer(int port) {
-    connected_ = socket_->ConnectToServer("127.0.0.1", port, false) == 0;
+    std::signal(SIGPIPE, SIG_IGN);
+    connected_ = socket_->ConnectToServer("127.0.0.1", port) == 0;
     socket_->SetReceiveTimeout(60'000);
   }
   ~LibraryPeer() { close(); }
   bool connected() const { return connected_; }
-  bool send(const Packed& bytes) { return socket_->Send(bytes.data(), bytes.size()) == 1; }
+  bool send(const Packed& bytes) { return socket_->Send(bytes.data(), static_cast<int>(bytes.size())) == 1; }
   void close() { socket_->CloseSocket(); }
   // The next message's type; empty at the end. header_ has the rest.
   std::string receive_header() {
     header_->InitPack();
-    bool timeout = false;
-    const auto got = socket_->Receive(header_->GetPackPointer(), header_->GetPackSize(), timeout);
-    if (got != static_cast<igtlUint64>(header_->GetPackSize())) return "";
+    const int got = socket_->Receive(header_->GetPackPointer(), header_->GetPackSize());
+    if (got != header_->GetPackSize()) return "";
     header_->Unpack();
     return header_->GetDeviceType();
   }
   // The body of the message whose header has been read. False where its CRC is wrong.
   bool receive_body(igtl::MessageBase& message) {
-    igtl::MessageHeader::Pointer header = header_;
-    message.SetMessageHeader(header);
+    message.SetMessageHeader(header_);
     message.AllocatePack();
-    bool timeout = false;
-    socket_->Receive(message.GetPackBodyPointer(), message.GetPackBodySize(), timeout);
+    socket_->Receive(message.GetPackBodyPointer(), message.GetPackBodySize());
     return (message.Unpack(1) & igtl::MessageHeader::UNPACK_BODY) != 0;
   }
-  void skip_body() { socket_->Skip(header_->GetBodySizeToRead(), 0); }
+  void skip_body() { socket_->Skip(header_->GetBodySizeToRead()); }
   std::string device() const { return header_->GetDeviceName(); }
 
  private:

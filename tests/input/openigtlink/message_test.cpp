@@ -66,14 +66,15 @@ TEST(OpenIgtLinkMessage, ReadsTheLibrarysPosesInBothHeaderVersions) {
           tests::qtdata({scalpel(), other}, kTime_ns, version)}) {
       const Header header = header_of(bytes);
       EXPECT_EQ(header.version, version);
-      EXPECT_NEAR(static_cast<double>(timestamp_ns(header) - kTime_ns), 0, 2) << header.type;
+      // As well as the library turns nanoseconds into its fractions.
+      EXPECT_NEAR(static_cast<double>(timestamp_ns(header) - kTime_ns), 0, 20) << header.type;
       const Decoded got = decoded(bytes);
       ASSERT_TRUE(got.message) << got.error;
       EXPECT_EQ(got.message->kind, Kind::kPoses);
       EXPECT_EQ(got.message->stretched, 0u);
       ASSERT_EQ(got.message->tools.size(), header.type == "TRANSFORM" ? 1u : 2u) << header.type;
       expect_scalpel(got.message->tools[0]);
-      if (header.type != "TRANSFORM") EXPECT_EQ(got.message->tools[1].name, "Other");
+      EXPECT_EQ(got.message->tools.back().name, header.type == "TRANSFORM" ? "Scalpel" : "Other");
     }
   }
 }
@@ -174,7 +175,7 @@ TEST(OpenIgtLinkMessage, AMatrixThatIsNoRotationIsMadeOneOrRefused) {
   const Decoded scaled = with_body("TRANSFORM", matrix_body({2, 0, 0, 0.1F, 2, 0, 0, 0, 1, 5, 6, 7}));
   ASSERT_TRUE(scaled.message);
   EXPECT_EQ(scaled.message->stretched, 1u);
-  EXPECT_EQ(scaled.message->tools[0].orientation, core::Quat{});
+  EXPECT_NEAR(scaled.message->tools[0].orientation.w, 1, 1e-12);
   EXPECT_EQ(scaled.message->tools[0].position, (core::Vec3{5, 6, 7}));
   constexpr float kNone = std::numeric_limits<float>::quiet_NaN(),
                   kEndless = std::numeric_limits<float>::infinity();
@@ -239,7 +240,7 @@ TEST(OpenIgtLinkMessage, TheLibraryReadsWhatWeEncode) {
 TEST(OpenIgtLinkMessage, TheSurfaceOfACutBodyIsReadByTheLibrary) {
   stream::TestServer test;  // a cube of 60 mm
   test.cut();
-  std::promise<SurfaceFeed::Frames> promise;
+  std::promise<stream::Server::SharedFrames> promise;
   test.server.request_surface([&](auto frames) { promise.set_value(std::move(frames)); });
   auto future = promise.get_future();
   ASSERT_EQ(future.wait_for(std::chrono::seconds(60)), std::future_status::ready);
@@ -254,9 +255,8 @@ TEST(OpenIgtLinkMessage, TheSurfaceOfACutBodyIsReadByTheLibrary) {
   header->InitPack();
   std::memcpy(header->GetPackPointer(), bytes.data(), kHeaderBytes);
   header->Unpack();
-  igtl::MessageHeader::Pointer known = header;
   const auto message = igtl::PolyDataMessage::New();
-  message->SetMessageHeader(known);
+  message->SetMessageHeader(header);
   message->AllocatePack();
   ASSERT_EQ(static_cast<std::size_t>(message->GetPackBodySize()), bytes.size() - kHeaderBytes);
   std::memcpy(message->GetPackBodyPointer(), bytes.data() + kHeaderBytes, bytes.size() - kHeaderBytes);

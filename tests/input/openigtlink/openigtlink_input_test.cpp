@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 #include <igtlServerSocket.h>
+#include <spdlog/spdlog.h>
 
 #include <chrono>
 #include <thread>
@@ -23,9 +24,11 @@ using tests::PlacedTool;
 using Kind = InputEvent::Kind;
 
 constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000, kStep_ns = 10'000'000;
+constexpr double kLibrary_ns = 20;  // how well the library turns nanoseconds into its fractions
 
 class OpenIgtLink : public ::testing::Test {
  protected:
+  void SetUp() override { spdlog::set_level(spdlog::level::off); }
   void start(OpenIgtLinkOptions options = {}) {
     if (options.connect.empty()) options.port = 0;
     if (options.silence_s == 0.5) options.silence_s = 3600;  // only those who ask for it are timed
@@ -82,7 +85,7 @@ TEST_F(OpenIgtLink, PosesComeInMetresWithThePeersTimeAndEngaged) {
     const core::Pose& pose = events[i + 1].pose.pose;
     EXPECT_NEAR(core::length(pose.position - core::Vec3{-0.01, -0.02, 1.03 + 0.001 * static_cast<double>(i)}),
                 0, 1e-9);
-    EXPECT_NEAR(static_cast<double>(pose.t_ns - kStart_ns), static_cast<double>(i) * kStep_ns, 2);
+    EXPECT_NEAR(static_cast<double>(pose.t_ns - kStart_ns), static_cast<double>(i) * kStep_ns, kLibrary_ns);
     EXPECT_NEAR(pose.orientation.z, 1, 1e-9);
     EXPECT_EQ(pose.buttons, 4u);
   }
@@ -151,7 +154,8 @@ TEST_F(OpenIgtLink, AClockThatIsSetBackAndOneThatIsNotThere) {
   ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, 0)));
   ASSERT_TRUE(came(6));
   for (std::size_t i = 2; i < 6; ++i) EXPECT_GT(events[i].pose.pose.t_ns, events[i - 1].pose.pose.t_ns) << i;
-  EXPECT_NEAR(static_cast<double>(events[4].pose.pose.t_ns - events[3].pose.pose.t_ns), kStep_ns, 2);
+  EXPECT_NEAR(static_cast<double>(events[4].pose.pose.t_ns - events[3].pose.pose.t_ns), kStep_ns,
+              kLibrary_ns);
   EXPECT_TRUE(stream::eventually([&] { return count("clock_restarts") == 1; }));
 }
 
@@ -207,10 +211,10 @@ TEST_F(OpenIgtLink, ManyPeersFindAClosedDoor) {
   stream::RawPeer late(input->port());
   EXPECT_TRUE(late.closes());
   crowd.pop_back();
-  EXPECT_TRUE(stream::eventually([&] {
-    LibraryPeer next(input->port());
-    return next.send(tests::transform({"Scalpel"}, kStart_ns)) && came(2);
-  }));
+  ASSERT_TRUE(stream::eventually([&] { return input->status().peers.size() == 15; }));
+  LibraryPeer next(input->port());
+  ASSERT_TRUE(next.send(tests::transform({"Scalpel"}, kStart_ns)));
+  EXPECT_TRUE(came(2));
 }
 
 TEST_F(OpenIgtLink, AFullQueueHoldsThePeerBackAndLosesNothing) {
@@ -309,20 +313,18 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
     ASSERT_TRUE(socket.IsNotNull());
     const auto header = igtl::MessageHeader::New();
     header->InitPack();
-    bool timeout = false;
     socket->SetReceiveTimeout(60'000);
-    socket->Receive(header->GetPackPointer(), header->GetPackSize(), timeout);
+    socket->Receive(header->GetPackPointer(), header->GetPackSize());
     header->Unpack();
     EXPECT_STREQ(header->GetDeviceType(), "STT_TDATA");
-    igtl::MessageHeader::Pointer known = header;
     const auto ask = igtl::StartTrackingDataMessage::New();
-    ask->SetMessageHeader(known);
+    ask->SetMessageHeader(header);
     ask->AllocatePack();
-    socket->Receive(ask->GetPackBodyPointer(), ask->GetPackBodySize(), timeout);
+    socket->Receive(ask->GetPackBodyPointer(), ask->GetPackBodySize());
     EXPECT_TRUE(ask->Unpack(1) & igtl::MessageHeader::UNPACK_BODY);
     EXPECT_EQ(ask->GetResolution(), 0);
     const Packed bytes = tests::tdata({{"Channel 0"}}, t_ns);
-    socket->Send(bytes.data(), bytes.size());
+    socket->Send(bytes.data(), static_cast<int>(bytes.size()));
     ASSERT_TRUE(stream::eventually([&] { return count("poses") > 0; }));
     socket->CloseSocket();
   };
@@ -332,7 +334,7 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
   // It comes back.
   serve(kStart_ns);
   EXPECT_TRUE(came(6));
-  EXPECT_EQ(count("connections"), 2u);
+  EXPECT_TRUE(stream::eventually([&] { return count("connections") == 2; }));
 }
 
 TEST_F(OpenIgtLink, AnAddressThatIsTakenIsNamed) {
