@@ -69,6 +69,15 @@ Json device_json(const input::DeviceStatus& device) {
   return json;
 }
 
+Json network_json(const input::NetworkStatus& status) {
+  Json json{{"peers", Json::array()}};
+  for (const input::NetworkStatus::Peer& peer : status.peers) {
+    json["peers"].push_back({{"peer", peer.name}, {"connected", peer.connected}, {"sources", peer.sources}});
+  }
+  for (const auto& [what, count] : status.counts) json[what] = count;
+  return json;
+}
+
 std::string number(double value) {
   return Json(value).dump();
 }
@@ -132,6 +141,9 @@ std::string Telemetry::json() const {
       if (!device.profile.empty()) root["devices"].push_back(device_json(device));
     }
   }
+  if (network_) {
+    for (const input::NetworkStatus& status : network_()) root[status.protocol] = network_json(status);
+  }
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;
@@ -194,6 +206,15 @@ std::string Telemetry::metrics() const {
       for (const auto& [what, count] : counts) {
         out += "incise_device_reports_total{source=\"" + device.sources.front() + "\",what=\"" + what +
                "\"} " + std::to_string(count) + '\n';
+      }
+    }
+  }
+  if (network_) {
+    family("network_input_total", "counter", "What sources on the network brought, by protocol.");
+    for (const input::NetworkStatus& status : network_()) {
+      for (const auto& [what, count] : status.counts) {
+        out += "incise_network_input_total{protocol=\"" + status.protocol + "\",what=\"" + what + "\"} " +
+               std::to_string(count) + '\n';
       }
     }
   }

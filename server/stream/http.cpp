@@ -79,8 +79,11 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
   const Providers& providers = hub.providers();
   const HubCounters& counters = hub.counters();
   if (path == "/healthz") {
-    return Answer{http::status::ok, "application/json",
-                  "{\"status\":\"ok\",\"revision\":" + std::to_string(counters.revision) +
+    // The text is ours and needs no escapes.
+    const std::string trouble = providers.trouble ? providers.trouble() : std::string();
+    return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
+                  "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
+                      "\",\"revision\":" + std::to_string(counters.revision) +
                       ",\"sessions\":" + std::to_string(counters.sessions) + "}\n"};
   }
   if (path == "/metrics") {

@@ -278,6 +278,18 @@ void Server::publish_force(const protocol::Force& force) noexcept {
   impl_->publish({nullptr, nullptr, force});
 }
 
+void Server::request_surface(std::function<void(SharedFrames)> ready) {
+  asio::post(impl_->io, [impl = impl_.get(), ready = std::move(ready)] {
+    const auto unpack = [ready](const std::shared_ptr<const Snapshot>& snapshot) {
+      SharedFrames frames{make_frame(snapshot->begin)};
+      frames.insert(frames.end(), snapshot->chunks.begin(), snapshot->chunks.end());
+      frames.push_back(snapshot->end);
+      ready(std::move(frames));
+    };
+    impl->hub.live().request_snapshot(protocol::View::Surface, std::nullopt, unpack);
+  });
+}
+
 std::uint16_t Server::tcp_port() const {
   return impl_->tcp_port;
 }

@@ -190,7 +190,7 @@ void HidDevice::write_loop(const std::stop_token& stop) {
 }
 
 ForceReport::ForceReport(const ForceProfile& profile, const PoseDecoder& axes)
-    : profile_(profile), axes_(axes), bytes_(profile.bytes) {}
+    : profile_(profile), axes_(axes), bytes_(profile.bytes), guard_(profile.max_newtons) {}
 
 std::span<const std::uint8_t> ForceReport::zero() noexcept {
   return make({}, 0);
@@ -198,23 +198,13 @@ std::span<const std::uint8_t> ForceReport::zero() noexcept {
 
 std::span<const std::uint8_t> ForceReport::make(const haptics::ForceCommand& newest,
                                                 std::int64_t now_ns) noexcept {
-  core::Vec3 force{newest.newtons[0], newest.newtons[1], newest.newtons[2]};
-  double size = core::length(force);
-  if (size == 0) distrusted_ = false;
-  if (!std::isfinite(size) || distrusted_ || now_ns - newest.time_ns > kForceLife_ns) {
-    force = {};
-    size = 0;
-  }
-  if (size > profile_.max_newtons) {
-    force = (profile_.max_newtons / size) * force;
-    size = profile_.max_newtons;
-  }
+  const core::Vec3 force = guard_.pass(newest, now_ns);
   const core::Vec3 device = axes_.device_from_world(force);
   const double components[3]{device.x, device.y, device.z};
   for (std::size_t i = 0; i < 3; ++i) {
     if (profile_.components[i]) profile_.components[i]->write(bytes_, components[i]);
   }
-  for (const ReportField& field : profile_.magnitudes) field.write(bytes_, size);
+  for (const ReportField& field : profile_.magnitudes) field.write(bytes_, core::length(force));
   return bytes_;
 }
 

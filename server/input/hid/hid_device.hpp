@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "server/haptics/force_slot.hpp"
+#include "server/input/force_guard.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
 #include "server/input/input_hub.hpp"
@@ -89,9 +90,7 @@ class HidDevice {
   std::jthread reader_, writer_;
 };
 
-// Makes force reports of commands: what may leave for a device is decided here, whatever the loop says. A command that
-// is older than 20 ms, is not finite, or follows a failed write counts as no force (until a command of no force has come:
-// then the loop knows); a longer one is cut to the profile's limit.
+// Makes force reports of commands, as the guard lets them pass.
 //
 // Thread: one.
 class ForceReport {
@@ -100,15 +99,13 @@ class ForceReport {
   // The report for the newest command; `now_ns` CLOCK_MONOTONIC.
   std::span<const std::uint8_t> make(const haptics::ForceCommand& newest, std::int64_t now_ns) noexcept;
   std::span<const std::uint8_t> zero() noexcept;
-  void failed() noexcept { distrusted_ = true; }
+  void failed() noexcept { guard_.failed(); }
 
  private:
   const ForceProfile& profile_;
   const PoseDecoder& axes_;
   std::vector<std::uint8_t> bytes_;
-  bool distrusted_ = false;
+  ForceGuard guard_;
 };
-
-inline constexpr std::int64_t kForceLife_ns = 20'000'000;
 
 }  // namespace incise::input
