@@ -1,5 +1,7 @@
 #include "server/core/boundary_grid.hpp"
 
+#include "server/core/room.hpp"
+
 #include <algorithm>
 #include <cmath>
 
@@ -46,7 +48,7 @@ BoundaryGrid::BoundaryGrid(const TetMesh& mesh) {
   high_ = high + margin;
   inverse_ = 1 / cell_;
   head_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), kNone);
-  nodes_.reserve(6 * boundary + 65536);
+  nodes_.reserve(room_for(6 * boundary));
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (mesh.alive(t) && mesh.boundary_mask(t) != 0) add(mesh, t);
   }
@@ -69,6 +71,7 @@ void BoundaryGrid::add(const TetMesh& mesh, TetId t) {
     for (std::int64_t j = cell_of(low.y, 1); j <= cell_of(high.y, 1); ++j) {
       for (std::int64_t k = cell_of(low.z, 2); k <= cell_of(high.z, 2); ++k) {
         std::uint32_t& head = head_[static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k)];
+        if (head != kNone && nodes_[head].tet == t) continue;
         nodes_.push_back({t, head});
         head = static_cast<std::uint32_t>(nodes_.size() - 1);
       }
@@ -76,7 +79,22 @@ void BoundaryGrid::add(const TetMesh& mesh, TetId t) {
   }
 }
 
-void BoundaryGrid::near(const SweptTriangle& triangle, std::vector<TetId>& out) const {
+// Appends what is in a cell, and strikes off what is stale.
+void BoundaryGrid::take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j, std::int64_t k,
+                             std::vector<TetId>& out) {
+  std::uint32_t* link = &head_[static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k)];
+  while (*link != kNone) {
+    Node& node = nodes_[*link];
+    if (!mesh.alive(node.tet) || mesh.boundary_mask(node.tet) == 0) {
+      *link = node.next;
+    } else {
+      out.push_back(node.tet);
+      link = &node.next;
+    }
+  }
+}
+
+void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std::vector<TetId>& out) {
   if (nodes_.empty()) return;
   // Columns of cells along the axis that the normal is nearest to: each holds a few cells of the plane.
   const Vec3 n = triangle.normal;
@@ -129,13 +147,13 @@ void BoundaryGrid::near(const SweptTriangle& triangle, std::vector<TetId>& out) 
         cell[along] = k;
         cell[u] = i;
         cell[w] = j;
-        visit_cell(cell[0], cell[1], cell[2], [&out](TetId t) { out.push_back(t); });
+        take_cell(mesh, cell[0], cell[1], cell[2], out);
       }
     }
   }
 }
 
-TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p) const {
+TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p, std::int64_t* looked_at) const {
   if (nodes_.empty()) return kNone;
   const double inside[3] = {p.x, p.y, p.z};
   for (int axis = 0; axis < 3; ++axis) {
@@ -156,6 +174,7 @@ TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p) const {
     bool from_inside = false;
     for (; cell[axis] >= 0 && cell[axis] < count_[axis]; cell[axis] += sign) {
       visit_cell(cell[0], cell[1], cell[2], [&](TetId t) {
+        if (looked_at != nullptr) ++*looked_at;
         if (!mesh.alive(t)) return;
         for (int f = 0; f < 4; ++f) {
           if (mesh.neighbor(t, f) != kNone) continue;

@@ -23,8 +23,9 @@ class BoundaryGrid {
   void add(const TetMesh& mesh, TetId t);
 
   // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. Cost: the cells that the
-  // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box.
-  void near(const SweptTriangle& triangle, std::vector<TetId>& out) const;
+  // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it
+  // finds stale off the cells' lists, or they would grow as long as one cuts.
+  void near(const TetMesh& mesh, const SweptTriangle& triangle, std::vector<TetId>& out);
 
   // Calls visit(tet) for the boundary tetrahedra of all cells that the box meets: all that meet the box, others, some
   // more than once, and some that are gone or have lost their boundary face. O(cells of the box, and what they hold).
@@ -33,8 +34,9 @@ class BoundaryGrid {
   // The width of a cell, m.
   double cell() const { return cell_; }
 
-  // A tetrahedron that contains p, found from the boundary inwards; kNone where p is outside. O(mesh^(1/3)).
-  TetId locate(const TetMesh& mesh, const Vec3& p) const;
+  // A tetrahedron that contains p, found from the boundary inwards; kNone where p is outside. O(mesh^(1/3)); adds to
+  // `looked_at` the boundary tetrahedra that it took.
+  TetId locate(const TetMesh& mesh, const Vec3& p, std::int64_t* looked_at = nullptr) const;
 
  private:
   friend struct SessionFields;  // session_state.cpp
@@ -44,6 +46,8 @@ class BoundaryGrid {
     std::uint32_t next;
   };
   std::int64_t cell_of(double x, int axis) const;
+  void take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j, std::int64_t k,
+                 std::vector<TetId>& out);
   template <class Visit>
   void visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const;
 

@@ -54,51 +54,84 @@ bool CutSession::in_stroke(std::uint32_t number) const {
 CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
   if (queue_.empty()) return Progress::kIdle;
   Cutter& cutter = *sources_[queue_.front().source]->cutter;
-  if (!begun_) {
+  if (stage_ == Stage::kWaiting) {
     cutter.begin(queue_.front());
-    begun_ = true;
+    stage_ = Stage::kCutting;
   }
-  if (!cut_) {
+  if (stage_ == Stage::kCutting) {
     if (!cutter.advance(budget)) return Progress::kSpent;
-    cut_ = true;
+    workspace_.grow(mesh_);
+#ifdef INCISE_VALIDATE
+    const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
+    INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
     pieces_.begin();
+    stage_ = Stage::kPieces;
   }
-  if (!pieces_.advance(budget)) return Progress::kSpent;
-  begun_ = cut_ = false;
+  if (!finish(budget)) return Progress::kSpent;
+  stage_ = Stage::kWaiting;
   queue_.pop(committed_);
   committed_counts_ = cutter.counts();
-
-  delta.revision = ++revision_;
-  delta.source = committed_.source;
-  delta.stroke = committed_.stroke;
-  delta.batch = committed_.number;
-  delta.stroke_ended = committed_.ends_stroke;
-  delta.from = committed_.lines.front();
-  delta.to = committed_.lines.back();
-  delta.from_t_ns = committed_.from_t_ns;
-  delta.to_t_ns = committed_.to_t_ns;
-  delta.snaps = committed_counts_.snaps;
-  delta.splits = committed_counts_.splits;
-  delta.max_deviation = committed_counts_.max_deviation_h;
-#ifdef INCISE_VALIDATE
-  const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
-  INCISE_CHECK(problem.empty(), problem, revision_);
-#endif
-  pieces_.report(delta);
-  mesh_.commit(delta);
-  if (config_.policy == Policy::kCroll) {  // which does not use the grid itself
-    for (const TetState& tet : delta.upserted) {
-      if (tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
-    }
-  }
-  double worst = -kInverted;
-  for (const TetState& tet : delta.upserted) worst = std::max(worst, mesh_.worst_dihedral(tet.id));
-  for (VertexId v : delta.moved) {
-    mesh_.star(v, star_);
-    for (std::uint32_t corner : star_) worst = std::max(worst, mesh_.worst_dihedral(corner >> 2));
-  }
-  delta.min_dihedral_deg = worst > -kInverted ? measure_to_degrees(worst) : 180.0;
+  describe();
+  std::swap(made_, delta);
   return Progress::kCommitted;
+}
+
+// What a cut batch still needs, in portions.
+bool CutSession::finish(WorkBudget& budget) {
+  if (stage_ == Stage::kPieces) {
+    if (!pieces_.advance(budget, made_)) return false;
+    stage_ = Stage::kCommitting;
+  }
+  if (stage_ == Stage::kCommitting) {
+    if (!mesh_.commit(made_, budget)) return false;
+    next_upserted_ = next_moved_ = 0;
+    worst_ = -kInverted;
+    ++workspace_.serial;
+    stage_ = Stage::kMeasuring;
+  }
+  return measure(budget);
+}
+
+// The worst angle of the tetrahedra that the delta names and of those around vertices that moved.
+bool CutSession::measure(WorkBudget& budget) {
+  const auto look_at = [this](TetId t) {
+    if (workspace_.seen[t] == workspace_.serial) return;
+    workspace_.seen[t] = workspace_.serial;
+    worst_ = std::max(worst_, mesh_.worst_dihedral(t));
+  };
+  for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {
+    if (budget.spent()) return false;
+    budget.charge(2);
+    const TetState& tet = made_.upserted[next_upserted_];
+    look_at(tet.id);
+    // The policy `croll` does not use the grid itself.
+    if (config_.policy == Policy::kCroll && tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
+  }
+  for (; next_moved_ < made_.moved.size(); ++next_moved_) {
+    if (budget.spent()) return false;
+    mesh_.star(made_.moved[next_moved_], star_);
+    budget.charge(static_cast<std::int64_t>(star_.size() + 1));
+    for (std::uint32_t corner : star_) look_at(corner >> 2);
+  }
+  return true;
+}
+
+// What the delta says beside the mesh.
+void CutSession::describe() {
+  made_.revision = ++revision_;
+  made_.source = committed_.source;
+  made_.stroke = committed_.stroke;
+  made_.batch = committed_.number;
+  made_.stroke_ended = committed_.ends_stroke;
+  made_.from = committed_.lines.front();
+  made_.to = committed_.lines.back();
+  made_.from_t_ns = committed_.from_t_ns;
+  made_.to_t_ns = committed_.to_t_ns;
+  made_.snaps = committed_counts_.snaps;
+  made_.splits = committed_counts_.splits;
+  made_.max_deviation = committed_counts_.max_deviation_h;
+  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
 }
 
 }  // namespace incise::core

@@ -63,6 +63,9 @@ class CutSession {
     std::unique_ptr<Cutter> cutter;
   };
   Source& source(std::uint32_t number);
+  bool finish(WorkBudget& budget);
+  bool measure(WorkBudget& budget);
+  void describe();
 
   TetMesh mesh_;
   CutConfig config_;
@@ -71,8 +74,12 @@ class CutSession {
   std::uint32_t stroke_counter_ = 0;
   std::array<std::unique_ptr<Source>, kMaxSources> sources_;
   BatchQueue queue_;
-  bool cut_ = false;    // it is cut; what it has cut off is being looked for
-  bool begun_ = false;  // the oldest batch is at work
+  // Where the oldest batch is: cut, what it has cut off is found, its delta is made, its quality measured.
+  enum class Stage { kWaiting, kCutting, kPieces, kCommitting, kMeasuring };
+  Stage stage_ = Stage::kWaiting;
+  Delta made_;                                      // while it is being made
+  std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
+  double worst_ = 0;
   std::uint64_t revision_ = 0;
   Batch committed_;
   CutCounts committed_counts_;

@@ -1,31 +1,14 @@
 #include "server/core/piece_tracker.hpp"
 
 #include <algorithm>
-#include <array>
 
 namespace incise::core {
 namespace {
 
 constexpr std::size_t kAhead = 8;  // how far to look ahead in the queue
 
-// Sorts ascending, by digits of 11 bits from the lowest (radix sort): a piece may hold half the mesh.
-void sort_ids(std::vector<TetId>& ids, std::vector<TetId>& scratch) {
-  constexpr std::size_t kFew = 1024;
-  if (ids.size() < kFew) {
-    std::sort(ids.begin(), ids.end());
-    return;
-  }
-  constexpr int kBits = 11;
-  constexpr std::uint32_t kMask = (1u << kBits) - 1;
-  scratch.resize(ids.size());
-  for (int shift = 0; shift < 32; shift += kBits) {
-    std::array<std::uint32_t, kMask + 2> begin{};
-    for (const TetId t : ids) ++begin[(t >> shift & kMask) + 1];
-    for (std::size_t i = 1; i < begin.size(); ++i) begin[i] += begin[i - 1];
-    for (const TetId t : ids) scratch[begin[t >> shift & kMask]++] = t;
-    ids.swap(scratch);
-  }
-}
+// Where more than one tetrahedron in so many was visited, going through all of them in order is quicker than sorting.
+constexpr std::size_t kScanShare = 16;
 
 }  // namespace
 
@@ -39,12 +22,21 @@ void PieceTracker::begin() {
   claims_.resize(mesh_.tet_slots(), {0, 0});
   ++search_;
   visited_.clear();
-  next_ = next_relabelled_ = 0;
+  next_seed_ = next_ = next_relabelled_ = 0;
   groups_.clear();
   changed_.clear();
   searching_.assign(next_piece_, 0);
   undecided_ = 0;
-  for (TetId t : mesh_.touched_tets()) {
+  phase_ = Phase::kSeed;
+}
+
+// A group for each tetrahedron that has got a cut face, or had one and was changed.
+bool PieceTracker::seed(WorkBudget& budget) {
+  const auto touched = mesh_.touched_tets();
+  for (; next_seed_ < touched.size(); ++next_seed_) {
+    if (budget.spent()) return false;
+    budget.charge(1);
+    const TetId t = touched[next_seed_];
     if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0) continue;
     const auto group = static_cast<std::uint32_t>(groups_.size());
     const std::uint32_t piece = mesh_.piece(t);
@@ -52,6 +44,7 @@ void PieceTracker::begin() {
     claim(t, group);
     if (++searching_[piece] == 2) ++undecided_;
   }
+  return true;
 }
 
 // The queue says what will be needed soon: without this, waiting for memory is most of the search's time.
@@ -64,7 +57,33 @@ void PieceTracker::fetch_ahead() const {
   }
 }
 
-bool PieceTracker::advance(WorkBudget& budget) {
+bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
+  if (phase_ == Phase::kSeed) {
+    if (next_seed_ == 0) delta.pieces.clear();
+    if (!seed(budget)) return false;
+    phase_ = Phase::kSearch;
+  }
+  if (phase_ == Phase::kSearch) {
+    if (!search(budget)) return false;
+    phase_ = next_piece_ == searching_.size()                   ? Phase::kNew
+             : kScanShare * visited_.size() > mesh_.tet_slots() ? Phase::kScan
+                                                                : Phase::kRelabel;
+    next_seed_ = 0;
+  }
+  if (phase_ == Phase::kScan) return relabel_by_scan(budget, delta);
+  if (phase_ == Phase::kRelabel) {
+    if (!relabel(budget)) return false;
+    phase_ = Phase::kNew;
+  }
+  if (phase_ == Phase::kNew) {
+    if (!list_new(budget)) return false;
+    changed_.seal();
+    phase_ = Phase::kList;
+  }
+  return list(budget, delta);
+}
+
+bool PieceTracker::search(WorkBudget& budget) {
   while (undecided_ > 0 && next_ < visited_.size()) {
     if (budget.spent()) return false;
     budget.charge(1);
@@ -96,42 +115,79 @@ bool PieceTracker::advance(WorkBudget& budget) {
       }
     }
   }
+  return true;
+}
+
+// The new piece that this search has put the tetrahedron into; 0: none.
+std::uint32_t PieceTracker::fresh_piece(TetId t) {
+  return claims_[t].search == search_ ? groups_[find(claims_[t].group)].fresh : 0;
+}
+
+bool PieceTracker::relabel(WorkBudget& budget) {
   for (; next_relabelled_ < visited_.size(); ++next_relabelled_) {
     if (budget.spent()) return false;
-    if (next_relabelled_ % 4 == 0) budget.charge(1);
+    budget.charge(1);
     if (next_relabelled_ + kAhead < visited_.size())
       mesh_.prefetch_piece(visited_[next_relabelled_ + kAhead]);
     const TetId t = visited_[next_relabelled_];
-    const std::uint32_t fresh = groups_[find(claims_[t].group)].fresh;
+    const std::uint32_t fresh = fresh_piece(t);
     if (fresh == 0) continue;
     mesh_.set_piece(t, fresh);
-    changed_.push_back({fresh, t});
+    changed_.push(std::uint64_t{fresh} << 32 | t);
   }
   return true;
 }
 
-void PieceTracker::report(Delta& delta) {
-  delta.pieces.clear();
-  for (TetId t : mesh_.touched_tets()) {
-    if (!mesh_.alive(t) || !mesh_.is_new_tet(t) || mesh_.piece(t) == 0) continue;
-    // Those that this search has put elsewhere are listed already.
-    if (claims_[t].search == search_ && claims_[t].group < groups_.size() &&
-        groups_[find(claims_[t].group)].fresh != 0)
-      continue;
-    changed_.push_back({mesh_.piece(t), t});
+// New tetrahedra of pieces other than 0, but for those that are listed already.
+bool PieceTracker::list_new(WorkBudget& budget) {
+  const auto touched = mesh_.touched_tets();
+  for (; next_seed_ < touched.size(); ++next_seed_) {
+    if (budget.spent()) return false;
+    if (next_seed_ % 4 == 0) budget.charge(1);
+    const TetId t = touched[next_seed_];
+    if (!mesh_.is_new_tet(t) || !mesh_.alive(t) || mesh_.piece(t) == 0 || fresh_piece(t) != 0) continue;
+    changed_.push(std::uint64_t{mesh_.piece(t)} << 32 | t);
   }
-  std::size_t last = 0;
-  for (const auto& [piece, t] : changed_) {
-    if (last >= delta.pieces.size() || delta.pieces[last].id != piece) {
-      for (last = 0; last < delta.pieces.size() && delta.pieces[last].id != piece; ++last) {
+  return true;
+}
+
+void PieceTracker::append(Delta& delta, std::uint32_t piece, TetId t) {
+  auto at = delta.pieces.end();
+  while (at != delta.pieces.begin() && (at - 1)->id > piece) --at;
+  if (at == delta.pieces.begin() || (at - 1)->id != piece) at = delta.pieces.insert(at, {piece, {}}) + 1;
+  (at - 1)->tets.push_back(t);
+}
+
+bool PieceTracker::list(WorkBudget& budget, Delta& delta) {
+  while (!changed_.empty()) {
+    if (budget.spent()) return false;
+    budget.charge(2);
+    const std::uint64_t key = changed_.take();
+    append(delta, static_cast<std::uint32_t>(key >> 32), static_cast<TetId>(key));
+  }
+  return true;
+}
+
+// All of it at once, for what is large: tetrahedra by id.
+bool PieceTracker::relabel_by_scan(WorkBudget& budget, Delta& delta) {
+  constexpr std::size_t kStride = 64;
+  const std::size_t slots = mesh_.tet_slots();
+  while (next_relabelled_ < slots) {
+    if (budget.spent()) return false;
+    budget.charge(kStride / 8);
+    const std::size_t end = std::min(next_relabelled_ + kStride, slots);
+    for (; next_relabelled_ < end; ++next_relabelled_) {
+      const auto t = static_cast<TetId>(next_relabelled_);
+      const std::uint32_t fresh = fresh_piece(t);
+      if (fresh != 0) {
+        mesh_.set_piece(t, fresh);
+        append(delta, fresh, t);
+      } else if (mesh_.is_new_tet(t) && mesh_.alive(t) && mesh_.piece(t) != 0) {
+        append(delta, mesh_.piece(t), t);
       }
-      if (last == delta.pieces.size()) delta.pieces.push_back({piece, {}});
     }
-    delta.pieces[last].tets.push_back(t);
   }
-  std::sort(delta.pieces.begin(), delta.pieces.end(),
-            [](const Delta::Piece& a, const Delta::Piece& b) { return a.id < b.id; });
-  for (Delta::Piece& piece : delta.pieces) sort_ids(piece.tets, scratch_);
+  return true;
 }
 
 }  // namespace incise::core

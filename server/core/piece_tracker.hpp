@@ -5,6 +5,8 @@
 
 #include "server/core/cutter.hpp"
 #include "server/core/delta.hpp"
+#include "server/core/room.hpp"
+#include "server/core/run_sorter.hpp"
 #include "server/core/tet_mesh.hpp"
 
 namespace incise::core {
@@ -17,17 +19,16 @@ class PieceTracker {
  public:
   // O(mesh): later steps only add what the mesh has grown by.
   explicit PieceTracker(TetMesh& mesh) : mesh_(mesh) {
-    claims_.reserve(mesh.tet_slots() + mesh.tet_slots() / 4 + 65536);
+    claims_.reserve(room_for(mesh.tet_slots()));
     claims_.resize(mesh.tet_slots(), {0, 0});
   }
 
   // Begins with the tetrahedra that the running step has touched.
   void begin();
-  // Goes on until done (true) or the budget is spent (false).
-  bool advance(WorkBudget& budget);
-  // Lists in delta.pieces, by piece, the tetrahedra that this step has put into another piece than before, and the new
-  // ones whose piece is not 0. The mesh's step must still run.
-  void report(Delta& delta);
+  // Goes on until done (true) or the budget is spent (false). Lists in delta.pieces (the same delta each time), by piece,
+  // the tetrahedra that this step has put into another piece than before, and the new ones whose piece is not 0. The
+  // mesh's step must still run.
+  bool advance(WorkBudget& budget, Delta& delta);
 
   // Pieces there have been so far; ids run below it.
   std::uint32_t pieces() const { return next_piece_; }
@@ -44,6 +45,14 @@ class PieceTracker {
   }
   void claim(TetId t, std::uint32_t group);
   void fetch_ahead() const;
+  bool seed(WorkBudget& budget);
+  bool search(WorkBudget& budget);
+  bool relabel(WorkBudget& budget);
+  bool relabel_by_scan(WorkBudget& budget, Delta& delta);
+  bool list_new(WorkBudget& budget);
+  bool list(WorkBudget& budget, Delta& delta);
+  std::uint32_t fresh_piece(TetId t);
+  static void append(Delta& delta, std::uint32_t piece, TetId t);
 
   TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
@@ -53,7 +62,9 @@ class PieceTracker {
   };
   std::vector<Claim> claims_;   // by tetrahedron: the search that came by, and its group
   std::vector<TetId> visited_;  // breadth first
-  std::size_t next_ = 0, next_relabelled_ = 0;
+  enum class Phase { kSeed, kSearch, kRelabel, kScan, kNew, kList };
+  Phase phase_ = Phase::kSeed;
+  std::size_t next_seed_ = 0, next_ = 0, next_relabelled_ = 0;
   struct Group {
     std::uint32_t parent;
     std::uint32_t waiting;  // tetrahedra of the group in visited_[next_...]
@@ -63,12 +74,7 @@ class PieceTracker {
   std::vector<Group> groups_;
   std::vector<std::uint32_t> searching_;  // by piece: its groups that still have somewhere to go
   std::uint32_t undecided_ = 0;           // pieces with more than one of them
-  struct Change {
-    std::uint32_t piece;
-    TetId tet;
-  };
-  std::vector<Change> changed_;
-  std::vector<TetId> scratch_;
+  RunSorter<std::uint64_t> changed_;      // piece << 32 | tetrahedron
 };
 
 }  // namespace incise::core

@@ -7,6 +7,7 @@
 
 #include "server/core/check.hpp"
 #include "server/core/conforming_cutter.hpp"
+#include "server/core/room.hpp"
 #include "server/core/validate.hpp"
 
 namespace incise::core {
@@ -102,7 +103,7 @@ void fields(Io& io, L& line) {
 // Room to grow, as a fresh session has it.
 template <class T>
 void grow_to(std::vector<T>& values, std::size_t count) {
-  values.reserve(count + count / 4 + 65536);
+  values.reserve(room_for(count));
   values.resize(count, T{});
 }
 
@@ -214,7 +215,7 @@ struct SessionFields {
         io.demand(g.nodes_[i].tet < m.tet_slots(), "the grid names no tetrahedron");
         io.demand(g.nodes_[i].next == kNone || g.nodes_[i].next < i, "a grid list goes in a circle");
       }
-      g.nodes_.reserve(g.nodes_.size() + 65536);
+      g.nodes_.reserve(room_for(g.nodes_.size()));
     }
   }
 

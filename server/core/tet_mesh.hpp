@@ -9,7 +9,9 @@
 
 #include "server/core/delta.hpp"
 #include "server/core/mesh_data.hpp"
+#include "server/core/run_sorter.hpp"
 #include "server/core/vec3.hpp"
+#include "server/core/work_budget.hpp"
 
 namespace incise::core {
 
@@ -124,6 +126,9 @@ class TetMesh {
   // Ends a step: what changed since the last commit, by ids ascending; fills the mesh part of `delta` (moved,
   // added, upserted, removed, boundary, cut faces and area) and its state hash. O(change log change).
   void commit(Delta& delta);
+  // The same in portions: goes on until done (true) or the budget is spent (false). `delta` must be the same, and nothing
+  // may change in between.
+  bool commit(Delta& delta, WorkBudget& budget);
   // The state hash after the last commit.
   std::uint64_t state_hash() const { return hash_; }
   // The same from scratch; O(mesh). For tests and load.
@@ -172,6 +177,8 @@ class TetMesh {
   void component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const;
   void next_mark() const;
   void next_vertex_marks(std::uint32_t count) const;
+  void commit_tet(std::size_t index, Delta& delta);
+  void end_commit(Delta& delta);
   std::uint64_t hash_of_vertex(VertexId v) const;
   std::uint64_t hash_of_tet(TetId t) const;
 
@@ -194,6 +201,13 @@ class TetMesh {
   TetId first_new_tet_ = 0;
   std::vector<Provenance> provenance_;
   std::uint64_t hash_ = 0;
+  // How far commit() is.
+  enum class Committing { kNothing, kTouchedVertices, kMoved, kAdded, kTouchedTets, kTets };
+  Committing committing_ = Committing::kNothing;
+  std::size_t next_commit_ = 0;
+  RunSorter<std::uint64_t> commit_order_;  // id << 32 | index
+  int commit_sides_ = 0;
+  double commit_side_area_ = 0;
 
   // Scratch, kept so that a warm step allocates nothing.
   mutable std::uint32_t mark_ = 0;
@@ -208,7 +222,6 @@ class TetMesh {
   std::vector<std::uint32_t> noted_corners_;
   mutable std::vector<std::uint32_t> star_scratch_;
   mutable std::vector<TetId> ring_scratch_;
-  std::vector<std::uint32_t> order_scratch_;
 };
 
 }  // namespace incise::core
