@@ -190,7 +190,7 @@ struct Server::Impl {
         co_await timer.async_wait(kTuple);
         continue;
       }
-      std::optional<Hub::Ticket> ticket = hub.admit();
+      std::optional<Hub::Ticket> ticket = hub.admit(socket.native_handle());
       if (!ticket) continue;  // the socket closes here
       socket.set_option(tcp::no_delay(true), ec);
       // One connection's failure is its own.
@@ -307,6 +307,8 @@ StreamCounters Server::counters() const {
   out.resumed = c.resumed;
   out.ring_bytes = c.ring_bytes;
   out.ring_deltas = c.ring_deltas;
+  out.half_open_closed = c.half_open_closed;
+  out.part_bytes = c.part_bytes;
   return out;
 }
 

@@ -308,15 +308,27 @@ TEST(Server, IdlePeersArePingedAndThenLeave) {
   EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::Idle);
 }
 
-TEST(Server, TooManyHandshakesAreRefusedAtTheDoor) {
+TEST(Server, SilentConnectionsKeepNobodyOut) {
   StreamConfig config = test_config();
   config.max_handshakes = 4;
   config.handshake_timeout_s = 60;
   TestServer test(2, config);
   std::vector<std::unique_ptr<RawPeer>> flood;
   for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.tcp_port()));
-  ASSERT_TRUE(eventually([&] { return test.server.counters().refused >= 36; }));
-  EXPECT_LE(test.server.counters().connections, 4u);
+  ASSERT_TRUE(eventually([&] { return test.server.counters().half_open_closed == 36; }));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 4; }));
+  // The first have gone, the last are still heard.
+  EXPECT_TRUE(flood.front()->closes());
+  EXPECT_TRUE(flood.back()->send(hello(Role::Viewer, View::None)));
+  EXPECT_TRUE(flood.back()->receive_until<protocol::Welcome>());
+  // Whoever has said Hello stays, however many come after.
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(0));
+  for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.http_port()));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().half_open_closed >= 75; }));
+  test.cut();
+  EXPECT_TRUE(viewer.follow(test.loop.revision()));
+  viewer.peer.vanish();
   flood.clear();
   ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 0; }));
   expect_serves_others(test);
