@@ -48,8 +48,8 @@ TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
   Walk walk(3, 3, 2);
   Replica replica = walk.model.replica();
   for (int i = 0; i < 400; ++i) {
-    Frame frame;
-    const ApplyResult applied = replica.apply(through_bytes(walk.step().view(), frame));
+    Message kept;
+    const ApplyResult applied = replica.apply(through_bytes(walk.step().view(), kept));
     ASSERT_TRUE(applied) << applied.text;
     ASSERT_TRUE(holds(replica, walk.model)) << "revision " << walk.model.revision;
     ASSERT_EQ(replica.state_hash(), replica.compute_state_hash());
@@ -280,8 +280,8 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
     for (const OwnedDelta& d : owned) deltas.push_back(d.view());
     const OwnedDelta sum = coalesce(std::span<const Delta>(deltas));
     EXPECT_EQ(sum.steps.size(), owned.size());
-    Frame frame;
-    const ApplyResult applied = at_once.apply(through_bytes(sum.view(), frame));
+    Message kept;
+    const ApplyResult applied = at_once.apply(through_bytes(sum.view(), kept));
     ASSERT_TRUE(applied) << applied.text;
     EXPECT_TRUE(holds(at_once, walk.model));
     EXPECT_EQ(at_once.canonical_bytes(), one_by_one.canonical_bytes());
@@ -294,6 +294,7 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
       const std::vector<Delta> halves{left.view(), right.view()};
       const OwnedDelta again = coalesce(std::span<const Delta>(halves));
       const Frame other = encode(again.view());
+      const Frame frame = encode(sum.view());
       EXPECT_TRUE(std::ranges::equal(other.body(), frame.body()));
     }
   }

@@ -49,8 +49,8 @@ TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
     } else if (i > 100) {
       ASSERT_TRUE(late.apply(owned.back().view()));
     }
-    Frame frame;
-    result = client.apply(through_bytes(owned.back().view(), frame));
+    Message kept;
+    result = client.apply(through_bytes(owned.back().view(), kept));
     ASSERT_TRUE(result) << result.text;
     SurfaceReplica anew;
     anew.load(mesh);

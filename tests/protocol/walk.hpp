@@ -35,22 +35,23 @@ struct Walk {
   const ::testing::ScopedTrace trace{__FILE__, __LINE__, "seed " + std::to_string(seed)};
 };
 
-// The message as a receiver gets it. Its arrays live as long as `frame`.
+// The message as a receiver gets it. Its arrays live as long as `kept`.
 template <class T>
-T through_bytes(const T& body, Frame& frame) {
-  frame = encode(body);
-  DecodeResult decoded = decode(frame.body());
+const T& through_bytes(const T& body, Message& kept) {
+  const Frame frame = encode(body);
+  DecodeResult decoded = decode(frame.body());  // which is not 8-aligned: the message gets a copy
   EXPECT_TRUE(decoded) << decoded.error;
-  return decoded ? std::get<T>(std::move(decoded.message->body)) : T{};
+  kept = decoded ? std::move(*decoded.message) : Message{{}, T{}, nullptr};
+  return std::get<T>(kept.body);
 }
 
 // Sends a snapshot to `to`, through bytes. `hash`: what the writer wants for the end.
 template <class Writer, class To, class... Hash>
 ApplyResult send_snapshot(Writer writer, To& to, Hash... hash) {
-  Frame frame;
-  ApplyResult result = to.begin(through_bytes(writer.begin(), frame));
-  while (result && writer.next()) result = to.chunk(through_bytes(writer.chunk(), frame));
-  return result ? to.end(through_bytes(writer.end(hash...), frame)) : result;
+  Message kept;
+  ApplyResult result = to.begin(through_bytes(writer.begin(), kept));
+  while (result && writer.next()) result = to.chunk(through_bytes(writer.chunk(), kept));
+  return result ? to.end(through_bytes(writer.end(hash...), kept)) : result;
 }
 
 // Boxes of any size and place in a mesh; the first one is a corner of it, where only the bounds touch.
@@ -114,8 +115,8 @@ void follow_boxes(View view) {
       f.since.clear();
       for (const std::uint32_t id : view.ids_set(sent))
         moved_in += !std::binary_search(view.ids_set(all).begin(), view.ids_set(all).end(), id);
-      Frame frame;
-      const ApplyResult result = f.client.apply(through_bytes(sent.view(), frame));
+      Message kept;
+      const ApplyResult result = f.client.apply(through_bytes(sent.view(), kept));
       ASSERT_TRUE(result) << result.text;
       view.expect_part(f.client, f.box);
       ASSERT_EQ(f.client.canonical_bytes(), f.server.canonical_bytes());
