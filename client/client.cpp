@@ -150,7 +150,10 @@ struct Client::Impl {
     if (written) throw_failure(written.message());
     const Link::Received received = co_await link->read();
     late.cancel();
-    if (!received.closed.empty()) throw_failure(received.closed);
+    if (!received.closed.empty()) {
+      const bool silent = received.closed == error_code(asio::error::eof).message();
+      throw_failure(silent && !options.tls ? kMaybeTls : received.closed);
+    }
     last_received_ns = monotonic_ns();
     const protocol::DecodeResult decoded = protocol::decode(received.body);
     if (!decoded) throw_failure(decoded.error);

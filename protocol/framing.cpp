@@ -318,6 +318,8 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
       failed_ = true;
       error_ = "length prefix: " + std::to_string(size) + " bytes, accepted are " +
                std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
+      if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
+        error_ += " (it reads HTTP: a port for WebSockets?)";
       return Status::Failed;
     }
     size_ = size;

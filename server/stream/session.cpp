@@ -49,6 +49,8 @@ bool equal_in_constant_time(const std::string& a, const std::string& b) {
   return difference == 0;
 }
 
+constexpr const char* kRoleNames[] = {"viewer", "operator", "simulator", "admin"};
+
 std::size_t accepted_bytes(Role role) {
   return role == Role::Simulator ? protocol::kMaxSimulatorBytes : protocol::kMaxClientBytes;
 }
@@ -183,7 +185,11 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
     co_return;
   }
   if (!allowed(hello.role, hello.token)) {
-    refuse(ErrorCode::Unauthorized, "the token does not open this role", sequence);
+    const std::string role = kRoleNames[static_cast<std::size_t>(hello.role)];
+    refuse(ErrorCode::Unauthorized,
+           hello.token.empty() ? "role " + role + " needs a token, and none was given"
+                               : "the token is wrong, or does not open role " + role,
+           sequence);
     co_return;
   }
   if (!hub_.has_room()) {
