@@ -59,6 +59,7 @@ class SnapshotKeeper {
 
   // The thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
+  std::optional<protocol::SurfaceReplica> surface_;  // of it, once somebody has asked for that view
   std::uint64_t session_ = 0;
   DeltaArrays arrays_;
   // The last one of each view, while somebody still sends it: many who join at once share it.
