@@ -633,6 +633,10 @@ std::uint64_t Client::send_poses(std::span<const protocol::PoseSample> poses) {
   return impl_->send_poses(poses);
 }
 
+bool Client::engage(std::int64_t source_ns) {
+  return impl_->queue(protocol::StrokeControl{protocol::StrokeAction::Engage, source_ns}) != 0;
+}
+
 bool Client::end_stroke(std::int64_t source_ns) {
   return impl_->queue(protocol::StrokeControl{protocol::StrokeAction::End, source_ns}) != 0;
 }

@@ -111,6 +111,9 @@ class Client {
   // which PoseReport::through_sequence will reach; 0, and nothing is queued, where there is no connection or
   // no room for them: try again.
   std::uint64_t send_poses(std::span<const protocol::PoseSample> poses);
+  // For a tool without a button: engages the blade for all poses sent from here on, until end_stroke(). False without a
+  // connection.
+  bool engage(std::int64_t source_ns);
   // Ends the running stroke after the poses sent so far. False without a connection.
   bool end_stroke(std::int64_t source_ns);
   // Another view or rate from here on.

@@ -97,6 +97,19 @@ TEST(Client, AnOperatorCutsAndKnowsWhatBecameOfItsPoses) {
   EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.state_hash(); }), test.loop.state_hash());
 }
 
+TEST(Client, EngagesWithoutAButton) {
+  TestServer test;
+  test.loop.start();
+  const auto client = connect(test, options(Role::Operator));
+  auto poses = stream::sweep(0.5 * test.side, 60, 1, test.side);
+  for (protocol::PoseSample& pose : poses) pose.buttons = 0;
+  ASSERT_TRUE(client->engage(0));
+  ASSERT_TRUE(client->wait_for_report(client->send_poses(poses), kPatience_s));
+  ASSERT_TRUE(client->end_stroke(poses.back().source_ns));
+  ASSERT_TRUE(stream::eventually([&] { return test.loop.strokes_ended() == 1; }));
+  EXPECT_GT(test.loop.revision(), 3u);
+}
+
 TEST(Client, ComesBackWhereItWas) {
   TestServer test;
   std::atomic<int> disconnects{0}, snapshots{0};

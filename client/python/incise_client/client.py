@@ -234,6 +234,10 @@ class Client:
             self._send(Body.Body.PoseBatch, build)
         return self._sequence
 
+    def engage(self) -> None:
+        """For a tool without a button: engages the blade for all poses sent from here on, until end_stroke()."""
+        self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.Engage)]))
+
     def end_stroke(self) -> None:
         """Ends the running stroke after the poses sent so far."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
