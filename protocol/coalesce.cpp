@@ -61,6 +61,9 @@ Delta OwnedDelta::view() const {
   d.live_tets = live_tets;
   d.state_hash = state_hash;
   d.first_new_tet = first_new_tet;
+  d.added_ids = added_ids;
+  d.removed_vertices = removed_vertices;
+  d.part_hash = part_hash;
   return d;
 }
 

@@ -364,6 +364,11 @@ class Reader {
     out.live_tets = m.live_tets();
     out.state_hash = m.state_hash();
     out.first_new_tet = m.first_new_tet();
+    out.added_ids = ids("added_ids", m.added_ids(), kMaxVertices);
+    require(out.added_ids.empty() || out.added_ids.size() == added, "added_ids",
+            "as many as provenance_t, or none");
+    out.removed_vertices = ids("removed_vertices", m.removed_vertices(), kMaxVertices);
+    out.part_hash = m.part_hash();
     return out;
   }
   Body read(const wire::SurfaceDelta& m) {
@@ -409,10 +414,13 @@ class Reader {
     out.surface_vertices =
         surface_vertices("surface_vertices.ids", "surface_vertices.positions", m.surface_vertices());
     out.triangles = triangles(m.triangles());
+    out.vertex_ids = ids("vertex_ids", m.vertex_ids(), kMaxVertices);
+    require(out.vertex_ids.empty() || 3 * out.vertex_ids.size() == numbers, "vertex_ids",
+            "one for each of positions, or none");
     return out;
   }
   Body read(const wire::SnapshotEnd& m) {
-    return SnapshotEnd{m.revision(), m.state_hash(), m.surface_hash()};
+    return SnapshotEnd{m.revision(), m.state_hash(), m.surface_hash(), m.part_hash()};
   }
   Body read(const wire::Positions& m) {
     Positions out;

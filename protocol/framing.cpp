@@ -170,10 +170,12 @@ struct Encoder {
     const auto upserted_faces = array(b, m.boundary_upserted), removed_faces = array(b, m.boundary_removed);
     const auto piece_ids = array(b, m.piece_ids), piece_sizes = array(b, m.piece_sizes);
     const auto piece_tets = array(b, m.piece_tets);
+    const auto added_ids = array(b, m.added_ids), removed_vertices = array(b, m.removed_vertices);
     return wire::CreateDelta(b, m.base_revision, m.revision, step_list, moved_ids, moved_positions,
                              m.first_added, added_positions, provenance_a, provenance_b, provenance_t,
                              tet_table, removed, upserted_faces, removed_faces, piece_ids, piece_sizes,
-                             piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet)
+                             piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet,
+                             added_ids, removed_vertices, m.part_hash)
         .Union();
   }
   auto operator()(const SurfaceDelta& m) {
@@ -198,12 +200,13 @@ struct Encoder {
     const auto pieces = array(b, m.tet_pieces);
     const auto vertices = surface_vertices(b, m.surface_vertices);
     const auto triangle_table = triangles(b, m.triangles);
+    const auto vertex_ids = array(b, m.vertex_ids);
     return wire::CreateSnapshotChunk(b, m.index, m.first_vertex, positions, tet_table, pieces, vertices,
-                                     triangle_table)
+                                     triangle_table, vertex_ids)
         .Union();
   }
   auto operator()(const SnapshotEnd& m) {
-    return wire::CreateSnapshotEnd(b, m.revision, m.state_hash, m.surface_hash).Union();
+    return wire::CreateSnapshotEnd(b, m.revision, m.state_hash, m.surface_hash, m.part_hash).Union();
   }
   auto operator()(const Positions& m) {
     const auto ids = array(b, m.ids);
@@ -261,7 +264,8 @@ std::size_t expected_bytes(const Body& body) {
                  m.added_positions.size_bytes() + m.provenance_a.size_bytes() + m.provenance_b.size_bytes() +
                  m.provenance_t.size_bytes() + bytes_of(m.tets) + m.removed_tets.size_bytes() +
                  m.boundary_upserted.size_bytes() + m.boundary_removed.size_bytes() +
-                 m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes();
+                 m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes() +
+                 m.added_ids.size_bytes() + m.removed_vertices.size_bytes();
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +
@@ -269,7 +273,7 @@ std::size_t expected_bytes(const Body& body) {
         }
         if constexpr (std::is_same_v<T, SnapshotChunk>) {
           return kSmall + m.positions.size_bytes() + bytes_of(m.tets) + m.tet_pieces.size_bytes() +
-                 bytes_of(m.surface_vertices) + bytes_of(m.triangles);
+                 bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes();
         }
         return kSmall;
       },
@@ -321,6 +325,8 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
       failed_ = true;
       error_ = "length prefix: " + std::to_string(size) + " bytes, accepted are " +
                std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
+      if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
+        error_ += " (it reads HTTP: a port for WebSockets?)";
       return Status::Failed;
     }
     size_ = size;

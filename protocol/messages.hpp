@@ -256,6 +256,8 @@ struct Delta {
   std::uint32_t live_tets = 0;
   std::uint64_t state_hash = 0;
   std::uint32_t first_new_tet = 0;
+  std::span<const std::uint32_t> added_ids, removed_vertices;
+  std::uint64_t part_hash = 0;
 };
 
 struct SurfaceDelta {
@@ -289,12 +291,14 @@ struct SnapshotChunk {
   std::span<const std::uint32_t> tet_pieces;
   SurfaceVertexArrays surface_vertices;
   TriangleArrays triangles;
+  std::span<const std::uint32_t> vertex_ids;
 };
 
 struct SnapshotEnd {
   std::uint64_t revision = 0;
   std::uint64_t state_hash = 0;
   std::uint64_t surface_hash = 0;
+  std::uint64_t part_hash = 0;
 };
 
 struct Positions {

@@ -70,6 +70,9 @@ std::string stream_metrics(Hub& hub) {
   metric(out, "slow_disconnects_total", "counter", "Sessions ended because they did not read.",
          c.slow_disconnects);
   metric(out, "resumed_total", "counter", "Sessions that went on where they had been.", c.resumed);
+  metric(out, "half_open_closed_total", "counter", "Silent connections closed to make room for others.",
+         c.half_open_closed);
+  metric(out, "part_bytes", "gauge", "Bytes kept for the sessions with a box of interest.", c.part_bytes);
   metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
   return out;
 }

@@ -1,6 +1,7 @@
 #include "tests/protocol/samples.hpp"
 
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 
 namespace incise::protocol::samples {
 namespace {
@@ -8,13 +9,21 @@ namespace {
 // A copy that lives as long as the program, for spans to point into.
 template <class T>
 const T& keep(T value) {
-  static std::vector<std::unique_ptr<T>> kept;
-  kept.push_back(std::make_unique<T>(std::move(value)));
-  return *kept.back();
+  static std::vector<std::unique_ptr<T>> all;
+  all.push_back(std::make_unique<T>(std::move(value)));
+  return *all.back();
 }
 template <class T>
 std::span<const T> array(std::initializer_list<T> values) {
   return keep(std::vector<T>(values));
+}
+
+TetArrays kept(const TetArrays& t) {
+  return {keep(std::vector(t.ids.begin(), t.ids.end())),
+          keep(std::vector(t.vertices.begin(), t.vertices.end())),
+          keep(std::vector(t.regions.begin(), t.regions.end())),
+          keep(std::vector(t.cut_masks.begin(), t.cut_masks.end())),
+          keep(std::vector(t.boundary_masks.begin(), t.boundary_masks.end()))};
 }
 
 Step step(std::uint64_t revision) {
@@ -84,7 +93,13 @@ Welcome welcome() {
 
 Delta coalesced_delta() {
   const std::vector<Delta> both{delta_to(1).view(), delta_to(2).view()};
-  return keep(coalesce(std::span<const Delta>(both))).view();
+  OwnedDelta d = coalesce(std::span<const Delta>(both));
+  // What only a part has, too.
+  for (std::size_t i = 0; i < d.provenance_t.size(); ++i)
+    d.added_ids.push_back(d.first_added + static_cast<std::uint32_t>(i));
+  d.removed_vertices = {1, 4};
+  d.part_hash = 0x1032547698badcfe;
+  return keep(std::move(d)).view();
 }
 
 SurfaceDelta surface_delta(SurfaceReplica& surface, std::uint64_t revision) {
@@ -109,6 +124,9 @@ SnapshotChunk whole_chunk() {
   m.index = 3;
   m.first_vertex = 2;
   m.positions = replica_at(1).positions();
+  std::vector<std::uint32_t> ids(m.positions.size() / 3);
+  for (std::size_t i = 0; i < ids.size(); ++i) ids[i] = static_cast<std::uint32_t>(3 * i);
+  m.vertex_ids = keep(std::move(ids));
   m.tets = d.view().tets;
   m.tet_pieces = keep(std::vector<std::uint32_t>(d.tet_ids.size(), 9));
   m.surface_vertices = {keep(std::vector(writer.chunk().surface_vertices.ids.begin(),
@@ -187,7 +205,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"SurfaceDelta", surface_delta(surface, 1)},
       {"SnapshotBegin", SnapshotBegin{View::Surface, 2, SnapshotCause::Resync, 4, 8, 3, 12, box}},
       {"SnapshotChunk", whole_chunk()},
-      {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef}},
+      {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef, 0xfedcba9876543210}},
       {"Positions", positions},
       {"Stats", stats},
       {"Reset", Reset{}},
@@ -241,12 +259,7 @@ std::vector<Body> volume_stream() {
   std::vector<Body> out{hail, writer.begin()};
   while (writer.next()) {
     SnapshotChunk part = writer.chunk();
-    const auto& t = part.tets;
-    part.tets = {keep(std::vector(t.ids.begin(), t.ids.end())),
-                 keep(std::vector(t.vertices.begin(), t.vertices.end())),
-                 keep(std::vector(t.regions.begin(), t.regions.end())),
-                 keep(std::vector(t.cut_masks.begin(), t.cut_masks.end())),
-                 keep(std::vector(t.boundary_masks.begin(), t.boundary_masks.end()))};
+    part.tets = kept(part.tets);
     part.tet_pieces = keep(std::vector(part.tet_pieces.begin(), part.tet_pieces.end()));
     out.push_back(part);
   }
@@ -284,6 +297,42 @@ std::vector<Body> surface_stream() {
   out.push_back(writer.end(two_tets(0).hash()));
   out.push_back(surface_delta(surface, 1));
   out.push_back(surface_delta(surface, 2));
+  out.push_back(Bye{ByeReason::ServerStops, "the server stops"});
+  return out;
+}
+
+std::vector<Body> volume_part_stream() {
+  Welcome hail = welcome();
+  hail.role = Role::Viewer;
+  hail.view = View::Volume;
+  hail.resumed = false;
+  hail.revision = 0;
+  hail.state_hash = two_tets(0).hash();
+  // Around vertex 4: the second tetrahedron alone.
+  Replica whole = two_tets(0).replica();
+  TetIndex index;
+  index.load(whole);
+  const Vec3 at = whole.position(4);
+  const Box box{{at.x - 1e-3, at.y - 1e-3, at.z - 1e-3}, {at.x + 1e-3, at.y + 1e-3, at.z + 1e-3}};
+  VolumePart part;
+  part.load_part(whole, box);
+  VolumePartWriter writer(part, box, SnapshotCause::Join, 1000);
+  std::vector<Body> out{hail, writer.begin()};
+  while (writer.next()) {
+    SnapshotChunk chunk = writer.chunk();
+    chunk.vertex_ids = keep(std::vector(chunk.vertex_ids.begin(), chunk.vertex_ids.end()));
+    chunk.positions = keep(std::vector(chunk.positions.begin(), chunk.positions.end()));
+    chunk.tets = kept(chunk.tets);
+    chunk.tet_pieces = keep(std::vector(chunk.tet_pieces.begin(), chunk.tet_pieces.end()));
+    out.push_back(chunk);
+  }
+  out.push_back(writer.end(two_tets(0).hash()));
+  for (std::uint64_t r = 1; r <= 2; ++r) {
+    const Delta delta = delta_to(r).view();
+    index.follow(whole, delta);
+    EXPECT_TRUE(whole.apply(delta));
+    out.push_back(keep(part.follow_part(whole, index, delta, box)).view());
+  }
   out.push_back(Bye{ByeReason::ServerStops, "the server stops"});
   return out;
 }
