@@ -336,6 +336,7 @@ VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance,
   vertex_step_.push_back(step_);
   vertex_mark_.push_back(0);
   provenance_.push_back(provenance);
+  if (deformed()) rest_.push_back(lerp(rest_[provenance.a], rest_[provenance.b], provenance.t));
   return v;
 }
 
@@ -365,6 +366,12 @@ void TetMesh::commit(Delta& delta) {
     hash_ ^= hash_of_vertex(v);
     delta.moved.push_back(v);
     delta.moved_positions.push_back(vertices_[v].position);
+  }
+  delta.moved_rest.clear();
+  delta.added_rest.clear();
+  if (deformed()) {
+    for (VertexId v : touched_vertices_) delta.moved_rest.push_back(rest_[v]);
+    delta.added_rest.assign(rest_.begin() + first_new_vertex_, rest_.end());
   }
   delta.first_added = first_new_vertex_;
   delta.added_positions.clear();
@@ -459,6 +466,7 @@ std::uint64_t TetMesh::compute_state_hash() const {
 
 void TetMesh::move_vertex(VertexId v, const Vec3& position) {
   touch_vertex(v);
+  if (deformed()) rest_[v] = rest_at(v, position);
   vertices_[v].position = position;
 }
 
