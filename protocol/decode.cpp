@@ -351,6 +351,8 @@ class Reader {
     out.live_tets = m.live_tets();
     out.state_hash = m.state_hash();
     out.first_new_tet = m.first_new_tet();
+    out.rest_ids = ids("rest_ids", m.rest_ids(), kMaxVertices);
+    out.rest_positions = positions("rest_positions", m.rest_positions(), out.rest_ids.size());
     return out;
   }
   Body read(const wire::SurfaceDelta& m) {
@@ -396,6 +398,8 @@ class Reader {
     out.surface_vertices =
         surface_vertices("surface_vertices.ids", "surface_vertices.positions", m.surface_vertices());
     out.triangles = triangles(m.triangles());
+    const bool rest = m.rest_positions() != nullptr && m.rest_positions()->size() > 0;
+    out.rest_positions = positions("rest_positions", m.rest_positions(), rest ? numbers / 3 : 0);
     return out;
   }
   Body read(const wire::SnapshotEnd& m) {
@@ -441,6 +445,17 @@ class Reader {
     require(speed > 0, "speed", "accepted are numbers above 0");
     return ReplayControl{enumeration<ReplayAction>("action", m.action()), text("capture", m.capture()), speed,
                          m.revision()};
+  }
+  Body read(const wire::PositionsReport& m) {
+    PositionsReport out;
+    out.frame = m.frame();
+    out.revision = m.revision();
+    out.moved = m.moved();
+    out.passed_over = m.passed_over();
+    out.held = ids("held", m.held(), kMaxVertices);
+    out.taken = m.taken();
+    out.skipped = m.skipped();
+    return out;
   }
   Body read(const wire::BladePose& m) {
     BladePose out;
@@ -499,6 +514,7 @@ Body read_body(Reader& reader, const wire::Message& message) {
     INCISE_MESSAGE(ReplayControl);
     INCISE_MESSAGE(ReplayState);
     INCISE_MESSAGE(BladePose);
+    INCISE_MESSAGE(PositionsReport);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

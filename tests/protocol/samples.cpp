@@ -84,7 +84,10 @@ Welcome welcome() {
 
 Delta coalesced_delta() {
   const std::vector<Delta> both{delta_to(1).view(), delta_to(2).view()};
-  return keep(coalesce(std::span<const Delta>(both))).view();
+  Delta joined = keep(coalesce(std::span<const Delta>(both))).view();
+  joined.rest_ids = array<std::uint32_t>({0, 8});
+  joined.rest_positions = array<double>({-0.0011, 0, 0.0001, 0.0044, 0, 0});
+  return joined;
 }
 
 SurfaceDelta surface_delta(SurfaceReplica& surface, std::uint64_t revision) {
@@ -117,6 +120,7 @@ SnapshotChunk whole_chunk() {
                                          writer.chunk().surface_vertices.positions.end()))};
   m.triangles = {array<std::uint32_t>({0, 7}), array<std::uint32_t>({1, 2, 3, 5, 6, 7}),
                  array<std::uint8_t>({1, 0}), array<std::uint32_t>({0, 1}), array<std::int32_t>({7, -2})};
+  m.rest_positions = keep(std::vector<double>(m.positions.size(), 0.125));
   return m;
 }
 
@@ -193,6 +197,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
+      {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
   };
 }
 
