@@ -159,7 +159,8 @@ void run_server(const Config& config, bool resume) {
   std::vector<input::InputHub::Declared> declared;
   for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
   input::InputHub hub(config.cut.blade, declared);
-  HubInput sink(hub, config);
+  input::PositionsSlot positions;
+  HubInput sink(hub, positions, config);
 
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
@@ -175,6 +176,7 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  frames.offer_deformation(positions);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
   if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);

@@ -9,10 +9,11 @@ namespace incise::core {
 
 // Where a host simulation says that vertices are. Trusted in nothing: CutSession::deform() takes what is valid.
 struct VertexPositions {
-  std::uint64_t frame = 0;     // the simulation's own number for it
-  std::uint64_t revision = 0;  // of the mesh that it computed with
-  std::int64_t source_ns = 0;  // its clock
-  std::vector<VertexId> ids;   // ascending; empty: first, first + 1, ...
+  std::uint64_t frame = 0;      // the simulation's own number for it
+  std::uint64_t revision = 0;   // of the mesh that it computed with
+  std::int64_t source_ns = 0;   // its clock
+  std::int64_t arrival_ns = 0;  // at this machine; the core does not look at it
+  std::vector<VertexId> ids;    // ascending; empty: first, first + 1, ...
   VertexId first = 0;
   std::vector<Vec3> positions;  // metres, world frame
   bool single = false;          // they are floats: for whoever stores them

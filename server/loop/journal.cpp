@@ -67,6 +67,7 @@ bool Journal::write_waiting() {
     if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
     unmarked_ = true;
     sink_->write(record);
+    record.positions.reset();
     any = true;
   }
   if (!any) return false;

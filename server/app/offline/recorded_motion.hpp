@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,11 +15,13 @@ namespace incise::app {
 
 // One thing that was done to a session, in its order.
 struct MotionEvent {
-  enum class Kind : std::uint8_t { kPose, kEndStroke, kOpened };
+  enum class Kind : std::uint8_t { kPose, kEndStroke, kOpened, kDeform };
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
   core::Pose pose;
-  std::int64_t arrival_ns = 0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::int64_t arrival_ns =
+      0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::shared_ptr<const core::VertexPositions> positions;  // of kDeform
 };
 
 // A motion from a file, whatever its format.
@@ -43,7 +46,8 @@ struct RecordedMotion {
   std::optional<Gap> gap;
   std::string end_error;  // where it is torn: at which byte and how
 
-  std::size_t poses() const;
+  std::size_t poses() const { return count(MotionEvent::Kind::kPose); }
+  std::size_t count(MotionEvent::Kind kind) const;
 };
 
 // Reads a capture, a TUM trajectory or a CSV motion, told apart by their contents. A capture is read up to a torn end,
