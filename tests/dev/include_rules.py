@@ -44,7 +44,7 @@ ONLY_IN = {
     "boost/": ["server/input", "server/stream", "server/app", "client", "tests"],
     "hidapi": ["server/input", "tests"],
     "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
-    "CLI/": ["server/app", "client/cli", "tests"],
+    "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
     "gtest/": ["tests"],
     "benchmark/": ["tests"],
     "flatbuffers/": ["protocol", "tests"],

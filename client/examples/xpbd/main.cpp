@@ -28,7 +28,7 @@ struct Settings {
   std::uint16_t port = 7450;
   std::string token;
   double rate_hz = 60, seconds = 0;
-  int substeps = 3;
+  int substeps = 8;
   xpbd::Material material;
 };
 
@@ -121,7 +121,7 @@ int main(int argc, char** argv) {
   app.add_option("server", server, "HOST:PORT of incised (" + server + ")");
   app.add_option("--token", settings.token, "what opens the role simulator there");
   app.add_option("--rate", settings.rate_hz, "time steps a second (60)")->check(CLI::Range(1.0, 1000.0));
-  app.add_option("--substeps", settings.substeps, "in each of them (3)")->check(CLI::Range(1, 100));
+  app.add_option("--substeps", settings.substeps, "in each of them (8)")->check(CLI::Range(1, 100));
   app.add_option("--young", settings.material.young_pa, "stiffness, Pa (4000)")->check(CLI::Range(10.0, 1e7));
   app.add_option("--shrink", settings.material.shrink,
                  "tension: lengths are so much shorter without stress (0.1)")

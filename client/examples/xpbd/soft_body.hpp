@@ -23,8 +23,7 @@ struct Material {
 
 // A soft body on the tetrahedra that a server cuts: extended position based dynamics (XPBD; Macklin, Müller and Chentanez
 // 2016) in small steps of one iteration each (Macklin et al. 2019), with a stable neo-Hookean material (Macklin and Müller
-// 2021, "A Constraint-based Formulation of Stable Neo-Hookean Materials"). All constraints belong to tetrahedra, so
-// that a cut needs no more than its delta: gone ones stop pulling, new ones get their shape from rest positions.
+// 2021, "A Constraint-based Formulation of Stable Neo-Hookean Materials"). All constraints belong to tetrahedra, so that a cut needs no more than its delta: gone ones stop pulling, new ones get their shape from rest positions.
 //
 // Arrays are indexed by the server's ids. Thread: one, at a time.
 class SoftBody {
@@ -48,27 +47,26 @@ class SoftBody {
   std::uint32_t vertices() const { return static_cast<std::uint32_t>(x_.size()); }
 
  private:
-  struct Vector {
-    double x = 0, y = 0, z = 0;
-  };
+  // x y z, and a fourth number beside them: one register.
+  using Vector = float __attribute__((vector_size(16)));
   struct Tet {
     std::array<std::uint32_t, 4> v{};
-    // Of the stress-free shape: the inverse of the matrix of its edges from v[0], by rows; its volume, 0 where it is too flat
-    // to have a stiffness. Of no tetrahedron at all mass is 0.
-    std::array<double, 9> inverse{};
-    double volume_m3 = 0;
-    double mass_kg = 0;
+    // Of the stress-free shape: the inverse of the matrix of its edges from v[0], by rows; and
+    // 1 / volume, 0 where it is too flat to have a stiffness. Of no tetrahedron at all mass is 0.
+    std::array<float, 9> inverse{};
+    float per_volume = 0;
+    float mass_kg = 0;
   };
   bool is_held(const Vector& rest) const;
   void set_tet(const protocol::Replica& mesh, std::uint32_t id);
   void remove_tet(std::uint32_t id);
   void update_weight(std::uint32_t vertex);
-  void project(const Tet& tet, double dt_s);
+  void project(const Tet& tet, float shear_compliance, float volume_compliance, float goal);
 
   const Material material_;
-  Vector low_, high_;  // of the body at rest
+  Vector low_{}, high_{};  // of the body at rest
   std::vector<Vector> x_, before_, v_, rest_;
-  std::vector<double> mass_, weight_;  // kg; 1/kg, 0 where it is held
+  std::vector<float> mass_, weight_;  // kg; 1/kg, 0 where it is held
   std::vector<std::uint8_t> fixed_, held_;
   std::vector<std::uint32_t> held_list_;
   std::vector<Tet> tets_;
