@@ -34,7 +34,8 @@ constexpr float kFlat = 1e-3f;
 bool SoftBody::is_held(const Vector& rest) const {
   const auto size = high_ - low_;
   const float ends = static_cast<float>(material_.held_ends) * size[0];
-  return rest[2] < low_[2] + static_cast<float>(material_.held_below) * size[2] || rest[0] < low_[0] + ends ||
+  const bool behind = rest[1] > high_[1] - static_cast<float>(material_.held_back) * size[1];
+  return (behind && rest[2] < low_[2] + 0.5f * size[2]) || rest[0] < low_[0] + ends ||
          rest[0] > high_[0] - ends;
 }
 

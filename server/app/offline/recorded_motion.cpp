@@ -48,18 +48,7 @@ struct RecordReader {
   void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
   void operator()(const protocol::PositionsRecord& record) {
     if (motion.gap) return;
-    auto positions = std::make_shared<core::VertexPositions>();
-    positions->frame = record.frame;
-    positions->revision = record.revision;
-    positions->source_ns = record.source_ns;
-    positions->arrival_ns = record.arrival_ns;
-    positions->ids = record.ids;
-    positions->first = record.first;
-    positions->single = record.single;
-    positions->positions.reserve(record.positions.size() / 3);
-    for (std::size_t i = 0; i + 2 < record.positions.size(); i += 3)
-      positions->positions.push_back({record.positions[i], record.positions[i + 1], record.positions[i + 2]});
-    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, std::move(positions)});
+    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, positions_of(record)});
   }
   // One replay is of one session: that after the last reset.
   void operator()(const protocol::ResetRecord& record) {
@@ -182,6 +171,21 @@ protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
   if (!reader.header_ok())
     throw std::runtime_error(path.string() + ": is no capture of incised: " + reader.error());
   return reader.header();
+}
+
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record) {
+  auto positions = std::make_shared<core::VertexPositions>();
+  positions->frame = record.frame;
+  positions->revision = record.revision;
+  positions->source_ns = record.source_ns;
+  positions->arrival_ns = record.arrival_ns;
+  positions->ids = record.ids;
+  positions->first = record.first;
+  positions->single = record.single;
+  positions->positions.reserve(record.positions.size() / 3);
+  for (std::size_t i = 0; i + 2 < record.positions.size(); i += 3)
+    positions->positions.push_back({record.positions[i], record.positions[i + 1], record.positions[i + 2]});
+  return positions;
 }
 
 const core::Blade& blade_of(const Config& config, std::uint32_t source) {

@@ -74,6 +74,9 @@ Config config_of(const protocol::CaptureHeader& header, const std::string& name)
 // The blade of a source: its own, or the one for all.
 const core::Blade& blade_of(const Config& config, std::uint32_t source);
 
+// Positions as they were recorded.
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record);
+
 // Does to a session what an event says. The blade of a source that is opened is the configuration's.
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config);
 
