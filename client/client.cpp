@@ -441,6 +441,11 @@ struct Client::Impl {
     return true;
   }
 
+  bool on(const protocol::PositionsReport& report, const Arrival&) {
+    call(callbacks.on_positions_report, report);
+    return true;
+  }
+
   bool on(const protocol::Force& force, const Arrival&) {
     call(callbacks.on_force, force);
     return true;
@@ -493,6 +498,17 @@ struct Client::Impl {
     }
     wake_writer();
     return last;
+  }
+
+  std::uint64_t send_positions(const protocol::Positions& positions) {
+    std::uint64_t sent = 0;
+    {
+      const std::scoped_lock lock(mutex);
+      if (current_status != Status::kConnected || closing || outbox_bytes > 0) return 0;
+      sent = put(positions);
+    }
+    wake_writer();
+    return sent;
   }
 
   // ---- Waiting; any thread but the client's ----
@@ -636,6 +652,10 @@ std::uint64_t Client::send_poses(std::span<const protocol::PoseSample> poses) {
 
 bool Client::engage(std::int64_t source_ns) {
   return impl_->queue(protocol::StrokeControl{protocol::StrokeAction::Engage, source_ns}) != 0;
+}
+
+std::uint64_t Client::send_positions(const protocol::Positions& positions) {
+  return impl_->send_positions(positions);
 }
 
 bool Client::end_stroke(std::int64_t source_ns) {

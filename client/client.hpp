@@ -78,6 +78,7 @@ struct Callbacks {
   std::function<void(std::uint32_t done, std::uint32_t chunks)> on_snapshot_progress;
   std::function<void(const protocol::Force&)> on_force;  // for ContactRenderer::take
   std::function<void(const protocol::PoseReport&)> on_report;
+  std::function<void(const protocol::PositionsReport&)> on_positions_report;
   std::function<void(const protocol::Stats&)> on_stats;
   std::function<void(const protocol::Error&)> on_error;
   std::function<void(const std::string& reason)>
@@ -117,6 +118,9 @@ class Client {
   bool engage(std::int64_t source_ns);
   // Ends the running stroke after the poses sent so far. False without a connection.
   bool end_stroke(std::int64_t source_ns);
+  // Simulators: where vertices are, all of revision `positions.revision`. Returns the message's sequence; 0, and nothing is
+  // queued, where there is no connection or the last ones wait for the network still: the next ones will do.
+  std::uint64_t send_positions(const protocol::Positions& positions);
   // Another view or rate from here on.
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: the mesh as it was loaded, for all.

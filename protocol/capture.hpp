@@ -84,7 +84,7 @@ struct CheckpointRecord {
   friend bool operator==(const CheckpointRecord&, const CheckpointRecord&) = default;
 };
 
-// Deformed positions from a simulator. ids empty: first, first + 1, ...
+// Positions from a simulator, which the loop has taken. ids empty: first, first + 1, ...
 struct PositionsRecord {
   std::uint64_t frame = 0;
   std::uint64_t revision = 0;
@@ -92,6 +92,7 @@ struct PositionsRecord {
   std::uint32_t first = 0;
   std::vector<std::uint32_t> ids;
   std::vector<double> positions;
+  bool single = false;  // they are stored as floats, which they must be
   friend bool operator==(const PositionsRecord&, const PositionsRecord&) = default;
 };
 

@@ -33,6 +33,8 @@ struct OwnedDelta {
   std::uint32_t first_new_tet = 0;
   std::vector<std::uint32_t> added_ids, removed_vertices;
   std::uint64_t part_hash = 0;
+  std::vector<std::uint32_t> rest_ids;
+  std::vector<double> rest_positions;
 
   // Spans into this object; the steps are copied.
   Delta view() const;

@@ -369,6 +369,8 @@ class Reader {
             "as many as provenance_t, or none");
     out.removed_vertices = ids("removed_vertices", m.removed_vertices(), kMaxVertices);
     out.part_hash = m.part_hash();
+    out.rest_ids = ids("rest_ids", m.rest_ids(), kMaxVertices);
+    out.rest_positions = positions("rest_positions", m.rest_positions(), out.rest_ids.size());
     return out;
   }
   Body read(const wire::SurfaceDelta& m) {
@@ -417,6 +419,8 @@ class Reader {
     out.vertex_ids = ids("vertex_ids", m.vertex_ids(), kMaxVertices);
     require(out.vertex_ids.empty() || 3 * out.vertex_ids.size() == numbers, "vertex_ids",
             "one for each of positions, or none");
+    const bool rest = m.rest_positions() != nullptr && m.rest_positions()->size() > 0;
+    out.rest_positions = positions("rest_positions", m.rest_positions(), rest ? numbers / 3 : 0);
     return out;
   }
   Body read(const wire::SnapshotEnd& m) {
@@ -462,6 +466,17 @@ class Reader {
     require(speed > 0, "speed", "accepted are numbers above 0");
     return ReplayControl{enumeration<ReplayAction>("action", m.action()), text("capture", m.capture()), speed,
                          m.revision()};
+  }
+  Body read(const wire::PositionsReport& m) {
+    PositionsReport out;
+    out.frame = m.frame();
+    out.revision = m.revision();
+    out.moved = m.moved();
+    out.passed_over = m.passed_over();
+    out.held = ids("held", m.held(), kMaxVertices);
+    out.taken = m.taken();
+    out.skipped = m.skipped();
+    return out;
   }
   Body read(const wire::BladePose& m) {
     BladePose out;
@@ -520,6 +535,7 @@ Body read_body(Reader& reader, const wire::Message& message) {
     INCISE_MESSAGE(ReplayControl);
     INCISE_MESSAGE(ReplayState);
     INCISE_MESSAGE(BladePose);
+    INCISE_MESSAGE(PositionsReport);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

@@ -171,11 +171,13 @@ struct Encoder {
     const auto piece_ids = array(b, m.piece_ids), piece_sizes = array(b, m.piece_sizes);
     const auto piece_tets = array(b, m.piece_tets);
     const auto added_ids = array(b, m.added_ids), removed_vertices = array(b, m.removed_vertices);
+    const auto rest_ids = array(b, m.rest_ids);
+    const auto rest_positions = array(b, m.rest_positions);
     return wire::CreateDelta(b, m.base_revision, m.revision, step_list, moved_ids, moved_positions,
                              m.first_added, added_positions, provenance_a, provenance_b, provenance_t,
                              tet_table, removed, upserted_faces, removed_faces, piece_ids, piece_sizes,
                              piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet,
-                             added_ids, removed_vertices, m.part_hash)
+                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions)
         .Union();
   }
   auto operator()(const SurfaceDelta& m) {
@@ -201,8 +203,9 @@ struct Encoder {
     const auto vertices = surface_vertices(b, m.surface_vertices);
     const auto triangle_table = triangles(b, m.triangles);
     const auto vertex_ids = array(b, m.vertex_ids);
+    const auto rest_positions = array(b, m.rest_positions);
     return wire::CreateSnapshotChunk(b, m.index, m.first_vertex, positions, tet_table, pieces, vertices,
-                                     triangle_table, vertex_ids)
+                                     triangle_table, vertex_ids, rest_positions)
         .Union();
   }
   auto operator()(const SnapshotEnd& m) {
@@ -229,6 +232,12 @@ struct Encoder {
   auto operator()(const BladePose& m) {
     const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip);
     return wire::CreateBladePose(b, m.source, m.cutting, &heel, &tip, m.arrival_ns).Union();
+  }
+  auto operator()(const PositionsReport& m) {
+    const auto held = array(b, m.held);
+    return wire::CreatePositionsReport(b, m.frame, m.revision, m.moved, m.passed_over, held, m.taken,
+                                       m.skipped)
+        .Union();
   }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
@@ -265,7 +274,8 @@ std::size_t expected_bytes(const Body& body) {
                  m.provenance_t.size_bytes() + bytes_of(m.tets) + m.removed_tets.size_bytes() +
                  m.boundary_upserted.size_bytes() + m.boundary_removed.size_bytes() +
                  m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes() +
-                 m.added_ids.size_bytes() + m.removed_vertices.size_bytes();
+                 m.added_ids.size_bytes() + m.removed_vertices.size_bytes() + m.rest_ids.size_bytes() +
+                 m.rest_positions.size_bytes();
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +
@@ -273,8 +283,10 @@ std::size_t expected_bytes(const Body& body) {
         }
         if constexpr (std::is_same_v<T, SnapshotChunk>) {
           return kSmall + m.positions.size_bytes() + bytes_of(m.tets) + m.tet_pieces.size_bytes() +
-                 bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes();
+                 bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes() +
+                 m.rest_positions.size_bytes();
         }
+        if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
         return kSmall;
       },
       body);

@@ -258,6 +258,8 @@ struct Delta {
   std::uint32_t first_new_tet = 0;
   std::span<const std::uint32_t> added_ids, removed_vertices;
   std::uint64_t part_hash = 0;
+  std::span<const std::uint32_t> rest_ids;
+  std::span<const double> rest_positions;
 };
 
 struct SurfaceDelta {
@@ -292,6 +294,7 @@ struct SnapshotChunk {
   SurfaceVertexArrays surface_vertices;
   TriangleArrays triangles;
   std::span<const std::uint32_t> vertex_ids;
+  std::span<const double> rest_positions;
 };
 
 struct SnapshotEnd {
@@ -345,10 +348,18 @@ struct BladePose {
   std::int64_t arrival_ns = 0;
 };
 
+struct PositionsReport {
+  std::uint64_t frame = 0, revision = 0;
+  std::uint32_t moved = 0, passed_over = 0;
+  std::span<const std::uint32_t> held;
+  std::uint64_t taken = 0, skipped = 0;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
-using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
-                          StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
-                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose>;
+using Body =
+    std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
+                 StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk, SnapshotEnd,
+                 Positions, Stats, Reset, ReplayControl, ReplayState, BladePose, PositionsReport>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

@@ -145,6 +145,9 @@ void Checkpointer::handle(const Item& item) {
     case Kind::kEndStroke:
       session_->end_stroke(record.source);
       break;
+    case Kind::kDeform:
+      session_->deform(record.positions);
+      break;
     case Kind::kCommit:
       compare(record);
       return;

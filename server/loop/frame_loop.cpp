@@ -84,6 +84,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
+  take_positions(start);
   const std::int64_t drained = monotonic_ns();
   // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
@@ -176,15 +177,28 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
   const bool recorded = write(record);
   // What is in the journal's hands is told of by the journal, once it has handed it on.
   if (!recorded && event.kind == Kind::kPose) input_.tell(source, record.verdict, record.pose.t_ns);
-  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) {
-    if (stamp_count_ == stamps_.size()) {
-      std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_),
-                  stamps_.end());
-      first_stamp_ = 0;
-      stamps_.resize(2 * stamps_.size());
-    }
-    stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {event.pose.arrival_ns, now_ns};
+  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) stamp(event.pose.arrival_ns, now_ns);
+}
+
+void FrameLoop::stamp(std::int64_t arrival_ns, std::int64_t drain_ns) {
+  if (stamp_count_ == stamps_.size()) {
+    std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_), stamps_.end());
+    first_stamp_ = 0;
+    stamps_.resize(2 * stamps_.size());
   }
+  stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {arrival_ns, drain_ns};
+}
+
+void FrameLoop::take_positions(std::int64_t now_ns) {
+  if (!positions_ || session_->deformation_waits()) return;
+  JournalRecord record;
+  record.positions = positions_->take();
+  if (!record.positions) return;
+  record.kind = JournalRecord::Kind::kDeform;
+  record.arrival_ns = record.positions->arrival_ns;
+  session_->deform(record.positions);
+  stamp(record.arrival_ns, now_ns);
+  write(record);
 }
 
 bool FrameLoop::write(const JournalRecord& record) {
@@ -231,6 +245,7 @@ void FrameLoop::reset() {
   own_session_ = std::move(fresh);
   session_ = own_session_.get();
   if (forces_) forces_->restart();
+  if (positions_) positions_->take();  // of the mesh that was
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   LoopState as_loaded;
@@ -279,9 +294,12 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
     units_left -= used;
     batch_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
-      const auto done =
-          static_cast<double>(std::max<std::size_t>(1, segments - session_->backlog_segments()));
-      ns_per_segment_ += 0.1 * (static_cast<double>(batch_work_ns_) / done - ns_per_segment_);
+      const std::size_t done = segments - session_->backlog_segments();
+      if (out->delta.stroke != 0) {
+        ns_per_segment_ +=
+            0.1 * (static_cast<double>(batch_work_ns_) / static_cast<double>(std::max<std::size_t>(1, done)) -
+                   ns_per_segment_);
+      }
       commit(*out, now);
       pool_.given();
       ready_.push_back(std::move(out));
@@ -302,10 +320,17 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   out.drain_ns = stamp.drain_ns;
   out.cut_ns = now_ns;
 
-  stats_.batch_cut.record(batch_work_ns_);
-  stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
-  stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
-  bump(stats_.batches);
+  if (delta.stroke != 0) {
+    stats_.batch_cut.record(batch_work_ns_);
+    stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
+    stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
+    bump(stats_.batches);
+  } else {
+    stats_.deform.record(batch_work_ns_);
+    bump(stats_.deformations);
+    stats_.vertices_moved.fetch_add(delta.deformation.moved, std::memory_order_relaxed);
+    stats_.vertices_held.fetch_add(delta.deformation.held.size(), std::memory_order_relaxed);
+  }
   batch_work_ns_ = 0;
   state_.revision = delta.revision;
   state_.state_hash = delta.state_hash;

@@ -72,6 +72,7 @@ bool Journal::write_waiting() {
     unmarked_ = true;
     if (on_pose_ && record.kind == JournalRecord::Kind::kPose) poses_.push_back(record);
     sink_->write(record);
+    record.positions.reset();
     any = true;
   }
   if (!any) return false;

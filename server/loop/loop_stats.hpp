@@ -104,12 +104,14 @@ struct LoopStats {
   Histogram publish;
   Histogram batch_cut;      // work on one batch, over all its frames
   Histogram pose_to_force;  // arrival of a blade's newest pose until its force was there
+  Histogram deform;         // work on one deformation, likewise
   Histogram pose_to_drain;  // arrival of a batch's last pose until the loop took it
   Histogram pose_to_cut;    // ... until the batch was committed
 
   std::array<std::atomic<std::uint64_t>, kLateCauses> late{};  // frames by LateCause
   std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts> verdicts{};
   std::atomic<std::uint64_t> batches{0};
+  std::atomic<std::uint64_t> deformations{0}, vertices_moved{0}, vertices_held{0};
   std::atomic<std::uint64_t> journal_lost{0};  // records that found the journal's queue full
 
   std::uint64_t late_frames() const {

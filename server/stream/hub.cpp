@@ -43,6 +43,9 @@ void Hub::reset(std::shared_ptr<const InitialState> initial) {
 
 void Hub::apply(const std::shared_ptr<const PublishedDelta>& delta) {
   live_.apply(delta);
+  if (delta->delta.stroke == 0) {
+    for (const auto& session : sessions_) session->report_deformation(*delta);
+  }
   ++counters_->deltas;
   counters_->revision = live_.mirror().revision();
   counters_->state_hash = live_.mirror().volume().state_hash();

@@ -79,6 +79,7 @@ asio::awaitable<void> Session::run() {
     if (!go_on) break;
   }
   source_.reset();  // ends the stroke
+  positions_.reset();
   if (stage_ == Stage::kClosing) co_await transport_->discard();
   close();
   hub_.remove(self);
@@ -156,9 +157,8 @@ asio::awaitable<void> Session::handle(protocol::Message message) {
     finish(ByeReason::Done, "");
   } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
     on_replay(*replay, sequence);
-  } else if (std::holds_alternative<protocol::Positions>(body)) {
-    complain(ErrorCode::NotAvailable, std::string(name_of(body)) + ": this server does not offer it",
-             sequence);
+  } else if (const auto* positions = std::get_if<protocol::Positions>(&body)) {
+    on_positions(*positions, sequence);
   } else {
     complain(ErrorCode::BadState, std::string(name_of(body)) + " is not for a client to send now", sequence);
   }
@@ -342,6 +342,41 @@ asio::awaitable<void> Session::on_stroke(const protocol::StrokeControl& control,
       finish(ByeReason::HandedOver, "the blade is free");
       break;
   }
+}
+
+void Session::on_positions(const protocol::Positions& positions, std::uint64_t sequence) {
+  const Mirror& mirror = hub_.live().mirror();
+  const std::size_t count = (positions.f32.size() + positions.f64.size()) / 3;
+  const std::uint64_t end = positions.ids.empty() ? std::uint64_t{positions.first} + count
+                                                  : positions.ids.back() + std::uint64_t{1};
+  if (role_ != Role::Simulator) {
+    complain(ErrorCode::Forbidden, "Positions: only simulators send them", sequence);
+  } else if (count == 0 || end > mirror.volume().vertex_count() || positions.revision > mirror.revision()) {
+    complain(ErrorCode::BadRequest,
+             "Positions of " + std::to_string(count) + " vertices below " + std::to_string(end) +
+                 " at revision " + std::to_string(positions.revision) + "; accepted are one or more below " +
+                 std::to_string(mirror.volume().vertex_count()) + ", at a revision up to " +
+                 std::to_string(mirror.revision()),
+             sequence);
+  } else if (!positions_ && !(positions_ = hub_.sink().open_positions())) {
+    complain(ErrorCode::NotAvailable, "Positions: another simulator sets them", sequence);
+  } else {
+    positions_->push(positions, last_received_ns_);
+  }
+}
+
+void Session::report_deformation(const PublishedDelta& step) {
+  if (stage_ != Stage::kOpen || !positions_) return;
+  const core::Deformation& d = step.delta.deformation;
+  protocol::PositionsReport report;
+  report.frame = d.frame;
+  report.revision = step.delta.revision;
+  report.moved = d.moved;
+  report.passed_over = d.passed_over;
+  report.held = d.held;
+  report.taken = ++positions_taken_;
+  report.skipped = positions_->skipped();
+  push_control(make_frame(report));
 }
 
 void Session::on_subscribe(const protocol::Subscribe& subscribe) {
@@ -543,6 +578,7 @@ void Session::finish(ByeReason reason, const std::string& text) {
   if (reason != ByeReason::ServerStops) drop_state();
   snapshot_.reset();
   source_.reset();
+  positions_.reset();
   player_.reset();
   stage_ = Stage::kClosing;
   closing_since_ns_ = monotonic_ns();
@@ -555,6 +591,7 @@ void Session::close() {
   if (stage_ == Stage::kClosed) return;
   stage_ = Stage::kClosed;
   source_.reset();
+  positions_.reset();
   player_.reset();
   snapshot_.reset();
   set_part(nullptr);

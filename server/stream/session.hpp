@@ -36,6 +36,8 @@ class Session : public std::enable_shared_from_this<Session> {
   // A frame beside the state, e.g. statistics. Only to who has been welcomed.
   void send(SharedFrame frame);
   // To the operator who holds that blade: the latest, when the one before is out.
+  // To the simulator that sets positions: the loop has made a step of one of its messages.
+  void report_deformation(const PublishedDelta& step);
   void send_force(const protocol::Force& force);
   // Whether it asked for the blades' poses, and follows the mesh that they cut.
   bool wants_blades() const { return stage_ == Stage::kOpen && blade_rate_hz_ > 0 && !scratch_; }
@@ -59,6 +61,7 @@ class Session : public std::enable_shared_from_this<Session> {
   asio::awaitable<bool> take_blade(const protocol::Hello& hello, std::uint64_t sequence);
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
+  void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
   void on_subscribe(const protocol::Subscribe& subscribe);
   void on_resync();
   void on_reset(std::uint64_t sequence);
@@ -113,6 +116,10 @@ class Session : public std::enable_shared_from_this<Session> {
   std::deque<Offered> unsettled_;  // messages whose poses the loop has not all counted yet
   std::uint64_t through_sequence_ = 0;
   protocol::PoseReport last_report_;
+
+  // A simulator's, from its first Positions on.
+  std::unique_ptr<PositionsSource> positions_;
+  std::uint64_t positions_taken_ = 0;
 
   // A capture that is replayed for this session alone, and the state that it has come to.
   struct Scratch {

@@ -46,7 +46,7 @@ ONLY_IN = {
     "hidapi": ["server/input", "tests"],
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
     "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
-    "CLI/": ["server/app", "client/cli", "tests"],
+    "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
     "gtest/": ["tests"],
     "benchmark/": ["tests"],
     "flatbuffers/": ["protocol", "tests"],

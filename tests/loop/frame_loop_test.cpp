@@ -439,6 +439,7 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
       case JournalRecord::Kind::kCommit:
         marked[record.revision] = record.state_hash;
         break;
+      case JournalRecord::Kind::kDeform:
       case JournalRecord::Kind::kReset:
       case JournalRecord::Kind::kGap:
       case JournalRecord::Kind::kCheckpoint:

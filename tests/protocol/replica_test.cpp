@@ -300,6 +300,83 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
   }
 }
 
+// Cuts, then a deformation, a cut in the deformed body, a deformation: rest positions are the same whichever of the deltas
+// come as one, and in a snapshot.
+TEST(Replica, RestPositionsBeginWithTheFirstDeformation) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  std::vector<Model> models{box_model(2, 2, 1)};
+  std::vector<OwnedDelta> steps;
+  std::vector<std::vector<double>> rests(1);
+  for (const char kind : {'c', 'c', 'd', 'c', 'd', 'c'}) {
+    Model next = models.back();
+    if (kind == 'c') {
+      mutate(next, random);
+    } else {
+      ++next.revision;
+      for (auto& p : next.positions) p[0] += 0.001 * static_cast<double>(1 + random() % 8);
+    }
+    OwnedDelta step = difference(models.back(), next);
+    step.steps.at(0).stroke = kind == 'c' ? 1 : 0;
+    std::vector<double> rest = rests.back();
+    if (kind == 'd' && rest.empty()) {
+      for (const auto& p : models.back().positions) rest.insert(rest.end(), p.begin(), p.end());
+    } else if (kind == 'c' && !rest.empty()) {
+      rest.resize(3 * next.positions.size());
+      step.rest_ids = step.moved_ids;
+      for (std::size_t v = models.back().positions.size(); v < next.positions.size(); ++v)
+        step.rest_ids.push_back(static_cast<std::uint32_t>(v));
+      for (const std::uint32_t v : step.rest_ids) {
+        for (std::size_t k = 0; k < 3; ++k) {
+          rest[3 * v + k] = 0.01 * static_cast<double>(random() % 100);
+          step.rest_positions.push_back(rest[3 * v + k]);
+        }
+      }
+    }
+    models.push_back(next);
+    steps.push_back(step);
+    rests.push_back(rest);
+  }
+  const auto rest_of = [](const Replica& replica) {
+    return replica.deformed()
+               ? std::vector<double>(replica.rest_positions().begin(), replica.rest_positions().end())
+               : std::vector<double>();
+  };
+  for (std::size_t first = 0; first <= steps.size(); ++first) {
+    for (std::size_t last = first; last <= steps.size(); ++last) {
+      Replica replica = models[0].replica();
+      std::vector<OwnedDelta> chain;
+      for (std::size_t i = 0; i < steps.size(); ++i) {
+        if (i < first || i >= last) {
+          chain.push_back(steps[i]);
+        } else if (i == first) {
+          std::vector<Delta> some;
+          for (std::size_t k = first; k < last; ++k) some.push_back(steps[k].view());
+          chain.push_back(coalesce(std::span<const Delta>(some)));
+        }
+      }
+      for (const OwnedDelta& delta : chain) {
+        const Frame frame = encode(delta.view());
+        const ApplyResult applied = replica.apply(std::get<Delta>(decode(frame.body()).message->body));
+        ASSERT_TRUE(applied) << applied.text;
+        EXPECT_EQ(rest_of(replica), rests[replica.revision()]) << first << " to " << last;
+      }
+      Replica late;
+      ASSERT_TRUE(send_snapshot(replica, late, 5));
+      EXPECT_EQ(rest_of(late), rests.back());
+    }
+  }
+  // Lists that do not fit are refused.
+  Replica replica = models[3].replica();
+  OwnedDelta wrong = steps[3];
+  wrong.rest_ids.push_back(1u << 20);
+  wrong.rest_positions.insert(wrong.rest_positions.end(), {0, 0, 0});
+  EXPECT_EQ(replica.apply(wrong.view()).error, ApplyError::BadIndex);
+  wrong.rest_positions.pop_back();
+  EXPECT_EQ(replica.apply(wrong.view()).error, ApplyError::BadShape);
+}
+
 TEST(Coalesce, RefusesDeltasThatDoNotFollowOnEachOther) {
   const OwnedDelta a = difference(samples::two_tets(0), samples::two_tets(1));
   const OwnedDelta b = difference(samples::two_tets(1), samples::two_tets(2));

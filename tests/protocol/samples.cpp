@@ -99,7 +99,10 @@ Delta coalesced_delta() {
     d.added_ids.push_back(d.first_added + static_cast<std::uint32_t>(i));
   d.removed_vertices = {1, 4};
   d.part_hash = 0x1032547698badcfe;
-  return keep(std::move(d)).view();
+  Delta joined = keep(std::move(d)).view();
+  joined.rest_ids = array<std::uint32_t>({0, 8});
+  joined.rest_positions = array<double>({-0.0011, 0, 0.0001, 0.0044, 0, 0});
+  return joined;
 }
 
 SurfaceDelta surface_delta(SurfaceReplica& surface, std::uint64_t revision) {
@@ -135,6 +138,7 @@ SnapshotChunk whole_chunk() {
                                          writer.chunk().surface_vertices.positions.end()))};
   m.triangles = {array<std::uint32_t>({0, 7}), array<std::uint32_t>({1, 2, 3, 5, 6, 7}),
                  array<std::uint8_t>({1, 0}), array<std::uint32_t>({0, 1}), array<std::int32_t>({7, -2})};
+  m.rest_positions = keep(std::vector<double>(m.positions.size(), 0.125));
   return m;
 }
 
@@ -212,6 +216,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
+      {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
   };
 }
 

@@ -45,6 +45,7 @@ class Page {
   token = sessionStorage.getItem("incise-token") ?? "";
   tool: Tool = "cut";
 
+  private openIsChosen = false;
   private openTimer: ReturnType<typeof setTimeout> | undefined;
   private viewState = { stage: "connecting", text: "Connecting…" };
   private fitted = "";
@@ -141,6 +142,11 @@ class Page {
       case "replay":
         this.onReplay(message.facts);
         break;
+      case "deforms":
+        if (this.openIsChosen) break;
+        input("open").valueAsNumber = 0;
+        this.showOpen();
+        break;
       case "notice":
         this.notice(message.text);
         break;
@@ -148,6 +154,11 @@ class Page {
         this.onDump?.(message.triangles);
         break;
     }
+  }
+
+  private showOpen(): void {
+    this.stage.setOpen(input("open").valueAsNumber, true);
+    element("open-text").textContent = `${Math.round(100 * input("open").valueAsNumber)}%`;
   }
 
   private onFacts(facts: Facts): void {
@@ -385,8 +396,8 @@ class Page {
       element("tilt-text").textContent = `${input("tilt").value}°`;
     });
     on("open", () => {
-      this.stage.setOpen(input("open").valueAsNumber, true);
-      element("open-text").textContent = `${Math.round(100 * input("open").valueAsNumber)}%`;
+      this.openIsChosen = true;
+      this.showOpen();
     });
     element("fit").onclick = () => this.stage.fit();
     element("reset").onclick = () => element<HTMLDialogElement>("reset-dialog").showModal();

@@ -86,5 +86,7 @@ export type FromWorker =
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number }
   | { kind: "replay"; facts: ReplayFacts | null }
+  /** A simulation moves the body: cuts open by themselves. */
+  | { kind: "deforms" }
   | { kind: "notice"; text: string }
   | { kind: "dump"; triangles: Float32Array };

@@ -59,6 +59,7 @@ let capacity = 0; // slots that the page has room for
 let waiting = false; // the page has a patch that it has not applied yet
 let steps: BladeStep[] = [];
 let openingCost_ms = 0;
+let deforms = false;
 let openingTimer: ReturnType<typeof setTimeout> | undefined;
 const progress: Progress = {
   revision: 0, tets: 0, triangles: 0, pieces: 1, hash: "", hashAgrees: true, deltas: 0, bytes: 0,
@@ -182,6 +183,11 @@ function onDelta(delta: SurfaceDelta): void {
   ++progress.deltas;
   for (let i = 0; i < delta.stepsLength(); ++i) {
     const step = delta.steps(i)!;
+    if (step.stroke() === 0) {
+      if (!deforms) post({ kind: "deforms" });
+      deforms = true;
+      continue;
+    }
     const own = step.source() === ownSource && blade?.open === true;
     // In a replay nobody posed.
     progress.posed_ms = replaying ? 0 : Number((own ? step.toSourceNs() : step.arrivalNs() - (view?.clockOffset_ns ?? 0n)) / 1000n) / 1e3;

@@ -165,7 +165,7 @@ int run_cut(const CutCommand& command) {
       const MotionEvent& event = motion.events[i];
       if (event.kind == MotionEvent::Kind::kPose) {
         ++verdicts[static_cast<std::size_t>(session.push(event.source, event.pose))];
-      } else {
+      } else if (event.kind != MotionEvent::Kind::kDeform) {  // which is of the vertices of another mesh
         apply(session, event, config);
       }
       cut_all();

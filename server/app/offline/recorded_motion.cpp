@@ -23,16 +23,16 @@ struct RecordReader {
     check_source(record.source);
     if (motion.gap) return;
     motion.events.push_back(
-        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns});
+        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns, {}, {}});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
     // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
     if (record.action == protocol::StrokeAction::End) {
-      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns});
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns, {}});
     } else if (record.action == protocol::StrokeAction::HandOver) {
-      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
+      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, {}});
     }
   }
   void operator()(const protocol::BladeRecord& record) {
@@ -52,7 +52,10 @@ struct RecordReader {
                        std::to_string(motion.records - 1) + " (" + record.reason + ")";
   }
   void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
-  void operator()(const protocol::PositionsRecord&) {}
+  void operator()(const protocol::PositionsRecord& record) {
+    if (motion.gap) return;
+    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, positions_of(record)});
+  }
   // One replay is of one session: that after the last reset.
   void operator()(const protocol::ResetRecord& record) {
     motion.events.clear();
@@ -123,9 +126,9 @@ std::ifstream open_file(const std::string& name) {
 
 }  // namespace
 
-std::size_t RecordedMotion::poses() const {
-  return static_cast<std::size_t>(std::count_if(
-      events.begin(), events.end(), [](const MotionEvent& e) { return e.kind == MotionEvent::Kind::kPose; }));
+std::size_t RecordedMotion::count(MotionEvent::Kind kind) const {
+  return static_cast<std::size_t>(
+      std::count_if(events.begin(), events.end(), [kind](const MotionEvent& e) { return e.kind == kind; }));
 }
 
 RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
@@ -150,7 +153,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
   motion.has_orientation = text.has_orientation;
   for (const protocol::PoseSample& sample : text.samples) {
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns, {}, {}});
   }
   if (!text.has_orientation) {
     motion.warnings.push_back(name +
@@ -176,6 +179,21 @@ protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
   return reader.header();
 }
 
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record) {
+  auto positions = std::make_shared<core::VertexPositions>();
+  positions->frame = record.frame;
+  positions->revision = record.revision;
+  positions->source_ns = record.source_ns;
+  positions->arrival_ns = record.arrival_ns;
+  positions->ids = record.ids;
+  positions->first = record.first;
+  positions->single = record.single;
+  positions->positions.reserve(record.positions.size() / 3);
+  for (std::size_t i = 0; i + 2 < record.positions.size(); i += 3)
+    positions->positions.push_back({record.positions[i], record.positions[i + 1], record.positions[i + 2]});
+  return positions;
+}
+
 const core::Blade& blade_of(const Config& config, std::uint32_t source) {
   return source < config.sources.size() ? config.sources[source].blade : config.cut.blade;
 }
@@ -199,6 +217,9 @@ void apply(core::CutSession& session, const MotionEvent& event, const Config& co
       break;
     case MotionEvent::Kind::kOpened:
       session.set_blade(event.source, event.blade ? *event.blade : blade_of(config, event.source));
+      break;
+    case MotionEvent::Kind::kDeform:
+      session.deform(event.positions);
       break;
   }
 }

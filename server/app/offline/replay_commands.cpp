@@ -239,7 +239,12 @@ int run_convert(const ConvertCommand& command) {
         record.kind = loop::JournalRecord::Kind::kOpened;
         record.blade = event.blade ? *event.blade : blade_of(config, event.source);
       }
-      used[event.source] = true;
+      if (event.kind == MotionEvent::Kind::kDeform) {
+        if (!command.mesh.empty()) continue;  // of another mesh's vertices
+        record.kind = loop::JournalRecord::Kind::kDeform;
+        record.positions = event.positions;
+      }
+      used[event.source] = used[event.source] || event.kind != MotionEvent::Kind::kDeform;
       apply(session, event, config);
       capture.write(record);
       commit_all();
