@@ -300,7 +300,8 @@ void run_server(const Config& config, bool resume) {
               place(server.http_port()).c_str(), network.place(config).c_str());
   std::fflush(stdout);
   if (capture) spdlog::info("recording to {}", config.resolve(config.capture.path).string());
-  spdlog::info("ready: {} frames a second; Ctrl-C ends", config.loop.rate_hz);
+  spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config.loop.rate_hz,
+               static_cast<double>(input::monotonic_ns() - started) * 1e-9);
 
   Watch watch(frames.stats());
   const char* signal = nullptr;
