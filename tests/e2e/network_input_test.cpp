@@ -146,7 +146,7 @@ TEST_F(NetworkInput, AnOpenIgtLinkServerThatWeConnectToCutsTheLiverInTwo) {
   tracker.signal(SIGKILL);
   ASSERT_TRUE(settled(kPoses)) << stats();
   EXPECT_EQ(pieces(), 2u);
-  EXPECT_EQ(stats()["openigtlink"]["peers"][0]["connected"], false);
+  EXPECT_TRUE(eventually([&] { return stats()["openigtlink"]["peers"][0]["connected"] == false; }));
   stop_and_replay();
 }
 

@@ -36,11 +36,12 @@ std::unique_ptr<protocol::SurfaceReplica> surface_of(
 std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, const Placement& peers,
                                        const std::string& device) {
   constexpr std::string_view kNames("piece\0cut\0", 10);  // of an even length, or a zero would follow
-  constexpr std::uint16_t kCellScalar = 0x1001;           // one component
+  // Of one component. Of cells the library's readers would take nine each, and so read beyond the message.
+  constexpr std::uint16_t kPointScalar = 0x0001;
   const auto points = static_cast<std::uint32_t>(surface.vertices().size());
   const auto cells = static_cast<std::uint32_t>(surface.triangles().size());
   Writer message("POLYDATA", device, timestamp_now(),
-                 62 + std::size_t{12} * points + std::size_t{24} * cells);
+                 62 + std::size_t{20} * points + std::size_t{16} * cells);
   // Points; vertices, lines, polygons, strips, each with a number of cells and of bytes; attributes.
   for (const std::uint32_t count : {points, 0U, 0U, 0U, 0U, cells, 16 * cells, 0U, 0U, 2U})
     message.number(count);
@@ -52,19 +53,24 @@ std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, 
     for (const double x : {p.x, p.y, p.z}) message.number(static_cast<float>(x));
     index.emplace(id, static_cast<std::uint32_t>(index.size()));
   }
+  // A vertex lies in one piece: its tetrahedra hang together by faces.
+  std::vector<float> piece(points), cut(points);
   for (const auto& [id, triangle] : surface.triangles()) {
     message.number(std::uint32_t{3});
-    for (const std::uint32_t vertex : triangle.vertices) message.number(index.at(vertex));
+    for (const std::uint32_t vertex : triangle.vertices) {
+      const std::uint32_t i = index.at(vertex);
+      message.number(i);
+      piece[i] = static_cast<float>(triangle.piece);
+      if (triangle.flags & protocol::kTriangleCut) cut[i] = 1;
+    }
   }
   for (int attribute = 0; attribute < 2; ++attribute) {
-    message.number(kCellScalar);
-    message.number(cells);
+    message.number(kPointScalar);
+    message.number(points);
   }
   message.text(kNames, kNames.size());
-  for (const auto& [id, triangle] : surface.triangles()) message.number(static_cast<float>(triangle.piece));
-  for (const auto& [id, triangle] : surface.triangles()) {
-    message.number((triangle.flags & protocol::kTriangleCut) != 0 ? 1.0F : 0.0F);
-  }
+  for (const float value : piece) message.number(value);
+  for (const float value : cut) message.number(value);
   return message.done();
 }
 

@@ -17,7 +17,7 @@ std::unique_ptr<protocol::SurfaceReplica> surface_of(
     std::span<const std::shared_ptr<const protocol::Frame>> frames, std::string& error);
 
 // A POLYDATA message: the triangles, their vertices in the units and axes of `peers` (the placement of the peers' space
-// in the world), and for each triangle the scalars `piece` and `cut` (1 where the blade made it). O(surface).
+// in the world), and for each vertex the scalars `piece` and `cut` (1 where a triangle at it was made by the blade). O(surface log surface).
 std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, const Placement& peers,
                                        const std::string& device);
 

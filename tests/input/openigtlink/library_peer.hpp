@@ -171,14 +171,16 @@ class LibraryPeer {
 // What a POLYDATA message says.
 struct SurfaceSeen {
   bool good = false;
-  std::size_t points = 0, triangles = 0, cut = 0;
+  std::size_t points = 0, triangles = 0;
+  std::size_t cut = 0;  // of the points
   std::set<float> pieces;
   float low[3] = {1e9F, 1e9F, 1e9F}, high[3] = {-1e9F, -1e9F, -1e9F};
 };
 
 inline SurfaceSeen seen(igtl::PolyDataMessage& message) {
   SurfaceSeen surface;
-  surface.good = message.GetPoints() && message.GetPolygons() && message.GetNumberOfAttributes() == 2;
+  surface.good = message.GetPoints() && message.GetPolygons() && message.GetNumberOfAttributes() == 2 &&
+                 message.GetAttribute(0)->GetSize() == message.GetAttribute(1)->GetSize();
   if (!surface.good) return surface;
   surface.points = static_cast<std::size_t>(message.GetPoints()->GetNumberOfPoints());
   surface.triangles = message.GetPolygons()->GetNumberOfCells();
@@ -189,17 +191,18 @@ inline SurfaceSeen seen(igtl::PolyDataMessage& message) {
       surface.low[axis] = std::min(surface.low[axis], p[axis]);
       surface.high[axis] = std::max(surface.high[axis], p[axis]);
     }
+    float piece = -1, cut = -1;
+    message.GetAttribute(0)->GetNthData(i, &piece);
+    message.GetAttribute(1)->GetNthData(i, &cut);
+    surface.pieces.insert(piece);
+    surface.cut += cut == 1;
+    surface.good = surface.good && (cut == 0 || cut == 1);
   }
   for (unsigned i = 0; i < surface.triangles; ++i) {
     igtlUint32 corners[3] = {};
     surface.good = surface.good && message.GetPolygons()->GetCellSize(i) == 3;
     message.GetPolygons()->GetCell(i, corners);
     for (const igtlUint32 corner : corners) surface.good = surface.good && corner < surface.points;
-    float piece = -1, cut = -1;
-    message.GetAttribute(0)->GetNthData(i, &piece);
-    message.GetAttribute(1)->GetNthData(i, &cut);
-    surface.pieces.insert(piece);
-    surface.cut += cut == 1;
   }
   surface.good = surface.good && std::string(message.GetAttribute(0)->GetName()) == "piece" &&
                  std::string(message.GetAttribute(1)->GetName()) == "cut";
