@@ -124,7 +124,7 @@ int main(int argc, char** argv) {
   app.add_option("--substeps", settings.substeps, "in each of them (8)")->check(CLI::Range(1, 100));
   app.add_option("--young", settings.material.young_pa, "stiffness, Pa (4000)")->check(CLI::Range(10.0, 1e7));
   app.add_option("--shrink", settings.material.shrink,
-                 "tension: lengths are so much shorter without stress (0.1)")
+                 "tension: lengths are so much shorter without stress (0.12)")
       ->check(CLI::Range(0.0, 0.5));
   app.add_option("--gravity", settings.material.gravity_m_s2, "against z, m/s2 (9.81)")
       ->check(CLI::Range(-100.0, 100.0));

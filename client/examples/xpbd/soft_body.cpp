@@ -26,16 +26,16 @@ Vector cross(const Vector& a, const Vector& b) {
   return __builtin_shuffle(a * __builtin_shuffle(b, kNext) - __builtin_shuffle(a, kNext) * b, kNext);
 }
 
-// Shorter and flatter than this, in cubes of its longest edge, a tetrahedron has no stiffness.
-constexpr float kFlat = 1e-3f;
+// Six volumes, in cubes of the longest edge: below the first a tetrahedron has no stiffness, below the second it is a
+// sliver. A regular one has 0.7.
+constexpr float kFlat = 1e-3f, kSliver = 0.1f;
 
 }  // namespace
 
 bool SoftBody::is_held(const Vector& rest) const {
   const auto size = high_ - low_;
   const float ends = static_cast<float>(material_.held_ends) * size[0];
-  const bool behind = rest[1] > high_[1] - static_cast<float>(material_.held_back) * size[1];
-  return (behind && rest[2] < low_[2] + 0.5f * size[2]) || rest[0] < low_[0] + ends ||
+  return rest[2] < low_[2] + static_cast<float>(material_.held_below) * size[2] || rest[0] < low_[0] + ends ||
          rest[0] > high_[0] - ends;
 }
 
@@ -73,7 +73,8 @@ void SoftBody::set_tet(const Replica& mesh, std::uint32_t id) {
     for (std::size_t i = 0; i < 3; ++i) {
       for (std::size_t k = 0; k < 3; ++k) tet.inverse[3 * i + k] = rows[i][k] / six_volumes;
     }
-    tet.per_volume = 6 / six_volumes;
+    // A sliver is as stiff as if it were thicker, or it would be the first to invert.
+    tet.per_volume = 6 / std::max(six_volumes, kSliver * cube);
   }
   tet.mass_kg =
       static_cast<float>(material_.density_kg_m3) * std::max(std::abs(six_volumes), kFlat * cube) / 6;

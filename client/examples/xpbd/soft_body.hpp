@@ -14,11 +14,12 @@ struct Material {
   double young_pa = 4000;  // of soft tissue, a few kilopascals
   double poisson = 0.45;   // nearly incompressible
   double density_kg_m3 = 1050;
-  double shrink = 0.1;  // stress-free lengths are so much shorter than those of the mesh: it is under tension
+  double shrink =
+      0.12;  // stress-free lengths are so much shorter than those of the mesh: it is under tension
   double damping_per_s = 3;    // velocities fall by e in 1/3 s
   double gravity_m_s2 = 9.81;  // against z
-  // Held where, at rest, it is in this part of its extent from behind (y) and in its lower half, or at one of its ends (x).
-  double held_back = 0.2, held_ends = 0.04;
+  // Held where, at rest, it is in this part of its height from below, or at one of its ends along x.
+  double held_below = 0.15, held_ends = 0.04;
 };
 
 // A soft body on the tetrahedra that a server cuts: extended position based dynamics (XPBD; Macklin, Müller and Chentanez
