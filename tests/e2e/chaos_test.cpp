@@ -47,6 +47,9 @@ class Wanderer {
   // of one. False where a part of the state did not fit.
   bool visit(std::uint64_t messages, bool lies, std::size_t more_bytes) {
     connect(lies);
+    // Half of the visits last until the state is whole.
+    while (messages % 2 == 0 && awaits_snapshot_)
+      if (!take_one()) return false;
     // So that as much comes also where nothing is cut meanwhile.
     for (std::uint64_t i = 0; i < messages + 2; ++i) peer_->send(protocol::Ping{i, 0}, 2 + i);
     for (; messages > 0; --messages)
