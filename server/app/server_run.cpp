@@ -145,7 +145,7 @@ class NetworkSources {
     return all;
   }
   // For the line that says where the server listens; empty: nowhere.
-  std::string place(const Config& config) const {
+  std::string place([[maybe_unused]] const Config& config) const {
 #ifdef INCISE_OPENIGTLINK
     if (openigtlink_ && openigtlink_->port() != 0)
       return " openigtlink=" + config.openigtlink.address + ":" + std::to_string(openigtlink_->port());

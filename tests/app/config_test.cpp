@@ -148,8 +148,8 @@ const Malformed kMalformed[] = {
     {"{\"\": {}}", {"unknown key \"\""}},
     {"{\"loop.rate_hz\": 1000}", {"unknown key \"loop.rate_hz\""}},
     {"{\"blade\": {\"heel\": [0,0,0], \"point\": [0,0,1]}}", {"unknown key \"blade.point\"", "tip"}},
-    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"\"cpu\"", "twice"}},
-    {"{\"log\": {}, \"log\": {}}", {"\"log\"", "twice"}},
+    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"cpu: found", "twice"}},
+    {"{\"log\": {}, \"log\": {}}", {"log: found", "twice"}},
     // A section that is none.
     {"{\"loop\": 1000}", {"loop", "1000", "object"}},
     {"{\"mesh\": \"liver.node\"}", {"mesh", "liver.node", "object"}},

@@ -144,10 +144,13 @@ struct HaplyInput::Impl {
       } else if (!stopping) {
         co_await wait(kNoDevice);
       }
+      if (stopping) break;
       if (std::string failed = co_await command(ws, first); !failed.empty()) co_return failed;
       first = false;
       if (++turns % 64 == 1 || device.empty()) publish();
     }
+    // The last word: no force.
+    if (!device.empty()) co_await command(ws, false);
     co_return std::string("ended");
   }
 

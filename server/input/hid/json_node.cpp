@@ -32,7 +32,7 @@ nlohmann::ordered_json parse_json(std::string_view text, const std::string& file
     throw std::runtime_error(file + ": not JSON: " + what);
   }
   if (!twice.empty()) {
-    throw std::runtime_error(file + ": \"" + twice + "\": found twice in one object; accepted is once");
+    throw std::runtime_error(file + ": " + twice + ": found twice in one object; accepted is once");
   }
   return root;
 }

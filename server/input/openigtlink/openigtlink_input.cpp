@@ -418,8 +418,9 @@ struct OpenIgtLinkInput::Impl {
     ++counts.connections;
     events.write(spdlog::level::info, "openigtlink: " + peer->name + " connected");
     if (ask && options.ask_for != "nothing") {
-      // As fast as it can, in its own coordinates: 0 ms, and no name of a system.
-      const std::vector<std::uint8_t> body(36);
+      // A frame each millisecond at most (0 would mean: as fast as it can), in its own coordinates.
+      std::vector<std::uint8_t> body(36);
+      body[3] = 1;
       peer->send(options.ask_for == "TDATA" ? "STT_TDATA" : "STT_QTDATA", body);
     }
     try {

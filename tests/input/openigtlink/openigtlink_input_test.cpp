@@ -322,7 +322,7 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
     ask->AllocatePack();
     socket->Receive(ask->GetPackBodyPointer(), ask->GetPackBodySize());
     EXPECT_TRUE(ask->Unpack(1) & igtl::MessageHeader::UNPACK_BODY);
-    EXPECT_EQ(ask->GetResolution(), 0);
+    EXPECT_EQ(ask->GetResolution(), 1);  // ms
     const Packed bytes = tests::tdata({{"Channel 0"}}, t_ns);
     socket->Send(bytes.data(), static_cast<int>(bytes.size()));
     ASSERT_TRUE(stream::eventually([&] { return count("poses") > 0; }));
