@@ -1,6 +1,7 @@
 #include "protocol/coalesce.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <map>
 #include <stdexcept>
 
@@ -21,7 +22,10 @@ struct Place {
 using Places = std::map<std::uint32_t, Place>;
 
 void note(Places& places, std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
-  for (std::size_t i = 0; i < ids.size(); ++i) places[ids[i]] = {delta, i, removed};
+  // Ids ascend, and those of one deformation after the other are the same: each is next to the one before.
+  auto next = places.begin();
+  for (std::size_t i = 0; i < ids.size(); ++i)
+    next = std::next(places.insert_or_assign(next, ids[i], Place{delta, i, removed}));
 }
 
 template <class D>

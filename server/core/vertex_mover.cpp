@@ -11,9 +11,10 @@ namespace {
 
 // Six times the volume below which a tetrahedron is flat, in cubes of the local edge length. A regular one has 0.7.
 constexpr double kThinnest = 1e-3;
-// Elements between two looks at the budget; how many of them are a unit of work.
-constexpr std::size_t kChunk = 256;
-constexpr std::int64_t kPerUnit = 4;
+// Elements between two looks at the budget, and what they cost: a number or a tetrahedron of four places a quarter of a
+// unit of work, a star five units.
+constexpr std::size_t kChunk = 64;
+constexpr std::int64_t kSmall = 1, kStar = 20;  // quarters of a unit
 // A new grid is larger than the body by this part of its largest extent on all sides.
 constexpr double kRoom = 0.25;
 
@@ -23,11 +24,11 @@ double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
 
 // Calls work(i) for i from `next` on, until `end` (true) or until the budget is spent (false).
 template <class Work>
-bool in_chunks(std::size_t& next, std::size_t end, WorkBudget& budget, Work work) {
+bool in_chunks(std::size_t& next, std::size_t end, WorkBudget& budget, std::int64_t cost, Work work) {
   while (next < end) {
     if (budget.spent()) return false;
     const std::size_t stop = std::min(next + kChunk, end);
-    budget.charge(1 + static_cast<std::int64_t>(stop - next) / kPerUnit);
+    budget.charge(1 + cost * static_cast<std::int64_t>(stop - next) / 4);
     for (; next < stop; ++next) work(next);
   }
   next = 0;
@@ -55,6 +56,7 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   const std::size_t vertices = mesh_.vertex_slots();
   wanted_.resize(vertices, 0);
   clinging_.resize(vertices, 0);
+  gives_way_.resize(vertices, 0);
   reach_.resize(vertices, kStays);
   target_.resize(vertices);
   for (const VertexId v : clinging) clinging_[v] = serial_;
@@ -75,6 +77,9 @@ bool VertexMover::advance(WorkBudget& budget) {
     switch (phase_) {
       case Phase::kTake:
         take(budget);
+        break;
+      case Phase::kLook:
+        look(budget);
         break;
       case Phase::kCheck:
         check(budget);
@@ -111,7 +116,7 @@ Vec3 VertexMover::at(VertexId v) const {
 
 void VertexMover::take(WorkBudget& budget) {
   const auto& entries = positions_->positions;
-  const bool done = in_chunks(next_, entries.size(), budget, [&](std::size_t i) {
+  const bool done = in_chunks(next_, entries.size(), budget, kSmall, [&](std::size_t i) {
     const VertexId v = positions_->id(i);
     const Vec3& p = entries[i];
     if (v >= mesh_.vertex_slots() || mesh_.vertex_tet(v) == kNone || known_since_[v] > positions_->revision) {
@@ -133,38 +138,38 @@ void VertexMover::take(WorkBudget& budget) {
   if (!done) return;
   // A pass over all tetrahedra in their order is quicker than the stars of most vertices, each of which is in four.
   all_tets_ = moving_.size() > mesh_.tet_slots() / 16;
-  phase_ = Phase::kCheck;
-  if (all_tets_) return;
-  look_around(moving_);
+  search_ = ++workspace_.serial;
+  phase_ = all_tets_ ? Phase::kCheck : Phase::kLook;
 }
 
 // ------------------------------------------------------------------------------------------------ how far
 
-// The tetrahedra around these vertices are to be checked, each once.
-void VertexMover::look_around(const std::vector<VertexId>& vertices) {
-  to_check_.clear();
-  const std::uint32_t search = ++workspace_.serial;
-  for (const VertexId v : vertices) {
-    mesh_.star(v, star_);
-    for (const std::uint32_t corner : star_) {
-      const TetId t = corner >> 2;
-      if (workspace_.seen[t] == search) continue;
-      workspace_.seen[t] = search;
-      to_check_.push_back(t);
-    }
+// The tetrahedra around v are to be checked, each once.
+void VertexMover::look_around(VertexId v) {
+  mesh_.star(v, star_);
+  for (const std::uint32_t corner : star_) {
+    const TetId t = corner >> 2;
+    if (workspace_.seen[t] == search_) continue;
+    workspace_.seen[t] = search_;
+    to_check_.push_back(t);
   }
 }
 
+void VertexMover::look(WorkBudget& budget) {
+  if (in_chunks(next_, moving_.size(), budget, kStar, [this](std::size_t i) { look_around(moving_[i]); }))
+    phase_ = Phase::kCheck;
+}
+
 void VertexMover::check(WorkBudget& budget) {
-  const bool done = all_tets_ ? in_chunks(next_, mesh_.tet_slots(), budget,
-                                          [this](std::size_t t) {
-                                            if (mesh_.alive(static_cast<TetId>(t)))
-                                              check_tet(static_cast<TetId>(t));
-                                          })
-                              : in_chunks(next_, to_check_.size(), budget,
-                                          [this](std::size_t i) { check_tet(to_check_[i]); });
+  const std::size_t count = all_tets_ ? mesh_.tet_slots() : to_check_.size();
+  const bool done = in_chunks(next_, count, budget, kSmall, [this](std::size_t i) {
+    const TetId t = all_tets_ ? static_cast<TetId>(i) : to_check_[i];
+    if (mesh_.alive(t)) check_tet(t);
+  });
   if (!done) return;
   all_tets_ = false;
+  to_check_.clear();
+  search_ = ++workspace_.serial;
   phase_ = too_far_.empty() ? Phase::kSettle : Phase::kYield;
 }
 
@@ -178,25 +183,26 @@ void VertexMover::check_tet(TetId t) {
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
   if (then >= now && orient3d(p[0], p[1], p[2], p[3]) > 0) return;
   for (const VertexId w : v) {
-    if (wanted(w) && reach_[w] != kStays) too_far_.push_back(w);
+    if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == search_) continue;
+    gives_way_[w] = search_;
+    too_far_.push_back(w);
   }
 }
 
 void VertexMover::yield(WorkBudget& budget) {
-  std::sort(too_far_.begin(), too_far_.end());
-  too_far_.erase(std::unique(too_far_.begin(), too_far_.end()), too_far_.end());
-  for (const VertexId v : too_far_) {
+  const bool done = in_chunks(next_, too_far_.size(), budget, kStar, [this](std::size_t i) {
+    const VertexId v = too_far_[i];
     if (reach_[v] == kFull) held_.push_back(v);
     --reach_[v];
-  }
-  look_around(too_far_);
-  budget.charge(static_cast<std::int64_t>(8 * too_far_.size()));
+    look_around(v);
+  });
+  if (!done) return;
   too_far_.clear();
   phase_ = Phase::kCheck;
 }
 
 void VertexMover::settle(WorkBudget& budget) {
-  const bool done = in_chunks(next_, moving_.size(), budget, [this](std::size_t i) {
+  const bool done = in_chunks(next_, moving_.size(), budget, kSmall, [this](std::size_t i) {
     const VertexId v = moving_[i];
     if (reach_[v] == kStays) return;
     const Vec3 to = at(v);
@@ -212,7 +218,7 @@ void VertexMover::settle(WorkBudget& budget) {
   boundary_.clear();
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = {-INFINITY, -INFINITY, -INFINITY};
-  if (rebuilt_) search_ = ++workspace_.serial;
+  search_ = ++workspace_.serial;
   phase_ = rebuilt_ ? Phase::kCollect : Phase::kFollow;
 }
 
@@ -226,7 +232,7 @@ void VertexMover::enter(BoundaryGrid& grid, TetId t) const {
 
 void VertexMover::follow(WorkBudget& budget) {
   BoundaryGrid& grid = workspace_.grid;
-  const bool done = in_chunks(next_, moved_.size(), budget, [&](std::size_t i) {
+  const bool done = in_chunks(next_, moved_.size(), budget, kSmall, [&](std::size_t i) {
     if (!grid.leaves_anchor(mesh_, moved_[i], moved_positions_[i])) return;
     mesh_.star(moved_[i], star_);
     for (const std::uint32_t corner : star_) {
@@ -239,7 +245,7 @@ void VertexMover::follow(WorkBudget& budget) {
 // The tetrahedra on the boundary, in the order in which the grid that there is has them, and a box around them.
 void VertexMover::collect(WorkBudget& budget) {
   const BoundaryGrid& old = workspace_.grid;
-  const bool done = in_chunks(next_, old.entries(), budget, [&](std::size_t i) {
+  const bool done = in_chunks(next_, old.entries(), budget, kSmall, [&](std::size_t i) {
     const TetId t = old.entry(i);
     if (workspace_.seen[t] == search_ || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
     workspace_.seen[t] = search_;
@@ -260,7 +266,7 @@ void VertexMover::collect(WorkBudget& budget) {
 
 void VertexMover::rebuild(WorkBudget& budget) {
   const std::size_t count = boundary_.size();
-  const bool done = in_chunks(next_, count + mesh_.vertex_slots(), budget, [&](std::size_t i) {
+  const bool done = in_chunks(next_, count + mesh_.vertex_slots(), budget, kSmall, [&](std::size_t i) {
     if (i < count) {
       enter(grid_, boundary_[i]);
     } else {

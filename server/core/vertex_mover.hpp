@@ -39,12 +39,13 @@ class VertexMover {
  private:
   friend struct SessionFields;  // session_state.cpp
 
-  enum class Phase { kTake, kCheck, kYield, kSettle, kCollect, kRebuild, kFollow, kReady };
+  enum class Phase { kTake, kLook, kCheck, kYield, kSettle, kCollect, kRebuild, kFollow, kReady };
   // How much of its way a vertex goes; between the two, half.
   static constexpr std::uint8_t kStays = 0, kFull = 2;
 
   void take(WorkBudget& budget);
-  void look_around(const std::vector<VertexId>& vertices);
+  void look(WorkBudget& budget);
+  void look_around(VertexId v);
   void check(WorkBudget& budget);
   void check_tet(TetId t);
   void yield(WorkBudget& budget);
@@ -64,12 +65,14 @@ class VertexMover {
   Phase phase_ = Phase::kReady;
   std::size_t next_ = 0;
   std::uint32_t serial_ = 0;
-  std::vector<std::uint32_t> wanted_;    // by vertex: the step that wants to move it
-  std::vector<std::uint32_t> clinging_;  // by vertex: the step in which it clings to a blade
-  std::vector<std::uint8_t> reach_;      // by vertex, while it is wanted
-  std::vector<Vec3> target_;             // by vertex, while it is wanted
-  std::vector<VertexId> moving_;         // wanted, ascending
-  bool all_tets_ = false;                // the first round looks at all instead of at stars
+  std::vector<std::uint32_t> wanted_;     // by vertex: the step that wants to move it
+  std::vector<std::uint32_t> clinging_;   // by vertex: the step in which it clings to a blade
+  std::vector<std::uint32_t> gives_way_;  // by vertex: the search that found that it goes too far
+  std::uint32_t search_ = 0;              // through tetrahedra, that is under way
+  std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted
+  std::vector<Vec3> target_;              // by vertex, while it is wanted
+  std::vector<VertexId> moving_;          // wanted, ascending
+  bool all_tets_ = false;                 // the first round looks at all instead of at stars
   std::vector<TetId> to_check_;
   std::vector<VertexId> too_far_;
   std::uint32_t passed_over_ = 0;
@@ -79,7 +82,6 @@ class VertexMover {
   std::uint64_t hash_change_ = 0;
   Vec3 low_, high_;  // a box around the boundary, for a new grid
   std::vector<TetId> boundary_;
-  std::uint32_t search_ = 0;  // that finds the boundary
   bool rebuilt_ = false;
   BoundaryGrid grid_;
   std::vector<std::uint32_t> star_;
