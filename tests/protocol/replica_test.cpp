@@ -363,7 +363,7 @@ TEST(Replica, RestPositionsBeginWithTheFirstDeformation) {
         EXPECT_EQ(rest_of(replica), rests[replica.revision()]) << first << " to " << last;
       }
       Replica late;
-      ASSERT_TRUE(send_snapshot(replica, late, 5));
+      ASSERT_TRUE(send(replica, late, 5));
       EXPECT_EQ(rest_of(late), rests.back());
     }
   }

@@ -23,16 +23,16 @@ struct RecordReader {
     check_source(record.source);
     if (motion.gap) return;
     motion.events.push_back(
-        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns, {}, {}});
+        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
     // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
     if (record.action == protocol::StrokeAction::End) {
-      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns, {}});
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns});
     } else if (record.action == protocol::StrokeAction::HandOver) {
-      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, {}});
+      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
     }
   }
   void operator()(const protocol::BladeRecord& record) {
@@ -54,7 +54,7 @@ struct RecordReader {
   void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
   void operator()(const protocol::PositionsRecord& record) {
     if (motion.gap) return;
-    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, positions_of(record)});
+    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, {}, positions_of(record)});
   }
   // One replay is of one session: that after the last reset.
   void operator()(const protocol::ResetRecord& record) {
@@ -153,7 +153,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
   motion.has_orientation = text.has_orientation;
   for (const protocol::PoseSample& sample : text.samples) {
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns, {}, {}});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
   }
   if (!text.has_orientation) {
     motion.warnings.push_back(name +

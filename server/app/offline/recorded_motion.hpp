@@ -21,8 +21,8 @@ struct MotionEvent {
   core::Pose pose;
   std::int64_t arrival_ns =
       0;  // at the server that recorded it, its clock; of a text motion the pose's own time
-  std::optional<core::Blade> blade;                        // of kOpened: its own, else the configuration's
-  std::shared_ptr<const core::VertexPositions> positions;  // of kDeform
+  std::optional<core::Blade> blade = std::nullopt;  // of kOpened: its own, else the configuration's
+  std::shared_ptr<const core::VertexPositions> positions = nullptr;  // of kDeform
 };
 
 // A motion from a file, whatever its format.
