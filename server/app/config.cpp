@@ -1,7 +1,6 @@
 #include "server/app/config.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <fstream>
 #include <functional>
@@ -10,10 +9,14 @@
 #include <set>
 #include <sstream>
 
+#include "server/input/hid/json_node.hpp"
+
 namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
+using input::shown;
+using input::text_of;
 
 constexpr std::size_t kMaxConfigBytes = 1u << 20;
 
@@ -31,16 +34,6 @@ struct Key {
   std::string leaf() const { return name.substr(name.find('.') + 1); }
 };
 
-// The fewest digits that mean the same number: 0.6, 4000, 1e-09.
-std::string text_of(double number) {
-  char text[32];
-  return {text, std::to_chars(text, text + sizeof text, number).ptr};
-}
-
-std::string text_of(std::int64_t number) {
-  return std::to_string(number);
-}
-
 template <class Field>
 Key number(std::string name, Field field, double least, double most, std::string meaning) {
   return {std::move(name), "a number from " + text_of(least) + " to " + text_of(most), std::move(meaning),
@@ -57,8 +50,8 @@ Key number(std::string name, Field field, double least, double most, std::string
 template <class Field>
 Key integer(std::string name, Field field, std::int64_t least, std::int64_t most, std::string meaning) {
   return {
-      std::move(name), "a whole number from " + text_of(least) + " to " + text_of(most), std::move(meaning),
-      [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
+      std::move(name), "a whole number from " + std::to_string(least) + " to " + std::to_string(most),
+      std::move(meaning), [field](const Config& c) { return Json(field(const_cast<Config&>(c))); },
       [=](Config& c, const Json& value) {
         if (!value.is_number_integer()) return false;
         if (value.is_number_unsigned() && value.get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX))
@@ -470,46 +463,10 @@ constexpr const char* kMaterialsMeaning =
   throw ConfigError(file + ": " + key + ": found " + found + "; accepted is " + accepted);
 }
 
-std::string shown(const Json& value) {
-  std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
-  if (text.size() > 80) text = text.substr(0, 77) + "...";
-  return text;
-}
-
 std::string joined(const std::set<std::string>& names) {
   std::string list;
   for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
   return list;
-}
-
-// Refuses a key that stands twice in one object: JSON leaves open which of the two counts.
-Json parse_json(std::string_view text, const std::string& file) {
-  std::vector<std::set<std::string>> open;
-  std::string twice;
-  const auto watch = [&](int, Json::parse_event_t event, Json& parsed) {
-    if (event == Json::parse_event_t::object_start) open.emplace_back();
-    if (event == Json::parse_event_t::object_end) open.pop_back();
-    if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second &&
-        twice.empty()) {
-      twice = parsed.get<std::string>();
-    }
-    return true;
-  };
-  Json root;
-  try {
-    root = Json::parse(text, watch, true, true);
-  } catch (const nlohmann::json::exception& error) {
-    // "[json.exception.parse_error.101] parse error at line 3, column 5: ..."
-    std::string what = error.what();
-    if (const auto at = what.find("] "); at != std::string::npos) what = what.substr(at + 2);
-    for (char& c : what) {
-      if (static_cast<unsigned char>(c) < ' ') c = ' ';
-    }
-    throw ConfigError(file + ": not JSON: " + what);
-  }
-  if (!twice.empty())
-    throw ConfigError(file + ": the key \"" + twice + "\" stands twice in one object; accepted is once");
-  return root;
 }
 
 void read_sources(Config& config, const Json& value, const std::string& file) {
@@ -620,7 +577,12 @@ std::filesystem::path Config::resolve(const std::string& path) const {
 }
 
 Config parse_config(std::string_view text, const std::string& name) {
-  const Json root = parse_json(text, name);
+  Json root;
+  try {
+    root = input::parse_json(text, name);
+  } catch (const std::runtime_error& error) {
+    throw ConfigError(error.what());
+  }
   if (!root.is_object()) throw ConfigError(name + ": found " + shown(root) + "; accepted is a JSON object");
   std::set<std::string> sections{"sources", "materials"};
   for (const Key& key : keys()) sections.insert(key.section());

@@ -65,7 +65,8 @@ expect 2 "unknown preset 'fuzz'; the presets are release debug" test fuzz
 expect 2 "unknown preset '../..'" clean ../..
 expect 2 "build takes one preset" build debug asan
 expect 2 "--minutes takes a whole number from 1; found '0.5'" fuzz --minutes 0.5
-expect 2 "unknown argument '--twice' of demo" demo --twice
+expect 2 "unknown arguments '--twice' of demo" demo --twice
+expect 2 "unknown arguments '--once --still' of demo" demo --once --still
 expect 2 "lint takes no argument" lint server
 
 # Presets and ctest's arguments go through; a passed test prints nothing of its own, ctest's last line stays.
@@ -146,7 +147,7 @@ expect_server_gone() {
 # Starts a demo whose motion takes a minute, in the background, its process id in $!, and waits until it plays.
 begin_demo() {
   : > "$CALLS"
-  MOTION_S=60 "$work/dev" demo --motion > /dev/null 2>&1 &
+  MOTION_S=60 "$work/dev" demo > /dev/null 2>&1 &
   local tick
   for ((tick = 0; tick < 200; tick++)); do
     grep -q '^incise stream' "$CALLS" && return
@@ -167,7 +168,7 @@ kill -TERM "$!"
 wait "$!" || { echo "the demo ended with $? at a TERM"; failures=$((failures + 1)); }
 # Without a motion it only waits.
 : > "$CALLS"
-"$work/dev" demo > "$work/demo.out" 2>&1 &
+"$work/dev" demo --still > "$work/demo.out" 2>&1 &
 for ((tick = 0; tick < 200; tick++)); do
   if grep -q "http://127.0.0.1:$http_port/" "$work/demo.out"; then break; fi
   sleep 0.1

@@ -335,7 +335,12 @@ double RateShape::speed(double deflection) const noexcept {
 }
 
 DeviceProfile parse_profile(std::string_view text, const std::string& name) {
-  const JsonNode::Json json = JsonNode::parse(text, name);
+  JsonNode::Json json;
+  try {
+    json = parse_json(text, name);
+  } catch (const std::runtime_error& error) {
+    throw ProfileError(error.what());
+  }
   const JsonNode root(json, "", name);
   root.only({"name", "vendor", "product", "usage_page", "usage", "interface", "report", "rate_hz", "counter",
              "clock", "tools", "world", "start", "stop", "force"});

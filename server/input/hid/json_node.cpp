@@ -6,24 +6,16 @@
 #include "server/input/hid/device_profile.hpp"
 
 namespace incise::input {
-namespace {
-
-// The fewest digits that mean the same number.
-std::string shown(double number) {
-  char text[32];
-  return {text, std::to_chars(text, text + sizeof text, number).ptr};
-}
-
-}  // namespace
-
-JsonNode::Json JsonNode::parse(std::string_view text, const std::string& file) {
+nlohmann::ordered_json parse_json(std::string_view text, const std::string& file) {
+  using Json = nlohmann::ordered_json;
   std::vector<std::set<std::string>> open;
   std::string twice;
   const auto watch = [&](int, Json::parse_event_t event, Json& parsed) {
     if (event == Json::parse_event_t::object_start) open.emplace_back();
     if (event == Json::parse_event_t::object_end) open.pop_back();
-    if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second) {
-      if (twice.empty()) twice = parsed.get<std::string>();
+    if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second &&
+        twice.empty()) {
+      twice = parsed.get<std::string>();
     }
     return true;
   };
@@ -31,23 +23,33 @@ JsonNode::Json JsonNode::parse(std::string_view text, const std::string& file) {
   try {
     root = Json::parse(text, watch, true, true);
   } catch (const nlohmann::json::exception& error) {
+    // "[json.exception.parse_error.101] parse error at line 3, column 5: ..."
     std::string what = error.what();
     if (const auto at = what.find("] "); at != std::string::npos) what = what.substr(at + 2);
     for (char& c : what) {
       if (static_cast<unsigned char>(c) < ' ') c = ' ';
     }
-    throw ProfileError(file + ": not JSON: " + what);
+    throw std::runtime_error(file + ": not JSON: " + what);
   }
   if (!twice.empty()) {
-    throw ProfileError(file + ": " + twice + ": found twice in one object; accepted is once");
+    throw std::runtime_error(file + ": " + twice + ": found twice in one object; accepted is once");
   }
   return root;
 }
 
+std::string shown(const nlohmann::ordered_json& value) {
+  std::string text = value.dump(-1, ' ', true, nlohmann::ordered_json::error_handler_t::replace);
+  if (text.size() > 80) text = text.substr(0, 77) + "...";
+  return text;
+}
+
+std::string text_of(double number) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, number).ptr};
+}
+
 void JsonNode::refuse(const std::string& accepted) const {
-  std::string found = json_->dump(-1, ' ', true, Json::error_handler_t::replace);
-  if (found.size() > 80) found = found.substr(0, 77) + "...";
-  refuse(found, accepted);
+  refuse(shown(*json_), accepted);
 }
 
 void JsonNode::refuse(const std::string& found, const std::string& accepted) const {
@@ -92,7 +94,7 @@ std::vector<JsonNode> JsonNode::list(std::size_t least, std::size_t most) const 
 
 double JsonNode::number(double least, double most) const {
   const double value = json_->is_number() ? json_->get<double>() : NAN;
-  if (!(value >= least && value <= most)) refuse("a number from " + shown(least) + " to " + shown(most));
+  if (!(value >= least && value <= most)) refuse("a number from " + text_of(least) + " to " + text_of(most));
   return value;
 }
 

@@ -8,6 +8,13 @@
 
 namespace incise::input {
 
+// JSON with comments; a key that stands twice in one object is refused, since JSON leaves open which counts. Throws
+// std::runtime_error with file, place and fault in one line.
+nlohmann::ordered_json parse_json(std::string_view text, const std::string& file);
+// For errors: a value in one line of at most 80 characters; a number by the fewest digits that mean it.
+std::string shown(const nlohmann::ordered_json& value);
+std::string text_of(double number);
+
 // A value in a JSON file that knows its place, so that whatever is wrong with it names file, key, what was found and
 // what is accepted. Thread: any one. Owns: nothing; file and document must outlive it.
 class JsonNode {
@@ -16,9 +23,6 @@ class JsonNode {
 
   JsonNode(const Json& json, std::string key, const std::string& file)
       : json_(&json), key_(std::move(key)), file_(&file) {}
-  // Comments allowed; a key that stands twice is refused, since JSON leaves open which counts. Throws ProfileError.
-  static Json parse(std::string_view text, const std::string& file);
-
   [[noreturn]] void refuse(const std::string& accepted) const;
   [[noreturn]] void refuse(const std::string& found, const std::string& accepted) const;
   // Refuses what is no object, and keys other than these.
