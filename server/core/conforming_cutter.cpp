@@ -13,6 +13,8 @@ namespace {
 constexpr double kAtVertex = 0.25;
 // A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
 constexpr double kFlat_h = 0.03;
+// A vertex of a boundary along the surface, this near to it, in h, may stay and stand for it.
+constexpr double kStay_h = 0.08;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
 constexpr double kRim_h = 0.5;
 // How far from the blade's line, by the local edge length, a vertex waits.
@@ -597,6 +599,26 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
   return best;
 }
 
+// Whether a vertex may stand for the surface where it is, and better than where it could go: at a boundary that runs along
+// the surface, that of an older cut above all. Where the boundary meets the surface at an angle, as at a bump, that
+// would cut off what is to be moved.
+bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
+  const Vec3& p = star.position();
+  Vec3 closest;
+  std::uint32_t triangle = 0;
+  work_ += 2;
+  if (!star.on_boundary() || !surface_.near(p, kStay_h * std::min(h_, star.local_h()), closest, triangle))
+    return false;
+  constexpr double kAlong = 0.94;  // cosine of 20 degrees
+  for (const Vec3& wall : star.walls()) {
+    if (std::abs(dot(wall, surface_[triangle].normal)) < kAlong) return false;
+  }
+  const double worst = worst_at(star, p, placement.worst, kFlat_h * star.local_h());
+  if (worst >= placement.worst) return false;
+  placement = {p, worst};
+  return true;
+}
+
 void ConformingCutter::remove_flat(TetId t) {
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
@@ -690,7 +712,13 @@ void ConformingCutter::handle(std::uint32_t index) {
     return;
   }
   ++counts_.events;
-  const int i = best[1].worst < best[0].worst ? 1 : 0;
+  int i = best[1].worst < best[0].worst ? 1 : 0;
+  if (best[i].worst > kSnapFloor) {
+    // At a boundary that runs along the surface, that of an older cut above all, a split makes but splinters.
+    for (int k = 0; k < 2; ++k) {
+      if (!on_surface(ends[k]) && stay(*stars[k], best[k])) i = best[k].worst < best[i].worst ? k : i;
+    }
+  }
   const bool may_split = config_.growth != Growth::kNoGrowth;
   const double by_split =
       best[i].worst <= kSnapFloor || !may_split ? kInverted : split_worst(event.tet, a, b, event.at, kFloor);

@@ -129,6 +129,7 @@ class ConformingCutter final : public Cutter {
                         double thickness, Placement& placement);
   Placement place(VertexStar& star, VertexId v, const Event& event, const Vec3& crossing, double limit,
                   bool search);
+  bool stay(const VertexStar& star, Placement& placement);
   void snap(const VertexStar& star, VertexId v, const Vec3& target);
   double split_worst(TetId tet, VertexId a, VertexId b, double t, double limit);
   void split(TetId tet, VertexId a, VertexId b, double t);

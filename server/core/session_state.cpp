@@ -179,11 +179,27 @@ struct SessionFields {
   template <class Io, class Pieces>
   static void pieces(Io& io, Pieces& p, const TetMesh& m) {
     io(p.next_piece_);
+    io.list(p.cluster_of_, 4, [&](auto& cluster) { io(cluster); });
     if constexpr (Io::kReads) {
+      io.demand(p.cluster_of_.size() <= m.tet_slots(), "more tetrahedra in clusters than there are");
+      for (std::size_t t = 0; t < p.cluster_of_.size() && !io.failed(); ++t) {
+        const std::uint32_t cluster = p.cluster_of_[t];
+        io.demand(cluster == kNone || (cluster < m.tet_slots() && m.alive(static_cast<TetId>(t))),
+                  "a cluster of nothing");
+      }
       io.demand(p.next_piece_ >= 1 && p.next_piece_ <= m.tet_slots() + 1, "more pieces than tetrahedra");
       for (TetId t = 0; t < m.tet_slots() && !io.failed(); ++t) {
         io.demand(m.piece(t) < p.next_piece_, "a tetrahedron is in a piece that never was");
       }
+      if (io.failed()) return;
+      p.piece_tets_.assign(p.next_piece_, 0);
+      for (TetId t = 0; t < m.tet_slots(); ++t) {
+        if (m.alive(t)) ++p.piece_tets_[m.piece(t)];
+      }
+      grow_to(p.claims_, m.tet_slots());
+      p.cluster_of_.resize(m.tet_slots(), kNone);
+      grow_to(p.cluster_of_, m.tet_slots());
+      p.index_clusters();
     }
   }
 
