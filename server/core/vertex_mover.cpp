@@ -11,6 +11,9 @@ namespace {
 
 // Six times the volume below which a tetrahedron is flat, in cubes of the local edge length. A regular one has 0.7.
 constexpr double kThinnest = 1e-3;
+// What is thick enough where edges are so many times as long as on the mean counts as thick enough anywhere: the local length
+// need then not be looked up.
+constexpr double kLocallyAtMost = 4;
 // Elements between two looks at the budget, and what they cost: a number or a tetrahedron of four places a quarter of a
 // unit of work, a star five units.
 constexpr std::size_t kChunk = 64;
@@ -44,7 +47,10 @@ VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
 }
 
 void VertexMover::note_cut(const Delta& delta) {
-  for (const VertexId v : delta.moved) known_since_[v] = delta.revision;
+  for (const VertexId v : delta.moved) {
+    known_since_[v] = delta.revision;
+    if (v < target_.size()) target_[v] = mesh_.position(v);
+  }
   known_since_.resize(mesh_.vertex_slots(), delta.revision);
 }
 
@@ -58,7 +64,7 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   clinging_.resize(vertices, 0);
   gives_way_.resize(vertices, 0);
   reach_.resize(vertices, kStays);
-  target_.resize(vertices);
+  while (target_.size() < vertices) target_.push_back(mesh_.position(static_cast<VertexId>(target_.size())));
   for (const VertexId v : clinging) clinging_[v] = serial_;
   moving_.clear();
   to_check_.clear();
@@ -69,6 +75,8 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   moved_positions_.clear();
   hash_change_ = 0;
   rebuilt_ = false;
+  const double h = kLocallyAtMost * mesh_.mean_edge_length();
+  surely_thick_ = kThinnest * h * h * h;
 }
 
 bool VertexMover::advance(WorkBudget& budget) {
@@ -104,12 +112,6 @@ bool VertexMover::advance(WorkBudget& budget) {
     }
   }
   return true;
-}
-
-// Where v will lie, as far as is known.
-Vec3 VertexMover::at(VertexId v) const {
-  if (!wanted(v) || reach_[v] == kStays) return mesh_.position(v);
-  return reach_[v] == kFull ? target_[v] : lerp(mesh_.position(v), target_[v], 0.5);
 }
 
 // ------------------------------------------------------------------------------------------------ which
@@ -175,13 +177,14 @@ void VertexMover::check(WorkBudget& budget) {
 
 void VertexMover::check_tet(TetId t) {
   const auto& v = mesh_.vertices(t);
-  const Vec3 p[4] = {at(v[0]), at(v[1]), at(v[2]), at(v[3])};
-  const double then = six_volumes(p[0], p[1], p[2], p[3]);
+  const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
+  const double then = six_volumes(a, b, c, d);
+  if (then >= surely_thick_) return;
   const double h = mesh_.local_h(v[0]);
   if (then >= kThinnest * h * h * h) return;
   const double now =
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-  if (then >= now && orient3d(p[0], p[1], p[2], p[3]) > 0) return;
+  if (then >= now && orient3d(a, b, c, d) > 0) return;
   for (const VertexId w : v) {
     if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == search_) continue;
     gives_way_[w] = search_;
@@ -192,7 +195,9 @@ void VertexMover::check_tet(TetId t) {
 void VertexMover::yield(WorkBudget& budget) {
   const bool done = in_chunks(next_, too_far_.size(), budget, kStar, [this](std::size_t i) {
     const VertexId v = too_far_[i];
-    if (reach_[v] == kFull) held_.push_back(v);
+    const bool full = reach_[v] == kFull;
+    if (full) held_.push_back(v);
+    target_[v] = full ? lerp(mesh_.position(v), target_[v], 0.5) : mesh_.position(v);
     --reach_[v];
     look_around(v);
   });
@@ -205,7 +210,7 @@ void VertexMover::settle(WorkBudget& budget) {
   const bool done = in_chunks(next_, moving_.size(), budget, kSmall, [this](std::size_t i) {
     const VertexId v = moving_[i];
     if (reach_[v] == kStays) return;
-    const Vec3 to = at(v);
+    const Vec3& to = target_[v];
     hash_change_ ^= mesh_.hash_change(v, to);
     moved_.push_back(v);
     moved_positions_.push_back(to);
@@ -226,7 +231,7 @@ void VertexMover::settle(WorkBudget& budget) {
 
 void VertexMover::enter(BoundaryGrid& grid, TetId t) const {
   const auto& v = mesh_.vertices(t);
-  const Vec3 corners[4] = {at(v[0]), at(v[1]), at(v[2]), at(v[3])};
+  const Vec3 corners[4] = {target_[v[0]], target_[v[1]], target_[v[2]], target_[v[3]]};
   grid.add_at(t, corners);
 }
 
@@ -251,7 +256,7 @@ void VertexMover::collect(WorkBudget& budget) {
     workspace_.seen[t] = search_;
     boundary_.push_back(t);
     for (const VertexId v : mesh_.vertices(t)) {
-      const Vec3 p = at(v);
+      const Vec3& p = target_[v];
       low_ = {std::min(low_.x, p.x), std::min(low_.y, p.y), std::min(low_.z, p.z)};
       high_ = {std::max(high_.x, p.x), std::max(high_.y, p.y), std::max(high_.z, p.z)};
     }
@@ -270,7 +275,7 @@ void VertexMover::rebuild(WorkBudget& budget) {
     if (i < count) {
       enter(grid_, boundary_[i]);
     } else {
-      grid_.set_anchor(at(static_cast<VertexId>(i - count)));
+      grid_.set_anchor(target_[i - count]);
     }
   });
   if (!done) return;

@@ -53,7 +53,6 @@ class VertexMover {
   void collect(WorkBudget& budget);
   void rebuild(WorkBudget& budget);
   void follow(WorkBudget& budget);
-  Vec3 at(VertexId v) const;
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
   void enter(BoundaryGrid& grid, TetId t) const;
 
@@ -70,9 +69,11 @@ class VertexMover {
   std::vector<std::uint32_t> gives_way_;  // by vertex: the search that found that it goes too far
   std::uint32_t search_ = 0;              // through tetrahedra, that is under way
   std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted
-  std::vector<Vec3> target_;              // by vertex, while it is wanted
-  std::vector<VertexId> moving_;          // wanted, ascending
-  bool all_tets_ = false;                 // the first round looks at all instead of at stars
+  std::vector<Vec3>
+      target_;  // by vertex: where it will lie, as far as is known; where it is, between two steps
+  std::vector<VertexId> moving_;  // wanted, ascending
+  double surely_thick_ = 0;       // six volumes, m^3: no tetrahedron that has them is flat
+  bool all_tets_ = false;         // the first round looks at all instead of at stars
   std::vector<TetId> to_check_;
   std::vector<VertexId> too_far_;
   std::uint32_t passed_over_ = 0;
