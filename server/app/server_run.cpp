@@ -119,7 +119,7 @@ class LoopHealth {
 class NetworkSources {
  public:
   NetworkSources(const Config& config, input::InputHub& hub, haptics::ForceSlots& forces,
-                 stream::Server& server, const std::function<void()>& on_thread) {
+                 [[maybe_unused]] stream::Server& server, const std::function<void()>& on_thread) {
 #ifdef INCISE_OPENIGTLINK
     if (config.openigtlink.wanted()) {
       input::OpenIgtLinkOptions options = config.openigtlink;

@@ -149,8 +149,12 @@ struct HaplyInput::Impl {
       first = false;
       if (++turns % 64 == 1 || device.empty()) publish();
     }
-    // The last word: no force.
-    if (!device.empty()) co_await command(ws, false);
+    // The last word: no force. Its answer says that it was heard; a connection closed with an answer unread is reset, and
+    // what the service had not read is lost.
+    if (!device.empty() && (co_await command(ws, false)).empty()) {
+      beast::get_lowest_layer(ws).expires_after(kAnswerTime);
+      const auto [error, bytes] = co_await ws.async_read(buffer, kTuple);
+    }
     co_return std::string("ended");
   }
 
