@@ -151,9 +151,10 @@ struct HaplyInput::Impl {
     }
     // The last word: no force. Its answer says that it was heard; a connection closed with an answer unread is reset, and
     // what the service had not read is lost.
-    if (!device.empty() && (co_await command(ws, false)).empty()) {
+    if (!device.empty()) {
+      const std::string failed = co_await command(ws, false);
       beast::get_lowest_layer(ws).expires_after(kAnswerTime);
-      const auto [error, bytes] = co_await ws.async_read(buffer, kTuple);
+      if (failed.empty()) co_await ws.async_read(buffer, kTuple);
     }
     co_return std::string("ended");
   }
