@@ -388,7 +388,7 @@ const std::vector<Key>& keys() {
               "reset."),
       integer("listen.max_sessions", INCISE_FIELD(listen.max_sessions), 1, 100'000, "Clients at once."),
       integer("listen.max_handshakes", INCISE_FIELD(listen.max_handshakes), 1, 10'000,
-              "Connections at once that have not introduced themselves."),
+              "Connections at once that have not introduced themselves; one more, and the oldest is closed."),
       number("listen.handshake_timeout_s", INCISE_FIELD(listen.handshake_timeout_s), 0.1, 600,
              "For a client to introduce itself."),
       number("listen.idle_timeout_s", INCISE_FIELD(listen.idle_timeout_s), 1, 86'400,

@@ -173,7 +173,6 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
   options.replay_s = config.capture.checkpoint_replay_s;
-  options.blade_of = [&config](std::uint32_t source) { return blade_of(config, source); };
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };
@@ -208,6 +207,9 @@ void run_server(const Config& config, bool resume) {
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                session.mesh().mean_edge_length(),
                static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+  std::vector<input::InputHub::Declared> declared;
+  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
+  input::InputHub hub(config.cut.blade, declared);
   const bool capture = recording.journal != nullptr;
   std::unique_ptr<loop::Journal> journal;
   if (capture) {
@@ -227,13 +229,12 @@ void run_server(const Config& config, bool resume) {
                           trouble);
           }
         },
-        make_checkpointer(config, body, recording));
+        make_checkpointer(config, body, recording),
+        [&hub](const loop::JournalRecord& pose) { hub.tell(pose.source, pose.verdict, pose.pose.t_ns); });
   }
 
-  std::vector<input::InputHub::Declared> declared;
-  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
-  input::InputHub hub(config.cut.blade, declared);
-  HubInput sink(hub, config);
+  input::PositionsSlot positions;
+  HubInput sink(hub, positions, config);
 
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
@@ -253,9 +254,11 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  frames.offer_deformation(positions);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
-  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
+  if (config.haptics.forces)
+    frames.offer_forces(config.haptics.force, body.loaded.mesh, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(
@@ -297,7 +300,8 @@ void run_server(const Config& config, bool resume) {
               place(server.http_port()).c_str(), network.place(config).c_str());
   std::fflush(stdout);
   if (capture) spdlog::info("recording to {}", config.resolve(config.capture.path).string());
-  spdlog::info("ready: {} frames a second; Ctrl-C ends", config.loop.rate_hz);
+  spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config.loop.rate_hz,
+               static_cast<double>(input::monotonic_ns() - started) * 1e-9);
 
   Watch watch(frames.stats());
   const char* signal = nullptr;

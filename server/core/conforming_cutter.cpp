@@ -13,6 +13,8 @@ namespace {
 constexpr double kAtVertex = 0.25;
 // A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
 constexpr double kFlat_h = 0.03;
+// A vertex of a boundary along the surface, this near to it, in h, may stay and stand for it.
+constexpr double kStay_h = 0.08;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
 constexpr double kRim_h = 0.5;
 // How far from the blade's line, by the local edge length, a vertex waits.
@@ -82,8 +84,15 @@ void ConformingCutter::begin(const Batch& batch) {
     workspace_.event_stamp[a] = collection_;
     workspace_.event_head[a] = e;
   }
-  phase_ = Phase::kSearch;
-  seeded_ = false;
+  work_ = static_cast<std::int64_t>(surface_.size() + events_.size() / 8 + active_.size() / 16);
+  search_ = ++workspace_.serial;
+  queue_.clear();
+  queue_next_ = 0;
+  candidates_.clear();
+  next_candidate_ = 0;
+  seed_ = Seed::kActive;
+  next_seed_ = 0;
+  phase_ = Phase::kSeed;
 }
 
 // Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.
@@ -102,8 +111,12 @@ bool ConformingCutter::turns_sharply(const BladeLine& from, const BladeLine& to)
 
 bool ConformingCutter::advance(WorkBudget& budget) {
   while (phase_ != Phase::kIdle) {
+    charge(budget);
     if (budget.spent()) return false;
     switch (phase_) {
+      case Phase::kSeed:
+        seed(budget);
+        break;
       case Phase::kSearch:
         search(budget);
         break;
@@ -125,6 +138,9 @@ bool ConformingCutter::advance(WorkBudget& budget) {
       case Phase::kSelect:
         select(budget);
         break;
+      case Phase::kSpare:
+        spare_islands(budget);
+        break;
       case Phase::kOpen:
         open(budget);
         break;
@@ -132,6 +148,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         break;
     }
   }
+  charge(budget);
   return true;
 }
 
@@ -146,6 +163,7 @@ void ConformingCutter::activate(TetId t) {
 void ConformingCutter::enqueue(TetId t) {
   if (workspace_.seen[t] == search_) return;
   workspace_.seen[t] = search_;
+  work_ += 3;
   if (mesh_.alive(t) && probe(t)) queue_.push_back(t);
 }
 
@@ -212,38 +230,66 @@ bool ConformingCutter::probe(TetId t) {
   return meets;
 }
 
-void ConformingCutter::search(WorkBudget& budget) {
-  if (!seeded_) {
-    search_ = ++workspace_.serial;
-    queue_.clear();
-    queue_next_ = 0;
-    for (const Active& a : active_) enqueue(a.tet);
-    if (!has_front_) {
+// Where the flood begins: at the tetrahedra that are active, and at the boundary near what this batch has swept.
+void ConformingCutter::seed(WorkBudget& budget) {
+  const auto work_left = [&] {
+    charge(budget);
+    return !budget.spent();
+  };
+  switch (seed_) {
+    case Seed::kActive:
+      while (next_seed_ < active_.size() && work_left()) enqueue(active_[next_seed_++].tet);
+      if (next_seed_ < active_.size()) return;
+      seed_ = has_front_ ? Seed::kBoundary : Seed::kLastLine;
+      next_seed_ = 0;
+      break;
+    case Seed::kLastLine:
       // The stroke's last line is a rim, too; all that is near it is still active.
-      for (std::size_t i = 0; i < active_.size(); ++i) {
-        if (mesh_.alive(active_[i].tet)) probe_rim(active_[i].tet, front_.heel, front_.tip);
+      while (next_seed_ < active_.size() && work_left()) {
+        const TetId t = active_[next_seed_++].tet;
+        if (mesh_.alive(t)) probe_rim(t, front_.heel, front_.tip);
       }
-    }
-    std::vector<TetId>& candidates = ring_;
-    candidates.clear();
-    for (const SweptTriangle& triangle : surface_.triangles()) {
-      if (triangle.batch == batch_) workspace_.grid.near(triangle, candidates);
-    }
-    for (TetId t : candidates) enqueue(t);
-    budget.charge(static_cast<std::int64_t>(active_.size() + candidates.size()) / 2 + 1);
-    if (queue_.empty() && surface_.size() > 0 && surface_[surface_.size() - 1].batch == batch_) {
-      // The sweep meets no boundary: all of it is inside the tissue, or all of it outside.
-      const auto& c = surface_[surface_.size() - 1].corners;
-      const TetId t = workspace_.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]));
-      if (t != kNone) {
-        workspace_.seen[t] = search_;
-        queue_.push_back(t);
+      if (next_seed_ < active_.size()) return;
+      seed_ = Seed::kBoundary;
+      next_seed_ = 0;
+      break;
+    case Seed::kBoundary:
+      while (work_left()) {
+        if (next_candidate_ < candidates_.size()) {
+          enqueue(candidates_[next_candidate_++]);
+        } else if (next_seed_ < surface_.size()) {
+          candidates_.clear();
+          next_candidate_ = 0;
+          const SweptTriangle& triangle = surface_[next_seed_++];
+          if (triangle.batch != batch_) continue;
+          workspace_.grid.near(mesh_, triangle, candidates_);
+          work_ += 10 + static_cast<std::int64_t>(candidates_.size() / 8);
+        } else {
+          seed_ = Seed::kInside;
+          break;
+        }
       }
-      budget.charge(50);
-    }
-    seeded_ = true;
+      break;
+    case Seed::kInside:
+      if (queue_.empty() && surface_.size() > 0 && surface_[surface_.size() - 1].batch == batch_) {
+        // The sweep meets no boundary: all of it is inside the tissue, or all of it outside.
+        const auto& c = surface_[surface_.size() - 1].corners;
+        const TetId t = workspace_.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]), &work_);
+        if (t != kNone) {
+          workspace_.seen[t] = search_;
+          queue_.push_back(t);
+        }
+        work_ += 50;
+      }
+      next_seed_ = 0;
+      phase_ = Phase::kSearch;
+      break;
   }
+}
+
+void ConformingCutter::search(WorkBudget& budget) {
   while (queue_next_ < queue_.size()) {
+    charge(budget);
     if (budget.spent()) return;
     const TetId t = queue_[queue_next_++];
     activate(t);
@@ -251,10 +297,11 @@ void ConformingCutter::search(WorkBudget& budget) {
       const TetId n = mesh_.neighbor(t, f);
       if (n != kNone) enqueue(n);
     }
-    budget.charge(2);
   }
-  if (!has_front_) {
-    for (TetId t : queue_) probe_rim(t, front_.heel, front_.tip);
+  while (!has_front_ && next_seed_ < queue_.size()) {
+    charge(budget);
+    if (budget.spent()) return;
+    probe_rim(queue_[next_seed_++], front_.heel, front_.tip);
   }
   round_ = 0;
   next_rim_ = 0;
@@ -270,6 +317,7 @@ bool ConformingCutter::stands_for(VertexId v, const Vec3& point) const {
 
 // Adds the faces of t that the stretch of the rim pierces.
 void ConformingCutter::probe_rim(TetId t, const Vec3& from, const Vec3& to) {
+  work_ += 1;
   for (int f = 0; f < 4; ++f) {
     const auto face = mesh_.face_vertices(half_face(t, f));
     const Vec3 &a = mesh_.position(face[0]), &b = mesh_.position(face[1]), &c = mesh_.position(face[2]);
@@ -288,12 +336,13 @@ void ConformingCutter::probe_rim(TetId t, const Vec3& from, const Vec3& to) {
 
 void ConformingCutter::work_rim(WorkBudget& budget) {
   while (next_rim_ < rim_events_.size()) {
+    charge(budget);
     if (budget.spent()) return;
+    work_ += 1;
     const std::size_t i = next_rim_++;
     const RimEvent event = rim_events_[i];
     if (hot(event.face[0]) || hot(event.face[1]) || hot(event.face[2])) continue;
     rim_events_[i].done = true;
-    budget.charge(60);
     handle(event);
     if (event.again) continue;
     // Other events here may have changed the faces that the rim pierces: look once more.
@@ -305,7 +354,7 @@ void ConformingCutter::work_rim(WorkBudget& budget) {
     for (std::size_t k = first; k < rim_events_.size(); ++k) rim_events_[k].again = true;
   }
   std::erase_if(rim_events_, [](const RimEvent& e) { return e.done; });
-  phase_ = Phase::kOrder;
+  begin_order();
 }
 
 // Puts a vertex of the pierced face on the rim, where it is pierced or nearer.
@@ -334,7 +383,7 @@ void ConformingCutter::handle(const RimEvent& event) {
       const Vec3 target = event.from + std::clamp(along, 0.0, length_m) * direction;
       if (distance(target, star_.position()) > 0.75 * h) continue;
       if (!star_.keeps_boundary(target)) continue;
-      if (star_.worst_at(target, limit, kFlat_h * h, flat_) > limit) continue;
+      if (worst_at(star_, target, limit, kFlat_h * h) > limit) continue;
       workspace_.rim[v] = stroke_;
       snap(star_, v, target);
       return true;
@@ -387,6 +436,7 @@ bool ConformingCutter::ripe(TetId t) const {
 
 bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on,
                                      std::uint32_t& triangle, double& t) const {
+  work_ += 2;
   const Vec3 low{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
   const Vec3 high{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
   return surface_.any_overlapping(low, high, [&](std::uint32_t i) {
@@ -441,37 +491,43 @@ void ConformingCutter::collect_from(TetId t) {
   });
 }
 
+void ConformingCutter::begin_order() {
+  order_.clear();
+  next_event_ = 0;
+  phase_ = Phase::kOrder;
+}
+
 // Takes the events that need not wait any more, nearest first.
 void ConformingCutter::order(WorkBudget& budget) {
-  order_.clear();
-  for (std::uint32_t i = 0; i < events_.size(); ++i) {
-    if (!events_[i].done && !hot(events_[i].a) && !hot(events_[i].b)) order_.push_back(i);
+  while (next_event_ < events_.size()) {
+    if (budget.spent()) return;
+    budget.charge(1);
+    const auto i = static_cast<std::uint32_t>(next_event_++);
+    const Event& event = events_[i];
+    if (!event.done && !hot(event.a) && !hot(event.b)) order_.push({event.nearness, event.a, event.b, i});
   }
-  std::sort(order_.begin(), order_.end(), [this](std::uint32_t i, std::uint32_t j) {
-    const Event &a = events_[i], &b = events_[j];
-    if (a.nearness != b.nearness) return a.nearness < b.nearness;
-    return a.a != b.a ? a.a < b.a : a.b < b.b;
-  });
+  order_.seal();
   next_event_ = 0;
   pass_ = 0;
+  again_.clear();
   retry_.clear();
   phase_ = Phase::kEvents;
-  budget.charge(static_cast<std::int64_t>(events_.size()));
 }
 
 void ConformingCutter::work_events(WorkBudget& budget) {
   for (;;) {
-    while (next_event_ < order_.size()) {
+    while (pass_ == 0 ? !order_.empty() : next_event_ < again_.size()) {
+      charge(budget);
       if (budget.spent()) return;
-      handle(order_[next_event_++], budget);
+      handle(pass_ == 0 ? order_.take().index : again_[next_event_++]);
     }
     if (retry_.empty()) break;
     ++pass_;
-    order_.swap(retry_);
+    again_.swap(retry_);
     retry_.clear();
     next_event_ = 0;
   }
-  phase_ = Phase::kRepair;
+  begin_repairs();
 }
 
 // A snap may leave an edge that crosses another part of a bent surface, and so may a repair.
@@ -483,13 +539,13 @@ void ConformingCutter::verify(WorkBudget& budget) {
   while (next_active_ < active_.size()) {
     if (budget.spent()) return;
     const TetId t = active_[next_active_++].tet;
-    budget.charge(2);
+    budget.charge(3);
     if (!mesh_.alive(t) || !ripe(t)) continue;
     collect_from(t);
   }
   next_active_ = 0;
   if (events_.size() > first_leftover_ && ++round_ < 3) {
-    phase_ = Phase::kOrder;
+    begin_order();
   } else {
     for (std::size_t i = first_leftover_; i < events_.size(); ++i) {
       workspace_.failed[events_[i].a] = workspace_.failed[events_[i].b] = stroke_;
@@ -511,6 +567,7 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
   const Vec3& p = star.position();
   const double reach = 0.75 * distance(mesh_.position(event.a), mesh_.position(event.b));
   Vec3 closest;
+  work_ += 4;
   const bool near = surface_.near(p, reach, closest, triangle);
   const Vec3 normal = surface_[triangle].normal;
   if (!star.on_boundary()) {
@@ -533,8 +590,8 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
   for (int i = 0; i < count && best.worst > limit; ++i) {
     if (distance(targets[i], p) > reach) continue;
     if (!star.keeps_boundary(targets[i])) continue;
-    const double worst = star.worst_at(targets[i], search ? best.worst : std::min(best.worst, limit),
-                                       kFlat_h * star.local_h(), flat_);
+    const double worst = worst_at(star, targets[i], search ? best.worst : std::min(best.worst, limit),
+                                  kFlat_h * star.local_h());
     if (worst < best.worst) best = {targets[i], worst};
   }
   if (search && best.worst > limit && best.worst < kInverted)
@@ -542,10 +599,31 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
   return best;
 }
 
+// Whether a vertex may stand for the surface where it is, and better than where it could go: at a boundary that runs along
+// the surface, that of an older cut above all. Where the boundary meets the surface at an angle, as at a bump, that
+// would cut off what is to be moved.
+bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
+  const Vec3& p = star.position();
+  Vec3 closest;
+  std::uint32_t triangle = 0;
+  work_ += 2;
+  if (!star.on_boundary() || !surface_.near(p, kStay_h * std::min(h_, star.local_h()), closest, triangle))
+    return false;
+  constexpr double kAlong = 0.94;  // cosine of 20 degrees
+  for (const Vec3& wall : star.walls()) {
+    if (std::abs(dot(wall, surface_[triangle].normal)) < kAlong) return false;
+  }
+  const double worst = worst_at(star, p, placement.worst, kFlat_h * star.local_h());
+  if (worst >= placement.worst) return false;
+  placement = {p, worst};
+  return true;
+}
+
 void ConformingCutter::remove_flat(TetId t) {
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
   mesh_.remove_tet(t);
+  work_ += 60;
   ++counts_.removed_tets;
   for (TetId n : neighbors) {
     if (n != kNone) workspace_.grid.add(mesh_, n);
@@ -554,7 +632,7 @@ void ConformingCutter::remove_flat(TetId t) {
 }
 
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
-  const double worst = star.worst_at(target, kInverted, kFlat_h * star.local_h(), flat_);
+  const double worst = worst_at(star, target, kInverted, kFlat_h * star.local_h());
   mesh_.move_vertex(v, target);
   workspace_.surface[v] = stroke_;
   changed_.push_back({v, worst <= kGood && flat_.empty()});
@@ -565,6 +643,7 @@ void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& targ
 // What the worst of the tetrahedra would be that splitting the edge makes; stops beyond `limit`.
 double ConformingCutter::split_worst(TetId tet, VertexId a, VertexId b, double t, double limit) {
   mesh_.ring(tet, a, b, ring_);
+  work_ += 2 * static_cast<std::int64_t>(ring_.size());
   const Vec3 x = lerp(mesh_.position(a), mesh_.position(b), t);
   double worst = -1;
   for (TetId r : ring_) {
@@ -585,6 +664,7 @@ double ConformingCutter::split_worst(TetId tet, VertexId a, VertexId b, double t
 void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   const TetId first = mesh_.tet_slots();
   const VertexId m = mesh_.split_edge(tet, a, b, t);
+  work_ += 8 * static_cast<std::int64_t>(ring_.size());
   workspace_.grow(mesh_);
   workspace_.surface[m] = stroke_;
   changed_.push_back({m, false});
@@ -596,16 +676,17 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   ++counts_.splits;
 }
 
-void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
+void ConformingCutter::handle(std::uint32_t index) {
   events_[index].done = true;
   Event event = events_[index];
   const VertexId a = event.a, b = event.b;
   const bool a_on = on_surface(a), b_on = on_surface(b);
-  budget.charge(1);
+  work_ += 1;
   // Dealt with by a snap of one end, as a rule; verify() finds the exceptions.
   if (round_ == 0 && (a_on || b_on)) return;
   if (!mesh_.alive(event.tet) || mesh_.local_index(event.tet, a) < 0 || mesh_.local_index(event.tet, b) < 0) {
     event.tet = mesh_.find_edge(a, b);
+    work_ += 10;
     if (event.tet == kNone) return;
   }
   if (round_ > 0 || event.batch != batch_) {
@@ -619,7 +700,6 @@ void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
   for (int i = 0; i < 2; ++i) {
     if (on_surface(ends[i])) continue;
     best[i] = place(*stars[i], ends[i], event, crossing, kGood, pass_ > 0);
-    budget.charge(pass_ > 0 ? 100 : 20);
     if (best[i].worst <= kGood) {
       ++counts_.events;
       snap(*stars[i], ends[i], best[i].target);
@@ -632,7 +712,13 @@ void ConformingCutter::handle(std::uint32_t index, WorkBudget& budget) {
     return;
   }
   ++counts_.events;
-  const int i = best[1].worst < best[0].worst ? 1 : 0;
+  int i = best[1].worst < best[0].worst ? 1 : 0;
+  if (best[i].worst > kSnapFloor) {
+    // At a boundary that runs along the surface, that of an older cut above all, a split makes but splinters.
+    for (int k = 0; k < 2; ++k) {
+      if (!on_surface(ends[k]) && stay(*stars[k], best[k])) i = best[k].worst < best[i].worst ? k : i;
+    }
+  }
   const bool may_split = config_.growth != Growth::kNoGrowth;
   const double by_split =
       best[i].worst <= kSnapFloor || !may_split ? kInverted : split_worst(event.tet, a, b, event.at, kFloor);

@@ -7,6 +7,7 @@
 #include "server/core/cut_config.hpp"
 #include "server/core/cut_workspace.hpp"
 #include "server/core/cutter.hpp"
+#include "server/core/run_sorter.hpp"
 #include "server/core/swept_surface.hpp"
 #include "server/core/tet_mesh.hpp"
 #include "server/core/vertex_star.hpp"
@@ -37,6 +38,7 @@ class ConformingCutter final : public Cutter {
   void begin(const Batch& batch) override;
   bool advance(WorkBudget& budget) override;
   const CutCounts& counts() const override { return counts_; }
+  void clinging(std::vector<VertexId>& out) const override;
 
  private:
   friend struct SessionFields;  // session_state.cpp
@@ -48,7 +50,9 @@ class ConformingCutter final : public Cutter {
   static constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
   static constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
 
-  enum class Phase { kIdle, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kOpen };
+  enum class Phase { kIdle, kSeed, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kSpare, kOpen };
+  // Where the search begins, in this order.
+  enum class Seed { kActive, kLastLine, kBoundary, kInside };
 
   // The surface crosses the edge (a, b) with a < b.
   struct Event {
@@ -74,7 +78,14 @@ class ConformingCutter final : public Cutter {
 
   bool turns_sharply(const BladeLine& from, const BladeLine& to);
 
+  // The work done since it was taken last, for the budget.
+  void charge(WorkBudget& budget) {
+    budget.charge(work_);
+    work_ = 0;
+  }
+
   // --- search
+  void seed(WorkBudget& budget);
   void search(WorkBudget& budget);
   bool probe(TetId t);
   void add_event(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at);
@@ -82,6 +93,7 @@ class ConformingCutter final : public Cutter {
   void activate(TetId t);
   void gather(VertexStar& star, VertexId v) const {
     star.gather(mesh_, v, [this](VertexId w) { return on_surface(w); });
+    work_ += 2 + static_cast<std::int64_t>(star.corners().size() / 2);
   }
 
   // --- the rim
@@ -91,6 +103,7 @@ class ConformingCutter final : public Cutter {
   void handle(const RimEvent& event);
 
   // --- events
+  void begin_order();
   void order(WorkBudget& budget);
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
@@ -101,25 +114,36 @@ class ConformingCutter final : public Cutter {
   bool on_surface(VertexId v) const { return workspace_.surface[v] == stroke_; }
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
-  void handle(std::uint32_t index, WorkBudget& budget);
+  void handle(std::uint32_t index);
   struct Placement {
     Vec3 target;
     double worst = kInverted;  // the star's worst measure there
   };
+  // VertexStar::worst_at(), into flat_.
+  double worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness) {
+    work_ += 1 + static_cast<std::int64_t>(star.corners().size() / 8);
+    return star.worst_at(p, limit, thickness, flat_);
+  }
   int freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const;
   void search_placement(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
                         double thickness, Placement& placement);
   Placement place(VertexStar& star, VertexId v, const Event& event, const Vec3& crossing, double limit,
                   bool search);
+  bool stay(const VertexStar& star, Placement& placement);
   void snap(const VertexStar& star, VertexId v, const Vec3& target);
   double split_worst(TetId tet, VertexId a, VertexId b, double t, double limit);
   void split(TetId tet, VertexId a, VertexId b, double t);
   void remove_flat(TetId t);
 
   // --- repair
+  void begin_repairs();
   void repair(WorkBudget& budget);
+  void begin_repair();
   void activate_faces_at(VertexId v);
-  void improve(TetId t);
+  void activate_faces(const VertexStar& star, VertexId v);
+  void improve();
+  void improve_by_moving(VertexId v);
+  void improve_by_collapse(TetId t);
   void thin_out(VertexId v);
   bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
   bool try_flips(TetId t);
@@ -131,11 +155,13 @@ class ConformingCutter final : public Cutter {
   void select(WorkBudget& budget);
   Vec3 reference(TetId t) const;
   bool separates(HalfFace h) const;
-  void spare_islands();
+  void spare_islands(WorkBudget& budget);
+  void spare_island(HalfFace side);
   void join_larger_side(std::span<const TetId> members);
   bool stands_clear(HalfFace h) const;
   bool is_thin(TetId t) const;
   void open(WorkBudget& budget);
+  void note_opening(HalfFace h);
   void finish();
 
   TetMesh& mesh_;
@@ -157,10 +183,15 @@ class ConformingCutter final : public Cutter {
   };
   std::vector<Active> active_;
 
+  mutable std::int64_t work_ = 0;  // units not charged yet
+
   std::vector<TetId> queue_;  // of the search at work
   std::size_t queue_next_ = 0;
   std::uint32_t search_ = 0;  // its serial
-  bool seeded_ = false;
+  Seed seed_ = Seed::kActive;
+  std::size_t next_seed_ = 0;
+  std::vector<TetId> candidates_;  // near a new triangle
+  std::size_t next_candidate_ = 0;
 
   std::vector<RimEvent> rim_events_;
   std::size_t next_rim_ = 0;
@@ -168,15 +199,28 @@ class ConformingCutter final : public Cutter {
   std::size_t next_active_ = 0;
   int round_ = 0;
   std::vector<Event> events_;
-  std::vector<std::uint32_t> order_;
+  // Nearest crossing first.
+  struct EventKey {
+    double nearness;
+    VertexId a, b;
+    std::uint32_t index;
+    bool operator<(const EventKey& other) const {
+      if (nearness != other.nearness) return nearness < other.nearness;
+      if (a != other.a) return a < other.a;
+      return b != other.b ? b < other.b : index < other.index;
+    }
+  };
+  RunSorter<EventKey> order_;
   std::size_t next_event_ = 0;
   int pass_ = 0;
+  std::vector<std::uint32_t> again_;  // that this pass works on, after the first
   std::vector<std::uint32_t> retry_;
   std::uint32_t collection_ = 0;
   std::size_t first_leftover_ = 0;
 
   std::vector<HalfFace> to_open_;
   std::size_t next_open_ = 0;
+  std::uint32_t spared_ = 0;  // serial of the search for islands
 
   struct Changed {
     VertexId vertex;
@@ -185,7 +229,14 @@ class ConformingCutter final : public Cutter {
   };
   std::vector<Changed> changed_;  // put on the surface by this batch
   std::size_t next_changed_ = 0;
+  // The vertex that is repaired, and its poor tetrahedra, of which one is at work: moving one of its vertices (0 to 3),
+  // flips (4), collapses (5).
+  Changed repaired_{};
+  bool repairing_ = false;
   std::vector<TetId> poor_;
+  std::size_t next_poor_ = 0;
+  int remedy_ = 0;
+  bool still_poor_ = false;
 
   VertexStar star_, other_star_;
   std::vector<TetId> flat_, ring_, new_tets_;

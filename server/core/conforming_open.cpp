@@ -65,10 +65,11 @@ void ConformingCutter::select(WorkBudget& budget) {
     next_open_ = 0;
   }
   while (next_active_ < active_.size()) {
+    charge(budget);
     if (budget.spent()) return;
     Active& entry = active_[next_active_++];
     const TetId t = entry.tet;
-    budget.charge(4);
+    work_ += 2;
     if (!mesh_.alive(t)) continue;
     bool waits = !ripe(t);
     if (!waits) {
@@ -92,48 +93,62 @@ void ConformingCutter::select(WorkBudget& budget) {
     }
   }
   active_.resize(next_open_);
-  spare_islands();
   next_open_ = 0;
-  phase_ = Phase::kOpen;
+  spared_ = ++workspace_.serial;
+  phase_ = Phase::kSpare;
 }
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface.
-void ConformingCutter::spare_islands() {
-  constexpr std::size_t kRagged = 8, kSheet = 64;
-  for (HalfFace h : to_open_) {
-    for (HalfFace side : {h, mesh_.opposite(h)}) {
-      if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) continue;
-      // The component behind the faces that are about to open.
-      TetId members[kSheet];
-      std::size_t size = 1, most = kSheet;
-      members[0] = tet_of(side);
-      bool clean = true, thin = true;
-      for (std::size_t i = 0; i < size && size <= most; ++i) {
-        const TetId t = members[i];
-        if (thin && !is_thin(t)) {
-          thin = false;
-          most = kRagged;
-        }
-        for (int f = 0; f < 4; ++f) {
-          if (workspace_.pending[t] >> f & 1) {
-            for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
-            continue;
-          }
-          const TetId n = mesh_.neighbor(t, f);
-          if (n == kNone || std::find(members, members + size, n) != members + size) continue;
-          if (size == kSheet) {
-            size = kSheet + 1;
-            break;
-          }
-          members[size++] = n;
-        }
-      }
-      if (size > most || (clean && !thin)) continue;
-      join_larger_side(std::span(members, size));
-    }
+void ConformingCutter::spare_islands(WorkBudget& budget) {
+  while (next_open_ < to_open_.size()) {
+    charge(budget);
+    if (budget.spent()) return;
+    const HalfFace h = to_open_[next_open_++];
+    spare_island(h);
+    spare_island(mesh_.opposite(h));
   }
   std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+  next_open_ = 0;
+  phase_ = Phase::kOpen;
+}
+
+// Looks at what lies behind a face that is about to open.
+void ConformingCutter::spare_island(HalfFace side) {
+  constexpr std::size_t kRagged = 8, kSheet = 64;
+  work_ += 1;
+  if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) return;
+  // The component behind the faces that are about to open. Where part of it was looked at from another face already,
+  // it was found to be no island.
+  TetId members[kSheet];
+  std::size_t size = 1, most = kSheet;
+  members[0] = tet_of(side);
+  bool clean = true, thin = true, island = workspace_.seen[members[0]] != spared_;
+  for (std::size_t i = 0; i < size && island; ++i) {
+    const TetId t = members[i];
+    if (thin && !is_thin(t)) {
+      thin = false;
+      most = kRagged;
+    }
+    work_ += 2;
+    for (int f = 0; f < 4; ++f) {
+      if (workspace_.pending[t] >> f & 1) {
+        for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
+        continue;
+      }
+      const TetId n = mesh_.neighbor(t, f);
+      if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+      island = size < most && workspace_.seen[n] != spared_;
+      if (!island) break;
+      members[size++] = n;
+    }
+    island = island && size <= most;
+  }
+  if (island && (!clean || thin)) {
+    join_larger_side(std::span(members, size));
+  } else {
+    for (std::size_t i = 0; i < size; ++i) workspace_.seen[members[i]] = spared_;
+  }
 }
 
 // Keeps a group of tetrahedra together with those of its neighbours that are on one side of the surface: with both it would
@@ -179,6 +194,7 @@ bool ConformingCutter::stands_clear(HalfFace h) const {
 
 // Whether all of a tetrahedron is near the surface.
 bool ConformingCutter::is_thin(TetId t) const {
+  work_ += 6;
   for (VertexId v : mesh_.vertices(t)) {
     Vec3 closest;
     std::uint32_t triangle;
@@ -189,35 +205,47 @@ bool ConformingCutter::is_thin(TetId t) const {
 }
 
 void ConformingCutter::open(WorkBudget& budget) {
-  constexpr std::size_t kChunk = 64;
+  constexpr std::size_t kChunk = 16;
   while (next_open_ < to_open_.size()) {
+    charge(budget);
     if (budget.spent()) return;
     const std::size_t end = std::min(next_open_ + kChunk, to_open_.size());
     const std::span<const HalfFace> chunk(to_open_.data() + next_open_, end - next_open_);
-    for (HalfFace h : chunk) {
-      const HalfFace o = mesh_.opposite(h);
-      workspace_.pending[tet_of(h)] &= static_cast<std::uint8_t>(~(1u << face_of(h)));
-      workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
-      workspace_.grid.add(mesh_, tet_of(h));
-      workspace_.grid.add(mesh_, tet_of(o));
-      const auto v = mesh_.face_vertices(h);
-      const Vec3 &p = mesh_.position(v[0]), &q = mesh_.position(v[1]), &r = mesh_.position(v[2]);
-      counts_.cut_area += 0.5 * length(cross(q - p, r - p));
-      for (VertexId w : v) {
-        if (on_surface(w)) continue;
-        std::uint32_t triangle;
-        Vec3 closest = mesh_.position(w);
-        surface_.closest(mesh_.position(w), 4 * h_, closest, triangle);
-        counts_.max_deviation_h =
-            std::max(counts_.max_deviation_h, distance(closest, mesh_.position(w)) / h_);
-      }
-    }
+    for (HalfFace h : chunk) note_opening(h);
     counts_.cut_faces += mesh_.open_faces(chunk);
     workspace_.grow(mesh_);
-    budget.charge(static_cast<std::int64_t>(20 * chunk.size()));
+    work_ += static_cast<std::int64_t>(40 * chunk.size());
     next_open_ = end;
   }
   finish();
+}
+
+void ConformingCutter::note_opening(HalfFace h) {
+  const HalfFace o = mesh_.opposite(h);
+  workspace_.pending[tet_of(h)] &= static_cast<std::uint8_t>(~(1u << face_of(h)));
+  workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+  workspace_.grid.add(mesh_, tet_of(h));
+  workspace_.grid.add(mesh_, tet_of(o));
+  const auto v = mesh_.face_vertices(h);
+  const Vec3 &p = mesh_.position(v[0]), &q = mesh_.position(v[1]), &r = mesh_.position(v[2]);
+  counts_.cut_area += 0.5 * length(cross(q - p, r - p));
+  for (VertexId w : v) {
+    if (on_surface(w)) continue;
+    std::uint32_t triangle;
+    Vec3 closest = mesh_.position(w);
+    work_ += 4;
+    surface_.closest(mesh_.position(w), 4 * h_, closest, triangle);
+    counts_.max_deviation_h = std::max(counts_.max_deviation_h, distance(closest, mesh_.position(w)) / h_);
+  }
+}
+
+void ConformingCutter::clinging(std::vector<VertexId>& out) const {
+  for (const Active& active : active_) {
+    if (!mesh_.alive(active.tet)) continue;
+    out.insert(out.end(), mesh_.vertices(active.tet).begin(), mesh_.vertices(active.tet).end());
+  }
+  for (const Event& event : events_) out.insert(out.end(), {event.a, event.b});
+  for (const RimEvent& event : rim_events_) out.insert(out.end(), event.face.begin(), event.face.end());
 }
 
 void ConformingCutter::finish() {
@@ -226,6 +254,8 @@ void ConformingCutter::finish() {
   if (!has_front_) {
     active_.clear();
     surface_.clear();
+    events_.clear();
+    rim_events_.clear();
   }
   phase_ = Phase::kIdle;
 }

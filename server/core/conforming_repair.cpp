@@ -65,11 +65,12 @@ void ConformingCutter::search_placement(const VertexStar& star, bool on_surface,
         Vec3 p = origin + (k % 2 == 0 ? step : -step) * basis[k / 2];
         if (on_surface) {
           Vec3 closest;
+          work_ += 1;
           if (!surface_.near(p, 0.2 * star.local_h(), closest, triangle)) continue;
           p = closest;
         }
         if (!star.keeps_boundary(p)) continue;
-        const double worst = star.worst_at(p, placement.worst, thickness, flat_);
+        const double worst = worst_at(star, p, placement.worst, thickness);
         if (worst >= placement.worst) continue;
         std::uint32_t crossed;
         double t;
@@ -83,69 +84,116 @@ void ConformingCutter::search_placement(const VertexStar& star, bool on_surface,
   }
 }
 
+void ConformingCutter::begin_repairs() {
+  repairing_ = false;
+  phase_ = Phase::kRepair;
+}
+
 // Improves what is poor around the vertices that this batch has put on the surface.
 void ConformingCutter::repair(WorkBudget& budget) {
-  while (next_changed_ < changed_.size()) {
+  while (repairing_ || next_changed_ < changed_.size()) {
+    charge(budget);
     if (budget.spent()) return;
-    const auto [v, good, again] = changed_[next_changed_++];
-    budget.charge(10);
-    if (mesh_.vertex_tet(v) == kNone) continue;
-    if (good) {
-      activate_faces_at(v);
-      continue;
+    if (!repairing_) {
+      begin_repair();
+    } else if (next_poor_ < poor_.size()) {
+      improve();
+    } else {
+      repairing_ = false;
+      // What its neighbours' repair moves may free it: once more, after all others.
+      if (still_poor_ && !repaired_.again) changed_.push_back({repaired_.vertex, false, true});
     }
-    if (mesh_.is_new(v)) thin_out(v);
-    if (mesh_.vertex_tet(v) == kNone) continue;
-    gather(star_, v);
-    activate_faces_at(v);
-    poor_.clear();
-    for (const VertexStar::Corner& c : star_.corners()) {
-      if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
-    }
-    bool left = false;
-    for (TetId t : poor_) {
-      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood) {
-        improve(t);
-        budget.charge(50);
-        left = left || (mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood);
-      }
-    }
-    // What its neighbours' repair moves may free it: once more, after all others.
-    if (left && !again) changed_.push_back({v, false, true});
   }
   phase_ = Phase::kVerify;
   next_active_ = 0;
 }
 
+// Takes the next vertex and finds what is poor around it.
+void ConformingCutter::begin_repair() {
+  repaired_ = changed_[next_changed_++];
+  const VertexId v = repaired_.vertex;
+  work_ += 1;
+  if (mesh_.vertex_tet(v) == kNone) return;
+  if (repaired_.good) {
+    activate_faces_at(v);
+    return;
+  }
+  if (mesh_.is_new(v)) thin_out(v);
+  if (mesh_.vertex_tet(v) == kNone) return;
+  gather(star_, v);
+  activate_faces(star_, v);
+  poor_.clear();
+  next_poor_ = 0;
+  remedy_ = 0;
+  still_poor_ = false;
+  work_ += static_cast<std::int64_t>(star_.corners().size());
+  for (const VertexStar::Corner& c : star_.corners()) {
+    if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
+  }
+  repairing_ = true;
+}
+
 // Tetrahedra that only now have a face on the surface may have to open it.
 void ConformingCutter::activate_faces_at(VertexId v) {
   mesh_.star(v, star_ids_);
+  work_ += static_cast<std::int64_t>(star_ids_.size() / 2);
   for (std::uint32_t corner : star_ids_) {
     const auto& w = mesh_.vertices(corner >> 2);
     if (on_surface(w[0]) + on_surface(w[1]) + on_surface(w[2]) + on_surface(w[3]) >= 3) activate(corner >> 2);
   }
 }
 
-// Moves the vertices of a poor tetrahedron, one after the other, while that helps; else flips, else collapses an edge.
-void ConformingCutter::improve(TetId t) {
-  const auto vertices = mesh_.vertices(t);
-  for (VertexId v : vertices) {
-    if (on_rim(v)) continue;
-    gather(star_, v);
-    Placement place{mesh_.position(v), star_.worst_now()};
-    if (place.worst <= kGood) break;
-    const double before = place.worst;
-    Vec3 closest;
-    std::uint32_t triangle = 0;
-    const bool on = on_surface(v);
-    if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) continue;
-    search_placement(star_, on, triangle, kGood, -1, place);
-    if (place.worst >= before) continue;
-    mesh_.move_vertex(v, place.target);
-    ++counts_.repairs;
-    if (mesh_.worst_dihedral(t) <= kGood) return;
+// The same for a star that is known.
+void ConformingCutter::activate_faces(const VertexStar& star, VertexId v) {
+  const int least = on_surface(v) ? 2 : 3;
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]) >= least) activate(c.tet);
   }
-  if (try_flips(t)) return;
+}
+
+// One remedy for the poor tetrahedron at work: moves one of its vertices after the other, while that helps; else flips,
+// else collapses an edge.
+void ConformingCutter::improve() {
+  const TetId t = poor_[next_poor_];
+  work_ += 1;
+  const auto is_poor = [&] { return mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood; };
+  bool done = !is_poor();
+  if (!done) {
+    if (remedy_ < 4) {
+      improve_by_moving(mesh_.vertices(t)[remedy_]);
+      ++remedy_;
+      done = !is_poor();
+    } else if (remedy_ == 4) {
+      ++remedy_;
+      done = try_flips(t);
+    } else {
+      improve_by_collapse(t);
+      done = true;
+    }
+  }
+  if (!done) return;
+  still_poor_ = still_poor_ || is_poor();
+  ++next_poor_;
+  remedy_ = 0;
+}
+
+void ConformingCutter::improve_by_moving(VertexId v) {
+  if (on_rim(v)) return;
+  gather(star_, v);
+  Placement place{mesh_.position(v), star_.worst_now()};
+  const double before = place.worst;
+  Vec3 closest;
+  std::uint32_t triangle = 0;
+  const bool on = on_surface(v);
+  if (on && !surface_.closest(place.target, 0.01 * h_, closest, triangle)) return;
+  search_placement(star_, on, triangle, kGood, -1, place);
+  if (place.worst >= before) return;
+  mesh_.move_vertex(v, place.target);
+  ++counts_.repairs;
+}
+
+void ConformingCutter::improve_by_collapse(TetId t) {
+  const auto vertices = mesh_.vertices(t);
   for (const auto& edge : kEdgeVertices) {
     if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kGood) ||
         try_collapse(t, vertices[edge[1]], vertices[edge[0]], kGood)) {
@@ -175,6 +223,7 @@ bool ConformingCutter::remove_edge(TetId t, VertexId a, VertexId b) {
   if ((on_surface(a) && on_surface(b)) || on_rim(a) || on_rim(b)) return false;
   mesh_.ring(t, a, b, ring_);
   const std::size_t n = ring_.size();
+  work_ += static_cast<std::int64_t>(n);
   if (n < 3 || n > 5) return false;
   // The ring's vertices in order, so that (a, b, ring[i], ring[i+1]) has one orientation for all i.
   std::array<VertexId, 5> ring{};
@@ -195,6 +244,7 @@ bool ConformingCutter::remove_edge(TetId t, VertexId a, VertexId b) {
   const Vec3 &pa = mesh_.position(a), &pb = mesh_.position(b);
   const bool forward = signed_volume(pa, pb, mesh_.position(ring[0]), mesh_.position(ring[1])) > 0;
   if (!forward) std::reverse(ring.begin(), ring.begin() + static_cast<std::ptrdiff_t>(n));
+  work_ += static_cast<std::int64_t>(2 * n);
   // Triangulations of the ring are fans from one of its vertices: all there are up to five.
   std::size_t best_apex = n;
   double best = before;
@@ -231,6 +281,7 @@ bool ConformingCutter::flip_face(HalfFace h) {
   const std::array<TetId, 2> two{tet_of(h), tet_of(o)};
   if (mesh_.region(two[0]) != mesh_.region(two[1])) return false;
   const VertexId a = mesh_.vertices(two[0])[face_of(h)], b = mesh_.vertices(two[1])[face_of(o)];
+  work_ += 12;
   if (mesh_.find_edge(a, b) != kNone) return false;
   const double before = std::max(mesh_.worst_dihedral(two[0]), mesh_.worst_dihedral(two[1]));
   std::array<std::array<VertexId, 4>, 3> added;
@@ -246,6 +297,7 @@ bool ConformingCutter::flip_face(HalfFace h) {
 
 bool ConformingCutter::replace(std::span<const TetId> removed,
                                std::span<const std::array<VertexId, 4>> added) {
+  work_ += 20;
   if (!mesh_.replace(removed, added, new_tets_)) return false;
   workspace_.grow(mesh_);
   for (TetId t : new_tets_) {
@@ -300,9 +352,11 @@ bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limi
   for (std::size_t i = 0; i < star.corners().size(); ++i) {
     const auto& others = star.corners()[i].others;
     if (others[0] == w || others[1] == w || others[2] == w) continue;
+    work_ += 1;
     worst = std::max(worst, worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)));
     if (worst > limit) return false;
   }
+  work_ += 40;
   if (!mesh_.may_collapse(t, v, w)) return false;
   mesh_.collapse(t, v, w);
   for (const VertexStar::Corner& c : star.corners()) {

@@ -12,7 +12,7 @@
 namespace incise::core {
 
 CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
-    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_) {}
+    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_), mover_(mesh_, workspace_) {}
 
 CutSession::~CutSession() = default;
 
@@ -51,23 +51,45 @@ bool CutSession::in_stroke(std::uint32_t number) const {
   return number < kMaxSources && sources_[number] && sources_[number]->builder.in_stroke();
 }
 
-CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
-  if (queue_.empty()) return Progress::kIdle;
-  Cutter& cutter = *sources_[queue_.front().source]->cutter;
+void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
+  Batch& batch = deformation_;
+  batch.source = batch.stroke = batch.number = 0;
+  batch.ends_stroke = false;
+  batch.lines.assign(1, {});
+  batch.from_t_ns = batch.to_t_ns = positions->source_ns;
+  batch.deformation = std::move(positions);
+  queue_.push(batch);
+  batch.deformation.reset();
+  ++deformations_;
+}
+
+CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta) {
   if (!begun_) {
-    cutter.begin(queue_.front());
+    clinging_.clear();
+    for (const auto& source : sources_) {
+      if (source) source->cutter->clinging(clinging_);
+    }
+    mover_.begin(*queue_.front().deformation, clinging_);
     begun_ = true;
   }
-  if (!cut_) {
-    if (!cutter.advance(budget)) return Progress::kSpent;
-    cut_ = true;
-    pieces_.begin();
-  }
-  if (!pieces_.advance(budget)) return Progress::kSpent;
-  begun_ = cut_ = false;
+  if (!mover_.advance(budget)) return Progress::kSpent;
+  begun_ = false;
+  --deformations_;
   queue_.pop(committed_);
-  committed_counts_ = cutter.counts();
+  committed_counts_ = {};
+  describe(delta);
+  mover_.commit(delta);
+  committed_.deformation.reset();
+#ifdef INCISE_VALIDATE
+  const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);
+  INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
+  delta.min_dihedral_deg = 180;
+  return Progress::kCommitted;
+}
 
+// What of a delta says which step it is.
+void CutSession::describe(Delta& delta) {
   delta.revision = ++revision_;
   delta.source = committed_.source;
   delta.stroke = committed_.stroke;
@@ -80,25 +102,75 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
   delta.snaps = committed_counts_.snaps;
   delta.splits = committed_counts_.splits;
   delta.max_deviation = committed_counts_.max_deviation_h;
+}
+
+CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
+  if (queue_.empty()) return Progress::kIdle;
+  if (queue_.front().deformation) return advance_deformation(budget, delta);
+  Cutter& cutter = *sources_[queue_.front().source]->cutter;
+  if (stage_ == Stage::kWaiting) {
+    cutter.begin(queue_.front());
+    stage_ = Stage::kCutting;
+  }
+  if (stage_ == Stage::kCutting) {
+    if (!cutter.advance(budget)) return Progress::kSpent;
+    workspace_.grow(mesh_);
 #ifdef INCISE_VALIDATE
-  const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
-  INCISE_CHECK(problem.empty(), problem, revision_);
+    const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
+    INCISE_CHECK(problem.empty(), problem, revision_);
 #endif
-  pieces_.report(delta);
-  mesh_.commit(delta);
-  if (config_.policy == Policy::kCroll) {  // which does not use the grid itself
-    for (const TetState& tet : delta.upserted) {
-      if (tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
-    }
+    pieces_.begin();
+    stage_ = Stage::kPieces;
   }
-  double worst = -kInverted;
-  for (const TetState& tet : delta.upserted) worst = std::max(worst, mesh_.worst_dihedral(tet.id));
-  for (VertexId v : delta.moved) {
-    mesh_.star(v, star_);
-    for (std::uint32_t corner : star_) worst = std::max(worst, mesh_.worst_dihedral(corner >> 2));
-  }
-  delta.min_dihedral_deg = worst > -kInverted ? measure_to_degrees(worst) : 180.0;
+  if (!finish(budget)) return Progress::kSpent;
+  stage_ = Stage::kWaiting;
+  queue_.pop(committed_);
+  committed_counts_ = cutter.counts();
+  describe(made_);
+  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
+  mover_.note_cut(made_);
+  std::swap(made_, delta);
   return Progress::kCommitted;
+}
+
+// What a cut batch still needs, in portions.
+bool CutSession::finish(WorkBudget& budget) {
+  if (stage_ == Stage::kPieces) {
+    if (!pieces_.advance(budget, made_)) return false;
+    stage_ = Stage::kCommitting;
+  }
+  if (stage_ == Stage::kCommitting) {
+    if (!mesh_.commit(made_, budget)) return false;
+    next_upserted_ = next_moved_ = 0;
+    worst_ = -kInverted;
+    ++workspace_.serial;
+    stage_ = Stage::kMeasuring;
+  }
+  return measure(budget);
+}
+
+// The worst angle of the tetrahedra that the delta names and of those around vertices that moved.
+bool CutSession::measure(WorkBudget& budget) {
+  const auto look_at = [this](TetId t) {
+    if (workspace_.seen[t] == workspace_.serial) return;
+    workspace_.seen[t] = workspace_.serial;
+    worst_ = std::max(worst_, mesh_.worst_dihedral(t));
+  };
+  for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {
+    if (budget.spent()) return false;
+    budget.charge(2);
+    const TetState& tet = made_.upserted[next_upserted_];
+    look_at(tet.id);
+    // The policy `croll` does not use the grid itself.
+    if (config_.policy == Policy::kCroll && tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
+  }
+  for (; next_moved_ < made_.moved.size(); ++next_moved_) {
+    if (budget.spent()) return false;
+    mesh_.star(made_.moved[next_moved_], star_);
+    budget.charge(static_cast<std::int64_t>(star_.size() + 1));
+    for (std::uint32_t corner : star_) look_at(corner >> 2);
+  }
+  return true;
 }
 
 }  // namespace incise::core

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "server/core/boundary_grid.hpp"
+#include "server/core/room.hpp"
 #include "server/core/tet_mesh.hpp"
 
 namespace incise::core {
@@ -13,12 +14,12 @@ namespace incise::core {
 struct CutWorkspace {
   explicit CutWorkspace(const TetMesh& mesh) : grid(mesh) {
     const std::size_t vertices = mesh.vertex_slots(), tets = mesh.tet_slots();
-    surface.reserve(vertices + vertices / 4 + 65536);
+    surface.reserve(room_for(vertices));
     failed.reserve(surface.capacity());
     rim.reserve(surface.capacity());
     event_head.reserve(surface.capacity());
     event_stamp.reserve(surface.capacity());
-    seen.reserve(tets + tets / 4 + 65536);
+    seen.reserve(room_for(tets));
     active.reserve(seen.capacity());
     pending.reserve(seen.capacity());
     grow(mesh);

@@ -1,21 +1,13 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "server/core/stroke_builder.hpp"
 #include "server/core/tet_mesh.hpp"
+#include "server/core/work_budget.hpp"
 
 namespace incise::core {
-
-// Counted work: what a budget is in, so that no clock decides anything. One unit is about the work on one
-// tetrahedron: some 50 ns. server/loop knows what a unit costs on this machine.
-struct WorkBudget {
-  std::int64_t left = 0;
-
-  static WorkBudget unlimited() { return {INT64_MAX}; }
-  bool spent() const { return left <= 0; }
-  void charge(std::int64_t units) { left -= units; }
-};
 
 // What a batch did.
 struct CutCounts {
@@ -42,6 +34,9 @@ class Cutter {
   virtual bool advance(WorkBudget& budget) = 0;
   // Of the batch begun last.
   virtual const CutCounts& counts() const = 0;
+  // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
+  // not be moved until it is done.
+  virtual void clinging(std::vector<VertexId>& /*out*/) const {}
 };
 
 }  // namespace incise::core

@@ -6,15 +6,10 @@
 #include "protocol/state_hash.hpp"
 #include "server/core/check.hpp"
 #include "server/core/quality.hpp"
+#include "server/core/room.hpp"
 
 namespace incise::core {
 namespace {
-
-// Room for a long session, so that growth does not copy a large mesh in the middle of a frame. Untouched memory
-// costs nothing but address space.
-std::size_t roomy(std::size_t count) {
-  return count + count / 4 + 65536;
-}
 
 std::array<VertexId, 3> sorted(std::array<VertexId, 3> f) {
   if (f[0] > f[1]) std::swap(f[0], f[1]);
@@ -37,10 +32,10 @@ TetMesh::TetMesh(const MeshData& data) {
     throw MeshError("regions given for " + std::to_string(data.regions.size()) + " of " +
                     std::to_string(tet_count) + " tetrahedra");
   }
-  vertices_.reserve(roomy(vertex_count));
+  vertices_.reserve(room_for(vertex_count));
   for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
-  tets_.reserve(roomy(tet_count));
-  attributes_.reserve(roomy(tet_count));
+  tets_.reserve(room_for(tet_count));
+  attributes_.reserve(room_for(tet_count));
   for (std::size_t t = 0; t < tet_count; ++t) {
     const auto& v = data.tets[t];
     for (int i = 0; i < 4; ++i) {
@@ -82,10 +77,10 @@ TetMesh::TetMesh(const MeshData& data) {
   }
   mean_edge_length_ = tet_count > 0 ? sum / (6.0 * static_cast<double>(tet_count)) : 0;
 
-  vertex_step_.reserve(roomy(vertex_count));
-  vertex_mark_.reserve(roomy(vertex_count));
-  tet_step_.reserve(roomy(tet_count));
-  tet_mark_.reserve(roomy(tet_count));
+  vertex_step_.reserve(room_for(vertex_count));
+  vertex_mark_.reserve(room_for(vertex_count));
+  tet_step_.reserve(room_for(tet_count));
+  tet_mark_.reserve(room_for(tet_count));
   vertex_step_.resize(vertex_count, 0);
   vertex_mark_.resize(vertex_count, 0);
   tet_step_.resize(tet_count, 0);
@@ -336,6 +331,7 @@ VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance,
   vertex_step_.push_back(step_);
   vertex_mark_.push_back(0);
   provenance_.push_back(provenance);
+  if (deformed()) rest_.push_back(lerp(rest_[provenance.a], rest_[provenance.b], provenance.t));
   return v;
 }
 
@@ -358,79 +354,132 @@ void TetMesh::kill_tet(TetId t) {
 }
 
 void TetMesh::commit(Delta& delta) {
-  std::sort(touched_vertices_.begin(), touched_vertices_.end());
-  delta.moved.clear();
-  delta.moved_positions.clear();
-  for (VertexId v : touched_vertices_) {
-    hash_ ^= hash_of_vertex(v);
-    delta.moved.push_back(v);
-    delta.moved_positions.push_back(vertices_[v].position);
-  }
-  delta.first_added = first_new_vertex_;
-  delta.added_positions.clear();
-  delta.provenance.assign(provenance_.begin(), provenance_.end());
-  for (VertexId v = first_new_vertex_; v < vertex_slots(); ++v) {
-    hash_ ^= hash_of_vertex(v);
-    delta.added_positions.push_back(vertices_[v].position);
-  }
+  WorkBudget budget = WorkBudget::unlimited();
+  commit(delta, budget);
+}
 
-  order_scratch_.resize(touched_tets_.size());
-  std::iota(order_scratch_.begin(), order_scratch_.end(), 0u);
-  std::sort(order_scratch_.begin(), order_scratch_.end(),
-            [this](std::uint32_t a, std::uint32_t b) { return touched_tets_[a] < touched_tets_[b]; });
-  delta.upserted.clear();
-  delta.removed.clear();
-  delta.boundary_upserted.clear();
-  delta.boundary_removed.clear();
-  int cut_sides = 0;
-  double cut_side_area = 0;
+bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
+  if (committing_ == Committing::kNothing) {
+    delta.moved.clear();
+    delta.moved_positions.clear();
+    delta.first_added = first_new_vertex_;
+    delta.added_positions.clear();
+    delta.provenance.clear();
+    delta.moved_rest.clear();
+    delta.added_rest.clear();
+    delta.upserted.clear();
+    delta.removed.clear();
+    delta.boundary_upserted.clear();
+    delta.boundary_removed.clear();
+    commit_sides_ = 0;
+    commit_side_area_ = 0;
+    commit_order_.clear();
+    next_commit_ = 0;
+    committing_ = Committing::kTouchedVertices;
+  }
+  if (committing_ == Committing::kTouchedVertices) {
+    for (; next_commit_ < touched_vertices_.size(); ++next_commit_) {
+      if (budget.spent()) return false;
+      budget.charge(1);
+      commit_order_.push(touched_vertices_[next_commit_]);
+    }
+    commit_order_.seal();
+    committing_ = Committing::kMoved;
+  }
+  if (committing_ == Committing::kMoved) {
+    while (!commit_order_.empty()) {
+      if (budget.spent()) return false;
+      budget.charge(2);
+      const auto v = static_cast<VertexId>(commit_order_.take());
+      hash_ ^= hash_of_vertex(v);
+      delta.moved.push_back(v);
+      delta.moved_positions.push_back(vertices_[v].position);
+      if (deformed()) delta.moved_rest.push_back(rest_[v]);
+    }
+    next_commit_ = 0;
+    committing_ = Committing::kAdded;
+  }
+  if (committing_ == Committing::kAdded) {
+    for (; next_commit_ < provenance_.size(); ++next_commit_) {
+      if (budget.spent()) return false;
+      budget.charge(1);
+      const VertexId v = first_new_vertex_ + static_cast<VertexId>(next_commit_);
+      hash_ ^= hash_of_vertex(v);
+      delta.added_positions.push_back(vertices_[v].position);
+      delta.provenance.push_back(provenance_[next_commit_]);
+      if (deformed()) delta.added_rest.push_back(rest_[v]);
+    }
+    next_commit_ = 0;
+    commit_order_.clear();
+    committing_ = Committing::kTouchedTets;
+  }
+  if (committing_ == Committing::kTouchedTets) {
+    for (; next_commit_ < touched_tets_.size(); ++next_commit_) {
+      if (budget.spent()) return false;
+      budget.charge(1);
+      commit_order_.push(std::uint64_t{touched_tets_[next_commit_]} << 32 | next_commit_);
+    }
+    commit_order_.seal();
+    committing_ = Committing::kTets;
+  }
+  while (!commit_order_.empty()) {
+    if (budget.spent()) return false;
+    budget.charge(2);
+    commit_tet(commit_order_.take() & 0xffffffffu, delta);
+  }
+  end_commit(delta);
+  return true;
+}
+
+// What the step has made of one tetrahedron that it touched.
+void TetMesh::commit_tet(std::size_t index, Delta& delta) {
+  const TetId t = touched_tets_[index];
+  const TetState& before = before_[index];
   const auto count_sides = [&](const TetState& tet, int sign) {
     for (int f = 0; f < 4; ++f) {
       if (!(tet.cut_mask >> f & 1)) continue;
       const Vec3& a = position(tet.vertices[kFaceVertices[f][0]]);
       const Vec3 n = cross(position(tet.vertices[kFaceVertices[f][1]]) - a,
                            position(tet.vertices[kFaceVertices[f][2]]) - a);
-      cut_sides += sign;
-      cut_side_area += sign * 0.5 * length(n);
+      commit_sides_ += sign;
+      commit_side_area_ += sign * 0.5 * length(n);
     }
   };
-  for (std::uint32_t i : order_scratch_) {
-    const TetId t = touched_tets_[i];
-    const TetState& before = before_[i];
-    const bool existed = before.id != kNone;
-    const bool lives = alive(t);
-    if (lives) {
-      delta.upserted.push_back(state(t));
-      hash_ ^= hash_of_tet(t);
-    } else if (existed) {
-      delta.removed.push_back(t);
-    }
-    const TetState after = lives ? delta.upserted.back() : TetState{};
-    if (existed) count_sides(before, -1);
-    if (lives) count_sides(after, 1);
-    for (int f = 0; f < 4; ++f) {
-      const bool was = existed && (before.boundary_mask >> f & 1);
-      const bool is = lives && (after.boundary_mask >> f & 1);
-      if (is) {
-        const auto same = [&](int k) {
-          return before.vertices[kFaceVertices[f][k]] == after.vertices[kFaceVertices[f][k]];
-        };
-        const bool cut_as_before = (before.cut_mask >> f & 1) == (after.cut_mask >> f & 1);
-        if (!was || !cut_as_before || !same(0) || !same(1) || !same(2)) {
-          delta.boundary_upserted.push_back(half_face(t, f));
-        }
-      } else if (was) {
-        delta.boundary_removed.push_back(half_face(t, f));
+  const bool existed = before.id != kNone;
+  const bool lives = alive(t);
+  if (lives) {
+    delta.upserted.push_back(state(t));
+    hash_ ^= hash_of_tet(t);
+  } else if (existed) {
+    delta.removed.push_back(t);
+  }
+  const TetState after = lives ? delta.upserted.back() : TetState{};
+  if (existed) count_sides(before, -1);
+  if (lives) count_sides(after, 1);
+  for (int f = 0; f < 4; ++f) {
+    const bool was = existed && (before.boundary_mask >> f & 1);
+    const bool is = lives && (after.boundary_mask >> f & 1);
+    if (is) {
+      const auto same = [&](int k) {
+        return before.vertices[kFaceVertices[f][k]] == after.vertices[kFaceVertices[f][k]];
+      };
+      const bool cut_as_before = (before.cut_mask >> f & 1) == (after.cut_mask >> f & 1);
+      if (!was || !cut_as_before || !same(0) || !same(1) || !same(2)) {
+        delta.boundary_upserted.push_back(half_face(t, f));
       }
+    } else if (was) {
+      delta.boundary_removed.push_back(half_face(t, f));
     }
   }
+}
 
+void TetMesh::end_commit(Delta& delta) {
   // Of the totals, so that steps with an odd number of sides add up.
   const std::int64_t faces_before = (cut_sides_ + 1) / 2;
-  cut_sides_ += cut_sides;
+  cut_sides_ += commit_sides_;
   delta.cut_faces =
       static_cast<std::uint32_t>(std::max<std::int64_t>((cut_sides_ + 1) / 2 - faces_before, 0));
-  delta.cut_area = std::max(0.5 * cut_side_area, 0.0);
+  delta.cut_area = std::max(0.5 * commit_side_area_, 0.0);
 
   touched_vertices_.clear();
   touched_tets_.clear();
@@ -444,6 +493,7 @@ void TetMesh::commit(Delta& delta) {
     step_ = 1;
   }
   delta.state_hash = hash_;
+  committing_ = Committing::kNothing;
 }
 
 std::uint64_t TetMesh::compute_state_hash() const {
@@ -459,6 +509,7 @@ std::uint64_t TetMesh::compute_state_hash() const {
 
 void TetMesh::move_vertex(VertexId v, const Vec3& position) {
   touch_vertex(v);
+  if (deformed()) rest_[v] = rest_at(v, position);
   vertices_[v].position = position;
 }
 

@@ -9,7 +9,9 @@
 
 #include "server/core/delta.hpp"
 #include "server/core/mesh_data.hpp"
+#include "server/core/run_sorter.hpp"
 #include "server/core/vec3.hpp"
+#include "server/core/work_budget.hpp"
 
 namespace incise::core {
 
@@ -100,6 +102,7 @@ class TetMesh {
   // A tetrahedron that has both; kNone where the two are not joined by an edge. O(star of a).
   TetId find_edge(VertexId a, VertexId b) const;
 
+  // A vertex slides to another place of the body: it stands for the material that is there.
   void move_vertex(VertexId v, const Vec3& position);
   // Puts a vertex on the edge (a, b) of tetrahedron `from`, at a + t (b - a), and splits all tetrahedra around it in
   // two: the half at a keeps its id. Returns the vertex.
@@ -124,6 +127,19 @@ class TetMesh {
   // Ends a step: what changed since the last commit, by ids ascending; fills the mesh part of `delta` (moved,
   // added, upserted, removed, boundary, cut faces and area) and its state hash. O(change log change).
   void commit(Delta& delta);
+  // The same in portions: goes on until done (true) or the budget is spent (false). `delta` must be the same, and nothing
+  // may change in between.
+  bool commit(Delta& delta, WorkBudget& budget);
+  // A step of its own, in which the body deforms: nothing may have changed since the last commit. `moved`, ascending, are
+  // swapped into `delta` with their positions. `hash_change`: the XOR of their hash_change(). O(moved), some 5 ns each.
+  void deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,
+              Delta& delta);
+  // By what the state hash changes when v goes there.
+  std::uint64_t hash_change(VertexId v, const Vec3& to) const;
+  // Whether deform() was ever called. From then on each vertex has a rest position: where the material that it stands for
+  // is in the body at rest. Until then that is its position.
+  bool deformed() const { return !rest_.empty(); }
+  const Vec3& rest_position(VertexId v) const { return deformed() ? rest_[v] : vertices_[v].position; }
   // The state hash after the last commit.
   std::uint64_t state_hash() const { return hash_; }
   // The same from scratch; O(mesh). For tests and load.
@@ -162,6 +178,7 @@ class TetMesh {
   void touch_vertex(VertexId v);
   void touch_tet(TetId t);
   VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
+  Vec3 rest_at(VertexId v, const Vec3& position) const;
   // Region and piece are those of `parent`.
   TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
   void kill_tet(TetId t);
@@ -172,10 +189,13 @@ class TetMesh {
   void component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const;
   void next_mark() const;
   void next_vertex_marks(std::uint32_t count) const;
+  void commit_tet(std::size_t index, Delta& delta);
+  void end_commit(Delta& delta);
   std::uint64_t hash_of_vertex(VertexId v) const;
   std::uint64_t hash_of_tet(TetId t) const;
 
   std::vector<Vertex> vertices_;
+  std::vector<Vec3> rest_;  // by vertex, once deformed
   std::vector<Tet> tets_;
   std::vector<Attributes> attributes_;
   std::uint32_t live_tets_ = 0;
@@ -194,6 +214,13 @@ class TetMesh {
   TetId first_new_tet_ = 0;
   std::vector<Provenance> provenance_;
   std::uint64_t hash_ = 0;
+  // How far commit() is.
+  enum class Committing { kNothing, kTouchedVertices, kMoved, kAdded, kTouchedTets, kTets };
+  Committing committing_ = Committing::kNothing;
+  std::size_t next_commit_ = 0;
+  RunSorter<std::uint64_t> commit_order_;  // id << 32 | index
+  int commit_sides_ = 0;
+  double commit_side_area_ = 0;
 
   // Scratch, kept so that a warm step allocates nothing.
   mutable std::uint32_t mark_ = 0;
@@ -208,7 +235,6 @@ class TetMesh {
   std::vector<std::uint32_t> noted_corners_;
   mutable std::vector<std::uint32_t> star_scratch_;
   mutable std::vector<TetId> ring_scratch_;
-  std::vector<std::uint32_t> order_scratch_;
 };
 
 }  // namespace incise::core

@@ -53,6 +53,8 @@ struct StreamCounters {
   std::uint64_t messages_in = 0, bad_messages = 0;
   std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;
   std::uint64_t ring_bytes = 0, ring_deltas = 0;
+  std::uint64_t half_open_closed = 0;  // to make room for newcomers
+  std::uint64_t part_bytes = 0;        // what sessions with a box hold
 };
 
 // The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.

@@ -14,6 +14,7 @@
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
 #include "server/input/input_hub.hpp"
+#include "server/loop/histogram.hpp"
 
 namespace incise::input {
 
@@ -23,6 +24,9 @@ struct DeviceFigures {
   double drift_ppm = 0;             // of its clock; > 0: slow
   std::uint64_t full_queue_ms = 0;  // spent waiting for the loop to take poses
   std::uint64_t forces_written = 0, forces_failed = 0;
+  struct {
+    double p50_us = 0, p99_us = 0, p999_us = 0, max_us = 0;
+  } pose_to_report;  // arrival of a pose until the report with its force was written
 };
 
 // An open device: reads its reports, pushes the poses of its tools to the hub, and writes the newest force to it.
@@ -80,7 +84,8 @@ class HidDevice {
   std::uint64_t full_queue_ms_ = 0;         // the reader's
   std::atomic<bool> lost_{false};
   std::atomic<std::uint64_t> forces_written_{0}, forces_failed_{0};
-  mutable std::mutex mutex_;  // guards shared_; the reader only tries it
+  loop::Histogram pose_to_report_;  // the writer's
+  mutable std::mutex mutex_;        // guards shared_; the reader only tries it
   DeviceFigures shared_;
   std::jthread reader_, writer_;
 };
