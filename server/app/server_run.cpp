@@ -23,6 +23,9 @@
 namespace incise::app {
 namespace {
 
+// At the end what waits is cut, but nobody waits for the work of minutes: service managers kill after 90 s.
+constexpr std::int64_t kLongestFinish_ns = 20'000'000'000;
+
 // Blocks the signals that end the server in this thread and in all that it makes, so that wait() gets them.
 class EndSignals {
  public:
@@ -253,6 +256,7 @@ void run_server(const Config& config, bool resume) {
   loop::LoopOptions options;
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
+  options.longest_finish_ns = kLongestFinish_ns;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
   frames.offer_deformation(positions);
   haptics::ForceSlots forces;
@@ -314,12 +318,18 @@ void run_server(const Config& config, bool resume) {
   if (devices) devices->stop();  // forces go to zero first
   network.stop();
   loop_thread.request_stop();
-  loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
+  loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes, for 20 s at most
   server.stop();
   library.stop();
   const loop::LoopState state = frames.stats().state.load();
   const std::uint64_t lost = journal ? journal->lost() : 0;
   journal.reset();
+  if (state.backlog_segments > 0) {
+    spdlog::warn("{} segments were not cut in the {} s that the end may take{}", state.backlog_segments,
+                 kLongestFinish_ns / 1'000'000'000,
+                 capture ? "; the capture has them: incised --resume goes on with them"
+                         : "; they are lost, for nothing was recorded (capture.path)");
+  }
   spdlog::info("ended at revision {}, state hash {:016x}, {} frames{}", state.revision, state.state_hash,
                state.frames, lost > 0 ? fmt::format(", {} records not in the capture", lost) : std::string());
 }

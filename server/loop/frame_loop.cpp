@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <ctime>
+#include <limits>
 #include <utility>
 
 namespace incise::loop {
@@ -108,11 +109,15 @@ void FrameLoop::finish() noexcept {
   }
   // A reader that has gone for good must not keep the server from ending: what it has not read by then it
   // will not.
+  const std::int64_t begin = monotonic_ns();
+  const std::int64_t latest =
+      begin + std::min(options_.longest_finish_ns, std::numeric_limits<std::int64_t>::max() - begin);
   do {
     state_.flags &= ~std::uint64_t{kDeltasBlocked};
-    cut(INT64_MAX, INT64_MAX);
+    cut(latest, latest);
     publish();
-  } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0);
+  } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0 &&
+           monotonic_ns() < latest);
   const std::int64_t now = monotonic_ns();
   account(now, now, now, now, now, now);
 }

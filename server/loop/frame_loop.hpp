@@ -28,6 +28,8 @@ struct LoopOptions {
   std::int64_t units_per_frame = 0;
   // Deltas that the sink's readers may hold at once; with more the cut waits for them.
   std::size_t most_unread_deltas = 1u << 16;
+  // How long finish() may cut; what is left then is in the capture, if there is one.
+  std::int64_t longest_finish_ns = INT64_MAX;
 };
 
 // The real-time loop. Once a frame, in this order: take the poses that wait, check and batch them, update the

@@ -275,6 +275,21 @@ TEST(FrameLoop, FinishTakesWhatWaitsAndEndsStrokes) {
   EXPECT_EQ(rig.loop.stats().state.load().backlog_events, 0u);
 }
 
+// A service manager kills what takes minutes to end; what is left has been drained, so a capture has it.
+TEST(FrameLoop, FinishLeavesWhatTakesTooLong) {
+  const core::MeshData mesh = tests::cube(5);
+  LoopOptions options;
+  options.longest_finish_ns = 0;
+  Rig rig(Policy::kConforming, mesh, options);
+  auto source = rig.hub.open_source("blade");
+  const auto poses = tests::sweep_through(200);
+  ASSERT_EQ(source->push(timed(poses)), poses.size());
+  rig.loop.finish();
+  EXPECT_EQ(rig.hub.waiting(), 0u);
+  EXPECT_GT(rig.session.backlog_batches(), 0u);
+  EXPECT_GT(rig.loop.stats().state.load().backlog_segments, 0u);
+}
+
 TEST(FrameLoop, RejectedPosesAreCountedAndChangeNothing) {
   const core::MeshData mesh = tests::cube(5);
   auto poses = tests::sweep_through(200);
