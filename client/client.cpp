@@ -33,6 +33,7 @@ constexpr std::chrono::seconds kPingEvery{1};
 constexpr std::int64_t kSilence_ns = 15'000'000'000;  // with a ping a second unanswered, nobody is there
 constexpr int kMostResyncs = 5;                       // in a row: another snapshot would not help
 constexpr std::size_t kPingsForOffset = 16;
+constexpr const char* kOtherHash = "the replica's hash, computed anew, is another";
 
 std::int64_t monotonic_ns() {
   timespec now{};
@@ -138,6 +139,7 @@ struct Client::Impl {
     hello.max_rate_hz = options.max_rate_hz;
     hello.box = options.box;
     hello.source_name = options.source_name;
+    hello.blade = options.blade;
     // Coming back, the blade may still be held by the connection that was lost.
     hello.take_over = options.take_over || reconnecting;
     if (reconnecting && state_is_whole) {
@@ -149,7 +151,10 @@ struct Client::Impl {
     if (written) throw_failure(written.message());
     const Link::Received received = co_await link->read();
     late.cancel();
-    if (!received.closed.empty()) throw_failure(received.closed);
+    if (!received.closed.empty()) {
+      const bool silent = received.closed == error_code(asio::error::eof).message();
+      throw_failure(silent && !options.tls ? kMaybeTls : received.closed);
+    }
     last_received_ns = monotonic_ns();
     const protocol::DecodeResult decoded = protocol::decode(received.body);
     if (!decoded) throw_failure(decoded.error);
@@ -280,65 +285,80 @@ struct Client::Impl {
     call(callbacks.on_welcome, body);
   }
 
-  bool on(const protocol::SnapshotBegin& part, const Arrival&) {
-    view = part.view;
-    snapshot_cause = part.cause;
-    return took(
-        locked([&] { return view == protocol::View::Surface ? surface.begin(part) : volume.begin(part); }));
+  bool on(const protocol::SnapshotBegin& begin, const Arrival&) {
+    view = begin.view;
+    boxed = begin.box.has_value();
+    snapshot_cause = begin.cause;
+    return took(change_state([&](auto& replica) { return replica.begin(begin); }));
   }
 
-  bool on(const protocol::SnapshotChunk& part, const Arrival&) {
-    const protocol::ApplyResult result =
-        locked([&] { return view == protocol::View::Surface ? surface.chunk(part) : volume.chunk(part); });
+  bool on(const protocol::SnapshotChunk& chunk, const Arrival&) {
+    std::uint32_t done = 0, total = 0;
+    const protocol::ApplyResult result = change_state([&](auto& replica) {
+      const protocol::ApplyResult r = replica.chunk(chunk);
+      done = replica.chunks_done();
+      total = replica.chunks_total();
+      return r;
+    });
     const bool fine = took(result);
-    if (result) {
-      if (view == protocol::View::Surface) {
-        call(callbacks.on_snapshot_progress, surface.chunks_done(), surface.chunks_total());
-      } else {
-        call(callbacks.on_snapshot_progress, volume.chunks_done(), volume.chunks_total());
-      }
-    }
+    if (result) call(callbacks.on_snapshot_progress, done, total);
     return fine;
   }
 
-  bool on(const protocol::SnapshotEnd& part, const Arrival&) {
-    const protocol::ApplyResult result =
-        locked([&] { return view == protocol::View::Surface ? surface.end(part) : volume.end(part); });
+  bool on(const protocol::SnapshotEnd& end, const Arrival&) {
+    const protocol::ApplyResult result = change_state([&](auto& replica) { return replica.end(end); });
     if (!result) return took(result);
     state_is_whole = true;
     awaiting_snapshot = false;
     resyncs_in_a_row = 0;
-    moved_to(part.revision, 0, true);
-    call(callbacks.on_snapshot, part, snapshot_cause);
+    moved_to(end.revision, 0, true);
+    call(callbacks.on_snapshot, end, snapshot_cause);
     return true;
   }
 
   bool on(const protocol::Delta& delta, const Arrival& arrival) {
     if (awaiting_snapshot) return true;  // sent before the server knew
-    protocol::ApplyResult result = locked([&] { return volume.apply(delta); });
-    if (result && options.full_check_interval > 0 &&
-        delta.revision / options.full_check_interval != delta.base_revision / options.full_check_interval &&
-        volume.compute_state_hash() != volume.state_hash()) {
-      result = {protocol::ApplyError::HashMismatch, "the replica's hash, computed anew, is another"};
+    protocol::ApplyResult result = locked([&] { return boxed ? part.apply(delta) : volume.apply(delta); });
+    if (result && due_for_full_check(delta) &&
+        (boxed ? part.compute_part_hash() != part.part_hash()
+               : volume.compute_state_hash() != volume.state_hash())) {
+      result = {protocol::ApplyError::HashMismatch, kOtherHash};
     }
     if (!result) return took(result);
     moved_to(delta.revision, delta.steps.size(), false);
-    call(callbacks.on_delta, volume, delta, arrival);
+    if (boxed) {
+      call(callbacks.on_part_delta, part, delta, arrival);
+    } else {
+      call(callbacks.on_delta, volume, delta, arrival);
+    }
     return true;
   }
 
   bool on(const protocol::SurfaceDelta& delta, const Arrival& arrival) {
     if (awaiting_snapshot) return true;
     protocol::ApplyResult result = locked([&] { return surface.apply(delta); });
-    if (result && options.full_check_interval > 0 &&
-        delta.revision / options.full_check_interval != delta.base_revision / options.full_check_interval &&
-        surface.compute_surface_hash() != surface.surface_hash()) {
-      result = {protocol::ApplyError::HashMismatch, "the replica's hash, computed anew, is another"};
-    }
+    if (result && due_for_full_check(delta) && surface.compute_surface_hash() != surface.surface_hash())
+      result = {protocol::ApplyError::HashMismatch, kOtherHash};
     if (!result) return took(result);
     moved_to(delta.revision, delta.steps.size(), false);
     call(callbacks.on_surface_delta, surface, delta, arrival);
     return true;
+  }
+
+  // Whether the delta crosses a revision at which the replica is to be hashed anew.
+  template <class D>
+  bool due_for_full_check(const D& delta) const {
+    const std::uint64_t every = options.full_check_interval;
+    return every > 0 && delta.revision / every != delta.base_revision / every;
+  }
+
+  // Changes the replica of the view in force.
+  template <class F>
+  protocol::ApplyResult change_state(F&& change) {
+    return locked([&] {
+      if (view == protocol::View::Surface) return change(surface);
+      return boxed ? change(part) : change(volume);
+    });
   }
 
   template <class F>
@@ -421,6 +441,11 @@ struct Client::Impl {
     return true;
   }
 
+  bool on(const protocol::PositionsReport& report, const Arrival&) {
+    call(callbacks.on_positions_report, report);
+    return true;
+  }
+
   bool on(const protocol::Force& force, const Arrival&) {
     call(callbacks.on_force, force);
     return true;
@@ -473,6 +498,17 @@ struct Client::Impl {
     }
     wake_writer();
     return last;
+  }
+
+  std::uint64_t send_positions(const protocol::Positions& positions) {
+    std::uint64_t sent = 0;
+    {
+      const std::scoped_lock lock(mutex);
+      if (current_status != Status::kConnected || closing || outbox_bytes > 0) return 0;
+      sent = put(positions);
+    }
+    wake_writer();
+    return sent;
   }
 
   // ---- Waiting; any thread but the client's ----
@@ -559,9 +595,11 @@ struct Client::Impl {
   mutable std::mutex state_mutex;
   protocol::Replica volume;
   protocol::SurfaceReplica surface;
+  protocol::VolumePart part;
 
   // The client's thread's.
   protocol::View view;  // in force
+  bool boxed = false;   // likewise: the snapshot was of what touches a box
   std::shared_ptr<Link> link;
   asio::steady_timer outbox_wake, ping_timer, retry_timer, goodbye_timer;
   std::uint64_t current_session = 0;
@@ -610,6 +648,14 @@ std::unique_ptr<Client> Client::connect(const std::string& host, std::uint16_t p
 
 std::uint64_t Client::send_poses(std::span<const protocol::PoseSample> poses) {
   return impl_->send_poses(poses);
+}
+
+bool Client::engage(std::int64_t source_ns) {
+  return impl_->queue(protocol::StrokeControl{protocol::StrokeAction::Engage, source_ns}) != 0;
+}
+
+std::uint64_t Client::send_positions(const protocol::Positions& positions) {
+  return impl_->send_positions(positions);
 }
 
 bool Client::end_stroke(std::int64_t source_ns) {
@@ -691,6 +737,9 @@ const protocol::Replica& Client::volume() const {
 }
 const protocol::SurfaceReplica& Client::surface() const {
   return impl_->surface;
+}
+const protocol::VolumePart& Client::part() const {
+  return impl_->part;
 }
 
 }  // namespace incise::client

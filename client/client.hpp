@@ -20,6 +20,7 @@
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 
 namespace incise::client {
 
@@ -38,10 +39,11 @@ struct Options {
   protocol::View view = protocol::View::Volume;
   std::string token;
   std::string client_name = "incise_client";
-  std::string source_name = "blade";  // operator: which blade
-  bool take_over = false;             // operator: take it from whoever holds it
-  std::optional<protocol::Box> box;   // of view Surface only what touches it
-  float max_rate_hz = 0;              // deltas a second at most, coalesced; 0: one for each revision
+  std::string source_name = "blade";         // operator: which blade
+  bool take_over = false;                    // operator: take it from whoever holds it
+  std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
+  std::optional<protocol::Box> box;  // of either view only what touches it; of Volume that is read_part()'s
+  float max_rate_hz = 0;             // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
   // Connects again when the connection is lost, as often as it takes, and goes on where it was.
   bool reconnect = false;
@@ -70,10 +72,13 @@ struct Callbacks {
   std::function<void(const protocol::Replica&, const protocol::Delta&, const Arrival&)> on_delta;
   std::function<void(const protocol::SurfaceReplica&, const protocol::SurfaceDelta&, const Arrival&)>
       on_surface_delta;
+  // View Volume with a box.
+  std::function<void(const protocol::VolumePart&, const protocol::Delta&, const Arrival&)> on_part_delta;
   std::function<void(const protocol::SnapshotEnd&, protocol::SnapshotCause)> on_snapshot;
   std::function<void(std::uint32_t done, std::uint32_t chunks)> on_snapshot_progress;
   std::function<void(const protocol::Force&)> on_force;  // for ContactRenderer::take
   std::function<void(const protocol::PoseReport&)> on_report;
+  std::function<void(const protocol::PositionsReport&)> on_positions_report;
   std::function<void(const protocol::Stats&)> on_stats;
   std::function<void(const protocol::Error&)> on_error;
   std::function<void(const std::string& reason)>
@@ -108,8 +113,14 @@ class Client {
   // which PoseReport::through_sequence will reach; 0, and nothing is queued, where there is no connection or
   // no room for them: try again.
   std::uint64_t send_poses(std::span<const protocol::PoseSample> poses);
+  // For a tool without a button: engages the blade for all poses sent from here on, until end_stroke(). False without a
+  // connection.
+  bool engage(std::int64_t source_ns);
   // Ends the running stroke after the poses sent so far. False without a connection.
   bool end_stroke(std::int64_t source_ns);
+  // Simulators: where vertices are, all of revision `positions.revision`. Returns the message's sequence; 0, and nothing is
+  // queued, where there is no connection or the last ones wait for the network still: the next ones will do.
+  std::uint64_t send_positions(const protocol::Positions& positions);
   // Another view or rate from here on.
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: the mesh as it was loaded, for all.
@@ -139,6 +150,12 @@ class Client {
     const std::scoped_lock lock(state_mutex());
     return function(surface());
   }
+  // With the part of view Volume that touches Options::box.
+  template <class F>
+  auto read_part(F&& function) const {
+    const std::scoped_lock lock(state_mutex());
+    return function(part());
+  }
 
   // Wait until the replica is at `revision` or later, or until the server has dealt with all poses up to a
   // message, or until all that was queued here is on the network. False when the time is over or the client
@@ -161,6 +178,7 @@ class Client {
   std::mutex& state_mutex() const;
   const protocol::Replica& volume() const;
   const protocol::SurfaceReplica& surface() const;
+  const protocol::VolumePart& part() const;
   std::unique_ptr<Impl> impl_;
 };
 

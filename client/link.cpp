@@ -128,11 +128,15 @@ asio::awaitable<std::unique_ptr<Link>> finish(Stream stream, std::shared_ptr<Tls
     beast::get_lowest_layer(stream).expires_never();
     co_return std::make_unique<TcpLink<Stream>>(std::move(stream), std::move(tls));
   }
+  const bool tls_used = tls != nullptr;
   auto link = std::make_unique<WebSocketLink<Stream>>(std::move(stream), std::move(tls));
   const bool literal_v6 = host.find(':') != std::string::npos;
   const std::string name = (literal_v6 ? "[" + host + "]" : host) + ":" + std::to_string(port);
   const error_code ec = co_await link->shake_hands(name);
-  if (ec) fail(host, port, "no WebSocket there: " + ec.message());
+  if (ec) {
+    const bool silent = ec == beast::http::error::end_of_stream || ec == asio::error::eof;
+    fail(host, port, "no WebSocket there: " + (silent && !tls_used ? std::string(kMaybeTls) : ec.message()));
+  }
   link->expires_never();
   co_return link;
 }
@@ -148,6 +152,20 @@ std::shared_ptr<TlsContext> make_tls(const std::string& host, std::uint16_t port
   }
   if (ec) fail(host, port, "certificates " + options.ca_file + ": " + ec.message());
   return tls;
+}
+
+// Why no TLS came about, and what to look at.
+std::string tls_failure(const error_code& ec, SSL* connection, const std::string& host) {
+  const long verdict = SSL_get_verify_result(connection);
+  if (verdict != X509_V_OK) {
+    return std::string("TLS: the server's certificate is not trusted: ") +
+           X509_verify_cert_error_string(verdict) + "; give the file of the authority that signed it (--ca)";
+  }
+  const std::string what = "TLS: " + ec.message();
+  if (what.find("certificate verify failed") != std::string::npos)
+    return what + ": the certificate is not for the name " + host;
+  if (what.find("wrong version number") != std::string::npos) return what + ": no TLS is spoken there";
+  return what;
 }
 
 }  // namespace
@@ -171,7 +189,7 @@ asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t
   SSL_set_tlsext_host_name(secured.native_handle(), host.c_str());
   secured.set_verify_callback(ssl::host_name_verification(host));
   const auto [tls_error] = co_await secured.async_handshake(ssl::stream_base::client, kTuple);
-  if (tls_error) fail(host, port, "TLS: " + tls_error.message());
+  if (tls_error) fail(host, port, tls_failure(tls_error, secured.native_handle(), host));
   co_return co_await finish(std::move(secured), std::move(tls), host, port, options.transport);
 }
 

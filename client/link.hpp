@@ -19,6 +19,10 @@ namespace incise::client {
 
 namespace asio = boost::asio;
 
+// What a server that wants TLS looks like to who does not speak it.
+inline constexpr const char* kMaybeTls =
+    "the connection was closed without an answer; a server with a certificate wants TLS (tls:// or wss://)";
+
 // Thread: the client's. Owns: the socket.
 class Link {
  public:

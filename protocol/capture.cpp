@@ -22,6 +22,8 @@ constexpr char kMagic[8] = {'I', 'N', 'C', 'I', 'S', 'C', 'A', 'P'};
 constexpr std::size_t kPreambleBytes =
     sizeof kMagic + 4 + 4 + 4;                       // magic, version, header length, header CRC
 constexpr std::size_t kRecordHeadBytes = 4 + 4 + 1;  // length, CRC, type
+// Flags of a PositionsRecord.
+constexpr std::uint8_t kWithIds = 1, kSingle = 2;
 constexpr std::uint8_t kLastType = std::variant_size_v<CaptureRecord>;
 // How far behind wrong bytes a good record is looked for, and how long it may be: poses and marks are short
 // and many.
@@ -130,6 +132,11 @@ void fields(Io& io, R& r) {
     io(r.action);
     io(r.source_ns);
     io(r.arrival_ns);
+  } else if constexpr (std::is_same_v<T, BladeRecord>) {
+    io(r.source);
+    io(r.arrival_ns);
+    io(r.blade.heel);
+    io(r.blade.tip);
   } else if constexpr (std::is_same_v<T, BatchMark>) {
     io(r.revision);
     io(r.state_hash);
@@ -162,16 +169,28 @@ void fields(Io& io, R& r) {
     io(r.first);
     if constexpr (std::is_same_v<Io, Put>) {
       io(static_cast<std::uint32_t>(r.positions.size() / 3));
-      io(static_cast<std::uint8_t>(!r.ids.empty()));
+      io(static_cast<std::uint8_t>((r.ids.empty() ? 0 : kWithIds) | (r.single ? kSingle : 0)));
       io.numbers(r.ids);
-      io.numbers(r.positions);
+      if (r.single) {
+        io.numbers(std::vector<float>(r.positions.begin(), r.positions.end()));
+      } else {
+        io.numbers(r.positions);
+      }
     } else {
       std::uint32_t count = 0;
-      bool with_ids = false;
+      std::uint8_t flags = 0;
       io(count);
-      io(with_ids);
-      if (with_ids) io.numbers(r.ids, count);
-      io.numbers(r.positions, std::uint64_t{3} * count);
+      io(flags);
+      if ((flags & ~(kWithIds | kSingle)) != 0) io.fail();
+      if ((flags & kWithIds) != 0) io.numbers(r.ids, count);
+      r.single = (flags & kSingle) != 0;
+      if (r.single) {
+        std::vector<float> floats;
+        io.numbers(floats, std::uint64_t{3} * count);
+        r.positions.assign(floats.begin(), floats.end());
+      } else {
+        io.numbers(r.positions, std::uint64_t{3} * count);
+      }
     }
   }
 }

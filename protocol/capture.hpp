@@ -45,6 +45,14 @@ struct StrokeRecord {
   friend bool operator==(const StrokeRecord&, const StrokeRecord&) = default;
 };
 
+// The blade has another holder, whose clock may start anew, and this shape from here on.
+struct BladeRecord {
+  std::uint32_t source = 0;
+  std::int64_t arrival_ns = 0;
+  BladeEdge blade;
+  friend bool operator==(const BladeRecord&, const BladeRecord&) = default;
+};
+
 // A batch was committed: the state has this hash at this revision.
 struct BatchMark {
   std::uint64_t revision = 0;
@@ -76,7 +84,7 @@ struct CheckpointRecord {
   friend bool operator==(const CheckpointRecord&, const CheckpointRecord&) = default;
 };
 
-// Deformed positions from a simulator. ids empty: first, first + 1, ...
+// Positions from a simulator, which the loop has taken. ids empty: first, first + 1, ...
 struct PositionsRecord {
   std::uint64_t frame = 0;
   std::uint64_t revision = 0;
@@ -84,6 +92,7 @@ struct PositionsRecord {
   std::uint32_t first = 0;
   std::vector<std::uint32_t> ids;
   std::vector<double> positions;
+  bool single = false;  // they are stored as floats, which they must be
   friend bool operator==(const PositionsRecord&, const PositionsRecord&) = default;
 };
 
@@ -102,7 +111,7 @@ struct EndRecord {
 
 // index() + 1 is the type on disk. A reader passes over types that it does not know.
 using CaptureRecord = std::variant<PoseRecord, StrokeRecord, BatchMark, NoteRecord, GapRecord,
-                                   CheckpointRecord, PositionsRecord, ResetRecord, EndRecord>;
+                                   CheckpointRecord, PositionsRecord, ResetRecord, EndRecord, BladeRecord>;
 
 // Where a capture is written to. Errors come back as codes: a full disk is no reason to stop cutting.
 class CaptureSink {

@@ -1,6 +1,7 @@
 #include "protocol/coalesce.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <map>
 #include <stdexcept>
 
@@ -21,7 +22,10 @@ struct Place {
 using Places = std::map<std::uint32_t, Place>;
 
 void note(Places& places, std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
-  for (std::size_t i = 0; i < ids.size(); ++i) places[ids[i]] = {delta, i, removed};
+  // Ids ascend, and those of one deformation after the other are the same: each is next to the one before.
+  auto next = places.begin();
+  for (std::size_t i = 0; i < ids.size(); ++i)
+    next = std::next(places.insert_or_assign(next, ids[i], Place{delta, i, removed}));
 }
 
 template <class D>
@@ -33,6 +37,33 @@ void check_chain(std::span<const D> deltas) {
                                   std::to_string(deltas[i].base_revision) + " after one to " +
                                   std::to_string(deltas[i - 1].revision));
     }
+  }
+}
+
+bool deforms(const Delta& d) {
+  return std::any_of(d.steps.begin(), d.steps.end(), [](const Step& step) { return step.stroke == 0; });
+}
+
+// The rest positions that the deltas together change. A cut before the first deformation says none: they are the
+// positions that it gives, which a later delta of these may change.
+void join_rest(std::span<const Delta> deltas, OwnedDelta& out) {
+  if (std::none_of(deltas.begin(), deltas.end(),
+                   [](const Delta& d) { return deforms(d) || !d.rest_ids.empty(); })) {
+    return;
+  }
+  std::map<std::uint32_t, const double*> rest;
+  for (const Delta& d : deltas) {
+    if (!d.rest_ids.empty() || deforms(d)) {
+      for (std::size_t i = 0; i < d.rest_ids.size(); ++i) rest[d.rest_ids[i]] = &d.rest_positions[3 * i];
+      continue;
+    }
+    for (std::size_t i = 0; i < d.moved_ids.size(); ++i) rest[d.moved_ids[i]] = &d.moved_positions[3 * i];
+    for (std::size_t i = 0; i < d.provenance_t.size(); ++i)
+      rest[d.first_added + static_cast<std::uint32_t>(i)] = &d.added_positions[3 * i];
+  }
+  for (const auto& [id, position] : rest) {
+    out.rest_ids.push_back(id);
+    out.rest_positions.insert(out.rest_positions.end(), position, position + 3);
   }
 }
 
@@ -61,6 +92,11 @@ Delta OwnedDelta::view() const {
   d.live_tets = live_tets;
   d.state_hash = state_hash;
   d.first_new_tet = first_new_tet;
+  d.added_ids = added_ids;
+  d.removed_vertices = removed_vertices;
+  d.part_hash = part_hash;
+  d.rest_ids = rest_ids;
+  d.rest_positions = rest_positions;
   return d;
 }
 
@@ -90,6 +126,7 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
   out.first_new_tet = first.first_new_tet;
   out.first_added = first.vertex_count - static_cast<std::uint32_t>(first.provenance_t.size());
 
+  join_rest(deltas, out);
   Places moved, tets, faces;
   std::map<std::uint32_t, std::uint32_t> piece_of;
   for (std::size_t k = 0; k < deltas.size(); ++k) {

@@ -31,6 +31,10 @@ struct OwnedDelta {
   std::uint32_t live_tets = 0;
   std::uint64_t state_hash = 0;
   std::uint32_t first_new_tet = 0;
+  std::vector<std::uint32_t> added_ids, removed_vertices;
+  std::uint64_t part_hash = 0;
+  std::vector<std::uint32_t> rest_ids;
+  std::vector<double> rest_positions;
 
   // Spans into this object; the steps are copied.
   Delta view() const;
@@ -51,7 +55,8 @@ struct OwnedSurfaceDelta {
 // The one delta that leads where `deltas` lead one after the other: it takes a state at the first one's base
 // revision to the same state, hash, pieces and steps included. Vertices keep the provenance of the delta that
 // added them. The deltas must follow on each other and there must be one at least (else
-// std::invalid_argument). O(n log n) in their size.
+// std::invalid_argument). Deltas of a part of the volume (VolumePart) are not put together so: a part's is made of the
+// whole's. O(n log n) in their size.
 OwnedDelta coalesce(std::span<const Delta> deltas);
 OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas);
 

@@ -129,6 +129,18 @@ class Reader {
     return b;
   }
 
+  std::optional<BladeEdge> edge(const char* field, const wire::BladeEdge* value) {
+    if (value == nullptr) return std::nullopt;
+    const BladeEdge e{vector(field, value->heel()), vector(field, value->tip())};
+    for (const Vec3& p : {e.heel, e.tip}) {
+      require(std::abs(p.x) <= kMaxBladeCoordinate && std::abs(p.y) <= kMaxBladeCoordinate &&
+                  std::abs(p.z) <= kMaxBladeCoordinate,
+              field, "more than 10 m from the tool's origin");
+    }
+    require(e.heel != e.tip, field, "of no length");
+    return e;
+  }
+
   TetArrays tets(const wire::Tets* t) {
     if (t == nullptr) return {};
     TetArrays out;
@@ -226,6 +238,7 @@ class Reader {
     out.source_name = text("source_name", m.source_name());
     out.take_over = m.take_over();
     out.blade_rate_hz = rate("blade_rate_hz", m.blade_rate_hz());
+    out.blade = edge("blade", m.blade());
     return out;
   }
   Body read(const wire::Welcome& m) {
@@ -351,6 +364,13 @@ class Reader {
     out.live_tets = m.live_tets();
     out.state_hash = m.state_hash();
     out.first_new_tet = m.first_new_tet();
+    out.added_ids = ids("added_ids", m.added_ids(), kMaxVertices);
+    require(out.added_ids.empty() || out.added_ids.size() == added, "added_ids",
+            "as many as provenance_t, or none");
+    out.removed_vertices = ids("removed_vertices", m.removed_vertices(), kMaxVertices);
+    out.part_hash = m.part_hash();
+    out.rest_ids = ids("rest_ids", m.rest_ids(), kMaxVertices);
+    out.rest_positions = positions("rest_positions", m.rest_positions(), out.rest_ids.size());
     return out;
   }
   Body read(const wire::SurfaceDelta& m) {
@@ -396,10 +416,15 @@ class Reader {
     out.surface_vertices =
         surface_vertices("surface_vertices.ids", "surface_vertices.positions", m.surface_vertices());
     out.triangles = triangles(m.triangles());
+    out.vertex_ids = ids("vertex_ids", m.vertex_ids(), kMaxVertices);
+    require(out.vertex_ids.empty() || 3 * out.vertex_ids.size() == numbers, "vertex_ids",
+            "one for each of positions, or none");
+    const bool rest = m.rest_positions() != nullptr && m.rest_positions()->size() > 0;
+    out.rest_positions = positions("rest_positions", m.rest_positions(), rest ? numbers / 3 : 0);
     return out;
   }
   Body read(const wire::SnapshotEnd& m) {
-    return SnapshotEnd{m.revision(), m.state_hash(), m.surface_hash()};
+    return SnapshotEnd{m.revision(), m.state_hash(), m.surface_hash(), m.part_hash()};
   }
   Body read(const wire::Positions& m) {
     Positions out;
@@ -441,6 +466,17 @@ class Reader {
     require(speed > 0, "speed", "accepted are numbers above 0");
     return ReplayControl{enumeration<ReplayAction>("action", m.action()), text("capture", m.capture()), speed,
                          m.revision()};
+  }
+  Body read(const wire::PositionsReport& m) {
+    PositionsReport out;
+    out.frame = m.frame();
+    out.revision = m.revision();
+    out.moved = m.moved();
+    out.passed_over = m.passed_over();
+    out.held = ids("held", m.held(), kMaxVertices);
+    out.taken = m.taken();
+    out.skipped = m.skipped();
+    return out;
   }
   Body read(const wire::BladePose& m) {
     BladePose out;
@@ -499,6 +535,7 @@ Body read_body(Reader& reader, const wire::Message& message) {
     INCISE_MESSAGE(ReplayControl);
     INCISE_MESSAGE(ReplayState);
     INCISE_MESSAGE(BladePose);
+    INCISE_MESSAGE(PositionsReport);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

@@ -46,6 +46,12 @@ Offset<wire::Box> box(FlatBufferBuilder& b, const std::optional<Box>& value) {
   return wire::CreateBox(b, &min, &max);
 }
 
+Offset<wire::BladeEdge> edge(FlatBufferBuilder& b, const std::optional<BladeEdge>& value) {
+  if (!value) return {};
+  const wire::Vec3 heel = to_wire(value->heel), tip = to_wire(value->tip);
+  return wire::CreateBladeEdge(b, &heel, &tip);
+}
+
 Offset<wire::Tets> tets(FlatBufferBuilder& b, const TetArrays& t) {
   if (t.ids.empty()) return {};
   return wire::CreateTets(b, array(b, t.ids), array(b, t.vertices), array(b, t.regions),
@@ -85,9 +91,10 @@ struct Encoder {
     const auto name = text(b, m.client_name), version = text(b, m.client_version), token = text(b, m.token);
     const auto interest = box(b, m.box);
     const auto source = text(b, m.source_name);
+    const auto blade = edge(b, m.blade);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over, m.blade_rate_hz)
+                             m.take_over, m.blade_rate_hz, blade)
         .Union();
   }
   auto operator()(const Welcome& m) {
@@ -163,10 +170,14 @@ struct Encoder {
     const auto upserted_faces = array(b, m.boundary_upserted), removed_faces = array(b, m.boundary_removed);
     const auto piece_ids = array(b, m.piece_ids), piece_sizes = array(b, m.piece_sizes);
     const auto piece_tets = array(b, m.piece_tets);
+    const auto added_ids = array(b, m.added_ids), removed_vertices = array(b, m.removed_vertices);
+    const auto rest_ids = array(b, m.rest_ids);
+    const auto rest_positions = array(b, m.rest_positions);
     return wire::CreateDelta(b, m.base_revision, m.revision, step_list, moved_ids, moved_positions,
                              m.first_added, added_positions, provenance_a, provenance_b, provenance_t,
                              tet_table, removed, upserted_faces, removed_faces, piece_ids, piece_sizes,
-                             piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet)
+                             piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet,
+                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions)
         .Union();
   }
   auto operator()(const SurfaceDelta& m) {
@@ -191,12 +202,14 @@ struct Encoder {
     const auto pieces = array(b, m.tet_pieces);
     const auto vertices = surface_vertices(b, m.surface_vertices);
     const auto triangle_table = triangles(b, m.triangles);
+    const auto vertex_ids = array(b, m.vertex_ids);
+    const auto rest_positions = array(b, m.rest_positions);
     return wire::CreateSnapshotChunk(b, m.index, m.first_vertex, positions, tet_table, pieces, vertices,
-                                     triangle_table)
+                                     triangle_table, vertex_ids, rest_positions)
         .Union();
   }
   auto operator()(const SnapshotEnd& m) {
-    return wire::CreateSnapshotEnd(b, m.revision, m.state_hash, m.surface_hash).Union();
+    return wire::CreateSnapshotEnd(b, m.revision, m.state_hash, m.surface_hash, m.part_hash).Union();
   }
   auto operator()(const Positions& m) {
     const auto ids = array(b, m.ids);
@@ -219,6 +232,12 @@ struct Encoder {
   auto operator()(const BladePose& m) {
     const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip);
     return wire::CreateBladePose(b, m.source, m.cutting, &heel, &tip, m.arrival_ns).Union();
+  }
+  auto operator()(const PositionsReport& m) {
+    const auto held = array(b, m.held);
+    return wire::CreatePositionsReport(b, m.frame, m.revision, m.moved, m.passed_over, held, m.taken,
+                                       m.skipped)
+        .Union();
   }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
@@ -254,7 +273,9 @@ std::size_t expected_bytes(const Body& body) {
                  m.added_positions.size_bytes() + m.provenance_a.size_bytes() + m.provenance_b.size_bytes() +
                  m.provenance_t.size_bytes() + bytes_of(m.tets) + m.removed_tets.size_bytes() +
                  m.boundary_upserted.size_bytes() + m.boundary_removed.size_bytes() +
-                 m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes();
+                 m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes() +
+                 m.added_ids.size_bytes() + m.removed_vertices.size_bytes() + m.rest_ids.size_bytes() +
+                 m.rest_positions.size_bytes();
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +
@@ -262,8 +283,10 @@ std::size_t expected_bytes(const Body& body) {
         }
         if constexpr (std::is_same_v<T, SnapshotChunk>) {
           return kSmall + m.positions.size_bytes() + bytes_of(m.tets) + m.tet_pieces.size_bytes() +
-                 bytes_of(m.surface_vertices) + bytes_of(m.triangles);
+                 bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes() +
+                 m.rest_positions.size_bytes();
         }
+        if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
         return kSmall;
       },
       body);
@@ -314,6 +337,8 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
       failed_ = true;
       error_ = "length prefix: " + std::to_string(size) + " bytes, accepted are " +
                std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
+      if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
+        error_ += " (it reads HTTP: a port for WebSockets?)";
       return Status::Failed;
     }
     size_ = size;

@@ -45,6 +45,12 @@ struct Box {
   friend bool operator==(const Box&, const Box&) = default;
 };
 
+// A blade in the tool's frame, metres.
+struct BladeEdge {
+  Vec3 heel, tip;
+  friend bool operator==(const BladeEdge&, const BladeEdge&) = default;
+};
+
 enum class Role : std::uint8_t { Viewer, Operator, Simulator, Admin };
 enum class View : std::uint8_t { None, Surface, Volume };
 
@@ -61,6 +67,7 @@ struct Hello {
   std::string source_name;
   bool take_over = false;
   float blade_rate_hz = 0;
+  std::optional<BladeEdge> blade;
 };
 
 struct MeshFacts {
@@ -249,6 +256,10 @@ struct Delta {
   std::uint32_t live_tets = 0;
   std::uint64_t state_hash = 0;
   std::uint32_t first_new_tet = 0;
+  std::span<const std::uint32_t> added_ids, removed_vertices;
+  std::uint64_t part_hash = 0;
+  std::span<const std::uint32_t> rest_ids;
+  std::span<const double> rest_positions;
 };
 
 struct SurfaceDelta {
@@ -282,12 +293,15 @@ struct SnapshotChunk {
   std::span<const std::uint32_t> tet_pieces;
   SurfaceVertexArrays surface_vertices;
   TriangleArrays triangles;
+  std::span<const std::uint32_t> vertex_ids;
+  std::span<const double> rest_positions;
 };
 
 struct SnapshotEnd {
   std::uint64_t revision = 0;
   std::uint64_t state_hash = 0;
   std::uint64_t surface_hash = 0;
+  std::uint64_t part_hash = 0;
 };
 
 struct Positions {
@@ -334,10 +348,18 @@ struct BladePose {
   std::int64_t arrival_ns = 0;
 };
 
+struct PositionsReport {
+  std::uint64_t frame = 0, revision = 0;
+  std::uint32_t moved = 0, passed_over = 0;
+  std::span<const std::uint32_t> held;
+  std::uint64_t taken = 0, skipped = 0;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
-using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
-                          StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
-                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose>;
+using Body =
+    std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
+                 StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk, SnapshotEnd,
+                 Positions, Stats, Reset, ReplayControl, ReplayState, BladePose, PositionsReport>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

@@ -263,4 +263,26 @@ Motion read_motion(const std::string& path) {
   return read_motion(in, path);
 }
 
+BladeEdge parse_blade(const std::string& option, const std::string& text) {
+  double number[6] = {};
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  bool good = true;
+  for (int i = 0; i < 6 && good; ++i) {
+    const auto [next, error] = std::from_chars(at, end, number[i]);
+    const char wanted = i == 2 ? ':' : ',';
+    good = error == std::errc() && std::abs(number[i]) <= kMaxBladeCoordinate &&
+           (i == 5 ? next == end : next != end && *next == wanted);
+    at = next + 1;
+  }
+  const BladeEdge blade{{number[0], number[1], number[2]}, {number[3], number[4], number[5]}};
+  if (!good || blade.heel == blade.tip) {
+    throw MotionError(
+        option + ": found \"" + text +
+        "\"; accepted is hx,hy,hz:tx,ty,tz, heel and tip in the tool's frame in metres, each from "
+        "-10 to 10, and not the same point");
+  }
+  return blade;
+}
+
 }  // namespace incise::protocol

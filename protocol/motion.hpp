@@ -38,4 +38,8 @@ Motion read_motion(std::istream& in, const std::string& name);
 // The same from a file.
 Motion read_motion(const std::string& path);
 
+// A blade as command lines give it: `hx,hy,hz:tx,ty,tz`, heel and tip in the tool's frame, metres. Throws MotionError
+// naming the option, what was found and what is accepted.
+BladeEdge parse_blade(const std::string& option, const std::string& text);
+
 }  // namespace incise::protocol

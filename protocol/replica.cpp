@@ -188,10 +188,16 @@ ApplyResult Replica::chunk(const SnapshotChunk& part) {
     return abandon(refuse(ApplyError::BadShape,
                           "snapshot with more than its " + number(s.begin.vertex_count) + " vertices"));
   }
+  const std::size_t rest = state.rest.size() + part.rest_positions.size();
+  if (rest != 0 && rest != state.positions.size() + part.positions.size()) {
+    return abandon(
+        refuse(ApplyError::BadShape, "snapshot chunk with rest positions of some of its vertices"));
+  }
   if (part.tet_pieces.size() != part.tets.ids.size()) {
     return abandon(refuse(ApplyError::BadShape, "snapshot chunk: tetrahedra without pieces"));
   }
   state.positions.insert(state.positions.end(), part.positions.begin(), part.positions.end());
+  state.rest.insert(state.rest.end(), part.rest_positions.begin(), part.rest_positions.end());
   for (std::size_t v = have; v < state.positions.size() / 3; ++v) {
     state.hash ^= hash_vertex(static_cast<std::uint32_t>(v), &state.positions[3 * v]);
   }
@@ -269,6 +275,15 @@ ApplyResult Replica::check(const Delta& d) const {
                                               number(d.provenance_a[i]) + " and " +
                                               number(d.provenance_b[i]));
     }
+  }
+
+  if (d.rest_positions.size() != 3 * d.rest_ids.size()) {
+    return refuse(ApplyError::BadShape, "delta: rest positions, not three for each vertex");
+  }
+  if (ApplyResult r = check_ascending("rest vertex", d.rest_ids); !r) return r;
+  if (!d.rest_ids.empty() && d.rest_ids.back() >= vertices_after) {
+    return refuse(ApplyError::BadIndex, "rest position of vertex " + number(d.rest_ids.back()) +
+                                            ", accepted are those below " + number(vertices_after));
   }
 
   if (ApplyResult r = check_ascending("tetrahedron", d.tets.ids); !r) return r;
@@ -352,6 +367,20 @@ std::uint64_t Replica::hash_after(const Delta& d) const {
   return hash;
 }
 
+// Before the first deformation the positions are the rest positions.
+void Replica::apply_rest(const Delta& d) {
+  std::vector<double>& rest = state_.rest;
+  if (rest.empty()) rest.assign(state_.positions.begin(), state_.positions.end());
+  for (std::size_t i = 0; i < d.provenance_t.size(); ++i) {
+    const std::size_t a = 3 * std::size_t{d.provenance_a[i]}, b = 3 * std::size_t{d.provenance_b[i]};
+    for (std::size_t k = 0; k < 3; ++k)
+      rest.push_back(rest[a + k] + d.provenance_t[i] * (rest[b + k] - rest[a + k]));
+  }
+  for (std::size_t i = 0; i < d.rest_ids.size(); ++i) {
+    std::copy_n(&d.rest_positions[3 * i], 3, &rest[3 * std::size_t{d.rest_ids[i]}]);
+  }
+}
+
 ApplyResult Replica::apply(const Delta& d) {
   if (ApplyResult r = check(d); !r) return r;
   const std::uint64_t hash = hash_after(d);
@@ -367,6 +396,12 @@ ApplyResult Replica::apply(const Delta& d) {
                                 : std::max<std::size_t>(s.tets.size(), d.tets.ids.back() + std::size_t{1});
   const std::size_t numbers = s.positions.size() + d.added_positions.size();
   if (numbers > s.positions.capacity()) s.positions.reserve(std::max(numbers, 2 * s.positions.capacity()));
+  const bool deforms =
+      std::any_of(d.steps.begin(), d.steps.end(), [](const Step& step) { return step.stroke == 0; });
+  if (deforms || deformed() || !d.rest_ids.empty()) {
+    if (numbers > s.rest.capacity()) s.rest.reserve(std::max(numbers, 2 * s.rest.capacity()));
+    apply_rest(d);
+  }
   s.resize_tets(slots);
 
   for (std::size_t i = 0; i < d.moved_ids.size(); ++i) {
@@ -439,6 +474,8 @@ bool SnapshotWriter::next() {
     const std::size_t n = std::min<std::size_t>(chunk_elements_, begin_.vertex_count - next_vertex_);
     chunk_.first_vertex = next_vertex_;
     chunk_.positions = replica_.positions().subspan(3 * std::size_t{next_vertex_}, 3 * n);
+    if (replica_.deformed())
+      chunk_.rest_positions = replica_.rest_positions().subspan(3 * std::size_t{next_vertex_}, 3 * n);
     next_vertex_ += static_cast<std::uint32_t>(n);
     return true;
   }

@@ -80,6 +80,10 @@ class Replica {
     const double* p = &state_.positions[3 * std::size_t{vertex}];
     return {p[0], p[1], p[2]};
   }
+  // Whether a simulator has deformed the body. From then on each vertex has a rest position: where its material is in the
+  // body at rest. Until then that is its position.
+  bool deformed() const { return !state_.rest.empty(); }
+  std::span<const double> rest_positions() const { return deformed() ? state_.rest : state_.positions; }
   bool alive(std::uint32_t tet) const { return tet < tet_slots() && state_.tets[tet][0] != kNoId; }
   const std::array<std::uint32_t, 4>& vertices(std::uint32_t tet) const { return state_.tets[tet]; }
   std::int32_t region(std::uint32_t tet) const { return state_.regions[tet]; }
@@ -117,6 +121,7 @@ class Replica {
     std::uint32_t live_tets = 0;
     std::uint32_t boundary_faces = 0;
     std::vector<double> positions;
+    std::vector<double> rest;                        // empty until the body deforms
     std::vector<std::array<std::uint32_t, 4>> tets;  // [0] == kNoId: no such tetrahedron
     std::vector<std::int32_t> regions;
     std::vector<std::uint8_t> cut_masks, boundary_masks;
@@ -137,6 +142,7 @@ class Replica {
   ApplyResult check(const Delta& delta) const;
   ApplyResult abandon(ApplyResult why);
   std::uint64_t hash_after(const Delta& delta) const;
+  void apply_rest(const Delta& delta);
 
   std::uint32_t max_vertices_;
   std::uint32_t max_tets_;

@@ -263,7 +263,6 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
                                           std::span<const std::uint32_t> moved) {
   SurfaceChange out;
   std::map<std::uint32_t, std::int64_t> more_uses;
-  for (const std::uint32_t v : moved) more_uses[v];
   for (const std::uint32_t t : tets) {
     for (int face = 0; face < 4; ++face) {
       const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
@@ -284,11 +283,11 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
       append(out, id, now);
     }
   }
-  for (const auto& [v, more] : more_uses) {
-    const auto old = state_.vertices.find(v);
+  const auto look_at = [&](std::uint32_t v, std::int64_t more,
+                           std::map<std::uint32_t, Vertex>::const_iterator old) {
     if ((old == state_.vertices.end() ? 0 : old->second.uses) + more == 0) {
       if (old != state_.vertices.end()) out.removed_vertices.push_back(v);
-      continue;
+      return;
     }
     const Vec3 p = mesh.position(v);
     const std::array<float, 3> position{static_cast<float>(p.x), static_cast<float>(p.y),
@@ -296,7 +295,25 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
     if (old == state_.vertices.end() || !same_bits(old->second.position, position)) {
       append(out, v, position);
     }
+  };
+  // By ids ascending, those of changed triangles and those that moved. Where a simulation moves all, walking along the
+  // vertices there are is quicker than looking each up.
+  const bool walk = moved.size() > state_.vertices.size() / 8;
+  auto here = state_.vertices.cbegin();
+  const auto find = [&](std::uint32_t v) -> std::map<std::uint32_t, Vertex>::const_iterator {
+    if (!walk) return state_.vertices.find(v);
+    while (here != state_.vertices.end() && here->first < v) ++here;
+    return here != state_.vertices.end() && here->first == v ? here : state_.vertices.cend();
+  };
+  auto use = more_uses.cbegin();
+  for (const std::uint32_t v : moved) {
+    for (; use != more_uses.end() && use->first < v; ++use)
+      look_at(use->first, use->second, find(use->first));
+    const bool used = use != more_uses.end() && use->first == v;
+    look_at(v, used ? use->second : 0, find(v));
+    if (used) ++use;
   }
+  for (; use != more_uses.end(); ++use) look_at(use->first, use->second, find(use->first));
   std::uint64_t hash = 0;
   state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
   state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);

@@ -69,6 +69,10 @@ class SurfaceReplica {
   // By half-face and by vertex id, ascending.
   const std::map<std::uint32_t, Triangle>& triangles() const { return state_.triangles; }
   const std::map<std::uint32_t, Vertex>& vertices() const { return state_.vertices; }
+  // About how much memory it takes.
+  std::size_t bytes() const {
+    return state_.triangles.size() * (sizeof(Triangle) + 48) + state_.vertices.size() * (sizeof(Vertex) + 48);
+  }
 
   // The state as bytes, the same for any two replicas of it; PROTOCOL.md, "Canonical bytes".
   std::vector<std::byte> canonical_bytes() const;

@@ -108,6 +108,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
         ->capture_default_str();
     sub->add_flag("--loop", command->loop, "over and over, until interrupted");
     sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
+    sub->add_option(
+        "--blade", command->blade,
+        "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade");
     sub->add_flag("--take-over", command->take_over, "take the blade from whoever holds it");
     sub->add_flag("--json", command->json, "print the summary as JSON");
     add_server_options(*sub, command->server);

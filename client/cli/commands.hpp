@@ -38,6 +38,7 @@ struct StreamCommand {
   double speed = 1;  // times the recorded one; 0: as fast as they are taken
   bool loop = false;
   std::string source_name = "blade";
+  std::string blade;  // hx,hy,hz:tx,ty,tz; empty: the server's
   bool take_over = false;
   bool json = false;
 };

@@ -1,3 +1,4 @@
+#include <atomic>
 #include <chrono>
 #include <cinttypes>
 #include <cstdio>
@@ -49,11 +50,12 @@ std::vector<PoseSample> read_poses(const std::filesystem::path& path, std::int32
 
 class Player {
  public:
-  Player(const StreamCommand& command, Client& client)
+  Player(const StreamCommand& command, Client& client, const std::atomic<std::uint64_t>& last_cut)
       : command_(command),
         client_(client),
         poses_(read_poses(command.poses, client.welcome().engage_button)),
-        welcome_(client.welcome()) {}
+        welcome_(client.welcome()),
+        last_cut_(last_cut) {}
 
   int run() {
     const auto began = steady_clock::now();
@@ -108,18 +110,18 @@ class Player {
   // on.
   bool wait_until_settled() {
     protocol::PoseReport last = client_.report();
-    std::uint64_t last_revision = client_.revision();
+    std::uint64_t last_cut = last_cut_;
     auto progress = steady_clock::now();
     while (connected()) {
       std::this_thread::sleep_for(10 * kStep);
       const protocol::PoseReport report = client_.report();
-      const std::uint64_t revision = client_.revision();
+      const std::uint64_t cut = last_cut_;  // a body that a simulation deforms always has news
       if (report.through_sequence != last.through_sequence || report.accepted != last.accepted ||
-          report.backlog_segments != last.backlog_segments || revision != last_revision) {
+          report.backlog_segments != last.backlog_segments || cut != last_cut) {
         progress = steady_clock::now();
       }
       last = report;
-      last_revision = revision;
+      last_cut = cut;
       const auto quiet = steady_clock::now() - progress;
       // The last batch is reported before its delta is here: a moment without news says that it is.
       if (report.through_sequence >= last_sequence_ && report.backlog_segments == 0 &&
@@ -170,6 +172,7 @@ class Player {
   Client& client_;
   const std::vector<PoseSample> poses_;
   const protocol::Welcome welcome_;
+  const std::atomic<std::uint64_t>& last_cut_;  // revision of the last batch that has been seen here
   std::uint64_t rounds_ = 0, sent_ = 0, last_sequence_ = 0;
   std::int64_t last_source_ns_ = 0;
   double seconds_ = 0;
@@ -186,13 +189,21 @@ int run_stream(const StreamCommand& command) {
   options.max_rate_hz = 10;
   options.source_name = command.source_name;
   options.take_over = command.take_over;
+  if (!command.blade.empty()) options.blade = protocol::parse_blade("--blade", command.blade);
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
   callbacks.on_error = [](const protocol::Error& error) {
     std::fprintf(stderr, "incise: server: %s: %s\n", name_of(error.code), error.text.c_str());
   };
+  std::atomic<std::uint64_t> last_cut{0};
+  callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
+                                   const Arrival&) {
+    for (const protocol::Step& step : delta.steps) {
+      if (step.stroke != 0) last_cut = step.revision;
+    }
+  };
   const auto client = Client::connect(where.host, where.port, options, std::move(callbacks));
-  return Player(command, *client).run();
+  return Player(command, *client, last_cut).run();
 }
 
 }  // namespace incise::client

@@ -5,11 +5,31 @@
 namespace incise::app {
 namespace {
 
+protocol::Vec3 to_protocol(const core::Vec3& p) {
+  return {p.x, p.y, p.z};
+}
+
+protocol::PositionsRecord to_capture(const core::VertexPositions& positions) {
+  protocol::PositionsRecord record{positions.frame,
+                                   positions.revision,
+                                   positions.source_ns,
+                                   positions.arrival_ns,
+                                   positions.first,
+                                   positions.ids,
+                                   {},
+                                   positions.single};
+  record.positions.reserve(3 * positions.positions.size());
+  for (const core::Vec3& p : positions.positions)
+    record.positions.insert(record.positions.end(), {p.x, p.y, p.z});
+  return record;
+}
+
 protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
   using Kind = loop::JournalRecord::Kind;
   switch (record.kind) {
     case Kind::kOpened:
-      return protocol::StrokeRecord{record.source, protocol::StrokeAction::HandOver, 0, record.arrival_ns};
+      return protocol::BladeRecord{
+          record.source, record.arrival_ns, {to_protocol(record.blade.heel), to_protocol(record.blade.tip)}};
     case Kind::kEndStroke:
       return protocol::StrokeRecord{record.source, protocol::StrokeAction::End, 0, record.arrival_ns};
     case Kind::kCommit:
@@ -22,6 +42,8 @@ protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
                                  "the disk was full or too slow"};
     case Kind::kCheckpoint:
       return protocol::CheckpointRecord{record.checkpoint};
+    case Kind::kDeform:
+      return to_capture(*record.positions);
     case Kind::kPose:
       break;
   }

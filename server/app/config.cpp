@@ -161,6 +161,19 @@ Key texts(std::string name, Field field, std::string accepted, std::string meani
           }};
 }
 
+bool read_quaternion(const Json& value, core::Quat& q);
+
+Json quaternion_json(const core::Quat& q) {
+  return Json::array({q.w, q.x, q.y, q.z});
+}
+
+template <class Field>
+Key rotation(std::string name, Field field, std::string meaning) {
+  return {std::move(name), "[w, x, y, z], a unit quaternion", std::move(meaning),
+          [field](const Config& c) { return quaternion_json(field(const_cast<Config&>(c))); },
+          [field](Config& c, const Json& value) { return read_quaternion(value, field(c)); }};
+}
+
 constexpr const char* kOverridesAccepted =
     "a list of at most 32 objects {\"device\": \"vvvv:pppp\" or \"vvvv:pppp:serial\" as incise devices shows "
     "it, "
@@ -220,11 +233,10 @@ bool read_override(const Json& value, input::DeviceOverride& over) {
 }
 
 Json override_json(const input::DeviceOverride& over) {
-  const core::Quat& q = over.placement.rotation;
   Json json{{"device", over.device}, {"use", kUses[static_cast<std::size_t>(over.use)]}};
   if (!over.source.empty()) json["source"] = over.source;
   json["origin"] = point_json(over.placement.origin);
-  json["rotation"] = Json::array({q.w, q.x, q.y, q.z});
+  json["rotation"] = quaternion_json(over.placement.rotation);
   json["scale"] = over.placement.scale;
   return json;
 }
@@ -376,7 +388,7 @@ const std::vector<Key>& keys() {
               "reset."),
       integer("listen.max_sessions", INCISE_FIELD(listen.max_sessions), 1, 100'000, "Clients at once."),
       integer("listen.max_handshakes", INCISE_FIELD(listen.max_handshakes), 1, 10'000,
-              "Connections at once that have not introduced themselves."),
+              "Connections at once that have not introduced themselves; one more, and the oldest is closed."),
       number("listen.handshake_timeout_s", INCISE_FIELD(listen.handshake_timeout_s), 0.1, 600,
              "For a client to introduce itself."),
       number("listen.idle_timeout_s", INCISE_FIELD(listen.idle_timeout_s), 1, 86'400,
@@ -420,6 +432,63 @@ const std::vector<Key>& keys() {
            "Device profiles of your own, *.json; they go before the shipped ones. README, \"Writing a device "
            "profile\"."),
       overrides(),
+
+      integer("openigtlink.port", INCISE_FIELD(openigtlink.port), -1, 65535,
+              "Where OpenIGTLink peers such as 3D Slicer connect, usually 18944; 0: any free one, -1: off."),
+      text("openigtlink.address", INCISE_FIELD(openigtlink.address), "an IP address",
+           "OpenIGTLink has neither passwords nor TLS: an address beyond loopback needs listen.insecure."),
+      texts(
+          "openigtlink.connect", INCISE_FIELD(openigtlink.connect), "a list of at most 8 texts \"host:port\"",
+          "OpenIGTLink servers (trackers, PLUS, 3D Slicer) to connect to, again where a connection is lost."),
+      word("openigtlink.ask_for", {"nothing", "TDATA", "QTDATA"}, INCISE_FIELD(openigtlink.ask_for),
+           "What to ask those servers to stream (STT_TDATA, STT_QTDATA); many send without that."),
+      texts("openigtlink.devices", INCISE_FIELD(openigtlink.devices), "a list of texts",
+            "Device names (of tracking data: of its elements) that are blades; []: all. A blade of its own "
+            "comes "
+            "by the same name in sources."),
+      word("openigtlink.engage", {"always", "string"}, INCISE_FIELD(openigtlink.engage),
+           "When a device's blade cuts (cut.engage permitting): while its poses come, or while the last "
+           "STRING "
+           "from NAME or NAME_engage was \"1\", \"on\", \"true\" or \"engaged\"."),
+      number("openigtlink.silence_s", INCISE_FIELD(openigtlink.silence_s), 0.01, 3600,
+             "A device without a pose for so long ends its stroke and lets go of its blade."),
+      point("openigtlink.origin", INCISE_FIELD(openigtlink.world.origin),
+            "Where the origin of the peers' space lies in the world, metres; a point p of it is at origin + "
+            "rotation (scale p)."),
+      rotation("openigtlink.rotation", INCISE_FIELD(openigtlink.world.rotation),
+               "How that space is turned: [0, 0, 0, 1] makes the RAS of 3D Slicer the LPS of DICOM."),
+      number("openigtlink.scale", INCISE_FIELD(openigtlink.world.scale), 1e-9, 1e9,
+             "Metres for a unit of that space: 0.001 for millimetres."),
+      word("openigtlink.surface", {"asked", "always", "never"}, INCISE_FIELD(openigtlink.surface),
+           "Who gets the surface as POLYDATA: who asks (GET_POLYDATA, STT_POLYDATA), everybody who connects, "
+           "nobody."),
+      number("openigtlink.surface_hz", INCISE_FIELD(openigtlink.surface_hz), 0.01, 50,
+             "The whole surface is sent at most so often a second, and only where it has changed."),
+
+      text("haply.url", INCISE_FIELD(haply.url), "\"ws://host:port\", or \"\"",
+           "Haply's Inverse Service, usually ws://localhost:10001: an Inverse3 as a source of poses and a "
+           "sink of "
+           "forces; \"\": off."),
+      choice(
+          "haply.version", {"3.5", "3.1"}, [](const Config& c) { return static_cast<int>(c.haply.version); },
+          [](Config& c, std::size_t i) { c.haply.version = static_cast<input::HaplyVersion>(i); },
+          "Of the service: from 3.5 on it takes a force as \"vector\", before as \"values\"."),
+      text("haply.device", INCISE_FIELD(haply.device), "a text",
+           "The Inverse3's id, such as 049D; \"\": the first."),
+      text("haply.grip", INCISE_FIELD(haply.grip), "a text",
+           "The id of the grip that gives orientation and buttons; \"\": the first."),
+      text("haply.source", INCISE_FIELD(haply.source), "a text", "The name of its source."),
+      number("haply.rate_hz", INCISE_FIELD(haply.rate_hz), 50, 4000,
+             "Commands, and so states, a second at most."),
+      number("haply.max_force_n", INCISE_FIELD(haply.max_force_n), 0, 10,
+             "The most that the device may be asked for; haptics.max_force_n holds too. 0: no forces."),
+      point(
+          "haply.origin", INCISE_FIELD(haply.placement.origin),
+          "Where the origin of the device's space lies in the world, metres; a point p of it is at origin + "
+          "rotation (scale p)."),
+      rotation("haply.rotation", INCISE_FIELD(haply.placement.rotation), "How that space is turned."),
+      number("haply.scale", INCISE_FIELD(haply.placement.scale), 1e-3, 1e3,
+             "Metres in the world for a metre of it."),
 
       word("log.level", {"trace", "debug", "info", "warning", "error", "off"}, INCISE_FIELD(log.level),
            "What is worth a line."),
@@ -542,6 +611,15 @@ void read_materials(Config& config, const Json& value, const std::string& file) 
   }
 }
 
+// "host:port".
+bool is_place(const std::string& text) {
+  const std::size_t colon = text.rfind(':');
+  if (colon == std::string::npos || colon == 0 || text.size() - colon > 6) return false;
+  const std::string port = text.substr(colon + 1);
+  return !port.empty() && port.find_first_not_of("0123456789") == std::string::npos && std::stoi(port) > 0 &&
+         std::stoi(port) <= 65535;
+}
+
 // What one key alone cannot tell.
 void check_together(const Config& config, const std::string& file) {
   if (!config.mesh.path.empty() && !config.mesh.phantom.empty()) {
@@ -568,6 +646,18 @@ void check_together(const Config& config, const std::string& file) {
     refuse(file, "listen.http_port", std::to_string(config.listen.http_port),
            "a port other than listen.tcp_port");
   }
+  if (config.openigtlink.connect.size() > 8)
+    refuse(file, "openigtlink.connect", std::to_string(config.openigtlink.connect.size()) + " places",
+           "8 at most");
+  for (const std::string& place : config.openigtlink.connect) {
+    if (!is_place(place)) refuse(file, "openigtlink.connect", shown(place), "\"host:port\"");
+  }
+  const std::string& url = config.haply.url;
+  if (!url.empty() && !(url.starts_with("ws://") && is_place(url.substr(5, url.find('/', 5) - 5)))) {
+    refuse(file, "haply.url", shown(url), "\"ws://host:port\", or \"\"");
+  }
+  if (config.haply.source.empty() || config.haply.source.size() > 48)
+    refuse(file, "haply.source", shown(config.haply.source), "a text of 1 to 48 characters");
 }
 
 }  // namespace
@@ -654,9 +744,20 @@ void check_config(const Config& config, const std::string& file) {
   readable("listen.certificate_file", config.listen.certificate_file);
   readable("listen.private_key_file", config.listen.private_key_file);
   device_profiles(config);
-  const bool loopback = config.listen.address.starts_with("127.") || config.listen.address == "::1" ||
-                        config.listen.address == "localhost";
-  if (!loopback && !config.listen.insecure &&
+  const auto is_loopback = [](const std::string& address) {
+    return address.starts_with("127.") || address == "::1" || address == "localhost";
+  };
+#ifndef INCISE_OPENIGTLINK
+  if (config.openigtlink.wanted()) {
+    refuse(file, config.openigtlink.port >= 0 ? "openigtlink.port" : "openigtlink.connect", "a value",
+           "none: this program was built without OpenIGTLink");
+  }
+#endif
+  if (config.openigtlink.port >= 0 && !is_loopback(config.openigtlink.address) && !config.listen.insecure) {
+    refuse(file, "openigtlink.address", shown(config.openigtlink.address),
+           "a loopback address, or any where listen.insecure is true");
+  }
+  if (!is_loopback(config.listen.address) && !config.listen.insecure &&
       (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
     refuse(file, "listen.address", shown(config.listen.address),
            "a loopback address, or any where listen.token_file and listen.certificate_file are given, or "

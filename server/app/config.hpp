@@ -10,7 +10,9 @@
 
 #include "server/core/cut_config.hpp"
 #include "server/haptics/force_config.hpp"
+#include "server/input/haply/haply_input.hpp"
 #include "server/input/hid/hid_input.hpp"
+#include "server/input/openigtlink/openigtlink_input.hpp"
 
 namespace incise::app {
 
@@ -88,6 +90,9 @@ struct Config {
     std::string profiles;  // a folder; "": the shipped ones alone
     std::vector<input::DeviceOverride> overrides;
   } devices;
+
+  input::OpenIgtLinkOptions openigtlink;
+  input::HaplyOptions haply;
 
   struct Log {
     std::string level = "info";

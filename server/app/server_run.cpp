@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <ctime>
@@ -92,6 +93,79 @@ class Watch {
   bool behind_ = false;
 };
 
+// Whether the loop goes on: as seen by looks at its count of frames.
+//
+// Thread: look() by one; trouble() by any.
+class LoopHealth {
+ public:
+  void look(std::uint64_t frames) {
+    if (frames != frames_) seen_ns_.store(input::monotonic_ns(), std::memory_order_relaxed);
+    frames_ = frames;
+  }
+  // For /healthz.
+  std::string trouble() const {
+    const auto ns = input::monotonic_ns() - seen_ns_.load(std::memory_order_relaxed);
+    return ns > kLongest_ns ? "the loop has not advanced for " + std::to_string(ns / 1'000'000'000) + " s"
+                            : "";
+  }
+
+ private:
+  static constexpr std::int64_t kLongest_ns = 3'000'000'000;  // looks come once a second
+  std::uint64_t frames_ = 0;
+  std::atomic<std::int64_t> seen_ns_{input::monotonic_ns()};
+};
+
+// Sources of poses on the network, those that are configured.
+class NetworkSources {
+ public:
+  NetworkSources(const Config& config, input::InputHub& hub, haptics::ForceSlots& forces,
+                 [[maybe_unused]] stream::Server& server, const std::function<void()>& on_thread) {
+#ifdef INCISE_OPENIGTLINK
+    if (config.openigtlink.wanted()) {
+      input::OpenIgtLinkOptions options = config.openigtlink;
+      options.engage_buttons = static_cast<std::uint32_t>(config.cut.engage_buttons);
+      openigtlink_ = std::make_unique<input::OpenIgtLinkInput>(
+          hub, std::move(options),
+          input::SurfaceFeed{[&] { return server.counters().state_hash; },
+                             [&](auto ready) { server.request_surface(std::move(ready)); }});
+    }
+#endif
+    if (!config.haply.url.empty()) {
+      input::HaplyOptions options = config.haply;
+      options.on_thread = on_thread;
+      haply_ = std::make_unique<input::HaplyInput>(hub, forces, std::move(options));
+    }
+  }
+  std::vector<input::NetworkStatus> status() const {
+    std::vector<input::NetworkStatus> all;
+#ifdef INCISE_OPENIGTLINK
+    if (openigtlink_) all.push_back(openigtlink_->status());
+#endif
+    if (haply_) all.push_back(haply_->status());
+    return all;
+  }
+  // For the line that says where the server listens; empty: nowhere.
+  std::string place([[maybe_unused]] const Config& config) const {
+#ifdef INCISE_OPENIGTLINK
+    if (openigtlink_ && openigtlink_->port() != 0)
+      return " openigtlink=" + config.openigtlink.address + ":" + std::to_string(openigtlink_->port());
+#endif
+    return "";
+  }
+  void stop() {
+    if (haply_) haply_->stop();
+#ifdef INCISE_OPENIGTLINK
+    if (openigtlink_) openigtlink_->stop();
+#endif
+  }
+
+ private:
+#ifdef INCISE_OPENIGTLINK
+  std::unique_ptr<input::OpenIgtLinkInput> openigtlink_;
+#endif
+  std::unique_ptr<input::HaplyInput> haply_;
+};
+
 // Follows the session of `recording` from here on; null where there are to be no checkpoints.
 std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, const Body& body,
                                                       const Recording& recording) {
@@ -99,7 +173,6 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
   options.replay_s = config.capture.checkpoint_replay_s;
-  options.blade_of = [&config](std::uint32_t source) { return blade_of(config, source); };
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };
@@ -134,6 +207,9 @@ void run_server(const Config& config, bool resume) {
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                session.mesh().mean_edge_length(),
                static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+  std::vector<input::InputHub::Declared> declared;
+  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
+  input::InputHub hub(config.cut.blade, declared);
   const bool capture = recording.journal != nullptr;
   std::unique_ptr<loop::Journal> journal;
   if (capture) {
@@ -153,21 +229,24 @@ void run_server(const Config& config, bool resume) {
                           trouble);
           }
         },
-        make_checkpointer(config, body, recording));
+        make_checkpointer(config, body, recording),
+        [&hub](const loop::JournalRecord& pose) { hub.tell(pose.source, pose.verdict, pose.pose.t_ns); });
   }
 
-  std::vector<input::InputHub::Declared> declared;
-  for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
-  input::InputHub hub(config.cut.blade, declared);
-  HubInput sink(hub, config);
+  input::PositionsSlot positions;
+  HubInput sink(hub, positions, config);
 
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
   std::optional<Telemetry> telemetry;
+  LoopHealth health;
   CaptureLibrary library(config.resolve(config.capture.library), body);
-  stream::Providers providers{[&] { return telemetry->json(); }, [&] { return telemetry->metrics(); },
-                              [&] { return telemetry->message(); }, [&] { return telemetry->blades(); },
-                              &library};
+  stream::Providers providers{[&] { return telemetry->json(); },
+                              [&] { return telemetry->metrics(); },
+                              [&] { return telemetry->message(); },
+                              [&] { return telemetry->blades(); },
+                              &library,
+                              [&] { return health.trouble(); }};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);
@@ -175,9 +254,11 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  frames.offer_deformation(positions);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
-  if (config.haptics.forces) frames.offer_forces(config.haptics.force, &force_output, &forces);
+  if (config.haptics.forces)
+    frames.offer_forces(config.haptics.force, body.loaded.mesh, &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(
@@ -188,16 +269,18 @@ void run_server(const Config& config, bool resume) {
         return id;
       });
 
+  const std::function<void()> on_thread = [&] {
+    const int priority = static_cast<int>(config.loop.realtime_priority);
+    if (priority > 0) loop::request_priority(priority);
+  };
   std::unique_ptr<input::HidInput> devices;
   if (config.devices.enabled) {
     devices = std::make_unique<input::HidInput>(
-        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, [&] {
-                                                const int priority =
-                                                    static_cast<int>(config.loop.realtime_priority);
-                                                if (priority > 0) loop::request_priority(priority);
-                                              }});
+        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, on_thread});
     telemetry->join([&] { return devices->status(); });
   }
+  NetworkSources network(config, hub, forces, server, on_thread);
+  telemetry->join_network([&] { return network.status(); });
 
   if (config.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server.start();
@@ -213,18 +296,23 @@ void run_server(const Config& config, bool resume) {
   const auto place = [&](std::uint16_t port) {
     return port == 0 ? std::string("off") : config.listen.address + ":" + std::to_string(port);
   };
-  std::printf("listening tcp=%s http=%s\n", place(server.tcp_port()).c_str(),
-              place(server.http_port()).c_str());
+  std::printf("listening tcp=%s http=%s%s\n", place(server.tcp_port()).c_str(),
+              place(server.http_port()).c_str(), network.place(config).c_str());
   std::fflush(stdout);
   if (capture) spdlog::info("recording to {}", config.resolve(config.capture.path).string());
-  spdlog::info("ready: {} frames a second; Ctrl-C ends", config.loop.rate_hz);
+  spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config.loop.rate_hz,
+               static_cast<double>(input::monotonic_ns() - started) * 1e-9);
 
   Watch watch(frames.stats());
   const char* signal = nullptr;
-  while (!(signal = signals.wait())) watch.look();
+  while (!(signal = signals.wait())) {
+    watch.look();
+    health.look(frames.stats().state.load().frames);
+  }
 
   spdlog::info("{}: ending", signal);
   if (devices) devices->stop();  // forces go to zero first
+  network.stop();
   loop_thread.request_stop();
   loop_thread.join();  // takes what waits, ends the strokes, cuts and publishes all of it
   server.stop();

@@ -27,6 +27,9 @@ constexpr Stage kStages[] = {
     {"cut", "cutting, in a frame", &LoopStats::cut},
     {"publish", "handing deltas on, in a frame", &LoopStats::publish},
     {"batch_cut", "cutting a batch, over all its frames", &LoopStats::batch_cut},
+    {"pose_to_force", "arrival of a blade's newest pose until its force was there",
+     &LoopStats::pose_to_force},
+    {"deform", "taking a simulation's positions, over all its frames", &LoopStats::deform},
     {"pose_to_drain", "arrival of a batch's last pose until the loop took it", &LoopStats::pose_to_drain},
     {"pose_to_cut", "arrival of a batch's last pose until the batch was cut", &LoopStats::pose_to_cut},
 };
@@ -57,7 +60,22 @@ Json device_json(const input::DeviceStatus& device) {
                      {"restarts", reports.restarts}};
   json["clock_drift_ppm"] = figures.drift_ppm;
   json["full_queue_ms"] = figures.full_queue_ms;
-  json["forces"] = {{"written", figures.forces_written}, {"failed", figures.forces_failed}};
+  json["forces"] = {{"written", figures.forces_written},
+                    {"failed", figures.forces_failed},
+                    {"pose_to_report_us",
+                     {{"p50", figures.pose_to_report.p50_us},
+                      {"p99", figures.pose_to_report.p99_us},
+                      {"p99.9", figures.pose_to_report.p999_us},
+                      {"max", figures.pose_to_report.max_us}}}};
+  return json;
+}
+
+Json network_json(const input::NetworkStatus& status) {
+  Json json{{"peers", Json::array()}};
+  for (const input::NetworkStatus::Peer& peer : status.peers) {
+    json["peers"].push_back({{"peer", peer.name}, {"connected", peer.connected}, {"sources", peer.sources}});
+  }
+  for (const auto& [what, count] : status.counts) json[what] = count;
   return json;
 }
 
@@ -81,6 +99,9 @@ std::string Telemetry::json() const {
   root["vertices"] = state.vertices;
   root["strokes"] = state.strokes;
   root["batches"] = stats_.batches.load(std::memory_order_relaxed);
+  root["deformations"] = {{"count", stats_.deformations.load(std::memory_order_relaxed)},
+                          {"vertices_moved", stats_.vertices_moved.load(std::memory_order_relaxed)},
+                          {"vertices_held", stats_.vertices_held.load(std::memory_order_relaxed)}};
   root["cut_faces"] = state.cut_faces;
   root["cut_area_m2"] = state.cut_area_m2;
   root["sources"] = hub_.open_sources();
@@ -107,6 +128,7 @@ std::string Telemetry::json() const {
                     {"deltas_blocked", (state.flags & loop::kDeltasBlocked) != 0},
                     {"journal_blocked", (state.flags & loop::kJournalBlocked) != 0}};
   root["ns_per_work_unit"] = state.ns_per_unit;
+  root["forces_cut_short"] = state.forces_cut_short;
   if (journal_) {
     root["journal"] = {
         {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};
@@ -122,6 +144,9 @@ std::string Telemetry::json() const {
     for (const input::DeviceStatus& device : devices_()) {
       if (!device.profile.empty()) root["devices"].push_back(device_json(device));
     }
+  }
+  if (network_) {
+    for (const input::NetworkStatus& status : network_()) root[status.protocol] = network_json(status);
   }
   Json stages;
   for (const Stage& stage : kStages) {
@@ -147,10 +172,14 @@ std::string Telemetry::metrics() const {
     family(name, type, help);
     out += "incise_" + name + ' ' + number(value) + '\n';
   };
-  one("revision", "gauge", "Committed batches since the mesh was loaded.",
+  one("revision", "gauge", "Committed batches and deformations since the mesh was loaded.",
       static_cast<double>(state.revision));
   one("live_tets", "gauge", "Tetrahedra.", static_cast<double>(state.live_tets));
   one("strokes_total", "counter", "Strokes begun.", static_cast<double>(state.strokes));
+  one("deformations_total", "counter", "Steps in which a simulation has moved vertices.",
+      static_cast<double>(stats_.deformations.load(std::memory_order_relaxed)));
+  one("vertices_held_total", "counter", "Vertices that did not go where a simulation wanted them.",
+      static_cast<double>(stats_.vertices_held.load(std::memory_order_relaxed)));
   one("cut_faces_total", "counter", "Faces opened.", static_cast<double>(state.cut_faces));
   one("cut_area_square_metres_total", "counter", "Area of the faces opened, one side.", state.cut_area_m2);
   one("sources", "gauge", "Pose sources that are open.", hub_.open_sources());
@@ -185,6 +214,15 @@ std::string Telemetry::metrics() const {
       for (const auto& [what, count] : counts) {
         out += "incise_device_reports_total{source=\"" + device.sources.front() + "\",what=\"" + what +
                "\"} " + std::to_string(count) + '\n';
+      }
+    }
+  }
+  if (network_) {
+    family("network_input_total", "counter", "What sources on the network brought, by protocol.");
+    for (const input::NetworkStatus& status : network_()) {
+      for (const auto& [what, count] : status.counts) {
+        out += "incise_network_input_total{protocol=\"" + status.protocol + "\",what=\"" + what + "\"} " +
+               std::to_string(count) + '\n';
       }
     }
   }

@@ -7,6 +7,7 @@
 #include "protocol/messages.hpp"
 #include "server/input/hid/hid_input.hpp"
 #include "server/input/input_hub.hpp"
+#include "server/input/network_status.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
 
@@ -21,6 +22,10 @@ class Telemetry {
             double rate_hz);
   // Who tells about the devices; before the first question.
   void join(std::function<std::vector<input::DeviceStatus>()> devices) { devices_ = std::move(devices); }
+  // And about sources on the network; likewise.
+  void join_network(std::function<std::vector<input::NetworkStatus>()> network) {
+    network_ = std::move(network);
+  }
 
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
@@ -36,6 +41,7 @@ class Telemetry {
   const loop::Journal* const journal_;
   const double rate_hz_;
   std::function<std::vector<input::DeviceStatus>()> devices_;
+  std::function<std::vector<input::NetworkStatus>()> network_;
 };
 
 }  // namespace incise::app

@@ -9,6 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "server/app/offline/recorded_motion.hpp"
+
 namespace incise::app {
 namespace {
 
@@ -116,14 +118,59 @@ class HubSource final : public stream::PoseSource {
   const loop::LoopStats* const stats_;
 };
 
+// A simulator's hold on the positions. Thread: the stream's.
+class SlotPositions final : public stream::PositionsSource {
+ public:
+  SlotPositions(input::PositionsSlot& slot, bool& open) : slot_(slot), open_(open), before_(slot.skipped()) {
+    open_ = true;
+  }
+  ~SlotPositions() override { open_ = false; }
+
+  void push(const protocol::Positions& positions, std::int64_t arrival_ns) override {
+    const auto buffer = slot_.buffer();
+    if (!buffer) return;
+    buffer->frame = positions.frame;
+    buffer->revision = positions.revision;
+    buffer->source_ns = positions.source_ns;
+    buffer->arrival_ns = arrival_ns;
+    buffer->ids.assign(positions.ids.begin(), positions.ids.end());
+    buffer->first = positions.first;
+    buffer->single = positions.f64.empty();
+    if (buffer->single) {
+      fill(*buffer, positions.f32);
+    } else {
+      fill(*buffer, positions.f64);
+    }
+    slot_.offer(buffer);
+  }
+  std::uint64_t skipped() const override { return slot_.skipped() - before_; }
+
+ private:
+  template <class Number>
+  static void fill(core::VertexPositions& buffer, std::span<const Number> numbers) {
+    buffer.positions.resize(numbers.size() / 3);
+    for (std::size_t i = 0; i < buffer.positions.size(); ++i)
+      buffer.positions[i] = {numbers[3 * i], numbers[3 * i + 1], numbers[3 * i + 2]};
+  }
+
+  input::PositionsSlot& slot_;
+  bool& open_;
+  const std::uint64_t before_;
+};
+
 }  // namespace
 
-std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name) {
-  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name);
+std::unique_ptr<stream::PositionsSource> HubInput::open_positions() {
+  return positions_open_ ? nullptr : std::make_unique<SlotPositions>(positions_, positions_open_);
+}
+
+std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name,
+                                                   const std::optional<protocol::BladeEdge>& brought) {
+  std::optional<core::Blade> own;
+  if (brought) own = to_core(*brought);
+  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name, own);
   if (!handle) return nullptr;
-  const std::uint32_t number = handle->number();
-  const core::Blade& blade =
-      number < config_.sources.size() ? config_.sources[number].blade : config_.cut.blade;
+  const core::Blade blade = own ? *own : blade_of(config_, handle->number());
   return std::make_unique<HubSource>(std::move(*handle), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
@@ -206,6 +253,10 @@ stream::InitialState initial_state(const core::CutSession& session, std::uint64_
   state.revision = session.revision();
   state.positions.reserve(mesh.vertex_slots());
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
+  if (mesh.deformed()) {
+    state.rest.reserve(mesh.vertex_slots());
+    for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.rest.push_back(mesh.rest_position(v));
+  }
   state.tets.reserve(mesh.live_tets());
   state.pieces.reserve(mesh.live_tets());
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {

@@ -8,6 +8,7 @@
 #include "server/app/config.hpp"
 #include "server/core/cut_session.hpp"
 #include "server/input/input_hub.hpp"
+#include "server/input/positions_slot.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "server/stream/server.hpp"
 
@@ -27,15 +28,20 @@ std::uint64_t fresh_session_id();
 // Sessions that send poses, as sources of the hub.
 class HubInput final : public stream::InputSink {
  public:
-  // Both must outlive this. A source without a name is called "blade".
-  HubInput(input::InputHub& hub, const Config& config) : hub_(hub), config_(config) {}
+  // All must outlive this. A source without a name is called "blade".
+  HubInput(input::InputHub& hub, input::PositionsSlot& positions, const Config& config)
+      : hub_(hub), positions_(positions), config_(config) {}
   // The loop that takes the poses, for its backlog and for resets; before the first session.
   void join(loop::FrameLoop& loop) { loop_ = &loop; }
-  std::unique_ptr<stream::PoseSource> open(std::string_view source_name) override;
+  std::unique_ptr<stream::PoseSource> open(std::string_view source_name,
+                                           const std::optional<protocol::BladeEdge>& blade) override;
+  std::unique_ptr<stream::PositionsSource> open_positions() override;
   bool reset() override { return loop_ && loop_->request_reset(); }
 
  private:
   input::InputHub& hub_;
+  input::PositionsSlot& positions_;
+  bool positions_open_ = false;  // the stream thread's
   const Config& config_;
   loop::FrameLoop* loop_ = nullptr;
 };

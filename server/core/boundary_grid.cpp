@@ -13,6 +13,11 @@ double coordinate(const Vec3& p, int axis) {
 }
 
 constexpr double kMostCells = 16e6;
+// How far a vertex may be from its anchor, in cells.
+constexpr double kFromAnchor = 0.1;
+// Of a body that deforms: a tetrahedron's other vertices were as far from their anchors when it was entered, and a cut may
+// let a vertex slide by a quarter of a cell besides.
+constexpr double kSlackDeforming = 2 * kFromAnchor + 0.25;
 
 }  // namespace
 
@@ -32,7 +37,19 @@ BoundaryGrid::BoundaryGrid(const TetMesh& mesh) {
     head_.assign(1, kNone);
     return;
   }
-  cell_ = 2 * mesh.mean_edge_length();
+  lay_out(low, high, 2 * mesh.mean_edge_length());
+  nodes_.reserve(6 * boundary + 65536);
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (mesh.alive(t) && mesh.boundary_mask(t) != 0) add(mesh, t);
+  }
+}
+
+BoundaryGrid::BoundaryGrid(const Vec3& low, const Vec3& high, double cell) : slack_(kSlackDeforming) {
+  lay_out(low, high, cell);
+}
+
+void BoundaryGrid::lay_out(const Vec3& low, const Vec3& high, double cell) {
+  cell_ = cell;
   const Vec3 size = high - low;
   for (;; cell_ *= 1.5) {
     double cells = 1;
@@ -48,10 +65,6 @@ BoundaryGrid::BoundaryGrid(const TetMesh& mesh) {
   high_ = high + margin;
   inverse_ = 1 / cell_;
   head_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), kNone);
-  nodes_.reserve(room_for(6 * boundary));
-  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
-    if (mesh.alive(t) && mesh.boundary_mask(t) != 0) add(mesh, t);
-  }
 }
 
 std::int64_t BoundaryGrid::cell_of(double x, int axis) const {
@@ -61,9 +74,15 @@ std::int64_t BoundaryGrid::cell_of(double x, int axis) const {
 
 void BoundaryGrid::add(const TetMesh& mesh, TetId t) {
   const auto& v = mesh.vertices(t);
-  Vec3 low = mesh.position(v[0]), high = low;
+  const Vec3 corners[4] = {mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]),
+                           mesh.position(v[3])};
+  add_at(t, corners);
+}
+
+void BoundaryGrid::add_at(TetId t, const Vec3 (&corners)[4]) {
+  Vec3 low = corners[0], high = low;
   for (int i = 1; i < 4; ++i) {
-    const Vec3& p = mesh.position(v[i]);
+    const Vec3& p = corners[i];
     low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
     high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
   }
@@ -94,6 +113,24 @@ void BoundaryGrid::take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j
   }
 }
 
+bool BoundaryGrid::leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p) {
+  // A cut's new vertices have theirs where they were first asked for.
+  while (anchors_.size() < mesh.vertex_slots())
+    anchors_.push_back(mesh.position(static_cast<VertexId>(anchors_.size())));
+  const double most = kFromAnchor * cell_;
+  if (squared_length(p - anchors_[v]) <= most * most) return false;
+  anchors_[v] = p;
+  return true;
+}
+
+bool BoundaryGrid::contains(const Vec3& p) const {
+  for (int axis = 0; axis < 3; ++axis) {
+    const double first = coordinate(origin_, axis), x = coordinate(p, axis);
+    if (x < first || x > first + cell_ * static_cast<double>(count_[axis])) return false;
+  }
+  return true;
+}
+
 void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std::vector<TetId>& out) {
   if (nodes_.empty()) return;
   // Columns of cells along the axis that the normal is nearest to: each holds a few cells of the plane.
@@ -101,8 +138,7 @@ void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std:
   const int along = std::abs(n.x) >= std::abs(n.y) ? (std::abs(n.x) >= std::abs(n.z) ? 0 : 2)
                                                    : (std::abs(n.y) >= std::abs(n.z) ? 1 : 2);
   const int u = (along + 1) % 3, w = (along + 2) % 3;
-  // Vertices that slid since they were entered may stick out of their cells by half an h: a quarter of a cell.
-  const double slack = 0.25 * cell_;
+  const double slack = slack_ * cell_;
   const double top = coordinate(origin_, along) + cell_ * static_cast<double>(count_[along]) + slack;
   const double bottom = coordinate(origin_, along) - slack;
   double low[3], high[3];
@@ -162,7 +198,9 @@ TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p, std::int64_t* loo
       return kNone;
   }
   // Looks along each axis both ways for the nearest boundary face, until one way gives an answer. The line is axis
-  // parallel, so it stays in one row of cells; a grazed edge can mislead one way, hardly all six.
+  // parallel, so it stays in one row of cells; a grazed edge can mislead one way, hardly all six. In a body that
+  // deforms a face may have moved into the row from the cells beside it.
+  const int beside = anchored() ? 1 : 0;
   for (int way = 0; way < 6; ++way) {
     const int axis = way % 3;
     const int sign = way < 3 ? 1 : -1;
@@ -173,7 +211,7 @@ TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p, std::int64_t* loo
     HalfFace hit = kNone;
     bool from_inside = false;
     for (; cell[axis] >= 0 && cell[axis] < count_[axis]; cell[axis] += sign) {
-      visit_cell(cell[0], cell[1], cell[2], [&](TetId t) {
+      const auto visit = [&](TetId t) {
         if (looked_at != nullptr) ++*looked_at;
         if (!mesh.alive(t)) return;
         for (int f = 0; f < 4; ++f) {
@@ -190,9 +228,21 @@ TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p, std::int64_t* loo
           hit = half_face(t, f);
           from_inside = dot(cross(b - a, c - a), d) > 0;
         }
-      });
+      };
+      const int u = (axis + 1) % 3, w = (axis + 2) % 3;
+      for (std::int64_t i = std::max<std::int64_t>(cell[u] - beside, 0);
+           i <= std::min(cell[u] + beside, count_[u] - 1); ++i) {
+        for (std::int64_t j = std::max<std::int64_t>(cell[w] - beside, 0);
+             j <= std::min(cell[w] + beside, count_[w] - 1); ++j) {
+          std::int64_t at[3];
+          at[axis] = cell[axis];
+          at[u] = i;
+          at[w] = j;
+          visit_cell(at[0], at[1], at[2], visit);
+        }
+      }
       if (hit != kNone &&
-          nearest < cell_ * static_cast<double>(std::abs(cell[axis] - cell_of(inside[axis], axis))))
+          nearest < cell_ * static_cast<double>(std::abs(cell[axis] - cell_of(inside[axis], axis)) - beside))
         break;
     }
     if (hit == kNone) continue;

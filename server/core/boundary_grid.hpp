@@ -11,9 +11,17 @@ namespace incise::core {
 // Where the boundary is: a uniform grid of the tetrahedra that have boundary faces. A blade that enters the tissue,
 // or a sweep that meets a part of it that it has not met before, is found here; from there on adjacency leads. Built
 // at load, O(boundary); tetrahedra that get boundary faces later are added, those that lose them are just stale.
+//
+// In a body that a simulation deforms (server/core/vertex_mover.hpp) each vertex has an anchor, where it was when the
+// tetrahedra around it were last entered. They are entered again when it has moved a tenth of a cell from there, so
+// that the cost is that of what moved; what they leave behind is stale, and is dropped when the grid is built anew, once
+// it has doubled or the body has grown out of it.
 class BoundaryGrid {
  public:
   explicit BoundaryGrid(const TetMesh& mesh);
+
+  // A grid of cells of `cell` m over the box, empty, for a body that deforms: no vertex has an anchor yet.
+  BoundaryGrid(const Vec3& low, const Vec3& high, double cell);
 
   // A box that holds the tissue.
   const Vec3& low() const { return low_; }
@@ -21,6 +29,21 @@ class BoundaryGrid {
 
   // Adds a tetrahedron that has got a boundary face. O(1).
   void add(const TetMesh& mesh, TetId t);
+  // The same, with its vertices at these places.
+  void add_at(TetId t, const Vec3 (&corners)[4]);
+
+  // Whether the body deforms.
+  bool anchored() const { return !anchors_.empty(); }
+  // Whether the tetrahedra at v have to be entered again when it lies at p; it then has its anchor there.
+  bool leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p);
+  void set_anchor(const Vec3& p) { anchors_.push_back(p); }  // of the next vertex
+  bool contains(const Vec3& p) const;
+  // Whether so much is stale that it should be built anew.
+  bool overgrown() const { return nodes_.size() > 2 * nodes_when_built_ + 65536; }
+  void built() { nodes_when_built_ = nodes_.size(); }
+  // All entries, stale ones and repetitions included.
+  std::size_t entries() const { return nodes_.size(); }
+  TetId entry(std::size_t i) const { return nodes_[i].tet; }
 
   // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. Cost: the cells that the
   // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it
@@ -45,6 +68,7 @@ class BoundaryGrid {
     TetId tet;
     std::uint32_t next;
   };
+  void lay_out(const Vec3& low, const Vec3& high, double cell);
   std::int64_t cell_of(double x, int axis) const;
   void take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j, std::int64_t k,
                  std::vector<TetId>& out);
@@ -55,8 +79,12 @@ class BoundaryGrid {
   Vec3 low_, high_;
   double cell_ = 1, inverse_ = 1;
   std::int64_t count_[3] = {1, 1, 1};
+  double slack_ =
+      0.25;  // how far, in cells, a vertex may be from where it was when its tetrahedra were entered
   std::vector<std::uint32_t> head_;  // a list of nodes for each cell
   std::vector<Node> nodes_;
+  std::size_t nodes_when_built_ = 0;
+  std::vector<Vec3> anchors_;  // by vertex; none while nothing has deformed the body
 };
 
 template <class Visit>
@@ -70,8 +98,7 @@ void BoundaryGrid::visit_box(const Vec3& low, const Vec3& high, Visit visit) con
   if (nodes_.empty() || low.x > high_.x || low.y > high_.y || low.z > high_.z || high.x < low_.x ||
       high.y < low_.y || high.z < low_.z)
     return;
-  // Vertices that slid since they were entered may stick out of their cells by half an h: a quarter of a cell.
-  const double slack = 0.25 * cell_;
+  const double slack = slack_ * cell_;
   const std::int64_t last[3] = {cell_of(high.x + slack, 0), cell_of(high.y + slack, 1),
                                 cell_of(high.z + slack, 2)};
   for (std::int64_t i = cell_of(low.x - slack, 0); i <= last[0]; ++i) {

@@ -38,6 +38,7 @@ class ConformingCutter final : public Cutter {
   void begin(const Batch& batch) override;
   bool advance(WorkBudget& budget) override;
   const CutCounts& counts() const override { return counts_; }
+  void clinging(std::vector<VertexId>& out) const override;
 
  private:
   friend struct SessionFields;  // session_state.cpp

@@ -239,12 +239,23 @@ void ConformingCutter::note_opening(HalfFace h) {
   }
 }
 
+void ConformingCutter::clinging(std::vector<VertexId>& out) const {
+  for (const Active& active : active_) {
+    if (!mesh_.alive(active.tet)) continue;
+    out.insert(out.end(), mesh_.vertices(active.tet).begin(), mesh_.vertices(active.tet).end());
+  }
+  for (const Event& event : events_) out.insert(out.end(), {event.a, event.b});
+  for (const RimEvent& event : rim_events_) out.insert(out.end(), event.face.begin(), event.face.end());
+}
+
 void ConformingCutter::finish() {
   std::erase_if(events_, [](const Event& e) { return e.done; });
   counts_.pending = static_cast<std::uint32_t>(active_.size());
   if (!has_front_) {
     active_.clear();
     surface_.clear();
+    events_.clear();
+    rim_events_.clear();
   }
   phase_ = Phase::kIdle;
 }

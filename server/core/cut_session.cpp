@@ -12,7 +12,7 @@
 namespace incise::core {
 
 CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
-    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_) {}
+    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_), mover_(mesh_, workspace_) {}
 
 CutSession::~CutSession() = default;
 
@@ -51,8 +51,62 @@ bool CutSession::in_stroke(std::uint32_t number) const {
   return number < kMaxSources && sources_[number] && sources_[number]->builder.in_stroke();
 }
 
+void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
+  Batch& batch = deformation_;
+  batch.source = batch.stroke = batch.number = 0;
+  batch.ends_stroke = false;
+  batch.lines.assign(1, {});
+  batch.from_t_ns = batch.to_t_ns = positions->source_ns;
+  batch.deformation = std::move(positions);
+  queue_.push(batch);
+  batch.deformation.reset();
+  ++deformations_;
+}
+
+CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta) {
+  if (!begun_) {
+    clinging_.clear();
+    for (const auto& source : sources_) {
+      if (source) source->cutter->clinging(clinging_);
+    }
+    mover_.begin(*queue_.front().deformation, clinging_);
+    begun_ = true;
+  }
+  if (!mover_.advance(budget)) return Progress::kSpent;
+  begun_ = false;
+  --deformations_;
+  queue_.pop(committed_);
+  committed_counts_ = {};
+  describe(delta);
+  mover_.commit(delta);
+  committed_.deformation.reset();
+#ifdef INCISE_VALIDATE
+  const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);
+  INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
+  delta.min_dihedral_deg = 180;
+  return Progress::kCommitted;
+}
+
+// What of a delta says which step it is.
+void CutSession::describe(Delta& delta) {
+  delta.revision = ++revision_;
+  delta.source = committed_.source;
+  delta.stroke = committed_.stroke;
+  delta.batch = committed_.number;
+  delta.stroke_ended = committed_.ends_stroke;
+  delta.from = committed_.lines.front();
+  delta.to = committed_.lines.back();
+  delta.from_t_ns = committed_.from_t_ns;
+  delta.to_t_ns = committed_.to_t_ns;
+  delta.snaps = committed_counts_.snaps;
+  delta.splits = committed_counts_.splits;
+  delta.max_deviation = committed_counts_.max_deviation_h;
+}
+
 CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
   if (queue_.empty()) return Progress::kIdle;
+  if (queue_.front().deformation) return advance_deformation(budget, delta);
   Cutter& cutter = *sources_[queue_.front().source]->cutter;
   if (stage_ == Stage::kWaiting) {
     cutter.begin(queue_.front());
@@ -72,7 +126,9 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
   stage_ = Stage::kWaiting;
   queue_.pop(committed_);
   committed_counts_ = cutter.counts();
-  describe();
+  describe(made_);
+  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
+  mover_.note_cut(made_);
   std::swap(made_, delta);
   return Progress::kCommitted;
 }
@@ -115,23 +171,6 @@ bool CutSession::measure(WorkBudget& budget) {
     for (std::uint32_t corner : star_) look_at(corner >> 2);
   }
   return true;
-}
-
-// What the delta says beside the mesh.
-void CutSession::describe() {
-  made_.revision = ++revision_;
-  made_.source = committed_.source;
-  made_.stroke = committed_.stroke;
-  made_.batch = committed_.number;
-  made_.stroke_ended = committed_.ends_stroke;
-  made_.from = committed_.lines.front();
-  made_.to = committed_.lines.back();
-  made_.from_t_ns = committed_.from_t_ns;
-  made_.to_t_ns = committed_.to_t_ns;
-  made_.snaps = committed_counts_.snaps;
-  made_.splits = committed_counts_.splits;
-  made_.max_deviation = committed_counts_.max_deviation_h;
-  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
 }
 
 }  // namespace incise::core

@@ -11,13 +11,16 @@
 #include "server/core/piece_tracker.hpp"
 #include "server/core/stroke_builder.hpp"
 #include "server/core/tet_mesh.hpp"
+#include "server/core/vertex_mover.hpp"
 
 namespace incise::core {
 
 // A mesh and the blades that cut it: poses in, deltas out. The server, `incise cut` and `incise replay` all run this.
 //
-// Determinism: the state after revision n is a function of the mesh, the configuration and the calls to push() and
-// end_stroke() in their order. Budgets and call times decide when work is done, never what is done.
+// A host simulation may deform the body: cuts are then made in the deformed body, and the mesh keeps rest positions.
+//
+// Determinism: the state after revision n is a function of the mesh, the configuration and the calls to push(),
+// end_stroke() and deform() in their order. Budgets and call times decide when work is done, never what is done.
 //
 // Thread: one, at a time. Owns the mesh.
 class CutSession {
@@ -33,6 +36,10 @@ class CutSession {
   // Ends the running stroke of a source (it was let go, or it vanished); nothing where there is none.
   void end_stroke(std::uint32_t source);
 
+  // Moves vertices, behind all batches that are complete now, as a step of its own (Delta::deformation says what became of
+  // it). Whatever the positions are, the mesh stays valid: see VertexMover.
+  void deform(std::shared_ptr<const VertexPositions> positions);
+
   enum class Progress {
     kIdle,       // no batch waits
     kSpent,      // the budget is spent; work is left
@@ -47,11 +54,12 @@ class CutSession {
   const BoundaryGrid& boundary() const { return workspace_.grid; }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
-  // Batches that wait, the one at work included, and their segments.
+  // Batches and deformations that wait, the one at work included, and their segments.
   std::size_t backlog_batches() const { return queue_.size(); }
   std::size_t backlog_segments() const { return queue_.segments(); }
   bool in_stroke(std::uint32_t source) const;
-  // The batch that the last kCommitted was about, and what it did.
+  bool deformation_waits() const { return deformations_ > 0; }
+  // The batch that the last kCommitted was about, and what it did. Of stroke 0 where that was a deformation.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
 
@@ -65,7 +73,8 @@ class CutSession {
   Source& source(std::uint32_t number);
   bool finish(WorkBudget& budget);
   bool measure(WorkBudget& budget);
-  void describe();
+  Progress advance_deformation(WorkBudget& budget, Delta& delta);
+  void describe(Delta& delta);
 
   TetMesh mesh_;
   CutConfig config_;
@@ -80,10 +89,15 @@ class CutSession {
   Delta made_;                                      // while it is being made
   std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
   double worst_ = 0;
+  VertexMover mover_;
+  std::size_t deformations_ = 0;  // in the queue
+  bool begun_ = false;            // the oldest one is at work
   std::uint64_t revision_ = 0;
   Batch committed_;
   CutCounts committed_counts_;
   std::vector<std::uint32_t> star_;
+  std::vector<VertexId> clinging_;
+  Batch deformation_;  // scratch
 };
 
 }  // namespace incise::core

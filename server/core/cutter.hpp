@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "server/core/stroke_builder.hpp"
 #include "server/core/tet_mesh.hpp"
@@ -33,6 +34,9 @@ class Cutter {
   virtual bool advance(WorkBudget& budget) = 0;
   // Of the batch begun last.
   virtual const CutCounts& counts() const = 0;
+  // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
+  // not be moved until it is done.
+  virtual void clinging(std::vector<VertexId>& /*out*/) const {}
 };
 
 }  // namespace incise::core

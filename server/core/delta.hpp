@@ -32,12 +32,21 @@ struct TetState {
   friend bool operator==(const TetState&, const TetState&) = default;
 };
 
+// What became of the vertices that a host simulation has sent.
+struct Deformation {
+  std::uint64_t frame = 0;        // the simulation's number for them
+  std::uint32_t moved = 0;        // lie elsewhere now
+  std::uint32_t passed_over = 0;  // were cut or made after the revision that it computed with, or are gone
+  std::vector<VertexId>
+      held;  // stayed, or went half the way, ascending: at a blade, or a tetrahedron would invert
+};
+
 // One committed step: takes revision - 1 to revision. Owns its arrays; immutable once it has left the core.
 // Ids are never reused: added vertices are first_added, first_added + 1, ... and new tetrahedra count on likewise.
 struct Delta {
   std::uint64_t revision = 0;
   std::uint32_t source = 0;  // which blade
-  std::uint32_t stroke = 0;  // counts the strokes of all sources, from 1
+  std::uint32_t stroke = 0;  // counts the strokes of all sources, from 1; 0: no cut, the body deformed
   std::uint32_t batch = 0;   // within the stroke, from 1
   bool stroke_ended = false;
 
@@ -45,6 +54,8 @@ struct Delta {
   std::vector<Vec3> moved_positions;
   VertexId first_added = 0;
   std::vector<Vec3> added_positions;
+  // Rest positions of `moved` and of the added vertices, where a cut has moved them in a body that is deformed; else empty.
+  std::vector<Vec3> moved_rest, added_rest;
   std::vector<Provenance> provenance;
   std::vector<TetState> upserted;  // new or changed tetrahedra, ascending by id
   std::vector<TetId> removed;      // ascending
@@ -70,6 +81,7 @@ struct Delta {
   double min_dihedral_deg = 180;  // over upserted tetrahedra and those around moved vertices
   double max_deviation = 0;       // of the new cut faces' vertices from the swept surface, in h
   std::uint64_t state_hash = 0;   // of the whole mesh after this step (protocol/state_hash.hpp)
+  Deformation deformation;        // of a step without a stroke
 };
 
 }  // namespace incise::core

@@ -125,6 +125,7 @@ struct SessionFields {
       io(v.tet);
       io(v.h);
     });
+    io.list(m.rest_, 24, [&](auto& rest) { fields(io, rest); });
     io.list(m.tets_, 32, [&](auto& t) {
       for (auto& v : t.vertices) io(v);
       for (auto& o : t.opposite) io(o);
@@ -140,6 +141,8 @@ struct SessionFields {
   static void restore(Reader& io, TetMesh& m) {
     io.demand(m.tets_.size() < kNone / 16 && m.vertices_.size() < kNone / 2, "the mesh is too large");
     io.demand(m.attributes_.size() == m.tets_.size(), "attributes and tetrahedra differ in number");
+    io.demand(m.rest_.empty() || m.rest_.size() == m.vertices_.size(),
+              "rest positions and vertices differ in number");
     io.demand(m.mean_edge_length_ > 0 && std::isfinite(m.mean_edge_length_), "h is not positive");
     if (io.failed()) return;
     m.live_tets_ = 0;
@@ -159,6 +162,7 @@ struct SessionFields {
       io.demand(m.vertices_[v].h >= 0 && std::isfinite(m.vertices_[v].h), "a local width is no length");
     }
     grow_to(m.vertices_, m.vertices_.size());
+    if (m.deformed()) grow_to(m.rest_, m.rest_.size());
     grow_to(m.tets_, m.tets_.size());
     grow_to(m.attributes_, m.tets_.size());
     grow_to(m.vertex_step_, m.vertices_.size());
@@ -207,13 +211,21 @@ struct SessionFields {
     fields(io, g.high_);
     io(g.cell_);
     io(g.inverse_);
+    io(g.slack_);
     for (auto& n : g.count_) io(n);
     io.list(g.head_, 4, [&](auto& head) { io(head); });
     io.list(g.nodes_, 8, [&](auto& node) {
       io(node.tet);
       io(node.next);
     });
+    auto when_built = static_cast<std::uint64_t>(g.nodes_when_built_);
+    io(when_built);
+    io.list(g.anchors_, 24, [&](auto& anchor) { fields(io, anchor); });
     if constexpr (Io::kReads) {
+      g.nodes_when_built_ = when_built;
+      io.demand(when_built <= g.nodes_.size(), "a grid that has shrunk");
+      io.demand(g.slack_ >= 0.25 && g.slack_ <= 1, "a grid with another slack");
+      io.demand(g.anchors_.size() <= m.vertex_slots(), "more anchors than vertices");
       std::uint64_t cells = 1;
       for (const std::int64_t n : g.count_) {
         io.demand(n > 0 && n <= (1 << 25), "a grid without cells");
@@ -250,6 +262,15 @@ struct SessionFields {
         grow_to(*by_vertex, vertices);
       for (auto* by_tet : {&w.seen, &w.active}) grow_to(*by_tet, tets);
       grow_to(w.pending, tets);
+    }
+  }
+
+  template <class Io, class Mover>
+  static void mover(Io& io, Mover& mover, const TetMesh& m) {
+    io.list(mover.known_since_, 8, [&](auto& revision) { io(revision); });
+    if constexpr (Io::kReads) {
+      io.demand(mover.known_since_.size() == m.vertex_slots(), "revisions and vertices differ in number");
+      if (!io.failed()) grow_to(mover.known_since_, m.vertex_slots());
     }
   }
 
@@ -355,6 +376,7 @@ struct SessionFields {
     }
     pieces(io, s.pieces_, s.mesh_);
     workspace(io, s.workspace_, s.mesh_);
+    mover(io, s.mover_, s.mesh_);
     for (std::uint32_t number = 0; number < kMaxSources; ++number) {
       if (!source_exists(io, s.sources_[number] != nullptr)) continue;
       Blade blade;

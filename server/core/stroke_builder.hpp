@@ -2,11 +2,13 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <utility>
 #include <vector>
 
 #include "server/core/blade.hpp"
 #include "server/core/cut_config.hpp"
+#include "server/core/vertex_positions.hpp"
 
 namespace incise::core {
 
@@ -29,7 +31,8 @@ inline bool accepted(PoseVerdict v) {
 }
 
 // Blade lines whose sweep is committed as one: between two consecutive lines the heel and the tip move straight, and
-// the ruled quad between is cut as the triangles (heel0, tip0, tip1) and (heel0, tip1, heel1).
+// the ruled quad between is cut as the triangles (heel0, tip0, tip1) and (heel0, tip1, heel1). Or no cut, but a
+// deformation that waits among them.
 struct Batch {
   std::uint32_t source = 0;
   std::uint32_t stroke = 0;                 // of all sources, from 1
@@ -37,6 +40,7 @@ struct Batch {
   bool ends_stroke = false;                 // flush: nothing more will come
   std::vector<BladeLine> lines;             // at least one; the first is the last one of the batch before
   std::int64_t from_t_ns = 0, to_t_ns = 0;  // source times of the first and the last line
+  std::shared_ptr<const VertexPositions> deformation;  // instead of a cut; stroke 0
 };
 
 // Batches that wait to be cut, oldest first. Keeps the memory of those that are done: a steady stream of batches

@@ -331,6 +331,7 @@ VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance,
   vertex_step_.push_back(step_);
   vertex_mark_.push_back(0);
   provenance_.push_back(provenance);
+  if (deformed()) rest_.push_back(lerp(rest_[provenance.a], rest_[provenance.b], provenance.t));
   return v;
 }
 
@@ -364,6 +365,8 @@ bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
     delta.first_added = first_new_vertex_;
     delta.added_positions.clear();
     delta.provenance.clear();
+    delta.moved_rest.clear();
+    delta.added_rest.clear();
     delta.upserted.clear();
     delta.removed.clear();
     delta.boundary_upserted.clear();
@@ -391,6 +394,7 @@ bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
       hash_ ^= hash_of_vertex(v);
       delta.moved.push_back(v);
       delta.moved_positions.push_back(vertices_[v].position);
+      if (deformed()) delta.moved_rest.push_back(rest_[v]);
     }
     next_commit_ = 0;
     committing_ = Committing::kAdded;
@@ -403,6 +407,7 @@ bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
       hash_ ^= hash_of_vertex(v);
       delta.added_positions.push_back(vertices_[v].position);
       delta.provenance.push_back(provenance_[next_commit_]);
+      if (deformed()) delta.added_rest.push_back(rest_[v]);
     }
     next_commit_ = 0;
     commit_order_.clear();
@@ -504,6 +509,7 @@ std::uint64_t TetMesh::compute_state_hash() const {
 
 void TetMesh::move_vertex(VertexId v, const Vec3& position) {
   touch_vertex(v);
+  if (deformed()) rest_[v] = rest_at(v, position);
   vertices_[v].position = position;
 }
 

@@ -102,6 +102,7 @@ class TetMesh {
   // A tetrahedron that has both; kNone where the two are not joined by an edge. O(star of a).
   TetId find_edge(VertexId a, VertexId b) const;
 
+  // A vertex slides to another place of the body: it stands for the material that is there.
   void move_vertex(VertexId v, const Vec3& position);
   // Puts a vertex on the edge (a, b) of tetrahedron `from`, at a + t (b - a), and splits all tetrahedra around it in
   // two: the half at a keeps its id. Returns the vertex.
@@ -129,6 +130,16 @@ class TetMesh {
   // The same in portions: goes on until done (true) or the budget is spent (false). `delta` must be the same, and nothing
   // may change in between.
   bool commit(Delta& delta, WorkBudget& budget);
+  // A step of its own, in which the body deforms: nothing may have changed since the last commit. `moved`, ascending, are
+  // swapped into `delta` with their positions. `hash_change`: the XOR of their hash_change(). O(moved), some 5 ns each.
+  void deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,
+              Delta& delta);
+  // By what the state hash changes when v goes there.
+  std::uint64_t hash_change(VertexId v, const Vec3& to) const;
+  // Whether deform() was ever called. From then on each vertex has a rest position: where the material that it stands for
+  // is in the body at rest. Until then that is its position.
+  bool deformed() const { return !rest_.empty(); }
+  const Vec3& rest_position(VertexId v) const { return deformed() ? rest_[v] : vertices_[v].position; }
   // The state hash after the last commit.
   std::uint64_t state_hash() const { return hash_; }
   // The same from scratch; O(mesh). For tests and load.
@@ -167,6 +178,7 @@ class TetMesh {
   void touch_vertex(VertexId v);
   void touch_tet(TetId t);
   VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
+  Vec3 rest_at(VertexId v, const Vec3& position) const;
   // Region and piece are those of `parent`.
   TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
   void kill_tet(TetId t);
@@ -183,6 +195,7 @@ class TetMesh {
   std::uint64_t hash_of_tet(TetId t) const;
 
   std::vector<Vertex> vertices_;
+  std::vector<Vec3> rest_;  // by vertex, once deformed
   std::vector<Tet> tets_;
   std::vector<Attributes> attributes_;
   std::uint32_t live_tets_ = 0;

@@ -1,11 +1,9 @@
 #pragma once
 
-#include <optional>
-
 #include "server/core/blade.hpp"
-#include "server/core/boundary_grid.hpp"
-#include "server/core/tet_mesh.hpp"
 #include "server/haptics/material.hpp"
+#include "server/haptics/probe_work.hpp"
+#include "server/haptics/tissue.hpp"
 
 namespace incise::haptics {
 
@@ -22,25 +20,11 @@ struct Engagement {
   double from = 0, to = 0;
 };
 
-// Finds what of the edge is inside: where it crosses the boundary from the grid, what lies between by walking through
-// the tetrahedra. Where two cut faces still touch and the edge lies between them (within 0.15 h), the tissue counts
-// as cut, and its length is that a little beside it. O(tetrahedra along the edge + boundary in the grid cells along it); at most kMostCrossings crossings and
-// kMostSteps tetrahedra a stretch count, what lies beyond them is passed over.
-Engagement probe(const core::TetMesh& mesh, const core::BoundaryGrid& grid, const Materials& materials,
-                 const core::BladeLine& line) noexcept;
+// Finds what of the edge is inside: where it crosses the surface, and what lies between by walking through the
+// tetrahedra; and what of that is cut, every 0.25 h. O(log surface + tetrahedra along the edge), within the bounds of
+// `work`; at most kMostCrossings crossings count.
+Engagement probe(const Tissue& tissue, const Materials& materials, const core::BladeLine& line,
+                 ProbeWork& work) noexcept;
 inline constexpr int kMostCrossings = 64;
-inline constexpr std::uint32_t kMostSteps = 4096;
-
-// A point on the boundary that the mesh had before it was cut.
-struct SurfacePoint {
-  core::Vec3 point;   // m
-  core::Vec3 normal;  // unit, out of the tissue
-  double distance_m;
-};
-
-// The nearest such point to p within `radius` (m, at most two grid cells are sensible). Cut faces do not count: a
-// blade in its own slit is not outside. O(boundary in the cells of a box of that size).
-std::optional<SurfacePoint> nearest_surface(const core::TetMesh& mesh, const core::BoundaryGrid& grid,
-                                            const core::Vec3& p, double radius) noexcept;
 
 }  // namespace incise::haptics

@@ -7,13 +7,11 @@ namespace incise::haptics {
 namespace {
 
 using core::BladeLine;
-using core::BoundaryGrid;
-using core::TetMesh;
 using core::Vec3;
 
 constexpr double kSmoothing_s = 0.005;  // of the velocity: one pose's noise must not be felt
 constexpr double kFaceSlack_h = 0.05;   // what the surface may have moved between two frames
-constexpr double kDeepest_cells = 3;    // the surface is not looked for farther off
+constexpr double kDeepest_h = 6;        // the surface is not looked for farther off
 // The front forgets itself when the blade has left it so far behind, or aside: from there the mesh knows what is cut,
 // for it opens up to two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
@@ -34,13 +32,12 @@ void ForceModel::jump() noexcept {
   depth_ = 0;
 }
 
-Feel ForceModel::update(const TetMesh& mesh, const BoundaryGrid& grid, const BladeMotion& motion,
-                        const Vec3& applied) noexcept {
+Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied) noexcept {
   if (has_last_) account_ -= dot(applied, motion.tool - last_tool_);
   account_ += kLeak_w * motion.elapsed_s;
 
   Feel feel;
-  feel.engagement = probe(mesh, grid, materials_, motion.line);
+  feel.engagement = probe(tissue, materials_, motion.line, feel.work);
   feel.engagement.stiffness_n_m = std::min(feel.engagement.stiffness_n_m, stiffest_);
   const Engagement& engagement = feel.engagement;
   const double moved = has_last_ ? std::max(distance(motion.line.heel, last_line_.heel),
@@ -52,9 +49,9 @@ Feel ForceModel::update(const TetMesh& mesh, const BoundaryGrid& grid, const Bla
     phase_ = Phase::kFree;
     depth_ = 0;
   } else {
-    if (phase_ != Phase::kInside) find_depth(mesh, grid, motion, engagement, moved);
+    if (phase_ != Phase::kInside) find_depth(tissue, motion, moved, feel);
     if (phase_ == Phase::kContact) elastic = press(motion, engagement, feel);
-    if (phase_ == Phase::kInside) elastic = cut(motion, engagement, mesh.mean_edge_length(), feel);
+    if (phase_ == Phase::kInside) elastic = cut(motion, engagement, tissue.h(), feel);
   }
   has_last_ = true;
   last_line_ = motion.line;
@@ -81,10 +78,11 @@ void ForceModel::find_velocity(const BladeMotion& motion, const Engagement& enga
 }
 
 // Free or in contact, with something of the edge inside: how deep, and which way is out.
-void ForceModel::find_depth(const TetMesh& mesh, const BoundaryGrid& grid, const BladeMotion& motion,
-                            const Engagement& engagement, double moved) noexcept {
+void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, double moved,
+                            Feel& feel) noexcept {
+  const Engagement& engagement = feel.engagement;
   const bool first = phase_ == Phase::kFree;
-  const double h = mesh.mean_edge_length();
+  const double h = tissue.h();
   if (first && !has_last_) {  // it was put there: nothing says which way is out
     phase_ = Phase::kInside;
     front_ = lerp(motion.line.heel, motion.line.tip, engagement.middle);
@@ -92,12 +90,12 @@ void ForceModel::find_depth(const TetMesh& mesh, const BoundaryGrid& grid, const
     return;
   }
   // The depth of a point changes by no more than it moves, so the surface is not farther off than this.
-  const double radius = std::min(depth_ + moved + kFaceSlack_h * h, kDeepest_cells * grid.cell());
+  const double radius = std::min(depth_ + moved + kFaceSlack_h * h, kDeepest_h * h);
   std::optional<SurfacePoint> deepest;
   Vec3 deepest_point;
   for (const double at : {engagement.from, 0.5 * (engagement.from + engagement.to), engagement.to}) {
     const Vec3 p = lerp(motion.line.heel, motion.line.tip, at);
-    const auto surface = nearest_surface(mesh, grid, p, radius);
+    const auto surface = tissue.surface().nearest(p, radius, feel.work);
     if (!surface || (deepest && surface->distance_m <= deepest->distance_m)) continue;
     deepest = surface;
     deepest_point = p;

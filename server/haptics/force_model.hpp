@@ -4,10 +4,9 @@
 #include <optional>
 
 #include "server/core/blade.hpp"
-#include "server/core/boundary_grid.hpp"
-#include "server/core/tet_mesh.hpp"
 #include "server/haptics/blade_probe.hpp"
 #include "server/haptics/material.hpp"
+#include "server/haptics/tissue.hpp"
 
 namespace incise::haptics {
 
@@ -35,6 +34,7 @@ struct Feel {
   core::Vec3 force;  // on the hand, at the tool's origin, N
   Engagement engagement;
   std::optional<ContactPlane> contact;  // absent: no tissue at the blade
+  ProbeWork work;                       // that it took
 };
 
 // The force of the tissue on one blade, frame by frame. A spring joins the blade to a proxy, which the tissue holds:
@@ -61,7 +61,8 @@ struct Feel {
 // Whatever the motion, the energy that comes out in t seconds, less what went in, is at most
 // kReserve_j + kLeak_w t + the work of a single step.
 //
-// Thread: one. update() costs the probe and, in contact, up to three searches for the surface; it allocates nothing.
+// Thread: one. update() costs the probe and, in contact, up to three searches for the surface, all within the bounds of
+// ProbeWork; it allocates nothing.
 class ForceModel {
  public:
   static constexpr double kReserve_j = 5e-4;
@@ -75,8 +76,7 @@ class ForceModel {
   void jump() noexcept;
 
   // The force from here on. `applied`: what acted on the hand since the last call, N.
-  Feel update(const core::TetMesh& mesh, const core::BoundaryGrid& grid, const BladeMotion& motion,
-              const core::Vec3& applied) noexcept;
+  Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied) noexcept;
 
  private:
   enum class Phase : std::uint8_t { kFree, kContact, kInside };
@@ -85,8 +85,7 @@ class ForceModel {
     double energy = 0;  // that the spring can give back
   };
   void find_velocity(const BladeMotion& motion, const Engagement& engagement) noexcept;
-  void find_depth(const core::TetMesh& mesh, const core::BoundaryGrid& grid, const BladeMotion& motion,
-                  const Engagement& engagement, double moved) noexcept;
+  void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
   Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
   void get_in(const core::Vec3& middle, const core::Vec3& along, const Engagement& engagement) noexcept;

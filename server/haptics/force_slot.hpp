@@ -14,6 +14,7 @@ struct ForceCommand {
   std::array<double, 3> newtons{};  // on the hand at the tool's origin, world frame
   std::int64_t time_ns = 0;  // CLOCK_MONOTONIC when it was computed: a device lets an old one fade to 0
   std::uint32_t flags = 0;   // ForceFlag, for displays and logs: the force is final without them
+  std::int64_t pose_ns = 0;  // CLOCK_MONOTONIC when the pose arrived that it belongs to
 
   friend bool operator==(const ForceCommand&, const ForceCommand&) = default;
 };

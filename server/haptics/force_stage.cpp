@@ -10,9 +10,9 @@ constexpr std::int64_t kAsleep_ns = 1'000'000'000;
 
 }  // namespace
 
-ForceStage::ForceStage(const ForceConfig& config, const core::CutConfig& cut, ForceSink* sink,
-                       ForceSlots* slots)
-    : config_(config), cut_(cut), sink_(sink), slots_(slots) {
+ForceStage::ForceStage(const ForceConfig& config, const core::CutConfig& cut, const core::MeshData& loaded,
+                       ForceSink* sink, ForceSlots* slots)
+    : config_(config), cut_(cut), sink_(sink), slots_(slots), tissue_(loaded) {
   for (auto& hand : hands_) hand = std::make_unique<Hand>(config_.materials, config_);
 }
 
@@ -47,11 +47,21 @@ bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
          std::max(distance(a.heel, b.heel), distance(a.tip, b.tip)) > cut_.speed_limit_m_s * dt;
 }
 
+void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept {
+  tissue_.note_cuts(mesh, delta.boundary_upserted);
+}
+
+void ForceStage::cut(const core::TetMesh& mesh) noexcept {
+  tissue_.note_cuts(mesh);
+}
+
 void ForceStage::restart() noexcept {
+  tissue_.heal();
   for (auto& hand : hands_) hand->model.jump();
 }
 
-void ForceStage::frame(const core::CutSession& session, std::int64_t now_ns, std::int64_t late_ns) noexcept {
+void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
+  felt_count_ = 0;
   for (std::uint32_t source = 0; source < hands_.size(); ++source) {
     Hand& hand = *hands_[source];
     if (!hand.opened || !hand.has_pose) continue;
@@ -62,12 +72,14 @@ void ForceStage::frame(const core::CutSession& session, std::int64_t now_ns, std
       continue;
     }
     const bool fresh = !hand.has_felt || hand.pose.t_ns != hand.felt.t_ns;
-    const BladeForce force = feel(source, hand, session, now_ns, late_ns);
+    const BladeForce force = feel(source, hand, now_ns, late_ns);
+    if (fresh) felt_ns_[felt_count_++] = hand.arrival_ns;
     hand.felt = hand.pose;
     hand.has_felt = true;
     hand.acting = force.newtons;
     if (slots_) {
-      (*slots_)[source].write({{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags});
+      (*slots_)[source].write(
+          {{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags, hand.arrival_ns});
     }
     const bool worth = force.feel.contact || squared_length(force.newtons) > 0;
     const bool changed = fresh || hand.chain.faults() != 0;
@@ -76,8 +88,8 @@ void ForceStage::frame(const core::CutSession& session, std::int64_t now_ns, std
   }
 }
 
-BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, const core::CutSession& session,
-                            std::int64_t now_ns, std::int64_t late_ns) noexcept {
+BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_ns,
+                            std::int64_t late_ns) noexcept {
   if (hand.jumped) hand.model.jump();
   hand.jumped = false;
   BladeMotion motion;
@@ -94,7 +106,8 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, const core::CutSes
   force.source = source;
   force.pose_t_ns = hand.pose.t_ns;
   force.pose_arrival_ns = hand.arrival_ns;
-  force.feel = hand.model.update(session.mesh(), session.boundary(), motion, hand.acting);
+  force.feel = hand.model.update(tissue_, motion, hand.acting);
+  cut_short_ += force.feel.work.cut_short;
 
   if (hand.pressed_anew && !force.feel.contact) hand.chain.rearm_after_faults();
   hand.pressed_anew = false;

@@ -3,13 +3,15 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <span>
 
 #include "server/core/cut_config.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/delta.hpp"
 #include "server/haptics/force_config.hpp"
 #include "server/haptics/force_model.hpp"
 #include "server/haptics/force_slot.hpp"
 #include "server/haptics/safety_chain.hpp"
+#include "server/haptics/tissue.hpp"
 
 namespace incise::haptics {
 
@@ -36,19 +38,28 @@ class ForceSink {
 // ends; the slot gets one in every frame,
 // until the source has been silent for a second.
 //
-// Thread: the loop's. frame() is bounded by the blades' lengths, allocates nothing, and does not change the mesh.
+// Thread: the loop's. frame() does at most ProbeWork's bounds for each blade, whatever has been cut, and allocates nothing.
 class ForceStage {
  public:
-  // `sink` and `slots` may be null; what is not must outlive this.
-  ForceStage(const ForceConfig& config, const core::CutConfig& cut, ForceSink* sink, ForceSlots* slots);
+  // `loaded` is the body as it was before the first cut. `sink` and `slots` may be null; what is not must outlive this.
+  ForceStage(const ForceConfig& config, const core::CutConfig& cut, const core::MeshData& loaded,
+             ForceSink* sink, ForceSlots* slots);
 
   // What the loop took: a source opened (its force is armed), a pose that was accepted.
   void opened(std::uint32_t source, const core::Blade& blade) noexcept;
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
-  // The mesh is another one.
+  // Takes note of the cuts that a delta has brought to the mesh, or of all that it has. O(delta's boundary); O(mesh).
+  void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
+  void cut(const core::TetMesh& mesh) noexcept;
+  // The body is whole again.
   void restart() noexcept;
 
-  void frame(const core::CutSession& session, std::int64_t now_ns, std::int64_t late_ns) noexcept;
+  void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
+
+  // When the poses arrived that the last frame was the first to make a force of: one a blade at most.
+  std::span<const std::int64_t> felt_ns() const { return std::span(felt_ns_).first(felt_count_); }
+  // Forces for which not all of the edge was looked at: a bound of ProbeWork was met.
+  std::uint64_t cut_short() const { return cut_short_; }
 
  private:
   struct Hand {
@@ -68,13 +79,16 @@ class ForceStage {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
   }
   bool too_far(const core::Blade& blade, const core::Pose& from, const core::Pose& to) const noexcept;
-  BladeForce feel(std::uint32_t source, Hand& hand, const core::CutSession& session, std::int64_t now_ns,
-                  std::int64_t late_ns) noexcept;
+  BladeForce feel(std::uint32_t source, Hand& hand, std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
   const ForceConfig config_;
   const core::CutConfig cut_;
   ForceSink* const sink_;
   ForceSlots* const slots_;
+  Tissue tissue_;
+  std::uint64_t cut_short_ = 0;
+  std::array<std::int64_t, core::kMaxSources> felt_ns_{};
+  std::size_t felt_count_ = 0;
   std::array<std::unique_ptr<Hand>, core::kMaxSources> hands_;
 };
 

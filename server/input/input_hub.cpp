@@ -46,10 +46,14 @@ SourceCounts SourceHandle::counts() const {
   const InputHub::Slot& slot = *hub_->slots_[number_];
   SourceCounts counts;
   for (std::size_t i = 0; i < counts.verdicts.size(); ++i) {
-    counts.verdicts[i] = slot.verdicts[i].load(std::memory_order_relaxed);
+    const std::uint64_t told = slot.told[i].load(std::memory_order_acquire),
+                        before = slot.before[i].load(std::memory_order_relaxed);
+    counts.verdicts[i] = told > before ? told - before : 0;
     counts.drained += counts.verdicts[i];
   }
-  counts.last_source_ns = slot.last_source_ns.load(std::memory_order_relaxed);
+  const bool any =
+      counts.count(core::PoseVerdict::kAccepted) + counts.count(core::PoseVerdict::kNewStroke) > 0;
+  counts.last_source_ns = any ? slot.last_source_ns.load(std::memory_order_relaxed) : 0;
   return counts;
 }
 
@@ -65,7 +69,8 @@ InputHub::InputHub(const core::Blade& blade, std::vector<Declared> declared, std
 
 InputHub::~InputHub() = default;
 
-std::optional<SourceHandle> InputHub::open_source(std::string_view name) {
+std::optional<SourceHandle> InputHub::open_source(std::string_view name,
+                                                  const std::optional<core::Blade>& own_blade) {
   const std::scoped_lock lock(mutex_);
   if (closed_.load(std::memory_order_acquire)) return std::nullopt;
   const auto free = [&](std::size_t i) {
@@ -83,10 +88,13 @@ std::optional<SourceHandle> InputHub::open_source(std::string_view name) {
   if (!number) return std::nullopt;
   Slot& slot = *slots_[*number];
   slot.name = name;
-  for (auto& verdict : slot.verdicts) verdict.store(0, std::memory_order_relaxed);
-  slot.last_source_ns.store(0, std::memory_order_relaxed);
+  // The loop gave the slot free after it had counted the last one.
+  for (std::size_t i = 0; i < slot.before.size(); ++i)
+    slot.before[i].store(slot.counted[i].load(std::memory_order_relaxed), std::memory_order_relaxed);
   // The slot is free: its queue is empty, and the loop does not look at it before the state says kOpen.
-  const core::Blade& blade = *number < declared_.size() ? declared_[*number].blade : blade_;
+  const core::Blade& blade = own_blade                    ? *own_blade
+                             : *number < declared_.size() ? declared_[*number].blade
+                                                          : blade_;
   slot.queue.push(InputEvent{InputEvent::Kind::kOpened, {{}, monotonic_ns()}, blade});
   slot.state.store(State::kOpen, std::memory_order_release);
   return SourceHandle(this, *number);
@@ -100,12 +108,16 @@ bool InputHub::is_open(std::string_view name) const {
   return false;
 }
 
-void InputHub::count(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns) {
-  Slot& slot = *slots_[source];
+void InputHub::count(std::uint32_t source, core::PoseVerdict verdict) {
   // One writer: a load and a store, not a locked addition.
-  auto& counter = slot.verdicts[static_cast<std::size_t>(verdict)];
+  auto& counter = slots_[source]->counted[static_cast<std::size_t>(verdict)];
   counter.store(counter.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+}
+
+void InputHub::tell(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns) {
+  Slot& slot = *slots_[source];
   if (core::accepted(verdict)) slot.last_source_ns.store(source_ns, std::memory_order_relaxed);
+  slot.told[static_cast<std::size_t>(verdict)].fetch_add(1, std::memory_order_release);
 }
 
 std::size_t InputHub::waiting() const {

@@ -37,7 +37,8 @@ struct InputEvent {
   core::Blade blade;
 };
 
-// What the loop has made of a source's poses since the source was opened.
+// What has become of a source's poses since the source was opened: of those that the loop has taken and, where there
+// is a journal, that has handed to the system. So what an operator is told of outlives a crash.
 struct SourceCounts {
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts{};  // by PoseVerdict
   std::uint64_t drained = 0;                                  // their sum
@@ -94,8 +95,9 @@ class InputHub {
   InputHub(const InputHub&) = delete;
   InputHub& operator=(const InputHub&) = delete;
 
-  // Takes a blade. Nothing where the name is taken, no number is free, or the hub is closed.
-  std::optional<SourceHandle> open_source(std::string_view name);
+  // Takes a blade, with the shape declared for it or its owner's. Nothing where the name is taken, no number is free, or the hub is closed.
+  std::optional<SourceHandle> open_source(std::string_view name,
+                                          const std::optional<core::Blade>& own_blade = std::nullopt);
   // Whether somebody holds the blade of that name.
   bool is_open(std::string_view name) const;
   // No source opens from here on and no push takes anything: before the last drain.
@@ -107,7 +109,9 @@ class InputHub {
   template <class Handle>
   void drain(Handle&& handle);
   // The loop's: counts what it did with a pose.
-  void count(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
+  void count(std::uint32_t source, core::PoseVerdict verdict);
+  // Then, in the same order, from the loop's thread or the journal's: the owner may know.
+  void tell(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
   // Events that wait, of all sources.
   std::size_t waiting() const;
   // Sources with an owner now.
@@ -123,7 +127,10 @@ class InputHub {
     SpscQueue<InputEvent> queue;
     std::atomic<State> state{State::kFree};
     std::atomic<std::int64_t> closed_ns{0};
-    std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts> verdicts{};
+    // Of all owners so far. Who opens a source finds what the loop has counted of those before, and what is told beyond
+    // that is of its own poses.
+    using Counts = std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts>;
+    Counts counted{}, told{}, before{};
     std::atomic<std::int64_t> last_source_ns{0};
     std::string name;  // guarded by mutex_
   };

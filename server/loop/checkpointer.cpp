@@ -39,7 +39,8 @@ Checkpointer::~Checkpointer() {
 void Checkpointer::record(const JournalRecord& record) {
   Item item;
   item.record = record;
-  push(item);
+  given_.push_back(item);
+  hand_over();
 }
 
 void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted) {
@@ -49,24 +50,32 @@ void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t re
   item.id = id;
   item.offset = offset;
   item.records = records;
-  push(item);
+  given_.push_back(item);
+  hand_over();
 }
 
-void Checkpointer::push(const Item& item) {
+void Checkpointer::hand_over() {
+  if (given_.empty()) return;
   {
-    const std::scoped_lock lock(mutex_);
-    // What is dropped here counts until the next reset, which makes all before it past.
-    if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
-      waiting_.clear();
-      overflow_ = false;
+    // The thread may have been set aside with the mutex in its hands, for as long as the processors are busy: the journal
+    // does not wait for it.
+    const std::unique_lock lock(mutex_, std::try_to_lock);
+    if (!lock) return;
+    for (const Item& item : given_) {
+      // What is dropped here counts until the next reset, which makes all before it past.
+      if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
+        waiting_.clear();
+        overflow_ = false;
+      }
+      if (overflow_) continue;
+      if (waiting_.size() >= options_.capacity) {
+        waiting_.clear();
+        overflow_ = true;
+      } else {
+        waiting_.push_back(item);
+      }
     }
-    if (overflow_) return;
-    if (waiting_.size() >= options_.capacity) {
-      waiting_.clear();
-      overflow_ = true;
-    } else {
-      waiting_.push_back(item);
-    }
+    given_.clear();
   }
   wake_.notify_one();
 }
@@ -128,13 +137,16 @@ void Checkpointer::handle(const Item& item) {
   }
   switch (record.kind) {
     case Kind::kOpened:
-      session_->set_blade(record.source, options_.blade_of(record.source));
+      session_->set_blade(record.source, record.blade);
       break;
     case Kind::kPose:
       session_->push(record.source, record.pose);
       break;
     case Kind::kEndStroke:
       session_->end_stroke(record.source);
+      break;
+    case Kind::kDeform:
+      session_->deform(record.positions);
       break;
     case Kind::kCommit:
       compare(record);

@@ -36,7 +36,6 @@ class Checkpointer {
     // one takes more than a fifth of that.
     double replay_s = 1;
     std::size_t capacity = 1u << 20;                           // records that may wait
-    std::function<core::Blade(std::uint32_t)> blade_of;        // that a source has when it is opened
     std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
   };
   // Called on its thread, and from record(): a line for the log. `bad`: there will be no checkpoints for now.
@@ -56,6 +55,9 @@ class Checkpointer {
   // journal has a gap, and only a checkpoint after it leads on.
   void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
 
+  // Tries again to give the thread what it was too busy to take; the journal calls it now and then.
+  void hand_over();
+
   std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
   std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
   // Records that wait.
@@ -68,7 +70,6 @@ class Checkpointer {
     bool mark = false, wanted = false;
     std::uint64_t id = 0, offset = 0, records = 0;
   };
-  void push(const Item& item);
   void run(const std::function<std::unique_ptr<core::CutSession>()>& first);
   void handle(const Item& item);
   void give_up(const std::string& why);
@@ -80,6 +81,7 @@ class Checkpointer {
   const Tell tell_;
   std::mutex mutex_;
   std::condition_variable wake_;
+  std::vector<Item> given_;   // the journal's: not handed over yet
   std::deque<Item> waiting_;  // under mutex_
   bool overflow_ = false;     // under mutex_
   bool stop_ = false;         // under mutex_

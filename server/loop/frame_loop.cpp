@@ -12,10 +12,12 @@ using input::monotonic_ns;
 
 // The clock is read after so many poses (some 100 ns each), and after so long a slice of cutting.
 constexpr std::uint32_t kPosesPerLook = 64;
-constexpr std::int64_t kSlice_ns = 50'000;
+constexpr std::int64_t kSlice_ns = 20'000;
 // A sleep ends up to some 50 us late without real-time priority; the last stretch is spent looking at the
 // clock.
 constexpr std::int64_t kSpin_ns = 20'000;
+// No slice begins that would not be over by then, going by the last ones: the part of a frame.
+constexpr double kLatest = 0.95;
 // The part of a frame's budget that taking poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
 
@@ -82,12 +84,13 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
+  take_positions(start);
   const std::int64_t drained = monotonic_ns();
   // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
-  cut(start + budget_ns_);
+  cut(start + budget_ns_, start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
   const std::int64_t cut_done = monotonic_ns();
   publish();
   account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
@@ -107,7 +110,7 @@ void FrameLoop::finish() noexcept {
   // will not.
   do {
     state_.flags &= ~std::uint64_t{kDeltasBlocked};
-    cut(INT64_MAX);
+    cut(INT64_MAX, INT64_MAX);
     publish();
   } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0);
   const std::int64_t now = monotonic_ns();
@@ -137,6 +140,7 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
   switch (event.kind) {
     case Kind::kOpened:
       record.kind = JournalRecord::Kind::kOpened;
+      record.blade = event.blade;
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
       if (forces_) forces_->opened(source, event.blade);
@@ -154,7 +158,8 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       }
       if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
         ++state_.strokes;
-      input_.count(source, verdict, event.pose.pose.t_ns);
+      record.verdict = verdict;
+      input_.count(source, verdict);
       if (forces_ && accepted(verdict)) {
         forces_->posed(source, event.pose.pose, event.pose.arrival_ns,
                        verdict == core::PoseVerdict::kNewStroke);
@@ -169,36 +174,56 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       blades_moved_ = true;
       break;
   }
-  write(record);
-  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) {
-    if (stamp_count_ == stamps_.size()) {
-      std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_),
-                  stamps_.end());
-      first_stamp_ = 0;
-      stamps_.resize(2 * stamps_.size());
-    }
-    stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {event.pose.arrival_ns, now_ns};
-  }
+  const bool recorded = write(record);
+  // What is in the journal's hands is told of by the journal, once it has handed it on.
+  if (!recorded && event.kind == Kind::kPose) input_.tell(source, record.verdict, record.pose.t_ns);
+  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) stamp(event.pose.arrival_ns, now_ns);
 }
 
-void FrameLoop::write(const JournalRecord& record) {
-  if (journal_ && !journal_->record(record)) {
-    state_.flags |= kJournalBlocked;
-    bump(stats_.journal_lost);
+void FrameLoop::stamp(std::int64_t arrival_ns, std::int64_t drain_ns) {
+  if (stamp_count_ == stamps_.size()) {
+    std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_), stamps_.end());
+    first_stamp_ = 0;
+    stamps_.resize(2 * stamps_.size());
   }
+  stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {arrival_ns, drain_ns};
+}
+
+void FrameLoop::take_positions(std::int64_t now_ns) {
+  if (!positions_ || session_->deformation_waits()) return;
+  JournalRecord record;
+  record.positions = positions_->take();
+  if (!record.positions) return;
+  record.kind = JournalRecord::Kind::kDeform;
+  record.arrival_ns = record.positions->arrival_ns;
+  session_->deform(record.positions);
+  stamp(record.arrival_ns, now_ns);
+  write(record);
+}
+
+bool FrameLoop::write(const JournalRecord& record) {
+  if (!journal_) return false;
+  if (journal_->record(record)) return true;
+  state_.flags |= kJournalBlocked;
+  bump(stats_.journal_lost);
+  return false;
 }
 
 // ------------------------------------------------------------------------------------------------ forces
 
-void FrameLoop::offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink,
-                             haptics::ForceSlots* slots) {
-  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), sink, slots);
+void FrameLoop::offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                             haptics::ForceSink* sink, haptics::ForceSlots* slots) {
+  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), loaded, sink, slots);
+  if (session_->revision() > 0) forces_->cut(session_->mesh());
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   if (!forces_) return now_ns;
-  forces_->frame(*session_, now_ns, late_ns);
-  return monotonic_ns();
+  forces_->frame(now_ns, late_ns);
+  const std::int64_t done_ns = monotonic_ns();
+  for (const std::int64_t arrival_ns : forces_->felt_ns()) stats_.pose_to_force.record(done_ns - arrival_ns);
+  state_.forces_cut_short = forces_->cut_short();
+  return done_ns;
 }
 
 // ------------------------------------------------------------------------------------------------ reset
@@ -220,11 +245,13 @@ void FrameLoop::reset() {
   own_session_ = std::move(fresh);
   session_ = own_session_.get();
   if (forces_) forces_->restart();
+  if (positions_) positions_->take();  // of the mesh that was
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   LoopState as_loaded;
   as_loaded.frames = state_.frames;
   as_loaded.skipped_frames = state_.skipped_frames;
+  as_loaded.forces_cut_short = state_.forces_cut_short;
   as_loaded.state_hash = session_->mesh().state_hash();
   as_loaded.live_tets = session_->mesh().live_tets();
   as_loaded.vertices = session_->mesh().vertex_slots();
@@ -237,20 +264,21 @@ void FrameLoop::reset() {
   record.kind = JournalRecord::Kind::kOpened;
   for (record.source = 0; record.source < core::kMaxSources; ++record.source) {
     if (!blades_[record.source]) continue;
-    session_->set_blade(record.source, *blades_[record.source]);
+    record.blade = *blades_[record.source];
+    session_->set_blade(record.source, record.blade);
     write(record);
   }
 }
 
 // ------------------------------------------------------------------------------------------------ cutting
 
-void FrameLoop::cut(std::int64_t until_ns) {
+void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
   std::int64_t units_left = options_.units_per_frame > 0 ? options_.units_per_frame : INT64_MAX;
   std::int64_t now = monotonic_ns();
   // At least one slice, however late it is: a frame that never cuts would never end the backlog.
+  std::shared_ptr<PublishedDelta> out;
   while (session_->backlog_batches() > 0) {
-    const std::shared_ptr<PublishedDelta> out = pool_.take();
-    if (!out) {
+    if (!out && !(out = pool_.take())) {
       state_.flags |= kDeltasBlocked;
       return;
     }
@@ -262,18 +290,21 @@ void FrameLoop::cut(std::int64_t until_ns) {
     const auto progress = session_->advance(budget, out->delta);
     const std::int64_t then = now, used = units - budget.left;
     now = monotonic_ns();
-    cost_.observe(used, now - then);
+    cost_.observe(used, now - then, batch_work_ns_ > 0 && progress == core::CutSession::Progress::kSpent);
     units_left -= used;
     batch_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
-      const auto done =
-          static_cast<double>(std::max<std::size_t>(1, segments - session_->backlog_segments()));
-      ns_per_segment_ += 0.1 * (static_cast<double>(batch_work_ns_) / done - ns_per_segment_);
+      const std::size_t done = segments - session_->backlog_segments();
+      if (out->delta.stroke != 0) {
+        ns_per_segment_ +=
+            0.1 * (static_cast<double>(batch_work_ns_) / static_cast<double>(std::max<std::size_t>(1, done)) -
+                   ns_per_segment_);
+      }
       commit(*out, now);
       pool_.given();
-      ready_.push_back(out);
+      ready_.push_back(std::move(out));
     }
-    if (now >= until_ns || units_left <= 0) {
+    if (now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {
       if (session_->backlog_batches() > 0) state_.flags |= kBudgetSpent;
       return;
     }
@@ -289,10 +320,17 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   out.drain_ns = stamp.drain_ns;
   out.cut_ns = now_ns;
 
-  stats_.batch_cut.record(batch_work_ns_);
-  stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
-  stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
-  bump(stats_.batches);
+  if (delta.stroke != 0) {
+    stats_.batch_cut.record(batch_work_ns_);
+    stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
+    stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
+    bump(stats_.batches);
+  } else {
+    stats_.deform.record(batch_work_ns_);
+    bump(stats_.deformations);
+    stats_.vertices_moved.fetch_add(delta.deformation.moved, std::memory_order_relaxed);
+    stats_.vertices_held.fetch_add(delta.deformation.held.size(), std::memory_order_relaxed);
+  }
   batch_work_ns_ = 0;
   state_.revision = delta.revision;
   state_.state_hash = delta.state_hash;
@@ -300,6 +338,7 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.vertices = session_->mesh().vertex_slots();
   state_.cut_faces += delta.cut_faces;
   state_.cut_area_m2 += delta.cut_area;
+  if (forces_) forces_->cut(session_->mesh(), delta);
 
   JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;

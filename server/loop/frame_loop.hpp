@@ -12,6 +12,7 @@
 #include "server/core/cut_session.hpp"
 #include "server/haptics/force_stage.hpp"
 #include "server/input/input_hub.hpp"
+#include "server/input/positions_slot.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
 #include "server/loop/journal.hpp"
@@ -53,9 +54,14 @@ class FrameLoop {
   // where it was not offered. From any thread.
   bool request_reset();
 
-  // Makes forces, in each frame between drain and cut; before the first frame. `sink` and `slots` may be null; what is
-  // not must outlive this.
-  void offer_forces(const haptics::ForceConfig& config, haptics::ForceSink* sink, haptics::ForceSlots* slots);
+  // Makes forces, in each frame between drain and cut; before the first frame. `loaded` is the body before its first
+  // cut. `sink` and `slots` may be null; what is not must outlive this.
+  void offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+                    haptics::ForceSink* sink, haptics::ForceSlots* slots);
+
+  // Takes a host simulation's positions, in each frame after drain: the newest, when the last ones are done. Before the
+  // first frame; must outlive this.
+  void offer_deformation(input::PositionsSlot& positions) { positions_ = &positions; }
 
   // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
   // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
@@ -77,12 +83,15 @@ class FrameLoop {
   void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
-  void cut(std::int64_t until_ns);
+  void cut(std::int64_t until_ns, std::int64_t latest_ns);
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
-  void write(const JournalRecord& record);
+  void take_positions(std::int64_t now_ns);
+  void stamp(std::int64_t arrival_ns, std::int64_t drain_ns);
+  // Whether the journal has it.
+  bool write(const JournalRecord& record);
   void reset();
 
   core::CutSession* session_;
@@ -94,6 +103,7 @@ class FrameLoop {
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
   input::InputHub& input_;
+  input::PositionsSlot* positions_ = nullptr;
   DeltaSink& sink_;
   Journal* const journal_;
   const LoopOptions options_;

@@ -4,6 +4,8 @@
 
 #include <chrono>
 #include <exception>
+#include <stdexcept>
+#include <utility>
 
 #include "server/loop/loop_stats.hpp"
 #include "server/loop/realtime.hpp"
@@ -32,12 +34,14 @@ JournalRecord gap_of(std::uint64_t lost) {
 }  // namespace
 
 Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
-                 std::unique_ptr<Checkpointer> checkpointer)
+                 std::unique_ptr<Checkpointer> checkpointer, OnPose on_pose)
     : sink_(std::move(sink)),
       options_(options),
       on_trouble_(std::move(on_trouble)),
+      on_pose_(std::move(on_pose)),
       checkpointer_(std::move(checkpointer)),
       queue_(options.capacity) {
+  if (options_.policy != SyncPolicy::kNone) sync_thread_ = std::thread([this] { run_sync(); });
   thread_ = std::thread([this] { run(); });
 }
 
@@ -66,13 +70,20 @@ bool Journal::write_waiting() {
     unflushed_gaps_ += gap;
     if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
     unmarked_ = true;
+    if (on_pose_ && record.kind == JournalRecord::Kind::kPose) poses_.push_back(record);
     sink_->write(record);
+    record.positions.reset();
     any = true;
   }
   if (!any) return false;
   sink_->flush();
   unflushed_ = unflushed_gaps_ = 0;
   return true;
+}
+
+void Journal::tell_poses() {
+  for (const JournalRecord& pose : poses_) on_pose_(pose);
+  poses_.clear();
 }
 
 // Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
@@ -92,10 +103,10 @@ void Journal::mark_checkpoint() {
 
 void Journal::run() {
   if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
-  auto last_sync = steady_clock::now(), last_try = last_sync;
-  bool unsynced = false;
+  auto last_try = steady_clock::now();
   for (;;) {
     const bool stopping = stop_.load(std::memory_order_acquire);
+    if (checkpointer_) checkpointer_->hand_over();
     if (failing() && !stopping && steady_clock::now() - last_try < kRetry) {
       std::this_thread::sleep_for(kPoll);
       continue;
@@ -103,31 +114,69 @@ void Journal::run() {
     try {
       last_try = steady_clock::now();
       mark_checkpoint();
-      unsynced |= write_waiting();
-      const bool due =
-          options_.policy == SyncPolicy::kAlways ||
-          (options_.policy == SyncPolicy::kGroup &&
-           (stopping || steady_clock::now() - last_sync >= milliseconds(options_.sync_interval_ms)));
-      if (unsynced && due) {
-        sink_->sync();
-        last_sync = steady_clock::now();
-        unsynced = false;
+      const bool wrote = write_waiting();
+      tell_poses();
+      {
+        const std::scoped_lock lock(sync_mutex_);
+        unsynced_ = unsynced_ || wrote;
+        if (!sync_error_.empty()) throw std::runtime_error(std::exchange(sync_error_, {}));
       }
+      if (wrote) sync_wake_.notify_one();
       if (failing()) {
         lost_unwritten_before_ = lost_unwritten_.load(std::memory_order_relaxed);
         failing_.store(false, std::memory_order_relaxed);
         wanted_ = true;
         on_trouble_("");
       }
-      if (stopping) sink_->close();
+      if (stopping) {
+        end_sync();
+        sink_->close();
+      }
     } catch (const std::exception& error) {
       lost_unwritten_.store(lost_unwritten_before_ + unflushed_ - unflushed_gaps_, std::memory_order_relaxed);
+      tell_poses();
       if (!failing()) on_trouble_(error.what());
       failing_.store(true, std::memory_order_relaxed);
     }
-    if (stopping) return;
+    if (stopping) {
+      end_sync();
+      return;
+    }
     std::this_thread::sleep_for(kPoll);
   }
+}
+
+void Journal::run_sync() {
+  if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
+  auto next = steady_clock::now();
+  std::unique_lock lock(sync_mutex_);
+  for (;;) {
+    sync_wake_.wait(lock, [this] { return unsynced_ || end_sync_; });
+    if (options_.policy == SyncPolicy::kGroup)
+      sync_wake_.wait_until(lock, next, [this] { return end_sync_; });
+    if (!unsynced_) return;
+    unsynced_ = false;
+    next = steady_clock::now() + milliseconds(options_.sync_interval_ms);
+    lock.unlock();
+    std::string error;
+    try {
+      sink_->sync();
+    } catch (const std::exception& failed) {
+      error = failed.what();
+    }
+    lock.lock();
+    if (!error.empty()) sync_error_ = error;
+  }
+}
+
+void Journal::end_sync() {
+  if (!sync_thread_.joinable()) return;
+  {
+    const std::scoped_lock lock(sync_mutex_);
+    end_sync_ = true;
+  }
+  sync_wake_.notify_one();
+  sync_thread_.join();
 }
 
 }  // namespace incise::loop

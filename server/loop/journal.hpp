@@ -2,11 +2,14 @@
 
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "server/input/spsc_queue.hpp"
 #include "server/loop/checkpointer.hpp"
@@ -14,7 +17,8 @@
 
 namespace incise::loop {
 
-// Where a journal goes. Called from the journal's thread only; whatever fails throws.
+// Where a journal goes. Called from the journal's thread, sync() also from another one at the same time; whatever fails
+// throws.
 class JournalSink {
  public:
   virtual ~JournalSink() = default;
@@ -39,12 +43,14 @@ enum class SyncPolicy : std::uint8_t {
   kAlways,  // as soon as possible
 };
 
-// Writes what the loop drained, in its order, from a thread of its own. The loop never waits for the disk:
+// Writes what the loop drained, in its order, from a thread of its own, every few milliseconds; what was written
+// outlives a crash of this process. Another thread makes it durable, for that may take as long as a disk likes. Neither
+// keeps the loop waiting:
 // where the queue is full, or the sink fails (disk full), records are lost; lost() counts them, and a kGap
 // record says so at that place as soon as the sink takes it. What follows a gap can be replayed only from a
 // checkpoint after it: the journal asks for one as soon as it can be written again.
 //
-// Thread: record() from the loop's; the rest from any. Owns: the sink, the checkpointer, its thread.
+// Thread: record() from the loop's; the rest from any. Owns: the sink, the checkpointer, its threads.
 class Journal {
  public:
   struct Options {
@@ -57,9 +63,12 @@ class Journal {
   // Called from the journal's thread when the sink begins to fail, with the reason, and with an empty text
   // when it works again.
   using OnTrouble = std::function<void(const std::string&)>;
-  // `checkpointer` may be null: no checkpoints.
+  // Called from the journal's thread for each pose, in order, when the system has it, or when it is lost for good: from
+  // then on its operator may be told that it was taken.
+  using OnPose = std::function<void(const JournalRecord&)>;
+  // `checkpointer` may be null: no checkpoints. So may `on_pose`.
   Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
-          std::unique_ptr<Checkpointer> checkpointer = nullptr);
+          std::unique_ptr<Checkpointer> checkpointer = nullptr, OnPose on_pose = nullptr);
   // Writes what waits, flushes, ends the thread. The loop must have stopped.
   ~Journal();
 
@@ -78,23 +87,34 @@ class Journal {
   void run();
   // Writes and flushes what waits; whether there was anything.
   bool write_waiting();
+  // Tells of the poses that were flushed, or lost.
+  void tell_poses();
   // Marks a place where a checkpoint may be, now and then, and one where it must be, after a gap.
   void mark_checkpoint();
+  void run_sync();
+  void end_sync();
 
   const std::unique_ptr<JournalSink> sink_;
   const Options options_;
   const OnTrouble on_trouble_;
+  const OnPose on_pose_;
   const std::unique_ptr<Checkpointer> checkpointer_;
   input::SpscQueue<JournalRecord> queue_;
   std::uint64_t gap_ = 0;  // the loop's: records lost since the last one that was queued
   // The thread's: records that the sink has not flushed, and of them those that lost_unqueued_ counts already.
   std::uint64_t unflushed_ = 0, unflushed_gaps_ = 0;
+  std::vector<JournalRecord> poses_;         // of the pass at hand, where they are to be told of
   std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
   bool unmarked_ = false, wanted_ = false;   // records since the last mark; a gap since the last one
   std::chrono::steady_clock::time_point last_mark_{};
   std::atomic<std::uint64_t> lost_unqueued_{0}, lost_unwritten_{0};
   std::atomic<bool> failing_{false}, stop_{false};
-  std::thread thread_;
+  // Between the two threads; held for a moment only.
+  std::mutex sync_mutex_;
+  std::condition_variable sync_wake_;
+  bool unsynced_ = false, end_sync_ = false;
+  std::string sync_error_;
+  std::thread thread_, sync_thread_;
 };
 
 }  // namespace incise::loop

@@ -1,19 +1,23 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 
 #include "server/core/blade.hpp"
 #include "server/core/delta.hpp"
+#include "server/core/stroke_builder.hpp"
+#include "server/core/vertex_positions.hpp"
 
 namespace incise::loop {
 
-// One thing that the loop did that its state depends on (kOpened, kPose, kEndStroke), or a mark to check it
+// One thing that the loop did that its state depends on (kOpened, kPose, kEndStroke, kDeform), or a mark to check it
 // by.
 struct JournalRecord {
   enum class Kind : std::uint8_t {
-    kOpened,      // source, arrival_ns: the source has another owner
-    kPose,        // source, arrival_ns, pose
+    kOpened,      // source, arrival_ns, blade: the source has another owner
+    kPose,        // source, arrival_ns, pose, verdict
     kEndStroke,   // source, arrival_ns
+    kDeform,      // arrival_ns, positions
     kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
     kReset,       // session, arrival_ns: the mesh is as loaded again
     kGap,         // lost: so many records are missing here
@@ -23,6 +27,8 @@ struct JournalRecord {
   std::uint32_t source = 0;
   std::int64_t arrival_ns = 0;
   core::Pose pose;
+  core::Blade blade;
+  core::PoseVerdict verdict = core::PoseVerdict::kAccepted;
   std::uint32_t stroke = 0, batch = 0;
   bool stroke_ended = false;
   std::uint64_t revision = 0;
@@ -31,6 +37,7 @@ struct JournalRecord {
   std::uint64_t session = 0;
   std::uint64_t lost = 0;
   std::uint64_t checkpoint = 0;
+  std::shared_ptr<const core::VertexPositions> positions;
 };
 
 // The mark of a finished batch.

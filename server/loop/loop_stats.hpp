@@ -80,6 +80,7 @@ struct LoopState {
   std::uint64_t strokes = 0;           // of all sources, begun so far
   double cut_area_m2 = 0;              // one side, so far
   double ns_per_unit = 0;              // the cost model's
+  std::uint64_t forces_cut_short = 0;  // of which not all of the edge was looked at
 };
 
 // Where a blade was last; arrival_ns is 0 where there was no pose yet.
@@ -102,12 +103,15 @@ struct LoopStats {
   Histogram cut;
   Histogram publish;
   Histogram batch_cut;      // work on one batch, over all its frames
+  Histogram pose_to_force;  // arrival of a blade's newest pose until its force was there
+  Histogram deform;         // work on one deformation, likewise
   Histogram pose_to_drain;  // arrival of a batch's last pose until the loop took it
   Histogram pose_to_cut;    // ... until the batch was committed
 
   std::array<std::atomic<std::uint64_t>, kLateCauses> late{};  // frames by LateCause
   std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts> verdicts{};
   std::atomic<std::uint64_t> batches{0};
+  std::atomic<std::uint64_t> deformations{0}, vertices_moved{0}, vertices_held{0};
   std::atomic<std::uint64_t> journal_lost{0};  // records that found the journal's queue full
 
   std::uint64_t late_frames() const {

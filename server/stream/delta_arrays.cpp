@@ -82,6 +82,15 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
     piece_tets_.insert(piece_tets_.end(), piece.tets.begin(), piece.tets.end());
   }
 
+  rest_ids_.clear();
+  rest_.clear();
+  if (!d.moved_rest.empty() || !d.added_rest.empty()) {
+    rest_ids_.assign(d.moved.begin(), d.moved.end());
+    for (std::uint32_t i = 0; i < d.added_rest.size(); ++i) rest_ids_.push_back(before.vertex_count() + i);
+    rest_.assign(d.moved_rest.begin(), d.moved_rest.end());
+    rest_.insert(rest_.end(), d.added_rest.begin(), d.added_rest.end());
+  }
+
   protocol::Delta& m = message_;
   m.base_revision = d.revision - 1;
   m.revision = d.revision;
@@ -104,6 +113,8 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
   m.live_tets = before.live_tets() + created - static_cast<std::uint32_t>(d.removed.size());
   m.state_hash = d.state_hash;
   m.first_new_tet = before.tet_slots();
+  m.rest_ids = rest_ids_;
+  m.rest_positions = flat(rest_);
   return m;
 }
 
@@ -126,13 +137,14 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
     hash ^= protocol::tet_hash(t.id, t.vertices.data(), t.region, t.cut_mask);
   }
   const protocol::TetArrays tets{ids, vertices, regions, cut_masks, boundary_masks};
-  if (initial.pieces.empty()) return replica.load(flat(initial.positions), tets, initial.revision).text;
+  if (initial.pieces.empty() && initial.rest.empty())
+    return replica.load(flat(initial.positions), tets, initial.revision).text;
 
   for (std::uint32_t v = 0; v < initial.positions.size(); ++v) {
     const core::Vec3& p = initial.positions[v];
     hash ^= protocol::vertex_hash(v, p.x, p.y, p.z);
   }
-  // Pieces come with a snapshot only.
+  // Pieces and rest positions come with a snapshot only.
   protocol::SnapshotBegin begin;
   begin.revision = initial.revision;
   begin.chunks = 1;
@@ -143,7 +155,9 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
   protocol::SnapshotChunk chunk;
   chunk.positions = flat(initial.positions);
   chunk.tets = tets;
-  chunk.tet_pieces = initial.pieces;
+  const std::vector<std::uint32_t> one_piece(initial.pieces.empty() ? ids.size() : 0, 0);
+  chunk.tet_pieces = initial.pieces.empty() ? one_piece : initial.pieces;
+  chunk.rest_positions = flat(initial.rest);
   if (auto r = replica.begin(begin); !r) return r.text;
   if (auto r = replica.chunk(chunk); !r) return r.text;
   return replica.end({initial.revision, hash, 0}).text;

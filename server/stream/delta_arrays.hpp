@@ -26,6 +26,8 @@ class DeltaArrays {
   std::vector<std::int32_t> regions_;
   std::vector<std::uint8_t> cut_masks_, boundary_masks_;
   std::vector<std::uint32_t> piece_ids_, piece_sizes_, piece_tets_;
+  std::vector<std::uint32_t> rest_ids_;
+  std::vector<core::Vec3> rest_;
 };
 
 // Makes `replica` hold the state. Returns what is wrong with it, or an empty text. O(state).

@@ -38,15 +38,17 @@ SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {
   return place->second;
 }
 
-SharedFrame Feed::part_delta(protocol::SurfaceReplica& part, const protocol::Box& box) {
+SharedFrame Feed::part_delta(BoxPart& part) {
+  const bool surface = std::holds_alternative<protocol::SurfaceReplica>(part.held);
   const std::uint64_t base = part.revision(), head = mirror_.revision();
-  const SharedFrame whole =
-      head - base == 1 ? ring_.step(head).surface : coalesced(protocol::View::Surface, base);
+  const SharedFrame whole = head - base == 1
+                                ? (surface ? ring_.step(head).surface : ring_.step(head).volume)
+                                : coalesced(surface ? protocol::View::Surface : protocol::View::Volume, base);
   if (!whole) return nullptr;
   const protocol::DecodeResult decoded = protocol::decode(whole->body());
   INCISE_CHECK(decoded, decoded.error);
   try {
-    return mirror_.follow_part(part, box, std::get<protocol::SurfaceDelta>(decoded.message->body));
+    return mirror_.follow_part(part, decoded.message->body);
   } catch (const std::length_error&) {
     return nullptr;
   }

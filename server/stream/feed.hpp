@@ -36,9 +36,8 @@ class Feed {
   // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
   // helps.
   SharedFrame coalesced(protocol::View view, std::uint64_t base);
-  // From `part`, what a box holds of the surface, which is brought on to the mirror's revision. Null likewise; the part
-  // is then of no use.
-  SharedFrame part_delta(protocol::SurfaceReplica& part, const protocol::Box& box);
+  // From `part`, which is brought on to the mirror's revision. Null likewise; the part is then of no use.
+  SharedFrame part_delta(BoxPart& part);
 
  private:
   asio::io_context& io_;

@@ -39,6 +39,10 @@ void set_common(Message& message, const HttpRequest& request) {
   message.set(http::field::server, "incised");
   message.set("X-Content-Type-Options", "nosniff");
   message.set("X-Frame-Options", "SAMEORIGIN");
+  // The page's own files and its connections back here; its icon is a data: address.
+  message.set("Content-Security-Policy",
+              "default-src 'self'; img-src 'self' data:; connect-src 'self' ws: wss:; object-src 'none'; "
+              "base-uri 'none'; frame-ancestors 'self'");
 }
 
 void metric(std::string& out, const char* name, const char* type, const char* help, std::uint64_t value) {
@@ -66,6 +70,9 @@ std::string stream_metrics(Hub& hub) {
   metric(out, "slow_disconnects_total", "counter", "Sessions ended because they did not read.",
          c.slow_disconnects);
   metric(out, "resumed_total", "counter", "Sessions that went on where they had been.", c.resumed);
+  metric(out, "half_open_closed_total", "counter", "Silent connections closed to make room for others.",
+         c.half_open_closed);
+  metric(out, "part_bytes", "gauge", "Bytes kept for the sessions with a box of interest.", c.part_bytes);
   metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
   return out;
 }
@@ -75,8 +82,11 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
   const Providers& providers = hub.providers();
   const HubCounters& counters = hub.counters();
   if (path == "/healthz") {
-    return Answer{http::status::ok, "application/json",
-                  "{\"status\":\"ok\",\"revision\":" + std::to_string(counters.revision) +
+    // The text is ours and needs no escapes.
+    const std::string trouble = providers.trouble ? providers.trouble() : std::string();
+    return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
+                  "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
+                      "\",\"revision\":" + std::to_string(counters.revision) +
                       ",\"sessions\":" + std::to_string(counters.sessions) + "}\n"};
   }
   if (path == "/metrics") {

@@ -1,5 +1,9 @@
 #include "server/stream/hub.hpp"
 
+#include <fcntl.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <chrono>
 #include <vector>
@@ -39,6 +43,9 @@ void Hub::reset(std::shared_ptr<const InitialState> initial) {
 
 void Hub::apply(const std::shared_ptr<const PublishedDelta>& delta) {
   live_.apply(delta);
+  if (delta->delta.stroke == 0) {
+    for (const auto& session : sessions_) session->report_deformation(*delta);
+  }
   ++counters_->deltas;
   counters_->revision = live_.mirror().revision();
   counters_->state_hash = live_.mirror().volume().state_hash();
@@ -55,15 +62,49 @@ void Hub::send_force(const protocol::Force& force) {
   for (const auto& session : sessions_) session->send_force(force);
 }
 
-std::optional<Hub::Ticket> Hub::admit() {
-  const std::uint32_t connections = counters_->connections.load(std::memory_order_relaxed);
-  const std::uint32_t sessions = counters_->sessions.load(std::memory_order_relaxed);
-  if (stopping_ || connections - sessions >= config_.max_handshakes) {
+Hub::HalfOpen::~HalfOpen() {
+  while (!sockets.empty()) close(sockets.begin());
+}
+
+void Hub::HalfOpen::close(std::map<std::uint64_t, int>::iterator which) {
+  if (which->second >= 0) ::close(which->second);
+  sockets.erase(which);
+}
+
+void Hub::Ticket::leave_half_open() {
+  if (const auto mine = half_open_->sockets.find(number_); mine != half_open_->sockets.end())
+    half_open_->close(mine);
+}
+
+void Hub::Ticket::welcome() {
+  if (std::exchange(welcomed_, true)) return;
+  leave_half_open();
+  ++counters_->sessions;
+}
+
+Hub::Ticket::~Ticket() {
+  if (!counters_) return;
+  leave_half_open();
+  if (welcomed_) --counters_->sessions;
+  --counters_->connections;
+}
+
+std::optional<Hub::Ticket> Hub::admit(int socket) {
+  if (stopping_) {
     ++counters_->refused;
     return std::nullopt;
   }
-  ++counters_->accepted;
-  return Ticket(counters_);
+  auto& sockets = half_open_->sockets;
+  if (!sockets.empty() && sockets.size() >= config_.max_handshakes) {
+    // Whoever reads from it finds its end, and lets go of the rest.
+    const auto oldest = sockets.begin();
+    ::shutdown(oldest->second, SHUT_RDWR);
+    half_open_->close(oldest);
+    ++counters_->half_open_closed;
+  }
+  const std::uint64_t number = ++counters_->accepted;
+  sockets.emplace(number, ::fcntl(socket, F_DUPFD_CLOEXEC, 0));
+  return Ticket(counters_, half_open_, number);
 }
 
 std::shared_ptr<Session> Hub::holder(const std::string& source_name) const {

@@ -22,7 +22,7 @@ class Session;
 struct HubCounters {
   std::atomic<std::uint64_t> revision{0}, state_hash{0}, accepted{0}, refused{0}, deltas{0}, bytes_out{0},
       bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
-      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0};
+      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0};
   std::atomic<std::uint32_t> sessions{0}, connections{0};
 };
 
@@ -51,9 +51,10 @@ class Hub {
   Feed& live() { return live_; }
   HubCounters& counters() { return *counters_; }
 
-  // Takes a connection in, or refuses it: too many, or too many that have not said Hello.
+  // Takes a connection in; where too many have not said Hello, the one of them that is there for the longest is closed.
+  // Nothing, when the server stops. `socket`: the descriptor, which stays the caller's.
   class Ticket;
-  std::optional<Ticket> admit();
+  std::optional<Ticket> admit(int socket);
   void add(const std::shared_ptr<Session>& session) { sessions_.insert(session); }
   void remove(const std::shared_ptr<Session>& session) { sessions_.erase(session); }
   // Whether another session may be welcomed.
@@ -79,8 +80,16 @@ class Hub {
   ServerFacts facts_;
   InputSink& sink_;
   Providers providers_;
+  // Connections that have not said Hello, by the order in which they came, as descriptors of our own: whatever becomes of
+  // the connection's, these are not used for another.
+  struct HalfOpen {
+    ~HalfOpen();
+    void close(std::map<std::uint64_t, int>::iterator which);
+    std::map<std::uint64_t, int> sockets;
+  };
   // Shared with the tickets: connections that never end are destroyed with the io_context, after the hub.
   std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
+  std::shared_ptr<HalfOpen> half_open_ = std::make_shared<HalfOpen>();
   std::set<std::shared_ptr<Session>> sessions_;
   asio::steady_timer clock_, blade_clock_;
   std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
@@ -92,24 +101,25 @@ class Hub {
 // One connection's place in the counts. Moves.
 class Hub::Ticket {
  public:
-  explicit Ticket(std::shared_ptr<HubCounters> counters) : counters_(std::move(counters)) {
+  Ticket(std::shared_ptr<HubCounters> counters, std::shared_ptr<HalfOpen> half_open, std::uint64_t number)
+      : counters_(std::move(counters)), half_open_(std::move(half_open)), number_(number) {
     ++counters_->connections;
   }
   Ticket(Ticket&& other) noexcept
       : counters_(std::exchange(other.counters_, nullptr)),
+        half_open_(std::exchange(other.half_open_, nullptr)),
+        number_(other.number_),
         welcomed_(std::exchange(other.welcomed_, false)) {}
   Ticket& operator=(Ticket&&) = delete;
-  ~Ticket() {
-    if (!counters_) return;
-    if (welcomed_) --counters_->sessions;
-    --counters_->connections;
-  }
-  void welcome() {
-    if (!std::exchange(welcomed_, true)) ++counters_->sessions;
-  }
+  ~Ticket();
+  // It has said Hello.
+  void welcome();
 
  private:
+  void leave_half_open();
   std::shared_ptr<HubCounters> counters_;
+  std::shared_ptr<HalfOpen> half_open_;
+  std::uint64_t number_;  // among all connections
   bool welcomed_ = false;
 };
 

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string_view>
 
@@ -42,12 +43,28 @@ class PoseSource {
   virtual protocol::Vec3 tip() const = 0;
 };
 
+// The body's positions, which one simulator sets. Destroying it leaves the body as it is.
+//
+// Thread: the stream thread.
+class PositionsSource {
+ public:
+  virtual ~PositionsSource() = default;
+  // Takes positions that refer to vertices which exist, on their way to the loop.
+  virtual void push(const protocol::Positions& positions, std::int64_t arrival_ns) = 0;
+  // Messages that newer ones have replaced before the loop had time, since it was opened.
+  virtual std::uint64_t skipped() const = 0;
+};
+
 // Thread: all calls come from the stream thread.
 class InputSink {
  public:
   virtual ~InputSink() = default;
-  // Takes a blade by its source's name. Null where somebody holds it, or no blade is free.
-  virtual std::unique_ptr<PoseSource> open(std::string_view source_name) = 0;
+  // Takes a blade by its source's name, with the server's shape or one that the operator brings. Null where somebody
+  // holds it, or no blade is free.
+  virtual std::unique_ptr<PoseSource> open(std::string_view source_name,
+                                           const std::optional<protocol::BladeEdge>& blade) = 0;
+  // Takes the body's positions. Null where another simulator sets them, or the server does not offer it.
+  virtual std::unique_ptr<PositionsSource> open_positions() { return nullptr; }
   // An administrator wants the mesh as loaded. False where the server does not offer that. When it is done,
   // Server::publish_reset() follows.
   virtual bool reset() { return false; }

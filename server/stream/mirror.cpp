@@ -22,52 +22,61 @@ void Mirror::reset(const InitialState& initial) {
     throw std::runtime_error("initial state: " + problem);
   }
   surface_.load(volume_);
-  index_.load(surface_);
+  triangles_at_.load(surface_);
+  tets_at_.load(volume_);
   session_ = initial.session;
 }
 
+namespace {
+
+// `from`, a delta of either view, as one of the surface that makes this change.
+template <class D>
+protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChange& change,
+                                     std::uint64_t surface_hash) {
+  protocol::SurfaceDelta out;
+  out.base_revision = from.base_revision;
+  out.revision = from.revision;
+  out.steps = from.steps;
+  out.vertices = change.vertices();
+  out.removed_vertices = change.removed_vertices;
+  out.triangles = change.triangles();
+  out.removed_triangles = change.removed_triangles;
+  out.surface_hash = surface_hash;
+  out.state_hash = from.state_hash;
+  out.live_tets = from.live_tets;
+  return out;
+}
+
+}  // namespace
+
 std::optional<EncodedStep> Mirror::apply(const PublishedDelta& published) {
   const protocol::Delta& delta = arrays_.assign(published, volume_);
+  tets_at_.follow(volume_, delta);
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
   const protocol::SurfaceChange change = surface_.follow(volume_, delta);
-  index_.add(surface_, change.triangles());
-
-  protocol::SurfaceDelta surface;
-  surface.base_revision = delta.base_revision;
-  surface.revision = delta.revision;
-  surface.steps = delta.steps;
-  surface.vertices = change.vertices();
-  surface.removed_vertices = change.removed_vertices;
-  surface.triangles = change.triangles();
-  surface.removed_triangles = change.removed_triangles;
-  surface.surface_hash = surface_.surface_hash();
-  surface.state_hash = delta.state_hash;
-  surface.live_tets = delta.live_tets;
+  triangles_at_.add(surface_, change.triangles());
   try {
-    return EncodedStep{delta.revision, make_frame(delta), make_frame(surface)};
+    return EncodedStep{delta.revision, make_frame(delta),
+                       make_frame(surface_delta(delta, change, surface_.surface_hash()))};
   } catch (const std::length_error&) {
     return std::nullopt;
   }
 }
 
-SharedFrame Mirror::follow_part(protocol::SurfaceReplica& part, const protocol::Box& box,
-                                const protocol::SurfaceDelta& delta) {
-  INCISE_CHECK(part.revision() == delta.base_revision && delta.revision == revision(), part.revision(),
-               delta.revision);
-  const protocol::SurfaceChange change = part.follow_part(surface_, index_, delta, box);
-  protocol::SurfaceDelta out;
-  out.base_revision = delta.base_revision;
-  out.revision = delta.revision;
-  out.steps = delta.steps;
-  out.vertices = change.vertices();
-  out.removed_vertices = change.removed_vertices;
-  out.triangles = change.triangles();
-  out.removed_triangles = change.removed_triangles;
-  out.surface_hash = part.surface_hash();
-  out.state_hash = delta.state_hash;
-  out.live_tets = delta.live_tets;
-  return make_frame(out);
+SharedFrame Mirror::follow_part(BoxPart& part, const protocol::Body& delta) {
+  if (auto* volume = std::get_if<protocol::VolumePart>(&part.held)) {
+    const auto& whole = std::get<protocol::Delta>(delta);
+    INCISE_CHECK(volume->revision() == whole.base_revision && whole.revision == revision(),
+                 volume->revision(), whole.revision);
+    return make_frame(volume->follow_part(volume_, tets_at_, whole, part.box).view());
+  }
+  auto& surface = std::get<protocol::SurfaceReplica>(part.held);
+  const auto& whole = std::get<protocol::SurfaceDelta>(delta);
+  INCISE_CHECK(surface.revision() == whole.base_revision && whole.revision == revision(), surface.revision(),
+               whole.revision);
+  const protocol::SurfaceChange change = surface.follow_part(surface_, triangles_at_, whole, part.box);
+  return make_frame(surface_delta(whole, change, surface.surface_hash()));
 }
 
 }  // namespace incise::stream

@@ -3,10 +3,12 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <variant>
 
 #include "protocol/framing.hpp"
 #include "protocol/replica.hpp"
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 #include "server/stream/delta_arrays.hpp"
 #include "server/stream/published_delta.hpp"
 
@@ -22,10 +24,24 @@ struct EncodedStep {
   std::size_t bytes() const { return volume->tcp().size() + surface->tcp().size(); }
 };
 
+// What one session with a box of interest holds, of either view.
+struct BoxPart {
+  protocol::Box box;
+  std::variant<protocol::SurfaceReplica, protocol::VolumePart> held;
+
+  std::uint64_t revision() const {
+    return std::visit([](const auto& part) { return part.revision(); }, held);
+  }
+  // About how much memory it takes.
+  std::size_t bytes() const {
+    return std::visit([](const auto& part) { return part.bytes(); }, held);
+  }
+};
+
 // The state that clients see, kept with the clients' own code: a delta that a client would refuse is found
 // here first.
 //
-// Thread: the stream thread. Owns: both replicas.
+// Thread: the stream thread. Owns: both replicas, and what finds the neighbours of a moved vertex in them.
 class Mirror {
  public:
   // Checks the state. Throws std::runtime_error where it is not one that a client could hold.
@@ -40,16 +56,16 @@ class Mirror {
   std::uint64_t revision() const { return volume_.revision(); }
   const protocol::Replica& volume() const { return volume_; }
   const protocol::SurfaceReplica& surface() const { return surface_; }
-  // Brings `part`, of what was the surface when `delta` began, to what it is now, and returns the delta that does so
-  // for whoever holds the part. O(delta log surface).
-  SharedFrame follow_part(protocol::SurfaceReplica& part, const protocol::Box& box,
-                          const protocol::SurfaceDelta& delta);
+  // Brings `part`, of what there was when `delta` (of the part's view) began, to what there is now, and returns the delta
+  // that does so for whoever holds the part. O(delta log part).
+  SharedFrame follow_part(BoxPart& part, const protocol::Body& delta);
 
  private:
   std::uint64_t session_ = 0;
   protocol::Replica volume_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;
-  protocol::SurfaceIndex index_;
+  protocol::SurfaceIndex triangles_at_;
+  protocol::TetIndex tets_at_;
   DeltaArrays arrays_;
 };
 

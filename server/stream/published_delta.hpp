@@ -23,6 +23,7 @@ struct InitialState {
   std::uint64_t session = 0;  // names this run of ids; another one after each reset. Never 0
   std::uint64_t revision = 0;
   std::vector<core::Vec3> positions;  // of all vertex slots
+  std::vector<core::Vec3> rest;       // likewise, or empty: the body has not deformed
   std::vector<core::TetState> tets;   // live ones, ascending by id
   std::vector<std::uint32_t> pieces;  // one for each of tets, or empty
 };

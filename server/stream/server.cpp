@@ -42,17 +42,17 @@ void check_safe(const StreamConfig& config, const asio::ip::address& address) {
   const bool tls = !config.certificate_file.empty();
   if (tls == config.private_key_file.empty()) {
     throw std::runtime_error(
-        "stream: TLS needs both a certificate and a private key, found only one of the two");
+        "listen: TLS needs both certificate_file and private_key_file, found only one of the two");
   }
   if (address.is_loopback() || config.insecure || (tls && !config.tokens.empty())) return;
-  throw std::runtime_error("stream.address: " + config.address +
+  throw std::runtime_error("listen.address: " + config.address +
                            " is not loopback: give tokens and a TLS certificate, " +
-                           "or set stream.insecure, which lets everybody on that network cut and watch");
+                           "or set listen.insecure, which lets everybody on that network cut and watch");
 }
 
 tcp::acceptor listen(asio::io_context& io, const asio::ip::address& address, int port, const char* what) {
   if (port > 65535) {
-    throw std::runtime_error(std::string("stream.") + what + ": " + std::to_string(port) +
+    throw std::runtime_error(std::string("listen.") + what + ": " + std::to_string(port) +
                              ", accepted are -1 (off) to 65535");
   }
   try {
@@ -64,7 +64,7 @@ tcp::acceptor listen(asio::io_context& io, const asio::ip::address& address, int
     acceptor.listen(512);
     return acceptor;
   } catch (const boost::system::system_error& error) {
-    throw std::runtime_error(std::string("stream.") + what + ": cannot listen on " + address.to_string() +
+    throw std::runtime_error(std::string("listen.") + what + ": cannot listen on " + address.to_string() +
                              ":" + std::to_string(port) + ": " + error.code().message());
   }
 }
@@ -84,7 +84,7 @@ struct Server::Impl {
     error_code error;
     const asio::ip::address address = asio::ip::make_address(config.address, error);
     if (error) {
-      throw std::runtime_error("stream.address: \"" + config.address +
+      throw std::runtime_error("listen.address: \"" + config.address +
                                "\", accepted is an IP address such as 127.0.0.1");
     }
     check_safe(config, address);
@@ -104,13 +104,14 @@ struct Server::Impl {
     error_code error;
     tls->use_certificate_chain_file(config.certificate_file, error);
     if (error) {
-      throw std::runtime_error("stream.certificate_file: " + config.certificate_file + ": " +
-                               error.message());
+      throw std::runtime_error("listen.certificate_file: " + config.certificate_file + ": " +
+                               error.message() + "; accepted is a chain of certificates in PEM");
     }
     tls->use_private_key_file(config.private_key_file, ssl::context::pem, error);
     if (error) {
-      throw std::runtime_error("stream.private_key_file: " + config.private_key_file + ": " +
-                               error.message());
+      throw std::runtime_error("listen.private_key_file: " + config.private_key_file + ": " +
+                               error.message() + "; accepted is the private key, in PEM, of " +
+                               config.certificate_file);
     }
   }
 
@@ -190,7 +191,7 @@ struct Server::Impl {
         co_await timer.async_wait(kTuple);
         continue;
       }
-      std::optional<Hub::Ticket> ticket = hub.admit();
+      std::optional<Hub::Ticket> ticket = hub.admit(socket.native_handle());
       if (!ticket) continue;  // the socket closes here
       socket.set_option(tcp::no_delay(true), ec);
       // One connection's failure is its own.
@@ -278,6 +279,18 @@ void Server::publish_force(const protocol::Force& force) noexcept {
   impl_->publish({nullptr, nullptr, force});
 }
 
+void Server::request_surface(std::function<void(SharedFrames)> ready) {
+  asio::post(impl_->io, [impl = impl_.get(), ready = std::move(ready)] {
+    const auto unpack = [ready](const std::shared_ptr<const Snapshot>& snapshot) {
+      SharedFrames frames{make_frame(snapshot->begin)};
+      frames.insert(frames.end(), snapshot->chunks.begin(), snapshot->chunks.end());
+      frames.push_back(snapshot->end);
+      ready(std::move(frames));
+    };
+    impl->hub.live().request_snapshot(protocol::View::Surface, std::nullopt, unpack);
+  });
+}
+
 std::uint16_t Server::tcp_port() const {
   return impl_->tcp_port;
 }
@@ -307,6 +320,8 @@ StreamCounters Server::counters() const {
   out.resumed = c.resumed;
   out.ring_bytes = c.ring_bytes;
   out.ring_deltas = c.ring_deltas;
+  out.half_open_closed = c.half_open_closed;
+  out.part_bytes = c.part_bytes;
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/framing.hpp"
 #include "protocol/messages.hpp"
 #include "server/stream/input_sink.hpp"
 #include "server/stream/published_delta.hpp"
@@ -35,6 +36,8 @@ struct Providers {
   std::function<std::vector<protocol::BladePose>()> blades;
   ReplayLibrary* library =
       nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
+  std::function<std::string()>
+      trouble;  // GET /healthz: what keeps the server from its work; "": nothing does
 };
 
 // What the stream has done since it started.
@@ -50,6 +53,8 @@ struct StreamCounters {
   std::uint64_t messages_in = 0, bad_messages = 0;
   std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;
   std::uint64_t ring_bytes = 0, ring_deltas = 0;
+  std::uint64_t half_open_closed = 0;  // to make room for newcomers
+  std::uint64_t part_bytes = 0;        // what sessions with a box hold
 };
 
 // The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.
@@ -80,6 +85,12 @@ class Server {
   // The force on a blade, for the operator who holds it. Only the latest is sent where the network is slower.
   void publish_force(const protocol::Force& force) noexcept;
   void publish_reset(std::shared_ptr<const InitialState> initial) noexcept;
+
+  // The whole surface as the frames of a snapshot (begin, chunks, end), for who carries it on in another format: encoded on
+  // the snapshot thread, as for those who join, and handed to `ready` on the stream thread, later, or never where the server
+  // stops. From any thread.
+  using SharedFrames = std::vector<std::shared_ptr<const protocol::Frame>>;
+  void request_surface(std::function<void(SharedFrames)> ready);
 
   // The ports in use, where the configuration asked for 0; 0: that listener is off.
   std::uint16_t tcp_port() const;

@@ -49,6 +49,8 @@ bool equal_in_constant_time(const std::string& a, const std::string& b) {
   return difference == 0;
 }
 
+constexpr const char* kRoleNames[] = {"viewer", "operator", "simulator", "admin"};
+
 std::size_t accepted_bytes(Role role) {
   return role == Role::Simulator ? protocol::kMaxSimulatorBytes : protocol::kMaxClientBytes;
 }
@@ -77,6 +79,7 @@ asio::awaitable<void> Session::run() {
     if (!go_on) break;
   }
   source_.reset();  // ends the stroke
+  positions_.reset();
   if (stage_ == Stage::kClosing) co_await transport_->discard();
   close();
   hub_.remove(self);
@@ -145,7 +148,7 @@ asio::awaitable<void> Session::handle(protocol::Message message) {
   } else if (std::holds_alternative<protocol::Pong>(body)) {
     // That it came is all it says.
   } else if (const auto* subscribe = std::get_if<protocol::Subscribe>(&body)) {
-    on_subscribe(*subscribe, sequence);
+    on_subscribe(*subscribe);
   } else if (std::holds_alternative<protocol::Resync>(body)) {
     on_resync();
   } else if (std::holds_alternative<protocol::Reset>(body)) {
@@ -154,9 +157,8 @@ asio::awaitable<void> Session::handle(protocol::Message message) {
     finish(ByeReason::Done, "");
   } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
     on_replay(*replay, sequence);
-  } else if (std::holds_alternative<protocol::Positions>(body)) {
-    complain(ErrorCode::NotAvailable, std::string(name_of(body)) + ": this server does not offer it",
-             sequence);
+  } else if (const auto* positions = std::get_if<protocol::Positions>(&body)) {
+    on_positions(*positions, sequence);
   } else {
     complain(ErrorCode::BadState, std::string(name_of(body)) + " is not for a client to send now", sequence);
   }
@@ -183,7 +185,11 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
     co_return;
   }
   if (!allowed(hello.role, hello.token)) {
-    refuse(ErrorCode::Unauthorized, "the token does not open this role", sequence);
+    const std::string role = kRoleNames[static_cast<std::size_t>(hello.role)];
+    refuse(ErrorCode::Unauthorized,
+           hello.token.empty() ? "role " + role + " needs a token, and none was given"
+                               : "the token is wrong, or does not open role " + role,
+           sequence);
     co_return;
   }
   if (!hub_.has_room()) {
@@ -199,6 +205,7 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   }
   role_ = hello.role;
   view_ = hello.view;
+  box_ = hello.box;
   max_rate_hz_ = hello.max_rate_hz;
   blade_rate_hz_ = hello.blade_rate_hz;
   stage_ = Stage::kOpen;
@@ -210,7 +217,6 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   const bool resumed = returns && !hello.box && hello.resume_session == feed().mirror().session() &&
                        feed().ring().covers(hello.resume_revision, head);
   send_welcome(resumed);
-  set_box(hello.box, "Hello.box", sequence);
   if (resumed) {
     ++hub_.counters().resumed;
     revision_ = hello.resume_revision;
@@ -221,7 +227,7 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
 }
 
 asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uint64_t sequence) {
-  std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name);
+  std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name, hello.blade);
   if (!source && hello.take_over) {
     if (const auto holder = hub_.holder(hello.source_name)) {
       holder->source_.reset();
@@ -230,7 +236,7 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
     // The blade is free once the loop has ended the stroke that was.
     for (int i = 0; i < kTakeOverTries && !source && stage_ == Stage::kHandshake; ++i) {
       co_await pause(kRetry);
-      source = hub_.sink().open(hello.source_name);
+      source = hub_.sink().open(hello.source_name, hello.blade);
     }
   }
   if (!source) {
@@ -303,6 +309,12 @@ asio::awaitable<void> Session::on_poses(const protocol::PoseBatch& batch, std::u
   }
   const std::int64_t arrival_ns = last_received_ns_;
   std::span<const protocol::PoseSample> poses = batch.poses;
+  std::vector<protocol::PoseSample> held;  // with the button that the message stands for
+  if (engaged_ && hub_.facts().engage_button >= 0) {
+    held.assign(poses.begin(), poses.end());
+    for (protocol::PoseSample& pose : held) pose.buttons |= 1u << hub_.facts().engage_button;
+    poses = held;
+  }
   while (!poses.empty() && source_) {
     poses = poses.subspan(source_->push(poses, arrival_ns));
     // The queue is full: nothing is read from the peer until the loop has made room.
@@ -319,10 +331,10 @@ asio::awaitable<void> Session::on_stroke(const protocol::StrokeControl& control,
   }
   switch (control.action) {
     case protocol::StrokeAction::Engage:
-      complain(ErrorCode::NotAvailable, "StrokeControl Engage: hold the button in the poses instead",
-               sequence);
+      engaged_ = true;
       break;
     case protocol::StrokeAction::End:
+      engaged_ = false;
       while (source_ && !source_->end_stroke(last_received_ns_)) co_await pause(kRetry);
       break;
     case protocol::StrokeAction::HandOver:
@@ -332,10 +344,45 @@ asio::awaitable<void> Session::on_stroke(const protocol::StrokeControl& control,
   }
 }
 
-void Session::on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t sequence) {
+void Session::on_positions(const protocol::Positions& positions, std::uint64_t sequence) {
+  const Mirror& mirror = hub_.live().mirror();
+  const std::size_t count = (positions.f32.size() + positions.f64.size()) / 3;
+  const std::uint64_t end = positions.ids.empty() ? std::uint64_t{positions.first} + count
+                                                  : positions.ids.back() + std::uint64_t{1};
+  if (role_ != Role::Simulator) {
+    complain(ErrorCode::Forbidden, "Positions: only simulators send them", sequence);
+  } else if (count == 0 || end > mirror.volume().vertex_count() || positions.revision > mirror.revision()) {
+    complain(ErrorCode::BadRequest,
+             "Positions of " + std::to_string(count) + " vertices below " + std::to_string(end) +
+                 " at revision " + std::to_string(positions.revision) + "; accepted are one or more below " +
+                 std::to_string(mirror.volume().vertex_count()) + ", at a revision up to " +
+                 std::to_string(mirror.revision()),
+             sequence);
+  } else if (!positions_ && !(positions_ = hub_.sink().open_positions())) {
+    complain(ErrorCode::NotAvailable, "Positions: another simulator sets them", sequence);
+  } else {
+    positions_->push(positions, last_received_ns_);
+  }
+}
+
+void Session::report_deformation(const PublishedDelta& step) {
+  if (stage_ != Stage::kOpen || !positions_) return;
+  const core::Deformation& d = step.delta.deformation;
+  protocol::PositionsReport report;
+  report.frame = d.frame;
+  report.revision = step.delta.revision;
+  report.moved = d.moved;
+  report.passed_over = d.passed_over;
+  report.held = d.held;
+  report.taken = ++positions_taken_;
+  report.skipped = positions_->skipped();
+  push_control(make_frame(report));
+}
+
+void Session::on_subscribe(const protocol::Subscribe& subscribe) {
   const std::optional<protocol::Box> box = box_;
   const View view = std::exchange(view_, subscribe.view);
-  set_box(subscribe.box, "Subscribe.box", sequence);
+  box_ = subscribe.box;
   max_rate_hz_ = subscribe.max_rate_hz;
   next_due_ns_ = 0;
   if (view == view_ && box == box_) {
@@ -348,14 +395,6 @@ void Session::on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t s
   ++snapshot_request_;  // one of the other view that is on its way is not for us
   snapshot_wanted_ = false;
   request_snapshot(SnapshotCause::Subscribe);
-}
-
-void Session::set_box(const std::optional<protocol::Box>& box, const char* field, std::uint64_t sequence) {
-  box_ = view_ == View::Surface ? box : std::nullopt;
-  if (box && !box_) {
-    complain(ErrorCode::NotAvailable, std::string(field) + ": only view Surface can be limited to a box",
-             sequence);
-  }
 }
 
 void Session::on_resync() {
@@ -539,6 +578,7 @@ void Session::finish(ByeReason reason, const std::string& text) {
   if (reason != ByeReason::ServerStops) drop_state();
   snapshot_.reset();
   source_.reset();
+  positions_.reset();
   player_.reset();
   stage_ = Stage::kClosing;
   closing_since_ns_ = monotonic_ns();
@@ -551,8 +591,10 @@ void Session::close() {
   if (stage_ == Stage::kClosed) return;
   stage_ = Stage::kClosed;
   source_.reset();
+  positions_.reset();
   player_.reset();
   snapshot_.reset();
+  set_part(nullptr);
   rate_timer_.cancel();
   transport_->close();
 }
@@ -674,6 +716,16 @@ void Session::on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_
     request_snapshot(snapshot_cause_);  // of before a reset
     return;
   }
+  if (snapshot->part) {
+    const std::size_t others = hub_.counters().part_bytes - part_bytes_;
+    if (others + snapshot->part->bytes() > hub_.config().max_part_bytes) {
+      complain(ErrorCode::NotAvailable, "box: the server has no memory for more of them; everything is sent",
+               0);
+      box_.reset();
+      request_snapshot(snapshot_cause_);
+      return;
+    }
+  }
   snapshot_ = std::move(snapshot);
   next_chunk_ = 0;
   protocol::SnapshotBegin begin = snapshot_->begin;
@@ -689,9 +741,16 @@ void Session::feed_snapshot() {
   }
   push_state(snapshot_->end);
   revision_ = snapshot_->begin.revision;
-  part_ = snapshot_->part;
+  set_part(snapshot_->part);
   snapshot_.reset();
   if (std::exchange(resync_again_, false)) request_snapshot(SnapshotCause::Resync);
+}
+
+void Session::set_part(std::shared_ptr<BoxPart> part) {
+  part_ = std::move(part);
+  const std::size_t bytes = part_ ? part_->bytes() : 0;
+  hub_.counters().part_bytes += bytes - part_bytes_;
+  part_bytes_ = bytes;
 }
 
 void Session::advance() {
@@ -729,7 +788,8 @@ void Session::advance() {
     return;
   }
   if (box_) {
-    const SharedFrame frame = feed().part_delta(*part_, *box_);
+    const SharedFrame frame = feed().part_delta(*part_);
+    set_part(part_);
     if (!frame) {
       request_snapshot(SnapshotCause::TooSlow);
       return;

@@ -36,6 +36,8 @@ class Session : public std::enable_shared_from_this<Session> {
   // A frame beside the state, e.g. statistics. Only to who has been welcomed.
   void send(SharedFrame frame);
   // To the operator who holds that blade: the latest, when the one before is out.
+  // To the simulator that sets positions: the loop has made a step of one of its messages.
+  void report_deformation(const PublishedDelta& step);
   void send_force(const protocol::Force& force);
   // Whether it asked for the blades' poses, and follows the mesh that they cut.
   bool wants_blades() const { return stage_ == Stage::kOpen && blade_rate_hz_ > 0 && !scratch_; }
@@ -59,9 +61,8 @@ class Session : public std::enable_shared_from_this<Session> {
   asio::awaitable<bool> take_blade(const protocol::Hello& hello, std::uint64_t sequence);
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
-  void on_subscribe(const protocol::Subscribe& subscribe, std::uint64_t sequence);
-  // Takes a box where the view allows one; says so where not.
-  void set_box(const std::optional<protocol::Box>& box, const char* field, std::uint64_t sequence);
+  void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
+  void on_subscribe(const protocol::Subscribe& subscribe);
   void on_resync();
   void on_reset(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
@@ -82,6 +83,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void request_snapshot(protocol::SnapshotCause cause);
   void on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_t request);
   void feed_snapshot();
+  // What the peer holds with a box, or null; counted over all sessions.
+  void set_part(std::shared_ptr<BoxPart> part);
   void drop_state();  // what waits of the state, and has not begun to go out
   void push_control(SharedFrame frame);
   void push_state(SharedFrame frame);
@@ -97,7 +100,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   protocol::Role role_ = protocol::Role::Viewer;
   protocol::View view_ = protocol::View::None;
-  std::optional<protocol::Box> box_;  // of view Surface
+  std::optional<protocol::Box> box_;
   float max_rate_hz_ = 0;
   float blade_rate_hz_ = 0;
   std::int64_t blades_due_ns_ = 0;
@@ -105,6 +108,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // An operator's.
   std::unique_ptr<PoseSource> source_;
   std::string source_name_;
+  bool engaged_ = false;       // by message, whatever the poses' buttons say
   std::uint64_t offered_ = 0;  // poses pushed since Welcome
   struct Offered {
     std::uint64_t sequence, offered;
@@ -112,6 +116,10 @@ class Session : public std::enable_shared_from_this<Session> {
   std::deque<Offered> unsettled_;  // messages whose poses the loop has not all counted yet
   std::uint64_t through_sequence_ = 0;
   protocol::PoseReport last_report_;
+
+  // A simulator's, from its first Positions on.
+  std::unique_ptr<PositionsSource> positions_;
+  std::uint64_t positions_taken_ = 0;
 
   // A capture that is replayed for this session alone, and the state that it has come to.
   struct Scratch {
@@ -136,9 +144,10 @@ class Session : public std::enable_shared_from_this<Session> {
   bool behind_ = false;                       // the outbox was full: it must half empty first
   std::shared_ptr<const Snapshot> snapshot_;  // on its way
   std::size_t next_chunk_ = 0;
-  std::shared_ptr<protocol::SurfaceReplica> part_;  // with a box: what the peer holds at revision_
-  std::uint64_t snapshot_request_ = 0;              // the last one's number
-  bool snapshot_wanted_ = false;                    // requested, not here yet
+  std::shared_ptr<BoxPart> part_;       // with a box: what the peer holds at revision_
+  std::size_t part_bytes_ = 0;          // of it, as counted
+  std::uint64_t snapshot_request_ = 0;  // the last one's number
+  bool snapshot_wanted_ = false;        // requested, not here yet
   bool resync_again_ = false;
   protocol::SnapshotCause snapshot_cause_ = protocol::SnapshotCause::Join;
   std::uint32_t slow_snapshots_ = 0;

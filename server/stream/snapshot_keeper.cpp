@@ -52,9 +52,12 @@ void SnapshotKeeper::run() {
         const std::string problem = load_initial(**initial, replica_);
         INCISE_CHECK(problem.empty(), problem);
         session_ = (*initial)->session;
+        surface_.reset();
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
-        const protocol::ApplyResult result = replica_.apply(arrays_.assign(**delta, replica_));
+        const protocol::Delta& change = arrays_.assign(**delta, replica_);
+        const protocol::ApplyResult result = replica_.apply(change);
         INCISE_CHECK(result, result.text);
+        if (surface_) surface_->follow(replica_, change);
       } else {
         const Request& request = std::get<Request>(task);
         request.ready(encode(request.view, request.box));
@@ -77,23 +80,30 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
     snapshot->chunks.push_back(make_frame(chunk));
     snapshot->bytes += snapshot->chunks.back()->tcp().size();
   };
+  const auto take = [&](auto writer, auto&&... hash) {
+    snapshot->begin = writer.begin();
+    while (writer.next()) add(writer.chunk());
+    snapshot->end = make_frame(writer.end(hash...));
+  };
+  constexpr auto kCause = protocol::SnapshotCause::Join;
   if (view == protocol::View::Surface) {
-    protocol::SurfaceReplica surface;
-    surface.load(replica_);
+    if (!surface_) surface_.emplace().load(replica_);
     if (box) {
-      snapshot->part = std::make_shared<protocol::SurfaceReplica>();
-      snapshot->part->load_part(surface, *box);
+      snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::SurfaceReplica()});
+      auto& part = std::get<protocol::SurfaceReplica>(snapshot->part->held);
+      part.load_part(*surface_, *box);
+      take(protocol::SurfaceSnapshotWriter(part, kCause), replica_.state_hash());
+      snapshot->begin.box = box;
+    } else {
+      take(protocol::SurfaceSnapshotWriter(*surface_, kCause), replica_.state_hash());
     }
-    protocol::SurfaceSnapshotWriter writer(box ? *snapshot->part : surface, protocol::SnapshotCause::Join);
-    snapshot->begin = writer.begin();
-    snapshot->begin.box = box;
-    while (writer.next()) add(writer.chunk());
-    snapshot->end = make_frame(writer.end(replica_.state_hash()));
+  } else if (box) {
+    snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::VolumePart()});
+    auto& part = std::get<protocol::VolumePart>(snapshot->part->held);
+    part.load_part(replica_, *box);
+    take(protocol::VolumePartWriter(part, *box, kCause), replica_.state_hash());
   } else {
-    protocol::SnapshotWriter writer(replica_, protocol::SnapshotCause::Join);
-    snapshot->begin = writer.begin();
-    while (writer.next()) add(writer.chunk());
-    snapshot->end = make_frame(writer.end());
+    take(protocol::SnapshotWriter(replica_, kCause));
   }
   if (!box) last = snapshot;
   return snapshot;

@@ -24,7 +24,7 @@ struct Snapshot {
   SharedFrame end;
   std::size_t bytes = 0;
   // With a box: what it holds. Such a snapshot is for one session, which takes this over.
-  std::shared_ptr<protocol::SurfaceReplica> part;
+  std::shared_ptr<BoxPart> part;
 };
 
 // Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror: a snapshot of
@@ -42,7 +42,7 @@ class SnapshotKeeper {
 
   void reset(std::shared_ptr<const InitialState> initial);
   void push(std::shared_ptr<const PublishedDelta> delta);
-  // `box`: of view Surface only what touches it.
+  // `box`: only what touches it.
   void request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready);
 
  private:
@@ -59,6 +59,7 @@ class SnapshotKeeper {
 
   // The thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
+  std::optional<protocol::SurfaceReplica> surface_;  // of it, once somebody has asked for that view
   std::uint64_t session_ = 0;
   DeltaArrays arrays_;
   // The last one of each view, while somebody still sends it: many who join at once share it.

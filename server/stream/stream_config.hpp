@@ -29,7 +29,9 @@ struct StreamConfig {
   bool insecure = false;
 
   std::uint32_t max_sessions = 300;
-  std::uint32_t max_handshakes = 64;  // connections that have not said Hello yet
+  // Connections that have not said Hello yet. One more, and the oldest of them is closed: who says nothing keeps nobody
+  // out.
+  std::uint32_t max_handshakes = 64;
   double handshake_timeout_s = 5;
   double idle_timeout_s = 30;   // a peer that sends nothing; it is pinged after a third of it
   double write_timeout_s = 10;  // for one frame to go out
@@ -45,6 +47,9 @@ struct StreamConfig {
   std::uint32_t max_slow_snapshots = 3;
   // Encoded deltas kept for those who return or fall behind.
   std::size_t ring_bytes = 64u << 20;
+  // What all sessions with a box of interest hold of the mesh, which the server remembers for them. Who comes beyond that
+  // gets everything.
+  std::size_t max_part_bytes = 512u << 20;
   double max_report_rate_hz = 20;  // pose reports to an operator
 };
 

@@ -31,8 +31,7 @@ class TcpTransport final : public Transport {
   asio::awaitable<Received> read() override {
     for (;;) {
       const auto status = reader_.read(input_);
-      if (status == protocol::FrameReader::Status::Complete)
-        co_return Received::message(reader_.body());
+      if (status == protocol::FrameReader::Status::Complete) co_return Received::message(reader_.body());
       if (status == protocol::FrameReader::Status::Failed) co_return Received::bad(reader_.error(), true);
       const auto [ec, n] = co_await stream_.async_read_some(asio::buffer(buffer_), kTuple);
       if (ec) co_return Received::end(ec);

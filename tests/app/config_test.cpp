@@ -148,8 +148,8 @@ const Malformed kMalformed[] = {
     {"{\"\": {}}", {"unknown key \"\""}},
     {"{\"loop.rate_hz\": 1000}", {"unknown key \"loop.rate_hz\""}},
     {"{\"blade\": {\"heel\": [0,0,0], \"point\": [0,0,1]}}", {"unknown key \"blade.point\"", "tip"}},
-    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"\"cpu\"", "twice"}},
-    {"{\"log\": {}, \"log\": {}}", {"\"log\"", "twice"}},
+    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"cpu: found", "twice"}},
+    {"{\"log\": {}, \"log\": {}}", {"log: found", "twice"}},
     // A section that is none.
     {"{\"loop\": 1000}", {"loop", "1000", "object"}},
     {"{\"mesh\": \"liver.node\"}", {"mesh", "liver.node", "object"}},
@@ -216,6 +216,19 @@ const Malformed kMalformed[] = {
     {"{\"listen\": {\"certificate_file\": \"c.pem\"}}", {"listen.private_key_file"}},
     {"{\"listen\": {\"private_key_file\": \"k.pem\"}}", {"listen.certificate_file"}},
     {"{\"listen\": {\"tcp_port\": 8000, \"http_port\": 8000}}", {"listen.http_port", "8000"}},
+    // Peers on the network.
+    {"{\"openigtlink\": {\"port\": 70000}}", {"openigtlink.port", "65535"}},
+    {"{\"openigtlink\": {\"connect\": [\"tracker\"]}}", {"openigtlink.connect", "tracker", "host:port"}},
+    {"{\"openigtlink\": {\"connect\": [\"tracker:0\"]}}", {"openigtlink.connect", "tracker:0"}},
+    {"{\"openigtlink\": {\"connect\": [\"tracker:18944x\"]}}", {"openigtlink.connect"}},
+    {"{\"openigtlink\": {\"engage\": \"button\"}}", {"openigtlink.engage", "string"}},
+    {"{\"openigtlink\": {\"rotation\": [0, 0, 0, 0]}}", {"openigtlink.rotation", "unit quaternion"}},
+    {"{\"openigtlink\": {\"scale\": 0}}", {"openigtlink.scale"}},
+    {"{\"haply\": {\"url\": \"localhost:10001\"}}", {"haply.url", "ws://host:port"}},
+    {"{\"haply\": {\"url\": \"ws://localhost\"}}", {"haply.url"}},
+    {"{\"haply\": {\"version\": \"2\"}}", {"haply.version", "3.5"}},
+    {"{\"haply\": {\"max_force_n\": 11}}", {"haply.max_force_n", "to 10"}},
+    {"{\"haply\": {\"source\": \"\"}}", {"haply.source"}},
     // Sources.
     {"{\"sources\": {}}", {"sources", "list"}},
     {"{\"sources\": [1]}", {"sources[0]", "1"}},
@@ -267,6 +280,14 @@ TEST(Config, CheckAsksForWhatAServerNeeds) {
       std::string::npos);
   EXPECT_EQ(error(R"({"mesh": {"phantom": "slab"}, "listen": {"address": "0.0.0.0", "insecure": true}})"),
             "");
+  const std::string peers =
+      R"({"mesh": {"phantom": "slab"}, "openigtlink": {"port": 18944, "address": "0.0.0.0"})";
+#ifdef INCISE_OPENIGTLINK
+  EXPECT_NE(error(peers + "}").find("openigtlink.address"), std::string::npos);
+  EXPECT_EQ(error(peers + R"(, "listen": {"insecure": true}})"), "");
+#else
+  EXPECT_NE(error(peers + "}").find("built without OpenIGTLink"), std::string::npos);
+#endif
 }
 
 }  // namespace

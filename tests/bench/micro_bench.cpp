@@ -3,10 +3,12 @@
 #include <CLI/CLI.hpp>
 #include <memory>
 
+#include "server/core/cut_session.hpp"
 #include "server/core/predicates.hpp"
 #include "server/core/quality.hpp"
 #include "server/core/tet_mesh.hpp"
 #include "server/haptics/force_model.hpp"
+#include "server/stream/mirror.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/core/test_meshes.hpp"
@@ -138,8 +140,7 @@ void build(benchmark::State& state) {
 // One frame's force on a blade that is drawn to and fro: `on_surface` presses without cutting, else it lies across the
 // whole body.
 void force(benchmark::State& state, bool on_surface) {
-  const TetMesh mesh(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
-  const core::BoundaryGrid grid(mesh);
+  const haptics::Tissue tissue(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
   haptics::Materials materials;
   haptics::ForceModel model(materials, 2000, 0.5);
   haptics::BladeMotion motion;
@@ -152,12 +153,46 @@ void force(benchmark::State& state, bool on_surface) {
     const double s = 1e-5 * (i < 500 ? i : 1000 - i);
     motion.tool = {0.0613 + s, 0.0487 + 0.7 * s, 0.15 + up};
     motion.line = {motion.tool, motion.tool - Vec3{0, 0, on_surface ? 0.032 : 0.16}};
-    feel = model.update(mesh, grid, motion, feel.force);
+    feel = model.update(tissue, motion, feel.force);
   };
   for (int k = 0; on_surface && k < 40; ++k) move(0.006 - 1.5e-4 * k);  // down to the surface
   for (auto _ : state) move(0);
   state.counters["N"] = length(feel.force);
   state.counters["edge_mm"] = 1e3 * feel.engagement.length_m;
+}
+
+// A step of a simulation that moves all vertices of a box of range^3 cubes: the loop's part, or the stream's.
+void deform(benchmark::State& state, bool stream_part) {
+  const auto n = static_cast<int>(state.range(0));
+  core::CutSession session(core::testing::shaken_box(n, n, n, 1, 0.1, 0.005), {});
+  const TetMesh& mesh = session.mesh();
+  std::array<std::shared_ptr<core::VertexPositions>, 2> places;
+  for (std::size_t k = 0; k < 2; ++k) {
+    places[k] = std::make_shared<core::VertexPositions>();
+    for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
+      places[k]->positions.push_back(mesh.position(v) +
+                                     Vec3{0, 0, (k == 0 ? 1e-4 : -1e-4) * std::sin(30 * mesh.position(v).x)});
+  }
+  stream::InitialState initial;
+  initial.session = 1;
+  for (VertexId v = 0; v < mesh.vertex_slots(); ++v) initial.positions.push_back(mesh.position(v));
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) initial.tets.push_back(mesh.state(t));
+  stream::Mirror mirror;
+  if (stream_part) mirror.reset(initial);
+  stream::PublishedDelta published;
+  std::size_t i = 0;
+  for (auto _ : state) {
+    if (stream_part) state.PauseTiming();
+    auto budget = core::WorkBudget::unlimited();
+    session.deform(places[i++ % 2]);
+    session.advance(budget, published.delta);
+    if (!stream_part) continue;
+    state.ResumeTiming();
+    benchmark::DoNotOptimize(mirror.apply(published));
+  }
+  state.counters["vertices"] = mesh.vertex_slots();
+  state.counters["tets"] = mesh.live_tets();
+  state.counters["moved"] = static_cast<double>(published.delta.moved.size());
 }
 
 int run(const std::string& filter, double min_time_s, bool json) {
@@ -172,6 +207,13 @@ int run(const std::string& filter, double min_time_s, bool json) {
   benchmark::RegisterBenchmark("build", build)->Unit(benchmark::kMillisecond);
   benchmark::RegisterBenchmark("force/pressing", [](benchmark::State& s) { force(s, true); });
   benchmark::RegisterBenchmark("force/cutting_120_mm", [](benchmark::State& s) { force(s, false); });
+  for (const bool stream_part : {false, true}) {
+    benchmark::RegisterBenchmark(stream_part ? "deform/stream" : "deform/loop",
+                                 [stream_part](benchmark::State& s) { deform(s, stream_part); })
+        ->Arg(14)
+        ->Arg(45)
+        ->Unit(benchmark::kMillisecond);
+  }
   std::vector<std::string> arguments{"incise-bench", "--benchmark_filter=" + filter,
                                      "--benchmark_min_time=" + std::to_string(min_time_s)};
   if (json) arguments.push_back("--benchmark_format=json");

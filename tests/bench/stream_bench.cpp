@@ -3,11 +3,14 @@
 
 #include <CLI/CLI.hpp>
 #include <boost/beast/zlib/deflate_stream.hpp>
+#include <chrono>
 #include <fstream>
 #include <functional>
 #include <memory>
 #include <string>
+#include <thread>
 
+#include "client/client.hpp"
 #include "protocol/surface.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -191,7 +194,7 @@ struct StreamBench : LiveMotion {
   StreamBench() { seconds = 10; }
   std::string mesh;
   double scale = 1;
-  int viewers = 256, stalled = 5, rounds = 2, connections = 0;
+  int viewers = 256, stalled = 5, rounds = 2, connections = 0, snapshots = 0;
 };
 
 void bench_viewers(const StreamBench& bench, Report& report) {
@@ -230,8 +233,47 @@ void bench_connections(const StreamBench& bench, Report& report) {
             report);
 }
 
+// One who joins while a device cuts a large body, again and again: from connect() to a whole, checked replica, and what
+// that does to the frames.
+void bench_snapshots(const StreamBench& bench, Report& report) {
+  report.table("somebody joins again and again while a device cuts", {{"joins"},
+                                                                      {"frames"},
+                                                                      {"work p50, us", 1},
+                                                                      {"p99, us", 1},
+                                                                      {"p99.9, us", 1},
+                                                                      {"MB a snapshot", 1},
+                                                                      {"whole after p50, ms", 1},
+                                                                      {"max, ms", 1}});
+  for (const int joins : {0, bench.snapshots}) {
+    LiveServer server(bench);
+    server.connect_device();
+    std::vector<double> ms;
+    double megabytes = 0;
+    std::thread joiner([&] {
+      for (int i = 0; i < joins; ++i) {
+        const auto start = std::chrono::steady_clock::now();
+        const auto client = client::Client::connect("127.0.0.1", server.tcp_port());
+        if (!client->wait_for_revision(0, 60)) return;
+        ms.push_back(
+            std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
+        megabytes = 1e-6 * static_cast<double>(client->counters().bytes_in);
+      }
+    });
+    server.drive();
+    joiner.join();
+    const nlohmann::json stats = server.settled_stats();
+    const auto& work = stats["stages_us"]["frame_work"];
+    report.row({count(ms.size()), count(stats["frames"]["count"]), work["p50"].get<double>(),
+                work["p99"].get<double>(), work["p99.9"].get<double>(), megabytes, percentile(ms, 0.5),
+                percentile(ms, 1)});
+    if (joins > 0) report.fact("tetrahedra", count(server.tets()));
+    server.end();
+  }
+}
+
 void run(const StreamBench& bench, Report& report) {
   report.begin("stream");
+  if (bench.snapshots > 0) return bench_snapshots(bench, report);
   if (bench.connections > 0) return bench_connections(bench, report);
   bench_bytes(bench.mesh.empty() ? phantom("liver", static_cast<std::size_t>(bench.tets))
                                  : load(bench.mesh, bench.scale),
@@ -257,6 +299,9 @@ void add_stream_bench(CLI::App& app, Report& report) {
       ->capture_default_str();
   sub->add_option("--connections", bench->connections, "Instead: the server with so many connections")
       ->check(CLI::Range(1, 100'000));
+  sub->add_option("--snapshots", bench->snapshots,
+                  "Instead: somebody joins so often, and how long that takes")
+      ->check(CLI::Range(1, 1000));
   sub->callback([bench, &report] { run(*bench, report); });
 }
 

@@ -14,7 +14,8 @@ import unittest
 import numpy as np
 
 import incise_client
-from incise.wire import Body, Delta, Force, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd
+from incise.wire import (Body, Delta, Force, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta,
+                         View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -31,7 +32,7 @@ def parse(data):
     message = Message.Message.GetRootAs(data, 0)
     kinds = {Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
              Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Delta: Delta.Delta, Body.Body.Hello: Hello.Hello,
-             Body.Body.Force: Force.Force}
+             Body.Body.Force: Force.Force, Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta}
     table = kinds.get(message.BodyType())
     if not table:
         return None
@@ -138,6 +139,44 @@ class Vectors(unittest.TestCase):
         self.assertEqual(replica.canonical_bytes(), before)
 
 
+class Parts(unittest.TestCase):
+    """The golden streams of the surface, and of the volume in a box."""
+
+    def follow(self, name, kind):
+        replica, begin, chunks = kind(), None, []
+        expected = json.loads((VECTORS / "streams" / f"{name}.json").read_text())
+        for body in map(parse, split((VECTORS / "streams" / f"{name}.bin").read_bytes())):
+            if isinstance(body, SnapshotBegin.SnapshotBegin):
+                begin, chunks = body, []
+            elif isinstance(body, SnapshotChunk.SnapshotChunk):
+                chunks.append(body)
+            elif isinstance(body, SnapshotEnd.SnapshotEnd):
+                replica = kind.from_snapshot(begin, chunks, body)
+            elif isinstance(body, (Delta.Delta, SurfaceDelta.SurfaceDelta)):
+                before = replica.canonical_bytes()
+                replica.hash ^= 1  # a state that is wrong is found by its hash
+                with self.assertRaises(incise_client.ApplyError):
+                    replica.apply(body)
+                replica.hash ^= 1
+                self.assertEqual(replica.canonical_bytes(), before)
+                replica.apply(body)
+            else:
+                continue
+            if isinstance(body, (SnapshotBegin.SnapshotBegin, SnapshotChunk.SnapshotChunk)):
+                continue
+            state = expected.pop(0)
+            self.assertEqual((replica.revision, f"{replica.hash:016x}"), (state["revision"], state["hash"]))
+            self.assertEqual(replica.compute_hash(), replica.hash)
+            self.assertEqual(replica.canonical_bytes().hex(), state["canonical_bytes"])
+        self.assertEqual(expected, [])
+
+    def test_the_surface(self):
+        self.follow("surface", incise_client.Surface)
+
+    def test_the_volume_in_a_box(self):
+        self.follow("volume_part", incise_client.VolumePart)
+
+
 class Session(unittest.TestCase):
     """A client against a server that says what the vectors say."""
 
@@ -181,6 +220,19 @@ class Session(unittest.TestCase):
         self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
+
+    def test_holds_what_touches_a_box(self):
+        for name, view in (("volume_part", View.View.Volume), ("surface", View.View.Surface)):
+            expected = json.loads((VECTORS / "streams" / f"{name}.json").read_text())
+            stream = (VECTORS / "streams" / f"{name}.bin").read_bytes()
+            port = self.serve(stream[:-4 - len(list(split(stream))[-1])])  # without the Bye
+            with incise_client.connect("127.0.0.1", port, view=view, box=((0, -1, -2), (1, 2, 3))) as client:
+                self.assertTrue(client.wait_for_revision(expected[-1]["revision"]))
+                self.assertEqual(client.replica.canonical_bytes().hex(), expected[-1]["canonical_bytes"])
+                self.assertEqual(client.resyncs, 0)
+            self.thread.join()
+            hello = parse(self.received[0])
+            self.assertEqual((hello.View(), hello.Box().Min().Z(), hello.Box().Max().Y()), (view, -2, 2))
 
     def test_says_why_it_ends(self):
         port = self.serve((VECTORS / "streams" / "volume.bin").read_bytes())

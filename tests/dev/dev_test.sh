@@ -65,8 +65,8 @@ expect 2 "unknown preset 'fuzz'; the presets are release debug" test fuzz
 expect 2 "unknown preset '../..'" clean ../..
 expect 2 "build takes one preset" build debug asan
 expect 2 "--minutes takes a whole number from 1; found '0.5'" fuzz --minutes 0.5
-expect 2 "unknown arguments '--twice' of demo" demo --twice
-expect 2 "unknown arguments '--once --still' of demo" demo --once --still
+expect 2 "unknown argument '--twice' of demo" demo --twice
+expect 2 "demo takes one of --once and --still" demo --once --still
 expect 2 "lint takes no argument" lint server
 
 # Presets and ctest's arguments go through; a passed test prints nothing of its own, ctest's last line stays.
@@ -127,12 +127,14 @@ while True:
     time.sleep(1)
 END
 printf '#!/bin/bash\necho "incise $*" >> "$CALLS"; [[ $1 != stream ]] || exec sleep "${MOTION_S:-0}"\n' > "$bin/incise"
-chmod +x "$bin/incised" "$bin/incise"
+printf '#!/bin/bash\necho "incise-xpbd $*" >> "$CALLS"; exec sleep 60\n' > "$bin/incise-xpbd"
+chmod +x "$bin/incised" "$bin/incise" "$bin/incise-xpbd"
 read -r tcp_port http_port < <(python3 -c '
 import socket
 a, b = socket.create_server(("127.0.0.1", 0)), socket.create_server(("127.0.0.1", 0))
 print(a.getsockname()[1], b.getsockname()[1])')
 printf '{\n  "listen": { "tcp_port": %s, "http_port": %s }\n}\n' "$tcp_port" "$http_port" > "$work/config/demo.json"
+cp "$work/config/demo.json" "$work/config/demo_soft.json"
 
 # Whether the stand-in server ends within twenty seconds.
 expect_server_gone() {
@@ -145,12 +147,12 @@ expect_server_gone() {
   failures=$((failures + 1))
 }
 # Starts a demo whose motion takes a minute, in the background, its process id in $!, and waits until it plays.
-begin_demo() {
+begin_demo() { # ARGUMENTS...
   : > "$CALLS"
-  MOTION_S=60 "$work/dev" demo > /dev/null 2>&1 &
+  MOTION_S=60 "$work/dev" demo "$@" > /dev/null 2>&1 &
   local tick
   for ((tick = 0; tick < 200; tick++)); do
-    grep -q '^incise stream' "$CALLS" && return
+    grep -q '^incise stream' "$CALLS" && { (($# == 0)) || grep -q "^incise-xpbd 127.0.0.1:$tcp_port" "$CALLS"; } && return
     sleep 0.1
   done
   echo 'the demo does not play its motion'
@@ -181,6 +183,12 @@ begin_demo
 kill -KILL "$!"
 wait "$!" 2> /dev/null || true
 expect_server_gone 'after kill -9 of dev'
+
+# A soft one has a simulation beside it.
+begin_demo --soft
+kill -TERM "$!"
+wait "$!" || { echo "the soft demo ended with $? at a TERM"; failures=$((failures + 1)); }
+expect_server_gone 'after --soft'
 
 ((failures == 0)) || exit 1
 echo "the command line of ./dev holds"

@@ -183,6 +183,7 @@ CaptureFollower::CaptureFollower(const ServedSession& session)
       session_(std::make_unique<core::CutSession>(session.body().loaded.mesh, session.config().cut)) {}
 
 std::string CaptureFollower::follow() {
+  seen_.clear();
   std::ifstream in(served_.capture(), std::ios::binary);
   protocol::CaptureReader reader(in);
   if (!reader.header_ok())
@@ -206,11 +207,17 @@ void CaptureFollower::operator()(const protocol::CaptureRecord& record, std::str
     session_->push(pose->source,
                    {pose->pose.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, pose->pose.buttons});
     ++poses_;
+    seen_.insert(pose->pose.source_ns);
     last_source_ns_ = std::max(last_source_ns_, pose->pose.source_ns);
   } else if (const auto* stroke = std::get_if<protocol::StrokeRecord>(&record)) {
     if (stroke->action == protocol::StrokeAction::HandOver)
       session_->set_blade(stroke->source, app::blade_of(served_.config(), stroke->source));
     if (stroke->action == protocol::StrokeAction::End) session_->end_stroke(stroke->source);
+  } else if (const auto* opened = std::get_if<protocol::BladeRecord>(&record)) {
+    session_->set_blade(opened->source, app::to_core(opened->blade));
+  } else if (const auto* positions = std::get_if<protocol::PositionsRecord>(&record)) {
+    session_->deform(app::positions_of(*positions));
+    ++deformations_;
   } else if (const auto* mark = std::get_if<protocol::BatchMark>(&record)) {
     const auto computed = hashes_.find(mark->revision);
     if (computed == hashes_.end()) {

@@ -11,6 +11,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <unordered_set>
 
 #include "client/client.hpp"
 #include "protocol/capture.hpp"
@@ -104,15 +105,19 @@ class CaptureFollower {
   std::uint64_t marks() const { return marks_; }
   std::uint64_t poses() const { return poses_; }
   std::uint64_t gaps() const { return gaps_; }
+  std::uint64_t deformations() const { return deformations_; }
   std::int64_t last_source_ns() const { return last_source_ns_; }
+  // Whether the last follow() came upon a pose of that source time.
+  bool has_seen(std::int64_t source_ns) const { return seen_.contains(source_ns); }
 
  private:
   void operator()(const protocol::CaptureRecord& record, std::string& problem);
   const ServedSession& served_;
   std::unique_ptr<core::CutSession> session_;
   std::map<std::uint64_t, std::uint64_t> hashes_;  // of revisions whose marks have not come by
-  std::uint64_t good_bytes_ = 0, records_ = 0, marks_ = 0, poses_ = 0, gaps_ = 0;
+  std::uint64_t good_bytes_ = 0, records_ = 0, marks_ = 0, poses_ = 0, gaps_ = 0, deformations_ = 0;
   std::int64_t last_source_ns_ = 0;
+  std::unordered_set<std::int64_t> seen_;
 };
 
 }  // namespace incise::e2e

@@ -10,6 +10,7 @@
 #include "protocol/framing.hpp"
 #include "protocol/replica.hpp"
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 #include "tests/fuzz/fuzz_check.hpp"
 
 using namespace incise::protocol;
@@ -37,6 +38,35 @@ bool try_it(R& replica, F&& change) {
   return static_cast<bool>(result);
 }
 
+// The server's side of a box: follows what the volume has been through, which a replica behind it goes through after it.
+class Follower {
+ public:
+  explicit Follower(const Replica& volume) { reload(volume); }
+  template <class F>
+  void snapshot(const Replica& volume, F&& change) {
+    if (change(behind_)) reload(volume);
+  }
+  void delta(const Replica& volume, const Delta& delta) {
+    index_.follow(behind_, delta);
+    FUZZ_CHECK(behind_.apply(delta));
+    part_.follow_part(volume, index_, delta, kBox);
+    VolumePart anew;
+    anew.load_part(volume, kBox);
+    FUZZ_CHECK(part_.canonical_bytes() == anew.canonical_bytes());
+    FUZZ_CHECK(part_.part_hash() == part_.compute_part_hash());
+  }
+  void reload(const Replica& volume) {
+    index_.load(volume);
+    part_.load_part(volume, kBox);
+  }
+
+ private:
+  static constexpr Box kBox{{0.002, 0.002, -1}, {0.02, 0.02, 0.004}};
+  Replica behind_ = small_replica();
+  TetIndex index_;
+  VolumePart part_;
+};
+
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
@@ -44,6 +74,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   SurfaceReplica surface, server;
   surface.load(volume);
   server.load(volume);
+  VolumePart part;
+  Follower follower(volume);
   std::span<const std::byte> input(reinterpret_cast<const std::byte*>(data), size);
   FrameReader reader;
   while (reader.read(input) == FrameReader::Status::Complete) {
@@ -56,25 +88,34 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     const DecodeResult second = decode(again.body());
     FUZZ_CHECK(second && second.message->body.index() == body.index());
 
-    if (const auto* part = std::get_if<SnapshotBegin>(&body)) {
-      try_it(volume, [&](auto& r) { return r.begin(*part); });
-      try_it(surface, [&](auto& r) { return r.begin(*part); });
+    if (const auto* begin = std::get_if<SnapshotBegin>(&body)) {
+      try_it(volume, [&](auto& r) { return r.begin(*begin); });
+      try_it(surface, [&](auto& r) { return r.begin(*begin); });
+      try_it(part, [&](auto& r) { return r.begin(*begin); });
+      follower.snapshot(volume, [&](auto& r) { return r.begin(*begin), false; });
     } else if (const auto* chunk = std::get_if<SnapshotChunk>(&body)) {
       try_it(volume, [&](auto& r) { return r.chunk(*chunk); });
       try_it(surface, [&](auto& r) { return r.chunk(*chunk); });
+      try_it(part, [&](auto& r) { return r.chunk(*chunk); });
+      follower.snapshot(volume, [&](auto& r) { return r.chunk(*chunk), false; });
     } else if (const auto* end = std::get_if<SnapshotEnd>(&body)) {
       if (try_it(volume, [&](auto& r) { return r.end(*end); })) server.load(volume);
       try_it(surface, [&](auto& r) { return r.end(*end); });
+      try_it(part, [&](auto& r) { return r.end(*end); });
+      follower.snapshot(volume, [&](auto& r) { return static_cast<bool>(r.end(*end)); });
     } else if (const auto* delta = std::get_if<Delta>(&body)) {
       if (try_it(volume, [&](auto& r) { return r.apply(*delta); })) {
         server.follow(volume, *delta);
         FUZZ_CHECK(server.surface_hash() == server.compute_surface_hash());
+        follower.delta(volume, *delta);
       }
+      try_it(part, [&](auto& r) { return r.apply(*delta); });
     } else if (const auto* surface_delta = std::get_if<SurfaceDelta>(&body)) {
       try_it(surface, [&](auto& r) { return r.apply(*surface_delta); });
     }
     FUZZ_CHECK(volume.state_hash() == volume.compute_state_hash());
     FUZZ_CHECK(surface.surface_hash() == surface.compute_surface_hash());
+    FUZZ_CHECK(part.part_hash() == part.compute_part_hash());
   }
   return 0;
 }

@@ -42,7 +42,7 @@ class OpenHand final : public InputSink {
     bool& held_;
     PoseTotals totals_;
   };
-  std::unique_ptr<PoseSource> open(std::string_view) override {
+  std::unique_ptr<PoseSource> open(std::string_view, const std::optional<protocol::BladeEdge>&) override {
     return held ? nullptr : std::make_unique<Source>(held);
   }
   bool held = false;
@@ -120,7 +120,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   bool ended = false;
   {
     const auto session = std::make_shared<Session>(
-        world.hub, std::make_unique<InputTransport>(world.io, input, data[0] > 127), *world.hub.admit());
+        world.hub, std::make_unique<InputTransport>(world.io, input, data[0] > 127), *world.hub.admit(-1));
     asio::co_spawn(world.io, run(session), [&](std::exception_ptr thrown) {
       FUZZ_CHECK(!thrown);
       ended = true;

@@ -32,7 +32,7 @@ class Hand {
     motion.tool = pose.position;
     motion.engaged = pose.buttons != 0;
     motion.dt_s = motion.elapsed_s = has_pose_ ? kStep_s : 0;
-    feel_ = model_.update(session_.mesh(), session_.boundary(), motion, feel_.force);
+    feel_ = model_.update(tissue_, motion, feel_.force);
     largest_step_ = std::max(largest_step_,
                              has_pose_ ? length(feel_.force) * distance(pose.position, pose_.position) : 0);
     pose_ = pose;
@@ -42,8 +42,8 @@ class Hand {
       session_.push(0, pose_);
       core::Delta delta;
       auto budget = core::WorkBudget::unlimited();
-      while (session_.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-      }
+      while (session_.advance(budget, delta) == core::CutSession::Progress::kCommitted)
+        tissue_.note_cuts(session_.mesh(), delta.boundary_upserted);
     }
     return feel_;
   }
@@ -78,6 +78,7 @@ class Hand {
   }
   core::Blade blade_;
   core::CutSession session_;
+  Tissue tissue_{tests::cube(10, kSize)};
   bool cuts_;
   ForceModel model_{materials, 2000, 0.5};
   core::Pose pose_;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <vector>
 
+#include "server/core/cut_session.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
 
@@ -52,7 +53,7 @@ struct Rig {
       const auto verdict = session.push(0, pose);
       if (accepted(verdict)) stage.posed(0, pose, now, verdict == core::PoseVerdict::kNewStroke);
     }
-    stage.frame(session, now, late_ns);
+    stage.frame(now, late_ns);
     ForceCommand command;
     EXPECT_TRUE(slots[0].read(command));
     EXPECT_EQ(command.time_ns, now);
@@ -72,7 +73,7 @@ struct Rig {
   core::CutSession session{tests::cube(8, kSize), cut_config()};
   Told told;
   ForceSlots slots;
-  ForceStage stage{config, cut_config(), &told, &slots};
+  ForceStage stage{config, cut_config(), tests::cube(8, kSize), &told, &slots};
   const std::int64_t begun = 1'000'000 * kMs;
   std::int64_t now = begun, zero_ns = 0;
   core::Pose pose;

@@ -84,6 +84,28 @@ TEST(InputHub, ANameHasOneOwnerAtATime) {
   EXPECT_TRUE(hub.open_source("blade"));
 }
 
+TEST(InputHub, AnOwnerMayBringABlade) {
+  const core::Blade common{{0, 0, 0}, {0, 0, -0.1}}, own{{0, 0, 0.02}, {0, 0, -0.03}};
+  InputHub hub(common);
+  std::vector<core::Blade> opened;
+  const auto look = [&] {
+    hub.drain([&](std::uint32_t, const InputEvent& event) {
+      if (event.kind == InputEvent::Kind::kOpened) opened.push_back(event.blade);
+      return true;
+    });
+  };
+  {
+    auto source = hub.open_source("blade", own);
+    look();
+  }
+  look();  // it ends
+  auto source = hub.open_source("blade");
+  look();
+  ASSERT_EQ(opened.size(), 2u);
+  EXPECT_EQ(opened[0].tip, own.tip);
+  EXPECT_EQ(opened[1].tip, common.tip);
+}
+
 TEST(InputHub, EightSourcesAndNoMore) {
   InputHub hub(core::Blade{});
   std::vector<SourceHandle> handles;
@@ -122,17 +144,27 @@ TEST(InputHub, VerdictsComeBackToTheOwnerAndStartAgainWithTheNext) {
   auto source = hub.open_source("s");
   source->push(poses(1, 2));
   drain(hub);
-  hub.count(0, core::PoseVerdict::kAccepted, 77);
-  hub.count(0, core::PoseVerdict::kNotUnit, 78);
+  hub.count(0, core::PoseVerdict::kAccepted);
+  hub.count(0, core::PoseVerdict::kNotUnit);
+  EXPECT_EQ(source->counts().drained, 0u) << "the loop has them; the journal has not";
+  hub.tell(0, core::PoseVerdict::kAccepted, 77);
+  hub.tell(0, core::PoseVerdict::kNotUnit, 78);
   const SourceCounts counts = source->counts();
   EXPECT_EQ(counts.drained, 2u);
   EXPECT_EQ(counts.count(core::PoseVerdict::kAccepted), 1u);
   EXPECT_EQ(counts.count(core::PoseVerdict::kNotUnit), 1u);
   EXPECT_EQ(counts.last_source_ns, 77);
+  hub.count(0, core::PoseVerdict::kAccepted);
   source.reset();
   drain(hub);
   source = hub.open_source("s");
+  hub.tell(0, core::PoseVerdict::kAccepted, 90);  // the journal comes to the last owner's pose
   EXPECT_EQ(source->counts().drained, 0u);
+  EXPECT_EQ(source->counts().last_source_ns, 0);
+  hub.count(0, core::PoseVerdict::kAccepted);
+  hub.tell(0, core::PoseVerdict::kAccepted, 5);
+  EXPECT_EQ(source->counts().drained, 1u);
+  EXPECT_EQ(source->counts().last_source_ns, 5);
 }
 
 TEST(InputHub, AClosedHubTakesNothingMore) {

@@ -37,7 +37,6 @@ class CheckpointerTest : public ::testing::Test {
     options.journal = journal();
     options.replay_s = replay_s;
     options.capacity = capacity;
-    options.blade_of = [](std::uint32_t) { return tests::long_blade(); };
     options.fresh = [this] { return std::make_unique<core::CutSession>(mesh_, config()); };
     auto first = [this, fresh = options.fresh] {
       while (held_) std::this_thread::yield();
@@ -68,8 +67,10 @@ class CheckpointerTest : public ::testing::Test {
     }
     return records;
   }
-  static bool wait_for(const std::function<bool()>& condition) {
+  // As the journal does: what the thread was too busy to take is offered again.
+  static bool wait_for(Checkpointer& checkpointer, const std::function<bool()>& condition) {
     for (int i = 0; i < 12'000; ++i) {
+      checkpointer.hand_over();
       if (condition()) return true;
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
     }
@@ -110,7 +111,8 @@ TEST_F(CheckpointerTest, ACheckpointAndTheRecordsAfterItGiveWhatAllRecordsGive) 
     }
     checkpointer->record(records[i]);
   }
-  ASSERT_TRUE(wait_for([&] { return checkpointer->written() == 3 && checkpointer->behind() == 0; }));
+  ASSERT_TRUE(
+      wait_for(*checkpointer, [&] { return checkpointer->written() == 3 && checkpointer->behind() == 0; }));
   EXPECT_EQ(told(), "");
   for (const std::size_t n : {std::size_t{1}, std::size_t{2}}) {
     std::string error;
@@ -143,9 +145,9 @@ TEST_F(CheckpointerTest, AMarkIsUsedWhereWorkLiesBehindIt) {
     JournalRecord last;
     last.kind = Kind::kCommit;
     checkpointer->record(last);
-    EXPECT_TRUE(wait_for([&] { return checkpointer->behind() == 0; }));
+    EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->behind() == 0; }));
   }
-  EXPECT_TRUE(wait_for([&] { return often->written() >= 1; }));
+  EXPECT_TRUE(wait_for(*often, [&] { return often->written() >= 1; }));
   EXPECT_EQ(never->written(), 0u);
 }
 
@@ -157,11 +159,11 @@ TEST_F(CheckpointerTest, AnotherHashIsToldAndEndsIt) {
   }
   const auto checkpointer = make(1000);
   for (const JournalRecord& record : records) checkpointer->record(record);
-  EXPECT_TRUE(wait_for([&] { return !checkpointer->following(); }));
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return !checkpointer->following(); }));
   EXPECT_NE(told().find("revision 3 came out with another hash"), std::string::npos) << told();
   checkpointer->mark(1, 0, 0, true);
   checkpointer->record({});
-  EXPECT_TRUE(wait_for([&] { return checkpointer->behind() == 0; }));
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->behind() == 0; }));
   EXPECT_EQ(checkpointer->written(), 0u);
 }
 
@@ -174,7 +176,7 @@ TEST_F(CheckpointerTest, AfterLostRecordsAResetMakesItFollowAgain) {
   gap.lost = 5;
   for (std::size_t i = 0; i < 100; ++i) checkpointer->record(records[i]);
   checkpointer->record(gap);
-  EXPECT_TRUE(wait_for([&] { return !checkpointer->following(); }));
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return !checkpointer->following(); }));
   EXPECT_NE(told().find("no more checkpoints"), std::string::npos) << told();
   JournalRecord reset;
   reset.kind = Kind::kReset;
@@ -182,7 +184,7 @@ TEST_F(CheckpointerTest, AfterLostRecordsAResetMakesItFollowAgain) {
   checkpointer->record(reset);
   for (const JournalRecord& record : records) checkpointer->record(record);
   checkpointer->mark(5, 1, 2, true);
-  EXPECT_TRUE(wait_for([&] { return checkpointer->written() == 1; }));
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->written() == 1; }));
   EXPECT_TRUE(checkpointer->following());
   std::string error;
   const auto checkpoint = read_checkpoint(checkpoint_path(journal(), 0), error);
@@ -197,7 +199,7 @@ TEST_F(CheckpointerTest, MoreThanMayWaitEndsItAsWell) {
   const auto records = stroke();
   for (const JournalRecord& record : records) checkpointer->record(record);
   held_ = false;
-  EXPECT_TRUE(wait_for([&] { return !checkpointer->following(); }));
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return !checkpointer->following(); }));
   EXPECT_NE(told().find("does not keep up"), std::string::npos) << told();
 }
 

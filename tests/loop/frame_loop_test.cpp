@@ -94,7 +94,7 @@ TEST(FrameLoop, ForcesChangeNoCut) {
       }
       double most = 0;
     } sink;
-    rig.loop.offer_forces({}, &sink, &slots);
+    rig.loop.offer_forces({}, mesh, &sink, &slots);
     {
       auto source = rig.hub.open_source("blade");
       for (const TimedPose& pose : timed(poses)) {
@@ -127,7 +127,7 @@ TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
       void feel(const haptics::BladeForce& force) noexcept override { last = force; }
       haptics::BladeForce last;
     } sink;
-    loop.offer_forces({}, &sink, nullptr);
+    loop.offer_forces({}, mesh, &sink, nullptr);
     auto source = hub.open_source("blade");
     int frame = 0;
     const auto press = [&] {
@@ -439,6 +439,7 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
       case JournalRecord::Kind::kCommit:
         marked[record.revision] = record.state_hash;
         break;
+      case JournalRecord::Kind::kDeform:
       case JournalRecord::Kind::kReset:
       case JournalRecord::Kind::kGap:
       case JournalRecord::Kind::kCheckpoint:

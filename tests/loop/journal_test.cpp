@@ -19,7 +19,7 @@ struct Disk {
   std::vector<JournalRecord> records;
   std::atomic<int> syncs{0};
   std::atomic<bool> closed{false};
-  std::atomic<bool> full{false}, slow{false};
+  std::atomic<bool> full{false}, slow{false}, hangs{false};
 };
 
 class DiskSink : public JournalSink {
@@ -38,7 +38,10 @@ class DiskSink : public JournalSink {
     disk_.records.insert(disk_.records.end(), buffer_.begin(), buffer_.end());
     buffer_.clear();
   }
-  void sync() override { ++disk_.syncs; }
+  void sync() override {
+    ++disk_.syncs;
+    while (disk_.hangs) std::this_thread::yield();
+  }
   void close() override { disk_.closed = true; }
 
  private:
@@ -128,6 +131,56 @@ TEST(Journal, AFullDiskIsToldOnceAndTheGapIsMarkedWhenThereIsRoomAgain) {
   EXPECT_EQ(disk.records[0].kind, Kind::kGap);
   EXPECT_EQ(disk.records[0].lost, 10u);
   EXPECT_EQ(disk.records[1].revision, 10u);
+}
+
+// A disk may take its time to make things durable: until then they are written all the same.
+TEST(Journal, ADiskThatHangsInASyncDoesNotHoldBackWhatIsWritten) {
+  Disk disk;
+  disk.hangs = true;
+  std::atomic<int> told{0};
+  {
+    Journal journal(
+        std::make_unique<DiskSink>(disk), {SyncPolicy::kAlways, 100, 64}, [](const std::string&) {}, nullptr,
+        [&](const JournalRecord&) { ++told; });
+    journal.record(pose(0));
+    while (disk.syncs == 0) std::this_thread::yield();
+    for (std::uint64_t i = 1; i <= 20; ++i) journal.record(pose(i));
+    while (told < 21) std::this_thread::yield();
+    EXPECT_EQ(disk.syncs, 1) << "it hangs";
+    const std::scoped_lock lock(disk.mutex);
+    EXPECT_EQ(disk.records.size(), 21u);
+    disk.hangs = false;
+  }
+  EXPECT_GE(disk.syncs, 2);
+}
+
+// A pose is told of when the system has it, never before; and where it is lost, then as well.
+TEST(Journal, TellsOfPosesOnceTheyAreWrittenOrLost) {
+  Disk disk;
+  disk.slow = true;
+  std::atomic<std::uint64_t> told{0};
+  std::atomic<bool> early{false};
+  {
+    Journal journal(
+        std::make_unique<DiskSink>(disk), {SyncPolicy::kNone, 100, 64}, [](const std::string&) {}, nullptr,
+        [&](const JournalRecord& record) {
+          const std::scoped_lock lock(disk.mutex);
+          early = early ||
+                  (!disk.full && (disk.records.empty() || disk.records.back().revision < record.revision));
+          EXPECT_EQ(record.revision, told++);
+        });
+    for (std::uint64_t i = 0; i < 30; ++i) journal.record(pose(i));
+    EXPECT_EQ(told, 0u);
+    disk.slow = false;
+    while (told < 30) std::this_thread::yield();
+    EXPECT_FALSE(early);
+    disk.full = true;
+    for (std::uint64_t i = 30; i < 40; ++i) journal.record(pose(i));
+    while (told < 40) std::this_thread::yield();
+    EXPECT_EQ(disk.records.size(), 30u);
+    disk.full = false;
+  }
+  EXPECT_EQ(told, 40u);
 }
 
 }  // namespace

@@ -120,6 +120,28 @@ TEST(Capture, PositionsMustBeThreeForEachVertex) {
   EXPECT_THROW(writer.append(PositionsRecord{0, 0, 0, 0, 0, {1, 2}, {1, 2, 3}}), std::length_error);
 }
 
+TEST(Capture, PositionsOfFloatsAreStoredAsFloats) {
+  const auto bytes_of = [](const PositionsRecord& record) {
+    FailingSink sink;
+    CaptureWriter writer(sink, samples::capture_header());
+    EXPECT_FALSE(writer.flush());
+    const std::size_t before = sink.bytes.size();
+    writer.append(record);
+    EXPECT_FALSE(writer.flush());
+    const Outcome outcome = read_all(sink.bytes);
+    EXPECT_EQ(outcome.status, Status::End) << outcome.error;
+    EXPECT_EQ(outcome.records, std::vector<CaptureRecord>{record});
+    return sink.bytes.size() - before;
+  };
+  PositionsRecord record{900, 1, 5, 77, 3, {}, {0.5, -0.25, 3}};
+  const std::size_t as_doubles = bytes_of(record);
+  record.single = true;
+  EXPECT_EQ(bytes_of(record), as_doubles - 12);
+  record.first = 0;
+  record.ids = {3};
+  EXPECT_EQ(bytes_of(record), as_doubles - 8);
+}
+
 TEST(Capture, ATornTailIsToldAtEveryOffset) {
   const std::string bytes = sample_capture();
   const std::vector<std::size_t> ends = boundaries(bytes);

@@ -71,6 +71,7 @@ TEST(Framing, HelloKeepsItsFields) {
   EXPECT_EQ(got.source_name, "right hand");
   EXPECT_TRUE(got.take_over);
   EXPECT_EQ(got.blade_rate_hz, 60);
+  EXPECT_EQ(got.blade, sent.blade);
 }
 
 TEST(Framing, PosesKeepTheirBitsEvenWhereTheyAreNoNumbers) {
@@ -237,6 +238,11 @@ TEST(Framing, SemanticErrorsNameTheField) {
   hello = {};
   hello.box = Box{{1, 0, 0}, {0, 1, 1}};
   cases.push_back({"Hello.box", hello});
+  hello = {};
+  hello.blade = BladeEdge{{0, 0, 0.1}, {0, 0, 0.1}};
+  cases.push_back({"Hello.blade", hello});
+  hello.blade = BladeEdge{{0, 0, 0.1}, {0, 0, 10.5}};
+  cases.push_back({"Hello.blade", hello});
   Welcome welcome;
   welcome.engage_button = 32;
   cases.push_back({"Welcome.engage_button", welcome});

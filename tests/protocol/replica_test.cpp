@@ -6,26 +6,15 @@
 #include <random>
 
 #include "protocol/coalesce.hpp"
-#include "protocol/framing.hpp"
-#include "tests/protocol/model.hpp"
 #include "tests/protocol/samples.hpp"
+#include "tests/protocol/walk.hpp"
 
 namespace incise::protocol {
 namespace {
 
-// Sends a snapshot of `from` to `to`, through bytes, in chunks of `elements`.
-ApplyResult send_snapshot(const Replica& from, Replica& to, std::size_t elements) {
-  SnapshotWriter writer(from, SnapshotCause::Join, elements);
-  const auto through_bytes = [](const Body& body) { return *decode(encode(body).body()).message; };
-  const Message begin = through_bytes(writer.begin());
-  ApplyResult result = to.begin(std::get<SnapshotBegin>(begin.body));
-  while (result && writer.next()) {
-    const Message chunk = through_bytes(writer.chunk());
-    result = to.chunk(std::get<SnapshotChunk>(chunk.body));
-  }
-  if (!result) return result;
-  const Message end = through_bytes(writer.end());
-  return to.end(std::get<SnapshotEnd>(end.body));
+// In chunks of `elements`.
+ApplyResult send(const Replica& from, Replica& to, std::size_t elements) {
+  return send_snapshot(SnapshotWriter(from, SnapshotCause::Join, elements), to);
 }
 
 TEST(Replica, AnEmptyOneHasHashZero) {
@@ -56,40 +45,28 @@ TEST(Replica, LoadsAMeshAndWalksItsBoundary) {
 }
 
 TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
-  Model model = box_model(3, 3, 2);
-  Replica replica = model.replica();
+  Walk walk(3, 3, 2);
+  Replica replica = walk.model.replica();
   for (int i = 0; i < 400; ++i) {
-    const Model before = model;
-    mutate(model, random);
-    const Frame frame = encode(difference(before, model).view());
-    const DecodeResult decoded = decode(frame.body());
-    ASSERT_TRUE(decoded) << decoded.error;
-    const ApplyResult applied = replica.apply(std::get<Delta>(decoded.message->body));
+    Message kept;
+    const ApplyResult applied = replica.apply(through_bytes(walk.step().view(), kept));
     ASSERT_TRUE(applied) << applied.text;
-    ASSERT_TRUE(holds(replica, model)) << "revision " << model.revision;
+    ASSERT_TRUE(holds(replica, walk.model)) << "revision " << walk.model.revision;
     ASSERT_EQ(replica.state_hash(), replica.compute_state_hash());
   }
 }
 
 TEST(Replica, ASnapshotInAnyChunksPlusTheRestIsTheSameBytes) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
-  Model model = box_model(3, 2, 2);
-  Replica mirror = model.replica();
+  Walk walk(3, 2, 2);
+  Replica mirror = walk.model.replica();
   std::vector<Replica> joined(3);
   const std::size_t chunk_elements[] = {1, 7, kChunkElements};
   for (int i = 0; i < 60; ++i) {
-    const Model before = model;
-    mutate(model, random);
-    const OwnedDelta delta = difference(before, model);
+    const OwnedDelta delta = walk.step();
     ASSERT_TRUE(mirror.apply(delta.view()));
     for (std::size_t k = 0; k < joined.size(); ++k) {
       if (i == static_cast<int>(10 * k + 5)) {
-        const ApplyResult result = send_snapshot(mirror, joined[k], chunk_elements[k]);
+        const ApplyResult result = send(mirror, joined[k], chunk_elements[k]);
         ASSERT_TRUE(result) << result.text;
       } else if (i > static_cast<int>(10 * k + 5)) {
         const ApplyResult result = joined[k].apply(delta.view());
@@ -179,13 +156,11 @@ TEST(Replica, ABadDeltaChangesNothing) {
 }
 
 TEST(Replica, FlippedBitsInADeltaNeverLeaveAHalfAppliedState) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
-  Model model = box_model(2, 2, 1);
-  const Model before = model;
-  for (int i = 0; i < 3; ++i) mutate(model, random);
-  const Frame frame = encode(difference(before, model).view());
+  Walk walk(2, 2, 1);
+  std::mt19937_64& random = walk.random;
+  const Model before = walk.model;
+  for (int i = 0; i < 3; ++i) mutate(walk.model, random);
+  const Frame frame = encode(difference(before, walk.model).view());
   Replica replica = before.replica();
   const std::vector<std::byte> untouched = replica.canonical_bytes();
   int refused = 0, accepted = 0;
@@ -292,29 +267,23 @@ TEST(Replica, LoadRefusesWhatIsNoMesh) {
 // ---- Coalescing ----
 
 TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
   for (int trial = 0; trial < 60; ++trial) {
-    Model model = box_model(2, 2, 1);
-    Replica one_by_one = model.replica(), at_once = model.replica();
+    Walk walk(2, 2, 1);
+    std::mt19937_64& random = walk.random;
+    Replica one_by_one = walk.model.replica(), at_once = walk.model.replica();
     std::vector<OwnedDelta> owned;
     for (std::uint64_t n = 1 + random() % 12; n > 0; --n) {
-      const Model before = model;
-      mutate(model, random);
-      owned.push_back(difference(before, model));
+      owned.push_back(walk.step());
       ASSERT_TRUE(one_by_one.apply(owned.back().view()));
     }
     std::vector<Delta> deltas;
     for (const OwnedDelta& d : owned) deltas.push_back(d.view());
     const OwnedDelta sum = coalesce(std::span<const Delta>(deltas));
     EXPECT_EQ(sum.steps.size(), owned.size());
-    const Frame frame = encode(sum.view());
-    const DecodeResult decoded = decode(frame.body());
-    ASSERT_TRUE(decoded) << decoded.error;
-    const ApplyResult applied = at_once.apply(std::get<Delta>(decoded.message->body));
+    Message kept;
+    const ApplyResult applied = at_once.apply(through_bytes(sum.view(), kept));
     ASSERT_TRUE(applied) << applied.text;
-    EXPECT_TRUE(holds(at_once, model));
+    EXPECT_TRUE(holds(at_once, walk.model));
     EXPECT_EQ(at_once.canonical_bytes(), one_by_one.canonical_bytes());
 
     // It does not matter how they are put together.
@@ -325,9 +294,87 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
       const std::vector<Delta> halves{left.view(), right.view()};
       const OwnedDelta again = coalesce(std::span<const Delta>(halves));
       const Frame other = encode(again.view());
+      const Frame frame = encode(sum.view());
       EXPECT_TRUE(std::ranges::equal(other.body(), frame.body()));
     }
   }
+}
+
+// Cuts, then a deformation, a cut in the deformed body, a deformation: rest positions are the same whichever of the deltas
+// come as one, and in a snapshot.
+TEST(Replica, RestPositionsBeginWithTheFirstDeformation) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937_64 random(seed);
+  std::vector<Model> models{box_model(2, 2, 1)};
+  std::vector<OwnedDelta> steps;
+  std::vector<std::vector<double>> rests(1);
+  for (const char kind : {'c', 'c', 'd', 'c', 'd', 'c'}) {
+    Model next = models.back();
+    if (kind == 'c') {
+      mutate(next, random);
+    } else {
+      ++next.revision;
+      for (auto& p : next.positions) p[0] += 0.001 * static_cast<double>(1 + random() % 8);
+    }
+    OwnedDelta step = difference(models.back(), next);
+    step.steps.at(0).stroke = kind == 'c' ? 1 : 0;
+    std::vector<double> rest = rests.back();
+    if (kind == 'd' && rest.empty()) {
+      for (const auto& p : models.back().positions) rest.insert(rest.end(), p.begin(), p.end());
+    } else if (kind == 'c' && !rest.empty()) {
+      rest.resize(3 * next.positions.size());
+      step.rest_ids = step.moved_ids;
+      for (std::size_t v = models.back().positions.size(); v < next.positions.size(); ++v)
+        step.rest_ids.push_back(static_cast<std::uint32_t>(v));
+      for (const std::uint32_t v : step.rest_ids) {
+        for (std::size_t k = 0; k < 3; ++k) {
+          rest[3 * v + k] = 0.01 * static_cast<double>(random() % 100);
+          step.rest_positions.push_back(rest[3 * v + k]);
+        }
+      }
+    }
+    models.push_back(next);
+    steps.push_back(step);
+    rests.push_back(rest);
+  }
+  const auto rest_of = [](const Replica& replica) {
+    return replica.deformed()
+               ? std::vector<double>(replica.rest_positions().begin(), replica.rest_positions().end())
+               : std::vector<double>();
+  };
+  for (std::size_t first = 0; first <= steps.size(); ++first) {
+    for (std::size_t last = first; last <= steps.size(); ++last) {
+      Replica replica = models[0].replica();
+      std::vector<OwnedDelta> chain;
+      for (std::size_t i = 0; i < steps.size(); ++i) {
+        if (i < first || i >= last) {
+          chain.push_back(steps[i]);
+        } else if (i == first) {
+          std::vector<Delta> some;
+          for (std::size_t k = first; k < last; ++k) some.push_back(steps[k].view());
+          chain.push_back(coalesce(std::span<const Delta>(some)));
+        }
+      }
+      for (const OwnedDelta& delta : chain) {
+        const Frame frame = encode(delta.view());
+        const ApplyResult applied = replica.apply(std::get<Delta>(decode(frame.body()).message->body));
+        ASSERT_TRUE(applied) << applied.text;
+        EXPECT_EQ(rest_of(replica), rests[replica.revision()]) << first << " to " << last;
+      }
+      Replica late;
+      ASSERT_TRUE(send(replica, late, 5));
+      EXPECT_EQ(rest_of(late), rests.back());
+    }
+  }
+  // Lists that do not fit are refused.
+  Replica replica = models[3].replica();
+  OwnedDelta wrong = steps[3];
+  wrong.rest_ids.push_back(1u << 20);
+  wrong.rest_positions.insert(wrong.rest_positions.end(), {0, 0, 0});
+  EXPECT_EQ(replica.apply(wrong.view()).error, ApplyError::BadIndex);
+  wrong.rest_positions.pop_back();
+  EXPECT_EQ(replica.apply(wrong.view()).error, ApplyError::BadShape);
 }
 
 TEST(Coalesce, RefusesDeltasThatDoNotFollowOnEachOther) {

@@ -1,6 +1,7 @@
 #include "tests/protocol/samples.hpp"
 
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 
 namespace incise::protocol::samples {
 namespace {
@@ -8,13 +9,21 @@ namespace {
 // A copy that lives as long as the program, for spans to point into.
 template <class T>
 const T& keep(T value) {
-  static std::vector<std::unique_ptr<T>> kept;
-  kept.push_back(std::make_unique<T>(std::move(value)));
-  return *kept.back();
+  static std::vector<std::unique_ptr<T>> all;
+  all.push_back(std::make_unique<T>(std::move(value)));
+  return *all.back();
 }
 template <class T>
 std::span<const T> array(std::initializer_list<T> values) {
   return keep(std::vector<T>(values));
+}
+
+TetArrays kept(const TetArrays& t) {
+  return {keep(std::vector(t.ids.begin(), t.ids.end())),
+          keep(std::vector(t.vertices.begin(), t.vertices.end())),
+          keep(std::vector(t.regions.begin(), t.regions.end())),
+          keep(std::vector(t.cut_masks.begin(), t.cut_masks.end())),
+          keep(std::vector(t.boundary_masks.begin(), t.boundary_masks.end()))};
 }
 
 Step step(std::uint64_t revision) {
@@ -84,7 +93,16 @@ Welcome welcome() {
 
 Delta coalesced_delta() {
   const std::vector<Delta> both{delta_to(1).view(), delta_to(2).view()};
-  return keep(coalesce(std::span<const Delta>(both))).view();
+  OwnedDelta d = coalesce(std::span<const Delta>(both));
+  // What only a part has, too.
+  for (std::size_t i = 0; i < d.provenance_t.size(); ++i)
+    d.added_ids.push_back(d.first_added + static_cast<std::uint32_t>(i));
+  d.removed_vertices = {1, 4};
+  d.part_hash = 0x1032547698badcfe;
+  Delta joined = keep(std::move(d)).view();
+  joined.rest_ids = array<std::uint32_t>({0, 8});
+  joined.rest_positions = array<double>({-0.0011, 0, 0.0001, 0.0044, 0, 0});
+  return joined;
 }
 
 SurfaceDelta surface_delta(SurfaceReplica& surface, std::uint64_t revision) {
@@ -109,6 +127,9 @@ SnapshotChunk whole_chunk() {
   m.index = 3;
   m.first_vertex = 2;
   m.positions = replica_at(1).positions();
+  std::vector<std::uint32_t> ids(m.positions.size() / 3);
+  for (std::size_t i = 0; i < ids.size(); ++i) ids[i] = static_cast<std::uint32_t>(3 * i);
+  m.vertex_ids = keep(std::move(ids));
   m.tets = d.view().tets;
   m.tet_pieces = keep(std::vector<std::uint32_t>(d.tet_ids.size(), 9));
   m.surface_vertices = {keep(std::vector(writer.chunk().surface_vertices.ids.begin(),
@@ -117,6 +138,7 @@ SnapshotChunk whole_chunk() {
                                          writer.chunk().surface_vertices.positions.end()))};
   m.triangles = {array<std::uint32_t>({0, 7}), array<std::uint32_t>({1, 2, 3, 5, 6, 7}),
                  array<std::uint8_t>({1, 0}), array<std::uint32_t>({0, 1}), array<std::int32_t>({7, -2})};
+  m.rest_positions = keep(std::vector<double>(m.positions.size(), 0.125));
   return m;
 }
 
@@ -135,6 +157,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.source_name = "right hand";
   hello.take_over = true;
   hello.blade_rate_hz = 60;
+  hello.blade = BladeEdge{{0, 0, 0.01}, {0.001, 0, -0.05}};
 
   Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
   force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
@@ -186,13 +209,14 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"SurfaceDelta", surface_delta(surface, 1)},
       {"SnapshotBegin", SnapshotBegin{View::Surface, 2, SnapshotCause::Resync, 4, 8, 3, 12, box}},
       {"SnapshotChunk", whole_chunk()},
-      {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef}},
+      {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef, 0xfedcba9876543210}},
       {"Positions", positions},
       {"Stats", stats},
       {"Reset", Reset{}},
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
+      {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
   };
 }
 
@@ -240,12 +264,7 @@ std::vector<Body> volume_stream() {
   std::vector<Body> out{hail, writer.begin()};
   while (writer.next()) {
     SnapshotChunk part = writer.chunk();
-    const auto& t = part.tets;
-    part.tets = {keep(std::vector(t.ids.begin(), t.ids.end())),
-                 keep(std::vector(t.vertices.begin(), t.vertices.end())),
-                 keep(std::vector(t.regions.begin(), t.regions.end())),
-                 keep(std::vector(t.cut_masks.begin(), t.cut_masks.end())),
-                 keep(std::vector(t.boundary_masks.begin(), t.boundary_masks.end()))};
+    part.tets = kept(part.tets);
     part.tet_pieces = keep(std::vector(part.tet_pieces.begin(), part.tet_pieces.end()));
     out.push_back(part);
   }
@@ -287,6 +306,42 @@ std::vector<Body> surface_stream() {
   return out;
 }
 
+std::vector<Body> volume_part_stream() {
+  Welcome hail = welcome();
+  hail.role = Role::Viewer;
+  hail.view = View::Volume;
+  hail.resumed = false;
+  hail.revision = 0;
+  hail.state_hash = two_tets(0).hash();
+  // Around vertex 4: the second tetrahedron alone.
+  Replica whole = two_tets(0).replica();
+  TetIndex index;
+  index.load(whole);
+  const Vec3 at = whole.position(4);
+  const Box box{{at.x - 1e-3, at.y - 1e-3, at.z - 1e-3}, {at.x + 1e-3, at.y + 1e-3, at.z + 1e-3}};
+  VolumePart part;
+  part.load_part(whole, box);
+  VolumePartWriter writer(part, box, SnapshotCause::Join, 1000);
+  std::vector<Body> out{hail, writer.begin()};
+  while (writer.next()) {
+    SnapshotChunk chunk = writer.chunk();
+    chunk.vertex_ids = keep(std::vector(chunk.vertex_ids.begin(), chunk.vertex_ids.end()));
+    chunk.positions = keep(std::vector(chunk.positions.begin(), chunk.positions.end()));
+    chunk.tets = kept(chunk.tets);
+    chunk.tet_pieces = keep(std::vector(chunk.tet_pieces.begin(), chunk.tet_pieces.end()));
+    out.push_back(chunk);
+  }
+  out.push_back(writer.end(two_tets(0).hash()));
+  for (std::uint64_t r = 1; r <= 2; ++r) {
+    const Delta delta = delta_to(r).view();
+    index.follow(whole, delta);
+    EXPECT_TRUE(whole.apply(delta));
+    out.push_back(keep(part.follow_part(whole, index, delta, box)).view());
+  }
+  out.push_back(Bye{ByeReason::ServerStops, "the server stops"});
+  return out;
+}
+
 CaptureHeader capture_header() {
   return {"meshes/two_tets.node",    "crc32c:0a1b2c3d", 0x1122334455667788,
           1'795'000'000'000'000'000, "incised 0.1.0",   R"({"frame_hz":1000})"};
@@ -302,7 +357,8 @@ std::vector<CaptureRecord> capture_records() {
       CheckpointRecord{0x0f1e2d3c4b5a6978},
       PositionsRecord{900, 1, 5, 77'004'000'000, 0, {0, 4}, {0, 0, -0.001, 0.01, 0.01, 0.009}},
       ResetRecord{0x99aabbccddeeff00, 77'005'000'000},
-      EndRecord{8},
+      BladeRecord{2, 77'006'000'000, {{0, 0, 0.01}, {0.001, 0, -0.05}}},
+      EndRecord{9},
   };
 }
 

@@ -26,9 +26,11 @@ Model two_tets(std::uint64_t revision);
 // program.
 const std::vector<std::pair<std::string, Body>>& messages();
 
-// What a viewer (view Volume, view Surface) gets: Welcome, the snapshot of revision 0, two deltas, Bye.
+// What a viewer gets (view Volume, view Surface, view Volume with a box around vertex 4): Welcome, the snapshot of revision
+// 0, two deltas, Bye.
 std::vector<Body> volume_stream();
 std::vector<Body> surface_stream();
+std::vector<Body> volume_part_stream();
 
 CaptureHeader capture_header();
 std::vector<CaptureRecord> capture_records();

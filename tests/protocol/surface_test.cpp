@@ -6,12 +6,10 @@
 #include <array>
 #include <functional>
 #include <map>
-#include <random>
 
 #include "protocol/coalesce.hpp"
-#include "protocol/framing.hpp"
-#include "tests/protocol/model.hpp"
 #include "tests/protocol/samples.hpp"
+#include "tests/protocol/walk.hpp"
 
 namespace incise::protocol {
 namespace {
@@ -28,50 +26,35 @@ OwnedSurfaceDelta follow(SurfaceReplica& surface, const Replica& mesh, const Del
   return d;
 }
 
-ApplyResult send_snapshot(const SurfaceReplica& from, SurfaceReplica& to, std::size_t elements) {
-  SurfaceSnapshotWriter writer(from, SnapshotCause::Join, elements);
-  ApplyResult result = to.begin(writer.begin());
-  while (result && writer.next()) {
-    const Frame frame = encode(writer.chunk());
-    const DecodeResult decoded = decode(frame.body());
-    EXPECT_TRUE(decoded) << decoded.error;
-    result = to.chunk(std::get<SnapshotChunk>(decoded.message->body));
-  }
-  return result ? to.end(writer.end(0)) : result;
+ApplyResult send(const SurfaceReplica& from, SurfaceReplica& to, std::size_t elements) {
+  return send_snapshot(SurfaceSnapshotWriter(from, SnapshotCause::Join, elements), to, std::uint64_t{0});
 }
 
 TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
-  Model model = box_model(3, 2, 2);
-  Replica mesh = model.replica();
+  Walk walk(3, 2, 2);
+  Replica mesh = walk.model.replica();
   SurfaceReplica server, client, late;
   server.load(mesh);
-  ApplyResult result = send_snapshot(server, client, 5);
+  ApplyResult result = send(server, client, 5);
   ASSERT_TRUE(result) << result.text;
   EXPECT_EQ(client.triangles().size(), mesh.boundary_faces());
 
   std::vector<OwnedSurfaceDelta> owned;
   for (int i = 0; i < 300; ++i) {
-    const Model before = model;
-    mutate(model, random);
-    const OwnedDelta delta = difference(before, model);
+    const OwnedDelta delta = walk.step();
     ASSERT_TRUE(mesh.apply(delta.view()));
     owned.push_back(follow(server, mesh, delta.view()));
     if (i == 100) {
-      ASSERT_TRUE(send_snapshot(server, late, 1000));
+      ASSERT_TRUE(send(server, late, 1000));
     } else if (i > 100) {
       ASSERT_TRUE(late.apply(owned.back().view()));
     }
-    const Frame frame = encode(owned.back().view());
-    const DecodeResult decoded = decode(frame.body());
-    ASSERT_TRUE(decoded) << decoded.error;
-    result = client.apply(std::get<SurfaceDelta>(decoded.message->body));
+    Message kept;
+    result = client.apply(through_bytes(owned.back().view(), kept));
     ASSERT_TRUE(result) << result.text;
     SurfaceReplica anew;
     anew.load(mesh);
-    ASSERT_EQ(server.canonical_bytes(), anew.canonical_bytes()) << "revision " << model.revision;
+    ASSERT_EQ(server.canonical_bytes(), anew.canonical_bytes()) << "revision " << walk.model.revision;
     ASSERT_EQ(client.surface_hash(), client.compute_surface_hash());
   }
   EXPECT_EQ(client.canonical_bytes(), server.canonical_bytes());
@@ -88,8 +71,10 @@ TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
   EXPECT_EQ(at_once.canonical_bytes(), server.canonical_bytes());
 }
 
+}  // namespace
+
 // What PROTOCOL.md says a box holds, found the plain way.
-void expect_part(const SurfaceReplica& part, const SurfaceReplica& whole, const Box& box) {
+static void expect_part(const SurfaceReplica& part, const SurfaceReplica& whole, const Box& box) {
   std::map<std::uint32_t, SurfaceReplica::Triangle> triangles;
   std::map<std::uint32_t, std::array<float, 3>> vertices;
   for (const auto& [id, triangle] : whole.triangles()) {
@@ -112,79 +97,45 @@ void expect_part(const SurfaceReplica& part, const SurfaceReplica& whole, const 
   EXPECT_EQ(part.revision(), whole.revision());
 }
 
-// Boxes of any size and place, each followed by deltas over a number of steps of its own.
-TEST(Surface, ThePartInABoxIsThatOfTheWhole) {
-  const std::uint64_t seed = std::random_device{}();
-  SCOPED_TRACE("seed " + std::to_string(seed));
-  std::mt19937_64 random(seed);
-  Model model = box_model(3, 2, 2);
-  Replica mesh = model.replica();
+namespace {
+
+struct SurfaceView {
+  using Part = SurfaceReplica;
+  using Delta = SurfaceDelta;
+  void load(Replica replica) {
+    mesh = std::move(replica);
+    whole.load(mesh);
+    index.load(whole);
+  }
+  OwnedSurfaceDelta step(const protocol::Delta& delta) {
+    EXPECT_TRUE(mesh.apply(delta));
+    OwnedSurfaceDelta d = follow(whole, mesh, delta);
+    index.add(whole, d.change.triangles());
+    return d;
+  }
+  void load_part(Part& part, const Box& box) const { part.load_part(whole, box); }
+  SurfaceSnapshotWriter writer(const Part& part, const Box&) const { return {part, SnapshotCause::Join, 7}; }
+  OwnedSurfaceDelta follow_part(Part& part, const SurfaceDelta& delta, const Box& box) {
+    OwnedSurfaceDelta out;
+    out.base_revision = delta.base_revision;
+    out.revision = delta.revision;
+    out.steps = delta.steps;
+    out.change = part.follow_part(whole, index, delta, box);
+    out.surface_hash = part.surface_hash();
+    return out;
+  }
+  void expect_part(const Part& part, const Box& box) const { protocol::expect_part(part, whole, box); }
+  static const std::vector<std::uint32_t>& ids_set(const OwnedSurfaceDelta& d) {
+    return d.change.triangle_ids;
+  }
+
+  Replica mesh;
   SurfaceReplica whole;
-  whole.load(mesh);
   SurfaceIndex index;
-  index.load(whole);
-  Vec3 low{1e9, 1e9, 1e9}, high{-1e9, -1e9, -1e9};
-  for (std::uint32_t v = 0; v < mesh.vertex_count(); ++v) {
-    const Vec3 p = mesh.position(v);
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
-  }
-  struct Part {
-    Box box;
-    int every;
-    SurfaceReplica server, client;
-    std::vector<OwnedSurfaceDelta> since;
-  };
-  std::vector<Part> parts(12);
-  int moved_in = 0;
-  for (std::size_t i = 0; i < parts.size(); ++i) {
-    const auto between = [&](double a, double b) {
-      double x = std::uniform_real_distribution<double>(a, b)(random),
-             y = std::uniform_real_distribution<double>(a, b)(random);
-      return std::pair(std::min(x, y), std::max(x, y));
-    };
-    const auto [x0, x1] = between(low.x, high.x);
-    const auto [y0, y1] = between(low.y, high.y);
-    const auto [z0, z1] = between(low.z, high.z);
-    parts[i].box = {{x0, y0, z0}, {x1, y1, z1}};
-    if (i == 0) parts[i].box = {low, low};  // a corner: the bounds count
-    parts[i].every = 1 + static_cast<int>(i % 5);
-    parts[i].server.load_part(whole, parts[i].box);
-    ASSERT_TRUE(send_snapshot(parts[i].server, parts[i].client, 7));
-  }
-  EXPECT_FALSE(parts[0].client.triangles().empty());
-  for (int i = 0; i < 300; ++i) {
-    const Model before = model;
-    mutate(model, random);
-    const OwnedDelta delta = difference(before, model);
-    ASSERT_TRUE(mesh.apply(delta.view()));
-    const OwnedSurfaceDelta step = follow(whole, mesh, delta.view());
-    index.add(whole, step.change.triangles());
-    for (Part& part : parts) {
-      part.since.push_back(step);
-      if ((i + 1) % part.every != 0) continue;
-      std::vector<SurfaceDelta> views;
-      for (const OwnedSurfaceDelta& d : part.since) views.push_back(d.view());
-      const OwnedSurfaceDelta all = coalesce(std::span<const SurfaceDelta>(views));
-      OwnedSurfaceDelta sent = all;
-      sent.change = part.server.follow_part(whole, index, all.view(), part.box);
-      sent.surface_hash = part.server.surface_hash();
-      part.since.clear();
-      for (const std::uint32_t id : sent.change.triangle_ids)
-        moved_in += std::find(all.change.triangle_ids.begin(), all.change.triangle_ids.end(), id) ==
-                    all.change.triangle_ids.end();
-      const Frame frame = encode(sent.view());
-      const DecodeResult decoded = decode(frame.body());
-      ASSERT_TRUE(decoded) << decoded.error;
-      const ApplyResult result = part.client.apply(std::get<SurfaceDelta>(decoded.message->body));
-      ASSERT_TRUE(result) << result.text;
-      expect_part(part.client, whole, part.box);
-      ASSERT_EQ(part.client.canonical_bytes(), part.server.canonical_bytes());
-      if (HasFailure()) return;
-    }
-  }
-  // Some that did not change came in because a vertex of theirs moved.
-  EXPECT_GT(moved_in, 0);
+};
+
+TEST(Surface, ThePartInABoxIsThatOfTheWhole) {
+  follow_boxes(SurfaceView());
 }
 
 TEST(Surface, HasTheCutFaceOfBothSides) {
@@ -213,7 +164,7 @@ TEST(Surface, ABadDeltaChangesNothing) {
   Replica mesh = samples::two_tets(0).replica();
   SurfaceReplica server, client;
   server.load(mesh);
-  ASSERT_TRUE(send_snapshot(server, client, 1000));
+  ASSERT_TRUE(send(server, client, 1000));
   const OwnedDelta cut = difference(samples::two_tets(0), samples::two_tets(1));
   ASSERT_TRUE(mesh.apply(cut.view()));
   const OwnedSurfaceDelta good = follow(server, mesh, cut.view());

@@ -16,6 +16,7 @@
 #include "protocol/replica.hpp"
 #include "protocol/state_hash.hpp"
 #include "protocol/surface.hpp"
+#include "protocol/volume_part.hpp"
 #include "tests/protocol/samples.hpp"
 
 namespace incise::protocol {
@@ -224,6 +225,15 @@ TEST(Vectors, SurfaceStream) {
   ASSERT_EQ(states.size(), 3u);
   expect_file(kVectors / "streams" / "surface.bin", stream);
   expect_file(kVectors / "streams" / "surface.json", states.dump(1) + "\n");
+}
+
+TEST(Vectors, VolumePartStream) {
+  const std::string stream = tcp_bytes(samples::volume_part_stream());
+  VolumePart replica;
+  const json states = states_of<VolumePart, Delta>(stream, replica, &VolumePart::part_hash);
+  ASSERT_EQ(states.size(), 3u);
+  expect_file(kVectors / "streams" / "volume_part.bin", stream);
+  expect_file(kVectors / "streams" / "volume_part.json", states.dump(1) + "\n");
 }
 
 // ---- Capture ----

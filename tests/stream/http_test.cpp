@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <filesystem>
 #include <fstream>
 
@@ -31,6 +32,7 @@ class HttpTest : public ::testing::Test {
     config.viewer_directory = site;
     Providers providers;
     providers.stats_json = [] { return std::string("{\"frames\":1}"); };
+    providers.trouble = [this] { return std::string(stands ? "the loop has not advanced for 4 s" : ""); };
     providers.metrics_text = [] { return std::string("incise_frames_total 1\n"); };
     test = std::make_unique<TestServer>(2, config, providers);
   }
@@ -42,6 +44,7 @@ class HttpTest : public ::testing::Test {
 
   fs::path site = fs::temp_directory_path() / ("incise_http_" + std::to_string(::getpid())) / "site";
   std::unique_ptr<TestServer> test;
+  std::atomic<bool> stands{false};
 };
 
 TEST_F(HttpTest, TellsHowItIs) {
@@ -54,6 +57,15 @@ TEST_F(HttpTest, TellsHowItIs) {
   EXPECT_EQ(metrics.rfind("incise_frames_total 1\n", 0), 0u);
   EXPECT_NE(metrics.find("\nincise_stream_revision " + std::to_string(test->loop.revision()) + "\n"),
             std::string::npos);
+}
+
+TEST_F(HttpTest, IsNotWellWhereTheLoopStands) {
+  stands = true;
+  const std::string health = http(port(), "/healthz");
+  EXPECT_EQ(status_of(health), "HTTP/1.1 503 Service Unavailable");
+  EXPECT_EQ(body_of(health).rfind("{\"status\":\"the loop has not advanced for 4 s\",", 0), 0u) << health;
+  stands = false;
+  EXPECT_EQ(status_of(http(port(), "/healthz")), "HTTP/1.1 200 OK");
 }
 
 TEST_F(HttpTest, SendsWhatIsPackedToWhoTakesIt) {

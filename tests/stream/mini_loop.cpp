@@ -227,7 +227,8 @@ void MiniLoop::work() {
   }
 }
 
-std::unique_ptr<PoseSource> MiniLoop::open(std::string_view source_name) {
+std::unique_ptr<PoseSource> MiniLoop::open(std::string_view source_name,
+                                           const std::optional<protocol::BladeEdge>&) {
   const std::scoped_lock lock(mutex_);
   for (const Slot& slot : slots_) {
     if (slot.open && slot.name == source_name) return nullptr;

@@ -45,7 +45,8 @@ class MiniLoop final : public InputSink {
   // While true nothing is taken from the queues.
   void hold(bool held) { held_ = held; }
 
-  std::unique_ptr<PoseSource> open(std::string_view source_name) override;
+  std::unique_ptr<PoseSource> open(std::string_view source_name,
+                                   const std::optional<protocol::BladeEdge>& blade) override;
   bool reset() override;
 
   std::uint64_t revision() const { return revision_; }
@@ -95,6 +96,5 @@ struct TestServer {
   int strokes = 0;
   double side;
 };
-
 
 }  // namespace incise::stream

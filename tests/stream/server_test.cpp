@@ -308,15 +308,27 @@ TEST(Server, IdlePeersArePingedAndThenLeave) {
   EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::Idle);
 }
 
-TEST(Server, TooManyHandshakesAreRefusedAtTheDoor) {
+TEST(Server, SilentConnectionsKeepNobodyOut) {
   StreamConfig config = test_config();
   config.max_handshakes = 4;
   config.handshake_timeout_s = 60;
   TestServer test(2, config);
   std::vector<std::unique_ptr<RawPeer>> flood;
   for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.tcp_port()));
-  ASSERT_TRUE(eventually([&] { return test.server.counters().refused >= 36; }));
-  EXPECT_LE(test.server.counters().connections, 4u);
+  ASSERT_TRUE(eventually([&] { return test.server.counters().half_open_closed == 36; }));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 4; }));
+  // The first have gone, the last are still heard.
+  EXPECT_TRUE(flood.front()->closes());
+  EXPECT_TRUE(flood.back()->send(hello(Role::Viewer, View::None)));
+  EXPECT_TRUE(flood.back()->receive_until<protocol::Welcome>());
+  // Whoever has said Hello stays, however many come after.
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(0));
+  for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.http_port()));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().half_open_closed >= 75; }));
+  test.cut();
+  EXPECT_TRUE(viewer.follow(test.loop.revision()));
+  viewer.peer.vanish();
   flood.clear();
   ASSERT_TRUE(eventually([&] { return test.server.counters().connections == 0; }));
   expect_serves_others(test);
@@ -372,6 +384,62 @@ TEST(Server, PosesAreCountedAndReported) {
   EXPECT_EQ(report.time_not_rising, 1u);
   EXPECT_EQ(report.not_unit + report.not_finite, 2u);
   EXPECT_EQ(report.last_source_ns, poses.back().source_ns);
+}
+
+TEST(Server, ABladeIsEngagedByMessageWithoutAButton) {
+  TestServer test;
+  test.loop.start();
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hello(Role::Operator, View::None));
+  ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
+  std::uint64_t sequence = 1;
+  const auto send_all = [&](double y, std::int64_t t0_ns) {
+    auto poses = sweep(y, 50, t0_ns, test.side);
+    for (protocol::PoseSample& pose : poses) pose.buttons = 0;
+    peer.send(protocol::PoseBatch{poses}, ++sequence);
+    for (protocol::PoseReport report; report.through_sequence < sequence;) {
+      const auto received = peer.receive_until<protocol::PoseReport>();
+      ASSERT_TRUE(received);
+      report = std::get<protocol::PoseReport>(received->message.body);
+    }
+  };
+  send_all(0.2 * test.side, 1);
+  EXPECT_EQ(test.loop.revision(), 0u);
+  peer.send(protocol::StrokeControl{protocol::StrokeAction::Engage, 0}, ++sequence);
+  send_all(0.4 * test.side, 1'000'000'000);
+  peer.send(protocol::StrokeControl{protocol::StrokeAction::End, 0}, ++sequence);
+  ASSERT_TRUE(eventually([&] { return test.loop.strokes_ended() == 1; }));
+  const std::uint64_t cut = test.loop.revision();
+  EXPECT_GT(cut, 3u);
+  send_all(0.6 * test.side, 2'000'000'000);  // lifted
+  EXPECT_EQ(test.loop.revision(), cut);
+}
+
+TEST(Server, ABoxThereIsNoMemoryForGetsEverything) {
+  StreamConfig config = test_config();
+  config.max_part_bytes = 20'000;
+  TestServer test(6, config);
+  protocol::Hello small = hello(Role::Viewer, View::Volume), large = small;
+  small.box = protocol::Box{{0, 0, 0}, {0, 0, 0}};
+  large.box = protocol::Box{{-1, -1, -1}, {1, 1, 1}};
+  RawPeer first(test.server.tcp_port());
+  first.send(small);
+  const auto begin = first.receive_until<protocol::SnapshotBegin>();
+  ASSERT_TRUE(begin);
+  EXPECT_EQ(std::get<protocol::SnapshotBegin>(begin->message.body).box, small.box);
+  ASSERT_TRUE(first.receive_until<protocol::SnapshotEnd>());
+  EXPECT_GT(test.server.counters().part_bytes, 0u);
+  RawPeer second(test.server.tcp_port());
+  second.send(large);
+  const auto error = second.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::NotAvailable);
+  EXPECT_FALSE(std::get<protocol::Error>(error->message.body).fatal);
+  const auto whole = second.receive_until<protocol::SnapshotBegin>();
+  ASSERT_TRUE(whole);
+  EXPECT_FALSE(std::get<protocol::SnapshotBegin>(whole->message.body).box);
+  first.vanish();
+  EXPECT_TRUE(eventually([&] { return test.server.counters().part_bytes == 0; }));
 }
 
 TEST(Server, OnlyOperatorsSendPoses) {

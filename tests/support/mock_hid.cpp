@@ -197,9 +197,9 @@ bool MockDevice::report(std::span<const std::uint8_t> bytes) {
   return ::write(pipe_, bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
 }
 
-std::vector<MockDevice::Sent> MockDevice::outputs() const {
+std::vector<MockDevice::Sent> MockDevice::outputs(std::size_t from) const {
   const std::scoped_lock lock(mutex_);
-  return outputs_;
+  return {outputs_.begin() + static_cast<std::ptrdiff_t>(std::min(from, outputs_.size())), outputs_.end()};
 }
 
 std::vector<MockDevice::Sent> MockDevice::features() const {

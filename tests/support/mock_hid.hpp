@@ -48,8 +48,8 @@ class MockDevice {
   ~MockDevice();
   // Puts a report into the system's queue; false where it is full.
   bool report(std::span<const std::uint8_t> bytes);
-  // Output and feature reports from the host so far.
-  std::vector<Sent> outputs() const;
+  // Output and feature reports from the host so far; outputs from that one on.
+  std::vector<Sent> outputs(std::size_t from = 0) const;
   std::vector<Sent> features() const;
   // From now on output reports fail, or are taken again.
   void refuse_outputs(bool refuse) { refuse_ = refuse; }

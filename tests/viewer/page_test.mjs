@@ -109,6 +109,71 @@ test("a streamed cut changes the picture, and the page's triangles are those of 
   assert.deepEqual(faults, []);
 });
 
+/** The smallest dihedral angle of the tetrahedron behind each boundary face of TetGen files, degrees; sorted. */
+function boundaryAngles(base) {
+  const rows = (ending) => readFileSync(base + ending, "utf8").split("\n").filter((line) => line && line[0] !== "#").slice(1)
+    .map((line) => line.trim().split(/\s+/).map(Number));
+  const points = new Map(rows(".node").map(([id, ...xyz]) => [id, xyz]));
+  const faces = new Map(); // from three vertices to the tetrahedra that have them
+  const angles = rows(".ele").map(([, ...corners], t) => {
+    const p = corners.slice(0, 4).map((v) => points.get(v));
+    const minus = (a, b) => a.map((x, i) => x - b[i]);
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const unit = (a) => a.map((x) => x / Math.sqrt(dot(a, a)));
+    let least = 180;
+    for (let i = 0; i < 4; ++i) {
+      for (let j = i + 1; j < 4; ++j) {
+        const axis = unit(minus(p[j], p[i]));
+        const [u, v] = [0, 1, 2, 3].filter((k) => k !== i && k !== j).map((k) => {
+          const arm = minus(p[k], p[i]);
+          return unit(arm.map((x, n) => x - axis[n] * dot(arm, axis)));
+        });
+        least = Math.min(least, (Math.acos(Math.min(1, Math.max(-1, dot(u, v)))) * 180) / Math.PI);
+      }
+    }
+    for (let k = 0; k < 4; ++k) {
+      const face = corners.slice(0, 4).filter((_, i) => i !== k).sort((a, b) => a - b).join();
+      faces.set(face, [...(faces.get(face) ?? []), t]);
+    }
+    return least;
+  });
+  return [...faces.values()].filter((tets) => tets.length === 1).map(([t]) => angles[t]).sort((a, b) => a - b);
+}
+
+test("the colours of quality are the smallest dihedral angles of the tetrahedra", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await page.getByText("Quality").click();
+  server.stream([0.03]);
+  const { revision } = await server.stats();
+  const angles = () => page.evaluate(() => {
+    const { body } = window.incise.stage;
+    const facts = body.mesh.geometry.getAttribute("aFacts").array;
+    const positions = body.mesh.geometry.getAttribute("position").array;
+    const shown = [];
+    for (let slot = 0; slot < body.slots; ++slot) {
+      if (positions.subarray(9 * slot, 9 * slot + 9).some((x) => x !== 0)) shown.push((facts[12 * slot + 1] * 45) / 255);
+    }
+    return shown.sort((a, b) => a - b);
+  });
+  await until(page, (r) => window.incise.progress.revision === r, revision);
+  await server.stop(); // its capture is whole then; the page keeps what it holds
+  const base = server.file("state");
+  server.incise("export", server.file("session.capture"), "--out", `${base}.node`);
+  const wanted = boundaryAngles(base).map((angle) => Math.min(angle, 45));
+  let shown = [];
+  for (let tries = 0; tries < 300; ++tries) { // the tetrahedra come on a connection of their own, at most 20 times a second
+    shown = await angles();
+    if (shown.length === wanted.length && shown.every((angle, i) => Math.abs(angle - wanted[i]) < 0.2)) break;
+    await page.waitForTimeout(100);
+  }
+  assert.equal(shown.length, wanted.length);
+  shown.forEach((angle, i) => assert.ok(Math.abs(angle - wanted[i]) < 0.2, `face ${i}: ${angle}, wanted ${wanted[i]}`));
+  assert.ok(shown[0] < 30 && shown.at(-1) > 40);
+  await shot(page, "quality");
+  assert.deepEqual(faults, []);
+});
+
 test("a drag of the mouse cuts the body in two, a shallow one does not", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);
@@ -125,6 +190,28 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   assert.equal((await progress(page)).hashAgrees, true);
   await page.locator("#open").fill("0.6");
   await shot(page, "mouse_cut");
+  assert.deepEqual(faults, []);
+});
+
+test("a shorter blade does not reach through, and the recording knows how long it was", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const length = () => page.evaluate(() => Math.hypot(...window.incise.mouse.facts.tip));
+  await bladeIsReady(page);
+  const whole = await length();
+  await page.locator("#length").fill("0.1");
+  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) < least, 0.2 * whole);
+  await drag(page, [0.42, 0.02], [0.46, 0.98]);
+  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await page.waitForTimeout(500);
+  assert.equal((await progress(page)).pieces, 1);
+  await page.locator("#length").fill("1");
+  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) > least, 0.9 * whole);
+  await drag(page, [0.46, 0.02], [0.48, 0.98]);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await server.stop();
+  const { batches } = JSON.parse(server.incise("replay", server.file("session.capture"), "--verify", "--json"));
+  assert.ok(batches > 1);
   assert.deepEqual(faults, []);
 });
 
@@ -303,7 +390,7 @@ test("everything is reached by keyboard and has a name", async (t) => {
     await page.keyboard.press("Tab");
     seen.add(await page.evaluate(() => document.activeElement.id || document.activeElement.textContent));
   }
-  for (const id of ["theme", "panel-toggle", "wire", "depth", "tilt", "open", "fit", "reset"]) assert.ok(seen.has(id), id);
+  for (const id of ["theme", "panel-toggle", "wire", "depth", "length", "tilt", "open", "fit", "reset"]) assert.ok(seen.has(id), id);
   assert.deepEqual(faults, []);
 });
 

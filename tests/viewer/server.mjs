@@ -24,7 +24,6 @@ export class Server {
     this.config = {
       mesh: { phantom: "liver", target_tets: 8000 },
       blade: { heel: [0, 0, 0], tip: [0, 0, -0.12] },
-      sources: [{ name: "mouse", heel: [0, 0, 0], tip: [0, 0, -0.35] }],
       capture: { path: "session.capture" },
       loop: { rate_hz: 250, realtime_priority: 0, lock_memory: false },
       log: { level: "warning" },

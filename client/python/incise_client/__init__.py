@@ -13,10 +13,11 @@ build makes from ``protocol/incise.fbs``::
 
 from .client import Client, ConnectError, Pose, connect
 from .contact import ContactRenderer
+from .part import Rows, Surface, VolumePart
 from .replica import ApplyError, Replica
-from .state_hash import element_hashes, tet_hashes, vertex_hashes, xor_of
+from .state_hash import element_hashes, surface_vertex_hashes, tet_hashes, triangle_hashes, vertex_hashes, xor_of
 
 __all__ = [
-    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "connect", "element_hashes", "tet_hashes",
-    "vertex_hashes", "xor_of",
+    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "Rows", "Surface", "VolumePart",
+    "connect", "element_hashes", "surface_vertex_hashes", "tet_hashes", "triangle_hashes", "vertex_hashes", "xor_of",
 ]

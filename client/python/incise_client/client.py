@@ -7,14 +7,16 @@ import ssl as tls
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Iterable, Optional
+from typing import Any, Callable, Iterable, Optional, Sequence
 
 import flatbuffers
 import numpy as np
 
-from incise.wire import (Body, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport, Resync, Role,
-                         SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl, View, Welcome)
+from incise.wire import (BladeEdge, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
+                         Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl,
+                         SurfaceDelta, Vec3, View, Welcome)
 
+from .part import Surface, VolumePart
 from .replica import ApplyError, Replica
 
 MAX_MESSAGE_BYTES = 64 << 20
@@ -44,17 +46,25 @@ _MODULES = {
     Body.Body.PoseReport: PoseReport.PoseReport, Body.Body.Delta: Delta.Delta,
     Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
     Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Force: Force.Force,
+    Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta,
 }
 
 
 class Client:
-    """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it."""
+    """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it.
+
+    ``replica`` is a Replica for view Volume, a Surface for view Surface. With ``box``, two corners ((x, y, z), (x, y, z)) in
+    metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade``, heel and tip in the tool's frame
+    in metres, is that of an operator that brings its own.
+    """
 
     def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
-                 token: str = "", source_name: str = "blade", take_over: bool = False, max_rate_hz: float = 0.0,
+                 token: str = "", source_name: str = "blade", take_over: bool = False,
+                 blade: Optional[tuple[Sequence[float], Sequence[float]]] = None, max_rate_hz: float = 0.0,
+                 box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
                  ssl_context: Optional[tls.SSLContext] = None) -> None:
-        self.replica = resume.replica if resume else Replica()
+        self.replica: Any = resume.replica if resume else Replica()
         self.welcome: Any = None
         self.report: Any = None  # the last PoseReport
         self.resyncs = 0
@@ -73,7 +83,7 @@ class Client:
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
         session = resume.welcome.Session() if resume else 0
-        self._send_hello(role, view, token, source_name, take_over, max_rate_hz, session)
+        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session)
         end = time.monotonic() + timeout_s
         try:
             while self.welcome is None:
@@ -172,7 +182,7 @@ class Client:
         elif kind == Body.Body.Force:
             if self.on_force:
                 self.on_force(self, body)
-        elif kind == Body.Body.Delta and not self._awaiting_snapshot:
+        elif kind in (Body.Body.Delta, Body.Body.SurfaceDelta) and not self._awaiting_snapshot:
             if self._fits(lambda: self.replica.apply(body)) and self.on_delta:
                 self.on_delta(self, body)
         elif kind == Body.Body.SnapshotBegin:
@@ -185,7 +195,12 @@ class Client:
     def _end_snapshot(self, end: Any) -> None:
         begin, chunks = self._snapshot or (None, [])
         self._snapshot = None
-        self.replica = Replica.from_snapshot(begin, chunks, end)
+        if begin and begin.View() == View.View.Surface:
+            self.replica = Surface.from_snapshot(begin, chunks, end)
+        elif begin and begin.Box():
+            self.replica = VolumePart.from_snapshot(begin, chunks, end)
+        else:
+            self.replica = Replica.from_snapshot(begin, chunks, end)
         self.snapshots += 1
         self._awaiting_snapshot = False
 
@@ -221,15 +236,25 @@ class Client:
             self._send(Body.Body.PoseBatch, build)
         return self._sequence
 
+    def engage(self) -> None:
+        """For a tool without a button: engages the blade for all poses sent from here on, until end_stroke()."""
+        self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.Engage)]))
+
     def end_stroke(self) -> None:
         """Ends the running stroke after the poses sent so far."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
 
-    def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, max_rate_hz: float,
-                    session: int) -> None:
+    def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,
+                    max_rate_hz: float, box: Any, session: int) -> None:
         def build(b: Any) -> int:
             name, source, secret = b.CreateString("incise_client.py"), b.CreateString(source_name), b.CreateString(token)
-            return _table(b, Hello, [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
+            optional = [("Box", _box(b, box))] if box else []
+            if blade:
+                BladeEdge.Start(b)
+                BladeEdge.AddHeel(b, Vec3.CreateVec3(b, *blade[0]))
+                BladeEdge.AddTip(b, Vec3.CreateVec3(b, *blade[1]))
+                optional.append(("Blade", BladeEdge.End(b)))
+            return _table(b, Hello, optional + [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
                                      ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
                                      ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
                                      ("ResumeRevision", self.replica.revision if session else 0)])
@@ -255,6 +280,13 @@ def _table(builder: Any, module: Any, fields: list[tuple[str, Any]]) -> int:
     for name, value in fields:
         getattr(module, "Add" + name)(builder, value)
     return int(module.End(builder))
+
+
+def _box(builder: Any, box: Any) -> int:
+    Box.Start(builder)
+    Box.AddMin(builder, Vec3.CreateVec3(builder, *box[0]))
+    Box.AddMax(builder, Vec3.CreateVec3(builder, *box[1]))
+    return int(Box.End(builder))
 
 
 def _text(value: Any) -> str:

@@ -52,6 +52,23 @@ def tet_hashes(ids: Words, vertices: Words, regions: npt.NDArray[np.int32],
     return element_hashes(2, words)
 
 
+def triangle_hashes(ids: Words, vertices: Words, flags: npt.NDArray[np.uint8]) -> Hashes:
+    """Hashes of boundary triangles with (n, 3) vertices."""
+    words = np.empty((len(ids), 5), U32)
+    words[:, 0] = ids
+    words[:, 1:4] = vertices
+    words[:, 4] = flags
+    return element_hashes(3, words)
+
+
+def surface_vertex_hashes(ids: Words, positions: npt.NDArray[np.float32]) -> Hashes:
+    """Hashes of vertices of the surface at (n, 3) positions, metres."""
+    words = np.empty((len(ids), 4), U32)
+    words[:, 0] = ids
+    words[:, 1:] = np.ascontiguousarray(positions, np.float32).view(U32)
+    return element_hashes(4, words)
+
+
 def xor_of(hashes: Hashes) -> int:
     """The hash of a set of elements."""
     return int(np.bitwise_xor.reduce(hashes)) if len(hashes) else 0

@@ -1,3 +1,4 @@
+import type { Elements } from "./elements";
 import { kNone, type Surface, withRoom } from "./surface";
 
 /** What the graphics card gets of each corner of a triangle; a slot's three corners lie together. */
@@ -57,6 +58,17 @@ export class CornerBuilder {
     return this.rows.size;
   }
 
+  /** The tetrahedra behind the triangles, whose quality is shown; without them it is that of the triangles. */
+  elements: Elements | null = null;
+
+  /** Marks the triangles whose tetrahedron looks different from what was measured last. */
+  touchByQuality(): void {
+    const { surface } = this;
+    for (let slot = 0; slot < surface.slots; ++slot) {
+      if (surface.ids[slot] !== kNone && this.quality[slot] !== this.qualityOf(slot)) surface.touchedSlots.add(slot);
+    }
+  }
+
   /** Cells of the tissue's grain in a metre. */
   grainCells = 200;
 
@@ -98,11 +110,20 @@ export class CornerBuilder {
     const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
     const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
     this.faceNormals.set([nx, ny, nz], 3 * slot);
-    const wx = vx - ux, wy = vy - uy, wz = vz - uz;
-    const squares = ux * ux + uy * uy + uz * uz + vx * vx + vy * vy + vz * vz + wx * wx + wy * wy + wz * wz;
+    this.quality[slot] = this.qualityOf(slot);
+  }
+
+  private qualityOf(slot: number): number {
+    const { positions: p, corners, ids } = this.surface;
+    if (this.elements) return this.elements.quality[ids[slot] >>> 2];
+    let squares = 0;
+    for (let k = 0; k < 3; ++k) {
+      const a = 3 * corners[3 * slot + k], b = 3 * corners[3 * slot + ((k + 1) % 3)];
+      squares += (p[b] - p[a]) ** 2 + (p[b + 1] - p[a + 1]) ** 2 + (p[b + 2] - p[a + 2]) ** 2;
+    }
     // 4 sqrt(3) area / sum of squared sides: 1 for an equilateral triangle, 0 for a flat one (Bank 1994).
-    const shape = squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(nx, ny, nz)) / squares : 0;
-    this.quality[slot] = Math.round(255 * Math.min(1, shape));
+    const shape = squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(...this.faceNormals.subarray(3 * slot, 3 * slot + 3))) / squares : 0;
+    return Math.round(255 * Math.min(1, shape));
   }
 
   /** Writes the corners of `slot` at place `at` of `out`. A slot without a triangle gets one of no size. */

@@ -1,4 +1,6 @@
 import * as flatbuffers from "flatbuffers";
+import type { Vec3 } from "./messages";
+import { BladeEdge } from "./wire/incise/wire/blade-edge";
 import { Body } from "./wire/incise/wire/body";
 import { Bye } from "./wire/incise/wire/bye";
 import { ByeReason } from "./wire/incise/wire/bye-reason";
@@ -9,6 +11,7 @@ import { Message } from "./wire/incise/wire/message";
 import { Ping } from "./wire/incise/wire/ping";
 import { Pong } from "./wire/incise/wire/pong";
 import type { Role } from "./wire/incise/wire/role";
+import { Vec3 as WireVec3 } from "./wire/incise/wire/vec3";
 import type { View } from "./wire/incise/wire/view";
 import { Welcome } from "./wire/incise/wire/welcome";
 
@@ -28,6 +31,8 @@ export interface HelloFields {
   sourceName?: string;
   takeOver?: boolean;
   bladeRate_hz?: number;
+  maxRate_hz?: number;
+  blade?: { heel: Vec3; tip: Vec3 }; // an operator's own
   resumeSession?: bigint;
   resumeRevision?: bigint;
 }
@@ -274,6 +279,7 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   const name = builder.createString("incise viewer");
   const token = builder.createString(fields.token);
   const source = fields.sourceName ? builder.createString(fields.sourceName) : 0;
+  const edge = fields.blade ? makeEdge(builder, fields.blade) : 0;
   Hello.startHello(builder);
   Hello.addProtocolVersion(builder, 1);
   Hello.addRole(builder, fields.role);
@@ -285,5 +291,14 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   if (source) Hello.addSourceName(builder, source);
   Hello.addTakeOver(builder, fields.takeOver ?? false);
   Hello.addBladeRateHz(builder, fields.bladeRate_hz ?? 0);
+  Hello.addMaxRateHz(builder, fields.maxRate_hz ?? 0);
+  if (edge) Hello.addBlade(builder, edge);
   return Hello.endHello(builder);
+}
+
+function makeEdge(builder: flatbuffers.Builder, blade: { heel: Vec3; tip: Vec3 }): flatbuffers.Offset {
+  BladeEdge.startBladeEdge(builder);
+  BladeEdge.addHeel(builder, WireVec3.createVec3(builder, ...blade.heel));
+  BladeEdge.addTip(builder, WireVec3.createVec3(builder, ...blade.tip));
+  return BladeEdge.endBladeEdge(builder);
 }

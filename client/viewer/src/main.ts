@@ -9,6 +9,8 @@ const kFiguresEvery_ms = 500;
 const kOpenAfterStroke_ms = 300;
 const kPosesStale_ms = 1500;
 const kNoticeTime_ms = 8000;
+const kLongestBlade = 1.5; // times the body's size: from wherever one looks it reaches through
+const kNewBladeAfter_ms = 250; // of a length that stays
 
 const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
 const input = (id: string) => element<HTMLInputElement>(id);
@@ -43,6 +45,7 @@ class Page {
   token = sessionStorage.getItem("incise-token") ?? "";
   tool: Tool = "cut";
 
+  private openIsChosen = false;
   private openTimer: ReturnType<typeof setTimeout> | undefined;
   private viewState = { stage: "connecting", text: "Connecting…" };
   private fitted = "";
@@ -139,6 +142,11 @@ class Page {
       case "replay":
         this.onReplay(message.facts);
         break;
+      case "deforms":
+        if (this.openIsChosen) break;
+        input("open").valueAsNumber = 0;
+        this.showOpen();
+        break;
       case "notice":
         this.notice(message.text);
         break;
@@ -146,6 +154,11 @@ class Page {
         this.onDump?.(message.triangles);
         break;
     }
+  }
+
+  private showOpen(): void {
+    this.stage.setOpen(input("open").valueAsNumber, true);
+    element("open-text").textContent = `${Math.round(100 * input("open").valueAsNumber)}%`;
   }
 
   private onFacts(facts: Facts): void {
@@ -160,6 +173,8 @@ class Page {
       this.stage.fit(true);
       this.stage.setOpen(input("open").valueAsNumber, true);
     }
+    this.showDepth();
+    if (this.tool === "cut" && document.body.dataset.blade !== "open") this.takeBlade(false); // its length depends on the body
     this.nextHint(true);
   }
 
@@ -328,7 +343,8 @@ class Page {
   // ---- Tools ----
 
   private takeBlade(takeOver: boolean): void {
-    this.send({ kind: "take-blade", takeOver });
+    if (!this.facts) return;
+    this.send({ kind: "take-blade", takeOver, length_m: this.bladeLength_m });
     if (takeOver) this.setTool("cut", false);
   }
 
@@ -347,30 +363,41 @@ class Page {
     this.nextHint(true);
   }
 
+  private get bladeLength_m(): number {
+    return input("length").valueAsNumber * kLongestBlade * this.stage.bodySize_m;
+  }
+  private newBlade: ReturnType<typeof setTimeout> | undefined;
+
   private showDepth(): void {
     const share = input("depth").valueAsNumber;
-    const facts = this.mouse.facts;
-    const length = facts ? Math.hypot(...facts.tip.map((t, k) => t - facts.heel[k])) : 0.1;
+    const length = this.bladeLength_m;
+    element("length-text").textContent = `${number(length * 1000)} mm`;
     // A blade that is too short to reach through goes in up to its heel.
     const reaches = length >= 0.75 * this.stage.bodySize_m;
     const most = Math.min(0.97 * length, 0.6 * this.stage.bodySize_m);
     const through = share >= 1 && reaches;
     this.mouse.depth_m = through ? null : share * most;
     element("depth-text").textContent = through ? "through" : `${number(share * most * 1000)} mm`;
-    element("depth-text").title = reaches ? "" : "The blade is shorter than the body: give the source \"mouse\" a longer one in the server's configuration.";
   }
 
   private bindTools(): void {
     element("tool").addEventListener("change", (e) => this.setTool((e.target as HTMLInputElement).value as Tool));
     const on = (id: string, what: () => void) => input(id).addEventListener("input", what);
     on("depth", () => this.showDepth());
+    on("length", () => {
+      this.showDepth();
+      clearTimeout(this.newBlade);
+      this.newBlade = setTimeout(() => {
+        if (document.body.dataset.blade === "open") this.takeBlade(true);
+      }, kNewBladeAfter_ms);
+    });
     on("tilt", () => {
       this.mouse.tilt_rad = (input("tilt").valueAsNumber * Math.PI) / 180;
       element("tilt-text").textContent = `${input("tilt").value}°`;
     });
     on("open", () => {
-      this.stage.setOpen(input("open").valueAsNumber, true);
-      element("open-text").textContent = `${Math.round(100 * input("open").valueAsNumber)}%`;
+      this.openIsChosen = true;
+      this.showOpen();
     });
     element("fit").onclick = () => this.stage.fit();
     element("reset").onclick = () => element<HTMLDialogElement>("reset-dialog").showModal();
@@ -386,6 +413,7 @@ class Page {
       const colouring = (e.target as HTMLInputElement).value as Colouring;
       this.stage.body.setColouring(colouring);
       element("quality-scale").hidden = colouring !== "quality";
+      this.send({ kind: "colour-by-quality", on: colouring === "quality" });
       this.stage.draw();
     });
     input("wire").addEventListener("change", () => {
@@ -413,7 +441,8 @@ class Page {
       c: () => this.setTool("cut"), t: () => this.setTool("turn"), f: () => this.stage.fit(),
       r: () => element("reset").click(), l: () => element("theme").click(), p: () => this.togglePanel(),
       w: () => press("wire"), s: () => press("section"),
-      "[": () => nudge("depth", -0.05), "]": () => nudge("depth", 0.05), ",": () => nudge("tilt", -5), ".": () => nudge("tilt", 5),
+      "[": () => nudge("depth", -0.05), "]": () => nudge("depth", 0.05), "{": () => nudge("length", -0.05), "}": () => nudge("length", 0.05),
+      ",": () => nudge("tilt", -5), ".": () => nudge("tilt", 5),
       o: () => {
         input("open").valueAsNumber = input("open").valueAsNumber > 0.01 ? 0 : 0.3;
         input("open").dispatchEvent(new Event("input"));
@@ -488,6 +517,7 @@ class Page {
     const is = this.replay.facts !== null;
     document.body.dataset.replay = is ? "on" : "off";
     element<HTMLButtonElement>("reset").disabled = is;
+    element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
     if (is && !was) {
       this.setTool("turn");
       this.send({ kind: "release-blade" });

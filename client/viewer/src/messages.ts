@@ -61,12 +61,13 @@ export interface ReplayFacts {
 
 export type ToWorker =
   | { kind: "connect"; url: string; token: string }
-  | { kind: "take-blade"; takeOver: boolean }
+  | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
   | { kind: "end-stroke" }
   | { kind: "reset" }
+  | { kind: "colour-by-quality"; on: boolean }
   | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
   | { kind: "applied" } // the page has taken in the last patch
   | { kind: "wake" }
@@ -85,5 +86,7 @@ export type FromWorker =
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number }
   | { kind: "replay"; facts: ReplayFacts | null }
+  /** A simulation moves the body: cuts open by themselves. */
+  | { kind: "deforms" }
   | { kind: "notice"; text: string }
   | { kind: "dump"; triangles: Float32Array };

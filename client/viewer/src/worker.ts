@@ -1,6 +1,7 @@
 // The page's side of the stream, off its main thread: connections, the state, its hash, and the corners to be drawn.
 
 import { allocateCorners, type Corners, CornerBuilder } from "./corner_buffers";
+import { Elements } from "./elements";
 import { type HelloFields, Link, type LinkState, now_ns } from "./link";
 import type { BladeStep, FromWorker, Progress, ToWorker, Vec3 } from "./messages";
 import { computeOpening, type Opening } from "./opening";
@@ -8,6 +9,7 @@ import { hex } from "./state_hash";
 import { kNone, Surface } from "./surface";
 import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
+import { Delta } from "./wire/incise/wire/delta";
 import type { Message } from "./wire/incise/wire/message";
 import { PoseBatch } from "./wire/incise/wire/pose-batch";
 import { PoseSample } from "./wire/incise/wire/pose-sample";
@@ -29,6 +31,7 @@ import { View } from "./wire/incise/wire/view";
 import type { Welcome } from "./wire/incise/wire/welcome";
 
 const kNumbersPerPose = 9;
+const kElementsRate_hz = 20;
 const kOpeningPause_ms = 120; // between two looks at how the body opens
 
 const surface = new Surface();
@@ -39,6 +42,8 @@ let url = "";
 let token = "";
 let view: Link | null = null;
 let blade: Link | null = null;
+let volume: Link | null = null; // while the page colours by the tetrahedra's quality
+let colourByQuality = false;
 let ownSource = -1;
 
 // The state that the surface holds.
@@ -54,6 +59,7 @@ let capacity = 0; // slots that the page has room for
 let waiting = false; // the page has a patch that it has not applied yet
 let steps: BladeStep[] = [];
 let openingCost_ms = 0;
+let deforms = false;
 let openingTimer: ReturnType<typeof setTimeout> | undefined;
 const progress: Progress = {
   revision: 0, tets: 0, triangles: 0, pieces: 1, hash: "", hashAgrees: true, deltas: 0, bytes: 0,
@@ -177,6 +183,11 @@ function onDelta(delta: SurfaceDelta): void {
   ++progress.deltas;
   for (let i = 0; i < delta.stepsLength(); ++i) {
     const step = delta.steps(i)!;
+    if (step.stroke() === 0) {
+      if (!deforms) post({ kind: "deforms" });
+      deforms = true;
+      continue;
+    }
     const own = step.source() === ownSource && blade?.open === true;
     // In a replay nobody posed.
     progress.posed_ms = replaying ? 0 : Number((own ? step.toSourceNs() : step.arrivalNs() - (view?.clockOffset_ns ?? 0n)) / 1000n) / 1e3;
@@ -236,6 +247,7 @@ function onViewMessage(type: Body, message: Message, bytes: number): void {
     case Body.ReplayState: {
       const state: ReplayState = message.body(new ReplayState());
       replaying = Boolean(state.capture());
+      followElements();
       post({
         kind: "replay",
         facts: state.capture() ? {
@@ -266,10 +278,10 @@ function openView(): void {
 }
 
 /** The mouse's blade has a connection of its own: whether somebody may watch does not depend on whether he may cut. */
-function takeBlade(takeOver: boolean): void {
+function takeBlade(takeOver: boolean, length_m: number): void {
   blade?.end();
   blade = new Link(url, {
-    hello: () => ({ role: Role.Operator, view: View.None, token, sourceName: "mouse", takeOver }),
+    hello: () => ({ role: Role.Operator, view: View.None, token, sourceName: "mouse", takeOver, blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] } }),
     welcome: (welcome) => {
       ownSource = welcome.source();
       takeOver = true; // after a lost connection the server may not know yet that we are gone
@@ -288,6 +300,59 @@ function takeBlade(takeOver: boolean): void {
     },
     refused: (text) => post({ kind: "notice", text }),
     unreadable: () => {},
+  });
+}
+
+/** Colours by quality need the tetrahedra. A replay's are not to be had: it is this one link's own. */
+function followElements(): void {
+  const wanted = colourByQuality && !replaying;
+  if (wanted === (volume !== null)) return;
+  builder.elements = null;
+  volume?.end();
+  volume = null;
+  if (!wanted) {
+    builder.touchByQuality();
+    postChanges();
+    return;
+  }
+  const elements = new Elements();
+  let at = 0n;
+  volume = new Link(url, {
+    hello: () => ({ role: Role.Viewer, view: View.Volume, token, maxRate_hz: kElementsRate_hz }),
+    welcome: () => (builder.elements = null),
+    message: (type, message) => {
+      switch (type) {
+        case Body.SnapshotBegin:
+          builder.elements = null;
+          elements.clear();
+          return;
+        case Body.SnapshotChunk:
+          return elements.addChunk(message.body(new SnapshotChunk()));
+        case Body.SnapshotEnd:
+          at = message.body(new SnapshotEnd()).revision();
+          builder.elements = elements;
+          break;
+        case Body.Delta: {
+          const delta: Delta = message.body(new Delta());
+          if (!builder.elements) return; // a snapshot is on its way
+          if (delta.baseRevision() !== at) {
+            builder.elements = null;
+            volume?.send(Body.Resync, (b) => Resync.createResync(b, at, 0n, b.createString("the delta does not follow on the state")));
+            return;
+          }
+          elements.apply(delta);
+          at = delta.revision();
+          break;
+        }
+        default:
+          return;
+      }
+      builder.touchByQuality();
+      postChanges();
+    },
+    state: () => {}, // the view's link says it all
+    refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => (builder.elements = null),
   });
 }
 
@@ -353,7 +418,7 @@ onmessage = ({ data }: MessageEvent<ToWorker>) => {
       openView();
       break;
     case "take-blade":
-      takeBlade(data.takeOver);
+      takeBlade(data.takeOver, data.length_m);
       break;
     case "release-blade":
       blade?.end();
@@ -367,6 +432,10 @@ onmessage = ({ data }: MessageEvent<ToWorker>) => {
       break;
     case "reset":
       reset();
+      break;
+    case "colour-by-quality":
+      colourByQuality = data.on;
+      followElements();
       break;
     case "replay":
       view?.send(Body.ReplayControl, (b) =>

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "protocol/motion.hpp"
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
@@ -18,28 +19,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 using std::chrono::steady_clock;
-
-core::Blade parse_blade(const std::string& text) {
-  double number[6];
-  const char* at = text.data();
-  const char* const end = at + text.size();
-  bool good = true;
-  for (int i = 0; i < 6 && good; ++i) {
-    const auto [next, error] = std::from_chars(at, end, number[i]);
-    const char wanted = i == 5 ? '\0' : i == 2 ? ':' : ',';
-    good = error == std::errc() && std::abs(number[i]) <= 1e4 &&
-           (i == 5 ? next == end : next != end && *next == wanted);
-    at = next + 1;
-  }
-  const core::Blade blade{{number[0], number[1], number[2]}, {number[3], number[4], number[5]}};
-  if (!good || blade.heel == blade.tip) {
-    throw std::runtime_error(
-        "--blade: found \"" + text +
-        "\"; accepted is hx,hy,hz:tx,ty,tz, heel and tip in the tool's frame in metres, each from -10 "
-        "to 10, and not the same point");
-  }
-  return blade;
-}
 
 // What a session did with a motion, batch by batch.
 struct Tally {
@@ -129,7 +108,7 @@ std::string hex(std::uint64_t hash) {
 int run_cut(const CutCommand& command) {
   require_mesh_output(command.out, "--out");
   if (!command.report.empty()) require_writable(command.report, "--report");
-  const RecordedMotion motion = read_recorded_motion(command.poses);
+  RecordedMotion motion = read_recorded_motion(command.poses);
   std::vector<std::string> warnings = motion.warnings;
 
   Config config;
@@ -138,7 +117,11 @@ int run_cut(const CutCommand& command) {
   } else if (motion.header) {
     config = config_of(*motion.header, command.poses.string());
   }
-  if (!command.blade.empty()) config.cut.blade = parse_blade(command.blade);
+  if (!command.blade.empty()) {  // for every source, whatever configuration or capture say
+    config.cut.blade = to_core(protocol::parse_blade("--blade", command.blade));
+    config.sources.clear();
+    for (MotionEvent& event : motion.events) event.blade.reset();
+  }
   if (!command.policy.empty())
     config.cut.policy = command.policy == "croll" ? core::Policy::kCroll : core::Policy::kConforming;
   if (!command.growth.empty()) {
@@ -182,7 +165,7 @@ int run_cut(const CutCommand& command) {
       const MotionEvent& event = motion.events[i];
       if (event.kind == MotionEvent::Kind::kPose) {
         ++verdicts[static_cast<std::size_t>(session.push(event.source, event.pose))];
-      } else {
+      } else if (event.kind != MotionEvent::Kind::kDeform) {  // which is of the vertices of another mesh
         apply(session, event, config);
       }
       cut_all();

@@ -251,6 +251,9 @@ std::vector<Finding> examine(const DoctorCommand& command) {
   findings.push_back(check_processors(config));
   findings.push_back(check_port("listen.tcp_port", config.listen.address, config.listen.tcp_port));
   findings.push_back(check_port("listen.http_port", config.listen.address, config.listen.http_port));
+  if (config.openigtlink.port >= 0) {
+    findings.push_back(check_port("openigtlink.port", config.openigtlink.address, config.openigtlink.port));
+  }
   check_devices(config, findings);
   findings.push_back(check_tetgen());
   if (!config.capture.path.empty()) {

@@ -94,6 +94,7 @@ Json describe_motion(const RecordedMotion& motion) {
     facts["closed"] = motion.closed;
   }
   facts["poses"] = motion.poses();
+  if (const std::size_t n = motion.count(MotionEvent::Kind::kDeform); n > 0) facts["deformations"] = n;
   std::map<std::uint32_t, std::vector<const core::Pose*>> by_source;
   Bounds bounds;
   for (const MotionEvent& event : motion.events) {

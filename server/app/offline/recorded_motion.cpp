@@ -9,7 +9,7 @@
 namespace incise::app {
 namespace {
 
-core::Pose to_core(const protocol::PoseSample& sample) {
+core::Pose pose_of(const protocol::PoseSample& sample) {
   const protocol::Vec3& p = sample.position;
   const protocol::Quat& q = sample.orientation;
   return {sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons};
@@ -22,7 +22,8 @@ struct RecordReader {
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
-    motion.events.push_back({MotionEvent::Kind::kPose, record.source, to_core(record.pose), record.arrival_ns});
+    motion.events.push_back(
+        {MotionEvent::Kind::kPose, record.source, pose_of(record.pose), record.arrival_ns});
   }
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
@@ -33,6 +34,12 @@ struct RecordReader {
     } else if (record.action == protocol::StrokeAction::HandOver) {
       motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
     }
+  }
+  void operator()(const protocol::BladeRecord& record) {
+    check_source(record.source);
+    if (motion.gap) return;
+    motion.events.push_back(
+        {MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, to_core(record.blade)});
   }
   void operator()(const protocol::BatchMark& record) {
     if (!motion.gap) motion.marks.push_back(record);
@@ -45,7 +52,10 @@ struct RecordReader {
                        std::to_string(motion.records - 1) + " (" + record.reason + ")";
   }
   void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
-  void operator()(const protocol::PositionsRecord&) {}
+  void operator()(const protocol::PositionsRecord& record) {
+    if (motion.gap) return;
+    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, {}, positions_of(record)});
+  }
   // One replay is of one session: that after the last reset.
   void operator()(const protocol::ResetRecord& record) {
     motion.events.clear();
@@ -116,9 +126,9 @@ std::ifstream open_file(const std::string& name) {
 
 }  // namespace
 
-std::size_t RecordedMotion::poses() const {
-  return static_cast<std::size_t>(std::count_if(
-      events.begin(), events.end(), [](const MotionEvent& e) { return e.kind == MotionEvent::Kind::kPose; }));
+std::size_t RecordedMotion::count(MotionEvent::Kind kind) const {
+  return static_cast<std::size_t>(
+      std::count_if(events.begin(), events.end(), [kind](const MotionEvent& e) { return e.kind == kind; }));
 }
 
 RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
@@ -143,7 +153,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
   motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
   motion.has_orientation = text.has_orientation;
   for (const protocol::PoseSample& sample : text.samples) {
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample), sample.source_ns});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
   }
   if (!text.has_orientation) {
     motion.warnings.push_back(name +
@@ -169,12 +179,32 @@ protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
   return reader.header();
 }
 
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record) {
+  auto positions = std::make_shared<core::VertexPositions>();
+  positions->frame = record.frame;
+  positions->revision = record.revision;
+  positions->source_ns = record.source_ns;
+  positions->arrival_ns = record.arrival_ns;
+  positions->ids = record.ids;
+  positions->first = record.first;
+  positions->single = record.single;
+  positions->positions.reserve(record.positions.size() / 3);
+  for (std::size_t i = 0; i + 2 < record.positions.size(); i += 3)
+    positions->positions.push_back({record.positions[i], record.positions[i + 1], record.positions[i + 2]});
+  return positions;
+}
+
 const core::Blade& blade_of(const Config& config, std::uint32_t source) {
   return source < config.sources.size() ? config.sources[source].blade : config.cut.blade;
 }
 
 Config config_of(const protocol::CaptureHeader& header, const std::string& name) {
   return parse_config(header.config_json, name + " (the configuration in its header)");
+}
+
+core::Blade to_core(const protocol::BladeEdge& blade) {
+  const auto& [heel, tip] = blade;
+  return {{heel.x, heel.y, heel.z}, {tip.x, tip.y, tip.z}};
 }
 
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config) {
@@ -186,7 +216,10 @@ void apply(core::CutSession& session, const MotionEvent& event, const Config& co
       session.end_stroke(event.source);
       break;
     case MotionEvent::Kind::kOpened:
-      session.set_blade(event.source, blade_of(config, event.source));
+      session.set_blade(event.source, event.blade ? *event.blade : blade_of(config, event.source));
+      break;
+    case MotionEvent::Kind::kDeform:
+      session.deform(event.positions);
       break;
   }
 }

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,11 +15,14 @@ namespace incise::app {
 
 // One thing that was done to a session, in its order.
 struct MotionEvent {
-  enum class Kind : std::uint8_t { kPose, kEndStroke, kOpened };
+  enum class Kind : std::uint8_t { kPose, kEndStroke, kOpened, kDeform };
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
   core::Pose pose;
-  std::int64_t arrival_ns = 0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::int64_t arrival_ns =
+      0;  // at the server that recorded it, its clock; of a text motion the pose's own time
+  std::optional<core::Blade> blade = std::nullopt;  // of kOpened: its own, else the configuration's
+  std::shared_ptr<const core::VertexPositions> positions = nullptr;  // of kDeform
 };
 
 // A motion from a file, whatever its format.
@@ -43,7 +47,8 @@ struct RecordedMotion {
   std::optional<Gap> gap;
   std::string end_error;  // where it is torn: at which byte and how
 
-  std::size_t poses() const;
+  std::size_t poses() const { return count(MotionEvent::Kind::kPose); }
+  std::size_t count(MotionEvent::Kind kind) const;
 };
 
 // Reads a capture, a TUM trajectory or a CSV motion, told apart by their contents. A capture is read up to a torn end,
@@ -70,7 +75,12 @@ Config config_of(const protocol::CaptureHeader& header, const std::string& name)
 // The blade of a source: its own, or the one for all.
 const core::Blade& blade_of(const Config& config, std::uint32_t source);
 
-// Does to a session what an event says. The blade of a source that is opened is the configuration's.
+core::Blade to_core(const protocol::BladeEdge& blade);
+
+// Positions as they were recorded.
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record);
+
+// Does to a session what an event says.
 void apply(core::CutSession& session, const MotionEvent& event, const Config& config);
 
 }  // namespace incise::app

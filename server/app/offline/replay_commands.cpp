@@ -235,8 +235,16 @@ int run_convert(const ConvertCommand& command) {
       record.arrival_ns = event.pose.t_ns;
       record.pose = event.pose;
       if (event.kind == MotionEvent::Kind::kEndStroke) record.kind = loop::JournalRecord::Kind::kEndStroke;
-      if (event.kind == MotionEvent::Kind::kOpened) record.kind = loop::JournalRecord::Kind::kOpened;
-      used[event.source] = true;
+      if (event.kind == MotionEvent::Kind::kOpened) {
+        record.kind = loop::JournalRecord::Kind::kOpened;
+        record.blade = event.blade ? *event.blade : blade_of(config, event.source);
+      }
+      if (event.kind == MotionEvent::Kind::kDeform) {
+        if (!command.mesh.empty()) continue;  // of another mesh's vertices
+        record.kind = loop::JournalRecord::Kind::kDeform;
+        record.positions = event.positions;
+      }
+      used[event.source] = used[event.source] || event.kind != MotionEvent::Kind::kDeform;
       apply(session, event, config);
       capture.write(record);
       commit_all();

@@ -10,9 +10,11 @@
 #include <vector>
 
 #include "server/haptics/force_slot.hpp"
+#include "server/input/force_guard.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
 #include "server/input/input_hub.hpp"
+#include "server/loop/histogram.hpp"
 
 namespace incise::input {
 
@@ -22,6 +24,9 @@ struct DeviceFigures {
   double drift_ppm = 0;             // of its clock; > 0: slow
   std::uint64_t full_queue_ms = 0;  // spent waiting for the loop to take poses
   std::uint64_t forces_written = 0, forces_failed = 0;
+  struct {
+    double p50_us = 0, p99_us = 0, p999_us = 0, max_us = 0;
+  } pose_to_report;  // arrival of a pose until the report with its force was written
 };
 
 // An open device: reads its reports, pushes the poses of its tools to the hub, and writes the newest force to it.
@@ -79,14 +84,13 @@ class HidDevice {
   std::uint64_t full_queue_ms_ = 0;         // the reader's
   std::atomic<bool> lost_{false};
   std::atomic<std::uint64_t> forces_written_{0}, forces_failed_{0};
-  mutable std::mutex mutex_;  // guards shared_; the reader only tries it
+  loop::Histogram pose_to_report_;  // the writer's
+  mutable std::mutex mutex_;        // guards shared_; the reader only tries it
   DeviceFigures shared_;
   std::jthread reader_, writer_;
 };
 
-// Makes force reports of commands: what may leave for a device is decided here, whatever the loop says. A command that
-// is older than 20 ms, is not finite, or follows a failed write counts as no force (until a command of no force has come:
-// then the loop knows); a longer one is cut to the profile's limit.
+// Makes force reports of commands, as the guard lets them pass.
 //
 // Thread: one.
 class ForceReport {
@@ -95,15 +99,13 @@ class ForceReport {
   // The report for the newest command; `now_ns` CLOCK_MONOTONIC.
   std::span<const std::uint8_t> make(const haptics::ForceCommand& newest, std::int64_t now_ns) noexcept;
   std::span<const std::uint8_t> zero() noexcept;
-  void failed() noexcept { distrusted_ = true; }
+  void failed() noexcept { guard_.failed(); }
 
  private:
   const ForceProfile& profile_;
   const PoseDecoder& axes_;
   std::vector<std::uint8_t> bytes_;
-  bool distrusted_ = false;
+  ForceGuard guard_;
 };
-
-inline constexpr std::int64_t kForceLife_ns = 20'000'000;
 
 }  // namespace incise::input

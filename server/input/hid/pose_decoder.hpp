@@ -9,18 +9,9 @@
 #include "server/core/blade.hpp"
 #include "server/input/hid/device_clock.hpp"
 #include "server/input/hid/device_profile.hpp"
+#include "server/input/placement.hpp"
 
 namespace incise::input {
-
-// Where a device's workspace lies in the world: p_world = origin + rotation * (scale * p), after the profile's own axes
-// and scale. Where a tool's pose is integrated, its start.
-struct Placement {
-  core::Vec3 origin;
-  core::Quat rotation;
-  double scale = 1;
-
-  friend bool operator==(const Placement&, const Placement&) = default;
-};
 
 // What became of a device's reports since it was opened.
 struct ReportCounts {

@@ -1,0 +1,518 @@
+#include "protocol/volume_part.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <functional>
+#include <string>
+
+#include "protocol/state_hash.hpp"
+
+namespace incise::protocol {
+namespace {
+
+ApplyResult refuse(ApplyError error, std::string text) {
+  return {error, std::move(text)};
+}
+
+std::string number(std::uint64_t n) {
+  return std::to_string(n);
+}
+
+bool ascending(std::span<const std::uint32_t> ids) {
+  return std::adjacent_find(ids.begin(), ids.end(), std::greater_equal<>()) == ids.end();
+}
+
+bool contains(std::span<const std::uint32_t> ids, std::uint32_t id) {
+  return std::binary_search(ids.begin(), ids.end(), id);
+}
+
+std::uint64_t hash_of(std::uint32_t id, const VolumePart::Tet& t) {
+  return tet_hash(id, t.vertices.data(), t.region, t.cut_mask);
+}
+
+std::uint64_t hash_of(std::uint32_t id, const Vec3& p) {
+  return vertex_hash(id, p.x, p.y, p.z);
+}
+
+Vec3 position_at(std::span<const double> positions, std::size_t i) {
+  return {positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]};
+}
+
+// As the hash sees them: 0 and -0 are two.
+bool same_bits(const Vec3& a, const Vec3& b) {
+  return std::memcmp(&a, &b, sizeof a) == 0;
+}
+
+VolumePart::Tet entry(const TetArrays& t, std::size_t i) {
+  VolumePart::Tet tet;
+  std::copy_n(&t.vertices[4 * i], 4, tet.vertices.begin());
+  tet.region = t.regions[i];
+  tet.cut_mask = t.cut_masks[i];
+  tet.boundary_mask = t.boundary_masks[i];
+  return tet;
+}
+
+VolumePart::Tet tet_of(const Replica& mesh, std::uint32_t t) {
+  return {mesh.vertices(t), mesh.region(t), mesh.cut_mask(t), mesh.boundary_mask(t), mesh.piece(t)};
+}
+
+bool meets(const Replica& mesh, std::uint32_t t, const Box& box) {
+  const auto& v = mesh.vertices(t);
+  const Vec3 p[] = {mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]), mesh.position(v[3])};
+  const auto apart = [&](double Vec3::*k) {
+    const auto [low, high] = std::minmax({p[0].*k, p[1].*k, p[2].*k, p[3].*k});
+    return high < box.min.*k || low > box.max.*k;
+  };
+  return !apart(&Vec3::x) && !apart(&Vec3::y) && !apart(&Vec3::z);
+}
+
+void append(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet& t) {
+  out.tet_ids.push_back(id);
+  out.tet_vertices.insert(out.tet_vertices.end(), t.vertices.begin(), t.vertices.end());
+  out.tet_regions.push_back(t.region);
+  out.tet_cut_masks.push_back(t.cut_mask);
+  out.tet_boundary_masks.push_back(t.boundary_mask);
+}
+
+void append(std::vector<double>& out, const Vec3& p) {
+  out.insert(out.end(), {p.x, p.y, p.z});
+}
+
+// The half-faces whose place on the boundary is another after a tetrahedron of the part has changed, come (no `old`) or
+// gone (no `now`).
+void append_faces(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet* old, const VolumePart::Tet* now) {
+  for (std::uint32_t f = 0; f < 4; ++f) {
+    const bool was = old && (old->boundary_mask >> f & 1);
+    const bool is = now && (now->boundary_mask >> f & 1);
+    if (was && !is) out.boundary_removed.push_back(4 * id + f);
+    if (!is) continue;
+    bool same = was && (old->cut_mask >> f & 1) == (now->cut_mask >> f & 1);
+    for (const std::uint8_t corner : kFaceVertices[f])
+      same = same && old->vertices[corner] == now->vertices[corner];
+    if (!same) out.boundary_upserted.push_back(4 * id + f);
+  }
+}
+
+}  // namespace
+
+// ---- The tetrahedra at a vertex ----
+
+void TetIndex::link(std::uint32_t vertex, std::uint32_t corner) {
+  next_[corner] = first_[vertex];
+  first_[vertex] = corner;
+}
+
+void TetIndex::unlink(std::uint32_t vertex, std::uint32_t corner) {
+  std::uint32_t* place = &first_[vertex];
+  while (*place != corner) place = &next_[*place];
+  *place = next_[corner];
+}
+
+void TetIndex::load(const Replica& mesh) {
+  first_.assign(mesh.vertex_count(), kNoId);
+  next_.assign(4 * std::size_t{mesh.tet_slots()}, kNoId);
+  mesh.for_each_tet([&](std::uint32_t t) {
+    for (std::uint32_t k = 0; k < 4; ++k) link(mesh.vertices(t)[k], 4 * t + k);
+  });
+}
+
+void TetIndex::follow(const Replica& before, const Delta& delta) {
+  first_.resize(delta.vertex_count, kNoId);
+  if (!delta.tets.ids.empty()) {
+    const std::size_t corners = 4 * (delta.tets.ids.back() + std::size_t{1});
+    if (corners > next_.size()) next_.resize(corners, kNoId);
+  }
+  for (const std::uint32_t t : delta.removed_tets)
+    for (std::uint32_t k = 0; k < 4; ++k) unlink(before.vertices(t)[k], 4 * t + k);
+  for (std::size_t i = 0; i < delta.tets.ids.size(); ++i) {
+    const std::uint32_t t = delta.tets.ids[i];
+    const bool was = before.alive(t);
+    for (std::uint32_t k = 0; k < 4; ++k) {
+      const std::uint32_t now = delta.tets.vertices[4 * i + k];
+      if (was && before.vertices(t)[k] == now) continue;
+      if (was) unlink(before.vertices(t)[k], 4 * t + k);
+      link(now, 4 * t + k);
+    }
+  }
+}
+
+void TetIndex::append_tets(std::uint32_t vertex, std::vector<std::uint32_t>& out) const {
+  for (std::uint32_t corner = first_[vertex]; corner != kNoId; corner = next_[corner])
+    out.push_back(corner / 4);
+}
+
+// ---- Receiving ----
+
+ApplyResult VolumePart::State::check(const Change& c, std::uint64_t& hash_after) const {
+  const std::size_t n = c.tets.ids.size();
+  if (c.set_positions.size() != 3 * c.set_ids.size() || c.added_positions.size() != 3 * c.added_ids.size() ||
+      c.tets.vertices.size() != 4 * n || c.tets.regions.size() != n || c.tets.cut_masks.size() != n ||
+      c.tets.boundary_masks.size() != n) {
+    return refuse(ApplyError::BadShape, "part of the volume: arrays of different lengths");
+  }
+  for (const auto ids : {c.set_ids, c.added_ids, c.removed_vertices, c.tets.ids, c.removed_tets})
+    if (!ascending(ids)) return refuse(ApplyError::BadIndex, "part of the volume: ids that do not ascend");
+
+  hash_after = hash;
+  for (std::size_t i = 0; i < c.set_ids.size(); ++i) {
+    const auto old = vertices.find(c.set_ids[i]);
+    if (old != vertices.end()) hash_after ^= hash_of(old->first, old->second.position);
+    hash_after ^= hash_of(c.set_ids[i], position_at(c.set_positions, i));
+  }
+  for (std::size_t i = 0; i < c.added_ids.size(); ++i) {
+    if (vertices.contains(c.added_ids[i]) || contains(c.set_ids, c.added_ids[i]))
+      return refuse(ApplyError::BadIndex, "added vertex " + number(c.added_ids[i]) + " exists");
+    hash_after ^= hash_of(c.added_ids[i], position_at(c.added_positions, i));
+  }
+  // How many more tetrahedra each vertex has afterwards.
+  std::map<std::uint32_t, std::int64_t> more_uses;
+  const auto take_out = [&](const auto& old) {
+    hash_after ^= hash_of(old->first, old->second);
+    for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+  };
+  for (const std::uint32_t id : c.removed_tets) {
+    if (contains(c.tets.ids, id))
+      return refuse(ApplyError::BadIndex, "tetrahedron " + number(id) + " removed and set");
+    const auto old = tets.find(id);
+    if (old != tets.end()) take_out(old);
+  }
+  for (std::size_t i = 0; i < n; ++i) {
+    const Tet tet = entry(c.tets, i);
+    const auto wrong = [&](const std::string& what) {
+      return refuse(ApplyError::BadIndex, "tetrahedron " + number(c.tets.ids[i]) + ": " + what);
+    };
+    const auto& v = tet.vertices;
+    if (v[0] == v[1] || v[0] == v[2] || v[0] == v[3] || v[1] == v[2] || v[1] == v[3] || v[2] == v[3])
+      return wrong("a vertex twice");
+    if ((tet.cut_mask | tet.boundary_mask) > 15) return wrong("a mask bit above 3");
+    for (const std::uint32_t vertex : v) {
+      const bool known =
+          contains(c.set_ids, vertex) || contains(c.added_ids, vertex) || vertices.contains(vertex);
+      if (!known || contains(c.removed_vertices, vertex))
+        return wrong("vertex " + number(vertex) + " is not in the part");
+      ++more_uses[vertex];
+    }
+    const auto old = tets.find(c.tets.ids[i]);
+    if (old != tets.end()) take_out(old);
+    hash_after ^= hash_of(c.tets.ids[i], tet);
+  }
+  for (const std::uint32_t id : c.removed_vertices) {
+    if (contains(c.set_ids, id) || contains(c.added_ids, id))
+      return refuse(ApplyError::BadIndex, "vertex " + number(id) + " removed and set");
+    const auto old = vertices.find(id);
+    if (old == vertices.end()) continue;
+    const auto more = more_uses.find(id);
+    if (old->second.uses + (more == more_uses.end() ? 0 : more->second) != 0)
+      return refuse(ApplyError::BadIndex, "removed vertex " + number(id) + " still has tetrahedra");
+    hash_after ^= hash_of(id, old->second.position);
+  }
+  return {};
+}
+
+void VolumePart::State::apply(const Change& c, std::uint64_t hash_after) {
+  const auto use = [&](const Tet& tet, std::uint32_t sign) {
+    for (const std::uint32_t v : tet.vertices) vertices[v].uses += sign;
+  };
+  constexpr auto kLess = static_cast<std::uint32_t>(-1);
+  for (std::size_t i = 0; i < c.set_ids.size(); ++i)
+    vertices[c.set_ids[i]].position = position_at(c.set_positions, i);
+  for (std::size_t i = 0; i < c.added_ids.size(); ++i)
+    vertices[c.added_ids[i]].position = position_at(c.added_positions, i);
+  for (std::size_t i = 0; i < c.tets.ids.size(); ++i) {
+    const auto [place, is_new] = tets.try_emplace(c.tets.ids[i]);
+    if (!is_new) use(place->second, kLess);
+    const std::uint32_t piece = place->second.piece;
+    place->second = entry(c.tets, i);
+    place->second.piece = piece;
+    use(place->second, 1);
+  }
+  for (const std::uint32_t id : c.removed_tets) {
+    const auto old = tets.find(id);
+    if (old == tets.end()) continue;
+    use(old->second, kLess);
+    tets.erase(old);
+  }
+  for (const std::uint32_t id : c.removed_vertices) vertices.erase(id);
+  hash = hash_after;
+}
+
+void VolumePart::State::set_pieces(const Delta& d) {
+  std::size_t next = 0;
+  for (std::size_t p = 0; p < d.piece_ids.size(); ++p)
+    for (std::uint32_t k = 0; k < d.piece_sizes[p]; ++k) tets[d.piece_tets[next++]].piece = d.piece_ids[p];
+}
+
+VolumePart::Change VolumePart::change_of(const Delta& d) {
+  return {d.moved_ids,       d.added_ids, d.removed_vertices, d.moved_positions,
+          d.added_positions, d.tets,      d.removed_tets};
+}
+
+ApplyResult VolumePart::check_pieces(const Delta& d) const {
+  std::uint64_t listed = 0;
+  for (const std::uint32_t n : d.piece_sizes) listed += n;
+  if (d.piece_sizes.size() != d.piece_ids.size() || listed != d.piece_tets.size())
+    return refuse(ApplyError::BadShape, "delta: pieces that do not add up");
+  for (const std::uint32_t t : d.piece_tets) {
+    const bool stays = state_.tets.contains(t) && !contains(d.removed_tets, t);
+    if (!stays && !contains(d.tets.ids, t))
+      return refuse(ApplyError::BadIndex,
+                    "piece with tetrahedron " + number(t) + ", which is not in the part");
+  }
+  return {};
+}
+
+ApplyResult VolumePart::apply(const Delta& d) {
+  if (d.base_revision != state_.revision || d.revision <= d.base_revision) {
+    return refuse(ApplyError::WrongBase, "delta from revision " + number(d.base_revision) + " to " +
+                                             number(d.revision) + ", this state is at " +
+                                             number(state_.revision));
+  }
+  const Change change = change_of(d);
+  std::uint64_t hash = 0;
+  if (ApplyResult r = state_.check(change, hash); !r) return r;
+  if (ApplyResult r = check_pieces(d); !r) return r;
+  if (hash != d.part_hash) {
+    return refuse(ApplyError::HashMismatch, "part of revision " + number(d.revision) + " has another hash");
+  }
+  state_.apply(change, hash);
+  state_.set_pieces(d);
+  state_.revision = d.revision;
+  return {};
+}
+
+ApplyResult VolumePart::abandon(ApplyResult why) {
+  staged_.reset();
+  return why;
+}
+
+ApplyResult VolumePart::begin(const SnapshotBegin& part) {
+  staged_.reset();
+  if (part.view != View::Volume || !part.box)
+    return refuse(ApplyError::BadShape, "snapshot of something else than a part of the volume");
+  staged_ = std::make_unique<Staged>();
+  staged_->begin = part;
+  staged_->state.revision = part.revision;
+  return {};
+}
+
+ApplyResult VolumePart::chunk(const SnapshotChunk& part) {
+  if (!staged_) return refuse(ApplyError::OutOfOrder, "snapshot chunk without a snapshot");
+  Staged& s = *staged_;
+  if (part.index != s.chunks_done || part.index >= s.begin.chunks) {
+    return abandon(refuse(ApplyError::OutOfOrder, "snapshot chunk " + number(part.index) + ", expected is " +
+                                                      number(s.chunks_done) + " of " +
+                                                      number(s.begin.chunks)));
+  }
+  if (part.tet_pieces.size() != part.tets.ids.size())
+    return abandon(refuse(ApplyError::BadShape, "snapshot chunk: tetrahedra without pieces"));
+  const Change change{part.vertex_ids, {}, {}, part.positions, {}, part.tets, {}};
+  std::uint64_t hash = 0;
+  if (ApplyResult r = s.state.check(change, hash); !r) return abandon(std::move(r));
+  s.state.apply(change, hash);
+  for (std::size_t i = 0; i < part.tets.ids.size(); ++i)
+    s.state.tets[part.tets.ids[i]].piece = part.tet_pieces[i];
+  ++s.chunks_done;
+  return {};
+}
+
+ApplyResult VolumePart::end(const SnapshotEnd& part) {
+  if (!staged_) return refuse(ApplyError::OutOfOrder, "end of a snapshot that has not begun");
+  const Staged& s = *staged_;
+  if (s.chunks_done != s.begin.chunks || part.revision != s.begin.revision) {
+    return abandon(refuse(ApplyError::OutOfOrder, "end of the snapshot of revision " + number(part.revision) +
+                                                      " after " + number(s.chunks_done) + " of " +
+                                                      number(s.begin.chunks) + " chunks"));
+  }
+  if (s.state.vertices.size() != s.begin.vertex_count || s.state.tets.size() != s.begin.tet_count) {
+    return abandon(
+        refuse(ApplyError::BadShape, "snapshot with " + number(s.state.vertices.size()) + " vertices and " +
+                                         number(s.state.tets.size()) + " tetrahedra, announced were " +
+                                         number(s.begin.vertex_count) + " and " + number(s.begin.tet_count)));
+  }
+  if (s.state.hash != part.part_hash) {
+    return abandon(refuse(ApplyError::HashMismatch,
+                          "part in the snapshot of revision " + number(part.revision) + " has another hash"));
+  }
+  state_ = std::move(staged_->state);
+  staged_.reset();
+  return {};
+}
+
+std::uint64_t VolumePart::compute_part_hash() const {
+  std::uint64_t hash = 0;
+  for (const auto& [id, vertex] : vertices()) hash ^= hash_of(id, vertex.position);
+  for (const auto& [id, tet] : tets()) hash ^= hash_of(id, tet);
+  return hash;
+}
+
+std::vector<std::byte> VolumePart::canonical_bytes() const {
+  std::vector<std::byte> out;
+  out.reserve(24 + vertices().size() * 28 + tets().size() * 32);
+  const auto put = [&](const auto& value) {
+    const auto* bytes = reinterpret_cast<const std::byte*>(&value);
+    out.insert(out.end(), bytes, bytes + sizeof value);
+  };
+  put(revision());
+  put(part_hash());
+  put(static_cast<std::uint32_t>(vertices().size()));
+  put(static_cast<std::uint32_t>(tets().size()));
+  for (const auto& [id, vertex] : vertices()) {
+    put(id);
+    put(vertex.position.x);
+    put(vertex.position.y);
+    put(vertex.position.z);
+  }
+  for (const auto& [id, tet] : tets()) {
+    put(id);
+    for (const std::uint32_t v : tet.vertices) put(v);
+    put(tet.region);
+    put(tet.piece);
+    put(static_cast<std::uint32_t>(tet.cut_mask | tet.boundary_mask << 8));
+  }
+  return out;
+}
+
+// ---- The server's side ----
+
+void VolumePart::load_part(const Replica& whole, const Box& box) {
+  state_ = {};
+  staged_.reset();
+  std::vector<std::uint32_t> used;
+  whole.for_each_tet([&](std::uint32_t t) {
+    if (!meets(whole, t, box)) return;
+    const Tet tet = tet_of(whole, t);
+    state_.tets.emplace_hint(state_.tets.end(), t, tet);
+    state_.hash ^= hash_of(t, tet);
+    used.insert(used.end(), tet.vertices.begin(), tet.vertices.end());
+  });
+  std::sort(used.begin(), used.end());
+  for (auto at = used.begin(); at != used.end();) {
+    const auto next = std::upper_bound(at, used.end(), *at);
+    const Vertex vertex{whole.position(*at), static_cast<std::uint32_t>(next - at)};
+    state_.vertices.emplace_hint(state_.vertices.end(), *at, vertex);
+    state_.hash ^= hash_of(*at, vertex.position);
+    at = next;
+  }
+  state_.revision = whole.revision();
+}
+
+OwnedDelta VolumePart::follow_part(const Replica& whole, const TetIndex& index, const Delta& delta,
+                                   const Box& box) {
+  std::vector<std::uint32_t> touched(delta.tets.ids.begin(), delta.tets.ids.end());
+  touched.insert(touched.end(), delta.removed_tets.begin(), delta.removed_tets.end());
+  touched.insert(touched.end(), delta.piece_tets.begin(), delta.piece_tets.end());
+  // A vertex that moves takes tetrahedra into the box, or out of it, that are the same otherwise.
+  for (const std::uint32_t v : delta.moved_ids) index.append_tets(v, touched);
+  std::sort(touched.begin(), touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+
+  OwnedDelta out;
+  out.base_revision = delta.base_revision;
+  out.revision = delta.revision;
+  out.steps = delta.steps;
+  out.first_added = delta.vertex_count - static_cast<std::uint32_t>(delta.provenance_t.size());
+  out.vertex_count = delta.vertex_count;
+  out.live_tets = delta.live_tets;
+  out.state_hash = delta.state_hash;
+  out.first_new_tet = delta.first_new_tet;
+  std::map<std::uint32_t, std::int64_t> more_uses;
+  for (const std::uint32_t v : delta.moved_ids) more_uses[v];
+  std::map<std::uint32_t, std::vector<std::uint32_t>> pieces;
+  for (const std::uint32_t id : touched) {
+    const auto place = state_.tets.find(id);
+    const Tet* const old = place == state_.tets.end() ? nullptr : &place->second;
+    const bool inside = whole.alive(id) && meets(whole, id, box);
+    if (old && !inside) {
+      out.removed_tets.push_back(id);
+      append_faces(out, id, old, nullptr);
+      for (const std::uint32_t v : old->vertices) --more_uses[v];
+    }
+    if (!inside) continue;
+    const Tet now = tet_of(whole, id);
+    if ((old ? old->piece : 0) != now.piece) pieces[now.piece].push_back(id);
+    Tet in_its_old_piece = now;
+    if (old) in_its_old_piece.piece = old->piece;
+    if (old && *old == in_its_old_piece) continue;
+    append(out, id, now);
+    append_faces(out, id, old, &now);
+    if (old)
+      for (const std::uint32_t v : old->vertices) --more_uses[v];
+    for (const std::uint32_t v : now.vertices) ++more_uses[v];
+  }
+  for (const auto& [v, more] : more_uses) {
+    const auto old = state_.vertices.find(v);
+    const bool here = old != state_.vertices.end();
+    if ((here ? old->second.uses : 0) + more == 0) {
+      if (here) out.removed_vertices.push_back(v);
+      continue;
+    }
+    const Vec3 position = whole.position(v);
+    if (here && same_bits(old->second.position, position)) continue;
+    if (v < out.first_added) {
+      out.moved_ids.push_back(v);
+      append(out.moved_positions, position);
+      continue;
+    }
+    const std::size_t i = v - out.first_added;
+    out.added_ids.push_back(v);
+    append(out.added_positions, position);
+    out.provenance_a.push_back(delta.provenance_a[i]);
+    out.provenance_b.push_back(delta.provenance_b[i]);
+    out.provenance_t.push_back(delta.provenance_t[i]);
+  }
+  for (const auto& [piece, members] : pieces) {
+    out.piece_ids.push_back(piece);
+    out.piece_sizes.push_back(static_cast<std::uint32_t>(members.size()));
+    out.piece_tets.insert(out.piece_tets.end(), members.begin(), members.end());
+  }
+  const Delta sent = out.view();
+  state_.check(change_of(sent), out.part_hash);
+  state_.apply(change_of(sent), out.part_hash);
+  state_.set_pieces(sent);
+  state_.revision = whole.revision();
+  return out;
+}
+
+VolumePartWriter::VolumePartWriter(const VolumePart& part, const Box& box, SnapshotCause cause,
+                                   std::size_t chunk_elements)
+    : part_(part),
+      chunk_elements_(std::max<std::size_t>(1, chunk_elements)),
+      next_vertex_(part.vertices().begin()),
+      next_tet_(part.tets().begin()) {
+  const auto chunks_of = [&](std::size_t n) { return (n + chunk_elements_ - 1) / chunk_elements_; };
+  begin_.view = View::Volume;
+  begin_.revision = part.revision();
+  begin_.cause = cause;
+  begin_.vertex_count = static_cast<std::uint32_t>(part.vertices().size());
+  begin_.tet_count = static_cast<std::uint32_t>(part.tets().size());
+  begin_.chunks =
+      static_cast<std::uint32_t>(chunks_of(part.vertices().size()) + chunks_of(part.tets().size()));
+  begin_.box = box;
+}
+
+bool VolumePartWriter::next() {
+  if (chunks_made_ == begin_.chunks) return false;
+  arrays_ = {};
+  pieces_.clear();
+  chunk_ = {};
+  chunk_.index = chunks_made_++;
+  if (next_vertex_ != part_.vertices().end()) {
+    for (; next_vertex_ != part_.vertices().end() && arrays_.moved_ids.size() < chunk_elements_;
+         ++next_vertex_) {
+      arrays_.moved_ids.push_back(next_vertex_->first);
+      append(arrays_.moved_positions, next_vertex_->second.position);
+    }
+    chunk_.vertex_ids = arrays_.moved_ids;
+    chunk_.positions = arrays_.moved_positions;
+    return true;
+  }
+  for (; next_tet_ != part_.tets().end() && arrays_.tet_ids.size() < chunk_elements_; ++next_tet_) {
+    append(arrays_, next_tet_->first, next_tet_->second);
+    pieces_.push_back(next_tet_->second.piece);
+  }
+  chunk_.tets = arrays_.view().tets;
+  chunk_.tet_pieces = pieces_;
+  return true;
+}
+
+}  // namespace incise::protocol

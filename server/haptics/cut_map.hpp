@@ -1,0 +1,47 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "server/core/vec3.hpp"
+
+namespace incise::haptics {
+
+// Where a body has been cut, and across which directions, however often: a grid of cells of 0.25 h, each with one bit
+// for each of 16 directions that the normals of its cuts are nearest to. So what a frame asks of it costs the same in a
+// fresh body and in one that was cut to slices. Two bytes a cell of the body's box; at most 16 million cells, wider ones
+// beyond that.
+//
+// Thread: one, at a time.
+class CutMap {
+ public:
+  // A set of directions.
+  using Directions = std::uint16_t;
+
+  CutMap(const core::Vec3& low, const core::Vec3& high, double h);
+
+  // Marks what a cut face covers, and 0.1 h on both sides. O(cells that it covers), at most some 6,000.
+  void mark(const core::Vec3& a, const core::Vec3& b, const core::Vec3& c) noexcept;
+  void clear() noexcept;
+  bool empty() const { return !any_; }
+
+  // The directions of cuts at p.
+  Directions at(const core::Vec3& p) const noexcept;
+  // The directions of cuts that an edge along the unit vector lies in, rather than crosses them: its angle to them is
+  // below 40 degrees, give or take the 21 that a direction stands for.
+  static Directions along(const core::Vec3& edge) noexcept;
+  // m.
+  double cell() const { return cell_; }
+
+ private:
+  std::size_t index(
+      const core::Vec3& p) const noexcept;  // of its cell; beyond the last one where p is outside
+
+  core::Vec3 origin_;
+  double cell_ = 1, inverse_ = 1, aside_ = 0;
+  std::int64_t count_[3] = {0, 0, 0};
+  std::vector<Directions> cells_;
+  bool any_ = false;
+};
+
+}  // namespace incise::haptics

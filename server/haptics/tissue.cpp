@@ -1,0 +1,26 @@
+#include "server/haptics/tissue.hpp"
+
+namespace incise::haptics {
+
+Tissue::Tissue(const core::MeshData& loaded)
+    : body_(loaded), surface_(body_), cuts_(surface_.low(), surface_.high(), body_.mean_edge_length()) {}
+
+void Tissue::note_cuts(const core::TetMesh& now, std::span<const core::HalfFace> faces) noexcept {
+  for (const core::HalfFace face : faces) {
+    const core::TetId t = core::tet_of(face);
+    if (!now.alive(t) || (now.cut_mask(t) >> core::face_of(face) & 1) == 0) continue;
+    const auto v = now.face_vertices(face);
+    cuts_.mark(now.position(v[0]), now.position(v[1]), now.position(v[2]));
+  }
+}
+
+void Tissue::note_cuts(const core::TetMesh& now) noexcept {
+  for (core::TetId t = 0; t < now.tet_slots(); ++t) {
+    if (!now.alive(t) || now.cut_mask(t) == 0) continue;
+    const core::HalfFace faces[4] = {core::half_face(t, 0), core::half_face(t, 1), core::half_face(t, 2),
+                                     core::half_face(t, 3)};
+    note_cuts(now, faces);
+  }
+}
+
+}  // namespace incise::haptics

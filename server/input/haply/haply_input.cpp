@@ -1,0 +1,287 @@
+#include "server/input/haply/haply_input.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <boost/asio/as_tuple.hpp>
+#include <boost/asio/co_spawn.hpp>
+#include <boost/asio/detached.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/websocket.hpp>
+#include <chrono>
+#include <mutex>
+#include <optional>
+#include <thread>
+
+#include "server/input/force_guard.hpp"
+#include "server/input/limited_log.hpp"
+
+namespace incise::input {
+namespace {
+
+namespace asio = boost::asio;
+namespace beast = boost::beast;
+using asio::ip::tcp;
+using WebSocket = beast::websocket::stream<beast::tcp_stream>;
+constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+
+constexpr std::size_t kMostBytes = 1 << 20;  // of a state message
+constexpr int kMostFaults = 32;              // in a row: then it is another service
+constexpr std::chrono::seconds kConnectTime{5}, kAnswerTime{1}, kRetry{2};
+constexpr std::chrono::milliseconds kNoDevice{200}, kStopTime{500};
+
+struct Counts {
+  std::uint64_t connections = 0, messages = 0, poses = 0, bad_messages = 0, no_blade = 0, forces_written = 0,
+                forces_failed = 0;
+};
+
+}  // namespace
+
+// All but the constructor, stop() and status() runs on thread.
+struct HaplyInput::Impl {
+  Impl(InputHub& of, haptics::ForceSlots& slots, HaplyOptions given)
+      : hub(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
+    std::string place = options.url.substr(options.url.find("://") + 3);
+    path = place.find('/') == std::string::npos ? "/" : place.substr(place.find('/'));
+    place = place.substr(0, place.find('/'));
+    host = place.substr(0, place.rfind(':'));
+    service = place.substr(place.rfind(':') + 1);
+    publish();
+    asio::co_spawn(io, run(), asio::detached);
+    thread = std::thread([this] {
+      options.on_thread();
+      io.run();
+    });
+  }
+
+  void stop() {
+    if (!thread.joinable()) return;
+    asio::post(io, [this] {
+      stopping = true;
+      pause.cancel();
+      limit.expires_after(kStopTime);
+      limit.async_wait([this](boost::system::error_code error) {
+        if (!error) io.stop();
+      });
+    });
+    thread.join();
+    lose();
+    publish();
+  }
+
+  asio::awaitable<void> run() {
+    bool complained = false;
+    while (!stopping) {
+      WebSocket ws(io);
+      std::string why = co_await connect(ws);
+      if (why.empty()) {
+        complained = false;
+        ++counts.connections;
+        connected = true;
+        events.write(spdlog::level::info, "haply: connected to " + options.url);
+        why = co_await serve(ws);
+        connected = false;
+        lose();
+        publish();
+        if (!stopping) events.write(spdlog::level::warn, "haply: " + options.url + ": " + why);
+      } else if (!complained) {
+        spdlog::warn("haply: cannot connect to {}: {}; trying again every {} s", options.url, why,
+                     kRetry.count());
+        complained = true;
+      }
+      if (!stopping) co_await wait(kRetry);
+    }
+    limit.cancel();
+  }
+
+  template <class Duration>
+  asio::awaitable<void> wait(Duration time) {
+    pause.expires_after(time);
+    co_await pause.async_wait(kTuple);
+  }
+
+  asio::awaitable<std::string> connect(WebSocket& ws) {
+    tcp::resolver resolver(io);
+    const auto [resolve_error, found] = co_await resolver.async_resolve(host, service, kTuple);
+    if (resolve_error) co_return resolve_error.message();
+    auto& stream = beast::get_lowest_layer(ws);
+    stream.expires_after(kConnectTime);
+    const auto [connect_error, endpoint] = co_await stream.async_connect(found, kTuple);
+    if (connect_error) co_return connect_error.message();
+    boost::system::error_code ignored;
+    stream.socket().set_option(tcp::no_delay(true), ignored);
+    ws.read_message_max(kMostBytes);
+    const auto [error] = co_await ws.async_handshake(host + ":" + service, path, kTuple);
+    co_return error ? error.message() : std::string();
+  }
+
+  // Reads states and sends commands, by turns. Why it ended.
+  asio::awaitable<std::string> serve(WebSocket& ws) {
+    beast::flat_buffer buffer;
+    const auto period = std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / options.rate_hz));
+    auto due = std::chrono::steady_clock::now();
+    bool first = true;
+    int faults = 0;
+    while (!stopping) {
+      beast::get_lowest_layer(ws).expires_after(kAnswerTime);
+      const auto [error, bytes] = co_await ws.async_read(buffer, kTuple);
+      if (error) co_return error == beast::error::timeout ? "no answer for a second" : error.message();
+      const std::string_view text(static_cast<const char*>(buffer.data().data()), buffer.size());
+      faults = co_await take(text) ? 0 : faults + 1;
+      buffer.consume(buffer.size());
+      if (faults >= kMostFaults) co_return std::to_string(faults) + " bad messages in a row";
+
+      due = std::max(due + period, std::chrono::steady_clock::now());
+      if (!device.empty() && !stopping) {
+        pause.expires_at(due);
+        co_await pause.async_wait(kTuple);
+      } else if (!stopping) {
+        co_await wait(kNoDevice);
+      }
+      if (stopping) break;
+      if (std::string failed = co_await command(ws, first); !failed.empty()) co_return failed;
+      first = false;
+      if (++turns % 64 == 1 || device.empty()) publish();
+    }
+    // The last word: no force. Its answer says that it was heard; a connection closed with an answer unread is reset, and
+    // what the service had not read is lost.
+    if (!device.empty()) {
+      const std::string failed = co_await command(ws, false);
+      beast::get_lowest_layer(ws).expires_after(kAnswerTime);
+      if (failed.empty()) co_await ws.async_read(buffer, kTuple);
+    }
+    co_return std::string("ended");
+  }
+
+  asio::awaitable<std::string> command(WebSocket& ws, bool first) {
+    core::Vec3 force;
+    if (slot && !stopping) {
+      slot->read(newest);
+      force = turned_to_device(options.placement, guard.pass(newest, monotonic_ns()));
+    }
+    const std::string text =
+        device.empty() ? haply_query() : haply_force(device, force, options.version, first);
+    beast::get_lowest_layer(ws).expires_after(kAnswerTime);
+    const auto [error, bytes] = co_await ws.async_write(asio::buffer(text), kTuple);
+    if (!error) {
+      counts.forces_written += !device.empty();
+      co_return std::string();
+    }
+    ++counts.forces_failed;
+    guard.failed();
+    if (slot) slot->write_failed();
+    co_return error == beast::error::timeout ? "it does not read" : error.message();
+  }
+
+  // False where the message was none.
+  asio::awaitable<bool> take(std::string_view text) {
+    const std::int64_t arrival_ns = monotonic_ns();
+    ++counts.messages;
+    std::string error;
+    const std::optional<HaplyState> state = read_haply_state(text, options.device, options.grip, error);
+    if (!state) {
+      ++counts.bad_messages;
+      events.write(spdlog::level::warn, "haply: message ignored: " + error);
+      co_return false;
+    }
+    if (state->device != device) {
+      lose();
+      device = state->device;
+      publish();
+    }
+    if (device.empty() || !hold()) co_return true;
+    TimedPose pose;
+    pose.arrival_ns = arrival_ns;
+    pose.pose.t_ns = last_ns = std::max(arrival_ns, last_ns + 1);
+    pose.pose.position = world_from_device(options.placement, state->position);
+    pose.pose.orientation = world_from_device(options.placement, state->orientation);
+    pose.pose.buttons = state->buttons;
+    ++counts.poses;
+    // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service lets the device go.
+    while (source->push(std::span(&pose, 1)) == 0 && !stopping) co_await wait(std::chrono::milliseconds(1));
+    co_return true;
+  }
+
+  // Whether there is a blade.
+  bool hold() {
+    if (source) return true;
+    source = hub.open_source(options.source);
+    if (!source) {
+      ++counts.no_blade;
+      events.write(spdlog::level::warn, "haply: no blade for " + options.source + ": it is taken, or all " +
+                                            std::to_string(core::kMaxSources) + " are");
+      return false;
+    }
+    slot = &forces[source->number()];
+    slot->device_came(options.max_force_n);
+    newest = {};
+    publish();
+    return true;
+  }
+
+  void lose() {
+    if (slot) slot->device_lost();
+    slot = nullptr;
+    source.reset();
+    device.clear();
+  }
+
+  void publish() {
+    NetworkStatus status{"haply", {}, {}};
+    status.peers.push_back({options.url, connected, {}});
+    if (source) status.peers.front().sources.push_back(options.source);
+    status.counts = {{"connections", counts.connections},
+                     {"messages", counts.messages},
+                     {"poses", counts.poses},
+                     {"bad_messages", counts.bad_messages},
+                     {"no_blade", counts.no_blade},
+                     {"forces_written", counts.forces_written},
+                     {"forces_failed", counts.forces_failed}};
+    const std::scoped_lock lock(status_mutex);
+    told = std::move(status);
+  }
+
+  InputHub& hub;
+  haptics::ForceSlots& forces;
+  const HaplyOptions options;
+  std::string host, service, path;
+  asio::io_context io{1};
+  asio::steady_timer pause{io}, limit{io};
+  bool stopping = false, connected = false;
+  std::string device;  // the id of the Inverse3 that is there
+  std::optional<SourceHandle> source;
+  haptics::ForceSlot* slot = nullptr;  // while there is a source
+  haptics::ForceCommand newest;
+  ForceGuard guard;
+  std::int64_t last_ns = 0;
+  std::uint64_t turns = 0;
+  Counts counts;
+  LimitedLog events;
+  mutable std::mutex status_mutex;
+  NetworkStatus told;  // guarded by status_mutex
+  std::thread thread;
+};
+
+HaplyInput::HaplyInput(InputHub& hub, haptics::ForceSlots& forces, HaplyOptions options)
+    : impl_(std::make_unique<Impl>(hub, forces, std::move(options))) {}
+
+HaplyInput::~HaplyInput() {
+  stop();
+}
+
+void HaplyInput::stop() {
+  impl_->stop();
+}
+
+NetworkStatus HaplyInput::status() const {
+  const std::scoped_lock lock(impl_->status_mutex);
+  return impl_->told;
+}
+
+}  // namespace incise::input

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "server/haptics/force_slot.hpp"
+#include "server/input/haply/haply_messages.hpp"
+#include "server/input/input_hub.hpp"
+#include "server/input/network_status.hpp"
+#include "server/input/placement.hpp"
+
+namespace incise::input {
+
+struct HaplyOptions {
+  std::string url;  // "ws://host:port"; "": none
+  HaplyVersion version = HaplyVersion::k35;
+  std::string device, grip;  // ids; "": the first
+  std::string source = "haply";
+  double rate_hz = 1000;  // commands a second, at most
+  double max_force_n = 3.3;
+  Placement placement;
+  std::function<void()> on_thread = [] {};  // called first in its thread
+};
+
+// Haply's Inverse Service as a pose source and a sink of forces: connects, and again when the connection is lost. Each
+// state it sends is a pose, at the time it arrived; each command brings the newest force and asks for the next state. What is
+// sent is checked last here (ForceGuard). Gone, silent for a second or stopped, the device has lost its force: the service
+// lets a device go that gets no commands.
+//
+// Thread: made and destroyed by one; status() by any. Owns: a thread with the connection.
+class HaplyInput {
+ public:
+  // `hub` and `forces` must outlive this.
+  HaplyInput(InputHub& hub, haptics::ForceSlots& forces, HaplyOptions options);
+  ~HaplyInput();
+  // Sends no force as the last one, and lets go of the blade, for good.
+  void stop();
+
+  NetworkStatus status() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace incise::input

@@ -1,0 +1,344 @@
+// A device's reports to the force that it is sent, through all that lies between, with a clock of the test's own: decoder,
+// queue, loop with forces and cutting, slot, report. So limits in newtons a second and times in milliseconds are checked
+// to the digit, on any machine; incise-hid-faults does the same with threads and a process of its own, where time is as it
+// is.
+
+#include <gtest/gtest.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstring>
+#include <functional>
+#include <optional>
+
+#include "server/input/hid/hid_device.hpp"
+#include "server/loop/frame_loop.hpp"
+#include "tests/haptics/random.hpp"
+#include "tests/support/bodies.hpp"
+
+namespace {
+std::int64_t virtual_ns = 0;  // 0: the system's clock
+}
+
+extern "C" int clock_gettime(clockid_t clock, timespec* time) noexcept {
+  if (clock != CLOCK_MONOTONIC || virtual_ns == 0)
+    return static_cast<int>(::syscall(SYS_clock_gettime, clock, time));
+  *time = {virtual_ns / 1'000'000'000, virtual_ns % 1'000'000'000};
+  return 0;
+}
+
+namespace incise::e2e {
+namespace {
+
+using core::Vec3;
+using tests::Random;
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr double kMost_n = 3.3, kSlew_n_s = 500, kRamp_s = 2, kQuantum_n = 2e-6;
+constexpr std::int64_t kDecay_ns = 10 * kMs, kFrameSlack_ns = 2 * kMs;
+
+// A stylus whose numbers are floating point ones: they can be none.
+constexpr const char* kProfile =
+    R"({"name": "Float", "usage_page": "ff1c", "usage": "0001", "report": 1, "rate_hz": 1000,
+  "counter": {"at": 1, "type": "u16"},
+  "tools": [{"position": {"x": {"at": 4, "type": "f32"}, "y": {"at": 8, "type": "f32"}, "z": {"at": 12, "type": "f32"}},
+             "buttons": [{"at": 3, "bit": 0, "type": "u1"}], "valid": {"at": 3, "bit": 1, "type": "u1"}}],
+  "force": {"max_newtons": 3.3, "bytes": "02 00*12", "x": {"at": 1, "type": "i32", "scale": 1e-6},
+            "y": {"at": 5, "type": "i32", "scale": 1e-6}, "z": {"at": 9, "type": "i32", "scale": 1e-6}}})";
+
+using Report = std::array<std::uint8_t, 16>;
+
+class Rig {
+ public:
+  Rig() {
+    virtual_ns = begun_;
+    // So stiff that four millimetres are more than the limit: every stage has something to hold back.
+    haptics::ForceConfig config;
+    config.materials.tissue.stiffness_n_m = 2000;
+    loop_.offer_forces(config, tests::cube(6), nullptr, &slots_);
+    plug();
+  }
+  ~Rig() { virtual_ns = 0; }
+
+  void plug() {
+    decoder_.emplace(profile_, input::Placement{});
+    source_ = hub_.open_source("stylus");
+    ASSERT_TRUE(source_);
+    slots_[0].device_came(profile_.force->max_newtons);
+    maker_.emplace(*profile_.force, *decoder_);
+    felt = {};
+  }
+  // As HidDevice does when its node is gone.
+  void unplug() {
+    slots_[0].device_lost();
+    source_->end_stroke(virtual_ns);
+    source_.reset();
+    maker_.reset();
+    felt = {};
+  }
+  bool plugged() const { return maker_.has_value(); }
+
+  // A report from the device.
+  void report(const Report& bytes) { report(std::span<const std::uint8_t>(bytes)); }
+  void report(std::span<const std::uint8_t> bytes) {
+    for (const auto& sample : decoder_->take(bytes, virtual_ns)) {
+      const input::TimedPose pose{sample.pose, virtual_ns};
+      if (!sample.valid) {
+        source_->end_stroke(virtual_ns);
+      } else {
+        ASSERT_EQ(source_->push(std::span(&pose, 1)), 1u);
+      }
+    }
+  }
+  // What it says of itself, moved on towards where it is wanted by at most 1 mm.
+  Report pose() {
+    const double t = 1e-9 * static_cast<double>(virtual_ns - begun_);
+    at_ += std::clamp(height - at_, -1e-3, 1e-3);
+    Report bytes{};
+    bytes[0] = 1;
+    ++counter_;
+    std::memcpy(&bytes[1], &counter_, 2);
+    bytes[3] = static_cast<std::uint8_t>(2 + engaged);
+    const float p[3] = {static_cast<float>(0.05 + 0.01 * std::sin(t)), 0.05f, static_cast<float>(at_)};
+    std::memcpy(&bytes[4], p, sizeof p);
+    return last_pose = bytes;
+  }
+  // The same place, told anew.
+  Report frozen() {
+    ++counter_;
+    std::memcpy(&last_pose[1], &counter_, 2);
+    return last_pose;
+  }
+
+  // A millisecond goes by; the loop has a frame, or hangs; the writer writes. Checks what must always hold.
+  void tick(bool frame = true) {
+    virtual_ns += kMs;
+    if (frame) loop_.frame(virtual_ns);
+    if (!maker_) return;
+    const bool fresh = slots_[0].read(command_);
+    const auto bytes = maker_->make(command_, virtual_ns);
+    std::int32_t raw[3];
+    std::memcpy(raw, &bytes[1], sizeof raw);
+    const Vec3 now{1e-6 * raw[0], 1e-6 * raw[1], 1e-6 * raw[2]};
+    if (refuses) {  // the device does not get it; it holds what it has, and must not be trusted with it
+      maker_->failed();
+      slots_[0].write_failed();
+    }
+    ASSERT_LE(length(now), kMost_n + kQuantum_n);
+    // Between two commands; a command that has become too old is no force at once.
+    if (fresh && !stale_) {
+      ASSERT_LE(distance(now, felt),
+                kSlew_n_s * 1e-9 * static_cast<double>(virtual_ns - command_ns_) + kQuantum_n);
+    }
+    if (fresh) command_ns_ = virtual_ns;
+    stale_ = virtual_ns - command_.time_ns > input::kForceLife_ns || refuses;
+    felt = now;
+    if (length(felt) == 0) {
+      zero_ns = virtual_ns;
+      if (first_zero_ns == 0) first_zero_ns = virtual_ns;
+    }
+  }
+  void run(int ms) {
+    for (int i = 0; i < ms && !::testing::Test::HasFatalFailure(); ++i) {
+      report(pose());
+      tick();
+    }
+  }
+  // Pulled out of the tissue and in again, the button pressed in the air.
+  void press_anew() {
+    height = 0.16;
+    engaged = false;
+    run(30);
+    engaged = true;
+    run(5);
+    engaged = false;
+    run(5);
+  }
+
+  bool in_stroke() const { return session_.in_stroke(0); }
+  const loop::LoopStats& stats() const { return loop_.stats(); }
+  bool latched() const { return (command_.flags & haptics::kForceLatchedOff) != 0; }
+
+  double height = 0.146;  // of the tip over the cube's bottom: wanted; the top is at 0.1, the blade 0.05 long
+  bool engaged = false, refuses = false;
+  Report last_pose{};
+  Vec3 felt;
+  std::int64_t zero_ns = begun_,
+               first_zero_ns = 0;  // the last time that there was none; the first one since this was 0
+
+ private:
+  static core::CutConfig cut_config() {
+    core::CutConfig config;
+    config.blade = {{0, 0, 0}, {0, 0, -0.05}};
+    return config;
+  }
+  struct Discard : loop::DeltaSink {
+    void publish(std::shared_ptr<const loop::PublishedDelta>) noexcept override {}
+  };
+  static constexpr std::int64_t begun_ = 1'000'000 * kMs;
+  const input::DeviceProfile profile_ = input::parse_profile(kProfile, "float.json");
+  core::CutSession session_{tests::cube(6), cut_config()};
+  input::InputHub hub_{cut_config().blade};
+  Discard sink_;
+  haptics::ForceSlots slots_;
+  loop::FrameLoop loop_{session_, hub_, sink_, nullptr, {}};
+  std::optional<input::PoseDecoder> decoder_;
+  std::optional<input::SourceHandle> source_;
+  std::optional<input::ForceReport> maker_;
+  haptics::ForceCommand command_;
+  std::int64_t command_ns_ = begun_;
+  bool stale_ = true;
+  std::uint16_t counter_ = 0;
+  double at_ = 0.16;
+};
+
+enum Fault : std::uint32_t {
+  kUnplug,
+  kGarbage,
+  kSilent,
+  kRepeats,
+  kFrozen,
+  kNotANumber,
+  kOutOfSight,
+  kLateLoop,
+  kRefuses,
+  kFaults
+};
+
+// The fault begins and lasts; returns in what time it must have ended the force, ns.
+std::int64_t inflict(Rig& rig, Fault fault, Random& random) {
+  const auto last = [&](std::int64_t ms, const std::function<void()>& report) {
+    for (std::int64_t i = 0; i < ms && !::testing::Test::HasFatalFailure(); ++i) {
+      report();
+      rig.tick();
+    }
+  };
+  switch (fault) {
+    case kUnplug:
+      rig.unplug();
+      last(5, [] {});
+      return 0;
+    case kGarbage:
+      last(60, [&] {
+        std::array<std::uint8_t, 40> bytes;
+        for (std::uint8_t& byte : bytes) byte = static_cast<std::uint8_t>(random.below(256));
+        // Too short, or of another number, or with a position that is light years off.
+        const std::uint32_t kind = random.below(3);
+        bytes[0] = kind == 1 ? 9 : 1;
+        if (kind == 2) bytes[7] = bytes[11] = bytes[15] = 0x7e;
+        rig.report(std::span<const std::uint8_t>(bytes).first(kind == 0 ? 1 + random.below(15) : 40));
+      });
+      return 20 * kMs + kDecay_ns;
+    case kSilent:
+      last(60, [] {});
+      return 20 * kMs + kDecay_ns;
+    case kRepeats:
+      last(60, [&] { rig.report(rig.last_pose); });
+      return 20 * kMs + kDecay_ns;
+    case kFrozen:
+      last(290, [&] { rig.report(rig.frozen()); });
+      return 250 * kMs + kDecay_ns;
+    case kNotANumber:
+      last(60, [&] {
+        Report bytes = rig.frozen();
+        const float none = random.below(2) ? NAN : -INFINITY;
+        std::memcpy(&bytes[4 + 4 * random.below(3)], &none, 4);
+        rig.report(bytes);
+      });
+      return 20 * kMs + kDecay_ns;
+    case kOutOfSight:
+      last(60, [&] {
+        Report bytes = rig.frozen();
+        bytes[3] = 0;
+        rig.report(bytes);
+      });
+      return 20 * kMs + kDecay_ns;
+    case kLateLoop:
+      for (std::uint32_t i = 0, n = 6 + random.below(45); i < n; ++i) {
+        rig.report(rig.pose());
+        rig.tick(false);
+      }
+      last(12, [&] { rig.report(rig.pose()); });
+      return 20 * kMs + kDecay_ns;  // a report of a command older than that is none
+    case kRefuses:
+      rig.refuses = true;
+      last(5 + random.below(20), [&] { rig.report(rig.pose()); });
+      rig.refuses = false;
+      last(12, [&] { rig.report(rig.pose()); });
+      return 0;
+    case kFaults:
+      break;
+  }
+  return 0;
+}
+
+TEST(ForceFaults, FiveHundredInContactEndTheForceInTimeAndNoneBreaksALimit) {
+  int acted = 0, latches = 0, strokes = 0, counts[kFaults] = {};
+  for (std::uint64_t seed = 1; seed <= 25; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random random(seed);
+    Rig rig;
+    for (int episode = 0; episode < 20; ++episode) {
+      SCOPED_TRACE("episode " + std::to_string(episode));
+      // Down to the surface and into a contact, one in three with a stroke under way.
+      rig.height = 0.146;
+      rig.engaged = random.below(3) == 0;
+      rig.run(60 + static_cast<int>(random.below(random.below(5) == 0 ? 2500 : 500)));
+      if (HasFatalFailure()) return;
+      acted += length(rig.felt) > 0;
+      strokes += rig.in_stroke();
+      const auto fault = static_cast<Fault>(random.below(kFaults));
+      ++counts[fault];
+      SCOPED_TRACE("fault " + std::to_string(fault));
+      const std::int64_t from = virtual_ns;
+      rig.first_zero_ns = 0;
+      const bool acting = length(rig.felt) > 0;
+      const std::int64_t allowed = inflict(rig, fault, random);
+      if (HasFatalFailure()) return;
+      if (fault == kUnplug) {
+        ASSERT_FALSE(rig.in_stroke()) << "a stroke ends with its device";
+        rig.plug();
+      } else if (acting) {
+        ASSERT_GT(rig.first_zero_ns, 0) << "the force has not come to 0";
+        ASSERT_LE(rig.first_zero_ns - from, allowed + kFrameSlack_ns);
+        if (fault != kLateLoop) {
+          ASSERT_EQ(length(rig.felt), 0) << "and is 0 as long as the fault lasts";
+        }
+      }
+      if (fault == kOutOfSight) {
+        ASSERT_FALSE(rig.in_stroke());
+      }
+      // What comes back comes with the ramp.
+      const std::int64_t zero = rig.zero_ns;
+      const bool latched = rig.latched() && fault != kUnplug;
+      latches += latched;
+      for (int i = 0; i < 120; ++i) {
+        rig.run(1);
+        if (HasFatalFailure()) return;
+        const double ramp = kMost_n / kRamp_s * 1e-9 * static_cast<double>(virtual_ns - zero);
+        ASSERT_LE(length(rig.felt), latched ? 0 : ramp + kQuantum_n) << i << " ms after";
+      }
+      if (fault == kRefuses) {  // only a source that is opened anew begins again
+        ASSERT_TRUE(latched);
+        rig.press_anew();
+        ASSERT_TRUE(rig.latched());
+        rig.unplug();
+        rig.tick();
+        rig.plug();
+      }
+      rig.press_anew();
+      if (HasFatalFailure()) return;
+      ASSERT_FALSE(rig.latched());
+    }
+    ASSERT_GT(rig.stats().pose_to_force.count(), 1000u);
+  }
+  EXPECT_GE(acted, 450);
+  EXPECT_GE(strokes, 50);
+  EXPECT_GE(latches, 50);
+  for (const int count : counts) EXPECT_GE(count, 20);
+}
+
+}  // namespace
+}  // namespace incise::e2e

@@ -1,0 +1,406 @@
+// incise-hid-faults: incised with a force device that umockdev feigns, and faults while a force acts: pulled out, garbage,
+// silence, a frozen device, numbers that are none, out of sight, a loop that hangs, writes that fail. Ends with 1 where a
+// force breaks its limit, does not come to 0, or comes back without its ramp; prints how long things took. What can be
+// said to the digit about times, tests/e2e/force_faults_test.cpp says with a clock of its own.
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <stdexcept>
+#include <thread>
+
+#include "server/core/vec3.hpp"
+#include "server/input/input_hub.hpp"
+#include "tests/e2e/process.hpp"
+#include "tests/stream/raw_peer.hpp"
+#include "tests/support/mock_hid.hpp"
+
+namespace incise::e2e {
+namespace {
+
+namespace fs = std::filesystem;
+using input::monotonic_ns;
+using tests::eventually;
+using tests::MockDevice;
+
+constexpr double kMost_n = 3.3, kRamp_s = 2, kQuantum_n = 2e-6;
+constexpr std::int64_t kMs = 1'000'000, kCommandLife_ns = 20 * kMs;
+
+void require(bool holds, const std::string& what) {
+  if (!holds) throw std::runtime_error(what);
+}
+
+// A stylus whose numbers are floating point ones: they can be none.
+constexpr const char* kProfile =
+    R"({"name": "Float", "vendor": "abcd", "product": "0010", "report": 1, "rate_hz": 1000,
+  "counter": {"at": 1, "type": "u16"},
+  "tools": [{"position": {"x": {"at": 4, "type": "f32"}, "y": {"at": 8, "type": "f32"}, "z": {"at": 12, "type": "f32"}},
+             "buttons": [{"at": 3, "bit": 0, "type": "u1"}], "valid": {"at": 3, "bit": 1, "type": "u1"}}],
+  "force": {"max_newtons": 3.3, "bytes": "02 00*12", "x": {"at": 1, "type": "i32", "scale": 1e-6},
+            "y": {"at": 5, "type": "i32", "scale": 1e-6}, "z": {"at": 9, "type": "i32", "scale": 1e-6}}})";
+
+MockDevice::Kind kind() {
+  MockDevice::Kind made;
+  made.vendor = 0xabcd;
+  made.product = 0x10;
+  made.name = "Float";
+  made.serial = "F1";
+  // Report 1: 15 bytes in; report 2: 12 bytes out.
+  made.descriptor = tests::from_hex(
+      "06 00 ff 09 01 a1 01 15 00 26 ff 00 75 08 85 01 95 0f 09 01 81 02 85 02 95 0c 09 02 91 02 c0");
+  return made;
+}
+
+enum class Fault { kUnplug, kGarbage, kSilent, kFrozen, kNotANumber, kOutOfSight, kLateLoop, kRefuses };
+constexpr int kFaults = 8;
+constexpr const char* kNames[kFaults] = {"unplugged",    "garbage",      "silent",    "frozen",
+                                         "not a number", "out of sight", "late loop", "writes refused"};
+
+// The device in the user's hand: a report a millisecond. Thread: its own; what it does is set from outside.
+class Stylus {
+ public:
+  explicit Stylus(tests::MockHid& machine)
+      : machine_(machine),
+        device_(machine.plug(kind())),
+        thread_([this](const std::stop_token& stop) { run(stop); }) {}
+
+  // From when this returns its reports have this fault; -1: none.
+  void begin(int wanted) {
+    fault = wanted;
+    require(eventually([&] { return acting_ == wanted; }), "the test's own thread hangs");
+  }
+  std::atomic<double> height{0.06};
+  std::atomic<bool> engaged{false};
+
+  void unplug() {
+    const std::scoped_lock lock(mutex_);
+    device_.reset();
+    looked_ = 0;
+  }
+  void plug() {
+    const std::scoped_lock lock(mutex_);
+    device_ = machine_.plug(kind());
+  }
+  void refuse(bool refuse) {
+    const std::scoped_lock lock(mutex_);
+    device_->refuse_outputs(refuse);
+  }
+  struct Felt {
+    double newtons;
+    std::int64_t time_ns;
+  };
+  // What it was sent since the last call.
+  std::vector<Felt> felt() {
+    const std::scoped_lock lock(mutex_);
+    std::vector<Felt> felt;
+    if (!device_) return felt;
+    const auto sent = device_->outputs(looked_);
+    looked_ += sent.size();
+    for (const auto& output : sent) {
+      require(output.bytes.size() == 13,
+              "an output report of " + std::to_string(output.bytes.size()) + " bytes");
+      std::int32_t raw[3];
+      std::memcpy(raw, &output.bytes[1], sizeof raw);
+      felt.push_back({1e-6 * core::length({double(raw[0]), double(raw[1]), double(raw[2])}), output.time_ns});
+      require(felt.back().newtons <= kMost_n + kQuantum_n,
+              "a force of " + std::to_string(felt.back().newtons) + " N");
+    }
+    return felt;
+  }
+
+ private:
+  void run(const std::stop_token& stop) {
+    std::mt19937_64 random(1);
+    std::int64_t due = monotonic_ns();
+    const std::int64_t begun = due;
+    double at = 0.06, x = 0;
+    std::uint16_t counter = 0;
+    while (!stop.stop_requested()) {
+      due = std::max(due + kMs, monotonic_ns() - 3 * kMs);
+      const timespec when{due / 1'000'000'000, due % 1'000'000'000};
+      clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr);
+      const auto now = static_cast<Fault>(fault.load());
+      acting_ = static_cast<int>(now);
+      if (now == Fault::kSilent) continue;
+      if (now != Fault::kFrozen) {
+        at += std::clamp(height - at, -2e-4, 2e-4);
+        x = 0.01 * std::sin(1e-9 * static_cast<double>(due - begun));
+      }
+      std::array<std::uint8_t, 16> bytes{};
+      bytes[0] = 1;
+      ++counter;
+      std::memcpy(&bytes[1], &counter, 2);
+      bytes[3] = now == Fault::kOutOfSight ? 0 : 2 + (engaged ? 1 : 0);
+      float p[3] = {static_cast<float>(x), 0, static_cast<float>(at)};
+      if (now == Fault::kNotANumber) p[random() % 3] = random() % 2 ? NAN : INFINITY;
+      std::memcpy(&bytes[4], p, sizeof p);
+      std::size_t size = bytes.size();
+      if (now == Fault::kGarbage) {
+        for (std::uint8_t& byte : bytes) byte = static_cast<std::uint8_t>(random());
+        bytes[0] = static_cast<std::uint8_t>(random() % 3);
+        if (bytes[0] == 1) bytes[7] = 0x7e;  // else it might be a place where a stylus can be
+        size = 1 + random() % bytes.size();
+      }
+      const std::scoped_lock lock(mutex_);
+      if (device_) device_->report(std::span(bytes).first(size));
+    }
+  }
+
+  std::atomic<int> fault{-1}, acting_{-1};
+  tests::MockHid& machine_;
+  std::mutex mutex_;  // guards device_, looked_
+  std::unique_ptr<MockDevice> device_;
+  std::size_t looked_ = 0;
+  std::jthread thread_;
+};
+
+struct Options {
+  int count = 500;
+  std::uint64_t seed = 1;
+};
+
+class Run {
+ public:
+  explicit Run(const Options& options)
+      : random_(options.seed),
+        folder_(fs::temp_directory_path() / ("incise_faults_" + std::to_string(::getpid()))) {
+    fs::create_directories(folder_ / "profiles");
+    std::ofstream(folder_ / "profiles/float.json") << kProfile;
+    std::ofstream(folder_ / "server.json") << R"({"mesh": {"phantom": "slab", "target_tets": 3000},
+      "blade": {"heel": [0, 0, 0], "tip": [0, 0, -0.05]}, "listen": {"tcp_port": 0, "http_port": 0},
+      "haptics": {"stiffness_n_m": 2000}, "devices": {"profiles": "profiles"},
+      "capture": {"path": "run.capture"}, "log": {"level": "error"}})";
+    server_ = std::make_unique<Process>(
+        std::vector<std::string>{"incised", "--config", (folder_ / "server.json").string()});
+    const std::string line = server_->line("listening ", 120);
+    const auto http = line.find("http=");
+    require(http != std::string::npos, "incised did not start");
+    port_ = static_cast<std::uint16_t>(std::atoi(line.c_str() + line.find(':', http) + 1));
+  }
+  ~Run() {
+    server_.reset();
+    fs::remove_all(folder_);
+  }
+
+  void run(const Options& options) {
+    std::vector<double> to_zero_ms[kFaults];
+    clean();
+    for (int i = 0; i < options.count; ++i) {
+      const int fault = static_cast<int>(random_() % kFaults);
+      try {
+        to_zero_ms[fault].push_back(episode(static_cast<Fault>(fault)));
+      } catch (const std::exception& error) {
+        throw std::runtime_error("seed " + std::to_string(options.seed) + ", fault " + std::to_string(i) +
+                                 " (" + kNames[fault] + "): " + error.what());
+      }
+    }
+    stylus_.height = 0.06;
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    server_->signal(SIGTERM);
+    require(server_->wait(60) == 0, "the server did not end cleanly");
+    Process replay({"incise", "replay", (folder_ / "run.capture").string(), "--verify"});
+    require(replay.wait(300) == 0, "the capture does not replay");
+    std::printf("%-16s %6s %22s\n", "fault", "count", "force 0 after ms, p50 max");
+    for (int fault = 0; fault < kFaults; ++fault) {
+      auto& times = to_zero_ms[fault];
+      if (times.empty()) continue;
+      std::sort(times.begin(), times.end());
+      std::printf("%-16s %6zu %14.1f %7.1f\n", kNames[fault], times.size(), times[times.size() / 2],
+                  times.back());
+    }
+  }
+
+ private:
+  nlohmann::json stats() const {
+    const std::string answer = stream::http(port_, "/stats");
+    const auto body = answer.find("\r\n\r\n");
+    require(body != std::string::npos, "no /stats");
+    return nlohmann::json::parse(answer.substr(body + 4));
+  }
+
+  // Down into a contact, until a force acts. On a busy machine frames are late and reports are by themselves, and three such
+  // faults end the force for good: then the button is pressed anew.
+  void press() {
+    const std::int64_t end = monotonic_ns() + 60'000 * kMs;
+    while (monotonic_ns() < end) {
+      stylus_.height = surface_ + 0.05 - 0.004;
+      for (int i = 0; i < 500; ++i) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(2));
+        const auto felt = stylus_.felt();
+        if (!felt.empty() && felt.back().newtons > 0) return;
+      }
+      lift();
+    }
+    require(false, "no force in contact");
+  }
+
+  // Out of the tissue, and the button pressed there.
+  void lift() {
+    stylus_.engaged = false;
+    stylus_.height = surface_ + 0.05 + 0.02;
+    std::this_thread::sleep_for(std::chrono::milliseconds(150));
+    stylus_.engaged = true;
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    stylus_.engaged = false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    stylus_.felt();
+  }
+
+  // Some seconds without a fault: how fast reports come, and how old the poses are that they belong to.
+  void clean() {
+    // Where the top is.
+    const auto answer = stats();
+    require(eventually([&] { return stats()["sources"] == 1; }), "the device is not read");
+    find_surface();
+    press();
+    stylus_.felt();
+    std::this_thread::sleep_for(std::chrono::milliseconds(3000));
+    const auto felt = stylus_.felt();
+    require(felt.size() > 2, "no reports");
+    const double seconds = 1e-9 * static_cast<double>(felt.back().time_ns - felt.front().time_ns);
+    const auto ways = stats()["devices"][0]["forces"]["pose_to_report_us"];
+    std::printf("force reports a second        %.0f\n", static_cast<double>(felt.size() - 1) / seconds);
+    std::printf("a pose's way to its report    p50 %.0f, p99 %.0f, p99.9 %.0f, max %.0f us\n",
+                ways["p50"].get<double>(), ways["p99"].get<double>(), ways["p99.9"].get<double>(),
+                ways["max"].get<double>());
+  }
+
+  // Lowers the tip until there is a force.
+  void find_surface() {
+    for (surface_ = 0.02; surface_ > -0.05; surface_ -= 0.001) {
+      stylus_.height = surface_ + 0.05 - 0.001;
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      for (const auto& felt : stylus_.felt()) {
+        if (felt.newtons > 0) return;
+      }
+    }
+    require(false, "no tissue below the tip");
+  }
+
+  // One fault in a contact. After how many ms the force was 0.
+  double episode(Fault fault) {
+    press();
+    // One in three with a stroke under way.
+    stylus_.engaged = random_() % 3 == 0;
+    std::this_thread::sleep_for(std::chrono::milliseconds(30 + random_() % 200));
+    stylus_.felt();
+    stylus_.begin(static_cast<int>(fault));
+    const std::int64_t from = monotonic_ns();
+    // The first report without a force that is followed by none with one for as long as any fault takes to be noticed.
+    std::int64_t zero_ns = 0, first_zero_ns = 0;
+    const auto ended = [&] {
+      for (const auto& felt : stylus_.felt()) {
+        if (felt.newtons > 0) {
+          first_zero_ns = 0;
+          continue;
+        }
+        zero_ns = felt.time_ns;
+        if (first_zero_ns == 0) first_zero_ns = felt.time_ns;
+      }
+      return first_zero_ns > 0 && monotonic_ns() - std::max(from, first_zero_ns) > 300 * kMs;
+    };
+    if (fault == Fault::kUnplug) {
+      stylus_.unplug();
+      require(eventually([&] { return stats()["sources"] == 0; }), "the stroke goes on without its device");
+      stylus_.plug();
+      require(eventually([&] { return stats()["sources"] == 1; }), "the device is not found again");
+      zero_ns = first_zero_ns = monotonic_ns();
+    } else if (fault == Fault::kLateLoop) {
+      server_->signal(SIGSTOP);
+      std::this_thread::sleep_for(std::chrono::milliseconds(30 + random_() % 40));
+      server_->signal(SIGCONT);
+      require(eventually([&] { return zero_after_it_hung(first_zero_ns, zero_ns); }),
+              "the force does not come to 0");
+    } else if (fault == Fault::kRefuses) {
+      // The device hears nothing and lets go by itself. The server takes it for broken: what it is sent from here on is 0.
+      stylus_.refuse(true);
+      std::this_thread::sleep_for(std::chrono::milliseconds(20 + random_() % 60));
+      stylus_.felt();
+      stylus_.refuse(false);
+      require(eventually(ended), "the force does not come to 0");
+    } else {
+      require(eventually(ended), "the force does not come to 0");
+      // And stays there as long as the fault does.
+      std::this_thread::sleep_for(std::chrono::milliseconds(30));
+      for (const auto& felt : stylus_.felt()) {
+        require(felt.newtons == 0, "a force while the fault lasts");
+        zero_ns = felt.time_ns;
+      }
+    }
+    stylus_.begin(-1);
+    come_back(fault, zero_ns);
+    return 1e-6 * static_cast<double>(first_zero_ns - from);
+  }
+
+  // The loop goes on at once, so what it sends after the first report without a force is what comes back.
+  bool zero_after_it_hung(std::int64_t& first_zero_ns, std::int64_t& zero_ns) {
+    for (const auto& felt : stylus_.felt()) {
+      if (felt.newtons > 0) continue;
+      zero_ns = felt.time_ns;
+      if (first_zero_ns == 0) first_zero_ns = felt.time_ns;
+    }
+    return first_zero_ns > 0;
+  }
+
+  // What comes back comes with the ramp. A report's command is up to 20 ms older than the report.
+  void come_back(Fault fault, std::int64_t zero_ns) {
+    bool came = false;
+    for (int i = 0; i < 8; ++i) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      for (const auto& felt : stylus_.felt()) {
+        if (felt.newtons == 0) {
+          zero_ns = std::max(zero_ns, felt.time_ns);
+          continue;
+        }
+        came = true;
+        const double most =
+            kMost_n / kRamp_s * 1e-9 * static_cast<double>(felt.time_ns - zero_ns + kCommandLife_ns);
+        require(felt.newtons <= most + kQuantum_n,
+                "it comes back with " + std::to_string(felt.newtons) + " N after " +
+                    std::to_string(1e-6 * static_cast<double>(felt.time_ns - zero_ns)) + " ms");
+      }
+    }
+    if (fault == Fault::kRefuses) {
+      require(!came, "a device that refused a report is given a force");
+      stylus_.unplug();
+      require(eventually([&] { return stats()["sources"] == 0; }), "a source without its device");
+      stylus_.plug();
+      require(eventually([&] { return stats()["sources"] == 1; }), "the device is not found again");
+    }
+    lift();  // three faults in a minute end the force until the button is pressed anew in the air
+  }
+
+  std::mt19937_64 random_;
+  const fs::path folder_;
+  tests::MockHid machine_;
+  Stylus stylus_{machine_};
+  std::unique_ptr<Process> server_;
+  std::uint16_t port_ = 0;
+  double surface_ = 0;  // where the tissue begins under the tip, m
+};
+
+}  // namespace
+}  // namespace incise::e2e
+
+int main(int argc, char** argv) {
+  using namespace incise::e2e;
+  CLI::App app("Faults of a force device and of the loop while a force acts.", "incise-hid-faults");
+  Options options;
+  app.add_option("--count", options.count, "Faults")->capture_default_str();
+  app.add_option("--seed", options.seed, "Of what happens when")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    Run(options).run(options);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "incise-hid-faults: %s\n", error.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,315 @@
+// Host simulations: what they send is cut, seen by everybody, recorded, and never trusted.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <csignal>
+#include <limits>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "client/client.hpp"
+#include "client/examples/xpbd/soft_body.hpp"
+#include "tests/e2e/served_session.hpp"
+
+namespace incise::e2e {
+namespace {
+
+using std::chrono::milliseconds;
+
+bool wait_for(const std::function<bool()>& condition) {
+  for (int i = 0; i < 6000; ++i) {
+    if (condition()) return true;
+    std::this_thread::sleep_for(milliseconds(10));
+  }
+  return false;
+}
+
+// A simulator's connection, and what the server has told it.
+class Simulator {
+ public:
+  explicit Simulator(std::uint16_t port, protocol::Role role = protocol::Role::Simulator) {
+    client::Callbacks callbacks;
+    callbacks.on_positions_report = [this](const protocol::PositionsReport& report) {
+      const std::scoped_lock lock(mutex_);
+      report_ = report;
+      report_.held = {};
+      held_ += report.held.size();
+      passed_over_ += report.passed_over;
+    };
+    callbacks.on_error = [this](const protocol::Error& error) {
+      const std::scoped_lock lock(mutex_);
+      errors_.push_back(error.code);
+    };
+    client::Options options;
+    options.role = role;
+    client_ = client::Client::connect("127.0.0.1", port, options, callbacks);
+    EXPECT_TRUE(client_->wait_for_revision(0, 60));
+  }
+
+  // All vertices, each where `where` puts it given its rest position: as a solver would that knows the state it holds.
+  bool send(const std::function<protocol::Vec3(const protocol::Vec3&)>& where, bool single) {
+    protocol::Positions message;
+    std::vector<double> twice;
+    client_->read([&](const protocol::Replica& mesh) {
+      message.revision = mesh.revision();
+      const auto rest = mesh.rest_positions();
+      for (std::size_t i = 0; i < rest.size(); i += 3) {
+        const protocol::Vec3 p = where({rest[i], rest[i + 1], rest[i + 2]});
+        twice.insert(twice.end(), {p.x, p.y, p.z});
+      }
+    });
+    const std::vector<float> once(twice.begin(), twice.end());
+    if (single) {
+      message.f32 = once;
+    } else {
+      message.f64 = twice;
+    }
+    return send(message);
+  }
+  bool send(protocol::Positions message) {
+    message.frame = ++frame_;
+    return client_->send_positions(message) != 0;
+  }
+  bool send(std::uint64_t revision, std::vector<std::uint32_t> ids, std::vector<double> positions) {
+    protocol::Positions message;
+    message.revision = revision;
+    message.ids = ids;
+    message.f64 = positions;
+    while (client_->status() == client::Status::kConnected) {
+      if (send(message)) return true;
+      std::this_thread::sleep_for(milliseconds(1));
+    }
+    return false;
+  }
+
+  client::Client& client() { return *client_; }
+  protocol::PositionsReport report() const {
+    const std::scoped_lock lock(mutex_);
+    return report_;
+  }
+  std::uint64_t held() const {
+    const std::scoped_lock lock(mutex_);
+    return held_;
+  }
+  std::vector<protocol::ErrorCode> errors() const {
+    const std::scoped_lock lock(mutex_);
+    return errors_;
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  protocol::PositionsReport report_;
+  std::uint64_t held_ = 0, passed_over_ = 0, frame_ = 0;
+  std::vector<protocol::ErrorCode> errors_;
+  std::unique_ptr<client::Client> client_;
+};
+
+struct Held {
+  std::uint64_t revision = 0, hash = 0;
+  friend bool operator==(const Held&, const Held&) = default;
+};
+
+Held held(const client::Client& viewer) {
+  return viewer.read([](const protocol::Replica& m) { return Held{m.revision(), m.compute_state_hash()}; });
+}
+
+// A body that sways while a blade goes to and fro in it: a viewer, a second computation of the capture, checkpoints and a
+// server that was killed and started again all have the same.
+TEST(SimulatorTest, CutsInADeformedBodyAreTheSameForEverybody) {
+  ServedSession session("simulator", 3000, R"(, "checkpoint_replay_s": 0.01)");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  Held last;
+  {
+    Simulator simulator(session.tcp_port());
+    const protocol::Box box = simulator.client().welcome().mesh.box;
+    const double size = box.max.x - box.min.x;
+    PoseDriver driver(session, 500, 0.5 * size);
+    int sent = 0;
+    // Until enough has been cut and moved, however slow the machine is.
+    const auto enough = [&] {
+      return simulator.report().taken >= 60 && session.stat("/cut_faces").value_or(0) > 300;
+    };
+    for (int i = 0; i < 20'000 && !enough(); ++i) {
+      const double t = 0.05 * i;
+      sent += simulator.send(
+          [&](const protocol::Vec3& p) {
+            return protocol::Vec3{p.x + 0.02 * size * std::sin(t), p.y + 0.05 * std::sin(0.7 * t) * p.x,
+                                  p.z + 0.1 * std::cos(t) * p.x * p.x / size};
+          },
+          i % 2 == 0);
+      std::this_thread::sleep_for(milliseconds(20));
+    }
+    EXPECT_TRUE(enough()) << sent << " sent, " << simulator.report().taken << " taken";
+    EXPECT_TRUE(driver.settle());
+    EXPECT_TRUE(simulator.errors().empty());
+    EXPECT_GT(simulator.held(), 0u) << "no tissue has clung to the blade";
+    // All that was sent is either a step or was skipped.
+    EXPECT_TRUE(wait_for([&] {
+      const protocol::PositionsReport report = simulator.report();
+      return report.taken + report.skipped >= static_cast<std::uint64_t>(sent) ||
+             report.frame == static_cast<std::uint64_t>(sent);
+    }));
+    EXPECT_TRUE(wait_for([&] { return session.stat("/backlog/batches").value_or(1) == 0; }));
+    EXPECT_TRUE(wait_for([&] {
+      return static_cast<double>(viewer->revision()) >= session.stat("/revision").value_or(1e18) &&
+             simulator.client().revision() == viewer->revision();
+    }));
+    last = held(*viewer);
+    EXPECT_EQ(held(simulator.client()), last);
+    // A late one gets rest positions with the snapshot.
+    Simulator late(session.tcp_port(), protocol::Role::Viewer);
+    EXPECT_EQ(held(late.client()), last);
+    simulator.client().read([&](const protocol::Replica& a) {
+      late.client().read([&](const protocol::Replica& b) {
+        EXPECT_TRUE(a.deformed() && b.deformed());
+        EXPECT_TRUE(std::equal(a.rest_positions().begin(), a.rest_positions().end(),
+                               b.rest_positions().begin(), b.rest_positions().end()));
+      });
+    });
+  }
+  CaptureFollower follower(session);
+  EXPECT_TRUE(wait_for([&] {
+    EXPECT_EQ(follower.follow(), "");
+    return follower.marks() >= last.revision;
+  }));
+  EXPECT_EQ((Held{follower.revision(), follower.state_hash()}), last);
+  EXPECT_GE(follower.deformations(), 60u);
+  EXPECT_TRUE(wait_for([&] { return session.stat("/checkpoints/written").value_or(0) > 0; }));
+  EXPECT_EQ(session.stat("/checkpoints/following"), 1.0) << session.log();
+  EXPECT_EQ(session.stat("/journal/lost"), 0.0);
+
+  session.kill();
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_NE(session.log().find("from the checkpoint at"), std::string::npos) << session.log();
+  const auto again = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(again->wait_for_revision(0, 60));
+  EXPECT_EQ(held(*again), last);
+  EXPECT_TRUE(again->read([](const protocol::Replica& m) { return m.deformed(); }));
+  Process verify({"incise", "replay", session.capture(), "--verify"});
+  EXPECT_EQ(verify.wait(), 0);
+}
+
+TEST(SimulatorTest, BadPositionsAreRefusedAndTheBodyStays) {
+  using protocol::ErrorCode;
+  ServedSession session("bad_positions", 2000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  const Held before = held(*viewer);
+  const std::uint32_t vertices = viewer->read([](const protocol::Replica& m) { return m.vertex_count(); });
+
+  Simulator simulator(session.tcp_port());
+  const auto refused = [&](ErrorCode code, std::uint64_t revision, std::vector<std::uint32_t> ids,
+                           std::vector<double> positions) {
+    const std::size_t errors = simulator.errors().size();
+    EXPECT_TRUE(simulator.send(revision, std::move(ids), std::move(positions)));
+    EXPECT_TRUE(wait_for([&] { return simulator.errors().size() > errors; }));
+    EXPECT_EQ(simulator.errors().back(), code);
+  };
+  refused(ErrorCode::BadRequest, 0, {vertices}, {0, 0, 0});  // no such vertex
+  refused(ErrorCode::BadRequest, 1, {0}, {0, 0, 0});         // a revision to come
+  refused(ErrorCode::BadRequest, 0, {}, {});                 // nothing
+  Simulator stranger(session.tcp_port(), protocol::Role::Viewer);
+  EXPECT_TRUE(stranger.send(0, {0}, {0, 0, 0}));
+  EXPECT_TRUE(wait_for([&] { return !stranger.errors().empty(); }));
+  EXPECT_EQ(stranger.errors().front(), ErrorCode::Forbidden);
+  EXPECT_EQ(held(*viewer), before);
+
+  // Far away: the vertex is held, the step is told, the mesh is as it was.
+  EXPECT_TRUE(simulator.send(0, {0}, {1000, 1000, 1000}));
+  EXPECT_TRUE(wait_for([&] { return simulator.report().taken == 1; }));
+  EXPECT_GE(simulator.held(), 1u);
+  EXPECT_TRUE(viewer->wait_for_revision(1, 60));
+  EXPECT_EQ(held(*viewer), (Held{1, before.hash}));
+
+  // A second one may not, while the first is there; then it may.
+  Simulator second(session.tcp_port());
+  EXPECT_TRUE(second.send(0, {0}, {0, 0, 0}));
+  EXPECT_TRUE(wait_for([&] { return !second.errors().empty(); }));
+  EXPECT_EQ(second.errors().front(), ErrorCode::NotAvailable);
+
+  // More than the loop takes: some are skipped, the last one counts.
+  constexpr int kMany = 300;
+  const protocol::Vec3 corner = viewer->read([](const protocol::Replica& m) { return m.position(0); });
+  for (int i = 1; i <= kMany; ++i) {
+    const double d = 1e-6 * i;
+    ASSERT_TRUE(simulator.send(1, {0}, {corner.x + d, corner.y, corner.z}));
+    if (i % 100 == 0) std::this_thread::sleep_for(milliseconds(1100));  // 500 messages a second are accepted
+  }
+  EXPECT_TRUE(wait_for([&] {
+    const auto report = simulator.report();
+    return report.taken + report.skipped >= kMany + 1;
+  }));
+  EXPECT_TRUE(wait_for([&] {
+    return viewer->read([](const protocol::Replica& m) { return m.position(0).x; }) ==
+           corner.x + 1e-6 * kMany;
+  }));
+
+  // What is no number ends the session, and nothing else.
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const std::size_t errors = simulator.errors().size();
+  EXPECT_TRUE(simulator.send(1, {0}, {nan, 0, 0}));
+  EXPECT_TRUE(wait_for([&] { return simulator.errors().size() > errors; }));
+  EXPECT_EQ(simulator.errors().back(), ErrorCode::BadFrame);
+  EXPECT_TRUE(wait_for([&] { return simulator.client().status() == client::Status::kClosed; }));
+  EXPECT_TRUE(wait_for([&] {
+    second.send(1, {0}, {corner.x, corner.y, corner.z});
+    return second.report().taken > 0;
+  }));
+  const std::uint64_t now = viewer->revision();
+  EXPECT_TRUE(viewer->wait_for_revision(now, 60));
+  EXPECT_TRUE(session.server().running());
+}
+
+// The example: a cut in a body under tension opens, and the server agrees with what the simulation holds.
+TEST(SimulatorTest, ACutOpensUnderTension) {
+  ServedSession session("xpbd", 3000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  Process simulation({"incise-xpbd", "127.0.0.1:" + std::to_string(session.tcp_port()), "--gravity", "0"});
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(100, 120)) << session.log();
+  client::Options options;
+  options.role = protocol::Role::Operator;
+  const auto hand = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+  // Half-way down across the middle, in a second.
+  const protocol::Box box = hand->welcome().mesh.box;
+  const double x = 0.5 * (box.min.x + box.max.x),
+               length = hand->welcome().blade_heel.z - hand->welcome().blade_tip.z;
+  for (int i = 0; i <= 200; ++i) {
+    const double s = -0.1 + 1.2 * i / 200;
+    const protocol::PoseSample pose{
+        1 + 10'000'000ll * i,
+        {x, box.min.y + s * (box.max.y - box.min.y), 0.5 * (box.min.z + box.max.z) + length},
+        {1, 0, 0, 0},
+        i < 200 ? 1u : 0u,
+        0};
+    while (hand->send_poses(std::span(&pose, 1)) == 0) std::this_thread::sleep_for(milliseconds(1));
+  }
+  EXPECT_TRUE(wait_for([&] { return session.stat("/cut_faces").value_or(0) > 10; }))
+      << session.stat("/cut_faces").value_or(-1);
+  // The widest gap between the two copies of a vertex that the cut has parted, by the body's length.
+  const auto gap = [&] {
+    return viewer->read([&](const protocol::Replica& m) {
+      std::map<std::array<double, 3>, std::uint32_t> first;
+      double widest = 0;
+      for (std::uint32_t v = 0; v < m.vertex_count(); ++v) {
+        const auto rest = m.rest_positions().subspan(3 * std::size_t{v}, 3);
+        const auto [twin, is_new] = first.try_emplace({rest[0], rest[1], rest[2]}, v);
+        const protocol::Vec3 a = m.position(v), b = m.position(twin->second);
+        if (!is_new) widest = std::max(widest, std::hypot(a.x - b.x, a.y - b.y, a.z - b.z));
+      }
+      return widest / (box.max.x - box.min.x);
+    });
+  };
+  EXPECT_TRUE(wait_for([&] { return gap() > 0.02; })) << gap();
+  const auto held_now = held(*viewer);
+  EXPECT_GT(held_now.revision, 100u);
+  simulation.signal(SIGTERM);
+  EXPECT_EQ(simulation.wait(), 0);
+}
+
+}  // namespace
+}  // namespace incise::e2e

@@ -1,0 +1,369 @@
+// Peers built on the OpenIGTLink library, and some that keep to nothing, with an InputHub behind the server.
+
+#include "server/input/openigtlink/openigtlink_input.hpp"
+
+#include <gtest/gtest.h>
+#include <igtlServerSocket.h>
+#include <spdlog/spdlog.h>
+
+#include <chrono>
+#include <thread>
+
+#include "server/input/openigtlink/message.hpp"
+#include "tests/input/openigtlink/library_peer.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
+
+namespace incise::input {
+namespace {
+
+using namespace std::chrono_literals;
+using tests::LibraryPeer;
+using tests::Packed;
+using tests::PlacedTool;
+using Kind = InputEvent::Kind;
+
+constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000, kStep_ns = 10'000'000;
+constexpr double kLibrary_ns = 20;  // how well the library turns nanoseconds into its fractions
+
+class OpenIgtLink : public ::testing::Test {
+ protected:
+  void SetUp() override { spdlog::set_level(spdlog::level::off); }
+  void start(OpenIgtLinkOptions options = {}) {
+    if (options.connect.empty()) options.port = 0;
+    if (options.silence_s == 0.5) options.silence_s = 3600;  // only those who ask for it are timed
+    input = std::make_unique<OpenIgtLinkInput>(hub, options,
+                                               SurfaceFeed{[this] { return state.load(); },
+                                                           [this](auto ready) {
+                                                             ++requests;
+                                                             test.server.request_surface(std::move(ready));
+                                                           }});
+  }
+  std::uint64_t count(const std::string& what) const {
+    for (const auto& [name, value] : input->status().counts) {
+      if (name == what) return value;
+    }
+    return ~std::uint64_t{0};
+  }
+  // Events of all sources so far; drains the hub.
+  const std::vector<InputEvent>& drain() {
+    hub.drain([&](std::uint32_t source, const InputEvent& event) {
+      events.push_back(event);
+      sources.push_back(source);
+      return true;
+    });
+    return events;
+  }
+  bool came(std::size_t count) {
+    return stream::eventually([&] { return drain().size() >= count; });
+  }
+
+  InputHub hub{core::Blade{}};
+  stream::TestServer test{2};
+  std::atomic<std::uint64_t> state{1};
+  std::atomic<int> requests{0};
+  std::unique_ptr<OpenIgtLinkInput> input;
+  std::vector<InputEvent> events;
+  std::vector<std::uint32_t> sources;
+};
+
+TEST_F(OpenIgtLink, PosesComeInMetresWithThePeersTimeAndEngaged) {
+  OpenIgtLinkOptions options;
+  options.world = {{0, 0, 1}, {0, 0, 0, 1}, 0.001};
+  options.engage_buttons = 4;
+  start(options);
+  LibraryPeer peer(input->port());
+  ASSERT_TRUE(peer.connected());
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_TRUE(peer.send(
+        tests::transform({"Scalpel", 10, 20, 30 + static_cast<float>(i)}, kStart_ns + i * kStep_ns)));
+  }
+  ASSERT_TRUE(came(4));
+  EXPECT_EQ(events[0].kind, Kind::kOpened);
+  EXPECT_EQ(hub.name_of(sources[0]), "Scalpel");
+  for (std::size_t i = 0; i < 3; ++i) {
+    const core::Pose& pose = events[i + 1].pose.pose;
+    EXPECT_NEAR(core::length(pose.position - core::Vec3{-0.01, -0.02, 1.03 + 0.001 * static_cast<double>(i)}),
+                0, 1e-9);
+    EXPECT_NEAR(static_cast<double>(pose.t_ns - kStart_ns), static_cast<double>(i) * kStep_ns, kLibrary_ns);
+    EXPECT_NEAR(pose.orientation.z, 1, 1e-9);
+    EXPECT_EQ(pose.buttons, 4u);
+  }
+  const NetworkStatus status = input->status();
+  ASSERT_TRUE(stream::eventually([&] { return input->status().peers.size() == 1 && count("poses") == 3; }));
+  EXPECT_EQ(input->status().peers[0].sources, std::vector<std::string>{"Scalpel"});
+  peer.close();
+  ASSERT_TRUE(stream::eventually([&] { return drain().back().kind == Kind::kEndStroke; }));
+  EXPECT_TRUE(stream::eventually([&] { return input->status().peers.empty(); }));
+}
+
+TEST_F(OpenIgtLink, EachToolOfAMessageIsABladeAndTwoPeersShareThem) {
+  start();
+  LibraryPeer one(input->port()), other(input->port());
+  ASSERT_TRUE(one.send(tests::tdata({{"Left"}, {"Right"}}, kStart_ns)));
+  ASSERT_TRUE(came(4));
+  ASSERT_TRUE(other.send(tests::qtdata({{"Right"}, {"Third"}}, kStart_ns)));  // the first holds "Right"
+  ASSERT_TRUE(came(6));
+  EXPECT_EQ(hub.open_sources(), 3u);
+  EXPECT_TRUE(hub.is_open("Third"));
+  EXPECT_TRUE(stream::eventually([&] { return count("no_blade") == 1; }));
+}
+
+TEST_F(OpenIgtLink, SilenceABadStatusAndTheNextPose) {
+  OpenIgtLinkOptions options;
+  options.silence_s = 0.3;
+  start(options);
+  LibraryPeer peer(input->port());
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns)));
+  ASSERT_TRUE(came(3));  // opened, a pose, and the end, with nothing more being said
+  EXPECT_EQ(events[2].kind, Kind::kEndStroke);
+  EXPECT_FALSE(hub.is_open("Scalpel"));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + kStep_ns)));
+  ASSERT_TRUE(peer.send(tests::status("Scalpel", 16)));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + 2 * kStep_ns)));
+  ASSERT_TRUE(came(8));
+  const std::vector<Kind> kinds{events[3].kind, events[4].kind, events[5].kind, events[6].kind,
+                                events[7].kind};
+  EXPECT_EQ(kinds,
+            (std::vector<Kind>{Kind::kOpened, Kind::kPose, Kind::kEndStroke, Kind::kOpened, Kind::kPose}));
+}
+
+TEST_F(OpenIgtLink, AStringEngages) {
+  OpenIgtLinkOptions options;
+  options.engage = "string";
+  start(options);
+  LibraryPeer peer(input->port());
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns)));
+  ASSERT_TRUE(peer.send(tests::string_message("Scalpel_engage", "1")));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + kStep_ns)));
+  ASSERT_TRUE(peer.send(tests::string_message("Scalpel", "off", 2)));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + 2 * kStep_ns)));
+  ASSERT_TRUE(came(5));
+  EXPECT_EQ(events[1].pose.pose.buttons, 0u);
+  EXPECT_EQ(events[2].pose.pose.buttons, 1u);
+  EXPECT_EQ(events[3].kind, Kind::kEndStroke);
+  EXPECT_EQ(events[4].pose.pose.buttons, 0u);
+}
+
+TEST_F(OpenIgtLink, AClockThatIsSetBackAndOneThatIsNotThere) {
+  start();
+  LibraryPeer peer(input->port());
+  const std::int64_t times[] = {kStart_ns, kStart_ns + kStep_ns, kStart_ns - 3600'000'000'000,
+                                kStart_ns - 3600'000'000'000 + kStep_ns};
+  for (const std::int64_t t : times) ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, t)));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, 0)));
+  ASSERT_TRUE(came(6));
+  for (std::size_t i = 2; i < 6; ++i) EXPECT_GT(events[i].pose.pose.t_ns, events[i - 1].pose.pose.t_ns) << i;
+  EXPECT_NEAR(static_cast<double>(events[4].pose.pose.t_ns - events[3].pose.pose.t_ns), kStep_ns,
+              kLibrary_ns);
+  EXPECT_TRUE(stream::eventually([&] { return count("clock_restarts") == 1; }));
+}
+
+TEST_F(OpenIgtLink, WhatIsWrongIsCountedAndLosesNothingElse) {
+  OpenIgtLinkOptions options;
+  options.devices = {"Scalpel"};
+  start(options);
+  LibraryPeer peer(input->port());
+  Packed torn = tests::transform({"Scalpel"}, kStart_ns);
+  torn.back() ^= 1;
+  ASSERT_TRUE(peer.send(torn));
+  ASSERT_TRUE(peer.send(openigtlink::encode("TDATA", "Scalpel", 0, Packed(69))));
+  ASSERT_TRUE(peer.send(openigtlink::encode("TRANSFORM", "Scalpel", 0, Packed(48))));
+  ASSERT_TRUE(peer.send(openigtlink::encode("IMAGE", "Camera", 0, Packed(300'000, 7))));
+  ASSERT_TRUE(peer.send(tests::transform({"Foreign"}, kStart_ns)));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns)));
+  ASSERT_TRUE(came(2));
+  EXPECT_TRUE(stream::eventually([&] { return count("poses") == 1; }));
+  for (const char* what : {"bad_crc", "bad_shape", "bad_values", "skipped", "refused"})
+    EXPECT_EQ(count(what), 1u) << what;
+  EXPECT_EQ(count("messages"), 6u);
+}
+
+TEST_F(OpenIgtLink, APeerOutOfStepIsLetGoAndOthersGoOn) {
+  start();
+  LibraryPeer good(input->port());
+  ASSERT_TRUE(good.send(tests::transform({"Scalpel"}, kStart_ns)));
+  ASSERT_TRUE(came(2));
+  stream::RawPeer browser(input->port());
+  browser.send("GET / HTTP/1.1\r\nHost: somewhere\r\nUser-Agent: a browser, with some more\r\n\r\n");
+  EXPECT_TRUE(browser.closes());
+  stream::RawPeer liar(input->port());
+  Packed huge = openigtlink::encode("TDATA", "Scalpel", 0, {});
+  huge[42] = 0x7f;  // a body of 2^62 bytes
+  liar.send(std::string_view(reinterpret_cast<const char*>(huge.data()), huge.size()));
+  EXPECT_TRUE(liar.closes());
+  stream::RawPeer babbler(input->port());
+  for (int i = 0; i < 40; ++i) {
+    Packed bad = openigtlink::encode("TRANSFORM", "Scalpel", 0, Packed(48));
+    babbler.send(std::string_view(reinterpret_cast<const char*>(bad.data()), bad.size()));
+  }
+  EXPECT_TRUE(babbler.closes());
+  EXPECT_TRUE(stream::eventually([&] { return count("bad_headers") == 1; }));
+  ASSERT_TRUE(good.send(tests::transform({"Scalpel"}, kStart_ns + kStep_ns)));
+  EXPECT_TRUE(came(3));
+}
+
+TEST_F(OpenIgtLink, ManyPeersFindAClosedDoor) {
+  start();
+  std::vector<std::unique_ptr<stream::RawPeer>> crowd;
+  for (int i = 0; i < 16; ++i) crowd.push_back(std::make_unique<stream::RawPeer>(input->port()));
+  ASSERT_TRUE(stream::eventually([&] { return count("connections") == 16; }));
+  stream::RawPeer late(input->port());
+  EXPECT_TRUE(late.closes());
+  crowd.pop_back();
+  ASSERT_TRUE(stream::eventually([&] { return input->status().peers.size() == 15; }));
+  LibraryPeer next(input->port());
+  ASSERT_TRUE(next.send(tests::transform({"Scalpel"}, kStart_ns)));
+  EXPECT_TRUE(came(2));
+}
+
+TEST_F(OpenIgtLink, AFullQueueHoldsThePeerBackAndLosesNothing) {
+  start();
+  LibraryPeer peer(input->port());
+  constexpr int kPoses = 12'000;  // the queue holds 8192
+  std::thread sender([&] {
+    for (int i = 0; i < kPoses; ++i) peer.send(tests::transform({"Scalpel"}, kStart_ns + i * kStep_ns));
+  });
+  ASSERT_TRUE(stream::eventually([&] { return hub.waiting() >= 8192; }));
+  EXPECT_TRUE(came(1 + kPoses));
+  sender.join();
+  for (std::size_t i = 2; i < events.size(); ++i)
+    ASSERT_GT(events[i].pose.pose.t_ns, events[i - 1].pose.pose.t_ns) << i;
+}
+
+TEST_F(OpenIgtLink, TheSurfaceIsSentToWhoAsks) {
+  OpenIgtLinkOptions options;
+  options.surface_hz = 50;
+  start(options);
+  LibraryPeer peer(input->port());
+  const auto surface = igtl::PolyDataMessage::New();
+  ASSERT_TRUE(peer.send(tests::get_polydata()));
+  ASSERT_EQ(peer.receive_header(), "POLYDATA");
+  EXPECT_EQ(peer.device(), "Incise");
+  ASSERT_TRUE(peer.receive_body(*surface));
+  EXPECT_TRUE(tests::seen(*surface).good);
+  // Again: nothing has changed, and nothing is made anew.
+  ASSERT_TRUE(peer.send(tests::get_polydata()));
+  ASSERT_EQ(peer.receive_header(), "POLYDATA");
+  peer.skip_body();
+  EXPECT_EQ(requests, 1);
+  // Streamed: one now, one for each change.
+  ASSERT_TRUE(peer.send(openigtlink::encode("STT_POLYDATA", "Viewer", 0, Packed(4))));
+  ASSERT_EQ(peer.receive_header(), "RTS_POLYDATA");
+  peer.skip_body();
+  ASSERT_EQ(peer.receive_header(), "POLYDATA");
+  peer.skip_body();
+  state = 2;
+  ASSERT_EQ(peer.receive_header(), "POLYDATA");
+  peer.skip_body();
+  EXPECT_EQ(requests, 2);
+  ASSERT_TRUE(peer.send(openigtlink::encode("STP_POLYDATA", "Viewer", 0, {})));
+  ASSERT_EQ(peer.receive_header(), "RTS_POLYDATA");
+  peer.skip_body();
+  state = 3;
+  std::this_thread::sleep_for(200ms);
+  EXPECT_EQ(requests, 2);
+  EXPECT_EQ(count("surfaces"), 4u);
+}
+
+TEST_F(OpenIgtLink, TheSurfaceGoesToAllWhereThatIsConfiguredAndNotTooOften) {
+  OpenIgtLinkOptions options;
+  options.surface = "always";
+  options.surface_hz = 2;
+  start(options);
+  const auto begin = std::chrono::steady_clock::now();
+  LibraryPeer peer(input->port());
+  std::jthread changes([&](const std::stop_token& stop) {
+    while (!stop.stop_requested()) {
+      ++state;
+      std::this_thread::sleep_for(1ms);
+    }
+  });
+  for (int i = 0; i < 4; ++i) {
+    ASSERT_EQ(peer.receive_header(), "POLYDATA");
+    peer.skip_body();
+  }
+  // The first at once, three more half a second apart at least.
+  EXPECT_GE(std::chrono::steady_clock::now() - begin, 1400ms);
+}
+
+TEST_F(OpenIgtLink, WhoAsksAndDoesNotReadIsLetGo) {
+  start();
+  stream::RawPeer peer(input->port(), 4096);
+  const Packed ask = openigtlink::encode("STP_POLYDATA", "Viewer", 0, {});
+  const std::string_view bytes(reinterpret_cast<const char*>(ask.data()), ask.size());
+  // Until the answers fill the kernel's buffers and ours.
+  bool going = true;
+  for (int i = 0; i < 2'000'000 && going; ++i) going = peer.send(bytes);
+  EXPECT_FALSE(going);
+  EXPECT_TRUE(stream::eventually([&] { return input->status().peers.empty(); }));
+}
+
+TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
+  const auto listener = igtl::ServerSocket::New();
+  int port = 0;
+  for (port = 28'944; port < 29'044 && listener->CreateServer(port) != 0; ++port) {
+  }
+  OpenIgtLinkOptions options;
+  options.connect = {"127.0.0.1:" + std::to_string(port)};
+  options.ask_for = "TDATA";
+  start(options);
+  const auto serve = [&](std::int64_t t_ns) {
+    const igtl::ClientSocket::Pointer socket = listener->WaitForConnection(60'000);
+    ASSERT_TRUE(socket.IsNotNull());
+    const auto header = igtl::MessageHeader::New();
+    header->InitPack();
+    socket->SetReceiveTimeout(60'000);
+    socket->Receive(header->GetPackPointer(), header->GetPackSize());
+    header->Unpack();
+    EXPECT_STREQ(header->GetDeviceType(), "STT_TDATA");
+    const auto ask = igtl::StartTrackingDataMessage::New();
+    ask->SetMessageHeader(header);
+    ask->AllocatePack();
+    socket->Receive(ask->GetPackBodyPointer(), ask->GetPackBodySize());
+    EXPECT_TRUE(ask->Unpack(1) & igtl::MessageHeader::UNPACK_BODY);
+    EXPECT_EQ(ask->GetResolution(), 1);  // ms
+    const Packed bytes = tests::tdata({{"Channel 0"}}, t_ns);
+    socket->Send(bytes.data(), static_cast<int>(bytes.size()));
+    ASSERT_TRUE(stream::eventually([&] { return count("poses") > 0; }));
+    socket->CloseSocket();
+  };
+  serve(kStart_ns);
+  ASSERT_TRUE(came(3));  // opened, a pose, and the end, since the server has gone
+  EXPECT_EQ(hub.name_of(sources[0]), "Channel 0");
+  // It comes back.
+  serve(kStart_ns);
+  EXPECT_TRUE(came(6));
+  EXPECT_TRUE(stream::eventually([&] { return count("connections") == 2; }));
+}
+
+TEST_F(OpenIgtLink, AnAddressThatIsTakenIsNamed) {
+  start();
+  OpenIgtLinkOptions options;
+  options.port = input->port();
+  try {
+    OpenIgtLinkInput second(hub, options, {[] { return std::uint64_t{0}; }, [](auto) {}});
+    FAIL() << "two listeners at one port";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("127.0.0.1:" + std::to_string(options.port)), std::string::npos);
+  }
+}
+
+TEST_F(OpenIgtLink, StoppedInTheMiddleOfEverything) {
+  OpenIgtLinkOptions options;
+  options.surface = "always";
+  start(options);
+  LibraryPeer peer(input->port());
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns)));
+  ASSERT_TRUE(came(2));
+  stream::RawPeer half(input->port());
+  half.send(std::string_view("\0\1", 2));
+  input->stop();
+  ASSERT_TRUE(came(3));
+  EXPECT_EQ(events[2].kind, Kind::kEndStroke);
+  EXPECT_EQ(hub.open_sources(), 0u);
+  input.reset();
+}
+
+}  // namespace
+}  // namespace incise::input

@@ -1,0 +1,164 @@
+#include "protocol/volume_part.hpp"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <map>
+
+#include "tests/protocol/samples.hpp"
+#include "tests/protocol/walk.hpp"
+
+namespace incise::protocol {
+namespace {
+
+struct VolumeView {
+  using Part = VolumePart;
+  using Delta = protocol::Delta;
+  void load(Replica replica) {
+    mesh = std::move(replica);
+    index.load(mesh);
+  }
+  OwnedDelta step(const Delta& delta) {
+    index.follow(mesh, delta);
+    EXPECT_TRUE(mesh.apply(delta));
+    return coalesce(std::span<const Delta>(&delta, 1));  // a copy that owns its arrays
+  }
+  void load_part(Part& part, const Box& box) const { part.load_part(mesh, box); }
+  VolumePartWriter writer(const Part& part, const Box& box) const {
+    return {part, box, SnapshotCause::Join, 7};
+  }
+  OwnedDelta follow_part(Part& part, const Delta& delta, const Box& box) const {
+    return part.follow_part(mesh, index, delta, box);
+  }
+  static const std::vector<std::uint32_t>& ids_set(const OwnedDelta& d) { return d.tet_ids; }
+
+  // What PROTOCOL.md says a box holds, found the plain way.
+  void expect_part(const Part& part, const Box& box) const {
+    std::map<std::uint32_t, VolumePart::Tet> tets;
+    std::map<std::uint32_t, Vec3> vertices;
+    mesh.for_each_tet([&](std::uint32_t t) {
+      const auto all = [&](auto&& f) {
+        for (const std::uint32_t v : mesh.vertices(t))
+          if (!f(mesh.position(v))) return false;
+        return true;
+      };
+      const bool apart = all([&](const Vec3& p) { return p.x < box.min.x; }) ||
+                         all([&](const Vec3& p) { return p.x > box.max.x; }) ||
+                         all([&](const Vec3& p) { return p.y < box.min.y; }) ||
+                         all([&](const Vec3& p) { return p.y > box.max.y; }) ||
+                         all([&](const Vec3& p) { return p.z < box.min.z; }) ||
+                         all([&](const Vec3& p) { return p.z > box.max.z; });
+      if (apart) return;
+      tets[t] = {mesh.vertices(t), mesh.region(t), mesh.cut_mask(t), mesh.boundary_mask(t), mesh.piece(t)};
+      for (const std::uint32_t v : mesh.vertices(t)) vertices[v] = mesh.position(v);
+    });
+    EXPECT_EQ(part.tets(), tets);
+    std::map<std::uint32_t, Vec3> held;
+    for (const auto& [id, vertex] : part.vertices()) held[id] = vertex.position;
+    EXPECT_EQ(held, vertices);
+    EXPECT_EQ(part.part_hash(), part.compute_part_hash());
+    EXPECT_EQ(part.revision(), mesh.revision());
+  }
+
+  Replica mesh;
+  TetIndex index;
+};
+
+TEST(VolumePart, ThePartInABoxIsThatOfTheWhole) {
+  follow_boxes(VolumeView());
+}
+
+TEST(VolumePart, ABoxAroundEverythingHoldsTheWholeState) {
+  const Replica mesh = box_model(2, 1, 1).replica();
+  VolumePart part;
+  part.load_part(mesh, {{-1, -1, -1}, {1, 1, 1}});
+  EXPECT_EQ(part.part_hash(), mesh.state_hash());
+  EXPECT_EQ(part.tets().size(), mesh.live_tets());
+}
+
+// The tetrahedron beside the box comes in whole, in its piece, with its faces, when a vertex of it moves; an added vertex
+// tells where it comes from though the part has not got that.
+TEST(VolumePart, DeltasTellWhatCameInAndWhatWent) {
+  VolumeView view;
+  view.load(samples::two_tets(1).replica());
+  const Box box{{-1, -1, -1}, {1, 1, 1}};
+  VolumePart part;
+  part.load_part(view.mesh, box);
+  const OwnedDelta split = difference(samples::two_tets(1), samples::two_tets(2));
+  view.step(split.view());
+  const OwnedDelta sent = part.follow_part(view.mesh, view.index, split.view(), box);
+  EXPECT_EQ(sent.added_ids, (std::vector<std::uint32_t>{split.first_added}));
+  EXPECT_EQ(sent.provenance_a, split.provenance_a);
+  EXPECT_EQ(sent.moved_ids, split.moved_ids);
+  EXPECT_EQ(sent.tet_ids, split.tet_ids);
+  EXPECT_EQ(sent.part_hash, view.mesh.state_hash());
+}
+
+TEST(VolumePart, ABadDeltaChangesNothing) {
+  VolumeView view;
+  view.load(samples::two_tets(0).replica());
+  const Box box{{-1, -1, -1}, {1, 1, 1}};
+  VolumePart server, client;
+  server.load_part(view.mesh, box);
+  ASSERT_TRUE(send_snapshot(view.writer(server, box), client, std::uint64_t{0}));
+  const OwnedDelta cut = difference(samples::two_tets(0), samples::two_tets(1));
+  view.step(cut.view());
+  const OwnedDelta good = server.follow_part(view.mesh, view.index, cut.view(), box);
+  const std::vector<std::byte> before = client.canonical_bytes();
+
+  struct Case {
+    const char* what;
+    ApplyError error;
+    std::function<void(OwnedDelta&)> change;
+  };
+  const Case cases[] = {
+      {"another base", ApplyError::WrongBase, [](auto& d) { d.base_revision = 3, d.revision = 4; }},
+      {"positions missing", ApplyError::BadShape, [](auto& d) { d.added_positions.pop_back(); }},
+      {"added vertices without names", ApplyError::BadShape, [](auto& d) { d.added_ids.clear(); }},
+      {"regions missing", ApplyError::BadShape, [](auto& d) { d.tet_regions.pop_back(); }},
+      {"out of order", ApplyError::BadIndex, [](auto& d) { std::swap(d.added_ids[0], d.added_ids[1]); }},
+      {"added vertex that exists", ApplyError::BadIndex, [](auto& d) { d.added_ids[0] = 0; }},
+      {"vertex that is not there", ApplyError::BadIndex, [](auto& d) { d.tet_vertices[1] = 99; }},
+      {"vertex twice", ApplyError::BadIndex, [](auto& d) { d.tet_vertices[1] = d.tet_vertices[0]; }},
+      {"vertex removed that is used", ApplyError::BadIndex, [](auto& d) { d.removed_vertices = {0}; }},
+      {"vertex removed and set", ApplyError::BadIndex, [](auto& d) { d.removed_vertices = {5}; }},
+      {"tetrahedron removed and set", ApplyError::BadIndex, [](auto& d) { d.removed_tets = {d.tet_ids[0]}; }},
+      {"piece of what is not there", ApplyError::BadIndex, [](auto& d) { d.piece_tets[0] = 77; }},
+      {"pieces that do not add up", ApplyError::BadShape, [](auto& d) { d.piece_sizes[0] += 1; }},
+      {"another hash", ApplyError::HashMismatch, [](auto& d) { d.part_hash ^= 1; }},
+      {"another position", ApplyError::HashMismatch, [](auto& d) { d.added_positions[1] += 1; }},
+      {"another mask", ApplyError::HashMismatch, [](auto& d) { d.tet_cut_masks[0] ^= 2; }},
+  };
+  for (const Case& c : cases) {
+    OwnedDelta bad = good;
+    c.change(bad);
+    const ApplyResult result = client.apply(bad.view());
+    EXPECT_EQ(result.error, c.error) << c.what << ": " << result.text;
+    EXPECT_EQ(client.canonical_bytes(), before) << c.what;
+  }
+  EXPECT_TRUE(client.apply(good.view()));
+  EXPECT_EQ(client.canonical_bytes(), server.canonical_bytes());
+}
+
+TEST(VolumePart, ABadSnapshotLeavesTheStateBefore) {
+  const Box box{{-1, -1, -1}, {1, 1, 1}};
+  VolumePart source, client;
+  source.load_part(box_model(2, 1, 1).replica(), box);
+  client.load_part(samples::two_tets(0).replica(), box);
+  const std::vector<std::byte> before = client.canonical_bytes();
+  VolumePartWriter writer(source, box, SnapshotCause::Join, 1000);
+  SnapshotBegin whole = writer.begin();
+  whole.box.reset();
+  EXPECT_EQ(client.begin(whole).error, ApplyError::BadShape);
+  EXPECT_EQ(client.chunk({}).error, ApplyError::OutOfOrder);
+  ASSERT_TRUE(client.begin(writer.begin()));
+  ASSERT_TRUE(writer.next());
+  ASSERT_TRUE(client.chunk(writer.chunk()));
+  EXPECT_EQ(client.chunk(writer.chunk()).error, ApplyError::OutOfOrder);  // the same again
+  ASSERT_TRUE(client.begin(writer.begin()));
+  EXPECT_EQ(client.end(writer.end(0)).error, ApplyError::OutOfOrder);
+  EXPECT_EQ(client.canonical_bytes(), before);
+}
+
+}  // namespace
+}  // namespace incise::protocol

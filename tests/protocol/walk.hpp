@@ -1,0 +1,130 @@
+#pragma once
+
+// What the tests of replicas share: a random walk of a model, snapshots sent through bytes, and many boxes of interest
+// that follow such a walk.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <random>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "protocol/coalesce.hpp"
+#include "protocol/framing.hpp"
+#include "tests/protocol/model.hpp"
+
+namespace incise::protocol {
+
+// A model that changes at random. A failure tells the seed.
+struct Walk {
+  Walk(std::uint32_t nx, std::uint32_t ny, std::uint32_t nz) : model(box_model(nx, ny, nz)) {}
+  // The next change.
+  OwnedDelta step() {
+    const Model before = model;
+    mutate(model, random);
+    return difference(before, model);
+  }
+
+  const std::uint64_t seed = std::random_device{}();
+  std::mt19937_64 random{seed};
+  Model model;
+  const ::testing::ScopedTrace trace{__FILE__, __LINE__, "seed " + std::to_string(seed)};
+};
+
+// The message as a receiver gets it. Its arrays live as long as `kept`.
+template <class T>
+const T& through_bytes(const T& body, Message& kept) {
+  const Frame frame = encode(body);
+  DecodeResult decoded = decode(frame.body());  // which is not 8-aligned: the message gets a copy
+  EXPECT_TRUE(decoded) << decoded.error;
+  kept = decoded ? std::move(*decoded.message) : Message{{}, T{}, nullptr};
+  return std::get<T>(kept.body);
+}
+
+// Sends a snapshot to `to`, through bytes. `hash`: what the writer wants for the end.
+template <class Writer, class To, class... Hash>
+ApplyResult send_snapshot(Writer writer, To& to, Hash... hash) {
+  Message kept;
+  ApplyResult result = to.begin(through_bytes(writer.begin(), kept));
+  while (result && writer.next()) result = to.chunk(through_bytes(writer.chunk(), kept));
+  return result ? to.end(through_bytes(writer.end(hash...), kept)) : result;
+}
+
+// Boxes of any size and place in a mesh; the first one is a corner of it, where only the bounds touch.
+inline std::vector<Box> random_boxes(const Replica& mesh, std::size_t count, std::mt19937_64& random) {
+  Vec3 low{1e9, 1e9, 1e9}, high{-1e9, -1e9, -1e9};
+  for (std::uint32_t v = 0; v < mesh.vertex_count(); ++v) {
+    const Vec3 p = mesh.position(v);
+    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  }
+  std::vector<Box> boxes{{low, low}};
+  while (boxes.size() < count) {
+    const auto between = [&](double a, double b) {
+      std::uniform_real_distribution<double> any(a, b);
+      return std::minmax({any(random), any(random)});
+    };
+    const auto [x0, x1] = between(low.x, high.x);
+    const auto [y0, y1] = between(low.y, high.y);
+    const auto [z0, z1] = between(low.z, high.z);
+    boxes.push_back({{x0, y0, z0}, {x1, y1, z1}});
+  }
+  return boxes;
+}
+
+// Follows a walk in many boxes at once, each of which gets a delta over a number of steps of its own, and has the view say
+// whether what a client holds is what the box holds of the whole. A view has the types Part and Delta, and
+//   mesh, load(mesh), step(delta): the whole; step() applies the delta to the mesh and returns the view's own
+//   load_part(part, box), writer(part, box), follow_part(part, delta of the whole, box) -> owned
+//   expect_part(part, box), ids_set(owned)
+template <class View>
+void follow_boxes(View view) {
+  Walk walk(3, 2, 2);
+  view.load(walk.model.replica());
+  using Owned = decltype(view.step(walk.step().view()));
+  struct Follower {
+    Box box;
+    std::size_t every;
+    typename View::Part server, client;
+    std::vector<Owned> since;
+  };
+  std::vector<Follower> followers;
+  for (const Box& box : random_boxes(view.mesh, 12, walk.random)) {
+    Follower f{box, 1 + followers.size() % 5, {}, {}, {}};
+    view.load_part(f.server, box);
+    const ApplyResult result = send_snapshot(view.writer(f.server, box), f.client, std::uint64_t{0});
+    ASSERT_TRUE(result) << result.text;
+    view.expect_part(f.client, box);
+    followers.push_back(std::move(f));
+  }
+  int moved_in = 0;
+  for (std::size_t i = 0; i < 300; ++i) {
+    const OwnedDelta change = walk.step();
+    const Owned step = view.step(change.view());
+    for (Follower& f : followers) {
+      f.since.push_back(step);
+      if ((i + 1) % f.every != 0) continue;
+      std::vector<typename View::Delta> deltas;
+      for (const Owned& d : f.since) deltas.push_back(d.view());
+      const Owned all = coalesce(std::span<const typename View::Delta>(deltas));
+      const Owned sent = view.follow_part(f.server, all.view(), f.box);
+      f.since.clear();
+      for (const std::uint32_t id : view.ids_set(sent))
+        moved_in += !std::binary_search(view.ids_set(all).begin(), view.ids_set(all).end(), id);
+      Message kept;
+      const ApplyResult result = f.client.apply(through_bytes(sent.view(), kept));
+      ASSERT_TRUE(result) << result.text;
+      view.expect_part(f.client, f.box);
+      ASSERT_EQ(f.client.canonical_bytes(), f.server.canonical_bytes());
+      if (::testing::Test::HasFailure()) return;
+    }
+  }
+  // Some that did not change came in because a vertex of theirs moved.
+  EXPECT_GT(moved_in, 0);
+}
+
+}  // namespace incise::protocol
