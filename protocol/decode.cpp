@@ -135,7 +135,7 @@ class Reader {
     for (const Vec3& p : {e.heel, e.tip}) {
       require(std::abs(p.x) <= kMaxBladeCoordinate && std::abs(p.y) <= kMaxBladeCoordinate &&
                   std::abs(p.z) <= kMaxBladeCoordinate,
-              field, "more than 10 m from the tool's origin");
+              field, "more than 10 km from the tool's origin");
     }
     require(e.heel != e.tip, field, "of no length");
     return e;

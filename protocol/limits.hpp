@@ -56,8 +56,8 @@ inline constexpr std::uint32_t kDefaultReplicaVertices = 16u << 20;
 inline constexpr unsigned kMaxDepth = 8;
 inline constexpr unsigned kMaxTables = kMaxStepsPerDelta + 64;
 
-// Of a blade's heel and tip in the tool's frame, metres: what a sweep costs grows with the blade's length.
-inline constexpr double kMaxBladeCoordinate = 10;
+// Of a blade's heel and tip in the tool's frame, metres (meshes in other units are cut, too).
+inline constexpr double kMaxBladeCoordinate = 1e4;
 // A coordinate beyond this (metres) is an error of units or of memory, not a place.
 inline constexpr double kMaxCoordinate = 1e6;
 // How far a quaternion's length may be from 1 where a peer sends it: files round to 4 digits.

@@ -280,7 +280,7 @@ BladeEdge parse_blade(const std::string& option, const std::string& text) {
     throw MotionError(
         option + ": found \"" + text +
         "\"; accepted is hx,hy,hz:tx,ty,tz, heel and tip in the tool's frame in metres, each from "
-        "-10 to 10, and not the same point");
+        "-10000 to 10000, and not the same point");
   }
   return blade;
 }

@@ -59,7 +59,10 @@ double squared_distance_to_segment(const Vec3& p, const Vec3& a, const Vec3& b) 
 }
 
 Vec3 closest_point(const Vec3& p, const SweptTriangle& triangle) {
-  const auto& [a, b, c] = triangle.corners;
+  return closest_point(p, triangle.corners[0], triangle.corners[1], triangle.corners[2]);
+}
+
+Vec3 closest_point(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
   const Vec3 ab = b - a, ac = c - a, ap = p - a;
   const double d1 = dot(ab, ap), d2 = dot(ac, ap);
   if (d1 <= 0 && d2 <= 0) return a;
@@ -76,6 +79,7 @@ Vec3 closest_point(const Vec3& p, const SweptTriangle& triangle) {
   const double va = d3 * d6 - d5 * d4;
   if (va <= 0 && (d4 - d3) >= 0 && (d5 - d6) >= 0) return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b);
   const double sum = va + vb + vc;
+  if (!(sum > 0)) return a;  // of no area
   return a + (vb / sum) * ab + (vc / sum) * ac;
 }
 

@@ -35,6 +35,7 @@ bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTrian
 bool crosses(const Vec3& p, const Vec3& q, const SweptTriangle& triangle);
 
 // The point of the triangle closest to p (Ericson 2004, "Real-Time Collision Detection", section 5.1.5).
+Vec3 closest_point(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3& c) noexcept;
 Vec3 closest_point(const Vec3& p, const SweptTriangle& triangle);
 
 // The distance between p and the segment a b, squared.

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/core/swept_triangle.hpp"
+
 namespace incise::haptics {
 namespace {
 
@@ -43,29 +45,6 @@ double squared_distance(const Vec3& p, const Vec3& low, const Vec3& high) noexce
   const Vec3 nearest{std::clamp(p.x, low.x, high.x), std::clamp(p.y, low.y, high.y),
                      std::clamp(p.z, low.z, high.z)};
   return squared_length(p - nearest);
-}
-
-// The point of the triangle nearest to p (Ericson 2005, "Real-Time Collision Detection", section 5.1.5: by the
-// Voronoi regions of its vertices and edges).
-Vec3 nearest_on_triangle(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
-  const Vec3 ab = b - a, ac = c - a, ap = p - a;
-  const double d1 = dot(ab, ap), d2 = dot(ac, ap);
-  if (d1 <= 0 && d2 <= 0) return a;
-  const Vec3 bp = p - b;
-  const double d3 = dot(ab, bp), d4 = dot(ac, bp);
-  if (d3 >= 0 && d4 <= d3) return b;
-  const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0 && d1 >= 0 && d3 <= 0) return a + (d1 / (d1 - d3)) * ab;
-  const Vec3 cp = p - c;
-  const double d5 = dot(ab, cp), d6 = dot(ac, cp);
-  if (d6 >= 0 && d5 <= d6) return c;
-  const double vb = d5 * d2 - d1 * d6;
-  if (vb <= 0 && d2 >= 0 && d6 <= 0) return a + (d2 / (d2 - d6)) * ac;
-  const double va = d3 * d6 - d5 * d4;
-  if (va <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b);
-  const double denominator = va + vb + vc;
-  if (!(denominator > 0)) return a;
-  return a + (vb / denominator) * ab + (vc / denominator) * ac;
 }
 
 }  // namespace
@@ -198,7 +177,7 @@ std::optional<SurfacePoint> SurfaceTree::nearest(const Vec3& p, double radius,
     for (std::uint32_t i = node.first; i < node.first + node.count; ++i) {
       if (!work.triangle()) break;
       const Triangle& t = triangles_[i];
-      const Vec3 point = nearest_on_triangle(p, t.a, t.b, t.c);
+      const Vec3 point = core::closest_point(p, t.a, t.b, t.c);
       const double distance2 = squared_length(p - point);
       if (distance2 >= nearest2) continue;
       nearest2 = distance2;

@@ -5,6 +5,7 @@
 #include <boost/asio/post.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <chrono>
+#include <cmath>
 #include <ctime>
 #include <utility>
 
@@ -17,6 +18,10 @@ using protocol::Role;
 using protocol::SnapshotCause;
 using protocol::View;
 using std::chrono::milliseconds;
+
+double distance(const protocol::Vec3& a, const protocol::Vec3& b) {
+  return std::hypot(a.x - b.x, a.y - b.y, a.z - b.z);
+}
 
 constexpr std::size_t kMaxControlBytes = 1u << 20;   // beyond that a peer does not read what it asked for
 constexpr std::size_t kMaxWaitingBladeBytes = 4096;  // older poses are of no use
@@ -227,6 +232,18 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
 }
 
 asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uint64_t sequence) {
+  if (hello.blade) {  // what a sweep costs grows with the blade's length
+    const protocol::Box& box = hub_.facts().mesh.box;
+    const double length = distance(hello.blade->heel, hello.blade->tip),
+                 most = 100 * distance(box.min, box.max);
+    if (!(length <= most)) {
+      refuse(ErrorCode::BadRequest,
+             "Hello.blade is " + std::to_string(length) + " m long, accepted are up to " +
+                 std::to_string(most) + " m: 100 times the mesh",
+             sequence);
+      co_return false;
+    }
+  }
   std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name, hello.blade);
   if (!source && hello.take_over) {
     if (const auto holder = hub_.holder(hello.source_name)) {

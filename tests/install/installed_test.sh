@@ -24,7 +24,7 @@ bin="$work/installed/bin"
 
 # The project of a user, with nothing of this source tree at hand.
 cp -r "$source/tests/install/consumer" "$work/"
-if ! { cmake -S "$work/consumer" -B "$work/consumer/build" -DCMAKE_PREFIX_PATH="$work/installed" -DCMAKE_BUILD_TYPE=Release \
+if ! { cmake -G Ninja -S "$work/consumer" -B "$work/consumer/build" -DCMAKE_PREFIX_PATH="$work/installed" -DCMAKE_BUILD_TYPE=Release \
   "-DCMAKE_CXX_FLAGS=${CONSUMER_FLAGS:-}" && cmake --build "$work/consumer/build"; } > "$work/consumer.log" 2>&1; then
   cat "$work/consumer.log" >&2
   die "the consumer cannot be built"

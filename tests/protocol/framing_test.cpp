@@ -215,13 +215,10 @@ TEST(Framing, SemanticErrorsNameTheField) {
   surface.triangles = {one, triangle, mask, {}, region};
   cases.push_back({"SurfaceDelta.triangles.pieces", surface});
 
-  cases.push_back({"Hello.role", Hello{.role = static_cast<Role>(4),
-                                       .client_name = {},
-                                       .client_version = {},
-                                       .token = {},
-                                       .box = {},
-                                       .source_name = {}}});
   Hello hello;
+  hello.role = static_cast<Role>(4);
+  cases.push_back({"Hello.role", hello});
+  hello = {};
   hello.view = static_cast<View>(3);
   cases.push_back({"Hello.view", hello});
   hello = {};
@@ -241,7 +238,7 @@ TEST(Framing, SemanticErrorsNameTheField) {
   hello = {};
   hello.blade = BladeEdge{{0, 0, 0.1}, {0, 0, 0.1}};
   cases.push_back({"Hello.blade", hello});
-  hello.blade = BladeEdge{{0, 0, 0.1}, {0, 0, 10.5}};
+  hello.blade = BladeEdge{{0, 0, 0.1}, {0, 0, 1.5e4}};
   cases.push_back({"Hello.blade", hello});
   Welcome welcome;
   welcome.engage_button = 32;

@@ -122,6 +122,7 @@ InitialState MiniLoop::initial() const {
 ServerFacts MiniLoop::facts() const {
   ServerFacts facts;
   facts.mesh.name = "box";
+  facts.mesh.box = {{0, 0, 0}, {1, 1, 1}};
   facts.mesh.tets = static_cast<std::uint32_t>(mesh_.tets.size());
   facts.mesh.vertices = static_cast<std::uint32_t>(mesh_.positions.size());
   facts.blade_tip = {0, 0, config_.blade.tip.z};

@@ -415,6 +415,22 @@ TEST(Server, ABladeIsEngagedByMessageWithoutAButton) {
   EXPECT_EQ(test.loop.revision(), cut);
 }
 
+TEST(Server, ABladeFarLongerThanTheMeshIsRefused) {
+  TestServer test;
+  protocol::Hello hand = hello(Role::Operator, View::None);
+  hand.blade = protocol::BladeEdge{{0, 0, 0}, {0, 0, -5000}};
+  RawPeer peer(test.server.tcp_port());
+  peer.send(hand);
+  const auto error = peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BadRequest);
+  EXPECT_TRUE(std::get<protocol::Error>(error->message.body).fatal);
+  hand.blade->tip.z = -50;
+  RawPeer other(test.server.tcp_port());
+  other.send(hand);
+  EXPECT_TRUE(other.receive_until<protocol::Welcome>());
+}
+
 TEST(Server, ABoxThereIsNoMemoryForGetsEverything) {
   StreamConfig config = test_config();
   config.max_part_bytes = 20'000;
