@@ -412,7 +412,7 @@ void CaptureReader::read_header() {
     stop(Status::Torn, "the header is incomplete");
     return;
   }
-  const std::span<const std::byte> text(&window_[kPreambleBytes], length);
+  const std::span<const std::byte> text(window_.data() + kPreambleBytes, length);
   if (crc32c(text) != crc) {
     stop(Status::Corrupt, "the header's checksum is wrong");
     return;
