@@ -5,18 +5,11 @@
 #include <cmath>
 #include <cstring>
 
+#include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
 
 namespace incise::protocol {
 namespace {
-
-ApplyResult refuse(ApplyError error, std::string text) {
-  return {error, std::move(text)};
-}
-
-std::string number(std::uint64_t n) {
-  return std::to_string(n);
-}
 
 std::string hex(std::uint64_t n) {
   static constexpr char kDigits[] = "0123456789abcdef";
@@ -172,11 +165,7 @@ ApplyResult Replica::begin(const SnapshotBegin& part) {
 ApplyResult Replica::chunk(const SnapshotChunk& part) {
   if (!staged_) return refuse(ApplyError::OutOfOrder, "snapshot chunk without a snapshot");
   Staged& s = *staged_;
-  if (part.index != s.chunks_done || part.index >= s.begin.chunks) {
-    return abandon(refuse(ApplyError::OutOfOrder, "snapshot chunk " + number(part.index) + ", expected is " +
-                                                      number(s.chunks_done) + " of " +
-                                                      number(s.begin.chunks)));
-  }
+  if (ApplyResult r = check_turn(s.begin, s.chunks_done, part); !r) return abandon(std::move(r));
   State& state = s.state;
   const std::size_t have = state.positions.size() / 3;
   if (part.positions.size() % 3 != 0 || (!part.positions.empty() && part.first_vertex != have)) {
@@ -215,12 +204,7 @@ ApplyResult Replica::chunk(const SnapshotChunk& part) {
 ApplyResult Replica::end(const SnapshotEnd& part) {
   if (!staged_) return refuse(ApplyError::OutOfOrder, "end of a snapshot that has not begun");
   const Staged& s = *staged_;
-  if (s.chunks_done != s.begin.chunks || part.revision != s.begin.revision) {
-    return abandon(refuse(ApplyError::OutOfOrder, "end of the snapshot of revision " + number(part.revision) +
-                                                      " after " + number(s.chunks_done) + " of " +
-                                                      number(s.begin.chunks) + " chunks of revision " +
-                                                      number(s.begin.revision)));
-  }
+  if (ApplyResult r = check_turn(s.begin, s.chunks_done, part); !r) return abandon(std::move(r));
   if (s.state.positions.size() / 3 != s.begin.vertex_count || s.state.live_tets != s.begin.tet_count) {
     return abandon(refuse(ApplyError::BadShape,
                           "snapshot with " + number(s.state.positions.size() / 3) + " vertices and " +

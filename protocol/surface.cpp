@@ -5,26 +5,11 @@
 #include <functional>
 #include <string>
 
+#include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
 
 namespace incise::protocol {
 namespace {
-
-ApplyResult refuse(ApplyError error, std::string text) {
-  return {error, std::move(text)};
-}
-
-std::string number(std::uint64_t n) {
-  return std::to_string(n);
-}
-
-bool ascending(std::span<const std::uint32_t> ids) {
-  return std::adjacent_find(ids.begin(), ids.end(), std::greater_equal<>()) == ids.end();
-}
-
-bool contains(std::span<const std::uint32_t> ids, std::uint32_t id) {
-  return std::binary_search(ids.begin(), ids.end(), id);
-}
 
 SurfaceReplica::Triangle entry(const TriangleArrays& t, std::size_t i) {
   return {{t.vertices[3 * i], t.vertices[3 * i + 1], t.vertices[3 * i + 2]},
@@ -189,11 +174,7 @@ ApplyResult SurfaceReplica::begin(const SnapshotBegin& part) {
 ApplyResult SurfaceReplica::chunk(const SnapshotChunk& part) {
   if (!staged_) return refuse(ApplyError::OutOfOrder, "snapshot chunk without a snapshot");
   Staged& s = *staged_;
-  if (part.index != s.chunks_done || part.index >= s.begin.chunks) {
-    return abandon(refuse(ApplyError::OutOfOrder, "snapshot chunk " + number(part.index) + ", expected is " +
-                                                      number(s.chunks_done) + " of " +
-                                                      number(s.begin.chunks)));
-  }
+  if (ApplyResult r = check_turn(s.begin, s.chunks_done, part); !r) return abandon(std::move(r));
   std::uint64_t hash = 0;
   if (ApplyResult r = s.state.check(part.surface_vertices, {}, part.triangles, {}, hash); !r)
     return abandon(r);
@@ -205,11 +186,7 @@ ApplyResult SurfaceReplica::chunk(const SnapshotChunk& part) {
 ApplyResult SurfaceReplica::end(const SnapshotEnd& part) {
   if (!staged_) return refuse(ApplyError::OutOfOrder, "end of a snapshot that has not begun");
   const Staged& s = *staged_;
-  if (s.chunks_done != s.begin.chunks || part.revision != s.begin.revision) {
-    return abandon(refuse(ApplyError::OutOfOrder, "end of the snapshot of revision " + number(part.revision) +
-                                                      " after " + number(s.chunks_done) + " of " +
-                                                      number(s.begin.chunks) + " chunks"));
-  }
+  if (ApplyResult r = check_turn(s.begin, s.chunks_done, part); !r) return abandon(std::move(r));
   if (s.state.vertices.size() != s.begin.vertex_count || s.state.triangles.size() != s.begin.triangle_count) {
     return abandon(refuse(ApplyError::BadShape,
                           "snapshot with " + number(s.state.vertices.size()) + " vertices and " +
