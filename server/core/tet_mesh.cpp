@@ -353,6 +353,19 @@ void TetMesh::kill_tet(TetId t) {
   --live_tets_;
 }
 
+void TetMesh::clear_mesh(Delta& delta) {
+  delta.moved.clear();
+  delta.moved_positions.clear();
+  delta.added_positions.clear();
+  delta.provenance.clear();
+  delta.moved_rest.clear();
+  delta.added_rest.clear();
+  delta.upserted.clear();
+  delta.removed.clear();
+  delta.boundary_upserted.clear();
+  delta.boundary_removed.clear();
+}
+
 void TetMesh::commit(Delta& delta) {
   WorkBudget budget = WorkBudget::unlimited();
   commit(delta, budget);
@@ -360,17 +373,8 @@ void TetMesh::commit(Delta& delta) {
 
 bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
   if (committing_ == Committing::kNothing) {
-    delta.moved.clear();
-    delta.moved_positions.clear();
+    clear_mesh(delta);
     delta.first_added = first_new_vertex_;
-    delta.added_positions.clear();
-    delta.provenance.clear();
-    delta.moved_rest.clear();
-    delta.added_rest.clear();
-    delta.upserted.clear();
-    delta.removed.clear();
-    delta.boundary_upserted.clear();
-    delta.boundary_removed.clear();
     commit_sides_ = 0;
     commit_side_area_ = 0;
     commit_order_.clear();

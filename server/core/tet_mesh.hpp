@@ -189,6 +189,8 @@ class TetMesh {
   void component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const;
   void next_mark() const;
   void next_vertex_marks(std::uint32_t count) const;
+  // Empties what a step fills of the mesh, pieces apart.
+  static void clear_mesh(Delta& delta);
   void commit_tet(std::size_t index, Delta& delta);
   void end_commit(Delta& delta);
   std::uint64_t hash_of_vertex(VertexId v) const;

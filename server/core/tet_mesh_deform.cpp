@@ -21,17 +21,10 @@ void TetMesh::deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions,
   for (std::size_t i = 0; i < moved.size(); ++i) vertices_[moved[i]].position = positions[i];
   hash_ ^= hash_change;
 
+  clear_mesh(delta);
   std::swap(delta.moved, moved);
   std::swap(delta.moved_positions, positions);
-  delta.moved_rest.clear();
   delta.first_added = vertex_slots();
-  delta.added_positions.clear();
-  delta.added_rest.clear();
-  delta.provenance.clear();
-  delta.upserted.clear();
-  delta.removed.clear();
-  delta.boundary_upserted.clear();
-  delta.boundary_removed.clear();
   delta.pieces.clear();
   delta.cut_faces = 0;
   delta.cut_area = 0;
