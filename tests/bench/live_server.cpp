@@ -33,11 +33,6 @@ void write_config(const LiveMotion& motion, const core::Blade& blade, const nloh
   std::ofstream(file) << config;
 }
 
-std::uint16_t port_after(const std::string& line, const std::string& key) {
-  const auto colon = line.find(':', line.find(key));
-  return static_cast<std::uint16_t>(std::atoi(line.c_str() + colon + 1));
-}
-
 }  // namespace
 
 LiveServer::LiveServer(const LiveMotion& motion, const nlohmann::json& listen)
@@ -53,8 +48,8 @@ LiveServer::LiveServer(const LiveMotion& motion, const nlohmann::json& listen)
   process_ = std::make_unique<e2e::Process>(std::vector<std::string>{"incised", "--config", file.string()});
   const std::string line = process_->line("listening ");
   if (line.empty()) throw std::runtime_error("incised did not start");
-  tcp_port_ = port_after(line, "tcp=");
-  http_port_ = port_after(line, "http=");
+  tcp_port_ = e2e::port_after(line, "tcp=");
+  http_port_ = e2e::port_after(line, "http=");
 }
 
 LiveServer::~LiveServer() {

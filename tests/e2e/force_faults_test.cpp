@@ -17,6 +17,7 @@
 #include "server/loop/frame_loop.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
+#include "tests/support/float_stylus.hpp"
 
 namespace {
 std::int64_t virtual_ns = 0;  // 0: the system's clock
@@ -38,15 +39,6 @@ using tests::Random;
 constexpr std::int64_t kMs = 1'000'000;
 constexpr double kMost_n = 3.3, kSlew_n_s = 500, kRamp_s = 2, kQuantum_n = 2e-6;
 constexpr std::int64_t kDecay_ns = 10 * kMs, kFrameSlack_ns = 2 * kMs;
-
-// A stylus whose numbers are floating point ones: they can be none.
-constexpr const char* kProfile =
-    R"({"name": "Float", "usage_page": "ff1c", "usage": "0001", "report": 1, "rate_hz": 1000,
-  "counter": {"at": 1, "type": "u16"},
-  "tools": [{"position": {"x": {"at": 4, "type": "f32"}, "y": {"at": 8, "type": "f32"}, "z": {"at": 12, "type": "f32"}},
-             "buttons": [{"at": 3, "bit": 0, "type": "u1"}], "valid": {"at": 3, "bit": 1, "type": "u1"}}],
-  "force": {"max_newtons": 3.3, "bytes": "02 00*12", "x": {"at": 1, "type": "i32", "scale": 1e-6},
-            "y": {"at": 5, "type": "i32", "scale": 1e-6}, "z": {"at": 9, "type": "i32", "scale": 1e-6}}})";
 
 using Report = std::array<std::uint8_t, 16>;
 
@@ -178,7 +170,8 @@ class Rig {
     void publish(std::shared_ptr<const loop::PublishedDelta>) noexcept override {}
   };
   static constexpr std::int64_t begun_ = 1'000'000 * kMs;
-  const input::DeviceProfile profile_ = input::parse_profile(kProfile, "float.json");
+  const input::DeviceProfile profile_ = input::parse_profile(
+      tests::float_stylus_profile(R"("usage_page": "ff1c", "usage": "0001")"), "float.json");
   core::CutSession session_{tests::cube(6), cut_config()};
   input::InputHub hub_{cut_config().blade};
   Discard sink_;

@@ -53,13 +53,8 @@ class HidDevice : public ::testing::Test {
                              more + "}");
     server = std::make_unique<Process>(std::vector<std::string>{"incised", "--config", file("server.json")});
     const std::string line = server->line("listening ", 120);
-    const auto port_after = [&](const std::string& key) {
-      const auto at = line.find(key);
-      return static_cast<std::uint16_t>(
-          at == std::string::npos ? 0 : std::atoi(line.c_str() + line.find(':', at) + 1));
-    };
-    tcp_port = port_after("tcp=");
-    http_port = port_after("http=");
+    tcp_port = port_after(line, "tcp=");
+    http_port = port_after(line, "http=");
     ASSERT_NE(tcp_port, 0) << line;
   }
   json stats() const {

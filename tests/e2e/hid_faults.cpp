@@ -20,6 +20,7 @@
 #include "server/input/input_hub.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/raw_peer.hpp"
+#include "tests/support/float_stylus.hpp"
 #include "tests/support/mock_hid.hpp"
 
 namespace incise::e2e {
@@ -36,15 +37,6 @@ constexpr std::int64_t kMs = 1'000'000, kCommandLife_ns = 20 * kMs;
 void require(bool holds, const std::string& what) {
   if (!holds) throw std::runtime_error(what);
 }
-
-// A stylus whose numbers are floating point ones: they can be none.
-constexpr const char* kProfile =
-    R"({"name": "Float", "vendor": "abcd", "product": "0010", "report": 1, "rate_hz": 1000,
-  "counter": {"at": 1, "type": "u16"},
-  "tools": [{"position": {"x": {"at": 4, "type": "f32"}, "y": {"at": 8, "type": "f32"}, "z": {"at": 12, "type": "f32"}},
-             "buttons": [{"at": 3, "bit": 0, "type": "u1"}], "valid": {"at": 3, "bit": 1, "type": "u1"}}],
-  "force": {"max_newtons": 3.3, "bytes": "02 00*12", "x": {"at": 1, "type": "i32", "scale": 1e-6},
-            "y": {"at": 5, "type": "i32", "scale": 1e-6}, "z": {"at": 9, "type": "i32", "scale": 1e-6}}})";
 
 MockDevice::Kind kind() {
   MockDevice::Kind made;
@@ -172,7 +164,8 @@ class Run {
       : random_(options.seed),
         folder_(fs::temp_directory_path() / ("incise_faults_" + std::to_string(::getpid()))) {
     fs::create_directories(folder_ / "profiles");
-    std::ofstream(folder_ / "profiles/float.json") << kProfile;
+    std::ofstream(folder_ / "profiles/float.json")
+        << tests::float_stylus_profile(R"("vendor": "abcd", "product": "0010")");
     std::ofstream(folder_ / "server.json") << R"({"mesh": {"phantom": "slab", "target_tets": 3000},
       "blade": {"heel": [0, 0, 0], "tip": [0, 0, -0.05]}, "listen": {"tcp_port": 0, "http_port": 0},
       "haptics": {"stiffness_n_m": 2000}, "devices": {"profiles": "profiles"},
@@ -180,9 +173,8 @@ class Run {
     server_ = std::make_unique<Process>(
         std::vector<std::string>{"incised", "--config", (folder_ / "server.json").string()});
     const std::string line = server_->line("listening ", 120);
-    const auto http = line.find("http=");
-    require(http != std::string::npos, "incised did not start");
-    port_ = static_cast<std::uint16_t>(std::atoi(line.c_str() + line.find(':', http) + 1));
+    port_ = port_after(line, "http=");
+    require(port_ != 0, "incised did not start");
   }
   ~Run() {
     server_.reset();

@@ -7,6 +7,7 @@
 
 #include <chrono>
 #include <csignal>
+#include <cstdlib>
 #include <stdexcept>
 #include <thread>
 
@@ -20,6 +21,12 @@ std::string path_of(const std::string& name) {
 }
 
 }  // namespace
+
+std::uint16_t port_after(const std::string& line, const std::string& key) {
+  const auto at = line.find(key);
+  const auto colon = at == std::string::npos ? at : line.find(':', at);
+  return colon == std::string::npos ? 0 : static_cast<std::uint16_t>(std::atoi(line.c_str() + colon + 1));
+}
 
 bool have_program(const std::string& name) {
   return ::access(path_of(name).c_str(), X_OK) == 0;

@@ -4,6 +4,7 @@
 
 #include <sys/types.h>
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -35,6 +36,9 @@ class Process {
   bool ended_ = false;
   std::string pending_;
 };
+
+// The port behind `key` ("tcp=", "http=", ...) in the line that incised prints when it listens; 0 where there is none.
+std::uint16_t port_after(const std::string& line, const std::string& key);
 
 // Whether build/bin/<name> has been built.
 bool have_program(const std::string& name);

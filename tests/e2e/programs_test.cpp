@@ -50,13 +50,8 @@ class ProgramsTest : public ::testing::Test {
     if (resume) arguments.emplace_back("--resume");
     auto server = std::make_unique<Process>(arguments);
     const std::string line = server->line("listening ");
-    const auto port_after = [&](const std::string& key) {
-      const auto at = line.find(key);
-      const auto colon = at == std::string::npos ? at : line.find(':', at);
-      return colon == std::string::npos ? 0 : std::atoi(line.c_str() + colon + 1);
-    };
-    tcp_port = static_cast<std::uint16_t>(port_after("tcp="));
-    http_port = static_cast<std::uint16_t>(port_after("http="));
+    tcp_port = port_after(line, "tcp=");
+    http_port = port_after(line, "http=");
     EXPECT_NE(tcp_port, 0) << line;
     EXPECT_NE(http_port, 0) << line;
     return server;

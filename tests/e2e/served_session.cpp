@@ -18,12 +18,6 @@ namespace {
 namespace fs = std::filesystem;
 using input::monotonic_ns;
 
-std::uint16_t port_after(const std::string& line, const std::string& key) {
-  const auto at = line.find(key);
-  const auto colon = at == std::string::npos ? at : line.find(':', at);
-  return colon == std::string::npos ? 0 : static_cast<std::uint16_t>(std::atoi(line.c_str() + colon + 1));
-}
-
 }  // namespace
 
 ServedSession::ServedSession(const std::string& name, int target_tets, const std::string& capture)

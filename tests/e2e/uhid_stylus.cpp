@@ -125,9 +125,8 @@ class Server {
     process_ =
         std::make_unique<Process>(std::vector<std::string>{"/bin/incised", "--config", "/tmp/server.json"});
     const std::string line = process_->line("listening ", 120);
-    const auto http = line.find("http=");
-    require(http != std::string::npos, "incised does not listen");
-    port_ = static_cast<std::uint16_t>(std::atoi(line.c_str() + line.find(':', http) + 1));
+    port_ = port_after(line, "http=");
+    require(port_ != 0, "incised does not listen");
   }
   nlohmann::json stats() const {
     const std::string answer = stream::http(port_, "/stats");
