@@ -304,10 +304,15 @@ const std::vector<Key>& keys() {
           "How a swept surface becomes a cut: \"conforming\" follows it exactly; \"croll\" is the baseline "
           "of 2007."),
       choice(
-          "cut.growth", {"none", "balanced"}, [](const Config& c) { return static_cast<int>(c.cut.growth); },
-          [](Config& c, std::size_t i) { c.cut.growth = static_cast<core::Growth>(i); },
-          "What to prefer where accuracy and few new tetrahedra are at odds (policy conforming): \"none\" "
-          "never adds one, and leaves the cut ragged where no vertex can be moved."),
+          "cut.prefer", {"no-growth", "balanced", "exact"},
+          [](const Config& c) { return static_cast<int>(c.cut.prefer); },
+          [](Config& c, std::size_t i) { c.cut.prefer = static_cast<core::Preference>(i); },
+          "What to prefer where accuracy and few new tetrahedra are at odds (policy conforming): "
+          "\"no-growth\" "
+          "never adds one, and leaves the cut ragged where no vertex can be moved; \"balanced\" splits an "
+          "edge "
+          "where it must; \"exact\" splits nearly all, so that parts thinner than an element stay as they "
+          "are."),
       choice(
           "cut.engage", {"buttons", "always"}, [](const Config& c) { return c.cut.always_engaged ? 1 : 0; },
           [](Config& c, std::size_t i) { c.cut.always_engaged = i == 1; },

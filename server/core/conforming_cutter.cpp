@@ -17,6 +17,8 @@ constexpr double kFlat_h = 0.03;
 constexpr double kStay_h = 0.08;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
 constexpr double kRim_h = 0.5;
+// Where exactness is preferred, an edge that is crossed farther from its ends than this, by its length, is split.
+constexpr double kExactNear = 0.05;
 // How far from the blade's line, by the local edge length, a vertex waits.
 constexpr double kHot = 1.5;
 
@@ -52,13 +54,14 @@ void ConformingCutter::begin(const Batch& batch) {
     rim_events_.clear();
     surface_.clear();
     active_.clear();
+    swept_.clear();
+    travel_ = widest_ = 0;
   }
   batch_ = batch.number;
-  // Triangles that nothing active can need any more.
-  std::uint32_t oldest = batch_;
-  for (const Active& a : active_) oldest = std::min(oldest, a.batch);
-  surface_.drop_before(oldest > 0 ? oldest - 1 : 0);
+  swept_.push_back({batch_, travel_});
+  forget_surface();
 
+  first_latest_ = surface_.size();
   // Cells somewhat larger than tetrahedra, and flat to within the tolerance.
   const double cell_m = 4 * h_;
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
@@ -66,13 +69,14 @@ void ConformingCutter::begin(const Batch& batch) {
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
     const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+    travel_ += travel_m;
     const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
     const double rows =
         std::max(travel_m / cell_m, 0.25 * twist_m / (columns * config_.chord_tolerance_h * h_));
     surface_.add_quad(from, to, static_cast<int>(std::clamp(std::ceil(rows), 1.0, 1024.0)), columns, batch_,
                       turns_sharply(from, to), workspace_.grid.low(), workspace_.grid.high());
   }
-  surface_.build();
+  surface_.build(first_latest_);
   front_ = batch.lines.back();
   has_front_ = !batch.ends_stroke;
   changed_.clear();
@@ -84,7 +88,7 @@ void ConformingCutter::begin(const Batch& batch) {
     workspace_.event_stamp[a] = collection_;
     workspace_.event_head[a] = e;
   }
-  work_ = static_cast<std::int64_t>(surface_.size() + events_.size() / 8 + active_.size() / 16);
+  work_ = static_cast<std::int64_t>(surface_.size() / 4 + events_.size() / 8 + active_.size() / 16);
   search_ = ++workspace_.serial;
   queue_.clear();
   queue_next_ = 0;
@@ -93,6 +97,24 @@ void ConformingCutter::begin(const Batch& batch) {
   seed_ = Seed::kActive;
   next_seed_ = 0;
   phase_ = Phase::kSeed;
+}
+
+// Drops the triangles that nothing active can need any more. What becomes active now, by a split or a flip, may reach some
+// edge lengths farther back than what has been so for longest.
+void ConformingCutter::forget_surface() {
+  constexpr double kBehind = 8;
+  std::uint32_t oldest = batch_;
+  for (const Active& a : active_) oldest = std::min(oldest, a.batch);
+  double travel = travel_;
+  for (const Swept& s : swept_) {
+    if (s.batch == oldest) travel = s.travel;
+  }
+  const double limit = travel - kBehind * widest_;
+  std::size_t first = 0;
+  while (first + 1 < swept_.size() && swept_[first + 1].travel <= limit) ++first;
+  if (first == 0) return;
+  swept_.erase(swept_.begin(), swept_.begin() + static_cast<std::ptrdiff_t>(first));
+  surface_.drop_before(swept_.front().batch);
 }
 
 // Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.
@@ -157,7 +179,8 @@ bool ConformingCutter::advance(WorkBudget& budget) {
 void ConformingCutter::activate(TetId t) {
   if (workspace_.active[t] == stroke_) return;
   workspace_.active[t] = stroke_;
-  active_.push_back({t, batch_});
+  active_.push_back({t, batch_, 0});
+  for (VertexId v : mesh_.vertices(t)) widest_ = std::max(widest_, mesh_.local_h(v));
 }
 
 void ConformingCutter::enqueue(TetId t) {
@@ -191,9 +214,8 @@ bool ConformingCutter::probe(TetId t) {
   for (int i = 0; i < 4; ++i) p[i] = &mesh_.position(v[i]);
   const auto [low, high] = box_of(p);
   bool meets = false;
-  surface_.any_overlapping(low, high, [&](std::uint32_t index) {
+  surface_.any_latest_overlapping(low, high, [&](std::uint32_t index) {
     const SweptTriangle& triangle = surface_[index];
-    if (triangle.batch != batch_) return false;
     double d[4];
     int above = 0;
     for (int i = 0; i < 4; ++i) {
@@ -241,7 +263,7 @@ void ConformingCutter::seed(WorkBudget& budget) {
       while (next_seed_ < active_.size() && work_left()) enqueue(active_[next_seed_++].tet);
       if (next_seed_ < active_.size()) return;
       seed_ = has_front_ ? Seed::kBoundary : Seed::kLastLine;
-      next_seed_ = 0;
+      next_seed_ = has_front_ ? first_latest_ : 0;
       break;
     case Seed::kLastLine:
       // The stroke's last line is a rim, too; all that is near it is still active.
@@ -251,7 +273,7 @@ void ConformingCutter::seed(WorkBudget& budget) {
       }
       if (next_seed_ < active_.size()) return;
       seed_ = Seed::kBoundary;
-      next_seed_ = 0;
+      next_seed_ = first_latest_;
       break;
     case Seed::kBoundary:
       while (work_left()) {
@@ -261,7 +283,6 @@ void ConformingCutter::seed(WorkBudget& budget) {
           candidates_.clear();
           next_candidate_ = 0;
           const SweptTriangle& triangle = surface_[next_seed_++];
-          if (triangle.batch != batch_) continue;
           workspace_.grid.near(mesh_, triangle, candidates_);
           work_ += 10 + static_cast<std::int64_t>(candidates_.size() / 8);
         } else {
@@ -271,7 +292,7 @@ void ConformingCutter::seed(WorkBudget& budget) {
       }
       break;
     case Seed::kInside:
-      if (queue_.empty() && surface_.size() > 0 && surface_[surface_.size() - 1].batch == batch_) {
+      if (queue_.empty() && surface_.size() > first_latest_) {
         // The sweep meets no boundary: all of it is inside the tissue, or all of it outside.
         const auto& c = surface_[surface_.size() - 1].corners;
         const TetId t = workspace_.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]), &work_);
@@ -395,7 +416,7 @@ void ConformingCutter::handle(const RimEvent& event) {
       if (!on_rim(v) && put(v, limit)) return;
     }
   }
-  if (config_.growth == Growth::kNoGrowth) return;
+  if (config_.prefer == Preference::kNoGrowth) return;
   // A new vertex, then, on the face's edge nearest to the rim.
   VertexId a = kNone, b = kNone;
   double best = INFINITY, at = 0;
@@ -426,10 +447,17 @@ bool ConformingCutter::hot(VertexId v) const {
   return squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip) < reach * reach;
 }
 
-bool ConformingCutter::ripe(TetId t) const {
+// Whether none of its vertices is near the blade. Neither can be while the blade has come less far than they were away.
+bool ConformingCutter::ripe(Active& entry) const {
   if (!has_front_) return true;
-  for (VertexId v : mesh_.vertices(t)) {
-    if (hot(v)) return false;
+  if (travel_ < entry.ripe_at) return false;
+  work_ += 1;
+  for (VertexId v : mesh_.vertices(entry.tet)) {
+    const double reach = kHot * mesh_.local_h(v);
+    const double d2 = squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip);
+    if (d2 >= reach * reach) continue;
+    entry.ripe_at = travel_ + (reach - std::sqrt(d2));
+    return false;
   }
   return true;
 }
@@ -537,11 +565,13 @@ void ConformingCutter::verify(WorkBudget& budget) {
     first_leftover_ = events_.size();
   }
   while (next_active_ < active_.size()) {
+    charge(budget);
     if (budget.spent()) return;
-    const TetId t = active_[next_active_++].tet;
-    budget.charge(3);
-    if (!mesh_.alive(t) || !ripe(t)) continue;
-    collect_from(t);
+    Active& entry = active_[next_active_++];
+    work_ += 1;
+    if (!mesh_.alive(entry.tet) || !ripe(entry)) continue;
+    work_ += 2;
+    collect_from(entry.tet);
   }
   next_active_ = 0;
   if (events_.size() > first_leftover_ && ++round_ < 3) {
@@ -600,8 +630,8 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
 }
 
 // Whether a vertex may stand for the surface where it is, and better than where it could go: at a boundary that runs along
-// the surface, that of an older cut above all. Where the boundary meets the surface at an angle, as at a bump, that
-// would cut off what is to be moved.
+// the surface, or where an older cut does that ends at the body's own boundary. Where this meets the surface at an angle, as at
+// a bump, that would cut off what is to be moved.
 bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
   const Vec3& p = star.position();
   Vec3 closest;
@@ -610,9 +640,11 @@ bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
   if (!star.on_boundary() || !surface_.near(p, kStay_h * std::min(h_, star.local_h()), closest, triangle))
     return false;
   constexpr double kAlong = 0.94;  // cosine of 20 degrees
-  for (const Vec3& wall : star.walls()) {
-    if (std::abs(dot(wall, surface_[triangle].normal)) < kAlong) return false;
-  }
+  const auto runs_along = [&](const Vec3& wall) {
+    return std::abs(dot(wall, surface_[triangle].normal)) > kAlong;
+  };
+  if (!std::ranges::all_of(star.walls(), runs_along) && !std::ranges::any_of(star.cut_walls(), runs_along))
+    return false;
   const double worst = worst_at(star, p, placement.worst, kFlat_h * star.local_h());
   if (worst >= placement.worst) return false;
   placement = {p, worst};
@@ -697,6 +729,14 @@ void ConformingCutter::handle(std::uint32_t index) {
   const VertexId ends[2] = {event.at <= 0.5 ? a : b, event.at <= 0.5 ? b : a};
   VertexStar* stars[2] = {&star_, &other_star_};
   Placement best[2];
+  const bool exact = config_.prefer == Preference::kExact;
+  const double floor = exact ? kExactFloor : kFloor;
+  if (exact && std::min(event.at, 1 - event.at) > kExactNear &&
+      split_worst(event.tet, a, b, event.at, floor) <= floor) {
+    ++counts_.events;
+    split(event.tet, a, b, event.at);
+    return;
+  }
   for (int i = 0; i < 2; ++i) {
     if (on_surface(ends[i])) continue;
     best[i] = place(*stars[i], ends[i], event, crossing, kGood, pass_ > 0);
@@ -713,18 +753,18 @@ void ConformingCutter::handle(std::uint32_t index) {
   }
   ++counts_.events;
   int i = best[1].worst < best[0].worst ? 1 : 0;
-  if (best[i].worst > kSnapFloor) {
+  if (best[i].worst > kSnapFloor && !exact) {
     // At a boundary that runs along the surface, that of an older cut above all, a split makes but splinters.
     for (int k = 0; k < 2; ++k) {
       if (!on_surface(ends[k]) && stay(*stars[k], best[k])) i = best[k].worst < best[i].worst ? k : i;
     }
   }
-  const bool may_split = config_.growth != Growth::kNoGrowth;
+  const bool may_split = config_.prefer != Preference::kNoGrowth;
   const double by_split =
-      best[i].worst <= kSnapFloor || !may_split ? kInverted : split_worst(event.tet, a, b, event.at, kFloor);
-  if (best[i].worst <= kSnapFloor || (best[i].worst <= by_split && best[i].worst <= kFloor)) {
+      best[i].worst <= kSnapFloor || !may_split ? kInverted : split_worst(event.tet, a, b, event.at, floor);
+  if (best[i].worst <= kSnapFloor || (best[i].worst <= by_split && best[i].worst <= floor)) {
     snap(*stars[i], ends[i], best[i].target);
-  } else if (by_split <= kFloor) {
+  } else if (by_split <= floor) {
     split(event.tet, a, b, event.at);
   } else {
     workspace_.failed[a] = workspace_.failed[b] = stroke_;

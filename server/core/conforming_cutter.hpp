@@ -49,6 +49,8 @@ class ConformingCutter final : public Cutter {
   static constexpr double kGood = dihedral_measure(0.9876883406);       // 9 degrees
   static constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
   static constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
+  static constexpr double kExactFloor =
+      dihedral_measure(0.99999998477);  // 0.01 degrees, where exactness is preferred
 
   enum class Phase { kIdle, kSeed, kSearch, kRim, kOrder, kEvents, kRepair, kVerify, kSelect, kSpare, kOpen };
   // Where the search begins, in this order.
@@ -66,6 +68,12 @@ class ConformingCutter final : public Cutter {
     bool done;
   };
 
+  struct Active {
+    TetId tet;
+    std::uint32_t batch;  // since which it is active
+    double ripe_at;       // while the blade has travelled less in this stroke, it waits for certain, m
+  };
+
   // The rim of the sweep pierces a face: the paper's second move, to the front and back planes, in general.
   struct RimEvent {
     TetId tet;
@@ -76,6 +84,7 @@ class ConformingCutter final : public Cutter {
     bool done;
   };
 
+  void forget_surface();
   bool turns_sharply(const BladeLine& from, const BladeLine& to);
 
   // The work done since it was taken last, for the budget.
@@ -108,7 +117,7 @@ class ConformingCutter final : public Cutter {
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
   void collect_from(TetId t);
-  bool ripe(TetId t) const;
+  bool ripe(Active& entry) const;
   bool hot(VertexId v) const;
   bool on_rim(VertexId v) const { return workspace_.rim[v] == stroke_; }
   bool on_surface(VertexId v) const { return workspace_.surface[v] == stroke_; }
@@ -174,14 +183,18 @@ class ConformingCutter final : public Cutter {
   CutCounts counts_;
   std::uint32_t stroke_ = 0, batch_ = 0;
   bool has_front_ = false;
-  BladeLine front_;       // the blade now
-  Vec3 heading_;          // normal of the sweep where it began or last turned sharply
-  SweptSurface surface_;  // as far back as active tetrahedra may still need it
-  struct Active {
-    TetId tet;
-    std::uint32_t batch;  // since which it is active
-  };
+  BladeLine front_;               // the blade now
+  Vec3 heading_;                  // normal of the sweep where it began or last turned sharply
+  SweptSurface surface_;          // as far back as active tetrahedra may still need it
+  std::size_t first_latest_ = 0;  // triangle of this batch
   std::vector<Active> active_;
+  double widest_ = 0;  // the largest local mesh width at any of this stroke's, m
+  struct Swept {
+    std::uint32_t batch;
+    double travel;  // of the blade in this stroke before the batch, m
+  };
+  std::vector<Swept> swept_;  // the batches of surface_
+  double travel_ = 0;
 
   mutable std::int64_t work_ = 0;  // units not charged yet
 

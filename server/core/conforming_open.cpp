@@ -69,10 +69,11 @@ void ConformingCutter::select(WorkBudget& budget) {
     if (budget.spent()) return;
     Active& entry = active_[next_active_++];
     const TetId t = entry.tet;
-    work_ += 2;
+    work_ += 1;
     if (!mesh_.alive(t)) continue;
-    bool waits = !ripe(t);
+    bool waits = !ripe(entry);
     if (!waits) {
+      work_ += 1;
       for (int f = 0; f < 4; ++f) {
         const HalfFace o = mesh_.opposite(half_face(t, f));
         if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
@@ -243,6 +244,11 @@ void ConformingCutter::clinging(std::vector<VertexId>& out) const {
   for (const Active& active : active_) {
     if (!mesh_.alive(active.tet)) continue;
     out.insert(out.end(), mesh_.vertices(active.tet).begin(), mesh_.vertices(active.tet).end());
+    // And what is beside it: else it could slip past the blade, in between two batches.
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace o = mesh_.opposite(half_face(active.tet, f));
+      if (o != kNone) out.push_back(mesh_.vertices(tet_of(o))[face_of(o)]);
+    }
   }
   for (const Event& event : events_) out.insert(out.end(), {event.a, event.b});
   for (const RimEvent& event : rim_events_) out.insert(out.end(), event.face.begin(), event.face.end());

@@ -2,15 +2,14 @@
 
 #include <algorithm>
 
+#include "server/core/room.hpp"
+
 namespace incise::core {
 namespace {
 
 // What a group may visit before the next one has its turn, in tetrahedra: little at first, for most groups soon meet, then
 // more. A cluster is paid for with several turns, so all groups grow at the same pace, whatever they are made of.
 constexpr std::int32_t kFirstTurn = 4, kMostTurn = 256;
-
-// Where more than one tetrahedron in so many is in a new piece, going through all of them in order is quicker than sorting.
-constexpr std::size_t kScanShare = 16;
 
 // Tetrahedra of a cluster at most: large ones are passed quicker, but more of them dissolves along a cut.
 constexpr std::size_t kCluster = 32;
@@ -20,117 +19,161 @@ constexpr std::size_t kCluster = 32;
 // ------------------------------------------------------------------------------------------------ clusters
 
 PieceTracker::PieceTracker(TetMesh& mesh) : mesh_(mesh), piece_tets_{mesh.live_tets()} {
-  claims_.reserve(room_for(mesh.tet_slots()));
-  claims_.resize(mesh.tet_slots(), {0, 0});
   cluster_of_.reserve(room_for(mesh.tet_slots()));
   cluster_of_.resize(mesh.tet_slots(), kNone);
-  form_clusters();
-  index_clusters();
+  next_member_.reserve(room_for(mesh.tet_slots()));
+  next_member_.resize(mesh.tet_slots(), kNone);
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (mesh.alive(t) && cluster_of_[t] == kNone) form_cluster(t);
+  }
+  for (std::uint32_t c = 0; c < clusters_.size(); ++c) find_links(c);
 }
 
-// Breadth first from each tetrahedron that has none yet.
-void PieceTracker::form_clusters() {
-  std::uint32_t count = 0;
-  for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
-    if (!mesh_.alive(t) || cluster_of_[t] != kNone) continue;
-    TetId members[kCluster] = {t};
-    std::size_t size = 1;
-    cluster_of_[t] = count;
-    for (std::size_t i = 0; i < size; ++i) {
-      for (int f = 0; f < 4 && size < kCluster; ++f) {
-        const TetId n = mesh_.neighbor(members[i], f);
-        if (n == kNone || cluster_of_[n] != kNone) continue;
-        cluster_of_[n] = count;
-        members[size++] = n;
-      }
+// Breadth first through tetrahedra that have no cluster.
+void PieceTracker::form_cluster(TetId first) {
+  std::uint32_t c;
+  if (free_clusters_.empty()) {
+    c = static_cast<std::uint32_t>(clusters_.size());
+    clusters_.emplace_back();
+  } else {
+    c = free_clusters_.back();
+    free_clusters_.pop_back();
+    clusters_[c] = {};
+  }
+  cluster_of_[first] = c;
+  next_member_[first] = kNone;
+  TetId last = first;
+  std::uint32_t size = 1;
+  for (TetId t = first; t != kNone && size < kCluster; t = next_member_[t]) {
+    for (int f = 0; f < 4 && size < kCluster; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      if (n == kNone || cluster_of_[n] != kNone) continue;
+      cluster_of_[n] = c;
+      next_member_[n] = kNone;
+      next_member_[last] = n;
+      last = n;
+      ++size;
     }
-    ++count;
   }
+  clusters_[c].first = first;
+  clusters_[c].size = size;
 }
 
-// Makes members and links from cluster_of_.
-void PieceTracker::index_clusters() {
-  std::uint32_t count = 0;
-  for (const std::uint32_t c : cluster_of_) count = c == kNone ? count : std::max(count, c + 1);
-  clusters_.assign(count + 1, {0, 0, false});
-  for (const std::uint32_t c : cluster_of_) {
-    if (c != kNone) ++clusters_[c + 1].members;
+void PieceTracker::find_links(std::uint32_t cluster) {
+  const auto begin = static_cast<std::ptrdiff_t>(links_.size());
+  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      if (n == kNone || cluster_of_[n] == cluster) continue;
+      if (std::find(links_.begin() + begin, links_.end(), cluster_of_[n]) == links_.end())
+        links_.push_back(cluster_of_[n]);
+    }
   }
-  for (std::uint32_t c = 0; c < count; ++c) {
-    clusters_[c].whole = clusters_[c + 1].members > 0;
-    clusters_[c + 1].members += clusters_[c].members;
+  clusters_[cluster].links = static_cast<std::uint32_t>(begin);
+  clusters_[cluster].links_end = static_cast<std::uint32_t>(links_.size());
+}
+
+std::vector<std::uint32_t> PieceTracker::list_clusters() const {
+  std::vector<std::uint32_t> listed;
+  listed.reserve(mesh_.live_tets() + clusters_.size());
+  // By first members: slots are handed out otherwise in a session that was restored.
+  for (TetId first = 0; first < cluster_of_.size(); ++first) {
+    if (cluster_of_[first] == kNone || clusters_[cluster_of_[first]].first != first) continue;
+    const Cluster& c = clusters_[cluster_of_[first]];
+    listed.push_back(c.size | (c.links != kNone ? kLinked : 0));
+    for (TetId t = c.first; t != kNone; t = next_member_[t]) listed.push_back(t);
   }
-  members_.resize(clusters_[count].members);
-  std::vector<std::uint32_t> next(count);
-  for (std::uint32_t c = 0; c < count; ++c) next[c] = clusters_[c].members;
-  for (TetId t = 0; t < cluster_of_.size(); ++t) {
-    if (cluster_of_[t] != kNone) members_[next[cluster_of_[t]]++] = t;
-  }
+  return listed;
+}
+
+bool PieceTracker::restore_clusters(std::span<const std::uint32_t> listed) {
+  clusters_.clear();
+  free_clusters_.clear();
   links_.clear();
-  for (std::uint32_t c = 0; c < count; ++c) {
-    const auto first = static_cast<std::ptrdiff_t>(links_.size());
-    clusters_[c].links = static_cast<std::uint32_t>(first);
-    for (std::uint32_t m = clusters_[c].members; m < clusters_[c + 1].members; ++m) {
-      for (int f = 0; f < 4; ++f) {
-        const TetId n = mesh_.neighbor(members_[m], f);
-        if (n == kNone || cluster_of_[n] == c) continue;
-        if (std::find(links_.begin() + first, links_.end(), cluster_of_[n]) == links_.end())
-          links_.push_back(cluster_of_[n]);
-      }
+  cluster_of_.assign(mesh_.tet_slots(), kNone);
+  next_member_.assign(mesh_.tet_slots(), kNone);
+  std::vector<std::uint32_t> linked;
+  std::size_t members = 0;
+  while (!listed.empty()) {
+    const std::uint32_t size = listed[0] & ~kLinked;
+    if (size == 0 || size > kCluster || size >= listed.size()) return false;
+    const auto c = static_cast<std::uint32_t>(clusters_.size());
+    if (listed[0] & kLinked) linked.push_back(c);
+    for (std::uint32_t i = 1; i <= size; ++i) {
+      const TetId t = listed[i];
+      if (t >= mesh_.tet_slots() || !mesh_.alive(t) || cluster_of_[t] != kNone) return false;
+      cluster_of_[t] = c;
+      next_member_[t] = i < size ? listed[i + 1] : kNone;
     }
+    clusters_.emplace_back();
+    clusters_[c].first = listed[1];
+    clusters_[c].size = size;
+    members += size;
+    listed = listed.subspan(size + 1);
   }
-  clusters_[count].links = static_cast<std::uint32_t>(links_.size());
-  cluster_claims_.assign(count, {0, 0});
+  // What a link to an unlinked cluster says is only that the faces tell: as it was.
+  for (const std::uint32_t c : linked) find_links(c);
+  return members == mesh_.live_tets();
 }
 
+// Its living members become loose.
 void PieceTracker::dissolve(std::uint32_t cluster) {
-  clusters_[cluster].whole = false;
-  for (std::uint32_t m = clusters_[cluster].members; m < clusters_[cluster + 1].members; ++m)
-    cluster_of_[members_[m]] = kNone;
+  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
+    cluster_of_[t] = kNone;
+    if (mesh_.alive(t)) loose_.push_back(t);
+  }
+  clusters_[cluster] = {};
+  free_clusters_.push_back(cluster);
 }
 
 // ------------------------------------------------------------------------------------------------ the search
 
 void PieceTracker::begin() {
-  claims_.resize(mesh_.tet_slots(), {0, 0});
   cluster_of_.resize(mesh_.tet_slots(), kNone);
+  next_member_.resize(mesh_.tet_slots(), kNone);
+  changed_.grow(mesh_.tet_slots());
   ++search_;
   visited_.clear();
-  next_seed_ = turn_ = next_relabelled_ = 0;
+  loose_.clear();
+  next_ = turn_ = 0;
   rounds_ = 0;
   ring_.clear();
   groups_.clear();
-  changed_.clear();
   searches_.assign(next_piece_, {});
   pieces_before_ = next_piece_;
   undecided_ = 0;
-  phase_ = Phase::kSeed;
+  phase_ = Phase::kLoosen;
 }
 
 bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
+  const auto then = [this](Phase next) {
+    phase_ = next;
+    next_ = 0;
+  };
+  if (phase_ == Phase::kLoosen) {
+    delta.pieces.clear();
+    if (!loosen(budget)) return false;
+    then(Phase::kForm);
+  }
+  if (phase_ == Phase::kForm) {
+    if (!form(budget)) return false;
+    then(Phase::kSeed);
+  }
   if (phase_ == Phase::kSeed) {
-    if (next_seed_ == 0) delta.pieces.clear();
     if (!seed(budget)) return false;
-    phase_ = Phase::kSearch;
+    then(Phase::kSearch);
   }
   if (phase_ == Phase::kSearch) {
     if (!search(budget)) return false;
-    std::size_t cut_off = 0;
-    for (std::uint32_t piece = pieces_before_; piece < next_piece_; ++piece) cut_off += piece_tets_[piece];
-    phase_ = next_piece_ == pieces_before_              ? Phase::kNew
-             : kScanShare * cut_off > mesh_.tet_slots() ? Phase::kScan
-                                                        : Phase::kRelabel;
-    next_seed_ = 0;
+    then(next_piece_ == pieces_before_ ? Phase::kNew : Phase::kRelabel);
   }
-  if (phase_ == Phase::kScan) return relabel_by_scan(budget, delta);
   if (phase_ == Phase::kRelabel) {
     if (!relabel(budget)) return false;
-    phase_ = Phase::kNew;
+    then(Phase::kNew);
   }
   if (phase_ == Phase::kNew) {
     if (!list_new(budget)) return false;
-    changed_.seal();
-    phase_ = Phase::kList;
+    then(Phase::kList);
   }
   return list(budget, delta);
 }
@@ -145,51 +188,72 @@ bool PieceTracker::has_other_neighbors(TetId t) const {
   return false;
 }
 
-// A group for each tetrahedron that has got a cut face, or had one and was changed.
+// Takes what this step has touched out of its clusters. All of it, before any is formed anew.
+bool PieceTracker::loosen(WorkBudget& budget) {
+  const auto touched = mesh_.touched_tets();
+  for (; next_ < touched.size(); ++next_) {
+    if (budget.spent()) return false;
+    budget.charge(1);
+    const TetId t = touched[next_];
+    if (mesh_.is_new_tet(t)) {
+      if (!mesh_.alive(t)) continue;
+      ++piece_tets_[mesh_.piece(t)];
+      loose_.push_back(t);
+    } else {
+      if (!mesh_.alive(t)) --piece_tets_[mesh_.piece(t)];
+      if (cluster_of_[t] == kNone || !has_other_neighbors(t)) continue;
+      dissolve(cluster_of_[t]);
+      budget.charge(4);
+    }
+  }
+  return true;
+}
+
+bool PieceTracker::form(WorkBudget& budget) {
+  for (; next_ < loose_.size(); ++next_) {
+    if (budget.spent()) return false;
+    const TetId t = loose_[next_];
+    if (cluster_of_[t] != kNone) continue;
+    form_cluster(t);
+    budget.charge(1 + clusters_[cluster_of_[t]].size / 3);
+  }
+  return true;
+}
+
+// A group for each cluster with a tetrahedron that has got a cut face, or had one and was changed.
 bool PieceTracker::seed(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
-  // First all that is touched becomes loose, for what is a place must not change during the search.
-  for (; next_seed_ < touched.size(); ++next_seed_) {
+  for (; next_ < touched.size(); ++next_) {
     if (budget.spent()) return false;
     budget.charge(1);
-    const TetId t = touched[next_seed_];
-    if (mesh_.alive(t) && mesh_.is_new_tet(t)) ++piece_tets_[mesh_.piece(t)];
-    if (!mesh_.alive(t) && !mesh_.is_new_tet(t)) --piece_tets_[mesh_.piece(t)];
-    if (cluster_of_[t] == kNone || !has_other_neighbors(t)) continue;
-    dissolve(cluster_of_[t]);
-    budget.charge(4);
-  }
-  for (; next_seed_ < 2 * touched.size(); ++next_seed_) {
-    if (budget.spent()) return false;
-    budget.charge(1);
-    const TetId t = touched[next_seed_ - touched.size()];
-    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0) continue;
+    const TetId t = touched[next_];
+    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0 || clusters_[cluster_of_[t]].search == search_) continue;
     const auto group = static_cast<std::uint32_t>(groups_.size());
     const std::uint32_t piece = mesh_.piece(t);
     groups_.push_back({group, kNone, kNone, piece, 0, 0, 0});
     ring_.push_back(group);
-    claim(t, group);
+    claim(cluster_of_[t], group);
     if (++searches_[piece].groups == 2) ++undecided_;
   }
   return true;
 }
 
-void PieceTracker::claim(Place place, std::uint32_t group) {
-  claim_of(place) = {search_, group};
+void PieceTracker::claim(std::uint32_t cluster, std::uint32_t group) {
+  clusters_[cluster].search = search_;
+  clusters_[cluster].group = group;
   Group& g = groups_[group];
   const auto at = static_cast<std::uint32_t>(visited_.size());
   (g.first == kNone ? g.first : visited_[g.last].next) = at;
   g.last = at;
-  g.tets += size_of(place);
-  visited_.push_back({place, kNone});
-  if (!(place & kClusterBit)) mesh_.prefetch(place);
+  g.tets += clusters_[cluster].size;
+  visited_.push_back({cluster, kNone});
 }
 
-// The group comes to a place: takes it, or becomes one with the group that has it.
-void PieceTracker::meet(Place place, std::uint32_t group) {
-  const Claim known = claim_of(place);
+// The group comes to a cluster: takes it, or becomes one with the group that has it.
+void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
+  const Cluster& known = clusters_[cluster];
   if (known.search != search_) {
-    claim(place, group);
+    claim(cluster, group);
     return;
   }
   if (known.group == group) return;
@@ -207,33 +271,36 @@ void PieceTracker::meet(Place place, std::uint32_t group) {
   if (--searches_[piece].groups == 1) settle(piece);
 }
 
-// From a place to all beside it. Returns the work.
-std::int64_t PieceTracker::expand(Place place, std::uint32_t group) {
-  if (!(place & kClusterBit)) {
-    for (int f = 0; f < 4; ++f) {
-      const TetId n = mesh_.neighbor(place, f);
-      if (n != kNone) meet(place_of(n), group);
-    }
-    return 1;
-  }
-  const std::uint32_t c = place & ~kClusterBit;
-  bool beside_loose = false;
-  for (std::uint32_t l = clusters_[c].links; l < clusters_[c + 1].links; ++l) {
-    const std::uint32_t d = links_[l];
-    if (d != kNone && clusters_[d].whole) {
-      meet(d | kClusterBit, group);
+// From a cluster to all beside it. Returns the work.
+std::int64_t PieceTracker::expand(std::uint32_t cluster, std::uint32_t group) {
+  const Cluster& c = clusters_[cluster];
+  bool all_known = c.links != kNone;
+  for (std::uint32_t l = c.links; l != c.links_end; ++l) {
+    // Where one beside it was formed anew, only the faces tell.
+    if (clusters_[links_[l]].links == kNone) {
+      all_known = false;
     } else {
-      beside_loose = true;
+      meet(links_[l], group);
     }
   }
-  if (!beside_loose) return 2;
-  for (std::uint32_t m = clusters_[c].members; m < clusters_[c + 1].members; ++m) {
+  if (all_known) return 2;
+  // First what is beside, without a decision on the way: waiting for memory is most of this.
+  std::uint32_t beside[4 * kCluster];
+  std::size_t count = 0;
+  for (TetId t = c.first; t != kNone; t = next_member_[t]) {
     for (int f = 0; f < 4; ++f) {
-      const TetId n = mesh_.neighbor(members_[m], f);
-      if (n != kNone && cluster_of_[n] == kNone) meet(n, group);
+      const TetId n = mesh_.neighbor(t, f);
+      beside[count] = cluster_of_[n == kNone ? t : n];
+      count += beside[count] != cluster;
     }
   }
-  return 8;
+  std::uint32_t met = cluster;
+  for (std::size_t i = 0; i < count; ++i) {
+    if (beside[i] == met) continue;
+    met = beside[i];
+    meet(met, group);
+  }
+  return 1 + c.size / 4;
 }
 
 // One group of its piece is left: what is not cut off. Whether that is the largest part is known where all others are
@@ -246,21 +313,6 @@ void PieceTracker::settle(std::uint32_t piece) {
   } else {
     --undecided_;
   }
-}
-
-// Takes the first place that waits in the group, and hints at what the next one will need: waiting for memory is most of
-// the search's time.
-PieceTracker::Place PieceTracker::take(Group& group) {
-  const Visited taken = visited_[group.first];
-  group.first = taken.next;
-  if (group.first == kNone || visited_[group.first].place & kClusterBit) return taken.place;
-  for (int f = 0; f < 4; ++f) {
-    const TetId n = mesh_.neighbor(visited_[group.first].place, f);
-    if (n == kNone) continue;
-    __builtin_prefetch(&claims_[n]);
-    __builtin_prefetch(&cluster_of_[n]);
-  }
-  return taken.place;
 }
 
 bool PieceTracker::search(WorkBudget& budget) {
@@ -282,9 +334,10 @@ bool PieceTracker::search(WorkBudget& budget) {
     }
     groups_[group].credit += std::min(kFirstTurn + rounds_ / 4, kMostTurn);
     while (groups_[group].credit > 0 && groups_[group].first != kNone) {
-      const Place place = take(groups_[group]);
-      groups_[group].credit -= static_cast<std::int32_t>(size_of(place));
-      budget.charge(expand(place, group));
+      const Visited taken = visited_[groups_[group].first];
+      groups_[group].first = taken.next;
+      groups_[group].credit -= static_cast<std::int32_t>(clusters_[taken.cluster].size);
+      budget.charge(expand(taken.cluster, group));
     }
     budget.charge(1);
     if (groups_[group].first == kNone) end_group(group);
@@ -316,77 +369,43 @@ void PieceTracker::end_group(std::uint32_t group) {
   }
 }
 
-// The new piece that this search has put the tetrahedron into; 0: none.
-std::uint32_t PieceTracker::fresh_piece(TetId t) {
-  const Claim& claim = claim_of(place_of(t));
-  return claim.search == search_ ? groups_[find(claim.group)].fresh : 0;
-}
-
 // ------------------------------------------------------------------------------------------------ the labels
 
 bool PieceTracker::relabel(WorkBudget& budget) {
-  const auto put = [this](TetId t, std::uint32_t fresh) {
-    mesh_.set_piece(t, fresh);
-    changed_.push(std::uint64_t{fresh} << 32 | t);
-  };
-  for (; next_relabelled_ < visited_.size(); ++next_relabelled_) {
+  for (; next_ < visited_.size(); ++next_) {
     if (budget.spent()) return false;
+    const Cluster& cluster = clusters_[visited_[next_].cluster];
+    const std::uint32_t fresh = groups_[find(cluster.group)].fresh;
     budget.charge(1);
-    const Place place = visited_[next_relabelled_].place;
-    const std::uint32_t fresh = groups_[find(claim_of(place).group)].fresh;
     if (fresh == 0) continue;
-    if (!(place & kClusterBit)) {
-      put(place, fresh);
-      continue;
-    }
-    const std::uint32_t c = place & ~kClusterBit;
-    for (std::uint32_t m = clusters_[c].members; m < clusters_[c + 1].members; ++m) put(members_[m], fresh);
-    budget.charge(kCluster);
-  }
-  return true;
-}
-
-// All of it at once, for what is large: tetrahedra by id.
-bool PieceTracker::relabel_by_scan(WorkBudget& budget, Delta& delta) {
-  constexpr std::size_t kStride = 64;
-  const std::size_t slots = mesh_.tet_slots();
-  while (next_relabelled_ < slots) {
-    if (budget.spent()) return false;
-    budget.charge(kStride / 8);
-    const std::size_t end = std::min(next_relabelled_ + kStride, slots);
-    for (; next_relabelled_ < end; ++next_relabelled_) {
-      const auto t = static_cast<TetId>(next_relabelled_);
-      const std::uint32_t fresh = fresh_piece(t);
-      if (fresh != 0) {
-        mesh_.set_piece(t, fresh);
-        append(delta, fresh, t);
-      } else if (mesh_.is_new_tet(t) && mesh_.alive(t) && mesh_.piece(t) != 0) {
-        append(delta, mesh_.piece(t), t);
-      }
+    budget.charge(cluster.size / 4);
+    for (TetId t = cluster.first; t != kNone; t = next_member_[t]) {
+      mesh_.set_piece(t, fresh);
+      changed_.insert(t);
     }
   }
   return true;
 }
 
-// New tetrahedra of pieces other than 0, but for those that are listed already.
 bool PieceTracker::list_new(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
-  for (; next_seed_ < touched.size(); ++next_seed_) {
+  for (; next_ < touched.size(); ++next_) {
     if (budget.spent()) return false;
-    if (next_seed_ % 4 == 0) budget.charge(1);
-    const TetId t = touched[next_seed_];
-    if (!mesh_.is_new_tet(t) || !mesh_.alive(t) || mesh_.piece(t) == 0 || fresh_piece(t) != 0) continue;
-    changed_.push(std::uint64_t{mesh_.piece(t)} << 32 | t);
+    if (next_ % 4 == 0) budget.charge(1);
+    const TetId t = touched[next_];
+    if (mesh_.is_new_tet(t) && mesh_.alive(t) && mesh_.piece(t) != 0) changed_.insert(t);
   }
   return true;
 }
 
 bool PieceTracker::list(WorkBudget& budget, Delta& delta) {
-  while (!changed_.empty()) {
-    if (budget.spent()) return false;
-    budget.charge(2);
-    const std::uint64_t key = changed_.take();
-    append(delta, static_cast<std::uint32_t>(key >> 32), static_cast<TetId>(key));
+  for (std::size_t i = 0; !changed_.empty(); ++i) {
+    if (i % 4 == 0) {
+      if (budget.spent()) return false;
+      budget.charge(1);
+    }
+    const TetId t = changed_.take();
+    append(delta, mesh_.piece(t), t);
   }
   return true;
 }

@@ -1,12 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/cutter.hpp"
 #include "server/core/delta.hpp"
-#include "server/core/room.hpp"
-#include "server/core/run_sorter.hpp"
+#include "server/core/id_set.hpp"
 #include "server/core/tet_mesh.hpp"
 
 namespace incise::core {
@@ -17,8 +17,8 @@ namespace incise::core {
 // the smaller side holds (times two), and next to nothing where the two sides of a cut still hang together around its
 // front.
 //
-// What no cut has touched yet is passed in one go, by clusters of some 32 tetrahedra that were formed at load. A step
-// that touches one of its tetrahedra dissolves a cluster for good.
+// The searches go by clusters of up to 32 tetrahedra that hang together. Where a step changes what is beside a tetrahedron, its
+// cluster is formed anew, as one or several. One that no step has touched yet knows the clusters beside it and is passed in one go.
 class PieceTracker {
  public:
   // O(mesh): later steps only add what the mesh has grown by.
@@ -37,10 +37,6 @@ class PieceTracker {
  private:
   friend struct SessionFields;  // session_state.cpp
 
-  // A place of the search: a loose tetrahedron, or a cluster, which has the highest bit set.
-  using Place = std::uint32_t;
-  static constexpr Place kClusterBit = 1u << 31;
-
   std::uint32_t find(std::uint32_t group) {
     while (groups_[group].parent != group) {
       groups_[group].parent = groups_[groups_[group].parent].parent;
@@ -48,57 +44,54 @@ class PieceTracker {
     }
     return group;
   }
-  Place place_of(TetId t) const { return cluster_of_[t] == kNone ? t : cluster_of_[t] | kClusterBit; }
-  std::uint32_t size_of(Place place) const {
-    const std::uint32_t c = place & ~kClusterBit;
-    return place & kClusterBit ? clusters_[c + 1].members - clusters_[c].members : 1;
-  }
-  void form_clusters();
-  void index_clusters();
+  void form_cluster(TetId first);
+  void find_links(std::uint32_t cluster);
+  // All clusters: the size, and the highest bit where links are known, then the members.
+  static constexpr std::uint32_t kLinked = 1u << 31;
+  std::vector<std::uint32_t> list_clusters() const;
+  // False, and in no state to go on, where they are not the living tetrahedra, each once.
+  bool restore_clusters(std::span<const std::uint32_t> listed);
   void dissolve(std::uint32_t cluster);
-  struct Claim {
-    std::uint32_t search, group;
-  };
-  Claim& claim_of(Place place) {
-    return place & kClusterBit ? cluster_claims_[place & ~kClusterBit] : claims_[place];
-  }
-  void claim(Place place, std::uint32_t group);
-  void meet(Place place, std::uint32_t group);
-  std::int64_t expand(Place place, std::uint32_t group);
+  void claim(std::uint32_t cluster, std::uint32_t group);
+  void meet(std::uint32_t cluster, std::uint32_t group);
+  std::int64_t expand(std::uint32_t cluster, std::uint32_t group);
   void settle(std::uint32_t piece);
   bool has_other_neighbors(TetId t) const;
+  bool loosen(WorkBudget& budget);
+  bool form(WorkBudget& budget);
   bool seed(WorkBudget& budget);
   bool search(WorkBudget& budget);
   bool relabel(WorkBudget& budget);
-  bool relabel_by_scan(WorkBudget& budget, Delta& delta);
   bool list_new(WorkBudget& budget);
   bool list(WorkBudget& budget, Delta& delta);
-  std::uint32_t fresh_piece(TetId t);
   static void append(Delta& delta, std::uint32_t piece, TetId t);
 
   TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
 
-  std::vector<std::uint32_t> cluster_of_;  // by tetrahedron; kNone: loose
+  std::vector<std::uint32_t> cluster_of_;  // by tetrahedron; kNone: it is dead, or about to get one
+  std::vector<TetId> next_member_;         // by tetrahedron: the next one of its cluster
   struct Cluster {
-    std::uint32_t members, links;  // where its own begin; the next one's begin where they end
-    bool whole;
+    TetId first = kNone;  // member; kNone: the slot is free
+    std::uint32_t size = 0;
+    std::uint32_t links = kNone, links_end = kNone;  // kNone: some step has touched it
+    std::uint32_t search = 0, group = 0;             // the search that came by, and its group
   };
-  std::vector<Cluster> clusters_;     // and one more, where the last one's end
-  std::vector<TetId> members_;        // ascending within each cluster
-  std::vector<std::uint32_t> links_;  // clusters that share a face with it; kNone: loose tetrahedra do
+  std::vector<Cluster> clusters_;
+  std::vector<std::uint32_t> free_clusters_;
+  std::vector<std::uint32_t>
+      links_;  // clusters that share a face with one; a slot that has been formed anew has none itself
+  std::vector<TetId> loose_;  // that this step has taken out of their clusters, and new ones
 
   std::uint32_t search_ = 0;  // serial of the running search
-  // By tetrahedron and by cluster: the search that came by, and its group.
-  std::vector<Claim> claims_, cluster_claims_;
-  enum class Phase { kSeed, kSearch, kRelabel, kScan, kNew, kList };
-  Phase phase_ = Phase::kSeed;
+  enum class Phase { kLoosen, kForm, kSeed, kSearch, kRelabel, kNew, kList };
+  Phase phase_ = Phase::kLoosen;
   struct Visited {
-    Place place;
+    std::uint32_t cluster;
     std::uint32_t next;  // that waits in the same group, into visited_
   };
   std::vector<Visited> visited_;
-  std::size_t next_seed_ = 0, next_relabelled_ = 0;
+  std::size_t next_ = 0;  // how far the phase is
   struct Group {
     std::uint32_t parent;
     std::uint32_t first, last;  // that wait, breadth first, into visited_
@@ -107,7 +100,6 @@ class PieceTracker {
     std::uint32_t tets;         // that it has claimed
     std::int32_t credit;        // tetrahedra that it may visit in its turn
   };
-  Place take(Group& group);
   void end_group(std::uint32_t group);
   std::vector<Group> groups_;
   std::vector<std::uint32_t> ring_;  // groups in turn, and some that are done
@@ -123,7 +115,7 @@ class PieceTracker {
   std::vector<Search> searches_;  // by piece
   std::uint32_t undecided_ = 0;   // pieces with more than one group, or finishing
   std::uint32_t pieces_before_ = 1;
-  RunSorter<std::uint64_t> changed_;  // piece << 32 | tetrahedron
+  IdSet changed_;  // tetrahedra to list
 };
 
 }  // namespace incise::core

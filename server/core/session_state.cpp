@@ -165,12 +165,10 @@ struct SessionFields {
     if (m.deformed()) grow_to(m.rest_, m.rest_.size());
     grow_to(m.tets_, m.tets_.size());
     grow_to(m.attributes_, m.tets_.size());
-    grow_to(m.vertex_step_, m.vertices_.size());
     grow_to(m.vertex_mark_, m.vertices_.size());
-    grow_to(m.tet_step_, m.tets_.size());
+    grow_to(m.record_, m.tets_.size());
     grow_to(m.tet_mark_, m.tets_.size());
-    m.first_new_vertex_ = m.vertex_slots();
-    m.first_new_tet_ = m.tet_slots();
+    m.begin_step();
     if (io.failed()) return;
     const std::string problem = validate(m, false);
     io.demand(problem.empty(), problem.c_str());
@@ -179,14 +177,10 @@ struct SessionFields {
   template <class Io, class Pieces>
   static void pieces(Io& io, Pieces& p, const TetMesh& m) {
     io(p.next_piece_);
-    io.list(p.cluster_of_, 4, [&](auto& cluster) { io(cluster); });
+    std::vector<std::uint32_t> clusters;
+    if constexpr (!Io::kReads) clusters = p.list_clusters();
+    io.list(clusters, 4, [&](auto& entry) { io(entry); });
     if constexpr (Io::kReads) {
-      io.demand(p.cluster_of_.size() <= m.tet_slots(), "more tetrahedra in clusters than there are");
-      for (std::size_t t = 0; t < p.cluster_of_.size() && !io.failed(); ++t) {
-        const std::uint32_t cluster = p.cluster_of_[t];
-        io.demand(cluster == kNone || (cluster < m.tet_slots() && m.alive(static_cast<TetId>(t))),
-                  "a cluster of nothing");
-      }
       io.demand(p.next_piece_ >= 1 && p.next_piece_ <= m.tet_slots() + 1, "more pieces than tetrahedra");
       for (TetId t = 0; t < m.tet_slots() && !io.failed(); ++t) {
         io.demand(m.piece(t) < p.next_piece_, "a tetrahedron is in a piece that never was");
@@ -196,10 +190,9 @@ struct SessionFields {
       for (TetId t = 0; t < m.tet_slots(); ++t) {
         if (m.alive(t)) ++p.piece_tets_[m.piece(t)];
       }
-      grow_to(p.claims_, m.tet_slots());
-      p.cluster_of_.resize(m.tet_slots(), kNone);
+      io.demand(p.restore_clusters(clusters), "clusters that are not the tetrahedra, each once");
       grow_to(p.cluster_of_, m.tet_slots());
-      p.index_clusters();
+      grow_to(p.next_member_, m.tet_slots());
     }
   }
 
@@ -314,10 +307,18 @@ struct SessionFields {
       io(t.batch);
       io(t.rim);
     });
-    io.list(c.active_, 8, [&](auto& a) {
+    io.list(c.active_, 16, [&](auto& a) {
       io(a.tet);
       io(a.batch);
+      io(a.ripe_at);
       io.demand(a.tet < m.tet_slots(), "an active tetrahedron never was");
+    });
+    io(c.travel_);
+    io(c.widest_);
+    io.demand(c.travel_ >= 0 && c.widest_ >= 0, "a way or a width below 0");
+    io.list(c.swept_, 12, [&](auto& s) {
+      io(s.batch);
+      io(s.travel);
     });
     io.list(c.events_, 36, [&](auto& e) {
       io(e.nearness);

@@ -66,7 +66,8 @@ StrokeBuilder::StrokeBuilder(std::uint32_t source, const CutConfig& config, doub
                              std::uint32_t& stroke_counter)
     : source_(source),
       config_(config),
-      travel_m_(config.batch_h * h),
+      // Croll's segments are about as long as a tetrahedron: shorter ones would do the baseline wrong.
+      travel_m_((config.policy == Policy::kCroll ? std::max(config.batch_h, 1.0) : config.batch_h) * h),
       tolerance_m_(config.chord_tolerance_h * h),
       stroke_counter_(stroke_counter) {
   buffer_.reserve(kMostBuffered + 1);

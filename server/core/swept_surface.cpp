@@ -1,7 +1,6 @@
 #include "server/core/swept_surface.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 
 namespace incise::core {
@@ -62,17 +61,68 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
   add(add, 0, rows, 0, columns);
 }
 
-void SweptSurface::build() {
-  leaves_ = std::bit_ceil(static_cast<std::uint32_t>(std::max<std::size_t>(triangles_.size(), 1)));
-  const Box nothing{{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-  boxes_.assign(2 * static_cast<std::size_t>(leaves_), nothing);
-  for (std::size_t i = 0; i < triangles_.size(); ++i)
-    boxes_[leaves_ + i] = {triangles_[i].low, triangles_[i].high};
-  for (std::size_t i = leaves_ - 1; i >= 1; --i) {
-    const Box &a = boxes_[2 * i], &b = boxes_[2 * i + 1];
-    boxes_[i] = {{std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
-                 {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y), std::max(a.high.z, b.high.z)}};
+void SweptSurface::build(std::size_t latest) {
+  build(all_, 0);
+  build(latest_, std::min(latest, triangles_.size()));
+}
+
+// Of the triangles from `from` on.
+void SweptSurface::build(Tree& tree, std::size_t from) {
+  const auto first = static_cast<std::uint32_t>(from);
+  auto& nodes = tree.nodes;
+  nodes.clear();
+  tree.root = first | kLeaf;
+  const auto count = static_cast<std::uint32_t>(triangles_.size());
+  tree.empty = first == count;
+  if (count - first < 2) return;
+  const auto box = [](Node& node, std::uint32_t k, const Vec3& low, const Vec3& high) {
+    // A float is off by 2^-24 of itself at most.
+    constexpr double kOut = 0x1p-22;
+    const auto below = [](double x) { return static_cast<float>(x - kOut * std::abs(x)); };
+    const auto above = [](double x) { return static_cast<float>(x + kOut * std::abs(x)); };
+    node.low[0][k] = below(low.x);
+    node.low[1][k] = below(low.y);
+    node.low[2][k] = below(low.z);
+    node.high[0][k] = above(high.x);
+    node.high[1][k] = above(high.y);
+    node.high[2][k] = above(high.z);
+  };
+  const auto empty = [](std::uint32_t child) {
+    Node node;
+    for (auto& lanes : node.low) lanes = lane(INFINITY);
+    for (auto& lanes : node.high) lanes = lane(-INFINITY);
+    node.first = child;
+    return node;
+  };
+  for (std::uint32_t i = first; i < count; i += kChildren) {
+    Node node = empty(i | kLeaf);
+    for (std::uint32_t k = 0; k < kChildren && i + k < count; ++k)
+      box(node, k, triangles_[i + k].low, triangles_[i + k].high);
+    nodes.push_back(node);
   }
+  std::uint32_t begin = 0;
+  while (nodes.size() - begin > 1) {
+    const auto end = static_cast<std::uint32_t>(nodes.size());
+    for (std::uint32_t i = begin; i < end; i += kChildren) {
+      Node node = empty(i);
+      for (std::uint32_t k = 0; k < kChildren && i + k < end; ++k) {
+        const Node& child = nodes[i + k];
+        for (int axis = 0; axis < 3; ++axis) {
+          const auto least = [](const Lane& l) {
+            return std::min(std::min(l[0], l[1]), std::min(l[2], l[3]));
+          };
+          const auto most = [](const Lane& l) {
+            return std::max(std::max(l[0], l[1]), std::max(l[2], l[3]));
+          };
+          node.low[axis][k] = least(child.low[axis]);
+          node.high[axis][k] = most(child.high[axis]);
+        }
+      }
+      nodes.push_back(node);
+    }
+    begin = end;
+  }
+  tree.root = static_cast<std::uint32_t>(nodes.size() - 1);
 }
 
 void SweptSurface::drop_before(std::uint32_t oldest) {
@@ -102,18 +152,21 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   double best = reach * reach;
   bool found = false;
   if (triangles_.empty()) return false;
-  std::uint32_t stack[64];
+  std::uint32_t stack[kDepth];
   int depth = 0;
-  stack[depth++] = 1;
+  stack[depth++] = all_.root;
   while (depth > 0) {
-    const std::uint32_t node = stack[--depth];
-    if (squared_distance_to_box(p, boxes_[node].low, boxes_[node].high) >= best) continue;
-    if (node < leaves_) {
-      stack[depth++] = 2 * node + 1;
-      stack[depth++] = 2 * node;
+    const std::uint32_t at = stack[--depth];
+    if (!(at & kLeaf)) {
+      const Node& node = all_.nodes[at];
+      for (std::uint32_t k = kChildren; k-- > 0;) {
+        const Vec3 low{node.low[0][k], node.low[1][k], node.low[2][k]};
+        const Vec3 high{node.high[0][k], node.high[1][k], node.high[2][k]};
+        if (squared_distance_to_box(p, low, high) < best) stack[depth++] = node.first + k;
+      }
       continue;
     }
-    const SweptTriangle& s = triangles_[node - leaves_];
+    const SweptTriangle& s = triangles_[at & ~kLeaf];
     const double plane = s.signed_distance(p);
     if (plane * plane >= best) continue;
     const Vec3 x = closest_point(p, s);
@@ -121,7 +174,7 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
     if (d2 < best) {
       best = d2;
       point = x;
-      triangle = node - leaves_;
+      triangle = at & ~kLeaf;
       found = true;
     }
   }

@@ -21,7 +21,8 @@ class SweptSurface {
   void add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns, std::uint32_t batch,
                 bool first, const Vec3& low = {-INFINITY, -INFINITY, -INFINITY},
                 const Vec3& high = {INFINITY, INFINITY, INFINITY});
-  void build();
+  // `latest`: the first triangle of the last batch.
+  void build(std::size_t latest = SIZE_MAX);
   // Forgets all triangles of batches before `oldest`.
   void drop_before(std::uint32_t oldest);
   void clear();
@@ -34,25 +35,12 @@ class SweptSurface {
   // returns whether one did.
   template <class Visit>
   bool any_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
-    if (triangles_.empty()) return false;
-    std::uint32_t stack[64];
-    int depth = 0;
-    stack[depth++] = 1;
-    while (depth > 0) {
-      const std::uint32_t node = stack[--depth];
-      const Box& box = boxes_[node];
-      if (low.x > box.high.x || high.x < box.low.x || low.y > box.high.y || high.y < box.low.y ||
-          low.z > box.high.z || high.z < box.low.z) {
-        continue;
-      }
-      if (node >= leaves_) {
-        if (visit(node - leaves_)) return true;
-      } else {
-        stack[depth++] = 2 * node + 1;
-        stack[depth++] = 2 * node;
-      }
-    }
-    return false;
+    return overlapping(all_, low, high, visit);
+  }
+  // The same for the triangles of the last batch alone.
+  template <class Visit>
+  bool any_latest_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
+    return overlapping(latest_, low, high, visit);
   }
 
   // The closest point of the surface within `reach` of p and its triangle; false where there is none.
@@ -64,13 +52,53 @@ class SweptSurface {
  private:
   friend struct SessionFields;  // session_state.cpp
 
-  struct Box {
-    Vec3 low, high;
+  // A node's children are looked at together, in lanes. Their boxes are rounded outwards by more than a query is rounded, so
+  // that none that overlaps is passed over.
+  static constexpr std::uint32_t kChildren = 4;
+  static constexpr std::uint32_t kLeaf = 1u << 31;  // marks a triangle among nodes
+  static constexpr int kDepth = 64;  // three of each level wait, and four of the last: 16 levels, at most
+  using Lane [[gnu::vector_size(16)]] = float;
+  struct Node {
+    Lane low[3], high[3];
+    std::uint32_t first;  // of its children, which are neighbours; with kLeaf where they are triangles
   };
+  static Lane lane(double x) {
+    const auto f = static_cast<float>(x);
+    return Lane{f, f, f, f};
+  }
+
+  struct Tree {
+    std::vector<Node> nodes;  // the lowest level first
+    std::uint32_t root = 0;   // kLeaf and the triangle where there is but one
+    bool empty = true;
+  };
+  void build(Tree& tree, std::size_t from);
+  template <class Visit>
+  static bool overlapping(const Tree& tree, const Vec3& low, const Vec3& high, Visit visit) {
+    if (tree.empty) return false;
+    const Lane low_x = lane(low.x), low_y = lane(low.y), low_z = lane(low.z);
+    const Lane high_x = lane(high.x), high_y = lane(high.y), high_z = lane(high.z);
+    std::uint32_t stack[kDepth];
+    int depth = 0;
+    stack[depth++] = tree.root;
+    while (depth > 0) {
+      const std::uint32_t at = stack[--depth];
+      if (at & kLeaf) {
+        if (visit(at & ~kLeaf)) return true;
+        continue;
+      }
+      const Node& node = tree.nodes[at];
+      const auto hit = (low_x <= node.high[0]) & (high_x >= node.low[0]) & (low_y <= node.high[1]) &
+                       (high_y >= node.low[1]) & (low_z <= node.high[2]) & (high_z >= node.low[2]);
+      for (std::uint32_t k = kChildren; k-- > 0;) {
+        if (hit[k]) stack[depth++] = node.first + k;
+      }
+    }
+    return false;
+  }
+
   std::vector<SweptTriangle> triangles_;
-  std::vector<Box>
-      boxes_;  // a heap: the children of i are 2 i and 2 i + 1; boxes_[leaves_ + i] is triangle i's
-  std::uint32_t leaves_ = 0;  // a power of two
+  Tree all_, latest_;
 };
 
 }  // namespace incise::core

@@ -77,14 +77,14 @@ TetMesh::TetMesh(const MeshData& data) {
   }
   mean_edge_length_ = tet_count > 0 ? sum / (6.0 * static_cast<double>(tet_count)) : 0;
 
-  vertex_step_.reserve(room_for(vertex_count));
   vertex_mark_.reserve(room_for(vertex_count));
-  tet_step_.reserve(room_for(tet_count));
+  record_.reserve(room_for(tet_count));
   tet_mark_.reserve(room_for(tet_count));
-  vertex_step_.resize(vertex_count, 0);
   vertex_mark_.resize(vertex_count, 0);
-  tet_step_.resize(tet_count, 0);
+  record_.resize(tet_count, 0);
   tet_mark_.resize(tet_count, 0);
+  vertices_in_order_.grow(vertex_count);
+  tets_in_order_.grow(tet_count);
 
   build_adjacency();
   split_initial_vertices();
@@ -93,9 +93,7 @@ TetMesh::TetMesh(const MeshData& data) {
   touched_tets_.clear();
   before_.clear();
   provenance_.clear();
-  ++step_;
-  first_new_vertex_ = vertex_slots();
-  first_new_tet_ = tet_slots();
+  begin_step();
   hash_ = compute_state_hash();
 }
 
@@ -156,18 +154,15 @@ void TetMesh::split_initial_vertices() {
     if (star_scratch_.size() != incident[v]) pinched[v] = any = true;
   }
   if (!any) return;
-  std::vector<std::vector<std::uint32_t>> corners(vertices_.size());
+  begin_noting(4 * tets_.size());
   for (TetId t = 0; t < tet_slots(); ++t) {
     for (std::uint32_t i = 0; i < 4; ++i) {
-      if (pinched[tets_[t].vertices[i]]) corners[tets_[t].vertices[i]].push_back(4 * t + i);
+      if (pinched[tets_[t].vertices[i]]) note_corner(tets_[t].vertices[i], 4 * t + i);
     }
   }
-  for (VertexId v = 0; v < corners.size(); ++v) {
-    if (corners[v].empty()) continue;
-    noted_stars_.push_back({v, static_cast<std::uint32_t>(noted_corners_.size()),
-                            static_cast<std::uint32_t>(noted_corners_.size() + corners[v].size())});
-    noted_corners_.insert(noted_corners_.end(), corners[v].begin(), corners[v].end());
-  }
+  // The part that the file lists first keeps the vertex.
+  for (const NotedStar& noted : noted_stars_)
+    vertices_[noted.vertex].tet = noted_corners_[noted.first].corner >> 2;
   const std::uint32_t slots = vertex_slots();
   split_noted_stars();
   initial_vertex_copies_ = vertex_slots() - slots;
@@ -311,24 +306,26 @@ std::uint64_t TetMesh::hash_of_tet(TetId t) const {
 }
 
 void TetMesh::touch_vertex(VertexId v) {
-  if (vertex_step_[v] == step_) return;
-  vertex_step_[v] = step_;
+  if (is_new(v) || !vertices_in_order_.insert(v)) return;
   touched_vertices_.push_back(v);
   hash_ ^= hash_of_vertex(v);
 }
 
-void TetMesh::touch_tet(TetId t) {
-  if (tet_step_[t] == step_) return;
-  tet_step_[t] = step_;
+void TetMesh::record_tet(TetId t, const TetState& before) {
+  record_[t] = static_cast<std::uint32_t>(touched_tets_.size());
   touched_tets_.push_back(t);
-  before_.push_back(state(t));
+  before_.push_back(before);
+}
+
+void TetMesh::touch_tet(TetId t) {
+  if (is_new_tet(t) || !tets_in_order_.insert(t)) return;
+  record_tet(t, state(t));
   hash_ ^= hash_of_tet(t);
 }
 
 VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance, float h) {
   const VertexId v = vertex_slots();
   vertices_.push_back({position, kNone, h});
-  vertex_step_.push_back(step_);
   vertex_mark_.push_back(0);
   provenance_.push_back(provenance);
   if (deformed()) rest_.push_back(lerp(rest_[provenance.a], rest_[provenance.b], provenance.t));
@@ -340,9 +337,8 @@ TetId TetMesh::add_tet(const std::array<VertexId, 4>& vertices, TetId parent) {
   tets_.push_back({vertices, {kNone, kNone, kNone, kNone}});
   attributes_.push_back({attributes_[parent].region, attributes_[parent].piece, 0});
   tet_mark_.push_back(0);
-  tet_step_.push_back(step_);
-  touched_tets_.push_back(t);
-  before_.push_back({});
+  record_.push_back(0);
+  record_tet(t, {});
   ++live_tets_;
   return t;
 }
@@ -377,24 +373,13 @@ bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
     delta.first_added = first_new_vertex_;
     commit_sides_ = 0;
     commit_side_area_ = 0;
-    commit_order_.clear();
-    next_commit_ = 0;
-    committing_ = Committing::kTouchedVertices;
-  }
-  if (committing_ == Committing::kTouchedVertices) {
-    for (; next_commit_ < touched_vertices_.size(); ++next_commit_) {
-      if (budget.spent()) return false;
-      budget.charge(1);
-      commit_order_.push(touched_vertices_[next_commit_]);
-    }
-    commit_order_.seal();
     committing_ = Committing::kMoved;
   }
   if (committing_ == Committing::kMoved) {
-    while (!commit_order_.empty()) {
+    while (!vertices_in_order_.empty()) {
       if (budget.spent()) return false;
       budget.charge(2);
-      const auto v = static_cast<VertexId>(commit_order_.take());
+      const VertexId v = vertices_in_order_.take();
       hash_ ^= hash_of_vertex(v);
       delta.moved.push_back(v);
       delta.moved_positions.push_back(vertices_[v].position);
@@ -413,32 +398,29 @@ bool TetMesh::commit(Delta& delta, WorkBudget& budget) {
       delta.provenance.push_back(provenance_[next_commit_]);
       if (deformed()) delta.added_rest.push_back(rest_[v]);
     }
-    next_commit_ = 0;
-    commit_order_.clear();
-    committing_ = Committing::kTouchedTets;
-  }
-  if (committing_ == Committing::kTouchedTets) {
-    for (; next_commit_ < touched_tets_.size(); ++next_commit_) {
-      if (budget.spent()) return false;
-      budget.charge(1);
-      commit_order_.push(std::uint64_t{touched_tets_[next_commit_]} << 32 | next_commit_);
-    }
-    commit_order_.seal();
     committing_ = Committing::kTets;
   }
-  while (!commit_order_.empty()) {
+  if (committing_ == Committing::kTets) {
+    while (!tets_in_order_.empty()) {
+      if (budget.spent()) return false;
+      budget.charge(2);
+      commit_tet(tets_in_order_.take(), delta);
+    }
+    next_commit_ = first_new_tet_;
+    committing_ = Committing::kNewTets;
+  }
+  for (; next_commit_ < tet_slots(); ++next_commit_) {
     if (budget.spent()) return false;
     budget.charge(2);
-    commit_tet(commit_order_.take() & 0xffffffffu, delta);
+    commit_tet(static_cast<TetId>(next_commit_), delta);
   }
   end_commit(delta);
   return true;
 }
 
 // What the step has made of one tetrahedron that it touched.
-void TetMesh::commit_tet(std::size_t index, Delta& delta) {
-  const TetId t = touched_tets_[index];
-  const TetState& before = before_[index];
+void TetMesh::commit_tet(TetId t, Delta& delta) {
+  const TetState& before = before_[record_[t]];
   const auto count_sides = [&](const TetState& tet, int sign) {
     for (int f = 0; f < 4; ++f) {
       if (!(tet.cut_mask >> f & 1)) continue;
@@ -489,15 +471,17 @@ void TetMesh::end_commit(Delta& delta) {
   touched_tets_.clear();
   before_.clear();
   provenance_.clear();
-  first_new_vertex_ = vertex_slots();
-  first_new_tet_ = tet_slots();
-  if (++step_ == 0) {
-    std::fill(vertex_step_.begin(), vertex_step_.end(), 0u);
-    std::fill(tet_step_.begin(), tet_step_.end(), 0u);
-    step_ = 1;
-  }
+  begin_step();
   delta.state_hash = hash_;
   committing_ = Committing::kNothing;
+}
+
+// All that there is, is old.
+void TetMesh::begin_step() {
+  first_new_vertex_ = vertex_slots();
+  first_new_tet_ = tet_slots();
+  vertices_in_order_.grow(vertex_slots());
+  tets_in_order_.grow(tet_slots());
 }
 
 std::uint64_t TetMesh::compute_state_hash() const {
@@ -634,30 +618,46 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
   vertices_[v].tet = kNone;
 }
 
-void TetMesh::note_star(VertexId v) {
-  if (vertex_mark_[v] == vertex_mark_value_) return;
-  vertex_mark_[v] = vertex_mark_value_;
-  star(v, star_scratch_);
-  const auto begin = static_cast<std::uint32_t>(noted_corners_.size());
-  noted_corners_.insert(noted_corners_.end(), star_scratch_.begin(), star_scratch_.end());
-  noted_stars_.push_back({v, begin, static_cast<std::uint32_t>(noted_corners_.size())});
+void TetMesh::begin_noting(std::size_t most_corners) {
+  next_vertex_marks(static_cast<std::uint32_t>(most_corners));
+  first_noted_mark_ = vertex_mark_value_ - static_cast<std::uint32_t>(most_corners) + 1;
+  noted_stars_.clear();
+  noted_corners_.clear();
+}
+
+void TetMesh::note_corner(VertexId v, std::uint32_t corner) {
+  const auto at = static_cast<std::uint32_t>(noted_corners_.size());
+  noted_corners_.push_back({corner, kNone});
+  const std::uint32_t star = vertex_mark_[v] - first_noted_mark_;
+  if (vertex_mark_[v] < first_noted_mark_) {
+    vertex_mark_[v] = first_noted_mark_ + static_cast<std::uint32_t>(noted_stars_.size());
+    noted_stars_.push_back({v, at, at});
+  } else {
+    noted_corners_[noted_stars_[star].last].next = at;
+    noted_stars_[star].last = at;
+  }
+}
+
+void TetMesh::open_side(HalfFace side) {
+  const TetId t = tet_of(side);
+  touch_tet(t);
+  tets_[t].opposite[face_of(side)] = kNone;
+  attributes_[t].cut_mask |= static_cast<std::uint8_t>(1u << face_of(side));
+  for (const int i : kFaceVertices[face_of(side)])
+    note_corner(tets_[t].vertices[i], 4 * t + static_cast<std::uint32_t>(i));
 }
 
 void TetMesh::split_noted_stars() {
   for (const NotedStar& noted : noted_stars_) {
     next_mark();
-    bool first = true;
     const VertexId v = noted.vertex;
-    for (std::uint32_t c = noted.begin; c < noted.end; ++c) {
-      const TetId t = noted_corners_[c] >> 2;
-      if (!alive(t) || tet_mark_[t] == mark_) continue;
+    star_scratch_.clear();
+    component(v, vertices_[v].tet, star_scratch_);
+    for (std::uint32_t c = noted.first; c != kNone; c = noted_corners_[c].next) {
+      const TetId t = noted_corners_[c].corner >> 2;
+      if (tet_mark_[t] == mark_) continue;
       star_scratch_.clear();
       component(v, t, star_scratch_);
-      if (first) {  // the first component keeps the vertex
-        vertices_[v].tet = t;
-        first = false;
-        continue;
-      }
       const VertexId copy = add_vertex(vertices_[v].position, {v, v, 0}, vertices_[v].h);
       vertices_[copy].tet = t;
       for (std::uint32_t corner : star_scratch_) {
@@ -665,42 +665,37 @@ void TetMesh::split_noted_stars() {
         tets_[corner >> 2].vertices[corner & 3u] = copy;
       }
     }
-    if (first) vertices_[v].tet = kNone;  // nothing is left around it
   }
-  noted_stars_.clear();
-  noted_corners_.clear();
 }
 
 std::uint32_t TetMesh::open_faces(std::span<const HalfFace> faces) {
-  next_vertex_marks(1);
+  begin_noting(6 * faces.size());
   std::uint32_t opened = 0;
-  for (HalfFace h : faces) {
-    if (opposite(h) == kNone) continue;
-    for (VertexId v : face_vertices(h)) note_star(v);
-  }
   for (HalfFace h : faces) {
     const HalfFace o = opposite(h);
     if (o == kNone) continue;
     ++opened;
-    for (HalfFace side : {h, o}) {
-      touch_tet(tet_of(side));
-      tets_[tet_of(side)].opposite[face_of(side)] = kNone;
-      attributes_[tet_of(side)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(side));
-    }
+    open_side(h);
+    open_side(o);
   }
   split_noted_stars();
   return opened;
 }
 
 void TetMesh::remove_tet(TetId t) {
-  next_vertex_marks(1);
-  for (VertexId v : std::array<VertexId, 4>(tets_[t].vertices)) note_star(v);
+  begin_noting(12);
   for (int f = 0; f < 4; ++f) {
     const HalfFace o = tets_[t].opposite[f];
-    if (o == kNone) continue;
-    touch_tet(tet_of(o));
-    tets_[tet_of(o)].opposite[face_of(o)] = kNone;
-    attributes_[tet_of(o)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(o));
+    if (o != kNone) open_side(o);
+  }
+  for (int i = 0; i < 4; ++i) {
+    const VertexId v = tets_[t].vertices[i];
+    if (vertices_[v].tet != t) continue;
+    // Another one that has the vertex, beyond a face at it, if there is one.
+    vertices_[v].tet = kNone;
+    for (int f = 0; f < 4; ++f) {
+      if (f != i && tets_[t].opposite[f] != kNone) vertices_[v].tet = tet_of(tets_[t].opposite[f]);
+    }
   }
   kill_tet(t);
   split_noted_stars();

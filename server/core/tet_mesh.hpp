@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "server/core/delta.hpp"
+#include "server/core/id_set.hpp"
 #include "server/core/mesh_data.hpp"
-#include "server/core/run_sorter.hpp"
 #include "server/core/vec3.hpp"
 #include "server/core/work_budget.hpp"
 
@@ -80,9 +80,6 @@ class TetMesh {
   // Which piece of the body it is in (server/core/piece_tracker.hpp). Not part of the state that the hash names.
   std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
   void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
-  // Hints that the tetrahedron's vertices and neighbours, or its piece, will be read soon.
-  void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
-  void prefetch_piece(TetId t) const { __builtin_prefetch(&attributes_[t], 1); }
   std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
   std::uint8_t boundary_mask(TetId t) const;
   std::array<VertexId, 3> face_vertices(HalfFace h) const;
@@ -177,22 +174,26 @@ class TetMesh {
   void split_initial_vertices();
   void touch_vertex(VertexId v);
   void touch_tet(TetId t);
+  void record_tet(TetId t, const TetState& before);
   VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
   Vec3 rest_at(VertexId v, const Vec3& position) const;
   // Region and piece are those of `parent`.
   TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
   void kill_tet(TetId t);
-  // Around a change that opens faces: first the stars of the vertices concerned are noted, then, when faces have
-  // opened, each vertex gets one copy for each face-connected component of its noted star but the first.
-  void note_star(VertexId v);
+  // Around a change that opens faces: the corners at each opened side are noted; then each vertex of them gets one copy
+  // for each face-connected component of its star but the one that holds the tetrahedron that it names.
+  void begin_noting(std::size_t most_corners);
+  void note_corner(VertexId v, std::uint32_t corner);
+  void open_side(HalfFace side);
   void split_noted_stars();
   void component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const;
   void next_mark() const;
   void next_vertex_marks(std::uint32_t count) const;
   // Empties what a step fills of the mesh, pieces apart.
   static void clear_mesh(Delta& delta);
-  void commit_tet(std::size_t index, Delta& delta);
+  void commit_tet(TetId t, Delta& delta);
   void end_commit(Delta& delta);
+  void begin_step();
   std::uint64_t hash_of_vertex(VertexId v) const;
   std::uint64_t hash_of_tet(TetId t) const;
 
@@ -206,21 +207,20 @@ class TetMesh {
   std::int64_t cut_sides_ = 0;
   double mean_edge_length_ = 0;
 
-  // The record of the running step. A stamp equal to step_ says: recorded already.
-  std::uint32_t step_ = 1;
-  std::vector<std::uint32_t> vertex_step_, tet_step_;
+  // The record of the running step.
   std::vector<VertexId> touched_vertices_;
   std::vector<TetId> touched_tets_;
-  std::vector<TetState> before_;  // one for each of touched_tets_
+  std::vector<std::uint32_t> record_;  // by tetrahedron: where it is in touched_tets_, if it is there
+  std::vector<TetState> before_;       // one for each of touched_tets_
   VertexId first_new_vertex_ = 0;
   TetId first_new_tet_ = 0;
   std::vector<Provenance> provenance_;
   std::uint64_t hash_ = 0;
   // How far commit() is.
-  enum class Committing { kNothing, kTouchedVertices, kMoved, kAdded, kTouchedTets, kTets };
+  enum class Committing { kNothing, kMoved, kAdded, kTets, kNewTets };
   Committing committing_ = Committing::kNothing;
   std::size_t next_commit_ = 0;
-  RunSorter<std::uint64_t> commit_order_;  // id << 32 | index
+  IdSet vertices_in_order_, tets_in_order_;  // that existed before the step and are touched
   int commit_sides_ = 0;
   double commit_side_area_ = 0;
 
@@ -229,12 +229,16 @@ class TetMesh {
   mutable std::vector<std::uint32_t> tet_mark_;
   mutable std::uint32_t vertex_mark_value_ = 0;
   mutable std::vector<std::uint32_t> vertex_mark_;
+  struct NotedCorner {
+    std::uint32_t corner, next;  // the next one at the same vertex
+  };
   struct NotedStar {
     VertexId vertex;
-    std::uint32_t begin, end;  // into noted_corners_
+    std::uint32_t first, last;  // into noted_corners_
   };
+  std::uint32_t first_noted_mark_ = 0;  // of noted_stars_[0]; the others count on
   std::vector<NotedStar> noted_stars_;
-  std::vector<std::uint32_t> noted_corners_;
+  std::vector<NotedCorner> noted_corners_;
   mutable std::vector<std::uint32_t> star_scratch_;
   mutable std::vector<TetId> ring_scratch_;
 };

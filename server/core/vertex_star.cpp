@@ -97,6 +97,7 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   corners_.clear();
   flattenable_.clear();
   walls_.clear();
+  cut_walls_.clear();
   wall_area_ = {};
   lanes_.resize((corner_ids_.size() + 3) / 4);
 }
@@ -126,6 +127,7 @@ VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
     const Vec3& a = mesh.position(vertices[k[0]]);
     const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
     walls_.push_back(normalized(twice));
+    if (mesh.cut_mask(corner.tet) >> f & 1) cut_walls_.push_back(walls_.back());
     wall_area_ += 0.5 * twice;
   }
   return corner;

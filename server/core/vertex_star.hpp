@@ -44,6 +44,8 @@ class VertexStar {
   // Unit normals of the boundary faces at the vertex (and of faces between two regions).
   const std::vector<Vec3>& walls() const { return walls_; }
   bool on_boundary() const { return !walls_.empty(); }
+  // Those of them that a cut has opened.
+  const std::vector<Vec3>& cut_walls() const { return cut_walls_; }
 
   // The worst measure (quality.hpp) in the star with the vertex at p; stops early beyond `limit`. Tetrahedra that
   // would be flat on the surface do not count: they are appended to `flat`. `thickness` is what counts as flat, m.
@@ -71,7 +73,7 @@ class VertexStar {
   std::vector<Corner> corners_;
   std::vector<Lanes> lanes_;                // the last one is filled up with copies of the last corner
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
-  std::vector<Vec3> walls_;
+  std::vector<Vec3> walls_, cut_walls_;
   Vec3 wall_area_;  // the sum of the boundary faces' area vectors
 };
 

@@ -31,7 +31,7 @@ TEST(Config, ReadsWhatItPrints) {
   Config config = parse_config(R"({
     "mesh": {"phantom": "liver", "target_tets": 60000},
     "blade": {"heel": [0, 0, 0.01], "tip": [0, 0, -0.08]},
-    "cut": {"policy": "croll", "growth": "none", "engage": "always", "engage_buttons": 6, "batch_h": 0.5},
+    "cut": {"policy": "croll", "prefer": "no-growth", "engage": "always", "engage_buttons": 6, "batch_h": 0.5},
     "loop": {"rate_hz": 250, "cpu": 1},
     "listen": {"tcp_port": 0, "allowed_origins": ["https://a.example"]},
     "log": {"format": "json"},
@@ -39,7 +39,7 @@ TEST(Config, ReadsWhatItPrints) {
   })",
                                "test.json");
   EXPECT_EQ(config.cut.policy, core::Policy::kCroll);
-  EXPECT_EQ(config.cut.growth, core::Growth::kNoGrowth);
+  EXPECT_EQ(config.cut.prefer, core::Preference::kNoGrowth);
   EXPECT_TRUE(config.cut.always_engaged);
   EXPECT_EQ(config.cut.engage_buttons, 6u);
   ASSERT_EQ(config.sources.size(), 2u);
@@ -191,7 +191,7 @@ const Malformed kMalformed[] = {
     // Words.
     {"{\"cut\": {\"policy\": \"Croll\"}}", {"cut.policy", "\"Croll\"", "\"conforming\" or \"croll\""}},
     {"{\"cut\": {\"policy\": 1}}", {"cut.policy"}},
-    {"{\"cut\": {\"growth\": \"fast\"}}", {"cut.growth", "balanced"}},
+    {"{\"cut\": {\"prefer\": \"fast\"}}", {"cut.prefer", "balanced"}},
     {"{\"cut\": {\"engage\": true}}", {"cut.engage", "buttons"}},
     {"{\"mesh\": {\"phantom\": \"kidney\"}}", {"mesh.phantom", "kidney", "liver"}},
     {"{\"capture\": {\"sync\": \"sometimes\"}}", {"capture.sync", "group"}},

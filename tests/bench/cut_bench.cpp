@@ -17,12 +17,13 @@ using core::Vec3;
 struct Setting {
   std::string name;
   core::Policy policy;
-  core::Growth growth;
+  core::Preference prefer;
 };
 const std::vector<Setting> kSettings = {
-    {"croll", core::Policy::kCroll, core::Growth::kBalanced},
-    {"no-growth", core::Policy::kConforming, core::Growth::kNoGrowth},
-    {"balanced", core::Policy::kConforming, core::Growth::kBalanced},
+    {"croll", core::Policy::kCroll, core::Preference::kBalanced},
+    {"no-growth", core::Policy::kConforming, core::Preference::kNoGrowth},
+    {"balanced", core::Policy::kConforming, core::Preference::kBalanced},
+    {"exact", core::Policy::kConforming, core::Preference::kExact},
 };
 
 struct Options {
@@ -48,7 +49,7 @@ struct Outcome {
 Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const RandomCut& cut,
                 const Setting& setting) {
   core::CutConfig config = bench_config(setting.policy);
-  config.growth = setting.growth;
+  config.prefer = setting.prefer;
   core::CutSession session(mesh.mesh, config);
   cut.push(session);
   Outcome outcome;
@@ -58,7 +59,7 @@ Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const Rand
   const core::TetMesh& cut_mesh = session.mesh();
   const double h = cut_mesh.mean_edge_length();
   outcome.after = core::measure(cut_mesh);
-  outcome.expected = cut.pieces(mesh.mesh, 0.75 * h);
+  outcome.expected = cut.pieces(mesh.mesh, 0.75 * h, 0.1 * h);
   outcome.hash = cut_mesh.state_hash();
 
   std::uint32_t count = 0;
@@ -178,7 +179,7 @@ void add_cut_bench(CLI::App& app, Report& report) {
   command->add_option("--scale", options->scale, "Metres in a unit of the files")->capture_default_str();
   std::vector<std::string> names;
   for (const Setting& setting : kSettings) names.push_back(setting.name);
-  command->add_option("--policy", options->settings, "Which: croll, no-growth, balanced")
+  command->add_option("--policy", options->settings, "Which: croll, no-growth, balanced, exact")
       ->delimiter(',')
       ->check(CLI::IsMember(names))
       ->capture_default_str();

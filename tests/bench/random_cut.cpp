@@ -106,36 +106,51 @@ double RandomCut::side(const Vec3& p) const {
   return core::dot(p - heel, core::normalized(core::cross(ahead_, tip - heel)));
 }
 
-RandomCut::Pieces RandomCut::pieces(const core::MeshData& uncut, double thin_m) const {
+RandomCut::Pieces RandomCut::pieces(const core::MeshData& uncut, double thin_m, double off_m) const {
   std::vector<double> sides(uncut.positions.size());
-  std::vector<std::uint32_t> root(sides.size());
-  std::iota(root.begin(), root.end(), 0u);
   for (std::size_t v = 0; v < sides.size(); ++v) sides[v] = side(uncut.positions[v]);
+  std::vector<std::uint32_t> root(sides.size());
   const auto find = [&root](std::uint32_t v) {
     while (root[v] != v) v = root[v] = root[root[v]];
     return v;
   };
-  std::vector<char> used(sides.size(), 0);
-  for (const auto& tet : uncut.tets) {
-    for (int i = 0; i < 4; ++i) {
-      used[tet[i]] = 1;
-      for (int j = 0; j < i; ++j) {
-        if ((sides[tet[i]] >= 0) == (sides[tet[j]] >= 0)) root[find(tet[i])] = find(tet[j]);
+  // The parts of the body on the side that `sign` names, of a surface that lies `off` towards it.
+  const auto parts = [&](double sign, double off) {
+    const auto within = [&](std::uint32_t v) { return sign * sides[v] > off; };
+    std::iota(root.begin(), root.end(), 0u);
+    std::vector<char> used(sides.size(), 0);
+    for (const auto& tet : uncut.tets) {
+      for (int i = 0; i < 4; ++i) {
+        used[tet[i]] = 1;
+        for (int j = 0; j < i; ++j) {
+          if (within(tet[i]) && within(tet[j])) root[find(tet[i])] = find(tet[j]);
+        }
       }
     }
+    std::vector<double> farthest(sides.size(), 0);
+    for (std::uint32_t v = 0; v < sides.size(); ++v) {
+      if (within(v)) farthest[find(v)] = std::max(farthest[find(v)], std::abs(sides[v]));
+    }
+    Pieces pieces;
+    for (std::uint32_t v = 0; v < sides.size(); ++v) {
+      if (!used[v] || !within(v) || find(v) != v) continue;
+      ++pieces.most;
+      if (farthest[v] > thin_m) ++pieces.least;
+    }
+    return pieces;
+  };
+  Pieces all;
+  for (const double sign : {1.0, -1.0}) {
+    Pieces of_side = parts(sign, 0);
+    for (const double share : {-1.0, -0.5, 0.5, 1.0}) {
+      const Pieces there = parts(sign, share * off_m);
+      of_side.least = std::min(of_side.least, there.least);
+      of_side.most = std::max(of_side.most, there.most);
+    }
+    all.least += of_side.least;
+    all.most += of_side.most;
   }
-  std::vector<double> farthest(sides.size(), 0);
-  for (std::uint32_t v = 0; v < sides.size(); ++v) {
-    double& far = farthest[find(v)];
-    far = std::max(far, std::abs(sides[v]));
-  }
-  Pieces pieces;
-  for (std::uint32_t v = 0; v < sides.size(); ++v) {
-    if (!used[v] || find(v) != v) continue;
-    ++pieces.most;
-    if (farthest[v] > thin_m) ++pieces.least;
-  }
-  return pieces;
+  return all;
 }
 
 }  // namespace incise::bench

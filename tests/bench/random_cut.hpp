@@ -29,11 +29,12 @@ class RandomCut {
   double side(const core::Vec3& p) const;
 
   // How many pieces the cut makes of `uncut`: the components of the body's parts on either side. Those that nowhere reach
-  // farther from the surface than `thin_m` may come away or not: they count only into `most`.
+  // farther from the surface than `thin_m` may come away or not: they count only into `most`. So do those that hang
+  // together by a neck which is there or not as the surface lies up to `off_m` to either side.
   struct Pieces {
     std::uint32_t least = 0, most = 0;
   };
-  Pieces pieces(const core::MeshData& uncut, double thin_m) const;
+  Pieces pieces(const core::MeshData& uncut, double thin_m, double off_m) const;
 
  private:
   core::BladeLine line(double s) const;  // s from 0 to 1, on the ideal sweep

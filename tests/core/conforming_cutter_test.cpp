@@ -34,8 +34,9 @@ CutConfig cutting_config(const Blade& blade) {
 // takes a blade along z to it.
 class Cut {
  public:
-  Cut(const MeshData& mesh, double blade_m, Growth growth = Growth::kBalanced)
-      : session_(mesh, with(cutting_config({{0, 0, 0}, {0, 0, blade_m}}), growth)),
+  Cut(const MeshData& mesh, double blade_m, Preference prefer = Preference::kBalanced,
+      double batch_h = CutConfig{}.batch_h)
+      : session_(mesh, with(cutting_config({{0, 0, 0}, {0, 0, blade_m}}), prefer, batch_h)),
         volume_before_(measure(session_.mesh()).volume) {}
 
   // The blade with its heel at `heel`, pointing along `direction` (of any length).
@@ -120,8 +121,9 @@ class Cut {
   }
 
  private:
-  static CutConfig with(CutConfig config, Growth growth) {
-    config.growth = growth;
+  static CutConfig with(CutConfig config, Preference prefer, double batch_h) {
+    config.prefer = prefer;
+    config.batch_h = batch_h;
     return config;
   }
   void drain() {
@@ -295,6 +297,23 @@ TEST(ConformingCutter, the_same_motion_in_any_number_of_poses) {
   }
 }
 
+// Batches far thinner than a tetrahedron: what a split or a flip makes well behind the blade still knows the surface there.
+TEST(ConformingCutter, the_same_bend_in_batches_of_any_size) {
+  for (int round = 0; round < 40; ++round) {
+    const double x = 3.4 + 0.03 * round, bend = 0.4 + 0.05 * round, lean = 0.01 * round;
+    for (const double batch_h : {0.02, 0.25, 1.0, 4.0}) {
+      Cut cut(block(), 12, Preference::kBalanced, batch_h);
+      for (int i = 0; i <= 100; ++i) {
+        const double u = i / 100.0;
+        cut.pose({x + bend * std::sin(kPi * u), -2 + 12 * u, -2}, {lean, 0, 1});
+      }
+      cut.lift();
+      cut.expect_sound();
+      EXPECT_EQ(pieces(cut), 2u) << "round " << round << ", batches of " << batch_h << " h";
+    }
+  }
+}
+
 TEST(ConformingCutter, twisted_sweep_through) {
   Cut cut(block(), 14);
   for (int i = 0; i <= 60; ++i) {
@@ -432,9 +451,25 @@ TEST(ConformingCutter, begins_and_ends_inside) {
   EXPECT_NEAR(measure(cut.mesh()).cut_area, 12, 1.2);
 }
 
+// Nothing is moved far: what the body has on one side of the surface stays there, down to slivers of it.
+TEST(ConformingCutter, exact_moves_next_to_nothing) {
+  const MeshData mesh = block();
+  Cut cut(mesh, 12, Preference::kExact);
+  cut.sweep({4.13, -2, -2}, {4.13, 10, -2}, {0.05, 0, 1}, 40);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 2u);
+  EXPECT_GT(cut.totals().splits, 20 * cut.totals().snaps);
+  EXPECT_LE(cut.cut_deviation().max_h, 0.1);
+  std::uint32_t moved_far = 0;
+  for (VertexId v = 0; v < mesh.positions.size(); ++v)
+    moved_far += distance(cut.mesh().position(v), mesh.positions[v]) > 0.1 * cut.mesh().mean_edge_length();
+  EXPECT_LE(moved_far, mesh.positions.size() / 50);
+}
+
 TEST(ConformingCutter, no_growth_adds_no_tetrahedron) {
   const MeshData mesh = block();
-  Cut cut(mesh, 12, Growth::kNoGrowth);
+  Cut cut(mesh, 12, Preference::kNoGrowth);
   cut.sweep({4.13, -2, -2}, {3.3, 10, -2}, {0.2, 0, 1}, 30);
   cut.lift();
   EXPECT_EQ(validate(cut.mesh()), "");

@@ -21,6 +21,7 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 CutConfig config() {
   CutConfig c;
+  c.batch_h = 1;
   c.blade = {{0, 0, 0}, {0, 0, -0.05}};
   c.always_engaged = true;
   return c;

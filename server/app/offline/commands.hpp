@@ -18,10 +18,10 @@ struct CutCommand {
   std::filesystem::path mesh, poses, out, report;
   std::string blade;             // "hx,hy,hz:tx,ty,tz"; empty: the configuration's
   std::filesystem::path config;  // empty: the capture's where poses are one, else the defaults
-  std::string policy, growth;    // empty: the configuration's
+  std::string policy, prefer;    // empty: the configuration's; policy "compare": all, and no mesh is written
   bool json = false;
 };
-// Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report of it.
+// Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report of it, or compares the policies.
 int run_cut(const CutCommand& command);
 
 struct ReplayCommand {

@@ -15,13 +15,12 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_option("--poses", command->poses, "The motion: a capture, TUM or CSV")->required();
     sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres");
     sub->add_option("--config", command->config, "A configuration: its cut, blade and mesh sections count");
-    sub->add_option("--policy", command->policy, "conforming or croll")
-        ->check(CLI::IsMember({"conforming", "croll"}));
-    sub->add_option("--growth", command->growth, "none or balanced")
-        ->check(CLI::IsMember({"none", "balanced"}));
+    sub->add_option("--policy", command->policy, "conforming or croll; compare: a table of all, and no mesh")
+        ->check(CLI::IsMember({"conforming", "croll", "compare"}));
+    sub->add_option("--prefer", command->prefer, "no-growth, balanced or exact")
+        ->check(CLI::IsMember({"no-growth", "balanced", "exact"}));
     sub->add_option("--out", command->out,
-                    "Where the cut mesh goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending")
-        ->required();
+                    "Where the cut mesh goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending");
     sub->add_option("--report", command->report, "Where the report goes: JSON");
     sub->add_flag("--json", command->json, "Print the report as JSON");
     sub->callback([command, &exit_code] { exit_code = run_cut(*command); });
