@@ -229,6 +229,38 @@ TEST_F(Incise, AMotionOfFewPosesCutsAsWellAsOneOfMany) {
   }
 }
 
+TEST_F(Incise, CutComparesThePolicies) {
+  write_cube_and_sweep();
+  const std::vector<std::string> compare{"cut",     "--mesh", "cube",     "--poses", "sweep.csv",
+                                         "--blade", kBlade,   "--policy", "compare"};
+  auto as_json = compare;
+  as_json.insert(as_json.end(), {"--json", "--report", "r.json"});
+  const RunResult result = run(as_json);
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json reports = json::parse(result.out);
+  EXPECT_EQ(json::parse(tests::read_file(dir_ / "r.json")), reports);
+  ASSERT_EQ(reports.size(), 4u);
+  EXPECT_EQ(reports[0]["policy"], "croll");
+  for (std::size_t i = 1; i < 4; ++i) EXPECT_EQ(reports[i]["inverted"], 0);
+  EXPECT_LE(reports[1]["tets"], reports[1]["tets_before"]);
+  EXPECT_EQ(reports[2]["pieces"], 2);
+  EXPECT_EQ(reports[3]["pieces"], 2);
+  EXPECT_GT(reports[3]["splits"], reports[2]["splits"]);
+  // Each is what the command makes of it alone.
+  auto alone = compare;
+  alone.back() = "conforming";
+  alone.insert(alone.end(), {"--prefer", "exact", "--json", "--out", "out.vtu"});
+  EXPECT_EQ(json::parse(run(alone).out)["state_hash"], reports[3]["state_hash"]);
+  const RunResult table = run(compare);
+  EXPECT_NE(table.out.find("croll   no-growth    balanced       exact"), std::string::npos) << table.out;
+  auto with_out = compare;
+  with_out.insert(with_out.end(), {"--out", "out.vtu"});
+  expect_error(run(with_out), 1, {"--policy compare writes no mesh", "--out"});
+  auto without_out = compare;
+  without_out.resize(7);
+  expect_error(run(without_out), 1, {"--out is required"});
+}
+
 TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
   write_cube_and_sweep(3.0);
   const RunResult result =
