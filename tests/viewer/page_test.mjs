@@ -82,6 +82,37 @@ test("the page loads, shows the body and checks its hash", async (t) => {
   assert.deepEqual(faults, []);
 });
 
+test("a picture at rest is drawn no more, and one that moves is", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const drawn = () => page.evaluate(() => window.incise.stage.framesDrawn);
+  const resolution = () => page.evaluate(() => window.incise.stage.renderer.getPixelRatio());
+  const comesToRest = () => until(page, () => window.incise.stage.atRest);
+  await comesToRest();
+  const still = await drawn();
+  await page.waitForTimeout(1500);
+  assert.equal(await drawn(), still);
+  assert.equal(await resolution(), 2); // of a renderer that smooths no edges
+  await page.evaluate(() => {
+    let n = 0;
+    const turn = () => {
+      window.incise.stage.turn(0.5, 0);
+      window.whileTurning = window.incise.stage.renderer.getPixelRatio();
+      if (++n < 30) requestAnimationFrame(turn);
+    };
+    turn();
+  });
+  await until(page, (before) => window.incise.stage.framesDrawn >= before + 15, still);
+  await comesToRest();
+  assert.ok(await page.evaluate(() => window.whileTurning < 1));
+  assert.equal(await resolution(), 2);
+  // A blade that has come to rest vanishes by itself.
+  server.stream([0.2]);
+  await until(page, () => window.incise.stage.bladesShown > 0);
+  await until(page, () => window.incise.stage.bladesShown === 0 && window.incise.stage.atRest);
+  assert.deepEqual(faults, []);
+});
+
 test("a streamed cut changes the picture, and the page's triangles are those of the export", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);

@@ -2,6 +2,7 @@ import * as THREE from "three";
 import type { Vec3 } from "./messages";
 
 const kTrailSamples = 256;
+const kShown_ms = 2500; // after its last pose
 const kTrailTime_ms = 1600;
 
 /** One blade's edge and the surface it swept a moment ago. */
@@ -57,6 +58,10 @@ export class BladeView {
     this.begins = true;
   }
 
+  get shown(): boolean {
+    return this.edge.visible;
+  }
+
   hide(): void {
     this.seen_ms = -1e12;
   }
@@ -73,11 +78,11 @@ export class BladeView {
     this.grip.scale.setScalar(thick * 1.6);
   }
 
-  /** Ages the trail; whether there is anything to be seen that will change. */
-  update(): boolean {
+  /** Ages the trail. In how many milliseconds it looks different: 0 with the next frame, Infinity never. */
+  update(): number {
     const now = performance.now();
     const idle = now - this.seen_ms;
-    this.edge.visible = this.grip.visible = idle < 2500;
+    this.edge.visible = this.grip.visible = idle < kShown_ms;
     const position = this.trail.geometry.getAttribute("position") as THREE.BufferAttribute;
     const age = this.trail.geometry.getAttribute("aAge") as THREE.BufferAttribute;
     let at = 0;
@@ -96,7 +101,7 @@ export class BladeView {
     }
     this.trail.geometry.setDrawRange(0, at);
     if (at > 0) position.needsUpdate = age.needsUpdate = true;
-    return at > 0 || (idle < 2600 && idle > 2400);
+    return at > 0 ? 0 : idle < kShown_ms ? kShown_ms - idle + 1 : Infinity;
   }
 
   dispose(): void {

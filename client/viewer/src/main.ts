@@ -67,7 +67,7 @@ class Page {
     this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.onMessage(data);
     this.stage.beforeDraw = () => {
       this.mouse.tick();
-      return this.applyPatch();
+      return this.applyPatch() || this.mouse.cutting;
     };
     this.stage.afterDraw = () => this.measureLatency();
     this.bindTools();
@@ -138,6 +138,7 @@ class Page {
         break;
       case "stats":
         this.onStats(message.json, message.roundTrip_ms);
+        this.showTets(message.tets); // a page that comes late has it from here
         break;
       case "replay":
         this.onReplay(message.facts);
@@ -277,11 +278,15 @@ class Page {
     this.progress = progress;
     element("revision").textContent = number(progress.revision);
     element("pieces").textContent = number(progress.pieces);
-    if (progress.tets > 0) element("tets").textContent = number(progress.tets);
+    this.showTets(progress.tets);
     element("hash-row").dataset.agrees = String(progress.hashAgrees);
     element("hash-text").textContent = progress.hashAgrees ? "State checked: hash agrees" : "Hash differs; asking for the state anew";
     element("hash").textContent = progress.hash;
     this.showConnection();
+  }
+
+  private showTets(tets: number): void {
+    if (tets > 0) element("tets").textContent = number(tets);
   }
 
   private showRates(): void {
@@ -417,7 +422,7 @@ class Page {
       this.stage.draw();
     });
     input("wire").addEventListener("change", () => {
-      this.stage.body.uniforms.uWire.value = input("wire").checked ? 1 : 0;
+      this.stage.body.setWire(input("wire").checked);
       this.stage.draw();
     });
     const section = () => {
@@ -490,7 +495,8 @@ class Page {
     if (theme !== "auto") localStorage.setItem("incise-theme", theme);
     const light = theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches);
     document.documentElement.dataset.theme = light ? "light" : "dark";
-    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1);
+    const colour = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [colour("--back-a"), colour("--back-b")]);
     for (const chart of Object.values(this.charts)) chart.draw();
   }
 
