@@ -20,10 +20,12 @@ export class BladeView {
   private readonly tip = new THREE.Vector3();
   private begins = true;
 
-  constructor(private readonly bodySize_m: number, colour: THREE.ColorRepresentation) {
+  /** own: one looks along it from its heel, so its grip is drawn as a point. */
+  constructor(private readonly bodySize_m: number, private readonly own: boolean) {
+    const colour = own ? 0x39d0c0 : 0xffb84d;
     const steel = new THREE.MeshBasicMaterial({ color: colour });
     this.edge = new THREE.Mesh(new THREE.CylinderGeometry(1, 0.25, 1, 10).translate(0, -0.5, 0), steel);
-    this.grip = new THREE.Mesh(new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0), new THREE.MeshBasicMaterial({ color: 0x2b3440 }));
+    this.grip = new THREE.Mesh(new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0), new THREE.MeshBasicMaterial({ color: own ? colour : 0x2b3440 }));
     const geometry = new THREE.BufferGeometry();
     const n = kTrailSamples * 6;
     geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * n), 3).setUsage(THREE.DynamicDrawUsage));
@@ -75,7 +77,7 @@ export class BladeView {
     this.edge.scale.set(thick * 0.5, length, thick * 0.5);
     this.grip.position.copy(this.heel);
     this.grip.quaternion.copy(this.edge.quaternion);
-    this.grip.scale.setScalar(thick * 1.6);
+    this.grip.scale.setScalar(thick * (this.own ? 0.5 : 1.6));
   }
 
   /** Ages the trail. In how many milliseconds it looks different: 0 with the next frame, Infinity never. */

@@ -159,7 +159,7 @@ export class Stage {
     const key = own ? -1 : source;
     let view = this.blades.get(key);
     if (!view) {
-      view = new BladeView(this.bodySize_m, own ? 0x39d0c0 : 0xffb84d);
+      view = new BladeView(this.bodySize_m, own);
       this.blades.set(key, view);
       this.scene.add(view.group);
     }
