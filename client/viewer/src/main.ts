@@ -10,6 +10,7 @@ const kOpenAfterStroke_ms = 300;
 const kPosesStale_ms = 1500;
 const kNoticeTime_ms = 8000;
 const kLongestBlade = 1.5; // times the body's size: from wherever one looks it reaches through
+const kNarrow_px = 760; // as in style.css
 const kNewBladeAfter_ms = 250; // of a length that stays
 
 const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -480,7 +481,7 @@ class Page {
 
   /** What the panels leave free of the picture is where the body is shown. */
   private measureCover(): void {
-    const panel = document.body.dataset.panel !== "closed" && innerWidth > 760;
+    const panel = document.body.dataset.panel !== "closed" && innerWidth > kNarrow_px;
     this.stage.setCover({
       left: 0,
       right: panel ? innerWidth - element("panel").offsetLeft : 0,
@@ -525,6 +526,7 @@ class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
     if (is && !was) {
+      if (innerWidth <= kNarrow_px) this.togglePanel(false); // it lies over the player
       this.setTool("turn");
       this.send({ kind: "release-blade" });
       document.body.dataset.blade = "ended";
