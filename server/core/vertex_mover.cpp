@@ -14,6 +14,7 @@ constexpr double kThinnest = 1e-3;
 // What is thick enough where edges are so many times as long as on the mean counts as thick enough anywhere: the local length
 // need then not be looked up.
 constexpr double kLocallyAtMost = 4;
+constexpr std::size_t kAhead = 12;  // tetrahedra, of what is to be fetched
 // Elements between two looks at the budget, and what they cost: a number or a tetrahedron of four places a quarter of a
 // unit of work, a star five units.
 constexpr std::size_t kChunk = 64;
@@ -164,8 +165,14 @@ void VertexMover::look(WorkBudget& budget) {
 
 void VertexMover::check(WorkBudget& budget) {
   const std::size_t count = all_tets_ ? mesh_.tet_slots() : to_check_.size();
-  const bool done = in_chunks(next_, count, budget, kSmall, [this](std::size_t i) {
+  const bool done = in_chunks(next_, count, budget, kSmall, [this, count](std::size_t i) {
     const TetId t = all_tets_ ? static_cast<TetId>(i) : to_check_[i];
+    // In a mesh file neighbours lie anywhere, and a large one's vertices are not in the nearer caches.
+    if (all_tets_ && i + kAhead < count) {
+      for (const VertexId v : mesh_.vertices(static_cast<TetId>(i + kAhead))) {
+        if (v < target_.size()) __builtin_prefetch(&target_[v]);
+      }
+    }
     if (mesh_.alive(t)) check_tet(t);
   });
   if (!done) return;
@@ -180,11 +187,12 @@ void VertexMover::check_tet(TetId t) {
   const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
   const double then = six_volumes(a, b, c, d);
   if (then >= surely_thick_) return;
-  const double h = mesh_.local_h(v[0]);
-  if (then >= kThinnest * h * h * h) return;
+  // Thicker than before is good enough; the local length takes a walk around the vertex.
   const double now =
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
   if (then >= now && orient3d(a, b, c, d) > 0) return;
+  const double h = mesh_.local_h(v[0]);
+  if (then >= kThinnest * h * h * h) return;
   for (const VertexId w : v) {
     if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == search_) continue;
     gives_way_[w] = search_;

@@ -123,6 +123,32 @@ TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
   }
 }
 
+TEST_F(Incised, TheDoctorKnowsARunningServerByItsAnswer) {
+  write("c.json", config());
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  const std::string log = tests::read_file(dir_ / "log.txt");
+  const auto port = [&](const std::string& name) {
+    return std::stoi(log.substr(log.find(name + "=127.0.0.1:") + name.size() + 11));
+  };
+  write("same.json", R"({"mesh": {"path": "cube.node"}, "listen": {"tcp_port": )" +
+                         std::to_string(port("tcp")) + R"(, "http_port": )" + std::to_string(port("http")) +
+                         "}}");
+  const RunResult running = tests::run_program("incise", {"doctor", "--config", "same.json", "--json"}, dir_);
+  EXPECT_EQ(running.exit_code, 0) << running.out << running.err;
+  int ports = 0;
+  const json report = json::parse(running.out);
+  for (const json& finding : report["findings"]) {
+    const std::string what = finding["what"], found = finding["found"];
+    if (what != "listen.tcp_port" && what != "listen.http_port") continue;
+    ++ports;
+    EXPECT_EQ(finding["verdict"], "good") << finding;
+    EXPECT_NE(found.find("an incised runs here"), std::string::npos) << finding;
+  }
+  EXPECT_EQ(ports, 2);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+}
+
 TEST_F(Incised, ResumesAfterKill) {
   write("c.json", config());
   const std::string file = (dir_ / "c.json").string();

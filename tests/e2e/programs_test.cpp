@@ -79,6 +79,7 @@ class ProgramsTest : public ::testing::Test {
     EXPECT_EQ(player.wait(), 0);
     return nlohmann::json::parse(printed);
   }
+  void run_python(const std::string& script);
   std::string bytes(const std::string& name) const {
     std::ifstream in(directory / name, std::ios::binary);
     return std::string(std::istreambuf_iterator<char>(in), {});
@@ -151,14 +152,15 @@ TEST_F(ProgramsTest, AKilledServerGoesOnWhereItWas) {
   EXPECT_EQ(server->wait(), 0);
 }
 
-TEST_F(ProgramsTest, ThePythonClientCutsAndHoldsTheSame) {
-  const std::string script = std::string(INCISE_SOURCE_DIR) + "/tests/e2e/python_session.py";
+// A script of ours: it leads to a revision and saves what it holds, which is what a C++ client holds, too.
+void ProgramsTest::run_python(const std::string& script) {
   const auto server = start();
   const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
   write_motion(viewer->welcome().mesh.box, 0.5);
-  Process session(
-      {"/usr/bin/env", "PYTHONPATH=" + std::string(INCISE_SOURCE_DIR) + "/client/python:" + INCISE_PYTHON_DIR,
-       "/usr/bin/python3", script, std::to_string(tcp_port), file("motion.csv"), file("python.bin")});
+  Process session({"/usr/bin/env",
+                   "PYTHONPATH=" + std::string(INCISE_SOURCE_DIR) + "/client/python:" + INCISE_PYTHON_DIR,
+                   "/usr/bin/python3", std::string(INCISE_SOURCE_DIR) + "/tests/e2e/" + script,
+                   std::to_string(tcp_port), file("motion.csv"), file("python.bin")});
   const std::string printed = session.rest();
   ASSERT_EQ(session.wait(), 0);
   const std::uint64_t revision = std::stoull(printed);
@@ -166,6 +168,14 @@ TEST_F(ProgramsTest, ThePythonClientCutsAndHoldsTheSame) {
   ASSERT_EQ(viewer->revision(), revision);
   const auto held = viewer->read([](const protocol::Replica& m) { return m.canonical_bytes(); });
   EXPECT_EQ(bytes("python.bin"), std::string(reinterpret_cast<const char*>(held.data()), held.size()));
+}
+
+TEST_F(ProgramsTest, ThePythonClientCutsAndHoldsTheSame) {
+  run_python("python_session.py");
+}
+
+TEST_F(ProgramsTest, ThePythonClientDeformsTheBodyAndHoldsTheSame) {
+  run_python("python_simulator.py");
 }
 
 // An operator that leans its blade on the body gets forces within the limits, and planes that it can render. On a loaded

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cstring>
 #include <random>
 #include <thread>
@@ -583,6 +584,57 @@ TEST(Server, ForcesGoToWhoHoldsTheBlade) {
     EXPECT_GT(std::get<protocol::Force>(at_right->message.body).source_ns, last);
     last = std::get<protocol::Force>(at_right->message.body).source_ns;
   }
+}
+
+TEST(Server, BladesAreShownToWhoAskedEachPoseOnceAndNoOftenerThanAsked) {
+  std::atomic<std::int64_t> arrival_ns{1};
+  std::atomic<bool> moving{false};
+  Providers providers;
+  providers.blades = [&]() -> std::vector<protocol::BladePose> {
+    if (moving) ++arrival_ns;
+    return {{3, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, arrival_ns}};
+  };
+  TestServer test(4, test_config(), std::move(providers));
+  protocol::Hello asks = hello(Role::Viewer, View::Volume);
+  asks.blade_rate_hz = 60;
+  protocol::Hello seldom = asks;
+  seldom.blade_rate_hz = 0.02F;
+  Viewer watcher(test.server.tcp_port(), asks), patient(test.server.tcp_port(), seldom),
+      other(test.server.tcp_port());
+  const auto next = [](Viewer& viewer) {
+    const auto received = viewer.peer.receive_until<protocol::BladePose>();
+    return received ? std::get<protocol::BladePose>(received->message.body) : protocol::BladePose{};
+  };
+  const protocol::BladePose first = next(watcher);
+  EXPECT_EQ(first.source, 3u);
+  EXPECT_TRUE(first.cutting);
+  EXPECT_EQ(first.heel.z, 0.11);
+  EXPECT_EQ(first.tip.z, -0.01);
+  EXPECT_EQ(first.arrival_ns, 1);
+
+  moving = true;
+  std::int64_t last_ns = 1;
+  for (int i = 0; i < 10; ++i) {
+    const std::int64_t now_ns = next(watcher).arrival_ns;
+    EXPECT_GT(now_ns, last_ns) << "each pose once";
+    last_ns = now_ns;
+  }
+  moving = false;
+  // What else they got, up to a revision: at most one pose for whoever wants one in fifty seconds, none unasked.
+  test.cut();
+  const auto poses_until_cut = [&](Viewer& viewer) {
+    int poses = 0;
+    while (!viewer.whole || viewer.replica.revision() < test.loop.revision()) {
+      const auto received = viewer.peer.receive();
+      if (!received || !viewer.take(received->message.body)) return -1;
+      poses += std::holds_alternative<protocol::BladePose>(received->message.body);
+    }
+    return poses;
+  };
+  EXPECT_EQ(poses_until_cut(other), 0);
+  const int seen = poses_until_cut(patient);
+  EXPECT_GE(seen, 0);
+  EXPECT_LE(seen, 1);
 }
 
 TEST(Server, AResetStartsAnotherSession) {

@@ -5,6 +5,7 @@ import { mkdirSync, readFileSync, renameSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { launch, openPage, progress, screenshots, Server, until } from "./server.mjs";
+import { boundaryOfVtu, canonical } from "./triangles.mjs";
 
 let browser;
 before(async () => (browser = await launch()));
@@ -43,29 +44,6 @@ async function drag(page, from, to, steps = 30) {
 
 const bladeIsReady = (page) => until(page, () => document.body.dataset.blade === "open");
 
-/** Each triangle as one text, its corners from the least on; sorted. */
-function canonical(corners) {
-  const triangles = [];
-  for (let i = 0; i < corners.length; i += 9) {
-    const points = [0, 3, 6].map((k) => Array.from(corners.subarray(i + k, i + k + 3)).join(" "));
-    const least = points.indexOf([...points].sort()[0]);
-    triangles.push([0, 1, 2].map((k) => points[(least + k) % 3]).join(" | "));
-  }
-  return triangles.sort();
-}
-
-function readOff(path) {
-  const numbers = readFileSync(path, "utf8").replace(/^OFF/, "").trim().split(/\s+/).map(Number);
-  const [vertices, faces] = numbers;
-  const corners = new Float32Array(9 * faces);
-  for (let f = 0; f < faces; ++f) {
-    const row = 3 + 3 * vertices + 4 * f;
-    assert.equal(numbers[row], 3);
-    for (let k = 0; k < 3; ++k) corners.set(numbers.slice(3 + 3 * numbers[row + 1 + k], 6 + 3 * numbers[row + 1 + k]), 9 * f + 3 * k);
-  }
-  return corners;
-}
-
 test("the page loads, shows the body and checks its hash", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);
@@ -79,6 +57,37 @@ test("the page loads, shows the body and checks its hash", async (t) => {
   // Something red is in the middle, and not at the edge.
   const red = await page.evaluate(() => window.incise.stage.colourAt(0.5, 0.5));
   assert.ok(red[0] > 1.5 * red[2] && red[3] === 255, `found ${red}`);
+  assert.deepEqual(faults, []);
+});
+
+test("a picture at rest is drawn no more, and one that moves is", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const drawn = () => page.evaluate(() => window.incise.stage.framesDrawn);
+  const resolution = () => page.evaluate(() => window.incise.stage.renderer.getPixelRatio());
+  const comesToRest = () => until(page, () => window.incise.stage.atRest);
+  await comesToRest();
+  const still = await drawn();
+  await page.waitForTimeout(1500);
+  assert.equal(await drawn(), still);
+  assert.equal(await resolution(), 2); // of a renderer that smooths no edges
+  await page.evaluate(() => {
+    let n = 0;
+    const turn = () => {
+      window.incise.stage.turn(0.5, 0);
+      window.whileTurning = window.incise.stage.renderer.getPixelRatio();
+      if (++n < 30) requestAnimationFrame(turn);
+    };
+    turn();
+  });
+  await until(page, (before) => window.incise.stage.framesDrawn >= before + 15, still);
+  await comesToRest();
+  assert.ok(await page.evaluate(() => window.whileTurning < 1));
+  assert.equal(await resolution(), 2);
+  // A blade that has come to rest vanishes by itself.
+  server.stream([0.2]);
+  await until(page, () => window.incise.stage.bladesShown > 0);
+  await until(page, () => window.incise.stage.bladesShown === 0 && window.incise.stage.atRest);
   assert.deepEqual(faults, []);
 });
 
@@ -100,9 +109,9 @@ test("a streamed cut changes the picture, and the page's triangles are those of 
 
   const shown = await page.evaluate(async () => Array.from(await window.incise.dump()));
   await server.stop();
-  const off = server.file("boundary.off");
-  server.incise("export", server.file("session.capture"), "--out", off);
-  assert.deepEqual(canonical(Float32Array.from(shown)), canonical(readOff(off)));
+  const vtu = server.file("end.vtu");
+  server.incise("export", server.file("session.capture"), "--out", vtu);
+  assert.deepEqual(canonical(Float32Array.from(shown)), canonical(boundaryOfVtu(vtu)));
   // What the graphics card draws is what the worker holds, slot by slot.
   const drawn = await page.evaluate(() => Array.from(window.incise.stage.body.drawnTriangles()));
   assert.deepEqual(canonical(Float32Array.from(drawn)), canonical(Float32Array.from(shown)));

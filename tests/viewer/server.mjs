@@ -11,7 +11,7 @@ import { createInterface } from "node:readline";
 const require = createRequire(new URL("../../client/viewer/package.json", import.meta.url));
 const { chromium } = require("playwright-core");
 
-const bin = process.env.INCISE_BIN_DIR ?? new URL("../../build/release/bin", import.meta.url).pathname;
+export const bin = process.env.INCISE_BIN_DIR ?? new URL("../../build/release/bin", import.meta.url).pathname;
 export const screenshots = process.env.INCISE_SCREENSHOT_DIR ?? join(tmpdir(), "incise_screenshots");
 mkdirSync(screenshots, { recursive: true });
 

@@ -13,7 +13,7 @@ import flatbuffers
 import numpy as np
 
 from incise.wire import (BladeEdge, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
-                         Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl,
+                         Positions, PositionsReport, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl,
                          SurfaceDelta, Vec3, View, Welcome)
 
 from .part import Surface, VolumePart
@@ -46,7 +46,7 @@ _MODULES = {
     Body.Body.PoseReport: PoseReport.PoseReport, Body.Body.Delta: Delta.Delta,
     Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
     Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Force: Force.Force,
-    Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta,
+    Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta, Body.Body.PositionsReport: PositionsReport.PositionsReport,
 }
 
 
@@ -70,8 +70,11 @@ class Client:
         self.resyncs = 0
         self.snapshots = 0
         self.on_delta: Optional[Callable[["Client", Any], None]] = None
+        self.positions_report: Any = None  # the last wire.PositionsReport: what became of a simulator's positions
+        self.on_positions_report: Optional[Callable[["Client", Any], None]] = None
         self.on_force: Optional[Callable[["Client", Any], None]] = None  # a wire.Force; for ContactRenderer.take
         self._sequence = 0
+        self._frame = 0
         self._input = bytearray()
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
         self._awaiting_snapshot = False
@@ -141,6 +144,10 @@ class Client:
         """Polls until the server has dealt with all poses up to the message of that number."""
         return self._wait(lambda: self.report is not None and self.report.ThroughSequence() >= sequence, timeout_s)
 
+    def wait_for_positions_report(self, frame: int, timeout_s: float = 10.0) -> bool:
+        """Polls until the server has dealt with the positions of that frame, or of a later one."""
+        return self._wait(lambda: self.positions_report is not None and self.positions_report.Frame() >= frame, timeout_s)
+
     @property
     def snapshots_or_resumed(self) -> bool:
         """Whether the replica holds a state of this session."""
@@ -179,6 +186,10 @@ class Client:
             raise ConnectError(_text(body.Text()) or "the server said goodbye")
         elif kind == Body.Body.PoseReport:
             self.report = body
+        elif kind == Body.Body.PositionsReport:
+            self.positions_report = body
+            if self.on_positions_report:
+                self.on_positions_report(self, body)
         elif kind == Body.Body.Force:
             if self.on_force:
                 self.on_force(self, body)
@@ -233,8 +244,31 @@ class Client:
                 b.Bytes[b.head:b.head + len(raw)] = raw
                 return _table(b, PoseBatch, [("Poses", b.EndVector())])
 
-            self._send(Body.Body.PoseBatch, build)
+            self._send(Body.Body.PoseBatch, build, part.nbytes)
         return self._sequence
+
+    def send_positions(self, positions: Any, *, ids: Any = None, first: int = 0, revision: Optional[int] = None) -> int:
+        """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. They are ``ids`` (ascending), or
+        ``first``, ``first + 1``, ... ``revision`` is the state that they were computed with, if that is not the replica's.
+        Returns the frame's number, which wait_for_positions_report() takes; ``positions_report`` has what was held back.
+        """
+        array = np.ascontiguousarray(positions)
+        single = array.dtype == np.float32
+        flat = array.astype("<f4" if single else "<f8", copy=False).reshape(-1)
+        if flat.size % 3 or (ids is not None and flat.size != 3 * len(ids)):
+            raise ValueError(f"{flat.size} coordinates" + (f" for {len(ids)} vertices" if ids is not None else ""))
+        self._frame += 1
+
+        def build(b: Any) -> int:
+            fields = [("F32" if single else "F64", b.CreateNumpyVector(flat))]
+            if ids is not None:
+                fields.append(("Ids", b.CreateNumpyVector(np.ascontiguousarray(ids, "<u4"))))
+            return _table(b, Positions, fields + [
+                ("Frame", self._frame), ("Revision", self.replica.revision if revision is None else revision),
+                ("SourceNs", time.monotonic_ns()), ("First", first)])
+
+        self._send(Body.Body.Positions, build, flat.nbytes + (0 if ids is None else 4 * len(ids)))
+        return self._frame
 
     def engage(self) -> None:
         """For a tool without a button: engages the blade for all poses sent from here on, until end_stroke()."""
@@ -261,10 +295,8 @@ class Client:
 
         self._send(Body.Body.Hello, build)
 
-    def _send(self, kind: int, build: Callable[[Any], int]) -> None:
-        builder = flatbuffers.Builder(1024)
-        if kind == Body.Body.PoseBatch:
-            builder = flatbuffers.Builder(MAX_POSES_PER_BATCH * POSE_DTYPE.itemsize + 1024)
+    def _send(self, kind: int, build: Callable[[Any], int], array_bytes: int = 0) -> None:
+        builder = flatbuffers.Builder(array_bytes + 1024)
         body = build(builder)
         self._sequence += 1
         message = _table(builder, Message, [("Sequence", self._sequence), ("SentNs", time.monotonic_ns()),

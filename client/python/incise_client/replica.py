@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +52,8 @@ class Replica:
     """Arrays by id. ``tets[t]`` is all NO_ID where there is no tetrahedron t; ``alive`` says the same.
 
     positions (n, 3) float64, metres; tets (m, 4) uint32; regions int32; cut_masks and boundary_masks uint8, bit f for the
-    face opposite to vertex f; pieces uint32. The arrays are replaced or changed by apply(): copy what you keep.
+    face opposite to vertex f; pieces uint32. In a body that a simulator deforms, rest_positions says where the material of each
+    vertex is at rest, else it is positions. The arrays are replaced or changed by apply(): copy what you keep.
     """
 
     def __init__(self) -> None:
@@ -60,6 +61,7 @@ class Replica:
         self.state_hash = 0
         self.live_tets = 0
         self.positions = np.empty((0, 3))
+        self._rest: Optional[npt.NDArray[np.float64]] = None  # none before the first deformation
         self._set_slots(0)
 
     def _set_slots(self, n: int) -> None:
@@ -77,6 +79,11 @@ class Replica:
         for name in ("regions", "cut_masks", "boundary_masks", "pieces"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, np.zeros(more, old.dtype)]))
+
+    @property
+    def rest_positions(self) -> npt.NDArray[np.float64]:
+        """(n, 3), metres. Do not change them."""
+        return self.positions if self._rest is None else self._rest
 
     @property
     def alive(self) -> npt.NDArray[np.bool_]:
@@ -117,6 +124,11 @@ class Replica:
             raise ApplyError(f"snapshot with {len(chunks)} of {begin.Chunks()} chunks")
         parts = [_array(c.PositionsAsNumpy(), np.float64).reshape(-1, 3) for c in chunks]
         new.positions = np.concatenate(parts) if parts else np.empty((0, 3))
+        rest = [_array(c.RestPositionsAsNumpy(), np.float64).reshape(-1, 3) for c in chunks]
+        if any(len(r) for r in rest):
+            new._rest = np.concatenate(rest)
+            if new._rest.shape != new.positions.shape:
+                raise ApplyError("snapshot with rest positions of some of its vertices")
         tets = [_Tets(c.Tets()) for c in chunks]
         pieces = [_array(c.TetPiecesAsNumpy(), np.uint32) for c in chunks]
         last = max((int(t.ids[-1]) for t in tets if len(t.ids)), default=-1)
@@ -159,10 +171,15 @@ class Replica:
         piece_sizes = _array(delta.PieceSizesAsNumpy(), np.uint32)
         piece_ids = _array(delta.PieceIdsAsNumpy(), np.uint32)
         piece_tets = _array(delta.PieceTetsAsNumpy(), np.uint32)
+        rest_ids = _array(delta.RestIdsAsNumpy(), np.uint32)
+        rest_positions = _array(delta.RestPositionsAsNumpy(), np.float64).reshape(-1, 3)
         old_vertices, old_slots = len(self.positions), len(self.tets)
         vertices = old_vertices + len(added)
         _check_ascending(moved, "moved vertices")
         _check_ascending(removed, "removed tetrahedra")
+        _check_ascending(rest_ids, "rest vertices")
+        if len(rest_ids) != len(rest_positions) or (len(rest_ids) and int(rest_ids[-1]) >= vertices):
+            raise ApplyError("rest positions of vertices that do not exist")
         if len(moved) != len(moved_to) or (len(moved) and int(moved[-1]) >= old_vertices):
             raise ApplyError("moved vertices that do not exist")
         if (len(added) and delta.FirstAdded() != old_vertices) or delta.VertexCount() != vertices:
@@ -195,6 +212,10 @@ class Replica:
         slots = max(old_slots, int(tets.ids[-1]) + 1 if len(tets.ids) else 0)
         if len(piece_tets) and int(piece_tets.max()) >= slots:
             raise ApplyError("a piece of tetrahedra that do not exist")
+        deforms = any(delta.Steps(i).Stroke() == 0 for i in range(delta.StepsLength()))
+        if deforms or self._rest is not None or len(rest_ids):
+            self._rest = self._rest_after(delta, vertices)
+            self._rest[rest_ids] = rest_positions
         if len(added):
             self.positions = np.concatenate([self.positions, added])
         elif not self.positions.flags.writeable:
@@ -209,3 +230,16 @@ class Replica:
         self.live_tets = live
         self.state_hash = state_hash
         self.revision = delta.Revision()
+
+    def _rest_after(self, delta: Any, vertices: int) -> npt.NDArray[np.float64]:
+        """Rest positions with those of added vertices between their parents, which may be added ones too."""
+        a, b = delta.ProvenanceAAsNumpy(), delta.ProvenanceBAsNumpy()
+        t = _array(delta.ProvenanceTAsNumpy(), np.float64)
+        old = len(self.positions)
+        rest = np.empty((vertices, 3))
+        rest[:old] = self.rest_positions
+        if len(t) != vertices - old:
+            raise ApplyError("added vertices without provenance")
+        for i in range(len(t)):
+            rest[old + i] = rest[a[i]] + t[i] * (rest[b[i]] - rest[a[i]])
+        return rest

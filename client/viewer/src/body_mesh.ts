@@ -34,18 +34,16 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, DETAIL: 1 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
         uPieces: { value: this.pieceTexture },
-        uColouring: { value: 0 },
-        uWire: { value: 0 },
         uGrain: { value: 20 },
         uSection: { value: new THREE.Vector4(0, 0, 0, 1) },
         uLight: { value: new THREE.Vector3(0, 0, 1) },
         uFill: { value: new THREE.Vector3(0, 0, 1) },
         uAmbient: { value: 1 },
-        uDetail: { value: 1 },
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
@@ -117,7 +115,25 @@ export class BodyMesh {
   }
 
   setColouring(colouring: Colouring): void {
-    this.uniforms.uColouring.value = { tissue: 0, pieces: 1, quality: 2 }[colouring];
+    this.define("COLOURING", { tissue: 0, pieces: 1, quality: 2 }[colouring]);
+  }
+
+  setWire(on: boolean): void {
+    this.define("WIRE", Number(on));
+  }
+
+  /** inside: the back of the surface is drawn, too; detail: the fine grain. What was compiled before is kept. */
+  setEffort(inside: boolean, detail: boolean): void {
+    this.mesh.material.side = inside ? THREE.DoubleSide : THREE.FrontSide;
+    this.define("INSIDE", Number(inside));
+    this.define("DETAIL", Number(detail));
+  }
+
+  private define(name: string, value: number): void {
+    const { material } = this.mesh;
+    if (material.defines[name] === value) return;
+    material.defines[name] = value;
+    material.needsUpdate = true;
   }
 
   /**

@@ -1,4 +1,6 @@
-// One pass, few instructions: it has to be quick on a processor without a graphics card too. Wet tissue is three things
+// One pass, few instructions: it has to be quick on a processor without a graphics card too. What a picture does not need is
+// left out when the shader is compiled (COLOURING, WIRE, INSIDE, DETAIL: body_mesh.ts), since a renderer on the processor goes
+// through every branch of an `if` for every pixel: half of a frame went into colours that nobody saw. Wet tissue is three things
 // here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain in its colour.
 
 export const bodyVertexShader = /* glsl */ `
@@ -12,15 +14,19 @@ export const bodyVertexShader = /* glsl */ `
   out vec3 vNormal;
   out vec3 vRest;
   out vec3 vWorld;
+#if WIRE
   out vec3 vEdge;
+#endif
   flat out vec3 vFacts;  // cut face, quality, row
 
   void main() {
     int row = int(aFacts.z + 256.0 * aFacts.w + 0.5);
     vec3 apart = texelFetch(uPieces, ivec2(row & 255, row >> 8), 0).xyz;
     vec3 shown = position + uOpen * (aLips + apart);
+#if WIRE
     int corner = gl_VertexID % 3;
     vEdge = vec3(corner == 0, corner == 1, corner == 2);
+#endif
     vFacts = vec3(aFacts.x, aFacts.y / 255.0, float(row));
     vNormal = aNormal.xyz;
     vRest = position;
@@ -36,16 +42,15 @@ export const bodyFragmentShader = /* glsl */ `
   in float vCoarse;
   in vec3 vRest;
   in vec3 vWorld;
+#if WIRE
   in vec3 vEdge;
+#endif
   flat in vec3 vFacts;
-  uniform int uColouring;
-  uniform float uWire;
   uniform float uGrain;     // cells of the grain in a metre
   uniform vec4 uSection;    // what lies beyond this plane is left out
   uniform vec3 uLight;      // towards the lights, unit
   uniform vec3 uFill;
   uniform float uAmbient;
-  uniform float uDetail;    // 0: no fine grain, while things move on a slow machine
   out vec4 colour;
 
   float hash(vec3 p) {
@@ -78,28 +83,46 @@ export const bodyFragmentShader = /* glsl */ `
   }
 
   void main() {
-    if (dot(vWorld, uSection.xyz) > uSection.w) discard;
     vec3 toEye = normalize(cameraPosition - vWorld);
     vec3 place = vRest;
+#if INSIDE
+    if (dot(vWorld, uSection.xyz) > uSection.w) discard;
     bool inside = !gl_FrontFacing;
     if (inside) {
       // What is behind the surface can only be seen through the section: the plane is filled there.
       float along = dot(toEye, uSection.xyz);
       if (abs(along) > 1e-4) place = vWorld + toEye * (uSection.w - dot(vWorld, uSection.xyz)) / along;
     }
+#else
+    const bool inside = false;
+#endif
     float coarse = vCoarse;
-    float fine = uDetail > 0.5 ? noise(place * uGrain * 4.3 + 7.0) : 0.5;
+#if DETAIL
+    float fine = noise(place * uGrain * 4.3 + 7.0);
+#else
+    float fine = 0.5;
+#endif
     bool cut = vFacts.x > 0.5 || inside;
 
+#if COLOURING == 2
+    vec3 base = inside ? vec3(0.12) : 0.42 * qualityColour(vFacts.y);
+#elif COLOURING == 1
+    vec3 base = pieceColour(vFacts.z) * (0.8 + 0.2 * coarse) * (cut ? 1.5 : 1.0);
+#else
     vec3 skin = mix(vec3(0.098, 0.0155, 0.012), vec3(0.178, 0.033, 0.023), 0.6 * coarse + 0.4 * fine);
     vec3 flesh = mix(vec3(0.36, 0.075, 0.055), vec3(0.50, 0.150, 0.110), 0.45 * coarse + 0.55 * fine);
     flesh = mix(flesh, vec3(0.20, 0.025, 0.022), smoothstep(0.64, 0.80, fine) * 0.6);
     vec3 base = cut ? flesh : skin;
-    if (uColouring == 1) base = pieceColour(vFacts.z) * (0.8 + 0.2 * coarse) * (cut ? 1.5 : 1.0);
-    if (uColouring == 2) base = inside ? vec3(0.12) : 0.42 * qualityColour(vFacts.y);
+#endif
 
+#if INSIDE
     vec3 n = normalize(!inside ? vNormal : dot(uSection.xyz, uSection.xyz) > 0.5 ? uSection.xyz : -vNormal);
-    if (!inside && uColouring != 2) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, fract(3.0 * fine + 2.0 * coarse)) - 0.5));
+#else
+    vec3 n = normalize(vNormal);
+#endif
+#if COLOURING != 2
+    if (!inside) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, fract(3.0 * fine + 2.0 * coarse)) - 0.5));
+#endif
     float wrap = clamp((dot(n, uLight) + 0.35) / 1.35, 0.0, 1.0);
     float fill = clamp(dot(n, uFill) * 0.5 + 0.5, 0.0, 1.0);
     float sky = 0.5 + 0.5 * n.z;
@@ -108,7 +131,8 @@ export const bodyFragmentShader = /* glsl */ `
     // A little of the light that entered comes out red beyond the terminator.
     lit += base * vec3(0.55, 0.10, 0.06) * smoothstep(0.0, 0.5, wrap) * (1.0 - smoothstep(0.3, 0.8, wrap));
 
-    if (!inside && uColouring != 2) {
+#if COLOURING != 2
+    if (!inside) {
       vec3 h = normalize(uLight + toEye);
       float nh = max(dot(n, h), 0.0);
       float rim = fourth(1.0 - max(dot(n, toEye), 0.0));
@@ -120,12 +144,15 @@ export const bodyFragmentShader = /* glsl */ `
       float second = fourth(max(dot(n, h2), 0.0));
       lit += wet * 0.06 * fourth(second) * fourth(second);
     }
-    if (uWire > 0.0 && !inside) {
+#endif
+#if WIRE
+    if (!inside) {
       vec3 d = vEdge / fwidth(vEdge);
       float line = 1.0 - smoothstep(0.4, 1.3, min(min(d.x, d.y), d.z));
-      vec3 ink = uColouring == 0 ? (cut ? vec3(0.35, 0.05, 0.05) : vec3(0.95, 0.62, 0.55)) : vec3(0.02);
-      lit = mix(lit, ink, 0.55 * uWire * line);
+      vec3 ink = COLOURING == 0 ? (cut ? vec3(0.35, 0.05, 0.05) : vec3(0.95, 0.62, 0.55)) : vec3(0.02);
+      lit = mix(lit, ink, 0.55 * line);
     }
+#endif
     // A shoulder for the highlights, then sRGB.
     lit = lit / (1.0 + 0.22 * lit);
     colour = vec4(srgb(lit), 1.0);

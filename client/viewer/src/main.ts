@@ -10,6 +10,7 @@ const kOpenAfterStroke_ms = 300;
 const kPosesStale_ms = 1500;
 const kNoticeTime_ms = 8000;
 const kLongestBlade = 1.5; // times the body's size: from wherever one looks it reaches through
+const kNarrow_px = 760; // as in style.css
 const kNewBladeAfter_ms = 250; // of a length that stays
 
 const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -67,7 +68,7 @@ class Page {
     this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.onMessage(data);
     this.stage.beforeDraw = () => {
       this.mouse.tick();
-      return this.applyPatch();
+      return this.applyPatch() || this.mouse.cutting;
     };
     this.stage.afterDraw = () => this.measureLatency();
     this.bindTools();
@@ -138,6 +139,7 @@ class Page {
         break;
       case "stats":
         this.onStats(message.json, message.roundTrip_ms);
+        this.showTets(message.tets); // a page that comes late has it from here
         break;
       case "replay":
         this.onReplay(message.facts);
@@ -277,11 +279,15 @@ class Page {
     this.progress = progress;
     element("revision").textContent = number(progress.revision);
     element("pieces").textContent = number(progress.pieces);
-    if (progress.tets > 0) element("tets").textContent = number(progress.tets);
+    this.showTets(progress.tets);
     element("hash-row").dataset.agrees = String(progress.hashAgrees);
     element("hash-text").textContent = progress.hashAgrees ? "State checked: hash agrees" : "Hash differs; asking for the state anew";
     element("hash").textContent = progress.hash;
     this.showConnection();
+  }
+
+  private showTets(tets: number): void {
+    if (tets > 0) element("tets").textContent = number(tets);
   }
 
   private showRates(): void {
@@ -417,7 +423,7 @@ class Page {
       this.stage.draw();
     });
     input("wire").addEventListener("change", () => {
-      this.stage.body.uniforms.uWire.value = input("wire").checked ? 1 : 0;
+      this.stage.body.setWire(input("wire").checked);
       this.stage.draw();
     });
     const section = () => {
@@ -475,7 +481,7 @@ class Page {
 
   /** What the panels leave free of the picture is where the body is shown. */
   private measureCover(): void {
-    const panel = document.body.dataset.panel !== "closed" && innerWidth > 760;
+    const panel = document.body.dataset.panel !== "closed" && innerWidth > kNarrow_px;
     this.stage.setCover({
       left: 0,
       right: panel ? innerWidth - element("panel").offsetLeft : 0,
@@ -490,7 +496,8 @@ class Page {
     if (theme !== "auto") localStorage.setItem("incise-theme", theme);
     const light = theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches);
     document.documentElement.dataset.theme = light ? "light" : "dark";
-    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1);
+    const colour = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [colour("--back-a"), colour("--back-b")]);
     for (const chart of Object.values(this.charts)) chart.draw();
   }
 
@@ -519,6 +526,7 @@ class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
     if (is && !was) {
+      if (innerWidth <= kNarrow_px) this.togglePanel(false); // it lies over the player
       this.setTool("turn");
       this.send({ kind: "release-blade" });
       document.body.dataset.blade = "ended";

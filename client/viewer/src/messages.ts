@@ -84,7 +84,7 @@ export type FromWorker =
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
   /** Where somebody else's blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
-  | { kind: "stats"; json: string; roundTrip_ms: number }
+  | { kind: "stats"; json: string; roundTrip_ms: number; tets: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }

@@ -3,10 +3,10 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { BladeView } from "./blade_view";
 import { BodyMesh } from "./body_mesh";
 import type { Vec3 } from "./messages";
+import { Resolution } from "./resolution";
 
-const kSlowFrame_ms = 34;
-const kLeastScale = 0.6;
-const kSettle_ms = 220; // after the last motion the picture is drawn once more in full sharpness
+const kSettle_ms = 220; // after the last motion the picture is drawn once more, with all pixels
+const kFine_ms = 900; // and then with more than the screen has, where the renderer smooths no edges
 
 /** Whether the browser draws on the processor. */
 function drawnInSoftware(): boolean {
@@ -17,6 +17,8 @@ function drawnInSoftware(): boolean {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
+/** quick: as many pixels as the machine can move; full: as many as the screen has; fine: more. */
+type Quality = "quick" | "full" | "fine";
 export type Tool = "cut" | "turn";
 
 /** The picture: camera, lights, body, blades. Draws when something has changed, and no more. */
@@ -35,13 +37,17 @@ export class Stage {
   readonly software: boolean;
 
   private readonly scene = new THREE.Scene();
+  private readonly backdrop: THREE.Mesh<THREE.PlaneGeometry, THREE.ShaderMaterial>;
   private readonly ground: THREE.Mesh<THREE.PlaneGeometry, THREE.ShaderMaterial>;
   private blades = new Map<number, BladeView>();
   private wanted = true;
-  private scale = 1; // of the resolution, while things move
+  private waiting = false; // for the browser's next frame
+  private readonly resolution: Resolution;
+  private quality: Quality = "full";
+  private paced = false; // the last frame drew a moving picture
+  private lastFrame_ms = 0;
   private lastDraw_ms = 0;
-  private average_ms = 16;
-  private sharp = true;
+  private alarm: ReturnType<typeof setTimeout> | undefined; // when a blade that rests is to vanish
   private openNow = 0;
   private openGoal = 0;
   private section = -1; // share of the body left of the plane; below 0: none
@@ -52,9 +58,9 @@ export class Stage {
     // Without a graphics card: fewer pixels, no blur behind panels.
     this.software = drawnInSoftware();
     document.body.classList.toggle("software", this.software);
-    if (this.software) this.scale = kLeastScale;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: true, powerPreference: "high-performance" });
-    this.renderer.setClearAlpha(0);
+    this.resolution = new Resolution(this.software);
+    // Opaque, the backdrop in the picture: the browser need not blend a whole window's pixels for each frame.
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: false, powerPreference: "high-performance" });
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = !this.calm.matches;
@@ -62,12 +68,30 @@ export class Stage {
     this.controls.zoomToCursor = true;
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("start", () => (this.flight = null));
+    // Between the corners of a coarse grid the colours are interpolated, which takes less than to compute them.
+    this.backdrop = new THREE.Mesh(new THREE.PlaneGeometry(2, 2, 24, 16), new THREE.ShaderMaterial({
+      transparent: true, blending: THREE.NoBlending, depthWrite: false, // after the body, where it is not
+      uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
+      vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
+        void main() {
+          float r = length((0.5 * position.xy + 0.5 - vec2(0.46, 0.60)) / vec2(1.2, 0.95));
+          vColour = mix(uInner, uOuter, min(r, 1.0));
+          gl_Position = vec4(position.xy, 1.0, 1.0);
+        }`,
+      fragmentShader: `varying vec3 vColour;
+        void main() {
+          float grit = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))); // hides bands (Jimenez 2014)
+          gl_FragColor = vec4(vColour + (grit - 0.5) / 255.0, 1.0);
+        }`,
+    }));
+    this.backdrop.frustumCulled = false;
+    this.backdrop.renderOrder = -2;
     this.ground = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.ShaderMaterial({
       transparent: true, depthWrite: false,
-      uniforms: { uInk: { value: new THREE.Color(0xffffff) }, uShade: { value: 0.5 }, uSize: { value: 1 } },
+      uniforms: { uInk: { value: new THREE.Color(0xffffff) }, uShade: { value: 0.5 }, uSize: { value: 1 }, uLine: { value: 1 } },
       vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
-      fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize;
-        float lines(float cell) { vec2 g = abs(fract(vAt / cell - 0.5) - 0.5) / fwidth(vAt / cell); return 1.0 - clamp(min(g.x, g.y), 0.0, 1.0); }
+      fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize; uniform float uLine; // its width in pixels
+        float lines(float cell) { vec2 g = abs(fract(vAt / cell - 0.5) - 0.5) / (uLine * fwidth(vAt / cell)); return 1.0 - clamp(min(g.x, g.y), 0.0, 1.0); }
         void main() {
           float r = length(vAt) / uSize * 2.0;
           float fade = 1.0 - smoothstep(0.35, 1.0, r);
@@ -77,15 +101,33 @@ export class Stage {
         }`,
     }));
     this.ground.renderOrder = -1;
-    this.scene.add(this.ground, this.body.mesh);
+    this.scene.add(this.backdrop, this.ground, this.body.mesh);
     this.setTool("turn");
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
-    requestAnimationFrame((now) => this.frame(now));
   }
 
   draw(): void {
     this.wanted = true;
+    this.awaitFrame();
+  }
+
+  /** Nothing will be drawn until something changes. */
+  get atRest(): boolean {
+    return this.framesDrawn > 0 && !this.waiting;
+  }
+
+  get bladesShown(): number {
+    return [...this.blades.values()].filter((blade) => blade.shown).length;
+  }
+
+  private awaitFrame(): void {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame((now) => {
+      this.waiting = false;
+      this.frame(now);
+    });
   }
 
   setBody(min: Vec3, max: Vec3, meanEdge_m: number): void {
@@ -117,7 +159,7 @@ export class Stage {
     const key = own ? -1 : source;
     let view = this.blades.get(key);
     if (!view) {
-      view = new BladeView(this.bodySize_m, own ? 0x39d0c0 : 0xffb84d);
+      view = new BladeView(this.bodySize_m, own);
       this.blades.set(key, view);
       this.scene.add(view.group);
     }
@@ -184,7 +226,10 @@ export class Stage {
     this.draw();
   }
 
-  setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number): void {
+  /** backdrop: its colours in the middle and at the edge, as #rrggbb. */
+  setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number, backdrop: [string, string]): void {
+    this.backdrop.material.uniforms.uInner.value.setStyle(backdrop[0], THREE.LinearSRGBColorSpace); // as they are, to be mixed as they are
+    this.backdrop.material.uniforms.uOuter.value.setStyle(backdrop[1], THREE.LinearSRGBColorSpace);
     this.ground.material.uniforms.uInk.value.set(ink);
     this.ground.material.uniforms.uShade.value = shade;
     this.body.uniforms.uAmbient.value = ambient;
@@ -234,26 +279,38 @@ export class Stage {
   }
 
   private applyScale(): void {
-    const ratio = Math.min(devicePixelRatio, 2) * (this.sharp ? 1 : this.scale);
-    this.renderer.setPixelRatio(ratio);
+    const full = Math.min(devicePixelRatio, 2);
+    this.renderer.setPixelRatio(this.quality === "quick" ? full * this.resolution.scale : this.quality === "full" ? full : 2);
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 
-  /** Fewer pixels while it moves on a slow machine, all of them when it rests. */
-  private adapt(spent_ms: number): void {
-    this.average_ms += 0.2 * (Math.min(spent_ms, 200) - this.average_ms);
-    const scale = this.average_ms > kSlowFrame_ms ? Math.max(kLeastScale, this.scale - 0.08)
-                : this.average_ms < 0.6 * kSlowFrame_ms ? Math.min(1, this.scale + 0.02) : this.scale;
-    const changed = scale !== this.scale || (this.sharp && scale < 1);
-    this.scale = scale;
-    if (changed) {
-      this.sharp = scale === 1;
-      this.applyScale();
-    }
+  private setQuality(quality: Quality): void {
+    if (this.quality === quality) return;
+    this.quality = quality;
+    this.applyScale();
   }
 
   private frame(now_ms: number): void {
-    requestAnimationFrame((next) => this.frame(next));
+    if (this.paced && this.resolution.took(now_ms - this.lastFrame_ms) && this.quality === "quick") this.applyScale();
+    this.paced = false;
+    this.lastFrame_ms = now_ms;
+    const rested_ms = now_ms - this.lastDraw_ms;
+    const best = this.software ? "fine" : "full";
+    if (this.advance(now_ms) || this.wanted) {
+      this.wanted = false;
+      this.lastDraw_ms = now_ms;
+      this.paced = rested_ms < kSettle_ms; // a single change is no motion
+      this.setQuality(this.paced && this.resolution.scale < 1 ? "quick" : "full");
+      this.render();
+    } else if (this.quality === "quick" ? rested_ms > kSettle_ms : this.quality !== best && rested_ms > kFine_ms) {
+      this.setQuality(this.quality === "quick" ? "full" : "fine");
+      this.render();
+    }
+    if (this.lastDraw_ms === now_ms || this.quality !== best) this.awaitFrame();
+  }
+
+  /** Whatever moves by itself goes on. True: the picture is another now. */
+  private advance(now_ms: number): boolean {
     let moves = this.fly(now_ms);
     if (this.controls.enabled) this.controls.update();
     if (this.openNow !== this.openGoal) {
@@ -261,34 +318,21 @@ export class Stage {
       this.openNow = Math.abs(step) < 0.002 ? this.openGoal : this.openNow + step;
       moves = true;
     }
-    for (const blade of this.blades.values()) moves = blade.update() || moves;
-    moves = this.beforeDraw(now_ms) || moves;
-    if (!this.wanted && !moves) {
-      if (!this.sharp && now_ms - this.lastDraw_ms > kSettle_ms) {
-        this.sharp = true;
-        this.applyScale();
-        this.render(now_ms);
-      }
-      return;
-    }
-    const steady = now_ms - this.lastDraw_ms < 250;
-    if (steady) this.adapt(now_ms - this.lastDraw_ms);
-    this.wanted = false;
-    this.render(now_ms);
-    this.lastDraw_ms = now_ms;
+    let next_ms = Infinity;
+    for (const blade of this.blades.values()) next_ms = Math.min(next_ms, blade.update());
+    clearTimeout(this.alarm);
+    if (next_ms > 0 && next_ms < Infinity) this.alarm = setTimeout(() => this.draw(), next_ms);
+    if (next_ms === 0) moves = true;
+    return this.beforeDraw(now_ms) || moves;
   }
 
-  private render(_now_ms: number): void {
+  private render(): void {
     const u = this.body.uniforms;
+    this.ground.material.uniforms.uLine.value = Math.max(1, this.renderer.getPixelRatio());
     u.uOpen.value = this.openNow;
     // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
     // may take the trouble.
-    const side = this.software && this.section < 0 ? THREE.FrontSide : THREE.DoubleSide;
-    if (this.body.mesh.material.side !== side) {
-      this.body.mesh.material.side = side;
-      this.body.mesh.material.needsUpdate = true;
-    }
-    u.uDetail.value = this.sharp || !this.software ? 1 : 0;
+    this.body.setEffort(!this.software || this.section >= 0, !this.software || this.quality !== "quick");
     // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);

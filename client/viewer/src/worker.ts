@@ -241,7 +241,7 @@ function onViewMessage(type: Body, message: Message, bytes: number): void {
     case Body.Stats: {
       const stats: Stats = message.body(new Stats());
       if (!replaying && stats.revision() === revision) progress.tets = stats.liveTets();
-      post({ kind: "stats", json: stats.json() ?? "{}", roundTrip_ms: view?.roundTrip_ms ?? 0 });
+      post({ kind: "stats", json: stats.json() ?? "{}", roundTrip_ms: view?.roundTrip_ms ?? 0, tets: progress.tets });
       break;
     }
     case Body.ReplayState: {

@@ -160,8 +160,36 @@ Finding check_processors(const Config& config) {
   return {"processors", Verdict::kGood, found, ""};
 }
 
-// Whether the server could listen there: by doing so for a moment.
-Finding check_port(const std::string& key, const std::string& address, std::int64_t port) {
+// Whether an incised answers there, over HTTP without TLS, within two seconds.
+bool incised_answers(const std::string& address, std::int64_t port) {
+  addrinfo hints{}, *list = nullptr;
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_NUMERICSERV;
+  const std::string number = std::to_string(port);
+  if (port == 0 || getaddrinfo(address.c_str(), number.c_str(), &hints, &list) != 0) return false;
+  const int s = socket(list->ai_family, SOCK_STREAM, 0);
+  const timeval patience{2, 0};
+  setsockopt(s, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+  setsockopt(s, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
+  const std::string request =
+      "GET /healthz HTTP/1.1\r\nHost: " + address + ":" + number + "\r\nConnection: close\r\n\r\n";
+  std::string answer;
+  if (s >= 0 && connect(s, list->ai_addr, list->ai_addrlen) == 0 &&
+      send(s, request.data(), request.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(request.size())) {
+    char buffer[512];
+    for (ssize_t n; answer.size() < 4096 && (n = recv(s, buffer, sizeof buffer, 0)) > 0;) {
+      answer.append(buffer, static_cast<std::size_t>(n));
+    }
+  }
+  if (s >= 0) close(s);
+  freeaddrinfo(list);
+  return answer.find("\"revision\":") != std::string::npos &&
+         answer.find("\"sessions\":") != std::string::npos;
+}
+
+// Whether the server could listen there: by doing so for a moment. `running`: an incised does so already.
+Finding check_port(const std::string& key, const std::string& address, std::int64_t port,
+                   bool running = false) {
   const std::string where = address + ":" + std::to_string(port);
   addrinfo hints{}, *list = nullptr;
   hints.ai_socktype = SOCK_STREAM;
@@ -178,9 +206,10 @@ Finding check_port(const std::string& key, const std::string& address, std::int6
   if (s >= 0) close(s);
   freeaddrinfo(list);
   if (bound) return {key, Verdict::kGood, where + " is free", ""};
+  if (error == EADDRINUSE && running)
+    return {key, Verdict::kGood, where + " is in use: an incised runs here", ""};
   const std::string remedy =
-      error == EADDRINUSE
-          ? "end the program that has it (ss -ltnp shows it; perhaps a running incised), or another port"
+      error == EADDRINUSE      ? "end the program that has it (ss -ltnp shows it), or another port"
       : error == EACCES        ? "a port from 1024 on"
       : error == EADDRNOTAVAIL ? "listen.address: an address of this machine (ip address shows them)"
                                : "another address or port";
@@ -249,8 +278,9 @@ std::vector<Finding> examine(const DoctorCommand& command) {
   findings.push_back(check_clock());
   findings.push_back(check_wakeups());
   findings.push_back(check_processors(config));
-  findings.push_back(check_port("listen.tcp_port", config.listen.address, config.listen.tcp_port));
-  findings.push_back(check_port("listen.http_port", config.listen.address, config.listen.http_port));
+  const bool running = incised_answers(config.listen.address, config.listen.http_port);
+  findings.push_back(check_port("listen.tcp_port", config.listen.address, config.listen.tcp_port, running));
+  findings.push_back(check_port("listen.http_port", config.listen.address, config.listen.http_port, running));
   if (config.openigtlink.port >= 0) {
     findings.push_back(check_port("openigtlink.port", config.openigtlink.address, config.openigtlink.port));
   }

@@ -1,0 +1,190 @@
+// Captures played in scratch sessions, behind a real server whose live mesh goes on.
+
+#include "server/app/capture_library.hpp"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "server/mesh_io/mesh_io.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/viewer.hpp"
+#include "tests/support/bodies.hpp"
+#include "tests/support/run_program.hpp"
+
+namespace incise::app {
+namespace {
+
+namespace fs = std::filesystem;
+using protocol::ErrorCode;
+using protocol::ReplayAction;
+using protocol::Role;
+using protocol::View;
+using stream::Viewer;
+
+class CaptureLibraryTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = tests::fresh_directory(::testing::UnitTest::GetInstance()->current_test_info()->name());
+    fs::create_directories(dir_ / "captures");
+    mesh_io::write_mesh(dir_ / "cube.node", tests::cube(4));
+    std::ofstream motion(dir_ / "sweep.csv");
+    motion.precision(17);
+    motion << "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
+    for (const core::Pose& p : tests::sweep_through(200)) {
+      motion << static_cast<double>(p.t_ns) * 1e-9 << ',' << p.position.x << ',' << p.position.y << ','
+             << p.position.z << ',' << p.orientation.w << ',' << p.orientation.x << ',' << p.orientation.y
+             << ',' << p.orientation.z << ",1\n";
+    }
+    motion.close();
+    std::ofstream(dir_ / "c.json") << R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}})";
+    const tests::RunResult made =
+        tests::run_program("incise",
+                           {"convert", "sweep.csv", "--mesh", (dir_ / "cube").string(), "--config", "c.json",
+                            "--out", "captures/sweep.capture", "--json"},
+                           dir_);
+    ASSERT_EQ(made.exit_code, 0) << made.err;
+    const auto facts = nlohmann::json::parse(made.out);
+    last_ = facts["batches"];
+    hash_ = std::stoull(facts["state_hash"].get<std::string>(), nullptr, 16);
+    ASSERT_GT(last_, 4u);
+    library_ = std::make_unique<CaptureLibrary>(dir_ / "captures", live_);
+    stream::Providers providers;
+    providers.library = library_.get();
+    server_ = std::make_unique<stream::TestServer>(4, stream::test_config(), std::move(providers));
+  }
+  void TearDown() override {
+    if (library_) library_->stop();
+    server_.reset();
+    if (!HasFailure()) fs::remove_all(dir_);
+  }
+
+  std::uint16_t port() const { return server_->server.tcp_port(); }
+  static void ask(Viewer& viewer, ReplayAction action, std::uint64_t revision = 0, float speed = 1,
+                  const std::string& capture = "") {
+    if (action == ReplayAction::Open || action == ReplayAction::Close)
+      viewer.whole = false;  // another state comes
+    viewer.peer.send(protocol::ReplayControl{action, capture, speed, revision});
+  }
+  // Follows until the player says that it is at `revision`, and the replica is there, too.
+  static protocol::ReplayState follow(Viewer& viewer, std::uint64_t revision, bool playing = false) {
+    for (protocol::ReplayState state;;) {
+      if (!state.capture.empty() && state.revision == revision && state.playing == playing && viewer.whole &&
+          viewer.replica.revision() == revision) {
+        return state;
+      }
+      auto received = viewer.peer.receive();
+      if (!received || !viewer.take(received->message.body)) {
+        ADD_FAILURE() << "the stream ended before revision " << revision;
+        return {};
+      }
+      if (const auto* part = std::get_if<protocol::ReplayState>(&received->message.body)) state = *part;
+      EXPECT_FALSE(std::holds_alternative<protocol::Error>(received->message.body));
+    }
+  }
+  static ErrorCode answer(Viewer& viewer) {
+    const auto error = viewer.peer.receive_until<protocol::Error>();
+    return error ? std::get<protocol::Error>(error->message.body).code : ErrorCode::Unknown;
+  }
+
+  fs::path dir_;
+  std::uint64_t last_ = 0, hash_ = 0;  // of the capture
+  Body live_;                          // another mesh than the capture's: that one is loaded from its file
+  std::unique_ptr<CaptureLibrary> library_;
+  std::unique_ptr<stream::TestServer> server_;
+};
+
+TEST_F(CaptureLibraryTest, ScrubbedForthAndBackEachRevisionIsTheSame) {
+  Viewer viewer(port());
+  ASSERT_TRUE(viewer.follow(0));
+  const std::uint64_t live_hash = viewer.replica.state_hash();
+  ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
+  const protocol::ReplayState opened = follow(viewer, 0);
+  EXPECT_EQ(opened.capture, "sweep.capture");
+  EXPECT_EQ(opened.last_revision, last_);
+  EXPECT_NE(viewer.replica.state_hash(), live_hash);
+
+  std::map<std::uint64_t, std::uint64_t> hashes{{0, viewer.replica.compute_state_hash()}};
+  for (std::uint64_t revision = 1; revision <= last_; ++revision) {
+    ask(viewer, ReplayAction::Step);
+    follow(viewer, revision);
+    hashes[revision] = viewer.replica.compute_state_hash();
+  }
+  EXPECT_EQ(hashes[last_], hash_) << "of the conversion";
+  for (const std::uint64_t revision : {last_ / 2, std::uint64_t{1}, last_, std::uint64_t{0}, last_ - 1}) {
+    ask(viewer, ReplayAction::Seek, revision);
+    follow(viewer, revision);
+    EXPECT_EQ(viewer.replica.compute_state_hash(), hashes[revision]) << revision;
+  }
+  // Beyond the end is the end.
+  ask(viewer, ReplayAction::Seek, last_ + 100);
+  follow(viewer, last_);
+  EXPECT_EQ(viewer.replica.compute_state_hash(), hash_);
+}
+
+TEST_F(CaptureLibraryTest, PlaysToItsEndWhileTheLiveMeshIsCutForTheOthers) {
+  Viewer player(port()), other(port());
+  ASSERT_TRUE(player.follow(0));
+  ASSERT_TRUE(other.follow(0));
+  ask(player, ReplayAction::Open, 0, 1, "sweep.capture");
+  follow(player, 0);
+  ask(player, ReplayAction::Play, 0, 1000);
+  server_->cut();
+  const protocol::ReplayState end = follow(player, last_);
+  EXPECT_EQ(end.last_revision, last_);
+  EXPECT_EQ(player.replica.compute_state_hash(), hash_);
+  ASSERT_TRUE(other.follow(server_->loop.revision()));
+  EXPECT_EQ(other.replica.compute_state_hash(), server_->loop.state_hash());
+  // Played once more it begins anew; closed, the viewer is back at the live mesh.
+  ask(player, ReplayAction::Play, 0, 1000);
+  follow(player, last_);
+  ask(player, ReplayAction::Close);
+  ASSERT_TRUE(player.follow(server_->loop.revision()));
+  EXPECT_EQ(player.replica.compute_state_hash(), server_->loop.state_hash());
+}
+
+TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {
+  std::ofstream(dir_ / "captures/broken.capture") << "no capture";
+  std::ofstream(dir_ / "captures/bad name.capture") << "";
+  std::ofstream(dir_ / "secret.capture") << "";
+  EXPECT_EQ(library_->names(), (std::vector<std::string>{"broken.capture", "sweep.capture"}));
+  Viewer viewer(port());
+  ASSERT_TRUE(viewer.follow(0));
+  ask(viewer, ReplayAction::Play);
+  EXPECT_EQ(answer(viewer), ErrorCode::BadState);
+  for (const char* name : {"none.capture", "../secret.capture", "bad name.capture", ""}) {
+    ask(viewer, ReplayAction::Open, 0, 1, name);
+    EXPECT_EQ(answer(viewer), ErrorCode::BadRequest) << name;
+  }
+  ask(viewer, ReplayAction::Open, 0, 1, "broken.capture");
+  EXPECT_EQ(answer(viewer), ErrorCode::NotAvailable);
+  // It is still there for what is whole, and for the live mesh.
+  ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
+  follow(viewer, 0);
+
+  protocol::Hello operate = stream::hello(Role::Operator, View::Volume);
+  Viewer operating(port(), operate);
+  ask(operating, ReplayAction::Open, 0, 1, "sweep.capture");
+  EXPECT_EQ(answer(operating), ErrorCode::Forbidden);
+}
+
+TEST_F(CaptureLibraryTest, SoManyAtATimeAndAPlaceIsFreeAgainWhenOneGoes) {
+  std::vector<std::unique_ptr<Viewer>> players;
+  for (int i = 0; i < 4; ++i) {
+    players.push_back(std::make_unique<Viewer>(port()));
+    ask(*players.back(), ReplayAction::Open, 0, 1, "sweep.capture");
+    follow(*players.back(), 0);
+  }
+  Viewer late(port());
+  ASSERT_TRUE(late.follow(0));
+  ask(late, ReplayAction::Open, 0, 1, "sweep.capture");
+  EXPECT_EQ(answer(late), ErrorCode::BadRequest);
+  players.pop_back();
+  EXPECT_TRUE(stream::eventually([&] { return server_->server.counters().sessions == 4; }));
+  ask(late, ReplayAction::Open, 0, 1, "sweep.capture");
+  EXPECT_EQ(follow(late, 0).last_revision, last_);
+}
+
+}  // namespace
+}  // namespace incise::app
