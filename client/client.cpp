@@ -295,7 +295,7 @@ struct Client::Impl {
   bool on(const protocol::SnapshotChunk& chunk, const Arrival&) {
     std::uint32_t done = 0, total = 0;
     const protocol::ApplyResult result = change_state([&](auto& replica) {
-      const protocol::ApplyResult r = replica.chunk(chunk);
+      protocol::ApplyResult r = replica.chunk(chunk);
       done = replica.chunks_done();
       total = replica.chunks_total();
       return r;

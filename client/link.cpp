@@ -161,7 +161,7 @@ std::string tls_failure(const error_code& ec, SSL* connection, const std::string
     return std::string("TLS: the server's certificate is not trusted: ") +
            X509_verify_cert_error_string(verdict) + "; give the file of the authority that signed it (--ca)";
   }
-  const std::string what = "TLS: " + ec.message();
+  std::string what = "TLS: " + ec.message();
   if (what.find("certificate verify failed") != std::string::npos)
     return what + ": the certificate is not for the name " + host;
   if (what.find("wrong version number") != std::string::npos) return what + ": no TLS is spoken there";

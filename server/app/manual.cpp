@@ -88,7 +88,7 @@ std::string words(const CLI::App& app) {
 }  // namespace
 
 std::string man_page(const CLI::App& app, int section) {
-  const std::string name = app.get_name();
+  const std::string& name = app.get_name();
   // "Does this: and that." -> "does this: and that", as NAME lines are.
   std::string brief = app.get_description();
   if (!brief.empty() && brief.back() == '.') brief.pop_back();
@@ -113,7 +113,7 @@ std::string man_page(const CLI::App& app, int section) {
 }
 
 std::string bash_completion(const CLI::App& app) {
-  const std::string name = app.get_name();
+  const std::string& name = app.get_name();
   const auto commands = app.get_subcommands([](const CLI::App* sub) { return !sub->get_group().empty(); });
   std::string list, cases;
   for (const CLI::App* command : commands) {

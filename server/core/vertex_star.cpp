@@ -86,7 +86,7 @@ WorstOfLanes choose() {
 #endif
   return &LaneKernels::worst_baseline;
 }
-const WorstOfLanes worst_of_lanes = choose();
+const WorstOfLanes kWorstOfLanes = choose();
 
 }  // namespace
 
@@ -146,7 +146,7 @@ double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::
     const Vec3 n = cross(point(c, 1) - a, point(c, 2) - a);
     if (std::abs(dot(n, p - a)) <= thickness * length(n)) flat.push_back(corners_[c].tet);
   }
-  if (flat.empty()) return worst_of_lanes(p, lanes_.data(), lanes_.size(), limit);
+  if (flat.empty()) return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit);
   double worst = -1;
   for (std::size_t c = 0; c < corners_.size(); ++c) {
     if (std::find(flat.begin(), flat.end(), corners_[c].tet) != flat.end()) continue;
@@ -157,7 +157,7 @@ double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::
 }
 
 double VertexStar::worst_now() const {
-  return worst_of_lanes(position_, lanes_.data(), lanes_.size(), kInverted);
+  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted);
 }
 
 bool VertexStar::keeps_boundary(const Vec3& p) const {

@@ -6,7 +6,6 @@
 namespace incise::haptics {
 namespace {
 
-using core::BladeLine;
 using core::Vec3;
 
 constexpr double kSmoothing_s = 0.005;  // of the velocity: one pose's noise must not be felt

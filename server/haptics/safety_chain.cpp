@@ -147,7 +147,7 @@ Vec3 SafetyChain::watchdog(const Vec3& f, std::int64_t now_ns) noexcept {
   return {};
 }
 
-Vec3 SafetyChain::latch(const Vec3& f) noexcept {
+Vec3 SafetyChain::latch(const Vec3& f) const noexcept {
   // The fade that leads to it is the watchdog's.
   return latched_ && !fading_ ? Vec3{} : f;
 }

@@ -86,7 +86,7 @@ class SafetyChain {
   core::Vec3 slew(const core::Vec3& f, double dt_s) noexcept;
   core::Vec3 ramp(const core::Vec3& f, double dt_s, bool contact) noexcept;
   core::Vec3 watchdog(const core::Vec3& f, std::int64_t now_ns) noexcept;
-  core::Vec3 latch(const core::Vec3& f) noexcept;
+  core::Vec3 latch(const core::Vec3& f) const noexcept;
   std::uint32_t look(const SafetyInput& in) noexcept;
   void note_fault(std::uint32_t faults, std::int64_t before_ns, std::int64_t now_ns) noexcept;
   void begin_fade(std::int64_t from_ns) noexcept;

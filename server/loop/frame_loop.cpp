@@ -307,7 +307,7 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
       }
       commit(*out, now);
       pool_.given();
-      ready_.push_back(std::move(out));
+      ready_.push_back(std::exchange(out, nullptr));
     }
     if (now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {
       if (session_->backlog_batches() > 0) state_.flags |= kBudgetSpent;

@@ -10,7 +10,7 @@ namespace {
 
 class VtuReader {
  public:
-  VtuReader(const std::string& file) : file_(file), in_({}, file), out_(in_) {}
+  explicit VtuReader(const std::string& file) : file_(file), in_({}, file), out_(in_) {}
 
   void add(const VtkXmlPiece& piece) {
     const std::size_t first = out_.node_count();

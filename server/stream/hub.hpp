@@ -47,7 +47,7 @@ class Hub {
   const ServerFacts& facts() const { return facts_; }
   const Providers& providers() const { return providers_; }
   InputSink& sink() { return sink_; }
-  ReplayLibrary* library() { return providers_.library; }
+  ReplayLibrary* library() const { return providers_.library; }
   Feed& live() { return live_; }
   HubCounters& counters() { return *counters_; }
 

@@ -747,7 +747,7 @@ void Session::on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_
   next_chunk_ = 0;
   protocol::SnapshotBegin begin = snapshot_->begin;
   begin.cause = snapshot_cause_;
-  push_state(make_frame(std::move(begin)));
+  push_state(make_frame(begin));
   advance();
 }
 

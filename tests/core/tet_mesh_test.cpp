@@ -598,7 +598,7 @@ TEST(TetMeshCollapse, OfEveryEdgeAtInnerVertices) {
         if (std::any_of(star.begin(), star.end(), on_boundary)) continue;
         // The links of v and w, as sets of vertices and of edges, and that of the edge.
         using Link = std::set<std::set<VertexId>>;
-        const auto link = [&](std::set<VertexId> of, const std::set<TetId>& tets) {
+        const auto link = [&](const std::set<VertexId>& of, const std::set<TetId>& tets) {
           Link simplices;
           for (TetId x : tets) {
             std::vector<VertexId> rest;

@@ -45,7 +45,7 @@ TEST(SpscQueue, ARefusedElementStaysWithTheCaller) {
   EXPECT_TRUE(queue.push(std::make_unique<int>(2)));
   auto third = std::make_unique<int>(3);
   EXPECT_FALSE(queue.push(std::move(third)));
-  ASSERT_TRUE(third);
+  ASSERT_TRUE(third);  // NOLINT(bugprone-use-after-move): what is tested
   EXPECT_EQ(*third, 3);
 }
 

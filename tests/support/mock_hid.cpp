@@ -193,7 +193,7 @@ MockDevice::~MockDevice() {
   ::close(pipe_);
 }
 
-bool MockDevice::report(std::span<const std::uint8_t> bytes) {
+bool MockDevice::report(std::span<const std::uint8_t> bytes) const {
   return ::write(pipe_, bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
 }
 

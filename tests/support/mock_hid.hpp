@@ -14,9 +14,9 @@
 #include <string>
 #include <vector>
 
-typedef struct _UMockdevTestbed UMockdevTestbed;
-typedef struct _UMockdevIoctlBase UMockdevIoctlBase;
-typedef struct _UMockdevIoctlClient UMockdevIoctlClient;
+using UMockdevTestbed = struct _UMockdevTestbed;
+using UMockdevIoctlBase = struct _UMockdevIoctlBase;
+using UMockdevIoctlClient = struct _UMockdevIoctlClient;
 
 namespace incise::tests {
 
@@ -47,7 +47,7 @@ class MockDevice {
 
   ~MockDevice();
   // Puts a report into the system's queue; false where it is full.
-  bool report(std::span<const std::uint8_t> bytes);
+  bool report(std::span<const std::uint8_t> bytes) const;
   // Output and feature reports from the host so far; outputs from that one on.
   std::vector<Sent> outputs(std::size_t from = 0) const;
   std::vector<Sent> features() const;

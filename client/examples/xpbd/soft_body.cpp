@@ -20,10 +20,13 @@ float dot(const Vector& a, const Vector& b) {
   return p[0] + p[1] + p[2];
 }
 
+// (y, z, x)
+Vector turned(const Vector& a) {
+  return __builtin_shufflevector(a, a, 1, 2, 0, 3);
+}
+
 Vector cross(const Vector& a, const Vector& b) {
-  using Order = std::int32_t __attribute__((vector_size(16)));
-  constexpr Order kNext{1, 2, 0, 3};
-  return __builtin_shuffle(a * __builtin_shuffle(b, kNext) - __builtin_shuffle(a, kNext) * b, kNext);
+  return turned(a * turned(b) - turned(a) * b);
 }
 
 // Six volumes, in cubes of the longest edge: below the first a tetrahedron has no stiffness, below the second it is a

@@ -22,7 +22,7 @@ namespace {
 std::string utf8(const wchar_t* text) {
   std::string made;
   for (; text && *text; ++text) {
-    const auto c = static_cast<std::uint32_t>(*text);
+    const auto c = static_cast<char32_t>(*text);
     if (c < 0x20 || c == 0x7f || c > 0x10ffff) {
       made += '?';
     } else if (c < 0x80) {

@@ -1,11 +1,25 @@
 #include "server/input/hid/json_node.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <set>
 
 #include "server/input/hid/device_profile.hpp"
 
 namespace incise::input {
+namespace {
+
+std::string listed(std::initializer_list<const char*> keys) {
+  std::string list;
+  for (const char* key : keys) {
+    list += list.empty() ? "" : ", ";
+    list += key;
+  }
+  return list;
+}
+
+}  // namespace
+
 nlohmann::ordered_json parse_json(std::string_view text, const std::string& file) {
   using Json = nlohmann::ordered_json;
   std::vector<std::set<std::string>> open;
@@ -60,15 +74,9 @@ void JsonNode::refuse(const std::string& found, const std::string& accepted) con
 const JsonNode& JsonNode::only(std::initializer_list<const char*> keys) const {
   if (!json_->is_object()) refuse("an object {...}");
   for (const auto& [key, value] : json_->items()) {
-    bool known = false;
-    std::string list;
-    for (const char* name : keys) {
-      known = known || key == name;
-      list += (list.empty() ? "" : ", ") + std::string(name);
-    }
-    if (!known) {
+    if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
       throw ProfileError(*file_ + ": " + (key_.empty() ? key : key_ + "." + key) +
-                         ": found a key that means nothing here; accepted are " + list);
+                         ": found a key that means nothing here; accepted are " + listed(keys));
     }
   }
   return *this;
@@ -107,7 +115,7 @@ std::int64_t JsonNode::integer(std::int64_t least, std::int64_t most) const {
 }
 
 std::string JsonNode::text(std::size_t least, std::size_t most) const {
-  const std::string value = json_->is_string() ? json_->get<std::string>() : std::string();
+  std::string value = json_->is_string() ? json_->get<std::string>() : std::string();
   if (!json_->is_string() || value.size() < least || value.size() > most) {
     refuse("a text of " + std::to_string(least) + " to " + std::to_string(most) + " characters");
   }

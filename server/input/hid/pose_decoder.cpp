@@ -155,7 +155,8 @@ bool PoseDecoder::follow_counter(std::uint8_t number, std::span<const std::uint8
     ++counts_.restarts;  // less than before: the device began anew
     return true;
   }
-  const auto sent = static_cast<std::uint64_t>(static_cast<double>(ahead) / profile_.counter_step + 0.5);
+  const auto sent =
+      static_cast<std::uint64_t>(std::llround(static_cast<double>(ahead) / profile_.counter_step));
   if (sent > 1) counts_.lost += sent - 1;
   return true;
 }

@@ -12,5 +12,5 @@ static_assert(offsetof(incise_stylus_input, time_us) == 4, "time_us");
 static_assert(offsetof(incise_stylus_input, rotation) == 20, "rotation");
 static_assert(offsetof(incise_stylus_output, force) == 4, "force");
 
-const unsigned char incise_stylus_descriptor_in_c[] = {INCISE_STYLUS_REPORT_DESCRIPTOR};
-const unsigned incise_stylus_descriptor_in_c_size = sizeof incise_stylus_descriptor_in_c;
+const unsigned char kStylusDescriptor[] = {INCISE_STYLUS_REPORT_DESCRIPTOR};
+const unsigned kStylusDescriptorSize = sizeof kStylusDescriptor;

@@ -6,8 +6,8 @@
 #include "server/input/hid/device_profile.hpp"
 
 extern "C" {
-extern const unsigned char incise_stylus_descriptor_in_c[];
-extern const unsigned incise_stylus_descriptor_in_c_size;
+extern const unsigned char kStylusDescriptor[];
+extern const unsigned kStylusDescriptorSize;
 }
 
 namespace incise::input {
@@ -15,8 +15,7 @@ namespace {
 
 ReportDescriptor described() {
   std::string error;
-  const auto made =
-      parse_report_descriptor({incise_stylus_descriptor_in_c, incise_stylus_descriptor_in_c_size}, error);
+  const auto made = parse_report_descriptor({kStylusDescriptor, kStylusDescriptorSize}, error);
   EXPECT_TRUE(made) << error;
   return made.value_or(ReportDescriptor{});
 }

@@ -20,7 +20,6 @@ namespace {
 using namespace std::chrono_literals;
 using tests::LibraryPeer;
 using tests::Packed;
-using tests::PlacedTool;
 using Kind = InputEvent::Kind;
 
 constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000, kStep_ns = 10'000'000;
