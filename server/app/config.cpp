@@ -98,7 +98,7 @@ std::string quoted_list(const std::vector<std::string>& names) {
 
 // One of some words; `get` and `set` convert between words and the field.
 template <class Get, class Set>
-Key choice(std::string name, std::vector<std::string> words, Get get, Set set, std::string meaning) {
+Key choice(std::string name, const std::vector<std::string>& words, Get get, Set set, std::string meaning) {
   return {std::move(name), quoted_list(words), std::move(meaning),
           [=](const Config& c) { return Json(words[static_cast<std::size_t>(get(c))]); },
           [=](Config& c, const Json& value) {
@@ -264,6 +264,7 @@ Key overrides() {
           }};
 }
 
+// NOLINTNEXTLINE(bugprone-macro-parentheses): a member's name
 #define INCISE_FIELD(member) \
   [](Config & c) -> auto& {  \
     return c.member;         \
