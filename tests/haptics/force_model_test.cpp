@@ -11,7 +11,6 @@
 namespace incise::haptics {
 namespace {
 
-using core::BladeLine;
 using core::Vec3;
 using tests::Random;
 

@@ -45,8 +45,8 @@ TEST(SpscQueue, ARefusedElementStaysWithTheCaller) {
   EXPECT_TRUE(queue.push(std::make_unique<int>(2)));
   auto third = std::make_unique<int>(3);
   EXPECT_FALSE(queue.push(std::move(third)));
-  ASSERT_TRUE(third);  // NOLINT(bugprone-use-after-move): what is tested
-  EXPECT_EQ(*third, 3);
+  ASSERT_TRUE(third);
+  EXPECT_EQ(*third, 3);  // NOLINT(bugprone-use-after-move): what is tested
 }
 
 // Both sides at full speed with a small queue, so that it is often full and often empty: under
