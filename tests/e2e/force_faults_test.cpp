@@ -45,7 +45,7 @@ using Report = std::array<std::uint8_t, 16>;
 class Rig {
  public:
   Rig() {
-    virtual_ns = begun_;
+    virtual_ns = kBegun;
     // So stiff that four millimetres are more than the limit: every stage has something to hold back.
     haptics::ForceConfig config;
     config.materials.tissue.stiffness_n_m = 2000;
@@ -86,7 +86,7 @@ class Rig {
   }
   // What it says of itself, moved on towards where it is wanted by at most 1 mm.
   Report pose() {
-    const double t = 1e-9 * static_cast<double>(virtual_ns - begun_);
+    const double t = 1e-9 * static_cast<double>(virtual_ns - kBegun);
     at_ += std::clamp(height - at_, -1e-3, 1e-3);
     Report bytes{};
     bytes[0] = 1;
@@ -157,7 +157,7 @@ class Rig {
   bool engaged = false, refuses = false;
   Report last_pose{};
   Vec3 felt;
-  std::int64_t zero_ns = begun_,
+  std::int64_t zero_ns = kBegun,
                first_zero_ns = 0;  // the last time that there was none; the first one since this was 0
 
  private:
@@ -169,7 +169,7 @@ class Rig {
   struct Discard : loop::DeltaSink {
     void publish(std::shared_ptr<const loop::PublishedDelta>) noexcept override {}
   };
-  static constexpr std::int64_t begun_ = 1'000'000 * kMs;
+  static constexpr std::int64_t kBegun = 1'000'000 * kMs;
   const input::DeviceProfile profile_ = input::parse_profile(
       tests::float_stylus_profile(R"("usage_page": "ff1c", "usage": "0001")"), "float.json");
   core::CutSession session_{tests::cube(6), cut_config()};
@@ -181,7 +181,7 @@ class Rig {
   std::optional<input::SourceHandle> source_;
   std::optional<input::ForceReport> maker_;
   haptics::ForceCommand command_;
-  std::int64_t command_ns_ = begun_;
+  std::int64_t command_ns_ = kBegun;
   bool stale_ = true;
   std::uint16_t counter_ = 0;
   double at_ = 0.16;

@@ -61,7 +61,7 @@ std::string Process::line(const std::string& prefix, double seconds) {
   const auto end = Clock::now() + std::chrono::duration<double>(seconds);
   for (;;) {
     for (std::size_t at; (at = pending_.find('\n')) != std::string::npos;) {
-      const std::string found = pending_.substr(0, at);
+      std::string found = pending_.substr(0, at);
       pending_.erase(0, at + 1);
       if (found.rfind(prefix, 0) == 0) return found;
     }

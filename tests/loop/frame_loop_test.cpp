@@ -14,7 +14,6 @@ namespace {
 using core::Policy;
 using input::InputHub;
 using input::monotonic_ns;
-using input::SourceHandle;
 using input::TimedPose;
 
 core::CutConfig config(Policy policy) {
