@@ -264,11 +264,12 @@ Key overrides() {
           }};
 }
 
-// NOLINTNEXTLINE(bugprone-macro-parentheses): a member's name
+// NOLINTBEGIN(bugprone-macro-parentheses): a member's name
 #define INCISE_FIELD(member) \
   [](Config & c) -> auto& {  \
     return c.member;         \
   }
+// NOLINTEND(bugprone-macro-parentheses)
 
 const std::vector<Key>& keys() {
   static const std::vector<Key> table{
