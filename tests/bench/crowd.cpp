@@ -61,7 +61,8 @@ std::size_t raise_descriptor_limit() {
 
 Crowd::Crowd(std::uint16_t port, const Options& options) : epoll_(epoll_create1(EPOLL_CLOEXEC)) {
   if (epoll_ < 0) throw std::system_error(errno, std::generic_category(), "epoll_create1");
-  peers_.reserve(static_cast<std::size_t>(options.viewers + options.stalled + options.silent));
+  peers_.reserve(static_cast<std::size_t>(options.viewers) + static_cast<std::size_t>(options.stalled) +
+                 static_cast<std::size_t>(options.silent));
   thread_ = std::thread([this] { run(); });
   for (int i = 0; i < options.viewers; ++i) {
     send_message(connect(port, true, 0).fd, viewer_hello(options.view));

@@ -12,8 +12,6 @@
 namespace incise::bench {
 namespace {
 
-using core::Vec3;
-
 struct Setting {
   std::string name;
   core::Policy policy;

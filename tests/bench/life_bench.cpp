@@ -70,7 +70,6 @@ void run(const std::string& file, std::size_t tets, int strokes, std::uint64_t s
                                               {"us an event", 2},
                                               {"slots MB", 1},
                                               {"hash"}});
-  core::CutCounts counts;
   double seconds = 0;
   std::uint32_t sum_events = 0;
   for (int stroke = 1, next = 1; stroke <= strokes; ++stroke) {

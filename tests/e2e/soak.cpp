@@ -31,7 +31,7 @@ void require(bool holds, const std::string& what) {
   if (!holds) throw std::runtime_error(what);
 }
 
-std::unique_ptr<Client> viewer(const ServedSession& session, client::Options options = {}) {
+std::unique_ptr<Client> viewer(const ServedSession& session, const client::Options& options = {}) {
   const std::uint16_t port =
       options.transport == client::TransportKind::kTcp ? session.tcp_port() : session.http_port();
   return Client::connect("127.0.0.1", port, options);

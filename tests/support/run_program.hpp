@@ -49,8 +49,7 @@ inline RunResult run_program(const std::string& name, const std::vector<std::str
 
 // An empty directory of this test's own, under the build's temporary directory.
 inline std::filesystem::path fresh_directory(const std::string& name) {
-  const auto path =
-      std::filesystem::temp_directory_path() / ("incise_" + name + "_" + std::to_string(::getpid()));
+  auto path = std::filesystem::temp_directory_path() / ("incise_" + name + "_" + std::to_string(::getpid()));
   std::filesystem::remove_all(path);
   std::filesystem::create_directories(path);
   return path;
