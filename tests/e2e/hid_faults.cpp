@@ -65,7 +65,7 @@ class Stylus {
 
   // From when this returns its reports have this fault; -1: none.
   void begin(int wanted) {
-    fault = wanted;
+    fault_ = wanted;
     require(eventually([&] { return acting_ == wanted; }), "the test's own thread hangs");
   }
   std::atomic<double> height{0.06};
@@ -118,7 +118,7 @@ class Stylus {
       due = std::max(due + kMs, monotonic_ns() - 3 * kMs);
       const timespec when{due / 1'000'000'000, due % 1'000'000'000};
       clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr);
-      const auto now = static_cast<Fault>(fault.load());
+      const auto now = static_cast<Fault>(fault_.load());
       acting_ = static_cast<int>(now);
       if (now == Fault::kSilent) continue;
       if (now != Fault::kFrozen) {
@@ -145,7 +145,7 @@ class Stylus {
     }
   }
 
-  std::atomic<int> fault{-1}, acting_{-1};
+  std::atomic<int> fault_{-1}, acting_{-1};
   tests::MockHid& machine_;
   std::mutex mutex_;  // guards device_, looked_
   std::unique_ptr<MockDevice> device_;
