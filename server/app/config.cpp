@@ -310,11 +310,9 @@ const std::vector<Key>& keys() {
           [](const Config& c) { return static_cast<int>(c.cut.prefer); },
           [](Config& c, std::size_t i) { c.cut.prefer = static_cast<core::Preference>(i); },
           "What to prefer where accuracy and few new tetrahedra are at odds (policy conforming): "
-          "\"no-growth\" "
-          "never adds one, and leaves the cut ragged where no vertex can be moved; \"balanced\" splits an "
-          "edge "
-          "where it must; \"exact\" splits nearly all, so that parts thinner than an element stay as they "
-          "are."),
+          "\"no-growth\" never adds one, and leaves the cut ragged where no vertex can be moved; "
+          "\"balanced\" splits an edge where it must; "
+          "\"exact\" splits nearly all, so that parts thinner than an element stay as they are."),
       choice(
           "cut.engage", {"buttons", "always"}, [](const Config& c) { return c.cut.always_engaged ? 1 : 0; },
           [](Config& c, std::size_t i) { c.cut.always_engaged = i == 1; },
@@ -323,7 +321,7 @@ const std::vector<Key>& keys() {
           "cut.engage_buttons", INCISE_FIELD(cut.engage_buttons), 1, 0xffffffff,
           "The buttons that engage the blade, as a sum: 1 for button 0, 2 for button 1, 4 for button 2, ..."),
       number("cut.batch_h", INCISE_FIELD(cut.batch_h), 0.05, 100,
-             "The blade's travel that is committed together, in mean edge lengths."),
+             "The blade's travel that is committed together, in mean edge lengths; at least 1 with policy croll."),
       number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
              "How far the cut surface may leave the poses that it stands for, in mean edge lengths."),
       number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e3,
@@ -566,7 +564,7 @@ void read_sources(Config& config, const Json& value, const std::string& file) {
           refuse(file, at + "." + key, shown(given), kPoint);
         }
       } else {
-        throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are heel, name, tip");
+        throw ConfigError(file + ": " + at + ": unknown key " + shown(key) + "; accepted are heel, name, tip");
       }
     }
     if (source.name.empty()) refuse(file, at + ".name", "nothing", "a text of 1 to 64 characters");
@@ -587,7 +585,7 @@ haptics::Material read_material(const Config& config, const Json& entry, const s
     const auto known = std::find_if(std::begin(kMaterialKeys), std::end(kMaterialKeys),
                                     [&key = key](const MaterialKey& k) { return key == k.name; });
     if (known == std::end(kMaterialKeys)) {
-      throw ConfigError(file + ": " + at + ": unknown key \"" + key + "\"; accepted are region" +
+      throw ConfigError(file + ": " + at + ": unknown key " + shown(key) + "; accepted are region" +
                         std::accumulate(std::begin(kMaterialKeys), std::end(kMaterialKeys), std::string(),
                                         [](std::string list, const MaterialKey& k) {
                                           return std::move(list) + ", " + k.name;
@@ -687,7 +685,7 @@ Config parse_config(std::string_view text, const std::string& name) {
   Config config;
   for (const auto& [section, values] : root.items()) {
     if (!sections.contains(section)) {
-      throw ConfigError(name + ": unknown key \"" + section + "\"; accepted are " + joined(sections));
+      throw ConfigError(name + ": unknown key " + shown(section) + "; accepted are " + joined(sections));
     }
     if (section == "sources" || section == "materials") continue;
     if (!values.is_object()) refuse(name, section, shown(values), "an object {...}");
@@ -700,7 +698,7 @@ Config parse_config(std::string_view text, const std::string& name) {
         if (key.leaf() == leaf) found = &key;
       }
       if (!found) {
-        throw ConfigError(name + ": unknown key \"" + section + "." + leaf + "\"; accepted in " + section +
+        throw ConfigError(name + ": unknown key " + shown(section + "." + leaf) + "; accepted in " + section +
                           " are " + joined(known));
       }
       if (!found->set(config, value)) refuse(name, found->name, shown(value), found->accepted);

@@ -146,10 +146,11 @@ const Malformed kMalformed[] = {
     {"{\"loop\": {\"rate\": 1000}}", {"unknown key \"loop.rate\"", "rate_hz"}},
     {"{\"Loop\": {}}", {"unknown key \"Loop\""}},
     {"{\"\": {}}", {"unknown key \"\""}},
+    {"{\"mesh\": {\"pha\\ntom\": 1}}", {"unknown key \"mesh.pha\\ntom\""}},
     {"{\"loop.rate_hz\": 1000}", {"unknown key \"loop.rate_hz\""}},
     {"{\"blade\": {\"heel\": [0,0,0], \"point\": [0,0,1]}}", {"unknown key \"blade.point\"", "tip"}},
-    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"cpu: found", "twice"}},
-    {"{\"log\": {}, \"log\": {}}", {"log: found", "twice"}},
+    {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"\"cpu\": found", "twice"}},
+    {"{\"log\": {}, \"log\": {}}", {"\"log\": found", "twice"}},
     // A section that is none.
     {"{\"loop\": 1000}", {"loop", "1000", "object"}},
     {"{\"mesh\": \"liver.node\"}", {"mesh", "liver.node", "object"}},

@@ -30,7 +30,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       FUZZ_CHECK(report.zero()[0] == profile.force->bytes[0]);
     }
   } catch (const input::ProfileError& error) {
-    FUZZ_CHECK(std::string(error.what()).starts_with("folder/profile.json: "));
+    const std::string message = error.what();
+    FUZZ_CHECK(message.starts_with("folder/profile.json: ") && message.find('\n') == message.npos);
   }
   return 0;
 }

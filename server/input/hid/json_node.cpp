@@ -29,7 +29,7 @@ nlohmann::ordered_json parse_json(std::string_view text, const std::string& file
     if (event == Json::parse_event_t::object_end) open.pop_back();
     if (event == Json::parse_event_t::key && !open.back().insert(parsed.get<std::string>()).second &&
         twice.empty()) {
-      twice = parsed.get<std::string>();
+      twice = shown(parsed);
     }
     return true;
   };
@@ -75,7 +75,7 @@ const JsonNode& JsonNode::only(std::initializer_list<const char*> keys) const {
   if (!json_->is_object()) refuse("an object {...}");
   for (const auto& [key, value] : json_->items()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
-      throw ProfileError(*file_ + ": " + (key_.empty() ? key : key_ + "." + key) +
+      throw ProfileError(*file_ + ": " + shown(key_.empty() ? key : key_ + "." + key) +
                          ": found a key that means nothing here; accepted are " + listed(keys));
     }
   }
