@@ -225,25 +225,25 @@ void TetMesh::next_vertex_marks(std::uint32_t count) const {
   vertex_mark_value_ += count;
 }
 
-// The tetrahedra around v that can be reached from `from` through faces that contain v.
+// The tetrahedra around v that can be reached from `from` through faces that contain v. What is found is fetched while those
+// found before it are looked at: in a large mesh waiting for memory is most of this.
 void TetMesh::component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const {
-  const auto corner_of = [this, v](TetId t) {
-    const auto& vertices = tets_[t].vertices;
-    const std::uint32_t i = vertices[0] == v ? 0 : vertices[1] == v ? 1 : vertices[2] == v ? 2 : 3;
-    return 4 * t + i;
-  };
   std::size_t next = corners.size();
   tet_mark_[from] = mark_;
-  corners.push_back(corner_of(from));
+  corners.push_back(4 * from);
   while (next < corners.size()) {
-    const std::uint32_t corner = corners[next++];
-    const auto& opposite = tets_[corner >> 2].opposite;
+    std::uint32_t& corner = corners[next++];
+    const Tet& tet = tets_[corner >> 2];
+    const auto& vertices = tet.vertices;
+    const std::uint32_t i = vertices[0] == v ? 0 : vertices[1] == v ? 1 : vertices[2] == v ? 2 : 3;
+    corner += i;
     for (std::uint32_t f = 0; f < 4; ++f) {
-      if (f == (corner & 3u) || opposite[f] == kNone) continue;
-      const TetId t = tet_of(opposite[f]);
+      if (f == i || tet.opposite[f] == kNone) continue;
+      const TetId t = tet_of(tet.opposite[f]);
       if (tet_mark_[t] == mark_) continue;
       tet_mark_[t] = mark_;
-      corners.push_back(corner_of(t));
+      prefetch(t);
+      corners.push_back(4 * t);
     }
   }
 }
@@ -544,44 +544,74 @@ VertexId TetMesh::split_edge(TetId from, VertexId a, VertexId b, double t) {
 
 bool TetMesh::may_collapse(TetId from, VertexId v, VertexId w) const {
   ring(from, v, w, ring_scratch_);
-  // Vertices of the edge's link carry the first mark, the other neighbours of w the second.
-  next_vertex_marks(2);
-  const std::uint32_t in_ring = vertex_mark_value_ - 1, at_w = vertex_mark_value_;
+  // Vertices of the edge's link carry the first mark, or the second where the boundary joins them to w; the other neighbours
+  // of w the third.
+  next_vertex_marks(3);
+  const std::uint32_t at_w = vertex_mark_value_, along_w = at_w - 1, in_ring = at_w - 2;
+  const auto in_link = [&](VertexId x) { return vertex_mark_[x] == in_ring || vertex_mark_[x] == along_w; };
   for (TetId t : ring_scratch_) {
     for (VertexId x : tets_[t].vertices) vertex_mark_[x] = in_ring;
+    // Between two boundary faces nothing would be left to hold the edge opposite.
+    if (tets_[t].opposite[local_index(t, v)] == kNone && tets_[t].opposite[local_index(t, w)] == kNone)
+      return false;
   }
   star(w, star_scratch_);
   for (std::uint32_t corner : star_scratch_) {
     for (VertexId x : tets_[corner >> 2].vertices) {
-      if (vertex_mark_[x] != in_ring) vertex_mark_[x] = at_w;
+      if (!in_link(x)) vertex_mark_[x] = at_w;
+    }
+    for (std::uint32_t f = 0; f < 4; ++f) {
+      if (f == (corner & 3u) || tets_[corner >> 2].opposite[f] != kNone) continue;
+      for (VertexId x : face_vertices(4 * (corner >> 2) + f)) {
+        if (in_link(x)) vertex_mark_[x] = along_w;
+      }
     }
   }
   star(v, star_scratch_);
+  // In boundary faces at v: vertices that the boundary joins to w, too, without w and with it.
+  VertexId with_both[2] = {kNone, kNone}, without_w[8];
+  std::size_t both = 0, without = 0;
+  bool on_boundary = false;
   for (std::uint32_t corner : star_scratch_) {
-    const auto& tet = tets_[corner >> 2].vertices;
-    int ring_vertices = 0;
+    const TetId t = corner >> 2;
+    const auto& tet = tets_[t].vertices;
+    int link_vertices = 0;
     bool has_w = false;
     for (VertexId x : tet) {
       if (x == v) continue;
       if (vertex_mark_[x] == at_w) return false;
       has_w = has_w || x == w;
-      ring_vertices += vertex_mark_[x] == in_ring;
+      link_vertices += in_link(x) ? 1 : 0;
+    }
+    for (std::uint32_t f = 0; f < 4; ++f) {
+      if (f == (corner & 3u) || tets_[t].opposite[f] != kNone) continue;
+      on_boundary = true;
+      const auto face = face_vertices(4 * t + f);
+      const bool with_w = face[0] == w || face[1] == w || face[2] == w;
+      for (VertexId x : face) {
+        if (x == v || x == w || vertex_mark_[x] != along_w) continue;
+        if (with_w ? both == 2 : without == 8) return false;
+        (with_w ? with_both[both++] : without_w[without++]) = x;
+      }
     }
     // Two of the link's vertices in a face at v: where the edge between them is not around (v, w), it may be in w's
     // link as well. Three are in three such faces.
-    if (has_w || ring_vertices < 2) continue;
+    if (has_w || link_vertices < 2) continue;
     for (int i = 0; i < 4; ++i) {
       for (int j = 0; j < i; ++j) {
         const VertexId x = tet[i], y = tet[j];
-        if (x == v || y == v || vertex_mark_[x] != in_ring || vertex_mark_[y] != in_ring) continue;
-        const bool around = std::any_of(ring_scratch_.begin(), ring_scratch_.end(), [&](TetId t) {
-          return local_index(t, x) >= 0 && local_index(t, y) >= 0;
+        if (x == v || y == v || !in_link(x) || !in_link(y)) continue;
+        const bool around = std::any_of(ring_scratch_.begin(), ring_scratch_.end(), [&](TetId r) {
+          return local_index(r, x) >= 0 && local_index(r, y) >= 0;
         });
         if (!around) return false;
       }
     }
   }
-  return true;
+  // The same for the boundary: the edge lies on it, too, and no other vertex is joined to both along it.
+  return !on_boundary || (both == 2 && std::all_of(without_w, without_w + without, [&](VertexId x) {
+                            return x == with_both[0] || x == with_both[1];
+                          }));
 }
 
 void TetMesh::collapse(TetId from, VertexId v, VertexId w) {

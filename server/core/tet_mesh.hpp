@@ -66,6 +66,10 @@ class TetMesh {
   // Mean length of the edges at v when v came into being, m.
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
 
+  // What will be asked for soon.
+  void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
+  void prefetch_position(VertexId v) const { __builtin_prefetch(&vertices_[v]); }
+
   bool alive(TetId t) const { return tets_[t].vertices[0] != kNone; }
   const std::array<VertexId, 4>& vertices(TetId t) const { return tets_[t].vertices; }
   // The half-face on the other side; kNone on the boundary.
@@ -104,8 +108,9 @@ class TetMesh {
   // Puts a vertex on the edge (a, b) of tetrahedron `from`, at a + t (b - a), and splits all tetrahedra around it in
   // two: the half at a keeps its id. Returns the vertex.
   VertexId split_edge(TetId from, VertexId a, VertexId b, double t);
-  // Whether collapse() of the edge from v, an interior vertex, to w keeps the mesh a manifold: their links meet in
-  // the link of the edge alone (Dey, Edelsbrunner, Guha and Nekhayev 1999, "Topology preserving edge contraction").
+  // Whether collapse() of the edge from v to w keeps the mesh a manifold: their links meet in the link of the edge alone
+  // (Dey, Edelsbrunner, Guha and Nekhayev 1999, "Topology preserving edge contraction"). A vertex of the boundary only goes
+  // along the boundary.
   bool may_collapse(TetId from, VertexId v, VertexId w) const;
   // Merges v into w along an edge of tetrahedron `from`: the tetrahedra around the edge go, the others at v get w.
   // v keeps its position and belongs to nothing afterwards.

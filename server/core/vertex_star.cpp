@@ -92,6 +92,9 @@ const WorstOfLanes kWorstOfLanes = choose();
 
 void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   mesh.star(v, corner_ids_);
+  for (std::uint32_t id : corner_ids_) {
+    for (VertexId other : mesh.vertices(id >> 2)) mesh.prefetch_position(other);
+  }
   position_ = mesh.position(v);
   local_h_ = mesh.local_h(v);
   corners_.clear();
