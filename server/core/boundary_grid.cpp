@@ -65,10 +65,12 @@ void BoundaryGrid::lay_out(const Vec3& low, const Vec3& high, double cell) {
   high_ = high + margin;
   inverse_ = 1 / cell_;
   head_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), kNone);
+  taken_.assign(head_.size(), 0);
 }
 
 std::int64_t BoundaryGrid::cell_of(double x, int axis) const {
-  const double cell = std::floor((x - coordinate(origin_, axis)) * inverse_);
+  // Clamped first, so that the conversion is defined; what is positive is rounded down by it.
+  const double cell = (x - coordinate(origin_, axis)) * inverse_;
   return static_cast<std::int64_t>(std::clamp(cell, 0.0, static_cast<double>(count_[axis] - 1)));
 }
 
@@ -86,9 +88,11 @@ void BoundaryGrid::add_at(TetId t, const Vec3 (&corners)[4]) {
     low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
     high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
   }
-  for (std::int64_t i = cell_of(low.x, 0); i <= cell_of(high.x, 0); ++i) {
-    for (std::int64_t j = cell_of(low.y, 1); j <= cell_of(high.y, 1); ++j) {
-      for (std::int64_t k = cell_of(low.z, 2); k <= cell_of(high.z, 2); ++k) {
+  const std::int64_t first[3] = {cell_of(low.x, 0), cell_of(low.y, 1), cell_of(low.z, 2)};
+  const std::int64_t last[3] = {cell_of(high.x, 0), cell_of(high.y, 1), cell_of(high.z, 2)};
+  for (std::int64_t i = first[0]; i <= last[0]; ++i) {
+    for (std::int64_t j = first[1]; j <= last[1]; ++j) {
+      for (std::int64_t k = first[2]; k <= last[2]; ++k) {
         std::uint32_t& head = head_[static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k)];
         if (head != kNone && nodes_[head].tet == t) continue;
         nodes_.push_back({t, head});
@@ -99,9 +103,8 @@ void BoundaryGrid::add_at(TetId t, const Vec3 (&corners)[4]) {
 }
 
 // Appends what is in a cell, and strikes off what is stale.
-void BoundaryGrid::take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j, std::int64_t k,
-                             std::vector<TetId>& out) {
-  std::uint32_t* link = &head_[static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k)];
+void BoundaryGrid::take_cell(const TetMesh& mesh, std::size_t cell, std::vector<TetId>& out) {
+  std::uint32_t* link = &head_[cell];
   while (*link != kNone) {
     Node& node = nodes_[*link];
     if (!mesh.alive(node.tet) || mesh.boundary_mask(node.tet) == 0) {
@@ -131,7 +134,8 @@ bool BoundaryGrid::contains(const Vec3& p) const {
   return true;
 }
 
-void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std::vector<TetId>& out) {
+void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std::uint32_t search,
+                        std::vector<TetId>& out) {
   if (nodes_.empty()) return;
   // Columns of cells along the axis that the normal is nearest to: each holds a few cells of the plane.
   const Vec3 n = triangle.normal;
@@ -179,11 +183,14 @@ void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std:
       const double from = std::max(middle - reach, low[along]), to = std::min(middle + reach, high[along]);
       if (from > to || from > top || to < bottom) continue;
       for (std::int64_t k = cell_of(from, along); k <= cell_of(to, along); ++k) {
-        std::int64_t cell[3];
-        cell[along] = k;
-        cell[u] = i;
-        cell[w] = j;
-        take_cell(mesh, cell[0], cell[1], cell[2], out);
+        std::int64_t at[3];
+        at[along] = k;
+        at[u] = i;
+        at[w] = j;
+        const auto cell = static_cast<std::size_t>((at[0] * count_[1] + at[1]) * count_[2] + at[2]);
+        if (taken_[cell] == search) continue;
+        taken_[cell] = search;
+        take_cell(mesh, cell, out);
       }
     }
   }

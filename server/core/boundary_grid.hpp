@@ -45,10 +45,12 @@ class BoundaryGrid {
   std::size_t entries() const { return nodes_.size(); }
   TetId entry(std::size_t i) const { return nodes_[i].tet; }
 
-  // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. Cost: the cells that the
-  // triangle passes (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it
-  // finds stale off the cells' lists, or they would grow as long as one cuts.
-  void near(const TetMesh& mesh, const SweptTriangle& triangle, std::vector<TetId>& out);
+  // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. What is in cells that the same
+  // search, by its serial, has taken already for another triangle is left out. Cost: the cells that the triangle passes
+  // (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it finds stale off the
+  // cells' lists, or they would grow as long as one cuts.
+  void near(const TetMesh& mesh, const SweptTriangle& triangle, std::uint32_t search,
+            std::vector<TetId>& out);
 
   // Calls visit(tet) for the boundary tetrahedra of all cells that the box meets: all that meet the box, others, some
   // more than once, and some that are gone or have lost their boundary face. O(cells of the box, and what they hold).
@@ -70,8 +72,7 @@ class BoundaryGrid {
   };
   void lay_out(const Vec3& low, const Vec3& high, double cell);
   std::int64_t cell_of(double x, int axis) const;
-  void take_cell(const TetMesh& mesh, std::int64_t i, std::int64_t j, std::int64_t k,
-                 std::vector<TetId>& out);
+  void take_cell(const TetMesh& mesh, std::size_t cell, std::vector<TetId>& out);
   template <class Visit>
   void visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const;
 
@@ -81,7 +82,8 @@ class BoundaryGrid {
   std::int64_t count_[3] = {1, 1, 1};
   double slack_ =
       0.25;  // how far, in cells, a vertex may be from where it was when its tetrahedra were entered
-  std::vector<std::uint32_t> head_;  // a list of nodes for each cell
+  std::vector<std::uint32_t> head_;   // a list of nodes for each cell
+  std::vector<std::uint32_t> taken_;  // by cell: the last search that took it
   std::vector<Node> nodes_;
   std::size_t nodes_when_built_ = 0;
   std::vector<Vec3> anchors_;  // by vertex; none while nothing has deformed the body

@@ -22,19 +22,6 @@ constexpr double kExactNear = 0.05;
 // How far from the blade's line, by the local edge length, a vertex waits.
 constexpr double kHot = 1.5;
 
-struct Bounds {
-  Vec3 low, high;
-};
-
-Bounds box_of(const Vec3* const (&p)[4]) {
-  return {{std::min(std::min(p[0]->x, p[1]->x), std::min(p[2]->x, p[3]->x)),
-           std::min(std::min(p[0]->y, p[1]->y), std::min(p[2]->y, p[3]->y)),
-           std::min(std::min(p[0]->z, p[1]->z), std::min(p[2]->z, p[3]->z))},
-          {std::max(std::max(p[0]->x, p[1]->x), std::max(p[2]->x, p[3]->x)),
-           std::max(std::max(p[0]->y, p[1]->y), std::max(p[2]->y, p[3]->y)),
-           std::max(std::max(p[0]->z, p[1]->z), std::max(p[2]->z, p[3]->z))}};
-}
-
 }  // namespace
 
 ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const CutConfig& config)
@@ -84,9 +71,10 @@ void ConformingCutter::begin(const Batch& batch) {
   collection_ = ++workspace_.serial;
   for (std::uint32_t e = 0; e < events_.size(); ++e) {
     const VertexId a = events_[e].a;
-    events_[e].next = workspace_.event_stamp[a] == collection_ ? workspace_.event_head[a] : kNone;
-    workspace_.event_stamp[a] = collection_;
-    workspace_.event_head[a] = e;
+    events_[e].next =
+        workspace_.vertices[a].event_stamp == collection_ ? workspace_.vertices[a].event_head : kNone;
+    workspace_.vertices[a].event_stamp = collection_;
+    workspace_.vertices[a].event_head = e;
   }
   work_ = static_cast<std::int64_t>(surface_.size() / 4 + events_.size() / 8 + active_.size() / 16);
   search_ = ++workspace_.serial;
@@ -103,13 +91,9 @@ void ConformingCutter::begin(const Batch& batch) {
 // edge lengths farther back than what has been so for longest.
 void ConformingCutter::forget_surface() {
   constexpr double kBehind = 8;
-  std::uint32_t oldest = batch_;
-  for (const Active& a : active_) oldest = std::min(oldest, a.batch);
-  double travel = travel_;
-  for (const Swept& s : swept_) {
-    if (s.batch == oldest) travel = s.travel;
-  }
-  const double limit = travel - kBehind * widest_;
+  double oldest = travel_;
+  for (const Active& a : active_) oldest = std::min(oldest, a.since);
+  const double limit = oldest - kBehind * widest_;
   std::size_t first = 0;
   while (first + 1 < swept_.size() && swept_[first + 1].travel <= limit) ++first;
   if (first == 0) return;
@@ -177,15 +161,15 @@ bool ConformingCutter::advance(WorkBudget& budget) {
 // ------------------------------------------------------------------------------------------------ search
 
 void ConformingCutter::activate(TetId t) {
-  if (workspace_.active[t] == stroke_) return;
-  workspace_.active[t] = stroke_;
-  active_.push_back({t, batch_, 0});
+  if (workspace_.tets[t].active == stroke_) return;
+  workspace_.tets[t].active = stroke_;
+  active_.push_back({t, swept_.back().travel, 0});
   for (VertexId v : mesh_.vertices(t)) widest_ = std::max(widest_, mesh_.local_h(v));
 }
 
 void ConformingCutter::enqueue(TetId t) {
-  if (workspace_.seen[t] == search_) return;
-  workspace_.seen[t] = search_;
+  if (workspace_.tets[t].seen == search_) return;
+  workspace_.tets[t].seen = search_;
   work_ += 3;
   if (mesh_.alive(t) && probe(t)) queue_.push_back(t);
 }
@@ -195,56 +179,56 @@ void ConformingCutter::add_event(VertexId a, VertexId b, TetId t, std::uint32_t 
     std::swap(a, b);
     at = 1 - at;
   }
-  if (workspace_.event_stamp[a] != collection_) {
-    workspace_.event_stamp[a] = collection_;
-    workspace_.event_head[a] = kNone;
+  if (workspace_.vertices[a].event_stamp != collection_) {
+    workspace_.vertices[a].event_stamp = collection_;
+    workspace_.vertices[a].event_head = kNone;
   }
-  for (std::uint32_t e = workspace_.event_head[a]; e != kNone; e = events_[e].next) {
+  for (std::uint32_t e = workspace_.vertices[a].event_head; e != kNone; e = events_[e].next) {
     if (events_[e].b == b) return;
   }
-  events_.push_back({std::min(at, 1 - at), at, a, b, t, triangle, workspace_.event_head[a], batch_, false});
-  workspace_.event_head[a] = static_cast<std::uint32_t>(events_.size() - 1);
+  events_.push_back(
+      {std::min(at, 1 - at), at, a, b, t, triangle, workspace_.vertices[a].event_head, batch_, false});
+  workspace_.vertices[a].event_head = static_cast<std::uint32_t>(events_.size() - 1);
 }
 
 // Whether the tetrahedron meets what this batch has swept, to within what the flood needs: it may say yes to one
 // that passes close by a corner of a triangle. Adds the crossings of its edges to the events.
 bool ConformingCutter::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
-  const Vec3* p[4];
-  for (int i = 0; i < 4; ++i) p[i] = &mesh_.position(v[i]);
-  const auto [low, high] = box_of(p);
+  const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
   bool meets = false;
-  surface_.any_latest_overlapping(low, high, [&](std::uint32_t index) {
+  surface_.any_latest_overlapping(p, [&](std::uint32_t index) {
     const SweptTriangle& triangle = surface_[index];
-    double d[4];
-    int above = 0;
-    for (int i = 0; i < 4; ++i) {
-      d[i] = triangle.signed_distance(*p[i]);
-      above += d[i] >= 0;
-    }
     for (int k = 0; k < 3; ++k) {
       if (triangle.rim >> k & 1) probe_rim(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
     }
-    if (above == 0 || above == 4) return false;
-    // The corners of the section with the plane, each against the three edges of the triangle: outside one of them
-    // with all of the section is outside.
+    double d[4];
+    p.along(triangle.normal, triangle.offset, d);
+    if ((FourPoints::least(d) >= 0) || FourPoints::most(d) < 0) return false;
+    // How far inside each of the triangle's edges; outside one with all corners is outside.
+    double inside[3][4];
+    for (int k = 0; k < 3; ++k) {
+      p.along(triangle.inward[k], triangle.inward_offset[k], inside[k]);
+      if (FourPoints::most(inside[k]) < -clear_) return false;
+    }
+    // The same for the corners of the section with the plane.
     bool beside[3] = {true, true, true};
     for (const auto& edge : kEdgeVertices) {
       const int i = edge[0], j = edge[1];
       if ((d[i] >= 0) == (d[j] >= 0)) continue;
       const double at = d[i] / (d[i] - d[j]);
-      const Vec3 x = lerp(*p[i], *p[j], at);
       double least = INFINITY;
       for (int k = 0; k < 3; ++k) {
-        const double inside = dot(triangle.inward[k], x) - triangle.inward_offset[k];
-        beside[k] = beside[k] && inside < 0;
-        least = std::min(least, inside);
+        const double x = inside[k][i] + at * (inside[k][j] - inside[k][i]);
+        beside[k] = beside[k] && x < 0;
+        least = std::min(least, x);
       }
       if (least < -clear_) continue;
       if ((on_surface(v[i]) && std::abs(d[i]) <= clear_) || (on_surface(v[j]) && std::abs(d[j]) <= clear_))
         continue;
       const bool sure = least > clear_ && std::abs(d[i]) > clear_ && std::abs(d[j]) > clear_;
-      if (sure || crosses(*p[i], *p[j], triangle)) add_event(v[i], v[j], t, index, at);
+      if (sure || crosses(mesh_.position(v[i]), mesh_.position(v[j]), triangle))
+        add_event(v[i], v[j], t, index, at);
     }
     meets = meets || !(beside[0] || beside[1] || beside[2]);
     return false;
@@ -283,7 +267,7 @@ void ConformingCutter::seed(WorkBudget& budget) {
           candidates_.clear();
           next_candidate_ = 0;
           const SweptTriangle& triangle = surface_[next_seed_++];
-          workspace_.grid.near(mesh_, triangle, candidates_);
+          workspace_.grid.near(mesh_, triangle, search_, candidates_);
           work_ += 10 + static_cast<std::int64_t>(candidates_.size() / 8);
         } else {
           seed_ = Seed::kInside;
@@ -297,7 +281,7 @@ void ConformingCutter::seed(WorkBudget& budget) {
         const auto& c = surface_[surface_.size() - 1].corners;
         const TetId t = workspace_.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]), &work_);
         if (t != kNone) {
-          workspace_.seen[t] = search_;
+          workspace_.tets[t].seen = search_;
           queue_.push_back(t);
         }
         work_ += 50;
@@ -405,7 +389,7 @@ void ConformingCutter::handle(const RimEvent& event) {
       if (distance(target, star_.position()) > 0.75 * h) continue;
       if (!star_.keeps_boundary(target)) continue;
       if (worst_at(star_, target, limit, kFlat_h * h) > limit) continue;
-      workspace_.rim[v] = stroke_;
+      workspace_.vertices[v].rim = stroke_;
       snap(star_, v, target);
       return true;
     }
@@ -434,29 +418,38 @@ void ConformingCutter::handle(const RimEvent& event) {
   if (split_worst(event.tet, a, b, at, kSnapFloor) > kSnapFloor) return;
   split(event.tet, a, b, at);
   const VertexId m = mesh_.vertex_slots() - 1;
-  workspace_.surface[m] = 0;
+  workspace_.vertices[m].surface = 0;
   changed_.pop_back();
   put(m, kSnapFloor);
 }
 
 // ------------------------------------------------------------------------------------------------ events
 
-bool ConformingCutter::hot(VertexId v) const {
+// Whether v is near the blade, and by how much.
+bool ConformingCutter::hot(VertexId v, double* by_m) const {
   if (!has_front_) return false;
   const double reach = kHot * mesh_.local_h(v);
-  return squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip) < reach * reach;
+  const double d2 = squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip);
+  if (d2 >= reach * reach) return false;
+  if (by_m != nullptr) *by_m = reach - std::sqrt(d2);
+  return true;
 }
 
 // Whether none of its vertices is near the blade. Neither can be while the blade has come less far than they were away.
-bool ConformingCutter::ripe(Active& entry) const {
+// No vertex moves while a collection is under way, so each is looked at once.
+bool ConformingCutter::ripe(Active& entry) {
   if (!has_front_) return true;
   if (travel_ < entry.ripe_at) return false;
   work_ += 1;
   for (VertexId v : mesh_.vertices(entry.tet)) {
-    const double reach = kHot * mesh_.local_h(v);
-    const double d2 = squared_distance_to_segment(mesh_.position(v), front_.heel, front_.tip);
-    if (d2 >= reach * reach) continue;
-    entry.ripe_at = travel_ + (reach - std::sqrt(d2));
+    auto& marks = workspace_.vertices[v];
+    double by_m;
+    if (marks.looked_at != collection_) {
+      marks.looked_at = collection_;
+      marks.hot = hot(v);
+    }
+    if (!marks.hot || !hot(v, &by_m)) continue;
+    entry.ripe_at = travel_ + by_m;
     return false;
   }
   return true;
@@ -470,12 +463,12 @@ bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bo
   return surface_.any_overlapping(low, high, [&](std::uint32_t i) {
     const SweptTriangle& s = surface_[i];
     const double da = s.signed_distance(a), db = s.signed_distance(b);
-    if ((da > clear_ && db > clear_) || (da < -clear_ && db < -clear_)) return false;
     // An end on the surface is where the edge meets it.
     if ((a_on && std::abs(da) <= clear_) || (b_on && std::abs(db) <= clear_)) return false;
-    if (!crosses(a, b, s)) return false;
+    double at;
+    if (!crosses(a, b, da, db, s, clear_, at)) return false;
     triangle = i;
-    t = da == db ? 0.5 : std::clamp(da / (da - db), 0.0, 1.0);
+    t = at;
     return true;
   });
 }
@@ -483,19 +476,18 @@ bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bo
 // Adds the crossings of the tetrahedron's edges.
 void ConformingCutter::collect_from(TetId t) {
   const auto& v = mesh_.vertices(t);
-  const Vec3* p[4];
+  const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
   bool on[4];
-  for (int i = 0; i < 4; ++i) {
-    p[i] = &mesh_.position(v[i]);
-    on[i] = on_surface(v[i]);
-  }
-  const auto [low, high] = box_of(p);
+  for (int i = 0; i < 4; ++i) on[i] = on_surface(v[i]);
+  Vec3 low, high;
+  p.bounds(low, high);
   surface_.any_overlapping(low, high, [&](std::uint32_t index) {
     const SweptTriangle& triangle = surface_[index];
     double d[4];
+    p.along(triangle.normal, triangle.offset, d);
+    if (FourPoints::least(d) > clear_ || FourPoints::most(d) < -clear_) return false;
     int above = 0, below = 0;
     for (int i = 0; i < 4; ++i) {
-      d[i] = triangle.signed_distance(*p[i]);
       above += d[i] > clear_ || (d[i] >= -clear_ && !on[i]);
       below += d[i] < -clear_ || (d[i] <= clear_ && !on[i]);
     }
@@ -503,14 +495,13 @@ void ConformingCutter::collect_from(TetId t) {
     for (const auto& edge : kEdgeVertices) {
       const int i = edge[0], j = edge[1];
       if (on[i] && on[j]) continue;
-      if ((d[i] > clear_ && d[j] > clear_) || (d[i] < -clear_ && d[j] < -clear_)) continue;
       // An end on the surface is where the edge meets it.
       if ((on[i] && std::abs(d[i]) <= clear_) || (on[j] && std::abs(d[j]) <= clear_)) continue;
-      if (!crosses(*p[i], *p[j], triangle)) continue;
-      const double at = d[i] == d[j] ? 0.5 : std::clamp(d[i] / (d[i] - d[j]), 0.0, 1.0);
+      double at;
+      if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_, at)) continue;
       if ((on[i] && at < kAtVertex) || (on[j] && at > 1 - kAtVertex)) {
         // A vertex on another part of the surface is as near as can be had.
-        workspace_.failed[v[i]] = workspace_.failed[v[j]] = stroke_;
+        workspace_.vertices[v[i]].failed = workspace_.vertices[v[j]].failed = stroke_;
       } else {
         add_event(v[i], v[j], t, index, at);
       }
@@ -578,7 +569,7 @@ void ConformingCutter::verify(WorkBudget& budget) {
     begin_order();
   } else {
     for (std::size_t i = first_leftover_; i < events_.size(); ++i) {
-      workspace_.failed[events_[i].a] = workspace_.failed[events_[i].b] = stroke_;
+      workspace_.vertices[events_[i].a].failed = workspace_.vertices[events_[i].b].failed = stroke_;
       events_[i].done = true;
       ++counts_.failed;
     }
@@ -666,9 +657,13 @@ void ConformingCutter::remove_flat(TetId t) {
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = worst_at(star, target, kInverted, kFlat_h * star.local_h());
   mesh_.move_vertex(v, target);
-  workspace_.surface[v] = stroke_;
-  changed_.push_back({v, worst <= kGood && flat_.empty()});
+  workspace_.vertices[v].surface = stroke_;
   ++counts_.snaps;
+  // What has three vertices on the surface only now may have a face to open.
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]) >= 2) activate(c.tet);
+  }
+  if (worst > kGood || !flat_.empty()) changed_.push_back({v});
   for (TetId t : flat_) remove_flat(t);
 }
 
@@ -698,8 +693,8 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   work_ += 8 * static_cast<std::int64_t>(ring_.size());
   workspace_.grow(mesh_);
-  workspace_.surface[m] = stroke_;
-  changed_.push_back({m, false});
+  workspace_.vertices[m].surface = stroke_;
+  changed_.push_back({m});
   for (TetId r : ring_) activate(r);
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {
     if (mesh_.boundary_mask(n) != 0) workspace_.grid.add(mesh_, n);
@@ -767,7 +762,7 @@ void ConformingCutter::handle(std::uint32_t index) {
   } else if (by_split <= floor) {
     split(event.tet, a, b, event.at);
   } else {
-    workspace_.failed[a] = workspace_.failed[b] = stroke_;
+    workspace_.vertices[a].failed = workspace_.vertices[b].failed = stroke_;
     ++counts_.failed;
   }
 }

@@ -43,10 +43,11 @@ class ConformingCutter final : public Cutter {
  private:
   friend struct SessionFields;  // session_state.cpp
 
-  // Measures of dihedral angles. A star with no angle below the first is good: a snap that leaves it so is taken freely,
-  // and nothing in it is repaired. When nothing better is left, a snap is taken down to the second, and in need to the
-  // third.
+  // Measures of dihedral angles. A star with no angle below the first is good: a snap that leaves it so is taken freely, and
+  // that is what repairs aim at. They take on what is below the second. When nothing better is left, a snap is taken down to
+  // the third, and in need to the fourth.
   static constexpr double kGood = dihedral_measure(0.9876883406);       // 9 degrees
+  static constexpr double kPoor = dihedral_measure(0.9914448614);       // 7.5 degrees
   static constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
   static constexpr double kFloor = dihedral_measure(0.9999904807);      // 0.25 degrees
   static constexpr double kExactFloor =
@@ -70,8 +71,8 @@ class ConformingCutter final : public Cutter {
 
   struct Active {
     TetId tet;
-    std::uint32_t batch;  // since which it is active
-    double ripe_at;       // while the blade has travelled less in this stroke, it waits for certain, m
+    double since;    // the blade's travel before the batch that made it active, m
+    double ripe_at;  // while the blade has travelled less in this stroke, it waits for certain, m
   };
 
   // The rim of the sweep pierces a face: the paper's second move, to the front and back planes, in general.
@@ -117,10 +118,10 @@ class ConformingCutter final : public Cutter {
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
   void collect_from(TetId t);
-  bool ripe(Active& entry) const;
-  bool hot(VertexId v) const;
-  bool on_rim(VertexId v) const { return workspace_.rim[v] == stroke_; }
-  bool on_surface(VertexId v) const { return workspace_.surface[v] == stroke_; }
+  bool ripe(Active& entry);
+  bool hot(VertexId v, double* by_m = nullptr) const;
+  bool on_rim(VertexId v) const { return workspace_.vertices[v].rim == stroke_; }
+  bool on_surface(VertexId v) const { return workspace_.vertices[v].surface == stroke_; }
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
   void handle(std::uint32_t index);
@@ -148,13 +149,12 @@ class ConformingCutter final : public Cutter {
   void begin_repairs();
   void repair(WorkBudget& budget);
   void begin_repair();
-  void activate_faces_at(VertexId v);
-  void activate_faces(const VertexStar& star, VertexId v);
   void improve();
   void improve_by_moving(VertexId v);
+  void note_repair();
   void improve_by_collapse(TetId t);
   void thin_out(VertexId v);
-  bool try_collapse(TetId t, VertexId v, VertexId w, double limit);
+  bool try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
   bool try_flips(TetId t);
   bool remove_edge(TetId t, VertexId a, VertexId b);
   bool flip_face(HalfFace h);
@@ -164,6 +164,8 @@ class ConformingCutter final : public Cutter {
   void select(WorkBudget& budget);
   Vec3 reference(TetId t) const;
   bool separates(HalfFace h) const;
+  unsigned may_separate(TetId t) const;
+  bool select_faces(TetId t);
   void spare_islands(WorkBudget& budget);
   void spare_island(HalfFace side);
   void join_larger_side(std::span<const TetId> members);
@@ -235,17 +237,18 @@ class ConformingCutter final : public Cutter {
   std::size_t next_open_ = 0;
   std::uint32_t spared_ = 0;  // serial of the search for islands
 
+  // A vertex put on the surface by this batch, whose star was not good then.
   struct Changed {
     VertexId vertex;
-    bool good;           // its star was good when it was put there
     bool again = false;  // repaired once, not well enough
   };
-  std::vector<Changed> changed_;  // put on the surface by this batch
+  std::vector<Changed> changed_;
   std::size_t next_changed_ = 0;
   // The vertex that is repaired, and its poor tetrahedra, of which one is at work: moving one of its vertices (0 to 3),
   // flips (4), collapses (5).
   Changed repaired_{};
   bool repairing_ = false;
+  std::uint32_t repair_state_ = 0;  // serial of the mesh as the last repair left it
   std::vector<TetId> poor_;
   std::size_t next_poor_ = 0;
   int remedy_ = 0;

@@ -33,15 +33,12 @@ bool ConformingCutter::separates(HalfFace h) const {
   const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
   Vec3 middle{}, off{};
   int off_count = 0;
-  bool failed = false;
   for (VertexId v : mesh_.face_vertices(h)) {
     middle += (1.0 / 3.0) * mesh_.position(v);
-    failed = failed || workspace_.failed[v] == stroke_;
     if (on_surface(v)) continue;
     off += mesh_.position(v);
     ++off_count;
   }
-  if (off_count > 0 && !failed) return false;
   std::uint32_t triangle;
   double t;
   const Vec3 from = reference(a), to = reference(b);
@@ -57,12 +54,30 @@ bool ConformingCutter::separates(HalfFace h) const {
          find_crossing(near_b, false, to, false, triangle, t);
 }
 
+// The faces of t that may separate: those with all vertices on the surface, or one at which a crossing could not be dealt
+// with. Bit f: face f.
+unsigned ConformingCutter::may_separate(TetId t) const {
+  const auto& v = mesh_.vertices(t);
+  unsigned off = 0, failed = 0;
+  for (unsigned i = 0; i < 4; ++i) {
+    off |= (on_surface(v[i]) ? 0u : 1u) << i;
+    failed |= (workspace_.vertices[v[i]].failed == stroke_ ? 1u : 0u) << i;
+  }
+  unsigned faces = 0;
+  for (unsigned f = 0; f < 4; ++f) {
+    const unsigned others = 0xfu & ~(1u << f);
+    faces |= ((off & others) == 0 || (failed & others) != 0 ? 1u : 0u) << f;
+  }
+  return faces;
+}
+
 // Which faces of ripe tetrahedra open; a tetrahedron all of whose faces are decided leaves the active ones.
 void ConformingCutter::select(WorkBudget& budget) {
   if (next_active_ == 0) {
     // What survives is compacted to the front as the scan goes.
     to_open_.clear();
     next_open_ = 0;
+    search_ = ++workspace_.serial;
   }
   while (next_active_ < active_.size()) {
     charge(budget);
@@ -71,32 +86,37 @@ void ConformingCutter::select(WorkBudget& budget) {
     const TetId t = entry.tet;
     work_ += 1;
     if (!mesh_.alive(t)) continue;
-    bool waits = !ripe(entry);
-    if (!waits) {
-      work_ += 1;
-      for (int f = 0; f < 4; ++f) {
-        const HalfFace o = mesh_.opposite(half_face(t, f));
-        if (o == kNone || (workspace_.pending[t] >> f & 1)) continue;
-        if (!separates(half_face(t, f))) continue;
-        if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
-          waits = true;
-          continue;
-        }
-        workspace_.pending[t] |= static_cast<std::uint8_t>(1u << f);
-        workspace_.pending[tet_of(o)] |= static_cast<std::uint8_t>(1u << face_of(o));
-        to_open_.push_back(half_face(t, f));
-      }
-    }
-    if (waits) {
+    if (!ripe(entry) || select_faces(t)) {
       active_[next_open_++] = entry;
     } else {
-      workspace_.active[t] = 0;
+      workspace_.tets[t].active = 0;
     }
   }
   active_.resize(next_open_);
   next_open_ = 0;
   spared_ = ++workspace_.serial;
   phase_ = Phase::kSpare;
+}
+
+// Returns whether one that separates has to wait for the blade to leave what is behind it.
+bool ConformingCutter::select_faces(TetId t) {
+  bool waits = false;
+  workspace_.tets[t].seen = search_;
+  const unsigned faces = may_separate(t) & ~unsigned{workspace_.tets[t].pending};
+  for (int f = 0; f < 4; ++f) {
+    const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
+    // From the other side it looks the same.
+    if (!(faces >> f & 1) || o == kNone || workspace_.tets[tet_of(o)].seen == search_) continue;
+    if (!separates(h)) continue;
+    if (hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
+      waits = true;
+      continue;
+    }
+    workspace_.tets[t].pending |= static_cast<std::uint8_t>(1u << f);
+    workspace_.tets[tet_of(o)].pending |= static_cast<std::uint8_t>(1u << face_of(o));
+    to_open_.push_back(h);
+  }
+  return waits;
 }
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
@@ -109,7 +129,8 @@ void ConformingCutter::spare_islands(WorkBudget& budget) {
     spare_island(h);
     spare_island(mesh_.opposite(h));
   }
-  std::erase_if(to_open_, [this](HalfFace h) { return !(workspace_.pending[tet_of(h)] >> face_of(h) & 1); });
+  std::erase_if(to_open_,
+                [this](HalfFace h) { return !(workspace_.tets[tet_of(h)].pending >> face_of(h) & 1); });
   next_open_ = 0;
   phase_ = Phase::kOpen;
 }
@@ -118,13 +139,13 @@ void ConformingCutter::spare_islands(WorkBudget& budget) {
 void ConformingCutter::spare_island(HalfFace side) {
   constexpr std::size_t kRagged = 8, kSheet = 64;
   work_ += 1;
-  if (!(workspace_.pending[tet_of(side)] >> face_of(side) & 1) || stands_clear(side)) return;
+  if (!(workspace_.tets[tet_of(side)].pending >> face_of(side) & 1) || stands_clear(side)) return;
   // The component behind the faces that are about to open. Where part of it was looked at from another face already,
   // it was found to be no island.
   TetId members[kSheet];
   std::size_t size = 1, most = kSheet;
   members[0] = tet_of(side);
-  bool clean = true, thin = true, island = workspace_.seen[members[0]] != spared_;
+  bool clean = true, thin = true, island = workspace_.tets[members[0]].seen != spared_;
   for (std::size_t i = 0; i < size && island; ++i) {
     const TetId t = members[i];
     if (thin && !is_thin(t)) {
@@ -133,13 +154,13 @@ void ConformingCutter::spare_island(HalfFace side) {
     }
     work_ += 2;
     for (int f = 0; f < 4; ++f) {
-      if (workspace_.pending[t] >> f & 1) {
+      if (workspace_.tets[t].pending >> f & 1) {
         for (VertexId v : mesh_.face_vertices(half_face(t, f))) clean = clean && on_surface(v);
         continue;
       }
       const TetId n = mesh_.neighbor(t, f);
       if (n == kNone || std::find(members, members + size, n) != members + size) continue;
-      island = size < most && workspace_.seen[n] != spared_;
+      island = size < most && workspace_.tets[n].seen != spared_;
       if (!island) break;
       members[size++] = n;
     }
@@ -148,7 +169,7 @@ void ConformingCutter::spare_island(HalfFace side) {
   if (island && (!clean || thin)) {
     join_larger_side(std::span(members, size));
   } else {
-    for (std::size_t i = 0; i < size; ++i) workspace_.seen[members[i]] = spared_;
+    for (std::size_t i = 0; i < size; ++i) workspace_.tets[members[i]].seen = spared_;
   }
 }
 
@@ -168,14 +189,14 @@ void ConformingCutter::join_larger_side(std::span<const TetId> members) {
   for (const bool decided : {false, true}) {
     for (TetId t : members) {
       for (int f = 0; f < 4; ++f) {
-        if (!(workspace_.pending[t] >> f & 1)) continue;
+        if (!(workspace_.tets[t].pending >> f & 1)) continue;
         const HalfFace o = mesh_.opposite(half_face(t, f));
         const bool up = is_above(half_face(t, f));
         if (!decided) {
           ++(up ? above : below);
         } else if (up == (above >= below)) {
-          workspace_.pending[t] &= static_cast<std::uint8_t>(~(1u << f));
-          workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+          workspace_.tets[t].pending &= static_cast<std::uint8_t>(~(1u << f));
+          workspace_.tets[tet_of(o)].pending &= static_cast<std::uint8_t>(~(1u << face_of(o)));
         }
       }
     }
@@ -223,8 +244,8 @@ void ConformingCutter::open(WorkBudget& budget) {
 
 void ConformingCutter::note_opening(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
-  workspace_.pending[tet_of(h)] &= static_cast<std::uint8_t>(~(1u << face_of(h)));
-  workspace_.pending[tet_of(o)] &= static_cast<std::uint8_t>(~(1u << face_of(o)));
+  workspace_.tets[tet_of(h)].pending &= static_cast<std::uint8_t>(~(1u << face_of(h)));
+  workspace_.tets[tet_of(o)].pending &= static_cast<std::uint8_t>(~(1u << face_of(o)));
   workspace_.grid.add(mesh_, tet_of(h));
   workspace_.grid.add(mesh_, tet_of(o));
   const auto v = mesh_.face_vertices(h);

@@ -86,6 +86,7 @@ void ConformingCutter::search_placement(const VertexStar& star, bool on_surface,
 
 void ConformingCutter::begin_repairs() {
   repairing_ = false;
+  repair_state_ = ++workspace_.serial;
   phase_ = Phase::kRepair;
 }
 
@@ -101,7 +102,7 @@ void ConformingCutter::repair(WorkBudget& budget) {
     } else {
       repairing_ = false;
       // What its neighbours' repair moves may free it: once more, after all others.
-      if (still_poor_ && !repaired_.again) changed_.push_back({repaired_.vertex, false, true});
+      if (still_poor_ && !repaired_.again) changed_.push_back({repaired_.vertex, true});
     }
   }
   phase_ = Phase::kVerify;
@@ -114,41 +115,18 @@ void ConformingCutter::begin_repair() {
   const VertexId v = repaired_.vertex;
   work_ += 1;
   if (mesh_.vertex_tet(v) == kNone) return;
-  if (repaired_.good) {
-    activate_faces_at(v);
-    return;
-  }
   if (mesh_.is_new(v)) thin_out(v);
   if (mesh_.vertex_tet(v) == kNone) return;
   gather(star_, v);
-  activate_faces(star_, v);
   poor_.clear();
   next_poor_ = 0;
   remedy_ = 0;
   still_poor_ = false;
   work_ += static_cast<std::int64_t>(star_.corners().size());
   for (const VertexStar::Corner& c : star_.corners()) {
-    if (mesh_.worst_dihedral(c.tet) > kGood) poor_.push_back(c.tet);
+    if (mesh_.worst_dihedral(c.tet) > kPoor) poor_.push_back(c.tet);
   }
   repairing_ = true;
-}
-
-// Tetrahedra that only now have a face on the surface may have to open it.
-void ConformingCutter::activate_faces_at(VertexId v) {
-  mesh_.star(v, star_ids_);
-  work_ += static_cast<std::int64_t>(star_ids_.size() / 2);
-  for (std::uint32_t corner : star_ids_) {
-    const auto& w = mesh_.vertices(corner >> 2);
-    if (on_surface(w[0]) + on_surface(w[1]) + on_surface(w[2]) + on_surface(w[3]) >= 3) activate(corner >> 2);
-  }
-}
-
-// The same for a star that is known.
-void ConformingCutter::activate_faces(const VertexStar& star, VertexId v) {
-  const int least = on_surface(v) ? 2 : 3;
-  for (const VertexStar::Corner& c : star.corners()) {
-    if (on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]) >= least) activate(c.tet);
-  }
 }
 
 // One remedy for the poor tetrahedron at work: moves one of its vertices after the other, while that helps; else flips,
@@ -178,7 +156,9 @@ void ConformingCutter::improve() {
 }
 
 void ConformingCutter::improve_by_moving(VertexId v) {
-  if (on_rim(v)) return;
+  // Poor tetrahedra share vertices: what did not help one of them does not help the next.
+  if (on_rim(v) || workspace_.vertices[v].tried == repair_state_) return;
+  workspace_.vertices[v].tried = repair_state_;
   gather(star_, v);
   Placement place{mesh_.position(v), star_.worst_now()};
   const double before = place.worst;
@@ -189,15 +169,28 @@ void ConformingCutter::improve_by_moving(VertexId v) {
   search_placement(star_, on, triangle, kGood, -1, place);
   if (place.worst >= before) return;
   mesh_.move_vertex(v, place.target);
+  note_repair();
+  // What is better for the worst may be worse for others, which then stand in its way.
+  constexpr std::size_t kMostPoor = 32;
+  for (const VertexStar::Corner& c : star_.corners()) {
+    if (poor_.size() < kMostPoor && mesh_.worst_dihedral(c.tet) > kPoor &&
+        std::find(poor_.begin(), poor_.end(), c.tet) == poor_.end())
+      poor_.push_back(c.tet);
+  }
+}
+
+void ConformingCutter::note_repair() {
   ++counts_.repairs;
+  repair_state_ = ++workspace_.serial;
 }
 
 void ConformingCutter::improve_by_collapse(TetId t) {
   const auto vertices = mesh_.vertices(t);
-  for (const auto& edge : kEdgeVertices) {
-    if (try_collapse(t, vertices[edge[0]], vertices[edge[1]], kGood) ||
-        try_collapse(t, vertices[edge[1]], vertices[edge[0]], kGood)) {
-      return;
+  for (VertexId v : vertices) {
+    if (on_rim(v)) continue;
+    gather(star_, v);
+    for (VertexId w : vertices) {
+      if (w != v && try_collapse(star_, t, v, w)) return;
     }
   }
 }
@@ -217,16 +210,17 @@ bool ConformingCutter::try_flips(TetId t) {
   return false;
 }
 
-// Three to two, four to four, five to six: the ring around the edge is filled with triangles instead, each of which makes
-// a tetrahedron with either end.
+// The ring around the edge is filled with triangles instead, each of which makes a tetrahedron with either end: those
+// triangles whose worst tetrahedron is best (Klincsek 1980, "Minimal triangulations of polygonal domains").
 bool ConformingCutter::remove_edge(TetId t, VertexId a, VertexId b) {
+  constexpr std::size_t kMost = 7;
   if ((on_surface(a) && on_surface(b)) || on_rim(a) || on_rim(b)) return false;
   mesh_.ring(t, a, b, ring_);
   const std::size_t n = ring_.size();
   work_ += static_cast<std::int64_t>(n);
-  if (n < 3 || n > 5) return false;
+  if (n < 3 || n > kMost) return false;
   // The ring's vertices in order, so that (a, b, ring[i], ring[i+1]) has one orientation for all i.
-  std::array<VertexId, 5> ring{};
+  std::array<VertexId, kMost> ring{};
   double before = -1;
   for (std::size_t i = 0; i < n; ++i) {
     const TetId r = ring_[i], next = ring_[(i + 1) % n];
@@ -244,31 +238,40 @@ bool ConformingCutter::remove_edge(TetId t, VertexId a, VertexId b) {
   const Vec3 &pa = mesh_.position(a), &pb = mesh_.position(b);
   const bool forward = signed_volume(pa, pb, mesh_.position(ring[0]), mesh_.position(ring[1])) > 0;
   if (!forward) std::reverse(ring.begin(), ring.begin() + static_cast<std::ptrdiff_t>(n));
-  work_ += static_cast<std::int64_t>(2 * n);
-  // Triangulations of the ring are fans from one of its vertices: all there are up to five.
-  std::size_t best_apex = n;
-  double best = before;
-  const std::size_t fans = n == 3 ? 1 : n == 4 ? 2 : 5;
-  for (std::size_t apex = 0; apex < fans; ++apex) {
-    double worst = -1;
-    for (std::size_t i = 1; i + 1 < n && worst < best; ++i) {
-      const Vec3 &p = mesh_.position(ring[apex]), &q = mesh_.position(ring[(apex + i) % n]),
-                 &r = mesh_.position(ring[(apex + i + 1) % n]);
-      worst = std::max({worst, worst_dihedral(pa, p, q, r), worst_dihedral(p, q, r, pb)});
-    }
-    if (worst < best) {
-      best = worst;
-      best_apex = apex;
+  work_ += static_cast<std::int64_t>(n * n * (n - 2) / 4);
+  // worst[i][j]: of the best triangles for the ring's part from i to j, of which (i, apex[i][j], j) is one.
+  double worst[kMost][kMost];
+  std::size_t apex[kMost][kMost];
+  for (std::size_t i = 0; i + 1 < n; ++i) worst[i][i + 1] = -1;
+  for (std::size_t span = 2; span < n; ++span) {
+    for (std::size_t i = 0; i + span < n; ++i) {
+      const std::size_t j = i + span;
+      worst[i][j] = before;
+      apex[i][j] = n;
+      const Vec3 &p = mesh_.position(ring[i]), &r = mesh_.position(ring[j]);
+      for (std::size_t k = i + 1; k < j; ++k) {
+        double made = std::max(worst[i][k], worst[k][j]);
+        if (made >= worst[i][j]) continue;
+        const Vec3& q = mesh_.position(ring[k]);
+        made = std::max({made, worst_dihedral(pa, p, q, r), worst_dihedral(p, q, r, pb)});
+        if (made >= worst[i][j]) continue;
+        worst[i][j] = made;
+        apex[i][j] = k;
+      }
     }
   }
-  if (best_apex == n) return false;
-  std::array<std::array<VertexId, 4>, 6> added;
+  if (apex[0][n - 1] == n) return false;
+  std::array<std::array<VertexId, 4>, 2 * (kMost - 2)> added;
   std::size_t count = 0;
-  for (std::size_t i = 1; i + 1 < n; ++i) {
-    const VertexId p = ring[best_apex], q = ring[(best_apex + i) % n], r = ring[(best_apex + i + 1) % n];
-    added[count++] = {a, p, q, r};
-    added[count++] = {p, q, r, b};
-  }
+  const auto add = [&](const auto& self, std::size_t i, std::size_t j) -> void {
+    if (j - i < 2) return;
+    const std::size_t k = apex[i][j];
+    added[count++] = {a, ring[i], ring[k], ring[j]};
+    added[count++] = {ring[i], ring[k], ring[j], b};
+    self(self, i, k);
+    self(self, k, j);
+  };
+  add(add, 0, n - 1);
   return replace(ring_, std::span(added.data(), count));
 }
 
@@ -304,7 +307,7 @@ bool ConformingCutter::replace(std::span<const TetId> removed,
     if (mesh_.boundary_mask(t) != 0) workspace_.grid.add(mesh_, t);
     activate(t);
   }
-  ++counts_.repairs;
+  note_repair();
   return true;
 }
 
@@ -336,33 +339,46 @@ void ConformingCutter::thin_out(VertexId v) {
   }
   for (int i = 0; i < count; ++i) {
     if (!mesh_.alive(nearest[i].tet) || mesh_.local_index(nearest[i].tet, v) < 0) continue;
-    if (try_collapse(nearest[i].tet, nearest[i].vertex, v, kGood)) continue;
-    if (try_collapse(nearest[i].tet, v, nearest[i].vertex, kGood)) return;
+    gather(other_star_, nearest[i].vertex);
+    if (try_collapse(other_star_, nearest[i].tet, nearest[i].vertex, v)) {
+      gather(star_, v);
+      continue;
+    }
+    if (try_collapse(star_, nearest[i].tet, v, nearest[i].vertex)) return;
   }
 }
 
-// Merges v into w where v is free to go there and its star stays below `limit`.
-bool ConformingCutter::try_collapse(TetId t, VertexId v, VertexId w, double limit) {
+// Merges v, whose star that is, into w where v is free to go there and its star stays good.
+bool ConformingCutter::try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w) {
   if (on_rim(v) || (on_surface(v) && !on_surface(w))) return false;
-  VertexStar& star = other_star_;
-  gather(star, v);
-  if (star.on_boundary()) return false;
   const Vec3& target = mesh_.position(w);
+  if (!star.keeps_boundary(target)) return false;
   double worst = -1;
   for (std::size_t i = 0; i < star.corners().size(); ++i) {
     const auto& others = star.corners()[i].others;
     if (others[0] == w || others[1] == w || others[2] == w) continue;
     work_ += 1;
     worst = std::max(worst, worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)));
-    if (worst > limit) return false;
+    if (worst > kGood) return false;
   }
   work_ += 40;
   if (!mesh_.may_collapse(t, v, w)) return false;
+  mesh_.ring(t, v, w, ring_);
+  for (TetId& r : ring_) r = mesh_.neighbor(r, mesh_.local_index(r, v));
   mesh_.collapse(t, v, w);
-  for (const VertexStar::Corner& c : star.corners()) {
-    if (mesh_.alive(c.tet)) activate(c.tet);
+  const auto enter = [this](TetId changed) {
+    if (mesh_.boundary_mask(changed) != 0) workspace_.grid.add(mesh_, changed);
+  };
+  // What lay across from v may lie at the boundary now.
+  for (TetId r : ring_) {
+    if (r != kNone) enter(r);
   }
-  ++counts_.repairs;
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (!mesh_.alive(c.tet)) continue;
+    activate(c.tet);
+    enter(c.tet);
+  }
+  note_repair();
   return true;
 }
 

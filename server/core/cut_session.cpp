@@ -152,8 +152,8 @@ bool CutSession::finish(WorkBudget& budget) {
 // The worst angle of the tetrahedra that the delta names and of those around vertices that moved.
 bool CutSession::measure(WorkBudget& budget) {
   const auto look_at = [this](TetId t) {
-    if (workspace_.seen[t] == workspace_.serial) return;
-    workspace_.seen[t] = workspace_.serial;
+    if (workspace_.tets[t].seen == workspace_.serial) return;
+    workspace_.tets[t].seen = workspace_.serial;
     worst_ = std::max(worst_, mesh_.worst_dihedral(t));
   };
   for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {

@@ -237,24 +237,25 @@ struct SessionFields {
         io.demand(g.nodes_[i].next == kNone || g.nodes_[i].next < i, "a grid list goes in a circle");
       }
       g.nodes_.reserve(room_for(g.nodes_.size()));
+      g.taken_.assign(g.head_.size(), 0);
     }
   }
 
   template <class Io, class Workspace>
   static void workspace(Io& io, Workspace& w, const TetMesh& m) {
     grid(io, w.grid, m);
-    for (auto* stamps : {&w.surface, &w.failed, &w.rim, &w.active})
-      io.list(*stamps, 4, [&](auto& stroke) { io(stroke); });
+    io.list(w.vertices, 12, [&](auto& marks) {
+      io(marks.surface);
+      io(marks.failed);
+      io(marks.rim);
+    });
+    io.list(w.tets, 4, [&](auto& marks) { io(marks.active); });
     if constexpr (Io::kReads) {
-      const std::size_t vertices = m.vertex_slots(), tets = m.tet_slots();
-      io.demand(w.surface.size() == vertices && w.failed.size() == vertices && w.rim.size() == vertices &&
-                    w.active.size() == tets,
+      io.demand(w.vertices.size() == m.vertex_slots() && w.tets.size() == m.tet_slots(),
                 "stamps and mesh differ in size");
       if (io.failed()) return;
-      for (auto* by_vertex : {&w.surface, &w.failed, &w.rim, &w.event_head, &w.event_stamp})
-        grow_to(*by_vertex, vertices);
-      for (auto* by_tet : {&w.seen, &w.active}) grow_to(*by_tet, tets);
-      grow_to(w.pending, tets);
+      grow_to(w.vertices, m.vertex_slots());
+      grow_to(w.tets, m.tet_slots());
     }
   }
 
@@ -307,10 +308,11 @@ struct SessionFields {
       io(t.batch);
       io(t.rim);
     });
-    io.list(c.active_, 16, [&](auto& a) {
+    io.list(c.active_, 20, [&](auto& a) {
       io(a.tet);
-      io(a.batch);
+      io(a.since);
       io(a.ripe_at);
+      io.demand(a.since >= 0, "active since before its stroke");
       io.demand(a.tet < m.tet_slots(), "an active tetrahedron never was");
     });
     io(c.travel_);

@@ -6,11 +6,12 @@
 namespace incise::core {
 namespace {
 
-double squared_distance_to_box(const Vec3& p, const Vec3& low, const Vec3& high) {
-  const double x = std::max({low.x - p.x, p.x - high.x, 0.0});
-  const double y = std::max({low.y - p.y, p.y - high.y, 0.0});
-  const double z = std::max({low.z - p.z, p.z - high.z, 0.0});
-  return x * x + y * y + z * z;
+// By this part of itself a coordinate is rounded outwards: a float is off by 2^-24 of itself at most.
+constexpr double kRounded = 0x1p-22;
+
+void extend(const Vec3& p, Vec3& low, Vec3& high) {
+  low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+  high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
 }
 
 }  // namespace
@@ -62,24 +63,61 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
 }
 
 void SweptSurface::build(std::size_t latest) {
-  build(all_, 0);
-  build(latest_, std::min(latest, triangles_.size()));
+  build(all_, 0, [](const SweptTriangle& triangle, Vec3& low, Vec3& high) {
+    low = triangle.low;
+    high = triangle.high;
+  });
+  const std::size_t from = std::min(latest, triangles_.size());
+  latest_axes_ = axes_of(from);
+  latest_low_ = {INFINITY, INFINITY, INFINITY};
+  latest_high_ = {-INFINITY, -INFINITY, -INFINITY};
+  build(latest_, from, [this](const SweptTriangle& triangle, Vec3& low, Vec3& high) {
+    low = {INFINITY, INFINITY, INFINITY};
+    high = {-INFINITY, -INFINITY, -INFINITY};
+    double farthest = 0;
+    for (const Vec3& corner : triangle.corners) {
+      const Vec3 p{dot(latest_axes_.blade, corner), dot(latest_axes_.motion, corner),
+                   dot(latest_axes_.normal, corner)};
+      extend(p, low, high);
+      farthest = std::max({farthest, std::abs(corner.x), std::abs(corner.y), std::abs(corner.z)});
+    }
+    // What turning the coordinates may round.
+    const double off = kRounded * farthest;
+    low = low - Vec3{off, off, off};
+    high += {off, off, off};
+    extend(low, latest_low_, latest_high_);
+    extend(high, latest_low_, latest_high_);
+  });
+}
+
+// Those of the triangles from `from` on.
+SweptSurface::Axes SweptSurface::axes_of(std::size_t from) const {
+  if (from == triangles_.size()) return {};
+  // A blade that goes back and forth turns the normals over.
+  Vec3 sum{};
+  for (std::size_t i = from; i < triangles_.size(); ++i) {
+    const Vec3& n = triangles_[i].normal;
+    sum += dot(n, triangles_[from].normal) < 0 ? -n : n;
+  }
+  const Vec3 normal = normalized(sum);
+  const auto& corners = triangles_[from].corners;
+  const Vec3 motion = normalized(cross(normal, corners[1] - corners[0]));
+  if (squared_length(motion) == 0) return {};
+  return {cross(motion, normal), motion, normal};
 }
 
 // Of the triangles from `from` on.
-void SweptSurface::build(Tree& tree, std::size_t from) {
+template <class BoxOf>
+void SweptSurface::build(Tree& tree, std::size_t from, BoxOf box_of) {
   const auto first = static_cast<std::uint32_t>(from);
   auto& nodes = tree.nodes;
   nodes.clear();
-  tree.root = first | kLeaf;
   const auto count = static_cast<std::uint32_t>(triangles_.size());
   tree.empty = first == count;
-  if (count - first < 2) return;
+  if (tree.empty) return;
   const auto box = [](Node& node, std::uint32_t k, const Vec3& low, const Vec3& high) {
-    // A float is off by 2^-24 of itself at most.
-    constexpr double kOut = 0x1p-22;
-    const auto below = [](double x) { return static_cast<float>(x - kOut * std::abs(x)); };
-    const auto above = [](double x) { return static_cast<float>(x + kOut * std::abs(x)); };
+    const auto below = [](double x) { return static_cast<float>(x - kRounded * std::abs(x)); };
+    const auto above = [](double x) { return static_cast<float>(x + kRounded * std::abs(x)); };
     node.low[0][k] = below(low.x);
     node.low[1][k] = below(low.y);
     node.low[2][k] = below(low.z);
@@ -96,8 +134,11 @@ void SweptSurface::build(Tree& tree, std::size_t from) {
   };
   for (std::uint32_t i = first; i < count; i += kChildren) {
     Node node = empty(i | kLeaf);
-    for (std::uint32_t k = 0; k < kChildren && i + k < count; ++k)
-      box(node, k, triangles_[i + k].low, triangles_[i + k].high);
+    for (std::uint32_t k = 0; k < kChildren && i + k < count; ++k) {
+      Vec3 low, high;
+      box_of(triangles_[i + k], low, high);
+      box(node, k, low, high);
+    }
     nodes.push_back(node);
   }
   std::uint32_t begin = 0;
@@ -152,6 +193,12 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   double best = reach * reach;
   bool found = false;
   if (triangles_.empty()) return false;
+  const Lane x = lane(p.x), y = lane(p.y), z = lane(p.z), none{};
+  const auto beyond = [none](const Lane& at, const Lane& low, const Lane& high) {
+    const Lane under = low - at, over = at - high;
+    const Lane gap = under > over ? under : over;
+    return gap > none ? gap : none;
+  };
   std::uint32_t stack[kDepth];
   int depth = 0;
   stack[depth++] = all_.root;
@@ -159,21 +206,21 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
     const std::uint32_t at = stack[--depth];
     if (!(at & kLeaf)) {
       const Node& node = all_.nodes[at];
-      for (std::uint32_t k = kChildren; k-- > 0;) {
-        const Vec3 low{node.low[0][k], node.low[1][k], node.low[2][k]};
-        const Vec3 high{node.high[0][k], node.high[1][k], node.high[2][k]};
-        if (squared_distance_to_box(p, low, high) < best) stack[depth++] = node.first + k;
-      }
+      const Lane dx = beyond(x, node.low[0], node.high[0]), dy = beyond(y, node.low[1], node.high[1]),
+                 dz = beyond(z, node.low[2], node.high[2]);
+      // The boxes are large enough for what was rounded in p; this is for the squares.
+      constexpr double kSquares = 1 + 0x1p-20;
+      push_children(node, dx * dx + dy * dy + dz * dz <= lane(kSquares * best), stack, depth);
       continue;
     }
     const SweptTriangle& s = triangles_[at & ~kLeaf];
     const double plane = s.signed_distance(p);
     if (plane * plane >= best) continue;
-    const Vec3 x = closest_point(p, s);
-    const double d2 = squared_length(x - p);
+    const Vec3 q = closest_point(p, s);
+    const double d2 = squared_length(q - p);
     if (d2 < best) {
       best = d2;
-      point = x;
+      point = q;
       triangle = at & ~kLeaf;
       found = true;
     }

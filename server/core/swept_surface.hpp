@@ -1,10 +1,13 @@
 #pragma once
 
+#include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
 
+#include "server/core/four_points.hpp"
 #include "server/core/swept_triangle.hpp"
 
 namespace incise::core {
@@ -37,9 +40,23 @@ class SweptSurface {
   bool any_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
     return overlapping(all_, low, high, visit);
   }
-  // The same for the triangles of the last batch alone.
+  // The same for the triangles of the last batch alone and the box around four points. These boxes lie along that batch's
+  // sweep, which is thin in at least one direction, so that few overlap in vain.
   template <class Visit>
-  bool any_latest_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
+  bool any_latest_overlapping(const FourPoints& points, Visit visit) const {
+    const auto range = [&points](const Vec3& axis, double& low, double& high) {
+      double at[4];
+      points.along(axis, 0, at);
+      low = FourPoints::least(at);
+      high = FourPoints::most(at);
+    };
+    // The thin directions first: most that is asked for misses all of the sweep.
+    Vec3 low, high;
+    range(latest_axes_.motion, low.y, high.y);
+    if (low.y > latest_high_.y || high.y < latest_low_.y) return false;
+    range(latest_axes_.normal, low.z, high.z);
+    if (low.z > latest_high_.z || high.z < latest_low_.z) return false;
+    range(latest_axes_.blade, low.x, high.x);
     return overlapping(latest_, low, high, visit);
   }
 
@@ -67,12 +84,38 @@ class SweptSurface {
     return Lane{f, f, f, f};
   }
 
+  using Lanes = int __attribute__((vector_size(16)));
+  // What compares lanes gives: -1 where it holds, else 0.
+  static std::uint32_t lanes_set(const Lanes& holds) {
+#if defined(__SSE__)
+    return static_cast<std::uint32_t>(__builtin_ia32_movmskps(reinterpret_cast<Lane>(holds)));
+#else
+    std::uint32_t bits = 0;
+    for (std::uint32_t k = 0; k < kChildren; ++k) bits |= (holds[k] != 0 ? 1u : 0u) << k;
+    return bits;
+#endif
+  }
+  // The children whose lanes hold, so that the first comes off the stack first.
+  static void push_children(const Node& node, const Lanes& holds, std::uint32_t* stack, int& depth) {
+    for (std::uint32_t bits = lanes_set(holds); bits != 0;) {
+      const auto k = static_cast<std::uint32_t>(std::bit_width(bits)) - 1;
+      stack[depth++] = node.first + k;
+      bits ^= 1u << k;
+    }
+  }
+
   struct Tree {
     std::vector<Node> nodes;  // the lowest level first
-    std::uint32_t root = 0;   // kLeaf and the triangle where there is but one
+    std::uint32_t root = 0;
     bool empty = true;
   };
-  void build(Tree& tree, std::size_t from);
+  // Along the blade, along its motion and along the normal of what a batch has swept; orthonormal.
+  struct Axes {
+    Vec3 blade{1, 0, 0}, motion{0, 1, 0}, normal{0, 0, 1};
+  };
+  Axes axes_of(std::size_t from) const;
+  template <class BoxOf>
+  void build(Tree& tree, std::size_t from, BoxOf box_of);
   template <class Visit>
   static bool overlapping(const Tree& tree, const Vec3& low, const Vec3& high, Visit visit) {
     if (tree.empty) return false;
@@ -90,15 +133,15 @@ class SweptSurface {
       const Node& node = tree.nodes[at];
       const auto hit = (low_x <= node.high[0]) & (high_x >= node.low[0]) & (low_y <= node.high[1]) &
                        (high_y >= node.low[1]) & (low_z <= node.high[2]) & (high_z >= node.low[2]);
-      for (std::uint32_t k = kChildren; k-- > 0;) {
-        if (hit[k]) stack[depth++] = node.first + k;
-      }
+      push_children(node, hit, stack, depth);
     }
     return false;
   }
 
   std::vector<SweptTriangle> triangles_;
   Tree all_, latest_;
+  Axes latest_axes_;
+  Vec3 latest_low_, latest_high_;  // of all of the last batch, along its axes
 };
 
 }  // namespace incise::core

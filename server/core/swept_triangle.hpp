@@ -1,6 +1,8 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 
 #include "server/core/blade.hpp"
@@ -33,6 +35,24 @@ bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTrian
 // segment that crosses a surface made of triangles crosses an odd number of them, never none because it slips
 // through between two.
 bool crosses(const Vec3& p, const Vec3& q, const SweptTriangle& triangle);
+
+// The same where the signed distances of the ends to its plane are known: exact arithmetic decides only within `clear`, m, of
+// the plane or of an edge. `at`: where on the segment, at p + at (q - p).
+inline bool crosses(const Vec3& p, const Vec3& q, double p_distance, double q_distance,
+                    const SweptTriangle& triangle, double clear, double& at) {
+  if ((p_distance > clear && q_distance > clear) || (p_distance < -clear && q_distance < -clear))
+    return false;
+  const double way = p_distance - q_distance;
+  at = way == 0 ? 0.5 : std::clamp(p_distance / way, 0.0, 1.0);
+  if (std::abs(way) <= clear) return crosses(p, q, triangle);
+  const Vec3 x = lerp(p, q, at);
+  double inside = INFINITY;
+  for (int k = 0; k < 3; ++k)
+    inside = std::min(inside, dot(triangle.inward[k], x) - triangle.inward_offset[k]);
+  if (inside < -clear) return false;
+  if (inside > clear && std::abs(p_distance) > clear && std::abs(q_distance) > clear) return true;
+  return crosses(p, q, triangle);
+}
 
 // The point of the triangle closest to p (Ericson 2004, "Real-Time Collision Detection", section 5.1.5).
 Vec3 closest_point(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3& c) noexcept;

@@ -152,8 +152,8 @@ void VertexMover::look_around(VertexId v) {
   mesh_.star(v, star_);
   for (const std::uint32_t corner : star_) {
     const TetId t = corner >> 2;
-    if (workspace_.seen[t] == search_) continue;
-    workspace_.seen[t] = search_;
+    if (workspace_.tets[t].seen == search_) continue;
+    workspace_.tets[t].seen = search_;
     to_check_.push_back(t);
   }
 }
@@ -260,8 +260,8 @@ void VertexMover::collect(WorkBudget& budget) {
   const BoundaryGrid& old = workspace_.grid;
   const bool done = in_chunks(next_, old.entries(), budget, kSmall, [&](std::size_t i) {
     const TetId t = old.entry(i);
-    if (workspace_.seen[t] == search_ || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
-    workspace_.seen[t] = search_;
+    if (workspace_.tets[t].seen == search_ || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
+    workspace_.tets[t].seen = search_;
     boundary_.push_back(t);
     for (const VertexId v : mesh_.vertices(t)) {
       const Vec3& p = target_[v];
