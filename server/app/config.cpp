@@ -321,7 +321,8 @@ const std::vector<Key>& keys() {
           "cut.engage_buttons", INCISE_FIELD(cut.engage_buttons), 1, 0xffffffff,
           "The buttons that engage the blade, as a sum: 1 for button 0, 2 for button 1, 4 for button 2, ..."),
       number("cut.batch_h", INCISE_FIELD(cut.batch_h), 0.05, 100,
-             "The blade's travel that is committed together, in mean edge lengths; at least 1 with policy croll."),
+             "The blade's travel that is committed together, in mean edge lengths; "
+             "at least 1 with the policy croll."),
       number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
              "How far the cut surface may leave the poses that it stands for, in mean edge lengths."),
       number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e3,
@@ -564,7 +565,8 @@ void read_sources(Config& config, const Json& value, const std::string& file) {
           refuse(file, at + "." + key, shown(given), kPoint);
         }
       } else {
-        throw ConfigError(file + ": " + at + ": unknown key " + shown(key) + "; accepted are heel, name, tip");
+        throw ConfigError(file + ": " + at + ": unknown key " + shown(key) +
+                          "; accepted are heel, name, tip");
       }
     }
     if (source.name.empty()) refuse(file, at + ".name", "nothing", "a text of 1 to 64 characters");
