@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <fstream>
+#include <iterator>
 #include <string>
 
 namespace incise::app {
@@ -91,6 +92,15 @@ TEST(Config, TheShippedFilesAreGood) {
     const std::filesystem::path file = std::filesystem::path(INCISE_SOURCE_DIR) / "config" / name;
     EXPECT_NO_THROW(load_config(file)) << file;
   }
+}
+
+// The one with all keys is as --print-config prints it, phantom apart: when a key comes or changes, write it anew.
+TEST(Config, TheShippedFileWithAllKeysIsUpToDate) {
+  Config config;
+  config.mesh.phantom = "liver";
+  std::ifstream file(std::filesystem::path(INCISE_SOURCE_DIR) / "config" / "incised.json");
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  EXPECT_EQ(text, commented(config));
 }
 
 // Each malformed configuration, and what its error must name: the key, what was found or what is accepted.
