@@ -241,9 +241,11 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
   SurfaceChange out;
   std::map<std::uint32_t, std::int64_t> more_uses;
   for (const std::uint32_t t : tets) {
+    // The triangles of its faces are neighbours: one search finds them all.
+    auto next = state_.triangles.lower_bound(4 * t);
     for (int face = 0; face < 4; ++face) {
       const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
-      const auto old = state_.triangles.find(id);
+      const auto old = next != state_.triangles.end() && next->first == id ? next++ : state_.triangles.end();
       if (!mesh.alive(t) || !(mesh.boundary_mask(t) >> face & 1)) {
         if (old == state_.triangles.end()) continue;
         for (const std::uint32_t v : old->second.vertices) --more_uses[v];
