@@ -324,7 +324,8 @@ const std::vector<Key>& keys() {
              "The blade's travel that is committed together, in mean edge lengths; "
              "at least 1 with the policy croll."),
       number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
-             "How far the cut surface may leave the poses that it stands for, in mean edge lengths."),
+             "How far the cut surface may leave the poses that it stands for, in mean edge lengths. Where it "
+             "moves less than a third of one, up to 0.08 counts as the device's noise."),
       number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e3,
              "A faster motion is a jump: it ends the stroke and begins another, and does not cut."),
       number("cut.gap_limit_s", INCISE_FIELD(cut.gap_limit_s), 1e-3, 3600,

@@ -42,27 +42,39 @@ void ConformingCutter::begin(const Batch& batch) {
     surface_.clear();
     active_.clear();
     swept_.clear();
+    retraced_.clear();
     travel_ = widest_ = 0;
   }
   batch_ = batch.number;
   swept_.push_back({batch_, travel_});
-  forget_surface();
 
   first_latest_ = surface_.size();
   // Cells somewhat larger than tetrahedra, and flat to within the tolerance.
   const double cell_m = 4 * h_;
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
   const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / cell_m), 1.0, 256.0));
-  for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
-    const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
+  const auto sweep = [&](const BladeLine& from, const BladeLine& to) {
     const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
-    travel_ += travel_m;
     const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
     const double rows =
         std::max(travel_m / cell_m, 0.25 * twist_m / (columns * config_.chord_tolerance_h * h_));
     surface_.add_quad(from, to, static_cast<int>(std::clamp(std::ceil(rows), 1.0, 1024.0)), columns, batch_,
                       turns_sharply(from, to), workspace_.grid.low(), workspace_.grid.high());
+  };
+  const auto sweep_retraced = [&] {
+    for (std::size_t k = 0; k + 1 < retraced_.size(); ++k) sweep(retraced_[k], retraced_[k + 1]);
+    retraced_.clear();
+  };
+  for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
+    const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
+    travel_ += std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+    if (!retrace(from, to)) {
+      sweep_retraced();
+      sweep(from, to);
+    }
   }
+  if (batch.ends_stroke) sweep_retraced();
+  forget_surface();
   surface_.build(first_latest_);
   front_ = batch.lines.back();
   has_front_ = !batch.ends_stroke;
@@ -91,14 +103,47 @@ void ConformingCutter::begin(const Batch& batch) {
 // edge lengths farther back than what has been so for longest.
 void ConformingCutter::forget_surface() {
   constexpr double kBehind = 8;
-  double oldest = travel_;
+  double oldest = swept_.back().travel;
   for (const Active& a : active_) oldest = std::min(oldest, a.since);
   const double limit = oldest - kBehind * widest_;
   std::size_t first = 0;
   while (first + 1 < swept_.size() && swept_[first + 1].travel <= limit) ++first;
   if (first == 0) return;
   swept_.erase(swept_.begin(), swept_.begin() + static_cast<std::ptrdiff_t>(first));
-  surface_.drop_before(swept_.front().batch);
+  first_latest_ -= surface_.drop_before(swept_.front().batch);
+}
+
+// A blade that trembles in place, or goes back in its own cut, sweeps again what it has swept: where the surface covers all
+// between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on. It
+// is left out for good from a line on that lies straight above or below the surface throughout, so that what follows
+// overlaps; what comes after the last such line is swept if the blade leaves the surface from there, so that no gap is left.
+bool ConformingCutter::retrace(const BladeLine& from, const BladeLine& to) {
+  constexpr double kTolerance_h = 0.05;
+  // In a body that deforms, other tissue may have come to where the blade has been.
+  if (mesh_.deformed() || retraced_.size() == kMostRetraced) return false;
+  const double reach = kTolerance_h * h_;
+  const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+  const int rows = static_cast<int>(std::clamp(std::ceil(travel_m / reach), 1.0, 16.0));
+  const int columns = static_cast<int>(std::clamp(std::ceil(distance(to.heel, to.tip) / h_), 1.0, 1024.0));
+  const Vec3 low = workspace_.grid.low(), high = workspace_.grid.high();
+  bool over = true;
+  for (int row = rows; row > 0; --row) {
+    const Vec3 heel = lerp(from.heel, to.heel, static_cast<double>(row) / rows);
+    const Vec3 tip = lerp(from.tip, to.tip, static_cast<double>(row) / rows);
+    for (int column = 0; column <= columns; ++column) {
+      const Vec3 p = lerp(heel, tip, static_cast<double>(column) / columns);
+      if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
+      Vec3 closest;
+      std::uint32_t triangle = 0;
+      if (!surface_.closest(p, reach, closest, triangle)) return false;
+      const double off = surface_[triangle].signed_distance(p);
+      over = over && (row < rows || squared_length(p - closest) - off * off <= clear_ * clear_);
+    }
+  }
+  if (over) retraced_.clear();
+  if (retraced_.empty() && !over) retraced_.push_back(from);
+  retraced_.push_back(to);
+  return true;
 }
 
 // Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.

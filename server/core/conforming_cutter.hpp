@@ -86,6 +86,7 @@ class ConformingCutter final : public Cutter {
   };
 
   void forget_surface();
+  bool retrace(const BladeLine& from, const BladeLine& to);
   bool turns_sharply(const BladeLine& from, const BladeLine& to);
 
   // The work done since it was taken last, for the budget.
@@ -196,6 +197,9 @@ class ConformingCutter final : public Cutter {
     double travel;  // of the blade in this stroke before the batch, m
   };
   std::vector<Swept> swept_;  // the batches of surface_
+  // Lines between which the surface covers what the blade has swept, from one that is on it.
+  static constexpr std::size_t kMostRetraced = 256;
+  std::vector<BladeLine> retraced_;
   double travel_ = 0;
 
   mutable std::int64_t work_ = 0;  // units not charged yet

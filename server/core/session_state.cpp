@@ -322,6 +322,8 @@ struct SessionFields {
       io(s.batch);
       io(s.travel);
     });
+    io.list(c.retraced_, 48, [&](auto& line) { fields(io, line); });
+    io.demand(c.retraced_.size() <= ConformingCutter::kMostRetraced, "more lines than a blade retraces");
     io.list(c.events_, 36, [&](auto& e) {
       io(e.nearness);
       io(e.at);

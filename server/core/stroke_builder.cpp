@@ -8,6 +8,10 @@ namespace {
 
 // Poses kept between two batches at most: a blade that trembles in place for minutes must not fill the memory.
 constexpr std::size_t kMostBuffered = 512;
+// In a span no longer than this, lines nearer to its chord are the device's noise and no motion, h.
+constexpr double kNoiseSpan_h = 0.35, kNoise_h = 0.08;
+// So is a way this many times as long as its chord: a corner's is 1.4 times.
+constexpr double kNoisyWay = 1.5;
 
 double distance_to_segment(const Vec3& p, const Vec3& a, const Vec3& b) {
   const Vec3 u = b - a;
@@ -69,6 +73,8 @@ StrokeBuilder::StrokeBuilder(std::uint32_t source, const CutConfig& config, doub
       // Croll's segments are about as long as a tetrahedron: shorter ones would do the baseline wrong.
       travel_m_((config.policy == Policy::kCroll ? std::max(config.batch_h, 1.0) : config.batch_h) * h),
       tolerance_m_(config.chord_tolerance_h * h),
+      noise_m_(std::max(config.chord_tolerance_h, kNoise_h) * h),
+      noise_span_m_(config.policy == Policy::kCroll ? 0 : kNoiseSpan_h * h),
       stroke_counter_(stroke_counter) {
   buffer_.reserve(kMostBuffered + 1);
 }
@@ -126,7 +132,28 @@ void StrokeBuilder::end_stroke(BatchQueue& out) {
   if (batch_ > 0 || buffer_.size() > 1) emit(out, true);
 }
 
+// A noisy way is cut as its chord, to where the blade was on the mean of its later half: steps that zigzag would make a
+// surface of creases far smaller than a tetrahedron.
+void StrokeBuilder::smooth(bool ends_stroke) {
+  const double chord_m = travel(buffer_.front().line, buffer_.back().line);
+  double way_m = 0;
+  for (std::size_t i = 0; i + 1 < buffer_.size(); ++i) way_m += travel(buffer_[i].line, buffer_[i + 1].line);
+  if (chord_m > noise_span_m_ || way_m < kNoisyWay * chord_m) return;
+  if (!ends_stroke) {
+    const std::size_t first = buffer_.size() / 2;
+    Vec3 heel{}, tip{};
+    for (std::size_t i = first; i < buffer_.size(); ++i) {
+      heel += buffer_[i].line.heel;
+      tip += buffer_[i].line.tip;
+    }
+    const double each = 1.0 / static_cast<double>(buffer_.size() - first);
+    buffer_.back().line = {each * heel, each * tip};
+  }
+  buffer_.erase(buffer_.begin() + 1, buffer_.end() - 1);
+}
+
 void StrokeBuilder::emit(BatchQueue& out, bool ends_stroke) {
+  if (buffer_.size() > 2) smooth(ends_stroke);
   simplify();
   Batch& batch = made_;
   batch.source = source_;
@@ -164,7 +191,7 @@ void StrokeBuilder::simplify() {
         at = k;
       }
     }
-    bool keep = worst > tolerance_m_;
+    bool keep = worst > (travel(a, b) <= noise_span_m_ ? noise_m_ : tolerance_m_);
     if (!keep && j > i + 1 && triangulation_error(a, b) > tolerance_m_) {
       at = i + (j - i) / 2;
       keep = true;

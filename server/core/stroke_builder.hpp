@@ -86,12 +86,14 @@ class StrokeBuilder {
   };
   void begin_stroke(const TimedLine& line);
   void emit(BatchQueue& out, bool ends_stroke);
+  void smooth(bool ends_stroke);
   void simplify();
 
   const std::uint32_t source_;
   const CutConfig config_;
   const double travel_m_;  // that completes a batch
   const double tolerance_m_;
+  const double noise_m_, noise_span_m_;  // the tolerance in spans no longer than the second
   std::uint32_t& stroke_counter_;
   bool has_pose_ = false;
   bool in_stroke_ = false;

@@ -166,8 +166,8 @@ void SweptSurface::build(Tree& tree, std::size_t from, BoxOf box_of) {
   tree.root = static_cast<std::uint32_t>(nodes.size() - 1);
 }
 
-void SweptSurface::drop_before(std::uint32_t oldest) {
-  std::erase_if(triangles_, [oldest](const SweptTriangle& t) { return t.batch < oldest; });
+std::size_t SweptSurface::drop_before(std::uint32_t oldest) {
+  return std::erase_if(triangles_, [oldest](const SweptTriangle& t) { return t.batch < oldest; });
 }
 
 void SweptSurface::clear() {
@@ -192,7 +192,7 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
 bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
   double best = reach * reach;
   bool found = false;
-  if (triangles_.empty()) return false;
+  if (all_.empty) return false;
   const Lane x = lane(p.x), y = lane(p.y), z = lane(p.z), none{};
   const auto beyond = [none](const Lane& at, const Lane& low, const Lane& high) {
     const Lane under = low - at, over = at - high;

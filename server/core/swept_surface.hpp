@@ -26,8 +26,8 @@ class SweptSurface {
                 const Vec3& high = {INFINITY, INFINITY, INFINITY});
   // `latest`: the first triangle of the last batch.
   void build(std::size_t latest = SIZE_MAX);
-  // Forgets all triangles of batches before `oldest`.
-  void drop_before(std::uint32_t oldest);
+  // Forgets all triangles of batches before `oldest`; returns how many. Call build() before the next query.
+  std::size_t drop_before(std::uint32_t oldest);
   void clear();
 
   std::size_t size() const { return triangles_.size(); }
@@ -60,7 +60,8 @@ class SweptSurface {
     return overlapping(latest_, low, high, visit);
   }
 
-  // The closest point of the surface within `reach` of p and its triangle; false where there is none.
+  // The closest point of the surface, as it was when it was built, within `reach` of p and its triangle; false where there
+  // is none.
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
   // A point of the surface straight above or below p, within `reach`: on the triangle that is passed in where p is
   // over that, else the closest point of all.

@@ -376,6 +376,68 @@ TEST(ConformingCutter, tremble_in_place_adds_nothing_much) {
   EXPECT_LT(cut.mesh().live_tets(), before + 300);
 }
 
+// A hand that rests with the blade in the tissue trembles: what is swept again and again costs no more after a minute.
+TEST(ConformingCutter, trembling_costs_no_more_the_longer_it_lasts) {
+  Cut cut(block(), 12);
+  cut.sweep({4.13, -2, -2}, {4.13, 4, -2}, {0, 0, 1}, 20);
+  auto tremble = [&cut, t = 0.0](int poses) mutable {
+    const std::int64_t before = cut.work();
+    for (int i = 0; i < poses; ++i) {
+      t += 0.001;
+      const auto wave = [t](double hz, double phase) { return 0.2 * std::sin(6.2832 * hz * t + phase); };
+      cut.pose({4.13 + wave(8.3, 1), 4 + wave(9.7, 2), -2 + wave(11.9, 3)},
+               {0.01 * wave(10.1, 4), 0.01 * wave(7.7, 5), 1});
+    }
+    return cut.work() - before;
+  };
+  tremble(4000);
+  const std::int64_t early = tremble(4000);
+  tremble(16000);
+  EXPECT_LT(tremble(4000), early + early / 4);
+  cut.lift();
+  cut.expect_sound();
+  EXPECT_EQ(pieces(cut), 1u);
+  EXPECT_LT(cut.cut_deviation().max_h, 0.15);
+}
+
+// Back over what was cut, beside it by less than what counts, and on from there: nothing is left between.
+TEST(ConformingCutter, back_over_the_cut_and_on_leaves_no_bridge) {
+  for (const double beside : {0.0, 0.01, 0.03, 0.06, 0.2}) {
+    for (const int poses : {4, 30, 400}) {
+      Cut cut(block(), 12);
+      cut.sweep({4.13, -2, -2}, {4.13, 4, -2}, {0, 0, 1}, poses);
+      cut.sweep({4.13, 4, -2}, {4.13 + beside, 1, -2}, {0, 0, 1}, poses);
+      cut.sweep({4.13 + beside, 1, -2}, {4.13 - beside, 4.04, -2}, {0, 0, 1}, poses);
+      cut.sweep({4.13 - beside, 4.04, -2}, {4.13, 3.9, -2}, {0, 0, 1}, poses);
+      cut.sweep({4.13, 3.9, -2}, {4.13, 10, -2}, {0, 0, 1}, poses);
+      cut.lift();
+      cut.expect_sound();
+      EXPECT_EQ(pieces(cut), 2u) << beside << ", " << poses;
+    }
+  }
+}
+
+// A device's noise beside slow motion: steps that go to and fro across the cut far more than along it.
+TEST(ConformingCutter, noise_beside_slow_motion_leaves_no_bridge) {
+  for (const double noise : {0.01, 0.03, 0.05, 0.1}) {
+    for (const double step : {0.004, 0.02}) {
+      for (const bool to_and_fro : {false, true}) {
+        Cut cut(block(), 12);
+        Random random(5);
+        int i = 0;
+        for (double y = -2; y < 10; y += step) {
+          const double side = to_and_fro ? (++i % 2 == 0 ? 1 : -1) : random.uniform(-1, 1);
+          cut.pose({4.13 + noise * side, y, -2}, {0, 0, 1});
+        }
+        cut.lift();
+        cut.expect_sound();
+        EXPECT_EQ(pieces(cut), 2u) << noise << ", " << step << ", " << to_and_fro;
+        EXPECT_LT(cut.mesh().live_tets(), 3500u) << noise << ", " << step << ", " << to_and_fro;
+      }
+    }
+  }
+}
+
 TEST(ConformingCutter, lift_out_and_re_enter_in_the_old_cut) {
   Cut cut(block(), 12);
   cut.sweep({4.13, -2, -2}, {4.13, 5, -2}, {0, 0, 1}, 30);

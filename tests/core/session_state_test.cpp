@@ -30,19 +30,25 @@ MeshData body() {
 }
 
 // What happens to a session, one call after another: two blades at once, on bent paths that cross each other and their
-// own cuts, one of them lifted now and then in the middle of the tissue.
+// own cuts, one of them lifted now and then in the middle of the tissue, and going back in its cut for a while.
 std::vector<std::function<void(CutSession&)>> happenings() {
   std::vector<std::function<void(CutSession&)>> calls;
   for (int i = 0; i <= 400; ++i) {
-    const double s = i / 400.0, wave = std::sin(9 * s);
-    const auto pose = [&](std::uint32_t source, double x, double y, bool engaged) {
-      const double tilt = 0.15 * wave;
+    const double s = i / 400.0;
+    const auto pose = [&](std::uint32_t source, const Vec3& at, double along, bool engaged) {
+      const double tilt = 0.15 * std::sin(9 * along);
       const Pose made{
-          1'000'000 + 4'000'000ll * i, {x, y, 0}, {std::cos(tilt), std::sin(tilt), 0, 0}, engaged ? 1u : 0u};
+          1'000'000 + 4'000'000ll * i, at, {std::cos(tilt), std::sin(tilt), 0, 0}, engaged ? 1u : 0u};
       calls.emplace_back([=](CutSession& session) { session.push(source, made); });
     };
-    pose(0, -0.01 + 0.1 * s, 0.03 + 0.015 * wave, i % 150 != 149);
-    pose(1, 0.04 + 0.02 * wave, 0.07 - 0.09 * s, true);
+    const auto back = [s](double from, double by) {
+      return s < from ? s : s < from + by ? 2 * from - s : s - 2 * by;
+    };
+    const double first = back(0.5, 0.1), second = back(0.75, 0.08);
+    pose(0, {-0.01 + 0.13 * first, 0.03 + 0.015 * std::sin(9 * first), 0}, first, i % 150 != 149);
+    // On its way back its tip goes a little deeper.
+    pose(1, {0.04 + 0.02 * std::sin(9 * second), 0.07 - 0.09 * second, second < s ? 0.0003 : 0}, second,
+         true);
     if (i == 230)
       calls.emplace_back([](CutSession& session) { session.set_blade(1, {{0, 0, 0}, {0, 0, 0.03}}); });
     if (i == 310) calls.emplace_back([](CutSession& session) { session.end_stroke(0); });

@@ -58,7 +58,8 @@ class ServedSession {
   std::filesystem::path directory_;
   const int target_tets_;
   std::string more_capture_;
-  std::uint16_t tcp_port_ = 0, http_port_ = 0;
+  // Drivers and viewers look them up while it is started again.
+  std::atomic<std::uint16_t> tcp_port_ = 0, http_port_ = 0;
   app::Config config_;
   app::Body body_;
   std::unique_ptr<Process> server_;
