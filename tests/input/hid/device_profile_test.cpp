@@ -78,9 +78,9 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
     const char *from, *to, *key, *found, *accepted;
   };
   const Case cases[] = {
-      {"\"rate_hz\": 500", "\"rate\": 500", "rate", "means nothing here", "rate_hz"},
+      {"\"rate_hz\": 500", "\"rate\": 500", "\"rate\"", "means nothing here", "rate_hz"},
       {"\"rate_hz\": 500", "\"rate_hz\": 0", "rate_hz", "0", "from 1 to 8000"},
-      {"\"rate_hz\": 500", "\"name\": \"B\"", "name", "twice", "once"},
+      {"\"rate_hz\": 500", "\"name\": \"B\"", "\"name\"", "twice", "once"},
       {"\"name\": \"Test\", ", "", "name", "nothing", "must be given"},
       {"\"12ab\"", "12", "vendor", "12", "hexadecimal"},
       {"\"12ab\"", "\"12abc\"", "vendor", "12abc", "hexadecimal"},
@@ -106,7 +106,7 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
       {"\"name\": \"right\"", "\"name\": \"Right Hand\"", "tools[1].name", "Right Hand", "a-z"},
       {"\"position\": {\"z\"",
        "\"buttons\": [], \"valid\": {\"at\": 1, \"type\": \"u1\"}, \"position\": {\"q\"",
-       "tools[1].position.q", "means nothing", "accepted are"},
+       "\"tools[1].position.q\"", "means nothing", "accepted are"},
       {"\"u24be\"", "\"u20be\"", "tools[1].position.z.type", "u20be", "whole bytes"},
       {"\"bit\": 3", "\"bit\": 8", "tools[0].buttons[0].bit", "8", "0 to 7"},
       {"\"button\": 4", "\"button\": 40", "tools[0].buttons[1].button", "40", "0 to 31"},
@@ -119,7 +119,7 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
       {"\"max_newtons\": 2", "\"max_newtons\": 0", "force.max_newtons", "0", "0.001 to 1000"},
       {"\"at\": 1, \"type\": \"i16\"", "\"at\": 6, \"type\": \"i16\"", "force.x.at", "6", "which has 7"},
       {"\"report\": 1, ", "", "tools", "fields with a report number", "or none"},
-      {"\"tools\": [", "\"tools\": 3, \"x\": [", "x", "means nothing here", "tools"},
+      {"\"tools\": [", "\"tools\": 3, \"x\": [", "\"x\"", "means nothing here", "tools"},
       {"\"tools\": [", "\"tools\": [3,", "tools[0]", "3", "object"},
   };
   for (const Case& c : cases) {
