@@ -88,7 +88,7 @@ void ConformingCutter::begin(const Batch& batch) {
     workspace_.vertices[a].event_stamp = collection_;
     workspace_.vertices[a].event_head = e;
   }
-  work_ = static_cast<std::int64_t>(surface_.size() / 4 + events_.size() / 8 + active_.size() / 16);
+  work_ += static_cast<std::int64_t>(surface_.size() / 4 + events_.size() / 8 + active_.size() / 16);
   search_ = ++workspace_.serial;
   queue_.clear();
   queue_next_ = 0;
@@ -114,9 +114,9 @@ void ConformingCutter::forget_surface() {
 }
 
 // A blade that trembles in place, or goes back in its own cut, sweeps again what it has swept: where the surface covers all
-// between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on. It
-// is left out for good from a line on that lies straight above or below the surface throughout, so that what follows
-// overlaps; what comes after the last such line is swept if the blade leaves the surface from there, so that no gap is left.
+// between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on.
+// What leads to a line that lies straight above or below the surface throughout is left out for good, for what follows
+// overlaps there; what comes after the last such line is swept if the blade leaves the surface from there: no gap is left.
 bool ConformingCutter::retrace(const BladeLine& from, const BladeLine& to) {
   constexpr double kTolerance_h = 0.05;
   // In a body that deforms, other tissue may have come to where the blade has been.
@@ -135,6 +135,7 @@ bool ConformingCutter::retrace(const BladeLine& from, const BladeLine& to) {
       if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
       Vec3 closest;
       std::uint32_t triangle = 0;
+      work_ += 1;
       if (!surface_.closest(p, reach, closest, triangle)) return false;
       const double off = surface_[triangle].signed_distance(p);
       over = over && (row < rows || squared_length(p - closest) - off * off <= clear_ * clear_);
