@@ -170,10 +170,12 @@ void MiniLoop::publish_all() {
     if (session_->advance(budget, published->delta) != core::CutSession::Progress::kCommitted) return;
     published->arrival_ns = published->drain_ns = published->cut_ns = now_ns();
     hash_ = published->delta.state_hash;
-    strokes_ended_ += published->delta.stroke_ended;
     const std::uint64_t revision = published->delta.revision;
+    const bool stroke_ended = published->delta.stroke_ended;
     if (server_) server_->publish(std::move(published));
+    // In this order: who waits for a stroke's end finds the revision that ended it.
     revision_ = revision;
+    strokes_ended_ += stroke_ended ? 1 : 0;
   }
 }
 
