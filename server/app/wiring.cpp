@@ -228,8 +228,7 @@ stream::ServerFacts server_facts(const Config& config, const Body& body, const c
   facts.mesh.tets = static_cast<std::uint32_t>(body.loaded.mesh.tets.size());
   core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
   for (const core::Vec3& p : body.loaded.mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   facts.mesh.box = {to_protocol(low), to_protocol(high)};
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {

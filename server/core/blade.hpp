@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 #include "server/core/vec3.hpp"
@@ -49,6 +50,11 @@ struct BladeLine {
 inline BladeLine blade_line(const Blade& blade, const Pose& world_from_tool) {
   return {world_from_tool.position + rotate(world_from_tool.orientation, blade.heel),
           world_from_tool.position + rotate(world_from_tool.orientation, blade.tip)};
+}
+
+// How far the blade has moved between two lines: the longer of its ends' ways, m.
+inline double travel(const BladeLine& a, const BladeLine& b) {
+  return std::max(distance(a.heel, b.heel), distance(a.tip, b.tip));
 }
 
 }  // namespace incise::core

@@ -29,8 +29,7 @@ BoundaryGrid::BoundaryGrid(const TetMesh& mesh) {
     ++boundary;
     for (VertexId v : mesh.vertices(t)) {
       const Vec3& p = mesh.position(v);
-      low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-      high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+      extend(p, low, high);
     }
   }
   if (boundary == 0) {
@@ -85,15 +84,14 @@ void BoundaryGrid::add_at(TetId t, const Vec3 (&corners)[4]) {
   Vec3 low = corners[0], high = low;
   for (int i = 1; i < 4; ++i) {
     const Vec3& p = corners[i];
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   const std::int64_t first[3] = {cell_of(low.x, 0), cell_of(low.y, 1), cell_of(low.z, 2)};
   const std::int64_t last[3] = {cell_of(high.x, 0), cell_of(high.y, 1), cell_of(high.z, 2)};
   for (std::int64_t i = first[0]; i <= last[0]; ++i) {
     for (std::int64_t j = first[1]; j <= last[1]; ++j) {
       for (std::int64_t k = first[2]; k <= last[2]; ++k) {
-        std::uint32_t& head = head_[static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k)];
+        std::uint32_t& head = head_[index_of(i, j, k)];
         if (head != kNone && nodes_[head].tet == t) continue;
         nodes_.push_back({t, head});
         head = static_cast<std::uint32_t>(nodes_.size() - 1);
@@ -187,7 +185,7 @@ void BoundaryGrid::near(const TetMesh& mesh, const SweptTriangle& triangle, std:
         at[along] = k;
         at[u] = i;
         at[w] = j;
-        const auto cell = static_cast<std::size_t>((at[0] * count_[1] + at[1]) * count_[2] + at[2]);
+        const auto cell = index_of(at[0], at[1], at[2]);
         if (taken_[cell] == search) continue;
         taken_[cell] = search;
         take_cell(mesh, cell, out);

@@ -72,6 +72,10 @@ class BoundaryGrid {
   };
   void lay_out(const Vec3& low, const Vec3& high, double cell);
   std::int64_t cell_of(double x, int axis) const;
+  // Where a cell is in head_ and taken_.
+  std::size_t index_of(std::int64_t i, std::int64_t j, std::int64_t k) const {
+    return static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k);
+  }
   void take_cell(const TetMesh& mesh, std::size_t cell, std::vector<TetId>& out);
   template <class Visit>
   void visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const;
@@ -91,8 +95,7 @@ class BoundaryGrid {
 
 template <class Visit>
 void BoundaryGrid::visit_cell(std::int64_t i, std::int64_t j, std::int64_t k, Visit visit) const {
-  const auto cell = static_cast<std::size_t>((i * count_[1] + j) * count_[2] + k);
-  for (std::uint32_t n = head_[cell]; n != kNone; n = nodes_[n].next) visit(nodes_[n].tet);
+  for (std::uint32_t n = head_[index_of(i, j, k)]; n != kNone; n = nodes_[n].next) visit(nodes_[n].tet);
 }
 
 template <class Visit>

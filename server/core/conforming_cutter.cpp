@@ -29,7 +29,9 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
       workspace_(workspace),
       config_(config),
       h_(mesh.mean_edge_length()),
-      clear_(1e-6 * mesh.mean_edge_length()) {}
+      clear_(1e-6 * mesh.mean_edge_length()) {
+  retraced_.reserve(kMostRetraced);
+}
 
 void ConformingCutter::begin(const Batch& batch) {
   INCISE_CHECK(phase_ == Phase::kIdle);
@@ -54,7 +56,7 @@ void ConformingCutter::begin(const Batch& batch) {
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
   const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / cell_m), 1.0, 256.0));
   const auto sweep = [&](const BladeLine& from, const BladeLine& to) {
-    const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+    const double travel_m = travel(from, to);
     const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
     const double rows =
         std::max(travel_m / cell_m, 0.25 * twist_m / (columns * config_.chord_tolerance_h * h_));
@@ -67,7 +69,7 @@ void ConformingCutter::begin(const Batch& batch) {
   };
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
-    travel_ += std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+    travel_ += travel(from, to);
     if (!retrace(from, to)) {
       sweep_retraced();
       sweep(from, to);
@@ -122,7 +124,7 @@ bool ConformingCutter::retrace(const BladeLine& from, const BladeLine& to) {
   // In a body that deforms, other tissue may have come to where the blade has been.
   if (mesh_.deformed() || retraced_.size() == kMostRetraced) return false;
   const double reach = kTolerance_h * h_;
-  const double travel_m = std::max(distance(from.heel, to.heel), distance(from.tip, to.tip));
+  const double travel_m = travel(from, to);
   const int rows = static_cast<int>(std::clamp(std::ceil(travel_m / reach), 1.0, 16.0));
   const int columns = static_cast<int>(std::clamp(std::ceil(distance(to.heel, to.tip) / h_), 1.0, 1024.0));
   const Vec3 low = workspace_.grid.low(), high = workspace_.grid.high();
@@ -141,8 +143,11 @@ bool ConformingCutter::retrace(const BladeLine& from, const BladeLine& to) {
       over = over && (row < rows || squared_length(p - closest) - off * off <= clear_ * clear_);
     }
   }
-  if (over) retraced_.clear();
-  if (retraced_.empty() && !over) retraced_.push_back(from);
+  if (over) {
+    retraced_.clear();
+  } else if (retraced_.empty()) {
+    retraced_.push_back(from);
+  }
   retraced_.push_back(to);
   return true;
 }

@@ -1,7 +1,7 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
+#include <cstddef>
 
 #include "server/core/vec3.hpp"
 
@@ -21,7 +21,6 @@ struct FourPoints {
       z[i] = p.z;
     }
   }
-  Vec3 operator[](std::size_t i) const { return {x[i], y[i], z[i]}; }
 
   // out[i] = axis . point[i] - offset
   void along(const Vec3& axis, double offset, double (&out)[4]) const {

@@ -20,10 +20,6 @@ double distance_to_segment(const Vec3& p, const Vec3& a, const Vec3& b) {
   return distance(p, a + t * u);
 }
 
-double travel(const BladeLine& a, const BladeLine& b) {
-  return std::max(distance(a.heel, b.heel), distance(a.tip, b.tip));
-}
-
 // A quarter of the twist: the distance between a ruled quad and its two triangles at the quad's centre.
 double triangulation_error(const BladeLine& a, const BladeLine& b) {
   return 0.25 * length((b.tip - b.heel) - (a.tip - a.heel));
@@ -136,9 +132,10 @@ void StrokeBuilder::end_stroke(BatchQueue& out) {
 // surface of creases far smaller than a tetrahedron.
 void StrokeBuilder::smooth(bool ends_stroke) {
   const double chord_m = travel(buffer_.front().line, buffer_.back().line);
+  if (chord_m > noise_span_m_) return;
   double way_m = 0;
   for (std::size_t i = 0; i + 1 < buffer_.size(); ++i) way_m += travel(buffer_[i].line, buffer_[i + 1].line);
-  if (chord_m > noise_span_m_ || way_m < kNoisyWay * chord_m) return;
+  if (way_m < kNoisyWay * chord_m) return;
   if (!ends_stroke) {
     const std::size_t first = buffer_.size() / 2;
     Vec3 heel{}, tip{};

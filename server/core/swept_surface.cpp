@@ -9,11 +9,6 @@ namespace {
 // By this part of itself a coordinate is rounded outwards: a float is off by 2^-24 of itself at most.
 constexpr double kRounded = 0x1p-22;
 
-void extend(const Vec3& p, Vec3& low, Vec3& high) {
-  low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-  high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
-}
-
 }  // namespace
 
 void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns,

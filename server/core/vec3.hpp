@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 namespace incise::core {
@@ -50,6 +51,11 @@ inline Vec3 lerp(const Vec3& a, const Vec3& b, double t) {
 inline Vec3 normalized(const Vec3& a) {
   const double l = length(a);
   return l > 0 ? (1.0 / l) * a : Vec3{};
+}
+// Extends the box from `low` to `high` by p.
+inline void extend(const Vec3& p, Vec3& low, Vec3& high) noexcept {
+  low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+  high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
 }
 inline bool is_finite(const Vec3& a) {
   return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);

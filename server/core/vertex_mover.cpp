@@ -265,8 +265,7 @@ void VertexMover::collect(WorkBudget& budget) {
     boundary_.push_back(t);
     for (const VertexId v : mesh_.vertices(t)) {
       const Vec3& p = target_[v];
-      low_ = {std::min(low_.x, p.x), std::min(low_.y, p.y), std::min(low_.z, p.z)};
-      high_ = {std::max(high_.x, p.x), std::max(high_.y, p.y), std::max(high_.z, p.z)};
+      extend(p, low_, high_);
     }
   });
   if (!done) return;

@@ -39,9 +39,7 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   feel.engagement = probe(tissue, materials_, motion.line, feel.work);
   feel.engagement.stiffness_n_m = std::min(feel.engagement.stiffness_n_m, stiffest_);
   const Engagement& engagement = feel.engagement;
-  const double moved = has_last_ ? std::max(distance(motion.line.heel, last_line_.heel),
-                                            distance(motion.line.tip, last_line_.tip))
-                                 : 0;
+  const double moved = has_last_ ? travel(motion.line, last_line_) : 0;
   find_velocity(motion, engagement);
   Elastic elastic;
   if (engagement.length_m == 0) {

@@ -43,8 +43,7 @@ bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
                          const core::Pose& to) const noexcept {
   const core::BladeLine a = core::blade_line(blade, from), b = core::blade_line(blade, to);
   const double dt = static_cast<double>(to.t_ns - from.t_ns) * 1e-9;
-  return dt > cut_.gap_limit_s ||
-         std::max(distance(a.heel, b.heel), distance(a.tip, b.tip)) > cut_.speed_limit_m_s * dt;
+  return dt > cut_.gap_limit_s || travel(a, b) > cut_.speed_limit_m_s * dt;
 }
 
 void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept {

@@ -19,11 +19,6 @@ double along_axis(const Vec3& p, int axis) noexcept {
   return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
 }
 
-void widen(Vec3& low, Vec3& high, const Vec3& p) noexcept {
-  low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-  high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
-}
-
 // Whether p + t d is in the box for some t in [0, to].
 bool meets(const Vec3& p, const Vec3& d, double to, const Vec3& low, const Vec3& high) noexcept {
   double from = 0;
@@ -72,8 +67,8 @@ void SurfaceTree::build(std::uint32_t begin, std::uint32_t end) {
   const auto middle = [](const Triangle& t) { return t.a + t.b + t.c; };
   for (std::uint32_t i = begin; i < end; ++i) {
     const Triangle& t = triangles_[i];
-    for (const Vec3* p : {&t.a, &t.b, &t.c}) widen(low, high, *p);
-    widen(inner_low, inner_high, middle(t));
+    for (const Vec3* p : {&t.a, &t.b, &t.c}) extend(*p, low, high);
+    extend(middle(t), inner_low, inner_high);
   }
   // A flat box must not be missed by rounding.
   const double pad = 1e-12 * (length(low) + length(high));

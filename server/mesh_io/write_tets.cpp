@@ -95,8 +95,7 @@ void append_bounds(std::string& text, std::span<const core::Vec3> positions, Tet
   for (const std::size_t t : volume.tets) {
     for (const core::VertexId v : tets[t]) {
       const core::Vec3& p = positions[v];
-      low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-      high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+      extend(p, low, high);
     }
   }
   append_point(text, low);

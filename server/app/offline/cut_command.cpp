@@ -44,8 +44,7 @@ struct Tally {
     core::add_sweep(swept, batch.lines, tolerance_m);
     for (const core::BladeLine& line : batch.lines) {
       for (const core::Vec3& p : {line.heel, line.tip}) {
-        low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-        high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+        extend(p, low, high);
       }
     }
   }

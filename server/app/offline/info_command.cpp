@@ -28,10 +28,7 @@ Json point(const core::Vec3& p) {
 
 struct Bounds {
   core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
-  void add(const core::Vec3& p) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
-  }
+  void add(const core::Vec3& p) { extend(p, low, high); }
   Json json() const { return {{"min", point(low)}, {"max", point(high)}}; }
 };
 
