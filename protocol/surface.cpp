@@ -40,6 +40,47 @@ void append(SurfaceChange& out, std::uint32_t id, const std::array<float, 3>& po
   out.vertex_positions.insert(out.vertex_positions.end(), position.begin(), position.end());
 }
 
+SurfaceReplica::Triangle triangle_of(const Replica& mesh, std::uint32_t tet, int face) {
+  const std::uint8_t flags = mesh.cut_mask(tet) >> face & 1 ? kTriangleCut : std::uint8_t{0};
+  return {mesh.face_vertices(tet, face), flags, mesh.piece(tet), mesh.region(tet)};
+}
+
+std::array<float, 3> position_of(const Replica& mesh, std::uint32_t v) {
+  const Vec3 p = mesh.position(v);
+  return {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
+}
+
+// How many more triangles vertices have after a change than before.
+class MoreUses {
+ public:
+  struct Use {
+    std::uint32_t vertex;
+    std::int32_t more;
+  };
+  void add(const std::array<std::uint32_t, 3>& vertices, std::int32_t more) {
+    for (const std::uint32_t v : vertices) uses_.push_back({v, more});
+  }
+  // Also one that has as many as before.
+  void add(std::uint32_t vertex) { uses_.push_back({vertex, 0}); }
+  // By vertex, each once. O(n log n) once all are added.
+  const std::vector<Use>& sorted() {
+    std::sort(uses_.begin(), uses_.end(), [](const Use& a, const Use& b) { return a.vertex < b.vertex; });
+    std::size_t last = 0;
+    for (std::size_t i = 1; i < uses_.size(); ++i) {
+      if (uses_[i].vertex == uses_[last].vertex) {
+        uses_[last].more += uses_[i].more;
+      } else {
+        uses_[++last] = uses_[i];
+      }
+    }
+    if (!uses_.empty()) uses_.resize(last + 1);
+    return uses_;
+  }
+
+ private:
+  std::vector<Use> uses_;
+};
+
 }  // namespace
 
 // ---- Receiving ----
@@ -63,19 +104,18 @@ ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
     if (contains(removed_vertices, v.ids[i])) {
       return refuse(ApplyError::BadIndex, "surface vertex " + number(v.ids[i]) + " removed and set");
     }
-    const auto old = vertices.find(v.ids[i]);
-    if (old != vertices.end()) hash_after ^= surface_vertex_hash(old->first, old->second.position.data());
+    if (const Vertex* old = vertices.find(v.ids[i]))
+      hash_after ^= surface_vertex_hash(v.ids[i], old->position.data());
     hash_after ^= surface_vertex_hash(v.ids[i], &v.positions[3 * i]);
   }
-  // How many more triangles each vertex has afterwards.
-  std::map<std::uint32_t, std::int64_t> more_uses;
+  MoreUses more_uses;
   for (const std::uint32_t id : removed_triangles) {
     if (contains(t.ids, id))
       return refuse(ApplyError::BadIndex, "triangle " + number(id) + " removed and set");
-    const auto old = triangles.find(id);
-    if (old == triangles.end()) continue;
-    hash_after ^= hash_of(id, old->second);
-    for (const std::uint32_t vertex : old->second.vertices) --more_uses[vertex];
+    const Triangle* old = triangles.find(id);
+    if (old == nullptr) continue;
+    hash_after ^= hash_of(id, *old);
+    more_uses.add(old->vertices, -1);
   }
   for (std::size_t i = 0; i < n; ++i) {
     const Triangle triangle = entry(t, i);
@@ -89,23 +129,26 @@ ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
         return refuse(ApplyError::BadIndex, "triangle " + number(t.ids[i]) + ": vertex " + number(vertex) +
                                                 " is not on the surface");
       }
-      ++more_uses[vertex];
     }
-    const auto old = triangles.find(t.ids[i]);
-    if (old != triangles.end()) {
-      hash_after ^= hash_of(old->first, old->second);
-      for (const std::uint32_t vertex : old->second.vertices) --more_uses[vertex];
+    more_uses.add(triangle.vertices, 1);
+    if (const Triangle* old = triangles.find(t.ids[i])) {
+      hash_after ^= hash_of(t.ids[i], *old);
+      more_uses.add(old->vertices, -1);
     }
     hash_after ^= hash_of(t.ids[i], triangle);
   }
+  if (removed_vertices.empty()) return {};
+  const std::vector<MoreUses::Use>& uses = more_uses.sorted();
   for (const std::uint32_t id : removed_vertices) {
-    const auto old = vertices.find(id);
-    if (old == vertices.end()) continue;
-    const auto more = more_uses.find(id);
-    if (old->second.uses + (more == more_uses.end() ? 0 : more->second) != 0) {
+    const Vertex* old = vertices.find(id);
+    if (old == nullptr) continue;
+    const auto more =
+        std::lower_bound(uses.begin(), uses.end(), id,
+                         [](const MoreUses::Use& use, std::uint32_t vertex) { return use.vertex < vertex; });
+    if (std::int64_t{old->uses} + (more == uses.end() || more->vertex != id ? 0 : more->more) != 0) {
       return refuse(ApplyError::BadIndex, "removed surface vertex " + number(id) + " still has triangles");
     }
-    hash_after ^= surface_vertex_hash(id, old->second.position.data());
+    hash_after ^= surface_vertex_hash(id, old->position.data());
   }
   return {};
 }
@@ -121,16 +164,16 @@ void SurfaceReplica::State::apply(const SurfaceVertexArrays& v,
   for (std::size_t i = 0; i < v.ids.size(); ++i)
     std::copy_n(&v.positions[3 * i], 3, vertices[v.ids[i]].position.begin());
   for (std::size_t i = 0; i < t.ids.size(); ++i) {
-    const auto [place, is_new] = triangles.try_emplace(t.ids[i]);
-    if (!is_new) use(place->second, kLess);
-    place->second = entry(t, i);
-    use(place->second, 1);
+    if (const Triangle* old = triangles.find(t.ids[i])) use(*old, kLess);
+    const Triangle now = entry(t, i);
+    triangles[t.ids[i]] = now;
+    use(now, 1);
   }
   for (const std::uint32_t id : removed_triangles) {
-    const auto old = triangles.find(id);
-    if (old == triangles.end()) continue;
-    use(old->second, kLess);
-    triangles.erase(old);
+    const Triangle* old = triangles.find(id);
+    if (old == nullptr) continue;
+    use(*old, kLess);
+    triangles.erase(id);
   }
   for (const std::uint32_t id : removed_vertices) vertices.erase(id);
   hash = hash_after;
@@ -239,60 +282,36 @@ std::vector<std::byte> SurfaceReplica::canonical_bytes() const {
 SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                                           std::span<const std::uint32_t> moved) {
   SurfaceChange out;
-  std::map<std::uint32_t, std::int64_t> more_uses;
+  MoreUses more_uses;
   for (const std::uint32_t t : tets) {
-    // The triangles of its faces are neighbours: one search finds them all.
-    auto next = state_.triangles.lower_bound(4 * t);
     for (int face = 0; face < 4; ++face) {
       const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
-      const auto old = next != state_.triangles.end() && next->first == id ? next++ : state_.triangles.end();
+      const Triangle* old = state_.triangles.find(id);
       if (!mesh.alive(t) || !(mesh.boundary_mask(t) >> face & 1)) {
-        if (old == state_.triangles.end()) continue;
-        for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+        if (old == nullptr) continue;
+        more_uses.add(old->vertices, -1);
         out.removed_triangles.push_back(id);
         continue;
       }
-      const std::uint8_t flags = mesh.cut_mask(t) >> face & 1 ? kTriangleCut : std::uint8_t{0};
-      const Triangle now{mesh.face_vertices(t, face), flags, mesh.piece(t), mesh.region(t)};
-      if (old != state_.triangles.end()) {
-        if (old->second == now) continue;
-        for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+      const Triangle now = triangle_of(mesh, t, face);
+      if (old != nullptr) {
+        if (*old == now) continue;
+        more_uses.add(old->vertices, -1);
       }
-      for (const std::uint32_t v : now.vertices) ++more_uses[v];
+      more_uses.add(now.vertices, 1);
       append(out, id, now);
     }
   }
-  const auto look_at = [&](std::uint32_t v, std::int64_t more,
-                           std::map<std::uint32_t, Vertex>::const_iterator old) {
-    if ((old == state_.vertices.end() ? 0 : old->second.uses) + more == 0) {
-      if (old != state_.vertices.end()) out.removed_vertices.push_back(v);
-      return;
+  for (const std::uint32_t v : moved) more_uses.add(v);
+  for (const auto& [v, more] : more_uses.sorted()) {
+    const Vertex* old = state_.vertices.find(v);
+    if (std::int64_t{old == nullptr ? 0 : old->uses} + more == 0) {
+      if (old != nullptr) out.removed_vertices.push_back(v);
+      continue;
     }
-    const Vec3 p = mesh.position(v);
-    const std::array<float, 3> position{static_cast<float>(p.x), static_cast<float>(p.y),
-                                        static_cast<float>(p.z)};
-    if (old == state_.vertices.end() || !same_bits(old->second.position, position)) {
-      append(out, v, position);
-    }
-  };
-  // By ids ascending, those of changed triangles and those that moved. Where a simulation moves all, walking along the
-  // vertices there are is quicker than looking each up.
-  const bool walk = moved.size() > state_.vertices.size() / 8;
-  auto here = state_.vertices.cbegin();
-  const auto find = [&](std::uint32_t v) -> std::map<std::uint32_t, Vertex>::const_iterator {
-    if (!walk) return state_.vertices.find(v);
-    while (here != state_.vertices.end() && here->first < v) ++here;
-    return here != state_.vertices.end() && here->first == v ? here : state_.vertices.cend();
-  };
-  auto use = more_uses.cbegin();
-  for (const std::uint32_t v : moved) {
-    for (; use != more_uses.end() && use->first < v; ++use)
-      look_at(use->first, use->second, find(use->first));
-    const bool used = use != more_uses.end() && use->first == v;
-    look_at(v, used ? use->second : 0, find(v));
-    if (used) ++use;
+    const std::array<float, 3> position = position_of(mesh, v);
+    if (old == nullptr || !same_bits(old->position, position)) append(out, v, position);
   }
-  for (; use != more_uses.end(); ++use) look_at(use->first, use->second, find(use->first));
   std::uint64_t hash = 0;
   state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
   state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
@@ -303,11 +322,22 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
 void SurfaceReplica::load(const Replica& mesh) {
   state_ = {};
   staged_.reset();
-  std::vector<std::uint32_t> tets;
   mesh.for_each_tet([&](std::uint32_t t) {
-    if (mesh.boundary_mask(t) != 0) tets.push_back(t);
+    for (int face = 0; face < 4; ++face) {
+      if (!(mesh.boundary_mask(t) >> face & 1)) continue;
+      const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
+      const Triangle triangle = triangle_of(mesh, t, face);
+      state_.hash ^= hash_of(id, triangle);
+      state_.triangles[id] = triangle;
+      for (const std::uint32_t v : triangle.vertices) {
+        Vertex& vertex = state_.vertices[v];
+        if (vertex.uses++ > 0) continue;
+        vertex.position = position_of(mesh, v);
+        state_.hash ^= surface_vertex_hash(v, vertex.position.data());
+      }
+    }
   });
-  follow_tets(mesh, tets, {});
+  state_.revision = mesh.revision();
 }
 
 SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta) {
@@ -342,30 +372,27 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
                                         std::span<const std::uint32_t> triangles,
                                         std::span<const std::uint32_t> moved) {
   SurfaceChange out;
-  std::map<std::uint32_t, std::int64_t> more_uses;
-  for (const std::uint32_t v : moved) more_uses[v];
+  MoreUses more_uses;
+  for (const std::uint32_t v : moved) more_uses.add(v);
   for (const std::uint32_t id : triangles) {
-    const auto old = state_.triangles.find(id);
-    const auto now = whole.state_.triangles.find(id);
-    const bool here = old != state_.triangles.end();
-    const bool inside = now != whole.state_.triangles.end() && whole.meets(now->second, box);
-    if (here && inside && old->second == now->second) continue;
-    if (here)
-      for (const std::uint32_t v : old->second.vertices) --more_uses[v];
-    if (here && !inside) out.removed_triangles.push_back(id);
+    const Triangle* old = state_.triangles.find(id);
+    const Triangle* now = whole.state_.triangles.find(id);
+    const bool inside = now != nullptr && whole.meets(*now, box);
+    if (old != nullptr && inside && *old == *now) continue;
+    if (old != nullptr) more_uses.add(old->vertices, -1);
+    if (old != nullptr && !inside) out.removed_triangles.push_back(id);
     if (!inside) continue;
-    for (const std::uint32_t v : now->second.vertices) ++more_uses[v];
-    append(out, id, now->second);
+    more_uses.add(now->vertices, 1);
+    append(out, id, *now);
   }
-  for (const auto& [v, more] : more_uses) {
-    const auto old = state_.vertices.find(v);
-    const bool here = old != state_.vertices.end();
-    if ((here ? old->second.uses : 0) + more == 0) {
-      if (here) out.removed_vertices.push_back(v);
+  for (const auto& [v, more] : more_uses.sorted()) {
+    const Vertex* old = state_.vertices.find(v);
+    if (std::int64_t{old == nullptr ? 0 : old->uses} + more == 0) {
+      if (old != nullptr) out.removed_vertices.push_back(v);
       continue;
     }
     const std::array<float, 3>& position = whole.state_.vertices.at(v).position;
-    if (!here || !same_bits(old->second.position, position)) append(out, v, position);
+    if (old == nullptr || !same_bits(old->position, position)) append(out, v, position);
   }
   std::uint64_t hash = 0;
   state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
@@ -395,9 +422,9 @@ void SurfaceIndex::load(const SurfaceReplica& surface) {
 void SurfaceIndex::prune(const SurfaceReplica& surface, std::uint32_t vertex,
                          std::vector<std::uint32_t>& list) {
   std::erase_if(list, [&](std::uint32_t id) {
-    const auto found = surface.triangles().find(id);
-    if (found == surface.triangles().end()) return true;
-    const auto& corners = found->second.vertices;
+    const SurfaceReplica::Triangle* found = surface.triangles().find(id);
+    if (found == nullptr) return true;
+    const auto& corners = found->vertices;
     return std::find(corners.begin(), corners.end(), vertex) == corners.end();
   });
 }
@@ -444,12 +471,14 @@ bool SurfaceSnapshotWriter::next() {
   if (next_vertex_ != surface_.vertices().end()) {
     for (; next_vertex_ != surface_.vertices().end() && arrays_.vertex_ids.size() < chunk_elements_;
          ++next_vertex_) {
-      append(arrays_, next_vertex_->first, next_vertex_->second.position);
+      const auto [id, vertex] = *next_vertex_;
+      append(arrays_, id, vertex.position);
     }
   } else {
     const auto end = surface_.triangles().end();
     for (; next_triangle_ != end && arrays_.triangle_ids.size() < chunk_elements_; ++next_triangle_) {
-      append(arrays_, next_triangle_->first, next_triangle_->second);
+      const auto [id, triangle] = *next_triangle_;
+      append(arrays_, id, triangle);
     }
   }
   chunk_.surface_vertices = arrays_.vertices();

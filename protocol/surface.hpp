@@ -6,12 +6,12 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <map>
 #include <memory>
 #include <span>
 #include <unordered_map>
 #include <vector>
 
+#include "protocol/id_map.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
 
@@ -36,7 +36,7 @@ struct SurfaceChange {
 
 class SurfaceIndex;
 
-// Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent, whatever the ids.
+// Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent and, whatever the ids, 64 MB at most.
 class SurfaceReplica {
  public:
   struct Triangle {
@@ -67,11 +67,11 @@ class SurfaceReplica {
   std::uint64_t compute_surface_hash() const;
 
   // By half-face and by vertex id, ascending.
-  const std::map<std::uint32_t, Triangle>& triangles() const { return state_.triangles; }
-  const std::map<std::uint32_t, Vertex>& vertices() const { return state_.vertices; }
+  const IdMap<Triangle>& triangles() const { return state_.triangles; }
+  const IdMap<Vertex>& vertices() const { return state_.vertices; }
   // About how much memory it takes.
   std::size_t bytes() const {
-    return state_.triangles.size() * (sizeof(Triangle) + 48) + state_.vertices.size() * (sizeof(Vertex) + 48);
+    return state_.triangles.size() * (sizeof(Triangle) + 16) + state_.vertices.size() * (sizeof(Vertex) + 16);
   }
 
   // The state as bytes, the same for any two replicas of it; PROTOCOL.md, "Canonical bytes".
@@ -97,8 +97,8 @@ class SurfaceReplica {
   struct State {
     std::uint64_t revision = 0;
     std::uint64_t hash = 0;
-    std::map<std::uint32_t, Triangle> triangles;
-    std::map<std::uint32_t, Vertex> vertices;
+    IdMap<Triangle> triangles;
+    IdMap<Vertex> vertices;
 
     // What stands against the change, or nothing; and what the hash would be after it.
     ApplyResult check(const SurfaceVertexArrays& vertices, std::span<const std::uint32_t> removed_vertices,
@@ -166,8 +166,8 @@ class SurfaceSnapshotWriter {
   SnapshotBegin begin_;
   SnapshotChunk chunk_;
   std::uint32_t chunks_made_ = 0;
-  std::map<std::uint32_t, SurfaceReplica::Vertex>::const_iterator next_vertex_;
-  std::map<std::uint32_t, SurfaceReplica::Triangle>::const_iterator next_triangle_;
+  IdMap<SurfaceReplica::Vertex>::const_iterator next_vertex_;
+  IdMap<SurfaceReplica::Triangle>::const_iterator next_triangle_;
   SurfaceChange arrays_;
 };
 
