@@ -6,9 +6,11 @@
 #include <csignal>
 #include <cstdio>
 #include <ctime>
+#include <future>
 #include <memory>
 #include <optional>
 #include <thread>
+#include <vector>
 
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
@@ -169,9 +171,13 @@ class NetworkSources {
   std::unique_ptr<input::HaplyInput> haply_;
 };
 
-// Follows the session of `recording` from here on; null where there are to be no checkpoints.
+// A session's state, which somebody saves; whoever takes it moves it out.
+using SavedState = std::shared_future<std::shared_ptr<std::vector<std::byte>>>;
+
+// Follows the session of `recording` from here on; null where there are to be no checkpoints. `saved` is its state as it is
+// now, invalid where it has just begun.
 std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, const Body& body,
-                                                      const Recording& recording) {
+                                                      const Recording& recording, const SavedState& saved) {
   if (config.capture.checkpoint_replay_s == 0) return nullptr;
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
@@ -180,8 +186,9 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };
   auto first = options.fresh;
-  if (recording.session->revision() > 0) {
-    first = [&config, state = core::save_session(*recording.session)] {
+  if (saved.valid()) {
+    first = [&config, saved] {
+      const std::vector<std::byte> state = std::move(*saved.get());
       std::string error;
       auto copy = core::restore_session(state, config.cut, error);
       INCISE_CHECK(copy, error);
@@ -210,6 +217,18 @@ void run_server(const Config& config, bool resume) {
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                session.mesh().mean_edge_length(),
                static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+  // A session that has been cut a lot takes seconds to make ready: what can be is done side by side.
+  const bool cut = session.revision() > 0;
+  SavedState saved;
+  if (cut) {
+    saved = std::async(std::launch::async,
+                       [&] { return std::make_shared<std::vector<std::byte>>(core::save_session(session)); });
+  }
+  auto tissue = std::async(std::launch::async, [&] {
+    auto made = config.haptics.forces ? std::make_unique<haptics::Tissue>(body.loaded.mesh) : nullptr;
+    if (made && cut) made->note_cuts(session.mesh());
+    return made;
+  });
   std::vector<input::InputHub::Declared> declared;
   for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
   input::InputHub hub(config.cut.blade, declared);
@@ -232,7 +251,7 @@ void run_server(const Config& config, bool resume) {
                           trouble);
           }
         },
-        make_checkpointer(config, body, recording),
+        make_checkpointer(config, body, recording, saved),
         [&hub](const loop::JournalRecord& pose) { hub.tell(pose.source, pose.verdict, pose.pose.t_ns); });
   }
 
@@ -261,8 +280,7 @@ void run_server(const Config& config, bool resume) {
   frames.offer_deformation(positions);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
-  if (config.haptics.forces)
-    frames.offer_forces(config.haptics.force, body.loaded.mesh, &force_output, &forces);
+  if (config.haptics.forces) frames.offer_forces(config.haptics.force, tissue.get(), &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
   sink.join(frames);
   frames.offer_reset(
@@ -286,6 +304,7 @@ void run_server(const Config& config, bool resume) {
   NetworkSources network(config, hub, forces, server, on_thread);
   telemetry->join_network([&] { return network.status(); });
 
+  if (cut) saved.wait();  // before anything changes the session
   if (config.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server.start();
   std::jthread loop_thread([&](const std::stop_token& stop) {

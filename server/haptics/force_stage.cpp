@@ -10,9 +10,9 @@ constexpr std::int64_t kAsleep_ns = 1'000'000'000;
 
 }  // namespace
 
-ForceStage::ForceStage(const ForceConfig& config, const core::CutConfig& cut, const core::MeshData& loaded,
+ForceStage::ForceStage(const ForceConfig& config, const core::CutConfig& cut, std::unique_ptr<Tissue> tissue,
                        ForceSink* sink, ForceSlots* slots)
-    : config_(config), cut_(cut), sink_(sink), slots_(slots), tissue_(loaded) {
+    : config_(config), cut_(cut), sink_(sink), slots_(slots), tissue_(std::move(tissue)) {
   for (auto& hand : hands_) hand = std::make_unique<Hand>(config_.materials, config_);
 }
 
@@ -47,15 +47,11 @@ bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
 }
 
 void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept {
-  tissue_.note_cuts(mesh, delta.boundary_upserted);
-}
-
-void ForceStage::cut(const core::TetMesh& mesh) noexcept {
-  tissue_.note_cuts(mesh);
+  tissue_->note_cuts(mesh, delta.boundary_upserted);
 }
 
 void ForceStage::restart() noexcept {
-  tissue_.heal();
+  tissue_->heal();
   for (auto& hand : hands_) hand->model.jump();
 }
 
@@ -105,7 +101,7 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   force.source = source;
   force.pose_t_ns = hand.pose.t_ns;
   force.pose_arrival_ns = hand.arrival_ns;
-  force.feel = hand.model.update(tissue_, motion, hand.acting);
+  force.feel = hand.model.update(*tissue_, motion, hand.acting);
   cut_short_ += force.feel.work.cut_short;
 
   if (hand.pressed_anew && !force.feel.contact) hand.chain.rearm_after_faults();

@@ -41,16 +41,15 @@ class ForceSink {
 // Thread: the loop's. frame() does at most ProbeWork's bounds for each blade, whatever has been cut, and allocates nothing.
 class ForceStage {
  public:
-  // `loaded` is the body as it was before the first cut. `sink` and `slots` may be null; what is not must outlive this.
-  ForceStage(const ForceConfig& config, const core::CutConfig& cut, const core::MeshData& loaded,
+  // `tissue` knows of all cuts so far. `sink` and `slots` may be null; what is not must outlive this.
+  ForceStage(const ForceConfig& config, const core::CutConfig& cut, std::unique_ptr<Tissue> tissue,
              ForceSink* sink, ForceSlots* slots);
 
   // What the loop took: a source opened (its force is armed), a pose that was accepted.
   void opened(std::uint32_t source, const core::Blade& blade) noexcept;
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
-  // Takes note of the cuts that a delta has brought to the mesh, or of all that it has. O(delta's boundary); O(mesh).
+  // Takes note of the cuts that a delta has brought to the mesh. O(delta's boundary).
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
-  void cut(const core::TetMesh& mesh) noexcept;
   // The body is whole again.
   void restart() noexcept;
 
@@ -85,7 +84,7 @@ class ForceStage {
   const core::CutConfig cut_;
   ForceSink* const sink_;
   ForceSlots* const slots_;
-  Tissue tissue_;
+  std::unique_ptr<Tissue> tissue_;
   std::uint64_t cut_short_ = 0;
   std::array<std::int64_t, core::kMaxSources> felt_ns_{};
   std::size_t felt_count_ = 0;

@@ -216,10 +216,9 @@ bool FrameLoop::write(const JournalRecord& record) {
 
 // ------------------------------------------------------------------------------------------------ forces
 
-void FrameLoop::offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+void FrameLoop::offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
                              haptics::ForceSink* sink, haptics::ForceSlots* slots) {
-  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), loaded, sink, slots);
-  if (session_->revision() > 0) forces_->cut(session_->mesh());
+  forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), std::move(tissue), sink, slots);
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {

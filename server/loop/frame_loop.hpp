@@ -56,9 +56,9 @@ class FrameLoop {
   // where it was not offered. From any thread.
   bool request_reset();
 
-  // Makes forces, in each frame between drain and cut; before the first frame. `loaded` is the body before its first
-  // cut. `sink` and `slots` may be null; what is not must outlive this.
-  void offer_forces(const haptics::ForceConfig& config, const core::MeshData& loaded,
+  // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
+  // cuts so far. `sink` and `slots` may be null; what is not must outlive this.
+  void offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
                     haptics::ForceSink* sink, haptics::ForceSlots* slots);
 
   // Takes a host simulation's positions, in each frame after drain: the newest, when the last ones are done. Before the

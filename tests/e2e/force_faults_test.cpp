@@ -49,7 +49,7 @@ class Rig {
     // So stiff that four millimetres are more than the limit: every stage has something to hold back.
     haptics::ForceConfig config;
     config.materials.tissue.stiffness_n_m = 2000;
-    loop_.offer_forces(config, tests::cube(6), nullptr, &slots_);
+    loop_.offer_forces(config, std::make_unique<haptics::Tissue>(tests::cube(6)), nullptr, &slots_);
     plug();
   }
   ~Rig() { virtual_ns = 0; }

@@ -73,7 +73,7 @@ struct Rig {
   core::CutSession session{tests::cube(8, kSize), cut_config()};
   Told told;
   ForceSlots slots;
-  ForceStage stage{config, cut_config(), tests::cube(8, kSize), &told, &slots};
+  ForceStage stage{config, cut_config(), std::make_unique<Tissue>(tests::cube(8, kSize)), &told, &slots};
   const std::int64_t begun = 1'000'000 * kMs;
   std::int64_t now = begun, zero_ns = 0;
   core::Pose pose;

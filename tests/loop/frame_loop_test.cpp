@@ -93,7 +93,7 @@ TEST(FrameLoop, ForcesChangeNoCut) {
       }
       double most = 0;
     } sink;
-    rig.loop.offer_forces({}, mesh, &sink, &slots);
+    rig.loop.offer_forces({}, std::make_unique<haptics::Tissue>(mesh), &sink, &slots);
     {
       auto source = rig.hub.open_source("blade");
       for (const TimedPose& pose : timed(poses)) {
@@ -126,7 +126,7 @@ TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
       void feel(const haptics::BladeForce& force) noexcept override { last = force; }
       haptics::BladeForce last;
     } sink;
-    loop.offer_forces({}, mesh, &sink, nullptr);
+    loop.offer_forces({}, std::make_unique<haptics::Tissue>(mesh), &sink, nullptr);
     auto source = hub.open_source("blade");
     int frame = 0;
     const auto press = [&] {

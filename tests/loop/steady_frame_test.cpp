@@ -132,7 +132,7 @@ TEST(SteadyFrame, ForcesAllocateNothing) {
   } forces;
   FrameLoop loop(session, hub, deltas, nullptr, {});
   haptics::ForceSlots slots;
-  loop.offer_forces({}, tests::cube(6), &forces, &slots);
+  loop.offer_forces({}, std::make_unique<haptics::Tissue>(tests::cube(6)), &forces, &slots);
   auto source = hub.open_source("blade");
   constexpr int kWarm = 1'000, kFrames = 10'000;
   for (int i = 0; i < kWarm + kFrames; ++i) {
