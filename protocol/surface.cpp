@@ -7,6 +7,7 @@
 
 #include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
+#include "protocol/volume_part.hpp"
 
 namespace incise::protocol {
 namespace {
@@ -357,12 +358,22 @@ void SurfaceReplica::load_part(const SurfaceReplica& whole, const Box& box) {
   take_part(whole, box, triangles, {});
 }
 
-SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, SurfaceIndex& index,
-                                          const SurfaceDelta& delta, const Box& box) {
+SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, const Replica& mesh,
+                                          const TetIndex& index, const SurfaceDelta& delta, const Box& box) {
   std::vector<std::uint32_t> triangles(delta.triangles.ids.begin(), delta.triangles.ids.end());
   triangles.insert(triangles.end(), delta.removed_triangles.begin(), delta.removed_triangles.end());
   // A vertex that moves takes triangles into the box, or out of it, that are the same otherwise.
-  for (const std::uint32_t v : delta.vertices.ids) index.append_triangles(whole, v, triangles);
+  std::vector<std::uint32_t> tets;
+  for (const std::uint32_t v : delta.vertices.ids) {
+    tets.clear();
+    index.append_tets(v, tets);
+    for (const std::uint32_t t : tets) {
+      for (std::uint32_t face = 0; face < 4; ++face) {
+        if (mesh.boundary_mask(t) >> face & 1 && mesh.vertices(t)[face] != v)
+          triangles.push_back(4 * t + face);
+      }
+    }
+  }
   std::sort(triangles.begin(), triangles.end());
   triangles.erase(std::unique(triangles.begin(), triangles.end()), triangles.end());
   return take_part(whole, box, triangles, delta.vertices.ids);
@@ -411,40 +422,6 @@ bool SurfaceReplica::meets(const Triangle& triangle, const Box& box) const {
       return false;
   }
   return true;
-}
-
-void SurfaceIndex::load(const SurfaceReplica& surface) {
-  at_.clear();
-  for (const auto& [id, triangle] : surface.triangles())
-    for (const std::uint32_t v : triangle.vertices) at_[v].push_back(id);
-}
-
-void SurfaceIndex::prune(const SurfaceReplica& surface, std::uint32_t vertex,
-                         std::vector<std::uint32_t>& list) {
-  std::erase_if(list, [&](std::uint32_t id) {
-    const SurfaceReplica::Triangle* found = surface.triangles().find(id);
-    if (found == nullptr) return true;
-    const auto& corners = found->vertices;
-    return std::find(corners.begin(), corners.end(), vertex) == corners.end();
-  });
-}
-
-void SurfaceIndex::add(const SurfaceReplica& surface, const TriangleArrays& triangles) {
-  for (std::size_t i = 0; i < triangles.vertices.size(); ++i) {
-    const std::uint32_t vertex = triangles.vertices[i], id = triangles.ids[i / 3];
-    std::vector<std::uint32_t>& list = at_[vertex];
-    if (std::find(list.begin(), list.end(), id) != list.end()) continue;
-    if (list.size() == list.capacity()) prune(surface, vertex, list);
-    list.push_back(id);
-  }
-}
-
-void SurfaceIndex::append_triangles(const SurfaceReplica& surface, std::uint32_t vertex,
-                                    std::vector<std::uint32_t>& out) {
-  const auto place = at_.find(vertex);
-  if (place == at_.end()) return;
-  prune(surface, vertex, place->second);
-  out.insert(out.end(), place->second.begin(), place->second.end());
 }
 
 SurfaceSnapshotWriter::SurfaceSnapshotWriter(const SurfaceReplica& surface, SnapshotCause cause,

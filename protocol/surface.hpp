@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <unordered_map>
 #include <vector>
 
 #include "protocol/id_map.hpp"
@@ -34,7 +33,7 @@ struct SurfaceChange {
   }
 };
 
-class SurfaceIndex;
+class TetIndex;
 
 // Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent and, whatever the ids, 64 MB at most.
 class SurfaceReplica {
@@ -58,7 +57,7 @@ class SurfaceReplica {
   std::uint32_t chunks_done() const { return staged_ ? staged_->chunks_done : 0; }
   std::uint32_t chunks_total() const { return staged_ ? staged_->begin.chunks : 0; }
 
-  // From base_revision to revision, completely or not at all. O(delta log surface).
+  // From base_revision to revision, completely or not at all. O(delta).
   ApplyResult apply(const SurfaceDelta& delta);
 
   std::uint64_t revision() const { return state_.revision; }
@@ -82,16 +81,16 @@ class SurfaceReplica {
   // Makes this the whole surface of `mesh`. O(mesh).
   void load(const Replica& mesh);
   // What `delta`, which `mesh` has just applied, changes on the surface; makes the change here too. The ids
-  // come ascending; hash and revision are this replica's after it. O(delta log surface).
+  // come ascending; hash and revision are this replica's after it. O(delta).
   SurfaceChange follow(const Replica& mesh, const Delta& delta);
 
   // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
   // O(surface).
   void load_part(const SurfaceReplica& whole, const Box& box);
   // Where this was that part of the surface that `delta` has since brought to `whole`: makes it that of the surface now,
-  // and returns what changed. `index` is that of `whole`. O(delta log surface).
-  SurfaceChange follow_part(const SurfaceReplica& whole, SurfaceIndex& index, const SurfaceDelta& delta,
-                            const Box& box);
+  // and returns what changed. `mesh` is what `whole` is the surface of, `index` its index. O(delta x tetrahedra at a vertex).
+  SurfaceChange follow_part(const SurfaceReplica& whole, const Replica& mesh, const TetIndex& index,
+                            const SurfaceDelta& delta, const Box& box);
 
  private:
   struct State {
@@ -124,24 +123,6 @@ class SurfaceReplica {
 
   State state_;
   std::unique_ptr<Staged> staged_;
-};
-
-// The triangles at each vertex of a surface, to find what a vertex that moves takes along.
-//
-// Thread: one, at a time. Owns: its lists.
-class SurfaceIndex {
- public:
-  // Of all of `surface`. O(surface).
-  void load(const SurfaceReplica& surface);
-  // Triangles that were set in it. O(change).
-  void add(const SurfaceReplica& surface, const TriangleArrays& triangles);
-  // Appends the triangles that `vertex` has in `surface`.
-  void append_triangles(const SurfaceReplica& surface, std::uint32_t vertex, std::vector<std::uint32_t>& out);
-
- private:
-  // What was taken out of the surface leaves its list only now and then.
-  static void prune(const SurfaceReplica& surface, std::uint32_t vertex, std::vector<std::uint32_t>& list);
-  std::unordered_map<std::uint32_t, std::vector<std::uint32_t>> at_;  // at least those that are there
 };
 
 // The parts of a surface snapshot, as SnapshotWriter makes those of a volume.

@@ -22,7 +22,6 @@ void Mirror::reset(const InitialState& initial) {
     throw std::runtime_error("initial state: " + problem);
   }
   surface_.load(volume_);
-  triangles_at_.load(surface_);
   tets_at_.load(volume_);
   session_ = initial.session;
 }
@@ -55,7 +54,6 @@ std::optional<EncodedStep> Mirror::apply(const PublishedDelta& published) {
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
   const protocol::SurfaceChange change = surface_.follow(volume_, delta);
-  triangles_at_.add(surface_, change.triangles());
   try {
     return EncodedStep{delta.revision, make_frame(delta),
                        make_frame(surface_delta(delta, change, surface_.surface_hash()))};
@@ -75,7 +73,7 @@ SharedFrame Mirror::follow_part(BoxPart& part, const protocol::Body& delta) {
   const auto& whole = std::get<protocol::SurfaceDelta>(delta);
   INCISE_CHECK(surface.revision() == whole.base_revision && whole.revision == revision(), surface.revision(),
                whole.revision);
-  const protocol::SurfaceChange change = surface.follow_part(surface_, triangles_at_, whole, part.box);
+  const protocol::SurfaceChange change = surface.follow_part(surface_, volume_, tets_at_, whole, part.box);
   return make_frame(surface_delta(whole, change, surface.surface_hash()));
 }
 

@@ -64,7 +64,6 @@ class Mirror {
   std::uint64_t session_ = 0;
   protocol::Replica volume_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;
-  protocol::SurfaceIndex triangles_at_;
   protocol::TetIndex tets_at_;
   DeltaArrays arrays_;
 };

@@ -8,6 +8,7 @@
 #include <map>
 
 #include "protocol/coalesce.hpp"
+#include "protocol/volume_part.hpp"
 #include "tests/protocol/samples.hpp"
 #include "tests/protocol/walk.hpp"
 
@@ -105,13 +106,12 @@ struct SurfaceView {
   void load(Replica replica) {
     mesh = std::move(replica);
     whole.load(mesh);
-    index.load(whole);
+    index.load(mesh);
   }
   OwnedSurfaceDelta step(const protocol::Delta& delta) {
+    index.follow(mesh, delta);
     EXPECT_TRUE(mesh.apply(delta));
-    OwnedSurfaceDelta d = follow(whole, mesh, delta);
-    index.add(whole, d.change.triangles());
-    return d;
+    return follow(whole, mesh, delta);
   }
   void load_part(Part& part, const Box& box) const { part.load_part(whole, box); }
   SurfaceSnapshotWriter writer(const Part& part, const Box&) const { return {part, SnapshotCause::Join, 7}; }
@@ -120,7 +120,7 @@ struct SurfaceView {
     out.base_revision = delta.base_revision;
     out.revision = delta.revision;
     out.steps = delta.steps;
-    out.change = part.follow_part(whole, index, delta, box);
+    out.change = part.follow_part(whole, mesh, index, delta, box);
     out.surface_hash = part.surface_hash();
     return out;
   }
@@ -131,7 +131,7 @@ struct SurfaceView {
 
   Replica mesh;
   SurfaceReplica whole;
-  SurfaceIndex index;
+  TetIndex index;
 };
 
 TEST(Surface, ThePartInABoxIsThatOfTheWhole) {
