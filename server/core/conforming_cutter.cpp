@@ -13,6 +13,8 @@ namespace {
 constexpr double kAtVertex = 0.25;
 // A tetrahedron with all vertices on the surface and at most this thick, in h, is flat.
 constexpr double kFlat_h = 0.03;
+// And its barycentre is this near to the surface, in h.
+constexpr double kFlatOff_h = 0.1;
 // A vertex of a boundary along the surface, this near to it, in h, may stay and stand for it.
 constexpr double kStay_h = 0.08;
 // A rim vertex this near to where the rim pierces a face, by the local mesh width, stands for it.
@@ -77,6 +79,7 @@ void ConformingCutter::begin(const Batch& batch) {
   }
   if (batch.ends_stroke) sweep_retraced();
   forget_surface();
+  oldest_ = swept_.front().batch;
   surface_.build(first_latest_);
   front_ = batch.lines.back();
   has_front_ = !batch.ends_stroke;
@@ -628,6 +631,22 @@ void ConformingCutter::verify(WorkBudget& budget) {
   }
 }
 
+// VertexStar::worst_at(), into flat_; kInverted where one of these lies across a bend, between two parts of the surface:
+// what is removed must be part of it.
+double ConformingCutter::worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness) {
+  work_ += 1 + static_cast<std::int64_t>(star.corners().size() / 8);
+  const double worst = star.worst_at(p, limit, thickness, flat_);
+  for (TetId t : flat_) {
+    Vec3 closest;
+    std::uint32_t triangle;
+    work_ += 1;
+    if (!surface_.closest(mesh_.barycentre(t) + 0.25 * (p - star.position()), kFlatOff_h * h_, closest,
+                          triangle))
+      return kInverted;
+  }
+  return worst;
+}
+
 // Where on the surface v would best go: its closest point, or the crossing; a boundary vertex slides along the
 // boundary. `search`: also looks around, until `limit` is reached.
 ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v, const Event& event,
@@ -708,7 +727,7 @@ void ConformingCutter::remove_flat(TetId t) {
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = worst_at(star, target, kInverted, kFlat_h * star.local_h());
   mesh_.move_vertex(v, target);
-  workspace_.vertices[v].surface = stroke_;
+  mark_on_surface(v);
   ++counts_.snaps;
   // What has three vertices on the surface only now may have a face to open.
   for (const VertexStar::Corner& c : star.corners()) {
@@ -744,7 +763,7 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   work_ += 8 * static_cast<std::int64_t>(ring_.size());
   workspace_.grow(mesh_);
-  workspace_.vertices[m].surface = stroke_;
+  mark_on_surface(m);
   changed_.push_back({m});
   for (TetId r : ring_) activate(r);
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {

@@ -122,7 +122,16 @@ class ConformingCutter final : public Cutter {
   bool ripe(Active& entry);
   bool hot(VertexId v, double* by_m = nullptr) const;
   bool on_rim(VertexId v) const { return workspace_.vertices[v].rim == stroke_; }
-  bool on_surface(VertexId v) const { return workspace_.vertices[v].surface == stroke_; }
+  // Whether v was put on what is kept of the swept surface. Where the blade comes across its own cut later in the stroke, that
+  // is an old cut like any other.
+  bool on_surface(VertexId v) const {
+    const CutWorkspace::VertexMarks& marks = workspace_.vertices[v];
+    return marks.surface == stroke_ && marks.batch >= oldest_;
+  }
+  void mark_on_surface(VertexId v) {
+    workspace_.vertices[v].surface = stroke_;
+    workspace_.vertices[v].batch = batch_;
+  }
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
   void handle(std::uint32_t index);
@@ -130,11 +139,7 @@ class ConformingCutter final : public Cutter {
     Vec3 target;
     double worst = kInverted;  // the star's worst measure there
   };
-  // VertexStar::worst_at(), into flat_.
-  double worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness) {
-    work_ += 1 + static_cast<std::int64_t>(star.corners().size() / 8);
-    return star.worst_at(p, limit, thickness, flat_);
-  }
+  double worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness);
   int freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const;
   void search_placement(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
                         double thickness, Placement& placement);
@@ -197,6 +202,7 @@ class ConformingCutter final : public Cutter {
     double travel;  // of the blade in this stroke before the batch, m
   };
   std::vector<Swept> swept_;  // the batches of surface_
+  std::uint32_t oldest_ = 0;  // of them
   // Lines between which the surface covers what the blade has swept, from one that is on it.
   static constexpr std::size_t kMostRetraced = 256;
   std::vector<BladeLine> retraced_;

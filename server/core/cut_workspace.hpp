@@ -13,7 +13,8 @@ namespace incise::core {
 // with it, never cleared. A mark holds when it equals the serial number of the search or the stroke that asks.
 struct CutWorkspace {
   struct VertexMarks {
-    std::uint32_t surface = 0;      // the stroke on whose swept surface it was put
+    std::uint32_t surface = 0;      // the stroke on whose swept surface it was put ...
+    std::uint32_t batch = 0;        // ... and the stroke's batch that did so
     std::uint32_t failed = 0;       // the stroke that could not deal with a crossing at it
     std::uint32_t rim = 0;          // the stroke on whose sweep's rim it was put
     std::uint32_t event_head = 0;   // the first event of an edge whose lower vertex it is

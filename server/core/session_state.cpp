@@ -244,8 +244,9 @@ struct SessionFields {
   template <class Io, class Workspace>
   static void workspace(Io& io, Workspace& w, const TetMesh& m) {
     grid(io, w.grid, m);
-    io.list(w.vertices, 12, [&](auto& marks) {
+    io.list(w.vertices, 16, [&](auto& marks) {
       io(marks.surface);
+      io(marks.batch);
       io(marks.failed);
       io(marks.rim);
     });

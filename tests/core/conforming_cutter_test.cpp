@@ -459,6 +459,23 @@ TEST(ConformingCutter, across_an_older_cut_makes_four_pieces) {
   EXPECT_EQ(pieces(cut), 4u);
 }
 
+// One stroke all the way: what it has left behind is an old cut, and no part of what it sweeps now.
+TEST(ConformingCutter, across_its_own_cut_makes_four_pieces) {
+  for (const double slant : {0.0, 0.7, 1.6, -1.2}) {
+    SCOPED_TRACE(slant);
+    Cut cut(block(), 12);
+    cut.sweep({4.13, -2, -2}, {4.13, 10, -2}, {0, 0, 1}, 60);
+    cut.sweep({4.13, 10, -2}, {12, 10, -2}, {0, 0, 1}, 40);
+    cut.sweep({12, 10, -2}, {12, 3.87 + slant, -2}, {0, 0, 1}, 30);
+    cut.sweep({12, 3.87 + slant, -2}, {-2, 3.87 - slant, -2}, {0, 0, 1}, 60);
+    cut.lift();
+    cut.expect_sound();
+    EXPECT_EQ(pieces(cut), 4u);
+    EXPECT_LE(cut.cut_deviation().max_h, 0.05);
+    EXPECT_LE(cut.cut_deviation().mean_h, 0.001);
+  }
+}
+
 TEST(ConformingCutter, corner_cut_off) {
   Cut cut(block(), 20);
   cut.sweep({4.6, 10, -3}, {10, 4.6, -3}, {0, 0, 1}, 20);
