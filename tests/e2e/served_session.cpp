@@ -106,6 +106,7 @@ PoseDriver::~PoseDriver() {
 }
 
 bool PoseDriver::settle() {
+  settling_ = true;
   stop_ = true;
   if (thread_.joinable()) thread_.join();
   return settled_;
@@ -130,9 +131,12 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
     if (report.last_source_ns > 0) acknowledged_ns_ = report.last_source_ns;
     rejected_ = report.not_finite + report.not_unit + report.time_not_rising;
   };
-  while (!stop_) {
+  const auto connected = [&] { return client && client->status() != client::Status::kClosed; };
+  // The server may have been killed and started again just now: to settle, it is found again first.
+  int attempts = 0;
+  while (!stop_ || (settling_ && !connected() && ++attempts < 500)) {
     try {
-      if (!client || client->status() == client::Status::kClosed) {
+      if (!connected()) {
         client::Options options;
         options.role = protocol::Role::Operator;
         options.view = protocol::View::None;
@@ -140,6 +144,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
         options.take_over = true;
         client = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
         last_ns = monotonic_ns();
+        sequence = 0;
       }
     } catch (const std::exception&) {  // it is down just now
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
@@ -162,7 +167,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
       sent_ += chunk.size();
     }
   }
-  if (!client || sequence == 0) return;
+  if (!connected() || sent_ == 0) return;
   latest.source_ns = last_ns + 1;
   latest.buttons = 0;
   const std::uint64_t last = client->send_poses(std::span(&latest, 1));

@@ -82,7 +82,7 @@ class PoseDriver {
 
  private:
   void run(const ServedSession& session, double rate_hz, double speed_m_s, const std::string& source);
-  std::atomic<bool> stop_{false}, settled_{false};
+  std::atomic<bool> stop_{false}, settling_{false}, settled_{false};
   std::atomic<std::uint64_t> sent_{0}, rejected_{0};
   std::atomic<std::int64_t> acknowledged_ns_{0};
   std::thread thread_;
