@@ -70,7 +70,7 @@ class SurfaceReplica {
   const IdMap<Vertex>& vertices() const { return state_.vertices; }
   // About how much memory it takes.
   std::size_t bytes() const {
-    return state_.triangles.size() * (sizeof(Triangle) + 16) + state_.vertices.size() * (sizeof(Vertex) + 16);
+    return state_.triangles.size() * (sizeof(Triangle) + 48) + state_.vertices.size() * (sizeof(Vertex) + 48);
   }
 
   // The state as bytes, the same for any two replicas of it; PROTOCOL.md, "Canonical bytes".
