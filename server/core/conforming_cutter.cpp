@@ -221,6 +221,24 @@ void ConformingCutter::activate(TetId t) {
   for (VertexId v : mesh_.vertices(t)) widest_ = std::max(widest_, mesh_.local_h(v));
 }
 
+// A crossing at v could not be dealt with: ragged faces may open around it.
+void ConformingCutter::fail(VertexId v) {
+  if (workspace_.vertices[v].failed == stroke_) return;
+  workspace_.vertices[v].failed = stroke_;
+  mesh_.star(v, star_ids_);
+  work_ += static_cast<std::int64_t>(star_ids_.size());
+  for (std::uint32_t corner : star_ids_) activate(corner >> 2);
+}
+
+// v was moved: which side of the surface its tetrahedra are on may be another now. That matters where ragged faces open.
+void ConformingCutter::judge_again(const VertexStar& star, VertexId v) {
+  const auto failed = [this](VertexId w) { return workspace_.vertices[w].failed == stroke_; };
+  const bool at_v = failed(v);
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (at_v || std::ranges::any_of(c.others, failed)) activate(c.tet);
+  }
+}
+
 void ConformingCutter::enqueue(TetId t) {
   if (workspace_.tets[t].seen == search_) return;
   workspace_.tets[t].seen = search_;
@@ -555,7 +573,8 @@ void ConformingCutter::collect_from(TetId t) {
       if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_, at)) continue;
       if ((on[i] && at < kAtVertex) || (on[j] && at > 1 - kAtVertex)) {
         // A vertex on another part of the surface is as near as can be had.
-        workspace_.vertices[v[i]].failed = workspace_.vertices[v[j]].failed = stroke_;
+        fail(v[i]);
+        fail(v[j]);
       } else {
         add_event(v[i], v[j], t, index, at);
       }
@@ -623,7 +642,8 @@ void ConformingCutter::verify(WorkBudget& budget) {
     begin_order();
   } else {
     for (std::size_t i = first_leftover_; i < events_.size(); ++i) {
-      workspace_.vertices[events_[i].a].failed = workspace_.vertices[events_[i].b].failed = stroke_;
+      fail(events_[i].a);
+      fail(events_[i].b);
       events_[i].done = true;
       ++counts_.failed;
     }
@@ -733,6 +753,7 @@ void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& targ
   for (const VertexStar::Corner& c : star.corners()) {
     if (on_surface(c.others[0]) + on_surface(c.others[1]) + on_surface(c.others[2]) >= 2) activate(c.tet);
   }
+  judge_again(star, v);
   if (worst > kGood || !flat_.empty()) changed_.push_back({v});
   for (TetId t : flat_) remove_flat(t);
 }
@@ -832,7 +853,8 @@ void ConformingCutter::handle(std::uint32_t index) {
   } else if (by_split <= floor) {
     split(event.tet, a, b, event.at);
   } else {
-    workspace_.vertices[a].failed = workspace_.vertices[b].failed = stroke_;
+    fail(a);
+    fail(b);
     ++counts_.failed;
   }
 }

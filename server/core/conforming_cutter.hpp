@@ -102,6 +102,8 @@ class ConformingCutter final : public Cutter {
   void add_event(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at);
   void enqueue(TetId t);
   void activate(TetId t);
+  void fail(VertexId v);
+  void judge_again(const VertexStar& star, VertexId v);
   void gather(VertexStar& star, VertexId v) const {
     star.gather(mesh_, v, [this](VertexId w) { return on_surface(w); });
     work_ += 2 + static_cast<std::int64_t>(star.corners().size() / 2);
@@ -176,6 +178,7 @@ class ConformingCutter final : public Cutter {
   void spare_island(HalfFace side);
   void join_larger_side(std::span<const TetId> members);
   bool stands_clear(HalfFace h) const;
+  bool is_ragged(HalfFace h) const;
   bool is_thin(TetId t) const;
   void open(WorkBudget& budget);
   void note_opening(HalfFace h);

@@ -159,7 +159,11 @@ void ConformingCutter::spare_island(HalfFace side) {
         continue;
       }
       const TetId n = mesh_.neighbor(t, f);
-      if (n == kNone || std::find(members, members + size, n) != members + size) continue;
+      if (n == kNone) {
+        clean = clean && !is_ragged(half_face(t, f));
+        continue;
+      }
+      if (std::find(members, members + size, n) != members + size) continue;
       island = size < most && workspace_.tets[n].seen != spared_;
       if (!island) break;
       members[size++] = n;
@@ -209,9 +213,20 @@ bool ConformingCutter::stands_clear(HalfFace h) const {
   if (!on_surface(face[0]) || !on_surface(face[1]) || !on_surface(face[2])) return false;
   const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
   if (on_surface(apex)) return false;
+  for (int f = 0; f < 4; ++f) {
+    if (is_ragged(half_face(tet_of(h), f))) return false;
+  }
   const Vec3& a = mesh_.position(face[0]);
   const Vec3 n = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
   return std::abs(dot(n, mesh_.position(apex) - a)) > kThin_h * mesh_.local_h(apex) * length(n);
+}
+
+// Whether a face has been opened beside the surface, where a crossing could not be dealt with.
+bool ConformingCutter::is_ragged(HalfFace h) const {
+  if (!(mesh_.cut_mask(tet_of(h)) >> face_of(h) & 1)) return false;
+  const auto face = mesh_.face_vertices(h);
+  return !std::ranges::all_of(face, [this](VertexId v) { return on_surface(v); }) &&
+         std::ranges::any_of(face, [this](VertexId v) { return workspace_.vertices[v].failed == stroke_; });
 }
 
 // Whether all of a tetrahedron is near the surface.

@@ -169,6 +169,7 @@ void ConformingCutter::improve_by_moving(VertexId v) {
   search_placement(star_, on, triangle, kGood, -1, place);
   if (place.worst >= before) return;
   mesh_.move_vertex(v, place.target);
+  judge_again(star_, v);
   note_repair();
   // What is better for the worst may be worse for others, which then stand in its way.
   constexpr std::size_t kMostPoor = 32;

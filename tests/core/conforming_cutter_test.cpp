@@ -546,6 +546,20 @@ TEST(ConformingCutter, exact_moves_next_to_nothing) {
   EXPECT_LE(moved_far, mesh.positions.size() / 50);
 }
 
+// Where neither end of an edge can be moved, ragged faces open instead, whatever was decided there in batches before.
+TEST(ConformingCutter, no_growth_comes_apart_in_many_batches) {
+  int wrong = 0;
+  for (std::uint32_t seed = 1; seed <= 40; ++seed) {
+    const double slant = 0.1 * (seed % 7) - 0.3;
+    Cut cut(shaken_box(8, 8, 8, seed, 0.2), 14, Preference::kNoGrowth);
+    cut.sweep({4.13 - slant, -2, -3}, {4.13 + slant, 10, -3}, {0.5 * slant, 0, 1}, 80);
+    cut.lift();
+    cut.expect_sound(2e-3);
+    wrong += pieces(cut) != 2u;
+  }
+  EXPECT_EQ(wrong, 0);
+}
+
 TEST(ConformingCutter, no_growth_adds_no_tetrahedron) {
   const MeshData mesh = block();
   Cut cut(mesh, 12, Preference::kNoGrowth);
