@@ -1,10 +1,8 @@
 #pragma once
 
 #include <bit>
-#include <compare>
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -44,27 +42,23 @@ struct Sparse64 {
 template <class T>
 class IdMap {
  public:
-  class const_iterator {
+  // Over ids and values, ascending.
+  class Iterator {
    public:
-    using iterator_category = std::input_iterator_tag;
-    using value_type = std::pair<std::uint32_t, const T&>;
-    using difference_type = std::ptrdiff_t;
-    using pointer = void;
-    using reference = value_type;
-
-    const_iterator() = default;
-    value_type operator*() const { return {static_cast<std::uint32_t>(id_), *value_}; }
-    const_iterator& operator++() {
+    Iterator() = default;
+    std::pair<std::uint32_t, const T&> operator*() const {
+      return {static_cast<std::uint32_t>(id_), *value_};
+    }
+    Iterator& operator++() {
       ++id_;
       advance();
       return *this;
     }
-    void operator++(int) { ++*this; }
-    bool operator==(const const_iterator& other) const { return id_ == other.id_; }
+    bool operator==(const Iterator& other) const { return id_ == other.id_; }
 
    private:
     friend IdMap;
-    const_iterator(const IdMap* map, std::uint64_t id) : map_(map), id_(id) { advance(); }
+    Iterator(const IdMap* map, std::uint64_t id) : map_(map), id_(id) { advance(); }
     // To the first element that is not before id_.
     void advance() {
       const auto& blocks = map_->blocks_;
@@ -97,8 +91,8 @@ class IdMap {
 
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
-  const_iterator begin() const { return const_iterator(this, 0); }
-  const_iterator end() const { return const_iterator(this, const_iterator::kEnd); }
+  Iterator begin() const { return Iterator(this, 0); }
+  Iterator end() const { return Iterator(this, Iterator::kEnd); }
 
   // Null where there is none. Pointers and references are good until the next element is made or taken out.
   const T* find(std::uint32_t id) const {

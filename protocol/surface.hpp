@@ -147,8 +147,8 @@ class SurfaceSnapshotWriter {
   SnapshotBegin begin_;
   SnapshotChunk chunk_;
   std::uint32_t chunks_made_ = 0;
-  IdMap<SurfaceReplica::Vertex>::const_iterator next_vertex_;
-  IdMap<SurfaceReplica::Triangle>::const_iterator next_triangle_;
+  IdMap<SurfaceReplica::Vertex>::Iterator next_vertex_;
+  IdMap<SurfaceReplica::Triangle>::Iterator next_triangle_;
   SurfaceChange arrays_;
 };
 
