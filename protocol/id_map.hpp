@@ -33,7 +33,6 @@ struct Sparse64 {
     elements.erase(elements.begin() + static_cast<std::ptrdiff_t>(place(i)));
     present &= ~bit(i);
   }
-  friend bool operator==(const Sparse64&, const Sparse64&) = default;
 };
 
 // Values by id, in the order of the ids. For ids that are handed out one after another and of which some are in use: a surface's
@@ -100,7 +99,6 @@ class IdMap {
     const Page* page = blocks_[id >> 12].find(id >> 6 & 63);
     return page == nullptr ? nullptr : page->find(id & 63);
   }
-  T* find(std::uint32_t id) { return const_cast<T*>(std::as_const(*this).find(id)); }
   bool contains(std::uint32_t id) const { return find(id) != nullptr; }
   // Throws std::out_of_range where there is none.
   const T& at(std::uint32_t id) const {

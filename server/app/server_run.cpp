@@ -220,15 +220,18 @@ void run_server(const Config& config, bool resume) {
   // A session that has been cut a lot takes seconds to make ready: what can be is done side by side.
   const bool cut = session.revision() > 0;
   SavedState saved;
-  if (cut) {
+  if (cut && config.capture.checkpoint_replay_s > 0) {
     saved = std::async(std::launch::async,
                        [&] { return std::make_shared<std::vector<std::byte>>(core::save_session(session)); });
   }
-  auto tissue = std::async(std::launch::async, [&] {
-    auto made = config.haptics.forces ? std::make_unique<haptics::Tissue>(body.loaded.mesh) : nullptr;
-    if (made && cut) made->note_cuts(session.mesh());
-    return made;
-  });
+  std::future<std::unique_ptr<haptics::Tissue>> tissue;
+  if (config.haptics.forces) {
+    tissue = std::async(std::launch::async, [&] {
+      auto made = std::make_unique<haptics::Tissue>(body.loaded.mesh);
+      if (cut) made->note_cuts(session.mesh());
+      return made;
+    });
+  }
   std::vector<input::InputHub::Declared> declared;
   for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
   input::InputHub hub(config.cut.blade, declared);
@@ -304,7 +307,7 @@ void run_server(const Config& config, bool resume) {
   NetworkSources network(config, hub, forces, server, on_thread);
   telemetry->join_network([&] { return network.status(); });
 
-  if (cut) saved.wait();  // before anything changes the session
+  if (saved.valid()) saved.wait();  // before anything changes the session
   if (config.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server.start();
   std::jthread loop_thread([&](const std::stop_token& stop) {

@@ -275,8 +275,7 @@ class SurfaceCheck {
       shell.volume += dot(cross(corner(t, 0) - origin, corner(t, 1) - origin), corner(t, 2) - origin) / 6.0;
       for (std::size_t i = 0; i < 3; ++i) {
         const Vec3& p = corner(t, i);
-        shell.low = {std::min(shell.low.x, p.x), std::min(shell.low.y, p.y), std::min(shell.low.z, p.z)};
-        shell.high = {std::max(shell.high.x, p.x), std::max(shell.high.y, p.y), std::max(shell.high.z, p.z)};
+        extend(p, shell.low, shell.high);
       }
     }
     if (shell.volume == 0) fail("the shell with " + place(shell.triangles[0]) + " encloses no volume");

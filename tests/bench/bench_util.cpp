@@ -137,8 +137,7 @@ std::pair<core::Vec3, core::Vec3> bounds(const core::MeshData& mesh) {
   INCISE_CHECK(!mesh.positions.empty());
   core::Vec3 low = mesh.positions[0], high = low;
   for (const core::Vec3& p : mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   return {low, high};
 }

@@ -47,8 +47,7 @@ void run(const std::string& file, std::size_t tets, int strokes, std::uint64_t s
   const NamedMesh mesh = file.empty() ? phantom("liver", tets) : load(file, 1);
   Vec3 low = mesh.mesh.positions[0], high = low;
   for (const Vec3& p : mesh.mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   core::CutSession session(mesh.mesh, bench_config(core::Policy::kConforming));
   session.set_blade(0, {{0, 0, 0}, {0, 0, 0.2 * core::distance(low, high)}});

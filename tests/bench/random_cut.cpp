@@ -31,8 +31,7 @@ RandomCut::RandomCut(const core::MeshData& mesh, Shape shape, int segments, std:
   INCISE_CHECK(!mesh.positions.empty() && segments > 0);
   Vec3 low = mesh.positions[0], high = low, sum{};
   for (const Vec3& p : mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
     sum += p;
   }
   std::mt19937_64 random(seed);

@@ -579,8 +579,7 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
   const MeshData mesh = real_mesh(GetParam());
   Vec3 low = mesh.positions[0], high = low;
   for (const Vec3& p : mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   const Vec3 centre = 0.5 * (low + high);
   const double radius = 0.5 * distance(low, high);

@@ -262,8 +262,7 @@ TEST(CrollCutter, CutsTheSeedCylindersInTwo) {
     const CutReport before = measure(mesh);
     Vec3 low = data.positions[0], high = low;
     for (const Vec3& p : data.positions) {
-      low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-      high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+      extend(p, low, high);
     }
     const Vec3 middle = 0.5 * (low + high), normal = normalized({0.31, 0.17, 1});
     const Vec3 along = normalized(cross(normal, {1, 0, 0})), ahead = cross(normal, along);

@@ -116,8 +116,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
                      const std::string& source) {
   core::Vec3 low = session.body().loaded.mesh.positions.front(), high = low;
   for (const core::Vec3& p : session.body().loaded.mesh.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
   }
   tests::ToAndFro motion(low, high, speed_m_s, rate_hz);
   constexpr std::int64_t kChunk_ns = 4'000'000;  // 250 messages a second

@@ -76,8 +76,7 @@ TEST(Phantom, LiverIsAsymmetrical) {
   const Surface surface = make_phantom_surface(PhantomKind::kLiver, 20000);
   core::Vec3 low = surface.positions[0], high = low, sum;
   for (const core::Vec3& p : surface.positions) {
-    low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    extend(p, low, high);
     sum += p;
   }
   EXPECT_GT(high.x - low.x, 0.15);

@@ -78,7 +78,7 @@ void fit_limits(core::CutConfig& cut, const RecordedMotion& motion, double body_
     if (previous && event.pose.t_ns > previous->t_ns) {
       const core::BladeLine a = core::blade_line(cut.blade, *previous),
                             b = core::blade_line(cut.blade, event.pose);
-      const double step_m = std::max(core::distance(a.heel, b.heel), core::distance(a.tip, b.tip));
+      const double step_m = travel(a, b);
       gaps_s.push_back(static_cast<double>(event.pose.t_ns - previous->t_ns) * 1e-9);
       if (step_m > 0) speeds_m_s.push_back(step_m / gaps_s.back());
     }
@@ -138,8 +138,7 @@ Input read_input(const CutCommand& command) {
                                  }));
   in.warnings.insert(in.warnings.end(), in.loaded.warnings.begin(), in.loaded.warnings.end());
   for (const core::Vec3& p : in.loaded.mesh.positions) {
-    in.low = {std::min(in.low.x, p.x), std::min(in.low.y, p.y), std::min(in.low.z, p.z)};
-    in.high = {std::max(in.high.x, p.x), std::max(in.high.y, p.y), std::max(in.high.z, p.z)};
+    extend(p, in.low, in.high);
   }
   if (!in.motion.header) fit_limits(in.config.cut, in.motion, core::distance(in.low, in.high));
   return in;

@@ -191,8 +191,7 @@ TEST(PoseDecoder, ReadsARealHydra) {
       if (sample.tool != 0) continue;
       ++poses;
       const Vec3& p = sample.pose.position;
-      low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-      high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+      extend(p, low, high);
     }
   }
   const ReportCounts& n = decoder.counts();
