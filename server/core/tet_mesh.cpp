@@ -621,7 +621,6 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
     const int at_v = local_index(t, v), at_w = local_index(t, w);
     const HalfFace beyond_v = tets_[t].opposite[at_v];  // across the face that has w
     const HalfFace beyond_w = tets_[t].opposite[at_w];
-    const bool cut = (attributes_[t].cut_mask >> at_v & 1) != 0;
     for (HalfFace h : {beyond_v, beyond_w}) {
       if (h == kNone) continue;
       // A vertex that named this tetrahedron finds a neighbour there.
@@ -629,13 +628,15 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
         if (vertices_[x].tet == t) vertices_[x].tet = tet_of(h);
       }
     }
-    if (beyond_v == kNone && beyond_w != kNone) {
-      touch_tet(tet_of(beyond_w));
-      if (cut) attributes_[tet_of(beyond_w)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(beyond_w));
-    }
-    if (beyond_w == kNone && beyond_v != kNone) touch_tet(tet_of(beyond_v));
+    // What lay beyond one of the two faces lies at the boundary now where the other one did, and at a cut where that was one.
+    const auto expose = [&](HalfFace h, int was) {
+      touch_tet(tet_of(h));
+      const bool cut = (attributes_[t].cut_mask >> was & 1) != 0;
+      if (cut) attributes_[tet_of(h)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(h));
+    };
+    if (beyond_v == kNone && beyond_w != kNone) expose(beyond_w, at_v);
+    if (beyond_w == kNone && beyond_v != kNone) expose(beyond_v, at_w);
     link(beyond_v, beyond_w);
-    if (beyond_v == kNone && beyond_w != kNone) tets_[tet_of(beyond_w)].opposite[face_of(beyond_w)] = kNone;
   }
   for (TetId t : ring_scratch_) kill_tet(t);
   for (std::uint32_t corner : star_scratch_) {

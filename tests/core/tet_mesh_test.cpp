@@ -680,6 +680,33 @@ TEST(TetMeshCollapse, KeepsCutFaces) {
   EXPECT_EQ(measure(mesh).pieces, 2u);
 }
 
+// None is lost but those that have both vertices.
+TEST(TetMeshCollapse, KeepsEveryOtherCutFace) {
+  TetMesh uncollapsed(testing::box(4, 4, 4));
+  uncollapsed.open_faces(faces_in_plane(uncollapsed, 3));
+  int collapsed = 0;
+  for (TetId t = 0; t < uncollapsed.tet_slots(); ++t) {
+    for (const auto& edge : kEdgeVertices) {
+      for (const bool swap : {false, true}) {
+        TetMesh mesh = uncollapsed;
+        const VertexId v = mesh.vertices(t)[edge[swap ? 1 : 0]], w = mesh.vertices(t)[edge[swap ? 0 : 1]];
+        if (!mesh.may_collapse(t, v, w)) continue;
+        std::uint32_t with_both = 0;
+        for (const TetId around : tets_with(mesh, {v, w})) {
+          for (int f = 0; f < 4; ++f) {
+            const VertexId apex = mesh.vertices(around)[f];
+            with_both += apex != v && apex != w && (mesh.cut_mask(around) >> f & 1) ? 1 : 0;
+          }
+        }
+        mesh.collapse(t, v, w);
+        ++collapsed;
+        EXPECT_EQ(measure(mesh).cut_sides, measure(uncollapsed).cut_sides - with_both) << v << " into " << w;
+      }
+    }
+  }
+  EXPECT_GT(collapsed, 500);
+}
+
 // ---------------------------------------------------------------------------------------------- commit
 
 TEST(TetMeshCommit, AMoveIsInTheDeltaOnce) {
