@@ -696,7 +696,19 @@ ConformingCutter::Placement ConformingCutter::place(VertexStar& star, VertexId v
       if (surface_.near(target, 1e-3 * h_, closest, triangle)) targets[count++] = target;
     }
   }
-  targets[count++] = crossing;
+  targets[count] = crossing;
+  if (star.on_boundary()) {
+    // As near to the crossing as the body keeps its volume, within the surface.
+    const SweptTriangle& crossed = surface_[event.triangle];
+    const Vec3& area = star.wall_area();
+    const Vec3 steepest = area - dot(area, crossed.normal) * crossed.normal;
+    const double slope = squared_length(steepest);
+    if (slope > 1e-3 * squared_length(area)) {
+      const Vec3 target = crossing + (-dot(area, crossing - p) / slope) * steepest;
+      if (surface_.near(target, 1e-3 * h_, closest, triangle)) targets[count] = target;
+    }
+  }
+  ++count;
   Placement best{p, kInverted};
   for (int i = 0; i < count && best.worst > limit; ++i) {
     if (distance(targets[i], p) > reach) continue;

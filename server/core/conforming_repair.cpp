@@ -17,16 +17,19 @@ int ConformingCutter::freedom(const VertexStar& star, const Vec3* surface_normal
   };
   if (surface_normal != nullptr) fix(*surface_normal, 0);
   if (star.on_boundary()) {
-    // Boundary faces within 20 degrees of the first are one smooth patch: its mean plane. Others make a crease.
-    const Vec3& first = star.walls()[0];
-    Vec3 mean{};
-    for (const Vec3& w : star.walls()) {
-      if (dot(first, w) > 0.94) mean += w;
+    // Boundary faces within 20 degrees of a first one are a smooth patch. A vertex moves in the plane of its mean normal by
+    // area: there the body wins on one face what it loses on others. More than one patch make a crease, or a corner.
+    Vec3 firsts[3], sums[3]{};
+    int patches = 0;
+    for (std::size_t i = 0; i < star.walls().size(); ++i) {
+      const Vec3& wall = star.walls()[i];
+      int k = 0;
+      while (k < patches && dot(firsts[k], wall) <= 0.94) ++k;
+      if (k == 3) continue;
+      if (k == patches) firsts[patches++] = wall;
+      sums[k] += star.wall_areas()[i] * wall;
     }
-    fix(normalized(mean), 0.05);
-    for (const Vec3& w : star.walls()) {
-      if (dot(first, w) <= 0.94) fix(w, 0.34);
-    }
+    for (int k = 0; k < patches; ++k) fix(normalized(sums[k]), k == 0 ? 0.05 : 0.34);
   }
   if (fixed == 0) {
     basis[0] = {1, 0, 0};

@@ -100,6 +100,7 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   corners_.clear();
   flattenable_.clear();
   walls_.clear();
+  wall_areas_.clear();
   cut_walls_.clear();
   wall_area_ = {};
   lanes_.resize((corner_ids_.size() + 3) / 4);
@@ -130,6 +131,7 @@ VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
     const Vec3& a = mesh.position(vertices[k[0]]);
     const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
     walls_.push_back(normalized(twice));
+    wall_areas_.push_back(length(twice));
     if (mesh.cut_mask(corner.tet) >> f & 1) cut_walls_.push_back(walls_.back());
     wall_area_ += 0.5 * twice;
   }
@@ -164,8 +166,8 @@ double VertexStar::worst_now() const {
 }
 
 bool VertexStar::keeps_boundary(const Vec3& p) const {
-  constexpr double kDistance_h = 0.03;
-  constexpr double kVolume_h3 = 0.003;
+  constexpr double kDistance_h = 0.05;
+  constexpr double kVolume_h3 = 0.001;
   const Vec3 d = p - position_;
   // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
   if (std::abs(dot(wall_area_, d)) > 3 * kVolume_h3 * local_h_ * local_h_ * local_h_) return false;

@@ -43,6 +43,10 @@ class VertexStar {
   double local_h() const { return local_h_; }
   // Unit normals of the boundary faces at the vertex (and of faces between two regions).
   const std::vector<Vec3>& walls() const { return walls_; }
+  // Their areas, m^2, doubled.
+  const std::vector<double>& wall_areas() const { return wall_areas_; }
+  // The sum of their area vectors, m^2.
+  const Vec3& wall_area() const { return wall_area_; }
   bool on_boundary() const { return !walls_.empty(); }
   // Those of them that a cut has opened.
   const std::vector<Vec3>& cut_walls() const { return cut_walls_; }
@@ -74,6 +78,7 @@ class VertexStar {
   std::vector<Lanes> lanes_;                // the last one is filled up with copies of the last corner
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
   std::vector<Vec3> walls_, cut_walls_;
+  std::vector<double> wall_areas_;
   Vec3 wall_area_;  // the sum of the boundary faces' area vectors
 };
 

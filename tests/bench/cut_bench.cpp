@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 
+#include "server/core/swept_triangle.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/bench/random_cut.hpp"
@@ -41,8 +42,43 @@ struct Outcome {
   std::uint32_t mixed = 0;  // pieces with tetrahedra well on both sides
   double seconds = 0;
   double max_deviation_h = 0, mean_deviation_h = 0, growth = 0;
+  double volume_change = 0;  // by the volume
+  double body_h = 0;         // how far a vertex of the body's own boundary lies off what that was
   std::uint64_t hash = 0;
 };
+
+// The body's own boundary: without what cuts have opened.
+std::vector<std::array<core::VertexId, 3>> own_boundary(const core::TetMesh& mesh) {
+  std::vector<std::array<core::VertexId, 3>> faces;
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    for (int f = 0; f < 4; ++f) {
+      if (mesh.neighbor(t, f) == core::kNone && !(mesh.cut_mask(t) >> f & 1))
+        faces.push_back(mesh.face_vertices(core::half_face(t, f)));
+    }
+  }
+  return faces;
+}
+
+// The farthest that a boundary vertex of `from` lies off the boundary of `to`, of those that are not vertices of that, m.
+double farthest_off(const core::TetMesh& from, const core::TetMesh& to) {
+  const auto faces = own_boundary(to);
+  std::vector<std::uint8_t> seen(from.vertex_slots(), 0);
+  double farthest = 0;
+  for (const auto& face : own_boundary(from)) {
+    for (const core::VertexId v : face) {
+      const core::Vec3& p = from.position(v);
+      if (seen[v]++ != 0 || (v < to.vertex_slots() && core::distance(p, to.position(v)) == 0)) continue;
+      double nearest = INFINITY;
+      for (const auto& [a, b, c] : faces) {
+        const core::Vec3 closest = core::closest_point(p, to.position(a), to.position(b), to.position(c));
+        nearest = std::min(nearest, core::distance(p, closest));
+      }
+      farthest = std::max(farthest, nearest);
+    }
+  }
+  return farthest;
+}
 
 Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const RandomCut& cut,
                 const Setting& setting) {
@@ -80,6 +116,9 @@ Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const Rand
     }
   }
   for (std::uint8_t s : sides) outcome.mixed += s == 3;
+  outcome.volume_change = std::abs(outcome.after.volume / before.volume - 1);
+  const core::TetMesh uncut(mesh.mesh);
+  outcome.body_h = std::max(farthest_off(cut_mesh, uncut), farthest_off(uncut, cut_mesh)) / h;
   outcome.mean_deviation_h = samples > 0 ? sum / static_cast<double>(samples) : 0;
   outcome.growth =
       (static_cast<double>(outcome.after.tets) - before.tets) / std::max(outcome.after.cut_faces, 1u);
@@ -98,25 +137,12 @@ void run(const Options& options, Report& report) {
   report.fact("seed", count(options.seed));
 
   std::vector<std::string> each;
-  report.table("random cuts right through, judged by geometry", {{"mesh"},
-                                                                 {"policy"},
-                                                                 {"shape"},
-                                                                 {"segments"},
-                                                                 {"cuts"},
-                                                                 {"wrong"},
-                                                                 {"islands"},
-                                                                 {"inverted"},
-                                                                 {"faces"},
-                                                                 {"growth/face", 2},
-                                                                 {"worst", 2},
-                                                                 {"dev mean h", 4},
-                                                                 {"max h", 3},
-                                                                 {"angle in", 2},
-                                                                 {"p50", 2},
-                                                                 {"worst deg", 2},
-                                                                 {"ms a cut", 2},
-                                                                 {"us an event", 2},
-                                                                 {"units"}});
+  report.table("random cuts right through, judged by geometry",
+               {{"mesh"},        {"policy"},        {"shape"},        {"segments"},    {"cuts"},
+                {"wrong"},       {"islands"},       {"inverted"},     {"faces"},       {"growth/face", 2},
+                {"worst", 2},    {"dev mean h", 4}, {"max h", 3},     {"body h", 3},   {"volume ppm", 0},
+                {"angle in", 2}, {"p50", 2},        {"worst deg", 2}, {"ms a cut", 2}, {"us an event", 2},
+                {"units"}});
   for (const NamedMesh& mesh : meshes) {
     const core::CutReport before = core::measure(core::TetMesh(mesh.mesh));
     for (const Setting& setting : kSettings) {
@@ -128,7 +154,7 @@ void run(const Options& options, Report& report) {
         for (int segments : options.segments) {
           std::int64_t wrong = 0, islands = 0, inverted = 0, faces = 0, units = 0;
           std::vector<double> growths, angles, seconds, event_us;
-          double mean = 0, max = 0;
+          double mean = 0, max = 0, body = 0, volume = 0;
           for (int i = 0; i < options.cuts; ++i) {
             const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
             const Outcome o = run_one(mesh, before, RandomCut(mesh.mesh, shape, segments, seed), setting);
@@ -145,22 +171,40 @@ void run(const Options& options, Report& report) {
             event_us.push_back(1e6 * o.seconds / std::max(o.totals.counts.events, 1u));
             mean += o.mean_deviation_h / options.cuts;
             max = std::max(max, o.max_deviation_h);
+            body = std::max(body, o.body_h);
+            volume = std::max(volume, o.volume_change);
             if (!right || options.each) {
               std::fprintf(stderr,
                            "%s %s %s, %d segments, seed %llu: %u pieces, expected %u to %u, %u mixed; "
                            "deviation %.3f h, "
-                           "angle %.2f degrees, growth %.2f, hash %s\n",
+                           "angle %.2f degrees, growth %.2f, body %.3f h, hash %s\n",
                            mesh.name.c_str(), setting.name.c_str(), to_string(shape), segments,
                            static_cast<unsigned long long>(seed), o.after.pieces, o.expected.least,
-                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth,
+                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth, o.body_h,
                            std::get<std::string>(hex(o.hash)).c_str());
             }
           }
-          report.row({mesh.name, setting.name, std::string(to_string(shape)), std::int64_t{segments},
-                      std::int64_t{options.cuts}, wrong, islands, inverted, faces / options.cuts,
-                      percentile(growths, 0.5), percentile(growths, 1), mean, max, before.min_dihedral_deg,
-                      percentile(angles, 0.5), *std::min_element(angles.begin(), angles.end()),
-                      1e3 * percentile(seconds, 0.5), percentile(event_us, 0.5), units / options.cuts});
+          report.row({mesh.name,
+                      setting.name,
+                      std::string(to_string(shape)),
+                      std::int64_t{segments},
+                      std::int64_t{options.cuts},
+                      wrong,
+                      islands,
+                      inverted,
+                      faces / options.cuts,
+                      percentile(growths, 0.5),
+                      percentile(growths, 1),
+                      mean,
+                      max,
+                      body,
+                      1e6 * volume,
+                      before.min_dihedral_deg,
+                      percentile(angles, 0.5),
+                      *std::min_element(angles.begin(), angles.end()),
+                      1e3 * percentile(seconds, 0.5),
+                      percentile(event_us, 0.5),
+                      units / options.cuts});
         }
       }
     }

@@ -231,7 +231,8 @@ TEST(ConformingCutter, the_same_corner_costs_the_same_in_a_larger_mesh) {
   for (const int n : {12, 36}) {
     Cut cut(shaken_box(n, n, n, 7, 0.15), 12);
     const Vec3 blade = normalized({0, 1, -0.7});
-    for (int i = 0; i <= 20; ++i) cut.pose(Vec3{-3 + 0.5 * i, 7 - 0.5 * i, -1} - 5.0 * blade, blade);
+    // The heel passes well outside.
+    for (int i = 0; i <= 20; ++i) cut.pose(Vec3{-3 + 0.5 * i, 7 - 0.5 * i, -1} - 6.0 * blade, blade);
     cut.lift();
     EXPECT_EQ(pieces(cut), 2u) << n;
     ASSERT_EQ(cut.last_pieces().size(), 1u) << n;
@@ -583,6 +584,7 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
   }
   const Vec3 centre = 0.5 * (low + high);
   const double radius = 0.5 * distance(low, high);
+  std::int64_t more = 0, faces = 0;
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random random(seed);
@@ -601,14 +603,18 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
       cut.pose(middle - 1.3 * radius * axis, axis);
     }
     cut.lift();
-    cut.expect_sound(1e-3);  // the coarsest have 1,500 tetrahedra, most of them at the boundary
+    cut.expect_sound(1e-4);
     const auto [least, most] = cut.expected_pieces(mesh);
     EXPECT_GE(pieces(cut), least);
     EXPECT_LE(pieces(cut), most);
     const Deviation off = cut.cut_deviation();
     EXPECT_LE(off.max_h, 0.1);
     EXPECT_LE(off.mean_h, 0.01);
+    more += std::int64_t{cut.mesh().live_tets()} - static_cast<std::int64_t>(mesh.tets.size());
+    faces += cut.totals().cut_faces;
   }
+  // The coarsest have hardly a vertex that is not on a rough boundary, and may not leave it.
+  if (mesh.tets.size() > 5000) EXPECT_LE(2 * more, faces) << "new tetrahedra, for so many cut faces";
 }
 
 INSTANTIATE_TEST_SUITE_P(Meshes, ThroughCuts,
