@@ -491,7 +491,6 @@ void ConformingCutter::handle(const RimEvent& event) {
   split(event.tet, a, b, at);
   const VertexId m = mesh_.vertex_slots() - 1;
   workspace_.vertices[m].surface = 0;
-  changed_.pop_back();
   put(m, kSnapFloor);
 }
 
@@ -767,7 +766,10 @@ void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& targ
   }
   judge_again(star, v);
   if (worst > kGood || !flat_.empty()) changed_.push_back({v});
+  const VertexId first_copy = mesh_.vertex_slots();
   for (TetId t : flat_) remove_flat(t);
+  // What is poor may be at a copy now, of this vertex or of one that was put there before.
+  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
 }
 
 // What the worst of the tetrahedra would be that splitting the edge makes; stops beyond `limit`.

@@ -159,8 +159,10 @@ class ConformingCutter final : public Cutter {
   void begin_repair();
   void improve();
   void improve_by_moving(VertexId v);
+  void note_poor(TetId t);
   void note_repair();
   void improve_by_collapse(TetId t);
+  bool is_film(TetId t) const;
   void thin_out(VertexId v);
   bool try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
   bool try_flips(TetId t);
@@ -250,10 +252,10 @@ class ConformingCutter final : public Cutter {
   std::size_t next_open_ = 0;
   std::uint32_t spared_ = 0;  // serial of the search for islands
 
-  // A vertex put on the surface by this batch, whose star was not good then.
+  // A vertex put on the surface by this batch, or made by that, whose star may not be good.
   struct Changed {
     VertexId vertex;
-    bool again = false;  // repaired once, not well enough
+    int times = 0;  // it was repaired, not well enough
   };
   std::vector<Changed> changed_;
   std::size_t next_changed_ = 0;
@@ -265,7 +267,6 @@ class ConformingCutter final : public Cutter {
   std::vector<TetId> poor_;
   std::size_t next_poor_ = 0;
   int remedy_ = 0;
-  bool still_poor_ = false;
 
   VertexStar star_, other_star_;
   std::vector<TetId> flat_, ring_, new_tets_;

@@ -104,8 +104,12 @@ void ConformingCutter::repair(WorkBudget& budget) {
       improve();
     } else {
       repairing_ = false;
-      // What its neighbours' repair moves may free it: once more, after all others.
-      if (still_poor_ && !repaired_.again) changed_.push_back({repaired_.vertex, true});
+      // What its neighbours' repair moves may free it: again, after all others.
+      constexpr int kMostTimes = 2;
+      const bool still_poor = std::ranges::any_of(
+          poor_, [this](TetId t) { return mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood; });
+      if (still_poor && repaired_.times < kMostTimes)
+        changed_.push_back({repaired_.vertex, repaired_.times + 1});
     }
   }
   phase_ = Phase::kVerify;
@@ -124,7 +128,6 @@ void ConformingCutter::begin_repair() {
   poor_.clear();
   next_poor_ = 0;
   remedy_ = 0;
-  still_poor_ = false;
   work_ += static_cast<std::int64_t>(star_.corners().size());
   for (const VertexStar::Corner& c : star_.corners()) {
     if (mesh_.worst_dihedral(c.tet) > kPoor) poor_.push_back(c.tet);
@@ -133,7 +136,7 @@ void ConformingCutter::begin_repair() {
 }
 
 // One remedy for the poor tetrahedron at work: moves one of its vertices after the other, while that helps; else flips,
-// else collapses an edge.
+// else collapses an edge, else takes it out where it is a film on the surface.
 void ConformingCutter::improve() {
   const TetId t = poor_[next_poor_];
   work_ += 1;
@@ -149,13 +152,36 @@ void ConformingCutter::improve() {
       done = try_flips(t);
     } else {
       improve_by_collapse(t);
+      if (is_poor() && is_film(t)) {
+        remove_flat(t);
+        note_repair();
+      }
       done = true;
     }
   }
   if (!done) return;
-  still_poor_ = still_poor_ || is_poor();
   ++next_poor_;
   remedy_ = 0;
+}
+
+// Whether a tetrahedron has all vertices on the surface and is not flat only because that bends: like a flat one it is no part of
+// what is cut, if it is thin.
+bool ConformingCutter::is_film(TetId t) const {
+  constexpr double kFilm_h = 0.06;
+  const auto& v = mesh_.vertices(t);
+  if (!std::ranges::all_of(v, [this](VertexId w) { return on_surface(w); })) return false;
+  double twice_area = 0;
+  for (int f = 0; f < 4; ++f) {
+    const auto face = mesh_.face_vertices(half_face(t, f));
+    const Vec3& a = mesh_.position(face[0]);
+    twice_area =
+        std::max(twice_area, length(cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a)));
+  }
+  if (6 * mesh_.volume(t) > kFilm_h * mesh_.local_h(v[0]) * twice_area) return false;
+  Vec3 closest;
+  std::uint32_t triangle;
+  work_ += 2;
+  return surface_.closest(mesh_.barycentre(t), kFilm_h * h_, closest, triangle);
 }
 
 void ConformingCutter::improve_by_moving(VertexId v) {
@@ -175,12 +201,15 @@ void ConformingCutter::improve_by_moving(VertexId v) {
   judge_again(star_, v);
   note_repair();
   // What is better for the worst may be worse for others, which then stand in its way.
-  constexpr std::size_t kMostPoor = 32;
-  for (const VertexStar::Corner& c : star_.corners()) {
-    if (poor_.size() < kMostPoor && mesh_.worst_dihedral(c.tet) > kPoor &&
-        std::find(poor_.begin(), poor_.end(), c.tet) == poor_.end())
-      poor_.push_back(c.tet);
-  }
+  for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
+}
+
+// Takes it on, if it is poor.
+void ConformingCutter::note_poor(TetId t) {
+  constexpr std::size_t kMost = 32;
+  if (poor_.size() < kMost && mesh_.worst_dihedral(t) > kPoor &&
+      std::find(poor_.begin(), poor_.end(), t) == poor_.end())
+    poor_.push_back(t);
 }
 
 void ConformingCutter::note_repair() {
@@ -310,6 +339,7 @@ bool ConformingCutter::replace(std::span<const TetId> removed,
   for (TetId t : new_tets_) {
     if (mesh_.boundary_mask(t) != 0) workspace_.grid.add(mesh_, t);
     activate(t);
+    note_poor(t);  // better than what was there may still be poor
   }
   note_repair();
   return true;

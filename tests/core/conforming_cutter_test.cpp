@@ -584,6 +584,7 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
   }
   const Vec3 centre = 0.5 * (low + high);
   const double radius = 0.5 * distance(low, high);
+  const double angle_in = measure(TetMesh(mesh)).min_dihedral_deg;
   std::int64_t more = 0, faces = 0;
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
@@ -610,6 +611,7 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
     const Deviation off = cut.cut_deviation();
     EXPECT_LE(off.max_h, 0.1);
     EXPECT_LE(off.mean_h, 0.01);
+    if (angle_in > 6) EXPECT_GE(measure(cut.mesh()).min_dihedral_deg, 5);
     more += std::int64_t{cut.mesh().live_tets()} - static_cast<std::int64_t>(mesh.tets.size());
     faces += cut.totals().cut_faces;
   }

@@ -253,12 +253,13 @@ TEST(VertexMover, CutsInAMovingBodyAreValidAndDeterministic) {
 }
 
 // A blade that goes right through separates a body that moves while it is cut: none of it slips past the blade. It moves when
-// the blade is in: tissue that comes over the blade's line from ahead where the blade has yet to enter is cut by nobody.
-TEST(VertexMover, AThroughCutInAMovingBodyLeavesTwoPieces) {
+// the blade is in: tissue that comes over the blade's line from ahead where the blade has yet to enter is cut by nobody. What sways
+// back over the cut may be cut off a second time.
+TEST(VertexMover, AThroughCutSeparatesAMovingBody) {
   constexpr std::uint64_t kSeed = 11;
   constexpr int kIn = 20;
   Random random(kSeed);
-  for (int round = 0; round < 12; ++round) {
+  for (int round = 0; round < 60; ++round) {
     CutSession session(body(), config());
     const double y = random.uniform(0.02, 0.04), phase = random.uniform(0, 6), rate = random.uniform(0, 0.15);
     for (int i = 0; i <= 60; ++i) {
@@ -269,7 +270,7 @@ TEST(VertexMover, AThroughCutInAMovingBodyLeavesTwoPieces) {
     }
     session.end_stroke(0);
     run_all(session);
-    EXPECT_EQ(measure(session.mesh()).pieces, 2u) << "seed " << kSeed << ", round " << round;
+    EXPECT_GE(measure(session.mesh()).pieces, 2u) << "seed " << kSeed << ", round " << round;
     EXPECT_EQ(validate(session.mesh()), "");
   }
 }
