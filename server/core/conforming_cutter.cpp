@@ -656,11 +656,8 @@ double ConformingCutter::worst_at(const VertexStar& star, const Vec3& p, double 
   work_ += 1 + static_cast<std::int64_t>(star.corners().size() / 8);
   const double worst = star.worst_at(p, limit, thickness, flat_);
   for (TetId t : flat_) {
-    Vec3 closest;
-    std::uint32_t triangle;
     work_ += 1;
-    if (!surface_.closest(mesh_.barycentre(t) + 0.25 * (p - star.position()), kFlatOff_h * h_, closest,
-                          triangle))
+    if (!surface_.is_within(mesh_.barycentre(t) + 0.25 * (p - star.position()), kFlatOff_h * h_))
       return kInverted;
   }
   return worst;

@@ -233,10 +233,7 @@ bool ConformingCutter::is_ragged(HalfFace h) const {
 bool ConformingCutter::is_thin(TetId t) const {
   work_ += 6;
   for (VertexId v : mesh_.vertices(t)) {
-    Vec3 closest;
-    std::uint32_t triangle;
-    if (!on_surface(v) && !surface_.closest(mesh_.position(v), kThin_h * mesh_.local_h(v), closest, triangle))
-      return false;
+    if (!on_surface(v) && !surface_.is_within(mesh_.position(v), kThin_h * mesh_.local_h(v))) return false;
   }
   return true;
 }

@@ -178,10 +178,8 @@ bool ConformingCutter::is_film(TetId t) const {
         std::max(twice_area, length(cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a)));
   }
   if (6 * mesh_.volume(t) > kFilm_h * mesh_.local_h(v[0]) * twice_area) return false;
-  Vec3 closest;
-  std::uint32_t triangle;
   work_ += 2;
-  return surface_.closest(mesh_.barycentre(t), kFilm_h * h_, closest, triangle);
+  return surface_.is_within(mesh_.barycentre(t), kFilm_h * h_);
 }
 
 void ConformingCutter::improve_by_moving(VertexId v) {

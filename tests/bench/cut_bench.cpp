@@ -80,8 +80,8 @@ double farthest_off(const core::TetMesh& from, const core::TetMesh& to) {
   return farthest;
 }
 
-Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const RandomCut& cut,
-                const Setting& setting) {
+Outcome run_one(const NamedMesh& mesh, const core::TetMesh& uncut, const core::CutReport& before,
+                const RandomCut& cut, const Setting& setting) {
   core::CutConfig config = bench_config(setting.policy);
   config.prefer = setting.prefer;
   core::CutSession session(mesh.mesh, config);
@@ -117,7 +117,6 @@ Outcome run_one(const NamedMesh& mesh, const core::CutReport& before, const Rand
   }
   for (std::uint8_t s : sides) outcome.mixed += s == 3;
   outcome.volume_change = std::abs(outcome.after.volume / before.volume - 1);
-  const core::TetMesh uncut(mesh.mesh);
   outcome.body_h = std::max(farthest_off(cut_mesh, uncut), farthest_off(uncut, cut_mesh)) / h;
   outcome.mean_deviation_h = samples > 0 ? sum / static_cast<double>(samples) : 0;
   outcome.growth =
@@ -144,7 +143,8 @@ void run(const Options& options, Report& report) {
                 {"angle in", 2}, {"p50", 2},        {"worst deg", 2}, {"ms a cut", 2}, {"us an event", 2},
                 {"units"}});
   for (const NamedMesh& mesh : meshes) {
-    const core::CutReport before = core::measure(core::TetMesh(mesh.mesh));
+    const core::TetMesh uncut(mesh.mesh);
+    const core::CutReport before = core::measure(uncut);
     for (const Setting& setting : kSettings) {
       if (std::find(options.settings.begin(), options.settings.end(), setting.name) == options.settings.end())
         continue;
@@ -157,7 +157,8 @@ void run(const Options& options, Report& report) {
           double mean = 0, max = 0, body = 0, volume = 0;
           for (int i = 0; i < options.cuts; ++i) {
             const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
-            const Outcome o = run_one(mesh, before, RandomCut(mesh.mesh, shape, segments, seed), setting);
+            const Outcome o =
+                run_one(mesh, uncut, before, RandomCut(mesh.mesh, shape, segments, seed), setting);
             const bool right =
                 o.after.pieces >= o.expected.least && o.after.pieces <= o.expected.most && o.mixed == 0;
             wrong += !right;
@@ -180,8 +181,8 @@ void run(const Options& options, Report& report) {
                            "angle %.2f degrees, growth %.2f, body %.3f h, hash %s\n",
                            mesh.name.c_str(), setting.name.c_str(), to_string(shape), segments,
                            static_cast<unsigned long long>(seed), o.after.pieces, o.expected.least,
-                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth, o.body_h,
-                           std::get<std::string>(hex(o.hash)).c_str());
+                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth,
+                           o.body_h, std::get<std::string>(hex(o.hash)).c_str());
             }
           }
           report.row({mesh.name,

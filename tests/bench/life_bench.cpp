@@ -45,10 +45,7 @@ void run(const std::string& file, std::size_t tets, int strokes, std::uint64_t s
          Report& report) {
   report.begin("life");
   const NamedMesh mesh = file.empty() ? phantom("liver", tets) : load(file, 1);
-  Vec3 low = mesh.mesh.positions[0], high = low;
-  for (const Vec3& p : mesh.mesh.positions) {
-    extend(p, low, high);
-  }
+  const auto [low, high] = bounds(mesh.mesh);
   core::CutSession session(mesh.mesh, bench_config(core::Policy::kConforming));
   session.set_blade(0, {{0, 0, 0}, {0, 0, 0.2 * core::distance(low, high)}});
   std::mt19937_64 random(seed);

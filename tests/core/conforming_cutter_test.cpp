@@ -611,12 +611,16 @@ TEST_P(ThroughCuts, leave_sound_meshes_on_the_swept_surface) {
     const Deviation off = cut.cut_deviation();
     EXPECT_LE(off.max_h, 0.1);
     EXPECT_LE(off.mean_h, 0.01);
-    if (angle_in > 6) EXPECT_GE(measure(cut.mesh()).min_dihedral_deg, 5);
+    if (angle_in > 6) {
+      EXPECT_GE(measure(cut.mesh()).min_dihedral_deg, 5);
+    }
     more += std::int64_t{cut.mesh().live_tets()} - static_cast<std::int64_t>(mesh.tets.size());
     faces += cut.totals().cut_faces;
   }
   // The coarsest have hardly a vertex that is not on a rough boundary, and may not leave it.
-  if (mesh.tets.size() > 5000) EXPECT_LE(2 * more, faces) << "new tetrahedra, for so many cut faces";
+  if (mesh.tets.size() > 5000) {
+    EXPECT_LE(2 * more, faces) << "new tetrahedra, for so many cut faces";
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Meshes, ThroughCuts,
