@@ -230,11 +230,13 @@ void ConformingCutter::fail(VertexId v) {
   for (std::uint32_t corner : star_ids_) activate(corner >> 2);
 }
 
-// v was moved: which side of the surface its tetrahedra are on may be another now. That matters where ragged faces open.
+// v was moved: the surface may cross other edges of its tetrahedra now, and which side of it they are on may be another.
+// That matters where ragged faces open.
 void ConformingCutter::judge_again(const VertexStar& star, VertexId v) {
   const auto failed = [this](VertexId w) { return workspace_.vertices[w].failed == stroke_; };
   const bool at_v = failed(v);
   for (const VertexStar::Corner& c : star.corners()) {
+    workspace_.tets[c.tet].seen = 0;
     if (at_v || std::ranges::any_of(c.others, failed)) activate(c.tet);
   }
 }
@@ -544,8 +546,9 @@ bool ConformingCutter::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bo
   });
 }
 
-// Adds the crossings of the tetrahedron's edges.
-void ConformingCutter::collect_from(TetId t) {
+// Adds the crossings of the tetrahedron's edges. Returns whether there is none.
+bool ConformingCutter::collect_from(TetId t) {
+  bool clear = true;
   const auto& v = mesh_.vertices(t);
   const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
   bool on[4];
@@ -570,6 +573,7 @@ void ConformingCutter::collect_from(TetId t) {
       if ((on[i] && std::abs(d[i]) <= clear_) || (on[j] && std::abs(d[j]) <= clear_)) continue;
       double at;
       if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_, at)) continue;
+      clear = false;
       if ((on[i] && at < kAtVertex) || (on[j] && at > 1 - kAtVertex)) {
         // A vertex on another part of the surface is as near as can be had.
         fail(v[i]);
@@ -580,6 +584,7 @@ void ConformingCutter::collect_from(TetId t) {
     }
     return false;
   });
+  return clear;
 }
 
 void ConformingCutter::begin_order() {
@@ -626,15 +631,17 @@ void ConformingCutter::verify(WorkBudget& budget) {
   if (next_active_ == 0) {
     collection_ = ++workspace_.serial;
     first_leftover_ = events_.size();
+    if (round_ == 0) verified_ = ++workspace_.serial;
   }
   while (next_active_ < active_.size()) {
     charge(budget);
     if (budget.spent()) return;
     Active& entry = active_[next_active_++];
     work_ += 1;
-    if (!mesh_.alive(entry.tet) || !ripe(entry)) continue;
+    // What has not changed since an earlier round looked at it need not be looked at again.
+    if (!mesh_.alive(entry.tet) || workspace_.tets[entry.tet].seen == verified_ || !ripe(entry)) continue;
     work_ += 2;
-    collect_from(entry.tet);
+    if (collect_from(entry.tet)) workspace_.tets[entry.tet].seen = verified_;
   }
   next_active_ = 0;
   if (events_.size() > first_leftover_ && ++round_ < 3) {
@@ -797,7 +804,10 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   workspace_.grow(mesh_);
   mark_on_surface(m);
   changed_.push_back({m});
-  for (TetId r : ring_) activate(r);
+  for (TetId r : ring_) {
+    workspace_.tets[r].seen = 0;
+    activate(r);
+  }
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {
     if (mesh_.boundary_mask(n) != 0) workspace_.grid.add(mesh_, n);
     activate(n);

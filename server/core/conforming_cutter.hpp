@@ -120,7 +120,7 @@ class ConformingCutter final : public Cutter {
   void order(WorkBudget& budget);
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
-  void collect_from(TetId t);
+  bool collect_from(TetId t);
   bool ripe(Active& entry);
   bool hot(VertexId v, double* by_m = nullptr) const;
   bool on_rim(VertexId v) const { return workspace_.vertices[v].rim == stroke_; }
@@ -160,7 +160,7 @@ class ConformingCutter final : public Cutter {
   void improve();
   void improve_by_moving(VertexId v);
   void note_poor(TetId t);
-  void note_repair();
+  void stir(std::span<const VertexId> vertices);
   void improve_by_collapse(TetId t);
   bool is_film(TetId t) const;
   void thin_out(VertexId v);
@@ -247,6 +247,7 @@ class ConformingCutter final : public Cutter {
   std::vector<std::uint32_t> retry_;
   std::uint32_t collection_ = 0;
   std::size_t first_leftover_ = 0;
+  std::uint32_t verified_ = 0;  // serial of this batch's verification
 
   std::vector<HalfFace> to_open_;
   std::size_t next_open_ = 0;
@@ -263,7 +264,7 @@ class ConformingCutter final : public Cutter {
   // flips (4), collapses (5).
   Changed repaired_{};
   bool repairing_ = false;
-  std::uint32_t repair_state_ = 0;  // serial of the mesh as the last repair left it
+  std::uint32_t repairs_ = 0;  // serial of the repairs at work
   std::vector<TetId> poor_;
   std::size_t next_poor_ = 0;
   int remedy_ = 0;

@@ -89,7 +89,7 @@ void ConformingCutter::search_placement(const VertexStar& star, bool on_surface,
 
 void ConformingCutter::begin_repairs() {
   repairing_ = false;
-  repair_state_ = ++workspace_.serial;
+  repairs_ = ++workspace_.serial;
   phase_ = Phase::kRepair;
 }
 
@@ -153,8 +153,9 @@ void ConformingCutter::improve() {
     } else {
       improve_by_collapse(t);
       if (is_poor() && is_film(t)) {
+        stir(mesh_.vertices(t));
         remove_flat(t);
-        note_repair();
+        ++counts_.repairs;
       }
       done = true;
     }
@@ -184,8 +185,8 @@ bool ConformingCutter::is_film(TetId t) const {
 
 void ConformingCutter::improve_by_moving(VertexId v) {
   // Poor tetrahedra share vertices: what did not help one of them does not help the next.
-  if (on_rim(v) || workspace_.vertices[v].tried == repair_state_) return;
-  workspace_.vertices[v].tried = repair_state_;
+  if (on_rim(v) || workspace_.vertices[v].tried == repairs_) return;
+  workspace_.vertices[v].tried = repairs_;
   gather(star_, v);
   Placement place{mesh_.position(v), star_.worst_now()};
   const double before = place.worst;
@@ -197,9 +198,12 @@ void ConformingCutter::improve_by_moving(VertexId v) {
   if (place.worst >= before) return;
   mesh_.move_vertex(v, place.target);
   judge_again(star_, v);
-  note_repair();
-  // What is better for the worst may be worse for others, which then stand in its way.
-  for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
+  ++counts_.repairs;
+  stir({&v, 1});
+  for (const VertexStar::Corner& c : star_.corners()) {
+    stir(c.others);
+    note_poor(c.tet);  // better for the worst may be worse for others, which then stand in its way
+  }
 }
 
 // Takes it on, if it is poor.
@@ -210,9 +214,9 @@ void ConformingCutter::note_poor(TetId t) {
     poor_.push_back(t);
 }
 
-void ConformingCutter::note_repair() {
-  ++counts_.repairs;
-  repair_state_ = ++workspace_.serial;
+// Something around these vertices has changed: moving them may be of use again.
+void ConformingCutter::stir(std::span<const VertexId> vertices) {
+  for (VertexId v : vertices) workspace_.vertices[v].tried = 0;
 }
 
 void ConformingCutter::improve_by_collapse(TetId t) {
@@ -337,9 +341,10 @@ bool ConformingCutter::replace(std::span<const TetId> removed,
   for (TetId t : new_tets_) {
     if (mesh_.boundary_mask(t) != 0) workspace_.grid.add(mesh_, t);
     activate(t);
+    stir(mesh_.vertices(t));
     note_poor(t);  // better than what was there may still be poor
   }
-  note_repair();
+  ++counts_.repairs;
   return true;
 }
 
@@ -407,10 +412,12 @@ bool ConformingCutter::try_collapse(const VertexStar& star, TetId t, VertexId v,
   }
   for (const VertexStar::Corner& c : star.corners()) {
     if (!mesh_.alive(c.tet)) continue;
+    workspace_.tets[c.tet].seen = 0;
     activate(c.tet);
     enter(c.tet);
+    stir(mesh_.vertices(c.tet));
   }
-  note_repair();
+  ++counts_.repairs;
   return true;
 }
 

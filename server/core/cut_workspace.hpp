@@ -20,7 +20,7 @@ struct CutWorkspace {
     std::uint32_t event_head = 0;   // the first event of an edge whose lower vertex it is
     std::uint32_t event_stamp = 0;  // the collection that event_head belongs to
     std::uint32_t looked_at = 0;    // the collection that found out whether it is near the blade
-    std::uint32_t tried = 0;        // the state of the mesh, during repairs, in which moving it was of no use
+    std::uint32_t tried = 0;        // the repairs in which moving it, as its star is now, was of no use
     bool hot = false;               // looked_at: it is near
   };
   struct TetMarks {

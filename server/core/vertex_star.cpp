@@ -40,12 +40,14 @@ struct LaneKernels {
     return out;
   }
 
+  // Begins with `first`, and puts there which exceeded the limit.
   [[gnu::always_inline]] static inline double worst(const Vec3& p, const Lanes* lanes, std::size_t count,
-                                                    double limit) {
+                                                    double limit, std::size_t& first) {
     const V zero{};
     const V3 a{zero + p.x, zero + p.y, zero + p.z};
     double worst = -1;
-    for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::size_t i = k == 0 ? first : k <= first ? k - 1 : k;
       const V3 u = minus(row(lanes[i], 0), a), v = minus(row(lanes[i], 1), a), w = minus(row(lanes[i], 2), a);
       const V3 nd = times(v, u), nc = times(u, w), nb = times(w, v);
       const V3 na{-(nd.x + nc.x + nb.x), -(nd.y + nc.y + nb.y), -(nd.z + nc.z + nb.z)};
@@ -59,19 +61,23 @@ struct LaneKernels {
       m = qa * qb * qc * qd > 0 ? m : inverted;
       m = dot(nd, w) >= 0 ? inverted : m;
       worst = std::max({worst, m[0], m[1], m[2], m[3]});
-      if (worst > limit) break;
+      if (worst > limit) {
+        first = i;
+        break;
+      }
     }
     return worst;
   }
 
-  static double worst_baseline(const Vec3& p, const Lanes* lanes, std::size_t count, double limit) {
-    return worst(p, lanes, count, limit);
+  static double worst_baseline(const Vec3& p, const Lanes* lanes, std::size_t count, double limit,
+                               std::size_t& first) {
+    return worst(p, lanes, count, limit, first);
   }
 #if defined(__x86_64__)
   // Without fused multiply-add, which would change the bits.
   [[gnu::target("avx2")]] static double worst_avx2(const Vec3& p, const Lanes* lanes, std::size_t count,
-                                                   double limit) {
-    return worst(p, lanes, count, limit);
+                                                   double limit, std::size_t& first) {
+    return worst(p, lanes, count, limit, first);
   }
 #endif
 };
@@ -103,6 +109,7 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   wall_areas_.clear();
   cut_walls_.clear();
   wall_area_ = {};
+  worst_lanes_ = 0;
   lanes_.resize((corner_ids_.size() + 3) / 4);
 }
 
@@ -151,7 +158,7 @@ double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::
     const Vec3 n = cross(point(c, 1) - a, point(c, 2) - a);
     if (std::abs(dot(n, p - a)) <= thickness * length(n)) flat.push_back(corners_[c].tet);
   }
-  if (flat.empty()) return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit);
+  if (flat.empty()) return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit, worst_lanes_);
   double worst = -1;
   for (std::size_t c = 0; c < corners_.size(); ++c) {
     if (std::find(flat.begin(), flat.end(), corners_[c].tet) != flat.end()) continue;
@@ -162,7 +169,7 @@ double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::
 }
 
 double VertexStar::worst_now() const {
-  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted);
+  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted, worst_lanes_);
 }
 
 bool VertexStar::keeps_boundary(const Vec3& p) const {

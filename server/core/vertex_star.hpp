@@ -75,7 +75,9 @@ class VertexStar {
   double local_h_ = 0;
   std::vector<std::uint32_t> corner_ids_;
   std::vector<Corner> corners_;
-  std::vector<Lanes> lanes_;                // the last one is filled up with copies of the last corner
+  std::vector<Lanes> lanes_;  // the last one is filled up with copies of the last corner
+  // Of them, what stood in the way when a place was too bad: it will again, as a rule.
+  mutable std::size_t worst_lanes_ = 0;
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
   std::vector<Vec3> walls_, cut_walls_;
   std::vector<double> wall_areas_;
