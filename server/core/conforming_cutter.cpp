@@ -736,11 +736,13 @@ bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
   if (!star.on_boundary() || !surface_.near(p, kStay_h * std::min(h_, star.local_h()), closest, triangle))
     return false;
   constexpr double kAlong = 0.94;  // cosine of 20 degrees
-  const auto runs_along = [&](const Vec3& wall) {
-    return std::abs(dot(wall, surface_[triangle].normal)) > kAlong;
-  };
-  if (!std::ranges::all_of(star.walls(), runs_along) && !std::ranges::any_of(star.cut_walls(), runs_along))
-    return false;
+  bool all_along = true, cut_along = false;
+  for (const VertexStar::Wall& wall : star.walls()) {
+    const bool along = std::abs(dot(wall.normal, surface_[triangle].normal)) > kAlong;
+    all_along = all_along && along;
+    cut_along = cut_along || (wall.cut && along);
+  }
+  if (!all_along && !cut_along) return false;
   const double worst = worst_at(star, p, placement.worst, kFlat_h * star.local_h());
   if (worst >= placement.worst) return false;
   placement = {p, worst};
@@ -750,6 +752,7 @@ bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
 void ConformingCutter::remove_flat(TetId t) {
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
+  const VertexId first_copy = mesh_.vertex_slots();
   mesh_.remove_tet(t);
   work_ += 60;
   ++counts_.removed_tets;
@@ -757,6 +760,8 @@ void ConformingCutter::remove_flat(TetId t) {
     if (n != kNone) workspace_.grid.add(mesh_, n);
   }
   workspace_.grow(mesh_);
+  // What is poor may be at a copy now, of a vertex that was put on the surface before.
+  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
 }
 
 void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& target) {
@@ -770,10 +775,7 @@ void ConformingCutter::snap(const VertexStar& star, VertexId v, const Vec3& targ
   }
   judge_again(star, v);
   if (worst > kGood || !flat_.empty()) changed_.push_back({v});
-  const VertexId first_copy = mesh_.vertex_slots();
   for (TetId t : flat_) remove_flat(t);
-  // What is poor may be at a copy now, of this vertex or of one that was put there before.
-  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
 }
 
 // What the worst of the tetrahedra would be that splitting the edge makes; stops beyond `limit`.

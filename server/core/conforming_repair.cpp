@@ -21,13 +21,12 @@ int ConformingCutter::freedom(const VertexStar& star, const Vec3* surface_normal
     // area: there the body wins on one face what it loses on others. More than one patch make a crease, or a corner.
     Vec3 firsts[3], sums[3]{};
     int patches = 0;
-    for (std::size_t i = 0; i < star.walls().size(); ++i) {
-      const Vec3& wall = star.walls()[i];
+    for (const VertexStar::Wall& wall : star.walls()) {
       int k = 0;
-      while (k < patches && dot(firsts[k], wall) <= 0.94) ++k;
+      while (k < patches && dot(firsts[k], wall.normal) <= 0.94) ++k;
       if (k == 3) continue;
-      if (k == patches) firsts[patches++] = wall;
-      sums[k] += star.wall_areas()[i] * wall;
+      if (k == patches) firsts[patches++] = wall.normal;
+      sums[k] += wall.twice_area * wall.normal;
     }
     for (int k = 0; k < patches; ++k) fix(normalized(sums[k]), k == 0 ? 0.05 : 0.34);
   }
@@ -129,9 +128,7 @@ void ConformingCutter::begin_repair() {
   next_poor_ = 0;
   remedy_ = 0;
   work_ += static_cast<std::int64_t>(star_.corners().size());
-  for (const VertexStar::Corner& c : star_.corners()) {
-    if (mesh_.worst_dihedral(c.tet) > kPoor) poor_.push_back(c.tet);
-  }
+  for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
   repairing_ = true;
 }
 

@@ -106,8 +106,6 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   corners_.clear();
   flattenable_.clear();
   walls_.clear();
-  wall_areas_.clear();
-  cut_walls_.clear();
   wall_area_ = {};
   worst_lanes_ = 0;
   lanes_.resize((corner_ids_.size() + 3) / 4);
@@ -137,9 +135,7 @@ VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
     const auto& k = kFaceVertices[f];
     const Vec3& a = mesh.position(vertices[k[0]]);
     const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
-    walls_.push_back(normalized(twice));
-    wall_areas_.push_back(length(twice));
-    if (mesh.cut_mask(corner.tet) >> f & 1) cut_walls_.push_back(walls_.back());
+    walls_.push_back({normalized(twice), length(twice), (mesh.cut_mask(corner.tet) >> f & 1) != 0});
     wall_area_ += 0.5 * twice;
   }
   return corner;
@@ -178,8 +174,8 @@ bool VertexStar::keeps_boundary(const Vec3& p) const {
   const Vec3 d = p - position_;
   // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
   if (std::abs(dot(wall_area_, d)) > 3 * kVolume_h3 * local_h_ * local_h_ * local_h_) return false;
-  for (const Vec3& n : walls_) {
-    if (std::abs(dot(n, d)) > kDistance_h * local_h_) return false;
+  for (const Wall& wall : walls_) {
+    if (std::abs(dot(wall.normal, d)) > kDistance_h * local_h_) return false;
   }
   return true;
 }

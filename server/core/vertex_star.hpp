@@ -17,6 +17,11 @@ class VertexStar {
     std::array<VertexId, 3> others;  // (v, others) is positively oriented
     bool may_flatten;                // all others lie on the swept surface
   };
+  struct Wall {
+    Vec3 normal;        // unit, outward
+    double twice_area;  // m^2
+    bool cut;           // a cut has opened it
+  };
 
   // Reads the star of v. on_surface(vertex) says whether a vertex lies on the swept surface.
   template <class OnSurface>
@@ -41,15 +46,11 @@ class VertexStar {
   const Vec3& position() const { return position_; }
   // The mesh width at the vertex, m.
   double local_h() const { return local_h_; }
-  // Unit normals of the boundary faces at the vertex (and of faces between two regions).
-  const std::vector<Vec3>& walls() const { return walls_; }
-  // Their areas, m^2, doubled.
-  const std::vector<double>& wall_areas() const { return wall_areas_; }
+  // The boundary faces at the vertex, and faces between two regions.
+  const std::vector<Wall>& walls() const { return walls_; }
   // The sum of their area vectors, m^2.
   const Vec3& wall_area() const { return wall_area_; }
   bool on_boundary() const { return !walls_.empty(); }
-  // Those of them that a cut has opened.
-  const std::vector<Vec3>& cut_walls() const { return cut_walls_; }
 
   // The worst measure (quality.hpp) in the star with the vertex at p; stops early beyond `limit`. Tetrahedra that
   // would be flat on the surface do not count: they are appended to `flat`. `thickness` is what counts as flat, m.
@@ -79,9 +80,8 @@ class VertexStar {
   // Of them, what stood in the way when a place was too bad: it will again, as a rule.
   mutable std::size_t worst_lanes_ = 0;
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
-  std::vector<Vec3> walls_, cut_walls_;
-  std::vector<double> wall_areas_;
-  Vec3 wall_area_;  // the sum of the boundary faces' area vectors
+  std::vector<Wall> walls_;
+  Vec3 wall_area_;
 };
 
 }  // namespace incise::core
