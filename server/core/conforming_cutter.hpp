@@ -39,6 +39,7 @@ class ConformingCutter final : public Cutter {
   bool advance(WorkBudget& budget) override;
   const CutCounts& counts() const override { return counts_; }
   void clinging(std::vector<VertexId>& out) const override;
+  void prefetch() override;
 
  private:
   friend struct SessionFields;  // session_state.cpp
@@ -270,7 +271,7 @@ class ConformingCutter final : public Cutter {
   int remedy_ = 0;
 
   VertexStar star_, other_star_;
-  std::vector<TetId> flat_, ring_, new_tets_;
+  std::vector<TetId> flat_, ring_, new_tets_, prefetched_;
   std::vector<std::uint32_t> star_ids_;
 };
 

@@ -51,6 +51,17 @@ bool CutSession::in_stroke(std::uint32_t number) const {
   return number < kMaxSources && sources_[number] && sources_[number]->builder.in_stroke();
 }
 
+CutCounts CutSession::running_counts() const {
+  return stage_ == Stage::kWaiting ? CutCounts{} : sources_[queue_.front().source]->cutter->counts();
+}
+
+void CutSession::prefetch() {
+  if (!queue_.empty()) return;
+  for (const auto& source : sources_) {
+    if (source && source->builder.in_stroke()) source->cutter->prefetch();
+  }
+}
+
 void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
   Batch& batch = deformation_;
   batch.source = batch.stroke = batch.number = 0;

@@ -48,6 +48,8 @@ class CutSession {
   // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
   // arrays keep their capacity: reuse it); call again for the next batch.
   Progress advance(WorkBudget& budget, Delta& delta);
+  // Where no batch waits: brings what the strokes in progress cut next into the caches. Some 30 us for each; changes nothing.
+  void prefetch();
 
   const TetMesh& mesh() const { return mesh_; }
   // Where the mesh's boundary is, cut faces included, as of the last operation.
@@ -62,6 +64,8 @@ class CutSession {
   // The batch that the last kCommitted was about, and what it did. Of stroke 0 where that was a deformation.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
+  // What the batch at work has done so far.
+  CutCounts running_counts() const;
 
  private:
   friend struct SessionFields;  // session_state.cpp

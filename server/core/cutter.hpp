@@ -37,6 +37,9 @@ class Cutter {
   // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
   // not be moved until it is done.
   virtual void clinging(std::vector<VertexId>& /*out*/) const {}
+  // Between two batches: brings what the next one is likely to work on into the processor's caches, from which the milliseconds
+  // since the last one have driven it. Changes nothing.
+  virtual void prefetch() {}
 };
 
 }  // namespace incise::core

@@ -248,6 +248,26 @@ void TetMesh::component(VertexId v, TetId from, std::vector<std::uint32_t>& corn
   }
 }
 
+void TetMesh::prefetch_around(std::vector<TetId>& tets, std::size_t most) const {
+  next_mark();
+  for (TetId t : tets) tet_mark_[t] = mark_;
+  for (std::size_t i = 0; i < tets.size(); ++i) {
+    const TetId t = tets[i];
+    __builtin_prefetch(&attributes_[t]);
+    __builtin_prefetch(&record_[t]);
+    for (VertexId v : tets_[t].vertices) {
+      prefetch_position(v);
+      __builtin_prefetch(&vertex_mark_[v]);
+    }
+    for (HalfFace h : tets_[t].opposite) {
+      if (h == kNone || tet_mark_[tet_of(h)] == mark_ || tets.size() >= most) continue;
+      tet_mark_[tet_of(h)] = mark_;
+      prefetch(tet_of(h));
+      tets.push_back(tet_of(h));
+    }
+  }
+}
+
 void TetMesh::star(VertexId v, std::vector<std::uint32_t>& star) const {
   star.clear();
   if (vertices_[v].tet == kNone) return;

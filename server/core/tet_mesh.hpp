@@ -69,6 +69,8 @@ class TetMesh {
   // What will be asked for soon.
   void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
   void prefetch_position(VertexId v) const { __builtin_prefetch(&vertices_[v]); }
+  // All that is known of some tetrahedra and of what is nearest to them, which is appended until there are `most`.
+  void prefetch_around(std::vector<TetId>& tets, std::size_t most) const;
 
   bool alive(TetId t) const { return tets_[t].vertices[0] != kNone; }
   const std::array<VertexId, 4>& vertices(TetId t) const { return tets_[t].vertices; }

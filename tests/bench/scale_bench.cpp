@@ -171,16 +171,18 @@ void run_events(std::size_t size, int segments, Report& report) {
 
   core::CutCounts counts;
   core::Delta delta;
-  std::vector<double> operations_us, commits_us;
+  std::vector<double> operations_us, events_us, commits_us;
   std::uint64_t delta_bytes = 0;
   for (;;) {
     core::WorkBudget one{1};
+    const std::uint32_t events = session.running_counts().events;
     const double start = thread_cpu_s();
     const auto progress = session.advance(one, delta);
     const double us = std::max(0.0, 1e6 * (thread_cpu_s() - start) - clock_us);
     if (progress == core::CutSession::Progress::kIdle) break;
     if (progress == core::CutSession::Progress::kSpent) {
       operations_us.push_back(us);
+      if (session.running_counts().events > events) events_us.push_back(us);
       continue;
     }
     commits_us.push_back(us);
@@ -206,6 +208,7 @@ void run_events(std::size_t size, int segments, Report& report) {
                 percentile(us, 0.99), percentile(us, 1)});
   };
   row("operation", operations_us);
+  row("of them: an event (snap or split)", events_us);
   row("commit of a batch", commits_us);
 }
 

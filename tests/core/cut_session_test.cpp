@@ -93,12 +93,18 @@ TEST_P(CutSessionOf, TheSameWithAnyBudget) {
     std::vector<std::uint64_t> hashes;
     Delta delta;
     std::size_t spent = 0;
+    std::uint32_t opened = 0, opened_at_stops = 0;
     for (bool idle = false; !idle;) {
       WorkBudget budget{units};
       CutSession::Progress progress{};
       while ((progress = session.advance(budget, delta)) == CutSession::Progress::kCommitted) {
         hashes.push_back(delta.state_hash);
+        EXPECT_LE(opened, session.committed_counts().cut_faces);
+        opened = 0;
       }
+      EXPECT_LE(opened, session.running_counts().cut_faces);
+      opened = session.running_counts().cut_faces;
+      opened_at_stops += opened;
       idle = progress == CutSession::Progress::kIdle;
       spent += idle ? 0 : 1;
       ASSERT_LT(spent, 2000000u) << "no progress";
@@ -107,6 +113,7 @@ TEST_P(CutSessionOf, TheSameWithAnyBudget) {
       expected = hashes;
     } else {
       EXPECT_GE(spent, 2u);
+      EXPECT_GT(opened_at_stops, 0u);
       EXPECT_EQ(hashes, expected) << units << " units a call";
     }
   }
@@ -121,6 +128,7 @@ TEST_P(CutSessionOf, TheSameHoweverPushingAndCuttingInterleave) {
     std::vector<std::uint64_t> hashes;
     Delta delta;
     for (int i = 0; i <= 120; ++i) {
+      if (run % 2 == 1) session.prefetch();
       session.push(0, at(2 * i, -0.01 + 0.1 * i / 120, 0.03 + 0.002 * std::sin(0.05 * i), i < 120));
       WorkBudget budget{run == 0 ? 0 : static_cast<std::int64_t>(random.below(4000))};
       while (session.advance(budget, delta) == CutSession::Progress::kCommitted)
