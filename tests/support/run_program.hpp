@@ -1,11 +1,9 @@
 #pragma once
 
+#include <fcntl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <array>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -29,17 +27,25 @@ inline std::string read_file(const std::filesystem::path& path) {
 // Runs a built program to its end, without a terminal. `arguments` are passed as they are.
 inline RunResult run_program(const std::string& name, const std::vector<std::string>& arguments,
                              const std::filesystem::path& directory) {
-  const auto quoted = [](const std::string& text) {
-    std::string out = "'";
-    for (const char c : text) out += c == '\'' ? std::string("'\\''") : std::string(1, c);
-    return out + "'";
-  };
   const auto err = directory / "stderr.txt", out = directory / "stdout.txt";
-  std::string command =
-      "cd " + quoted(directory.string()) + " && " + quoted(std::string(INCISE_BIN_DIR) + "/" + name);
-  for (const std::string& argument : arguments) command += ' ' + quoted(argument);
-  command += " > " + quoted(out.string()) + " 2> " + quoted(err.string()) + " < /dev/null";
-  const int status = std::system(command.c_str());
+  const std::string program = std::string(INCISE_BIN_DIR) + "/" + name;
+  std::vector<char*> argv{const_cast<char*>(program.c_str())};
+  for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
+  argv.push_back(nullptr);
+  // Without a shell: none lives with a sanitizer's library preloaded.
+  const pid_t child = ::fork();
+  if (child == 0) {
+    const auto put = [](const char* path, int flags, int as) {
+      return ::dup2(::open(path, flags, 0644), as) == as;
+    };
+    constexpr int kAnew = O_WRONLY | O_CREAT | O_TRUNC;
+    if (::chdir(directory.c_str()) == 0 && put("/dev/null", O_RDONLY, STDIN_FILENO) &&
+        put(out.c_str(), kAnew, STDOUT_FILENO) && put(err.c_str(), kAnew, STDERR_FILENO))
+      ::execv(argv[0], argv.data());
+    ::_exit(127);
+  }
+  int status = 0;
+  ::waitpid(child, &status, 0);
   RunResult result;
   result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   result.out = read_file(out);
