@@ -252,7 +252,7 @@ void ConformingCutter::judge_again(const VertexStar& star, VertexId v) {
   const auto failed = [this](VertexId w) { return workspace_.vertices[w].failed == stroke_; };
   const bool at_v = failed(v);
   for (const VertexStar::Corner& c : star.corners()) {
-    workspace_.tets[c.tet].seen = 0;
+    look_again(c.tet);
     if (at_v || std::ranges::any_of(c.others, failed)) activate(c.tet);
   }
 }
@@ -654,7 +654,6 @@ void ConformingCutter::verify(WorkBudget& budget) {
     if (budget.spent()) return;
     Active& entry = active_[next_active_++];
     work_ += 1;
-    // What has not changed since an earlier round looked at it need not be looked at again.
     if (!mesh_.alive(entry.tet) || workspace_.tets[entry.tet].seen == verified_ || !ripe(entry)) continue;
     work_ += 2;
     if (collect_from(entry.tet)) workspace_.tets[entry.tet].seen = verified_;
@@ -752,13 +751,12 @@ bool ConformingCutter::stay(const VertexStar& star, Placement& placement) {
   if (!star.on_boundary() || !surface_.near(p, kStay_h * std::min(h_, star.local_h()), closest, triangle))
     return false;
   constexpr double kAlong = 0.94;  // cosine of 20 degrees
-  bool all_along = true, cut_along = false;
-  for (const VertexStar::Wall& wall : star.walls()) {
-    const bool along = std::abs(dot(wall.normal, surface_[triangle].normal)) > kAlong;
-    all_along = all_along && along;
-    cut_along = cut_along || (wall.cut && along);
-  }
-  if (!all_along && !cut_along) return false;
+  const auto runs_along = [&](const VertexStar::Wall& wall) {
+    return std::abs(dot(wall.normal, surface_[triangle].normal)) > kAlong;
+  };
+  const auto cut_along = [&](const VertexStar::Wall& wall) { return wall.cut && runs_along(wall); };
+  if (!std::ranges::all_of(star.walls(), runs_along) && !std::ranges::any_of(star.walls(), cut_along))
+    return false;
   const double worst = worst_at(star, p, placement.worst, kFlat_h * star.local_h());
   if (worst >= placement.worst) return false;
   placement = {p, worst};
@@ -823,7 +821,7 @@ void ConformingCutter::split(TetId tet, VertexId a, VertexId b, double t) {
   mark_on_surface(m);
   changed_.push_back({m});
   for (TetId r : ring_) {
-    workspace_.tets[r].seen = 0;
+    look_again(r);
     activate(r);
   }
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {

@@ -122,6 +122,8 @@ class ConformingCutter final : public Cutter {
   void work_events(WorkBudget& budget);
   void verify(WorkBudget& budget);
   bool collect_from(TetId t);
+  // What verify() found to be clear is looked at again only where it has changed since.
+  void look_again(TetId t) { workspace_.tets[t].seen = 0; }
   bool ripe(Active& entry);
   bool hot(VertexId v, double* by_m = nullptr) const;
   bool on_rim(VertexId v) const { return workspace_.vertices[v].rim == stroke_; }

@@ -216,9 +216,9 @@ bool ConformingCutter::stands_clear(HalfFace h) const {
   for (int f = 0; f < 4; ++f) {
     if (is_ragged(half_face(tet_of(h), f))) return false;
   }
-  const Vec3& a = mesh_.position(face[0]);
-  const Vec3 n = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
-  return std::abs(dot(n, mesh_.position(apex) - a)) > kThin_h * mesh_.local_h(apex) * length(n);
+  const Vec3 n = mesh_.twice_area(h);
+  return std::abs(dot(n, mesh_.position(apex) - mesh_.position(face[0]))) >
+         kThin_h * mesh_.local_h(apex) * length(n);
 }
 
 // Whether a face has been opened beside the surface, where a crossing could not be dealt with.
@@ -261,8 +261,7 @@ void ConformingCutter::note_opening(HalfFace h) {
   workspace_.grid.add(mesh_, tet_of(h));
   workspace_.grid.add(mesh_, tet_of(o));
   const auto v = mesh_.face_vertices(h);
-  const Vec3 &p = mesh_.position(v[0]), &q = mesh_.position(v[1]), &r = mesh_.position(v[2]);
-  counts_.cut_area += 0.5 * length(cross(q - p, r - p));
+  counts_.cut_area += 0.5 * length(mesh_.twice_area(h));
   for (VertexId w : v) {
     if (on_surface(w)) continue;
     std::uint32_t triangle;

@@ -169,12 +169,7 @@ bool ConformingCutter::is_film(TetId t) const {
   const auto& v = mesh_.vertices(t);
   if (!std::ranges::all_of(v, [this](VertexId w) { return on_surface(w); })) return false;
   double twice_area = 0;
-  for (int f = 0; f < 4; ++f) {
-    const auto face = mesh_.face_vertices(half_face(t, f));
-    const Vec3& a = mesh_.position(face[0]);
-    twice_area =
-        std::max(twice_area, length(cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a)));
-  }
+  for (int f = 0; f < 4; ++f) twice_area = std::max(twice_area, length(mesh_.twice_area(half_face(t, f))));
   if (6 * mesh_.volume(t) > kFilm_h * mesh_.local_h(v[0]) * twice_area) return false;
   work_ += 2;
   return surface_.is_within(mesh_.barycentre(t), kFilm_h * h_);
@@ -196,9 +191,8 @@ void ConformingCutter::improve_by_moving(VertexId v) {
   mesh_.move_vertex(v, place.target);
   judge_again(star_, v);
   ++counts_.repairs;
-  stir({&v, 1});
   for (const VertexStar::Corner& c : star_.corners()) {
-    stir(c.others);
+    stir(mesh_.vertices(c.tet));
     note_poor(c.tet);  // better for the worst may be worse for others, which then stand in its way
   }
 }
@@ -409,7 +403,7 @@ bool ConformingCutter::try_collapse(const VertexStar& star, TetId t, VertexId v,
   }
   for (const VertexStar::Corner& c : star.corners()) {
     if (!mesh_.alive(c.tet)) continue;
-    workspace_.tets[c.tet].seen = 0;
+    look_again(c.tet);
     activate(c.tet);
     enter(c.tet);
     stir(mesh_.vertices(c.tet));

@@ -148,9 +148,7 @@ Vec3 CrollCutter::surface_normal(VertexId v) {
     const TetId t = corner >> 2;
     for (int f = 0; f < 4; ++f) {
       if (f == static_cast<int>(corner & 3u) || mesh_.opposite(half_face(t, f)) != kNone) continue;
-      const auto face = mesh_.face_vertices(half_face(t, f));
-      const Vec3& a = mesh_.position(face[0]);
-      const Vec3 area = cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a);
+      const Vec3 area = mesh_.twice_area(half_face(t, f));
       const bool is_cut = (mesh_.cut_mask(t) >> f & 1) != 0;
       (is_cut ? cut : outer) += area;
       (is_cut ? cut_area : outer_area) += length(area);
@@ -240,8 +238,7 @@ void CrollCutter::split(const Sweep& sweep) {
       const auto face = mesh_.face_vertices(half_face(t, f));
       if (moved_[face[0]] == 0 || moved_[face[1]] == 0 || moved_[face[2]] == 0) continue;
       faces_.push_back(half_face(t, f));
-      const Vec3& a = mesh_.position(face[0]);
-      counts_.cut_area += 0.5 * length(cross(mesh_.position(face[1]) - a, mesh_.position(face[2]) - a));
+      counts_.cut_area += 0.5 * length(mesh_.twice_area(half_face(t, f)));
       for (VertexId v : face) {
         const double off = std::abs(sweep.cut.distance(mesh_.position(v)));
         const double h = mesh_.local_h(v);

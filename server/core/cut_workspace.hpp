@@ -24,7 +24,7 @@ struct CutWorkspace {
     bool hot = false;               // looked_at: it is near
   };
   struct TetMarks {
-    std::uint32_t seen = 0;    // the last search that came by
+    std::uint32_t seen = 0;    // the last search that came by, or verification that found it clear
     std::uint32_t active = 0;  // the stroke that has it in its list
     std::uint8_t pending = 0;  // bit f: face f is about to open
   };

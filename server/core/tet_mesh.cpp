@@ -182,6 +182,12 @@ std::array<VertexId, 3> TetMesh::face_vertices(HalfFace h) const {
   return {v[f[0]], v[f[1]], v[f[2]]};
 }
 
+Vec3 TetMesh::twice_area(HalfFace h) const {
+  const auto v = face_vertices(h);
+  const Vec3& a = position(v[0]);
+  return cross(position(v[1]) - a, position(v[2]) - a);
+}
+
 int TetMesh::local_index(TetId t, VertexId v) const {
   const auto& tet = tets_[t].vertices;
   for (int i = 0; i < 4; ++i) {

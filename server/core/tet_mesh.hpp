@@ -89,6 +89,8 @@ class TetMesh {
   std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
   std::uint8_t boundary_mask(TetId t) const;
   std::array<VertexId, 3> face_vertices(HalfFace h) const;
+  // Outward from the tetrahedron, as long as twice the face's area, m^2.
+  Vec3 twice_area(HalfFace h) const;
   // Which of its four vertices v is; -1 where it is none.
   int local_index(TetId t, VertexId v) const;
   TetState state(TetId t) const;

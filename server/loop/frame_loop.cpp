@@ -277,10 +277,7 @@ void FrameLoop::reset() {
 // ------------------------------------------------------------------------------------------------ cutting
 
 void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
-  if (session_->backlog_batches() == 0) {
-    session_->prefetch();
-    return;
-  }
+  session_->prefetch();
   std::int64_t units_left = options_.units_per_frame > 0 ? options_.units_per_frame : INT64_MAX;
   std::int64_t now = monotonic_ns();
   // At least one slice, however late it is: a frame that never cuts would never end the backlog.

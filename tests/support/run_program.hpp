@@ -1,9 +1,11 @@
 #pragma once
 
 #include <fcntl.h>
+#include <spawn.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -33,17 +35,17 @@ inline RunResult run_program(const std::string& name, const std::vector<std::str
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);
   // Without a shell: none lives with a sanitizer's library preloaded.
-  const pid_t child = ::fork();
-  if (child == 0) {
-    const auto put = [](const char* path, int flags, int as) {
-      return ::dup2(::open(path, flags, 0644), as) == as;
-    };
-    constexpr int kAnew = O_WRONLY | O_CREAT | O_TRUNC;
-    if (::chdir(directory.c_str()) == 0 && put("/dev/null", O_RDONLY, STDIN_FILENO) &&
-        put(out.c_str(), kAnew, STDOUT_FILENO) && put(err.c_str(), kAnew, STDERR_FILENO))
-      ::execv(argv[0], argv.data());
-    ::_exit(127);
-  }
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  constexpr int kAnew = O_WRONLY | O_CREAT | O_TRUNC;
+  posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, out.c_str(), kAnew, 0644);
+  posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, err.c_str(), kAnew, 0644);
+  posix_spawn_file_actions_addchdir_np(&actions, directory.c_str());
+  pid_t child = -1;
+  const int error = ::posix_spawn(&child, program.c_str(), &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (error != 0) return {-1, {}, program + ": " + std::strerror(error)};
   int status = 0;
   ::waitpid(child, &status, 0);
   RunResult result;
