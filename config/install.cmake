@@ -17,7 +17,13 @@ foreach(program incise incised)
     DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT ${program})
   install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${program} COMPONENT ${program})
 endforeach()
-install(FILES README.md protocol/PROTOCOL.md DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/incised COMPONENT incised)
+# In their folders, so that the links between them hold.
+foreach(page README.md CHANGELOG.md CONTRIBUTING.md client/CLIENTS.md client/viewer/PAGE.md config/devices/DEVICES.md protocol/PROTOCOL.md
+    server/ARCHITECTURE.md server/OPERATING.md server/core/CUTTING.md server/haptics/FORCES.md server/input/PEERS.md
+    server/mesh_io/FORMATS.md)
+  cmake_path(GET page PARENT_PATH folder)
+  install(FILES ${page} DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/incised/${folder} COMPONENT incised)
+endforeach()
 
 # --- The server's configuration, devices, page, service
 if(INCISE_VIEWER)

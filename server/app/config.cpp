@@ -436,7 +436,7 @@ const std::vector<Key>& keys() {
               "of poses."),
       text("devices.profiles", INCISE_FIELD(devices.profiles),
            "the path of a folder, relative to this file; or \"\"",
-           "Device profiles of your own, *.json; they go before the shipped ones. README, \"Writing a device "
+           "Device profiles of your own, *.json; they go before the shipped ones. DEVICES.md, \"Writing a device "
            "profile\"."),
       overrides(),
 

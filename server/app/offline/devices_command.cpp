@@ -101,7 +101,7 @@ int list(const std::vector<Candidate>& found, bool json) {
   if (json) std::printf("%s\n", all.dump(2).c_str());
   if (found.empty() && !json) {
     std::printf(
-        "no HID device is connected, or none that this user may see (README, \"Connecting a device\")\n");
+        "no HID device is connected, or none that this user may see (DEVICES.md, \"Connecting a device\")\n");
   }
   return 0;
 }

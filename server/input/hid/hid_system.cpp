@@ -49,7 +49,7 @@ std::string trouble_of(const std::string& path) {
   if (node < 0) {
     const int error = errno;
     return path + ": " + std::generic_category().message(error) +
-           (error == EACCES ? " (README, \"Connecting a device\": the udev rules)" : "");
+           (error == EACCES ? " (DEVICES.md, \"Connecting a device\": the udev rules)" : "");
   }
   int size = 0;
   const bool hidraw = ::ioctl(node, HIDIOCGRDESCSIZE, &size) >= 0;

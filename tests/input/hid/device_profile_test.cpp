@@ -143,13 +143,17 @@ TEST(DeviceProfile, TheShippedOnesAreGood) {
                                            "incise_stylus", "razer_hydra", "sony_dualsense"}));
 }
 
-// What README shows to those who write one must work.
-TEST(DeviceProfile, TheOneInTheReadmeIsGood) {
-  std::ifstream in(std::string(INCISE_SOURCE_DIR) + "/README.md");
-  const std::string readme((std::istreambuf_iterator<char>(in)), {});
-  const auto begin = readme.find("```json\n", readme.find("## Writing a device profile")) + 8;
-  const DeviceProfile pen =
-      parse_profile(readme.substr(begin, readme.find("```", begin) - begin), "my_pen.json");
+// The part of config/devices/DEVICES.md for those who write a profile.
+std::string page_on_profiles() {
+  std::ifstream in(std::string(INCISE_SOURCE_DIR) + "/config/devices/DEVICES.md");
+  const std::string page((std::istreambuf_iterator<char>(in)), {});
+  return page.substr(page.find("## Writing a device profile"));
+}
+
+TEST(DeviceProfile, TheOneOnThePageIsGood) {
+  const std::string page = page_on_profiles();
+  const auto begin = page.find("```json\n") + 8;
+  const DeviceProfile pen = parse_profile(page.substr(begin, page.find("```", begin) - begin), "my_pen.json");
   EXPECT_EQ(pen.name, "My Pen");
   EXPECT_TRUE(pen.clock && pen.counter && pen.force);
   std::uint32_t end = 0;
@@ -157,11 +161,9 @@ TEST(DeviceProfile, TheOneInTheReadmeIsGood) {
   EXPECT_EQ(end, 22u);
 }
 
-// README's tables have a row for each key that is accepted: one that is not would have named them all.
-TEST(DeviceProfile, TheReadmeKnowsEveryKey) {
-  std::ifstream in(std::string(INCISE_SOURCE_DIR) + "/README.md");
-  const std::string readme((std::istreambuf_iterator<char>(in)), {});
-  const std::string page = readme.substr(readme.find("## Writing a device profile"));
+// The page's tables have a row for each key that is accepted; the error for an unknown key names them all.
+TEST(DeviceProfile, ThePageHasEveryKey) {
+  const std::string page = page_on_profiles();
   const std::pair<const char*, const char*> wrong[] = {
       {"\"rate_hz\"", "\"?\""},     {"\"step\"", "\"?\""},
       {"\"tick_s\"", "\"?\""},      {"\"buttons\"", "\"?\""},
@@ -178,7 +180,7 @@ TEST(DeviceProfile, TheReadmeKnowsEveryKey) {
       EXPECT_NE(page.find("`" + key + "`") == std::string::npos &&
                     page.find("\"" + key + "\"") == std::string::npos,
                 true)
-          << "README says nothing of " << key;
+          << "DEVICES.md has no " << key;
     }
   }
 }
