@@ -764,10 +764,10 @@ void check_folder(const std::string& file, const std::string& key, const Path& f
                   const std::string& accepted) {
   std::error_code error;
   int why = 0;
-  if (access(folder.c_str(), access_mode | X_OK) != 0) {
-    why = errno;
-  } else if (!std::filesystem::is_directory(folder, error)) {
+  if (std::filesystem::exists(folder, error) && !std::filesystem::is_directory(folder, error)) {
     why = ENOTDIR;
+  } else if (access(folder.c_str(), access_mode | X_OK) != 0) {
+    why = errno;
   }
   if (why != 0) refuse(file, key, folder.string() + ": " + std::generic_category().message(why), accepted);
 }

@@ -77,7 +77,7 @@ class Page {
     this.setTheme(localStorage.getItem("incise-theme") ?? "auto");
     this.togglePanel(innerWidth > 1000);
     setInterval(() => this.showRates(), kFiguresEvery_ms);
-    for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a")) link.onclick = (event) => void this.follow(event, link.href);
+    for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a")) link.onclick = (event) => void this.openWithToken(event, link.href);
     addEventListener("resize", () => this.measureCover());
     addEventListener("online", () => this.send({ kind: "wake" }));
     document.addEventListener("visibilitychange", () => {
@@ -503,7 +503,7 @@ class Page {
   }
 
   /** A link cannot carry the token: what it leads to is fetched, and shown in a tab of its own. */
-  private async follow(event: MouseEvent, url: string): Promise<void> {
+  private async openWithToken(event: MouseEvent, url: string): Promise<void> {
     if (this.token === "") return;
     event.preventDefault();
     const answer = await fetch(url, { cache: "no-store", headers: bearer(this.token) });
