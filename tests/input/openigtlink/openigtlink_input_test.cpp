@@ -230,8 +230,8 @@ TEST_F(OpenIgtLink, AMessageThatIsNotFinishedEndsItsConnection) {
   };
   const auto half_header = begun(29), half_body = begun(whole.size() - 1);
   stream::RawPeer half_image(input->port());  // of those that are passed over
-  half_image.send(
-      std::as_bytes(std::span(openigtlink::encode("IMAGE", "Camera", 0, Packed(1000)))).first(500));
+  const Packed image = openigtlink::encode("IMAGE", "Camera", 0, Packed(1000));
+  half_image.send(std::as_bytes(std::span(image)).first(500));
   EXPECT_TRUE(half_header->closes());
   EXPECT_TRUE(half_body->closes());
   EXPECT_TRUE(half_image.closes());
