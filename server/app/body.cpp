@@ -1,5 +1,7 @@
 #include "server/app/body.hpp"
 
+#include <exception>
+
 #include "server/mesh_io/phantom.hpp"
 
 namespace incise::app {
@@ -15,6 +17,15 @@ mesh_io::LoadOptions load_options(const Config& config, FillProgress progress) {
   options.fill.cache_dir = config.resolve(config.mesh.cache_directory);
   options.fill.progress = std::move(progress);
   return options;
+}
+
+void check_body(const Config& config, const std::string& file) {
+  if (config.mesh.path.empty()) return;
+  try {
+    mesh_io::check_mesh(config.resolve(config.mesh.path), load_options(config));
+  } catch (const std::exception& error) {
+    throw ConfigError(file + ": mesh.path: " + error.what());
+  }
 }
 
 Body load_body(const Config& config, FillProgress progress) {

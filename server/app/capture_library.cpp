@@ -1,10 +1,13 @@
 #include "server/app/capture_library.hpp"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
 
@@ -23,10 +26,23 @@ constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a re
 constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
 
-bool is_plain(const std::string& name) {
-  return std::all_of(name.begin(), name.end(), [](unsigned char c) {
-    return std::isalnum(c) != 0 || c == '-' || c == '_' || c == '.';
-  });
+// Whether a name can be told to clients: UTF-8 without control characters.
+bool is_text(const std::string& name) {
+  const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7f; };
+  if (std::any_of(name.begin(), name.end(), is_control)) return false;
+  try {
+    return !nlohmann::json(name).dump().empty();
+  } catch (const nlohmann::json::exception&) {
+    return false;
+  }
+}
+
+// Whether it is a file of the folder `home` (canonical): links that lead outside are not.
+bool lies_in(const fs::path& home, const fs::path& path) {
+  std::error_code error;
+  const fs::path real = fs::canonical(path, error);
+  if (error || !fs::is_regular_file(real, error)) return false;
+  return std::mismatch(home.begin(), home.end(), real.begin(), real.end()).first == home.end();
 }
 
 // One capture's replay, on its thread: what was asked for is in `wish`, under the mutex.
@@ -238,10 +254,17 @@ void CaptureLibrary::stop() {
 std::vector<std::string> CaptureLibrary::names() {
   std::vector<std::string> names;
   std::error_code error;
-  for (const fs::directory_entry& entry : fs::directory_iterator(directory_, error)) {
+  const fs::path home = fs::canonical(directory_, error);
+  if (error) return names;
+  for (const fs::directory_entry& entry : fs::directory_iterator(home, error)) {
     const std::string name = entry.path().filename().string();
-    if (entry.path().extension() == ".capture" && is_plain(name) && entry.is_regular_file(error)) {
+    if (entry.path().extension() != ".capture" || name.front() == '.') continue;
+    if (is_text(name) && lies_in(home, entry.path())) {
       names.push_back(name);
+    } else if (left_out_.insert(name).second) {
+      spdlog::warn("capture.library: {} is not offered", is_text(name)
+                                                             ? name + ", which is no file of this folder,"
+                                                             : "a file whose name is not UTF-8 text");
     }
   }
   std::sort(names.begin(), names.end());

@@ -4,6 +4,7 @@
 #include <functional>
 #include <list>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -22,7 +23,8 @@ class CaptureLibrary final : public stream::ReplayLibrary {
   CaptureLibrary(std::filesystem::path directory, const Body& live);
   ~CaptureLibrary() override;
 
-  // Files that end in .capture, in order. Those with other than letters, digits and -_. in their names are passed over.
+  // Files that end in .capture, in order. Not offered: hidden ones, links that lead out of the directory, names that are not
+  // UTF-8 text; the log says so once of each of the last two.
   std::vector<std::string> names() override;
   std::unique_ptr<stream::ReplayPlayer> open(const std::string& name, stream::ReplayEvents events) override;
   // Ends all threads. Before what their events go to is gone.
@@ -35,6 +37,7 @@ class CaptureLibrary final : public stream::ReplayLibrary {
 
   const std::filesystem::path directory_;
   const Body& live_;
+  std::set<std::string> left_out_;               // what the log has been told of
   std::list<std::shared_ptr<Playing>> playing_;  // with those that have ended and were not joined yet
 };
 

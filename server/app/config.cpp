@@ -1,6 +1,10 @@
 #include "server/app/config.hpp"
 
+#include <unistd.h>
+
 #include <algorithm>
+#include <boost/asio/ip/address.hpp>
+#include <boost/asio/ssl/context.hpp>
 #include <cmath>
 #include <fstream>
 #include <functional>
@@ -9,7 +13,9 @@
 #include <set>
 #include <sstream>
 
+#include "server/app/token_file.hpp"
 #include "server/input/hid/json_node.hpp"
+#include "server/stream/tls.hpp"
 
 namespace incise::app {
 namespace {
@@ -383,9 +389,9 @@ const std::vector<Key>& keys() {
       texts("listen.allowed_origins", INCISE_FIELD(listen.allowed_origins), "a list of texts",
             "Origins of web pages that may connect beside the server's own; \"*\": any."),
       text("listen.token_file", INCISE_FIELD(listen.token_file), "a path, relative to this file; or \"\"",
-           "JSON: [{\"token\": \"...\", \"roles\": [\"viewer\", \"operator\", \"simulator\", \"admin\"]}, "
-           "...]. With one, "
-           "nobody enters without a token."),
+           "JSON: [{\"token\": \"...\", \"roles\": [\"viewer\", \"operator\", \"simulator\", \"admin\", "
+           "\"metrics\"]}, ...]. With one, nobody enters without a token, nor reads /stats, /metrics or "
+           "/captures; \"metrics\" opens the first two alone."),
       text("listen.certificate_file", INCISE_FIELD(listen.certificate_file),
            "a path, relative to this file; or \"\"", "PEM; with it and the key both ports speak TLS."),
       text("listen.private_key_file", INCISE_FIELD(listen.private_key_file),
@@ -731,27 +737,89 @@ Config load_config(const std::filesystem::path& file) {
   return config;
 }
 
-void check_config(const Config& config, const std::string& file) {
-  const auto readable = [&](const std::string& key, const std::string& value) {
-    if (!value.empty() && !std::ifstream(config.resolve(value))) {
-      refuse(file, key,
-             shown(value) + " (" + config.resolve(value).string() + ": " +
-                 std::generic_category().message(errno) + ")",
-             "a file that can be read");
-    }
-  };
-  if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
-    refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
+namespace {
+
+using Path = std::filesystem::path;
+
+// Refuses a path at which there is no file that can be read.
+void check_readable(const Config& config, const std::string& file, const std::string& key,
+                    const std::string& value) {
+  if (value.empty()) return;
+  const Path path = config.resolve(value);
+  std::error_code error;
+  int why = 0;
+  if (!std::ifstream(path)) {
+    why = errno;
+  } else if (std::filesystem::is_directory(path, error)) {
+    why = EISDIR;
   }
-  std::filesystem::path node = config.resolve(config.mesh.path);
+  if (why != 0) {
+    refuse(file, key, shown(value) + " (" + path.string() + ": " + std::generic_category().message(why) + ")",
+           "a file that can be read");
+  }
+}
+
+// Refuses a folder that is none, or that cannot be used as `access_mode` says.
+void check_folder(const std::string& file, const std::string& key, const Path& folder, int access_mode,
+                  const std::string& accepted) {
+  std::error_code error;
+  int why = 0;
+  if (std::filesystem::exists(folder, error) && !std::filesystem::is_directory(folder, error)) {
+    why = ENOTDIR;
+  } else if (access(folder.c_str(), access_mode | X_OK) != 0) {
+    why = errno;
+  }
+  if (why != 0) refuse(file, key, folder.string() + ": " + std::generic_category().message(why), accepted);
+}
+
+void check_secrets(const Config& config, const std::string& file) {
+  const Config::Listen& listen = config.listen;
+  try {
+    if (!listen.token_file.empty()) read_tokens(config.resolve(listen.token_file));
+    if (!listen.certificate_file.empty()) {
+      boost::asio::ssl::context scratch(boost::asio::ssl::context::tls_server);
+      stream::load_certificate(scratch, config.resolve(listen.certificate_file).string(),
+                               config.resolve(listen.private_key_file).string());
+    }
+  } catch (const std::runtime_error& error) {
+    throw ConfigError(file + ": " + error.what());
+  }
+}
+
+void check_files(const Config& config, const std::string& file) {
+  Path node = config.resolve(config.mesh.path);
   node += ".node";
   std::error_code error;
   if (config.mesh.phantom.empty() && !std::filesystem::exists(node, error))
-    readable("mesh.path", config.mesh.path);
-  readable("listen.token_file", config.listen.token_file);
-  readable("listen.certificate_file", config.listen.certificate_file);
-  readable("listen.private_key_file", config.listen.private_key_file);
+    check_readable(config, file, "mesh.path", config.mesh.path);
+  check_readable(config, file, "listen.token_file", config.listen.token_file);
+  check_readable(config, file, "listen.certificate_file", config.listen.certificate_file);
+  check_readable(config, file, "listen.private_key_file", config.listen.private_key_file);
+  check_secrets(config, file);
+  if (!config.capture.path.empty()) {
+    const Path path = config.resolve(config.capture.path);
+    if (std::filesystem::is_directory(path, error))
+      refuse(file, "capture.path", path.string() + ", a folder", "the path of a file");
+    check_folder(file, "capture.path", path.has_parent_path() ? path.parent_path() : Path("."), W_OK,
+                 "a path in a folder that is there (mkdir -p makes it) and can be written");
+  }
+  // Where these are not there (yet), they are empty.
+  for (const auto& [key, value] : {std::pair{"capture.library", config.capture.library},
+                                   std::pair{"listen.viewer_directory", config.listen.viewer_directory}}) {
+    const Path folder = config.resolve(value);
+    if (!folder.empty() && std::filesystem::exists(folder, error))
+      check_folder(file, key, folder, R_OK, "a folder that can be read");
+  }
   device_profiles(config);
+}
+
+}  // namespace
+
+void check_config(const Config& config, const std::string& file) {
+  if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
+    refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
+  }
+  check_files(config, file);
   const auto is_loopback = [](const std::string& address) {
     return address.starts_with("127.") || address == "::1" || address == "localhost";
   };
@@ -765,6 +833,10 @@ void check_config(const Config& config, const std::string& file) {
     refuse(file, "openigtlink.address", shown(config.openigtlink.address),
            "a loopback address, or any where listen.insecure is true");
   }
+  boost::system::error_code no_address;
+  boost::asio::ip::make_address(config.listen.address, no_address);
+  if (no_address)
+    refuse(file, "listen.address", shown(config.listen.address), "an IP address such as 127.0.0.1");
   if (!is_loopback(config.listen.address) && !config.listen.insecure &&
       (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
     refuse(file, "listen.address", shown(config.listen.address),

@@ -10,6 +10,7 @@
 #include <exception>
 #include <nlohmann/json.hpp>
 
+#include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/server_run.hpp"
@@ -58,7 +59,8 @@ int main(int argc, char** argv) {
   bool print_config = false, resume = false;
   app.add_option("--config", config_file, "Run with this configuration");
   app.add_flag("--resume", resume, "With --config: go on with the session that capture.path recorded");
-  app.add_option("--check", check_file, "Check a configuration and say what is wrong with it");
+  app.add_option("--check", check_file,
+                 "Check a configuration and the files that it names, and say what is wrong");
   app.add_flag("--print-config", print_config,
                "Print a configuration of all keys, their defaults and meanings");
   incise::app::add_manual_options(app, 8);
@@ -75,7 +77,9 @@ int main(int argc, char** argv) {
       return 0;
     }
     if (!check_file.empty()) {
-      incise::app::check_config(incise::app::load_config(check_file), check_file);
+      const incise::app::Config config = incise::app::load_config(check_file);
+      incise::app::check_config(config, check_file);
+      incise::app::check_body(config, check_file);
       std::printf("%s: good\n", check_file.c_str());
       return 0;
     }

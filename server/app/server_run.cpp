@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <array>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -20,6 +21,7 @@
 #include "server/app/wiring.hpp"
 #include "server/core/check.hpp"
 #include "server/core/session_state.hpp"
+#include "server/input/limited_log.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {
@@ -171,6 +173,15 @@ class NetworkSources {
   std::unique_ptr<input::HaplyInput> haply_;
 };
 
+// Lines on who was refused, and who did what others notice. Each kind has a limit of its own.
+std::function<void(stream::Audit, const std::string&)> audit_log() {
+  return [logs = std::array<input::LimitedLog, stream::kAudits>{}](stream::Audit kind,
+                                                                   const std::string& line) mutable {
+    const auto level = kind == stream::Audit::kRefused ? spdlog::level::warn : spdlog::level::info;
+    logs[static_cast<std::size_t>(kind)].write(level, line);
+  };
+}
+
 // A session's state, which somebody saves; whoever takes it moves it out.
 using SavedState = std::shared_future<std::shared_ptr<std::vector<std::byte>>>;
 
@@ -271,7 +282,8 @@ void run_server(const Config& config, bool resume) {
                               [&] { return telemetry->message(); },
                               [&] { return telemetry->blades(); },
                               &library,
-                              [&] { return health.trouble(); }};
+                              [&] { return health.trouble(); },
+                              audit_log()};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);
@@ -285,6 +297,7 @@ void run_server(const Config& config, bool resume) {
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
   if (config.haptics.forces) frames.offer_forces(config.haptics.force, tissue.get(), &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
+  telemetry->join_stream([&] { return server.counters(); });
   sink.join(frames);
   frames.offer_reset(
       [&] { return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut); },

@@ -148,6 +148,18 @@ std::string Telemetry::json() const {
   if (network_) {
     for (const input::NetworkStatus& status : network_()) root[status.protocol] = network_json(status);
   }
+  if (stream_) {
+    const stream::StreamCounters c = stream_();
+    root["access"] = {{"sessions", c.sessions},
+                      {"connections", c.connections},
+                      {"accepted", c.accepted},
+                      {"refused", c.refused},
+                      {"wrong_tokens", c.wrong_tokens},
+                      {"tokens_not_looked_at", c.tokens_not_looked_at},
+                      {"resets", c.resets},
+                      {"takeovers", c.takeovers},
+                      {"handovers", c.handovers}};
+  }
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;

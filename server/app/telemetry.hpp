@@ -10,6 +10,7 @@
 #include "server/input/network_status.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
+#include "server/stream/server.hpp"
 
 namespace incise::app {
 
@@ -27,6 +28,9 @@ class Telemetry {
     network_ = std::move(network);
   }
 
+  // And about connections; likewise.
+  void join_stream(std::function<stream::StreamCounters()> stream) { stream_ = std::move(stream); }
+
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
   // Prometheus text format 0.0.4.
@@ -42,6 +46,7 @@ class Telemetry {
   const double rate_hz_;
   std::function<std::vector<input::DeviceStatus>()> devices_;
   std::function<std::vector<input::NetworkStatus>()> network_;
+  std::function<stream::StreamCounters()> stream_;
 };
 
 }  // namespace incise::app

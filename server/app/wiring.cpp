@@ -5,58 +5,15 @@
 #include <algorithm>
 #include <array>
 #include <bit>
-#include <fstream>
-#include <nlohmann/json.hpp>
-#include <sstream>
 
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/app/token_file.hpp"
 
 namespace incise::app {
 namespace {
 
-using Json = nlohmann::json;
-
-constexpr const char* kTokensAccepted =
-    "[{\"token\": a text of 16 to 1024 characters, \"roles\": a list of \"viewer\", \"operator\", "
-    "\"simulator\", "
-    "\"admin\"}, ...]";
-
 protocol::Vec3 to_protocol(const core::Vec3& p) {
   return {p.x, p.y, p.z};
-}
-
-// The messages name the place, never the token.
-std::vector<stream::AccessToken> read_tokens(const std::filesystem::path& path) {
-  const auto refuse = [&](const std::string& what) {
-    throw ConfigError("listen.token_file " + path.string() + ": " + what + "; accepted is " +
-                      kTokensAccepted);
-  };
-  std::ifstream in(path, std::ios::binary);
-  if (!in) refuse("cannot be opened: " + std::generic_category().message(errno));
-  const Json root = Json::parse(in, nullptr, false);
-  if (!root.is_array() || root.empty() || root.size() > 10'000) refuse("found no list of tokens");
-  constexpr std::array<const char*, 4> kRoles{"viewer", "operator", "simulator", "admin"};
-  std::vector<stream::AccessToken> tokens;
-  for (std::size_t i = 0; i < root.size(); ++i) {
-    const Json& entry = root[i];
-    const std::string at = "entry " + std::to_string(i + 1);
-    if (!entry.is_object() || entry.size() != 2 || !entry.contains("token") || !entry.contains("roles")) {
-      refuse(at + " is not an object of token and roles");
-    }
-    stream::AccessToken token;
-    if (entry["token"].is_string()) token.token = entry["token"].get<std::string>();
-    if (token.token.size() < 16 || token.token.size() > 1024)
-      refuse(at + ": the token's length is out of range");
-    if (!entry["roles"].is_array() || entry["roles"].empty()) refuse(at + ": no roles");
-    for (const Json& role : entry["roles"]) {
-      const auto found =
-          std::find_if(kRoles.begin(), kRoles.end(), [&](const char* name) { return role == name; });
-      if (found == kRoles.end()) refuse(at + ": found role " + role.dump());
-      token.roles.push_back(static_cast<protocol::Role>(found - kRoles.begin()));
-    }
-    tokens.push_back(std::move(token));
-  }
-  return tokens;
 }
 
 // The viewer that ./dev build puts beside the programs; empty where it was not built.

@@ -83,6 +83,30 @@ bool is_surface_file(const std::filesystem::path& path) {
   return is_one_of(lowercase_ending(path), {".stl", ".ply", ".off", ".obj", ".vtp"});
 }
 
+namespace {
+
+bool is_surface_input(const std::string& ending) {
+  return is_one_of(ending, {".stl", ".ply", ".off", ".obj"});
+}
+
+ClosedSurface read_closed_surface(const std::filesystem::path& path, const LoadOptions& options,
+                                  std::vector<std::string>& warnings) {
+  Surface surface = read_surface(path, warnings);
+  scale(surface.positions, options.scale_to_metres);
+  return check_surface(std::move(surface), path.string(), warnings);
+}
+
+}  // namespace
+
+void check_mesh(const std::filesystem::path& path, const LoadOptions& options) {
+  std::vector<std::string> warnings;
+  if (is_surface_input(lowercase_ending(path))) {
+    read_closed_surface(path, options, warnings);
+  } else {
+    load_mesh(path, options);
+  }
+}
+
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options) {
   if (!std::isfinite(options.scale_to_metres) || options.scale_to_metres <= 0) {
     throw MeshError(path.string() + ": the scale to metres is " + to_text(options.scale_to_metres) +
@@ -92,10 +116,8 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
   std::string file = path.string();
   int index_base = 0;
   const std::string ending = lowercase_ending(path);
-  if (is_one_of(ending, {".stl", ".ply", ".off", ".obj"})) {
-    Surface surface = read_surface(path, loaded.warnings);
-    scale(surface.positions, options.scale_to_metres);
-    const ClosedSurface closed = check_surface(std::move(surface), file, loaded.warnings);
+  if (is_surface_input(ending)) {
+    const ClosedSurface closed = read_closed_surface(path, options, loaded.warnings);
     Fill fill = fill_surface(closed, file, options.fill, loaded.warnings);
     loaded.mesh = std::move(fill.mesh);
     loaded.filled = true;

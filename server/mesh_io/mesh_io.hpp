@@ -34,6 +34,9 @@ struct LoadedMesh {
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
+// Throws MeshError where load_mesh would, as far as is known before a surface is filled.
+void check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
+
 // Reads a triangle surface by its ending, in the file's units, unchecked (check_surface in
 // surface_check.hpp).
 Surface read_surface(const std::filesystem::path& path, std::vector<std::string>& warnings);

@@ -2,10 +2,14 @@
 
 #include <algorithm>
 #include <boost/asio/as_tuple.hpp>
+#include <boost/asio/steady_timer.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
 #include <boost/beast/websocket/rfc6455.hpp>
+#include <cctype>
+#include <chrono>
+#include <functional>
 #include <memory>
 #include <optional>
 
@@ -26,6 +30,7 @@ struct Answer {
   http::status status = http::status::ok;
   std::string type = "text/plain; charset=utf-8";
   std::string body;
+  std::int64_t retry_after_s = 0;
 };
 
 std::string_view view_of(beast::string_view s) {
@@ -57,7 +62,16 @@ std::string stream_metrics(Hub& hub) {
   metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.sessions);
   metric(out, "connections", "gauge", "Open connections.", c.connections);
   metric(out, "accepted_total", "counter", "Connections taken in.", c.accepted);
-  metric(out, "refused_total", "counter", "Connections refused at the door.", c.refused);
+  metric(out, "refused_total", "counter",
+         "Connections that were refused before they were sessions, and requests without the token they need.",
+         c.refused);
+  metric(out, "wrong_tokens_total", "counter", "Tokens that were none of ours.", c.wrong_tokens);
+  metric(out, "tokens_not_looked_at_total", "counter",
+         "Tokens that were not looked at, from addresses that had guessed too often.",
+         c.tokens_not_looked_at);
+  metric(out, "resets_total", "counter", "Resets by an admin.", c.resets);
+  metric(out, "takeovers_total", "counter", "Blades that an operator took from another.", c.takeovers);
+  metric(out, "handovers_total", "counter", "Blades that their operators let go of.", c.handovers);
   metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);
   metric(out, "bytes_out_total", "counter", "Bytes of messages sent.", c.bytes_out);
   metric(out, "bytes_in_total", "counter", "Bytes of messages received.", c.bytes_in);
@@ -94,11 +108,12 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
                   (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(hub)};
   }
   if (path == "/captures") {
-    // Names are those of files: nothing in them but what a library takes.
     std::string list;
     for (const std::string& name :
          providers.library ? providers.library->names() : std::vector<std::string>()) {
-      list += (list.empty() ? "\"" : ",\"") + name + '"';
+      list += list.empty() ? "\"" : ",\"";
+      for (const char c : name) list += c == '"' || c == '\\' ? std::string{'\\', c} : std::string{c};
+      list += '"';
     }
     return Answer{http::status::ok, "application/json", "[" + list + "]\n"};
   }
@@ -112,12 +127,60 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
   return std::nullopt;
 }
 
+// The token of "Authorization: Bearer TOKEN"; "" where there is none.
+std::string bearer_token(const HttpRequest& request) {
+  constexpr std::string_view kScheme = "bearer ";
+  const std::string_view given = view_of(request[http::field::authorization]);
+  if (!beast::iequals(given.substr(0, kScheme.size()), {kScheme.data(), kScheme.size()})) return {};
+  const std::size_t begin = given.find_first_not_of(' ', kScheme.size());
+  return begin == std::string_view::npos ? std::string() : std::string(given.substr(begin));
+}
+
+// What a token must open for a path; nothing: the path needs none.
+std::function<bool(const AccessToken&)> opening(std::string_view path) {
+  if (path == "/stats" || path == "/metrics") return [](const AccessToken&) { return true; };
+  if (path != "/captures") return nullptr;
+  return [](const AccessToken& token) {
+    return std::any_of(token.roles.begin(), token.roles.end(), [](protocol::Role role) {
+      return role == protocol::Role::Viewer || role == protocol::Role::Admin;
+    });
+  };
+}
+
+Answer refusal(const Access::Answer& access) {
+  using Verdict = Access::Verdict;
+  Answer answer;
+  answer.status = http::status::unauthorized;
+  answer.body = "a token is needed: Authorization: Bearer TOKEN\n";
+  if (access.verdict == Verdict::kWrong) answer.body = "the token is wrong\n";
+  if (access.verdict == Verdict::kOtherRole) {
+    answer.status = http::status::forbidden;
+    answer.body = "the token does not open this\n";
+  }
+  if (access.verdict == Verdict::kNotLookedAt) {
+    answer.status = http::status::too_many_requests;
+    answer.body = "too many wrong tokens from this address\n";
+    answer.retry_after_s = 1 + access.come_back_ns / 1'000'000'000;
+  }
+  return answer;
+}
+
+// RFC 6455, 4.1: 16 bytes in base64.
+bool is_websocket_key(std::string_view key) {
+  const auto is_digit = [](unsigned char c) { return std::isalnum(c) != 0 || c == '+' || c == '/'; };
+  return key.size() == 24 && key.ends_with("==") && std::all_of(key.begin(), key.end() - 2, is_digit);
+}
+
 asio::awaitable<bool> send_answer(NetStream& stream, const HttpRequest& request, Answer answer) {
   http::response<http::string_body> response(answer.status, request.version());
   set_common(response, request);
   response.set(http::field::content_type, answer.type);
   response.set(http::field::cache_control, "no-store");
   if (answer.status == http::status::method_not_allowed) response.set(http::field::allow, "GET, HEAD");
+  if (answer.status == http::status::unauthorized) {
+    response.set(http::field::www_authenticate, "Bearer realm=\"incised\"");
+  }
+  if (answer.retry_after_s > 0) response.set(http::field::retry_after, std::to_string(answer.retry_after_s));
   response.body() = std::move(answer.body);
   response.prepare_payload();
   if (request.method() == http::verb::head) response.body().clear();
@@ -128,7 +191,12 @@ asio::awaitable<bool> send_answer(NetStream& stream, const HttpRequest& request,
 // Not a coroutine: GCC 12 destroys an aggregate made within a co_await expression twice.
 asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, http::status status,
                                 const char* text) {
-  return send_answer(stream, request, Answer{status, "text/plain; charset=utf-8", text});
+  return send_answer(stream, request, Answer{status, "text/plain; charset=utf-8", text, 0});
+}
+
+asio::awaitable<bool> send_refusal(NetStream& stream, const HttpRequest& request,
+                                   const Access::Answer& access) {
+  return send_answer(stream, request, refusal(access));
 }
 
 asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
@@ -188,13 +256,37 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
   co_return std::nullopt;
 }
 
+// What keeps the request from being answered, counted and logged; kGranted: nothing.
+Access::Answer check_token(Hub& hub, const HttpRequest& request, std::string_view path,
+                           const asio::ip::tcp::endpoint& peer) {
+  const std::function<bool(const AccessToken&)> opens = opening(path);
+  if (!opens) return {};
+  const Access::Answer access =
+      hub.access().ask(peer.address(), bearer_token(request), opens, monotonic_ns());
+  if (access.verdict != Access::Verdict::kGranted) {
+    ++hub.counters().refused;
+    hub.note_refusal(access, std::string(path), name_of(peer));
+  }
+  return access;
+}
+
 asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStream& stream,
-                                    const HttpRequest& request) {
+                                    const HttpRequest& request, const asio::ip::tcp::endpoint& peer) {
   if (request.method() != http::verb::get && request.method() != http::verb::head) {
     co_return co_await send_text(stream, request, http::status::method_not_allowed, "GET and HEAD only\n");
   }
   const std::string_view target = view_of(request.target());
   const std::string_view path = target.substr(0, target.find('?'));
+  const Access::Answer access = check_token(hub, request, path, peer);
+  if (access.verdict != Access::Verdict::kGranted) {
+    if (access.hold_ns > 0) {
+      const auto held = hub.access().hold();
+      asio::steady_timer timer(hub.io(), std::chrono::nanoseconds(access.hold_ns));
+      co_await timer.async_wait(kTuple);
+      stream.tcp().expires_after(kRequestTime);
+    }
+    co_return co_await send_refusal(stream, request, access);
+  }
   if (std::optional<Answer> own = answer(hub, path)) {
     co_return co_await send_answer(stream, request, std::move(*own));
   }
@@ -219,13 +311,18 @@ asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream s
         co_await send_text(stream, *request, http::status::forbidden, "this page may not connect here\n");
         break;
       }
+      if (!is_websocket_key(view_of((*request)[http::field::sec_websocket_key]))) {
+        co_await send_text(stream, *request, http::status::bad_request,
+                           "Sec-WebSocket-Key must be 16 bytes in base64\n");
+        break;
+      }
       std::unique_ptr<Transport> transport = co_await accept_websocket(std::move(stream), *request);
       if (!transport) co_return;
       const auto session = std::make_shared<Session>(hub, std::move(transport), std::move(ticket));
       co_await session->run();
       co_return;
     }
-    go_on = co_await serve_request(hub, files, stream, *request);
+    go_on = co_await serve_request(hub, files, stream, *request, ticket.peer());
   }
   stream.shut_down(asio::ip::tcp::socket::shutdown_both);
 }

@@ -8,8 +8,8 @@
 
 namespace incise::stream {
 
-// Serves one connection of the HTTP port until it ends: /healthz, /stats, /metrics, the viewer's files, and
-// /ws, which turns it into a session.
+// Serves one connection of the HTTP port until it ends: /healthz and the viewer's files for everybody, /stats, /metrics and
+// /captures for holders of a token (where the server has tokens), and /ws, which turns it into a session.
 asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket);
 
 }  // namespace incise::stream

@@ -26,6 +26,7 @@ Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, In
       facts_(std::move(facts)),
       sink_(sink),
       providers_(std::move(providers)),
+      access_(config.tokens),
       clock_(io),
       blade_clock_(io),
       live_(io, config.ring_bytes) {}
@@ -89,7 +90,7 @@ Hub::Ticket::~Ticket() {
   --counters_->connections;
 }
 
-std::optional<Hub::Ticket> Hub::admit(int socket) {
+std::optional<Hub::Ticket> Hub::admit(asio::ip::tcp::socket& socket) {
   if (stopping_) {
     ++counters_->refused;
     return std::nullopt;
@@ -103,8 +104,24 @@ std::optional<Hub::Ticket> Hub::admit(int socket) {
     ++counters_->half_open_closed;
   }
   const std::uint64_t number = ++counters_->accepted;
-  sockets.emplace(number, ::fcntl(socket, F_DUPFD_CLOEXEC, 0));
-  return Ticket(counters_, half_open_, number);
+  sockets.emplace(number, ::fcntl(socket.native_handle(), F_DUPFD_CLOEXEC, 0));
+  boost::system::error_code gone;  // then its address is 0.0.0.0
+  return Ticket(counters_, half_open_, number, socket.remote_endpoint(gone));
+}
+
+void Hub::note_refusal(const Access::Answer& answer, const std::string& what, const std::string& peer) {
+  using Verdict = Access::Verdict;
+  std::string why = "no token";
+  if (answer.verdict == Verdict::kOtherRole) why = "its token does not open that";
+  if (answer.verdict == Verdict::kWrong) {
+    ++counters_->wrong_tokens;
+    why = "a wrong token";
+  }
+  if (answer.verdict == Verdict::kNotLookedAt) {
+    ++counters_->tokens_not_looked_at;
+    why = "too many wrong tokens from this address";
+  }
+  audit(Audit::kRefused, what + " refused to " + peer + ": " + why);
 }
 
 std::shared_ptr<Session> Hub::holder(const std::string& source_name) const {

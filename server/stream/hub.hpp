@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <cstdint>
 #include <map>
@@ -11,6 +12,7 @@
 #include <string>
 #include <utility>
 
+#include "server/stream/access.hpp"
 #include "server/stream/feed.hpp"
 #include "server/stream/server.hpp"
 
@@ -22,7 +24,8 @@ class Session;
 struct HubCounters {
   std::atomic<std::uint64_t> revision{0}, state_hash{0}, accepted{0}, refused{0}, deltas{0}, bytes_out{0},
       bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
-      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0};
+      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0},
+      wrong_tokens{0}, tokens_not_looked_at{0}, resets{0}, takeovers{0}, handovers{0};
   std::atomic<std::uint32_t> sessions{0}, connections{0};
 };
 
@@ -52,9 +55,15 @@ class Hub {
   HubCounters& counters() { return *counters_; }
 
   // Takes a connection in; where too many have not said Hello, the one of them that is there for the longest is closed.
-  // Nothing, when the server stops. `socket`: the descriptor, which stays the caller's.
+  // Nothing, when the server stops. The socket stays the caller's.
   class Ticket;
-  std::optional<Ticket> admit(int socket);
+  std::optional<Ticket> admit(asio::ip::tcp::socket& socket);
+  Access& access() { return access_; }
+  // Counts a refusal for want of a token, and logs it. `what`: what was asked for.
+  void note_refusal(const Access::Answer& answer, const std::string& what, const std::string& peer);
+  void audit(Audit kind, const std::string& line) const {
+    if (providers_.audit) providers_.audit(kind, line);
+  }
   void add(const std::shared_ptr<Session>& session) { sessions_.insert(session); }
   void remove(const std::shared_ptr<Session>& session) { sessions_.erase(session); }
   // Whether another session may be welcomed.
@@ -80,6 +89,7 @@ class Hub {
   ServerFacts facts_;
   InputSink& sink_;
   Providers providers_;
+  Access access_;
   // Connections that have not said Hello, by the order in which they came, as descriptors of our own: whatever becomes of
   // the connection's, these are not used for another.
   struct HalfOpen {
@@ -101,25 +111,29 @@ class Hub {
 // One connection's place in the counts. Moves.
 class Hub::Ticket {
  public:
-  Ticket(std::shared_ptr<HubCounters> counters, std::shared_ptr<HalfOpen> half_open, std::uint64_t number)
-      : counters_(std::move(counters)), half_open_(std::move(half_open)), number_(number) {
+  Ticket(std::shared_ptr<HubCounters> counters, std::shared_ptr<HalfOpen> half_open, std::uint64_t number,
+         asio::ip::tcp::endpoint peer)
+      : counters_(std::move(counters)), half_open_(std::move(half_open)), number_(number), peer_(peer) {
     ++counters_->connections;
   }
   Ticket(Ticket&& other) noexcept
       : counters_(std::exchange(other.counters_, nullptr)),
         half_open_(std::exchange(other.half_open_, nullptr)),
         number_(other.number_),
+        peer_(other.peer_),
         welcomed_(std::exchange(other.welcomed_, false)) {}
   Ticket& operator=(Ticket&&) = delete;
   ~Ticket();
   // It has said Hello.
   void welcome();
+  const asio::ip::tcp::endpoint& peer() const { return peer_; }
 
  private:
   void leave_half_open();
   std::shared_ptr<HubCounters> counters_;
   std::shared_ptr<HalfOpen> half_open_;
   std::uint64_t number_;  // among all connections
+  asio::ip::tcp::endpoint peer_;
   bool welcomed_ = false;
 };
 

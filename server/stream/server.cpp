@@ -22,6 +22,7 @@
 #include "server/stream/http.hpp"
 #include "server/stream/hub.hpp"
 #include "server/stream/session.hpp"
+#include "server/stream/tls.hpp"
 
 namespace incise::stream {
 namespace {
@@ -88,31 +89,15 @@ struct Server::Impl {
                                "\", accepted is an IP address such as 127.0.0.1");
     }
     check_safe(config, address);
-    if (!config.certificate_file.empty()) load_tls();
+    if (!config.certificate_file.empty()) {
+      tls.emplace(asio::ssl::context::tls_server);
+      load_certificate(*tls, config.certificate_file, config.private_key_file);
+    }
     if (config.tcp_port >= 0) tcp_acceptor.emplace(listen(io, address, config.tcp_port, "tcp_port"));
     if (config.http_port >= 0) http_acceptor.emplace(listen(io, address, config.http_port, "http_port"));
     if (tcp_acceptor) tcp_port = tcp_acceptor->local_endpoint().port();
     if (http_acceptor) http_port = http_acceptor->local_endpoint().port();
     hub.reset(std::make_shared<const InitialState>(initial));
-  }
-
-  void load_tls() {
-    namespace ssl = asio::ssl;
-    tls.emplace(ssl::context::tls_server);
-    tls->set_options(ssl::context::default_workarounds | ssl::context::no_sslv2 | ssl::context::no_sslv3 |
-                     ssl::context::no_tlsv1 | ssl::context::no_tlsv1_1);
-    error_code error;
-    tls->use_certificate_chain_file(config.certificate_file, error);
-    if (error) {
-      throw std::runtime_error("listen.certificate_file: " + config.certificate_file + ": " +
-                               error.message() + "; accepted is a chain of certificates in PEM");
-    }
-    tls->use_private_key_file(config.private_key_file, ssl::context::pem, error);
-    if (error) {
-      throw std::runtime_error("listen.private_key_file: " + config.private_key_file + ": " +
-                               error.message() + "; accepted is the private key, in PEM, of " +
-                               config.certificate_file);
-    }
   }
 
   // ---- The loop's side ----
@@ -191,7 +176,7 @@ struct Server::Impl {
         co_await timer.async_wait(kTuple);
         continue;
       }
-      std::optional<Hub::Ticket> ticket = hub.admit(socket.native_handle());
+      std::optional<Hub::Ticket> ticket = hub.admit(socket);
       if (!ticket) continue;  // the socket closes here
       socket.set_option(tcp::no_delay(true), ec);
       // One connection's failure is its own.
@@ -322,6 +307,11 @@ StreamCounters Server::counters() const {
   out.ring_deltas = c.ring_deltas;
   out.half_open_closed = c.half_open_closed;
   out.part_bytes = c.part_bytes;
+  out.wrong_tokens = c.wrong_tokens;
+  out.tokens_not_looked_at = c.tokens_not_looked_at;
+  out.resets = c.resets;
+  out.takeovers = c.takeovers;
+  out.handovers = c.handovers;
   return out;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -25,6 +26,10 @@ struct ServerFacts {
   std::string policy;
 };
 
+// Whose lines a log keeps apart, so that many of one kind do not crowd out another.
+enum class Audit { kRefused, kBlade, kReset };
+inline constexpr std::size_t kAudits = 3;
+
 // What the HTTP port and the statistics message show. Called on the stream thread; must not block. An absent
 // one makes the address answer 404, and the message is not sent.
 struct Providers {
@@ -38,17 +43,24 @@ struct Providers {
       nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
   std::function<std::string()>
       trouble;  // GET /healthz: what keeps the server from its work; "": nothing does
+  // One line, for the log, on who was refused, reset the mesh, or took or let go of a blade that somebody held. As often as
+  // peers cause it.
+  std::function<void(Audit, const std::string&)> audit;
 };
 
 // What the stream has done since it started.
 struct StreamCounters {
   std::uint64_t revision = 0;  // of the mirror: what clients can see
   std::uint64_t state_hash = 0;
-  std::uint32_t sessions = 0;               // welcomed
-  std::uint32_t connections = 0;            // open, with those in their handshake
-  std::uint64_t accepted = 0, refused = 0;  // connections
-  std::uint64_t deltas = 0;                 // applied to the mirror
-  std::uint64_t queued = 0;                 // published, and not applied yet
+  std::uint32_t sessions = 0;     // welcomed
+  std::uint32_t connections = 0;  // open, with those in their handshake
+  std::uint64_t accepted = 0;     // connections
+  // Connections that did not become sessions because the server refused, and HTTP requests without the token that they need.
+  std::uint64_t refused = 0;
+  std::uint64_t wrong_tokens = 0, tokens_not_looked_at = 0;  // of these; the latter from addresses that guess
+  std::uint64_t resets = 0, takeovers = 0, handovers = 0;    // of the mesh; of blades
+  std::uint64_t deltas = 0;                                  // applied to the mirror
+  std::uint64_t queued = 0;                                  // published, and not applied yet
   std::uint64_t bytes_out = 0, bytes_in = 0;
   std::uint64_t messages_in = 0, bad_messages = 0;
   std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;

@@ -43,21 +43,23 @@ std::int64_t unix_ns() {
   return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
 }
 
-// Takes as long wherever the two differ, and whatever lengths they have.
-bool equal_in_constant_time(const std::string& a, const std::string& b) {
-  std::size_t difference = a.size() ^ b.size();
-  for (std::size_t i = 0; i < protocol::kMaxTokenBytes; ++i) {
-    const auto x = static_cast<unsigned char>(i < a.size() ? a[i] : 0);
-    const auto y = static_cast<unsigned char>(i < b.size() ? b[i] : 0);
-    difference |= static_cast<std::size_t>(x ^ y);
-  }
-  return difference == 0;
-}
-
 constexpr const char* kRoleNames[] = {"viewer", "operator", "simulator", "admin"};
 
 std::size_t accepted_bytes(Role role) {
   return role == Role::Simulator ? protocol::kMaxSimulatorBytes : protocol::kMaxClientBytes;
+}
+
+// What clients know the run of ids `session` as. Each view, and what a box holds, has a name of its own, so that nobody goes
+// on in one view from a state that he holds of another.
+std::uint64_t session_name(std::uint64_t session, View view, bool boxed) {
+  return session ^ (view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^ (boxed ? 0xc2b2ae3d27d4eb4f : 0);
+}
+
+// A peer's text as it may stand in a log.
+std::string quoted(const std::string& text) {
+  std::string out = "\"";
+  for (const char c : text.substr(0, 64)) out += c >= ' ' && c <= '~' && c != '"' ? c : '?';
+  return out + '"';
 }
 
 }  // namespace
@@ -113,7 +115,8 @@ asio::awaitable<bool> Session::receive() {
   const bool poses = std::holds_alternative<protocol::PoseBatch>(decoded.message->body);
   if (!poses && !within_rate()) {
     refuse(ErrorCode::RateExceeded,
-           "more than " + std::to_string(hub_.config().max_messages_per_s) + " messages a second");
+           "more than " + std::to_string(hub_.config().max_messages_per_s) + " messages a second",
+           decoded.message->envelope.sequence);
     co_return true;
   }
   co_await handle(std::move(*decoded.message));
@@ -171,16 +174,6 @@ asio::awaitable<void> Session::handle(protocol::Message message) {
 
 // ---- Handshake ----
 
-bool Session::allowed(Role role, const std::string& token) const {
-  const auto& tokens = hub_.config().tokens;
-  bool good = tokens.empty();
-  for (const AccessToken& known : tokens) {
-    const bool same = equal_in_constant_time(known.token, token);
-    good |= same && std::find(known.roles.begin(), known.roles.end(), role) != known.roles.end();
-  }
-  return good;
-}
-
 asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint64_t sequence) {
   if (hello.protocol_version != protocol::kProtocolVersion) {
     refuse(ErrorCode::BadVersion,
@@ -189,14 +182,9 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
            sequence);
     co_return;
   }
-  if (!allowed(hello.role, hello.token)) {
-    const std::string role = kRoleNames[static_cast<std::size_t>(hello.role)];
-    refuse(ErrorCode::Unauthorized,
-           hello.token.empty() ? "role " + role + " needs a token, and none was given"
-                               : "the token is wrong, or does not open role " + role,
-           sequence);
-    co_return;
-  }
+  client_name_ = hello.client_name;
+  const bool admitted = co_await check_token(hello, sequence);
+  if (!admitted) co_return;
   if (!hub_.has_room()) {
     refuse(ErrorCode::TooManySessions,
            "there are " + std::to_string(hub_.config().max_sessions) + " sessions already", sequence);
@@ -219,7 +207,8 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   const std::uint64_t head = feed().mirror().revision();
   const bool returns = view_ != View::None && hello.resume_session != 0;
   // What a box held is not known any longer.
-  const bool resumed = returns && !hello.box && hello.resume_session == feed().mirror().session() &&
+  const bool resumed = returns && !hello.box &&
+                       hello.resume_session == session_name(feed().mirror().session(), view_, false) &&
                        feed().ring().covers(hello.resume_revision, head);
   send_welcome(resumed);
   if (resumed) {
@@ -229,6 +218,40 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
   } else {
     request_snapshot(returns ? SnapshotCause::ResumeGone : SnapshotCause::Join);
   }
+}
+
+// A token that opens the role is not held up; the answer to a wrong one may be.
+asio::awaitable<bool> Session::check_token(const protocol::Hello& hello, std::uint64_t sequence) {
+  using Verdict = Access::Verdict;
+  const auto opens = [&](const AccessToken& token) {
+    return std::find(token.roles.begin(), token.roles.end(), hello.role) != token.roles.end();
+  };
+  const Access::Answer answer =
+      hub_.access().ask(ticket_.peer().address(), hello.token, opens, last_received_ns_);
+  if (answer.verdict == Verdict::kGranted) co_return true;
+  const std::string role = std::string("role ") + kRoleNames[static_cast<std::size_t>(hello.role)];
+  hub_.note_refusal(answer, role, described());
+  if (answer.hold_ns > 0) {
+    const auto held = hub_.access().hold();
+    opened_ns_ += answer.hold_ns;  // the deadline of the handshake is for the peer's time
+    co_await pause(milliseconds(answer.hold_ns / 1'000'000));
+  }
+  if (answer.verdict == Verdict::kNotLookedAt) {
+    refuse(ErrorCode::RateExceeded,
+           "too many wrong tokens from this address; try again in " +
+               std::to_string(1 + answer.come_back_ns / 1'000'000'000) + " s",
+           sequence);
+    co_return false;
+  }
+  refuse(ErrorCode::Unauthorized,
+         answer.verdict == Verdict::kNoToken ? role + " needs a token, and none was given"
+                                             : "the token is wrong, or does not open " + role,
+         sequence);
+  co_return false;
+}
+
+std::string Session::described() const {
+  return quoted(client_name_) + " at " + peer_;
 }
 
 asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uint64_t sequence) {
@@ -247,6 +270,9 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
   std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name, hello.blade);
   if (!source && hello.take_over) {
     if (const auto holder = hub_.holder(hello.source_name)) {
+      ++hub_.counters().takeovers;
+      hub_.audit(Audit::kBlade, "blade " + quoted(hello.source_name) + " taken over by " + described() +
+                                    " from " + holder->described());
       holder->source_.reset();
       holder->finish(ByeReason::HandedOver, "another operator has taken the blade");
     }
@@ -270,7 +296,7 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
 void Session::send_welcome(bool resumed) {
   const ServerFacts& facts = hub_.facts();
   protocol::Welcome welcome;
-  welcome.session = feed().mirror().session();
+  welcome.session = session_name(feed().mirror().session(), view_, box_.has_value());
   welcome.role = role_;
   welcome.view = view_;
   welcome.resumed = resumed;
@@ -355,6 +381,8 @@ asio::awaitable<void> Session::on_stroke(const protocol::StrokeControl& control,
       while (source_ && !source_->end_stroke(last_received_ns_)) co_await pause(kRetry);
       break;
     case protocol::StrokeAction::HandOver:
+      ++hub_.counters().handovers;
+      hub_.audit(Audit::kBlade, "blade " + quoted(source_name_) + " handed over by " + described());
       source_.reset();
       finish(ByeReason::HandedOver, "the blade is free");
       break;
@@ -429,6 +457,9 @@ void Session::on_reset(std::uint64_t sequence) {
     complain(ErrorCode::Forbidden, "Reset: only an admin may", sequence);
   } else if (!hub_.sink().reset()) {
     complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
+  } else {
+    ++hub_.counters().resets;
+    hub_.audit(Audit::kReset, "the mesh is reset by " + described());
   }
 }
 
@@ -448,7 +479,7 @@ void Session::on_replay(const protocol::ReplayControl& control, std::uint64_t se
   } else if (control.action == ReplayAction::Open) {
     end_replay();
     const std::uint64_t number = ++replay_number_;
-    player_ = library->open(control.capture, replay_events(number));
+    player_ = library->open(control.capture, replay_events(number, sequence));
     if (!player_) {
       complain(ErrorCode::BadRequest,
                "there is no capture \"" + control.capture.substr(0, 256) +
@@ -466,7 +497,7 @@ void Session::on_replay(const protocol::ReplayControl& control, std::uint64_t se
 }
 
 // What the player says on its thread is done on this one, while it is still that player's turn.
-ReplayEvents Session::replay_events(std::uint64_t number) {
+ReplayEvents Session::replay_events(std::uint64_t number, std::uint64_t sequence) {
   const auto post = [&io = hub_.io(), weak = weak_from_this(), number](auto what) {
     asio::post(io, [weak, number, what = std::move(what)]() mutable {
       const auto self = weak.lock();
@@ -494,9 +525,9 @@ ReplayEvents Session::replay_events(std::uint64_t number) {
   events.state = [post](protocol::ReplayState state) {
     post([state = std::move(state)](Session& self) { self.push_control(make_frame(state)); });
   };
-  events.failed = [post](std::string why) {
-    post([why = std::move(why)](Session& self) {
-      self.complain(ErrorCode::NotAvailable, why.substr(0, protocol::kMaxTextBytes), 0);
+  events.failed = [post, sequence](std::string why) {
+    post([why = std::move(why), sequence](Session& self) {
+      self.complain(ErrorCode::NotAvailable, why.substr(0, protocol::kMaxTextBytes), sequence);
       self.end_replay();
       self.push_control(make_frame(protocol::ReplayState{}));
     });
@@ -580,6 +611,7 @@ void Session::tick(std::int64_t now_ns) {
 
 void Session::refuse(ErrorCode code, const std::string& text, std::uint64_t sequence) {
   if (stage_ == Stage::kClosing || stage_ == Stage::kClosed) return;
+  if (stage_ == Stage::kHandshake) ++hub_.counters().refused;
   push_control(make_frame(protocol::Error{code, text.substr(0, protocol::kMaxTextBytes), true, sequence}));
   finish(ByeReason::Refused, "");
 }

@@ -58,6 +58,7 @@ class Session : public std::enable_shared_from_this<Session> {
   asio::awaitable<bool> receive();
   asio::awaitable<void> handle(protocol::Message message);
   asio::awaitable<void> on_hello(const protocol::Hello& hello, std::uint64_t sequence);
+  asio::awaitable<bool> check_token(const protocol::Hello& hello, std::uint64_t sequence);
   asio::awaitable<bool> take_blade(const protocol::Hello& hello, std::uint64_t sequence);
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
@@ -66,18 +67,18 @@ class Session : public std::enable_shared_from_this<Session> {
   void on_resync();
   void on_reset(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
-  ReplayEvents replay_events(std::uint64_t number);
+  ReplayEvents replay_events(std::uint64_t number, std::uint64_t sequence);
   void end_replay();
   // What this session follows.
   Feed& feed();
   void restart();
-  bool allowed(protocol::Role role, const std::string& token) const;
   bool within_rate();
   asio::awaitable<void> pause(std::chrono::milliseconds time);
 
   void refuse(protocol::ErrorCode code, const std::string& text, std::uint64_t sequence = 0);  // fatal
   void complain(protocol::ErrorCode code, const std::string& text, std::uint64_t sequence);
   void send_welcome(bool resumed);
+  std::string described() const;  // in the log
   void report_poses();
 
   void request_snapshot(protocol::SnapshotCause cause);
@@ -96,7 +97,7 @@ class Session : public std::enable_shared_from_this<Session> {
   Hub::Ticket ticket_;
   const std::uint64_t number_;
   Stage stage_ = Stage::kHandshake;
-  std::string peer_;
+  std::string peer_, client_name_;
 
   protocol::Role role_ = protocol::Role::Viewer;
   protocol::View view_ = protocol::View::None;

@@ -57,6 +57,11 @@ std::optional<std::string> decoded_path(std::string_view target) {
   return path;
 }
 
+bool is_hidden(const fs::path& name) {
+  const std::string& text = name.native();
+  return text.starts_with('.') && text != "." && text != "..";
+}
+
 }  // namespace
 
 StaticFiles::StaticFiles(const std::string& directory) {
@@ -78,6 +83,9 @@ std::optional<StaticFiles::File> StaticFiles::find(std::string_view target) cons
   // What it is in the end counts, after every ".." and every link.
   const auto [in_root, rest] = std::mismatch(root_.begin(), root_.end(), path.begin(), path.end());
   if (in_root != root_.end()) return std::nullopt;
+  if (std::any_of(relative.begin(), relative.end(), is_hidden) || std::any_of(rest, path.end(), is_hidden)) {
+    return std::nullopt;
+  }
   if (!fs::is_regular_file(path, error) || error) return std::nullopt;
   const auto size = fs::file_size(path, error);
   const auto changed = fs::last_write_time(path, error);

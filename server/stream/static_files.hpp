@@ -23,8 +23,8 @@ class StaticFiles {
   // An empty directory offers nothing.
   explicit StaticFiles(const std::string& directory);
 
-  // The file that a target names, "/" being index.html. Nothing where it names none, or anything that lies
-  // outside of the directory, by whatever spelling or link.
+  // The file that a target names, "/" being index.html. Nothing where it names none, a hidden one (".name", or in such a
+  // folder), or anything that lies outside of the directory, by whatever spelling or link.
   std::optional<File> find(std::string_view target) const;
 
  private:

@@ -9,10 +9,10 @@
 
 namespace incise::stream {
 
-// A secret that lets its holder in, in one of the roles.
+// A secret that lets its holder in, in one of the roles. Any of them may read /stats and /metrics.
 struct AccessToken {
   std::string token;
-  std::vector<protocol::Role> roles;
+  std::vector<protocol::Role> roles;  // none: it opens no session
 };
 
 struct StreamConfig {

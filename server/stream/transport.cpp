@@ -16,15 +16,15 @@ namespace websocket = beast::websocket;
 using boost::system::error_code;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
-std::string name_of(NetStream::Tcp& stream) {
+std::string peer_of(NetStream::Tcp& tcp) {
   error_code ec;
-  const auto endpoint = stream.socket().remote_endpoint(ec);
-  return ec ? "?" : endpoint.address().to_string() + ":" + std::to_string(endpoint.port());
+  const auto endpoint = tcp.socket().remote_endpoint(ec);
+  return ec ? "?" : name_of(endpoint);
 }
 
 class TcpTransport final : public Transport {
  public:
-  explicit TcpTransport(NetStream stream) : stream_(std::move(stream)), peer_(name_of(stream_.tcp())) {
+  explicit TcpTransport(NetStream stream) : stream_(std::move(stream)), peer_(peer_of(stream_.tcp())) {
     stream_.tcp().expires_never();
   }
 
@@ -71,7 +71,7 @@ class TcpTransport final : public Transport {
 class WebSocketTransport final : public Transport {
  public:
   explicit WebSocketTransport(NetStream stream)
-      : stream_(std::move(stream)), peer_(name_of(stream_.next_layer().tcp())) {
+      : stream_(std::move(stream)), peer_(peer_of(stream_.next_layer().tcp())) {
     stream_.next_layer().tcp().expires_never();
     stream_.binary(true);
     stream_.auto_fragment(false);
@@ -139,6 +139,10 @@ class WebSocketTransport final : public Transport {
 };
 
 }  // namespace
+
+std::string name_of(const asio::ip::tcp::endpoint& endpoint) {
+  return endpoint.address().to_string() + ":" + std::to_string(endpoint.port());
+}
 
 std::unique_ptr<Transport> make_tcp_transport(NetStream stream) {
   return std::make_unique<TcpTransport>(std::move(stream));

@@ -70,6 +70,9 @@ class Transport {
   virtual asio::any_io_executor executor() = 0;
 };
 
+// "address:port".
+std::string name_of(const asio::ip::tcp::endpoint& endpoint);
+
 std::unique_ptr<Transport> make_tcp_transport(NetStream stream);
 // Answers the upgrade request; null where the handshake fails.
 asio::awaitable<std::unique_ptr<Transport>> accept_websocket(NetStream stream, const HttpRequest& request);

@@ -10,6 +10,7 @@
 
 #include "server/app/config.hpp"
 #include "server/mesh_io/mesh_io.hpp"
+#include "tests/stream/raw_peer.hpp"
 #include "tests/support/bodies.hpp"
 #include "tests/support/run_program.hpp"
 
@@ -106,6 +107,80 @@ TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
   EXPECT_NE(run({"--check", "none.json"}).err.find("mesh.path"), std::string::npos);
   EXPECT_EQ(run({"--config", "bad.json"}).exit_code, 1);
   EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);
+}
+
+// --check finds what the start would find, and the start finds it before the work on the mesh.
+TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
+  const auto fault = [&](const std::string& mesh, const std::string& rest) {
+    write("c.json", "{\"mesh\": {" + mesh + "}" + rest + "}");
+    const RunResult checked = run({"--check", "c.json"});
+    EXPECT_EQ(checked.out.empty(), checked.exit_code != 0);
+    EXPECT_EQ(checked.err.empty(), checked.exit_code == 0) << checked.err;
+    return checked.err;
+  };
+  const std::string cube = R"("path": "cube.node")",
+                    phantom = R"("phantom": "liver", "target_tets": 2000000)";
+  EXPECT_EQ(fault(cube, ""), "");
+  // The mesh.
+  write("garbage.vtk", "nonsense");
+  write("open.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n");
+  for (const char* name : {"garbage.vtk", "open.off", "none.msh"}) {
+    EXPECT_NE(fault("\"path\": \"" + std::string(name) + "\"", "").find(name), std::string::npos) << name;
+  }
+  fs::create_directories(dir_ / "folder.msh");
+  EXPECT_NE(fault(R"("path": "folder.msh")", "").find("mesh.path"), std::string::npos);
+  // The rest: with a body that takes minutes to make, the start is refused all the same.
+  write("tokens.json", R"([{"token": "short", "roles": ["viewer"]}])");
+  write("roles.json", R"([{"token": "sixteen letters or more", "roles": ["metric"]}])");
+  write("server.pem", "no certificate");
+  fs::create_directories(dir_ / "place");
+  const std::vector<std::pair<std::string, std::string>> faults{
+      {R"(, "listen": {"token_file": "tokens.json"})", "listen.token_file"},
+      {R"(, "listen": {"token_file": "roles.json"})", "\"metrics\""},
+      {R"(, "listen": {"token_file": "place"})", "listen.token_file"},
+      {R"(, "listen": {"certificate_file": "server.pem", "private_key_file": "server.pem"})",
+       "listen.certificate_file"},
+      {R"(, "listen": {"viewer_directory": "server.pem"})", "listen.viewer_directory"},
+      {R"(, "listen": {"address": "localhost"})", "listen.address"},
+      {R"(, "capture": {"path": "nowhere/a.capture"})", "capture.path"},
+      {R"(, "capture": {"path": "place"})", "capture.path"},
+      {R"(, "capture": {"library": "server.pem"})", "capture.library"},
+      {R"(, "devices": {"profiles": "nowhere"})", "devices.profiles"}};
+  for (const auto& [rest, named] : faults) {
+    EXPECT_NE(fault(cube, rest).find(named), std::string::npos) << rest;
+    EXPECT_EQ(fault(phantom, rest), run({"--config", "c.json"}).err) << rest;
+  }
+}
+
+TEST_F(Incised, WithTokensTheFiguresAreForTheirHolders) {
+  write("tokens.json", R"([{"token": "a scraper's own token", "roles": ["metrics"]}])");
+  write("c.json", R"({"mesh": {"path": "cube.node"}, "loop": {"realtime_priority": 0, "lock_memory": false},
+                      "listen": {"tcp_port": 0, "http_port": 0, "token_file": "tokens.json"}})");
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  const std::string log = tests::read_file(dir_ / "log.txt");
+  const auto port = static_cast<std::uint16_t>(std::stoi(log.substr(log.find("http=127.0.0.1:") + 15)));
+  const auto get = [&](const std::string& target, const std::string& token) {
+    return stream::http(port, target, "GET", token.empty() ? "" : "Authorization: Bearer " + token + "\r\n");
+  };
+  EXPECT_EQ(get("/healthz", "").substr(9, 3), "200");
+  EXPECT_EQ(get("/stats", "").substr(9, 3), "401");
+  EXPECT_EQ(get("/metrics", "some other token").substr(9, 3), "401");
+  EXPECT_NE(get("/metrics", "a scraper's own token").find("\nincise_stream_refused_total 2\n"),
+            std::string::npos);
+  const std::string stats = get("/stats", "a scraper's own token");
+  const json access = json::parse(stats.substr(stats.find("\r\n\r\n")))["access"];
+  EXPECT_EQ(access["refused"], 2);
+  EXPECT_EQ(access["wrong_tokens"], 1);
+  // The doctor needs no token.
+  write("same.json", R"({"mesh": {"path": "cube.node"}, "listen": {"tcp_port": 0, "http_port": )" +
+                         std::to_string(port) + "}}");
+  const RunResult doctor = tests::run_program("incise", {"doctor", "--config", "same.json"}, dir_);
+  EXPECT_NE(doctor.out.find("an incised runs here"), std::string::npos) << doctor.out;
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  const std::string told = tests::read_file(dir_ / "log.txt");
+  EXPECT_NE(told.find("/metrics refused to 127.0.0.1:"), std::string::npos) << told;
+  EXPECT_NE(told.find("a wrong token"), std::string::npos);
 }
 
 TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {

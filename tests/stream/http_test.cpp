@@ -129,12 +129,13 @@ TEST_F(HttpTest, RefusesTheRest) {
   EXPECT_EQ(status_of(http(port(), "/healthz")), "HTTP/1.1 200 OK");
 }
 
-std::string upgrade(std::uint16_t port, const std::string& headers, const std::string& host) {
+std::string upgrade(std::uint16_t port, const std::string& headers, const std::string& host,
+                    const std::string& key = "dGhlIHNhbXBsZSBub25jZQ==") {
   RawPeer peer(port);
   peer.send("GET /ws HTTP/1.1\r\nHost: " + host +
             "\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" +
-            headers + "\r\n");
+            "Sec-WebSocket-Key: " +
+            key + "\r\n" + headers + "\r\n");
   return status_of(peer.read_all(12));
 }
 
@@ -164,6 +165,15 @@ TEST_F(HttpTest, ForeignPagesGetNoWebSocket) {
   EXPECT_EQ(upgrade(port(), "Origin: http://" + host + "\r\n", host).substr(0, 12), "HTTP/1.1 101");
   EXPECT_EQ(upgrade(port(), "Origin: http://evil.example\r\n", host).substr(0, 12), "HTTP/1.1 403");
   EXPECT_EQ(upgrade(port(), "Origin: null\r\n", host).substr(0, 12), "HTTP/1.1 403");
+}
+
+TEST_F(HttpTest, AWebSocketsKeyIsSixteenBytesInBase64) {
+  const std::string host = "127.0.0.1:" + std::to_string(port());
+  for (const char* key :
+       {"x", "", "dGhlIHNhbXBsZSBub25jZQ=", "dGhlIHNhbXBsZSBub25jZQAA", "dGhlIHNhbXBsZSBub25jZSE=",
+        "dGhlIHNhbXBsZSBub25j!Q==", "dGhlIHNhbXBsZSBub25jZQ==dGhlIHNhbXBsZSBub25jZQ=="}) {
+    EXPECT_EQ(upgrade(port(), "", host, key).substr(0, 12), "HTTP/1.1 400") << key;
+  }
 }
 
 TEST(OriginAllowed, IsTheServersOwnOrAListedOne) {

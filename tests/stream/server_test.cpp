@@ -114,6 +114,42 @@ TEST(Server, WhoLiesAboutItsRevisionGetsASnapshot) {
   }
 }
 
+// Deltas of one view mean nothing to a state of another: that of the surface, or what a box held.
+TEST(Server, AStateIsGoneOnFromInItsOwnViewAlone) {
+  TestServer test;
+  test.cut(2);
+  const auto session = [&](View view, bool boxed) {
+    protocol::Hello h = hello(Role::Viewer, view);
+    if (boxed) h.box = protocol::Box{{0, 0, 0}, {0.01, 0.01, 0.01}};
+    RawPeer peer(test.server.tcp_port());
+    peer.send(h);
+    const auto welcome = peer.receive_until<protocol::Welcome>();
+    return welcome ? std::get<protocol::Welcome>(welcome->message.body).session : 0;
+  };
+  const auto resumed = [&](View view, std::uint64_t of, std::uint64_t revision) {
+    protocol::Hello back = hello(Role::Viewer, view);
+    back.resume_session = of;
+    back.resume_revision = revision;
+    RawPeer peer(test.server.tcp_port());
+    peer.send(back);
+    const auto welcome = peer.receive_until<protocol::Welcome>();
+    if (!welcome) return false;
+    const bool yes = std::get<protocol::Welcome>(welcome->message.body).resumed;
+    if (!yes) {
+      EXPECT_TRUE(peer.receive_until<protocol::SnapshotEnd>());
+    }
+    return yes;
+  };
+  for (const std::uint64_t revision : {test.loop.revision(), std::uint64_t{0}}) {
+    EXPECT_TRUE(resumed(View::Surface, session(View::Surface, false), revision));
+    EXPECT_TRUE(resumed(View::Volume, session(View::Volume, false), revision));
+    EXPECT_FALSE(resumed(View::Volume, session(View::Surface, false), revision));
+    EXPECT_FALSE(resumed(View::Surface, session(View::Volume, false), revision));
+    EXPECT_FALSE(resumed(View::Volume, session(View::Volume, true), revision));
+    EXPECT_FALSE(resumed(View::Surface, session(View::Surface, true), revision));
+  }
+}
+
 TEST(Server, WhatTheRingHasLetGoOfComesAsASnapshot) {
   StreamConfig config = test_config();
   config.ring_bytes = 20'000;  // a few deltas
@@ -359,6 +395,7 @@ TEST(Server, AFloodOfSmallMessagesEndsTheFlooder) {
   const auto error = peer.receive_until<protocol::Error>();
   ASSERT_TRUE(error);
   EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::RateExceeded);
+  EXPECT_GE(std::get<protocol::Error>(error->message.body).in_reply_to, 51u);
   EXPECT_TRUE(peer.closes());
   expect_serves_others(test);
 }

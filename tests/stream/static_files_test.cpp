@@ -21,6 +21,11 @@ class StaticFilesTest : public ::testing::Test {
     write(root / "assets" / "app-1a2b.js", "js");
     write(base / "secret.txt", "secret");
     write(base / "site-secret" / "index.html", "secret");
+    fs::create_directories(root / ".git");
+    write(root / ".git" / "config", "secret");
+    write(root / ".hidden", "secret");
+    fs::create_symlink(root / ".hidden", root / "unhidden.txt");
+    fs::create_symlink(root / "index.html", root / ".page.html");
     fs::create_symlink(base / "secret.txt", root / "link.txt");
     fs::create_symlink(root / "index.html", root / "inside.html");
   }
@@ -65,6 +70,12 @@ TEST_F(StaticFilesTest, StaysWithinTheDirectory) {
                              "/%zz",
                              "",
                              "index.html",
+                             "/.hidden",
+                             "/%2ehidden",
+                             "/assets/../.hidden",
+                             "/.git/config",
+                             "/unhidden.txt",
+                             "/.page.html",
                              "/assets",
                              "/assets/",
                              "/none.html",
@@ -72,6 +83,12 @@ TEST_F(StaticFilesTest, StaysWithinTheDirectory) {
                              "//etc/passwd"}) {
     EXPECT_FALSE(files.find(target)) << target;
   }
+}
+
+TEST_F(StaticFilesTest, ADirectoryMayLieInAHiddenOne) {
+  fs::create_directories(base / ".local" / "viewer");
+  write(base / ".local" / "viewer" / "index.html", "<p>");
+  EXPECT_TRUE(StaticFiles(base / ".local" / "viewer").find("/"));
 }
 
 TEST_F(StaticFilesTest, TagsChangeWithTheContent) {

@@ -1,7 +1,7 @@
 // The viewer page, in a real browser against a real server.
 
 import assert from "node:assert/strict";
-import { mkdirSync, readFileSync, renameSync } from "node:fs";
+import { mkdirSync, readFileSync, renameSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { launch, openPage, progress, screenshots, Server, until } from "./server.mjs";
@@ -355,15 +355,24 @@ test("a server with tokens asks for one", async (t) => {
   t.after(() => server.end());
   server.config.listen = { token_file: server.file("tokens.json", JSON.stringify([
     { token: "only-for-watching", roles: ["viewer"] }, { token: "for-cutting-as-well", roles: ["viewer", "operator", "admin"] }])) };
+  server.config.capture = { library: "captures" };
+  mkdirSync(server.file("captures"));
+  writeFileSync(server.file("captures/last week.capture"), "");
   await server.start();
   const context = await browser.newContext();
   t.after(() => context.close());
   const page = await context.newPage();
   await page.goto(server.url);
   await page.locator("#token-dialog[open]").waitFor();
+  assert.equal((await fetch(server.url + "captures")).status, 401);
   await page.locator("#token").fill("only-for-watching");
   await page.getByRole("button", { name: "Continue" }).click();
   await until(page, () => window.incise.progress);
+  // What the page asks for beside the stream comes by the same token.
+  await until(page, () => document.querySelector("#captures")?.textContent === "last week");
+  const figures = page.waitForEvent("popup");
+  await page.evaluate(() => document.querySelector(".links a[href=stats]").click());
+  await (await figures).getByText("\"wrong_tokens\":0").waitFor();
   await page.getByText("you need an operator's token").waitFor();
   await page.getByRole("button", { name: "Enter a token" }).first().click();
   await page.locator("#token").fill("for-cutting-as-well");

@@ -2,7 +2,7 @@ import { Chart } from "./chart";
 import type { BladeStep, Facts, FromWorker, Progress, ReplayFacts, ToWorker } from "./messages";
 import type { Colouring } from "./body_mesh";
 import { MouseBlade } from "./mouse_blade";
-import { Replay } from "./replay";
+import { bearer, Replay } from "./replay";
 import { Stage, type Tool } from "./stage";
 
 const kFiguresEvery_ms = 500;
@@ -77,6 +77,7 @@ class Page {
     this.setTheme(localStorage.getItem("incise-theme") ?? "auto");
     this.togglePanel(innerWidth > 1000);
     setInterval(() => this.showRates(), kFiguresEvery_ms);
+    for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a")) link.onclick = (event) => void this.openWithToken(event, link.href);
     addEventListener("resize", () => this.measureCover());
     addEventListener("online", () => this.send({ kind: "wake" }));
     document.addEventListener("visibilitychange", () => {
@@ -95,7 +96,7 @@ class Page {
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
     this.send({ kind: "connect", url: url.href, token: this.token });
     this.setTool(this.tool);
-    void this.replay.list();
+    void this.replay.list(this.token);
   }
 
   // ---- From the worker ----
@@ -499,6 +500,14 @@ class Page {
     const colour = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
     this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [colour("--back-a"), colour("--back-b")]);
     for (const chart of Object.values(this.charts)) chart.draw();
+  }
+
+  /** A link cannot carry the token: what it leads to is fetched, and shown in a tab of its own. */
+  private async openWithToken(event: MouseEvent, url: string): Promise<void> {
+    if (this.token === "") return;
+    event.preventDefault();
+    const answer = await fetch(url, { cache: "no-store", headers: bearer(this.token) });
+    open(URL.createObjectURL(await answer.blob()));
   }
 
   private askToken(why: string): void {

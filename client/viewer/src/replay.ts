@@ -2,6 +2,9 @@ import type { ReplayFacts, ToWorker } from "./messages";
 
 const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
 
+/** What a server with tokens asks for beside the stream. */
+export const bearer = (token: string): HeadersInit => (token ? { Authorization: `Bearer ${token}` } : {});
+
 /** The list of recordings and the controls of the one that is played. */
 export class Replay {
   facts: ReplayFacts | null = null;
@@ -27,9 +30,9 @@ export class Replay {
   }
 
   /** Asks the server what recordings it offers. */
-  async list(): Promise<void> {
+  async list(token: string): Promise<void> {
     try {
-      const answer = await fetch("captures", { cache: "no-store" });
+      const answer = await fetch("captures", { cache: "no-store", headers: bearer(token) });
       if (!answer.ok) return;
       const names: string[] = await answer.json();
       element("recordings").hidden = names.length === 0;

@@ -22,6 +22,7 @@
 #include <set>
 #include <stdexcept>
 #include <thread>
+#include <utility>
 
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
@@ -51,7 +52,7 @@ constexpr const char* kDeviceName = "Incise";
 struct Counts {
   std::uint64_t connections = 0, messages = 0, poses = 0, skipped = 0, bad_headers = 0, bad_crc = 0,
                 bad_shape = 0, bad_values = 0, stretched = 0, no_blade = 0, clock_restarts = 0, refused = 0,
-                surfaces = 0;
+                unfinished = 0, surfaces = 0;
 };
 
 // A device name of one connection.
@@ -104,6 +105,7 @@ struct OpenIgtLinkInput::Impl {
     std::int64_t write_began_ns = 0;
     bool closed = false;
     int faults = 0;
+    std::int64_t part_began_ns = 0;  // since when the rest of a message is waited for; 0: it is not
     // What it wants of the surface, and what it got.
     bool streaming = false, wants_one = false;
     std::int64_t interval_ns = 0, sent_ns = 0;
@@ -155,11 +157,14 @@ struct OpenIgtLinkInput::Impl {
       std::vector<std::uint8_t> body;
       std::string why;
       while (why.empty()) {
-        const auto [error, bytes] = co_await asio::async_read(stream, asio::buffer(head), kTuple);
+        // The first byte may take as long as it likes.
+        const auto [error, begun] = co_await stream.async_read_some(asio::buffer(head), kTuple);
         if (error) {
           why = text_of(error);
           break;
         }
+        why = co_await read_part(std::span(head).subspan(begun));
+        if (!why.empty()) break;
         const auto header = link::read_header(head, why);
         if (!header) {
           ++owner.counts.bad_headers;
@@ -177,17 +182,24 @@ struct OpenIgtLinkInput::Impl {
           break;
         }
         body.resize(header->body_bytes);
-        const auto [body_error, body_bytes] = co_await asio::async_read(stream, asio::buffer(body), kTuple);
-        if (body_error) {
-          why = text_of(body_error);
-          break;
-        }
+        why = co_await read_part(body);
+        if (!why.empty()) break;
         co_await take(*header, body);
         if (faults >= kMostFaults) why = std::to_string(faults) + " bad messages in a row";
       }
       tools.clear();
       if (!closed) close();
       owner.events.write(spdlog::level::info, "openigtlink: " + name + ": connection ended: " + why);
+    }
+
+    // Reads the rest of what has begun, which tick() gives a deadline. Empty, or why the connection must end.
+    asio::awaitable<std::string> read_part(std::span<std::uint8_t> part) {
+      part_began_ns = monotonic_ns();
+      const auto [error, bytes] =
+          co_await asio::async_read(stream, asio::buffer(part.data(), part.size()), kTuple);
+      const bool late = std::exchange(part_began_ns, 0) < 0;
+      if (late) co_return "it began a message and did not send the rest";
+      co_return error ? text_of(error) : std::string();
     }
 
     // A message that is not for us. Empty, or why the connection must end.
@@ -197,9 +209,8 @@ struct OpenIgtLinkInput::Impl {
       std::vector<std::uint8_t> scrap(static_cast<std::size_t>(std::min<std::uint64_t>(bytes, 64 * 1024)));
       while (bytes > 0) {
         const auto part = static_cast<std::size_t>(std::min<std::uint64_t>(bytes, scrap.size()));
-        const auto [error, read] =
-            co_await asio::async_read(stream, asio::buffer(scrap.data(), part), kTuple);
-        if (error) co_return text_of(error);
+        std::string why = co_await read_part(std::span(scrap).first(part));
+        if (!why.empty()) co_return why;
         bytes -= part;
       }
       co_return std::string();
@@ -464,10 +475,16 @@ struct OpenIgtLinkInput::Impl {
 
   void tick() {
     const std::int64_t now = monotonic_ns();
+    const auto message_time_ns = static_cast<std::int64_t>(options.message_time_s * 1e9);
     for (const auto& peer : peers) {
       for (auto& [name, tool] : peer->tools) {
         const bool silent = static_cast<double>(now - tool.arrival_ns) * 1e-9 > options.silence_s;
         if (tool.source && !tool.waiting && silent) tool.release();
+      }
+      if (peer->part_began_ns > 0 && now - peer->part_began_ns > message_time_ns) {
+        ++counts.unfinished;
+        peer->part_began_ns = -1;
+        peer->close();
       }
       if (!peer->outbox.empty() && now - peer->write_began_ns > kWriteTime_ns) {
         faults.write(spdlog::level::warn, "openigtlink: " + peer->name + " does not read: it is let go");
@@ -506,6 +523,7 @@ struct OpenIgtLinkInput::Impl {
                      {"no_blade", counts.no_blade},
                      {"clock_restarts", counts.clock_restarts},
                      {"refused", counts.refused},
+                     {"unfinished", counts.unfinished},
                      {"surfaces", counts.surfaces}};
     const std::scoped_lock lock(status_mutex);
     told = std::move(status);

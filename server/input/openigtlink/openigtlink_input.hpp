@@ -26,6 +26,10 @@ struct OpenIgtLinkOptions {
   double surface_hz = 2;              // at most
   std::uint32_t engage_buttons = 1;   // that a pose holds while its device is engaged
 
+  // Once a message has begun: for the rest of its header, for its body, for each 64 KiB of one that is passed over. Between
+  // messages a peer may be silent for as long as it likes.
+  double message_time_s = 10;
+
   bool wanted() const { return port >= 0 || !connect.empty(); }
 };
 

@@ -216,6 +216,31 @@ TEST_F(OpenIgtLink, ManyPeersFindAClosedDoor) {
   EXPECT_TRUE(came(2));
 }
 
+// Who begins a message and does not send the rest keeps no place; who says nothing at all may stay.
+TEST_F(OpenIgtLink, AMessageThatIsNotFinishedEndsItsConnection) {
+  OpenIgtLinkOptions options;
+  options.message_time_s = 0.2;
+  start(options);
+  stream::RawPeer silent(input->port());
+  const Packed whole = tests::transform({"Scalpel"}, kStart_ns);
+  const auto begun = [&](std::size_t bytes) {
+    auto peer = std::make_unique<stream::RawPeer>(input->port());
+    peer->send(std::as_bytes(std::span(whole)).first(bytes));
+    return peer;
+  };
+  const auto half_header = begun(29), half_body = begun(whole.size() - 1);
+  stream::RawPeer half_image(input->port());  // of those that are passed over
+  const Packed image = openigtlink::encode("IMAGE", "Camera", 0, Packed(1000));
+  half_image.send(std::as_bytes(std::span(image)).first(500));
+  EXPECT_TRUE(half_header->closes());
+  EXPECT_TRUE(half_body->closes());
+  EXPECT_TRUE(half_image.closes());
+  EXPECT_TRUE(stream::eventually([&] { return count("unfinished") == 3; }));
+  EXPECT_TRUE(stream::eventually([&] { return input->status().peers.size() == 1; }));
+  silent.send(std::as_bytes(std::span(whole)));
+  EXPECT_TRUE(came(2));
+}
+
 TEST_F(OpenIgtLink, AFullQueueHoldsThePeerBackAndLosesNothing) {
   start();
   LibraryPeer peer(input->port());
