@@ -1,9 +1,18 @@
 #include "server/app/capture_journal.hpp"
 
+#include <sys/statvfs.h>
+
+#include <cmath>
+#include <stdexcept>
 #include <system_error>
 
 namespace incise::app {
 namespace {
+
+// How much is written between two looks at what is free.
+constexpr std::uint64_t kLook_bytes = 1u << 20;
+// So much more than must be kept has to be free before recording goes on, or it would stop again at once.
+constexpr double kRoomAgain = 0.01;
 
 protocol::Vec3 to_protocol(const core::Vec3& p) {
   return {p.x, p.y, p.z};
@@ -69,7 +78,22 @@ void CaptureJournal::write(const loop::JournalRecord& record) {
   writer_.append(to_capture(record));
 }
 
+bool CaptureJournal::has_room() {
+  if (keep_free_ == 0 || (!low_ && writer_.written_bytes() < next_look_)) return true;
+  struct statvfs files {};
+  if (::statvfs(path_.c_str(), &files) != 0 || files.f_blocks == 0) return true;
+  const double free = static_cast<double>(files.f_bavail) / static_cast<double>(files.f_blocks);
+  low_ = free < keep_free_ + (low_ ? kRoomAgain : 0);
+  next_look_ = writer_.written_bytes() + kLook_bytes;
+  return !low_;
+}
+
 void CaptureJournal::flush() {
+  if (!has_room()) {
+    writer_.drop_pending();
+    throw std::runtime_error(path_ + ": less than " + std::to_string(std::lround(100 * keep_free_)) +
+                             " % of its file system is free (capture.keep_free_percent)");
+  }
   if (const std::error_code error = writer_.flush()) {
     writer_.drop_pending();
     throw std::system_error(error, path_);
