@@ -25,19 +25,27 @@ struct ServerFacts {
   std::string policy;
 };
 
+// Whether what is taken is recorded, and where not: why.
+struct RecordingNow {
+  protocol::Recording state = protocol::Recording::Off;
+  std::string trouble;
+};
+
 // What the HTTP port and the statistics message show. Called on the stream thread; must not block. An absent
 // one makes the address answer 404, and the message is not sent.
 struct Providers {
   std::function<std::string()> stats_json;    // GET /stats
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
   std::function<protocol::Stats()>
-      statistics;  // once a second to every session; sessions and revision are filled in
+      statistics;  // once a second to every session; sessions, revision and recording are filled in
   // Where the blades are now, for who asked for that; those that were never moved are left out.
   std::function<std::vector<protocol::BladePose>()> blades;
   ReplayLibrary* library =
       nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
   std::function<std::string()>
       trouble;  // GET /healthz: what keeps the server from its work; "": nothing does
+  // Asked at every tick. Absent: nothing is recorded.
+  std::function<RecordingNow()> recording;
 };
 
 // What the stream has done since it started.
