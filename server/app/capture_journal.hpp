@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string>
+#include <system_error>
 
 #include "protocol/capture.hpp"
 #include "server/loop/journal.hpp"
@@ -28,8 +29,10 @@ class CaptureJournal final : public loop::JournalSink {
 
  private:
   bool has_room();
+  std::uint64_t room_to_go_on() const;
   std::string path_;
   double keep_free_ = 0;
+  std::error_code failure_;      // of the last flush
   bool low_ = false;             // there was no room at the last look
   std::uint64_t next_look_ = 0;  // at this length of the file
   protocol::FileSink sink_;

@@ -51,10 +51,9 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
   }
 }
 
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+// Not the processor's time: what counts is how long a start takes, on a busy machine, too.
+double seconds_since(std::int64_t ns) {
+  return static_cast<double>(input::monotonic_ns() - ns) * 1e-9;
 }
 
 // A place in the capture to go on from.
@@ -83,10 +82,10 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
     const std::string name = loop::checkpoint_path(path, number);
     Start start;
     start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
-    const double before_s = thread_cpu_s();
+    const std::int64_t before = input::monotonic_ns();
     auto rest =
         read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
-    start.read_s = thread_cpu_s() - before_s;
+    start.read_s = seconds_since(before);
     if (!rest) {
       spdlog::warn(
           "{}: belongs to another capture, or to a part of this one that was lost; it is passed over", name);
@@ -106,8 +105,10 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
   return std::nullopt;
 }
 
-// Applies what the capture holds behind the start, and compares the hashes.
-void replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+// Applies what the capture holds behind the start, and compares the hashes. Returns how many records of what that led to the
+// disk has not taken.
+std::uint64_t replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+  const std::uint64_t records = journal.position().records;
   core::CutSession* session = start.session.get();
   const RecordedMotion& motion = start.rest;
   const std::uint64_t begin = session->revision();
@@ -144,14 +145,14 @@ void replay(const Config& config, const std::string& path, Start& start, Capture
     journal.write(end);
     commit_all();
   }
+  const std::uint64_t more = journal.position().records - records;
   try {
     journal.flush();
     journal.sync();
   } catch (const std::system_error& error) {
-    throw std::runtime_error(
-        std::string(error.what()) +
-        "; the session is not lost: make the capture writable, or make room, and resume again");
+    spdlog::error("the capture cannot be written: {}; cutting goes on, poses are not recorded", error.what());
   }
+  return records + more - journal.position().records;
 }
 
 // Whether the file has a session that somebody may want: poses, or bytes that are no capture.
@@ -252,9 +253,9 @@ Recording resume_recording(const Config& config, const Body& body) {
   const bool checkpointed = start.has_value() && start->rest.resets == 0;
   if (!start) {
     start.emplace();
-    const double before_s = thread_cpu_s();
+    const std::int64_t before = input::monotonic_ns();
     start->rest = read_recorded_motion(path);
-    start->read_s = thread_cpu_s() - before_s;
+    start->read_s = seconds_since(before);
   }
   RecordedMotion& motion = start->rest;
   for (const std::string& warning : motion.warnings) spdlog::warn("{}", warning);
@@ -271,22 +272,21 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.next_checkpoint = start->next_checkpoint;
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
-  const double before_s = thread_cpu_s();
-  replay(config, path, *start, *recording.journal);
+  const std::int64_t before = input::monotonic_ns();
+  recording.lost = replay(config, path, *start, *recording.journal);
   recording.session = std::move(start->session);
-  if (!motion.events.empty() || motion.resets > 0)
-    recording.debt_s = start->read_s + thread_cpu_s() - before_s;
+  if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
   // A server that crashes soon after each start would have more to replay each time. What is less than this counts towards
   // the next checkpoint.
   const double most_s = config.capture.checkpoint_replay_s;
-  if (most_s > 0 && recording.debt_s > most_s && write_checkpoint(path, recording)) recording.debt_s = 0;
+  const bool due = most_s > 0 && recording.debt_s > most_s && recording.lost == 0;
+  if (due && write_checkpoint(path, recording)) recording.debt_s = 0;
   recording.journal->keep_free(config.capture.keep_free_percent / 100);
   const std::string begin = checkpointed        ? fmt::format("from the checkpoint at revision {}", from)
                             : motion.resets > 0 ? "from the last reset"
                                                 : "from the beginning";
   spdlog::info("resumed {} at revision {} in {:.2f} s: {}, {} poses replayed", path,
-               recording.session->revision(), static_cast<double>(input::monotonic_ns() - began) * 1e-9,
-               begin, motion.poses());
+               recording.session->revision(), seconds_since(began), begin, motion.poses());
   return recording;
 }
 

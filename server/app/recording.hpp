@@ -18,6 +18,7 @@ struct Recording {
   std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
   int next_checkpoint = 0;                  // the checkpoint file that may be written over
   double debt_s = 0;                        // of computing that the next resume would have to repeat
+  std::uint64_t lost = 0;                   // records at the end of it that the disk has not taken
 };
 
 // A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,

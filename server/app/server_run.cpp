@@ -252,6 +252,7 @@ void run_server(const Config& config, bool resume) {
     options.policy = config.capture.sync == "none"     ? loop::SyncPolicy::kNone
                      : config.capture.sync == "always" ? loop::SyncPolicy::kAlways
                                                        : loop::SyncPolicy::kGroup;
+    options.lost = recording.lost;
     options.realtime_priority = static_cast<int>(config.loop.realtime_priority) / 2;
     options.sync_interval_ms = static_cast<std::int64_t>(config.capture.sync_interval_ms);
     journal = std::make_unique<loop::Journal>(

@@ -41,7 +41,11 @@ Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTr
       on_pose_(std::move(on_pose)),
       checkpointer_(std::move(checkpointer)),
       queue_(options.capacity),
-      unmarked_(checkpointer_ && checkpointer_->in_debt()) {
+      unflushed_(options.lost),
+      unmarked_(checkpointer_ && checkpointer_->in_debt()),
+      lost_unwritten_(options.lost),
+      failing_(options.lost > 0) {
+  if (failing()) set_trouble("the capture cannot be written");
   if (options_.policy != SyncPolicy::kNone) sync_thread_ = std::thread([this] { run_sync(); });
   thread_ = std::thread([this] { run(); });
 }

@@ -60,6 +60,8 @@ class Journal {
     std::size_t capacity = 1u << 16;  // records
     // SCHED_FIFO for its thread; 0: none. What a crash loses is what this thread has not come to; it needs little time.
     int realtime_priority = 0;
+    // Records that the sink should have and did not take, before the first of this journal.
+    std::uint64_t lost = 0;
   };
   // Called from the journal's thread when the sink begins to fail, with the reason, and with an empty text
   // when it works again.

@@ -97,6 +97,8 @@ class SmallDisk {
     while (out.write(block.data(), static_cast<std::streamsize>(block.size())).flush()) {
     }
   }
+  // Not for one server alone.
+  bool real() const { return mounted_; }
   void make_room() {
     if (mounted_) {
       fs::remove(ballast());
@@ -228,6 +230,24 @@ TEST(Recovery, OnAFullDiskAPoseThatIsReportedAsRecordedIsInTheCapture) {
   EXPECT_GE(poses, driver.recorded());
   EXPECT_TRUE(last);
   EXPECT_LT(poses, driver.accepted()) << "and the others are not: the disk was full";
+
+  // It goes on all the same, from what the capture has; and is whole again when there is room.
+  if (!disk.real()) return;
+  const std::size_t logged = session.log().size();
+  ASSERT_TRUE(session.start(true)) << session.log();
+  const std::uint64_t from = what_the_server_has(session).revision;
+  EXPECT_GT(from, 0u);
+  EXPECT_EQ(resumed_from(session, logged).find("from "), 0u);
+  EXPECT_TRUE(wait_for([&] { return session.stat("/journal/failing") == 1.0; }));
+  disk.make_room();
+  EXPECT_TRUE(
+      wait_for([&] { return session.stat("/revision").value_or(0) > static_cast<double>(from) + 3; }));
+  EXPECT_TRUE(wait_for([&] { return driver.recording() == protocol::Recording::On; }));
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  const Held before = settle(session, driver, *viewer);
+  session.kill();
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_EQ(what_the_server_has(session), before) << session.log();
 }
 
 // However little there was to do in a run: what a resume would have to compute is saved where the server ends, and while

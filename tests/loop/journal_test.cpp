@@ -209,6 +209,24 @@ TEST(Journal, AfterAGapItIsInTroubleUntilTheMeshIsReset) {
   while (!journal.trouble().empty()) std::this_thread::yield();
 }
 
+// A session that is resumed on a full disk begins with records that are missing.
+TEST(Journal, ItMayBeginWithAGap) {
+  Disk disk;
+  Journal::Options options;
+  options.lost = 7;
+  Journal journal(std::make_unique<DiskSink>(disk), options, [](const std::string&) {});
+  EXPECT_TRUE(journal.failing());
+  EXPECT_EQ(journal.lost(), 7u);
+  EXPECT_NE(journal.trouble(), "");
+  journal.record(pose(1));
+  while (journal.failing()) std::this_thread::yield();
+  EXPECT_NE(journal.trouble(), "");
+  const std::scoped_lock lock(disk.mutex);
+  ASSERT_EQ(disk.records.size(), 2u);
+  EXPECT_EQ(disk.records[0].kind, Kind::kGap);
+  EXPECT_EQ(disk.records[0].lost, 7u);
+}
+
 TEST(Journal, WhatItsQueueLostIsTroubleToo) {
   Disk disk;
   disk.slow = true;
