@@ -155,7 +155,7 @@ TEST(Recovery, BehindAGapASessionGoesOnFromTheNextCheckpoint) {
   {
     PoseDriver driver(session, 500, 0.2);
     ASSERT_TRUE(viewer->wait_for_revision(3, 60));
-    EXPECT_EQ(driver.recording(), protocol::Recording::On);
+    EXPECT_TRUE(wait_for([&] { return driver.recording() == protocol::Recording::On; }));
     disk.fill();
     EXPECT_TRUE(wait_for([&] { return session.stat("/journal/failing") == 1.0; }));
     EXPECT_TRUE(wait_for([&] { return driver.recording() == protocol::Recording::Stopped; }));
