@@ -35,6 +35,9 @@ if(INCISE_VIEWER)
   string(REPLACE "\"viewer_directory\": \"\"" "\"viewer_directory\": \"${CMAKE_INSTALL_FULL_DATADIR}/incise/viewer\"" incised_json
     "${incised_json}")
 endif()
+# The service records. Its state directory is systemd's, whatever the prefix; and it leaves room to what else lives there.
+string(REGEX REPLACE "(\"capture\": {[^}]*\"path\": )\"\"" "\\1\"/var/lib/incise/session.capture\"" incised_json "${incised_json}")
+string(REGEX REPLACE "(\"keep_free_percent\": )[0-9.]+" "\\110" incised_json "${incised_json}")
 file(WRITE ${CMAKE_BINARY_DIR}/install/incised.json "${incised_json}")
 install(FILES ${CMAKE_BINARY_DIR}/install/incised.json DESTINATION ${INCISE_ETC} COMPONENT incised)
 configure_file(config/incised.service.in install/incised.service @ONLY)

@@ -272,6 +272,7 @@ class Reader {
     out.server_monotonic_ns = m.server_monotonic_ns();
     out.server_unix_ns = m.server_unix_ns();
     out.policy = text("policy", m.policy());
+    out.recording = enumeration<Recording>("recording", m.recording());
     return out;
   }
   Body read(const wire::Subscribe& m) {
@@ -302,9 +303,11 @@ class Reader {
     return PoseBatch{array<PoseSample>("poses", m.poses())};
   }
   Body read(const wire::PoseReport& m) {
-    return PoseReport{m.through_sequence(), m.accepted(),        m.not_finite(),
-                      m.not_unit(),         m.time_not_rising(), m.queue_full(),
-                      m.too_fast(),         m.last_source_ns(),  m.backlog_segments()};
+    return PoseReport{
+        m.through_sequence(), m.accepted(),           m.not_finite(),
+        m.not_unit(),         m.time_not_rising(),    m.queue_full(),
+        m.too_fast(),         m.last_source_ns(),     m.backlog_segments(),
+        m.recorded(),         m.recorded_source_ns(), enumeration<Recording>("recording", m.recording())};
   }
   Body read(const wire::StrokeControl& m) {
     return StrokeControl{enumeration<StrokeAction>("action", m.action()), m.source_ns()};
@@ -458,6 +461,7 @@ class Reader {
     out.poses_rejected = m.poses_rejected();
     out.frame_work_p99_us = finite("frame_work_p99_us", m.frame_work_p99_us());
     out.pose_to_delta_p99_us = finite("pose_to_delta_p99_us", m.pose_to_delta_p99_us());
+    out.recording = enumeration<Recording>("recording", m.recording());
     return out;
   }
   Body read(const wire::Reset&) { return Reset{}; }

@@ -107,7 +107,8 @@ struct Encoder {
     return wire::CreateWelcome(b, m.protocol_version, m.session, wire::Role(m.role), wire::View(m.view),
                                m.resumed, m.revision, m.state_hash, mesh, &heel, &tip, m.source,
                                m.engage_button, m.max_speed_m_s, m.frame_rate_hz, m.max_message_bytes, name,
-                               version, m.server_monotonic_ns, m.server_unix_ns, policy)
+                               version, m.server_monotonic_ns, m.server_unix_ns, policy,
+                               wire::Recording(m.recording))
         .Union();
   }
   auto operator()(const Subscribe& m) {
@@ -138,7 +139,8 @@ struct Encoder {
   auto operator()(const PoseReport& m) {
     return wire::CreatePoseReport(b, m.through_sequence, m.accepted, m.not_finite, m.not_unit,
                                   m.time_not_rising, m.queue_full, m.too_fast, m.last_source_ns,
-                                  m.backlog_segments)
+                                  m.backlog_segments, m.recorded, m.recorded_source_ns,
+                                  wire::Recording(m.recording))
         .Union();
   }
   auto operator()(const StrokeControl& m) {
@@ -221,7 +223,7 @@ struct Encoder {
     const auto json = text(b, m.json);
     return wire::CreateStats(b, json, m.revision, m.live_tets, m.pieces, m.sessions, m.backlog_segments,
                              m.frames, m.late_frames, m.poses_accepted, m.poses_rejected, m.frame_work_p99_us,
-                             m.pose_to_delta_p99_us)
+                             m.pose_to_delta_p99_us, wire::Recording(m.recording))
         .Union();
   }
   auto operator()(const Reset&) { return wire::CreateReset(b).Union(); }
@@ -367,6 +369,11 @@ const char* name_of(const Body& body) {
 const char* name_of(ErrorCode code) {
   const char* name = wire::EnumNameErrorCode(static_cast<wire::ErrorCode>(code));
   return *name ? name : "?";
+}
+
+const char* name_of(Recording recording) {
+  constexpr const char* kNames[] = {"off", "on", "stopped"};
+  return kNames[static_cast<std::size_t>(recording)];
 }
 
 }  // namespace incise::protocol

@@ -53,6 +53,7 @@ struct BladeEdge {
 
 enum class Role : std::uint8_t { Viewer, Operator, Simulator, Admin };
 enum class View : std::uint8_t { None, Surface, Volume };
+enum class Recording : std::uint8_t { Off, On, Stopped };
 
 struct Hello {
   std::uint32_t protocol_version = kProtocolVersion;
@@ -96,6 +97,7 @@ struct Welcome {
   std::int64_t server_monotonic_ns = 0;
   std::int64_t server_unix_ns = 0;
   std::string policy;
+  Recording recording = Recording::Off;
 };
 
 struct Subscribe {
@@ -136,6 +138,7 @@ enum class ErrorCode : std::uint16_t {
   NotAvailable,
   BadRequest,
   Internal,
+  NotRecorded,
 };
 
 struct Error {
@@ -170,6 +173,9 @@ struct PoseReport {
   std::uint64_t accepted = 0, not_finite = 0, not_unit = 0, time_not_rising = 0, queue_full = 0, too_fast = 0;
   std::int64_t last_source_ns = 0;
   std::uint32_t backlog_segments = 0;
+  std::uint64_t recorded = 0;
+  std::int64_t recorded_source_ns = 0;
+  Recording recording = Recording::Off;
 };
 
 enum class StrokeAction : std::uint8_t { Engage, End, HandOver };
@@ -320,6 +326,7 @@ struct Stats {
   std::uint32_t live_tets = 0, pieces = 0, sessions = 0, backlog_segments = 0;
   std::uint64_t frames = 0, late_frames = 0, poses_accepted = 0, poses_rejected = 0;
   float frame_work_p99_us = 0, pose_to_delta_p99_us = 0;
+  Recording recording = Recording::Off;
 };
 
 struct Reset {};
@@ -365,5 +372,7 @@ using Body =
 const char* name_of(const Body& body);
 // The code's name as in the schema, e.g. "BadFrame"; "?" for a number that is none.
 const char* name_of(ErrorCode code);
+// "off", "on" or "stopped".
+const char* name_of(Recording recording);
 
 }  // namespace incise::protocol

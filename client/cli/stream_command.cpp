@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <thread>
+#include <utility>
 
 #include "client/cli/commands.hpp"
 #include "protocol/capture.hpp"
@@ -137,6 +138,11 @@ class Player {
     const protocol::PoseReport r = client_.report();
     const std::uint64_t revision = client_.revision();
     const std::uint64_t rejected = r.not_finite + r.not_unit + r.time_not_rising + r.queue_full;
+    if (r.recording != protocol::Recording::Off && r.recorded < r.accepted) {
+      std::fprintf(stderr,
+                   "incise: %" PRIu64 " of %" PRIu64 " accepted poses are not in the server's capture\n",
+                   r.accepted - r.recorded, r.accepted);
+    }
     if (command_.json) {
       const nlohmann::ordered_json summary{{"poses_sent", sent_},
                                            {"accepted", r.accepted},
@@ -146,6 +152,8 @@ class Player {
                                              {"time_not_rising", r.time_not_rising},
                                              {"queue_full", r.queue_full}}},
                                            {"new_strokes_by_speed_or_gap", r.too_fast},
+                                           {"recorded", r.recorded},
+                                           {"recording", name_of(r.recording)},
                                            {"settled", settled},
                                            {"first_revision", welcome_.revision},
                                            {"revision", revision},
@@ -194,6 +202,11 @@ int run_stream(const StreamCommand& command) {
   Callbacks callbacks;
   callbacks.on_error = [](const protocol::Error& error) {
     std::fprintf(stderr, "incise: server: %s: %s\n", name_of(error.code), error.text.c_str());
+  };
+  bool stopped = false;
+  callbacks.on_report = [&stopped](const protocol::PoseReport& report) {
+    const bool before = std::exchange(stopped, report.recording == protocol::Recording::Stopped);
+    if (before && !stopped) std::fprintf(stderr, "incise: server: poses are recorded again\n");
   };
   std::atomic<std::uint64_t> last_cut{0};
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,

@@ -1,9 +1,22 @@
 #include "server/app/capture_journal.hpp"
 
+#include <sys/statvfs.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <stdexcept>
 #include <system_error>
+
+#include "server/loop/checkpoint_file.hpp"
 
 namespace incise::app {
 namespace {
+
+// How much is written between two looks at what is free.
+constexpr std::uint64_t kLook_bytes = 1u << 20;
+// So much more than must be kept has to be free before recording goes on, or it would stop again at once.
+constexpr double kRoomAgain = 0.01;
 
 protocol::Vec3 to_protocol(const core::Vec3& p) {
   return {p.x, p.y, p.z};
@@ -69,10 +82,44 @@ void CaptureJournal::write(const loop::JournalRecord& record) {
   writer_.append(to_capture(record));
 }
 
+// Behind a gap only a checkpoint leads on. A gap that just fits into a full disk, with no checkpoint behind it, would take
+// even what the capture had before.
+std::uint64_t CaptureJournal::room_to_go_on() const {
+  std::uint64_t largest = 0;
+  for (int number = 0; number < loop::kCheckpointFiles; ++number) {
+    std::error_code none;
+    const auto size = std::filesystem::file_size(loop::checkpoint_path(path_, number), none);
+    if (!none) largest = std::max<std::uint64_t>(largest, size);
+  }
+  return (64u << 10) + 2 * largest;
+}
+
+bool CaptureJournal::has_room() {
+  if (failure_) {
+    struct statvfs files {};
+    return ::statvfs(path_.c_str(), &files) != 0 ||
+           std::uint64_t{files.f_bavail} * files.f_frsize >= room_to_go_on();
+  }
+  if (keep_free_ == 0 || (!low_ && writer_.written_bytes() < next_look_)) return true;
+  struct statvfs files {};
+  if (::statvfs(path_.c_str(), &files) != 0 || files.f_blocks == 0) return true;
+  const double free = static_cast<double>(files.f_bavail) / static_cast<double>(files.f_blocks);
+  low_ = free < keep_free_ + (low_ ? kRoomAgain : 0);
+  next_look_ = writer_.written_bytes() + kLook_bytes;
+  return !low_;
+}
+
 void CaptureJournal::flush() {
-  if (const std::error_code error = writer_.flush()) {
+  if (!has_room()) {
     writer_.drop_pending();
-    throw std::system_error(error, path_);
+    if (failure_) throw std::system_error(failure_, path_);
+    throw std::runtime_error(path_ + ": less than " + std::to_string(std::lround(100 * keep_free_)) +
+                             " % of its file system is free (capture.keep_free_percent)");
+  }
+  failure_ = writer_.flush();
+  if (failure_) {
+    writer_.drop_pending();
+    throw std::system_error(failure_, path_);
   }
 }
 

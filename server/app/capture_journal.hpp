@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string>
+#include <system_error>
 
 #include "protocol/capture.hpp"
 #include "server/loop/journal.hpp"
@@ -15,6 +16,9 @@ class CaptureJournal final : public loop::JournalSink {
   CaptureJournal(const std::string& path, const protocol::CaptureHeader& header);
   // Goes on with a capture whose whole records end at `offset` and number `records`.
   CaptureJournal(const std::string& path, std::uint64_t offset, std::uint64_t records);
+  // From here on flush() fails while less than this share of the file system is free to us, as on a full disk: what else
+  // lives there needs room, too, and so do checkpoints.
+  void keep_free(double share) { keep_free_ = share; }
   void write(const loop::JournalRecord& record) override;
   void flush() override;
   void sync() override;
@@ -24,7 +28,13 @@ class CaptureJournal final : public loop::JournalSink {
   Position position() const override;
 
  private:
+  bool has_room();
+  std::uint64_t room_to_go_on() const;
   std::string path_;
+  double keep_free_ = 0;
+  std::error_code failure_;      // of the last flush
+  bool low_ = false;             // there was no room at the last look
+  std::uint64_t next_look_ = 0;  // at this length of the file
   protocol::FileSink sink_;
   protocol::CaptureWriter writer_;
 };

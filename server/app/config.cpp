@@ -436,6 +436,9 @@ const std::vector<Key>& keys() {
              "Checkpoints beside the capture are so frequent that incised --resume replays about so many "
              "seconds "
              "of work; they cost a second copy of the mesh and of that work, at low priority. 0: none."),
+      number("capture.keep_free_percent", INCISE_FIELD(capture.keep_free_percent), 0, 90,
+             "Recording stops, as on a full disk, while less than this share of the capture's file system is "
+             "free. 0: the capture may fill it."),
 
       boolean("devices.enabled", INCISE_FIELD(devices.enabled),
               "Read HID devices of this machine that a profile fits (incise devices lists them) as sources "

@@ -83,6 +83,7 @@ struct Config {
     double sync_interval_ms = 100;
     std::string library;  // a directory; empty: none
     double checkpoint_replay_s = 1;
+    double keep_free_percent = 0;
   } capture;
 
   struct Devices {

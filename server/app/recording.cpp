@@ -51,10 +51,16 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
   }
 }
 
+// Not the processor's time: what counts is how long a start takes, on a busy machine, too.
+double seconds_since(std::int64_t ns) {
+  return static_cast<double>(input::monotonic_ns() - ns) * 1e-9;
+}
+
 // A place in the capture to go on from.
 struct Start {
   std::unique_ptr<core::CutSession> session;
   RecordedMotion rest;  // what the capture holds after it
+  double read_s = 0;    // what reading that took
   int next_checkpoint = 0;
 };
 
@@ -76,8 +82,10 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
     const std::string name = loop::checkpoint_path(path, number);
     Start start;
     start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
+    const std::int64_t before = input::monotonic_ns();
     auto rest =
         read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
+    start.read_s = seconds_since(before);
     if (!rest) {
       spdlog::warn(
           "{}: belongs to another capture, or to a part of this one that was lost; it is passed over", name);
@@ -97,8 +105,10 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
   return std::nullopt;
 }
 
-// Applies what the capture holds behind the start, and compares the hashes.
-void replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+// Applies what the capture holds behind the start, and compares the hashes. Returns how many records of what that led to the
+// disk has not taken.
+std::uint64_t replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+  const std::uint64_t records = journal.position().records;
   core::CutSession* session = start.session.get();
   const RecordedMotion& motion = start.rest;
   const std::uint64_t begin = session->revision();
@@ -135,18 +145,33 @@ void replay(const Config& config, const std::string& path, Start& start, Capture
     journal.write(end);
     commit_all();
   }
-  journal.flush();
-  journal.sync();
+  const std::uint64_t more = journal.position().records - records;
+  try {
+    journal.flush();
+    journal.sync();
+  } catch (const std::system_error& error) {
+    spdlog::error("the capture cannot be written: {}; cutting goes on, poses are not recorded", error.what());
+  }
+  return records + more - journal.position().records;
 }
 
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+// Whether the file has a session that somebody may want: poses, or bytes that are no capture.
+bool worth_keeping(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  protocol::CaptureReader reader(in);
+  protocol::CaptureRecord record;
+  using Status = protocol::CaptureReader::Status;
+  Status status = Status::Record;
+  while ((status = reader.next(record)) == Status::Record) {
+    if (std::holds_alternative<protocol::PoseRecord>(record) ||
+        std::holds_alternative<protocol::PositionsRecord>(record))
+      return true;
+  }
+  return status == Status::Corrupt;
 }
 
-// A checkpoint of the session as it is now, at the end of its capture.
-void write_checkpoint(const std::string& path, Recording& recording) {
+// A checkpoint of the session as it is now, at the end of its capture. False where it cannot be written.
+bool write_checkpoint(const std::string& path, Recording& recording) {
   loop::JournalRecord mark;
   mark.kind = loop::JournalRecord::Kind::kCheckpoint;
   mark.checkpoint = fresh_session_id();
@@ -158,13 +183,15 @@ void write_checkpoint(const std::string& path, Recording& recording) {
   checkpoint.revision = recording.session->revision();
   checkpoint.state_hash = recording.session->mesh().state_hash();
   checkpoint.state = core::save_session(*recording.session);
-  recording.journal->write(mark);
-  recording.journal->flush();
   try {
+    recording.journal->write(mark);
+    recording.journal->flush();
     loop::write_checkpoint(loop::checkpoint_path(path, recording.next_checkpoint), checkpoint);
     recording.next_checkpoint = (recording.next_checkpoint + 1) % loop::kCheckpointFiles;
+    return true;
   } catch (const std::exception& error) {
     spdlog::warn("a checkpoint cannot be written: {}", error.what());
+    return false;
   }
 }
 
@@ -180,10 +207,12 @@ Recording begin_recording(const Config& config, const Body& body) {
   const auto parent = path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
   if (!std::filesystem::is_directory(parent, error)) {
     throw ConfigError("capture.path: the directory " + parent.string() +
-                      " does not exist; make it first (mkdir -p " + parent.string() + ")");
+                      " does not exist; make it first (mkdir -p " + parent.string() +
+                      "), or set capture.path to \"\" to record nothing");
   }
-  // A recording is somebody's work: the one before is kept under another name.
-  if (std::filesystem::exists(path, error) && std::filesystem::file_size(path, error) > 0) {
+  // A recording is somebody's work: the one before is kept under another name. Not so one without a pose: a server that is
+  // started again and again must not put its empty ones in the place of the last good one.
+  if (std::filesystem::exists(path, error) && worth_keeping(path)) {
     std::filesystem::path old = path;
     old += ".old";
     std::filesystem::rename(path, old, error);
@@ -208,6 +237,7 @@ Recording begin_recording(const Config& config, const Body& body) {
   header.software = kSoftware;
   header.config_json = compact(config);
   recording.journal = std::make_unique<CaptureJournal>(path.string(), header);
+  recording.journal->keep_free(config.capture.keep_free_percent / 100);
   return recording;
 }
 
@@ -223,7 +253,9 @@ Recording resume_recording(const Config& config, const Body& body) {
   const bool checkpointed = start.has_value() && start->rest.resets == 0;
   if (!start) {
     start.emplace();
+    const std::int64_t before = input::monotonic_ns();
     start->rest = read_recorded_motion(path);
+    start->read_s = seconds_since(before);
   }
   RecordedMotion& motion = start->rest;
   for (const std::string& warning : motion.warnings) spdlog::warn("{}", warning);
@@ -240,16 +272,21 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.next_checkpoint = start->next_checkpoint;
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
-  const double before_s = thread_cpu_s();
-  replay(config, path, *start, *recording.journal);
+  const std::int64_t before = input::monotonic_ns();
+  recording.lost = replay(config, path, *start, *recording.journal);
   recording.session = std::move(start->session);
-  // A server that crashes soon after each start would have more to replay each time.
+  if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
+  // A server that crashes soon after each start would have more to replay each time. What is less than this counts towards
+  // the next checkpoint.
   const double most_s = config.capture.checkpoint_replay_s;
-  if (most_s > 0 && thread_cpu_s() - before_s > most_s) write_checkpoint(path, recording);
+  const bool due = most_s > 0 && recording.debt_s > most_s && recording.lost == 0;
+  if (due && write_checkpoint(path, recording)) recording.debt_s = 0;
+  recording.journal->keep_free(config.capture.keep_free_percent / 100);
+  const std::string begin = checkpointed        ? fmt::format("from the checkpoint at revision {}", from)
+                            : motion.resets > 0 ? "from the last reset"
+                                                : "from the beginning";
   spdlog::info("resumed {} at revision {} in {:.2f} s: {}, {} poses replayed", path,
-               recording.session->revision(), static_cast<double>(input::monotonic_ns() - began) * 1e-9,
-               checkpointed ? fmt::format("from the checkpoint at revision {}", from) : "from the beginning",
-               motion.poses());
+               recording.session->revision(), seconds_since(began), begin, motion.poses());
   return recording;
 }
 

@@ -17,6 +17,8 @@ struct Recording {
   std::uint64_t session_id = 0;             // names the run of ids
   std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
   int next_checkpoint = 0;                  // the checkpoint file that may be written over
+  double debt_s = 0;                        // of computing that the next resume would have to repeat
+  std::uint64_t lost = 0;                   // records at the end of it that the disk has not taken
 };
 
 // A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,

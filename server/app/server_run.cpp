@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <array>
+#include <algorithm>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -29,6 +30,8 @@ namespace {
 
 // At the end what waits is cut, but nobody waits for the work of minutes: service managers kill after 90 s.
 constexpr std::int64_t kLongestFinish_ns = 20'000'000'000;
+// What is left of that goes to the last checkpoint, which only makes the next start shorter; at least so much.
+constexpr std::int64_t kLastCheckpoint_ns = 5'000'000'000;
 
 // Blocks the signals that end the server in this thread and in all that it makes, so that wait() gets them.
 class EndSignals {
@@ -193,6 +196,7 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
   options.replay_s = config.capture.checkpoint_replay_s;
+  options.debt_s = recording.debt_s;
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };
@@ -210,6 +214,12 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
       options, recording.session_id, recording.next_checkpoint, first, [](bool bad, const std::string& text) {
         spdlog::log(bad ? spdlog::level::err : spdlog::level::warn, "{}", text);
       });
+}
+
+stream::RecordingNow recording_now(const loop::Journal* journal) {
+  if (!journal) return {};
+  std::string trouble = journal->trouble();
+  return {trouble.empty() ? protocol::Recording::On : protocol::Recording::Stopped, std::move(trouble)};
 }
 
 }  // namespace
@@ -253,6 +263,7 @@ void run_server(const Config& config, bool resume) {
     options.policy = config.capture.sync == "none"     ? loop::SyncPolicy::kNone
                      : config.capture.sync == "always" ? loop::SyncPolicy::kAlways
                                                        : loop::SyncPolicy::kGroup;
+    options.lost = recording.lost;
     options.realtime_priority = static_cast<int>(config.loop.realtime_priority) / 2;
     options.sync_interval_ms = static_cast<std::int64_t>(config.capture.sync_interval_ms);
     journal = std::make_unique<loop::Journal>(
@@ -266,7 +277,11 @@ void run_server(const Config& config, bool resume) {
           }
         },
         make_checkpointer(config, body, recording, saved),
-        [&hub](const loop::JournalRecord& pose) { hub.tell(pose.source, pose.verdict, pose.pose.t_ns); });
+        [&hub](const loop::JournalRecord& pose, bool recorded) {
+          if (recorded && core::accepted(pose.verdict))
+            hub.tell_recorded(pose.source, pose.owner, pose.pose.t_ns);
+          hub.tell(pose.source, pose.verdict, pose.pose.t_ns);
+        });
   }
 
   input::PositionsSlot positions;
@@ -283,7 +298,8 @@ void run_server(const Config& config, bool resume) {
                               [&] { return telemetry->blades(); },
                               &library,
                               [&] { return health.trouble(); },
-                              audit_log()};
+                              audit_log(),
+                              [&] { return recording_now(journal.get()); }};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         initial_state(session, recording.session_id), sink, providers);
   StreamOutput output(server);
@@ -350,6 +366,7 @@ void run_server(const Config& config, bool resume) {
   }
 
   spdlog::info("{}: ending", signal);
+  const auto ending = input::monotonic_ns();
   if (devices) devices->stop();  // forces go to zero first
   network.stop();
   loop_thread.request_stop();
@@ -357,8 +374,13 @@ void run_server(const Config& config, bool resume) {
   server.stop();
   library.stop();
   const loop::LoopState state = frames.stats().state.load();
+  if (journal) {
+    const auto limit = std::max(kLongestFinish_ns - (input::monotonic_ns() - ending), kLastCheckpoint_ns);
+    const std::string why = journal->close(std::chrono::milliseconds(limit / 1'000'000));
+    if (!why.empty())
+      spdlog::warn("no checkpoint of the end ({}); incised --resume takes longer for it", why);
+  }
   const std::uint64_t lost = journal ? journal->lost() : 0;
-  journal.reset();
   if (state.backlog_segments > 0) {
     spdlog::warn("{} segments were not cut in the {} s that the end may take{}", state.backlog_segments,
                  kLongestFinish_ns / 1'000'000'000,

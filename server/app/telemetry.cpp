@@ -130,8 +130,10 @@ std::string Telemetry::json() const {
   root["ns_per_work_unit"] = state.ns_per_unit;
   root["forces_cut_short"] = state.forces_cut_short;
   if (journal_) {
-    root["journal"] = {
-        {"waiting", journal_->waiting()}, {"lost", journal_->lost()}, {"failing", journal_->failing()}};
+    root["journal"] = {{"waiting", journal_->waiting()},
+                       {"lost", journal_->lost()},
+                       {"failing", journal_->failing()},
+                       {"trouble", journal_->trouble()}};
     if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
       root["checkpoints"] = {{"written", checkpoints->written()},
                              {"last_revision", checkpoints->last_revision()},
@@ -206,6 +208,8 @@ std::string Telemetry::metrics() const {
     one("journal_lost_total", "counter", "Records that the journal could not take.",
         static_cast<double>(journal_->lost()));
     one("journal_failing", "gauge", "1 while the journal cannot be written.", journal_->failing() ? 1 : 0);
+    one("recording", "gauge", "1 while a restart would have what is taken now.",
+        journal_->trouble().empty() ? 1 : 0);
     if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
       one("checkpoints_total", "counter", "Checkpoints written.",
           static_cast<double>(checkpoints->written()));

@@ -62,6 +62,8 @@ class HubSource final : public stream::PoseSource {
     totals.not_unit = counts.count(PoseVerdict::kNotUnit);
     totals.time_not_rising = counts.count(PoseVerdict::kTimeNotIncreasing);
     totals.last_source_ns = counts.last_source_ns;
+    totals.recorded = counts.recorded;
+    totals.recorded_source_ns = counts.recorded_source_ns;
     if (stats_) totals.backlog_segments = static_cast<std::uint32_t>(stats_->state.load().backlog_segments);
     return totals;
   }

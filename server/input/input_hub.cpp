@@ -1,5 +1,6 @@
 #include "server/input/input_hub.hpp"
 
+#include <algorithm>
 #include <ctime>
 
 namespace incise::input {
@@ -16,6 +17,7 @@ std::int64_t monotonic_ns() {
 SourceHandle& SourceHandle::operator=(SourceHandle&& other) noexcept {
   std::swap(hub_, other.hub_);
   std::swap(number_, other.number_);
+  std::swap(owner_, other.owner_);
   return *this;
 }
 
@@ -31,7 +33,7 @@ std::size_t SourceHandle::push(std::span<const TimedPose> poses) {
   SpscQueue<InputEvent>& queue = hub_->slots_[number_]->queue;
   std::size_t taken = 0;
   for (const TimedPose& pose : poses) {
-    if (!queue.push(InputEvent{InputEvent::Kind::kPose, pose, {}})) break;
+    if (!queue.push(InputEvent{InputEvent::Kind::kPose, pose, {}, 0})) break;
     ++taken;
   }
   return taken;
@@ -39,7 +41,7 @@ std::size_t SourceHandle::push(std::span<const TimedPose> poses) {
 
 bool SourceHandle::end_stroke(std::int64_t arrival_ns) {
   if (hub_->closed_.load(std::memory_order_acquire)) return false;
-  return hub_->slots_[number_]->queue.push(InputEvent{InputEvent::Kind::kEndStroke, {{}, arrival_ns}, {}});
+  return hub_->slots_[number_]->queue.push(InputEvent{InputEvent::Kind::kEndStroke, {{}, arrival_ns}, {}, 0});
 }
 
 SourceCounts SourceHandle::counts() const {
@@ -51,9 +53,14 @@ SourceCounts SourceHandle::counts() const {
     counts.verdicts[i] = told > before ? told - before : 0;
     counts.drained += counts.verdicts[i];
   }
-  const bool any =
-      counts.count(core::PoseVerdict::kAccepted) + counts.count(core::PoseVerdict::kNewStroke) > 0;
-  counts.last_source_ns = any ? slot.last_source_ns.load(std::memory_order_relaxed) : 0;
+  const std::uint64_t accepted =
+      counts.count(core::PoseVerdict::kAccepted) + counts.count(core::PoseVerdict::kNewStroke);
+  counts.last_source_ns = accepted > 0 ? slot.last_source_ns.load(std::memory_order_relaxed) : 0;
+  // Read after the others: a pose counts as recorded before it is told of, so none seems to be lost.
+  if (slot.recorded_owner.load(std::memory_order_acquire) == owner_) {
+    counts.recorded = std::min(slot.recorded.load(std::memory_order_acquire), accepted);
+    counts.recorded_source_ns = slot.recorded_source_ns.load(std::memory_order_relaxed);
+  }
   return counts;
 }
 
@@ -95,9 +102,9 @@ std::optional<SourceHandle> InputHub::open_source(std::string_view name,
   const core::Blade& blade = own_blade                    ? *own_blade
                              : *number < declared_.size() ? declared_[*number].blade
                                                           : blade_;
-  slot.queue.push(InputEvent{InputEvent::Kind::kOpened, {{}, monotonic_ns()}, blade});
+  slot.queue.push(InputEvent{InputEvent::Kind::kOpened, {{}, monotonic_ns()}, blade, ++slot.owners});
   slot.state.store(State::kOpen, std::memory_order_release);
-  return SourceHandle(this, *number);
+  return SourceHandle(this, *number, slot.owners);
 }
 
 bool InputHub::is_open(std::string_view name) const {
@@ -118,6 +125,16 @@ void InputHub::tell(std::uint32_t source, core::PoseVerdict verdict, std::int64_
   Slot& slot = *slots_[source];
   if (core::accepted(verdict)) slot.last_source_ns.store(source_ns, std::memory_order_relaxed);
   slot.told[static_cast<std::size_t>(verdict)].fetch_add(1, std::memory_order_release);
+}
+
+void InputHub::tell_recorded(std::uint32_t source, std::uint32_t owner, std::int64_t source_ns) {
+  Slot& slot = *slots_[source];
+  if (slot.recorded_owner.load(std::memory_order_relaxed) != owner) {
+    slot.recorded.store(0, std::memory_order_relaxed);
+    slot.recorded_owner.store(owner, std::memory_order_release);
+  }
+  slot.recorded_source_ns.store(source_ns, std::memory_order_relaxed);
+  slot.recorded.fetch_add(1, std::memory_order_release);
 }
 
 std::size_t InputHub::waiting() const {

@@ -35,14 +35,18 @@ struct InputEvent {
   Kind kind = Kind::kPose;
   TimedPose pose;  // of kOpened and kEndStroke: arrival_ns only
   core::Blade blade;
+  std::uint32_t owner = 0;  // of kOpened: the owner's number
 };
 
 // What has become of a source's poses since the source was opened: of those that the loop has taken and, where there
-// is a journal, that has handed to the system. So what an operator is told of outlives a crash.
+// is a journal, that it has handed to the system or lost.
 struct SourceCounts {
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts{};  // by PoseVerdict
   std::uint64_t drained = 0;                                  // their sum
   std::int64_t last_source_ns = 0;                            // source time of the last accepted pose
+  // Accepted ones that the system has: no crash of this process takes them.
+  std::uint64_t recorded = 0;
+  std::int64_t recorded_source_ns = 0;  // of the last of them
 
   std::uint64_t count(core::PoseVerdict verdict) const { return verdicts[static_cast<std::size_t>(verdict)]; }
 };
@@ -56,7 +60,7 @@ class InputHub;
 class SourceHandle {
  public:
   SourceHandle(SourceHandle&& other) noexcept
-      : hub_(std::exchange(other.hub_, nullptr)), number_(other.number_) {}
+      : hub_(std::exchange(other.hub_, nullptr)), number_(other.number_), owner_(other.owner_) {}
   SourceHandle& operator=(SourceHandle&& other) noexcept;
   ~SourceHandle();
 
@@ -72,9 +76,10 @@ class SourceHandle {
 
  private:
   friend class InputHub;
-  SourceHandle(InputHub* hub, std::uint32_t number) : hub_(hub), number_(number) {}
+  SourceHandle(InputHub* hub, std::uint32_t number, std::uint32_t owner)
+      : hub_(hub), number_(number), owner_(owner) {}
   InputHub* hub_;
-  std::uint32_t number_;
+  std::uint32_t number_, owner_;
 };
 
 // The pose sources, up to core::kMaxSources blades at once, each with a queue of its own to the loop. A
@@ -112,6 +117,8 @@ class InputHub {
   void count(std::uint32_t source, core::PoseVerdict verdict);
   // Then, in the same order, from the loop's thread or the journal's: the owner may know.
   void tell(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
+  // The journal's, before tell(): the system has that accepted pose of the owner that opened the source with this number.
+  void tell_recorded(std::uint32_t source, std::uint32_t owner, std::int64_t source_ns);
   // Events that wait, of all sources.
   std::size_t waiting() const;
   // Sources with an owner now.
@@ -132,7 +139,12 @@ class InputHub {
     using Counts = std::array<std::atomic<std::uint64_t>, core::kPoseVerdicts>;
     Counts counted{}, told{}, before{};
     std::atomic<std::int64_t> last_source_ns{0};
-    std::string name;  // guarded by mutex_
+    // Of the owner whose poses were recorded last.
+    std::atomic<std::uint64_t> recorded{0};
+    std::atomic<std::int64_t> recorded_source_ns{0};
+    std::atomic<std::uint32_t> recorded_owner{0};
+    std::string name;          // guarded by mutex_
+    std::uint32_t owners = 0;  // so far; guarded by mutex_
   };
 
   const core::Blade blade_;
@@ -157,7 +169,7 @@ void InputHub::drain(Handle&& handle) {
       if (!handle(source, event)) return;
     }
     if (state == State::kClosing && slot.queue.size() == 0) {
-      event = {InputEvent::Kind::kEndStroke, {{}, slot.closed_ns.load(std::memory_order_relaxed)}, {}};
+      event = {InputEvent::Kind::kEndStroke, {{}, slot.closed_ns.load(std::memory_order_relaxed)}, {}, 0};
       const bool go_on = handle(source, event);
       slot.state.store(State::kFree, std::memory_order_release);
       if (!go_on) return;

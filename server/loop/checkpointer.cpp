@@ -13,6 +13,14 @@
 namespace incise::loop {
 namespace {
 
+using std::chrono::milliseconds;
+using std::chrono::steady_clock;
+
+// How long a disk that does not take a checkpoint is left alone.
+constexpr std::chrono::seconds kRetry{5};
+// The part of `replay_s` that is worth a checkpoint when nothing else is to be done.
+constexpr double kAtRest = 0.25;
+
 double thread_cpu_s() {
   timespec now{};
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
@@ -34,6 +42,20 @@ Checkpointer::~Checkpointer() {
   }
   wake_.notify_one();
   thread_.join();
+}
+
+std::string Checkpointer::finish(milliseconds limit) {
+  std::unique_lock lock(mutex_);
+  accept_given();
+  finish_ = true;
+  wake_.notify_one();
+  finished_.wait_for(lock, limit, [this] { return done_; });
+  if (!done_) {
+    return "in " + std::to_string(limit.count() / 1000) +
+           " s the second session has not come to it; records that wait: " + std::to_string(waiting_.size());
+  }
+  if (!dirty_) return "";
+  return failure_.empty() ? "there is no checkpoint after the last record" : failure_;
 }
 
 void Checkpointer::record(const JournalRecord& record) {
@@ -61,29 +83,34 @@ void Checkpointer::hand_over() {
     // does not wait for it.
     const std::unique_lock lock(mutex_, std::try_to_lock);
     if (!lock) return;
-    for (const Item& item : given_) {
-      // What is dropped here counts until the next reset, which makes all before it past.
-      if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
-        waiting_.clear();
-        overflow_ = false;
-      }
-      if (overflow_) continue;
-      if (waiting_.size() >= options_.capacity) {
-        waiting_.clear();
-        overflow_ = true;
-      } else {
-        waiting_.push_back(item);
-      }
-    }
-    given_.clear();
+    accept_given();
   }
   wake_.notify_one();
+}
+
+void Checkpointer::accept_given() {
+  for (const Item& item : given_) {
+    // What is dropped here counts until the next reset, which makes all before it past.
+    if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
+      waiting_.clear();
+      overflow_ = false;
+    }
+    if (overflow_) continue;
+    if (waiting_.size() >= options_.capacity) {
+      waiting_.clear();
+      overflow_ = true;
+    } else {
+      waiting_.push_back(item);
+    }
+  }
+  given_.clear();
 }
 
 void Checkpointer::give_up(const std::string& why) {
   if (!session_) return;
   session_.reset();
   computed_.clear();
+  dirty_ = true;
   following_.store(false, std::memory_order_relaxed);
   tell_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
 }
@@ -93,30 +120,61 @@ void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>&
   const sched_param none{};
   pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
   session_ = first();
-  began_s_ = thread_cpu_s();
+  began_s_ = thread_cpu_s() - options_.debt_s;
+  dirty_ = options_.debt_s > 0;
   std::deque<Item> taken;
-  for (;;) {
-    {
-      std::unique_lock lock(mutex_);
-      behind_.store(waiting_.size(), std::memory_order_relaxed);
-      wake_.wait(lock, [this] { return stop_ || overflow_ || !waiting_.empty(); });
+  while (take(taken)) {
+    for (const Item& item : taken) {
       if (stop_) return;
-      if (overflow_) {
-        lock.unlock();
-        give_up("computing everything again does not keep up with the loop");
-        lock.lock();
-        wake_.wait(lock, [this] { return stop_ || !overflow_; });
-        continue;
-      }
-      // A few at a time: the rest can still be dropped.
-      for (int i = 0; i < 256 && !waiting_.empty(); ++i) {
-        taken.push_back(waiting_.front());
-        waiting_.pop_front();
-      }
+      handle(item);
     }
-    for (const Item& item : taken) handle(item);
     taken.clear();
   }
+}
+
+bool Checkpointer::take(std::deque<Item>& taken) {
+  const auto news = [this] { return stop_ || overflow_ || finish_ || !waiting_.empty(); };
+  std::unique_lock lock(mutex_);
+  for (;;) {
+    behind_.store(waiting_.size(), std::memory_order_relaxed);
+    if (!can_write_at_rest()) {
+      wake_.wait(lock, news);
+    } else if (!wake_.wait_until(lock, std::max(steady_clock::now() + options_.rest, next_try_), news)) {
+      lock.unlock();
+      write(*place_);
+      lock.lock();
+      continue;
+    }
+    if (stop_) return false;
+    if (overflow_) {
+      lock.unlock();
+      give_up("computing everything again does not keep up with the loop");
+      lock.lock();
+      wake_.wait(lock, [this] { return stop_ || finish_ || !overflow_; });
+      if (!finish_) continue;
+    }
+    if (waiting_.empty()) break;  // finish_
+    // A few at a time: the rest can still be dropped.
+    for (int i = 0; i < 256 && !waiting_.empty(); ++i) {
+      taken.push_back(waiting_.front());
+      waiting_.pop_front();
+    }
+    return true;
+  }
+  lock.unlock();
+  if (session_ && dirty_ && place_) write(*place_);
+  lock.lock();
+  done_ = true;
+  finished_.notify_one();
+  return false;
+}
+
+double Checkpointer::debt_s() const {
+  return thread_cpu_s() - began_s_;
+}
+
+bool Checkpointer::can_write_at_rest() const {
+  return session_ && dirty_ && place_ && (owed_ || debt_s() >= kAtRest * options_.replay_s);
 }
 
 void Checkpointer::handle(const Item& item) {
@@ -126,15 +184,24 @@ void Checkpointer::handle(const Item& item) {
     session_ = options_.fresh();
     session_id_ = record.session;
     computed_.clear();
+    // A resume begins here at the latest, with the mesh as loaded.
+    began_s_ = thread_cpu_s();
+    owed_ = false;
+    dirty_ = true;
+    place_.reset();
     following_.store(true, std::memory_order_relaxed);
     return;
   }
   if (!session_) return;
   if (item.mark) {
-    const double spent_s = thread_cpu_s() - began_s_;
-    if (item.wanted || spent_s >= std::max(options_.replay_s, 5 * write_s_)) write(item);
+    owed_ = owed_ || item.wanted;
+    place_ = item;
+    const bool due = owed_ || debt_s() >= std::max(options_.replay_s, 5 * write_s_);
+    if (due && steady_clock::now() >= next_try_) write(item);
     return;
   }
+  place_.reset();
+  dirty_ = true;
   switch (record.kind) {
     case Kind::kOpened:
       session_->set_blade(record.source, record.blade);
@@ -194,14 +261,20 @@ void Checkpointer::write(const Item& mark) {
     write_checkpoint(checkpoint_path(options_.journal, next_file_), checkpoint);
     next_file_ = (next_file_ + 1) % kCheckpointFiles;
     last_revision_.store(checkpoint.revision, std::memory_order_relaxed);
+    last_offset_.store(checkpoint.offset, std::memory_order_release);
     written_.fetch_add(1, std::memory_order_relaxed);
-    failing_ = false;
+    failure_.clear();
+    owed_ = dirty_ = false;
+    place_.reset();
+    began_s_ = thread_cpu_s();
+    write_s_ = began_s_ - before;
   } catch (const std::exception& error) {
-    if (!failing_) tell_(false, std::string("a checkpoint cannot be written: ") + error.what());
-    failing_ = true;
+    // The debt stands.
+    if (failure_.empty()) tell_(false, std::string("a checkpoint cannot be written: ") + error.what());
+    failure_ = error.what();
+    next_try_ = steady_clock::now() + kRetry;
+    began_s_ += thread_cpu_s() - before;
   }
-  began_s_ = thread_cpu_s();
-  write_s_ = began_s_ - before;
 }
 
 }  // namespace incise::loop

@@ -1,12 +1,14 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -22,7 +24,9 @@ namespace incise::loop {
 // while the server still runs.
 //
 // The journal marks places where a checkpoint may be, more than are used: which of them is, the thread decides when it
-// comes there, however far behind the loop it is.
+// comes there, however far behind the loop it is. What counts is the debt: the computing that a resume from the newest
+// checkpoint would have to do again, whichever runs of the server it comes from. When nothing happens for a while, a
+// smaller debt is paid, and at the end any.
 //
 // It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH).
 //
@@ -32,9 +36,12 @@ class Checkpointer {
  public:
   struct Options {
     std::string journal;  // the path that the checkpoints' names begin with
-    // A checkpoint is written when what followed the last one took so long to compute again; more seldom where writing
-    // one takes more than a fifth of that.
+    // A checkpoint is written when the debt is so large; more seldom where writing one takes more than a fifth of that.
     double replay_s = 1;
+    // What the resume at the start of this run had to compute, and has written no checkpoint of.
+    double debt_s = 0;
+    // After so long without a record a quarter of `replay_s` is enough.
+    std::chrono::milliseconds rest{2000};
     std::size_t capacity = 1u << 20;                           // records that may wait
     std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
   };
@@ -47,12 +54,15 @@ class Checkpointer {
                std::function<std::unique_ptr<core::CutSession>()> first, Tell tell);
   // Drops what waits.
   ~Checkpointer();
+  // After the last record and mark: computes what waits, for at most so long, and saves the session as it is there. Empty
+  // where a restart has nothing to compute again then; else why it has.
+  std::string finish(std::chrono::milliseconds limit);
 
   // The next record that the journal took from the loop, written or not. Where more wait than `capacity` the second
   // session cannot follow any more, until the next reset.
   void record(const JournalRecord& record);
-  // A checkpoint may be here: `offset` and `records` of the journal's record that says so. `wanted`: it must be: the
-  // journal has a gap, and only a checkpoint after it leads on.
+  // A checkpoint may be here: `offset` and `records` of the journal's record that says so. `wanted`: here or at the next
+  // mark where it can be written there must be one: the journal has a gap, and only a checkpoint after it leads on.
   void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
 
   // Tries again to give the thread what it was too busy to take; the journal calls it now and then.
@@ -60,8 +70,12 @@ class Checkpointer {
 
   std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
   std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
+  // Where in the journal the newest checkpoint of this run stands, in bytes; 0: there is none.
+  std::uint64_t last_offset() const { return last_offset_.load(std::memory_order_acquire); }
   // Records that wait.
   std::size_t behind() const { return behind_.load(std::memory_order_relaxed); }
+  // Whether the run began with work that a resume would have to do again.
+  bool in_debt() const { return options_.debt_s > 0; }
   bool following() const { return following_.load(std::memory_order_relaxed); }
 
  private:
@@ -71,6 +85,11 @@ class Checkpointer {
     std::uint64_t id = 0, offset = 0, records = 0;
   };
   void run(const std::function<std::unique_ptr<core::CutSession>()>& first);
+  // Waits for records and moves some of them to `taken`; meanwhile pays debt at rest. False at the end.
+  bool take(std::deque<Item>& taken);
+  void accept_given();  // under mutex_
+  double debt_s() const;
+  bool can_write_at_rest() const;
   void handle(const Item& item);
   void give_up(const std::string& why);
   void commit_all();
@@ -80,22 +99,28 @@ class Checkpointer {
   const Options options_;
   const Tell tell_;
   std::mutex mutex_;
-  std::condition_variable wake_;
-  std::vector<Item> given_;   // the journal's: not handed over yet
-  std::deque<Item> waiting_;  // under mutex_
-  bool overflow_ = false;     // under mutex_
-  bool stop_ = false;         // under mutex_
+  std::condition_variable wake_, finished_;
+  std::vector<Item> given_;        // the journal's: not handed over yet
+  std::deque<Item> waiting_;       // under mutex_
+  bool overflow_ = false;          // under mutex_
+  bool finish_ = false;            // under mutex_: end once nothing waits
+  bool done_ = false;              // under mutex_: it has
+  std::atomic<bool> stop_{false};  // set under mutex_: end now
   std::atomic<bool> following_{true};
-  std::atomic<std::uint64_t> written_{0}, last_revision_{0};
+  std::atomic<std::uint64_t> written_{0}, last_revision_{0}, last_offset_{0};
   std::atomic<std::size_t> behind_{0};
 
   // The thread's.
   std::unique_ptr<core::CutSession> session_;  // null: it cannot follow
   std::uint64_t session_id_;
   int next_file_;
-  bool failing_ = false;
-  double began_s_ = 0,
-         write_s_ = 0;  // the thread's processor time when the last checkpoint was done; what it took
+  std::string failure_;                             // of the last checkpoint; empty: none
+  std::chrono::steady_clock::time_point next_try_;  // after a failure
+  bool owed_ = false;                               // one must be written: the journal has a gap
+  bool dirty_ = false;                              // something came after the last one
+  std::optional<Item> place_;  // the last mark, where nothing came after it and it was not used
+  double began_s_ = 0;         // of the thread's processor time: what came since is the debt
+  double write_s_ = 0;         // what the last checkpoint took of it
   struct Computed {
     std::uint64_t revision, hash;
   };

@@ -148,11 +148,13 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       record.blade = event.blade;
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
+      owners_[source] = event.owner;
       if (forces_) forces_->opened(source, event.blade);
       break;
     case Kind::kPose: {
       record.kind = JournalRecord::Kind::kPose;
       record.pose = event.pose.pose;
+      record.owner = owners_[source];
       const bool stroking = session_->in_stroke(source);
       const core::PoseVerdict verdict = session_->push(source, event.pose.pose);
       if (core::accepted(verdict)) {

@@ -104,6 +104,7 @@ class FrameLoop {
   std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
+  std::array<std::uint32_t, core::kMaxSources> owners_{};             // theirs, as the input hub numbers them
   input::InputHub& input_;
   input::PositionsSlot* positions_ = nullptr;
   DeltaSink& sink_;

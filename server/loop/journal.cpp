@@ -40,15 +40,48 @@ Journal::Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTr
       on_trouble_(std::move(on_trouble)),
       on_pose_(std::move(on_pose)),
       checkpointer_(std::move(checkpointer)),
-      queue_(options.capacity) {
+      queue_(options.capacity),
+      unflushed_(options.lost),
+      unmarked_(checkpointer_ && checkpointer_->in_debt()),
+      lost_unwritten_(options.lost),
+      failing_(options.lost > 0) {
+  if (failing()) set_trouble("the capture cannot be written");
   if (options_.policy != SyncPolicy::kNone) sync_thread_ = std::thread([this] { run_sync(); });
   thread_ = std::thread([this] { run(); });
 }
 
 Journal::~Journal() {
+  end();
+}
+
+std::string Journal::close(milliseconds checkpoint_limit) {
+  end();
+  return checkpointer_ ? checkpointer_->finish(checkpoint_limit) : "";
+}
+
+void Journal::end() {
+  if (!thread_.joinable()) return;
   while (gap_ > 0 && !queue_.push(gap_of(gap_))) std::this_thread::sleep_for(kPoll);
   stop_.store(true, std::memory_order_release);
   thread_.join();
+}
+
+std::string Journal::trouble() const {
+  const std::scoped_lock lock(trouble_mutex_);
+  return trouble_;
+}
+
+void Journal::set_trouble(const std::string& error) {
+  if (gap_end_ && checkpointer_ && checkpointer_->last_offset() >= *gap_end_) gap_end_.reset();
+  std::string trouble = error;
+  if (error.empty() && gap_end_) {
+    trouble = checkpointer_ && checkpointer_->following()
+                  ? "records are missing in the capture, and the checkpoint after the gap is not written yet"
+                  : "records are missing in the capture, and no restart gets across the gap until the mesh "
+                    "is reset";
+  }
+  const std::scoped_lock lock(trouble_mutex_);
+  trouble_ = trouble;
 }
 
 bool Journal::record(const JournalRecord& record) noexcept {
@@ -60,14 +93,22 @@ bool Journal::record(const JournalRecord& record) noexcept {
 }
 
 bool Journal::write_waiting() {
-  if (failing() && unflushed_ > 0)
+  gap_waits_ = reset_waits_ = false;
+  if (failing() && unflushed_ > 0) {
     sink_->write(gap_of(unflushed_));  // what was lost when it failed, and since
+    gap_waits_ = true;
+  }
   JournalRecord record;
   bool any = failing();
   while (queue_.pop(record)) {
     const std::uint64_t gap = record.kind == JournalRecord::Kind::kGap ? record.lost : 0;
     unflushed_ += gap > 0 ? gap : 1;
     unflushed_gaps_ += gap;
+    if (record.kind == JournalRecord::Kind::kReset) {
+      gap_waits_ = false;
+      reset_waits_ = true;
+    }
+    gap_waits_ = gap_waits_ || gap > 0;
     if (checkpointer_) checkpointer_->record(record);  // whether or not the disk takes it
     unmarked_ = true;
     if (on_pose_ && record.kind == JournalRecord::Kind::kPose) poses_.push_back(record);
@@ -78,18 +119,21 @@ bool Journal::write_waiting() {
   if (!any) return false;
   sink_->flush();
   unflushed_ = unflushed_gaps_ = 0;
+  if (reset_waits_) gap_end_.reset();
+  if (gap_waits_) gap_end_ = sink_->position().bytes;
   return true;
 }
 
-void Journal::tell_poses() {
-  for (const JournalRecord& pose : poses_) on_pose_(pose);
+void Journal::tell_poses(bool recorded) {
+  for (const JournalRecord& pose : poses_) on_pose_(pose, recorded);
   poses_.clear();
 }
 
 // Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
-void Journal::mark_checkpoint() {
+void Journal::mark_checkpoint(bool last) {
   const auto now = steady_clock::now();
-  if (!checkpointer_ || failing() || !(wanted_ || (unmarked_ && now - last_mark_ >= kMarks))) return;
+  if (!checkpointer_ || failing() || !(wanted_ || (unmarked_ && (last || now - last_mark_ >= kMarks))))
+    return;
   JournalRecord mark;
   mark.kind = JournalRecord::Kind::kCheckpoint;
   if (getrandom(&mark.checkpoint, sizeof mark.checkpoint, 0) != sizeof mark.checkpoint) return;
@@ -113,9 +157,9 @@ void Journal::run() {
     }
     try {
       last_try = steady_clock::now();
-      mark_checkpoint();
+      mark_checkpoint(false);
       const bool wrote = write_waiting();
-      tell_poses();
+      tell_poses(true);
       {
         const std::scoped_lock lock(sync_mutex_);
         unsynced_ = unsynced_ || wrote;
@@ -129,13 +173,16 @@ void Journal::run() {
         on_trouble_("");
       }
       if (stopping) {
+        mark_checkpoint(true);
         end_sync();
         sink_->close();
       }
+      set_trouble("");
     } catch (const std::exception& error) {
       lost_unwritten_.store(lost_unwritten_before_ + unflushed_ - unflushed_gaps_, std::memory_order_relaxed);
-      tell_poses();
+      tell_poses(false);
       if (!failing()) on_trouble_(error.what());
+      set_trouble(error.what());
       failing_.store(true, std::memory_order_relaxed);
     }
     if (stopping) {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -59,18 +60,23 @@ class Journal {
     std::size_t capacity = 1u << 16;  // records
     // SCHED_FIFO for its thread; 0: none. What a crash loses is what this thread has not come to; it needs little time.
     int realtime_priority = 0;
+    // Records that the sink should have and did not take, before the first of this journal.
+    std::uint64_t lost = 0;
   };
   // Called from the journal's thread when the sink begins to fail, with the reason, and with an empty text
   // when it works again.
   using OnTrouble = std::function<void(const std::string&)>;
-  // Called from the journal's thread for each pose, in order, when the system has it, or when it is lost for good: from
-  // then on its operator may be told that it was taken.
-  using OnPose = std::function<void(const JournalRecord&)>;
+  // Called from the journal's thread for each pose, in order, when the system has it (`recorded`), or when it is lost for
+  // good: from then on its operator may be told that it was taken.
+  using OnPose = std::function<void(const JournalRecord&, bool recorded)>;
   // `checkpointer` may be null: no checkpoints. So may `on_pose`.
   Journal(std::unique_ptr<JournalSink> sink, const Options& options, OnTrouble on_trouble,
           std::unique_ptr<Checkpointer> checkpointer = nullptr, OnPose on_pose = nullptr);
-  // Writes what waits, flushes, ends the thread. The loop must have stopped.
+  // As close(), without the last checkpoint.
   ~Journal();
+  // Writes what waits, flushes, ends the thread; then gives the checkpointer at most so long for a checkpoint of the end.
+  // Empty, or why a restart will have more to compute. The loop must have stopped. Once.
+  std::string close(std::chrono::milliseconds checkpoint_limit);
 
   // False where the record is lost.
   bool record(const JournalRecord& record) noexcept;
@@ -79,6 +85,9 @@ class Journal {
     return lost_unqueued_.load(std::memory_order_relaxed) + lost_unwritten_.load(std::memory_order_relaxed);
   }
   bool failing() const { return failing_.load(std::memory_order_relaxed); }
+  // Why a restart would not have what is taken now: the sink fails, or there is a gap and no checkpoint after it yet.
+  // Empty: it would.
+  std::string trouble() const;
   // Records that wait.
   std::size_t waiting() const { return queue_.size(); }
   const Checkpointer* checkpointer() const { return checkpointer_.get(); }
@@ -88,9 +97,12 @@ class Journal {
   // Writes and flushes what waits; whether there was anything.
   bool write_waiting();
   // Tells of the poses that were flushed, or lost.
-  void tell_poses();
-  // Marks a place where a checkpoint may be, now and then, and one where it must be, after a gap.
-  void mark_checkpoint();
+  void tell_poses(bool recorded);
+  // Ends the thread, once all is written.
+  void end();
+  void set_trouble(const std::string& error);
+  // Marks a place where a checkpoint may be, now and then and at the end (`last`), and one where it must be, after a gap.
+  void mark_checkpoint(bool last);
   void run_sync();
   void end_sync();
 
@@ -106,9 +118,14 @@ class Journal {
   std::vector<JournalRecord> poses_;         // of the pass at hand, where they are to be told of
   std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
   bool unmarked_ = false, wanted_ = false;   // records since the last mark; a gap since the last one
+  // In what is not flushed: a gap; a reset, which makes the gaps before it past.
+  bool gap_waits_ = false, reset_waits_ = false;
+  std::optional<std::uint64_t> gap_end_;  // behind the last gap, in bytes, until something leads across it
   std::chrono::steady_clock::time_point last_mark_{};
   std::atomic<std::uint64_t> lost_unqueued_{0}, lost_unwritten_{0};
   std::atomic<bool> failing_{false}, stop_{false};
+  mutable std::mutex trouble_mutex_;
+  std::string trouble_;
   // Between the two threads; held for a moment only.
   std::mutex sync_mutex_;
   std::condition_variable sync_wake_;

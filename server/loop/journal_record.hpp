@@ -15,7 +15,7 @@ namespace incise::loop {
 struct JournalRecord {
   enum class Kind : std::uint8_t {
     kOpened,      // source, arrival_ns, blade: the source has another owner
-    kPose,        // source, arrival_ns, pose, verdict
+    kPose,        // source, owner, arrival_ns, pose, verdict
     kEndStroke,   // source, arrival_ns
     kDeform,      // arrival_ns, positions
     kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
@@ -25,6 +25,7 @@ struct JournalRecord {
   };
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
+  std::uint32_t owner = 0;  // the source's owner, as the input hub numbers them; not in the capture
   std::int64_t arrival_ns = 0;
   core::Pose pose;
   core::Blade blade;

@@ -160,6 +160,7 @@ void Hub::send_blades() {
 
 void Hub::tick() {
   const std::int64_t now = monotonic_ns();
+  follow_recording();
   const std::vector<std::shared_ptr<Session>> sessions(sessions_.begin(), sessions_.end());
   for (const auto& session : sessions) session->tick(now);
   send_statistics();
@@ -167,6 +168,15 @@ void Hub::tick() {
   clock_.async_wait([this](boost::system::error_code error) {
     if (!error) tick();
   });
+}
+
+void Hub::follow_recording() {
+  if (!providers_.recording) return;
+  const bool before = recording_.state == protocol::Recording::Stopped;
+  recording_ = providers_.recording();
+  if (before || recording_.state != protocol::Recording::Stopped) return;
+  const auto sessions = sessions_;
+  for (const auto& session : sessions) session->warn_not_recorded();
 }
 
 // To each session once a second, but not to all at once: a thousand writes in a row would hold up the deltas.
@@ -181,6 +191,7 @@ void Hub::send_statistics() {
       statistics.revision = live_.mirror().revision();
       statistics.live_tets = live_.mirror().volume().live_tets();
       statistics.sessions = counters_->sessions;
+      statistics.recording = recording_.state;
       frame = make_frame(std::move(statistics));
     }
     session->send(frame);

@@ -53,6 +53,8 @@ class Hub {
   ReplayLibrary* library() const { return providers_.library; }
   Feed& live() { return live_; }
   HubCounters& counters() { return *counters_; }
+  // As of the last tick.
+  const RecordingNow& recording() const { return recording_; }
 
   // Takes a connection in; where too many have not said Hello, the one of them that is there for the longest is closed.
   // Nothing, when the server stops. The socket stays the caller's.
@@ -81,6 +83,7 @@ class Hub {
 
  private:
   void tick();
+  void follow_recording();
   void send_statistics();
   void send_blades();
 
@@ -104,6 +107,7 @@ class Hub {
   asio::steady_timer clock_, blade_clock_;
   std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
+  RecordingNow recording_;
   bool stopping_ = false;
   Feed live_;
 };

@@ -20,6 +20,8 @@ struct PoseTotals {
   std::uint64_t too_fast = 0;  // accepted, but each began a new stroke
   std::int64_t last_source_ns = 0;
   std::uint32_t backlog_segments = 0;
+  std::uint64_t recorded = 0;  // of the accepted ones
+  std::int64_t recorded_source_ns = 0;
 
   // Poses whose fate is known.
   std::uint64_t settled() const { return accepted + not_finite + not_unit + time_not_rising + queue_full; }

@@ -29,6 +29,11 @@ struct ServerFacts {
 // Whose lines a log keeps apart, so that many of one kind do not crowd out another.
 enum class Audit { kRefused, kBlade, kReset };
 inline constexpr std::size_t kAudits = 3;
+// Whether what is taken is recorded, and where not: why.
+struct RecordingNow {
+  protocol::Recording state = protocol::Recording::Off;
+  std::string trouble;
+};
 
 // What the HTTP port and the statistics message show. Called on the stream thread; must not block. An absent
 // one makes the address answer 404, and the message is not sent.
@@ -36,7 +41,7 @@ struct Providers {
   std::function<std::string()> stats_json;    // GET /stats
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
   std::function<protocol::Stats()>
-      statistics;  // once a second to every session; sessions and revision are filled in
+      statistics;  // once a second to every session; sessions, revision and recording are filled in
   // Where the blades are now, for who asked for that; those that were never moved are left out.
   std::function<std::vector<protocol::BladePose>()> blades;
   ReplayLibrary* library =
@@ -46,6 +51,8 @@ struct Providers {
   // One line, for the log, on who was refused, reset the mesh, or took or let go of a blade that somebody held. As often as
   // peers cause it.
   std::function<void(Audit, const std::string&)> audit;
+  // Asked at every tick. Absent: nothing is recorded.
+  std::function<RecordingNow()> recording;
 };
 
 // What the stream has done since it started.

@@ -211,6 +211,8 @@ asio::awaitable<void> Session::on_hello(const protocol::Hello& hello, std::uint6
                        hello.resume_session == session_name(feed().mirror().session(), view_, false) &&
                        feed().ring().covers(hello.resume_revision, head);
   send_welcome(resumed);
+  last_report_.recording = hub_.recording().state;  // Welcome has said so
+  if (last_report_.recording == protocol::Recording::Stopped) warn_not_recorded();
   if (resumed) {
     ++hub_.counters().resumed;
     revision_ = hello.resume_revision;
@@ -315,6 +317,7 @@ void Session::send_welcome(bool resumed) {
   welcome.server_monotonic_ns = monotonic_ns();
   welcome.server_unix_ns = unix_ns();
   welcome.policy = facts.policy;
+  welcome.recording = hub_.recording().state;
   push_control(make_frame(std::move(welcome)));
 }
 
@@ -558,15 +561,25 @@ void Session::report_poses() {
   report.too_fast = totals.too_fast;
   report.last_source_ns = totals.last_source_ns;
   report.backlog_segments = totals.backlog_segments;
+  report.recorded = totals.recorded;
+  report.recorded_source_ns = totals.recorded_source_ns;
+  report.recording = hub_.recording().state;
   const auto same = [](const protocol::PoseReport& a, const protocol::PoseReport& b) {
     return a.through_sequence == b.through_sequence && a.accepted == b.accepted &&
            a.not_finite == b.not_finite && a.not_unit == b.not_unit &&
            a.time_not_rising == b.time_not_rising && a.queue_full == b.queue_full &&
-           a.backlog_segments == b.backlog_segments;
+           a.backlog_segments == b.backlog_segments && a.recorded == b.recorded && a.recording == b.recording;
   };
   if (same(report, last_report_)) return;
   last_report_ = report;
   push_control(make_frame(report));
+}
+
+void Session::warn_not_recorded() {
+  if (stage_ != Stage::kOpen || !source_) return;
+  complain(
+      ErrorCode::NotRecorded,
+      ("poses are cut, but not recorded: " + hub_.recording().trouble).substr(0, protocol::kMaxTextBytes), 0);
 }
 
 void Session::tick(std::int64_t now_ns) {

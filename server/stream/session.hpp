@@ -33,6 +33,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void live_restarted();
   // Deadlines, pings, pose reports. About 20 times a second.
   void tick(std::int64_t now_ns);
+  // Tells an operator that recording has stopped; nobody else.
+  void warn_not_recorded();
   // A frame beside the state, e.g. statistics. Only to who has been welcomed.
   void send(SharedFrame frame);
   // To the operator who holds that blade: the latest, when the one before is out.

@@ -81,6 +81,42 @@ TEST_F(CommandsTest, StreamPlaysAMotionAndSumsUp) {
   EXPECT_GT(test.loop.revision(), 3u);
 }
 
+// Poses that the server takes and cannot record are no failure of the player's, but it says so.
+TEST_F(CommandsTest, StreamWarnsWhereItsPosesAreNotRecorded) {
+  stream::Providers providers;
+  providers.recording = [] {
+    return stream::RecordingNow{protocol::Recording::Stopped, "disk.capture: No space left on device"};
+  };
+  TestServer full(6, stream::test_config(), std::move(providers));
+  full.loop.start();
+  StreamCommand command;
+  command.poses = directory / "motion.csv";
+  command.speed = 0;
+  command.json = true;
+  const auto run = [&](const TestServer& server, std::string& told) {
+    command.server.address = "127.0.0.1:" + std::to_string(server.server.tcp_port());
+    ::testing::internal::CaptureStdout();
+    ::testing::internal::CaptureStderr();
+    EXPECT_EQ(run_stream(command), 0);
+    told = ::testing::internal::GetCapturedStderr();
+    return nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  };
+  std::string told;
+  auto summary = run(full, told);
+  EXPECT_EQ(summary["recording"], "stopped");
+  EXPECT_EQ(summary["accepted"], 200);
+  EXPECT_EQ(summary["recorded"], 0);
+  EXPECT_NE(told.find("NotRecorded: poses are cut, but not recorded: disk.capture: No space left on device"),
+            std::string::npos)
+      << told;
+  EXPECT_NE(told.find("200 of 200 accepted poses are not in the server's capture"), std::string::npos)
+      << told;
+  // A server that keeps no capture does not promise one.
+  summary = run(test, told);
+  EXPECT_EQ(summary["recording"], "off");
+  EXPECT_EQ(told, "");
+}
+
 TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
   StreamCommand play;
   play.poses = directory / "motion.csv";

@@ -14,8 +14,8 @@ import unittest
 import numpy as np
 
 import incise_client
-from incise.wire import (Body, Delta, Force, Hello, Message, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta,
-                         View)
+from incise.wire import (Body, Delta, ErrorCode, Force, Hello, Message, Recording, Role, SnapshotBegin, SnapshotChunk,
+                         SnapshotEnd, SurfaceDelta, View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -220,6 +220,20 @@ class Session(unittest.TestCase):
         self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
+
+    def test_an_operator_hears_what_is_recorded(self):
+        names = ("WelcomeRecording", "ErrorNotRecorded", "PoseReportRecorded")
+        bodies = [(VECTORS / "messages" / f"{name}.bin").read_bytes() for name in names]
+        port = self.serve(b"".join(struct.pack("<I", len(body)) + body for body in bodies))
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Operator) as client:
+            self.assertEqual(client.welcome.Recording(), Recording.Recording.On)
+            self.assertTrue(client.wait_for_report(17))
+            self.assertEqual((client.error.Code(), client.error.Text()),
+                             (ErrorCode.ErrorCode.NotRecorded, b"poses are cut, but not recorded: No space left on device"))
+            self.assertEqual((client.report.Accepted(), client.report.Recorded()), (100, 90))
+            self.assertEqual(client.report.RecordedSourceNs(), 991_000_000)
+            self.assertEqual(client.recording, Recording.Recording.Stopped)
+        self.thread.join()
 
     def test_holds_what_touches_a_box(self):
         for name, view in (("volume_part", View.View.Volume), ("surface", View.View.Surface)):

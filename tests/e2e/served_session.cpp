@@ -24,7 +24,7 @@ ServedSession::ServedSession(const std::string& name, int target_tets, const std
     : directory_(fs::temp_directory_path() / ("incise_" + name + "_" + std::to_string(::getpid()))),
       target_tets_(target_tets),
       more_capture_(capture) {
-  fs::create_directories(directory_);
+  fs::create_directories(directory_ / "disk");
   write_config();
   config_ = app::load_config(directory_ / "server.json");
   body_ = app::load_body(config_);
@@ -38,7 +38,7 @@ void ServedSession::write_config() const {
              "listen": {"tcp_port": )"
       << tcp_port_ << R"(, "http_port": )" << http_port_ << R"(},
              "loop": {"realtime_priority": 0, "lock_memory": false},
-             "capture": {"path": "session.capture")"
+             "capture": {"path": "disk/session.capture")"
       << more_capture_ << "}}";
 }
 
@@ -129,6 +129,13 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
   callbacks.on_report = [this](const protocol::PoseReport& report) {
     if (report.last_source_ns > 0) acknowledged_ns_ = report.last_source_ns;
     rejected_ = report.not_finite + report.not_unit + report.time_not_rising;
+    accepted_ = report.accepted;
+    recorded_ = report.recorded;
+    recorded_ns_ = report.recorded_source_ns;
+    recording_ = report.recording;
+  };
+  callbacks.on_error = [this](const protocol::Error& error) {
+    warnings_ += error.code == protocol::ErrorCode::NotRecorded;
   };
   const auto connected = [&] { return client && client->status() != client::Status::kClosed; };
   // The server may have been killed and started again just now: to settle, it is found again first.

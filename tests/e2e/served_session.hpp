@@ -22,7 +22,7 @@
 
 namespace incise::e2e {
 
-// incised on a phantom slab, its files in a folder that goes with this.
+// incised on a phantom slab, its files in a folder that goes with this. The capture is in a folder of its own below, "disk".
 class ServedSession {
  public:
   // `capture`: more keys for the configuration's "capture", each with a comma in front.
@@ -44,7 +44,7 @@ class ServedSession {
   Process& server() { return *server_; }
   std::uint16_t tcp_port() const { return tcp_port_; }
   std::uint16_t http_port() const { return http_port_; }
-  std::string capture() const { return (directory_ / "session.capture").string(); }
+  std::string capture() const { return file("disk/session.capture"); }
   std::string file(const std::string& name) const { return (directory_ / name).string(); }
   // What it has logged, all starts together.
   std::string log() const;
@@ -79,12 +79,21 @@ class PoseDriver {
   // Source time of the last pose that the server says it has taken; the clock is CLOCK_MONOTONIC, ns.
   std::int64_t acknowledged_ns() const { return acknowledged_ns_; }
   std::uint64_t rejected() const { return rejected_; }
+  // By the last report, of this connection.
+  std::uint64_t accepted() const { return accepted_; }
+  std::uint64_t recorded() const { return recorded_; }
+  std::int64_t recorded_ns() const { return recorded_ns_; }
+  protocol::Recording recording() const { return recording_; }
+  // Errors of the code NotRecorded that came.
+  int warnings() const { return warnings_; }
 
  private:
   void run(const ServedSession& session, double rate_hz, double speed_m_s, const std::string& source);
   std::atomic<bool> stop_{false}, settling_{false}, settled_{false};
-  std::atomic<std::uint64_t> sent_{0}, rejected_{0};
-  std::atomic<std::int64_t> acknowledged_ns_{0};
+  std::atomic<std::uint64_t> sent_{0}, rejected_{0}, accepted_{0}, recorded_{0};
+  std::atomic<std::int64_t> acknowledged_ns_{0}, recorded_ns_{0};
+  std::atomic<protocol::Recording> recording_{protocol::Recording::Off};
+  std::atomic<int> warnings_{0};
   std::thread thread_;
 };
 

@@ -143,7 +143,14 @@ TEST(InputHub, VerdictsComeBackToTheOwnerAndStartAgainWithTheNext) {
   InputHub hub(core::Blade{});
   auto source = hub.open_source("s");
   source->push(poses(1, 2));
-  drain(hub);
+  std::uint32_t opened = 0;  // the last owner's number
+  const auto take_owner = [&] {
+    hub.drain([&](std::uint32_t, const InputEvent& event) {
+      if (event.kind == InputEvent::Kind::kOpened) opened = event.owner;
+      return true;
+    });
+  };
+  take_owner();
   hub.count(0, core::PoseVerdict::kAccepted);
   hub.count(0, core::PoseVerdict::kNotUnit);
   EXPECT_EQ(source->counts().drained, 0u) << "the loop has them; the journal has not";
@@ -154,17 +161,30 @@ TEST(InputHub, VerdictsComeBackToTheOwnerAndStartAgainWithTheNext) {
   EXPECT_EQ(counts.count(core::PoseVerdict::kAccepted), 1u);
   EXPECT_EQ(counts.count(core::PoseVerdict::kNotUnit), 1u);
   EXPECT_EQ(counts.last_source_ns, 77);
+  EXPECT_EQ(counts.recorded, 0u) << "taken, and lost";
+  const std::uint32_t first_owner = opened;
+  hub.tell_recorded(0, first_owner, 77);
+  EXPECT_EQ(source->counts().recorded, 1u);
+  EXPECT_EQ(source->counts().recorded_source_ns, 77);
   hub.count(0, core::PoseVerdict::kAccepted);
   source.reset();
   drain(hub);
   source = hub.open_source("s");
+  EXPECT_EQ(source->counts().recorded, 0u);
   hub.tell(0, core::PoseVerdict::kAccepted, 90);  // the journal comes to the last owner's pose
+  hub.tell_recorded(0, first_owner, 90);
+  EXPECT_EQ(source->counts().recorded, 0u);
   EXPECT_EQ(source->counts().drained, 0u);
   EXPECT_EQ(source->counts().last_source_ns, 0);
   hub.count(0, core::PoseVerdict::kAccepted);
   hub.tell(0, core::PoseVerdict::kAccepted, 5);
   EXPECT_EQ(source->counts().drained, 1u);
   EXPECT_EQ(source->counts().last_source_ns, 5);
+  take_owner();
+  EXPECT_NE(opened, first_owner);
+  hub.tell_recorded(0, opened, 5);
+  EXPECT_EQ(source->counts().recorded, 1u);
+  EXPECT_EQ(source->counts().recorded_source_ns, 5);
 }
 
 TEST(InputHub, AClosedHubTakesNothingMore) {

@@ -46,6 +46,10 @@ COMP_WORDS=(incise cut --rep) COMP_CWORD=2
 _incise
 [[ ${COMPREPLY[*]} == --report ]] || die "'incise cut --rep' completes to '${COMPREPLY[*]}'"
 
+# The service records to its state directory, which is no file system to fill.
+grep -Fq '"path": "/var/lib/incise/session.capture"' "$work/installed/etc/incise/incised.json" || die "the service records nothing"
+grep -Eq '"keep_free_percent": [1-9]' "$work/installed/etc/incise/incised.json" || die "the service may fill its disk"
+grep -qx 'StateDirectory=incise' "$work/installed/lib/systemd/system/incised.service" || die "the service has no directory for captures"
 "$bin/incised" --check "$work/installed/etc/incise/incised.json" > "$work/check.log" || die "the configuration is not good"
 if command -v systemd-analyze > /dev/null; then
   unit="$work/incised.service"

@@ -32,10 +32,14 @@ class CheckpointerTest : public ::testing::Test {
   void SetUp() override { fs::create_directories(folder_); }
   ~CheckpointerTest() override { fs::remove_all(folder_); }
   std::string journal() const { return (folder_ / "journal").string(); }
-  std::unique_ptr<Checkpointer> make(double replay_s, std::size_t capacity = 1u << 20) {
+  // `rest`: by default longer than any test.
+  std::unique_ptr<Checkpointer> make(double replay_s, std::size_t capacity = 1u << 20, double debt_s = 0,
+                                     std::chrono::milliseconds rest = std::chrono::hours(1)) {
     Checkpointer::Options options;
     options.journal = journal();
     options.replay_s = replay_s;
+    options.debt_s = debt_s;
+    options.rest = rest;
     options.capacity = capacity;
     options.fresh = [this] { return std::make_unique<core::CutSession>(mesh_, config()); };
     auto first = [this, fresh = options.fresh] {
@@ -201,6 +205,84 @@ TEST_F(CheckpointerTest, MoreThanMayWaitEndsItAsWell) {
   held_ = false;
   EXPECT_TRUE(wait_for(*checkpointer, [&] { return !checkpointer->following(); }));
   EXPECT_NE(told().find("does not keep up"), std::string::npos) << told();
+}
+
+// What a resume has had to compute counts as if this run had done it.
+TEST_F(CheckpointerTest, TheDebtOfEarlierRunsMakesACheckpointDue) {
+  const auto due = make(500, 1u << 20, 500), not_yet = make(500, 1u << 20, 400);
+  for (const auto& checkpointer : {due.get(), not_yet.get()}) {
+    EXPECT_TRUE(checkpointer->in_debt());
+    checkpointer->mark(1, 10, 2, false);
+    checkpointer->record({});
+    EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->behind() == 0; }));
+  }
+  EXPECT_TRUE(wait_for(*due, [&] { return due->written() == 1; }));
+  EXPECT_EQ(due->last_offset(), 10u);
+  EXPECT_NE(not_yet->finish(std::chrono::minutes(1)), "") << "nothing is marked after the last record";
+  EXPECT_EQ(not_yet->written(), 0u);
+}
+
+TEST_F(CheckpointerTest, AResetEndsTheDebt) {
+  const auto checkpointer = make(500, 1u << 20, 500);
+  JournalRecord reset;
+  reset.kind = Kind::kReset;
+  reset.session = 8;
+  checkpointer->record(reset);
+  checkpointer->mark(1, 10, 2, false);
+  checkpointer->record({});
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->behind() == 0; }));
+  EXPECT_NE(checkpointer->finish(std::chrono::minutes(1)), "") << "nothing is marked after the last record";
+  EXPECT_EQ(checkpointer->written(), 0u);
+}
+
+TEST_F(CheckpointerTest, AtRestASmallerDebtIsPaid) {
+  const auto checkpointer = make(500, 1u << 20, 300, std::chrono::milliseconds(1));
+  checkpointer->mark(1, 10, 2, false);
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->written() == 1; }));
+  EXPECT_EQ(checkpointer->last_offset(), 10u);
+}
+
+// However little it is; and what leads to no other state is not written again.
+TEST_F(CheckpointerTest, TheEndIsSavedWhereAnythingHasHappened) {
+  const auto records = stroke();
+  const auto checkpointer = make(1000);
+  for (const JournalRecord& record : records) checkpointer->record(record);
+  checkpointer->mark(5, 77, records.size(), false);
+  EXPECT_EQ(checkpointer->finish(std::chrono::minutes(1)), "");
+  EXPECT_EQ(checkpointer->written(), 1u);
+  std::string error;
+  const auto checkpoint = read_checkpoint(checkpoint_path(journal(), 0), error);
+  ASSERT_TRUE(checkpoint) << error;
+  EXPECT_EQ(checkpoint->offset, 77u);
+  EXPECT_GE(checkpoint->revision, 5u);
+  const auto idle = make(1000);
+  idle->mark(6, 78, 0, false);
+  EXPECT_EQ(idle->finish(std::chrono::minutes(1)), "");
+  EXPECT_EQ(idle->written(), 0u);
+}
+
+// It is behind for as long as it is held: the end says so and does not wait for it.
+TEST_F(CheckpointerTest, TheEndDoesNotWaitForWhoIsFarBehind) {
+  held_ = true;
+  const auto checkpointer = make(1000);
+  for (const JournalRecord& record : stroke()) checkpointer->record(record);
+  checkpointer->mark(5, 77, 300, false);
+  const std::string why = checkpointer->finish(std::chrono::milliseconds(10));
+  held_ = false;
+  EXPECT_NE(why.find("records that wait: 3"), std::string::npos) << why;
+}
+
+// A gap that only a checkpoint leads across, or a debt, is not forgotten because the disk had no room for it.
+TEST_F(CheckpointerTest, WhatCouldNotBeWrittenIsStillOwed) {
+  fs::create_directory(checkpoint_path(journal(), 0) + ".part");
+  const auto checkpointer = make(500, 1u << 20, 500);
+  checkpointer->mark(1, 10, 2, true);
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return !told().empty(); }));
+  EXPECT_NE(told().find("a checkpoint cannot be written"), std::string::npos) << told();
+  fs::remove(checkpoint_path(journal(), 0) + ".part");
+  EXPECT_EQ(checkpointer->finish(std::chrono::minutes(1)), "");
+  EXPECT_EQ(checkpointer->written(), 1u);
+  EXPECT_EQ(checkpointer->last_offset(), 10u);
 }
 
 TEST_F(CheckpointerTest, AFileIsWholeOrRefused) {

@@ -141,7 +141,7 @@ TEST(Journal, ADiskThatHangsInASyncDoesNotHoldBackWhatIsWritten) {
   {
     Journal journal(
         std::make_unique<DiskSink>(disk), {SyncPolicy::kAlways, 100, 64}, [](const std::string&) {}, nullptr,
-        [&](const JournalRecord&) { ++told; });
+        [&](const JournalRecord&, bool) { ++told; });
     journal.record(pose(0));
     while (disk.syncs == 0) std::this_thread::yield();
     for (std::uint64_t i = 1; i <= 20; ++i) journal.record(pose(i));
@@ -154,17 +154,19 @@ TEST(Journal, ADiskThatHangsInASyncDoesNotHoldBackWhatIsWritten) {
   EXPECT_GE(disk.syncs, 2);
 }
 
-// A pose is told of when the system has it, never before; and where it is lost, then as well.
+// A pose is told of when the system has it, never before; and where it is lost, then as well, and as lost.
 TEST(Journal, TellsOfPosesOnceTheyAreWrittenOrLost) {
   Disk disk;
   disk.slow = true;
-  std::atomic<std::uint64_t> told{0};
+  std::atomic<std::uint64_t> told{0}, recorded{0};
   std::atomic<bool> early{false};
   {
     Journal journal(
         std::make_unique<DiskSink>(disk), {SyncPolicy::kNone, 100, 64}, [](const std::string&) {}, nullptr,
-        [&](const JournalRecord& record) {
+        [&](const JournalRecord& record, bool kept) {
           const std::scoped_lock lock(disk.mutex);
+          recorded += kept;
+          EXPECT_EQ(kept, !disk.full);
           early = early ||
                   (!disk.full && (disk.records.empty() || disk.records.back().revision < record.revision));
           EXPECT_EQ(record.revision, told++);
@@ -181,6 +183,61 @@ TEST(Journal, TellsOfPosesOnceTheyAreWrittenOrLost) {
     disk.full = false;
   }
   EXPECT_EQ(told, 40u);
+  EXPECT_EQ(recorded, 30u);
+}
+
+// What was taken does not outlive a restart from the first loss on, also once there is room again: nothing leads across
+// the gap but a checkpoint or a reset.
+TEST(Journal, AfterAGapItIsInTroubleUntilTheMeshIsReset) {
+  Disk disk;
+  Journal journal(std::make_unique<DiskSink>(disk), {}, [](const std::string&) {});
+  journal.record(pose(0));
+  while (journal.waiting() > 0) std::this_thread::yield();
+  EXPECT_EQ(journal.trouble(), "");
+  disk.full = true;
+  journal.record(pose(1));
+  while (journal.trouble().empty()) std::this_thread::yield();
+  EXPECT_EQ(journal.trouble(), "no space left on device");
+  disk.full = false;
+  while (journal.failing()) std::this_thread::yield();
+  journal.record(pose(2));
+  while (journal.waiting() > 0) std::this_thread::yield();
+  EXPECT_NE(journal.trouble().find("no restart gets across the gap"), std::string::npos) << journal.trouble();
+  JournalRecord reset;
+  reset.kind = Kind::kReset;
+  journal.record(reset);
+  while (!journal.trouble().empty()) std::this_thread::yield();
+}
+
+// A session that is resumed on a full disk begins with records that are missing.
+TEST(Journal, ItMayBeginWithAGap) {
+  Disk disk;
+  Journal::Options options;
+  options.lost = 7;
+  Journal journal(std::make_unique<DiskSink>(disk), options, [](const std::string&) {});
+  EXPECT_TRUE(journal.failing());
+  EXPECT_EQ(journal.lost(), 7u);
+  EXPECT_NE(journal.trouble(), "");
+  journal.record(pose(1));
+  while (journal.failing()) std::this_thread::yield();
+  EXPECT_NE(journal.trouble(), "");
+  const std::scoped_lock lock(disk.mutex);
+  ASSERT_EQ(disk.records.size(), 2u);
+  EXPECT_EQ(disk.records[0].kind, Kind::kGap);
+  EXPECT_EQ(disk.records[0].lost, 7u);
+}
+
+TEST(Journal, WhatItsQueueLostIsTroubleToo) {
+  Disk disk;
+  disk.slow = true;
+  Journal journal(std::make_unique<DiskSink>(disk), {SyncPolicy::kNone, 100, 16}, [](const std::string&) {});
+  while (journal.record(pose(0))) {
+  }
+  EXPECT_EQ(journal.trouble(), "") << "nobody knows yet";
+  disk.slow = false;
+  while (!journal.record(pose(1))) std::this_thread::yield();
+  while (journal.trouble().empty()) std::this_thread::yield();
+  EXPECT_FALSE(journal.failing());
 }
 
 }  // namespace

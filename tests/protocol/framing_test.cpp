@@ -56,6 +56,26 @@ TEST(Framing, EveryMessageComesBackTheSame) {
   }
 }
 
+TEST(Framing, WhatIsRecordedComesThrough) {
+  PoseReport sent;
+  sent.accepted = 7;
+  sent.recorded = 5;
+  sent.recorded_source_ns = -3;
+  sent.recording = Recording::Stopped;
+  DecodeResult result;
+  const PoseReport got = round_trip(sent, result);
+  EXPECT_EQ(got.accepted, 7u);
+  EXPECT_EQ(got.recorded, 5u);
+  EXPECT_EQ(got.recorded_source_ns, -3);
+  EXPECT_EQ(got.recording, Recording::Stopped);
+  Welcome hail;
+  hail.recording = Recording::On;
+  EXPECT_EQ(round_trip(hail, result).recording, Recording::On);
+  Stats stats;
+  stats.recording = static_cast<Recording>(3);
+  EXPECT_NE(error_of(stats).find("Stats.recording: 3"), std::string::npos) << error_of(stats);
+}
+
 TEST(Framing, HelloKeepsItsFields) {
   const auto& sent = std::get<Hello>(samples::messages()[0].second);
   DecodeResult result;

@@ -254,6 +254,25 @@ const std::vector<std::pair<std::string, Body>>& messages() {
   return all;
 }
 
+const std::vector<std::pair<std::string, Body>>& extended_messages() {
+  static const auto all = [] {
+    Welcome hail = welcome();
+    hail.recording = Recording::On;
+    Stats stats;
+    stats.json = "{}";
+    stats.recording = Recording::Stopped;
+    return std::vector<std::pair<std::string, Body>>{
+        {"WelcomeRecording", hail},
+        {"PoseReportRecorded",
+         PoseReport{17, 100, 1, 2, 3, 4, 5, 1'001'000'000, 6, 90, 991'000'000, Recording::Stopped}},
+        {"ErrorNotRecorded",
+         Error{ErrorCode::NotRecorded, "poses are cut, but not recorded: No space left on device", false, 0}},
+        {"StatsRecording", stats},
+    };
+  }();
+  return all;
+}
+
 std::vector<Body> volume_stream() {
   Welcome hail = welcome();
   hail.role = Role::Viewer;

@@ -25,6 +25,8 @@ Model two_tets(std::uint64_t revision);
 // Every kind of message in the order of the schema's union, under its name. The arrays live as long as the
 // program.
 const std::vector<std::pair<std::string, Body>>& messages();
+// Messages with the fields that were added later, each under a name of its own: the bytes of those above stay as they are.
+const std::vector<std::pair<std::string, Body>>& extended_messages();
 
 // What a viewer gets (view Volume, view Surface, view Volume with a box around vertex 4): Welcome, the snapshot of revision
 // 0, two deltas, Bye.

@@ -64,9 +64,16 @@ std::string hex(std::span<const std::byte> bytes) {
   return out.str();
 }
 
+std::vector<std::pair<std::string, Body>> all_messages() {
+  auto all = samples::messages();
+  const auto& extended = samples::extended_messages();
+  all.insert(all.end(), extended.begin(), extended.end());
+  return all;
+}
+
 TEST(Vectors, Messages) {
   std::size_t index = 0;
-  for (const auto& [name, body] : samples::messages()) {
+  for (const auto& [name, body] : all_messages()) {
     const Frame frame = encode(body, samples::envelope(index++));
     expect_file(kVectors / "messages" / (name + ".bin"), text(frame.body()));
   }
@@ -76,7 +83,7 @@ TEST(Vectors, Messages) {
 TEST(Vectors, MessagesAsFlatcReadsThem) {
   const fs::path out = writing() ? kVectors / "messages" : fs::path(::testing::TempDir()) / "vectors_test";
   fs::create_directories(out);
-  for (const auto& [name, body] : samples::messages()) {
+  for (const auto& [name, body] : all_messages()) {
     const std::string command = std::string("'" INCISE_FLATC "' --json --raw-binary --strict-json -o '") +
                                 out.string() + "' '" + INCISE_SOURCE_DIR + "/protocol/incise.fbs' -- '" +
                                 (kVectors / "messages" / (name + ".bin")).string() + "'";
@@ -91,7 +98,7 @@ TEST(Vectors, MessagesAsFlatcReadsThem) {
 TEST(Vectors, MessagesDecodeToTheSamples) {
   if (writing()) GTEST_SKIP() << "writing";
   std::size_t index = 0;
-  for (const auto& [name, body] : samples::messages()) {
+  for (const auto& [name, body] : all_messages()) {
     const std::string bytes = read_file(kVectors / "messages" / (name + ".bin"));
     const DecodeResult result = decode(std::as_bytes(std::span(bytes)));
     ASSERT_TRUE(result) << name << ": " << result.error;

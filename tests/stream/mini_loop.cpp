@@ -147,6 +147,10 @@ void MiniLoop::feed(std::uint32_t source, const std::vector<protocol::PoseSample
       case core::PoseVerdict::kAccepted:
         ++totals.accepted;
         totals.last_source_ns = p.source_ns;
+        if (recorded_) {
+          ++totals.recorded;
+          totals.recorded_source_ns = p.source_ns;
+        }
         break;
       case core::PoseVerdict::kNotFinite:
         ++totals.not_finite;

@@ -44,6 +44,8 @@ class MiniLoop final : public InputSink {
   void stop();
   // While true nothing is taken from the queues.
   void hold(bool held) { held_ = held; }
+  // Whether the poses that it takes count as recorded, too.
+  void record(bool recorded) { recorded_ = recorded; }
 
   std::unique_ptr<PoseSource> open(std::string_view source_name,
                                    const std::optional<protocol::BladeEdge>& blade) override;
@@ -72,7 +74,7 @@ class MiniLoop final : public InputSink {
   std::unique_ptr<core::CutSession> session_;
   Server* server_ = nullptr;
   std::atomic<std::uint64_t> revision_{0}, strokes_ended_{0}, hash_{0};
-  std::atomic<bool> running_{false}, held_{false}, reset_{false};
+  std::atomic<bool> running_{false}, held_{false}, recorded_{false}, reset_{false};
   mutable std::mutex mutex_;
   std::array<Slot, core::kMaxSources> slots_;  // guarded by mutex_
   std::thread thread_;

@@ -424,6 +424,85 @@ TEST(Server, PosesAreCountedAndReported) {
   EXPECT_EQ(report.last_source_ns, poses.back().source_ns);
 }
 
+// A report tells what was taken from what is recorded; an operator hears when recording stops and when it goes on, sooner or
+// later joined; others have it in the statistics.
+TEST(Server, OperatorsAreToldWhatIsRecordedAndWhenRecordingStops) {
+  using protocol::Recording;
+  std::atomic<Recording> state{Recording::On};
+  Providers providers;
+  providers.recording = [&]() -> RecordingNow {
+    return {state, state == Recording::Stopped ? "disk.capture: No space left on device" : ""};
+  };
+  providers.statistics = [] { return protocol::Stats{}; };
+  TestServer test(6, test_config(), std::move(providers));
+  test.loop.start();
+  const auto join = [&](RawPeer& peer, Role role, const char* blade) {
+    protocol::Hello asks = hello(role, View::None);
+    asks.source_name = blade;
+    peer.send(asks);
+    const auto welcome = peer.receive_until<protocol::Welcome>();
+    EXPECT_TRUE(welcome);
+    return welcome ? std::get<protocol::Welcome>(welcome->message.body).recording : Recording::Off;
+  };
+  const auto report_until = [](RawPeer& peer, auto condition) {
+    for (;;) {
+      const auto received = peer.receive_until<protocol::PoseReport>();
+      if (!received) return protocol::PoseReport{};
+      const auto report = std::get<protocol::PoseReport>(received->message.body);
+      if (condition(report)) return report;
+    }
+  };
+  // The next notice; before it no report may have said so without one.
+  const auto notice = [](RawPeer& peer) {
+    const auto received = peer.receive_until<protocol::Error>();
+    return received ? std::get<protocol::Error>(received->message.body) : protocol::Error{};
+  };
+  RawPeer peer(test.server.tcp_port()), viewer(test.server.tcp_port()), late(test.server.tcp_port());
+  EXPECT_EQ(join(peer, Role::Operator, "first"), Recording::On);
+  EXPECT_EQ(join(viewer, Role::Viewer, ""), Recording::On);
+  const auto poses = sweep(0.03, 50, 1, test.side);
+  test.loop.record(true);
+  peer.send(protocol::PoseBatch{std::span(poses).first(20)}, 2);
+  auto report = report_until(peer, [](const auto& r) { return r.through_sequence == 2; });
+  EXPECT_EQ(report.accepted, 20u);
+  EXPECT_EQ(report.recorded, 20u);
+  EXPECT_EQ(report.recorded_source_ns, poses[19].source_ns);
+  EXPECT_EQ(report.recording, Recording::On);
+
+  test.loop.record(false);
+  state = Recording::Stopped;
+  const protocol::Error stopped = notice(peer);
+  EXPECT_EQ(stopped.code, ErrorCode::NotRecorded);
+  EXPECT_FALSE(stopped.fatal);
+  EXPECT_EQ(stopped.in_reply_to, 0u);
+  EXPECT_NE(stopped.text.find("disk.capture: No space left on device"), std::string::npos) << stopped.text;
+  // Without a pose, too.
+  report = report_until(peer, [](const auto& r) { return r.recording == Recording::Stopped; });
+  EXPECT_EQ(report.recorded, 20u);
+  peer.send(protocol::PoseBatch{std::span(poses).subspan(20)}, 3);
+  report = report_until(peer, [](const auto& r) { return r.through_sequence == 3; });
+  EXPECT_EQ(report.accepted, 50u);
+  EXPECT_EQ(report.recorded, 20u);
+  EXPECT_EQ(report.recorded_source_ns, poses[19].source_ns);
+
+  EXPECT_EQ(join(late, Role::Operator, "second"), Recording::Stopped);
+  EXPECT_EQ(notice(late).code, ErrorCode::NotRecorded);
+
+  state = Recording::On;
+  for (RawPeer* other : {&peer, &late})
+    EXPECT_EQ(report_until(*other, [](const auto& r) { return r.recording == Recording::On; }).recording,
+              Recording::On);
+  // The viewer has it in its statistics, and in no Error.
+  state = Recording::Stopped;
+  for (;;) {
+    const auto received = viewer.receive();
+    ASSERT_TRUE(received);
+    EXPECT_FALSE(std::holds_alternative<protocol::Error>(received->message.body));
+    const auto* statistics = std::get_if<protocol::Stats>(&received->message.body);
+    if (statistics && statistics->recording == Recording::Stopped) break;
+  }
+}
+
 TEST(Server, ABladeIsEngagedByMessageWithoutAButton) {
   TestServer test;
   test.loop.start();

@@ -13,8 +13,8 @@ import flatbuffers
 import numpy as np
 
 from incise.wire import (BladeEdge, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
-                         Positions, PositionsReport, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd, StrokeAction, StrokeControl,
-                         SurfaceDelta, Vec3, View, Welcome)
+                         Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
+                         StrokeAction, StrokeControl, SurfaceDelta, Vec3, View, Welcome)
 
 from .part import Surface, VolumePart
 from .replica import ApplyError, Replica
@@ -66,7 +66,9 @@ class Client:
                  ssl_context: Optional[tls.SSLContext] = None) -> None:
         self.replica: Any = resume.replica if resume else Replica()
         self.welcome: Any = None
-        self.report: Any = None  # the last PoseReport
+        self.report: Any = None  # the last wire.PoseReport: what became of an operator's poses
+        self.recording: int = Recording.Recording.Off  # whether the server records what it takes, by the last message that says so
+        self.error: Any = None  # the last wire.Error that was not fatal
         self.resyncs = 0
         self.snapshots = 0
         self.on_delta: Optional[Callable[["Client", Any], None]] = None
@@ -174,18 +176,22 @@ class Client:
         kind = message.BodyType()
         if kind == Body.Body.Welcome:
             self.welcome = body
+            self.recording = body.Recording()
             if not body.Resumed():
                 self.replica = Replica()
                 self._awaiting_snapshot = True
         elif kind == Body.Body.Ping:
             pairs = [("Nonce", body.Nonce()), ("PingSentNs", body.SentNs()), ("ReceivedNs", time.monotonic_ns())]
             self._send(Body.Body.Pong, lambda b: _table(b, Pong, pairs))
-        elif kind == Body.Body.Error and body.Fatal():
-            raise ConnectError(_text(body.Text()))
+        elif kind == Body.Body.Error:
+            if body.Fatal():
+                raise ConnectError(_text(body.Text()))
+            self.error = body
         elif kind == Body.Body.Bye:
             raise ConnectError(_text(body.Text()) or "the server said goodbye")
         elif kind == Body.Body.PoseReport:
             self.report = body
+            self.recording = body.Recording()
         elif kind == Body.Body.PositionsReport:
             self.positions_report = body
             if self.on_positions_report:
