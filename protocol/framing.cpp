@@ -337,10 +337,11 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
     std::memcpy(&size, prefix_, kPrefixBytes);
     if (size < kMinMessageBytes || size > max_bytes_) {
       failed_ = true;
-      error_ = "length prefix: " + std::to_string(size) + " bytes, accepted are " +
-               std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
       if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
-        error_ += " (it reads HTTP: a port for WebSockets?)";
+        error_ =
+            "the port speaks HTTP, not the binary protocol: give the other port, or ws:// before this one; ";
+      error_ += "length prefix: " + std::to_string(size) + " bytes, accepted are " +
+                std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
       return Status::Failed;
     }
     size_ = size;

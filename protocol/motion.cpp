@@ -21,6 +21,19 @@ constexpr std::array<std::string_view, kColumns> kNames{"t_s", "x_m", "y_m", "z_
 // The columns of a TUM line.
 constexpr std::array<Column, 8> kTum{kT, kX, kY, kZ, kQx, kQy, kQz, kQw};
 constexpr double kMotionQuaternionTolerance = 0.1;
+constexpr const char* kTumLine = "t x y z qx qy qz qw";
+constexpr const char* kCsvHeader = "t_s,x_m,y_m,z_m[,qw,qx,qy,qz][,button]";
+
+std::string fields_text(std::size_t n) {
+  return std::to_string(n) + (n == 1 ? " field" : " fields");
+}
+
+// At most 40 printable characters of a field, in quotes: a binary file read as text must not spill into a message.
+std::string in_quotes(std::string_view field) {
+  std::string text = "'";
+  for (const char c : field.substr(0, 40)) text += c >= ' ' && c <= '~' ? c : '?';
+  return text + (field.size() > 40 ? "...'" : "'");
+}
 
 std::string_view trim(std::string_view text) {
   constexpr std::string_view kSpace = " \t\r\n";
@@ -81,7 +94,8 @@ std::optional<std::int64_t> parse_seconds(std::string_view text) {
 
 class MotionReader {
  public:
-  MotionReader(std::istream& in, const std::string& name) : in_(in), name_(name) {}
+  MotionReader(std::istream& in, const std::string& name, Times times)
+      : in_(in), name_(name), times_(times) {}
 
   Motion read() {
     std::string_view line;
@@ -89,25 +103,50 @@ class MotionReader {
       if (line.starts_with('#')) continue;
       if (!known_) {
         known_ = true;
-        csv_ = line.find(',') != std::string_view::npos;
-        if (csv_) {
+        motion_.csv = line.find(',') != std::string_view::npos;
+        if (motion_.csv) {
           read_names(line);
           continue;
         }
+        check_first_tum(line);
         motion_.has_orientation = true;
       }
-      const auto fields = csv_ ? split_commas(line) : split_spaces(line);
-      csv_ ? take_csv(fields) : take_tum(fields);
+      const auto fields = motion_.csv ? split_commas(line) : split_spaces(line);
+      motion_.csv ? take_csv(fields) : take_tum(fields);
       add_sample();
     }
-    if (motion_.samples.empty())
-      fail("no sample; accepted are TUM lines (t x y z qx qy qz qw) or CSV with a header");
+    if (motion_.samples.empty()) fail_without_samples();
+    if (motion_.not_rising > 0) {
+      motion_.warning = skipped_warning(name_, motion_.not_rising,
+                                        motion_.samples.size() + motion_.not_rising, first_skipped_);
+    }
     return std::move(motion_);
   }
 
  private:
   [[noreturn]] void fail(const std::string& what) const {
     throw MotionError(name_ + ":" + std::to_string(line_number_) + ": " + what);
+  }
+
+  // The first line can be no part of a motion.
+  [[noreturn]] void fail_unknown(const std::string& what) const {
+    throw NotAMotion(name_ + ":" + std::to_string(line_number_) + ": " + what);
+  }
+
+  [[noreturn]] void fail_without_samples() const {
+    const std::string what = line_number_ == 0 ? "the file is empty"
+                             : !known_         ? "no samples, only comments and empty lines"
+                                               : "no samples behind the header";
+    throw NotAMotion(name_ + ": " + what + "; accepted are TUM lines (" + kTumLine +
+                     ") or CSV with the header " + kCsvHeader);
+  }
+
+  void check_first_tum(std::string_view line) const {
+    const std::string_view first = line.substr(0, line.find_first_of(" \t"));
+    if (!parse_number(first)) {
+      fail_unknown("not a motion: it begins with " + in_quotes(first) + "; accepted are TUM lines (" +
+                   kTumLine + ") or CSV with the header " + kCsvHeader);
+    }
   }
 
   // The next line that is not empty, without the space around it; false at the end.
@@ -118,7 +157,9 @@ class MotionReader {
       while ((c = in_.get()) != std::istream::traits_type::eof() && c != '\n') {
         if (text_.size() == kMaxMotionLineBytes) {
           ++line_number_;
-          fail("line of more than " + std::to_string(kMaxMotionLineBytes) + " bytes");
+          const std::string what = "line of more than " + std::to_string(kMaxMotionLineBytes) + " bytes";
+          if (!known_) fail_unknown(what + "; accepted are the lines of a motion");
+          fail(what);
         }
         text_.push_back(static_cast<char>(c));
       }
@@ -142,8 +183,10 @@ class MotionReader {
     }
     names_ = names.size();
     for (const Column c : {kT, kX, kY, kZ}) {
-      if (!place_[c])
-        fail("no column " + std::string(kNames[c]) + "; accepted are t_s,x_m,y_m,z_m[,qw,qx,qy,qz][,button]");
+      if (!place_[c]) {
+        fail_unknown("no column " + std::string(kNames[c]) + "; accepted are " + kCsvHeader +
+                     " in the first line, found " + in_quotes(line));
+      }
     }
     const bool any = place_[kQw] || place_[kQx] || place_[kQy] || place_[kQz];
     motion_.has_orientation = place_[kQw] && place_[kQx] && place_[kQy] && place_[kQz];
@@ -154,7 +197,7 @@ class MotionReader {
 
   void take_csv(const std::vector<std::string_view>& fields) {
     if (fields.size() != names_) {
-      fail(std::to_string(fields.size()) + " fields where the header has " + std::to_string(names_));
+      fail(fields_text(fields.size()) + " where the header has " + std::to_string(names_));
     }
     for (std::size_t c = 0; c < kColumns; ++c) {
       if (place_[c]) take(static_cast<Column>(c), fields[*place_[c]]);
@@ -163,7 +206,7 @@ class MotionReader {
 
   void take_tum(const std::vector<std::string_view>& fields) {
     if (fields.size() != kTum.size()) {
-      fail(std::to_string(fields.size()) + " fields, accepted are 8: t x y z qx qy qz qw");
+      fail(fields_text(fields.size()) + ", accepted are 8: " + kTumLine);
     }
     for (std::size_t i = 0; i < kTum.size(); ++i) take(kTum[i], fields[i]);
   }
@@ -171,13 +214,13 @@ class MotionReader {
   void take(Column column, std::string_view text) {
     if (column == kT) {
       const auto ns = parse_seconds(text);
-      if (!ns) fail("t_s is '" + std::string(text) + "', accepted are seconds within +-9e9");
+      if (!ns) fail("t_s is " + in_quotes(text) + ", accepted are seconds within +-9e9");
       sample_.source_ns = *ns;
       return;
     }
     const auto value = parse_number(text);
     if (!value)
-      fail(std::string(kNames[column]) + " is '" + std::string(text) + "', accepted are finite numbers");
+      fail(std::string(kNames[column]) + " is " + in_quotes(text) + ", accepted are finite numbers");
     if (column >= kX && column <= kZ && std::abs(*value) > kMaxCoordinate) {
       fail(std::string(kNames[column]) + " is " + std::string(text) +
            ", accepted are coordinates within +-1e6 m");
@@ -207,7 +250,7 @@ class MotionReader {
       default:
         if (*value < 0 || *value > std::numeric_limits<std::uint32_t>::max() ||
             *value != std::floor(*value)) {
-          fail("button is '" + std::string(text) + "', accepted are whole numbers from 0 to 4294967295");
+          fail("button is " + in_quotes(text) + ", accepted are whole numbers from 0 to 4294967295");
         }
         sample_.buttons = static_cast<std::uint32_t>(*value);
     }
@@ -223,14 +266,10 @@ class MotionReader {
       q = {q.w / length, q.x / length, q.y / length, q.z / length};
     }
     if (!motion_.samples.empty()) {
-      const PoseSample& last = motion_.samples.back();
-      if (sample_ == last) {
-        ++motion_.repeated;
+      const std::int64_t last_ns = motion_.samples.back().source_ns;
+      if (sample_.source_ns <= last_ns) {
+        skip("time " + seconds_text(sample_.source_ns) + " after " + seconds_text(last_ns));
         return;
-      }
-      if (sample_.source_ns <= last.source_ns) {
-        fail("time " + std::to_string(sample_.source_ns) + " ns after " + std::to_string(last.source_ns) +
-             " ns, accepted are rising times");
       }
     }
     if (motion_.samples.size() == kMaxMotionSamples) {
@@ -239,12 +278,18 @@ class MotionReader {
     motion_.samples.push_back(sample_);
   }
 
+  void skip(const std::string& what) {
+    if (times_ == Times::kRefuse) fail(what + ", accepted are rising times");
+    if (motion_.not_rising++ == 0) first_skipped_ = "line " + std::to_string(line_number_) + ": " + what;
+  }
+
   std::istream& in_;
   const std::string& name_;
+  const Times times_;
+  std::string first_skipped_;
   std::size_t line_number_ = 0;
   std::string text_;
   bool known_ = false;  // the format
-  bool csv_ = false;
   std::array<std::optional<std::size_t>, kColumns> place_;
   std::size_t names_ = 0;
   PoseSample sample_;
@@ -253,14 +298,32 @@ class MotionReader {
 
 }  // namespace
 
-Motion read_motion(std::istream& in, const std::string& name) {
-  return MotionReader(in, name).read();
+std::string seconds_text(std::int64_t ns) {
+  // Unsigned, so that the most negative number has an absolute value.
+  const std::uint64_t all = ns < 0 ? -static_cast<std::uint64_t>(ns) : static_cast<std::uint64_t>(ns);
+  std::string text = (ns < 0 ? "-" : "") + std::to_string(all / 1'000'000'000);
+  std::string digits = std::to_string(1'000'000'000 + all % 1'000'000'000);
+  digits.front() = '.';
+  digits.erase(digits.find_last_not_of('0') + 1);
+  if (digits.size() > 1) text += digits;
+  return text + " s";
 }
 
-Motion read_motion(const std::string& path) {
+std::string skipped_warning(const std::string& name, std::size_t skipped, std::size_t samples,
+                            const std::string& first) {
+  return name + ": skipped " + std::to_string(skipped) + " of " + std::to_string(samples) +
+         (skipped == 1 ? " samples: its time does not rise (" : " samples: their times do not rise (first ") +
+         first + "); --strict refuses such files";
+}
+
+Motion read_motion(std::istream& in, const std::string& name, Times times) {
+  return MotionReader(in, name, times).read();
+}
+
+Motion read_motion(const std::string& path, Times times) {
   std::ifstream in(path, std::ios::binary);
   if (!in) throw MotionError(path + ": cannot be opened");
-  return read_motion(in, path);
+  return read_motion(in, path, times);
 }
 
 BladeEdge parse_blade(const std::string& option, const std::string& text) {

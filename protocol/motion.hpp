@@ -15,28 +15,41 @@ namespace incise::protocol {
 struct MotionError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
+// Nothing in the file looks like a motion: its first line is neither a TUM line nor a CSV header.
+struct NotAMotion : MotionError {
+  using MotionError::MotionError;
+};
 
 struct Motion {
   std::vector<PoseSample> samples;  // times strictly rising, quaternions of unit length
+  bool csv = false;                 // else TUM
   bool has_orientation = false;     // else every orientation is the identity
   bool has_buttons = false;         // else no button is ever held
-  std::size_t repeated = 0;         // samples dropped because the one before has the same time and pose
+  std::size_t not_rising = 0;       // samples skipped because their time is not later than the one before
+  std::string warning;              // says how many were skipped and where the first is; else empty
 };
+
+// What to do with a sample whose time is not later than that of the one before.
+enum class Times { kSkip, kRefuse };
 
 // Reads a motion. Lines that begin with # and empty lines are passed over. Two formats, told apart by the
 // first other line:
 //
 // - TUM (no comma): `t x y z qx qy qz qw`, seconds and metres.
 // - CSV: a header names the columns, in any order: t_s, x_m, y_m, z_m; qw, qx, qy, qz (all or none); button
-// (a mask,
-//   bit i: button i is held). Other columns are passed over.
+//   (a mask, bit i: button i is held). Other columns are passed over.
 //
-// Times keep their nanoseconds and must rise; a sample that repeats time and pose of the one before is
-// dropped. Quaternions may be off unit length by 10 % and are normalised; q and -q are one rotation. Throws
-// MotionError.
-Motion read_motion(std::istream& in, const std::string& name);
+// Times keep their nanoseconds; a sample whose time does not rise is skipped or refused. Quaternions may be off unit
+// length by 10 % and are normalised; q and -q are one rotation. Throws MotionError.
+Motion read_motion(std::istream& in, const std::string& name, Times times = Times::kSkip);
 // The same from a file.
-Motion read_motion(const std::string& path);
+Motion read_motion(const std::string& path, Times times = Times::kSkip);
+
+// "12.345 s": nanoseconds as a file has them, in seconds, every digit.
+std::string seconds_text(std::int64_t ns);
+// The warning of a file in which `skipped` of `samples` samples were skipped; `first` says where and what the first was.
+std::string skipped_warning(const std::string& name, std::size_t skipped, std::size_t samples,
+                            const std::string& first);
 
 // A blade as command lines give it: `hx,hy,hz:tx,ty,tz`, heel and tip in the tool's frame, metres. Throws MotionError
 // naming the option, what was found and what is accepted.

@@ -13,6 +13,9 @@
 namespace incise::client {
 namespace {
 
+// What incised listens on where its configuration does not say otherwise.
+constexpr std::uint16_t kTcpPort = 7450, kHttpPort = 7480;
+
 volatile std::sig_atomic_t g_interrupted = 0;
 
 void on_signal(int) {
@@ -51,9 +54,10 @@ Address parse_address(const std::string& text) {
       {"wss://", {TransportKind::kWebSocket, true}},
   }};
   const auto fail = [&]() -> std::invalid_argument {
-    return std::invalid_argument(
-        "server \"" + text +
-        "\": accepted is HOST:PORT, with tcp://, tls://, ws:// or wss:// before it or not");
+    return std::invalid_argument("server \"" + text +
+                                 "\": accepted is HOST or HOST:PORT (without a port: 7450, with ws:// or "
+                                 "wss:// 7480), behind tcp://, tls://, "
+                                 "ws:// or wss:// if you like, an IPv6 address in brackets");
   };
   Address address;
   std::string rest = text;
@@ -63,19 +67,36 @@ Address parse_address(const std::string& text) {
     rest = rest.substr(std::string(prefix).size());
     break;
   }
-  const std::size_t colon = rest.rfind(':');
-  if (colon == std::string::npos || colon == 0) throw fail();
+  // A colon within brackets belongs to an IPv6 address.
+  const std::size_t bracket = rest.rfind(']');
+  std::size_t colon = rest.rfind(':');
+  if (bracket != std::string::npos && colon < bracket) colon = std::string::npos;
   address.host = rest.substr(0, colon);
-  if (address.host.front() == '[' && address.host.back() == ']') {
+  if (!address.host.empty() && address.host.front() == '[' && address.host.back() == ']') {
     address.host = address.host.substr(1, address.host.size() - 2);
-  } else if (address.host.find_first_of("/:@ ") != std::string::npos) {
+  } else if (address.host.find_first_of("/:@[] ") != std::string::npos) {
     throw fail();
+  }
+  if (address.host.empty()) throw fail();
+  if (colon == std::string::npos) {
+    address.port = address.transport == TransportKind::kTcp ? kTcpPort : kHttpPort;
+    return address;
   }
   const char* begin = rest.data() + colon + 1;
   const char* end = rest.data() + rest.size();
   const auto [stop, error] = std::from_chars(begin, end, address.port);
-  if (error != std::errc() || stop != end || address.port == 0 || address.host.empty()) throw fail();
+  if (error != std::errc() || stop != end || address.port == 0) throw fail();
   return address;
+}
+
+std::unique_ptr<Client> connect(const Address& where, const Options& options, Callbacks callbacks) {
+  try {
+    return Client::connect(where.host, where.port, options, std::move(callbacks));
+  } catch (const ConnectError& error) {
+    const std::string text = error.what();
+    if (text.find("Connection refused") == std::string::npos) throw;
+    throw ConnectError(text + "; does incised run there, on that port? It prints its ports when it starts");
+  }
 }
 
 Options ServerOptions::options(Address& where) const {
@@ -102,7 +123,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
     sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")
         ->required()
         ->check(CLI::ExistingFile);
-    sub->add_option("--to", command->server.address, "[tcp://|tls://|ws://|wss://]HOST:PORT")->required();
+    sub->add_option("--to", command->server.address,
+                    "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
+        ->required();
     sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
         ->check(CLI::Range(0.0, 1000.0))
         ->capture_default_str();
@@ -111,7 +134,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
     sub->add_option(
         "--blade", command->blade,
         "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade");
-    sub->add_flag("--take-over", command->take_over, "take the blade from whoever holds it");
+    sub->add_flag("--take-over", command->take_over, "take the blade from the client that holds it");
+    sub->add_flag("--strict", command->strict,
+                  "refuse a motion whose times do not rise, instead of skipping samples");
     sub->add_flag("--json", command->json, "print the summary as JSON");
     add_server_options(*sub, command->server);
     sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
@@ -119,7 +144,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
   {
     auto command = std::make_shared<WatchCommand>();
     CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
-    sub->add_option("server", command->server.address, "[tcp://|tls://|ws://|wss://]HOST:PORT")->required();
+    sub->add_option("server", command->server.address,
+                    "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
+        ->required();
     sub->add_option("--view", command->view, "what to hold a replica of")
         ->check(CLI::IsMember({"volume", "surface"}))
         ->capture_default_str();

@@ -15,7 +15,8 @@ class App;
 
 namespace incise::client {
 
-// Where a server is: [tcp://|tls://|ws://|wss://]HOST:PORT, an IPv6 address in brackets. Plain is tcp.
+// Where a server is: [tcp://|tls://|ws://|wss://]HOST[:PORT], an IPv6 address in brackets. Plain is tcp; without a port it
+// is the one that incised listens on by default.
 struct Address {
   std::string host;
   std::uint16_t port = 0;
@@ -40,6 +41,7 @@ struct StreamCommand {
   std::string source_name = "blade";
   std::string blade;  // hx,hy,hz:tx,ty,tz; empty: the server's
   bool take_over = false;
+  bool strict = false;  // refuse a motion whose times do not rise
   bool json = false;
 };
 // Plays a motion against a server; waits until the server has dealt with every pose. 0: it has.
@@ -61,6 +63,9 @@ int run_watch(const WatchCommand& command);
 
 // Adds the commands to `incise`; the one that runs sets the program's exit code.
 void add_network_commands(CLI::App& app, int& exit_code);
+
+// Client::connect, and where nobody listens there, what to do about it. Throws ConnectError.
+std::unique_ptr<Client> connect(const Address& where, const Options& options, Callbacks callbacks);
 
 // Whether the program has been asked to end (SIGINT, SIGTERM), from the first call on: a second signal kills
 // it.

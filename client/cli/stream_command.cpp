@@ -22,41 +22,73 @@ constexpr std::size_t kAtOnce = 1000;                // poses in a message when 
 constexpr std::int64_t kLoopPause_ns = 500'000'000;  // between two rounds: a new stroke
 constexpr double kPatience_s = 10;                   // without any progress of the server's
 
-// The poses of a file: a capture's first source, or a motion. Those of a motion without buttons hold the
-// button that engages, or nothing would be cut.
-std::vector<PoseSample> read_poses(const std::filesystem::path& path, std::int32_t engage_button) {
-  std::ifstream in(path, std::ios::binary);
-  if (!in) throw std::runtime_error(path.string() + ": cannot be opened");
+void warn(const std::string& text) {
+  std::fprintf(stderr, "warning: %s\n", text.c_str());
+}
+
+// The poses of a capture's first source, those whose time does not rise left out or refused.
+std::vector<PoseSample> read_capture_poses(protocol::CaptureReader& capture, const StreamCommand& command) {
+  std::vector<PoseSample> poses;
+  protocol::CaptureRecord record;
+  std::optional<std::uint32_t> source;
+  std::size_t skipped = 0;
+  std::string first;
+  while (capture.next(record) == protocol::CaptureReader::Status::Record) {
+    const auto* pose = std::get_if<protocol::PoseRecord>(&record);
+    if (!pose || pose->source != source.value_or(pose->source)) continue;
+    source = pose->source;
+    if (poses.empty() || pose->pose.source_ns > poses.back().source_ns) {
+      poses.push_back(pose->pose);
+      continue;
+    }
+    if (skipped++ > 0) continue;
+    first = "time " + protocol::seconds_text(pose->pose.source_ns) + " after " +
+            protocol::seconds_text(poses.back().source_ns);
+    if (command.strict)
+      throw std::runtime_error(command.poses.string() + ": " + first + ", accepted are rising times");
+  }
+  if (skipped > 0) {
+    warn(protocol::skipped_warning(command.poses.string(), skipped, poses.size() + skipped, first));
+  }
+  return poses;
+}
+
+// The poses of a file. Those of a motion without buttons hold the button that engages, or nothing would be cut.
+std::vector<PoseSample> read_poses(const StreamCommand& command, std::int32_t engage_button) {
+  const std::string name = command.poses.string();
+  std::ifstream in(command.poses, std::ios::binary);
+  if (!in) throw std::runtime_error(name + ": cannot be opened");
   protocol::CaptureReader capture(in);
   std::vector<PoseSample> poses;
   if (capture.header_ok()) {
-    protocol::CaptureRecord record;
-    std::optional<std::uint32_t> source;
-    while (capture.next(record) == protocol::CaptureReader::Status::Record) {
-      const auto* pose = std::get_if<protocol::PoseRecord>(&record);
-      if (!pose || pose->source != source.value_or(pose->source)) continue;
-      source = pose->source;
-      poses.push_back(pose->pose);
-    }
+    poses = read_capture_poses(capture, command);
   } else {
-    protocol::Motion motion = protocol::read_motion(path.string());
+    protocol::Motion motion =
+        protocol::read_motion(name, command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip);
+    if (!motion.warning.empty()) warn(motion.warning);
     poses = std::move(motion.samples);
     if (!motion.has_buttons && engage_button >= 0) {
       for (PoseSample& pose : poses) pose.buttons |= 1u << engage_button;
     }
   }
-  if (poses.empty()) throw std::runtime_error(path.string() + ": there is no pose in it");
+  if (poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
   return poses;
 }
 
+// What has been cut, as far as it has come here.
+struct Seen {
+  std::atomic<std::uint64_t> last_cut{0};  // revision of the last batch
+  std::atomic<bool> faces{false};          // that some face opened
+};
+
 class Player {
  public:
-  Player(const StreamCommand& command, Client& client, const std::atomic<std::uint64_t>& last_cut)
+  Player(const StreamCommand& command, Client& client, const Seen& seen)
       : command_(command),
         client_(client),
-        poses_(read_poses(command.poses, client.welcome().engage_button)),
+        poses_(read_poses(command, client.welcome().engage_button)),
         welcome_(client.welcome()),
-        last_cut_(last_cut) {}
+        seen_(seen) {}
 
   int run() {
     const auto began = steady_clock::now();
@@ -111,12 +143,12 @@ class Player {
   // on.
   bool wait_until_settled() {
     protocol::PoseReport last = client_.report();
-    std::uint64_t last_cut = last_cut_;
+    std::uint64_t last_cut = seen_.last_cut;
     auto progress = steady_clock::now();
     while (connected()) {
       std::this_thread::sleep_for(10 * kStep);
       const protocol::PoseReport report = client_.report();
-      const std::uint64_t cut = last_cut_;  // a body that a simulation deforms always has news
+      const std::uint64_t cut = seen_.last_cut;  // a body that a simulation deforms always has news
       if (report.through_sequence != last.through_sequence || report.accepted != last.accepted ||
           report.backlog_segments != last.backlog_segments || cut != last_cut) {
         progress = steady_clock::now();
@@ -142,6 +174,12 @@ class Player {
       std::fprintf(stderr,
                    "incise: %" PRIu64 " of %" PRIu64 " accepted poses are not in the server's capture\n",
                    r.accepted - r.recorded, r.accepted);
+    }
+    if (settled && !seen_.faces) {
+      warn(std::string("nothing was cut: ") +
+           (r.too_fast > 0
+                ? "the server took steps for jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
+                : "the blade missed the mesh, never moved, or no pose held the button that engages it"));
     }
     if (command_.json) {
       const nlohmann::ordered_json summary{{"poses_sent", sent_},
@@ -173,14 +211,14 @@ class Player {
     }
     std::printf("; %" PRIu64 " new strokes by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
                 r.too_fast, welcome_.revision, revision);
-    if (!settled) std::printf("the server has not dealt with all of them\n");
+    if (!settled) std::printf("the server has not taken and cut all of them within %.0f s\n", kPatience_s);
   }
 
   const StreamCommand& command_;
   Client& client_;
   const std::vector<PoseSample> poses_;
   const protocol::Welcome welcome_;
-  const std::atomic<std::uint64_t>& last_cut_;  // revision of the last batch that has been seen here
+  const Seen& seen_;
   std::uint64_t rounds_ = 0, sent_ = 0, last_sequence_ = 0;
   std::int64_t last_source_ns_ = 0;
   double seconds_ = 0;
@@ -208,15 +246,16 @@ int run_stream(const StreamCommand& command) {
     const bool before = std::exchange(stopped, report.recording == protocol::Recording::Stopped);
     if (before && !stopped) std::fprintf(stderr, "incise: server: poses are recorded again\n");
   };
-  std::atomic<std::uint64_t> last_cut{0};
+  Seen seen;
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
     for (const protocol::Step& step : delta.steps) {
-      if (step.stroke != 0) last_cut = step.revision;
+      if (step.stroke != 0) seen.last_cut = step.revision;
+      if (step.cut_area_m2 > 0) seen.faces = true;
     }
   };
-  const auto client = Client::connect(where.host, where.port, options, std::move(callbacks));
-  return Player(command, *client, last_cut).run();
+  const auto client = connect(where, options, std::move(callbacks));
+  return Player(command, *client, seen).run();
 }
 
 }  // namespace incise::client

@@ -30,17 +30,45 @@ double percentile(std::vector<double>& values, double p) {
   return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
+double area_of(const protocol::Vec3& a, const protocol::Vec3& b, const protocol::Vec3& c) {
+  const double ux = b.x - a.x, uy = b.y - a.y, uz = b.z - a.z, wx = c.x - a.x, wy = c.y - a.y, wz = c.z - a.z;
+  return std::hypot(uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx) / 2;
+}
+
+// Of one side: both are there.
 double cut_area_of(const protocol::Replica& mesh) {
   double area = 0;
   mesh.for_each_boundary_face([&](std::uint32_t t, int face) {
     if (!(mesh.cut_mask(t) >> face & 1)) return;
     const auto v = mesh.face_vertices(t, face);
-    const protocol::Vec3 a = mesh.position(v[0]), b = mesh.position(v[1]), c = mesh.position(v[2]);
-    const double ux = b.x - a.x, uy = b.y - a.y, uz = b.z - a.z, wx = c.x - a.x, wy = c.y - a.y,
-                 wz = c.z - a.z;
-    area += std::hypot(uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx) / 2;
+    area += area_of(mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]));
   });
-  return area / 2;  // both sides are there
+  return area / 2;
+}
+
+double cut_area_of(const protocol::SurfaceReplica& surface) {
+  double area = 0;
+  for (const auto& [id, triangle] : surface.triangles()) {
+    if (!(triangle.flags & 1)) continue;
+    protocol::Vec3 corner[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto& p = surface.vertices().find(triangle.vertices[k])->position;
+      corner[k] = {p[0], p[1], p[2]};
+    }
+    area += area_of(corner[0], corner[1], corner[2]);
+  }
+  return area / 2;
+}
+
+// A server sends statistics once a second and answers pings: less often heard, and it does not run.
+constexpr double kUnheard_s = 2.5;
+
+// Two percentiles of what was measured; nothing of nothing.
+std::string milliseconds(std::vector<double>& values) {
+  if (values.empty()) return "-";
+  char text[64];
+  std::snprintf(text, sizeof text, "%.2f/%.2f ms", percentile(values, 50), percentile(values, 99));
+  return text;
 }
 
 // What came since the last line. Filled on the client's thread, taken on the printer's.
@@ -59,7 +87,7 @@ class Watcher {
     options.view = command_.view == "surface" ? View::Surface : View::Volume;
     options.max_rate_hz = static_cast<float>(command_.max_rate_hz);
     options.reconnect = true;
-    client_ = Client::connect(where.host, where.port, options, callbacks());
+    client_ = connect(where, options, callbacks());
     connected_ = client_.get();
     const auto began = steady_clock::now();
     auto next = began + std::chrono::seconds(1);
@@ -70,6 +98,7 @@ class Watcher {
       reached = command_.until_revision && client_->wait_for_revision(*command_.until_revision, 0.02);
       if (!command_.until_revision) std::this_thread::sleep_for(std::chrono::milliseconds(20));
       const auto now = steady_clock::now();
+      listen(now);
       if (now >= next) {
         print_line();
         next += std::chrono::seconds(1);
@@ -118,6 +147,24 @@ class Watcher {
     return text;
   }
 
+  // Notes when the server was last heard, and when its loop last made a frame.
+  void listen(steady_clock::time_point now) {
+    if (const std::uint64_t messages = client_->counters().messages_in; messages != messages_) {
+      messages_ = messages;
+      heard_ = now;
+    }
+    const std::scoped_lock lock(mutex_);
+    const std::uint64_t frames = stats_ ? stats_->frames : 0;
+    if (frames != frames_ || frames == 0) frame_ = now;
+    frames_ = frames;
+  }
+  double unheard_s() const { return seconds_since(heard_); }
+  // How long the loop has stood, by what the server says of it.
+  double stalled_s() const { return unheard_s() > kUnheard_s ? 0 : seconds_since(frame_); }
+  static double seconds_since(steady_clock::time_point then) {
+    return std::chrono::duration<double>(steady_clock::now() - then).count();
+  }
+
   Callbacks callbacks() {
     Callbacks c;
     c.on_delta = [this](const protocol::Replica&, const protocol::Delta& d, const Arrival& a) {
@@ -128,8 +175,12 @@ class Watcher {
       live_tets_ = d.live_tets;
       note(d.steps, a);
     };
+    c.on_welcome = [this](const protocol::Welcome& welcome) {
+      if (welcome.revision == 0) live_tets_ = welcome.mesh.tets;
+    };
     c.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) { count_area_ = true; };
     c.on_stats = [this](const protocol::Stats& stats) {
+      live_tets_ = stats.live_tets;
       const std::scoped_lock lock(mutex_);
       stats_ = stats;
     };
@@ -160,11 +211,12 @@ class Watcher {
 
   void measure(std::uint32_t& tets, std::size_t& pieces) {
     if (command_.view == "surface") {
-      tets = live_tets_;
       std::set<std::uint32_t> ids;
       client_->read_surface([&](const protocol::SurfaceReplica& s) {
         for (const auto& [id, triangle] : s.triangles()) ids.insert(triangle.piece);
+        count_area(s);
       });
+      tets = live_tets_;
       pieces = ids.size();
       return;
     }
@@ -176,11 +228,16 @@ class Watcher {
         if (mesh.piece(t) != last) ids.insert(last = mesh.piece(t));
       });
       pieces = ids.size();
-      if (count_area_.exchange(false)) {
-        const std::scoped_lock lock(mutex_);
-        cut_area_ = cut_area_of(mesh);
-      }
+      count_area(mesh);
     });
+  }
+
+  // What was cut before the snapshot.
+  template <class Held>
+  void count_area(const Held& held) {
+    if (!count_area_.exchange(false)) return;
+    const std::scoped_lock lock(mutex_);
+    cut_area_ = cut_area_of(held);
   }
 
   void print_line() {
@@ -210,6 +267,8 @@ class Watcher {
       nlohmann::ordered_json line{
           {"revision", revision},
           {"connected", client_->status() == Status::kConnected},
+          {"unheard_s", unheard_s()},
+          {"stalled_s", stalled_s()},
           {"revisions_per_s", steps_s},
           {"deltas_per_s", deltas_s},
           {"bytes_per_s", bytes_s},
@@ -219,7 +278,7 @@ class Watcher {
            {{"p50", percentile(w.cut_to_here_ms, 50)}, {"p99", percentile(w.cut_to_here_ms, 99)}}},
           {"pose_to_here_ms",
            {{"p50", percentile(w.pose_to_here_ms, 50)}, {"p99", percentile(w.pose_to_here_ms, 99)}}},
-          {"tets", tets},
+          {"tets", tets > 0 ? nlohmann::ordered_json(tets) : nlohmann::ordered_json()},
           {"pieces", pieces},
           {"cut_area_m2", area},
           {"snapshots", now.snapshots},
@@ -237,14 +296,20 @@ class Watcher {
       }
       std::printf("%s\n", line.dump().c_str());
     } else {
-      std::printf("%srevision %" PRIu64
-                  "  %.0f/s  pose to cut %.2f/%.2f ms  cut to here %.2f/%.2f ms (p50/p99)  "
-                  "%u tets  %zu pieces  cut %.2f cm2  %.1f kB/s%s%s",
-                  terminal_ ? "\r\x1b[K" : "", revision, steps_s, percentile(w.pose_to_cut_ms, 50),
-                  percentile(w.pose_to_cut_ms, 99), percentile(w.cut_to_here_ms, 50),
-                  percentile(w.cut_to_here_ms, 99), tets, pieces, 1e4 * area, 1e-3 * bytes_s,
-                  client_->status() == Status::kConnected ? "" : "  (connecting again)",
-                  terminal_ ? "" : "\n");
+      std::printf("%srevision %" PRIu64 "  ", terminal_ ? "\r\x1b[K" : "", revision);
+      if (client_->status() != Status::kConnected) {
+        std::printf("connecting again");
+      } else if (unheard_s() > kUnheard_s) {
+        std::printf("no word from the server for %.0f s", unheard_s());
+      } else if (stalled_s() > kUnheard_s) {
+        std::printf("the server's loop has stood for %.0f s", stalled_s());
+      } else {
+        std::printf(
+            "%.0f/s  pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2  %.1f kB/s",
+            steps_s, milliseconds(w.pose_to_cut_ms).c_str(), milliseconds(w.cut_to_here_ms).c_str(),
+            tets > 0 ? std::to_string(tets).c_str() : "-", pieces, 1e4 * area, 1e-3 * bytes_s);
+      }
+      if (!terminal_) std::printf("\n");
     }
     std::fflush(stdout);
   }
@@ -271,6 +336,8 @@ class Watcher {
   std::atomic<std::uint32_t> live_tets_{0};
   std::atomic<const Client*> connected_{nullptr};
   std::optional<steady_clock::time_point> gone_since_;  // without a connection
+  steady_clock::time_point heard_ = steady_clock::now(), frame_ = heard_;
+  std::uint64_t messages_ = 0, frames_ = 0;
   Counters before_;
   steady_clock::time_point printed_ = steady_clock::now();
   std::unique_ptr<Client> client_;  // last: its thread calls into all above

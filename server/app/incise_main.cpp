@@ -1,8 +1,14 @@
 // incise: the command-line client. Commands that need a server are those of client/cli; the others work on files.
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdio>
 #include <exception>
+#include <numeric>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
 
 #include "server/app/manual.hpp"
 #include "server/app/offline/commands.hpp"
@@ -10,6 +16,63 @@
 #if INCISE_NETWORK_COMMANDS
 #include "client/cli/commands.hpp"
 #endif
+
+namespace {
+
+// How many letters must change, come or go to make one word of the other.
+std::size_t distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  std::iota(row.begin(), row.end(), std::size_t{0});
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = std::exchange(row[0], i);
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = std::exchange(row[j], std::min({row[j] + 1, row[j - 1] + 1, replaced}));
+    }
+  }
+  return row.back();
+}
+
+// The word that was probably meant; empty where none is near.
+std::string meant(const std::string& word, const std::vector<std::string>& known) {
+  std::string best;
+  std::size_t least = 1 + std::min<std::size_t>(word.size() / 3, 3);
+  for (const std::string& one : known) {
+    const std::size_t off = one.rfind(word, 0) == 0 && word.size() > 3 ? 1 : distance(word, one);
+    if (off >= least) continue;
+    least = off;
+    best = one;
+  }
+  return best;
+}
+
+// What is wrong with a command line: an option or a command that does not exist comes first, since what else is missing
+// often follows from it.
+std::string problem(const CLI::App& app, int argc, char** argv, const std::string& otherwise) {
+  const bool called = !app.get_subcommands().empty();
+  const CLI::App& command = called ? *app.get_subcommands().front() : app;
+  const auto unknown = [](const std::string& what, const std::string& word,
+                          const std::vector<std::string>& known) {
+    const std::string probably = meant(word, known);
+    return "unknown " + what + " " + word + (probably.empty() ? "" : " (did you mean " + probably + "?)");
+  };
+  std::vector<std::string> options, commands;
+  for (const CLI::Option* option : command.get_options()) {
+    for (const std::string& name : option->get_lnames()) options.push_back("--" + name);
+  }
+  for (const CLI::App* sub : app.get_subcommands([](const CLI::App*) { return true; }))
+    commands.push_back(sub->get_name());
+  if (!called && argc > 1 && argv[1][0] != '-') return unknown("command", argv[1], commands);
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = std::string(argv[i]).substr(0, std::string(argv[i]).find('='));
+    if (word == "--") break;
+    if (word.rfind("--", 0) == 0 && std::find(options.begin(), options.end(), word) == options.end())
+      return unknown("option", word, options);
+  }
+  return otherwise;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app("Cut tetrahedral meshes with a moving blade: on files, or with a running incised.", "incise");
@@ -28,7 +91,7 @@ int main(int argc, char** argv) {
     // --help and --version end as an "error" of code 0.
     if (error.get_exit_code() == 0) return app.exit(error);
     std::fprintf(
-        stderr, "incise: %s; see incise %s--help\n", error.what(),
+        stderr, "incise: %s; see incise %s--help\n", problem(app, argc, argv, error.what()).c_str(),
         app.get_subcommands().empty() ? "" : (app.get_subcommands().front()->get_name() + " ").c_str());
     return 2;
   } catch (const std::exception& error) {

@@ -108,7 +108,8 @@ std::string man_page(const CLI::App& app, int section) {
   text +=
       ".SH EXIT STATUS\n0: done. 1: it could not be done; one line on the standard error says why. 2: the "
       "command "
-      "line is wrong.\n";
+      "line is wrong.";
+  text += section == 1 ? " 3, of cut: all is written, but the blade has cut nothing.\n" : "\n";
   return text + ".SH SEE ALSO\n" + (section == 8 ? "\\fBincise\\fP(1)\n" : "\\fBincised\\fP(8)\n");
 }
 

@@ -97,19 +97,19 @@ void add_sweep(SweptSurface& surface, std::span<const BladeLine> lines, double t
 
 Deviation deviation(const TetMesh& mesh, const SweptSurface& surface) {
   Deviation result;
-  if (surface.size() == 0 || !(mesh.mean_edge_length() > 0)) return result;
-  double sum_h = 0;
-  const auto sample = [&](const Vec3& p, double h) {
+  const double h = mesh.mean_edge_length();
+  if (surface.size() == 0 || !(h > 0)) return result;
+  double sum_m = 0;
+  const auto sample = [&](const Vec3& p) {
     INCISE_CHECK(is_finite(p), p.x, p.y, p.z);
     Vec3 closest;
     std::uint32_t triangle = 0;
     // Most are near: a small reach spares the search the rest of the surface.
-    double reach = 0.1 * mesh.mean_edge_length();
+    double reach = 0.1 * h;
     while (!surface.closest(p, reach, closest, triangle)) reach *= 8;
     const double d = distance(p, closest);
     ++result.samples;
-    sum_h += h > 0 ? d / h : 0;
-    result.max_h = std::max(result.max_h, h > 0 ? d / h : 0);
+    sum_m += d;
     result.max_m = std::max(result.max_m, d);
   };
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
@@ -118,16 +118,15 @@ Deviation deviation(const TetMesh& mesh, const SweptSurface& surface) {
       if (!is_cut(mesh, t, f)) continue;
       const auto face = mesh.face_vertices(half_face(t, f));
       Vec3 middle;
-      double h = 0;
       for (VertexId v : face) {
-        sample(mesh.position(v), mesh.local_h(v));
+        sample(mesh.position(v));
         middle += mesh.position(v);
-        h += mesh.local_h(v);
       }
-      sample((1.0 / 3.0) * middle, h / 3.0);
+      sample((1.0 / 3.0) * middle);
     }
   }
-  if (result.samples > 0) result.mean_h = sum_h / result.samples;
+  result.max_h = result.max_m / h;
+  if (result.samples > 0) result.mean_h = sum_m / result.samples / h;
   return result;
 }
 

@@ -48,8 +48,8 @@ std::vector<std::uint32_t> label_pieces(const TetMesh& mesh, std::uint32_t* coun
 // addition.
 void add_sweep(SweptSurface& surface, std::span<const BladeLine> lines, double tolerance_m);
 
-// How far the cut faces lie from the surface that they were to follow, at their vertices and centroids. In h:
-// the local mean edge length, of the vertex (of the three vertices' mean for a centroid).
+// How far the cut faces lie from the surface that they were to follow, at their vertices and centroids. In h: the mesh's
+// mean edge length, as everywhere, so that the same distance is the same number in fine and in coarse parts.
 struct Deviation {
   std::uint32_t samples = 0;
   double max_h = 0;

@@ -131,12 +131,15 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
     scale(loaded.mesh.positions, options.scale_to_metres);
     file = tetgen_paths(path).ele.string();
   } else if (!is_there(path)) {
-    throw MeshError(file + ": no such file");
+    throw MeshError(file + ": no such file" + (ending.empty() ? ", nor is there " + file + ".node" : ""));
+  } else if (std::filesystem::is_directory(path)) {
+    throw MeshError(file + ": is a directory; accepted is a mesh file");
   } else {
     throw MeshError(
-        file + ": the ending '" + ending +
-        "' is not a mesh's; .node, .ele (or their common name), .msh, .vtk, .vtu, .mesh, .veg, .stl, "
-        ".ply, .off and .obj are accepted");
+        file + ": cannot read a mesh from " +
+        (ending.empty() ? "a file without an ending" : "'" + ending + "'") +
+        "; tetrahedra can be .node and .ele (or their common name), .msh, .vtk, .vtu, .mesh or .veg, "
+        "a surface to fill .stl, .ply, .off or .obj");
   }
   repair_tets(loaded.mesh, file, index_base, loaded.warnings);
   loaded.content_hash = mesh_hash(loaded.mesh);
@@ -149,8 +152,8 @@ Surface read_surface(const std::filesystem::path& path, std::vector<std::string>
   if (ending == ".ply") return read_ply(path);
   if (ending == ".off") return read_off(path);
   if (ending == ".obj") return read_obj(path);
-  throw MeshError(path.string() + ": the ending '" + ending +
-                  "' is not a surface's; .stl, .ply, .off and .obj are accepted");
+  throw MeshError(path.string() + ": cannot read a surface from " + (ending.empty() ? "it" : ending) +
+                  "; save it as .stl, .ply, .off or .obj");
 }
 
 std::string mesh_hash(const core::MeshData& mesh) {
@@ -175,8 +178,8 @@ void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> p
   } else if (is_one_of(ending, {".node", ".ele"})) {
     write_tetgen(path, positions, tets, regions_in(cell_data));
   } else {
-    throw MeshError(path.string() + ": a tetrahedral mesh cannot be written with the ending '" + ending +
-                    "'; " + std::string(mesh_file_endings()) + " are accepted");
+    throw MeshError(path.string() + ": cannot write tetrahedra to '" + ending + "'; choose " +
+                    std::string(mesh_file_endings()));
   }
 }
 
@@ -200,8 +203,8 @@ void write_surface(const std::filesystem::path& path, const Surface& surface,
   } else if (ending == ".vtp") {
     write_vtp(path, surface, cell_data);
   } else {
-    throw MeshError(path.string() + ": a surface cannot be written with the ending '" + ending + "'; " +
-                    std::string(surface_file_endings()) + " are accepted");
+    throw MeshError(path.string() + ": cannot write a surface to '" + ending + "'; choose " +
+                    std::string(surface_file_endings()));
   }
 }
 

@@ -481,8 +481,8 @@ Surface read_off(const std::filesystem::path& path) {
     }
   }
   // "0 0 0" and its end of line; "3 0 1 2" and its.
-  const std::size_t vertices = in.count(first, "the number of vertices", in.remaining() / 6 + 1);
-  const std::size_t faces = in.count(first + 1, "the number of faces", in.remaining() / 8 + 1);
+  const std::size_t vertices = in.count_of_rest(first, "the number of vertices", 6);
+  const std::size_t faces = in.count_of_rest(first + 1, "the number of faces", 8);
   Surface surface;
   surface.positions.reserve(vertices);
   surface.triangles.reserve(faces);

@@ -87,7 +87,10 @@ class VtkReader {
     if (lowercase(in_.token("'DATASET'")) != "dataset") in_.fail("'DATASET' expected");
     const std::string_view kind = in_.token("the kind of data");
     if (lowercase(kind) != "unstructured_grid") {
-      in_.fail("a data set of the kind " + in_quotes(kind) + "; UNSTRUCTURED_GRID is accepted");
+      in_.fail("a data set of the kind " + in_quotes(kind) + "; UNSTRUCTURED_GRID is accepted" +
+               (lowercase(kind) == "polydata"
+                    ? ". A surface to fill can be .stl, .ply, .off or .obj: save it as one of these"
+                    : ""));
     }
   }
 

@@ -477,8 +477,8 @@ class TetRepair {
       if (p[order[i]] == p[order[i - 1]] && count++ == 0) first = order[i];
     }
     if (count == 0) return;
-    warn(std::to_string(count) + " vertices lie exactly on another one (the first at " + to_text(p[first]) +
-         "): the mesh is not connected there");
+    warn((count == 1 ? std::string("1 vertex lies") : std::to_string(count) + " vertices lie") +
+         " exactly on another one (the first at " + to_text(p[first]) + "): the mesh is not connected there");
   }
 
   MeshData& mesh_;

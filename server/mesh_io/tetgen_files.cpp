@@ -34,9 +34,13 @@ void read_nodes(const std::filesystem::path& path, core::MeshData& mesh, int& in
   const std::string text = read_whole_file(path);
   LineReader in(text, path.string());
   in.require("the header 'points dimension attributes markers'");
-  const std::size_t count =
-      in.count(0, "the number of points", std::min(kMaxTets, in.remaining() / kMinNodeLine + 1));
-  if (in.integer(1, "the dimension") != 3) in.fail("the dimension is not 3");
+  // The dimension first: a line of a plane mesh is shorter, so its count would look wrong.
+  if (const std::int64_t dimension = in.integer(1, "the dimension"); dimension != 3) {
+    in.fail("the dimension is not 3 but " + std::to_string(dimension) +
+            ": a flat mesh; accepted are tetrahedra, as TetGen writes them");
+  }
+  const std::size_t count = in.count_of_rest(0, "the number of points", kMinNodeLine);
+  if (count > kMaxTets) in.fail("more than " + std::to_string(kMaxTets) + " points");
   if (count < 4) in.fail("the number of points is " + std::to_string(count) + "; a tetrahedron needs four");
   mesh.positions.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -56,8 +60,8 @@ void read_elements(const std::filesystem::path& path, core::MeshData& mesh, int 
   const std::string text = read_whole_file(path);
   LineReader in(text, path.string());
   in.require("the header 'tetrahedra nodes attributes'");
-  const std::size_t count =
-      in.count(0, "the number of tetrahedra", std::min(kMaxTets, in.remaining() / kMinEleLine + 1));
+  const std::size_t count = in.count_of_rest(0, "the number of tetrahedra", kMinEleLine);
+  if (count > kMaxTets) in.fail("more than " + std::to_string(kMaxTets) + " tetrahedra");
   if (count == 0) in.fail("the number of tetrahedra is 0: there is nothing to cut");
   const std::int64_t nodes = in.size() > 1 ? in.integer(1, "the number of nodes a tetrahedron") : 4;
   if (nodes != 4 && nodes != 10)

@@ -21,6 +21,8 @@ struct CloseFile {
 
 }  // namespace
 
+const char* const kFit = " fit in the rest of the file: it is cut short, or the number is wrong";
+
 std::string in_quotes(std::string_view field) {
   std::string text = "'";
   for (const char c : field.substr(0, 40)) text += c >= ' ' && c <= '~' ? c : '?';
@@ -148,8 +150,16 @@ std::int64_t LineReader::integer(std::size_t i, std::string_view what) const {
 std::size_t LineReader::count(std::size_t i, std::string_view what, std::size_t limit) const {
   const std::int64_t value = integer(i, what);
   if (value < 0 || static_cast<std::uint64_t>(value) > limit) {
-    fail(std::string(what) + " is " + std::to_string(value) + "; at most " + std::to_string(limit) +
-         " can follow in a file of this size");
+    fail(std::string(what) + " is " + std::to_string(value) + "; accepted are 0 to " + std::to_string(limit));
+  }
+  return static_cast<std::size_t>(value);
+}
+
+std::size_t LineReader::count_of_rest(std::size_t i, std::string_view what, std::size_t least_bytes) const {
+  const std::int64_t value = integer(i, what);
+  const std::size_t limit = remaining() / least_bytes + 1;
+  if (value < 0 || static_cast<std::uint64_t>(value) > limit) {
+    fail(std::string(what) + " is " + std::to_string(value) + "; at most " + std::to_string(limit) + kFit);
   }
   return static_cast<std::size_t>(value);
 }

@@ -20,6 +20,9 @@ void write_whole_file(const std::filesystem::path& path, std::string_view bytes)
 void append_number(std::string& text, double number);
 void append_number(std::string& text, std::int64_t number);
 
+// The end of a message about a count that the rest of a file cannot hold.
+extern const char* const kFit;
+
 // At most 40 printable characters of a field, in quotes, for a message: a binary file read as text must not spill into
 // it.
 std::string in_quotes(std::string_view field);
@@ -44,6 +47,8 @@ class LineReader {
   std::int64_t integer(std::size_t i, std::string_view what) const;
   // Field i as a count: an integer in [0, limit].
   std::size_t count(std::size_t i, std::string_view what, std::size_t limit) const;
+  // Field i as a count of things that take `least_bytes` each in the rest of the file, at least: more cannot follow.
+  std::size_t count_of_rest(std::size_t i, std::string_view what, std::size_t least_bytes) const;
 
   std::size_t line() const { return line_; }
   // Bytes from the end of the current line to the end of the text: bounds what can still be declared.

@@ -104,8 +104,7 @@ std::size_t TokenReader::checked_count(std::int64_t value, std::string_view what
                                        std::size_t least_bytes) const {
   const std::size_t limit = remaining() / least_bytes + 1;
   if (value < 0 || static_cast<std::uint64_t>(value) > limit) {
-    fail(std::string(what) + " is " + std::to_string(value) + "; at most " + std::to_string(limit) +
-         " can follow in a file of this size");
+    fail(std::string(what) + " is " + std::to_string(value) + "; at most " + std::to_string(limit) + kFit);
   }
   return static_cast<std::size_t>(value);
 }

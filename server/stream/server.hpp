@@ -29,6 +29,7 @@ struct ServerFacts {
 // Whose lines a log keeps apart, so that many of one kind do not crowd out another.
 enum class Audit { kRefused, kBlade, kReset };
 inline constexpr std::size_t kAudits = 3;
+
 // Whether what is taken is recorded, and where not: why.
 struct RecordingNow {
   protocol::Recording state = protocol::Recording::Off;

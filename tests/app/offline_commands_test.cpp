@@ -88,6 +88,35 @@ TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
                {"--policy", "sharp"});
   expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--frob"}), 2, {"--frob"});
   expect_error(run({"replay"}), 2, {"capture", "replay --help"});
+  // What was probably meant.
+  expect_error(run({"cut", "--mesh", "a", "--pose", "b"}), 2,
+               {"unknown option --pose (did you mean --poses?)"});
+  expect_error(run({"cut", "--mesh", "a", "--motion=b"}), 2, {"unknown option --motion;", "cut --help"});
+  expect_error(run({"phantom", "liver", "--ouput", "b"}), 2, {"did you mean --out?"});
+  expect_error(run({"exprot", "b"}), 2, {"unknown command exprot (did you mean export?)"});
+}
+
+TEST_F(Incise, AFileOfTheWrongKindIsNamedAsThat) {
+  write_cube_and_sweep();
+  write("passwd", "root:x:0:0:root:/root:/bin/bash\n");
+  expect_error(run({"info", "passwd"}), 1,
+               {"passwd: not a file that incise knows; it knows a mesh (.vtu", "TUM"});
+  for (const char* command : {"export", "replay"}) {
+    std::vector<std::string> arguments{command, "cube.node"};
+    if (command[0] == 'e') arguments.insert(arguments.end(), {"--out", "o.vtu"});
+    expect_error(run(arguments), 1,
+                 {"cube.node: is not a capture; incised records one", "incise convert makes one"});
+  }
+  write("c.json", R"({"mesh": {"phantom": "liver"}})");
+  const RunResult config = run({"info", "c.json"});
+  EXPECT_EQ(config.exit_code, 0);
+  EXPECT_EQ(std::count(config.out.begin(), config.out.end(), '\n'), 2) << config.out;
+  EXPECT_NE(config.out.find("configuration of incised"), std::string::npos) << config.out;
+  EXPECT_NE(config.out.find("liver (phantom)"), std::string::npos) << config.out;
+  write("empty.tum", "");
+  expect_error(run({"info", "empty.tum"}), 1, {"empty.tum"});
+  expect_error(run({"cut", "--mesh", "cube", "--poses", "empty.tum", "--out", "o.vtu"}), 1,
+               {"empty.tum: the file is empty; accepted are TUM lines"});
 }
 
 TEST_F(Incise, CutWritesWhatItsReportSays) {
@@ -229,6 +258,202 @@ TEST_F(Incise, AMotionOfFewPosesCutsAsWellAsOneOfMany) {
   }
 }
 
+// Two poses a second apart are a cut for `cut` and for `convert`, and the same one; a limit that the configuration sets is
+// kept by both, and then both say that nothing was cut.
+TEST_F(Incise, ConvertCutsWhatCutCuts) {
+  mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
+  write("pass.tum", "0 0.041 -0.02 0.12 0 0 0 1\n1 0.041 0.12 0.12 0 0 0 1\n");
+  const std::string start = R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": ")";
+  write("always.json", start + "always\"}}");
+  write("buttons.json", start + "buttons\"}}");  // which a motion without buttons holds
+  write("strict.json", start + "always\", \"gap_limit_s\": 0.3}}");
+  const auto convert = [&](const char* config) {
+    return run({"convert", "pass.tum", "--mesh", "cube", "--config", config, "--out", "c.capture", "--json"});
+  };
+  const auto cut = [&](const char* config) {
+    return run(
+        {"cut", "--poses", "pass.tum", "--mesh", "cube", "--config", config, "--out", "c.vtu", "--json"});
+  };
+  for (const char* config : {"always.json", "buttons.json"}) {
+    const RunResult made = convert(config);
+    ASSERT_EQ(made.exit_code, 0) << made.err;
+    const json converted = json::parse(made.out), report = json::parse(cut(config).out);
+    EXPECT_GT(converted["batches"], 0) << config;
+    EXPECT_EQ(converted["state_hash"], report["state_hash"]) << config;
+    EXPECT_EQ(report["pieces"], 2);
+    EXPECT_EQ(report["gap_limit_s"], 5.0);
+    EXPECT_NE(made.err.find("raised cut.gap_limit_s from 0.25 to 5 s to suit the motion"), std::string::npos)
+        << made.err;
+    const RunResult replayed = run({"replay", "c.capture", "--verify", "--json"});
+    EXPECT_EQ(replayed.exit_code, 0) << replayed.err;
+    EXPECT_EQ(json::parse(replayed.out)["state_hash"], converted["state_hash"]);
+  }
+  const RunResult made = convert("strict.json"), nothing = cut("strict.json");
+  EXPECT_EQ(made.exit_code, 0);
+  EXPECT_EQ(nothing.exit_code, 3);
+  EXPECT_EQ(json::parse(nothing.out)["gap_limit_s"], 0.3);
+  for (const RunResult* result : {&made, &nothing}) {
+    EXPECT_NE(result->err.find("warning: pass.tum: 1 jump began a new stroke: faster than"),
+              std::string::npos)
+        << result->err;
+    EXPECT_NE(result->err.find("warning: nothing was cut: every step of pass.tum counts as a jump"),
+              std::string::npos)
+        << result->err;
+  }
+}
+
+// Of a motion at a hand's rate the limits stay as they are, whatever is odd about it: the server's are the same.
+TEST_F(Incise, LimitsStayWhereFewStepsAreBeyondThem) {
+  mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
+  std::string csv = "t_s,x_m,y_m,z_m\n";
+  for (int i = 0; i < 200; ++i) {  // two strokes with a silence between them, then a leap
+    const double t = 0.01 * i + (i >= 100 ? 1 : 0), x = i < 100 ? 0.041 : 0.067;
+    csv += std::to_string(t) + "," + std::to_string(x) + "," + std::to_string(-0.02 + 0.0014 * (i % 100)) +
+           ",0.12\n";
+  }
+  csv += "3.01,0.9,0.9,0.9\n";
+  write("two.csv", csv);
+  const RunResult result =
+      run({"cut", "--mesh", "cube", "--poses", "two.csv", "--blade", kBlade, "--out", "out.vtu", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json report = json::parse(result.out);
+  EXPECT_EQ(report["pieces"], 3);
+  EXPECT_EQ(report["gap_limit_s"], 0.25);
+  EXPECT_EQ(report["speed_limit_m_s"], 2.0);
+  EXPECT_FALSE(report.contains("raised_limits"));
+  EXPECT_NE(result.err.find("2 jumps began a new stroke"), std::string::npos) << result.err;
+}
+
+TEST_F(Incise, OddTimesAreSkippedOrRefused) {
+  write_cube_and_sweep();
+  std::string csv = tests::read_file(dir_ / "sweep.csv");
+  csv.insert(csv.find('\n', csv.size() / 2) + 1, "0.5,0.04,0.02,0.1,1,0,0,0,1\n");
+  write("odd.csv", csv);
+  const std::vector<std::string> cut{"cut",     "--mesh", "cube",  "--poses", "odd.csv",
+                                     "--blade", kBlade,   "--out", "o.vtu"};
+  const std::vector<std::string> convert{"convert", "odd.csv", "--mesh", "cube", "--out", "o.capture"};
+  for (std::vector<std::string> arguments : {cut, convert}) {
+    const RunResult result = run(arguments);
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_NE(result.err.find("warning: odd.csv: skipped 1 of 401 samples: its time does not rise (line "),
+              std::string::npos)
+        << result.err;
+    arguments.push_back("--strict");
+    expect_error(run(arguments), 1, {"odd.csv:", "time 0.5 s after 1.", "accepted are rising times"});
+  }
+  // A capture keeps what was recorded; only --strict minds.
+  write("twice.tum", "0 0.041 -0.02 0.12 0 0 0 1\n0.1 0.041 0.02 0.12 0 0 0 1\n");
+  ASSERT_EQ(run({"convert", "twice.tum", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  EXPECT_EQ(run({"cut", "--mesh", "cube", "--poses", "a.capture", "--out", "o.vtu", "--strict"}).exit_code,
+            0);
+}
+
+TEST_F(Incise, MillimetresAreRecognised) {
+  write_cube_and_sweep();
+  std::string metres = "t_s,x_m,y_m,z_m\n", millimetres = metres;
+  for (int i = 0; i <= 100; ++i) {
+    millimetres += std::to_string(0.01 * i) + ",41," + std::to_string(-20 + 1.4 * i) + ",120\n";
+    metres += std::to_string(0.01 * i) + ",0.041," + std::to_string(-0.02 + 0.0014 * i) + ",0.12\n";
+  }
+  write("mm.csv", millimetres);
+  write("m.csv", metres);
+  RunResult result =
+      run({"cut", "--mesh", "cube", "--poses", "mm.csv", "--blade", kBlade, "--out", "out.vtu"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_NE(result.err.find(
+                "mm.csv: the tool's way spans 140 m, the body 0.1732 m: these poses look like millimetres"),
+            std::string::npos)
+      << result.err;
+  mesh_io::write_mesh(dir_ / "large.node", tests::cube(6, 100));
+  result = run({"cut", "--mesh", "large", "--poses", "m.csv", "--blade", kBlade, "--out", "out.vtu"});
+  EXPECT_NE(result.err.find("this mesh looks like millimetres"), std::string::npos) << result.err;
+  result = run({"cut", "--mesh", "cube", "--poses", "m.csv", "--blade", kBlade, "--out", "out.vtu"});
+  EXPECT_EQ(result.err.find("millimetres"), std::string::npos) << result.err;
+}
+
+// The deviation as somebody from outside finds it: the distance of each cut face's corners and middle from the nearest of
+// three rectangles that the poses swept, in the mean edge length of the mesh that was given. The body has small elements
+// in its middle, as a tumour has.
+TEST_F(Incise, TheReportsDeviationIsWhatAJudgeMeasures) {
+  core::MeshData body = tests::cube(10, 2);
+  for (core::Vec3& p : body.positions) {
+    for (double* x : {&p.x, &p.y, &p.z})
+      *x = 0.05 * (1 + std::copysign(std::pow(std::abs(*x - 1), 2.5), *x - 1));
+  }
+  mesh_io::write_mesh(dir_ / "graded.node", body);
+  struct Rectangle {
+    core::Vec3 corner, along, across;  // motion and blade
+  };
+  // The blade points to -z of the tool: turned about x by `a`, it moves along x; the second rectangle is turned about z.
+  const double kLong = 0.2;
+  std::vector<Rectangle> swept;
+  std::string csv = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n";
+  int k = 0;
+  for (const auto& [about_x, about_z] : {std::pair{0.3, 0.0}, {-0.5, 0.0}, {0.2, 1.3}}) {
+    const core::Quat x{std::cos(about_x / 2), std::sin(about_x / 2), 0, 0};
+    const core::Quat z{std::cos(about_z / 2), 0, 0, std::sin(about_z / 2)};
+    const core::Quat q{z.w * x.w, z.w * x.x, z.z * x.x, z.z * x.w};
+    const core::Vec3 along = core::rotate(q, {1, 0, 0}), down = core::rotate(q, {0, 0, -1});
+    const core::Vec3 first = core::Vec3{0.0512, 0.0507, 0.0489} - 0.1 * along - 0.1 * down;
+    swept.push_back({first, kLong * along, kLong * down});
+    for (int i = 0; i <= 100; ++i) {
+      const core::Vec3 p = first + (0.002 * i) * along;
+      char line[256];
+      std::snprintf(line, sizeof line, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g\n", 3.0 * k + 0.01 * i,
+                    p.x, p.y, p.z, q.w, q.x, q.y, q.z);
+      csv += line;
+    }
+    ++k;
+  }
+  write("three.csv", csv);
+  const RunResult result = run({"cut", "--mesh", "graded", "--poses", "three.csv", "--blade",
+                                "0,0,0:0,0,-0.2", "--out", "out.vtk", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json report = json::parse(result.out);
+
+  const std::string vtk = tests::read_file(dir_ / "out.vtk");
+  const core::MeshData cut = mesh_io::load_mesh(dir_ / "out.vtk").mesh;
+  const std::size_t at = vtk.find('\n', vtk.find("cut_mask"));
+  ASSERT_NE(at, std::string::npos);
+  const std::string values =
+      vtk.substr(vtk.compare(at + 1, 6, "LOOKUP") == 0 ? vtk.find('\n', at + 1) + 1 : at + 1);
+  const core::TetMesh before(mesh_io::load_mesh(dir_ / "graded.node").mesh);
+  const double h = before.mean_edge_length();
+  double worst = 0, sum = 0;
+  std::size_t samples = 0;
+  const auto look_at = [&](const core::Vec3& p) {
+    double nearest = 1e300;
+    for (const Rectangle& r : swept) {
+      const core::Vec3 w = p - r.corner;
+      const double s = std::clamp(core::dot(w, r.along) / core::squared_length(r.along), 0.0, 1.0);
+      const double t = std::clamp(core::dot(w, r.across) / core::squared_length(r.across), 0.0, 1.0);
+      nearest = std::min(nearest, core::length(w - s * r.along - t * r.across));
+    }
+    worst = std::max(worst, nearest);
+    sum += nearest;
+    ++samples;
+  };
+  ASSERT_EQ(cut.tets.size(), report["tets"]);
+  for (std::size_t t = 0; t < cut.tets.size(); ++t) {
+    for (int f = 0; f < 4; ++f) {
+      if (!(static_cast<unsigned char>(values[t]) >> f & 1)) continue;
+      core::Vec3 middle{};
+      for (int v = 0; v < 4; ++v) {
+        if (v == f) continue;
+        const core::Vec3& p = cut.positions[cut.tets[t][static_cast<std::size_t>(v)]];
+        look_at(p);
+        middle += (1.0 / 3) * p;
+      }
+      look_at(middle);
+    }
+  }
+  ASSERT_GT(samples, 1000u);
+  EXPECT_NEAR(report["h"].get<double>(), h, 1e-12);
+  EXPECT_GT(worst / h, 1e-3);
+  EXPECT_NEAR(report["deviation_max_h"].get<double>(), worst / h, 1e-6);
+  EXPECT_NEAR(report["deviation_mean_h"].get<double>(), sum / static_cast<double>(samples) / h, 1e-9);
+}
+
 TEST_F(Incise, CutComparesThePolicies) {
   write_cube_and_sweep();
   const std::vector<std::string> compare{"cut",     "--mesh", "cube",     "--poses", "sweep.csv",
@@ -265,7 +490,7 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
   write_cube_and_sweep(3.0);
   const RunResult result =
       run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "out.vtu"});
-  EXPECT_EQ(result.exit_code, 0);
+  EXPECT_EQ(result.exit_code, 3);
   EXPECT_NE(result.err.find("warning: nothing was cut: the blade swept (0.2"), std::string::npos)
       << result.err;
 }

@@ -6,9 +6,11 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 #include <stdexcept>
 #include <thread>
 
+#include "protocol/motion.hpp"
 #include "tests/stream/mini_loop.hpp"
 
 namespace incise::client {
@@ -31,11 +33,16 @@ TEST(ParseAddress, TakesTransportHostAndPort) {
   check("tls://a.example:65535", "a.example", 65535, TransportKind::kTcp, true);
   check("ws://[::1]:80", "::1", 80, TransportKind::kWebSocket, false);
   check("wss://b:443", "b", 443, TransportKind::kWebSocket, true);
+  check("localhost", "localhost", 7450, TransportKind::kTcp, false);
+  check("tls://a.example", "a.example", 7450, TransportKind::kTcp, true);
+  check("[::1]", "::1", 7450, TransportKind::kTcp, false);
+  check("ws://[::1]", "::1", 7480, TransportKind::kWebSocket, false);
 }
 
 TEST(ParseAddress, NamesWhatItCannotUse) {
-  for (const char* text : {"", "localhost", ":7450", "host:", "host:0", "host:65536", "host:12x", "host:-1",
-                           "::1:80", "http://host:80", "ws://host:80/ws", "user@host:80", "[]:80"}) {
+  for (const char* text :
+       {"", "tcp://", "::1", ":7450", "host:", "host:0", "host:65536", "host:12x", "host:-1", "::1:80",
+        "http://host:80", "ws://host:80/ws", "user@host:80", "[]:80"}) {
     try {
       parse_address(text);
       ADD_FAILURE() << text;
@@ -143,6 +150,59 @@ TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
   };
   EXPECT_GT(bytes("tcp").size(), 1000u);
   EXPECT_EQ(bytes("tcp"), bytes("ws"));
+}
+
+TEST_F(CommandsTest, AWatcherOfTheSurfaceSeesTheBodyAsOneOfTheVolumeDoes) {
+  StreamCommand play;
+  play.poses = directory / "motion.csv";
+  play.server.address = address();
+  play.speed = 0;
+  ::testing::internal::CaptureStdout();
+  EXPECT_EQ(run_stream(play), 0);
+  ::testing::internal::GetCapturedStdout();
+  // The last line of a watcher that stays until it has seen both what was cut before it came and the statistics.
+  const auto last_line = [&](const char* view) {
+    nlohmann::json last;
+    for (double for_s = 1.1; for_s < 60; for_s *= 2) {
+      WatchCommand watch;
+      watch.server.address = address();
+      watch.view = view;
+      watch.for_s = for_s;
+      watch.json = true;
+      ::testing::internal::CaptureStdout();
+      EXPECT_EQ(run_watch(watch), 0);
+      std::istringstream lines(::testing::internal::GetCapturedStdout());
+      for (std::string line; std::getline(lines, line);) last = nlohmann::json::parse(line);
+      EXPECT_NE(last["tets"], 0);
+      if (!last["tets"].is_null() && last["cut_area_m2"] > 0) break;
+    }
+    return last;
+  };
+  const nlohmann::json volume = last_line("volume"), surface = last_line("surface");
+  EXPECT_GT(volume["cut_area_m2"], 1e-3);
+  EXPECT_NEAR(surface["cut_area_m2"].get<double>(), volume["cut_area_m2"].get<double>(), 1e-6);
+  EXPECT_EQ(surface["tets"], volume["tets"]);
+  EXPECT_EQ(surface["pieces"], volume["pieces"]);
+}
+
+TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWasCut) {
+  std::ofstream(directory / "twice.csv")
+      << "t_s,x_m,y_m,z_m,button\n0,9,0,0,1\n0.01,9,0,0.01,1\n0.01,9,0,0.02,1\n"
+         "0.02,9,0,0.03,1\n";
+  StreamCommand command;
+  command.poses = directory / "twice.csv";
+  command.server.address = address();
+  command.json = true;
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["accepted"], 3);
+  const std::string told = ::testing::internal::GetCapturedStderr();
+  EXPECT_NE(told.find("warning: " + command.poses.string() + ": skipped 1 of 4 samples"), std::string::npos)
+      << told;
+  EXPECT_NE(told.find("warning: nothing was cut"), std::string::npos) << told;
+  command.strict = true;
+  EXPECT_THROW(run_stream(command), protocol::MotionError);
 }
 
 TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {

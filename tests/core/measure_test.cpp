@@ -114,10 +114,7 @@ TEST(Measure, DeviationOfFacesThatLieOffTheSweep) {
   const Deviation result = deviation(mesh, surface);
   EXPECT_EQ(result.samples, 4u * 4);
   EXPECT_NEAR(result.max_m, 0.25, 1e-12);
-  float least = 100;
-  for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
-    least = std::min(least, static_cast<float>(mesh.local_h(v)));
-  EXPECT_LE(result.max_h, 0.25 / least + 1e-12);
+  EXPECT_DOUBLE_EQ(result.max_h, 0.25 / mesh.mean_edge_length());
   EXPECT_GT(result.mean_h, 0.1);
   EXPECT_LE(result.mean_h, result.max_h);
 }

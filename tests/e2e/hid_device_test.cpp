@@ -198,7 +198,8 @@ TEST_F(HidDevice, DevicesListsWhatIsThereAndWhichProfileFits) {
 
 TEST_F(HidDevice, MonitorShowsLiveAxesOfAProfileOfOnesOwn) {
   fs::create_directories(directory / "profiles");
-  write("profiles/knob.json", R"({"name": "Knob", "vendor": "abcd", "product": "0007", "report": 9, "tools": [
+  write("profiles/knob.json", R"({"name": "Knob", "vendor": "abcd", "product": "0007", "report": 9,
+    "start": [{"feature": "0a 01"}], "stop": [{"feature": "0a 00"}], "tools": [
     {"position": {"x": {"at": 1, "type": "i16be", "scale": 0.0001}}, "buttons": [{"at": 3, "bit": 7, "type": "u1"}]}]})");
   write("own.json", R"({"devices": {"profiles": "profiles"}})");
   MockDevice::Kind kind{0xabcd,
@@ -206,7 +207,7 @@ TEST_F(HidDevice, MonitorShowsLiveAxesOfAProfileOfOnesOwn) {
                         "Knob",
                         "",
                         tests::from_hex("06 00 ff 09 01 a1 01 85 09 15 00 26 ff 00 75 08 95 03 "
-                                        "09 01 81 02 c0"),
+                                        "09 01 81 02 85 0a 95 01 09 01 b1 02 c0"),
                         0,
                         0,
                         1};
@@ -223,8 +224,12 @@ TEST_F(HidDevice, MonitorShowsLiveAxesOfAProfileOfOnesOwn) {
   EXPECT_EQ(line["tools"][0]["buttons"], 1);
   EXPECT_EQ(line["tools"][0]["source"], "knob");
   EXPECT_EQ(line["reports"]["9"], "09 fe 0c 80");
+  ASSERT_EQ(knob->features().size(), 1u);
+  EXPECT_EQ(knob->features()[0].bytes, tests::from_hex("0a 01"));
   monitor.signal(SIGINT);
   EXPECT_EQ(monitor.wait(), 0);
+  ASSERT_EQ(knob->features().size(), 2u) << "started, and not stopped";
+  EXPECT_EQ(knob->features()[1].bytes, tests::from_hex("0a 00"));
 }
 
 TEST_F(HidDevice, CheckSaysWhatIsWrongWithAProfile) {

@@ -126,6 +126,22 @@ TEST_F(ProgramsTest, AStreamedMotionCutsAndEverybodySeesTheSame) {
   EXPECT_EQ(replay.wait(), 0);
 }
 
+TEST_F(ProgramsTest, AWatcherOfAServerThatStandsStillSaysSo) {
+  const auto server = start();
+  Process watch({"incise", "watch", tcp()});
+  EXPECT_NE(watch.line("revision 0").find(" tets "), std::string::npos);
+  server->signal(SIGSTOP);
+  EXPECT_FALSE(watch.line("revision 0  no word from the server for ").empty());
+  server->signal(SIGCONT);
+  std::string line;
+  do {
+    line = watch.line("revision 0");
+  } while (line.find("no word") != std::string::npos);
+  EXPECT_NE(line.find("pose to cut -  cut to here - (p50/p99)"), std::string::npos) << line;
+  watch.signal(SIGINT);
+  EXPECT_EQ(watch.wait(), 0);
+}
+
 TEST_F(ProgramsTest, AKilledServerGoesOnWhereItWas) {
   auto server = start();
   client::Options options;

@@ -8,6 +8,8 @@
 #include <optional>
 #include <string>
 
+#include "protocol/motion.hpp"
+
 namespace CLI {
 class App;
 }
@@ -19,8 +21,11 @@ struct CutCommand {
   std::string blade;             // "hx,hy,hz:tx,ty,tz"; empty: the configuration's
   std::filesystem::path config;  // empty: the capture's where poses are one, else the defaults
   std::string policy, prefer;    // empty: the configuration's; policy "compare": all, and no mesh is written
+  protocol::Times times = protocol::Times::kSkip;
   bool json = false;
 };
+// What `incise cut` exits with where all was done and written, but the blade has cut nothing.
+inline constexpr int kNothingCut = 3;
 // Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report of it, or compares the policies.
 int run_cut(const CutCommand& command);
 
@@ -60,6 +65,7 @@ int run_export(const ExportCommand& command);
 
 struct ConvertCommand {
   std::filesystem::path motion, out, config, mesh;
+  protocol::Times times = protocol::Times::kSkip;
   bool json = false;
 };
 // Makes a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with

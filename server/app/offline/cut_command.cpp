@@ -1,6 +1,4 @@
 #include <algorithm>
-#include <charconv>
-#include <chrono>
 #include <cinttypes>
 #include <cmath>
 #include <cstdio>
@@ -13,8 +11,7 @@
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
-#include "server/app/offline/recorded_motion.hpp"
-#include "server/app/offline/terminal.hpp"
+#include "server/app/offline/motion_run.hpp"
 #include "server/core/cut_session.hpp"
 #include "server/core/measure.hpp"
 
@@ -22,7 +19,6 @@ namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using std::chrono::steady_clock;
 
 // What a session did with a motion, batch by batch.
 struct Tally {
@@ -31,7 +27,6 @@ struct Tally {
   std::uint64_t batches = 0;
   std::vector<double> batch_us;
   core::SweptSurface swept;
-  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};  // of the blade's lines
 
   void add(const core::Batch& batch, const core::CutCounts& counts, double us) {
     ++batches;
@@ -42,11 +37,6 @@ struct Tally {
     sum.failed += counts.failed;
     sum.removed_tets += counts.removed_tets;
     core::add_sweep(swept, batch.lines, tolerance_m);
-    for (const core::BladeLine& line : batch.lines) {
-      for (const core::Vec3& p : {line.heel, line.tip}) {
-        extend(p, low, high);
-      }
-    }
   }
   double sum_us() const { return std::accumulate(batch_us.begin(), batch_us.end(), 0.0); }
   double quantile_us(double q) const {
@@ -57,49 +47,6 @@ struct Tally {
     return sorted[k];
   }
 };
-
-double middle(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
-}
-
-// What counts as a jump or as a silence, for a recorded motion whose rate, and a mesh whose units, nobody has stated:
-// the server's limits, which are a hand's, or many times what is usual in this motion and for a body of this size.
-// A limit that the configuration sets to something else than the default stands.
-void fit_limits(core::CutConfig& cut, const RecordedMotion& motion, double body_size_m) {
-  constexpr double kBodiesPerSecond = 10, kTimesUsualSpeed = 20, kTimesUsualGap = 5;
-  std::array<const core::Pose*, core::kMaxSources> last{};
-  std::vector<double> gaps_s, speeds_m_s;
-  for (const MotionEvent& event : motion.events) {
-    if (event.kind != MotionEvent::Kind::kPose) continue;
-    const core::Pose*& previous = last[event.source];
-    if (previous && event.pose.t_ns > previous->t_ns) {
-      const core::BladeLine a = core::blade_line(cut.blade, *previous),
-                            b = core::blade_line(cut.blade, event.pose);
-      const double step_m = travel(a, b);
-      gaps_s.push_back(static_cast<double>(event.pose.t_ns - previous->t_ns) * 1e-9);
-      if (step_m > 0) speeds_m_s.push_back(step_m / gaps_s.back());
-    }
-    previous = &event.pose;
-  }
-  const core::CutConfig defaults;
-  if (cut.speed_limit_m_s == defaults.speed_limit_m_s) {
-    cut.speed_limit_m_s = std::max(
-        {defaults.speed_limit_m_s, kBodiesPerSecond * body_size_m, kTimesUsualSpeed * middle(speeds_m_s)});
-  }
-  if (cut.gap_limit_s == defaults.gap_limit_s) {
-    cut.gap_limit_s = std::max(defaults.gap_limit_s, kTimesUsualGap * middle(gaps_s));
-  }
-}
-
-std::string box_text(const core::Vec3& low, const core::Vec3& high) {
-  const auto point = [](const core::Vec3& p) {
-    return "(" + short_number(p.x) + ", " + short_number(p.y) + ", " + short_number(p.z) + ")";
-  };
-  return point(low) + " to " + point(high);
-}
 
 std::string hex(std::uint64_t hash) {
   char text[17];
@@ -112,13 +59,14 @@ struct Input {
   RecordedMotion motion;
   Config config;
   mesh_io::LoadedMesh loaded;
-  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};  // of the mesh
+  Box body;
+  std::string raised_limits;
   std::vector<std::string> warnings;
 };
 
-Input read_input(const CutCommand& command) {
+Input read_input(const CutCommand& command, Progress& progress) {
   Input in;
-  in.motion = read_recorded_motion(command.poses);
+  in.motion = read_recorded_motion(command.poses, command.times);
   in.warnings = in.motion.warnings;
   if (!command.config.empty()) {
     in.config = load_config(command.config);
@@ -132,32 +80,19 @@ Input read_input(const CutCommand& command) {
   }
   in.config.cut.always_engaged = true;
 
-  Progress filling("filling " + command.mesh.filename().string());
+  progress.stage("loading " + command.mesh.filename().string());
   in.loaded = mesh_io::load_mesh(command.mesh, load_options(in.config, [&](std::string_view stage, double) {
-                                   filling.show(-1, stage);
+                                   progress.show(-1, stage);
                                  }));
   in.warnings.insert(in.warnings.end(), in.loaded.warnings.begin(), in.loaded.warnings.end());
-  for (const core::Vec3& p : in.loaded.mesh.positions) {
-    extend(p, in.low, in.high);
-  }
-  if (!in.motion.header) fit_limits(in.config.cut, in.motion, core::distance(in.low, in.high));
+  in.body = box_of(in.loaded.mesh);
+  in.raised_limits = suit_limits(in.config, in.motion, in.body.diagonal());
   return in;
-}
-
-std::string warning_of(const CutCommand& command, const core::CutConfig& cut, core::PoseVerdict verdict,
-                       std::uint64_t count) {
-  const std::string line = command.poses.string() + ": " + std::to_string(count);
-  if (verdict != core::PoseVerdict::kNewStroke)
-    return line + " poses were not taken: " + core::to_string(verdict);
-  return line +
-         " jumps began a new stroke: faster than cut.speed_limit_m_s = " + short_number(cut.speed_limit_m_s) +
-         " or after more than cut.gap_limit_s = " + short_number(cut.gap_limit_s);
 }
 
 struct Outcome {
   std::unique_ptr<core::CutSession> session;
   Json report;
-  std::vector<std::string> warnings;
 };
 
 const char* name_of(core::Preference prefer) {
@@ -165,69 +100,19 @@ const char* name_of(core::Preference prefer) {
   return kNames[static_cast<std::size_t>(prefer)];
 }
 
-// Cuts the mesh by the motion, in the server's own way.
-Outcome cut(const CutCommand& command, const Input& in, const Config& config) {
-  Outcome out;
-  out.session = std::make_unique<core::CutSession>(in.loaded.mesh, config.cut);
-  core::CutSession& session = *out.session;
-  const core::CutReport before = core::measure(session.mesh());
-  if (session.mesh().initial_vertex_copies() > 0) {
-    out.warnings.push_back(command.mesh.string() + ": " +
-                           std::to_string(session.mesh().initial_vertex_copies()) +
-                           " vertices joined parts that merely touch there; each part has its own now");
-  }
-
-  Tally tally{0.001 * session.mesh().mean_edge_length(), {}, 0, {}, {}};
-  core::Delta delta;
-  core::WorkBudget budget = core::WorkBudget::unlimited();
-  const auto cut_all = [&] {
-    while (session.backlog_batches() > 0) {
-      const auto start = steady_clock::now();
-      session.advance(budget, delta);
-      const std::chrono::duration<double, std::micro> us = steady_clock::now() - start;
-      tally.add(session.committed_batch(), session.committed_counts(), us.count());
-    }
-  };
-  std::array<std::uint64_t, core::kPoseVerdicts> verdicts{};
-  {
-    Progress progress("cutting");
-    for (std::size_t i = 0; i < in.motion.events.size(); ++i) {
-      const MotionEvent& event = in.motion.events[i];
-      if (event.kind == MotionEvent::Kind::kPose) {
-        ++verdicts[static_cast<std::size_t>(session.push(event.source, event.pose))];
-      } else if (event.kind != MotionEvent::Kind::kDeform) {  // which is of the vertices of another mesh
-        apply(session, event, config);
-      }
-      cut_all();
-      if (i % 64 == 0) progress.show(static_cast<double>(i) / static_cast<double>(in.motion.events.size()));
-    }
-    for (std::uint32_t source = 0; source < core::kMaxSources; ++source) session.end_stroke(source);
-    cut_all();
-  }
-  for (std::size_t i = 0; i < verdicts.size(); ++i) {
-    const auto verdict = static_cast<core::PoseVerdict>(i);
-    if (verdicts[i] > 0 && verdict != core::PoseVerdict::kAccepted)
-      out.warnings.push_back(warning_of(command, config.cut, verdict, verdicts[i]));
-  }
-
-  const core::CutReport after = core::measure(session.mesh());
-  if (after.cut_faces == 0) {
-    out.warnings.push_back(
-        tally.batches == 0
-            ? command.poses.string() + ": the blade never moved far enough to cut; nothing was cut"
-            : "nothing was cut: the blade swept " + box_text(tally.low, tally.high) + ", the mesh fills " +
-                  box_text(in.low, in.high) + " (metres); check --blade, units and frames");
-  }
+// What became of the mesh; `tally` is complete.
+Json report_of(const CutCommand& command, const Input& in, const Config& config, const core::TetMesh& mesh,
+               const core::CutReport& before, Tally& tally) {
+  const core::CutReport after = core::measure(mesh);
   tally.swept.build();
-  const core::Deviation deviation = core::deviation(session.mesh(), tally.swept);
+  const core::Deviation deviation = core::deviation(mesh, tally.swept);
   const bool croll = config.cut.policy == core::Policy::kCroll;
-
-  Json& report = out.report;
+  Json report;
   report["mesh"] = command.mesh.string();
   report["poses"] = command.poses.string();
   report["policy"] = croll ? "croll" : "conforming";
   if (!croll) report["prefer"] = name_of(config.cut.prefer);
-  report["h"] = session.mesh().mean_edge_length();
+  report["h"] = mesh.mean_edge_length();
   report["vertices_before"] = before.vertices;
   report["tets_before"] = before.tets;
   report["vertices"] = after.vertices;
@@ -248,18 +133,52 @@ Outcome cut(const CutCommand& command, const Input& in, const Config& config) {
   report["min_dihedral_deg_before"] = before.min_dihedral_deg;
   report["min_dihedral_deg_after"] = after.min_dihedral_deg;
   report["dihedral_histogram"] = {{"bin_deg", core::kHistogramBin_deg}, {"tets", after.dihedral_histogram}};
-  report["deviation_max_h"] = deviation.samples > 0 ? deviation.max_h : 0.0;
-  report["deviation_mean_h"] = deviation.samples > 0 ? deviation.mean_h : 0.0;
+  report["deviation_max_h"] = deviation.max_h;
+  report["deviation_mean_h"] = deviation.mean_h;
+  report["speed_limit_m_s"] = config.cut.speed_limit_m_s;
+  report["gap_limit_s"] = config.cut.gap_limit_s;
+  if (!in.raised_limits.empty()) report["raised_limits"] = in.raised_limits;
   report["batches"] = tally.batches;
-  report["poses_taken"] = verdicts[0] + verdicts[1];
   report["cut_time_us"] = {{"all", tally.sum_us()},
                            {"p50", tally.quantile_us(0.5)},
                            {"p99", tally.quantile_us(0.99)},
                            {"max", tally.quantile_us(1)}};
-  report["state_hash"] = hex(session.mesh().state_hash());
-  report["warnings"] = in.warnings;
-  for (const std::string& warning : out.warnings) report["warnings"].push_back(warning);
+  report["state_hash"] = hex(mesh.state_hash());
+  return report;
+}
+
+// Cuts the mesh by the motion, in the server's own way.
+Outcome cut(const CutCommand& command, const Input& in, const Config& config, Progress& progress) {
+  progress.stage("preparing");
+  Outcome out{std::make_unique<core::CutSession>(in.loaded.mesh, config.cut), {}};
+  core::CutSession& session = *out.session;
+  const core::CutReport before = core::measure(session.mesh());
+  std::vector<std::string> warnings = in.warnings;
+  if (const auto copies = session.mesh().initial_vertex_copies(); copies > 0) {
+    warnings.push_back(command.mesh.string() + ": " + counted(copies, "vertex", "vertices") +
+                       " joined parts that merely touch there; each part has its own now");
+  }
+  Tally tally{0.001 * session.mesh().mean_edge_length(), {}, 0, {}, {}};
+  progress.stage("cutting");
+  MotionRun run(session, in.motion, config, command.poses.string());
+  run.run(
+      {.deformations = false,  // of the vertices of another mesh
+       .event = {},
+       .commit = [&](const core::Delta&,
+                     double us) { tally.add(session.committed_batch(), session.committed_counts(), us); }},
+      progress);
+  progress.stage("measuring");
+  out.report = report_of(command, in, config, session.mesh(), before, tally);
+  out.report["poses_taken"] = run.poses_taken();
+  for (std::string& warning : run.warnings(out.report["cut_faces"].get<std::uint32_t>(), in.body))
+    warnings.push_back(std::move(warning));
+  out.report["warnings"] = warnings;
   return out;
+}
+
+// In h; what is no more than rounding is not worth its digits.
+std::string deviation_text(double h) {
+  return h < 1e-9 ? "below 1e-9 h" : short_number(h) + " h";
 }
 
 void print(const Json& report) {
@@ -269,14 +188,23 @@ void print(const Json& report) {
   print_row("pieces", count("pieces_before") + " -> " + count("pieces"));
   print_row("cut faces",
             count("cut_faces") + ", " + short_number(report["cut_area"].get<double>() * 1e4) + " cm2");
-  print_row("deviation", "mean " + number("deviation_mean_h") + " h, max " + number("deviation_max_h") +
-                             " h (h = " + number("h") + " m)");
+  print_row("deviation", report["cut_faces"] == 0
+                             ? std::string("none")
+                             : "mean " + deviation_text(report["deviation_mean_h"].get<double>()) + ", max " +
+                                   deviation_text(report["deviation_max_h"].get<double>()) +
+                                   " (h = " + number("h") + " m)");
   print_row("smallest angle",
             number("min_dihedral_deg_before") + " -> " + number("min_dihedral_deg_after") + " degrees");
   print_row("inverted", count("inverted"));
   const Json& time = report["cut_time_us"];
-  print_row("batches", count("batches") + ", p50 " + short_number(time["p50"].get<double>()) + " us, max " +
-                           short_number(time["max"].get<double>()) + " us");
+  std::string batches = count("batches");
+  if (report["batches"] > 0) {
+    batches += ", p50 " + short_duration(time["p50"].get<double>()) + ", max " +
+               short_duration(time["max"].get<double>());
+  }
+  print_row("batches", batches);
+  if (report.contains("raised_limits"))
+    print_row("limits raised", report["raised_limits"].get<std::string>() + ", to suit the motion");
   print_row("state hash", report["state_hash"].get<std::string>());
 }
 
@@ -318,7 +246,7 @@ void print_comparison(const std::vector<Json>& reports) {
 }
 
 // The same cut in every way that there is.
-int compare(const CutCommand& command, const Input& in) {
+std::vector<Json> compare(const CutCommand& command, const Input& in, Progress& progress) {
   struct Way {
     core::Policy policy;
     core::Preference prefer;
@@ -332,16 +260,35 @@ int compare(const CutCommand& command, const Input& in) {
     Config config = in.config;
     config.cut.policy = way.policy;
     config.cut.prefer = way.prefer;
-    reports.push_back(cut(command, in, config).report);
+    reports.push_back(cut(command, in, config, progress).report);
   }
   if (!command.report.empty()) write_text(command.report, Json(reports).dump(2) + "\n");
-  for (const std::string& warning : in.warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
-  if (command.json) {
-    std::printf("%s\n", Json(reports).dump(2).c_str());
-  } else {
-    print_comparison(reports);
+  return reports;
+}
+
+// What a cut prints at its end: the warnings of all reports, each once, and the report or the comparison of several. The
+// exit code.
+int finish(const CutCommand& command, const std::vector<Json>& reports) {
+  std::vector<std::string> warnings;
+  for (const Json& report : reports) {
+    for (const auto& one : report["warnings"]) {
+      const auto text = one.get<std::string>();
+      if (std::find(warnings.begin(), warnings.end(), text) == warnings.end()) warnings.push_back(text);
+    }
   }
-  return 0;
+  print_warnings(warnings);
+  const bool compares = reports.size() > 1;
+  if (command.json) {
+    std::printf("%s\n", (compares ? Json(reports) : reports[0]).dump(2).c_str());
+  } else if (compares) {
+    print_comparison(reports);
+  } else {
+    print(reports[0]);
+    print_row("written", command.out.string());
+  }
+  const bool any =
+      std::any_of(reports.begin(), reports.end(), [](const Json& r) { return r["cut_faces"] > 0; });
+  return any ? 0 : kNothingCut;
 }
 
 }  // namespace
@@ -356,26 +303,27 @@ int run_cut(const CutCommand& command) {
     require_mesh_output(command.out, "--out");
   }
   if (!command.report.empty()) require_writable(command.report, "--report");
-  Input in = read_input(command);
-  if (compares) return compare(command, in);
-  if (!command.policy.empty())
-    in.config.cut.policy = command.policy == "croll" ? core::Policy::kCroll : core::Policy::kConforming;
-  for (const auto prefer :
-       {core::Preference::kNoGrowth, core::Preference::kBalanced, core::Preference::kExact}) {
-    if (command.prefer == name_of(prefer)) in.config.cut.prefer = prefer;
+  std::vector<Json> reports;
+  {
+    Progress progress("reading " + command.poses.filename().string());
+    Input in = read_input(command, progress);
+    if (!command.policy.empty())
+      in.config.cut.policy = command.policy == "croll" ? core::Policy::kCroll : core::Policy::kConforming;
+    for (const auto prefer :
+         {core::Preference::kNoGrowth, core::Preference::kBalanced, core::Preference::kExact}) {
+      if (command.prefer == name_of(prefer)) in.config.cut.prefer = prefer;
+    }
+    if (compares) {
+      reports = compare(command, in, progress);
+    } else {
+      const Outcome out = cut(command, in, in.config, progress);
+      progress.stage("writing " + command.out.filename().string());
+      write_cut_mesh(command.out, out.session->mesh());
+      if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
+      reports.push_back(out.report);
+    }
   }
-  const Outcome out = cut(command, in, in.config);
-  write_cut_mesh(command.out, out.session->mesh());
-  if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
-  for (const Json& warning : out.report["warnings"])
-    std::fprintf(stderr, "warning: %s\n", warning.get<std::string>().c_str());
-  if (command.json) {
-    std::printf("%s\n", out.report.dump(2).c_str());
-    return 0;
-  }
-  print(out.report);
-  print_row("written", command.out.string());
-  return 0;
+  return finish(command, reports);
 }
 
 }  // namespace incise::app

@@ -25,10 +25,10 @@ void require_writable(const fs::path& path, const std::string& option) {
 void require_mesh_output(const fs::path& path, const std::string& option) {
   require_writable(path, option);
   if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path)) {
-    throw std::runtime_error(option + " " + path.string() + ": the ending \"" + path.extension().string() +
-                             "\" is none that can be written; accepted are " +
-                             std::string(mesh_io::mesh_file_endings()) + ", " +
-                             std::string(mesh_io::surface_file_endings()) + ", or none for TetGen's pair");
+    throw std::runtime_error(option + " " + path.string() + ": cannot write \"" + path.extension().string() +
+                             "\"; choose " + std::string(mesh_io::mesh_file_endings()) + " for tetrahedra, " +
+                             std::string(mesh_io::surface_file_endings()) +
+                             " for the surface, or no ending for TetGen's pair");
   }
 }
 

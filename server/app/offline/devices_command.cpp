@@ -116,13 +116,20 @@ std::string hex(const std::vector<std::uint8_t>& bytes) {
   return text;
 }
 
-// A device that the monitor reads. Reads only: nothing is sent to it but the profile's start reports.
+// A device that the monitor reads. Nothing is sent to it but the profile's start reports, and its stop reports at the end.
 class Watched {
  public:
   Watched(Candidate candidate, input::HidHandle handle)
       : candidate_(std::move(candidate)), handle_(std::move(handle)) {
-    if (candidate_.profile) decoder_.emplace(*candidate_.profile, candidate_.placement);
+    if (!candidate_.profile) return;
+    decoder_.emplace(*candidate_.profile, candidate_.placement);
+    send(candidate_.profile->start);
   }
+  ~Watched() {
+    if (candidate_.profile && !gone_) send(candidate_.profile->stop);
+  }
+  Watched(const Watched&) = delete;
+  Watched& operator=(const Watched&) = delete;
 
   // Takes all that waits. False once the device is gone.
   bool take() {
@@ -136,7 +143,8 @@ class Watched {
       if (!decoder_) continue;
       for (const auto& sample : decoder_->take(got, input::monotonic_ns())) samples_[sample.tool] = sample;
     }
-    return bytes == 0;
+    gone_ = bytes != 0;
+    return !gone_;
   }
 
   void show(bool json, double seconds) {
@@ -146,6 +154,12 @@ class Watched {
   }
 
  private:
+  void send(const std::vector<input::FixedReport>& reports) {
+    std::string error;
+    if (!input::send_all(reports, candidate_.interface, handle_, input::list_hid_interfaces(), error))
+      std::fprintf(stderr, "incise: %s: %s\n", candidate_.interface.identity().c_str(), error.c_str());
+  }
+
   std::string tool_name(std::size_t tool) const {
     const std::string& name = candidate_.profile->tools[tool].name;
     return candidate_.profile->id + (name.empty() ? "" : "." + name);
@@ -215,9 +229,10 @@ class Watched {
   std::map<unsigned, std::vector<std::uint8_t>> last_;
   std::map<std::size_t, input::PoseDecoder::Sample> samples_;
   std::uint64_t reports_ = 0, shown_ = 0;
+  bool gone_ = false;
 };
 
-// Opens one for reading, start reports sent; nothing, and says why on stderr.
+// Opens one for reading; nothing, and says why on stderr.
 std::unique_ptr<Watched> watch(const Candidate& candidate) {
   std::string error = candidate.interface.trouble;
   std::optional<input::HidHandle> handle;
@@ -225,12 +240,6 @@ std::unique_ptr<Watched> watch(const Candidate& candidate) {
   if (!handle) {
     std::fprintf(stderr, "incise: %s\n", error.c_str());
     return nullptr;
-  }
-  if (candidate.profile) {
-    input::send_all(candidate.profile->start, candidate.interface, *handle, input::list_hid_interfaces(),
-                    error);
-    if (!error.empty())
-      std::fprintf(stderr, "incise: %s: %s\n", candidate.interface.identity().c_str(), error.c_str());
   }
   return std::make_unique<Watched>(candidate, std::move(*handle));
 }

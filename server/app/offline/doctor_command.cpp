@@ -19,6 +19,7 @@
 
 #include "server/app/config.hpp"
 #include "server/app/offline/commands.hpp"
+#include "server/app/offline/terminal.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/mesh_io/tetgen_process.hpp"
 
@@ -301,8 +302,8 @@ const char* word(Verdict verdict) {
 int run_doctor(const DoctorCommand& command) {
   const std::vector<Finding> findings = examine(command);
   const auto count = [&](Verdict verdict) {
-    return std::count_if(findings.begin(), findings.end(),
-                         [=](const Finding& f) { return f.verdict == verdict; });
+    return static_cast<std::uint64_t>(std::count_if(findings.begin(), findings.end(),
+                                                    [=](const Finding& f) { return f.verdict == verdict; }));
   };
   if (command.json) {
     nlohmann::ordered_json all{{"user", user_name()}, {"findings", nlohmann::ordered_json::array()}};
@@ -315,10 +316,11 @@ int run_doctor(const DoctorCommand& command) {
   } else {
     for (const Finding& f : findings) {
       std::printf("%-8s %-19s %s\n", word(f.verdict), f.what.c_str(), f.found.c_str());
-      if (!f.remedy.empty()) std::printf("%28s to mend it: %s\n", "", f.remedy.c_str());
+      if (!f.remedy.empty()) std::printf("%28s to fix it: %s\n", "", f.remedy.c_str());
     }
-    std::printf("as the user %s: %d faults, %d warnings\n", user_name().c_str(),
-                static_cast<int>(count(Verdict::kFault)), static_cast<int>(count(Verdict::kWarning)));
+    std::printf("as the user %s: %s, %s\n", user_name().c_str(),
+                counted(count(Verdict::kFault), "fault", "faults").c_str(),
+                counted(count(Verdict::kWarning), "warning", "warnings").c_str());
   }
   return count(Verdict::kFault) == 0 ? 0 : 1;
 }

@@ -10,9 +10,9 @@
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
-#include "server/app/offline/recorded_motion.hpp"
-#include "server/app/offline/terminal.hpp"
+#include "server/app/offline/motion_run.hpp"
 #include "server/core/measure.hpp"
+#include "server/input/hid/device_profile.hpp"
 #include "server/mesh_io/phantom.hpp"
 #include "server/mesh_io/surface_check.hpp"
 
@@ -26,17 +26,13 @@ Json point(const core::Vec3& p) {
   return Json::array({p.x, p.y, p.z});
 }
 
-struct Bounds {
-  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
-  void add(const core::Vec3& p) { extend(p, low, high); }
-  Json json() const { return {{"min", point(low)}, {"max", point(high)}}; }
-};
+Json corners(const Box& box) {
+  return {{"min", point(box.low)}, {"max", point(box.high)}};
+}
 
 Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
   const core::TetMesh mesh(loaded.mesh);
   const core::CutReport report = core::measure(mesh);
-  Bounds bounds;
-  for (const core::Vec3& p : loaded.mesh.positions) bounds.add(p);
   std::set<std::int32_t> regions(loaded.mesh.regions.begin(), loaded.mesh.regions.end());
   if (regions.empty()) regions.insert(0);
   Json facts;
@@ -50,7 +46,7 @@ Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
   facts["mean_edge_length_m"] = mesh.mean_edge_length();
   facts["min_dihedral_deg"] = report.min_dihedral_deg;
   facts["inverted"] = report.inverted;
-  facts["box_m"] = bounds.json();
+  facts["box_m"] = corners(box_of(loaded.mesh));
   facts["content_hash"] = loaded.content_hash;
   facts["warnings"] = loaded.warnings;
   return facts;
@@ -59,13 +55,13 @@ Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
 Json describe_surface(const fs::path& file) {
   std::vector<std::string> warnings;
   mesh_io::Surface surface = mesh_io::read_surface(file, warnings);
-  Bounds bounds;
+  Box bounds;
   for (const core::Vec3& p : surface.positions) bounds.add(p);
   Json facts;
   facts["kind"] = "surface";
   facts["vertices"] = surface.positions.size();
   facts["triangles"] = surface.triangles.size();
-  facts["box_file_units"] = bounds.json();
+  facts["box_file_units"] = corners(bounds);
   try {
     facts["volume_file_units"] = mesh_io::check_surface(std::move(surface), file.string(), warnings).volume;
     facts["fillable"] = true;
@@ -93,7 +89,7 @@ Json describe_motion(const RecordedMotion& motion) {
   facts["poses"] = motion.poses();
   if (const std::size_t n = motion.count(MotionEvent::Kind::kDeform); n > 0) facts["deformations"] = n;
   std::map<std::uint32_t, std::vector<const core::Pose*>> by_source;
-  Bounds bounds;
+  Box bounds;
   for (const MotionEvent& event : motion.events) {
     if (event.kind != MotionEvent::Kind::kPose) continue;
     by_source[event.source].push_back(&event.pose);
@@ -126,7 +122,7 @@ Json describe_motion(const RecordedMotion& motion) {
                        {"poses_with_a_button", held}});
   }
   facts["sources"] = sources;
-  if (!by_source.empty()) facts["box_m"] = bounds.json();
+  if (!by_source.empty()) facts["box_m"] = corners(bounds);
   facts["warnings"] = motion.warnings;
   return facts;
 }
@@ -137,6 +133,40 @@ bool looks_like_config(const fs::path& file) {
   while (in.get(c) && (c == ' ' || c == '\n' || c == '\r' || c == '\t')) {
   }
   return in && (c == '{' || (c == '/' && file.extension() == ".json"));
+}
+
+Json describe_config(const fs::path& file) {
+  const Config config = load_config(file);
+  const std::string mesh =
+      !config.mesh.phantom.empty() ? config.mesh.phantom + " (phantom)" : config.mesh.path;
+  return {{"kind", "configuration"},
+          {"mesh", mesh.empty() ? "none" : mesh},
+          {"values", Json::parse(compact(config))}};
+}
+
+std::string known_files() {
+  return "a mesh (" + std::string(mesh_io::mesh_file_endings()) + ", .veg), a surface (" +
+         std::string(mesh_io::surface_file_endings()) +
+         "), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a capture, "
+         "or a "
+         "configuration";
+}
+
+// By its contents: a configuration, a capture, or a motion.
+Json describe_contents(const fs::path& file) {
+  if (looks_like_config(file)) {
+    const Json json = Json::parse(std::ifstream(file), nullptr, false);
+    if (json.is_object() && json.contains("tools")) {
+      return {{"kind", "device profile"}, {"name", input::load_profile(file).name}};
+    }
+    if (json.is_object() && json.contains("state_hash")) return {{"kind", "report of incise cut"}};
+    return describe_config(file);
+  }
+  try {
+    return describe_motion(read_recorded_motion(file));
+  } catch (const protocol::NotAMotion&) {
+    throw std::runtime_error(file.string() + ": not a file that incise knows; it knows " + known_files());
+  }
 }
 
 void print(const Json& facts) {
@@ -185,24 +215,17 @@ int run_info(const InfoCommand& command) {
   } else if (mesh_io::is_mesh_input(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
     facts = describe_mesh(mesh_io::load_mesh(file, load_options(config)));
   } else if (!fs::exists(file, error)) {
-    throw std::runtime_error(file.string() + ": no such file; accepted are a mesh (" +
-                             std::string(mesh_io::mesh_file_endings()) + "), a surface (" +
-                             std::string(mesh_io::surface_file_endings()) +
-                             "), a motion, a capture, or a configuration");
-  } else if (looks_like_config(file)) {
-    const Config described = load_config(file);
-    facts = {{"kind", "configuration"}, {"values", Json::parse(compact(described))}};
-    if (!command.json) {
-      std::printf("%s", commented(described).c_str());
-      return 0;
-    }
+    throw std::runtime_error(file.string() + ": no such file; accepted is " + known_files());
   } else {
-    facts = describe_motion(read_recorded_motion(file));
+    facts = describe_contents(file);
   }
   Json named{{"file", file.string()}};
   named.update(facts);
   if (command.json) {
     std::printf("%s\n", named.dump(2).c_str());
+  } else if (facts["kind"] == "configuration") {
+    print_row("kind", "configuration of incised");
+    print_row("mesh", facts["mesh"].get<std::string>() + "; incised --check " + file.string() + " says more");
   } else {
     print(named);
   }

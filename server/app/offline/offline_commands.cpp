@@ -5,10 +5,26 @@
 
 namespace incise::app {
 
+namespace {
+
+std::string whole_number(const std::string& text) {
+  const bool good = !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
+  return good ? "" : "found " + text + "; accepted is a whole number, 0 or more";
+}
+
+void add_strict(CLI::App& command, protocol::Times& times) {
+  command.add_flag_callback(
+      "--strict", [&times] { times = protocol::Times::kRefuse; },
+      "Refuse a motion whose times do not rise, instead of skipping samples");
+}
+
+}  // namespace
+
 void add_offline_commands(CLI::App& app, int& exit_code) {
   {
     auto command = std::make_shared<CutCommand>();
-    CLI::App* sub = app.add_subcommand("cut", "Cut a mesh by a recorded motion, without a server");
+    CLI::App* sub = app.add_subcommand(
+        "cut", "Cut a mesh by a recorded motion, without a server; exits with 3 where nothing was cut");
     sub->add_option("--mesh", command->mesh,
                     "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
         ->required();
@@ -20,8 +36,10 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     sub->add_option("--prefer", command->prefer, "no-growth, balanced or exact")
         ->check(CLI::IsMember({"no-growth", "balanced", "exact"}));
     sub->add_option("--out", command->out,
-                    "Where the cut mesh goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending");
+                    "Where the cut mesh goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending "
+                    "(required, but for --policy compare)");
     sub->add_option("--report", command->report, "Where the report goes: JSON");
+    add_strict(*sub, command->times);
     sub->add_flag("--json", command->json, "Print the report as JSON");
     sub->callback([command, &exit_code] { exit_code = run_cut(*command); });
   }
@@ -47,7 +65,7 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     auto command = std::make_shared<PhantomCommand>();
     CLI::App* sub = app.add_subcommand("phantom", "Make a test body: liver, cylinder or slab");
     sub->add_option("kind", command->kind, "liver, cylinder or slab")->required();
-    sub->add_option("--size", command->size, "Tetrahedra, about")->capture_default_str();
+    sub->add_option("--size", command->size, "Tetrahedra, about")->check(whole_number)->capture_default_str();
     sub->add_option(
            "--out", command->out,
            "Where it goes: .node, .vtu, .vtk, .msh, .msh2, .mesh, or a surface's ending for its surface")
@@ -60,7 +78,8 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     CLI::App* sub = app.add_subcommand("export", "Write the mesh of a capture, at its end or at a revision");
     sub->add_option("capture", command->capture, "The capture")->required();
     sub->add_option("--mesh", command->mesh, "The mesh, where the capture's is elsewhere now");
-    sub->add_option("--revision", command->revision, "The revision; the last one if not given");
+    sub->add_option("--revision", command->revision, "The revision; the last one if not given")
+        ->check(whole_number);
     sub->add_option("--out", command->out,
                     "Where it goes: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending")
         ->required();
@@ -72,8 +91,10 @@ void add_offline_commands(CLI::App& app, int& exit_code) {
     CLI::App* sub = app.add_subcommand("convert", "Make a motion into a capture of cutting a mesh with it");
     sub->add_option("motion", command->motion, "The motion: TUM or CSV")->required();
     sub->add_option("--mesh", command->mesh, "The mesh; the configuration's if not given");
-    sub->add_option("--config", command->config, "A configuration; without one the blade is always engaged");
+    sub->add_option("--config", command->config,
+                    "A configuration; without one the blade is always engaged, 5 cm long below the tool");
     sub->add_option("--out", command->out, "Where the capture goes")->required();
+    add_strict(*sub, command->times);
     sub->add_flag("--json", command->json, "Print the facts as JSON");
     sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
   }

@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include "protocol/motion.hpp"
+#include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::app {
 namespace {
@@ -107,12 +108,38 @@ void read_capture(std::istream& in, const std::string& name, const CaptureStart*
   }
   if (motion.gap) motion.warnings.push_back(name + ": " + motion.gap->text + "; all before that is used");
   if (motion.resets > 0) {
-    motion.warnings.push_back(name + ": the mesh was reset " + std::to_string(motion.resets) +
-                              " times; what came after the last reset is used");
+    motion.warnings.push_back(name + ": the mesh was reset " +
+                              (motion.resets == 1 ? "once" : std::to_string(motion.resets) + " times") +
+                              "; what came after the last reset is used");
   }
   motion.records = reader.records();
   motion.good_bytes = reader.good_bytes();
   motion.closed = reader.closed();
+}
+
+bool begins_as_capture(std::istream& in) {
+  std::array<char, 8> head{};
+  in.read(head.data(), head.size());
+  const auto got = in.gcount();
+  in.clear();
+  in.seekg(0);
+  return std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP";
+}
+
+// Throws where a pose is not later than the one before of the same source; a source that is opened again has a clock
+// of its own.
+void refuse_unless_rising(const RecordedMotion& motion, const std::string& name) {
+  std::array<std::optional<std::int64_t>, core::kMaxSources> last_ns;
+  for (const MotionEvent& event : motion.events) {
+    std::optional<std::int64_t>& last = last_ns[event.source];
+    if (event.kind == MotionEvent::Kind::kOpened) last.reset();
+    if (event.kind != MotionEvent::Kind::kPose) continue;
+    if (last && event.pose.t_ns <= *last) {
+      throw std::runtime_error(name + ": time " + protocol::seconds_text(event.pose.t_ns) + " after " +
+                               protocol::seconds_text(*last) + ", accepted are rising times");
+    }
+    last = event.pose.t_ns;
+  }
 }
 
 std::ifstream open_file(const std::string& name) {
@@ -131,34 +158,43 @@ std::size_t RecordedMotion::count(MotionEvent::Kind kind) const {
       std::count_if(events.begin(), events.end(), [kind](const MotionEvent& e) { return e.kind == kind; }));
 }
 
-RecordedMotion read_recorded_motion(const std::filesystem::path& path) {
+RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol::Times times) {
   const std::string name = path.string();
   std::ifstream in = open_file(name);
-  std::array<char, 8> head{};
-  in.read(head.data(), head.size());
-  const auto got = in.gcount();
-  in.clear();
-  in.seekg(0);
   RecordedMotion motion;
-  if (std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP") {
+  if (begins_as_capture(in)) {
     read_capture(in, name, nullptr, motion);
+    if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
   }
-  const protocol::Motion text = protocol::read_motion(in, name);
-  std::string line;
-  in.clear();
-  in.seekg(0);
-  while (std::getline(in, line) && (line.empty() || line[0] == '#' || line[0] == '\r')) {
+  if (mesh_io::is_mesh_input(path) || mesh_io::is_surface_file(path)) {
+    throw std::runtime_error(name + ": is a mesh by its ending; accepted is a motion: a capture, TUM or CSV");
   }
-  motion.format = line.find(',') == std::string::npos ? "TUM" : "CSV";
+  const protocol::Motion text = protocol::read_motion(in, name, times);
+  motion.format = text.csv ? "CSV" : "TUM";
   motion.has_orientation = text.has_orientation;
+  motion.has_buttons = text.has_buttons;
   for (const protocol::PoseSample& sample : text.samples) {
     motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
   }
+  if (!text.warning.empty()) motion.warnings.push_back(text.warning);
   if (!text.has_orientation) {
     motion.warnings.push_back(name +
                               ": no orientations (columns qw, qx, qy, qz): the blade keeps its direction");
   }
+  return motion;
+}
+
+RecordedMotion read_whole_capture(const std::filesystem::path& path) {
+  const std::string name = path.string();
+  std::ifstream in = open_file(name);
+  if (!begins_as_capture(in)) {
+    throw std::runtime_error(name +
+                             ": is not a capture; incised records one (capture.path), and incise convert "
+                             "makes one of a motion");
+  }
+  RecordedMotion motion;
+  read_capture(in, name, nullptr, motion);
   return motion;
 }
 

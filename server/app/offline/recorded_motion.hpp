@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "protocol/capture.hpp"
+#include "protocol/motion.hpp"
 #include "server/app/config.hpp"
 #include "server/core/cut_session.hpp"
 
@@ -30,6 +31,7 @@ struct RecordedMotion {
   std::string format;  // "capture", "CSV" or "TUM"
   std::vector<MotionEvent> events;
   bool has_orientation = true;
+  bool has_buttons = true;
   std::vector<std::string> warnings;
   // Of a capture:
   std::optional<protocol::CaptureHeader> header;
@@ -52,9 +54,13 @@ struct RecordedMotion {
 };
 
 // Reads a capture, a TUM trajectory or a CSV motion, told apart by their contents. A capture is read up to a torn end,
-// which is a warning; wrong bytes before the end are an error. Throws protocol::MotionError or std::runtime_error: one
-// line.
-RecordedMotion read_recorded_motion(const std::filesystem::path& path);
+// which is a warning; wrong bytes before the end are an error. `times` says what becomes of poses whose time does not
+// rise; a capture keeps those that are not refused, since a replay needs all that was recorded. Throws
+// protocol::MotionError or std::runtime_error: one line.
+RecordedMotion read_recorded_motion(const std::filesystem::path& path,
+                                    protocol::Times times = protocol::Times::kSkip);
+// The same of a capture; throws where it is none.
+RecordedMotion read_whole_capture(const std::filesystem::path& path);
 
 // Where a capture is read from: the record of a checkpoint.
 struct CaptureStart {

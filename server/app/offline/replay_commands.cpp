@@ -8,8 +8,7 @@
 #include "server/app/capture_journal.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
-#include "server/app/offline/recorded_motion.hpp"
-#include "server/app/offline/terminal.hpp"
+#include "server/app/offline/motion_run.hpp"
 #include "server/app/version.hpp"
 #include "server/core/cut_session.hpp"
 
@@ -40,11 +39,7 @@ struct Replayable {
 
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh) {
   Replayable opened;
-  opened.motion = read_recorded_motion(capture);
-  if (!opened.motion.header) {
-    throw std::runtime_error(capture.string() + ": is a " + opened.motion.format +
-                             " motion; accepted is a capture (incise convert makes one of a motion)");
-  }
+  opened.motion = read_whole_capture(capture);
   const protocol::CaptureHeader& header = *opened.motion.header;
   opened.config = config_of(header, capture.string());
   if (!mesh.empty()) {
@@ -81,10 +76,6 @@ void replay(core::CutSession& session, const Replayable& opened,
     }
     if (i % 64 == 0) progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
   }
-}
-
-void print_warnings(const std::vector<std::string>& warnings) {
-  for (const std::string& warning : warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
 }
 
 }  // namespace
@@ -190,9 +181,39 @@ int run_export(const ExportCommand& command) {
   return 0;
 }
 
-int run_convert(const ConvertCommand& command) {
-  require_writable(command.out, "--out");
-  const RecordedMotion motion = read_recorded_motion(command.motion);
+namespace {
+
+// What a capture holds of an event.
+loop::JournalRecord record_of(const MotionEvent& event, const Config& config) {
+  loop::JournalRecord record;
+  record.source = event.source;
+  record.arrival_ns = event.pose.t_ns;
+  record.pose = event.pose;
+  switch (event.kind) {
+    case MotionEvent::Kind::kPose:
+      break;
+    case MotionEvent::Kind::kEndStroke:
+      record.kind = loop::JournalRecord::Kind::kEndStroke;
+      break;
+    case MotionEvent::Kind::kOpened:
+      record.kind = loop::JournalRecord::Kind::kOpened;
+      record.blade = event.blade ? *event.blade : blade_of(config, event.source);
+      break;
+    case MotionEvent::Kind::kDeform:
+      record.kind = loop::JournalRecord::Kind::kDeform;
+      record.positions = event.positions;
+      break;
+  }
+  return record;
+}
+
+struct Conversion {
+  std::vector<std::string> warnings;
+  std::size_t poses = 0;
+  std::uint64_t batches = 0, state_hash = 0;
+};
+
+Config convert_config(const ConvertCommand& command, const RecordedMotion& motion) {
   Config config;
   if (!command.config.empty()) {
     config = load_config(command.config);
@@ -206,8 +227,21 @@ int run_convert(const ConvertCommand& command) {
     config.mesh.path = command.mesh.string();
     config.directory.clear();
   }
-  Progress filling("loading the mesh");
-  const Body body = load_body(config, [&](std::string_view stage, double) { filling.show(-1, stage); });
+  if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
+    throw std::runtime_error(
+        "no mesh to cut: give --mesh, or a configuration with mesh.path or mesh.phantom (--config)");
+  }
+  return config;
+}
+
+Conversion convert(const ConvertCommand& command, Progress& progress) {
+  RecordedMotion motion = read_recorded_motion(command.motion, command.times);
+  Config config = convert_config(command, motion);
+  progress.stage("loading the mesh");
+  const Body body = load_body(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
+  const Box box = box_of(body.loaded.mesh);
+  hold_button(motion, config);
+  const std::string raised = suit_limits(config, motion, box.diagonal());
 
   protocol::CaptureHeader header;
   header.mesh_path =
@@ -218,65 +252,53 @@ int run_convert(const ConvertCommand& command) {
   header.config_json = compact(config);
   CaptureJournal capture(command.out.string(), header);
   core::CutSession session(body.loaded.mesh, config.cut);
-  core::Delta delta;
-  core::WorkBudget budget = core::WorkBudget::unlimited();
-  const auto commit_all = [&] {
-    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-      capture.write(loop::commit_record(delta));
-    }
-  };
-  std::array<bool, core::kMaxSources> used{};
-  {
-    Progress progress("converting");
-    for (std::size_t i = 0; i < motion.events.size(); ++i) {
-      const MotionEvent& event = motion.events[i];
-      loop::JournalRecord record;
-      record.source = event.source;
-      record.arrival_ns = event.pose.t_ns;
-      record.pose = event.pose;
-      if (event.kind == MotionEvent::Kind::kEndStroke) record.kind = loop::JournalRecord::Kind::kEndStroke;
-      if (event.kind == MotionEvent::Kind::kOpened) {
-        record.kind = loop::JournalRecord::Kind::kOpened;
-        record.blade = event.blade ? *event.blade : blade_of(config, event.source);
-      }
-      if (event.kind == MotionEvent::Kind::kDeform) {
-        if (!command.mesh.empty()) continue;  // of another mesh's vertices
-        record.kind = loop::JournalRecord::Kind::kDeform;
-        record.positions = event.positions;
-      }
-      used[event.source] = used[event.source] || event.kind != MotionEvent::Kind::kDeform;
-      apply(session, event, config);
-      capture.write(record);
-      commit_all();
-      if (i % 64 == 0) {
-        capture.flush();
-        progress.show(static_cast<double>(i) / static_cast<double>(motion.events.size()));
-      }
-    }
-    for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
-      if (!used[source]) continue;
-      loop::JournalRecord record;
-      record.kind = loop::JournalRecord::Kind::kEndStroke;
-      record.source = source;
-      session.end_stroke(source);
-      capture.write(record);
-      commit_all();
-    }
-  }
+  MotionRun run(session, motion, config, command.motion.string());
+  progress.stage("converting");
+  std::uint64_t written = 0;
+  run.run({.deformations = command.mesh.empty(),
+           .event =
+               [&](const MotionEvent& event) {
+                 capture.write(record_of(event, config));
+                 if (++written % 64 == 0) capture.flush();
+               },
+           .commit = [&](const core::Delta& delta, double) { capture.write(loop::commit_record(delta)); }},
+          progress);
   capture.close();
-  print_warnings(motion.warnings);
+
+  Conversion done{motion.warnings, motion.poses(), session.revision(), session.mesh().state_hash()};
+  for (std::string& warning : run.warnings(core::measure(session.mesh()).cut_faces, box))
+    done.warnings.push_back(std::move(warning));
+  if (!raised.empty()) {
+    done.warnings.push_back(
+        command.motion.string() + ": raised " + raised +
+        " to suit the motion; a server with this configuration takes its steps for jumps: "
+        "set the same there");
+  }
+  return done;
+}
+
+}  // namespace
+
+int run_convert(const ConvertCommand& command) {
+  require_writable(command.out, "--out");
+  const Conversion done = [&] {
+    Progress progress("reading " + command.motion.filename().string());
+    return convert(command, progress);
+  }();
+  print_warnings(done.warnings);
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},
-                             {"poses", motion.poses()},
-                             {"batches", session.revision()},
-                             {"state_hash", hex(session.mesh().state_hash())}}
+                             {"poses", done.poses},
+                             {"batches", done.batches},
+                             {"state_hash", hex(done.state_hash)},
+                             {"warnings", done.warnings}}
                             .dump(2)
                             .c_str());
     return 0;
   }
-  print_row("poses", std::to_string(motion.poses()));
-  print_row("batches", std::to_string(session.revision()));
-  print_row("state hash", hex(session.mesh().state_hash()));
+  print_row("poses", std::to_string(done.poses));
+  print_row("batches", std::to_string(done.batches));
+  print_row("state hash", hex(done.state_hash));
   print_row("written", command.out.string());
   return 0;
 }

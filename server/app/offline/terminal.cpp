@@ -4,37 +4,67 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <utility>
 
 namespace incise::app {
 
+using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
 Progress::Progress(std::string label)
-    : label_(std::move(label)),
-      terminal_(isatty(STDERR_FILENO) == 1),
-      start_(steady_clock::now()),
-      shown_(start_) {}
+    : Progress(std::move(label), stderr, isatty(STDERR_FILENO) == 1, std::chrono::seconds(1)) {}
 
-Progress::~Progress() {
-  if (drawn_) std::fprintf(stderr, "\r\033[K");
+Progress::Progress(std::string label, std::FILE* out, bool terminal, milliseconds delay)
+    : out_(out), start_(steady_clock::now()), label_(std::move(label)) {
+  if (terminal) drawing_ = std::jthread([this, delay](const std::stop_token& stop) { draw(stop, delay); });
+}
+
+Progress::~Progress() = default;
+
+void Progress::stage(std::string label) {
+  const std::scoped_lock lock(mutex_);
+  label_ = std::move(label);
+  detail_.clear();
+  fraction_ = -1;
 }
 
 void Progress::show(double fraction, std::string_view detail) {
-  const auto now = steady_clock::now();
-  if (!terminal_ || now - start_ < std::chrono::seconds(1) || now - shown_ < std::chrono::milliseconds(100))
-    return;
-  shown_ = now;
-  drawn_ = true;
+  const std::scoped_lock lock(mutex_);
+  fraction_ = fraction;
+  detail_ = detail;
+}
+
+void Progress::draw(const std::stop_token& stop, milliseconds delay) {
+  std::unique_lock lock(mutex_);
+  const auto stopped_within = [&](milliseconds time) {
+    return stopped_.wait_for(lock, stop, time, [&] { return stop.stop_requested(); });
+  };
+  if (stopped_within(delay)) return;
+  do {
+    std::fprintf(out_, "\r\033[K%s", line().c_str());
+    std::fflush(out_);
+  } while (!stopped_within(milliseconds(100)));
+  std::fprintf(out_, "\r\033[K");
+  std::fflush(out_);
+}
+
+std::string Progress::line() const {
   constexpr int kWidth = 30;
-  std::string bar;
-  if (fraction >= 0) {
-    const int filled = static_cast<int>(kWidth * std::clamp(fraction, 0.0, 1.0));
-    bar = " [" + std::string(filled, '#') + std::string(kWidth - filled, ' ') + "] " +
-          std::to_string(static_cast<int>(100 * std::clamp(fraction, 0.0, 1.0))) + " %";
+  std::string text = label_;
+  if (fraction_ >= 0) {
+    const double part = std::clamp(fraction_, 0.0, 1.0);
+    const int filled = static_cast<int>(kWidth * part);
+    text += " [" + std::string(static_cast<std::size_t>(filled), '#') +
+            std::string(static_cast<std::size_t>(kWidth - filled), ' ') + "] " +
+            std::to_string(static_cast<int>(100 * part)) + " %";
   }
-  std::fprintf(stderr, "\r\033[K%s%s %.*s", label_.c_str(), bar.c_str(), static_cast<int>(detail.size()),
-               detail.data());
-  std::fflush(stderr);
+  if (!detail_.empty()) text += " " + detail_;
+  const auto passed = std::chrono::duration_cast<std::chrono::seconds>(steady_clock::now() - start_);
+  return text + " (" + std::to_string(passed.count()) + " s)";
+}
+
+void print_warnings(const std::vector<std::string>& warnings) {
+  for (const std::string& warning : warnings) std::fprintf(stderr, "warning: %s\n", warning.c_str());
 }
 
 void print_row(std::string_view name, const std::string& value) {
@@ -45,6 +75,23 @@ std::string short_number(double number) {
   char text[32];
   std::snprintf(text, sizeof text, "%.4g", number);
   return text;
+}
+
+std::string short_duration(double us) {
+  char text[32];
+  const bool milli = us >= 999.5, whole = us >= 999.5e3;
+  std::snprintf(text, sizeof text, "%.3g %s",
+                whole   ? us * 1e-6
+                : milli ? us * 1e-3
+                        : us,
+                whole   ? "s"
+                : milli ? "ms"
+                        : "us");
+  return text;
+}
+
+std::string counted(std::uint64_t n, std::string_view one, std::string_view many) {
+  return std::to_string(n) + " " + std::string(n == 1 ? one : many);
 }
 
 }  // namespace incise::app

@@ -1,33 +1,59 @@
 #pragma once
 
 #include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <cstdio>
+#include <mutex>
+#include <stop_token>
 #include <string>
 #include <string_view>
+#include <thread>
+#include <vector>
 
 namespace incise::app {
 
 // A progress bar on stderr, where that is a terminal, for what takes longer than a second; it goes away when done.
+//
+// Thread: any may call stage() and show(). Owns: a thread that draws, where there is a terminal, so that a step that does
+// not report shows the time passing all the same.
 class Progress {
  public:
   explicit Progress(std::string label);
+  // `out` is drawn on where `terminal` says so, first after `delay`.
+  Progress(std::string label, std::FILE* out, bool terminal, std::chrono::milliseconds delay);
   ~Progress();
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
+  // What is being done from here on; how far it is, nobody knows yet.
+  void stage(std::string label);
   // `fraction` of 1, or less than 0 where that is unknown; `detail` stands behind the bar.
   void show(double fraction, std::string_view detail = {});
 
  private:
-  const std::string label_;
-  const bool terminal_;
+  void draw(const std::stop_token& stop, std::chrono::milliseconds delay);
+  std::string line() const;
+
+  std::FILE* const out_;
   const std::chrono::steady_clock::time_point start_;
-  std::chrono::steady_clock::time_point shown_;
-  bool drawn_ = false;
+  std::mutex mutex_;  // guards what follows
+  std::condition_variable_any stopped_;
+  std::string label_, detail_;
+  double fraction_ = -1;
+  std::jthread drawing_;  // last: it uses all of this
 };
+
+// "warning: ..." lines on stderr.
+void print_warnings(const std::vector<std::string>& warnings);
 
 // Rows of names and values, aligned, on stdout.
 void print_row(std::string_view name, const std::string& value);
 
 // A number in few digits: "12.3", "0.00042".
 std::string short_number(double number);
+// A duration in the unit that suits it: "840 us", "13.8 ms", "2.1 s".
+std::string short_duration(double us);
+// "1 pose", "2 poses".
+std::string counted(std::uint64_t n, std::string_view one, std::string_view many);
 
 }  // namespace incise::app

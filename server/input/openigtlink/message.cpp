@@ -201,7 +201,8 @@ std::optional<Header> read_header(std::span<const std::uint8_t, kHeaderBytes> by
   header.body_bytes = reader.number<std::uint64_t>();
   header.crc = reader.number<std::uint64_t>();
   if (header.version < 1 || header.version > kNewest) {
-    error = "found header version " + std::to_string(header.version) + ", accepted are 1 and above";
+    error = "found header version " + std::to_string(header.version) + ", accepted are 1 to " +
+            std::to_string(kNewest) + ": is this OpenIGTLink?";
     return std::nullopt;
   }
   if (header.type.empty() || header.type.find('_') == 0 || type[0] <= 0x20) {

@@ -1,0 +1,202 @@
+#include "server/app/offline/motion_run.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+namespace incise::app {
+namespace {
+
+using core::PoseVerdict;
+
+// A limit is raised where more of the steps than this would be jumps, to so many times what is usual.
+constexpr double kMaxJumps = 0.1, kTimesUsualSpeed = 20, kTimesUsualGap = 5;
+// A body larger than this is not in metres, and a hand's speed says nothing: so many bodies a second instead.
+constexpr double kMaxBody_m = 1, kBodiesPerSecond = 10;
+// Where a motion spans so many times as much as the body, or the other way round, one of them is in millimetres.
+constexpr double kMinUnitError = 150, kMaxUnitError = 7000;
+
+double middle(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+bool engaged(const core::CutConfig& cut, const core::Pose& pose) {
+  return cut.always_engaged || (pose.buttons & cut.engage_buttons) != 0;
+}
+
+struct Steps {
+  std::vector<double> gaps_s, speeds_m_s;  // of all; of those that move
+};
+
+// The steps of a motion while the blade is engaged.
+Steps steps_of(const Config& config, const RecordedMotion& motion) {
+  Steps steps;
+  std::array<const core::Pose*, core::kMaxSources> last{};
+  for (const MotionEvent& event : motion.events) {
+    if (event.kind != MotionEvent::Kind::kPose) continue;
+    const core::Pose* previous = std::exchange(last[event.source], &event.pose);
+    if (!previous || event.pose.t_ns <= previous->t_ns || !engaged(config.cut, *previous)) continue;
+    const core::Blade& blade = blade_of(config, event.source);
+    const double way_m = travel(core::blade_line(blade, *previous), core::blade_line(blade, event.pose));
+    steps.gaps_s.push_back(static_cast<double>(static_cast<std::uint64_t>(event.pose.t_ns) -
+                                               static_cast<std::uint64_t>(previous->t_ns)) *
+                           1e-9);
+    if (way_m > 0) steps.speeds_m_s.push_back(way_m / steps.gaps_s.back());
+  }
+  return steps;
+}
+
+double share_beyond(const std::vector<double>& values, double limit) {
+  const auto beyond = std::count_if(values.begin(), values.end(), [limit](double v) { return v > limit; });
+  return values.empty() ? 0 : static_cast<double>(beyond) / static_cast<double>(values.size());
+}
+
+std::string raised(const char* key, double from, double to, const char* unit) {
+  return std::string(key) + " from " + short_number(from) + " to " + short_number(to) + " " + unit;
+}
+
+}  // namespace
+
+std::string Box::text() const {
+  const auto point = [](const core::Vec3& p) {
+    return "(" + short_number(p.x) + ", " + short_number(p.y) + ", " + short_number(p.z) + ")";
+  };
+  return point(low) + " to " + point(high);
+}
+
+Box box_of(const core::MeshData& mesh) {
+  Box box;
+  for (const core::Vec3& p : mesh.positions) box.add(p);
+  return box;
+}
+
+void hold_button(RecordedMotion& motion, const Config& config) {
+  if (motion.has_buttons || config.cut.always_engaged) return;
+  for (MotionEvent& event : motion.events) {
+    if (event.kind != MotionEvent::Kind::kPose) continue;
+    event.pose.buttons |= 1u << std::countr_zero(config.cut.engage_buttons);
+  }
+}
+
+std::string suit_limits(Config& config, const RecordedMotion& motion, double body_size_m) {
+  if (motion.header) return {};
+  const core::CutConfig defaults;
+  core::CutConfig& cut = config.cut;
+  const Steps steps = steps_of(config, motion);
+  std::string text;
+  if (cut.gap_limit_s == defaults.gap_limit_s && share_beyond(steps.gaps_s, cut.gap_limit_s) > kMaxJumps) {
+    cut.gap_limit_s = std::max(cut.gap_limit_s, kTimesUsualGap * middle(steps.gaps_s));
+    text = raised("cut.gap_limit_s", defaults.gap_limit_s, cut.gap_limit_s, "s");
+  }
+  double speed = defaults.speed_limit_m_s;
+  if (body_size_m > kMaxBody_m) speed = std::max(speed, kBodiesPerSecond * body_size_m);
+  if (share_beyond(steps.speeds_m_s, speed) > kMaxJumps) {
+    speed = std::max(speed, kTimesUsualSpeed * middle(steps.speeds_m_s));
+  }
+  if (cut.speed_limit_m_s == defaults.speed_limit_m_s &&
+      share_beyond(steps.speeds_m_s, cut.speed_limit_m_s) > 0 && speed > cut.speed_limit_m_s) {
+    cut.speed_limit_m_s = speed;
+    text += (text.empty() ? "" : " and ") +
+            raised("cut.speed_limit_m_s", defaults.speed_limit_m_s, cut.speed_limit_m_s, "m/s");
+  }
+  return text;
+}
+
+void MotionRun::run(const Options& options, Progress& progress) {
+  std::array<bool, core::kMaxSources> used{};
+  const auto& events = motion_.events;
+  for (std::size_t i = 0; i < events.size(); ++i) {
+    const MotionEvent& event = events[i];
+    const bool deforms = event.kind == MotionEvent::Kind::kDeform;
+    if (deforms && !options.deformations) continue;
+    used[event.source] = used[event.source] || !deforms;
+    take(event, options);
+    progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
+  }
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if (used[source]) take({MotionEvent::Kind::kEndStroke, source, {}, 0}, options);
+  }
+}
+
+void MotionRun::take(const MotionEvent& event, const Options& options) {
+  if (event.kind == MotionEvent::Kind::kPose) {
+    ++verdicts_[static_cast<std::size_t>(session_.push(event.source, event.pose))];
+    engaged_ = engaged_ || engaged(config_.cut, event.pose);
+    tool_.add(event.pose.position);
+  } else {
+    apply(session_, event, config_);
+  }
+  if (options.event) options.event(event);
+  commit_all(options);
+}
+
+void MotionRun::commit_all(const Options& options) {
+  using std::chrono::steady_clock;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  for (;;) {
+    const auto start = steady_clock::now();
+    if (session_.advance(budget, delta_) != core::CutSession::Progress::kCommitted) return;
+    const std::chrono::duration<double, std::micro> us = steady_clock::now() - start;
+    const core::Batch& batch = session_.committed_batch();
+    if (batch.stroke > 0) {
+      ++batches_;
+      for (const core::BladeLine& line : batch.lines) {
+        swept_.add(line.heel);
+        swept_.add(line.tip);
+      }
+    }
+    options.commit(delta_, us.count());
+  }
+}
+
+std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box& body) const {
+  std::vector<std::string> all;
+  for (std::size_t i = 0; i < verdicts_.size(); ++i) {
+    const auto verdict = static_cast<PoseVerdict>(i);
+    if (verdicts_[i] == 0 || core::accepted(verdict)) continue;
+    all.push_back(name_ + ": " + counted(verdicts_[i], "pose was", "poses were") +
+                  " not taken: " + core::to_string(verdict));
+  }
+  if (jumps() > 0) {
+    all.push_back(name_ + ": " + counted(jumps(), "jump", "jumps") + " began a new stroke: faster than " +
+                  "cut.speed_limit_m_s = " + short_number(config_.cut.speed_limit_m_s) +
+                  " or after more than cut.gap_limit_s = " + short_number(config_.cut.gap_limit_s));
+  }
+  if (cut_faces == 0) all.push_back("nothing was cut: " + why_nothing_was_cut(body));
+  if (const std::string hint = units_hint(cut_faces == 0, body); !hint.empty()) all.push_back(hint);
+  return all;
+}
+
+std::string MotionRun::why_nothing_was_cut(const Box& body) const {
+  if (!engaged_) {
+    return "no pose of " + name_ + " holds a button that engages the blade (cut.engage_buttons = " +
+           std::to_string(config_.cut.engage_buttons) + "); \"cut\": {\"engage\": \"always\"} needs none";
+  }
+  if (batches_ == 0 && jumps() > 0) {
+    return "every step of " + name_ + " counts as a jump; raise the limits in the configuration";
+  }
+  if (batches_ == 0) return "the blade of " + name_ + " never moved";
+  return "the blade swept " + swept_.text() + ", the mesh fills " + body.text() +
+         " (metres); check the blade, units and frames";
+}
+
+std::string MotionRun::units_hint(bool nothing_was_cut, const Box& body) const {
+  const double times = tool_.diagonal() / std::max(body.diagonal(), 1e-300);
+  const std::string spans = name_ + ": the tool's way spans " + short_number(tool_.diagonal()) +
+                            " m, the body " + short_number(body.diagonal()) + " m: ";
+  if (times > kMinUnitError && times < kMaxUnitError)
+    return spans + "these poses look like millimetres; divide x, y and z by 1000";
+  if (nothing_was_cut && 1 / times > kMinUnitError && 1 / times < kMaxUnitError) {
+    return spans +
+           "this mesh looks like millimetres; give --config a file with {\"mesh\": {\"scale_to_metres\": "
+           "0.001}}";
+  }
+  return {};
+}
+
+}  // namespace incise::app
