@@ -112,6 +112,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
         "--blade", command->blade,
         "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade");
     sub->add_flag("--take-over", command->take_over, "take the blade from whoever holds it");
+    sub->add_flag(
+        "--reset", command->reset,
+        "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
     sub->add_flag("--json", command->json, "print the summary as JSON");
     add_server_options(*sub, command->server);
     sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
