@@ -50,6 +50,7 @@ export class Server {
     if (!this.process || this.process.exitCode !== null || this.process.signalCode !== null) return;
     const ended = once(this.process, "exit");
     this.process.kill(signal);
+    this.process.kill("SIGCONT"); // a test may have frozen it
     await ended;
   }
 
@@ -72,16 +73,23 @@ export class Server {
 
   /** Streams straight passes of the blade through the body at these places along x, at `speed` times one second each. */
   stream(places, { depth_m = 0.07, speed = 4, lines = 60 } = {}) {
+    const passes = places.map((x) => [[x, -0.12, depth_m], [x, 0.12, depth_m]]);
+    return this.streamPasses(passes, { speed, lines });
+  }
+
+  /** Streams the blade, which points down, along straight lines: [from, to] each. `more`: further options of incise stream. */
+  streamPasses(passes, { speed = 4, lines = 60, more = [] } = {}) {
     const rows = ["t_s,x_m,y_m,z_m,qw,qx,qy,qz,button"];
-    places.forEach((x, pass) => {
+    passes.forEach(([from, to], pass) => {
       for (let i = 0; i <= lines; ++i) {
-        rows.push([pass * 2 + i / lines, x, -0.12 + (0.24 * i) / lines, depth_m, 1, 0, 0, 0, i < lines ? 1 : 0].join());
+        const at = from.map((a, k) => a + ((to[k] - a) * i) / lines);
+        rows.push([pass * 2 + i / lines, ...at, 1, 0, 0, 0, i < lines ? 1 : 0].join());
       }
     });
     const motion = this.file("motion.csv", rows.join("\n") + "\n");
     for (let tries = 10; ; --tries) {
       try {
-        return this.incise("stream", motion, "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed);
+        return this.incise("stream", motion, "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed, ...more);
       } catch (error) {
         // It waits for a few seconds only, which a busy machine may take to answer.
         if (tries === 0 || !String(error).includes("no answer in time")) throw error;
@@ -94,13 +102,14 @@ export class Server {
   }
 }
 
-export async function launch() {
+/** flags: further ones of Chromium's. */
+export async function launch(...flags) {
   const executablePath = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
   if (!executablePath) throw new Error("no Chromium; ./dev test installs it (section test of config/packages.txt)");
   return chromium.launch({
     executablePath,
     // Software GL, wherever the tests run; Chromium's own sandbox refuses to run as root.
-    args: ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(process.getuid() === 0 ? ["--no-sandbox"] : [])],
+    args: ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(process.getuid() === 0 ? ["--no-sandbox"] : []), ...flags],
   });
 }
 

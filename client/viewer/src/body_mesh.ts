@@ -1,5 +1,6 @@
 import * as THREE from "three";
 import type { Corners } from "./corner_buffers";
+import type { ShownTriangles } from "./section_lines";
 import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
 
 const kPieceColumns = 256;
@@ -26,6 +27,8 @@ export class BodyMesh {
   readonly positions: () => Float32Array;
   /** Slots that hold triangles, or did. */
   slots = 0;
+  /** Rises with each change of what is drawn. */
+  version = 0;
   private pieceOffsets = new Float32Array(4 * kPieceColumns);
   private pieceTexture = this.makePieceTexture(1);
 
@@ -34,7 +37,7 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
-      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, DETAIL: 1 },
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
@@ -75,6 +78,7 @@ export class BodyMesh {
     this.mesh.geometry = geometry;
     this.mesh.visible = slots > 0;
     this.slots = slots;
+    ++this.version;
   }
 
   patch(slots: Uint32Array, highest: number, corners: Corners): void {
@@ -84,6 +88,7 @@ export class BodyMesh {
     this.write("aFacts", 12, corners.facts, slots, ranges);
     this.slots = Math.max(this.slots, highest);
     this.mesh.geometry.setDrawRange(0, 3 * this.slots);
+    ++this.version;
   }
 
   /** lips: 3 a corner, of the first slots; pieces: 4 a row. */
@@ -102,6 +107,7 @@ export class BodyMesh {
     }
     this.pieceOffsets.set(pieces);
     this.pieceTexture.needsUpdate = true;
+    ++this.version;
   }
 
   /** 9 numbers for each triangle that is drawn. */
@@ -120,6 +126,33 @@ export class BodyMesh {
 
   setWire(on: boolean): void {
     this.define("WIRE", Number(on));
+  }
+
+  /** The plane of a section, (normal, offset): points with normal . p > offset are left out. Null: none. */
+  setSection(plane: readonly number[] | null): void {
+    this.uniforms.uSection.value.fromArray(plane ?? [0, 0, 0, 1]);
+    this.define("SECTION", Number(plane !== null));
+  }
+
+  /** The triangles as they are shown, opened by this share. */
+  shown(open: number): ShownTriangles {
+    const p = this.positions();
+    const facts = this.attribute("aFacts"), lips = this.attribute("aLips");
+    const corners = (slot: number, out: Float64Array) => {
+      const piece = 4 * (facts[12 * slot + 2] + 256 * facts[12 * slot + 3]);
+      let size = 0;
+      for (let i = 0; i < 9; ++i) {
+        const at = 9 * slot + i;
+        size += Math.abs(p[at]);
+        out[i] = p[at] + open * (lips[at] + (this.pieceOffsets[piece + (i % 3)] ?? 0));
+      }
+      return size > 0;
+    };
+    return { slots: this.slots, corners, isCut: (slot) => facts[12 * slot] !== 0 };
+  }
+
+  private attribute(name: string): ArrayLike<number> {
+    return this.mesh.geometry.getAttribute(name)?.array ?? [];
   }
 
   /** inside: the back of the surface is drawn, too; detail: the fine grain. What was compiled before is kept. */

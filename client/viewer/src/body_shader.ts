@@ -1,5 +1,5 @@
 // One pass, few instructions: it has to be quick on a processor without a graphics card too. What a picture does not need is
-// left out when the shader is compiled (COLOURING, WIRE, INSIDE, DETAIL: body_mesh.ts), since a renderer on the processor goes
+// left out when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL: body_mesh.ts), since a renderer on the processor goes
 // through every branch of an `if` for every pixel: half of a frame went into colours that nobody saw. Wet tissue is three things
 // here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain in its colour.
 
@@ -156,5 +156,9 @@ export const bodyFragmentShader = /* glsl */ `
     // A shoulder for the highlights, then sRGB.
     lit = lit / (1.0 + 0.22 * lit);
     colour = vec4(srgb(lit), 1.0);
+#if SECTION
+    // The two sides of a closed cut lie at the same depth: the one that is seen from inside fills the section.
+    gl_FragDepth = gl_FragCoord.z - (inside ? 2e-6 : 0.0);
+#endif
   }
 `;

@@ -17,7 +17,8 @@ import { Welcome } from "./wire/incise/wire/welcome";
 
 /** Where a link stands; `text` says it to the person who looks at the page. */
 export interface LinkState {
-  stage: "connecting" | "open" | "waiting" | "ended";
+  /** stalled: still connected, but the server does not answer. */
+  stage: "connecting" | "open" | "stalled" | "waiting" | "ended";
   text: string;
   /** Why it ended: what the page can offer to do about it. */
   reason?: "token" | "taken" | "handed-over" | "version" | "unavailable";
@@ -45,14 +46,20 @@ export interface LinkEvents {
   state(state: LinkState): void;
   /** The server did not do what it was asked for; the connection stays. */
   refused(text: string): void;
-  /** A message made no sense; the connection is opened anew. */
+  /** A message could not be read; the link connects again. */
   unreadable(): void;
 }
 
 const kFirstPause_ms = 250;
 const kLongestPause_ms = 8000;
-const kPingEvery_ms = 2000;
-const kSilence_ms = 9000; // the line is dead: sleep, or another network
+const kCheckEvery_ms = 400;
+// Checks in a row without a word from the server, which answers a ping at each. They are counted, not timed: a worker that was
+// busy for seconds finds what came meanwhile before the next check.
+const kStalledAfter = 3;
+const kDeadAfter = 22;
+const kSilence_ms = 9000; // after sleep, or in another network, the line is dead
+
+const kOpen: LinkState = { stage: "open", text: "Connected" };
 
 /** Absolute time in ns, of the page and its worker alike. */
 export function now_ns(): bigint {
@@ -65,7 +72,9 @@ export class Link {
   private sequence = 0n;
   private pause_ms = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
-  private pinger: ReturnType<typeof setInterval> | undefined;
+  private checker: ReturnType<typeof setInterval> | undefined;
+  private quietChecks = 0;
+  private pinged = false; // and not answered yet
   private lastHeard_ms = 0;
   private ended = false;
   private lost = ""; // what the server said before the connection ended
@@ -107,7 +116,7 @@ export class Link {
   end(): void {
     this.ended = true;
     clearTimeout(this.timer);
-    clearInterval(this.pinger);
+    clearInterval(this.checker);
     if (this.socket?.readyState === WebSocket.OPEN) {
       this.send(Body.Bye, (b) => Bye.createBye(b, ByeReason.Done, 0));
     }
@@ -140,29 +149,40 @@ export class Link {
     this.sequence = 0n;
     this.lost = "";
     this.lastHeard_ms = performance.now();
+    this.quietChecks = 0;
+    this.pinged = false;
     socket.onopen = () => {
       const fields = this.events.hello();
       this.send(Body.Hello, (b) => makeHello(b, fields));
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.onMessage(event.data);
     socket.onclose = () => this.onClosed("The server does not answer.");
-    clearInterval(this.pinger);
-    this.pinger = setInterval(() => this.ping(), kPingEvery_ms);
+    clearInterval(this.checker);
+    this.checker = setInterval(() => this.check(), kCheckEvery_ms);
   }
 
-  private ping(): void {
-    if (performance.now() - this.lastHeard_ms > kSilence_ms) {
+  private check(): void {
+    if (++this.quietChecks >= kDeadAfter) {
       this.drop("Nothing was heard from the server.");
       return;
     }
-    if (this.welcomed) this.send(Body.Ping, (b) => Ping.createPing(b, 1n, now_ns()));
+    if (!this.welcomed) return;
+    if (this.quietChecks === kStalledAfter) this.events.state({ stage: "stalled", text: "The server does not answer." });
+    this.ping();
+  }
+
+  /** One at a time: they do not pile up before a server that does not read. */
+  private ping(): void {
+    if (this.pinged) return;
+    this.pinged = true;
+    this.send(Body.Ping, (b) => Ping.createPing(b, 1n, now_ns()));
   }
 
   private onClosed(text: string): void {
     const was = this.welcomed;
     this.socket = null;
     this.welcomed = false;
-    clearInterval(this.pinger);
+    clearInterval(this.checker);
     if (this.ended) return;
     this.pause_ms = was ? kFirstPause_ms : Math.min(kLongestPause_ms, Math.max(kFirstPause_ms, 2 * this.pause_ms));
     const pause = this.pause_ms * (0.8 + 0.4 * Math.random());
@@ -173,6 +193,9 @@ export class Link {
 
   private onMessage(data: ArrayBuffer): void {
     this.lastHeard_ms = performance.now();
+    const stalled = this.welcomed && this.quietChecks >= kStalledAfter;
+    this.quietChecks = 0;
+    if (stalled) this.events.state(kOpen);
     try {
       this.read(data);
     } catch (error) {
@@ -186,7 +209,7 @@ export class Link {
   private read(data: ArrayBuffer): void {
     const buffer = new flatbuffers.ByteBuffer(new Uint8Array(data));
     if (data.byteLength < 16 || !Message.bufferHasIdentifier(buffer)) {
-      this.drop("The server sent something that is no message.");
+      this.drop("The server sent something that is not a message.");
       return;
     }
     const message = Message.getRootAsMessage(buffer);
@@ -197,7 +220,7 @@ export class Link {
         this.pause_ms = 0;
         this.bestRoundTrip_ns = 1n << 62n;
         this.events.welcome(message.body(new Welcome()));
-        this.events.state({ stage: "open", text: "Connected" });
+        this.events.state(kOpen);
         this.ping();
         break;
       case Body.Ping: {
@@ -220,6 +243,7 @@ export class Link {
   }
 
   private onPong(pong: Pong): void {
+    this.pinged = false;
     const now = now_ns();
     const trip = now - pong.pingSentNs();
     this.roundTrip_ms = Number(trip) / 1e6;

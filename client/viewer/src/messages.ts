@@ -33,7 +33,8 @@ export interface BladeStep {
   own: boolean;
   heel: Vec3;
   tip: Vec3;
-  ended: boolean;
+  ended: boolean; // with it the stroke
+  cutArea_m2: number; // one side
 }
 
 export interface Progress {
@@ -45,9 +46,6 @@ export interface Progress {
   hashAgrees: boolean;
   deltas: number; // since the page was loaded
   bytes: number;
-  /** When the last pose behind this change was made, ms of absolute time; 0: unknown. */
-  posed_ms: number;
-  arrived_ms: number;
 }
 
 export interface ReplayFacts {
@@ -59,13 +57,14 @@ export interface ReplayFacts {
   text: string;
 }
 
+export type Post = (message: FromWorker, transfer?: Transferable[]) => void;
+
 export type ToWorker =
   | { kind: "connect"; url: string; token: string }
   | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
-  | { kind: "end-stroke" }
   | { kind: "reset" }
   | { kind: "colour-by-quality"; on: boolean }
   | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
@@ -74,12 +73,24 @@ export type ToWorker =
   | { kind: "drop" } // for tests: as if the network were lost
   | { kind: "dump" }; // for tests: all triangles
 
+/** What has changed since the last one. */
+export interface Patch {
+  kind: "patch";
+  slots: Uint32Array;
+  highest: number; // slot in use, plus 1
+  corners: Corners;
+  steps: BladeStep[];
+  progress: Progress;
+  /** When the last pose behind this change was made, ms of absolute time; 0: no pose is behind it. */
+  posed_ms: number;
+}
+
 export type FromWorker =
   | { kind: "link"; which: "view" | "blade" | "admin"; state: LinkState }
   | { kind: "facts"; facts: Facts }
   | { kind: "blade"; facts: BladeFacts }
   | { kind: "geometry"; slots: number; capacity: number; corners: Corners; progress: Progress }
-  | { kind: "patch"; slots: Uint32Array; highest: number; corners: Corners; rows: number; steps: BladeStep[]; progress: Progress }
+  | Patch
   /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
   /** Where somebody else's blade is now. */
@@ -88,5 +99,7 @@ export type FromWorker =
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
+  /** The live body has been replaced by the one that was loaded. */
+  | { kind: "was-reset" }
   | { kind: "notice"; text: string }
   | { kind: "dump"; triangles: Float32Array };

@@ -23,8 +23,11 @@ export interface MouseBladeEvents {
   /** 9 numbers a pose. */
   poses(poses: Float64Array): void;
   moved(heel: Vec3, tip: Vec3, cuts: boolean): void;
+  /** A hand wants to draw, and may not. */
+  refused(): void;
   strokeBegan(): void;
-  strokeEnded(): void;
+  /** sent: poses of it went out. */
+  strokeEnded(sent: boolean): void;
 }
 
 /**
@@ -79,7 +82,8 @@ export class MouseBlade {
   }
 
   private onDown(event: PointerEvent): void {
-    if (!this.enabled || !this.facts || event.button !== 0) return;
+    if (event.button !== 0) return;
+    if (!this.enabled || !this.facts) return this.events.refused();
     if (this.pointer >= 0) return this.cancel(); // a second finger: this becomes a turn
     if (event.pointerType === "touch" && !event.isPrimary) return;
     this.pointer = event.pointerId;
@@ -127,7 +131,7 @@ export class MouseBlade {
     this.flush();
     this.samples = [];
     this.lastEvent = null;
-    this.events.strokeEnded();
+    this.events.strokeEnded(this.last !== null);
   }
 
   private sample(event: PointerEvent): Sample {

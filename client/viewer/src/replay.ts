@@ -1,15 +1,17 @@
+import { element, input } from "./dom";
 import type { ReplayFacts, ToWorker } from "./messages";
-
-const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
 
 /** The list of recordings and the controls of the one that is played. */
 export class Replay {
   facts: ReplayFacts | null = null;
   private scrubbing = false;
+  private resume = false; // it played when the scrubbing began
+  private asked: number | null = null; // a revision that was asked for, until the server has answered
+  private wanted: number | null = null; // the next one to ask for
 
   constructor(private readonly send: (message: ToWorker) => void) {
     const speed = () => Number(element<HTMLSelectElement>("speed").value);
-    const scrub = element<HTMLInputElement>("scrub");
+    const scrub = input("scrub");
     element("play").onclick = () => send({ kind: "replay", action: this.facts?.playing ? "pause" : "play", speed: speed() });
     element("step").onclick = () => send({ kind: "replay", action: "step" });
     element("replay-close").onclick = () => send({ kind: "replay", action: "close" });
@@ -17,12 +19,19 @@ export class Replay {
       if (this.facts?.playing) send({ kind: "replay", action: "play", speed: speed() });
     };
     scrub.oninput = () => {
-      this.scrubbing = true;
+      if (!this.scrubbing) {
+        this.scrubbing = true;
+        this.resume = this.facts?.playing === true;
+        if (this.resume) send({ kind: "replay", action: "pause" });
+      }
       this.showPlace(scrub.valueAsNumber);
+      this.seek(scrub.valueAsNumber);
     };
     scrub.onchange = () => {
       this.scrubbing = false;
-      send({ kind: "replay", action: "seek", revision: scrub.valueAsNumber });
+      this.seek(scrub.valueAsNumber);
+      if (this.resume) send({ kind: "replay", action: "play", speed: speed() });
+      this.resume = false;
     };
   }
 
@@ -50,16 +59,34 @@ export class Replay {
   show(facts: ReplayFacts | null): void {
     this.facts = facts?.capture ? facts : null;
     element("player").hidden = this.facts === null;
-    if (!this.facts) return;
+    this.asked = null;
+    if (!this.facts) {
+      this.scrubbing = this.resume = false;
+      this.wanted = null;
+      return;
+    }
     const { playing, revision, lastRevision } = this.facts;
     element("play").setAttribute("aria-label", playing ? "Pause" : "Play");
     element("play-icon").setAttribute("d", playing ? "M7 5h4v14H7zM13 5h4v14h-4z" : "M8 5v14l11-7z");
-    const scrub = element<HTMLInputElement>("scrub");
+    const scrub = input("scrub");
     scrub.max = String(lastRevision);
     if (!this.scrubbing) {
       scrub.valueAsNumber = revision;
       this.showPlace(revision);
     }
+    if (this.wanted !== null) this.seek(this.wanted);
+  }
+
+  /** One wish at a time: a hand is quicker than the server, which would go to every place on the way. */
+  private seek(revision: number): void {
+    this.wanted = null;
+    if (this.asked === revision) return;
+    if (this.asked !== null) {
+      this.wanted = revision;
+      return;
+    }
+    this.asked = revision;
+    this.send({ kind: "replay", action: "seek", revision });
   }
 
   private showPlace(revision: number): void {

@@ -4,6 +4,8 @@ import { BladeView } from "./blade_view";
 import { BodyMesh } from "./body_mesh";
 import type { Vec3 } from "./messages";
 import { Resolution } from "./resolution";
+import { planeOf, type Section } from "./section";
+import { SectionLines } from "./section_lines";
 
 const kSettle_ms = 220; // after the last motion the picture is drawn once more, with all pixels
 const kFine_ms = 900; // and then with more than the screen has, where the renderer smooths no edges
@@ -50,7 +52,10 @@ export class Stage {
   private alarm: ReturnType<typeof setTimeout> | undefined; // when a blade that rests is to vanish
   private openNow = 0;
   private openGoal = 0;
-  private section = -1; // share of the body left of the plane; below 0: none
+  private section: Section | null = null;
+  private plane: readonly number[] | null = null; // of the section
+  private readonly sectionLines = new SectionLines();
+  private linesShown = ""; // what the lines were made of
   private flight: { from: THREE.Vector3; to: THREE.Vector3; targetFrom: THREE.Vector3; began_ms: number } | null = null;
   readonly calm = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -101,8 +106,9 @@ export class Stage {
         }`,
     }));
     this.ground.renderOrder = -1;
-    this.scene.add(this.backdrop, this.ground, this.body.mesh);
+    this.scene.add(this.backdrop, this.ground, this.body.mesh, this.sectionLines.group);
     this.setTool("turn");
+    canvas.addEventListener("webglcontextrestored", () => this.draw());
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
   }
@@ -130,13 +136,12 @@ export class Stage {
     });
   }
 
-  setBody(min: Vec3, max: Vec3, meanEdge_m: number): void {
+  setBody(min: Vec3, max: Vec3): void {
     this.centre.set((min[0] + max[0]) / 2, (min[1] + max[1]) / 2, (min[2] + max[2]) / 2);
     this.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
     this.min = min;
     this.max = max;
     this.body.uniforms.uGrain.value = 55 / this.bodySize_m;
-    void meanEdge_m;
     const size = 2.6 * this.bodySize_m;
     this.ground.scale.set(size, size, 1);
     this.ground.material.uniforms.uSize.value = size;
@@ -219,11 +224,15 @@ export class Stage {
     this.draw();
   }
 
-  /** share: how much of the body stays, along its longest side; below 0: all. */
-  setSection(share: number): void {
-    this.section = share;
+  setSection(section: Section | null): void {
+    this.section = section;
     this.applySection();
     this.draw();
+  }
+
+  /** From what the camera looks at to the eye. */
+  get toEye(): Vec3 {
+    return this.camera.position.clone().sub(this.controls.target).toArray();
   }
 
   /** backdrop: its colours in the middle and at the edge, as #rrggbb. */
@@ -253,17 +262,15 @@ export class Stage {
   }
 
   private applySection(): void {
-    const plane = this.body.uniforms.uSection.value as THREE.Vector4;
-    if (this.section < 0) {
-      plane.set(0, 0, 0, 1);
-      return;
-    }
-    const sides = [0, 1, 2].map((k) => this.max[k] - this.min[k]);
-    const k = sides.indexOf(Math.max(...sides));
-    const normal = [0, 0, 0];
-    normal[k] = 1;
-    // Opened pieces stand out of the box: the ends lie a little beyond it.
-    plane.set(normal[0], normal[1], normal[2], this.min[k] + sides[k] * (this.section * 1.5 - 0.25));
+    this.plane = this.section && planeOf(this.section, this.min, this.max);
+    this.body.setSection(this.plane);
+  }
+
+  private followSection(): void {
+    const from = this.plane ? [this.body.version, this.openNow, ...this.plane].join() : "";
+    if (from === this.linesShown) return;
+    this.linesShown = from;
+    this.sectionLines.show(this.plane && this.body.shown(this.openNow), this.plane ?? [], this.bodySize_m);
   }
 
   private resize(): void {
@@ -330,9 +337,10 @@ export class Stage {
     const u = this.body.uniforms;
     this.ground.material.uniforms.uLine.value = Math.max(1, this.renderer.getPixelRatio());
     u.uOpen.value = this.openNow;
+    this.followSection();
     // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
     // may take the trouble.
-    this.body.setEffort(!this.software || this.section >= 0, !this.software || this.quality !== "quick");
+    this.body.setEffort(!this.software || this.section !== null, !this.software || this.quality !== "quick");
     // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);
