@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { atRevision, bladeIsReady, drag, look, notices, serve, shot, strokeIsOver } from "./page.mjs";
+import { bladeIsReady, drag, look, notices, serve, shot, strokeIsOver } from "./page.mjs";
 import { progress, until } from "./server.mjs";
 
 test("a drag of the mouse cuts the body in two, a shallow one does not", async (t) => {
@@ -11,9 +11,11 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   await bladeIsReady(page);
   await page.locator("#depth").fill("0.15");
   await drag(page, [0.66, 0.05], [0.68, 0.92]);
-  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await strokeIsOver(page);
   await page.waitForTimeout(500);
   assert.equal((await progress(page)).pieces, 1);
+  // It has cut tissue, not the air above it, along the whole way, so deep as the slider says.
+  await until(page, () => Number(document.getElementById("cut-area").textContent) > 5);
   await shot(page, "shallow_cut");
   await page.locator("#depth").fill("1");
   await drag(page, [0.42, 0.02], [0.46, 0.98]);
@@ -31,13 +33,21 @@ test("a shorter blade does not reach through, and the recording knows how long i
   await bladeIsReady(page);
   const whole = await length();
   await page.locator("#length").fill("0.1");
-  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) < least, 0.2 * whole);
+  await until(
+    page,
+    (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) < least,
+    0.2 * whole,
+  );
   await drag(page, [0.42, 0.02], [0.46, 0.98]);
-  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await strokeIsOver(page);
   await page.waitForTimeout(500);
   assert.equal((await progress(page)).pieces, 1);
   await page.locator("#length").fill("1");
-  await until(page, (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) > least, 0.9 * whole);
+  await until(
+    page,
+    (least) => document.body.dataset.blade === "open" && Math.hypot(...window.incise.mouse.facts.tip) > least,
+    0.9 * whole,
+  );
   await drag(page, [0.46, 0.02], [0.48, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2);
   await server.stop();
@@ -75,7 +85,8 @@ test("a stroke that cuts nothing says so, one that cuts does not", async (t) => 
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);
   await bladeIsReady(page);
-  const cutsNothing = () => until(page, () => [...document.querySelectorAll(".notice p")].some((p) => p.textContent.includes("cut nothing")));
+  const cutsNothing = () =>
+    until(page, () => [...document.querySelectorAll(".notice p")].some((p) => p.textContent.includes("cut nothing")));
   await drag(page, [0.03, 0.3], [0.03, 0.95]);
   await cutsNothing();
   await shot(page, "missed");
@@ -106,4 +117,3 @@ test("a second window is told who holds the blade, and can take it", async (t) =
   await first.page.close();
   assert.deepEqual([...first.faults, ...second.faults], []);
 });
-

@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { atRevision, bladeIsReady, drag, look, serve, shot } from "./page.mjs";
-import { launch, progress, until } from "./server.mjs";
+import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { launch, until } from "./server.mjs";
 
 test("a picture at rest is drawn no more, and one that moves is", async (t) => {
   const server = await serve(t);
@@ -39,8 +39,12 @@ test("a picture at rest is drawn no more, and one that moves is", async (t) => {
 
 /** The smallest dihedral angle of the tetrahedron behind each boundary face of TetGen files, degrees; sorted. */
 function boundaryAngles(base) {
-  const rows = (ending) => readFileSync(base + ending, "utf8").split("\n").filter((line) => line && line[0] !== "#").slice(1)
-    .map((line) => line.trim().split(/\s+/).map(Number));
+  const rows = (ending) =>
+    readFileSync(base + ending, "utf8")
+      .split("\n")
+      .filter((line) => line && line[0] !== "#")
+      .slice(1)
+      .map((line) => line.trim().split(/\s+/).map(Number));
   const points = new Map(rows(".node").map(([id, ...xyz]) => [id, xyz]));
   const faces = new Map(); // from three vertices to the tetrahedra that have them
   const angles = rows(".ele").map(([, ...corners], t) => {
@@ -52,20 +56,29 @@ function boundaryAngles(base) {
     for (let i = 0; i < 4; ++i) {
       for (let j = i + 1; j < 4; ++j) {
         const axis = unit(minus(p[j], p[i]));
-        const [u, v] = [0, 1, 2, 3].filter((k) => k !== i && k !== j).map((k) => {
-          const arm = minus(p[k], p[i]);
-          return unit(arm.map((x, n) => x - axis[n] * dot(arm, axis)));
-        });
+        const [u, v] = [0, 1, 2, 3]
+          .filter((k) => k !== i && k !== j)
+          .map((k) => {
+            const arm = minus(p[k], p[i]);
+            return unit(arm.map((x, n) => x - axis[n] * dot(arm, axis)));
+          });
         least = Math.min(least, (Math.acos(Math.min(1, Math.max(-1, dot(u, v)))) * 180) / Math.PI);
       }
     }
     for (let k = 0; k < 4; ++k) {
-      const face = corners.slice(0, 4).filter((_, i) => i !== k).sort((a, b) => a - b).join();
+      const face = corners
+        .slice(0, 4)
+        .filter((_, i) => i !== k)
+        .sort((a, b) => a - b)
+        .join();
       faces.set(face, [...(faces.get(face) ?? []), t]);
     }
     return least;
   });
-  return [...faces.values()].filter((tets) => tets.length === 1).map(([t]) => angles[t]).sort((a, b) => a - b);
+  return [...faces.values()]
+    .filter((tets) => tets.length === 1)
+    .map(([t]) => angles[t])
+    .sort((a, b) => a - b);
 }
 
 test("the colours of quality are the smallest dihedral angles of the tetrahedra", async (t) => {
@@ -74,29 +87,34 @@ test("the colours of quality are the smallest dihedral angles of the tetrahedra"
   await page.getByText("Quality").click();
   server.stream([0.03]);
   const { revision } = await server.stats();
-  const angles = () => page.evaluate(() => {
-    const { body } = window.incise.stage;
-    const facts = body.mesh.geometry.getAttribute("aFacts").array;
-    const positions = body.mesh.geometry.getAttribute("position").array;
-    const shown = [];
-    for (let slot = 0; slot < body.slots; ++slot) {
-      if (positions.subarray(9 * slot, 9 * slot + 9).some((x) => x !== 0)) shown.push((facts[12 * slot + 1] * 45) / 255);
-    }
-    return shown.sort((a, b) => a - b);
-  });
+  const angles = () =>
+    page.evaluate(() => {
+      const { body } = window.incise.stage;
+      const facts = body.mesh.geometry.getAttribute("aFacts").array;
+      const positions = body.mesh.geometry.getAttribute("position").array;
+      const shown = [];
+      for (let slot = 0; slot < body.slots; ++slot) {
+        if (positions.subarray(9 * slot, 9 * slot + 9).some((x) => x !== 0))
+          shown.push((facts[12 * slot + 1] * 45) / 255);
+      }
+      return shown.sort((a, b) => a - b);
+    });
   await until(page, (r) => window.incise.progress.revision === r, revision);
   await server.stop(); // its capture is whole then; the page keeps what it holds
   const base = server.file("state");
   server.incise("export", server.file("session.capture"), "--out", `${base}.node`);
   const wanted = boundaryAngles(base).map((angle) => Math.min(angle, 45));
   let shown = [];
-  for (let tries = 0; tries < 300; ++tries) { // the tetrahedra come on a connection of their own, at most 20 times a second
+  for (let tries = 0; tries < 300; ++tries) {
+    // the tetrahedra come on a connection of their own, at most 20 times a second
     shown = await angles();
     if (shown.length === wanted.length && shown.every((angle, i) => Math.abs(angle - wanted[i]) < 0.2)) break;
     await page.waitForTimeout(100);
   }
   assert.equal(shown.length, wanted.length);
-  shown.forEach((angle, i) => assert.ok(Math.abs(angle - wanted[i]) < 0.2, `face ${i}: ${angle}, wanted ${wanted[i]}`));
+  for (const [i, angle] of shown.entries()) {
+    assert.ok(Math.abs(angle - wanted[i]) < 0.2, `face ${i}: ${angle}, wanted ${wanted[i]}`);
+  }
   assert.ok(shown[0] < 30 && shown.at(-1) > 40);
   await shot(page, "quality");
   assert.deepEqual(faults, []);
@@ -107,9 +125,11 @@ test("everything is reached by keyboard and has a name", async (t) => {
   const { page, faults } = await look(t, server.url, { colorScheme: "light", width: 1280, height: 800 });
   await until(page, () => window.incise.stage.framesDrawn > 0);
   await shot(page, "loaded_light");
-  const nameless = await page.evaluate(() => [...document.querySelectorAll("button, input, select, a, [role=img]")]
-    .filter((e) => !(e.getAttribute("aria-label") || e.labels?.[0]?.textContent.trim() || e.textContent.trim()))
-    .map((e) => e.outerHTML));
+  const nameless = await page.evaluate(() =>
+    [...document.querySelectorAll("button, input, select, a, [role=img]")]
+      .filter((e) => !(e.getAttribute("aria-label") || e.labels?.[0]?.textContent.trim() || e.textContent.trim()))
+      .map((e) => e.outerHTML),
+  );
   assert.deepEqual(nameless, []);
   const before = await page.evaluate(() => window.incise.stage.camera.position.toArray());
   await page.locator("#picture").focus();
@@ -130,7 +150,8 @@ test("everything is reached by keyboard and has a name", async (t) => {
     await page.keyboard.press("Tab");
     seen.add(await page.evaluate(() => document.activeElement.id || document.activeElement.textContent));
   }
-  for (const id of ["theme", "panel-toggle", "wire", "depth", "length", "tilt", "open", "fit", "reset"]) assert.ok(seen.has(id), id);
+  for (const id of ["theme", "panel-toggle", "wire", "depth", "length", "tilt", "open", "fit", "reset"])
+    assert.ok(seen.has(id), id);
   assert.deepEqual(faults, []);
 });
 
@@ -160,7 +181,11 @@ test("keys work in capitals and without focus, and a question mark lists them", 
   await shot(page, "help");
   // Every key that a tooltip names is listed, and each is there once.
   const listed = await page.locator("#keys kbd").allTextContents();
-  const named = await page.evaluate(() => [...document.querySelectorAll("[title]")].flatMap((e) => /\(([^)]{1,7})\)$/.exec(e.title)?.[1].split(" and ") ?? []));
+  const named = await page.evaluate(() =>
+    [...document.querySelectorAll("[title]")].flatMap(
+      (e) => /\(([^)]{1,7})\)$/.exec(e.title)?.[1].split(" and ") ?? [],
+    ),
+  );
   assert.ok(named.length > 10);
   for (const key of named) assert.ok(listed.includes(key), key);
   assert.equal(new Set(listed).size, listed.length);
@@ -188,14 +213,21 @@ test("a section faces who looks, goes along any axis and draws where it meets sk
   await atRevision(page, (await server.stats()).revision);
   await page.locator("#open").fill("0");
   await page.keyboard.press("s");
-  const section = () => page.evaluate(() => {
-    const { stage } = window.incise;
-    const [x, y, z, offset] = stage.body.uniforms.uSection.value.toArray();
-    const size = (mesh) => mesh.geometry.getAttribute("position")?.count ?? 0;
-    stage.colourAt(0.5, 0.5); // draws
-    const { skin, cuts } = stage.sectionLines;
-    return { normal: [x, y, z], offset, towardsEye: [x, y, z].reduce((sum, n, i) => sum + n * stage.toEye[i], 0), skin: size(skin), cuts: size(cuts) };
-  });
+  const section = () =>
+    page.evaluate(() => {
+      const { stage } = window.incise;
+      const [x, y, z, offset] = stage.body.uniforms.uSection.value.toArray();
+      const size = (mesh) => mesh.geometry.getAttribute("position")?.count ?? 0;
+      stage.colourAt(0.5, 0.5); // draws
+      const { skin, cuts } = stage.sectionLines;
+      return {
+        normal: [x, y, z],
+        offset,
+        towardsEye: [x, y, z].reduce((sum, n, i) => sum + n * stage.toEye[i], 0),
+        skin: size(skin),
+        cuts: size(cuts),
+      };
+    });
   await until(page, () => window.incise.stage.atRest);
   const first = await section();
   assert.deepEqual(first.normal.map(Math.abs), [0, 0, 1]); // along which one looks most at the start
@@ -206,7 +238,10 @@ test("a section faces who looks, goes along any axis and draws where it meets sk
     await page.locator("#section-axis").getByText(name).click();
     await until(page, () => window.incise.stage.atRest);
     const shown = await section();
-    assert.deepEqual(shown.normal.map(Math.abs), [0, 1, 2].map((k) => Number(k === axis)));
+    assert.deepEqual(
+      shown.normal.map(Math.abs),
+      [0, 1, 2].map((k) => Number(k === axis)),
+    );
     assert.ok(shown.towardsEye > 0, name);
     assert.ok(shown.skin > 0, name);
   }
@@ -214,7 +249,10 @@ test("a section faces who looks, goes along any axis and draws where it meets sk
   await page.locator("#section-at").fill("0.6");
   assert.notEqual((await section()).offset, offset);
   await page.locator("#section-flip").click();
-  assert.deepEqual((await section()).normal, normal.map((n) => -n || 0));
+  assert.deepEqual(
+    (await section()).normal,
+    normal.map((n) => -n || 0),
+  );
   await page.keyboard.press("s");
   assert.deepEqual((await section()).normal, [0, 0, 0]);
   assert.deepEqual(faults, []);
@@ -226,26 +264,42 @@ test("open lifts the lips of a cut that stops inside, and leaves faces that were
   // Along x, with the tip in the middle of the body; then right through, across it.
   const middle = await page.evaluate(() => window.incise.stage.centre.toArray());
   const [x, y, z] = middle;
-  server.streamPasses([[[x - 0.15, y, z + 0.12], [x + 0.15, y, z + 0.12]], [[x + 0.013, -0.15, 0.07], [x + 0.013, 0.15, 0.07]]]);
+  server.streamPasses([
+    [
+      [x - 0.15, y, z + 0.12],
+      [x + 0.15, y, z + 0.12],
+    ],
+    [
+      [x + 0.013, -0.15, 0.07],
+      [x + 0.013, 0.15, 0.07],
+    ],
+  ]);
   await atRevision(page, (await server.stats()).revision);
   await until(page, () => window.incise.progress.pieces >= 2);
   await page.locator("#open").fill("1");
   /** How far the faces that the second pass parted are moved, in the plane of that pass and out of it. */
-  const measure = (at) => page.evaluate((at) => {
-    const attribute = (name) => window.incise.stage.body.mesh.geometry.getAttribute(name).array;
-    const positions = attribute("position"), facts = attribute("aFacts"), lips = attribute("aLips");
-    const found = { parted: 0, off: 0, along: 0, most: 0 };
-    for (let slot = 0; slot < window.incise.stage.body.slots; ++slot) {
-      const own = lips.subarray(9 * slot, 9 * slot + 9);
-      for (const d of own) found.most = Math.max(found.most, Math.abs(d));
-      if (!facts[12 * slot] || ![0, 3, 6].every((k) => Math.abs(positions[9 * slot + k] - at) < 1e-5)) continue;
-      ++found.parted;
-      own.forEach((d, i) => (found[i % 3 === 0 ? "off" : "along"] = Math.max(found[i % 3 === 0 ? "off" : "along"], Math.abs(d))));
-    }
-    return found;
-  }, at);
+  const measure = (at) =>
+    page.evaluate((at) => {
+      const attribute = (name) => window.incise.stage.body.mesh.geometry.getAttribute(name).array;
+      const positions = attribute("position"),
+        facts = attribute("aFacts"),
+        lips = attribute("aLips");
+      const found = { parted: 0, off: 0, along: 0, most: 0 };
+      for (let slot = 0; slot < window.incise.stage.body.slots; ++slot) {
+        const own = lips.subarray(9 * slot, 9 * slot + 9);
+        for (const d of own) found.most = Math.max(found.most, Math.abs(d));
+        if (!facts[12 * slot] || ![0, 3, 6].every((k) => Math.abs(positions[9 * slot + k] - at) < 1e-5)) continue;
+        ++found.parted;
+        for (const [i, d] of own.entries()) {
+          const way = i % 3 === 0 ? "off" : "along";
+          found[way] = Math.max(found[way], Math.abs(d));
+        }
+      }
+      return found;
+    }, at);
   let moved = await measure(Math.fround(x + 0.013));
-  for (let tries = 0; tries < 300 && moved.along < 0.5 * moved.most; ++tries) { // until the last state's opening is there
+  for (let tries = 0; tries < 300 && moved.along < 0.5 * moved.most; ++tries) {
+    // until the last state's opening is there
     await page.waitForTimeout(100);
     moved = await measure(Math.fround(x + 0.013));
   }
@@ -264,7 +318,8 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   const wide = await page.evaluate(() => document.documentElement.scrollWidth);
   assert.ok(wide <= 390, `${wide} px wide`);
   const cdp = await page.context().newCDPSession(page);
-  const finger = (type, y) => cdp.send("Input.dispatchTouchEvent", { type, touchPoints: type === "touchEnd" ? [] : [{ x: 180 + y / 40, y }] });
+  const finger = (type, y) =>
+    cdp.send("Input.dispatchTouchEvent", { type, touchPoints: type === "touchEnd" ? [] : [{ x: 180 + y / 40, y }] });
   await finger("touchStart", 170);
   for (let y = 180; y <= 560; y += 12) {
     await finger("touchMove", y);
@@ -278,4 +333,3 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   await shot(page, "phone_panel");
   assert.deepEqual(faults, []);
 });
-

@@ -43,6 +43,8 @@ export async function drag(page, from, to, steps = 30) {
 
 export const bladeIsReady = (page) => until(page, () => document.body.dataset.blade === "open");
 export const atRevision = (page, revision) => until(page, (r) => window.incise.progress.revision === r, revision);
-export const strokeIsOver = (page) => until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+export const strokeIsOver = (page) =>
+  until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
 /** Everything that the page says at the top right now. */
-export const notices = (page) => page.evaluate(() => [...document.querySelectorAll(".notice p")].map((p) => p.textContent));
+export const notices = (page) =>
+  page.evaluate(() => [...document.querySelectorAll(".notice p")].map((p) => p.textContent));

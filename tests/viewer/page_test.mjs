@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, drag, look, notices, serve, shot, theBrowser } from "./page.mjs";
+import { damageOneDelta } from "./damage.mjs";
 import { progress, Server, until } from "./server.mjs";
 import { boundaryOfVtu, canonical } from "./triangles.mjs";
 
@@ -19,6 +20,30 @@ test("the page loads, shows the body and checks its hash", async (t) => {
   // Something red is in the middle, and not at the edge.
   const red = await page.evaluate(() => window.incise.stage.colourAt(0.5, 0.5));
   assert.ok(red[0] > 1.5 * red[2] && red[3] === 255, `found ${red}`);
+  assert.deepEqual(faults, []);
+});
+
+test("a change that was damaged on its way turns the light red, and the page loads the state again", async (t) => {
+  const server = await serve(t);
+  const damage = await damageOneDelta(t, server);
+  const { page, faults } = await look(t, damage.url);
+  await page.evaluate(() => {
+    const row = document.getElementById("hash-row");
+    const shown = (window.lights = [row.dataset.agrees]);
+    new MutationObserver(() => shown.push(row.dataset.agrees)).observe(row, { attributeFilter: ["data-agrees"] });
+  });
+  damage.arm();
+  server.stream([0.03]);
+  await atRevision(page, (await server.stats()).revision);
+  await until(page, () => window.incise.progress.hashAgrees);
+  assert.equal(damage.done(), true);
+  const lights = await page.evaluate(() => window.lights);
+  assert.ok(lights.includes("false"), lights.join());
+  assert.equal(lights.at(-1), "true");
+  const shown = await page.evaluate(async () => Array.from(await window.incise.dump()));
+  await server.stop();
+  server.incise("export", server.file("session.capture"), "--out", server.file("end.vtu"));
+  assert.deepEqual(canonical(Float32Array.from(shown)), canonical(boundaryOfVtu(server.file("end.vtu"))));
   assert.deepEqual(faults, []);
 });
 
@@ -91,7 +116,10 @@ test("pose to pixel is measured where a pose is behind the picture, and nowhere 
   await page.waitForTimeout(1200); // two turns of the figures: what was measured is shown
   const shown = await page.textContent("#latency");
   // Other colours are a change of the picture that no pose is behind.
-  const qualities = () => page.evaluate(() => window.incise.stage.body.mesh.geometry.getAttribute("aFacts").array.reduce((sum, x) => sum + x, 0));
+  const qualities = () =>
+    page.evaluate(() =>
+      window.incise.stage.body.mesh.geometry.getAttribute("aFacts").array.reduce((sum, x) => sum + x, 0),
+    );
   const before = await qualities();
   await page.getByText("Quality").click();
   while ((await qualities()) === before) await page.waitForTimeout(50);
@@ -107,8 +135,10 @@ test("a frozen server is noticed while it is still connected, and nothing is cut
   await bladeIsReady(page);
   await page.evaluate(() => {
     const stages = (window.stages = [document.getElementById("connection").dataset.stage]);
-    new MutationObserver(() => stages.push(document.getElementById("connection").dataset.stage))
-      .observe(document.getElementById("connection"), { attributeFilter: ["data-stage"] });
+    new MutationObserver(() => stages.push(document.getElementById("connection").dataset.stage)).observe(
+      document.getElementById("connection"),
+      { attributeFilter: ["data-stage"] },
+    );
   });
   server.process.kill("SIGSTOP");
   await until(page, () => document.getElementById("connection").dataset.stage !== "open");
@@ -117,8 +147,14 @@ test("a frozen server is noticed while it is still connected, and nothing is cut
   await shot(page, "server_frozen");
   assert.ok((await notices(page)).some((text) => text.includes("Nothing is cut until it does")));
   server.process.kill("SIGCONT");
-  await until(page, () => document.getElementById("connection").dataset.stage === "open" && document.body.dataset.blade === "open");
-  assert.deepEqual((await page.evaluate(() => window.stages)).filter((stage, i, all) => stage !== all[i - 1]), ["open", "stalled", "open"]);
+  await until(
+    page,
+    () => document.getElementById("connection").dataset.stage === "open" && document.body.dataset.blade === "open",
+  );
+  assert.deepEqual(
+    (await page.evaluate(() => window.stages)).filter((stage, i, all) => stage !== all[i - 1]),
+    ["open", "stalled", "open"],
+  );
   // The next stroke is the first that the server gets.
   await drag(page, [0.62, 0.02], [0.64, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2);
@@ -133,7 +169,15 @@ test("who cuts while somebody else resets the body is told why it is whole again
   await drag(page, [0.42, 0.02], [0.46, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2);
   const session = await page.evaluate(() => window.incise.facts.session);
-  server.streamPasses([[[0.02, -0.12, 0.07], [0.02, 0.12, 0.07]]], { more: ["--reset"] });
+  server.streamPasses(
+    [
+      [
+        [0.02, -0.12, 0.07],
+        [0.02, 0.12, 0.07],
+      ],
+    ],
+    { more: ["--reset"] },
+  );
   await until(page, (s) => window.incise.facts.session !== s, session);
   assert.ok((await notices(page)).some((text) => text.includes("was reset")));
   await atRevision(page, (await server.stats()).revision);
@@ -162,8 +206,15 @@ test("reset gives everybody a fresh body", async (t) => {
 test("a server with tokens asks for one", async (t) => {
   const server = new Server();
   t.after(() => server.end());
-  server.config.listen = { token_file: server.file("tokens.json", JSON.stringify([
-    { token: "only-for-watching", roles: ["viewer"] }, { token: "for-cutting-as-well", roles: ["viewer", "operator", "admin"] }])) };
+  server.config.listen = {
+    token_file: server.file(
+      "tokens.json",
+      JSON.stringify([
+        { token: "only-for-watching", roles: ["viewer"] },
+        { token: "for-cutting-as-well", roles: ["viewer", "operator", "admin"] },
+      ]),
+    ),
+  };
   await server.start();
   const context = await theBrowser().newContext();
   t.after(() => context.close());

@@ -22,10 +22,11 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   await page.locator("#panel-toggle").click();
   await page.getByRole("button", { name: "old", exact: true }).click();
   await until(page, () => window.incise.replay.facts !== null);
-  const scrub = (revision) => page.locator("#scrub").evaluate((e, r) => {
-    e.valueAsNumber = r;
-    e.dispatchEvent(new Event("change"));
-  }, revision);
+  const scrub = (revision) =>
+    page.locator("#scrub").evaluate((e, r) => {
+      e.valueAsNumber = r;
+      e.dispatchEvent(new Event("change"));
+    }, revision);
   await scrub(recorded.revision);
   await until(page, (r) => window.incise.progress.revision === r, recorded.revision);
   assert.equal((await progress(page)).hash, recorded.state_hash);
@@ -57,4 +58,3 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   assert.deepEqual(await notices(page), []); // nobody has reset anything
   assert.deepEqual(faults, []);
 });
-

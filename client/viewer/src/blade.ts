@@ -29,7 +29,12 @@ export class Blade {
     this.release();
     this.link = new Link(url, {
       hello: () => ({
-        role: Role.Operator, view: View.None, token, sourceName: "mouse", takeOver, blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] },
+        role: Role.Operator,
+        view: View.None,
+        token,
+        sourceName: "mouse",
+        takeOver,
+        blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] },
       }),
       welcome: (welcome) => {
         takeOver = true; // after a lost connection the server may not know yet that we are gone
@@ -59,8 +64,19 @@ export class Blade {
       for (let i = count - 1; i >= 0; --i) {
         const at = kNumbersPerPose * i;
         const time_ns = BigInt(Math.round(poses[at] * 1e3)) * 1000n;
-        PoseSample.createPoseSample(b, time_ns, poses[at + 1], poses[at + 2], poses[at + 3], poses[at + 4], poses[at + 5],
-                                    poses[at + 6], poses[at + 7], poses[at + 8], 0);
+        PoseSample.createPoseSample(
+          b,
+          time_ns,
+          poses[at + 1],
+          poses[at + 2],
+          poses[at + 3],
+          poses[at + 4],
+          poses[at + 5],
+          poses[at + 6],
+          poses[at + 7],
+          poses[at + 8],
+          0,
+        );
       }
       return PoseBatch.createPoseBatch(b, b.endVector());
     });
@@ -71,8 +87,11 @@ export class Blade {
     this.post({
       kind: "blade",
       facts: {
-        heel: vec(welcome.bladeHeel()), tip: vec(welcome.bladeTip()), source: this.source,
-        engageButton: welcome.engageButton(), maxSpeed_m_s: welcome.maxSpeedMS(),
+        heel: vec(welcome.bladeHeel()),
+        tip: vec(welcome.bladeTip()),
+        source: this.source,
+        engageButton: welcome.engageButton(),
+        maxSpeed_m_s: welcome.maxSpeedMS(),
       },
     });
   }

@@ -62,7 +62,13 @@ export class BodyMesh {
   /** A whole state, in buffers with room for `capacity` slots. */
   replace(slots: number, capacity: number, corners: Corners): void {
     const geometry = new THREE.BufferGeometry();
-    const add = (name: string, Type: typeof Float32Array | typeof Int16Array | typeof Uint8Array, size: number, normalised: boolean, from?: ArrayLike<number>) => {
+    const add = (
+      name: string,
+      Type: typeof Float32Array | typeof Int16Array | typeof Uint8Array,
+      size: number,
+      normalised: boolean,
+      from?: ArrayLike<number>,
+    ) => {
       const array = new Type(3 * size * capacity);
       if (from) array.set(from);
       const attribute = new THREE.BufferAttribute(array, size, normalised);
@@ -137,7 +143,8 @@ export class BodyMesh {
   /** The triangles as they are shown, opened by this share. */
   shown(open: number): ShownTriangles {
     const p = this.positions();
-    const facts = this.attribute("aFacts"), lips = this.attribute("aLips");
+    const facts = this.attribute("aFacts"),
+      lips = this.attribute("aLips");
     const corners = (slot: number, out: Float64Array) => {
       const piece = 4 * (facts[12 * slot + 2] + 256 * facts[12 * slot + 3]);
       let size = 0;
@@ -182,16 +189,28 @@ export class BodyMesh {
     for (let s = 0; s < this.slots; ++s) {
       if (facts[12 * s] !== 0) continue;
       const i = 9 * s;
-      const ax = p[i], ay = p[i + 1], az = p[i + 2];
-      const ux = p[i + 3] - ax, uy = p[i + 4] - ay, uz = p[i + 5] - az;
-      const vx = p[i + 6] - ax, vy = p[i + 7] - ay, vz = p[i + 8] - az;
-      const hx = dy * vz - dz * vy, hy = dz * vx - dx * vz, hz = dx * vy - dy * vx;
+      const ax = p[i],
+        ay = p[i + 1],
+        az = p[i + 2];
+      const ux = p[i + 3] - ax,
+        uy = p[i + 4] - ay,
+        uz = p[i + 5] - az;
+      const vx = p[i + 6] - ax,
+        vy = p[i + 7] - ay,
+        vz = p[i + 8] - az;
+      const hx = dy * vz - dz * vy,
+        hy = dz * vx - dx * vz,
+        hz = dx * vy - dy * vx;
       const det = ux * hx + uy * hy + uz * hz;
       if (det < 1e-18) continue; // seen from inside, or not at all
-      const tx = ox - ax, ty = oy - ay, tz = oz - az;
+      const tx = ox - ax,
+        ty = oy - ay,
+        tz = oz - az;
       const a = tx * hx + ty * hy + tz * hz;
       if (a < 0 || a > det) continue;
-      const qx = ty * uz - tz * uy, qy = tz * ux - tx * uz, qz = tx * uy - ty * ux;
+      const qx = ty * uz - tz * uy,
+        qy = tz * ux - tx * uz,
+        qz = tx * uy - ty * ux;
       const b = dx * qx + dy * qy + dz * qz;
       if (b < 0 || a + b > det) continue;
       const t = (vx * qx + vy * qy + vz * qz) / det;
@@ -200,7 +219,13 @@ export class BodyMesh {
     return nearest;
   }
 
-  private write(name: string, size: number, from: ArrayLike<number>, slots: Uint32Array, ranges: [number, number][]): void {
+  private write(
+    name: string,
+    size: number,
+    from: ArrayLike<number>,
+    slots: Uint32Array,
+    ranges: [number, number][],
+  ): void {
     const attribute = this.mesh.geometry.getAttribute(name) as THREE.BufferAttribute;
     const to = attribute.array;
     for (let i = 0; i < slots.length; ++i) {

@@ -28,13 +28,21 @@ function hash(x: number, y: number, z: number): number {
 
 /** A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. Fixed to the place, so to the tissue. */
 function grain(p: Float32Array, at: number, cells: number): number {
-  const x = p[at] * cells, y = p[at + 1] * cells, z = p[at + 2] * cells;
-  const i = Math.floor(x), j = Math.floor(y), k = Math.floor(z);
+  const x = p[at] * cells,
+    y = p[at + 1] * cells,
+    z = p[at + 2] * cells;
+  const i = Math.floor(x),
+    j = Math.floor(y),
+    k = Math.floor(z);
   const ease = (t: number) => t * t * (3 - 2 * t);
-  const u = ease(x - i), v = ease(y - j), w = ease(z - k);
+  const u = ease(x - i),
+    v = ease(y - j),
+    w = ease(z - k);
   let sum = 0;
   for (let corner = 0; corner < 8; ++corner) {
-    const a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
+    const a = corner & 1,
+      b = (corner >> 1) & 1,
+      c = corner >> 2;
     sum += hash(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
   }
   return sum;
@@ -89,7 +97,8 @@ export class CornerBuilder {
     for (const slot of [...slots]) {
       if (surface.ids[slot] === kNone) continue;
       for (let k = 0; k < 3; ++k) {
-        for (let c = surface.head[surface.corners[3 * slot + k]]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
+        for (let c = surface.head[surface.corners[3 * slot + k]]; c !== kNone; c = surface.next[c])
+          slots.add((c / 3) | 0);
       }
     }
     return Uint32Array.from(slots).sort();
@@ -105,10 +114,18 @@ export class CornerBuilder {
     this.quality = withRoom(this.quality, slot + 1);
     const { positions: p, corners } = this.surface;
     if (this.surface.ids[slot] === kNone) return;
-    const a = 3 * corners[3 * slot], b = 3 * corners[3 * slot + 1], c = 3 * corners[3 * slot + 2];
-    const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
-    const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
-    const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+    const a = 3 * corners[3 * slot],
+      b = 3 * corners[3 * slot + 1],
+      c = 3 * corners[3 * slot + 2];
+    const ux = p[b] - p[a],
+      uy = p[b + 1] - p[a + 1],
+      uz = p[b + 2] - p[a + 2];
+    const vx = p[c] - p[a],
+      vy = p[c + 1] - p[a + 1],
+      vz = p[c + 2] - p[a + 2];
+    const nx = uy * vz - uz * vy,
+      ny = uz * vx - ux * vz,
+      nz = ux * vy - uy * vx;
     this.faceNormals.set([nx, ny, nz], 3 * slot);
     this.quality[slot] = this.qualityOf(slot);
   }
@@ -118,11 +135,13 @@ export class CornerBuilder {
     if (this.elements) return this.elements.quality[ids[slot] >>> 2];
     let squares = 0;
     for (let k = 0; k < 3; ++k) {
-      const a = 3 * corners[3 * slot + k], b = 3 * corners[3 * slot + ((k + 1) % 3)];
+      const a = 3 * corners[3 * slot + k],
+        b = 3 * corners[3 * slot + ((k + 1) % 3)];
       squares += (p[b] - p[a]) ** 2 + (p[b + 1] - p[a + 1]) ** 2 + (p[b + 2] - p[a + 2]) ** 2;
     }
     // 4 sqrt(3) area / sum of squared sides: 1 for an equilateral triangle, 0 for a flat one (Bank 1994).
-    const shape = squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(...this.faceNormals.subarray(3 * slot, 3 * slot + 3))) / squares : 0;
+    const shape =
+      squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(...this.faceNormals.subarray(3 * slot, 3 * slot + 3))) / squares : 0;
     return Math.round(255 * Math.min(1, shape));
   }
 
@@ -149,14 +168,20 @@ export class CornerBuilder {
 
   private writeNormal(slot: number, v: number, n: Float32Array, out: Int16Array, at: number): void {
     const { surface } = this;
-    const x = n[3 * slot], y = n[3 * slot + 1], z = n[3 * slot + 2];
+    const x = n[3 * slot],
+      y = n[3 * slot + 1],
+      z = n[3 * slot + 2];
     const length = Math.hypot(x, y, z);
     const cut = surface.flags[slot] & kCut;
-    let sx = 0, sy = 0, sz = 0;
+    let sx = 0,
+      sy = 0,
+      sz = 0;
     for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) {
       const other = (c / 3) | 0;
       if ((surface.flags[other] & kCut) !== cut) continue;
-      const ox = n[3 * other], oy = n[3 * other + 1], oz = n[3 * other + 2];
+      const ox = n[3 * other],
+        oy = n[3 * other + 1],
+        oz = n[3 * other + 2];
       if (other !== slot && x * ox + y * oy + z * oz < kCreaseCosine * length * Math.hypot(ox, oy, oz)) continue;
       sx += ox;
       sy += oy;

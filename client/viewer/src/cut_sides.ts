@@ -17,12 +17,17 @@ class FaceGrid {
   private readonly first = new Map<number, number>(); // by cell: an index into the cut faces
   private readonly following: Int32Array; // -1: the last of its chain
 
-  constructor({ positions: p, corners }: Surface, cut: number[], private readonly cell: number) {
+  constructor(
+    { positions: p, corners }: Surface,
+    cut: number[],
+    private readonly cell: number,
+  ) {
     this.centres = new Float32Array(3 * cut.length);
     this.following = new Int32Array(cut.length);
     for (let i = 0; i < cut.length; ++i) {
       for (let k = 0; k < 3; ++k) {
-        const sum = p[3 * corners[3 * cut[i]] + k] + p[3 * corners[3 * cut[i] + 1] + k] + p[3 * corners[3 * cut[i] + 2] + k];
+        const sum =
+          p[3 * corners[3 * cut[i]] + k] + p[3 * corners[3 * cut[i] + 1] + k] + p[3 * corners[3 * cut[i] + 2] + k];
         this.centres[3 * i + k] = sum / 3;
       }
       const key = this.key(this.index(3 * i), this.index(3 * i + 1), this.index(3 * i + 2));
@@ -33,7 +38,9 @@ class FaceGrid {
 
   /** Calls back with each face in the cells around face i, and maybe with others. */
   around(i: number, visit: (other: number) => void): void {
-    const x = this.index(3 * i), y = this.index(3 * i + 1), z = this.index(3 * i + 2);
+    const x = this.index(3 * i),
+      y = this.index(3 * i + 1),
+      z = this.index(3 * i + 2);
     for (let n = 0; n < 27; ++n) {
       let other = this.first.get(this.key(x + (n % 3) - 1, y + (((n / 3) | 0) % 3) - 1, z + ((n / 9) | 0) - 1)) ?? -1;
       for (; other >= 0; other = this.following[other]) visit(other);
@@ -67,7 +74,9 @@ export function sidesOf(surface: Surface, faces: Faces): Uint8Array {
     let nearest = reach * reach;
     let twin = -1;
     grid.around(i, (j) => {
-      const x = centres[3 * j] - centres[3 * i], y = centres[3 * j + 1] - centres[3 * i + 1], z = centres[3 * j + 2] - centres[3 * i + 2];
+      const x = centres[3 * j] - centres[3 * i],
+        y = centres[3 * j + 1] - centres[3 * i + 1],
+        z = centres[3 * j + 2] - centres[3 * i + 2];
       const squared = x * x + y * y + z * z;
       if (squared > nearest || cosine(normals, areas, s, cut[j]) > kOpposite) return;
       nearest = squared;
@@ -82,16 +91,23 @@ export function sidesOf(surface: Surface, faces: Faces): Uint8Array {
 }
 
 function cosine(normals: Float32Array, areas: Float32Array, s: number, t: number): number {
-  const dot = normals[3 * s] * normals[3 * t] + normals[3 * s + 1] * normals[3 * t + 1] + normals[3 * s + 2] * normals[3 * t + 2];
+  const dot =
+    normals[3 * s] * normals[3 * t] + normals[3 * s + 1] * normals[3 * t + 1] + normals[3 * s + 2] * normals[3 * t + 2];
   return dot / (areas[s] * areas[t] || 1);
 }
 
 /** From the faces whose side is known over smooth edges to those whose side is not. */
-function spread({ corners, head, next, flags }: Surface, { normals, areas }: Faces, sides: Uint8Array, known: number[]): void {
+function spread(
+  { corners, head, next, flags }: Surface,
+  { normals, areas }: Faces,
+  sides: Uint8Array,
+  known: number[],
+): void {
   for (let at = 0; at < known.length; ++at) {
     const s = known[at];
     for (let k = 0; k < 3; ++k) {
-      const v = corners[3 * s + k], w = corners[3 * s + ((k + 1) % 3)];
+      const v = corners[3 * s + k],
+        w = corners[3 * s + ((k + 1) % 3)];
       for (let c = head[w]; c !== kNone; c = next[c]) {
         const t = (c / 3) | 0;
         if (corners[3 * t + ((c - 3 * t + 1) % 3)] !== v) continue; // not the neighbour across this edge

@@ -1,6 +1,7 @@
 export const element = <T extends HTMLElement = HTMLElement>(id: string): T => document.getElementById(id) as T;
 export const input = (id: string) => element<HTMLInputElement>(id);
-export const number = (x: number, digits = 0) => x.toLocaleString("en", { maximumFractionDigits: digits, minimumFractionDigits: digits });
+export const number = (x: number, digits = 0) =>
+  x.toLocaleString("en", { maximumFractionDigits: digits, minimumFractionDigits: digits });
 
 /** Calls back with the value of the radio button that was chosen in this group. */
 export function onChoice(id: string, chosen: (value: string) => void): void {
@@ -8,7 +9,8 @@ export function onChoice(id: string, chosen: (value: string) => void): void {
 }
 
 export function choose(id: string, value: string): void {
-  for (const radio of element(id).querySelectorAll<HTMLInputElement>("input[type=radio]")) radio.checked = radio.value === value;
+  for (const radio of element(id).querySelectorAll<HTMLInputElement>("input[type=radio]"))
+    radio.checked = radio.value === value;
 }
 
 /** Opens a dialog; `closed` gets whether it was confirmed. */

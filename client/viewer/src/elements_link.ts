@@ -22,7 +22,11 @@ export class ElementsLink {
   private revision = 0n;
 
   /** changed: colours are different now. */
-  constructor(private readonly builder: CornerBuilder, private readonly changed: () => void, private readonly refused: (text: string) => void) {}
+  constructor(
+    private readonly builder: CornerBuilder,
+    private readonly changed: () => void,
+    private readonly refused: (text: string) => void,
+  ) {}
 
   follow(wanted: boolean, url: string, token: string): void {
     if (wanted === (this.link !== null)) return;
@@ -67,7 +71,8 @@ export class ElementsLink {
     if (delta.baseRevision() !== this.revision) {
       this.builder.elements = null;
       this.link?.send(Body.Resync, (b) =>
-        Resync.createResync(b, this.revision, 0n, b.createString("the delta does not follow on the state")));
+        Resync.createResync(b, this.revision, 0n, b.createString("the delta does not follow on the state")),
+      );
       return;
     }
     this.elements.apply(delta);

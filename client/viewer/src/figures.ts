@@ -5,6 +5,13 @@ import type { Progress } from "./messages";
 
 const kEvery_ms = 500;
 
+/** What is shown of the server's /stats, whose keys may change. */
+interface ServerStats {
+  stages_us?: { frame_work?: { sum: number; count: number } };
+  frames?: { rate_hz: number };
+  backlog?: { segments: number; work_ms: number };
+}
+
 /** The figures and charts of the panel. */
 export class Figures {
   progress: Progress | null = null;
@@ -30,9 +37,13 @@ export class Figures {
     element("revision").textContent = number(progress.revision);
     element("pieces").textContent = number(progress.pieces);
     this.showTets(progress.tets);
-    element("hash-row").dataset.agrees = String(progress.hashAgrees);
-    element("hash-text").textContent = progress.hashAgrees ? "State checked: hash agrees" : "Hash differs: loading the state again";
     element("hash").textContent = progress.hash;
+  }
+
+  /** Whether the state's hash is the server's. Where it is not, the light is red until another state has been loaded. */
+  showTrust(agrees: boolean): void {
+    element("hash-row").dataset.agrees = String(agrees);
+    element("hash-text").textContent = agrees ? "State checked: hash agrees" : "Hash differs: loading the state again";
   }
 
   showTets(tets: number): void {
@@ -45,7 +56,7 @@ export class Figures {
 
   /** json: the server's statistics. */
   showStats(json: string): void {
-    let stats;
+    let stats: ServerStats;
     try {
       stats = JSON.parse(json);
     } catch {
@@ -54,7 +65,8 @@ export class Figures {
     this.showBudget(stats.stages_us?.frame_work, stats.frames?.rate_hz ?? 1000);
     const segments = stats.backlog?.segments ?? 0;
     this.charts.backlog.push(segments);
-    element("backlog").textContent = segments > 0 ? `${number(segments)} segments, ${number(stats.backlog.work_ms)} ms` : "none";
+    element("backlog").textContent =
+      segments > 0 ? `${number(segments)} segments, ${number(stats.backlog?.work_ms ?? 0)} ms` : "none";
   }
 
   private showBudget(work: { sum: number; count: number } | undefined, rate_hz: number): void {

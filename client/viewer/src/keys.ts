@@ -11,7 +11,8 @@ export interface Key {
 /** What a key press means for the page: null where the control that has the focus wants it for itself. */
 function wantedKey(e: KeyboardEvent): string | null {
   const target = e.target as HTMLElement;
-  if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]")) return null;
+  if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
+    return null;
   if (target.matches("input[type=range], input[type=radio]") && e.key.startsWith("Arrow")) return null;
   return e.key.length === 1 ? e.key.toLowerCase() : e.key; // with Shift or Caps Lock as well
 }

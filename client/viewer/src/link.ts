@@ -83,7 +83,10 @@ export class Link {
   private bestRoundTrip_ns = 1n << 62n;
   roundTrip_ms = 0;
 
-  constructor(private readonly url: string, private readonly events: LinkEvents) {
+  constructor(
+    private readonly url: string,
+    private readonly events: LinkEvents,
+  ) {
     this.connect();
   }
 
@@ -167,7 +170,8 @@ export class Link {
       return;
     }
     if (!this.welcomed) return;
-    if (this.quietChecks === kStalledAfter) this.events.state({ stage: "stalled", text: "The server does not answer." });
+    if (this.quietChecks === kStalledAfter)
+      this.events.state({ stage: "stalled", text: "The server does not answer." });
     this.ping();
   }
 

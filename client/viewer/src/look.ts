@@ -12,7 +12,11 @@ export class Look {
   private side = 1;
 
   /** redraw: the charts have another size or other colours. */
-  constructor(private readonly stage: Stage, private readonly colourByQuality: (on: boolean) => void, private readonly redraw: () => void) {
+  constructor(
+    private readonly stage: Stage,
+    colourByQuality: (on: boolean) => void,
+    private readonly redraw: () => void,
+  ) {
     onChoice("colouring", (value) => {
       stage.body.setColouring(value as Colouring);
       element("quality-scale").hidden = value !== "quality";
@@ -25,7 +29,8 @@ export class Look {
     });
     this.bindSection();
     element("panel-toggle").onclick = () => this.togglePanel();
-    element("theme").onclick = () => this.setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+    element("theme").onclick = () =>
+      this.setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
     matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.setTheme(this.storedTheme));
     addEventListener("resize", () => this.measureCover());
     this.setTheme(this.storedTheme);
@@ -55,7 +60,9 @@ export class Look {
       choose("section-axis", "xyz"[axis]);
       show();
     };
-    input("section").addEventListener("change", () => (input("section").checked ? face(axisFacing(this.stage.toEye)) : show()));
+    input("section").addEventListener("change", () =>
+      input("section").checked ? face(axisFacing(this.stage.toEye)) : show(),
+    );
     onChoice("section-axis", (value) => face("xyz".indexOf(value)));
     input("section-at").addEventListener("input", show);
     element("section-flip").onclick = () => {
@@ -86,7 +93,10 @@ export class Look {
     const light = theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches);
     document.documentElement.dataset.theme = light ? "light" : "dark";
     const colour = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [colour("--back-a"), colour("--back-b")]);
+    this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [
+      colour("--back-a"),
+      colour("--back-b"),
+    ]);
     this.redraw();
   }
 }

@@ -67,7 +67,13 @@ export type ToWorker =
   | { kind: "poses"; poses: Float64Array }
   | { kind: "reset" }
   | { kind: "colour-by-quality"; on: boolean }
-  | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
+  | {
+      kind: "replay";
+      action: "open" | "play" | "pause" | "step" | "seek" | "close";
+      capture?: string;
+      speed?: number;
+      revision?: number;
+    }
   | { kind: "applied" } // the page has taken in the last patch
   | { kind: "wake" }
   | { kind: "drop" } // for tests: as if the network were lost
@@ -99,6 +105,8 @@ export type FromWorker =
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
+  /** The state here is not the server's: it is loaded again, as a geometry. */
+  | { kind: "differs" }
   /** The live body has been replaced by the one that was loaded. */
   | { kind: "was-reset" }
   | { kind: "notice"; text: string }

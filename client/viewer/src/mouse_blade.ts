@@ -53,7 +53,11 @@ export class MouseBlade {
   private batch: number[] = [];
   private readonly ray = new THREE.Raycaster();
 
-  constructor(private readonly canvas: HTMLElement, private readonly stage: Stage, private readonly events: MouseBladeEvents) {
+  constructor(
+    private readonly canvas: HTMLElement,
+    private readonly stage: Stage,
+    private readonly events: MouseBladeEvents,
+  ) {
     canvas.addEventListener("pointerdown", (e) => this.onDown(e));
     canvas.addEventListener("pointermove", (e) => this.onMove(e));
     canvas.addEventListener("pointerup", (e) => this.onUp(e));
@@ -180,8 +184,14 @@ export class MouseBlade {
     for (let n = 1; n <= steps; ++n) {
       const t = n / steps;
       const along = (k: "x" | "y") => {
-        const m0 = slope(before ?? a, b, k), m1 = slope(a, after ?? b, k);
-        return (2 * t * t * t - 3 * t * t + 1) * a[k] + (t * t * t - 2 * t * t + t) * m0 + (3 * t * t - 2 * t * t * t) * b[k] + (t * t * t - t * t) * m1;
+        const m0 = slope(before ?? a, b, k),
+          m1 = slope(a, after ?? b, k);
+        return (
+          (2 * t * t * t - 3 * t * t + 1) * a[k] +
+          (t * t * t - 2 * t * t + t) * m0 +
+          (3 * t * t - 2 * t * t * t) * b[k] +
+          (t * t * t - t * t) * m1
+        );
       };
       this.put(this.poseAt({ time_ms: a.time_ms + t * span, x: along("x"), y: along("y") }), this.buttons());
     }
@@ -201,7 +211,8 @@ export class MouseBlade {
     const middle = this.stage.centre.clone().sub(origin).dot(direction);
     const skin = Number.isNaN(this.reach) ? middle : this.reach;
     const along = direction.clone();
-    if (this.tilt_rad !== 0) along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
+    if (this.tilt_rad !== 0)
+      along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
     const pivot = origin.clone().addScaledVector(direction, this.depth_m === null ? middle : skin);
     // Right through: the blade's middle in the body's middle, as far as its length allows.
     const below = this.depth_m === null ? length / 2 : this.depth_m;
@@ -222,8 +233,12 @@ export class MouseBlade {
     const steps = before && buttons !== 0 ? Math.max(1, Math.ceil((end_ms - begin_ms) / kLongestStep_ms)) : 1;
     for (let n = 1; n <= steps; ++n) {
       const t = n / steps;
-      this.push(before ? before.heel.clone().lerp(pose.heel, t) : pose.heel, before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
-                steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms), buttons);
+      this.push(
+        before ? before.heel.clone().lerp(pose.heel, t) : pose.heel,
+        before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
+        steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms),
+        buttons,
+      );
     }
     this.last = pose;
     this.events.moved(pose.heel.toArray(), pose.tip.toArray(), buttons !== 0 || facts.engageButton < 0);

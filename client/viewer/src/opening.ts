@@ -29,7 +29,13 @@ export interface Opening {
  *
  * Time: kRounds times the vertices near cuts. Thread: the worker's.
  */
-export function computeOpening(surface: Surface, rowOf: (piece: number) => number, rows: number, size: number, out: Opening): void {
+export function computeOpening(
+  surface: Surface,
+  rowOf: (piece: number) => number,
+  rows: number,
+  size: number,
+  out: Opening,
+): void {
   out.lips = withRoom(out.lips, 3 * surface.head.length).fill(0);
   const faces = measureFaces(surface);
   out.cutArea_m2 = faces.cutArea / 2;
@@ -51,10 +57,18 @@ export function measureFaces({ positions: p, corners, slots, ids, flags }: Surfa
   const faces: Faces = { normals: new Float32Array(3 * slots), areas: new Float32Array(slots), cut: [], cutArea: 0 };
   for (let s = 0; s < slots; ++s) {
     if (ids[s] === kNone) continue;
-    const a = 3 * corners[3 * s], b = 3 * corners[3 * s + 1], c = 3 * corners[3 * s + 2];
-    const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
-    const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
-    const x = (uy * vz - uz * vy) / 2, y = (uz * vx - ux * vz) / 2, z = (ux * vy - uy * vx) / 2;
+    const a = 3 * corners[3 * s],
+      b = 3 * corners[3 * s + 1],
+      c = 3 * corners[3 * s + 2];
+    const ux = p[b] - p[a],
+      uy = p[b + 1] - p[a + 1],
+      uz = p[b + 2] - p[a + 2];
+    const vx = p[c] - p[a],
+      vy = p[c + 1] - p[a + 1],
+      vz = p[c + 2] - p[a + 2];
+    const x = (uy * vz - uz * vy) / 2,
+      y = (uz * vx - ux * vz) / 2,
+      z = (ux * vy - uy * vx) / 2;
     faces.normals[3 * s] = x;
     faces.normals[3 * s + 1] = y;
     faces.normals[3 * s + 2] = z;
@@ -79,7 +93,12 @@ function findLips(surface: Surface, faces: Faces, lift: number): Lips {
   const { normals, areas } = faces;
   const sides = sidesOf(surface, faces);
   const vertices = head.length;
-  const lips: Lips = { target: new Float32Array(3 * vertices), pull: new Float32Array(vertices), near: [], known: new Uint8Array(vertices) };
+  const lips: Lips = {
+    target: new Float32Array(3 * vertices),
+    pull: new Float32Array(vertices),
+    near: [],
+    known: new Uint8Array(vertices),
+  };
   for (const face of faces.cut) {
     if (sides[face] !== kWall) continue;
     for (let k = 0; k < 3; ++k) {
@@ -87,7 +106,10 @@ function findLips(surface: Surface, faces: Faces, lift: number): Lips {
       if (lips.known[v]) continue;
       lips.known[v] = 1;
       lips.near.push(v);
-      let x = 0, y = 0, z = 0, area = 0;
+      let x = 0,
+        y = 0,
+        z = 0,
+        area = 0;
       for (let c = head[v]; c !== kNone; c = next[c]) {
         const s = (c / 3) | 0;
         if (sides[s] !== kWall) continue;
@@ -128,7 +150,10 @@ function relax(surface: Surface, near: number[], target: Float32Array, pull: Flo
   for (let round = 0; round < kRounds; ++round) {
     for (let i = 0; i < near.length; ++i) {
       const v = near[round & 1 ? near.length - 1 - i : i];
-      let x = 0, y = 0, z = 0, count = 0;
+      let x = 0,
+        y = 0,
+        z = 0,
+        count = 0;
       for (let c = head[v]; c !== kNone; c = next[c]) {
         const s = 3 * ((c / 3) | 0);
         const w = 3 * corners[s + ((c - s + 1) % 3)];
@@ -147,8 +172,15 @@ function relax(surface: Surface, near: number[], target: Float32Array, pull: Flo
 }
 
 /** Pieces go away from the middle of all, and away from what they were cut off. */
-function movePieces(surface: Surface, normals: Float32Array, areas: Float32Array, rowOf: (piece: number) => number, rows: number,
-                    size: number, out: Opening): void {
+function movePieces(
+  surface: Surface,
+  normals: Float32Array,
+  areas: Float32Array,
+  rowOf: (piece: number) => number,
+  rows: number,
+  size: number,
+  out: Opening,
+): void {
   const { positions: p, corners, slots, ids, flags, pieces } = surface;
   const sums = new Float64Array(8 * rows); // centre times area, area, normals of cut faces, their area
   for (let s = 0; s < slots; ++s) {

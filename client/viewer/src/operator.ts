@@ -28,7 +28,10 @@ export class Operator {
   private strokeArea_m2 = 0; // cut by the stroke in hand, or the last one
   private readonly touch = matchMedia("(pointer: coarse)");
 
-  constructor(private readonly stage: Stage, private readonly send: Send) {
+  constructor(
+    private readonly stage: Stage,
+    private readonly send: Send,
+  ) {
     this.mouse = new MouseBlade(element("picture"), stage, {
       poses: (poses) => send({ kind: "poses", poses }, [poses.buffer]),
       moved: (heel, tip, cuts) => {
@@ -92,7 +95,9 @@ export class Operator {
     } else if (state.reason === "handed-over") {
       notice("Another window has taken the blade. You can watch here.", "Take it back", takeIt);
     } else if (state.reason === "token") {
-      notice("To cut here you need an operator's token. You can watch.", "Enter a token", () => this.askToken("Cutting needs one with the role operator."));
+      notice("To cut here you need an operator's token. You can watch.", "Enter a token", () =>
+        this.askToken("Cutting needs one with the role operator."),
+      );
     } else {
       notice(state.text);
     }
@@ -204,7 +209,8 @@ export class Operator {
   private hint(): void {
     const hand = this.touch.matches ? "Two fingers turn and zoom." : "Right-drag turns, the wheel zooms.";
     if (this.tool !== "cut" || this.bladeStage !== "open" || this.strokesTried > 1) showHint([]);
-    else if (this.strokesTried === 0) showHint([bold(`Drag across the ${this.bodyName}`), `, from one side to the other, to cut it in two. ${hand}`]);
+    else if (this.strokesTried === 0)
+      showHint([bold(`Drag across the ${this.bodyName}`), `, from one side to the other, to cut it in two. ${hand}`]);
     else showHint([bold("Open"), " moves the cut apart; ", bold("Depth"), ` makes it stop inside. ${hand}`]);
   }
 

@@ -21,7 +21,11 @@ export class Page {
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
   readonly replay = new Replay((message) => this.send(message));
   readonly figures = new Figures();
-  readonly look = new Look(this.stage, (on) => this.send({ kind: "colour-by-quality", on }), () => this.figures.draw());
+  readonly look = new Look(
+    this.stage,
+    (on) => this.send({ kind: "colour-by-quality", on }),
+    () => this.figures.draw(),
+  );
   facts: Facts | null = null;
 
   private token = sessionStorage.getItem("incise-token") ?? "";
@@ -108,6 +112,8 @@ export class Page {
         return this.onReplay(message.facts);
       case "deforms":
         return this.operator.onDeforms();
+      case "differs":
+        return this.figures.showTrust(false);
       case "was-reset":
         return this.onReset();
       case "notice":
@@ -138,6 +144,7 @@ export class Page {
     this.stage.body.replace(message.slots, message.capacity, message.corners);
     this.patch = null;
     this.show(message.progress);
+    this.figures.showTrust(message.progress.hashAgrees);
     if (message.progress.revision === 0) this.stage.body.setOpening(new Float32Array(0), new Float32Array(0));
     this.send({ kind: "applied" });
     this.stage.draw();
@@ -177,7 +184,9 @@ export class Page {
         return this.operator.onBladeLink(state);
       case "admin":
         if (state.reason === "token") {
-          notice("Reset needs an administrator's token.", "Enter a token", () => this.askToken("Reset needs one with the role admin."));
+          notice("Reset needs an administrator's token.", "Enter a token", () =>
+            this.askToken("Reset needs one with the role admin."),
+          );
         } else if (state.stage === "waiting") {
           notice("The server does not answer; nothing was reset.");
         }
@@ -186,8 +195,10 @@ export class Page {
 
   private onReset(): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
-    notice("The body was reset for everybody, by an administrator or by the demo, which begins each pass with a fresh body. " +
-           "Earlier cuts are gone.");
+    notice(
+      "The body was reset for everybody, by an administrator or by the demo, which begins each pass with a fresh body. " +
+        "Earlier cuts are gone.",
+    );
   }
 
   private onReplay(facts: ReplayFacts | null): void {
@@ -219,24 +230,36 @@ export class Page {
 
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
-    element("reset").onclick = () => ask("reset-dialog", (confirmed) => {
-      if (!confirmed) return;
-      this.resetAsked_ms = performance.now();
-      this.send({ kind: "reset" });
-    });
+    element("reset").onclick = () =>
+      ask("reset-dialog", (confirmed) => {
+        if (!confirmed) return;
+        this.resetAsked_ms = performance.now();
+        this.send({ kind: "reset" });
+      });
     element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
   }
 
   private keys(): Key[] {
     const { operator, stage, look } = this;
     const press = (id: string) => () => element(id).click();
-    const nudge = (id: string, less: string, by: number) => (key: string) => operator.nudge(id, key === less ? -by : by);
-    const turns: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    const nudge = (id: string, less: string, by: number) => (key: string) =>
+      operator.nudge(id, key === less ? -by : by);
+    const turns: Record<string, [number, number]> = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, 1],
+      ArrowDown: [0, -1],
+    };
     return [
       { keys: ["c"], shown: "C", does: "Cut", act: () => operator.setTool("cut") },
       { keys: ["t"], shown: "T", does: "Turn", act: () => operator.setTool("turn") },
       { keys: Object.keys(turns), shown: "← → ↑ ↓", does: "Turn the body", act: (key) => stage.turn(...turns[key]) },
-      { keys: ["+", "=", "-"], shown: "+ -", does: "Nearer, farther", act: (key) => stage.zoom(key === "-" ? 1.14 : 0.88) },
+      {
+        keys: ["+", "=", "-"],
+        shown: "+ -",
+        does: "Nearer, farther",
+        act: (key) => stage.zoom(key === "-" ? 1.14 : 0.88),
+      },
       { keys: ["f"], shown: "F", does: "All of the body in view", act: () => stage.fit() },
       { keys: ["[", "]"], shown: "[ ]", does: "Depth of the blade", act: nudge("depth", "[", 0.05) },
       { keys: ["{", "}"], shown: "{ }", does: "Length of the blade", act: nudge("length", "{", 0.05) },
@@ -244,7 +267,13 @@ export class Page {
       { keys: ["o"], shown: "O", does: "Open the cuts, close them", act: () => operator.toggleOpen() },
       { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
-      { keys: ["n"], shown: "N", does: "In a replay: one batch on", act: press("step"), needs: () => this.replay.facts !== null },
+      {
+        keys: ["n"],
+        shown: "N",
+        does: "In a replay: one batch on",
+        act: press("step"),
+        needs: () => this.replay.facts !== null,
+      },
       { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
       { keys: ["l"], shown: "L", does: "Light or dark", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },

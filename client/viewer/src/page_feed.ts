@@ -23,7 +23,11 @@ export class PageFeed {
   private openingCost_ms = 0;
   private openingTimer: ReturnType<typeof setTimeout> | undefined;
 
-  constructor(private readonly surface: Surface, private readonly progress: () => Progress, private readonly post: Post) {
+  constructor(
+    private readonly surface: Surface,
+    private readonly progress: () => Progress,
+    private readonly post: Post,
+  ) {
     this.builder = new CornerBuilder(surface);
   }
 
@@ -76,7 +80,10 @@ export class PageFeed {
     const all = this.cornersOf(null, surface.slots);
     surface.clearTouched();
     this.forgetSteps();
-    this.post({ kind: "geometry", slots: surface.slots, capacity: this.capacity, corners: all, progress: this.progress() }, transferable(all));
+    this.post(
+      { kind: "geometry", slots: surface.slots, capacity: this.capacity, corners: all, progress: this.progress() },
+      transferable(all),
+    );
     this.scheduleOpening(0);
   }
 

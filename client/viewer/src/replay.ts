@@ -12,7 +12,8 @@ export class Replay {
   constructor(private readonly send: (message: ToWorker) => void) {
     const speed = () => Number(element<HTMLSelectElement>("speed").value);
     const scrub = input("scrub");
-    element("play").onclick = () => send({ kind: "replay", action: this.facts?.playing ? "pause" : "play", speed: speed() });
+    element("play").onclick = () =>
+      send({ kind: "replay", action: this.facts?.playing ? "pause" : "play", speed: speed() });
     element("step").onclick = () => send({ kind: "replay", action: "step" });
     element("replay-close").onclick = () => send({ kind: "replay", action: "close" });
     element("speed").onchange = () => {
@@ -42,15 +43,17 @@ export class Replay {
       if (!answer.ok) return;
       const names: string[] = await answer.json();
       element("recordings").hidden = names.length === 0;
-      element("captures").replaceChildren(...names.map((name) => {
-        const item = document.createElement("li");
-        const button = document.createElement("button");
-        button.className = "text";
-        button.textContent = name.replace(/\.capture$/, "");
-        button.onclick = () => this.send({ kind: "replay", action: "open", capture: name });
-        item.append(button);
-        return item;
-      }));
+      element("captures").replaceChildren(
+        ...names.map((name) => {
+          const item = document.createElement("li");
+          const button = document.createElement("button");
+          button.className = "text";
+          button.textContent = name.replace(/\.capture$/, "");
+          button.onclick = () => this.send({ kind: "replay", action: "open", capture: name });
+          item.append(button);
+          return item;
+        }),
+      );
     } catch {
       // The state of the connection says it already.
     }
@@ -80,7 +83,7 @@ export class Replay {
   /** One wish at a time: a hand is quicker than the server, which would go to every place on the way. */
   private seek(revision: number): void {
     this.wanted = null;
-    if (this.asked === revision) return;
+    if (revision === (this.asked ?? this.facts?.revision)) return;
     if (this.asked !== null) {
       this.wanted = revision;
       return;

@@ -11,8 +11,14 @@ export interface ShownTriangles {
 }
 
 /** Segments (6 numbers) along which triangles cross the plane of points with normal . p = offset. */
-export function crossings(triangles: ShownTriangles, [nx, ny, nz, offset]: readonly number[], cross: (segment: Float64Array, cut: boolean) => void): void {
-  const p = new Float64Array(9), height = new Float64Array(3), segment = new Float64Array(6);
+export function crossings(
+  triangles: ShownTriangles,
+  [nx, ny, nz, offset]: readonly number[],
+  cross: (segment: Float64Array, cut: boolean) => void,
+): void {
+  const p = new Float64Array(9),
+    height = new Float64Array(3),
+    segment = new Float64Array(6);
   for (let slot = 0; slot < triangles.slots; ++slot) {
     if (!triangles.corners(slot, p)) continue;
     for (let k = 0; k < 3; ++k) height[k] = nx * p[3 * k] + ny * p[3 * k + 1] + nz * p[3 * k + 2] - offset;
@@ -39,16 +45,24 @@ export class SectionLines {
     if (!triangles) return;
     const normal = new THREE.Vector3(plane[0], plane[1], plane[2]);
     const lines = { skin: [] as number[], cuts: [] as number[] };
-    const a = new THREE.Vector3(), b = new THREE.Vector3(), side = new THREE.Vector3();
+    const a = new THREE.Vector3(),
+      b = new THREE.Vector3(),
+      side = new THREE.Vector3();
     const lift = normal.clone().multiplyScalar(kLift * bodySize_m);
     crossings(triangles, plane, (segment, cut) => {
       a.fromArray(segment).add(lift);
       b.fromArray(segment, 3).add(lift);
-      side.subVectors(b, a).cross(normal).setLength(kHalfWidth * bodySize_m);
+      side
+        .subVectors(b, a)
+        .cross(normal)
+        .setLength(kHalfWidth * bodySize_m);
       const corners = [a.clone().add(side), a.clone().sub(side), b.clone().add(side), b.clone().sub(side)];
       for (const k of [0, 1, 2, 2, 1, 3]) (cut ? lines.cuts : lines.skin).push(...corners[k].toArray());
     });
-    for (const [mesh, positions] of [[this.skin, lines.skin], [this.cuts, lines.cuts]] as const) {
+    for (const [mesh, positions] of [
+      [this.skin, lines.skin],
+      [this.cuts, lines.cuts],
+    ] as const) {
       mesh.geometry.dispose();
       mesh.geometry = new THREE.BufferGeometry();
       mesh.geometry.setAttribute("position", new THREE.Float32BufferAttribute(positions, 3));
@@ -56,7 +70,10 @@ export class SectionLines {
   }
 
   private ribbons(colour: number): THREE.Mesh {
-    const mesh = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({ color: colour, side: THREE.DoubleSide }));
+    const mesh = new THREE.Mesh(
+      new THREE.BufferGeometry(),
+      new THREE.MeshBasicMaterial({ color: colour, side: THREE.DoubleSide }),
+    );
     mesh.frustumCulled = false;
     this.group.add(mesh);
     return mesh;

@@ -65,7 +65,12 @@ export class Stage {
     document.body.classList.toggle("software", this.software);
     this.resolution = new Resolution(this.software);
     // Opaque, the backdrop in the picture: the browser need not blend a whole window's pixels for each frame.
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: false, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({
+      canvas,
+      antialias: !this.software,
+      alpha: false,
+      powerPreference: "high-performance",
+    });
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = !this.calm.matches;
@@ -74,28 +79,41 @@ export class Stage {
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("start", () => (this.flight = null));
     // Between the corners of a coarse grid the colours are interpolated, which takes less than to compute them.
-    this.backdrop = new THREE.Mesh(new THREE.PlaneGeometry(2, 2, 24, 16), new THREE.ShaderMaterial({
-      transparent: true, blending: THREE.NoBlending, depthWrite: false, // after the body, where it is not
-      uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
-      vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
+    this.backdrop = new THREE.Mesh(
+      new THREE.PlaneGeometry(2, 2, 24, 16),
+      new THREE.ShaderMaterial({
+        transparent: true,
+        blending: THREE.NoBlending,
+        depthWrite: false, // after the body, where it is not
+        uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
+        vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
         void main() {
           float r = length((0.5 * position.xy + 0.5 - vec2(0.46, 0.60)) / vec2(1.2, 0.95));
           vColour = mix(uInner, uOuter, min(r, 1.0));
           gl_Position = vec4(position.xy, 1.0, 1.0);
         }`,
-      fragmentShader: `varying vec3 vColour;
+        fragmentShader: `varying vec3 vColour;
         void main() {
           float grit = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))); // hides bands (Jimenez 2014)
           gl_FragColor = vec4(vColour + (grit - 0.5) / 255.0, 1.0);
         }`,
-    }));
+      }),
+    );
     this.backdrop.frustumCulled = false;
     this.backdrop.renderOrder = -2;
-    this.ground = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.ShaderMaterial({
-      transparent: true, depthWrite: false,
-      uniforms: { uInk: { value: new THREE.Color(0xffffff) }, uShade: { value: 0.5 }, uSize: { value: 1 }, uLine: { value: 1 } },
-      vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
-      fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize; uniform float uLine; // its width in pixels
+    this.ground = new THREE.Mesh(
+      new THREE.PlaneGeometry(1, 1),
+      new THREE.ShaderMaterial({
+        transparent: true,
+        depthWrite: false,
+        uniforms: {
+          uInk: { value: new THREE.Color(0xffffff) },
+          uShade: { value: 0.5 },
+          uSize: { value: 1 },
+          uLine: { value: 1 },
+        },
+        vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
+        fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize; uniform float uLine; // its width in pixels
         float lines(float cell) { vec2 g = abs(fract(vAt / cell - 0.5) - 0.5) / (uLine * fwidth(vAt / cell)); return 1.0 - clamp(min(g.x, g.y), 0.0, 1.0); }
         void main() {
           float r = length(vAt) / uSize * 2.0;
@@ -104,7 +122,8 @@ export class Stage {
           float shadow = uShade * exp(-r * r * 22.0);
           gl_FragColor = vec4(mix(uInk, vec3(0.0), shadow / (shadow + grid + 1e-4)), max(grid, shadow));
         }`,
-    }));
+      }),
+    );
     this.ground.renderOrder = -1;
     this.scene.add(this.backdrop, this.ground, this.body.mesh, this.sectionLines.group);
     this.setTool("turn");
@@ -178,7 +197,10 @@ export class Stage {
     // The angle that the shorter free side spans, of the whole height's.
     const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
-    const to = direction.normalize().multiplyScalar((0.40 * this.bodySize_m) / half).add(this.centre);
+    const to = direction
+      .normalize()
+      .multiplyScalar((0.4 * this.bodySize_m) / half)
+      .add(this.centre);
     if (at_once || this.calm.matches) {
       this.camera.position.copy(to);
       this.controls.target.copy(this.centre);
@@ -186,7 +208,12 @@ export class Stage {
       this.draw();
       return;
     }
-    this.flight = { from: this.camera.position.clone(), to, targetFrom: this.controls.target.clone(), began_ms: performance.now() };
+    this.flight = {
+      from: this.camera.position.clone(),
+      to,
+      targetFrom: this.controls.target.clone(),
+      began_ms: performance.now(),
+    };
     this.draw();
   }
 
@@ -215,7 +242,9 @@ export class Stage {
     this.controls.mouseButtons = cut
       ? { LEFT: null as never, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.ROTATE }
       : { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.PAN };
-    this.controls.touches = cut ? { ONE: null as never, TWO: TOUCH.DOLLY_ROTATE } : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
+    this.controls.touches = cut
+      ? { ONE: null as never, TWO: TOUCH.DOLLY_ROTATE }
+      : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
   }
 
   setOpen(share: number, at_once = false): void {
@@ -257,7 +286,15 @@ export class Stage {
     this.renderer.render(this.scene, this.camera);
     const gl = this.renderer.getContext();
     const pixel = new Uint8Array(4);
-    gl.readPixels(Math.floor(x * gl.drawingBufferWidth), Math.floor((1 - y) * gl.drawingBufferHeight), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    gl.readPixels(
+      Math.floor(x * gl.drawingBufferWidth),
+      Math.floor((1 - y) * gl.drawingBufferHeight),
+      1,
+      1,
+      gl.RGBA,
+      gl.UNSIGNED_BYTE,
+      pixel,
+    );
     return Array.from(pixel);
   }
 
@@ -287,7 +324,9 @@ export class Stage {
 
   private applyScale(): void {
     const full = Math.min(devicePixelRatio, 2);
-    this.renderer.setPixelRatio(this.quality === "quick" ? full * this.resolution.scale : this.quality === "full" ? full : 2);
+    this.renderer.setPixelRatio(
+      this.quality === "quick" ? full * this.resolution.scale : this.quality === "full" ? full : 2,
+    );
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 

@@ -6,7 +6,10 @@ import type { Triangles } from "./wire/incise/wire/triangles";
 export const kNone = 0xffffffff;
 
 /** A typed array with room for at least `count` entries, holding what it held. */
-export function withRoom<T extends Float32Array | Float64Array | Uint32Array | Uint8Array | Int32Array | Int16Array>(array: T, count: number): T {
+export function withRoom<T extends Float32Array | Float64Array | Uint32Array | Uint8Array | Int32Array | Int16Array>(
+  array: T,
+  count: number,
+): T {
   if (array.length >= count) return array;
   const grown = new (array.constructor as new (n: number) => T)(Math.max(count, 2 * array.length));
   grown.set(array);
@@ -105,7 +108,8 @@ export class Surface {
     const vertices = triangles.verticesArray();
     const flags = triangles.flagsArray();
     const pieces = triangles.piecesArray();
-    if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length) return false;
+    if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length)
+      return false;
     for (const v of vertices) {
       if (v >= this.present.length || !this.present[v]) return false;
     }

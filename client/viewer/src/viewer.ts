@@ -25,8 +25,12 @@ import type { Welcome } from "./wire/incise/wire/welcome";
 
 const kBladeRate_hz = 60;
 const kReplayActions = {
-  open: ReplayAction.Open, play: ReplayAction.Play, pause: ReplayAction.Pause, step: ReplayAction.Step,
-  seek: ReplayAction.Seek, close: ReplayAction.Close,
+  open: ReplayAction.Open,
+  play: ReplayAction.Play,
+  pause: ReplayAction.Pause,
+  step: ReplayAction.Step,
+  seek: ReplayAction.Seek,
+  close: ReplayAction.Close,
 };
 
 /** The page's view of the session: the connection that brings the state, and the page's feed from it. Thread: the worker's. */
@@ -34,6 +38,7 @@ export class Viewer {
   private link: Link | null = null;
   private token = "";
   private readonly replica = new Replica((revision, hash, reason) => {
+    if (!this.replica.agrees) this.post({ kind: "differs" });
     this.link?.send(Body.Resync, (b) => Resync.createResync(b, revision, hash, b.createString(reason)));
   });
   readonly feed: PageFeed;
@@ -46,7 +51,10 @@ export class Viewer {
   /** Replaying has begun or ended. */
   onReplaying: () => void = () => {};
 
-  constructor(private readonly blade: Blade, private readonly post: Post) {
+  constructor(
+    private readonly blade: Blade,
+    private readonly post: Post,
+  ) {
     this.feed = new PageFeed(this.replica.surface, () => this.progress(), post);
   }
 
@@ -77,8 +85,14 @@ export class Viewer {
   controlReplay(wish: ToWorker & { kind: "replay" }): void {
     if (wish.action === "open") this.replayAsked = true;
     this.link?.send(Body.ReplayControl, (b) =>
-      ReplayControl.createReplayControl(b, kReplayActions[wish.action], b.createString(wish.capture ?? ""), wish.speed ?? 1,
-                                        BigInt(wish.revision ?? 0)));
+      ReplayControl.createReplayControl(
+        b,
+        kReplayActions[wish.action],
+        b.createString(wish.capture ?? ""),
+        wish.speed ?? 1,
+        BigInt(wish.revision ?? 0),
+      ),
+    );
   }
 
   /** All triangles, 9 numbers each. */
@@ -99,8 +113,12 @@ export class Viewer {
   private progress(): Progress {
     const { replica, figures } = this;
     return {
-      revision: Number(replica.revision), triangles: replica.surface.triangleCount, pieces: replica.surface.pieceCount,
-      hash: hex(replica.stateHash), hashAgrees: replica.agrees, ...figures,
+      revision: Number(replica.revision),
+      triangles: replica.surface.triangleCount,
+      pieces: replica.surface.pieceCount,
+      hash: hex(replica.stateHash),
+      hashAgrees: replica.agrees,
+      ...figures,
     };
   }
 
@@ -109,15 +127,20 @@ export class Viewer {
     this.justConnected = true;
     this.showReplay(null); // it ended with the connection
     return {
-      role: Role.Viewer, view: View.Surface, token: this.token, bladeRate_hz: kBladeRate_hz,
-      resumeSession: holding ? session : 0n, resumeRevision: holding ? revision : 0n,
+      role: Role.Viewer,
+      view: View.Surface,
+      token: this.token,
+      bladeRate_hz: kBladeRate_hz,
+      resumeSession: holding ? session : 0n,
+      resumeRevision: holding ? revision : 0n,
     };
   }
 
   private onWelcome(welcome: Welcome): void {
     const mesh = welcome.mesh();
     const box = mesh?.box();
-    const min = vec(box?.min()), max = vec(box?.max());
+    const min = vec(box?.min()),
+      max = vec(box?.max());
     this.feed.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
     this.feed.builder.grainCells = 55 / this.feed.bodySize_m;
     this.replica.welcome(welcome);
@@ -132,9 +155,16 @@ export class Viewer {
     this.post({
       kind: "facts",
       facts: {
-        session: hex(session), meshName: mesh?.name() ?? "", tets: mesh?.tets() ?? 0, vertices: mesh?.vertices() ?? 0,
-        meanEdge_m: mesh?.meanEdgeLengthM() ?? 0, min, max, policy: welcome.policy() ?? "",
-        server: `${welcome.serverName()} ${welcome.serverVersion()}`, frameRate_hz: welcome.frameRateHz(),
+        session: hex(session),
+        meshName: mesh?.name() ?? "",
+        tets: mesh?.tets() ?? 0,
+        vertices: mesh?.vertices() ?? 0,
+        meanEdge_m: mesh?.meanEdgeLengthM() ?? 0,
+        min,
+        max,
+        policy: welcome.policy() ?? "",
+        server: `${welcome.serverName()} ${welcome.serverVersion()}`,
+        frameRate_hz: welcome.frameRateHz(),
       },
     });
   }
@@ -175,10 +205,17 @@ export class Viewer {
       return;
     }
     const own = !this.replaying && this.blade.owns(step.source());
-    this.feed.addStep({
-      source: step.source(), own, heel: vec(step.toHeel()), tip: vec(step.toTip()), ended: step.strokeEnded(),
-      cutArea_m2: step.cutAreaM2(),
-    }, this.posedAt_ms(step, own));
+    this.feed.addStep(
+      {
+        source: step.source(),
+        own,
+        heel: vec(step.toHeel()),
+        tip: vec(step.toTip()),
+        ended: step.strokeEnded(),
+        cutArea_m2: step.cutAreaM2(),
+      },
+      this.posedAt_ms(step, own),
+    );
   }
 
   /** When the step's last pose was made. In a replay nobody posed: 0. */
@@ -192,20 +229,39 @@ export class Viewer {
 
   private onBladePose(pose: BladePose): void {
     if (this.blade.owns(pose.source())) return; // the page knows that one first
-    this.post({ kind: "blade-pose", source: pose.source(), heel: vec(pose.heel()), tip: vec(pose.tip()), cutting: pose.cutting() });
+    this.post({
+      kind: "blade-pose",
+      source: pose.source(),
+      heel: vec(pose.heel()),
+      tip: vec(pose.tip()),
+      cutting: pose.cutting(),
+    });
   }
 
   private onStats(stats: Stats): void {
     if (!this.replaying && stats.revision() === this.replica.revision) this.figures.tets = stats.liveTets();
-    this.post({ kind: "stats", json: stats.json() ?? "{}", roundTrip_ms: this.link?.roundTrip_ms ?? 0, tets: this.figures.tets });
+    this.post({
+      kind: "stats",
+      json: stats.json() ?? "{}",
+      roundTrip_ms: this.link?.roundTrip_ms ?? 0,
+      tets: this.figures.tets,
+    });
   }
 
   private onReplayState(state: ReplayState): void {
     const capture = state.capture() ?? "";
-    this.showReplay(capture === "" ? null : {
-      capture, playing: state.playing(), speed: state.speed(), revision: Number(state.revision()),
-      lastRevision: Number(state.lastRevision()), text: state.text() ?? "",
-    });
+    this.showReplay(
+      capture === ""
+        ? null
+        : {
+            capture,
+            playing: state.playing(),
+            speed: state.speed(),
+            revision: Number(state.revision()),
+            lastRevision: Number(state.lastRevision()),
+            text: state.text() ?? "",
+          },
+    );
   }
 
   private showReplay(facts: ReplayFacts | null): void {

@@ -16,7 +16,10 @@ class Dispatch {
   private readonly blade = new Blade(post);
   private readonly viewer = new Viewer(this.blade, post);
   private readonly elements = new ElementsLink(
-    this.viewer.feed.builder, () => this.viewer.feed.sendChanges(), (text) => post({ kind: "notice", text }));
+    this.viewer.feed.builder,
+    () => this.viewer.feed.sendChanges(),
+    (text) => post({ kind: "notice", text }),
+  );
 
   constructor() {
     this.viewer.onReplaying = () => this.followElements();
@@ -59,4 +62,4 @@ class Dispatch {
 }
 
 const dispatch = new Dispatch();
-onmessage = ({ data }: MessageEvent<ToWorker>) => dispatch.take(data);
+addEventListener("message", ({ data }: MessageEvent<ToWorker>) => dispatch.take(data));
