@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
 import { launch, until } from "./server.mjs";
 
-test("a picture at rest is drawn no more, and one that moves is", async (t) => {
+test("a picture at rest is not drawn again, a moving one is", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);
   const drawn = () => page.evaluate(() => window.incise.stage.framesDrawn);

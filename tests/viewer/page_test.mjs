@@ -90,7 +90,7 @@ test("the page comes back by itself when the server does", async (t) => {
   await until(page, () => document.getElementById("connection").dataset.stage === "open");
   assert.equal(await page.evaluate(() => window.incise.facts.session), session);
   assert.equal((await progress(page)).revision, revision);
-  // A stroke after the restart reaches the same page; so does the state of a server that begins anew.
+  // A stroke after the restart reaches the same page; so does the state of a server that starts without --resume.
   await bladeIsReady(page);
   server.stream([-0.03]);
   await until(page, (r) => window.incise.progress.revision > r, revision);

@@ -45,7 +45,7 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   await until(page, () => window.incise.progress.revision === 2);
   await page.keyboard.press("n");
   await until(page, () => window.incise.progress.revision === 3);
-  await page.getByRole("button", { name: "One batch on" }).click();
+  await page.getByRole("button", { name: "Next batch" }).click();
   await atRevision(page, 4);
   await page.locator("#speed").selectOption("16");
   await page.getByRole("button", { name: "Play" }).click();

@@ -123,7 +123,7 @@ export async function launch(...flags) {
   });
 }
 
-/** A page that shows a state. `faults` collects what its console says that is no good; end it with close(). */
+/** A page that shows a state. `faults` collects the errors and warnings of its console; end it with close(). */
 export async function openPage(
   browser,
   url,
@@ -141,7 +141,7 @@ export async function openPage(
   const faults = [];
   page.on("console", (message) => {
     if (message.type() !== "error" && message.type() !== "warning") return;
-    // Of a server that is away the browser itself complains; and the driver of what costs it time, as screenshots do.
+    // The browser reports a server that is away, and the driver what costs it time, such as screenshots.
     if (/WebSocket connection|ERR_CONNECTION_REFUSED|GL Driver Message \(OpenGL, Performance/.test(message.text()))
       return;
     faults.push(message.text());

@@ -11,7 +11,7 @@ import { vec } from "./wire_vec";
 const kNumbersPerPose = 9;
 
 /**
- * The mouse's blade. It has a connection of its own: whether somebody may watch does not depend on whether they may cut.
+ * The mouse's blade. It has a connection of its own: one may be allowed to watch and not to cut.
  * Thread: the worker's.
  */
 export class Blade {
@@ -37,7 +37,7 @@ export class Blade {
         blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] },
       }),
       welcome: (welcome) => {
-        takeOver = true; // after a lost connection the server may not know yet that we are gone
+        takeOver = true; // after a lost connection the server may still hold it for us
         this.onWelcome(welcome);
       },
       message: () => {},

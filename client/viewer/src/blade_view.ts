@@ -4,13 +4,13 @@ import type { Vec3 } from "./messages";
 const kTrailSamples = 256;
 const kShown_ms = 2500; // after its last pose
 const kTrailTime_ms = 1600;
-const kLineFade_ms = 500; // of one's own stroke, after its end
+const kLineFade_ms = 500; // of the mouse's stroke, after its end
 const kLineStep = 0.01,
-  kLineWidth = 0.0034; // of it, times the body's size
+  kLineWidth = 0.0034; // of that line, times the body's size
 
 /**
- * One blade's edge and the surface it swept a moment ago. Of one's own, which one sees end on, that would be nothing: there it is
- * a line that is drawn as long as the stroke lasts.
+ * One blade's edge and the surface it swept a moment ago. The mouse's blade points
+ * away from the viewer, who would not see that surface: its stroke is drawn as a line for as long as it lasts.
  */
 export class BladeView {
   readonly group = new THREE.Group();
@@ -25,7 +25,7 @@ export class BladeView {
   private readonly heel = new THREE.Vector3();
   private readonly tip = new THREE.Vector3();
   private begins = true;
-  private ended_ms = Infinity; // the own stroke
+  private ended_ms = Infinity; // the mouse's stroke
   private readonly lineEnd = new THREE.Vector3();
 
   constructor(
@@ -83,7 +83,7 @@ export class BladeView {
     this.place();
   }
 
-  /** Goes on with the line across the line of sight, from where it ends. */
+  /** Extends the line of the mouse's stroke to where the blade is now. */
   private drawLine(now: number): void {
     if (this.begins) {
       this.count = 0;
@@ -131,7 +131,7 @@ export class BladeView {
     this.grip.scale.setScalar(thick * (this.own ? 0.5 : 1.6));
   }
 
-  /** Ages the trail. In how many milliseconds it looks different: 0 with the next frame, Infinity never. */
+  /** Fades the trail. Returns after how many ms to draw again: 0 in the next frame, Infinity never. */
   update(): number {
     const now = performance.now();
     const idle = now - this.seen_ms;

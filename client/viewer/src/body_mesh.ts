@@ -4,11 +4,11 @@ import type { ShownTriangles } from "./section_lines";
 import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
 
 const kPieceColumns = 256;
-const kMostRanges = 24; // uploads of single ranges; beyond that one range over all of them is quicker
+const kMostRanges = 24; // uploads a buffer; more and larger gaps between slots are uploaded as well
 
 export type Colouring = "tissue" | "pieces" | "quality";
 
-/** Ranges that cover ascending slots, near ones joined until there are few. */
+/** Ranges [begin, end) that cover these ascending slots. Gaps are filled until there are at most kMostRanges. */
 export function rangesOf(slots: Uint32Array): [number, number][] {
   for (let gap = 8; ; gap *= 4) {
     const ranges: [number, number][] = [];
@@ -25,9 +25,9 @@ export function rangesOf(slots: Uint32Array): [number, number][] {
 export class BodyMesh {
   readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>;
   readonly positions: () => Float32Array;
-  /** Slots that hold triangles, or did. */
+  /** Slots that hold a triangle or have held one. */
   slots = 0;
-  /** Rises with each change of what is drawn. */
+  /** Grows with each change of what is drawn. */
   version = 0;
   private pieceOffsets = new Float32Array(4 * kPieceColumns);
   private pieceTexture = this.makePieceTexture(1);
@@ -59,7 +59,7 @@ export class BodyMesh {
     return this.mesh.material.uniforms;
   }
 
-  /** A whole state, in buffers with room for `capacity` slots. */
+  /** Replaces everything; the buffers have room for `capacity` slots. */
   replace(slots: number, capacity: number, corners: Corners): void {
     const geometry = new THREE.BufferGeometry();
     const add = (
@@ -97,7 +97,7 @@ export class BodyMesh {
     ++this.version;
   }
 
-  /** lips: 3 a corner, of the first slots; pieces: 4 a row. */
+  /** lips: 3 numbers a corner, from slot 0 on; pieces: 4 numbers a row. */
   setOpening(lips: Float32Array, pieces: Float32Array): void {
     const attribute = this.mesh.geometry.getAttribute("aLips") as THREE.BufferAttribute | undefined;
     if (!attribute) return;
@@ -140,7 +140,7 @@ export class BodyMesh {
     this.define("SECTION", Number(plane !== null));
   }
 
-  /** The triangles as they are shown, opened by this share. */
+  /** The triangles as they are drawn, opened by this share (0 to 1). */
   shown(open: number): ShownTriangles {
     const p = this.positions();
     const facts = this.attribute("aFacts"),
@@ -162,7 +162,7 @@ export class BodyMesh {
     return this.mesh.geometry.getAttribute(name)?.array ?? [];
   }
 
-  /** inside: the back of the surface is drawn, too; detail: the fine grain. What was compiled before is kept. */
+  /** inside: also draw the back of the surface; detail: the fine grain. three.js keeps the shaders it has compiled. */
   setEffort(inside: boolean, detail: boolean): void {
     this.mesh.material.side = inside ? THREE.DoubleSide : THREE.FrontSide;
     this.define("INSIDE", Number(inside));
@@ -177,8 +177,8 @@ export class BodyMesh {
   }
 
   /**
-   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are passed
-   * over: a second stroke through a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
+   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are
+   * skipped: a second stroke across a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
    */
   raycast(origin: THREE.Vector3, direction: THREE.Vector3): number {
     const p = this.positions();
@@ -202,7 +202,7 @@ export class BodyMesh {
         hy = dz * vx - dx * vz,
         hz = dx * vy - dy * vx;
       const det = ux * hx + uy * hy + uz * hz;
-      if (det < 1e-18) continue; // seen from inside, or not at all
+      if (det < 1e-18) continue; // it faces away, or is seen edge on
       const tx = ox - ax,
         ty = oy - ay,
         tz = oz - az;

@@ -4,7 +4,7 @@ const kSeconds = 30;
 export class Chart {
   private readonly values: number[] = [];
 
-  /** `least` is the smallest range shown: a quiet figure does not look like a storm. */
+  /** `least` is the smallest range of the axis, so that noise does not look like a peak. */
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly least: number,

@@ -1,11 +1,11 @@
 import type { Elements } from "./elements";
 import { kNone, type Surface, withRoom } from "./surface";
 
-/** What the graphics card gets of each corner of a triangle; a slot's three corners lie together. */
+/** What the graphics card gets for each corner of a triangle; the three corners of a slot are adjacent. */
 export interface Corners {
   positions: Float32Array; // 3 a corner, metres
   normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
-  facts: Uint8Array; // 4 a corner: is a cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
+  facts: Uint8Array; // 4 a corner: cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
 }
 
 export function allocateCorners(slots: number): Corners {
@@ -26,7 +26,10 @@ function hash(x: number, y: number, z: number): number {
   return ((h ^ (h >>> 13)) >>> 0) / 2 ** 32;
 }
 
-/** A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. Fixed to the place, so to the tissue. */
+/**
+ * A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. It depends on the place alone, so it does
+ * not move when triangles change.
+ */
 function grain(p: Float32Array, at: number, cells: number): number {
   const x = p[at] * cells,
     y = p[at + 1] * cells,
@@ -56,7 +59,7 @@ export class CornerBuilder {
 
   constructor(private readonly surface: Surface) {}
 
-  /** A small number for each piece, in the order in which they were met; piece 0 has row 0. */
+  /** A small number for each piece, in the order of first use; piece 0 has row 0. */
   rowOf(piece: number): number {
     let row = this.rows.get(piece);
     if (row === undefined) this.rows.set(piece, (row = Math.min(this.rows.size, 65535)));
@@ -66,10 +69,10 @@ export class CornerBuilder {
     return this.rows.size;
   }
 
-  /** The tetrahedra behind the triangles, whose quality is shown; without them it is that of the triangles. */
+  /** The tetrahedra behind the triangles, whose quality is shown. Null: the triangles' own quality is shown. */
   elements: Elements | null = null;
 
-  /** Marks the triangles whose tetrahedron looks different from what was measured last. */
+  /** Marks the triangles whose quality has changed. */
   touchByQuality(): void {
     const { surface } = this;
     for (let slot = 0; slot < surface.slots; ++slot) {
@@ -85,7 +88,7 @@ export class CornerBuilder {
     this.rowOf(0);
   }
 
-  /** The slots to be drawn anew, ascending: those that changed and those around their vertices. */
+  /** The slots to draw again, ascending: those that changed and those around their vertices. */
   touched(): Uint32Array {
     const { surface } = this;
     const slots = new Set(surface.touchedSlots);
@@ -93,7 +96,7 @@ export class CornerBuilder {
       for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
     }
     for (const slot of slots) this.measure(slot);
-    // A face that turned shades its neighbours anew.
+    // A face that turned changes the smooth normals of its neighbours.
     for (const slot of [...slots]) {
       if (surface.ids[slot] === kNone) continue;
       for (let k = 0; k < 3; ++k) {
@@ -145,7 +148,7 @@ export class CornerBuilder {
     return Math.round(255 * Math.min(1, shape));
   }
 
-  /** Writes the corners of `slot` at place `at` of `out`. A slot without a triangle gets one of no size. */
+  /** Writes the corners of `slot` at place `at` of `out`. A free slot gets a triangle of size 0. */
   write(slot: number, out: Corners, at: number): void {
     const { surface, faceNormals } = this;
     if (surface.ids[slot] === kNone) {

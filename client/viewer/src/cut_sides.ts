@@ -1,15 +1,15 @@
 import type { Faces } from "./opening";
 import { kNone, type Surface } from "./surface";
 
-// Which cut faces are walls of a cut that stops in the tissue, and which were parted from another piece.
+// Which cut faces are walls of a cut that stops in the tissue, and which were separated from another piece.
 
 export const kUnknown = 0;
-export const kWall = 1; // the other side of the gap is of the same piece
-export const kParted = 2; // it is of another piece
+export const kWall = 1; // the other side of the gap belongs to the same piece
+export const kParted = 2; // it belongs to another piece
 
 const kOpposite = -0.9; // cosine between the normals of a gap's two sides
 const kSmooth = 0.7; // cosine between the normals of neighbours in one wall
-const kReach = 0.35; // times the root of a face's area: how far off its other side may be
+const kReach = 0.35; // times the root of a face's area: how far away its other side may be
 
 /** Cut faces by place: a grid over their centres, in a hash table of chains. */
 class FaceGrid {
@@ -36,7 +36,7 @@ class FaceGrid {
     }
   }
 
-  /** Calls back with each face in the cells around face i, and maybe with others. */
+  /** Visits each face in the cells around face i. Cells that share a hash are visited as well. */
   around(i: number, visit: (other: number) => void): void {
     const x = this.index(3 * i),
       y = this.index(3 * i + 1),
@@ -56,9 +56,9 @@ class FaceGrid {
 }
 
 /**
- * For each slot kUnknown, kWall or kParted. A cut face's other side is the nearest face at its place that looks the other way.
- * Where there is none, since the gap stands open in a deformed body or another cut has divided one side alone, a face is what
- * its neighbours in the same wall are.
+ * For each slot kUnknown, kWall or kParted. The other side of a cut face is the nearest cut face at the same place
+ * whose normal points the other way. There may be none: the gap is open in a deformed body, or another cut has
+ * divided one side only. Then a face gets the kind of its neighbours in the same wall.
  */
 export function sidesOf(surface: Surface, faces: Faces): Uint8Array {
   const { pieces, slots } = surface;
@@ -96,7 +96,7 @@ function cosine(normals: Float32Array, areas: Float32Array, s: number, t: number
   return dot / (areas[s] * areas[t] || 1);
 }
 
-/** From the faces whose side is known over smooth edges to those whose side is not. */
+/** Spreads the known kinds across smooth edges to faces that are still unknown. */
 function spread(
   { corners, head, next, flags }: Surface,
   { normals, areas }: Faces,

@@ -3,7 +3,7 @@ export const input = (id: string) => element<HTMLInputElement>(id);
 export const number = (x: number, digits = 0) =>
   x.toLocaleString("en", { maximumFractionDigits: digits, minimumFractionDigits: digits });
 
-/** Calls back with the value of the radio button that was chosen in this group. */
+/** Calls back with the value of the radio button chosen in this group. */
 export function onChoice(id: string, chosen: (value: string) => void): void {
   element(id).addEventListener("change", (e) => chosen((e.target as HTMLInputElement).value));
 }
@@ -13,7 +13,7 @@ export function choose(id: string, value: string): void {
     radio.checked = radio.value === value;
 }
 
-/** Opens a dialog; `closed` gets whether it was confirmed. */
+/** Opens a dialog; `closed` is told whether it was confirmed. */
 export function ask(id: string, closed: (confirmed: boolean) => void): void {
   const dialog = element<HTMLDialogElement>(id);
   if (dialog.open) return;

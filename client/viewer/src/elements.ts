@@ -7,8 +7,8 @@ import type { Tets } from "./wire/incise/wire/tets";
 export const kGoodAngle_deg = 45;
 
 /**
- * The tetrahedra of view Volume, as far as their shape goes: which four vertices each has, where these are, and the
- * smallest of its six dihedral angles. Tetrahedra and vertices are indexed by their ids. Several times as large as the
+ * The tetrahedra of view Volume, for their shape: the four vertices of each, their positions and the
+ * smallest of the six dihedral angles. Tetrahedra and vertices are indexed by their ids. Several times as large as the
  * surface, so it is held only while the page colours by it.
  */
 export class Elements {
@@ -16,7 +16,7 @@ export class Elements {
   private moved = new Uint8Array(0); // a vertex, in this delta
   private vertices = new Uint32Array(0); // 4 a tetrahedron
   private present = new Uint8Array(0);
-  private tets = 0; // ids run below it
+  private tets = 0; // all ids are below it
   /** 0 to 255: the smallest dihedral angle of a tetrahedron, up to kGoodAngle_deg. */
   quality = new Uint8Array(0);
 
@@ -75,7 +75,7 @@ export class Elements {
     }
   }
 
-  /** The faces' normals point outwards, so the angle between two faces is pi less that between their normals. */
+  /** The faces' normals point outwards, so the angle between two faces is pi minus that between their normals. */
   private measure(t: number): void {
     const p = this.positions,
       v = 4 * t;
@@ -98,7 +98,7 @@ export class Elements {
   }
 }
 
-const kNormals = new Float64Array(12); // of the four faces of the tetrahedron at hand
+const kNormals = new Float64Array(12); // of the four faces of the tetrahedron being measured
 
 function faceNormal(p: Float64Array, a: number, b: number, c: number, at: number): void {
   const ux = p[b] - p[a],

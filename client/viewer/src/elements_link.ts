@@ -13,15 +13,15 @@ import { View } from "./wire/incise/wire/view";
 const kRate_hz = 20;
 
 /**
- * The tetrahedra behind the surface, on a connection of their own, for as long as the page colours by their quality. A replay's
- * cannot be had: it belongs to the viewer's connection alone. Thread: the worker's.
+ * The tetrahedra behind the surface, received on a separate connection while the page colours by their quality. Not
+ * in a replay, which only the viewer's connection sees. Thread: the worker's.
  */
 export class ElementsLink {
   private link: Link | null = null;
   private elements = new Elements();
   private revision = 0n;
 
-  /** changed: colours are different now. */
+  /** changed: called when colours have changed. */
   constructor(
     private readonly builder: CornerBuilder,
     private readonly changed: () => void,
@@ -43,7 +43,7 @@ export class ElementsLink {
       hello: () => ({ role: Role.Viewer, view: View.Volume, token, maxRate_hz: kRate_hz }),
       welcome: () => (this.builder.elements = null),
       message: (type, message) => this.onMessage(type, message),
-      state: () => {}, // that of the view is shown
+      state: () => {}, // the page shows that of the viewer's link
       refused: this.refused,
       unreadable: () => (this.builder.elements = null),
     });

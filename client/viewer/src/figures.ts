@@ -40,7 +40,10 @@ export class Figures {
     element("hash").textContent = progress.hash;
   }
 
-  /** Whether the state's hash is the server's. Where it is not, the light is red until another state has been loaded. */
+  /**
+   * Whether the hash computed here is the server's. If not, the light stays red until the whole state has been loaded
+   * again.
+   */
   showTrust(agrees: boolean): void {
     element("hash-row").dataset.agrees = String(agrees);
     element("hash-text").textContent = agrees ? "State checked: hash agrees" : "Hash differs: loading the state again";

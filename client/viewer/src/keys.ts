@@ -1,20 +1,20 @@
 import { element } from "./dom";
 
 export interface Key {
-  keys: string[]; // as KeyboardEvent.key says them, letters in lower case
+  keys: string[]; // as in KeyboardEvent.key, letters in lower case
   shown: string; // in the help
   does: string;
   act: (key: string) => void;
   needs?: () => boolean; // else the key does nothing
 }
 
-/** What a key press means for the page: null where the control that has the focus wants it for itself. */
+/** The key for the page, or null if the focused control uses it. */
 function wantedKey(e: KeyboardEvent): string | null {
   const target = e.target as HTMLElement;
   if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
     return null;
   if (target.matches("input[type=range], input[type=radio]") && e.key.startsWith("Arrow")) return null;
-  return e.key.length === 1 ? e.key.toLowerCase() : e.key; // with Shift or Caps Lock as well
+  return e.key.length === 1 ? e.key.toLowerCase() : e.key; // also with Shift or Caps Lock
 }
 
 /** The keyboard, and the dialog that lists its keys. */

@@ -1,22 +1,22 @@
 const kMost_ms = 60_000;
 
-/** From when a pose was made to when the picture that shows it is on the screen. Absolute times, ms. */
+/** The time from a pose to the moment its effect is on the screen. Absolute times, ms. */
 export class Latency {
   private values: number[] = [];
   private visibleSince_ms = 0;
-  private posed_ms = 0; // of the picture that is on its way to the screen; 0: no pose is behind it
+  private posed_ms = 0; // of the frame that is being drawn; 0: it shows no new pose
 
-  /** The page has become visible: what was cut while nobody saw it says nothing. */
+  /** The page has become visible: poses from before are not measured. */
   seen(now_ms: number): void {
     this.visibleSince_ms = now_ms;
   }
 
-  /** The next picture shows the state that this pose led to. */
+  /** The next frame shows the effect of this pose; 0: of no pose. */
   expect(posed_ms: number): void {
     this.posed_ms = posed_ms >= this.visibleSince_ms ? posed_ms : 0;
   }
 
-  /** A picture was drawn: a function to call when it is on the screen, or null where no pose is behind it. */
+  /** A frame was drawn. Returns a function to call when it is on the screen, or null if it shows no new pose. */
   drawn(): ((now_ms: number) => void) | null {
     if (this.posed_ms === 0) return null;
     const posed_ms = this.posed_ms;
@@ -27,7 +27,7 @@ export class Latency {
     };
   }
 
-  /** The median since the last call; undefined where there was none. */
+  /** The median since the last call; undefined if nothing was measured. */
   takeMedian(): number | undefined {
     const sorted = this.values.sort((a, b) => a - b);
     this.values = [];

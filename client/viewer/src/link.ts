@@ -15,12 +15,12 @@ import { Vec3 as WireVec3 } from "./wire/incise/wire/vec3";
 import type { View } from "./wire/incise/wire/view";
 import { Welcome } from "./wire/incise/wire/welcome";
 
-/** Where a link stands; `text` says it to the person who looks at the page. */
+/** The state of a link; `text` is for the user. */
 export interface LinkState {
   /** stalled: still connected, but the server does not answer. */
   stage: "connecting" | "open" | "stalled" | "waiting" | "ended";
   text: string;
-  /** Why it ended: what the page can offer to do about it. */
+  /** Why it ended, so that the page can offer a way on. */
   reason?: "token" | "taken" | "handed-over" | "version" | "unavailable";
   retryAt?: number; // ms of Date.now()
 }
@@ -41,10 +41,10 @@ export interface HelloFields {
 export interface LinkEvents {
   hello(): HelloFields;
   welcome(welcome: Welcome): void;
-  /** Any other message of the server's; its arrays may be kept. */
+  /** Any other message; its arrays may be kept. */
   message(type: Body, message: Message, bytes: number): void;
   state(state: LinkState): void;
-  /** The server did not do what it was asked for; the connection stays. */
+  /** The server refused a request; the connection stays. */
   refused(text: string): void;
   /** A message could not be read; the link connects again. */
   unreadable(): void;
@@ -53,11 +53,11 @@ export interface LinkEvents {
 const kFirstPause_ms = 250;
 const kLongestPause_ms = 8000;
 const kCheckEvery_ms = 400;
-// Checks in a row without a word from the server, which answers a ping at each. They are counted, not timed: a worker that was
-// busy for seconds finds what came meanwhile before the next check.
+// Checks in a row during which nothing came from the server, which is pinged at each. They are counted, not timed: a
+// worker that was busy for seconds reads what has arrived before the next check.
 const kStalledAfter = 3;
 const kDeadAfter = 22;
-const kSilence_ms = 9000; // after sleep, or in another network, the line is dead
+const kSilence_ms = 9000; // after sleep or a change of network the connection is dead
 
 const kOpen: LinkState = { stage: "open", text: "Connected" };
 
@@ -74,11 +74,11 @@ export class Link {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private checker: ReturnType<typeof setInterval> | undefined;
   private quietChecks = 0;
-  private pinged = false; // and not answered yet
+  private pinged = false; // a ping is unanswered
   private lastHeard_ms = 0;
   private ended = false;
-  private lost = ""; // what the server said before the connection ended
-  /** Server's monotonic clock minus ours, ns; of the quickest of the last answers. */
+  private lost = ""; // why, if the server said so before the connection ended
+  /** The server's monotonic clock minus ours, ns; from the ping with the shortest round trip. */
   clockOffset_ns = 0n;
   private bestRoundTrip_ns = 1n << 62n;
   roundTrip_ms = 0;
@@ -95,7 +95,7 @@ export class Link {
   }
   private welcomed = false;
 
-  /** Tries at once instead of at the end of the pause. */
+  /** Connects now instead of at the end of the pause. */
   wake(): void {
     if (this.ended) return;
     if (this.socket && performance.now() - this.lastHeard_ms > kSilence_ms) {
@@ -107,7 +107,7 @@ export class Link {
     }
   }
 
-  /** As a network loss would. */
+  /** Ends the connection as a network loss would; it is opened again. */
   drop(text = "The connection was lost."): void {
     const socket = this.socket;
     if (!socket) return;
@@ -175,7 +175,7 @@ export class Link {
     this.ping();
   }
 
-  /** One at a time: they do not pile up before a server that does not read. */
+  /** One unanswered ping at a time, so that they do not pile up if the server does not read. */
   private ping(): void {
     if (this.pinged) return;
     this.pinged = true;
@@ -203,7 +203,7 @@ export class Link {
     try {
       this.read(data);
     } catch (error) {
-      // FlatBuffers has no verifier here: what leads out of the message throws when it is read.
+      // FlatBuffers has no verifier here: an offset beyond the message throws when it is read.
       console.error(error);
       this.events.unreadable();
       this.drop("The server sent something that cannot be read.");
@@ -251,7 +251,7 @@ export class Link {
     const now = now_ns();
     const trip = now - pong.pingSentNs();
     this.roundTrip_ms = Number(trip) / 1e6;
-    this.bestRoundTrip_ns += this.bestRoundTrip_ns / 16n; // an old best fades: clocks drift
+    this.bestRoundTrip_ns += this.bestRoundTrip_ns / 16n; // an old best counts less and less: clocks drift
     if (trip < this.bestRoundTrip_ns) {
       this.bestRoundTrip_ns = trip;
       this.clockOffset_ns = pong.receivedNs() - (pong.pingSentNs() + now) / 2n;
@@ -266,7 +266,7 @@ export class Link {
     }
     switch (error.code()) {
       case ErrorCode.Unauthorized:
-        return this.giveUp("token", "The server asks for a token. Enter one that opens this role.");
+        return this.giveUp("token", "The server asks for a token. Enter one with this role.");
       case ErrorCode.BladeTaken:
       case ErrorCode.UnknownSource:
         return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");

@@ -4,14 +4,14 @@ import { axisFacing, sideFacing } from "./section";
 import type { Stage } from "./stage";
 
 const kNarrow_px = 760; // as in style.css
-const kPanelOpen_px = 1000; // a window so wide begins with it
+const kPanelOpen_px = 1000; // a window at least this wide starts with the panel open
 
 /** How the picture and the page look: colours, wireframe, section, theme, panel. */
 export class Look {
   private axis = 0;
   private side = 1;
 
-  /** redraw: the charts have another size or other colours. */
+  /** redraw: called when the charts' size or colours have changed. */
   constructor(
     private readonly stage: Stage,
     colourByQuality: (on: boolean) => void,
@@ -71,7 +71,7 @@ export class Look {
     };
   }
 
-  /** What the panels leave free of the picture is where the body is shown. */
+  /** The body is shown in the part of the picture that no panel covers. */
   private measureCover(): void {
     const panel = document.body.dataset.panel !== "closed" && !this.narrow;
     this.stage.setCover({

@@ -7,11 +7,11 @@ declare global {
   }
 }
 
-/** Why nothing can be drawn here; empty: it can. */
+/** Why this browser cannot draw the body; empty: it can. */
 function troubleWithWebGl(): string {
   const context = document.createElement("canvas").getContext("webgl2");
   context?.getExtension("WEBGL_lose_context")?.loseContext();
-  return context ? "" : "This browser offers no WebGL 2, with which the body is drawn.";
+  return context ? "" : "This browser offers no WebGL 2, which the page needs to draw the body.";
 }
 
 function giveUp(why: string): void {

@@ -1,7 +1,7 @@
 import type { LinkState } from "./link";
 import type { Corners } from "./corner_buffers";
 
-// What the page and its worker say to each other. Large arrays are handed over, not copied.
+// The messages between the page and its worker. Large arrays are transferred, not copied.
 
 export type Vec3 = [number, number, number];
 
@@ -33,7 +33,7 @@ export interface BladeStep {
   own: boolean;
   heel: Vec3;
   tip: Vec3;
-  ended: boolean; // with it the stroke
+  ended: boolean; // the stroke ended with this batch
   cutArea_m2: number; // one side
 }
 
@@ -74,12 +74,12 @@ export type ToWorker =
       speed?: number;
       revision?: number;
     }
-  | { kind: "applied" } // the page has taken in the last patch
+  | { kind: "applied" } // the page has applied the last patch or geometry
   | { kind: "wake" }
   | { kind: "drop" } // for tests: as if the network were lost
   | { kind: "dump" }; // for tests: all triangles
 
-/** What has changed since the last one. */
+/** What has changed since the last patch. */
 export interface Patch {
   kind: "patch";
   slots: Uint32Array;
@@ -87,7 +87,7 @@ export interface Patch {
   corners: Corners;
   steps: BladeStep[];
   progress: Progress;
-  /** When the last pose behind this change was made, ms of absolute time; 0: no pose is behind it. */
+  /** When the last pose that led to this change was made, ms of absolute time; 0: no pose did. */
   posed_ms: number;
 }
 
@@ -97,17 +97,20 @@ export type FromWorker =
   | { kind: "blade"; facts: BladeFacts }
   | { kind: "geometry"; slots: number; capacity: number; corners: Corners; progress: Progress }
   | Patch
-  /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
+  /**
+   * By how much corners and pieces are moved when the body is fully opened: 3 numbers a corner, 4 a piece's row;
+   * metres.
+   */
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
-  /** Where somebody else's blade is now. */
+  /** Where another blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number; tets: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
-  /** The state here is not the server's: it is loaded again, as a geometry. */
+  /** The state here differs from the server's; a geometry follows. */
   | { kind: "differs" }
-  /** The live body has been replaced by the one that was loaded. */
+  /** The live body was reset. */
   | { kind: "was-reset" }
   | { kind: "notice"; text: string }
   | { kind: "dump"; triangles: Float32Array };

@@ -2,7 +2,7 @@ import { element } from "./dom";
 
 const kShown_ms = 8000;
 
-/** Says something at the top of the page for a while, with a button where there is something to do about it. */
+/** Shows a text at the top of the page for a while, with a button if there is an action. */
 export function notice(text: string, action?: string, act?: () => void): void {
   const box = document.createElement("div");
   box.className = "notice glass";
@@ -25,7 +25,7 @@ export function notice(text: string, action?: string, act?: () => void): void {
   setTimeout(() => box.remove(), action ? 3 * kShown_ms : kShown_ms);
 }
 
-/** What to do next; empty: nothing. */
+/** Shows what to do next; empty: hides the hint. */
 export function showHint(parts: (string | HTMLElement)[]): void {
   element("hint").hidden = parts.length === 0;
   element("hint-text").replaceChildren(...parts);

@@ -8,13 +8,13 @@ const kCut = 1;
 const kRounds = 70;
 const kSpread = 0.03; // the share that a vertex away from the cut loses: the reach is about 1 / sqrt(kSpread) edges
 const kLift = 0.085; // of the body's size: how far a lip is pulled
-const kPull = 0.12; // of a cut face's vertex away from the gap
-const kHold = 1e3; // of a vertex on the crack front
-const kCancels = 0.5; // normals whose sum is below this share of their areas: both sides of the gap
-const kRings = 14; // of vertices around a lip that go along with it
+const kPull = 0.12; // weight of the pull on a wall's vertex, away from the gap
+const kHold = 1e3; // weight that holds a vertex on the crack front
+const kCancels = 0.5; // a vertex whose normals sum to less than this share of their areas has both sides of the gap
+const kRings = 14; // of vertices around a lip that move with it
 
 export interface Opening {
-  /** 3 a vertex id, metres: where it is shown, fully opened, from where it is. */
+  /** 3 a vertex id, metres: its displacement when fully opened. */
   lips: Float32Array;
   /** 4 a row of a piece: x, y, z in metres, and 0. */
   pieces: Float32Array;
@@ -23,9 +23,10 @@ export interface Opening {
 }
 
 /**
- * Lips: over the surface's graph, d solves a screened Laplace equation in which each vertex on one side of a cut that stops in the
- * tissue is pulled back along that cut's normal, and the crack front, where both sides share their vertices and so the normals
- * cancel, is held. Faces of a cut that went through are not pulled: the piece moves as a whole.
+ * Lips: over the surface's graph, d solves a screened Laplace equation in which each vertex on one side of a cut that
+ * stops in the tissue is pulled back along that cut's normal, and the crack front, where both sides share their
+ * vertices and so the normals cancel, is held. Faces of a cut that went through are not pulled: the piece moves as a
+ * whole.
  *
  * Time: kRounds times the vertices near cuts. Thread: the worker's.
  */
@@ -47,7 +48,7 @@ export function computeOpening(
 }
 
 export interface Faces {
-  normals: Float32Array; // 3 a slot, as long as the face is large
+  normals: Float32Array; // 3 a slot; its length is the face's area
   areas: Float32Array; // a slot
   cut: number[]; // slots of cut faces
   cutArea: number; // of both sides
@@ -82,7 +83,7 @@ export function measureFaces({ positions: p, corners, slots, ids, flags }: Surfa
 
 interface Lips {
   target: Float32Array; // 3 a vertex
-  pull: Float32Array; // a vertex; 0: it goes along with its neighbours; kPull: a lip; kHold: the crack front
+  pull: Float32Array; // a vertex; 0: it follows its neighbours; kPull: a lip; kHold: the crack front
   near: number[]; // vertices that may move
   known: Uint8Array; // a vertex: it is in near
 }
@@ -171,7 +172,7 @@ function relax(surface: Surface, near: number[], target: Float32Array, pull: Flo
   }
 }
 
-/** Pieces go away from the middle of all, and away from what they were cut off. */
+/** Moves pieces away from the centre of all, and away from what they were cut off. */
 function movePieces(
   surface: Surface,
   normals: Float32Array,
@@ -209,6 +210,6 @@ function movePieces(
       out.pieces[4 * r + k] = 0.42 * (sums[8 * r + k] / own - middle[k] / area) - away * sums[8 * r + 4 + k];
     }
   }
-  // An uncut body stays where it is, whatever its rounding.
+  // An uncut body stays exactly where it is.
   if (rows === 1) out.pieces.fill(0);
 }

@@ -6,26 +6,26 @@ import { MouseBlade } from "./mouse_blade";
 import type { Stage, Tool } from "./stage";
 
 const kOpenAfterStroke_ms = 300;
-const kLongestBlade = 1.5; // times the body's size: from wherever one looks it reaches through
-const kNewBladeAfter_ms = 250; // of a length that stays
+const kLongestBlade = 1.5; // times the body's size: it reaches through from any side
+const kNewBladeAfter_ms = 250; // after the last change of its length
 const kReachesThrough = 0.75; // times the body's size
 
 type Send = (message: ToWorker, transfer?: Transferable[]) => void;
 
-/** Who cuts here: the tool in hand, the mouse's blade and its settings, and what is said about it. */
+/** The user as an operator: tool, the mouse's blade, its settings, and the messages about it. */
 export class Operator {
   tool: Tool = "cut";
   readonly mouse: MouseBlade;
-  bodyName = ""; // empty: nothing is known of the body yet
+  bodyName = ""; // empty until the server has described the body
   askToken: (why: string) => void = () => {};
   private viewStage: LinkState["stage"] = "connecting";
   private replaying = false;
   private openTimer: ReturnType<typeof setTimeout> | undefined;
   private openIsChosen = false;
   private newBladeTimer: ReturnType<typeof setTimeout> | undefined;
-  private held = false; // the blade, since it was last taken from us
+  private held = false; // we have the blade: after a break it is taken back
   private strokesTried = 0; // for the hints
-  private strokeArea_m2 = 0; // cut by the stroke in hand, or the last one
+  private strokeArea_m2 = 0; // cut by the current or last stroke
   private readonly touch = matchMedia("(pointer: coarse)");
 
   constructor(
@@ -58,7 +58,7 @@ export class Operator {
     if (tool === "cut" && this.bladeStage !== "open" && this.bladeStage !== "stalled") this.takeBlade(false);
   }
 
-  /** Another body, or the first one. */
+  /** The server has described the body. */
   meet(bodyName: string): void {
     this.bodyName = bodyName || "body";
     this.showDepth();
@@ -66,7 +66,7 @@ export class Operator {
     this.hint();
   }
 
-  /** The body that the stroke in hand was cutting is gone. */
+  /** Ends the stroke, since its body has been replaced or the user wants it. */
   abandonStroke(): void {
     this.mouse.cancel();
   }
@@ -103,7 +103,7 @@ export class Operator {
     }
   }
 
-  /** What the server has cut for the mouse. */
+  /** A batch that the server has cut for the mouse. */
   onOwnStep(step: BladeStep): void {
     this.strokeArea_m2 += step.cutArea_m2;
     if (step.ended && !this.mouse.cutting && this.strokeArea_m2 === 0) this.sayMissed();
@@ -118,7 +118,7 @@ export class Operator {
     document.body.dataset.blade = "ended";
   }
 
-  /** Cuts that a simulation opens need no help, unless somebody has asked for it. */
+  /** A simulation opens cuts by itself: Open goes to 0, unless the user has set it. */
   onDeforms(): void {
     if (this.openIsChosen) return;
     input("open").valueAsNumber = 0;
@@ -130,7 +130,7 @@ export class Operator {
     element("open-text").textContent = `${Math.round(100 * input("open").valueAsNumber)}%`;
   }
 
-  /** Moves a slider, as a hand would. */
+  /** Moves a slider as the user would. */
   nudge(id: string, by: number): void {
     this.slide(id, input(id).valueAsNumber + by);
   }
@@ -164,7 +164,7 @@ export class Operator {
     if (takeOver) this.show("cut");
   }
 
-  /** Who does not see what becomes of a cut does not cut. */
+  /** Cutting needs both connections: without the viewer's, the user would not see the cut. */
   private enableMouse(): void {
     const before = this.mouse.cutting;
     this.mouse.enabled = this.tool === "cut" && this.bladeStage === "open" && this.viewStage === "open";
@@ -188,7 +188,7 @@ export class Operator {
     document.body.dataset.stroke = "on";
   }
 
-  /** sent: the server has got poses of it. */
+  /** sent: the server was sent poses of it. */
   private endStroke(sent: boolean): void {
     delete document.body.dataset.stroke;
     this.stage.blade(0, true).endStroke();
@@ -205,7 +205,7 @@ export class Operator {
     this.hint();
   }
 
-  /** What to do next, until it has been done once. */
+  /** Says what to do next, until the user has done it once. */
   private hint(): void {
     const hand = this.touch.matches ? "Two fingers turn and zoom." : "Right-drag turns, the wheel zooms.";
     if (this.tool !== "cut" || this.bladeStage !== "open" || this.strokesTried > 1) showHint([]);

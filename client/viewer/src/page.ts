@@ -10,11 +10,11 @@ import { Replay } from "./replay";
 import { Stage, type Tool } from "./stage";
 
 const kPosesStale_ms = 1500;
-const kOwnReset_ms = 5000; // so soon after the wish it is one's own
+const kOwnReset_ms = 5000; // a reset within this time of asking is the user's own
 
 const now_ms = () => performance.timeOrigin + performance.now();
 
-/** The page: hands what the worker says to the part that shows it. */
+/** The page: passes the worker's messages to the parts that show them. */
 export class Page {
   readonly worker = new Worker(new URL("./worker.ts", import.meta.url), { type: "module" });
   readonly stage = new Stage(element<HTMLCanvasElement>("picture"));
@@ -45,7 +45,7 @@ export class Page {
     };
     this.stage.afterDraw = () => {
       const shown = this.figures.latency.drawn();
-      if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next one may be drawn
+      if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
     };
     new Keys(this.keys());
     this.bindButtons();
@@ -105,7 +105,7 @@ export class Page {
         return this.stage.draw();
       case "stats":
         this.figures.showStats(message.json);
-        this.figures.showTets(message.tets); // a page that comes late has it from here
+        this.figures.showTets(message.tets); // a page opened later gets the count from here
         element("connection").title = `Round trip ${message.roundTrip_ms.toFixed(1)} ms`;
         return;
       case "replay":
@@ -150,7 +150,7 @@ export class Page {
     this.stage.draw();
   }
 
-  /** Once a picture at most; the worker sends the next when this one is in. */
+  /** At most once a frame; the worker sends the next patch after this one is applied. */
   private applyPatch(): boolean {
     const patch = this.patch;
     if (!patch) return false;
@@ -163,7 +163,7 @@ export class Page {
     return true;
   }
 
-  /** A blade whose poses do not come, as in a replay, is shown where its batches end. */
+  /** A blade without live poses, as in a replay, is shown where its batches end. */
   private follow(step: BladeStep): void {
     if (step.own) return this.operator.onOwnStep(step);
     if (performance.now() - (this.livePoses_ms.get(step.source) ?? -Infinity) < kPosesStale_ms) return;
@@ -196,8 +196,8 @@ export class Page {
   private onReset(): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
     notice(
-      "The body was reset for everybody, by an administrator or by the demo, which begins each pass with a fresh body. " +
-        "Earlier cuts are gone.",
+      "The body was reset for everybody: by an administrator, or by the demo, which begins each pass with an " +
+        "uncut body. Earlier cuts are gone.",
     );
   }
 
@@ -208,7 +208,7 @@ export class Page {
     document.body.dataset.replay = is ? "on" : "off";
     element<HTMLButtonElement>("reset").disabled = is;
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
-    if (is && !was && this.look.narrow) this.look.togglePanel(false); // it lies over the player
+    if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
     if (facts?.text) notice(facts.text);
     this.showConnection();
@@ -223,10 +223,10 @@ export class Page {
     const { stage, text } = this.viewState;
     const replaying = this.replay.facts !== null && stage === "open";
     element("connection").dataset.stage = replaying ? "replay" : stage;
-    element("connection-text").textContent = replaying ? "Replay: a scratch copy" : stage === "open" ? "Live" : text;
+    element("connection-text").textContent = replaying ? "Replay (a copy)" : stage === "open" ? "Live" : text;
   }
 
-  // ---- From hands ----
+  // ---- From the user ----
 
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
@@ -260,22 +260,22 @@ export class Page {
         does: "Nearer, farther",
         act: (key) => stage.zoom(key === "-" ? 1.14 : 0.88),
       },
-      { keys: ["f"], shown: "F", does: "All of the body in view", act: () => stage.fit() },
+      { keys: ["f"], shown: "F", does: "Whole body in view", act: () => stage.fit() },
       { keys: ["[", "]"], shown: "[ ]", does: "Depth of the blade", act: nudge("depth", "[", 0.05) },
       { keys: ["{", "}"], shown: "{ }", does: "Length of the blade", act: nudge("length", "{", 0.05) },
       { keys: [",", "."], shown: ", .", does: "Angle of the blade", act: nudge("tilt", ",", 5) },
-      { keys: ["o"], shown: "O", does: "Open the cuts, close them", act: () => operator.toggleOpen() },
+      { keys: ["o"], shown: "O", does: "Open or close the cuts", act: () => operator.toggleOpen() },
       { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
       {
         keys: ["n"],
         shown: "N",
-        does: "In a replay: one batch on",
+        does: "In a replay: next batch",
         act: press("step"),
         needs: () => this.replay.facts !== null,
       },
       { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
-      { keys: ["l"], shown: "L", does: "Light or dark", act: press("theme") },
+      { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },
       { keys: ["Escape"], shown: "Esc", does: "End the stroke", act: () => operator.abandonStroke() },
     ];

@@ -10,15 +10,15 @@ function transferable(c: Corners): Transferable[] {
   return [c.positions.buffer, c.normals.buffer, c.facts.buffer];
 }
 
-/** Sends the surface to the page: all of it, then what changes, as fast as the page takes it. Thread: the worker's. */
+/** Sends the surface to the page: first all of it, then changes, one patch at a time. Thread: the worker's. */
 export class PageFeed {
   readonly builder: CornerBuilder;
   bodySize_m = 1;
   private capacity = 0; // slots that the page has room for
   private ready = false; // the page has the whole surface
-  private waiting = false; // the page has a patch that it has not applied yet
+  private waiting = false; // the page has not applied the last patch yet
   private steps: BladeStep[] = [];
-  private posed_ms = 0; // of the last pose behind what is not sent yet
+  private posed_ms = 0; // of the last pose whose effect is not sent yet
   private readonly opening: Opening = { lips: new Float32Array(0), pieces: new Float32Array(0), cutArea_m2: 0 };
   private openingCost_ms = 0;
   private openingTimer: ReturnType<typeof setTimeout> | undefined;
@@ -31,19 +31,19 @@ export class PageFeed {
     this.builder = new CornerBuilder(surface);
   }
 
-  /** Another body, or another state of it: everything is sent. */
+  /** The whole surface was replaced: sends everything. */
   restart(): void {
     this.builder.restart();
     this.numberPieces();
     this.sendAll();
   }
 
-  /** Nothing is sent until restart(): what is held is of another session. */
+  /** Sends nothing until restart(): the surface belongs to another session. */
   pause(): void {
     this.ready = false;
   }
 
-  /** A blade's step, for the next patch; posed_ms: when its last pose was made, 0: unknown. */
+  /** Adds a blade's step to the next patch; posed_ms: when its last pose was made, 0: unknown. */
   addStep(step: BladeStep, posed_ms: number): void {
     this.steps.push(step);
     this.posed_ms = posed_ms;
@@ -56,7 +56,7 @@ export class PageFeed {
     this.sendChanges();
   }
 
-  /** Sends what has changed, unless the page has not applied the last patch yet: then changes are gathered. */
+  /** Sends what has changed. While the page has not applied the last patch, changes are gathered instead. */
   sendChanges(): void {
     const { surface, builder } = this;
     if (!this.ready || this.waiting) return;
@@ -69,7 +69,8 @@ export class PageFeed {
     const patch = { slots, highest: surface.slots, corners, steps: this.steps, posed_ms: this.posed_ms };
     this.post({ kind: "patch", ...patch, progress: this.progress() }, [slots.buffer, ...transferable(corners)]);
     this.forgetSteps();
-    this.scheduleOpening(Math.max(kOpeningPause_ms, 8 * this.openingCost_ms)); // it must not take up the worker
+    // Of a large body it must not occupy the worker.
+    this.scheduleOpening(Math.max(kOpeningPause_ms, 8 * this.openingCost_ms));
   }
 
   private sendAll(): void {

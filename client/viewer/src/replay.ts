@@ -55,7 +55,7 @@ export class Replay {
         }),
       );
     } catch {
-      // The state of the connection says it already.
+      // The state of the connection is shown anyway.
     }
   }
 
@@ -80,7 +80,7 @@ export class Replay {
     if (this.wanted !== null) this.seek(this.wanted);
   }
 
-  /** One wish at a time: a hand is quicker than the server, which would go to every place on the way. */
+  /** One request at a time: the server would go to every revision that the slider passes. */
   private seek(revision: number): void {
     this.wanted = null;
     if (revision === (this.asked ?? this.facts?.revision)) return;

@@ -6,7 +6,7 @@ import type { SurfaceDelta } from "./wire/incise/wire/surface-delta";
 import { View } from "./wire/incise/wire/view";
 import type { Welcome } from "./wire/incise/wire/welcome";
 
-/** Asks the server for the whole state: what is held, and why that will not do. */
+/** Asks the server for the whole state; given what is held and why it is not good. */
 export type AskForState = (revision: bigint, hash: bigint, reason: string) => void;
 
 /** The server's surface, followed by snapshots and deltas and checked by its hash. Thread: the worker's. */
@@ -14,10 +14,10 @@ export class Replica {
   readonly surface = new Surface();
   session = 0n;
   revision = 0n;
-  /** The server's hash of the volume, and whether the surface's is the one that is computed here. */
+  /** The server's hash of the volume; whether its hash of the surface is the one computed here. */
   stateHash = 0n;
   agrees = true;
-  /** A whole state, which deltas follow. */
+  /** A whole state is here; deltas follow. */
   holding = false;
   private staged: SnapshotChunk[] | null = null;
   private resyncing = false;
@@ -31,7 +31,7 @@ export class Replica {
     this.session = welcome.session();
   }
 
-  /** What is held cannot be trusted: the next connection does not resume it. */
+  /** What is held cannot be trusted: the next connection starts with a snapshot. */
   distrust(): void {
     this.holding = false;
   }
@@ -44,7 +44,7 @@ export class Replica {
     this.staged?.push(chunk);
   }
 
-  /** True: the surface is another one now. */
+  /** True: the surface was replaced. */
   endSnapshot(end: SnapshotEnd): boolean {
     if (!this.staged) return false;
     this.surface.clear();

@@ -5,7 +5,7 @@ import { Reset } from "./wire/incise/wire/reset";
 import { Role } from "./wire/incise/wire/role";
 import { View } from "./wire/incise/wire/view";
 
-const kPatience_ms = 5000; // a server that does not offer it has said so by then
+const kPatience_ms = 5000; // a server that does not offer Reset has said so by then
 
 /** Connects as an administrator, resets the body, and leaves. */
 export function resetBody(url: string, token: string, post: Post): void {

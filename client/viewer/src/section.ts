@@ -6,7 +6,7 @@ export interface Section {
   share: number; // where the plane is, 0 to 1
 }
 
-const kBeyond = 0.25; // of the body's extent at either end: opened pieces stand out of its box
+const kBeyond = 0.25; // of the body's extent beyond either end: opened pieces are outside its box
 
 /** The plane as (normal, offset): points with normal . p > offset are left out. */
 export function planeOf({ axis, side, share }: Section, min: Vec3, max: Vec3): [number, number, number, number] {
@@ -16,13 +16,13 @@ export function planeOf({ axis, side, share }: Section, min: Vec3, max: Vec3): [
   return plane;
 }
 
-/** The axis along which one looks most, from the body to the eye. */
+/** The axis nearest to the direction from the body to the eye. */
 export function axisFacing(toEye: Vec3): number {
   const lengths = toEye.map(Math.abs);
   return lengths.indexOf(Math.max(...lengths));
 }
 
-/** The side that has to go so that the section's face is seen. */
+/** The side of the plane to leave out so that the section faces the eye. */
 export function sideFacing(toEye: Vec3, axis: number): number {
   return toEye[axis] < 0 ? -1 : 1;
 }

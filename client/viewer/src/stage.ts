@@ -7,8 +7,8 @@ import { Resolution } from "./resolution";
 import { planeOf, type Section } from "./section";
 import { SectionLines } from "./section_lines";
 
-const kSettle_ms = 220; // after the last motion the picture is drawn once more, with all pixels
-const kFine_ms = 900; // and then with more than the screen has, where the renderer smooths no edges
+const kSettle_ms = 220; // after the last motion the picture is drawn again at full resolution
+const kFine_ms = 900; // and then above it, where the renderer does not smooth edges
 
 /** Whether the browser draws on the processor. */
 function drawnInSoftware(): boolean {
@@ -19,11 +19,11 @@ function drawnInSoftware(): boolean {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-/** quick: as many pixels as the machine can move; full: as many as the screen has; fine: more. */
+/** quick: as many pixels as the machine can draw in time; full: as many as the screen has; fine: more. */
 type Quality = "quick" | "full" | "fine";
 export type Tool = "cut" | "turn";
 
-/** The picture: camera, lights, body, blades. Draws when something has changed, and no more. */
+/** The picture: camera, lights, body, blades. Draws only when something has changed. */
 export class Stage {
   readonly renderer: THREE.WebGLRenderer;
   readonly camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
@@ -31,9 +31,9 @@ export class Stage {
   readonly body = new BodyMesh();
   readonly centre = new THREE.Vector3();
   bodySize_m = 0.3;
-  /** Called before each picture; true: something moves, draw again. */
+  /** Called before each frame; true: something moves, draw again. */
   beforeDraw: (now_ms: number) => boolean = () => false;
-  /** Called when a picture that showed new state is on its way to the screen. */
+  /** Called after each frame is drawn. */
   afterDraw: () => void = () => {};
   framesDrawn = 0;
   readonly software: boolean;
@@ -46,10 +46,10 @@ export class Stage {
   private waiting = false; // for the browser's next frame
   private readonly resolution: Resolution;
   private quality: Quality = "full";
-  private paced = false; // the last frame drew a moving picture
+  private paced = false; // the last frame was part of a motion
   private lastFrame_ms = 0;
   private lastDraw_ms = 0;
-  private alarm: ReturnType<typeof setTimeout> | undefined; // when a blade that rests is to vanish
+  private alarm: ReturnType<typeof setTimeout> | undefined; // when a resting blade vanishes
   private openNow = 0;
   private openGoal = 0;
   private section: Section | null = null;
@@ -64,7 +64,7 @@ export class Stage {
     this.software = drawnInSoftware();
     document.body.classList.toggle("software", this.software);
     this.resolution = new Resolution(this.software);
-    // Opaque, the backdrop in the picture: the browser need not blend a whole window's pixels for each frame.
+    // Opaque, with a backdrop of its own: the browser need not blend the whole window each frame.
     this.renderer = new THREE.WebGLRenderer({
       canvas,
       antialias: !this.software,
@@ -78,13 +78,13 @@ export class Stage {
     this.controls.zoomToCursor = true;
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("start", () => (this.flight = null));
-    // Between the corners of a coarse grid the colours are interpolated, which takes less than to compute them.
+    // A coarse grid: interpolating colours is cheaper than computing them for each pixel.
     this.backdrop = new THREE.Mesh(
       new THREE.PlaneGeometry(2, 2, 24, 16),
       new THREE.ShaderMaterial({
         transparent: true,
         blending: THREE.NoBlending,
-        depthWrite: false, // after the body, where it is not
+        depthWrite: false, // drawn after the body, where that is not
         uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
         vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
         void main() {
@@ -190,11 +190,11 @@ export class Stage {
     return view;
   }
 
-  /** The whole body in view, from a little above and the side that faces the reader. */
+  /** The whole body in view, from the front and a little above. */
   fit(at_once = false, direction = new THREE.Vector3(-0.18, -0.62, 0.76)): void {
     const { left, right, top, bottom } = this.cover;
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    // The angle that the shorter free side spans, of the whole height's.
+    // The share of the picture's height that the body may fill.
     const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
     const to = direction
@@ -217,7 +217,7 @@ export class Stage {
     this.draw();
   }
 
-  /** Around the body, in steps of 6 degrees. */
+  /** Turns around the body, in steps of 6 degrees. */
   turn(right: number, up: number): void {
     const step = Math.PI / 30;
     const arm = this.camera.position.clone().sub(this.controls.target);
@@ -259,14 +259,15 @@ export class Stage {
     this.draw();
   }
 
-  /** From what the camera looks at to the eye. */
+  /** The vector from what the camera looks at to the camera. */
   get toEye(): Vec3 {
     return this.camera.position.clone().sub(this.controls.target).toArray();
   }
 
   /** backdrop: its colours in the middle and at the edge, as #rrggbb. */
   setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number, backdrop: [string, string]): void {
-    this.backdrop.material.uniforms.uInner.value.setStyle(backdrop[0], THREE.LinearSRGBColorSpace); // as they are, to be mixed as they are
+    // Not converted: the shader mixes them as they are.
+    this.backdrop.material.uniforms.uInner.value.setStyle(backdrop[0], THREE.LinearSRGBColorSpace);
     this.backdrop.material.uniforms.uOuter.value.setStyle(backdrop[1], THREE.LinearSRGBColorSpace);
     this.ground.material.uniforms.uInk.value.set(ink);
     this.ground.material.uniforms.uShade.value = shade;
@@ -274,14 +275,14 @@ export class Stage {
     this.draw();
   }
 
-  /** So many pixels at each side lie under panels. */
+  /** Sets how many pixels at each side are covered by panels. */
   setCover(cover: { left: number; right: number; top: number; bottom: number }): void {
     this.cover = cover;
     this.resize();
   }
   cover = { left: 0, right: 0, top: 0, bottom: 0 };
 
-  /** Red, green, blue, opacity (0 to 255) at a place in shares of the picture. Draws anew: a drawn picture is gone. */
+  /** Red, green, blue, opacity (0 to 255) at (x, y), 0 to 1. Draws first: WebGL does not keep a frame. */
   colourAt(x: number, y: number): number[] {
     this.renderer.render(this.scene, this.camera);
     const gl = this.renderer.getContext();
@@ -314,7 +315,7 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (width === 0 || height === 0) return;
     this.camera.aspect = width / height;
-    // The middle of the picture is that of what panels leave free.
+    // The centre of the picture is that of the part without panels.
     const { left, right, top, bottom } = this.cover;
     this.camera.setViewOffset(width, height, (right - left) / 2, (bottom - top) / 2, width, height);
     this.camera.updateProjectionMatrix();
@@ -345,7 +346,7 @@ export class Stage {
     if (this.advance(now_ms) || this.wanted) {
       this.wanted = false;
       this.lastDraw_ms = now_ms;
-      this.paced = rested_ms < kSettle_ms; // a single change is no motion
+      this.paced = rested_ms < kSettle_ms; // a single change is not a motion
       this.setQuality(this.paced && this.resolution.scale < 1 ? "quick" : "full");
       this.render();
     } else if (this.quality === "quick" ? rested_ms > kSettle_ms : this.quality !== best && rested_ms > kFine_ms) {
@@ -355,7 +356,7 @@ export class Stage {
     if (this.lastDraw_ms === now_ms || this.quality !== best) this.awaitFrame();
   }
 
-  /** Whatever moves by itself goes on. True: the picture is another now. */
+  /** Advances everything that moves by itself. True: the picture has changed. */
   private advance(now_ms: number): boolean {
     let moves = this.fly(now_ms);
     if (this.controls.enabled) this.controls.update();
@@ -377,10 +378,10 @@ export class Stage {
     this.ground.material.uniforms.uLine.value = Math.max(1, this.renderer.getPixelRatio());
     u.uOpen.value = this.openNow;
     this.followSection();
-    // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
-    // may take the trouble.
+    // The back of a closed surface is seen in a section, and in folds of lifted lips, which are not worth the time
+    // without a graphics card.
     this.body.setEffort(!this.software || this.section !== null, !this.software || this.quality !== "quick");
-    // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
+    // The key light hangs over the viewer's left shoulder, so that what one looks at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);
     const back = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);

@@ -33,7 +33,10 @@ const kReplayActions = {
   close: ReplayAction.Close,
 };
 
-/** The page's view of the session: the connection that brings the state, and the page's feed from it. Thread: the worker's. */
+/**
+ * The page's view of the session: the connection that brings the state, its replica, and the feed to the page. Thread:
+ * the worker's.
+ */
 export class Viewer {
   private link: Link | null = null;
   private token = "";
@@ -45,8 +48,8 @@ export class Viewer {
   private readonly figures = { tets: 0, deltas: 0, bytes: 0 };
   private justConnected = false; // no Welcome yet on this connection
   private liveSession = 0n;
-  private replayAsked = false; // from the wish for one until the live mesh is back
-  replaying = false; // the statistics are of the live mesh
+  private replayAsked = false; // from the request for a replay until the live mesh is back
+  replaying = false; // a recording is shown; Stats are still of the live mesh
   private deforms = false;
   /** Replaying has begun or ended. */
   onReplaying: () => void = () => {};
@@ -218,17 +221,17 @@ export class Viewer {
     );
   }
 
-  /** When the step's last pose was made. In a replay nobody posed: 0. */
+  /** When the step's last pose was made. 0 in a replay. */
   private posedAt_ms(step: Step, own: boolean): number {
     if (this.replaying) return 0;
     const arrived_ns = step.arrivalNs() - (this.link?.clockOffset_ns ?? 0n);
-    // The mouse's clock may run ahead of time: a flick takes longer on it.
+    // The mouse's clock may be ahead: a flick takes longer on it.
     const posed_ns = own && step.toSourceNs() < arrived_ns ? step.toSourceNs() : arrived_ns;
     return Number(posed_ns / 1000n) / 1e3;
   }
 
   private onBladePose(pose: BladePose): void {
-    if (this.blade.owns(pose.source())) return; // the page knows that one first
+    if (this.blade.owns(pose.source())) return; // the page draws that one itself
     this.post({
       kind: "blade-pose",
       source: pose.source(),

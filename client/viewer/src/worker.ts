@@ -1,4 +1,4 @@
-// The page's side of the stream, off its main thread: connections, the state, its hash, and the corners to be drawn.
+// The worker: connections, the state, its hash, and the corners to draw, off the page's main thread.
 
 import { Blade } from "./blade";
 import { ElementsLink } from "./elements_link";
@@ -8,7 +8,7 @@ import { Viewer } from "./viewer";
 
 const post: Post = (message, transfer = []) => postMessage(message, { transfer });
 
-/** Hands each of the page's messages to the part that it is for. */
+/** Passes each of the page's messages to the part that handles it. */
 class Dispatch {
   private url = "";
   private token = "";
