@@ -137,6 +137,9 @@ void add_network_commands(CLI::App& app, int& exit_code) {
     sub->add_flag("--take-over", command->take_over, "take the blade from the client that holds it");
     sub->add_flag("--strict", command->strict,
                   "refuse a motion whose times do not rise, instead of skipping samples");
+    sub->add_flag(
+        "--reset", command->reset,
+        "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
     sub->add_flag("--json", command->json, "print the summary as JSON");
     add_server_options(*sub, command->server);
     sub->callback([command, &exit_code] { exit_code = run_stream(*command); });

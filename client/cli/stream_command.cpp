@@ -3,6 +3,7 @@
 #include <cinttypes>
 #include <cstdio>
 #include <fstream>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <thread>
@@ -224,6 +225,32 @@ class Player {
   double seconds_ = 0;
 };
 
+// Resets the body as an administrator, on a connection of its own; returns when the server has done it.
+void reset_body(const Address& where, Options options) {
+  options.role = protocol::Role::Admin;
+  options.view = protocol::View::None;
+  std::mutex mutex;
+  std::string refusal;  // guarded by mutex
+  Callbacks callbacks;
+  callbacks.on_error = [&](const protocol::Error& error) {
+    const std::scoped_lock lock(mutex);
+    refusal = error.text;
+  };
+  const auto client = Client::connect(where.host, where.port, std::move(options), std::move(callbacks));
+  const std::uint64_t before = client->welcome().session;
+  client->reset();
+  const auto began = steady_clock::now();
+  while (client->welcome().session == before) {
+    std::this_thread::sleep_for(kStep);
+    const std::scoped_lock lock(mutex);
+    if (!refusal.empty()) throw std::runtime_error("--reset: " + refusal);
+    if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
+    if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
+      throw std::runtime_error("--reset: the server has not reset the body; try again");
+    }
+  }
+}
+
 }  // namespace
 
 int run_stream(const StreamCommand& command) {
@@ -236,6 +263,7 @@ int run_stream(const StreamCommand& command) {
   options.source_name = command.source_name;
   options.take_over = command.take_over;
   if (!command.blade.empty()) options.blade = protocol::parse_blade("--blade", command.blade);
+  if (command.reset) reset_body(where, options);
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
   callbacks.on_error = [](const protocol::Error& error) {

@@ -19,8 +19,14 @@ const server = new Server({
 });
 mkdirSync(server.file("captures"));
 await server.start();
-server.incise("convert", fileURLToPath(new URL("config/demo_motion.csv", root)), "--config", server.file("server.json"), "--out",
-              server.file("captures/demo.capture"));
+server.incise(
+  "convert",
+  fileURLToPath(new URL("config/demo_motion.csv", root)),
+  "--config",
+  server.file("server.json"),
+  "--out",
+  server.file("captures/demo.capture"),
+);
 
 const browser = await launch();
 

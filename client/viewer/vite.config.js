@@ -29,5 +29,11 @@ export default defineConfig({
   worker: { format: "es" },
   plugins: [compressed()],
   // npm run dev beside a running incised.
-  server: { proxy: { "/ws": { target: "ws://127.0.0.1:7480", ws: true, changeOrigin: true }, "/stats": "http://127.0.0.1:7480", "/captures": "http://127.0.0.1:7480" } },
+  server: {
+    proxy: {
+      "/ws": { target: "ws://127.0.0.1:7480", ws: true, changeOrigin: true },
+      "/stats": "http://127.0.0.1:7480",
+      "/captures": "http://127.0.0.1:7480",
+    },
+  },
 });

@@ -168,6 +168,17 @@ begin_demo
 expect 1 'is in use' demo
 kill -TERM "$!"
 wait "$!" || { echo "the demo ended with $? at a TERM"; failures=$((failures + 1)); }
+# Passes after the first one begin with an uncut body.
+: > "$CALLS"
+"$work/dev" demo > /dev/null 2>&1 &
+for ((tick = 0; tick < 200; tick++)); do
+  (($(grep -c '^incise stream' "$CALLS") < 2)) || break
+  sleep 0.1
+done
+passes="$(grep '^incise stream' "$CALLS" | head -n 2 | sed 's/.* --to [^ ]* *//' | paste -sd,)"
+[[ $passes == ',--reset' ]] || { echo "the demo's first two passes have the options '$passes'"; failures=$((failures + 1)); }
+kill -TERM "$!"
+wait "$!" || true
 # Without a motion it only waits.
 : > "$CALLS"
 "$work/dev" demo --still > "$work/demo.out" 2>&1 &

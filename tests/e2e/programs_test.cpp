@@ -73,8 +73,11 @@ class ProgramsTest : public ::testing::Test {
           << ',' << box.max.z + margin << ",1,0,0,0," << (i + 1 < poses) << '\n';
     }
   }
-  nlohmann::json stream(const std::string& speed) {
-    Process player({"incise", "stream", file("motion.csv"), "--to", tcp(), "--speed", speed, "--json"});
+  nlohmann::json stream(const std::string& speed, const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments{"incise", "stream", file("motion.csv"), "--to", tcp(), "--speed",
+                                       speed,    "--json"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    Process player(arguments);
     const std::string printed = player.line("{");
     EXPECT_EQ(player.wait(), 0);
     return nlohmann::json::parse(printed);
@@ -88,6 +91,19 @@ class ProgramsTest : public ::testing::Test {
   fs::path directory = fs::temp_directory_path() / ("incise_e2e_" + std::to_string(::getpid()));
   std::uint16_t tcp_port = 0, http_port = 0;
 };
+
+TEST_F(ProgramsTest, AStreamedMotionCanBeginWithAnUncutBody) {
+  const auto server = start();
+  const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
+  write_motion(viewer->welcome().mesh.box, 0.5);
+  const auto first = stream("1");
+  const auto again = stream("1", {"--reset"});
+  EXPECT_NE(again["session"], first["session"]);
+  EXPECT_EQ(again["first_revision"], 0);
+  EXPECT_EQ(again["revision"], first["revision"]);
+  ASSERT_TRUE(viewer->wait_for_revision(again["revision"], 20));
+  EXPECT_EQ(viewer->welcome().session, again["session"]);
+}
 
 TEST_F(ProgramsTest, AStreamedMotionCutsAndEverybodySeesTheSame) {
   const auto server = start();

@@ -11,7 +11,7 @@ import { readdirSync, readFileSync } from "node:fs";
 import { loadavg } from "node:os";
 import { join } from "node:path";
 import { fileURLToPath } from "node:url";
-import { bin, launch, openPage, progress, Server, until } from "./server.mjs";
+import { bin, launch, openPage, Server, until } from "./server.mjs";
 import { boundaryOfVtu, canonical } from "./triangles.mjs";
 
 const root = fileURLToPath(new URL("../../", import.meta.url));
@@ -27,9 +27,12 @@ function processes() {
       const stat = readFileSync(`/proc/${pid}/stat`, "utf8");
       const fields = stat.slice(stat.lastIndexOf(")") + 2).split(" ");
       const kind = /--type=([\w-]+)/.exec(readFileSync(`/proc/${pid}/cmdline`, "utf8"))?.[1] ?? "browser";
-      children.set(fields[1], [...(children.get(fields[1]) ?? []), { pid, kind, cpu_ms: 10 * (Number(fields[11]) + Number(fields[12])), rss: 4096 * Number(fields[21]) }]);
+      children.set(fields[1], [
+        ...(children.get(fields[1]) ?? []),
+        { pid, kind, cpu_ms: 10 * (Number(fields[11]) + Number(fields[12])), rss: 4096 * Number(fields[21]) },
+      ]);
     } catch {
-      continue; // it has ended
+      // It has ended.
     }
   }
   const sums = {};
@@ -62,24 +65,37 @@ async function turn(browser, server) {
   const read = () => page.evaluate(() => ({ now: performance.now(), drawn: window.incise.stage.framesDrawn }));
   await pause(2500); // until it has found its scale
   await page.evaluate(() => (window.gaps = []));
-  const before = processes(), from = await read();
+  const before = processes(),
+    from = await read();
   await pause(8000);
-  const after = processes(), to = await read();
+  const after = processes(),
+    to = await read();
   const drawn = to.drawn - from.drawn;
   const { p50, p95, pixels } = await page.evaluate(() => {
     const gaps = window.gaps.sort((a, b) => a - b);
     const gl = window.incise.stage.renderer.getContext();
-    return { p50: gaps[gaps.length >> 1], p95: gaps[Math.floor(0.95 * gaps.length)], pixels: `${gl.drawingBufferWidth} x ${gl.drawingBufferHeight}` };
+    return {
+      p50: gaps[gaps.length >> 1],
+      p95: gaps[Math.floor(0.95 * gaps.length)],
+      pixels: `${gl.drawingBufferWidth} x ${gl.drawingBufferHeight}`,
+    };
   });
-  const cpu = Object.keys(after).filter((kind) => /gpu|renderer/.test(kind))
-    .map((kind) => `${kind} ${((after[kind].cpu_ms - before[kind].cpu_ms) / drawn).toFixed(1)} ms`).join(", ");
-  console.log(`turning, 1280 x 720: ${((1000 * drawn) / (to.now - from.now)).toFixed(1)} pictures/s at ${pixels}, frame p50 ${p50.toFixed(1)} p95 ${p95.toFixed(1)} ms; a picture: ${cpu}; load ${loadavg()[0].toFixed(1)}`);
+  const cpu = Object.keys(after)
+    .filter((kind) => /gpu|renderer/.test(kind))
+    .map((kind) => `${kind} ${((after[kind].cpu_ms - before[kind].cpu_ms) / drawn).toFixed(1)} ms`)
+    .join(", ");
+  console.log(
+    `turning, 1280 x 720: ${((1000 * drawn) / (to.now - from.now)).toFixed(1)} pictures/s at ${pixels}, frame p50 ${p50.toFixed(1)} p95 ${p95.toFixed(1)} ms; a picture: ${cpu}; load ${loadavg()[0].toFixed(1)}`,
+  );
 }
 
 /** One pass of the demo's motion at four times its speed, and the time that its work takes. */
 async function pass(server) {
-  const stream = spawn(join(bin, "incise"), ["stream", join(root, "config/demo_motion.csv"), "--to", `127.0.0.1:${server.ports.tcp_port}`,
-                                             "--speed", "4"], { stdio: ["ignore", "ignore", "inherit"] });
+  const stream = spawn(
+    join(bin, "incise"),
+    ["stream", join(root, "config/demo_motion.csv"), "--to", `127.0.0.1:${server.ports.tcp_port}`, "--speed", "4"],
+    { stdio: ["ignore", "ignore", "inherit"] },
+  );
   await once(stream, "exit");
   while ((await server.stats()).backlog.segments > 0) await pause(100);
 }
@@ -93,10 +109,16 @@ async function long(browser, server, minutes) {
     await cdp.send("HeapProfiler.collectGarbage");
     const heap = (await cdp.send("Runtime.getHeapUsage")).usedSize;
     const { renderer, "gpu-process": gpu } = processes();
-    const state = await page.evaluate(() => ({ ...window.incise.progress, pictures: window.incise.stage.framesDrawn, memory: performance.memory.usedJSHeapSize }));
-    console.log(`${((Date.now() - began) / 1000).toFixed(0)} s: ${state.deltas} deltas, revision ${state.revision}, ${state.triangles} triangles, ${state.pieces} pieces, ` +
-                `${state.pictures} pictures; page's heap ${MB(heap)} MB (performance.memory ${MB(state.memory)}), renderer ${MB(renderer.rss)} MB, GPU process ${MB(gpu.rss)} MB, ` +
-                `hash ${state.hashAgrees ? "agrees" : "DIFFERS"}, ${faults.length} faults`);
+    const state = await page.evaluate(() => ({
+      ...window.incise.progress,
+      pictures: window.incise.stage.framesDrawn,
+      memory: performance.memory.usedJSHeapSize,
+    }));
+    console.log(
+      `${((Date.now() - began) / 1000).toFixed(0)} s: ${state.deltas} deltas, revision ${state.revision}, ${state.triangles} triangles, ${state.pieces} pieces, ` +
+        `${state.pictures} pictures; page's heap ${MB(heap)} MB (performance.memory ${MB(state.memory)}), renderer ${MB(renderer.rss)} MB, GPU process ${MB(gpu.rss)} MB, ` +
+        `hash ${state.hashAgrees ? "agrees" : "DIFFERS"}, ${faults.length} faults`,
+    );
   };
   // A fresh body now and then: what is cut again and again in the same places is soon minced.
   for (let passes = 0, told = 0; Date.now() - began < minutes * 60_000; ++passes) {
@@ -115,9 +137,12 @@ async function long(browser, server, minutes) {
   const shown = await page.evaluate(async () => Array.from(await window.incise.dump()));
   await server.stop();
   server.incise("export", server.file("session.capture"), "--out", server.file("end.vtu"));
-  const there = canonical(boundaryOfVtu(server.file("end.vtu"))), here = canonical(Float32Array.from(shown));
+  const there = canonical(boundaryOfVtu(server.file("end.vtu"))),
+    here = canonical(Float32Array.from(shown));
   const differ = here.length !== there.length || here.some((triangle, i) => triangle !== there[i]);
-  console.log(`page ${here.length} triangles, .vtu ${there.length}: ${differ ? "THEY DIFFER" : "the same, triangle for triangle"}`);
+  console.log(
+    `page ${here.length} triangles, .vtu ${there.length}: ${differ ? "THEY DIFFER" : "the same, triangle for triangle"}`,
+  );
   if (differ || faults.length > 0) process.exitCode = 1;
 }
 
@@ -126,7 +151,10 @@ if (!["turn", "long"].includes(command) || !(Number(minutes) > 0)) {
   console.error("usage: node tests/viewer/bench.mjs turn | long [MINUTES]");
   process.exit(2);
 }
-const server = new Server({ mesh: { phantom: "liver", target_tets: 60000 }, loop: { rate_hz: 1000, realtime_priority: 0, lock_memory: false } });
+const server = new Server({
+  mesh: { phantom: "liver", target_tets: 60000 },
+  loop: { rate_hz: 1000, realtime_priority: 0, lock_memory: false },
+});
 await server.start();
 const browser = await launch();
 try {

@@ -34,8 +34,9 @@ export class Server {
 
   async start(...more) {
     this.file("server.json", JSON.stringify({ ...this.config, listen: { ...this.config.listen, ...this.ports } }));
-    this.process = spawn(join(bin, "incised"), ["--config", join(this.directory, "server.json"), ...more],
-                         { stdio: ["ignore", "pipe", "inherit"] });
+    this.process = spawn(join(bin, "incised"), ["--config", join(this.directory, "server.json"), ...more], {
+      stdio: ["ignore", "pipe", "inherit"],
+    });
     for await (const line of createInterface({ input: this.process.stdout })) {
       const ports = /^listening tcp=[^:]*:(\d+) http=[^:]*:(\d+)/.exec(line);
       if (!ports) continue;
@@ -50,6 +51,7 @@ export class Server {
     if (!this.process || this.process.exitCode !== null || this.process.signalCode !== null) return;
     const ended = once(this.process, "exit");
     this.process.kill(signal);
+    this.process.kill("SIGCONT"); // a test may have frozen it
     await ended;
   }
 
@@ -72,16 +74,26 @@ export class Server {
 
   /** Streams straight passes of the blade through the body at these places along x, at `speed` times one second each. */
   stream(places, { depth_m = 0.07, speed = 4, lines = 60 } = {}) {
+    const passes = places.map((x) => [
+      [x, -0.12, depth_m],
+      [x, 0.12, depth_m],
+    ]);
+    return this.streamPasses(passes, { speed, lines });
+  }
+
+  /** Streams the blade, which points down, along straight lines: [from, to] each. `more`: further options of incise stream. */
+  streamPasses(passes, { speed = 4, lines = 60, more = [] } = {}) {
     const rows = ["t_s,x_m,y_m,z_m,qw,qx,qy,qz,button"];
-    places.forEach((x, pass) => {
+    passes.forEach(([from, to], pass) => {
       for (let i = 0; i <= lines; ++i) {
-        rows.push([pass * 2 + i / lines, x, -0.12 + (0.24 * i) / lines, depth_m, 1, 0, 0, 0, i < lines ? 1 : 0].join());
+        const at = from.map((a, k) => a + ((to[k] - a) * i) / lines);
+        rows.push([pass * 2 + i / lines, ...at, 1, 0, 0, 0, i < lines ? 1 : 0].join());
       }
     });
-    const motion = this.file("motion.csv", rows.join("\n") + "\n");
+    const motion = this.file("motion.csv", `${rows.join("\n")}\n`);
     for (let tries = 10; ; --tries) {
       try {
-        return this.incise("stream", motion, "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed);
+        return this.incise("stream", motion, "--to", `127.0.0.1:${this.ports.tcp_port}`, "--speed", speed, ...more);
       } catch (error) {
         // It waits for a few seconds only, which a busy machine may take to answer.
         if (tries === 0 || !String(error).includes("no answer in time")) throw error;
@@ -90,30 +102,48 @@ export class Server {
   }
 
   async stats() {
-    return (await fetch(this.url + "stats")).json();
+    return (await fetch(`${this.url}stats`)).json();
   }
 }
 
-export async function launch() {
+/** flags: further ones of Chromium's. */
+export async function launch(...flags) {
   const executablePath = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
   if (!executablePath) throw new Error("no Chromium; ./dev test installs it (section test of config/packages.txt)");
   return chromium.launch({
     executablePath,
     // Software GL, wherever the tests run; Chromium's own sandbox refuses to run as root.
-    args: ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(process.getuid() === 0 ? ["--no-sandbox"] : [])],
+    args: [
+      "--use-gl=angle",
+      "--use-angle=swiftshader",
+      "--enable-unsafe-swiftshader",
+      ...(process.getuid() === 0 ? ["--no-sandbox"] : []),
+      ...flags,
+    ],
   });
 }
 
-/** A page that shows a state. `faults` collects what its console says that is no good; end it with close(). */
-export async function openPage(browser, url, { width = 800, height = 560, colorScheme = "dark", hasTouch = false, ...more } = {}) {
-  const context = await browser.newContext({ viewport: { width, height }, colorScheme, hasTouch, reducedMotion: "reduce", ...more });
+/** A page that shows a state. `faults` collects the errors and warnings of its console; end it with close(). */
+export async function openPage(
+  browser,
+  url,
+  { width = 800, height = 560, colorScheme = "dark", hasTouch = false, ...more } = {},
+) {
+  const context = await browser.newContext({
+    viewport: { width, height },
+    colorScheme,
+    hasTouch,
+    reducedMotion: "reduce",
+    ...more,
+  });
   const page = await context.newPage();
   page.setDefaultTimeout(wait_ms);
   const faults = [];
   page.on("console", (message) => {
     if (message.type() !== "error" && message.type() !== "warning") return;
-    // Of a server that is away the browser itself complains; and the driver of what costs it time, as screenshots do.
-    if (/WebSocket connection|ERR_CONNECTION_REFUSED|GL Driver Message \(OpenGL, Performance/.test(message.text())) return;
+    // The browser reports a server that is away, and the driver what costs it time, such as screenshots.
+    if (/WebSocket connection|ERR_CONNECTION_REFUSED|GL Driver Message \(OpenGL, Performance/.test(message.text()))
+      return;
     faults.push(message.text());
   });
   page.on("pageerror", (error) => faults.push(String(error)));

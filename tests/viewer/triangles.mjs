@@ -32,7 +32,12 @@ function readVtu(path) {
 /** The boundary of a .vtu file's tetrahedra: faces of one tetrahedron only, and both sides of cut faces, seen from outside. */
 export function boundaryOfVtu(path) {
   const { points, corners, cutMask } = readVtu(path);
-  const outward = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]; // of the face opposite to each corner
+  const outward = [
+    [1, 2, 3],
+    [0, 3, 2],
+    [0, 1, 3],
+    [0, 2, 1],
+  ]; // of the face opposite to each corner
   const sides = new Map(); // from three vertices to the faces that have them
   for (let tet = 0; tet < cutMask.length; ++tet) {
     outward.forEach((face, k) => {
@@ -45,7 +50,8 @@ export function boundaryOfVtu(path) {
   for (const faces of sides.values()) {
     assert.ok(faces.length <= 2);
     for (const { vertices, cut } of faces) {
-      if (faces.length === 1 || cut) boundary.push(...vertices.flatMap((v) => Array.from(points.subarray(3 * v, 3 * v + 3))));
+      if (faces.length === 1 || cut)
+        boundary.push(...vertices.flatMap((v) => Array.from(points.subarray(3 * v, 3 * v + 3))));
     }
   }
   return Float32Array.from(boundary);

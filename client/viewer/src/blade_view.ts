@@ -4,12 +4,13 @@ import type { Vec3 } from "./messages";
 const kTrailSamples = 256;
 const kShown_ms = 2500; // after its last pose
 const kTrailTime_ms = 1600;
-const kLineFade_ms = 500; // of one's own stroke, after its end
-const kLineStep = 0.01, kLineWidth = 0.0034; // of it, times the body's size
+const kLineFade_ms = 500; // of the mouse's stroke, after its end
+const kLineStep = 0.01,
+  kLineWidth = 0.0034; // of that line, times the body's size
 
 /**
- * One blade's edge and the surface it swept a moment ago. Of one's own, which one sees end on, that would be nothing: there it is
- * a line that is drawn as long as the stroke lasts.
+ * One blade's edge and the surface it swept a moment ago. The mouse's blade points
+ * away from the viewer, who would not see that surface: its stroke is drawn as a line for as long as it lasts.
  */
 export class BladeView {
   readonly group = new THREE.Group();
@@ -24,25 +25,42 @@ export class BladeView {
   private readonly heel = new THREE.Vector3();
   private readonly tip = new THREE.Vector3();
   private begins = true;
-  private ended_ms = Infinity; // the own stroke
+  private ended_ms = Infinity; // the mouse's stroke
   private readonly lineEnd = new THREE.Vector3();
 
-  constructor(private readonly bodySize_m: number, private readonly own: boolean) {
+  constructor(
+    private readonly bodySize_m: number,
+    private readonly own: boolean,
+  ) {
     const colour = own ? 0x39d0c0 : 0xffb84d;
     const steel = new THREE.MeshBasicMaterial({ color: colour });
     this.edge = new THREE.Mesh(new THREE.CylinderGeometry(1, 0.25, 1, 10).translate(0, -0.5, 0), steel);
-    this.grip = new THREE.Mesh(new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0), new THREE.MeshBasicMaterial({ color: own ? colour : 0x2b3440 }));
+    this.grip = new THREE.Mesh(
+      new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0),
+      new THREE.MeshBasicMaterial({ color: own ? colour : 0x2b3440 }),
+    );
     const geometry = new THREE.BufferGeometry();
     const n = kTrailSamples * 6;
-    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * n), 3).setUsage(THREE.DynamicDrawUsage));
+    geometry.setAttribute(
+      "position",
+      new THREE.BufferAttribute(new Float32Array(3 * n), 3).setUsage(THREE.DynamicDrawUsage),
+    );
     geometry.setAttribute("aAge", new THREE.BufferAttribute(new Float32Array(n), 1).setUsage(THREE.DynamicDrawUsage));
-    this.trail = new THREE.Mesh(geometry, new THREE.ShaderMaterial({
-      transparent: true, depthWrite: false, side: THREE.DoubleSide,
-      depthTest: !own,
-      uniforms: { uColour: { value: new THREE.Color().setHex(colour, THREE.LinearSRGBColorSpace) }, uStrength: { value: own ? 0.9 : 0.42 } },
-      vertexShader: `attribute float aAge; varying float vAge; void main() { vAge = aAge; gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0); }`,
-      fragmentShader: `uniform vec3 uColour; uniform float uStrength; varying float vAge; void main() { gl_FragColor = vec4(uColour, uStrength * (1.0 - vAge) * (1.0 - vAge)); }`,
-    }));
+    this.trail = new THREE.Mesh(
+      geometry,
+      new THREE.ShaderMaterial({
+        transparent: true,
+        depthWrite: false,
+        side: THREE.DoubleSide,
+        depthTest: !own,
+        uniforms: {
+          uColour: { value: new THREE.Color().setHex(colour, THREE.LinearSRGBColorSpace) },
+          uStrength: { value: own ? 0.9 : 0.42 },
+        },
+        vertexShader: `attribute float aAge; varying float vAge; void main() { vAge = aAge; gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0); }`,
+        fragmentShader: `uniform vec3 uColour; uniform float uStrength; varying float vAge; void main() { gl_FragColor = vec4(uColour, uStrength * (1.0 - vAge) * (1.0 - vAge)); }`,
+      }),
+    );
     this.trail.frustumCulled = false;
     this.group.add(this.edge, this.grip, this.trail);
   }
@@ -65,7 +83,7 @@ export class BladeView {
     this.place();
   }
 
-  /** Goes on with the line across the line of sight, from where it ends. */
+  /** Extends the line of the mouse's stroke to where the blade is now. */
   private drawLine(now: number): void {
     if (this.begins) {
       this.count = 0;
@@ -74,7 +92,11 @@ export class BladeView {
     }
     const way = this.heel.clone().sub(this.lineEnd);
     if (way.length() < kLineStep * this.bodySize_m) return;
-    const side = this.tip.clone().sub(this.heel).cross(way).setLength(0.5 * kLineWidth * this.bodySize_m);
+    const side = this.tip
+      .clone()
+      .sub(this.heel)
+      .cross(way)
+      .setLength(0.5 * kLineWidth * this.bodySize_m);
     for (const at of this.count === 0 ? [this.lineEnd, this.heel] : [this.heel]) {
       const i = this.count++ % kTrailSamples;
       this.points.set([...at.clone().add(side).toArray(), ...at.clone().sub(side).toArray()], 6 * i);
@@ -109,7 +131,7 @@ export class BladeView {
     this.grip.scale.setScalar(thick * (this.own ? 0.5 : 1.6));
   }
 
-  /** Ages the trail. In how many milliseconds it looks different: 0 with the next frame, Infinity never. */
+  /** Fades the trail. Returns after how many ms to draw again: 0 in the next frame, Infinity never. */
   update(): number {
     const now = performance.now();
     const idle = now - this.seen_ms;
@@ -124,12 +146,19 @@ export class BladeView {
     };
     const first = Math.max(0, this.count - kTrailSamples) + 1;
     for (let k = Math.max(1, first); k < this.count; ++k) {
-      const i = k % kTrailSamples, before = (k - 1) % kTrailSamples;
-      const age = (sample: number) => (this.own ? Math.max(0, now - this.ended_ms) / kLineFade_ms : (now - this.times[sample]) / kTrailTime_ms);
-      const a0 = age(before), a1 = age(i);
+      const i = k % kTrailSamples,
+        before = (k - 1) % kTrailSamples;
+      const age = (sample: number) =>
+        this.own ? Math.max(0, now - this.ended_ms) / kLineFade_ms : (now - this.times[sample]) / kTrailTime_ms;
+      const a0 = age(before),
+        a1 = age(i);
       if (this.breaks[i] || a0 >= 1) continue;
-      put(before, 0, a0); put(before, 1, a0); put(i, 0, a1);
-      put(i, 0, a1); put(before, 1, a0); put(i, 1, a1);
+      put(before, 0, a0);
+      put(before, 1, a0);
+      put(i, 0, a1);
+      put(i, 0, a1);
+      put(before, 1, a0);
+      put(i, 1, a1);
     }
     this.trail.geometry.setDrawRange(0, at);
     if (at > 0) position.needsUpdate = age.needsUpdate = true;

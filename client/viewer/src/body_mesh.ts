@@ -1,13 +1,14 @@
 import * as THREE from "three";
 import type { Corners } from "./corner_buffers";
+import type { ShownTriangles } from "./section_lines";
 import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
 
 const kPieceColumns = 256;
-const kMostRanges = 24; // uploads of single ranges; beyond that one range over all of them is quicker
+const kMostRanges = 24; // uploads a buffer; more and larger gaps between slots are uploaded as well
 
 export type Colouring = "tissue" | "pieces" | "quality";
 
-/** Ranges that cover ascending slots, near ones joined until there are few. */
+/** Ranges [begin, end) that cover these ascending slots. Gaps are filled until there are at most kMostRanges. */
 export function rangesOf(slots: Uint32Array): [number, number][] {
   for (let gap = 8; ; gap *= 4) {
     const ranges: [number, number][] = [];
@@ -24,8 +25,10 @@ export function rangesOf(slots: Uint32Array): [number, number][] {
 export class BodyMesh {
   readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>;
   readonly positions: () => Float32Array;
-  /** Slots that hold triangles, or did. */
+  /** Slots that hold a triangle or have held one. */
   slots = 0;
+  /** Grows with each change of what is drawn. */
+  version = 0;
   private pieceOffsets = new Float32Array(4 * kPieceColumns);
   private pieceTexture = this.makePieceTexture(1);
 
@@ -34,7 +37,7 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
-      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, DETAIL: 1 },
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
@@ -56,10 +59,16 @@ export class BodyMesh {
     return this.mesh.material.uniforms;
   }
 
-  /** A whole state, in buffers with room for `capacity` slots. */
+  /** Replaces everything; the buffers have room for `capacity` slots. */
   replace(slots: number, capacity: number, corners: Corners): void {
     const geometry = new THREE.BufferGeometry();
-    const add = (name: string, Type: typeof Float32Array | typeof Int16Array | typeof Uint8Array, size: number, normalised: boolean, from?: ArrayLike<number>) => {
+    const add = (
+      name: string,
+      Type: typeof Float32Array | typeof Int16Array | typeof Uint8Array,
+      size: number,
+      normalised: boolean,
+      from?: ArrayLike<number>,
+    ) => {
       const array = new Type(3 * size * capacity);
       if (from) array.set(from);
       const attribute = new THREE.BufferAttribute(array, size, normalised);
@@ -75,6 +84,7 @@ export class BodyMesh {
     this.mesh.geometry = geometry;
     this.mesh.visible = slots > 0;
     this.slots = slots;
+    ++this.version;
   }
 
   patch(slots: Uint32Array, highest: number, corners: Corners): void {
@@ -84,9 +94,10 @@ export class BodyMesh {
     this.write("aFacts", 12, corners.facts, slots, ranges);
     this.slots = Math.max(this.slots, highest);
     this.mesh.geometry.setDrawRange(0, 3 * this.slots);
+    ++this.version;
   }
 
-  /** lips: 3 a corner, of the first slots; pieces: 4 a row. */
+  /** lips: 3 numbers a corner, from slot 0 on; pieces: 4 numbers a row. */
   setOpening(lips: Float32Array, pieces: Float32Array): void {
     const attribute = this.mesh.geometry.getAttribute("aLips") as THREE.BufferAttribute | undefined;
     if (!attribute) return;
@@ -102,6 +113,7 @@ export class BodyMesh {
     }
     this.pieceOffsets.set(pieces);
     this.pieceTexture.needsUpdate = true;
+    ++this.version;
   }
 
   /** 9 numbers for each triangle that is drawn. */
@@ -122,7 +134,35 @@ export class BodyMesh {
     this.define("WIRE", Number(on));
   }
 
-  /** inside: the back of the surface is drawn, too; detail: the fine grain. What was compiled before is kept. */
+  /** The plane of a section, (normal, offset): points with normal . p > offset are left out. Null: none. */
+  setSection(plane: readonly number[] | null): void {
+    this.uniforms.uSection.value.fromArray(plane ?? [0, 0, 0, 1]);
+    this.define("SECTION", Number(plane !== null));
+  }
+
+  /** The triangles as they are drawn, opened by this share (0 to 1). */
+  shown(open: number): ShownTriangles {
+    const p = this.positions();
+    const facts = this.attribute("aFacts"),
+      lips = this.attribute("aLips");
+    const corners = (slot: number, out: Float64Array) => {
+      const piece = 4 * (facts[12 * slot + 2] + 256 * facts[12 * slot + 3]);
+      let size = 0;
+      for (let i = 0; i < 9; ++i) {
+        const at = 9 * slot + i;
+        size += Math.abs(p[at]);
+        out[i] = p[at] + open * (lips[at] + (this.pieceOffsets[piece + (i % 3)] ?? 0));
+      }
+      return size > 0;
+    };
+    return { slots: this.slots, corners, isCut: (slot) => facts[12 * slot] !== 0 };
+  }
+
+  private attribute(name: string): ArrayLike<number> {
+    return this.mesh.geometry.getAttribute(name)?.array ?? [];
+  }
+
+  /** inside: also draw the back of the surface; detail: the fine grain. three.js keeps the shaders it has compiled. */
   setEffort(inside: boolean, detail: boolean): void {
     this.mesh.material.side = inside ? THREE.DoubleSide : THREE.FrontSide;
     this.define("INSIDE", Number(inside));
@@ -137,8 +177,8 @@ export class BodyMesh {
   }
 
   /**
-   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are passed
-   * over: a second stroke through a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
+   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are
+   * skipped: a second stroke across a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
    */
   raycast(origin: THREE.Vector3, direction: THREE.Vector3): number {
     const p = this.positions();
@@ -149,16 +189,28 @@ export class BodyMesh {
     for (let s = 0; s < this.slots; ++s) {
       if (facts[12 * s] !== 0) continue;
       const i = 9 * s;
-      const ax = p[i], ay = p[i + 1], az = p[i + 2];
-      const ux = p[i + 3] - ax, uy = p[i + 4] - ay, uz = p[i + 5] - az;
-      const vx = p[i + 6] - ax, vy = p[i + 7] - ay, vz = p[i + 8] - az;
-      const hx = dy * vz - dz * vy, hy = dz * vx - dx * vz, hz = dx * vy - dy * vx;
+      const ax = p[i],
+        ay = p[i + 1],
+        az = p[i + 2];
+      const ux = p[i + 3] - ax,
+        uy = p[i + 4] - ay,
+        uz = p[i + 5] - az;
+      const vx = p[i + 6] - ax,
+        vy = p[i + 7] - ay,
+        vz = p[i + 8] - az;
+      const hx = dy * vz - dz * vy,
+        hy = dz * vx - dx * vz,
+        hz = dx * vy - dy * vx;
       const det = ux * hx + uy * hy + uz * hz;
-      if (det < 1e-18) continue; // seen from inside, or not at all
-      const tx = ox - ax, ty = oy - ay, tz = oz - az;
+      if (det < 1e-18) continue; // it faces away, or is seen edge on
+      const tx = ox - ax,
+        ty = oy - ay,
+        tz = oz - az;
       const a = tx * hx + ty * hy + tz * hz;
       if (a < 0 || a > det) continue;
-      const qx = ty * uz - tz * uy, qy = tz * ux - tx * uz, qz = tx * uy - ty * ux;
+      const qx = ty * uz - tz * uy,
+        qy = tz * ux - tx * uz,
+        qz = tx * uy - ty * ux;
       const b = dx * qx + dy * qy + dz * qz;
       if (b < 0 || a + b > det) continue;
       const t = (vx * qx + vy * qy + vz * qz) / det;
@@ -167,7 +219,13 @@ export class BodyMesh {
     return nearest;
   }
 
-  private write(name: string, size: number, from: ArrayLike<number>, slots: Uint32Array, ranges: [number, number][]): void {
+  private write(
+    name: string,
+    size: number,
+    from: ArrayLike<number>,
+    slots: Uint32Array,
+    ranges: [number, number][],
+  ): void {
     const attribute = this.mesh.geometry.getAttribute(name) as THREE.BufferAttribute;
     const to = attribute.array;
     for (let i = 0; i < slots.length; ++i) {

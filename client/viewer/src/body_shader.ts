@@ -1,7 +1,8 @@
-// One pass, few instructions: it has to be quick on a processor without a graphics card too. What a picture does not need is
-// left out when the shader is compiled (COLOURING, WIRE, INSIDE, DETAIL: body_mesh.ts), since a renderer on the processor goes
-// through every branch of an `if` for every pixel: half of a frame went into colours that nobody saw. Wet tissue is three things
-// here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain in its colour.
+// One pass, few instructions: without a graphics card the processor runs it. What a picture does not need is left out
+// when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL: body_mesh.ts), since a software renderer runs
+// every branch of an `if` for every pixel: half of a frame's time went into colours that were not shown. Wet tissue is
+// three things here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain
+// in its colour.
 
 export const bodyVertexShader = /* glsl */ `
   precision highp float;
@@ -65,7 +66,8 @@ export const bodyFragmentShader = /* glsl */ `
                mix(mix(hash(i + vec3(0, 0, 1)), hash(i + vec3(1, 0, 1)), f.x), mix(hash(i + vec3(0, 1, 1)), hash(i + vec3(1, 1, 1)), f.x), f.y), f.z);
   }
   float fourth(float x) { x *= x; return x * x; }
-  // sRGB's curve by roots: several times quicker than pow() on a processor, and within half a step of 255 (Chilliant 2012).
+  // sRGB's curve by roots: several times quicker than pow() on a processor, and within half a step of 255 (Chilliant
+  // 2012).
   vec3 srgb(vec3 c) {
     vec3 a = sqrt(clamp(c, 0.0, 1.0)), b = sqrt(a), d = sqrt(b);
     return 0.662002687 * a + 0.684122060 * b - 0.323583601 * d - 0.0225411470 * c;
@@ -156,5 +158,9 @@ export const bodyFragmentShader = /* glsl */ `
     // A shoulder for the highlights, then sRGB.
     lit = lit / (1.0 + 0.22 * lit);
     colour = vec4(srgb(lit), 1.0);
+#if SECTION
+    // The two sides of a closed cut lie at the same depth: the one that is seen from inside fills the section.
+    gl_FragDepth = gl_FragCoord.z - (inside ? 2e-6 : 0.0);
+#endif
   }
 `;

@@ -4,8 +4,12 @@ const kSeconds = 30;
 export class Chart {
   private readonly values: number[] = [];
 
-  /** `least` is the smallest range shown: a quiet figure does not look like a storm. */
-  constructor(private readonly canvas: HTMLCanvasElement, private readonly least: number, private readonly perSecond = 2) {}
+  /** `least` is the smallest range of the axis, so that noise does not look like a peak. */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly least: number,
+    private readonly perSecond = 2,
+  ) {}
 
   push(value: number): void {
     this.values.push(Number.isFinite(value) ? value : 0);
@@ -20,7 +24,8 @@ export class Chart {
 
   draw(): void {
     const { canvas } = this;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
+    const width = canvas.clientWidth,
+      height = canvas.clientHeight;
     if (width === 0) return;
     const ratio = Math.min(2, devicePixelRatio);
     if (canvas.width !== width * ratio) {
@@ -40,7 +45,7 @@ export class Chart {
     g.fillRect(0, height - 1, width, 1);
     if (this.values.length < 2) return;
     g.beginPath();
-    this.values.forEach((v, i) => g.lineTo(x(i), y(v)));
+    for (const [i, v] of this.values.entries()) g.lineTo(x(i), y(v));
     g.strokeStyle = colour;
     g.lineWidth = 1.5;
     g.lineJoin = "round";

@@ -1,11 +1,11 @@
 import type { Elements } from "./elements";
 import { kNone, type Surface, withRoom } from "./surface";
 
-/** What the graphics card gets of each corner of a triangle; a slot's three corners lie together. */
+/** What the graphics card gets for each corner of a triangle; the three corners of a slot are adjacent. */
 export interface Corners {
   positions: Float32Array; // 3 a corner, metres
   normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
-  facts: Uint8Array; // 4 a corner: is a cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
+  facts: Uint8Array; // 4 a corner: cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
 }
 
 export function allocateCorners(slots: number): Corners {
@@ -26,15 +26,26 @@ function hash(x: number, y: number, z: number): number {
   return ((h ^ (h >>> 13)) >>> 0) / 2 ** 32;
 }
 
-/** A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. Fixed to the place, so to the tissue. */
+/**
+ * A smooth random field, 0 to 1: value noise on a grid of `cells` a metre. It depends on the place alone, so it does
+ * not move when triangles change.
+ */
 function grain(p: Float32Array, at: number, cells: number): number {
-  const x = p[at] * cells, y = p[at + 1] * cells, z = p[at + 2] * cells;
-  const i = Math.floor(x), j = Math.floor(y), k = Math.floor(z);
+  const x = p[at] * cells,
+    y = p[at + 1] * cells,
+    z = p[at + 2] * cells;
+  const i = Math.floor(x),
+    j = Math.floor(y),
+    k = Math.floor(z);
   const ease = (t: number) => t * t * (3 - 2 * t);
-  const u = ease(x - i), v = ease(y - j), w = ease(z - k);
+  const u = ease(x - i),
+    v = ease(y - j),
+    w = ease(z - k);
   let sum = 0;
   for (let corner = 0; corner < 8; ++corner) {
-    const a = corner & 1, b = (corner >> 1) & 1, c = corner >> 2;
+    const a = corner & 1,
+      b = (corner >> 1) & 1,
+      c = corner >> 2;
     sum += hash(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
   }
   return sum;
@@ -48,7 +59,7 @@ export class CornerBuilder {
 
   constructor(private readonly surface: Surface) {}
 
-  /** A small number for each piece, in the order in which they were met; piece 0 has row 0. */
+  /** A small number for each piece, in the order of first use; piece 0 has row 0. */
   rowOf(piece: number): number {
     let row = this.rows.get(piece);
     if (row === undefined) this.rows.set(piece, (row = Math.min(this.rows.size, 65535)));
@@ -58,10 +69,10 @@ export class CornerBuilder {
     return this.rows.size;
   }
 
-  /** The tetrahedra behind the triangles, whose quality is shown; without them it is that of the triangles. */
+  /** The tetrahedra behind the triangles, whose quality is shown. Null: the triangles' own quality is shown. */
   elements: Elements | null = null;
 
-  /** Marks the triangles whose tetrahedron looks different from what was measured last. */
+  /** Marks the triangles whose quality has changed. */
   touchByQuality(): void {
     const { surface } = this;
     for (let slot = 0; slot < surface.slots; ++slot) {
@@ -77,7 +88,7 @@ export class CornerBuilder {
     this.rowOf(0);
   }
 
-  /** The slots to be drawn anew, ascending: those that changed and those around their vertices. */
+  /** The slots to draw again, ascending: those that changed and those around their vertices. */
   touched(): Uint32Array {
     const { surface } = this;
     const slots = new Set(surface.touchedSlots);
@@ -85,11 +96,12 @@ export class CornerBuilder {
       for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
     }
     for (const slot of slots) this.measure(slot);
-    // A face that turned shades its neighbours anew.
+    // A face that turned changes the smooth normals of its neighbours.
     for (const slot of [...slots]) {
       if (surface.ids[slot] === kNone) continue;
       for (let k = 0; k < 3; ++k) {
-        for (let c = surface.head[surface.corners[3 * slot + k]]; c !== kNone; c = surface.next[c]) slots.add((c / 3) | 0);
+        for (let c = surface.head[surface.corners[3 * slot + k]]; c !== kNone; c = surface.next[c])
+          slots.add((c / 3) | 0);
       }
     }
     return Uint32Array.from(slots).sort();
@@ -105,10 +117,18 @@ export class CornerBuilder {
     this.quality = withRoom(this.quality, slot + 1);
     const { positions: p, corners } = this.surface;
     if (this.surface.ids[slot] === kNone) return;
-    const a = 3 * corners[3 * slot], b = 3 * corners[3 * slot + 1], c = 3 * corners[3 * slot + 2];
-    const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
-    const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
-    const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+    const a = 3 * corners[3 * slot],
+      b = 3 * corners[3 * slot + 1],
+      c = 3 * corners[3 * slot + 2];
+    const ux = p[b] - p[a],
+      uy = p[b + 1] - p[a + 1],
+      uz = p[b + 2] - p[a + 2];
+    const vx = p[c] - p[a],
+      vy = p[c + 1] - p[a + 1],
+      vz = p[c + 2] - p[a + 2];
+    const nx = uy * vz - uz * vy,
+      ny = uz * vx - ux * vz,
+      nz = ux * vy - uy * vx;
     this.faceNormals.set([nx, ny, nz], 3 * slot);
     this.quality[slot] = this.qualityOf(slot);
   }
@@ -118,15 +138,17 @@ export class CornerBuilder {
     if (this.elements) return this.elements.quality[ids[slot] >>> 2];
     let squares = 0;
     for (let k = 0; k < 3; ++k) {
-      const a = 3 * corners[3 * slot + k], b = 3 * corners[3 * slot + ((k + 1) % 3)];
+      const a = 3 * corners[3 * slot + k],
+        b = 3 * corners[3 * slot + ((k + 1) % 3)];
       squares += (p[b] - p[a]) ** 2 + (p[b + 1] - p[a + 1]) ** 2 + (p[b + 2] - p[a + 2]) ** 2;
     }
     // 4 sqrt(3) area / sum of squared sides: 1 for an equilateral triangle, 0 for a flat one (Bank 1994).
-    const shape = squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(...this.faceNormals.subarray(3 * slot, 3 * slot + 3))) / squares : 0;
+    const shape =
+      squares > 0 ? (2 * Math.sqrt(3) * Math.hypot(...this.faceNormals.subarray(3 * slot, 3 * slot + 3))) / squares : 0;
     return Math.round(255 * Math.min(1, shape));
   }
 
-  /** Writes the corners of `slot` at place `at` of `out`. A slot without a triangle gets one of no size. */
+  /** Writes the corners of `slot` at place `at` of `out`. A free slot gets a triangle of size 0. */
   write(slot: number, out: Corners, at: number): void {
     const { surface, faceNormals } = this;
     if (surface.ids[slot] === kNone) {
@@ -149,14 +171,20 @@ export class CornerBuilder {
 
   private writeNormal(slot: number, v: number, n: Float32Array, out: Int16Array, at: number): void {
     const { surface } = this;
-    const x = n[3 * slot], y = n[3 * slot + 1], z = n[3 * slot + 2];
+    const x = n[3 * slot],
+      y = n[3 * slot + 1],
+      z = n[3 * slot + 2];
     const length = Math.hypot(x, y, z);
     const cut = surface.flags[slot] & kCut;
-    let sx = 0, sy = 0, sz = 0;
+    let sx = 0,
+      sy = 0,
+      sz = 0;
     for (let c = surface.head[v]; c !== kNone; c = surface.next[c]) {
       const other = (c / 3) | 0;
       if ((surface.flags[other] & kCut) !== cut) continue;
-      const ox = n[3 * other], oy = n[3 * other + 1], oz = n[3 * other + 2];
+      const ox = n[3 * other],
+        oy = n[3 * other + 1],
+        oz = n[3 * other + 2];
       if (other !== slot && x * ox + y * oy + z * oz < kCreaseCosine * length * Math.hypot(ox, oy, oz)) continue;
       sx += ox;
       sy += oy;

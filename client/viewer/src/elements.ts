@@ -7,8 +7,8 @@ import type { Tets } from "./wire/incise/wire/tets";
 export const kGoodAngle_deg = 45;
 
 /**
- * The tetrahedra of view Volume, as far as their shape goes: which four vertices each has, where these are, and the
- * smallest of its six dihedral angles. Tetrahedra and vertices are indexed by their ids. Several times as large as the
+ * The tetrahedra of view Volume, for their shape: the four vertices of each, their positions and the
+ * smallest of the six dihedral angles. Tetrahedra and vertices are indexed by their ids. Several times as large as the
  * surface, so it is held only while the page colours by it.
  */
 export class Elements {
@@ -16,7 +16,7 @@ export class Elements {
   private moved = new Uint8Array(0); // a vertex, in this delta
   private vertices = new Uint32Array(0); // 4 a tetrahedron
   private present = new Uint8Array(0);
-  private tets = 0; // ids run below it
+  private tets = 0; // all ids are below it
   /** 0 to 255: the smallest dihedral angle of a tetrahedron, up to kGoodAngle_deg. */
   quality = new Uint8Array(0);
 
@@ -43,7 +43,11 @@ export class Elements {
     if (ids.length === 0) return;
     const { vertices, moved } = this;
     for (let t = 0, v = 0; t < this.tets; ++t, v += 4) {
-      if (this.present[t] && (moved[vertices[v]] || moved[vertices[v + 1]] || moved[vertices[v + 2]] || moved[vertices[v + 3]])) this.measure(t);
+      if (
+        this.present[t] &&
+        (moved[vertices[v]] || moved[vertices[v + 1]] || moved[vertices[v + 2]] || moved[vertices[v + 3]])
+      )
+        this.measure(t);
     }
     for (const v of ids) moved[v] = 0;
   }
@@ -71,10 +75,14 @@ export class Elements {
     }
   }
 
-  /** The faces' normals point outwards, so the angle between two faces is pi less that between their normals. */
+  /** The faces' normals point outwards, so the angle between two faces is pi minus that between their normals. */
   private measure(t: number): void {
-    const p = this.positions, v = 4 * t;
-    const a = 3 * this.vertices[v], b = 3 * this.vertices[v + 1], c = 3 * this.vertices[v + 2], d = 3 * this.vertices[v + 3];
+    const p = this.positions,
+      v = 4 * t;
+    const a = 3 * this.vertices[v],
+      b = 3 * this.vertices[v + 1],
+      c = 3 * this.vertices[v + 2],
+      d = 3 * this.vertices[v + 3];
     const n = kNormals;
     faceNormal(p, b, d, c, 0);
     faceNormal(p, a, c, d, 3);
@@ -82,19 +90,26 @@ export class Elements {
     faceNormal(p, a, b, c, 9);
     let most = -1; // cosine of the smallest angle
     for (let i = 0; i < 9; i += 3) {
-      for (let j = i + 3; j < 12; j += 3) most = Math.max(most, -(n[i] * n[j] + n[i + 1] * n[j + 1] + n[i + 2] * n[j + 2]));
+      for (let j = i + 3; j < 12; j += 3)
+        most = Math.max(most, -(n[i] * n[j] + n[i + 1] * n[j + 1] + n[i + 2] * n[j + 2]));
     }
     const angle_deg = (Math.acos(Math.min(1, most)) * 180) / Math.PI;
     this.quality[t] = Math.round(255 * Math.min(1, angle_deg / kGoodAngle_deg));
   }
 }
 
-const kNormals = new Float64Array(12); // of the four faces of the tetrahedron at hand
+const kNormals = new Float64Array(12); // of the four faces of the tetrahedron being measured
 
 function faceNormal(p: Float64Array, a: number, b: number, c: number, at: number): void {
-  const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
-  const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
-  const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+  const ux = p[b] - p[a],
+    uy = p[b + 1] - p[a + 1],
+    uz = p[b + 2] - p[a + 2];
+  const vx = p[c] - p[a],
+    vy = p[c + 1] - p[a + 1],
+    vz = p[c + 2] - p[a + 2];
+  const x = uy * vz - uz * vy,
+    y = uz * vx - ux * vz,
+    z = ux * vy - uy * vx;
   const scale = 1 / (Math.hypot(x, y, z) || 1);
   kNormals[at] = x * scale;
   kNormals[at + 1] = y * scale;

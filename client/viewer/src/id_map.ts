@@ -1,7 +1,7 @@
 const kEmpty = 0xffffffff;
 
-/** From 32-bit ids (below 2^32 - 1) to slots: open addressing in two typed arrays. A Map of as many numbers takes ten
- * times the memory and leaves work for the garbage collector. */
+/** From 32-bit ids (below 2^32 - 1) to slots: open addressing in two typed arrays. A Map takes ten times the memory
+ * and loads the garbage collector. */
 export class IdMap {
   private keys = new Uint32Array(1024).fill(kEmpty);
   private slots = new Uint32Array(1024);
@@ -11,7 +11,7 @@ export class IdMap {
     return this.used;
   }
 
-  /** The slot of an id, -1 where there is none. */
+  /** The slot of an id, or -1. */
   get(id: number): number {
     const mask = this.keys.length - 1;
     for (let i = this.place(id); ; i = (i + 1) & mask) {
@@ -20,7 +20,7 @@ export class IdMap {
     }
   }
 
-  /** `id` must not be there. */
+  /** `id` must not be in the map. */
   add(id: number, slot: number): void {
     if (2 * ++this.used > this.keys.length) this.grow();
     const mask = this.keys.length - 1;
@@ -30,7 +30,7 @@ export class IdMap {
     this.slots[i] = slot;
   }
 
-  /** `id` must be there. Closes the gap, so that a search may end at the first empty place. */
+  /** `id` must be in the map. Later entries move up, so that a search can stop at the first empty place. */
   remove(id: number): void {
     const mask = this.keys.length - 1;
     let gap = this.place(id);

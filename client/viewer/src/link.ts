@@ -15,11 +15,12 @@ import { Vec3 as WireVec3 } from "./wire/incise/wire/vec3";
 import type { View } from "./wire/incise/wire/view";
 import { Welcome } from "./wire/incise/wire/welcome";
 
-/** Where a link stands; `text` says it to the person who looks at the page. */
+/** The state of a link; `text` is for the user. */
 export interface LinkState {
-  stage: "connecting" | "open" | "waiting" | "ended";
+  /** stalled: still connected, but the server does not answer. */
+  stage: "connecting" | "open" | "stalled" | "waiting" | "ended";
   text: string;
-  /** Why it ended: what the page can offer to do about it. */
+  /** Why it ended, so that the page can offer a way on. */
   reason?: "token" | "taken" | "handed-over" | "version" | "unavailable";
   retryAt?: number; // ms of Date.now()
 }
@@ -40,19 +41,25 @@ export interface HelloFields {
 export interface LinkEvents {
   hello(): HelloFields;
   welcome(welcome: Welcome): void;
-  /** Any other message of the server's; its arrays may be kept. */
+  /** Any other message; its arrays may be kept. */
   message(type: Body, message: Message, bytes: number): void;
   state(state: LinkState): void;
-  /** The server did not do what it was asked for; the connection stays. */
+  /** The server refused a request; the connection stays. */
   refused(text: string): void;
-  /** A message made no sense; the connection is opened anew. */
+  /** A message could not be read; the link connects again. */
   unreadable(): void;
 }
 
 const kFirstPause_ms = 250;
 const kLongestPause_ms = 8000;
-const kPingEvery_ms = 2000;
-const kSilence_ms = 9000; // the line is dead: sleep, or another network
+const kCheckEvery_ms = 400;
+// Checks in a row during which nothing came from the server, which is pinged at each. They are counted, not timed: a
+// worker that was busy for seconds reads what has arrived before the next check.
+const kStalledAfter = 3;
+const kDeadAfter = 22;
+const kSilence_ms = 9000; // after sleep or a change of network the connection is dead
+
+const kOpen: LinkState = { stage: "open", text: "Connected" };
 
 /** Absolute time in ns, of the page and its worker alike. */
 export function now_ns(): bigint {
@@ -65,16 +72,21 @@ export class Link {
   private sequence = 0n;
   private pause_ms = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
-  private pinger: ReturnType<typeof setInterval> | undefined;
+  private checker: ReturnType<typeof setInterval> | undefined;
+  private quietChecks = 0;
+  private pinged = false; // a ping is unanswered
   private lastHeard_ms = 0;
   private ended = false;
-  private lost = ""; // what the server said before the connection ended
-  /** Server's monotonic clock minus ours, ns; of the quickest of the last answers. */
+  private lost = ""; // why, if the server said so before the connection ended
+  /** The server's monotonic clock minus ours, ns; from the ping with the shortest round trip. */
   clockOffset_ns = 0n;
   private bestRoundTrip_ns = 1n << 62n;
   roundTrip_ms = 0;
 
-  constructor(private readonly url: string, private readonly events: LinkEvents) {
+  constructor(
+    private readonly url: string,
+    private readonly events: LinkEvents,
+  ) {
     this.connect();
   }
 
@@ -83,7 +95,7 @@ export class Link {
   }
   private welcomed = false;
 
-  /** Tries at once instead of at the end of the pause. */
+  /** Connects now instead of at the end of the pause. */
   wake(): void {
     if (this.ended) return;
     if (this.socket && performance.now() - this.lastHeard_ms > kSilence_ms) {
@@ -95,7 +107,7 @@ export class Link {
     }
   }
 
-  /** As a network loss would. */
+  /** Ends the connection as a network loss would; it is opened again. */
   drop(text = "The connection was lost."): void {
     const socket = this.socket;
     if (!socket) return;
@@ -107,7 +119,7 @@ export class Link {
   end(): void {
     this.ended = true;
     clearTimeout(this.timer);
-    clearInterval(this.pinger);
+    clearInterval(this.checker);
     if (this.socket?.readyState === WebSocket.OPEN) {
       this.send(Body.Bye, (b) => Bye.createBye(b, ByeReason.Done, 0));
     }
@@ -140,29 +152,41 @@ export class Link {
     this.sequence = 0n;
     this.lost = "";
     this.lastHeard_ms = performance.now();
+    this.quietChecks = 0;
+    this.pinged = false;
     socket.onopen = () => {
       const fields = this.events.hello();
       this.send(Body.Hello, (b) => makeHello(b, fields));
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.onMessage(event.data);
     socket.onclose = () => this.onClosed("The server does not answer.");
-    clearInterval(this.pinger);
-    this.pinger = setInterval(() => this.ping(), kPingEvery_ms);
+    clearInterval(this.checker);
+    this.checker = setInterval(() => this.check(), kCheckEvery_ms);
   }
 
-  private ping(): void {
-    if (performance.now() - this.lastHeard_ms > kSilence_ms) {
+  private check(): void {
+    if (++this.quietChecks >= kDeadAfter) {
       this.drop("Nothing was heard from the server.");
       return;
     }
-    if (this.welcomed) this.send(Body.Ping, (b) => Ping.createPing(b, 1n, now_ns()));
+    if (!this.welcomed) return;
+    if (this.quietChecks === kStalledAfter)
+      this.events.state({ stage: "stalled", text: "The server does not answer." });
+    this.ping();
+  }
+
+  /** One unanswered ping at a time, so that they do not pile up if the server does not read. */
+  private ping(): void {
+    if (this.pinged) return;
+    this.pinged = true;
+    this.send(Body.Ping, (b) => Ping.createPing(b, 1n, now_ns()));
   }
 
   private onClosed(text: string): void {
     const was = this.welcomed;
     this.socket = null;
     this.welcomed = false;
-    clearInterval(this.pinger);
+    clearInterval(this.checker);
     if (this.ended) return;
     this.pause_ms = was ? kFirstPause_ms : Math.min(kLongestPause_ms, Math.max(kFirstPause_ms, 2 * this.pause_ms));
     const pause = this.pause_ms * (0.8 + 0.4 * Math.random());
@@ -173,10 +197,13 @@ export class Link {
 
   private onMessage(data: ArrayBuffer): void {
     this.lastHeard_ms = performance.now();
+    const stalled = this.welcomed && this.quietChecks >= kStalledAfter;
+    this.quietChecks = 0;
+    if (stalled) this.events.state(kOpen);
     try {
       this.read(data);
     } catch (error) {
-      // FlatBuffers has no verifier here: what leads out of the message throws when it is read.
+      // FlatBuffers has no verifier here: an offset beyond the message throws when it is read.
       console.error(error);
       this.events.unreadable();
       this.drop("The server sent something that cannot be read.");
@@ -186,7 +213,7 @@ export class Link {
   private read(data: ArrayBuffer): void {
     const buffer = new flatbuffers.ByteBuffer(new Uint8Array(data));
     if (data.byteLength < 16 || !Message.bufferHasIdentifier(buffer)) {
-      this.drop("The server sent something that is no message.");
+      this.drop("The server sent something that is not a message.");
       return;
     }
     const message = Message.getRootAsMessage(buffer);
@@ -197,7 +224,7 @@ export class Link {
         this.pause_ms = 0;
         this.bestRoundTrip_ns = 1n << 62n;
         this.events.welcome(message.body(new Welcome()));
-        this.events.state({ stage: "open", text: "Connected" });
+        this.events.state(kOpen);
         this.ping();
         break;
       case Body.Ping: {
@@ -220,10 +247,11 @@ export class Link {
   }
 
   private onPong(pong: Pong): void {
+    this.pinged = false;
     const now = now_ns();
     const trip = now - pong.pingSentNs();
     this.roundTrip_ms = Number(trip) / 1e6;
-    this.bestRoundTrip_ns += this.bestRoundTrip_ns / 16n; // an old best fades: clocks drift
+    this.bestRoundTrip_ns += this.bestRoundTrip_ns / 16n; // an old best counts less and less: clocks drift
     if (trip < this.bestRoundTrip_ns) {
       this.bestRoundTrip_ns = trip;
       this.clockOffset_ns = pong.receivedNs() - (pong.pingSentNs() + now) / 2n;
@@ -238,7 +266,7 @@ export class Link {
     }
     switch (error.code()) {
       case ErrorCode.Unauthorized:
-        return this.giveUp("token", "The server asks for a token. Enter one that opens this role.");
+        return this.giveUp("token", "The server asks for a token. Enter one with this role.");
       case ErrorCode.BladeTaken:
       case ErrorCode.UnknownSource:
         return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");

@@ -1,7 +1,7 @@
 import type { LinkState } from "./link";
 import type { Corners } from "./corner_buffers";
 
-// What the page and its worker say to each other. Large arrays are handed over, not copied.
+// The messages between the page and its worker. Large arrays are transferred, not copied.
 
 export type Vec3 = [number, number, number];
 
@@ -33,7 +33,8 @@ export interface BladeStep {
   own: boolean;
   heel: Vec3;
   tip: Vec3;
-  ended: boolean;
+  ended: boolean; // the stroke ended with this batch
+  cutArea_m2: number; // one side
 }
 
 export interface Progress {
@@ -45,9 +46,6 @@ export interface Progress {
   hashAgrees: boolean;
   deltas: number; // since the page was loaded
   bytes: number;
-  /** When the last pose behind this change was made, ms of absolute time; 0: unknown. */
-  posed_ms: number;
-  arrived_ms: number;
 }
 
 export interface ReplayFacts {
@@ -59,34 +57,60 @@ export interface ReplayFacts {
   text: string;
 }
 
+export type Post = (message: FromWorker, transfer?: Transferable[]) => void;
+
 export type ToWorker =
   | { kind: "connect"; url: string; token: string }
   | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
-  | { kind: "end-stroke" }
   | { kind: "reset" }
   | { kind: "colour-by-quality"; on: boolean }
-  | { kind: "replay"; action: "open" | "play" | "pause" | "step" | "seek" | "close"; capture?: string; speed?: number; revision?: number }
-  | { kind: "applied" } // the page has taken in the last patch
+  | {
+      kind: "replay";
+      action: "open" | "play" | "pause" | "step" | "seek" | "close";
+      capture?: string;
+      speed?: number;
+      revision?: number;
+    }
+  | { kind: "applied" } // the page has applied the last patch or geometry
   | { kind: "wake" }
   | { kind: "drop" } // for tests: as if the network were lost
   | { kind: "dump" }; // for tests: all triangles
+
+/** What has changed since the last patch. */
+export interface Patch {
+  kind: "patch";
+  slots: Uint32Array;
+  highest: number; // slot in use, plus 1
+  corners: Corners;
+  steps: BladeStep[];
+  progress: Progress;
+  /** When the last pose that led to this change was made, ms of absolute time; 0: no pose did. */
+  posed_ms: number;
+}
 
 export type FromWorker =
   | { kind: "link"; which: "view" | "blade" | "admin"; state: LinkState }
   | { kind: "facts"; facts: Facts }
   | { kind: "blade"; facts: BladeFacts }
   | { kind: "geometry"; slots: number; capacity: number; corners: Corners; progress: Progress }
-  | { kind: "patch"; slots: Uint32Array; highest: number; corners: Corners; rows: number; steps: BladeStep[]; progress: Progress }
-  /** Where triangles and pieces are shown when the body is opened: 3 a corner, 4 a piece's row; metres. */
+  | Patch
+  /**
+   * By how much corners and pieces are moved when the body is fully opened: 3 numbers a corner, 4 a piece's row;
+   * metres.
+   */
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
-  /** Where somebody else's blade is now. */
+  /** Where another blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number; tets: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
+  /** The state here differs from the server's; a geometry follows. */
+  | { kind: "differs" }
+  /** The live body was reset. */
+  | { kind: "was-reset" }
   | { kind: "notice"; text: string }
   | { kind: "dump"; triangles: Float32Array };

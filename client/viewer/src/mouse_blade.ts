@@ -2,11 +2,11 @@ import * as THREE from "three";
 import type { BladeFacts, Vec3 } from "./messages";
 import type { Stage } from "./stage";
 
-const kStep_ms = 4; // poses between two pointer events that lie farther apart
-const kStart_px = 3; // a click is no stroke
-const kStill_ms = 60; // a hand that rests still says where it is: a longer silence would end the stroke
+const kStep_ms = 4; // between two poses, where pointer events are farther apart
+const kStart_px = 3; // shorter ones are clicks, not strokes
+const kStill_ms = 60; // a resting mouse repeats its pose this often: a longer gap would end the stroke
 const kLongestStep_ms = 30; // between two poses of a stroke
-const kSafeSpeed = 0.4; // of the speed that the server takes for a jump
+const kSafeSpeed = 0.4; // of the speed above which the server begins a new stroke
 
 interface Sample {
   time_ms: number; // absolute
@@ -23,13 +23,16 @@ export interface MouseBladeEvents {
   /** 9 numbers a pose. */
   poses(poses: Float64Array): void;
   moved(heel: Vec3, tip: Vec3, cuts: boolean): void;
+  /** A stroke was tried while the blade is disabled. */
+  refused(): void;
   strokeBegan(): void;
-  strokeEnded(): void;
+  /** sent: the server was sent poses of it. */
+  strokeEnded(sent: boolean): void;
 }
 
 /**
- * Turns the pointer's way over the picture into the way of a blade that points along the line of sight: what is drawn on
- * the body is cut, straight down from the eye. `depth_m` is how far its tip goes below the skin; null: right through.
+ * Turns the pointer's path over the picture into the path of a blade along the line of sight: a line drawn on the
+ * body is cut straight away from the eye. `depth_m` is how far its tip goes below the skin; null: right through.
  */
 export class MouseBlade {
   facts: BladeFacts | null = null;
@@ -41,7 +44,7 @@ export class MouseBlade {
   private down: Sample | null = null;
   private engaged = false;
   private samples: Sample[] = []; // the last three
-  private waitingForSkin: Sample[] = []; // before the stroke first met the body, at a limited depth
+  private waitingForSkin: Sample[] = []; // until the stroke first meets the body, if the depth is limited
   private reach = NaN; // distance from the eye to the skin, of the last ray that met it
   private last: Pose | null = null;
   private sourceTime_ms = 0;
@@ -50,7 +53,11 @@ export class MouseBlade {
   private batch: number[] = [];
   private readonly ray = new THREE.Raycaster();
 
-  constructor(private readonly canvas: HTMLElement, private readonly stage: Stage, private readonly events: MouseBladeEvents) {
+  constructor(
+    private readonly canvas: HTMLElement,
+    private readonly stage: Stage,
+    private readonly events: MouseBladeEvents,
+  ) {
     canvas.addEventListener("pointerdown", (e) => this.onDown(e));
     canvas.addEventListener("pointermove", (e) => this.onMove(e));
     canvas.addEventListener("pointerup", (e) => this.onUp(e));
@@ -62,14 +69,14 @@ export class MouseBlade {
     return this.engaged;
   }
 
-  /** Ends whatever stroke there is. */
+  /** Ends the stroke, if there is one. */
   cancel(): void {
     this.finish();
     this.pointer = -1;
     this.down = null;
   }
 
-  /** Once a picture: keeps a resting blade alive. */
+  /** To be called every frame: repeats the pose of a resting blade. */
   tick(): void {
     const now = performance.timeOrigin + performance.now();
     if (this.engaged && this.lastEvent && now - this.lastSent_ms > kStill_ms) {
@@ -79,8 +86,9 @@ export class MouseBlade {
   }
 
   private onDown(event: PointerEvent): void {
-    if (!this.enabled || !this.facts || event.button !== 0) return;
-    if (this.pointer >= 0) return this.cancel(); // a second finger: this becomes a turn
+    if (event.button !== 0) return;
+    if (!this.enabled || !this.facts) return this.events.refused();
+    if (this.pointer >= 0) return this.cancel(); // a second finger: this is a turn
     if (event.pointerType === "touch" && !event.isPrimary) return;
     this.pointer = event.pointerId;
     this.canvas.setPointerCapture(event.pointerId);
@@ -127,7 +135,7 @@ export class MouseBlade {
     this.flush();
     this.samples = [];
     this.lastEvent = null;
-    this.events.strokeEnded();
+    this.events.strokeEnded(this.last !== null);
   }
 
   private sample(event: PointerEvent): Sample {
@@ -143,7 +151,7 @@ export class MouseBlade {
     this.ray.setFromCamera(new THREE.Vector2(at.x, at.y), this.stage.camera);
     const distance = this.stage.body.raycast(this.ray.ray.origin, this.ray.ray.direction);
     if (Number.isNaN(distance)) return;
-    // The skin may jump (an edge in front of what lies behind it); a hand does not.
+    // The distance jumps where one part is in front of another; the blade must not.
     this.reach = Number.isNaN(this.reach) ? distance : this.reach + 0.5 * (distance - this.reach);
   }
 
@@ -151,7 +159,7 @@ export class MouseBlade {
   private advance(sample: Sample): void {
     this.lastEvent = sample;
     if (this.depth_m !== null && Number.isNaN(this.reach)) {
-      this.waitingForSkin = [sample]; // the last one before the body: the run-up
+      this.waitingForSkin = [sample]; // only the last one before the body is kept
       return;
     }
     for (const early of this.waitingForSkin.splice(0)) this.advance(early);
@@ -176,8 +184,14 @@ export class MouseBlade {
     for (let n = 1; n <= steps; ++n) {
       const t = n / steps;
       const along = (k: "x" | "y") => {
-        const m0 = slope(before ?? a, b, k), m1 = slope(a, after ?? b, k);
-        return (2 * t * t * t - 3 * t * t + 1) * a[k] + (t * t * t - 2 * t * t + t) * m0 + (3 * t * t - 2 * t * t * t) * b[k] + (t * t * t - t * t) * m1;
+        const m0 = slope(before ?? a, b, k),
+          m1 = slope(a, after ?? b, k);
+        return (
+          (2 * t * t * t - 3 * t * t + 1) * a[k] +
+          (t * t * t - 2 * t * t + t) * m0 +
+          (3 * t * t - 2 * t * t * t) * b[k] +
+          (t * t * t - t * t) * m1
+        );
       };
       this.put(this.poseAt({ time_ms: a.time_ms + t * span, x: along("x"), y: along("y") }), this.buttons());
     }
@@ -197,7 +211,8 @@ export class MouseBlade {
     const middle = this.stage.centre.clone().sub(origin).dot(direction);
     const skin = Number.isNaN(this.reach) ? middle : this.reach;
     const along = direction.clone();
-    if (this.tilt_rad !== 0) along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
+    if (this.tilt_rad !== 0)
+      along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
     const pivot = origin.clone().addScaledVector(direction, this.depth_m === null ? middle : skin);
     // Right through: the blade's middle in the body's middle, as far as its length allows.
     const below = this.depth_m === null ? length / 2 : this.depth_m;
@@ -206,8 +221,10 @@ export class MouseBlade {
     return { time_ms: sample.time_ms, heel, tip };
   }
 
-  /** The next pose, not faster than the server takes for a motion: a flick takes a little longer on the blade's clock, and
-   * a long way is gone in several steps, since a long silence would be taken for the stroke's end. */
+  /**
+   * Sends the next pose, slowly enough that the server does not take it for a jump: a flick takes a little longer on
+   * the blade's clock. A long step is divided, since the server ends a stroke at a long gap.
+   */
   private put(pose: Pose, buttons: number): void {
     const facts = this.facts!;
     const before = this.last;
@@ -218,8 +235,12 @@ export class MouseBlade {
     const steps = before && buttons !== 0 ? Math.max(1, Math.ceil((end_ms - begin_ms) / kLongestStep_ms)) : 1;
     for (let n = 1; n <= steps; ++n) {
       const t = n / steps;
-      this.push(before ? before.heel.clone().lerp(pose.heel, t) : pose.heel, before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
-                steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms), buttons);
+      this.push(
+        before ? before.heel.clone().lerp(pose.heel, t) : pose.heel,
+        before ? before.tip.clone().lerp(pose.tip, t) : pose.tip,
+        steps === 1 ? end_ms : begin_ms + t * (end_ms - begin_ms),
+        buttons,
+      );
     }
     this.last = pose;
     this.events.moved(pose.heel.toArray(), pose.tip.toArray(), buttons !== 0 || facts.engageButton < 0);

@@ -4,9 +4,11 @@ import { BladeView } from "./blade_view";
 import { BodyMesh } from "./body_mesh";
 import type { Vec3 } from "./messages";
 import { Resolution } from "./resolution";
+import { planeOf, type Section } from "./section";
+import { SectionLines } from "./section_lines";
 
-const kSettle_ms = 220; // after the last motion the picture is drawn once more, with all pixels
-const kFine_ms = 900; // and then with more than the screen has, where the renderer smooths no edges
+const kSettle_ms = 220; // after the last motion the picture is drawn again at full resolution
+const kFine_ms = 900; // and then above it, where the renderer does not smooth edges
 
 /** Whether the browser draws on the processor. */
 function drawnInSoftware(): boolean {
@@ -17,11 +19,11 @@ function drawnInSoftware(): boolean {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-/** quick: as many pixels as the machine can move; full: as many as the screen has; fine: more. */
+/** quick: as many pixels as the machine can draw in time; full: as many as the screen has; fine: more. */
 type Quality = "quick" | "full" | "fine";
 export type Tool = "cut" | "turn";
 
-/** The picture: camera, lights, body, blades. Draws when something has changed, and no more. */
+/** The picture: camera, lights, body, blades. Draws only when something has changed. */
 export class Stage {
   readonly renderer: THREE.WebGLRenderer;
   readonly camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
@@ -29,9 +31,9 @@ export class Stage {
   readonly body = new BodyMesh();
   readonly centre = new THREE.Vector3();
   bodySize_m = 0.3;
-  /** Called before each picture; true: something moves, draw again. */
+  /** Called before each frame; true: something moves, draw again. */
   beforeDraw: (now_ms: number) => boolean = () => false;
-  /** Called when a picture that showed new state is on its way to the screen. */
+  /** Called after each frame is drawn. */
   afterDraw: () => void = () => {};
   framesDrawn = 0;
   readonly software: boolean;
@@ -44,13 +46,16 @@ export class Stage {
   private waiting = false; // for the browser's next frame
   private readonly resolution: Resolution;
   private quality: Quality = "full";
-  private paced = false; // the last frame drew a moving picture
+  private paced = false; // the last frame was part of a motion
   private lastFrame_ms = 0;
   private lastDraw_ms = 0;
-  private alarm: ReturnType<typeof setTimeout> | undefined; // when a blade that rests is to vanish
+  private alarm: ReturnType<typeof setTimeout> | undefined; // when a resting blade vanishes
   private openNow = 0;
   private openGoal = 0;
-  private section = -1; // share of the body left of the plane; below 0: none
+  private section: Section | null = null;
+  private plane: readonly number[] | null = null; // of the section
+  private readonly sectionLines = new SectionLines();
+  private linesShown = ""; // what the lines were made of
   private flight: { from: THREE.Vector3; to: THREE.Vector3; targetFrom: THREE.Vector3; began_ms: number } | null = null;
   readonly calm = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -59,8 +64,13 @@ export class Stage {
     this.software = drawnInSoftware();
     document.body.classList.toggle("software", this.software);
     this.resolution = new Resolution(this.software);
-    // Opaque, the backdrop in the picture: the browser need not blend a whole window's pixels for each frame.
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, alpha: false, powerPreference: "high-performance" });
+    // Opaque, with a backdrop of its own: the browser need not blend the whole window each frame.
+    this.renderer = new THREE.WebGLRenderer({
+      canvas,
+      antialias: !this.software,
+      alpha: false,
+      powerPreference: "high-performance",
+    });
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = !this.calm.matches;
@@ -68,29 +78,42 @@ export class Stage {
     this.controls.zoomToCursor = true;
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("start", () => (this.flight = null));
-    // Between the corners of a coarse grid the colours are interpolated, which takes less than to compute them.
-    this.backdrop = new THREE.Mesh(new THREE.PlaneGeometry(2, 2, 24, 16), new THREE.ShaderMaterial({
-      transparent: true, blending: THREE.NoBlending, depthWrite: false, // after the body, where it is not
-      uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
-      vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
+    // A coarse grid: interpolating colours is cheaper than computing them for each pixel.
+    this.backdrop = new THREE.Mesh(
+      new THREE.PlaneGeometry(2, 2, 24, 16),
+      new THREE.ShaderMaterial({
+        transparent: true,
+        blending: THREE.NoBlending,
+        depthWrite: false, // drawn after the body, where that is not
+        uniforms: { uInner: { value: new THREE.Color() }, uOuter: { value: new THREE.Color() } },
+        vertexShader: `uniform vec3 uInner; uniform vec3 uOuter; varying vec3 vColour;
         void main() {
           float r = length((0.5 * position.xy + 0.5 - vec2(0.46, 0.60)) / vec2(1.2, 0.95));
           vColour = mix(uInner, uOuter, min(r, 1.0));
           gl_Position = vec4(position.xy, 1.0, 1.0);
         }`,
-      fragmentShader: `varying vec3 vColour;
+        fragmentShader: `varying vec3 vColour;
         void main() {
           float grit = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))); // hides bands (Jimenez 2014)
           gl_FragColor = vec4(vColour + (grit - 0.5) / 255.0, 1.0);
         }`,
-    }));
+      }),
+    );
     this.backdrop.frustumCulled = false;
     this.backdrop.renderOrder = -2;
-    this.ground = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.ShaderMaterial({
-      transparent: true, depthWrite: false,
-      uniforms: { uInk: { value: new THREE.Color(0xffffff) }, uShade: { value: 0.5 }, uSize: { value: 1 }, uLine: { value: 1 } },
-      vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
-      fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize; uniform float uLine; // its width in pixels
+    this.ground = new THREE.Mesh(
+      new THREE.PlaneGeometry(1, 1),
+      new THREE.ShaderMaterial({
+        transparent: true,
+        depthWrite: false,
+        uniforms: {
+          uInk: { value: new THREE.Color(0xffffff) },
+          uShade: { value: 0.5 },
+          uSize: { value: 1 },
+          uLine: { value: 1 },
+        },
+        vertexShader: `varying vec2 vAt; uniform float uSize; void main() { vAt = position.xy * uSize; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
+        fragmentShader: `varying vec2 vAt; uniform vec3 uInk; uniform float uShade; uniform float uSize; uniform float uLine; // its width in pixels
         float lines(float cell) { vec2 g = abs(fract(vAt / cell - 0.5) - 0.5) / (uLine * fwidth(vAt / cell)); return 1.0 - clamp(min(g.x, g.y), 0.0, 1.0); }
         void main() {
           float r = length(vAt) / uSize * 2.0;
@@ -99,10 +122,12 @@ export class Stage {
           float shadow = uShade * exp(-r * r * 22.0);
           gl_FragColor = vec4(mix(uInk, vec3(0.0), shadow / (shadow + grid + 1e-4)), max(grid, shadow));
         }`,
-    }));
+      }),
+    );
     this.ground.renderOrder = -1;
-    this.scene.add(this.backdrop, this.ground, this.body.mesh);
+    this.scene.add(this.backdrop, this.ground, this.body.mesh, this.sectionLines.group);
     this.setTool("turn");
+    canvas.addEventListener("webglcontextrestored", () => this.draw());
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
   }
@@ -130,13 +155,12 @@ export class Stage {
     });
   }
 
-  setBody(min: Vec3, max: Vec3, meanEdge_m: number): void {
+  setBody(min: Vec3, max: Vec3): void {
     this.centre.set((min[0] + max[0]) / 2, (min[1] + max[1]) / 2, (min[2] + max[2]) / 2);
     this.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
     this.min = min;
     this.max = max;
     this.body.uniforms.uGrain.value = 55 / this.bodySize_m;
-    void meanEdge_m;
     const size = 2.6 * this.bodySize_m;
     this.ground.scale.set(size, size, 1);
     this.ground.material.uniforms.uSize.value = size;
@@ -166,14 +190,17 @@ export class Stage {
     return view;
   }
 
-  /** The whole body in view, from a little above and the side that faces the reader. */
+  /** The whole body in view, from the front and a little above. */
   fit(at_once = false, direction = new THREE.Vector3(-0.18, -0.62, 0.76)): void {
     const { left, right, top, bottom } = this.cover;
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    // The angle that the shorter free side spans, of the whole height's.
+    // The share of the picture's height that the body may fill.
     const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
-    const to = direction.normalize().multiplyScalar((0.40 * this.bodySize_m) / half).add(this.centre);
+    const to = direction
+      .normalize()
+      .multiplyScalar((0.4 * this.bodySize_m) / half)
+      .add(this.centre);
     if (at_once || this.calm.matches) {
       this.camera.position.copy(to);
       this.controls.target.copy(this.centre);
@@ -181,11 +208,16 @@ export class Stage {
       this.draw();
       return;
     }
-    this.flight = { from: this.camera.position.clone(), to, targetFrom: this.controls.target.clone(), began_ms: performance.now() };
+    this.flight = {
+      from: this.camera.position.clone(),
+      to,
+      targetFrom: this.controls.target.clone(),
+      began_ms: performance.now(),
+    };
     this.draw();
   }
 
-  /** Around the body, in steps of 6 degrees. */
+  /** Turns around the body, in steps of 6 degrees. */
   turn(right: number, up: number): void {
     const step = Math.PI / 30;
     const arm = this.camera.position.clone().sub(this.controls.target);
@@ -210,7 +242,9 @@ export class Stage {
     this.controls.mouseButtons = cut
       ? { LEFT: null as never, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.ROTATE }
       : { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.PAN, RIGHT: MOUSE.PAN };
-    this.controls.touches = cut ? { ONE: null as never, TWO: TOUCH.DOLLY_ROTATE } : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
+    this.controls.touches = cut
+      ? { ONE: null as never, TWO: TOUCH.DOLLY_ROTATE }
+      : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
   }
 
   setOpen(share: number, at_once = false): void {
@@ -219,16 +253,21 @@ export class Stage {
     this.draw();
   }
 
-  /** share: how much of the body stays, along its longest side; below 0: all. */
-  setSection(share: number): void {
-    this.section = share;
+  setSection(section: Section | null): void {
+    this.section = section;
     this.applySection();
     this.draw();
   }
 
+  /** The vector from what the camera looks at to the camera. */
+  get toEye(): Vec3 {
+    return this.camera.position.clone().sub(this.controls.target).toArray();
+  }
+
   /** backdrop: its colours in the middle and at the edge, as #rrggbb. */
   setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number, backdrop: [string, string]): void {
-    this.backdrop.material.uniforms.uInner.value.setStyle(backdrop[0], THREE.LinearSRGBColorSpace); // as they are, to be mixed as they are
+    // Not converted: the shader mixes them as they are.
+    this.backdrop.material.uniforms.uInner.value.setStyle(backdrop[0], THREE.LinearSRGBColorSpace);
     this.backdrop.material.uniforms.uOuter.value.setStyle(backdrop[1], THREE.LinearSRGBColorSpace);
     this.ground.material.uniforms.uInk.value.set(ink);
     this.ground.material.uniforms.uShade.value = shade;
@@ -236,41 +275,47 @@ export class Stage {
     this.draw();
   }
 
-  /** So many pixels at each side lie under panels. */
+  /** Sets how many pixels at each side are covered by panels. */
   setCover(cover: { left: number; right: number; top: number; bottom: number }): void {
     this.cover = cover;
     this.resize();
   }
   cover = { left: 0, right: 0, top: 0, bottom: 0 };
 
-  /** Red, green, blue, opacity (0 to 255) at a place in shares of the picture. Draws anew: a drawn picture is gone. */
+  /** Red, green, blue, opacity (0 to 255) at (x, y), 0 to 1. Draws first: WebGL does not keep a frame. */
   colourAt(x: number, y: number): number[] {
     this.renderer.render(this.scene, this.camera);
     const gl = this.renderer.getContext();
     const pixel = new Uint8Array(4);
-    gl.readPixels(Math.floor(x * gl.drawingBufferWidth), Math.floor((1 - y) * gl.drawingBufferHeight), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    gl.readPixels(
+      Math.floor(x * gl.drawingBufferWidth),
+      Math.floor((1 - y) * gl.drawingBufferHeight),
+      1,
+      1,
+      gl.RGBA,
+      gl.UNSIGNED_BYTE,
+      pixel,
+    );
     return Array.from(pixel);
   }
 
   private applySection(): void {
-    const plane = this.body.uniforms.uSection.value as THREE.Vector4;
-    if (this.section < 0) {
-      plane.set(0, 0, 0, 1);
-      return;
-    }
-    const sides = [0, 1, 2].map((k) => this.max[k] - this.min[k]);
-    const k = sides.indexOf(Math.max(...sides));
-    const normal = [0, 0, 0];
-    normal[k] = 1;
-    // Opened pieces stand out of the box: the ends lie a little beyond it.
-    plane.set(normal[0], normal[1], normal[2], this.min[k] + sides[k] * (this.section * 1.5 - 0.25));
+    this.plane = this.section && planeOf(this.section, this.min, this.max);
+    this.body.setSection(this.plane);
+  }
+
+  private followSection(): void {
+    const from = this.plane ? [this.body.version, this.openNow, ...this.plane].join() : "";
+    if (from === this.linesShown) return;
+    this.linesShown = from;
+    this.sectionLines.show(this.plane && this.body.shown(this.openNow), this.plane ?? [], this.bodySize_m);
   }
 
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (width === 0 || height === 0) return;
     this.camera.aspect = width / height;
-    // The middle of the picture is that of what panels leave free.
+    // The centre of the picture is that of the part without panels.
     const { left, right, top, bottom } = this.cover;
     this.camera.setViewOffset(width, height, (right - left) / 2, (bottom - top) / 2, width, height);
     this.camera.updateProjectionMatrix();
@@ -280,7 +325,9 @@ export class Stage {
 
   private applyScale(): void {
     const full = Math.min(devicePixelRatio, 2);
-    this.renderer.setPixelRatio(this.quality === "quick" ? full * this.resolution.scale : this.quality === "full" ? full : 2);
+    this.renderer.setPixelRatio(
+      this.quality === "quick" ? full * this.resolution.scale : this.quality === "full" ? full : 2,
+    );
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 
@@ -299,7 +346,7 @@ export class Stage {
     if (this.advance(now_ms) || this.wanted) {
       this.wanted = false;
       this.lastDraw_ms = now_ms;
-      this.paced = rested_ms < kSettle_ms; // a single change is no motion
+      this.paced = rested_ms < kSettle_ms; // a single change is not a motion
       this.setQuality(this.paced && this.resolution.scale < 1 ? "quick" : "full");
       this.render();
     } else if (this.quality === "quick" ? rested_ms > kSettle_ms : this.quality !== best && rested_ms > kFine_ms) {
@@ -309,7 +356,7 @@ export class Stage {
     if (this.lastDraw_ms === now_ms || this.quality !== best) this.awaitFrame();
   }
 
-  /** Whatever moves by itself goes on. True: the picture is another now. */
+  /** Advances everything that moves by itself. True: the picture has changed. */
   private advance(now_ms: number): boolean {
     let moves = this.fly(now_ms);
     if (this.controls.enabled) this.controls.update();
@@ -330,10 +377,11 @@ export class Stage {
     const u = this.body.uniforms;
     this.ground.material.uniforms.uLine.value = Math.max(1, this.renderer.getPixelRatio());
     u.uOpen.value = this.openNow;
-    // The back of a closed surface shows in a section only; where folds of lifted lips would show it, too, a graphics card
-    // may take the trouble.
-    this.body.setEffort(!this.software || this.section >= 0, !this.software || this.quality !== "quick");
-    // The key light hangs over the viewer's left shoulder, so that whatever is looked at is lit.
+    this.followSection();
+    // The back of a closed surface is seen in a section, and in folds of lifted lips, which are not worth the time
+    // without a graphics card.
+    this.body.setEffort(!this.software || this.section !== null, !this.software || this.quality !== "quick");
+    // The key light hangs over the viewer's left shoulder, so that what one looks at is lit.
     const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const up = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);
     const back = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);

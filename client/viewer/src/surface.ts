@@ -5,8 +5,11 @@ import type { Triangles } from "./wire/incise/wire/triangles";
 
 export const kNone = 0xffffffff;
 
-/** A typed array with room for at least `count` entries, holding what it held. */
-export function withRoom<T extends Float32Array | Float64Array | Uint32Array | Uint8Array | Int32Array | Int16Array>(array: T, count: number): T {
+/** A typed array with room for at least `count` entries, with its old contents. */
+export function withRoom<T extends Float32Array | Float64Array | Uint32Array | Uint8Array | Int32Array | Int16Array>(
+  array: T,
+  count: number,
+): T {
   if (array.length >= count) return array;
   const grown = new (array.constructor as new (n: number) => T)(Math.max(count, 2 * array.length));
   grown.set(array);
@@ -14,10 +17,10 @@ export function withRoom<T extends Float32Array | Float64Array | Uint32Array | U
 }
 
 /**
- * What view Surface describes: boundary triangles and the vertices they use, each triangle in a slot that stays its own
+ * What view Surface describes: boundary triangles and the vertices they use, each triangle in a slot that it keeps
  * until it is removed, so that buffers on the graphics card are updated in place. Vertices are indexed by their ids.
  *
- * All triangles at a vertex hang in a list of corners (3 slot + k): head[vertex], next[corner].
+ * The triangles at a vertex are a list of corners (3 slot + k): head[vertex], next[corner].
  */
 export class Surface {
   positions = new Float32Array(0); // 3 a vertex
@@ -30,7 +33,7 @@ export class Surface {
   flags = new Uint8Array(0);
   pieces = new Uint32Array(0);
   next = new Uint32Array(0);
-  slots = 0; // ever used
+  slots = 0; // used so far
   private free: number[] = [];
   private slotOf = new IdMap();
   private hash = new StateHash();
@@ -45,7 +48,7 @@ export class Surface {
   get triangleCount(): number {
     return this.slotOf.size;
   }
-  /** Every piece has a boundary, so its triangles are all here. */
+  /** Every piece has a boundary, so every piece is counted. */
   get pieceCount(): number {
     return this.trianglesOf.size;
   }
@@ -70,7 +73,7 @@ export class Surface {
     this.touchedVertices.clear();
   }
 
-  /** New and moved vertices. False where the arrays do not belong together. */
+  /** New and moved vertices. False if the arrays do not fit each other. */
   setVertices(vertices: SurfaceVertices | null): boolean {
     const ids = vertices?.idsArray();
     const positions = vertices?.positionsArray();
@@ -98,14 +101,15 @@ export class Surface {
     }
   }
 
-  /** New and changed triangles; their vertices must be here. */
+  /** New and changed triangles; their vertices must be present. */
   setTriangles(triangles: Triangles | null): boolean {
     const ids = triangles?.idsArray();
     if (!triangles || !ids || ids.length === 0) return true;
     const vertices = triangles.verticesArray();
     const flags = triangles.flagsArray();
     const pieces = triangles.piecesArray();
-    if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length) return false;
+    if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length)
+      return false;
     for (const v of vertices) {
       if (v >= this.present.length || !this.present[v]) return false;
     }

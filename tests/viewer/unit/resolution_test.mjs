@@ -1,14 +1,10 @@
 // The rule by which a moving picture gets fewer or more pixels.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { test } from "node:test";
+import { load } from "./modules.mjs";
 
-const source = new URL("../../client/viewer/src/resolution.ts", import.meta.url);
-const { transformSync } = createRequire(new URL("../../client/viewer/package.json", import.meta.url))("esbuild");
-const { code } = transformSync(readFileSync(source, "utf8"), { loader: "ts" });
-const { Resolution, kScales } = await import(`data:text/javascript,${encodeURIComponent(code)}`);
+const { Resolution, kScales } = await load("resolution");
 
 /** Frames whose time depends on the scale; the scales that it went through. */
 function run(resolution, frames, time_ms) {
@@ -23,15 +19,24 @@ function run(resolution, frames, time_ms) {
 }
 
 test("quick frames keep all pixels", () => {
-  assert.deepEqual(run(new Resolution(false), 1000, () => 16.7), [1]);
+  assert.deepEqual(
+    run(new Resolution(false), 1000, () => 16.7),
+    [1],
+  );
 });
 
 test("slow frames cost pixels step by step, to the last scale and no further", () => {
-  assert.deepEqual(run(new Resolution(false), 200, () => 60), kScales);
+  assert.deepEqual(
+    run(new Resolution(false), 200, () => 60),
+    kScales,
+  );
 });
 
 test("it stops where 30 pictures a second are reached", () => {
-  assert.deepEqual(run(new Resolution(false), 1000, (scale) => (scale > 0.6 ? 50 : 33.3)), kScales.slice(0, 4));
+  assert.deepEqual(
+    run(new Resolution(false), 1000, (scale) => (scale > 0.6 ? 50 : 33.3)),
+    kScales.slice(0, 4),
+  );
 });
 
 test("a single hitch is no trend", () => {

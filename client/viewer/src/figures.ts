@@ -1,0 +1,101 @@
+import { Chart } from "./chart";
+import { element, number } from "./dom";
+import { Latency } from "./latency";
+import type { Progress } from "./messages";
+
+const kEvery_ms = 500;
+
+/** What is shown of the server's /stats, whose keys may change. */
+interface ServerStats {
+  stages_us?: { frame_work?: { sum: number; count: number } };
+  frames?: { rate_hz: number };
+  backlog?: { segments: number; work_ms: number };
+}
+
+/** The figures and charts of the panel. */
+export class Figures {
+  progress: Progress | null = null;
+  readonly latency = new Latency();
+  private last = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
+  private readonly charts = {
+    latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20),
+    budget: new Chart(element<HTMLCanvasElement>("budget-chart"), 100, 1),
+    backlog: new Chart(element<HTMLCanvasElement>("backlog-chart"), 10, 1),
+    deltas: new Chart(element<HTMLCanvasElement>("deltas-chart"), 5),
+  };
+
+  constructor() {
+    setInterval(() => this.showRates(), kEvery_ms);
+  }
+
+  draw(): void {
+    for (const chart of Object.values(this.charts)) chart.draw();
+  }
+
+  show(progress: Progress): void {
+    this.progress = progress;
+    element("revision").textContent = number(progress.revision);
+    element("pieces").textContent = number(progress.pieces);
+    this.showTets(progress.tets);
+    element("hash").textContent = progress.hash;
+  }
+
+  /**
+   * Whether the hash computed here is the server's. If not, the light stays red until the whole state has been loaded
+   * again.
+   */
+  showTrust(agrees: boolean): void {
+    element("hash-row").dataset.agrees = String(agrees);
+    element("hash-text").textContent = agrees ? "State checked: hash agrees" : "Hash differs: loading the state again";
+  }
+
+  showTets(tets: number): void {
+    if (tets > 0) element("tets").textContent = number(tets);
+  }
+
+  showCutArea(area_m2: number): void {
+    element("cut-area").textContent = number(area_m2 * 1e4, 1);
+  }
+
+  /** json: the server's statistics. */
+  showStats(json: string): void {
+    let stats: ServerStats;
+    try {
+      stats = JSON.parse(json);
+    } catch {
+      return;
+    }
+    this.showBudget(stats.stages_us?.frame_work, stats.frames?.rate_hz ?? 1000);
+    const segments = stats.backlog?.segments ?? 0;
+    this.charts.backlog.push(segments);
+    element("backlog").textContent =
+      segments > 0 ? `${number(segments)} segments, ${number(stats.backlog?.work_ms ?? 0)} ms` : "none";
+  }
+
+  private showBudget(work: { sum: number; count: number } | undefined, rate_hz: number): void {
+    if (work?.sum === undefined) return;
+    const frames = work.count - this.last.frames;
+    const share = frames > 0 ? ((work.sum - this.last.work_us) / frames / (1e6 / rate_hz)) * 100 : 0;
+    if (this.last.frames > 0 && frames >= 0) {
+      this.charts.budget.push(share);
+      element("budget").textContent = `${number(share, share < 10 ? 1 : 0)}%`;
+    }
+    this.last.work_us = work.sum;
+    this.last.frames = work.count;
+  }
+
+  private showRates(): void {
+    const p = this.progress;
+    if (!p) return;
+    const seconds = kEvery_ms / 1000;
+    const deltas = (p.deltas - this.last.deltas) / seconds;
+    const bytes = (p.bytes - this.last.bytes) / seconds;
+    this.last.deltas = p.deltas;
+    this.last.bytes = p.bytes;
+    this.charts.deltas.push(deltas);
+    element("deltas").textContent = deltas > 0 ? `${number(deltas)}/s, ${number(bytes / 1024)} KiB/s` : "none";
+    const median = this.latency.takeMedian();
+    if (median !== undefined) element("latency").textContent = `${number(median)} ms`;
+    this.charts.latency.push(median ?? 0);
+  }
+}

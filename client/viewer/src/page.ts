@@ -1,0 +1,314 @@
+import { ask, element, input } from "./dom";
+import { Figures } from "./figures";
+import { type Key, Keys } from "./keys";
+import type { LinkState } from "./link";
+import { Look } from "./look";
+import type { BladeStep, Facts, FromWorker, Patch, Progress, ReplayFacts, ToWorker } from "./messages";
+import { notice } from "./notices";
+import { Operator } from "./operator";
+import { bearer, Replay } from "./replay";
+import { Stage, type Tool } from "./stage";
+
+const kPosesStale_ms = 1500;
+const kOwnReset_ms = 5000; // a reset within this time of asking is the user's own
+
+const now_ms = () => performance.timeOrigin + performance.now();
+
+/** The page: passes the worker's messages to the parts that show them. */
+export class Page {
+  readonly worker = new Worker(new URL("./worker.ts", import.meta.url), { type: "module" });
+  readonly stage = new Stage(element<HTMLCanvasElement>("picture"));
+  readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
+  readonly replay = new Replay((message) => this.send(message));
+  readonly figures = new Figures();
+  readonly look = new Look(
+    this.stage,
+    (on) => this.send({ kind: "colour-by-quality", on }),
+    () => this.figures.draw(),
+  );
+  facts: Facts | null = null;
+
+  private token = sessionStorage.getItem("incise-token") ?? "";
+  private viewState: LinkState = { stage: "connecting", text: "Connecting…" };
+  private fitted = "";
+  private patch: Patch | null = null;
+  private readonly livePoses_ms = new Map<number, number>(); // when the last one came, by source
+  private resetAsked_ms = -Infinity;
+
+  constructor() {
+    this.worker.onerror = (event) => notice(`The page failed (${event.message}). Reload it.`);
+    this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => this.onMessage(data);
+    this.operator.askToken = (why) => this.askToken(why);
+    this.stage.beforeDraw = () => {
+      this.mouse.tick();
+      return this.applyPatch() || this.mouse.cutting;
+    };
+    this.stage.afterDraw = () => {
+      const shown = this.figures.latency.drawn();
+      if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
+    };
+    new Keys(this.keys());
+    this.bindButtons();
+    addEventListener("online", () => this.send({ kind: "wake" }));
+    document.addEventListener("visibilitychange", () => {
+      if (document.visibilityState !== "visible") return;
+      this.figures.latency.seen(now_ms());
+      this.send({ kind: "wake" });
+    });
+    this.connect();
+  }
+
+  get mouse() {
+    return this.operator.mouse;
+  }
+  get tool(): Tool {
+    return this.operator.tool;
+  }
+  get progress(): Progress | null {
+    return this.figures.progress;
+  }
+
+  send(message: ToWorker, transfer: Transferable[] = []): void {
+    this.worker.postMessage(message, transfer);
+  }
+
+  private connect(): void {
+    const url = new URL("ws", document.baseURI);
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    this.send({ kind: "connect", url: url.href, token: this.token });
+    this.operator.setTool("cut");
+    void this.replay.list(this.token);
+  }
+
+  // ---- From the worker ----
+
+  private onMessage(message: FromWorker): void {
+    switch (message.kind) {
+      case "facts":
+        return this.onFacts(message.facts);
+      case "geometry":
+        return this.onGeometry(message);
+      case "patch":
+        this.patch = message;
+        return this.stage.draw();
+      case "opening":
+        this.stage.body.setOpening(message.lips, message.pieces);
+        this.figures.showCutArea(message.cutArea_m2);
+        return this.stage.draw();
+      case "link":
+        return this.onLink(message.which, message.state);
+      case "blade":
+        return this.operator.onBlade(message.facts);
+      case "blade-pose":
+        this.livePoses_ms.set(message.source, performance.now());
+        this.stage.blade(message.source, false).move(message.heel, message.tip, message.cutting);
+        return this.stage.draw();
+      case "stats":
+        this.figures.showStats(message.json);
+        this.figures.showTets(message.tets); // a page opened later gets the count from here
+        element("connection").title = `Round trip ${message.roundTrip_ms.toFixed(1)} ms`;
+        return;
+      case "replay":
+        return this.onReplay(message.facts);
+      case "deforms":
+        return this.operator.onDeforms();
+      case "differs":
+        return this.figures.showTrust(false);
+      case "was-reset":
+        return this.onReset();
+      case "notice":
+        return notice(message.text);
+      case "dump":
+        return this.onDump?.(message.triangles);
+    }
+  }
+
+  private onFacts(facts: Facts): void {
+    const another = facts.session !== this.facts?.session;
+    this.facts = facts;
+    element("body-name").textContent = `${facts.meshName}, ${facts.tets.toLocaleString("en")} tetrahedra`;
+    element("server").textContent = facts.server;
+    document.title = `${facts.meshName} · Incise`;
+    const place = [facts.min, facts.max].join();
+    if (place !== this.fitted) {
+      this.fitted = place;
+      this.stage.setBody(facts.min, facts.max);
+      this.stage.fit(true);
+      this.operator.showOpen();
+    }
+    if (another) this.operator.abandonStroke();
+    this.operator.meet(facts.meshName);
+  }
+
+  private onGeometry(message: FromWorker & { kind: "geometry" }): void {
+    this.stage.body.replace(message.slots, message.capacity, message.corners);
+    this.patch = null;
+    this.show(message.progress);
+    this.figures.showTrust(message.progress.hashAgrees);
+    if (message.progress.revision === 0) this.stage.body.setOpening(new Float32Array(0), new Float32Array(0));
+    this.send({ kind: "applied" });
+    this.stage.draw();
+  }
+
+  /** At most once a frame; the worker sends the next patch after this one is applied. */
+  private applyPatch(): boolean {
+    const patch = this.patch;
+    if (!patch) return false;
+    this.patch = null;
+    this.stage.body.patch(patch.slots, patch.highest, patch.corners);
+    for (const step of patch.steps) this.follow(step);
+    this.show(patch.progress);
+    this.figures.latency.expect(patch.posed_ms);
+    this.send({ kind: "applied" });
+    return true;
+  }
+
+  /** A blade without live poses, as in a replay, is shown where its batches end. */
+  private follow(step: BladeStep): void {
+    if (step.own) return this.operator.onOwnStep(step);
+    if (performance.now() - (this.livePoses_ms.get(step.source) ?? -Infinity) < kPosesStale_ms) return;
+    const blade = this.stage.blade(step.source, false);
+    blade.move(step.heel, step.tip, true);
+    if (step.ended) blade.endStroke();
+  }
+
+  private onLink(which: "view" | "blade" | "admin", state: LinkState): void {
+    switch (which) {
+      case "view":
+        this.viewState = state;
+        this.showConnection();
+        this.operator.onViewLink(state);
+        if (state.reason === "token") this.askToken("This server shows its body only to those who have a token.");
+        return;
+      case "blade":
+        return this.operator.onBladeLink(state);
+      case "admin":
+        if (state.reason === "token") {
+          notice("Reset needs an administrator's token.", "Enter a token", () =>
+            this.askToken("Reset needs one with the role admin."),
+          );
+        } else if (state.stage === "waiting") {
+          notice("The server does not answer; nothing was reset.");
+        }
+    }
+  }
+
+  private onReset(): void {
+    if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
+    notice(
+      "The body was reset for everybody: by an administrator, or by the demo, which begins each pass with an " +
+        "uncut body. Earlier cuts are gone.",
+    );
+  }
+
+  private onReplay(facts: ReplayFacts | null): void {
+    const was = this.replay.facts !== null;
+    this.replay.show(facts);
+    const is = this.replay.facts !== null;
+    document.body.dataset.replay = is ? "on" : "off";
+    element<HTMLButtonElement>("reset").disabled = is;
+    element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
+    if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
+    this.operator.onReplay(is);
+    if (facts?.text) notice(facts.text);
+    this.showConnection();
+  }
+
+  private show(progress: Progress): void {
+    this.figures.show(progress);
+    this.showConnection();
+  }
+
+  private showConnection(): void {
+    const { stage, text } = this.viewState;
+    const replaying = this.replay.facts !== null && stage === "open";
+    element("connection").dataset.stage = replaying ? "replay" : stage;
+    element("connection-text").textContent = replaying ? "Replay (a copy)" : stage === "open" ? "Live" : text;
+  }
+
+  // ---- From the user ----
+
+  private bindButtons(): void {
+    element("fit").onclick = () => this.stage.fit();
+    element("reset").onclick = () =>
+      ask("reset-dialog", (confirmed) => {
+        if (!confirmed) return;
+        this.resetAsked_ms = performance.now();
+        this.send({ kind: "reset" });
+      });
+    element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
+    for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a"))
+      link.onclick = (event) => void this.openWithToken(event, link.href);
+  }
+
+  /** A link cannot carry the token: its page is fetched with the token and shown in a tab of its own. */
+  private async openWithToken(event: MouseEvent, url: string): Promise<void> {
+    if (this.token === "") return;
+    event.preventDefault();
+    const answer = await fetch(url, { cache: "no-store", headers: bearer(this.token) });
+    open(URL.createObjectURL(await answer.blob()));
+  }
+
+  private keys(): Key[] {
+    const { operator, stage, look } = this;
+    const press = (id: string) => () => element(id).click();
+    const nudge = (id: string, less: string, by: number) => (key: string) =>
+      operator.nudge(id, key === less ? -by : by);
+    const turns: Record<string, [number, number]> = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, 1],
+      ArrowDown: [0, -1],
+    };
+    return [
+      { keys: ["c"], shown: "C", does: "Cut", act: () => operator.setTool("cut") },
+      { keys: ["t"], shown: "T", does: "Turn", act: () => operator.setTool("turn") },
+      { keys: Object.keys(turns), shown: "← → ↑ ↓", does: "Turn the body", act: (key) => stage.turn(...turns[key]) },
+      {
+        keys: ["+", "=", "-"],
+        shown: "+ -",
+        does: "Nearer, farther",
+        act: (key) => stage.zoom(key === "-" ? 1.14 : 0.88),
+      },
+      { keys: ["f"], shown: "F", does: "Whole body in view", act: () => stage.fit() },
+      { keys: ["[", "]"], shown: "[ ]", does: "Depth of the blade", act: nudge("depth", "[", 0.05) },
+      { keys: ["{", "}"], shown: "{ }", does: "Length of the blade", act: nudge("length", "{", 0.05) },
+      { keys: [",", "."], shown: ", .", does: "Angle of the blade", act: nudge("tilt", ",", 5) },
+      { keys: ["o"], shown: "O", does: "Open or close the cuts", act: () => operator.toggleOpen() },
+      { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
+      { keys: ["s"], shown: "S", does: "Section", act: press("section") },
+      {
+        keys: ["n"],
+        shown: "N",
+        does: "In a replay: next batch",
+        act: press("step"),
+        needs: () => this.replay.facts !== null,
+      },
+      { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
+      { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
+      { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },
+      { keys: ["Escape"], shown: "Esc", does: "End the stroke", act: () => operator.abandonStroke() },
+    ];
+  }
+
+  private askToken(why: string): void {
+    element("token-why").textContent = `${why} Whoever runs the server can give you one; it stays in this window.`;
+    ask("token-dialog", (confirmed) => {
+      const token = input("token").value;
+      input("token").value = "";
+      if (!confirmed || token === "") return;
+      this.token = token;
+      sessionStorage.setItem("incise-token", token);
+      this.connect();
+    });
+  }
+
+  // For tests, and for the browser's console.
+  private onDump: ((triangles: Float32Array) => void) | null = null;
+  dump(): Promise<Float32Array> {
+    return new Promise((resolve) => {
+      this.onDump = resolve;
+      this.send({ kind: "dump" });
+    });
+  }
+}

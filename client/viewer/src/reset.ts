@@ -1,0 +1,30 @@
+import { Link } from "./link";
+import type { Post } from "./messages";
+import { Body } from "./wire/incise/wire/body";
+import { Reset } from "./wire/incise/wire/reset";
+import { Role } from "./wire/incise/wire/role";
+import { View } from "./wire/incise/wire/view";
+
+const kPatience_ms = 5000; // a server that does not offer Reset has said so by then
+
+/** Connects as an administrator, resets the body, and leaves. */
+export function resetBody(url: string, token: string, post: Post): void {
+  let asked = false;
+  const admin: Link = new Link(url, {
+    hello: () => ({ role: Role.Admin, view: View.None, token }),
+    welcome: () => {
+      // The second Welcome is the reset's.
+      if (asked) return admin.end();
+      asked = true;
+      admin.send(Body.Reset, (b) => Reset.createReset(b));
+      setTimeout(() => admin.end(), kPatience_ms);
+    },
+    message: () => {},
+    state: (state) => {
+      if (state.stage === "waiting") admin.end();
+      if (state.stage !== "open") post({ kind: "link", which: "admin", state });
+    },
+    refused: (text) => post({ kind: "notice", text }),
+    unreadable: () => {},
+  });
+}

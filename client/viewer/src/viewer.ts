@@ -1,0 +1,277 @@
+import type { Blade } from "./blade";
+import { Link, type HelloFields } from "./link";
+import type { Post, Progress, ReplayFacts, ToWorker } from "./messages";
+import { PageFeed } from "./page_feed";
+import { Replica } from "./replica";
+import { hex } from "./state_hash";
+import { kNone } from "./surface";
+import { BladePose } from "./wire/incise/wire/blade-pose";
+import { Body } from "./wire/incise/wire/body";
+import type { Message } from "./wire/incise/wire/message";
+import { ReplayAction } from "./wire/incise/wire/replay-action";
+import { ReplayControl } from "./wire/incise/wire/replay-control";
+import { ReplayState } from "./wire/incise/wire/replay-state";
+import { Resync } from "./wire/incise/wire/resync";
+import { Role } from "./wire/incise/wire/role";
+import { SnapshotBegin } from "./wire/incise/wire/snapshot-begin";
+import { SnapshotChunk } from "./wire/incise/wire/snapshot-chunk";
+import { SnapshotEnd } from "./wire/incise/wire/snapshot-end";
+import { Stats } from "./wire/incise/wire/stats";
+import type { Step } from "./wire/incise/wire/step";
+import { SurfaceDelta } from "./wire/incise/wire/surface-delta";
+import { vec } from "./wire_vec";
+import { View } from "./wire/incise/wire/view";
+import type { Welcome } from "./wire/incise/wire/welcome";
+
+const kBladeRate_hz = 60;
+const kReplayActions = {
+  open: ReplayAction.Open,
+  play: ReplayAction.Play,
+  pause: ReplayAction.Pause,
+  step: ReplayAction.Step,
+  seek: ReplayAction.Seek,
+  close: ReplayAction.Close,
+};
+
+/**
+ * The page's view of the session: the connection that brings the state, its replica, and the feed to the page. Thread:
+ * the worker's.
+ */
+export class Viewer {
+  private link: Link | null = null;
+  private token = "";
+  private readonly replica = new Replica((revision, hash, reason) => {
+    if (!this.replica.agrees) this.post({ kind: "differs" });
+    this.link?.send(Body.Resync, (b) => Resync.createResync(b, revision, hash, b.createString(reason)));
+  });
+  readonly feed: PageFeed;
+  private readonly figures = { tets: 0, deltas: 0, bytes: 0 };
+  private justConnected = false; // no Welcome yet on this connection
+  private liveSession = 0n;
+  private replayAsked = false; // from the request for a replay until the live mesh is back
+  replaying = false; // a recording is shown; Stats are still of the live mesh
+  private deforms = false;
+  /** Replaying has begun or ended. */
+  onReplaying: () => void = () => {};
+
+  constructor(
+    private readonly blade: Blade,
+    private readonly post: Post,
+  ) {
+    this.feed = new PageFeed(this.replica.surface, () => this.progress(), post);
+  }
+
+  connect(url: string, token: string): void {
+    this.link?.end();
+    this.token = token;
+    this.link = new Link(url, {
+      hello: () => this.hello(),
+      welcome: (welcome) => this.onWelcome(welcome),
+      message: (type, message, bytes) => this.onMessage(type, message, bytes),
+      state: (state) => this.post({ kind: "link", which: "view", state }),
+      refused: (text) => {
+        if (!this.replaying) this.replayAsked = false;
+        this.post({ kind: "notice", text });
+      },
+      unreadable: () => this.replica.distrust(),
+    });
+  }
+
+  wake(): void {
+    this.link?.wake();
+  }
+
+  drop(): void {
+    this.link?.drop();
+  }
+
+  controlReplay(wish: ToWorker & { kind: "replay" }): void {
+    if (wish.action === "open") this.replayAsked = true;
+    this.link?.send(Body.ReplayControl, (b) =>
+      ReplayControl.createReplayControl(
+        b,
+        kReplayActions[wish.action],
+        b.createString(wish.capture ?? ""),
+        wish.speed ?? 1,
+        BigInt(wish.revision ?? 0),
+      ),
+    );
+  }
+
+  /** All triangles, 9 numbers each. */
+  dump(): Float32Array {
+    const { surface } = this.replica;
+    const triangles = new Float32Array(9 * surface.triangleCount);
+    let at = 0;
+    for (let s = 0; s < surface.slots; ++s) {
+      if (surface.ids[s] === kNone) continue;
+      for (let k = 0; k < 3; ++k, at += 3) {
+        const v = 3 * surface.corners[3 * s + k];
+        triangles.set(surface.positions.subarray(v, v + 3), at);
+      }
+    }
+    return triangles;
+  }
+
+  private progress(): Progress {
+    const { replica, figures } = this;
+    return {
+      revision: Number(replica.revision),
+      triangles: replica.surface.triangleCount,
+      pieces: replica.surface.pieceCount,
+      hash: hex(replica.stateHash),
+      hashAgrees: replica.agrees,
+      ...figures,
+    };
+  }
+
+  private hello(): HelloFields {
+    const { holding, session, revision } = this.replica;
+    this.justConnected = true;
+    this.showReplay(null); // it ended with the connection
+    return {
+      role: Role.Viewer,
+      view: View.Surface,
+      token: this.token,
+      bladeRate_hz: kBladeRate_hz,
+      resumeSession: holding ? session : 0n,
+      resumeRevision: holding ? revision : 0n,
+    };
+  }
+
+  private onWelcome(welcome: Welcome): void {
+    const mesh = welcome.mesh();
+    const box = mesh?.box();
+    const min = vec(box?.min()),
+      max = vec(box?.max());
+    this.feed.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
+    this.feed.builder.grainCells = 55 / this.feed.bodySize_m;
+    this.replica.welcome(welcome);
+    if (!this.replica.holding) this.feed.pause();
+    this.figures.tets = welcome.revision() === 0n ? (mesh?.tets() ?? 0) : 0;
+    const { session } = this.replica;
+    if (!this.replayAsked) {
+      if (!this.justConnected && session !== this.liveSession) this.post({ kind: "was-reset" });
+      this.liveSession = session;
+    }
+    this.justConnected = false;
+    this.post({
+      kind: "facts",
+      facts: {
+        session: hex(session),
+        meshName: mesh?.name() ?? "",
+        tets: mesh?.tets() ?? 0,
+        vertices: mesh?.vertices() ?? 0,
+        meanEdge_m: mesh?.meanEdgeLengthM() ?? 0,
+        min,
+        max,
+        policy: welcome.policy() ?? "",
+        server: `${welcome.serverName()} ${welcome.serverVersion()}`,
+        frameRate_hz: welcome.frameRateHz(),
+      },
+    });
+  }
+
+  private onMessage(type: Body, message: Message, bytes: number): void {
+    this.figures.bytes += bytes;
+    switch (type) {
+      case Body.SnapshotBegin:
+        return this.replica.beginSnapshot(message.body(new SnapshotBegin()));
+      case Body.SnapshotChunk:
+        return this.replica.addChunk(message.body(new SnapshotChunk()));
+      case Body.SnapshotEnd:
+        if (this.replica.endSnapshot(message.body(new SnapshotEnd()))) this.feed.restart();
+        return;
+      case Body.SurfaceDelta:
+        return this.onDelta(message.body(new SurfaceDelta()));
+      case Body.BladePose:
+        return this.onBladePose(message.body(new BladePose()));
+      case Body.Stats:
+        return this.onStats(message.body(new Stats()));
+      case Body.ReplayState:
+        return this.onReplayState(message.body(new ReplayState()));
+    }
+  }
+
+  private onDelta(delta: SurfaceDelta): void {
+    if (!this.replica.apply(delta)) return;
+    this.figures.tets = delta.liveTets();
+    ++this.figures.deltas;
+    for (let i = 0; i < delta.stepsLength(); ++i) this.onStep(delta.steps(i)!);
+    this.feed.sendChanges();
+  }
+
+  private onStep(step: Step): void {
+    if (step.stroke() === 0) {
+      if (!this.deforms) this.post({ kind: "deforms" });
+      this.deforms = true;
+      return;
+    }
+    const own = !this.replaying && this.blade.owns(step.source());
+    this.feed.addStep(
+      {
+        source: step.source(),
+        own,
+        heel: vec(step.toHeel()),
+        tip: vec(step.toTip()),
+        ended: step.strokeEnded(),
+        cutArea_m2: step.cutAreaM2(),
+      },
+      this.posedAt_ms(step, own),
+    );
+  }
+
+  /** When the step's last pose was made. 0 in a replay. */
+  private posedAt_ms(step: Step, own: boolean): number {
+    if (this.replaying) return 0;
+    const arrived_ns = step.arrivalNs() - (this.link?.clockOffset_ns ?? 0n);
+    // The mouse's clock may be ahead: a flick takes longer on it.
+    const posed_ns = own && step.toSourceNs() < arrived_ns ? step.toSourceNs() : arrived_ns;
+    return Number(posed_ns / 1000n) / 1e3;
+  }
+
+  private onBladePose(pose: BladePose): void {
+    if (this.blade.owns(pose.source())) return; // the page draws that one itself
+    this.post({
+      kind: "blade-pose",
+      source: pose.source(),
+      heel: vec(pose.heel()),
+      tip: vec(pose.tip()),
+      cutting: pose.cutting(),
+    });
+  }
+
+  private onStats(stats: Stats): void {
+    if (!this.replaying && stats.revision() === this.replica.revision) this.figures.tets = stats.liveTets();
+    this.post({
+      kind: "stats",
+      json: stats.json() ?? "{}",
+      roundTrip_ms: this.link?.roundTrip_ms ?? 0,
+      tets: this.figures.tets,
+    });
+  }
+
+  private onReplayState(state: ReplayState): void {
+    const capture = state.capture() ?? "";
+    this.showReplay(
+      capture === ""
+        ? null
+        : {
+            capture,
+            playing: state.playing(),
+            speed: state.speed(),
+            revision: Number(state.revision()),
+            lastRevision: Number(state.lastRevision()),
+            text: state.text() ?? "",
+          },
+    );
+  }
+
+  private showReplay(facts: ReplayFacts | null): void {
+    const was = this.replaying;
+    this.replaying = facts !== null;
+    if (!this.replaying) this.replayAsked = false;
+    if (was !== this.replaying) this.onReplaying();
+    if (was || this.replaying) this.post({ kind: "replay", facts });
+  }
+}

@@ -1,0 +1,335 @@
+// How the page looks and is reached, in a real browser against a real server.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { launch, until } from "./server.mjs";
+
+test("a picture at rest is not drawn again, a moving one is", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const drawn = () => page.evaluate(() => window.incise.stage.framesDrawn);
+  const resolution = () => page.evaluate(() => window.incise.stage.renderer.getPixelRatio());
+  const comesToRest = () => until(page, () => window.incise.stage.atRest);
+  await comesToRest();
+  const still = await drawn();
+  await page.waitForTimeout(1500);
+  assert.equal(await drawn(), still);
+  assert.equal(await resolution(), 2); // of a renderer that smooths no edges
+  await page.evaluate(() => {
+    let n = 0;
+    const turn = () => {
+      window.incise.stage.turn(0.5, 0);
+      window.whileTurning = window.incise.stage.renderer.getPixelRatio();
+      if (++n < 30) requestAnimationFrame(turn);
+    };
+    turn();
+  });
+  await until(page, (before) => window.incise.stage.framesDrawn >= before + 15, still);
+  await comesToRest();
+  assert.ok(await page.evaluate(() => window.whileTurning < 1));
+  assert.equal(await resolution(), 2);
+  // A blade that has come to rest vanishes by itself.
+  server.stream([0.2]);
+  await until(page, () => window.incise.stage.bladesShown > 0);
+  await until(page, () => window.incise.stage.bladesShown === 0 && window.incise.stage.atRest);
+  assert.deepEqual(faults, []);
+});
+
+/** The smallest dihedral angle of the tetrahedron behind each boundary face of TetGen files, degrees; sorted. */
+function boundaryAngles(base) {
+  const rows = (ending) =>
+    readFileSync(base + ending, "utf8")
+      .split("\n")
+      .filter((line) => line && line[0] !== "#")
+      .slice(1)
+      .map((line) => line.trim().split(/\s+/).map(Number));
+  const points = new Map(rows(".node").map(([id, ...xyz]) => [id, xyz]));
+  const faces = new Map(); // from three vertices to the tetrahedra that have them
+  const angles = rows(".ele").map(([, ...corners], t) => {
+    const p = corners.slice(0, 4).map((v) => points.get(v));
+    const minus = (a, b) => a.map((x, i) => x - b[i]);
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const unit = (a) => a.map((x) => x / Math.sqrt(dot(a, a)));
+    let least = 180;
+    for (let i = 0; i < 4; ++i) {
+      for (let j = i + 1; j < 4; ++j) {
+        const axis = unit(minus(p[j], p[i]));
+        const [u, v] = [0, 1, 2, 3]
+          .filter((k) => k !== i && k !== j)
+          .map((k) => {
+            const arm = minus(p[k], p[i]);
+            return unit(arm.map((x, n) => x - axis[n] * dot(arm, axis)));
+          });
+        least = Math.min(least, (Math.acos(Math.min(1, Math.max(-1, dot(u, v)))) * 180) / Math.PI);
+      }
+    }
+    for (let k = 0; k < 4; ++k) {
+      const face = corners
+        .slice(0, 4)
+        .filter((_, i) => i !== k)
+        .sort((a, b) => a - b)
+        .join();
+      faces.set(face, [...(faces.get(face) ?? []), t]);
+    }
+    return least;
+  });
+  return [...faces.values()]
+    .filter((tets) => tets.length === 1)
+    .map(([t]) => angles[t])
+    .sort((a, b) => a - b);
+}
+
+test("the colours of quality are the smallest dihedral angles of the tetrahedra", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await page.getByText("Quality").click();
+  server.stream([0.03]);
+  const { revision } = await server.stats();
+  const angles = () =>
+    page.evaluate(() => {
+      const { body } = window.incise.stage;
+      const facts = body.mesh.geometry.getAttribute("aFacts").array;
+      const positions = body.mesh.geometry.getAttribute("position").array;
+      const shown = [];
+      for (let slot = 0; slot < body.slots; ++slot) {
+        if (positions.subarray(9 * slot, 9 * slot + 9).some((x) => x !== 0))
+          shown.push((facts[12 * slot + 1] * 45) / 255);
+      }
+      return shown.sort((a, b) => a - b);
+    });
+  await until(page, (r) => window.incise.progress.revision === r, revision);
+  await server.stop(); // its capture is whole then; the page keeps what it holds
+  const base = server.file("state");
+  server.incise("export", server.file("session.capture"), "--out", `${base}.node`);
+  const wanted = boundaryAngles(base).map((angle) => Math.min(angle, 45));
+  let shown = [];
+  for (let tries = 0; tries < 300; ++tries) {
+    // the tetrahedra come on a connection of their own, at most 20 times a second
+    shown = await angles();
+    if (shown.length === wanted.length && shown.every((angle, i) => Math.abs(angle - wanted[i]) < 0.2)) break;
+    await page.waitForTimeout(100);
+  }
+  assert.equal(shown.length, wanted.length);
+  for (const [i, angle] of shown.entries()) {
+    assert.ok(Math.abs(angle - wanted[i]) < 0.2, `face ${i}: ${angle}, wanted ${wanted[i]}`);
+  }
+  assert.ok(shown[0] < 30 && shown.at(-1) > 40);
+  await shot(page, "quality");
+  assert.deepEqual(faults, []);
+});
+
+test("everything is reached by keyboard and has a name", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { colorScheme: "light", width: 1280, height: 800 });
+  await until(page, () => window.incise.stage.framesDrawn > 0);
+  await shot(page, "loaded_light");
+  const nameless = await page.evaluate(() =>
+    [...document.querySelectorAll("button, input, select, a, [role=img]")]
+      .filter((e) => !(e.getAttribute("aria-label") || e.labels?.[0]?.textContent.trim() || e.textContent.trim()))
+      .map((e) => e.outerHTML),
+  );
+  assert.deepEqual(nameless, []);
+  const before = await page.evaluate(() => window.incise.stage.camera.position.toArray());
+  await page.locator("#picture").focus();
+  await page.keyboard.press("ArrowLeft");
+  assert.notDeepEqual(await page.evaluate(() => window.incise.stage.camera.position.toArray()), before);
+  await page.keyboard.press("t");
+  assert.equal(await page.evaluate(() => window.incise.tool), "turn");
+  await page.keyboard.press("[");
+  assert.notEqual(await page.textContent("#depth-text"), "through");
+  await page.keyboard.press("w");
+  assert.equal(await page.isChecked("#wire"), true);
+  await page.getByText("Quality").click();
+  await page.keyboard.press("s");
+  await shot(page, "wire_quality_section");
+  // Each pass of the Tab key lands on something new, until all have been seen.
+  const seen = new Set();
+  for (let i = 0; i < 30; ++i) {
+    await page.keyboard.press("Tab");
+    seen.add(await page.evaluate(() => document.activeElement.id || document.activeElement.textContent));
+  }
+  for (const id of ["theme", "panel-toggle", "wire", "depth", "length", "tilt", "open", "fit", "reset"])
+    assert.ok(seen.has(id), id);
+  assert.deepEqual(faults, []);
+});
+
+test("keys work in capitals and without focus, and a question mark lists them", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await until(page, () => window.incise.stage.framesDrawn > 0);
+  const camera = () => page.evaluate(() => window.incise.stage.camera.position.toArray());
+  const before = await camera();
+  await page.keyboard.press("ArrowRight");
+  assert.notDeepEqual(await camera(), before);
+  const turned = await camera();
+  await page.keyboard.press("+");
+  assert.notDeepEqual(await camera(), turned);
+  await page.keyboard.press("T");
+  assert.equal(await page.evaluate(() => window.incise.tool), "turn");
+  await page.keyboard.press("W");
+  assert.equal(await page.isChecked("#wire"), true);
+  // A slider that has the focus keeps its arrows.
+  await page.locator("#depth").focus();
+  const still = await camera();
+  await page.keyboard.press("ArrowLeft");
+  assert.deepEqual(await camera(), still);
+  assert.notEqual(await page.textContent("#depth-text"), "through");
+  await page.keyboard.press("?");
+  await page.locator("#help-dialog[open]").waitFor();
+  await shot(page, "help");
+  // Every key that a tooltip names is listed, and each is there once.
+  const listed = await page.locator("#keys kbd").allTextContents();
+  const named = await page.evaluate(() =>
+    [...document.querySelectorAll("[title]")].flatMap(
+      (e) => /\(([^)]{1,7})\)$/.exec(e.title)?.[1].split(" and ") ?? [],
+    ),
+  );
+  assert.ok(named.length > 10);
+  for (const key of named) assert.ok(listed.includes(key), key);
+  assert.equal(new Set(listed).size, listed.length);
+  await page.keyboard.press("Escape");
+  await page.locator("#help-dialog").waitFor({ state: "hidden" });
+  assert.deepEqual(faults, []);
+});
+
+test("without WebGL the page says what is missing", async (t) => {
+  const server = await serve(t);
+  const plain = await launch("--disable-gpu", "--disable-3d-apis");
+  t.after(() => plain.close());
+  const page = await plain.newPage({ viewport: { width: 1280, height: 760 } });
+  await page.goto(server.url);
+  await page.getByText("offers no WebGL 2").waitFor();
+  assert.equal(await page.textContent("#connection-text"), "No picture");
+  await shot(page, "no_webgl");
+});
+
+test("a section faces who looks, goes along any axis and draws where it meets skin and cuts", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await until(page, () => window.incise.stage.framesDrawn > 0);
+  server.stream([0.03]);
+  await atRevision(page, (await server.stats()).revision);
+  await page.locator("#open").fill("0");
+  await page.keyboard.press("s");
+  const section = () =>
+    page.evaluate(() => {
+      const { stage } = window.incise;
+      const [x, y, z, offset] = stage.body.uniforms.uSection.value.toArray();
+      const size = (mesh) => mesh.geometry.getAttribute("position")?.count ?? 0;
+      stage.colourAt(0.5, 0.5); // draws
+      const { skin, cuts } = stage.sectionLines;
+      return {
+        normal: [x, y, z],
+        offset,
+        towardsEye: [x, y, z].reduce((sum, n, i) => sum + n * stage.toEye[i], 0),
+        skin: size(skin),
+        cuts: size(cuts),
+      };
+    });
+  await until(page, () => window.incise.stage.atRest);
+  const first = await section();
+  assert.deepEqual(first.normal.map(Math.abs), [0, 0, 1]); // along which one looks most at the start
+  assert.ok(first.towardsEye > 0);
+  assert.ok(first.skin > 0 && first.cuts > 0);
+  await shot(page, "section_z");
+  for (const [axis, name] of ["X", "Y", "Z"].entries()) {
+    await page.locator("#section-axis").getByText(name).click();
+    await until(page, () => window.incise.stage.atRest);
+    const shown = await section();
+    assert.deepEqual(
+      shown.normal.map(Math.abs),
+      [0, 1, 2].map((k) => Number(k === axis)),
+    );
+    assert.ok(shown.towardsEye > 0, name);
+    assert.ok(shown.skin > 0, name);
+  }
+  const { normal, offset } = await section();
+  await page.locator("#section-at").fill("0.6");
+  assert.notEqual((await section()).offset, offset);
+  await page.locator("#section-flip").click();
+  assert.deepEqual(
+    (await section()).normal,
+    normal.map((n) => -n || 0),
+  );
+  await page.keyboard.press("s");
+  assert.deepEqual((await section()).normal, [0, 0, 0]);
+  assert.deepEqual(faults, []);
+});
+
+test("open lifts the lips of a cut that stops inside, and leaves faces that were parted as they are", async (t) => {
+  const server = await serve(t, { mesh: { phantom: "liver", target_tets: 20000 } });
+  const { page, faults } = await look(t, server.url);
+  // Along x, with the tip in the middle of the body; then right through, across it.
+  const middle = await page.evaluate(() => window.incise.stage.centre.toArray());
+  const [x, y, z] = middle;
+  server.streamPasses([
+    [
+      [x - 0.15, y, z + 0.12],
+      [x + 0.15, y, z + 0.12],
+    ],
+    [
+      [x + 0.013, -0.15, 0.07],
+      [x + 0.013, 0.15, 0.07],
+    ],
+  ]);
+  await atRevision(page, (await server.stats()).revision);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await page.locator("#open").fill("1");
+  /** How far the faces that the second pass parted are moved, in the plane of that pass and out of it. */
+  const measure = (at) =>
+    page.evaluate((at) => {
+      const attribute = (name) => window.incise.stage.body.mesh.geometry.getAttribute(name).array;
+      const positions = attribute("position"),
+        facts = attribute("aFacts"),
+        lips = attribute("aLips");
+      const found = { parted: 0, off: 0, along: 0, most: 0 };
+      for (let slot = 0; slot < window.incise.stage.body.slots; ++slot) {
+        const own = lips.subarray(9 * slot, 9 * slot + 9);
+        for (const d of own) found.most = Math.max(found.most, Math.abs(d));
+        if (!facts[12 * slot] || ![0, 3, 6].every((k) => Math.abs(positions[9 * slot + k] - at) < 1e-5)) continue;
+        ++found.parted;
+        for (const [i, d] of own.entries()) {
+          const way = i % 3 === 0 ? "off" : "along";
+          found[way] = Math.max(found[way], Math.abs(d));
+        }
+      }
+      return found;
+    }, at);
+  let moved = await measure(Math.fround(x + 0.013));
+  for (let tries = 0; tries < 300 && moved.along < 0.5 * moved.most; ++tries) {
+    // until the last state's opening is there
+    await page.waitForTimeout(100);
+    moved = await measure(Math.fround(x + 0.013));
+  }
+  await shot(page, "open_crossing");
+  assert.ok(moved.parted > 100, `${moved.parted} faces in the plane`);
+  assert.ok(moved.along > 0.5 * moved.most, "the slit's ends in them gape");
+  assert.ok(moved.most > 0.01, `lips are lifted by ${moved.most} m`);
+  assert.ok(moved.off < 0.1 * moved.most, `${moved.off} m out of their plane, lips ${moved.most}`);
+  assert.deepEqual(faults, []);
+});
+
+test("a phone shows it all, and a finger cuts", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 390, height: 780, hasTouch: true, isMobile: true });
+  await bladeIsReady(page);
+  const wide = await page.evaluate(() => document.documentElement.scrollWidth);
+  assert.ok(wide <= 390, `${wide} px wide`);
+  const cdp = await page.context().newCDPSession(page);
+  const finger = (type, y) =>
+    cdp.send("Input.dispatchTouchEvent", { type, touchPoints: type === "touchEnd" ? [] : [{ x: 180 + y / 40, y }] });
+  await finger("touchStart", 170);
+  for (let y = 180; y <= 560; y += 12) {
+    await finger("touchMove", y);
+    await page.waitForTimeout(10);
+  }
+  await finger("touchEnd");
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await page.waitForTimeout(500);
+  await shot(page, "phone");
+  await page.locator("#panel-toggle").click();
+  await shot(page, "phone_panel");
+  assert.deepEqual(faults, []);
+});

@@ -1,0 +1,296 @@
+// The page's controls without a browser: keys, figures, the player of recordings, and who may cut.
+
+import assert from "node:assert/strict";
+import { beforeEach, test } from "node:test";
+import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
+import { load } from "./modules.mjs";
+
+const { Keys, Figures, Replay, Operator, notice, Vector3, PerspectiveCamera } = await load(
+  "keys",
+  "figures",
+  "replay",
+  "operator",
+  "notices",
+  "../node_modules/three",
+);
+
+beforeEach(() => byId("notices").replaceChildren());
+
+// Their timers must not keep the test alive.
+for (const name of ["setInterval", "setTimeout"]) {
+  const real = globalThis[name];
+  globalThis[name] = (...args) => real(...args).unref();
+}
+
+// ---- Keys ----
+
+const pressed = [];
+let replaying = false;
+new Keys([
+  { keys: ["w"], shown: "W", does: "Wireframe", act: (key) => pressed.push(key) },
+  { keys: ["ArrowLeft", "ArrowRight"], shown: "← →", does: "Turn", act: (key) => pressed.push(key) },
+  { keys: ["n"], shown: "N", does: "On", act: (key) => pressed.push(key), needs: () => replaying },
+]);
+beforeEach(() => (pressed.length = 0));
+
+test("a key works in either case and wherever the focus is, but for a control that wants it", () => {
+  assert.ok(press("w") && press("W") && press("ArrowLeft"));
+  assert.deepEqual(pressed, ["w", "w", "ArrowLeft"]);
+  assert.equal(press("w", { ctrlKey: true }), false);
+  assert.equal(press("ArrowLeft", { target: focusOn("input[type=range]") }), false);
+  assert.equal(press("w", { target: focusOn("input[type=range]") }), true);
+  assert.equal(press("w", { target: focusOn("input[type=password]") }), false);
+  assert.equal(press("w", { target: focusOn("dialog") }), false);
+  assert.equal(press("q"), false);
+});
+
+test("a key that needs something does nothing without it", () => {
+  assert.equal(press("n"), false);
+  replaying = true;
+  assert.equal(press("n"), true);
+});
+
+test("a question mark opens the help, which lists every key once", () => {
+  assert.ok(press("?"));
+  assert.equal(byId("help-dialog").open, true);
+  assert.deepEqual(
+    byId("keys").children.map((row) => row.text),
+    ["WWireframe", "←→Turn", "NOn", "?This help"],
+  );
+});
+
+// ---- Figures ----
+
+const progress = {
+  revision: 3,
+  tets: 1000,
+  triangles: 2,
+  pieces: 2,
+  hash: "00ff",
+  hashAgrees: true,
+  deltas: 0,
+  bytes: 0,
+};
+
+test("the light of the hash is green where hashes agree, and only there", () => {
+  const figures = new Figures();
+  figures.showTrust(true);
+  figures.show(progress);
+  assert.equal(byId("hash-row").dataset.agrees, "true");
+  assert.match(byId("hash-text").textContent, /agrees/);
+  assert.equal(byId("tets").textContent, "1,000");
+  figures.showTrust(false);
+  figures.show(progress); // of a patch from before
+  assert.equal(byId("hash-row").dataset.agrees, "false");
+  assert.match(byId("hash-text").textContent, /differs/);
+});
+
+test("the frame budget is the share of the frames since the last look", () => {
+  const figures = new Figures();
+  const stats = (sum, count) =>
+    JSON.stringify({ stages_us: { frame_work: { sum, count } }, frames: { rate_hz: 1000 }, backlog: { segments: 0 } });
+  figures.showStats(stats(100_000, 1000));
+  figures.showStats(stats(350_000, 1500)); // 500 us a frame of 1000
+  assert.equal(byId("budget").textContent, "50%");
+  figures.showStats("not JSON");
+  assert.equal(byId("budget").textContent, "50%");
+  assert.equal(byId("backlog").textContent, "none");
+});
+
+// ---- Recordings ----
+
+function player(facts = {}) {
+  const sent = [];
+  const replay = new Replay((message) =>
+    sent.push(message.action + (message.revision === undefined ? "" : ` ${message.revision}`)),
+  );
+  const at = (revision, more) =>
+    replay.show({
+      capture: "a.capture",
+      playing: false,
+      speed: 1,
+      revision,
+      lastRevision: 9,
+      text: "",
+      ...facts,
+      ...more,
+    });
+  byId("speed").value = "1";
+  at(0);
+  const scrub = byId("scrub");
+  const drag = (revision) => {
+    scrub.valueAsNumber = revision;
+    scrub.oninput();
+  };
+  return { replay, sent, at, drag, letGo: () => scrub.onchange() };
+}
+
+test("scrubbing asks for one revision at a time, and for the last one that the hand was at", () => {
+  const { sent, at, drag, letGo } = player();
+  for (const revision of [5, 6, 7]) drag(revision);
+  assert.deepEqual(sent, ["seek 5"]);
+  at(5);
+  assert.deepEqual(sent, ["seek 5", "seek 7"]);
+  letGo();
+  at(7);
+  assert.deepEqual(sent, ["seek 5", "seek 7"]);
+  assert.equal(byId("scrub").valueAsNumber, 7);
+});
+
+test("what plays stands still under the hand, and goes on when it lets go", () => {
+  const { sent, at, drag, letGo } = player({ playing: true });
+  drag(3);
+  assert.deepEqual(sent, ["pause", "seek 3"]);
+  at(3, { playing: false });
+  drag(4);
+  at(4, { playing: false });
+  letGo();
+  assert.deepEqual(sent, ["pause", "seek 3", "seek 4", "play"]);
+});
+
+test("a recording that ends takes its wishes with it", () => {
+  const { replay, sent, drag } = player();
+  drag(3);
+  drag(4);
+  replay.show(null);
+  assert.equal(byId("player").hidden, true);
+  assert.deepEqual(sent, ["seek 3"]);
+});
+
+// ---- Who may cut ----
+
+function operator() {
+  const sent = [];
+  const camera = new PerspectiveCamera(40, 1, 0.01, 10);
+  camera.position.set(0, 0, 1);
+  camera.updateMatrixWorld();
+  const blade = { move: () => {}, endStroke: () => {}, hide: () => {} };
+  const stage = {
+    camera,
+    body: { raycast: () => 1 },
+    centre: new Vector3(),
+    bodySize_m: 0.2,
+    blade: () => blade,
+    draw: () => {},
+    setOpen: () => {},
+    setTool: () => {},
+  };
+  for (const [id, value] of [
+    ["depth", 1],
+    ["length", 1],
+    ["tilt", 0],
+    ["open", 0.3],
+  ])
+    byId(id).valueAsNumber = value;
+  const picture = byId("picture");
+  picture.listeners = {};
+  picture.clientWidth = picture.clientHeight = 400;
+  picture.getBoundingClientRect = () => ({ left: 0, top: 0, width: 400, height: 400 });
+  delete body.dataset.blade;
+  const hands = new Operator(stage, (message) => sent.push(message));
+  hands.meet("liver");
+  hands.onBlade({ heel: [0, 0, 0], tip: [0, 0, -0.3], source: 0, engageButton: 0, maxSpeed_m_s: 1 });
+  hands.onViewLink({ stage: "open", text: "" });
+  hands.onBladeLink({ stage: "open", text: "" });
+  sent.length = 0;
+  let time = 0;
+  const hand = (type, x, y) =>
+    picture.dispatchEvent({
+      type,
+      pointerId: 1,
+      button: 0,
+      pointerType: "mouse",
+      isPrimary: true,
+      clientX: x,
+      clientY: y,
+      timeStamp: (time += 10),
+    });
+  const draw = () => {
+    hand("pointerdown", 100, 200);
+    for (let x = 110; x <= 300; x += 10) hand("pointermove", x, 200);
+  };
+  const poses = () => sent.filter((m) => m.kind === "poses").length;
+  return { hands, sent, hand, draw, poses, letGo: () => hand("pointerup", 300, 200) };
+}
+const stalled = { stage: "stalled", text: "The server does not answer." };
+const step = (cutArea_m2, ended) => ({ source: 0, own: true, heel: [0, 0, 0], tip: [0, 0, 0], ended, cutArea_m2 });
+
+test("while the server does not answer the stroke in hand ends, and no other begins", () => {
+  for (const stall of ["onViewLink", "onBladeLink"]) {
+    byId("notices").replaceChildren();
+    const { hands, draw, poses, letGo } = operator();
+    draw();
+    assert.equal(hands.mouse.cutting, true);
+    const before = poses();
+    hands[stall](stalled);
+    assert.equal(hands.mouse.cutting, false);
+    assert.equal(poses(), before + 1); // the release
+    assert.match(noticeTexts()[0], /Your stroke ends here/);
+    letGo();
+    draw();
+    letGo();
+    assert.equal(poses(), before + 1);
+    assert.ok(noticeTexts().some((text) => text.includes("Nothing is cut until it does")));
+    hands[stall]({ stage: "open", text: "" });
+    draw();
+    assert.ok(poses() > before + 1);
+  }
+});
+
+test("a stroke that cut nothing is said to have, when the server has cut it", () => {
+  const { hands, draw, letGo } = operator();
+  draw();
+  hands.onOwnStep(step(0, true)); // the server began another stroke for it on the way
+  assert.deepEqual(noticeTexts(), []);
+  hands.onOwnStep(step(0, false));
+  letGo();
+  assert.deepEqual(noticeTexts(), []);
+  hands.onOwnStep(step(0, true));
+  assert.deepEqual(noticeTexts(), ["That stroke cut nothing. Draw across the liver."]);
+});
+
+test("a stroke that cut something says nothing", () => {
+  const { hands, draw, letGo } = operator();
+  draw();
+  hands.onOwnStep(step(1e-4, false));
+  letGo();
+  hands.onOwnStep(step(0, true));
+  assert.deepEqual(noticeTexts(), []);
+});
+
+test("a blade that was held is taken again after a break, one that somebody took is not", () => {
+  const { hands, sent } = operator();
+  hands.onBladeLink({ stage: "waiting", text: "" });
+  hands.meet("liver");
+  assert.deepEqual(
+    sent.filter((m) => m.kind === "take-blade").map((m) => m.takeOver),
+    [true],
+  );
+  hands.onBladeLink({ stage: "ended", text: "", reason: "handed-over" });
+  assert.equal(hands.tool, "turn");
+  assert.match(noticeTexts()[0], /Another window has taken the blade/);
+  hands.setTool("cut");
+  assert.equal(sent.at(-1).takeOver, false);
+});
+
+test("in a replay there is nothing to cut", () => {
+  const { hands, sent } = operator();
+  hands.onReplay(true);
+  assert.equal(hands.tool, "turn");
+  assert.equal(sent.at(-1).kind, "release-blade");
+  hands.setTool("cut");
+  assert.equal(hands.tool, "turn");
+  assert.deepEqual(noticeTexts(), ["A recording cannot be cut."]);
+  hands.onReplay(false);
+  assert.equal(hands.tool, "cut");
+});
+
+test("the same notice is shown once, and its button does what it says", () => {
+  let done = 0;
+  notice("There.", "Do it", () => ++done);
+  notice("There.", "Do it", () => ++done);
+  assert.deepEqual(noticeTexts(), ["There."]);
+  byId("notices").children[0].children[1].click();
+  assert.equal(done, 1);
+  assert.deepEqual(noticeTexts(), []);
+});

@@ -1,0 +1,371 @@
+// What the page makes of the state to be drawn: corners, sides of cuts, how they open, sections, the skin under the mouse.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { fill, load } from "./modules.mjs";
+
+const {
+  Surface,
+  CornerBuilder,
+  allocateCorners,
+  computeOpening,
+  measureFaces,
+  sidesOf,
+  kUnknown,
+  kWall,
+  kParted,
+  planeOf,
+  axisFacing,
+  sideFacing,
+  crossings,
+  BodyMesh,
+  rangesOf,
+  Vector3,
+} = await load(
+  "surface",
+  "corner_buffers",
+  "opening",
+  "cut_sides",
+  "section",
+  "section_lines",
+  "body_mesh",
+  "../node_modules/three",
+);
+
+const near = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a}, wanted ${b}`);
+
+/** The outside of a box from (0, 0, 0) to (nx, ny, nz), a grid of unit squares of two triangles each, with a slit in the plane
+ * y = `at` from the top down to z = `bottom`, between x = 0 and x = nx: the walls have vertices of their own but at the bottom. */
+function slitBox({ nx = 6, ny = 6, nz = 4, at = 3, bottom = 2 } = {}) {
+  const vertices = [],
+    triangles = [],
+    ids = new Map();
+  const vertex = (x, y, z, side = 0) => {
+    const key = [x, y, z, y === at && z > bottom ? side : 0].join();
+    if (!ids.has(key)) ids.set(key, vertices.push([x, y, z]) - 1);
+    return ids.get(key);
+  };
+  /** side: -1 where the square belongs to what lies below y = at, 1 above. */
+  const quad = (corners, side, cut = false) => {
+    const [a, b, c, d] = corners.map((p) => vertex(...p, side));
+    triangles.push({ v: [a, b, c], cut }, { v: [a, c, d], cut });
+  };
+  for (let x = 0; x < nx; ++x) {
+    for (let y = 0; y < ny; ++y) {
+      const side = y < at ? -1 : 1;
+      quad(
+        [
+          [x, y, nz],
+          [x + 1, y, nz],
+          [x + 1, y + 1, nz],
+          [x, y + 1, nz],
+        ],
+        side,
+      );
+      quad(
+        [
+          [x, y, 0],
+          [x, y + 1, 0],
+          [x + 1, y + 1, 0],
+          [x + 1, y, 0],
+        ],
+        side,
+      );
+    }
+    for (let z = 0; z < nz; ++z) {
+      quad(
+        [
+          [x, 0, z],
+          [x + 1, 0, z],
+          [x + 1, 0, z + 1],
+          [x, 0, z + 1],
+        ],
+        -1,
+      );
+      quad(
+        [
+          [x, ny, z],
+          [x, ny, z + 1],
+          [x + 1, ny, z + 1],
+          [x + 1, ny, z],
+        ],
+        1,
+      );
+      if (z < bottom) continue;
+      quad(
+        [
+          [x, at, z],
+          [x, at, z + 1],
+          [x + 1, at, z + 1],
+          [x + 1, at, z],
+        ],
+        -1,
+        true,
+      ); // its outside is +y
+      quad(
+        [
+          [x, at, z],
+          [x + 1, at, z],
+          [x + 1, at, z + 1],
+          [x, at, z + 1],
+        ],
+        1,
+        true,
+      );
+    }
+  }
+  for (let y = 0; y < ny; ++y) {
+    for (let z = 0; z < nz; ++z) {
+      const side = y < at ? -1 : 1;
+      quad(
+        [
+          [0, y, z],
+          [0, y, z + 1],
+          [0, y + 1, z + 1],
+          [0, y + 1, z],
+        ],
+        side,
+      );
+      // A cut made this face: it went through, and what was beyond is another piece.
+      quad(
+        [
+          [nx, y, z],
+          [nx, y + 1, z],
+          [nx, y + 1, z + 1],
+          [nx, y, z + 1],
+        ],
+        side,
+        true,
+      );
+    }
+  }
+  return { vertices, triangles };
+}
+
+/** The slit box, and beside it at x = nx the piece that a through-cut has parted from it: a slab one unit thick. */
+function crossedBox() {
+  const box = slitBox();
+  const { vertices, triangles } = box;
+  const first = vertices.length;
+  for (const y of [0, 1, 2, 3, 4, 5, 6]) for (const z of [0, 1, 2, 3, 4]) vertices.push([6, y, z]);
+  const id = (y, z) => first + 5 * y + z;
+  for (let y = 0; y < 6; ++y) {
+    for (let z = 0; z < 4; ++z) {
+      const [a, b, c, d] = [id(y, z), id(y, z + 1), id(y + 1, z + 1), id(y + 1, z)];
+      triangles.push({ v: [a, c, b], cut: true, piece: 1 }, { v: [a, d, c], cut: true, piece: 1 });
+    }
+  }
+  // They divide their squares as the other side does, and look towards -x.
+  for (let i = triangles.length - 48; i < triangles.length; i += 2) {
+    const [a, c, b] = triangles[i].v,
+      d = triangles[i + 1].v[1];
+    triangles[i].v = [a, b, c];
+    triangles[i + 1].v = [a, c, d];
+  }
+  return box;
+}
+
+const filled = ({ vertices, triangles }) => fill(new Surface(), vertices, triangles);
+
+test("faces of a slit are walls, those beside another piece are parted", () => {
+  const surface = filled(crossedBox());
+  const faces = measureFaces(surface);
+  const sides = sidesOf(surface, faces);
+  const count = [0, 0, 0];
+  for (const slot of faces.cut) ++count[sides[slot]];
+  assert.equal(count[kWall], 48); // 6 x 2 squares of two triangles on either side
+  assert.equal(count[kParted], 96);
+  assert.equal(count[kUnknown], 0);
+  near(faces.cutArea, 2 * 12 + 2 * 24);
+});
+
+test("a face without another side is what its neighbours in the same wall are", () => {
+  const box = crossedBox();
+  // One wall alone is divided further: a triangle's middle gets a vertex.
+  const wall = box.triangles.findIndex(
+    (t) => t.cut && t.v.every((v) => box.vertices[v][1] === 3) && box.vertices[t.v[0]][0] === 2,
+  );
+  const [a, b, c] = box.triangles[wall].v;
+  const m =
+    box.vertices.push([0, 1, 2].map((k) => (box.vertices[a][k] + box.vertices[b][k] + box.vertices[c][k]) / 3)) - 1;
+  box.triangles.splice(wall, 1, { v: [a, b, m], cut: true }, { v: [b, c, m], cut: true }, { v: [c, a, m], cut: true });
+  const surface = filled(box);
+  const faces = measureFaces(surface);
+  const sides = sidesOf(surface, faces);
+  assert.ok(faces.cut.every((slot) => sides[slot] !== kUnknown));
+});
+
+function opened(box) {
+  const surface = filled(box);
+  const out = { lips: new Float32Array(0), pieces: new Float32Array(0), cutArea_m2: 0 };
+  computeOpening(surface, (piece) => piece, 2, 9, out);
+  const at = (test) =>
+    [...box.vertices.keys()]
+      .filter((v) => test(...box.vertices[v]))
+      .map((v) => [...out.lips.subarray(3 * v, 3 * v + 3)]);
+  return { out, at, surface };
+}
+
+test("a slit's lips go apart, its front stays, and a parted face stays plane", () => {
+  const box = crossedBox();
+  const { out, at } = opened(box);
+  near(out.cutArea_m2, 36);
+  const top = at((x, y, z) => y === 3 && z === 4 && x === 3)
+    .map((d) => d[1])
+    .sort((a, b) => a - b);
+  assert.equal(top.length, 2);
+  assert.ok(top[0] < -0.1 && top[1] > 0.1, `${top}`);
+  near(top[0], -top[1], 0.05);
+  for (const d of at((x, y, z) => y === 3 && z === 2 && x > 0 && x < 6))
+    assert.ok(Math.hypot(...d) < 0.01, `the front moves by ${d}`);
+  for (const d of at((x) => x === 6)) assert.ok(Math.abs(d[0]) < 0.05 * top[1], `a parted face moves by ${d}`);
+});
+
+test("pieces go away from each other, an uncut body stays", () => {
+  const { out } = opened(crossedBox());
+  assert.ok(out.pieces[4] > out.pieces[0]); // the slab is at larger x
+  const whole = slitBox();
+  for (const triangle of whole.triangles) triangle.cut = false;
+  const surface = filled(whole);
+  computeOpening(surface, () => 0, 1, 9, out);
+  assert.deepEqual([...out.pieces.subarray(0, 4)], [0, 0, 0, 0]);
+  assert.equal(out.cutArea_m2, 0);
+  assert.ok(out.lips.every((x) => x === 0));
+});
+
+test("normals are smooth over the skin and break at an edge", () => {
+  const tent = (height) => {
+    const surface = fill(
+      new Surface(),
+      [
+        [0, 0, 0],
+        [1, 0, height],
+        [1, 1, height],
+        [0, 1, 0],
+        [2, 0, 0],
+        [2, 1, 0],
+      ],
+      [{ v: [0, 1, 2] }, { v: [0, 2, 3] }, { v: [1, 4, 5] }, { v: [1, 5, 2] }],
+    );
+    const builder = new CornerBuilder(surface);
+    builder.restart();
+    builder.measureAll();
+    const out = allocateCorners(1);
+    builder.write(0, out, 0);
+    return [...out.normals.subarray(4, 7)].map((n) => n / 32767); // of the ridge's corner
+  };
+  near(tent(0.1)[0], 0, 0.05); // both sides' normals are one there
+  near(tent(1)[0], -Math.SQRT1_2, 0.001); // a sharp ridge keeps each side's own
+});
+
+test("quality without tetrahedra is that of the triangle; rows are given to pieces as they come", () => {
+  const surface = fill(
+    new Surface(),
+    [
+      [0, 0, 0],
+      [1, 0, 0],
+      [0.5, Math.sqrt(0.75), 0],
+      [0.5, 0.01, 0],
+    ],
+    [
+      { v: [0, 1, 2], piece: 9 },
+      { v: [0, 1, 3], piece: 4, cut: true },
+    ],
+  );
+  const builder = new CornerBuilder(surface);
+  builder.restart();
+  builder.measureAll();
+  const out = allocateCorners(2);
+  builder.write(0, out, 0);
+  builder.write(1, out, 1);
+  assert.deepEqual([...out.facts.subarray(0, 4)], [0, 255, 1, 0]);
+  assert.equal(out.facts[12], 1);
+  assert.ok(out.facts[13] < 20);
+  assert.deepEqual([builder.rowOf(0), builder.rowOf(9), builder.rowOf(4), builder.rowCount], [0, 1, 2, 3]);
+  surface.clearTouched();
+  surface.removeTriangles(Uint32Array.of(0));
+  assert.ok([...builder.touched()].includes(0));
+  builder.write(0, out, 0);
+  assert.ok(out.positions.subarray(0, 9).every((x) => x === 0)); // a free slot has no size
+});
+
+test("a section's plane keeps what is below it, on the side that is asked for", () => {
+  const min = [0, 0, 0],
+    max = [1, 2, 4];
+  assert.deepEqual(planeOf({ axis: 2, side: 1, share: 0.5 }, min, max), [0, 0, 1, 2]);
+  assert.deepEqual(planeOf({ axis: 1, side: -1, share: 0.5 }, min, max), [0, -1, 0, -1]);
+  const [, , , low] = planeOf({ axis: 0, side: 1, share: 0 }, min, max),
+    [, , , high] = planeOf({ axis: 0, side: 1, share: 1 }, min, max);
+  assert.ok(low < 0 && high > 1);
+  assert.equal(axisFacing([-0.2, -0.9, 0.4]), 1);
+  assert.equal(sideFacing([-0.2, -0.9, 0.4], 1), -1);
+  assert.equal(sideFacing([-0.2, -0.9, 0.4], 2), 1);
+});
+
+test("a plane crosses triangles along segments, and knows which are of a cut", () => {
+  const corners = [
+    [0, 0, 0, 1, 0, 0, 0, 0, 2],
+    [0, 0, 5, 1, 0, 5, 0, 0, 6],
+    [0, 0, 0, 1, 0, 0, 0, 0, 2],
+    [0, 0, 0, 1, 0, 0, 0, 0, 2],
+  ];
+  const triangles = {
+    slots: 4,
+    corners: (slot, out) => {
+      out.set(corners[slot]);
+      return slot !== 3;
+    },
+    isCut: (slot) => slot === 2,
+  };
+  const seen = [];
+  crossings(triangles, [0, 0, 1, 1], (segment, cut) => seen.push({ ends: [...segment], cut }));
+  assert.deepEqual(seen, [
+    { ends: [0.5, 0, 1, 0, 0, 1], cut: false },
+    { ends: [0.5, 0, 1, 0, 0, 1], cut: true },
+  ]);
+});
+
+test("uploads cover every slot in few ranges", () => {
+  const slots = Uint32Array.from({ length: 400 }, (_, i) => i * i);
+  const ranges = rangesOf(slots);
+  assert.ok(ranges.length <= 24);
+  for (const slot of slots)
+    assert.ok(
+      ranges.some(([begin, end]) => slot >= begin && slot < end),
+      `slot ${slot}`,
+    );
+  assert.deepEqual(rangesOf(Uint32Array.of(3, 4, 5)), [[3, 6]]);
+});
+
+test("a ray meets the nearest skin that faces it, and passes cut faces", () => {
+  const body = new BodyMesh();
+  const layer = (z, cut, flipped = false) => ({ z, cut, flipped });
+  const layers = [layer(0, false), layer(1, false), layer(2, true), layer(3, false, true)];
+  const corners = allocateCorners(layers.length);
+  layers.forEach(({ z, cut, flipped }, i) => {
+    const square = [
+      [-1, -1, z],
+      [3, -1, z],
+      [-1, 3, z],
+    ];
+    corners.positions.set((flipped ? square.reverse() : square).flat(), 9 * i);
+    for (let k = 0; k < 3; ++k) corners.facts[12 * i + 4 * k] = Number(cut);
+  });
+  body.replace(layers.length, 8, corners);
+  near(body.raycast(new Vector3(0, 0, 5), new Vector3(0, 0, -1)), 4);
+  assert.ok(Number.isNaN(body.raycast(new Vector3(9, 0, 5), new Vector3(0, 0, -1))));
+  // A patch replaces slots in place.
+  const one = allocateCorners(1);
+  one.positions.set([-1, -1, 1.5, 3, -1, 1.5, -1, 3, 1.5]);
+  body.patch(Uint32Array.of(0), 4, one);
+  near(body.raycast(new Vector3(0, 0, 5), new Vector3(0, 0, -1)), 3.5);
+  const before = body.version;
+  const lips = new Float32Array(36).fill(0);
+  lips[2] = 0.25;
+  body.setOpening(lips, new Float32Array([0, 0, 1, 0]));
+  assert.ok(body.version > before);
+  const out = new Float64Array(9);
+  assert.equal(body.shown(0.5).corners(0, out), true);
+  near(out[2], 1.5 + 0.5 * (0.25 + 1));
+  near(out[5], 1.5 + 0.5 * 1);
+});
