@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <string>
 
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
@@ -18,6 +19,9 @@ struct Recording {
   std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
   int next_checkpoint = 0;                  // the checkpoint file that may be written over
 };
+
+// Throws ConfigError, `file` in front, where capture.path names a place that cannot be written.
+void check_recording(const Config& config, const std::string& file);
 
 // A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,
 // std::runtime_error.
