@@ -762,17 +762,18 @@ void check_readable(const Config& config, const std::string& file, const std::st
   }
 }
 
-// Refuses a folder that is none, or that cannot be used as `access_mode` says.
-void check_folder(const std::string& file, const std::string& key, const Path& folder, int access_mode,
-                  const std::string& accepted) {
+// Refuses a folder that is none, or that cannot be read.
+void check_folder(const std::string& file, const std::string& key, const Path& folder) {
   std::error_code error;
   int why = 0;
-  if (std::filesystem::exists(folder, error) && !std::filesystem::is_directory(folder, error)) {
+  if (!std::filesystem::is_directory(folder, error)) {
     why = ENOTDIR;
-  } else if (access(folder.c_str(), access_mode | X_OK) != 0) {
+  } else if (access(folder.c_str(), R_OK | X_OK) != 0) {
     why = errno;
   }
-  if (why != 0) refuse(file, key, folder.string() + ": " + std::generic_category().message(why), accepted);
+  if (why != 0)
+    refuse(file, key, folder.string() + ": " + std::generic_category().message(why),
+           "a folder that can be read");
 }
 
 void check_secrets(const Config& config, const std::string& file) {
@@ -799,19 +800,11 @@ void check_files(const Config& config, const std::string& file) {
   check_readable(config, file, "listen.certificate_file", config.listen.certificate_file);
   check_readable(config, file, "listen.private_key_file", config.listen.private_key_file);
   check_secrets(config, file);
-  if (!config.capture.path.empty()) {
-    const Path path = config.resolve(config.capture.path);
-    if (std::filesystem::is_directory(path, error))
-      refuse(file, "capture.path", path.string() + ", a folder", "the path of a file");
-    check_folder(file, "capture.path", path.has_parent_path() ? path.parent_path() : Path("."), W_OK,
-                 "a path in a folder that is there (mkdir -p makes it) and can be written");
-  }
   // Where these are not there (yet), they are empty.
   for (const auto& [key, value] : {std::pair{"capture.library", config.capture.library},
                                    std::pair{"listen.viewer_directory", config.listen.viewer_directory}}) {
     const Path folder = config.resolve(value);
-    if (!folder.empty() && std::filesystem::exists(folder, error))
-      check_folder(file, key, folder, R_OK, "a folder that can be read");
+    if (!folder.empty() && std::filesystem::exists(folder, error)) check_folder(file, key, folder);
   }
   device_profiles(config);
 }

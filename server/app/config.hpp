@@ -117,8 +117,8 @@ Config load_config(const std::filesystem::path& file);
 // The same from a text; `name` stands for the file in messages.
 Config parse_config(std::string_view text, const std::string& name);
 
-// What a server needs beyond what parsing asks: tokens, certificates, profiles that can be used, a mesh that exists, folders
-// that can be written. Throws ConfigError with `file` in front.
+// What a server needs beyond what parsing asks: tokens, certificates and profiles that can be used, a mesh that exists, folders
+// that can be read. Throws ConfigError with `file` in front.
 void check_config(const Config& config, const std::string& file);
 
 // The profiles of devices.profiles, then the shipped ones; none where devices are not enabled. Throws ConfigError.

@@ -13,6 +13,7 @@
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/app/manual.hpp"
+#include "server/app/recording.hpp"
 #include "server/app/server_run.hpp"
 #include "server/app/version.hpp"
 
@@ -79,6 +80,7 @@ int main(int argc, char** argv) {
     if (!check_file.empty()) {
       const incise::app::Config config = incise::app::load_config(check_file);
       incise::app::check_config(config, check_file);
+      incise::app::check_recording(config, check_file);
       incise::app::check_body(config, check_file);
       std::printf("%s: good\n", check_file.c_str());
       return 0;
@@ -93,6 +95,7 @@ int main(int argc, char** argv) {
     }
     const incise::app::Config config = incise::app::load_config(config_file);
     incise::app::check_config(config, config_file);
+    incise::app::check_recording(config, config_file);
     start_log(config.log);
     try {
       incise::app::run_server(config, resume);

@@ -1,8 +1,10 @@
 #include "server/app/recording.hpp"
 
 #include <spdlog/spdlog.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <ctime>
 #include <fstream>
 #include <optional>
@@ -197,6 +199,24 @@ bool write_checkpoint(const std::string& path, Recording& recording) {
 
 }  // namespace
 
+void check_recording(const Config& config, const std::string& file) {
+  if (config.capture.path.empty()) return;
+  const auto refuse = [&](const std::string& what) { throw ConfigError(file + ": capture.path: " + what); };
+  const std::filesystem::path path = config.resolve(config.capture.path);
+  const auto parent = path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
+  std::error_code error;
+  if (!std::filesystem::is_directory(parent, error)) {
+    refuse("the directory " + parent.string() + " does not exist; make it first (mkdir -p " +
+           parent.string() + "), or set capture.path to \"\" to record nothing");
+  }
+  if (std::filesystem::is_directory(path, error))
+    refuse(path.string() + " is a directory; name a file in it");
+  if (access(parent.c_str(), W_OK | X_OK) != 0) {
+    refuse(parent.string() + ": " + std::generic_category().message(errno) +
+           "; a directory that this user may write is accepted");
+  }
+}
+
 Recording begin_recording(const Config& config, const Body& body) {
   Recording recording;
   recording.session_id = fresh_session_id();
@@ -204,12 +224,6 @@ Recording begin_recording(const Config& config, const Body& body) {
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;
-  const auto parent = path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
-  if (!std::filesystem::is_directory(parent, error)) {
-    throw ConfigError("capture.path: the directory " + parent.string() +
-                      " does not exist; make it first (mkdir -p " + parent.string() +
-                      "), or set capture.path to \"\" to record nothing");
-  }
   // A recording is somebody's work: the one before is kept under another name. Not so one without a pose: a server that is
   // started again and again must not put its empty ones in the place of the last good one.
   if (std::filesystem::exists(path, error) && worth_keeping(path)) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <string>
 
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
@@ -20,6 +21,9 @@ struct Recording {
   double debt_s = 0;                        // of computing that the next resume would have to repeat
   std::uint64_t lost = 0;                   // records at the end of it that the disk has not taken
 };
+
+// Throws ConfigError, `file` in front, where capture.path names a place that cannot be written.
+void check_recording(const Config& config, const std::string& file);
 
 // A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,
 // std::runtime_error.
