@@ -98,7 +98,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
 }
 
 // Applies what the capture holds behind the start, and compares the hashes.
-void replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+void replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal,
+            ReplayTail& tail) {
   core::CutSession* session = start.session.get();
   const RecordedMotion& motion = start.rest;
   const std::uint64_t begin = session->revision();
@@ -108,6 +109,7 @@ void replay(const Config& config, const std::string& path, Start& start, Capture
   core::WorkBudget budget = core::WorkBudget::unlimited();
   const auto commit_all = [&] {
     while (session->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      tail.note(*session, delta);
       if (mark == motion.marks.end()) {  // the crash took this mark, or it never came to the batch
         journal.write(loop::commit_record(delta));
         continue;
@@ -174,6 +176,7 @@ Recording begin_recording(const Config& config, const Body& body) {
   Recording recording;
   recording.session_id = fresh_session_id();
   recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  recording.shown.before = initial_state(*recording.session, recording.session_id);
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;
@@ -241,8 +244,10 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
   const double before_s = thread_cpu_s();
-  replay(config, path, *start, *recording.journal);
+  ReplayTail tail(*start->session, motion.session, config.stream.ring_bytes);
+  replay(config, path, *start, *recording.journal, tail);
   recording.session = std::move(start->session);
+  recording.shown = tail.take(*recording.session);
   // A server that crashes soon after each start would have more to replay each time.
   const double most_s = config.capture.checkpoint_replay_s;
   if (most_s > 0 && thread_cpu_s() - before_s > most_s) write_checkpoint(path, recording);

@@ -7,6 +7,7 @@
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
 #include "server/app/config.hpp"
+#include "server/app/replay_tail.hpp"
 #include "server/core/cut_session.hpp"
 
 namespace incise::app {
@@ -17,6 +18,7 @@ struct Recording {
   std::uint64_t session_id = 0;             // names the run of ids
   std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
   int next_checkpoint = 0;                  // the checkpoint file that may be written over
+  ReplayTail::Tail shown;  // what clients see at the start: a state, and the steps to the session's
 };
 
 // A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,

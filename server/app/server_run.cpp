@@ -273,7 +273,9 @@ void run_server(const Config& config, bool resume) {
                               &library,
                               [&] { return health.trouble(); }};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
-                        initial_state(session, recording.session_id), sink, providers);
+                        recording.shown.before, sink, providers);
+  for (auto& delta : recording.shown.deltas) server.publish(std::move(delta));
+  recording.shown = {};
   StreamOutput output(server);
   loop::LoopOptions options;
   options.rate_hz = config.loop.rate_hz;
@@ -285,6 +287,7 @@ void run_server(const Config& config, bool resume) {
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
   if (config.haptics.forces) frames.offer_forces(config.haptics.force, tissue.get(), &force_output, &forces);
   telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
+  telemetry->join_stream([&] { return server.counters(); });
   sink.join(frames);
   frames.offer_reset(
       [&] { return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut); },

@@ -10,6 +10,7 @@
 #include "server/input/network_status.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
+#include "server/stream/server.hpp"
 
 namespace incise::app {
 
@@ -26,6 +27,8 @@ class Telemetry {
   void join_network(std::function<std::vector<input::NetworkStatus>()> network) {
     network_ = std::move(network);
   }
+  // And about the sessions; likewise.
+  void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
@@ -42,6 +45,7 @@ class Telemetry {
   const double rate_hz_;
   std::function<std::vector<input::DeviceStatus>()> devices_;
   std::function<std::vector<input::NetworkStatus>()> network_;
+  std::function<stream::StreamCounters()> stream_;
 };
 
 }  // namespace incise::app

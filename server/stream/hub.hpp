@@ -4,6 +4,7 @@
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
@@ -11,6 +12,7 @@
 #include <string>
 #include <utility>
 
+#include "server/stream/box_turns.hpp"
 #include "server/stream/feed.hpp"
 #include "server/stream/server.hpp"
 
@@ -22,7 +24,8 @@ class Session;
 struct HubCounters {
   std::atomic<std::uint64_t> revision{0}, state_hash{0}, accepted{0}, refused{0}, deltas{0}, bytes_out{0},
       bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
-      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0};
+      slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0},
+      box_turns{0}, box_turns_ns{0}, box_coalesced{0}, boxes_refused{0};
   std::atomic<std::uint32_t> sessions{0}, connections{0};
 };
 
@@ -49,6 +52,7 @@ class Hub {
   InputSink& sink() { return sink_; }
   ReplayLibrary* library() const { return providers_.library; }
   Feed& live() { return live_; }
+  BoxTurns& box_turns() { return box_turns_; }
   HubCounters& counters() { return *counters_; }
 
   // Takes a connection in; where too many have not said Hello, the one of them that is there for the longest is closed.
@@ -61,6 +65,9 @@ class Hub {
   bool has_room() const { return counters_->sessions.load(std::memory_order_relaxed) < config_.max_sessions; }
   // Who holds the source of that name, if it is a session of ours.
   std::shared_ptr<Session> holder(const std::string& source_name) const;
+
+  // A session has said goodbye to a peer that does not read. Of too many of those the first is closed.
+  void linger(const std::shared_ptr<Session>& session);
 
   // Deadlines, pings and reports; starts the clock that calls itself.
   void start_clock();
@@ -91,11 +98,13 @@ class Hub {
   std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
   std::shared_ptr<HalfOpen> half_open_ = std::make_shared<HalfOpen>();
   std::set<std::shared_ptr<Session>> sessions_;
+  std::deque<std::weak_ptr<Session>> lingering_;
   asio::steady_timer clock_, blade_clock_;
   std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
   bool stopping_ = false;
   Feed live_;
+  BoxTurns box_turns_;
 };
 
 // One connection's place in the counts. Moves.
@@ -114,6 +123,10 @@ class Hub::Ticket {
   ~Ticket();
   // It has said Hello.
   void welcome();
+  // It was told goodbye: its place among the sessions is free.
+  void leave() {
+    if (std::exchange(welcomed_, false)) --counters_->sessions;
+  }
 
  private:
   void leave_half_open();

@@ -202,6 +202,8 @@ struct Server::Impl {
 
   void start() {
     INCISE_CHECK(!thread.joinable());
+    // The first client is to find all that was published by now.
+    while (queue.size() > 0) drain();
     if (tcp_acceptor) asio::co_spawn(io, accept(*tcp_acceptor, false), asio::detached);
     if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
     wait_for_work();
@@ -322,6 +324,10 @@ StreamCounters Server::counters() const {
   out.ring_deltas = c.ring_deltas;
   out.half_open_closed = c.half_open_closed;
   out.part_bytes = c.part_bytes;
+  out.box_turns = c.box_turns;
+  out.box_turns_ns = c.box_turns_ns;
+  out.box_coalesced = c.box_coalesced;
+  out.boxes_refused = c.boxes_refused;
   return out;
 }
 
