@@ -7,7 +7,6 @@
 
 #include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
-#include "protocol/volume_part.hpp"
 
 namespace incise::protocol {
 namespace {
@@ -50,37 +49,6 @@ std::array<float, 3> position_of(const Replica& mesh, std::uint32_t v) {
   const Vec3 p = mesh.position(v);
   return {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
 }
-
-// How many more triangles vertices have after a change than before.
-class MoreUses {
- public:
-  struct Use {
-    std::uint32_t vertex;
-    std::int32_t more;
-  };
-  void add(const std::array<std::uint32_t, 3>& vertices, std::int32_t more) {
-    for (const std::uint32_t v : vertices) uses_.push_back({v, more});
-  }
-  // Also one that has as many as before.
-  void add(std::uint32_t vertex) { uses_.push_back({vertex, 0}); }
-  // By vertex, each once. O(n log n) once all are added.
-  const std::vector<Use>& sorted() {
-    std::sort(uses_.begin(), uses_.end(), [](const Use& a, const Use& b) { return a.vertex < b.vertex; });
-    std::size_t last = 0;
-    for (std::size_t i = 1; i < uses_.size(); ++i) {
-      if (uses_[i].vertex == uses_[last].vertex) {
-        uses_[last].more += uses_[i].more;
-      } else {
-        uses_[++last] = uses_[i];
-      }
-    }
-    if (!uses_.empty()) uses_.resize(last + 1);
-    return uses_;
-  }
-
- private:
-  std::vector<Use> uses_;
-};
 
 }  // namespace
 
@@ -139,14 +107,11 @@ ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
     hash_after ^= hash_of(t.ids[i], triangle);
   }
   if (removed_vertices.empty()) return {};
-  const std::vector<MoreUses::Use>& uses = more_uses.sorted();
+  more_uses.sorted();
   for (const std::uint32_t id : removed_vertices) {
     const Vertex* old = vertices.find(id);
     if (old == nullptr) continue;
-    const auto more =
-        std::lower_bound(uses.begin(), uses.end(), id,
-                         [](const MoreUses::Use& use, std::uint32_t vertex) { return use.vertex < vertex; });
-    if (std::int64_t{old->uses} + (more == uses.end() || more->vertex != id ? 0 : more->more) != 0) {
+    if (std::int64_t{old->uses} + more_uses.more(id) != 0) {
       return refuse(ApplyError::BadIndex, "removed surface vertex " + number(id) + " still has triangles");
     }
     hash_after ^= surface_vertex_hash(id, old->position.data());
@@ -345,8 +310,7 @@ SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta) {
   std::vector<std::uint32_t> tets(delta.tets.ids.begin(), delta.tets.ids.end());
   tets.insert(tets.end(), delta.removed_tets.begin(), delta.removed_tets.end());
   tets.insert(tets.end(), delta.piece_tets.begin(), delta.piece_tets.end());
-  std::sort(tets.begin(), tets.end());
-  tets.erase(std::unique(tets.begin(), tets.end()), tets.end());
+  sort_unique(tets);
   return follow_tets(mesh, tets, delta.moved_ids);
 }
 
@@ -358,25 +322,41 @@ void SurfaceReplica::load_part(const SurfaceReplica& whole, const Box& box) {
   take_part(whole, box, triangles, {});
 }
 
-SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, const Replica& mesh,
-                                          const TetIndex& index, const SurfaceDelta& delta, const Box& box) {
-  std::vector<std::uint32_t> triangles(delta.triangles.ids.begin(), delta.triangles.ids.end());
-  triangles.insert(triangles.end(), delta.removed_triangles.begin(), delta.removed_triangles.end());
+SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, const TetIndex& index,
+                                          const MeshChange& change, const Box& box) {
+  std::vector<std::uint32_t> tets = change.tets;
   // A vertex that moves takes triangles into the box, or out of it, that are the same otherwise.
-  std::vector<std::uint32_t> tets;
-  for (const std::uint32_t v : delta.vertices.ids) {
-    tets.clear();
-    index.append_tets(v, tets);
-    for (const std::uint32_t t : tets) {
-      for (std::uint32_t face = 0; face < 4; ++face) {
-        if (mesh.boundary_mask(t) >> face & 1 && mesh.vertices(t)[face] != v)
-          triangles.push_back(4 * t + face);
-      }
+  for (const std::uint32_t v : change.cut_moved) index.append_tets(v, tets);
+  sort_unique(tets);
+  std::vector<std::uint32_t> triangles;
+  for (const std::uint32_t t : tets) {
+    for (std::uint32_t id = 4 * t; id < 4 * t + 4; ++id) {
+      const Triangle* now = whole.state_.triangles.find(id);
+      if (now != nullptr || state_.triangles.contains(id)) triangles.push_back(id);
+      if (now != nullptr) shell_.add(id, whole.corners(*now));
     }
   }
-  std::sort(triangles.begin(), triangles.end());
-  triangles.erase(std::unique(triangles.begin(), triangles.end()), triangles.end());
-  return take_part(whole, box, triangles, delta.vertices.ids);
+  if (!change.deformed) return take_part(whole, box, triangles, change.cut_moved);
+  const auto look = [&](std::uint32_t id, const Triangle& now) {
+    if (protocol::meets(box, whole.corners(now)) != state_.triangles.contains(id)) triangles.push_back(id);
+  };
+  if (shell_.covers(change.travel_m)) {
+    for (const std::uint32_t id : shell_.ids())
+      if (const Triangle* now = whole.state_.triangles.find(id)) look(id, *now);
+  } else {
+    shell_.begin(box, change.travel_m);
+    for (const auto& [id, now] : whole.triangles()) {
+      look(id, now);
+      shell_.add(id, whole.corners(now));
+    }
+  }
+  sort_unique(triangles);
+  std::vector<std::uint32_t> moved;
+  for (const auto& [v, vertex] : vertices()) {
+    const Vertex* now = whole.state_.vertices.find(v);
+    if (now != nullptr && !same_bits(vertex.position, now->position)) moved.push_back(v);
+  }
+  return take_part(whole, box, triangles, moved);
 }
 
 SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& box,
@@ -388,7 +368,7 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
   for (const std::uint32_t id : triangles) {
     const Triangle* old = state_.triangles.find(id);
     const Triangle* now = whole.state_.triangles.find(id);
-    const bool inside = now != nullptr && whole.meets(*now, box);
+    const bool inside = now != nullptr && protocol::meets(box, whole.corners(*now));
     if (old != nullptr && inside && *old == *now) continue;
     if (old != nullptr) more_uses.add(old->vertices, -1);
     if (old != nullptr && !inside) out.removed_triangles.push_back(id);
@@ -412,16 +392,12 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
   return out;
 }
 
-bool SurfaceReplica::meets(const Triangle& triangle, const Box& box) const {
-  const double low[] = {box.min.x, box.min.y, box.min.z}, high[] = {box.max.x, box.max.y, box.max.z};
-  const auto& a = state_.vertices.at(triangle.vertices[0]).position;
-  const auto& b = state_.vertices.at(triangle.vertices[1]).position;
-  const auto& c = state_.vertices.at(triangle.vertices[2]).position;
-  for (std::size_t k = 0; k < 3; ++k) {
-    if (double{std::max({a[k], b[k], c[k]})} < low[k] || double{std::min({a[k], b[k], c[k]})} > high[k])
-      return false;
-  }
-  return true;
+std::array<Vec3, 3> SurfaceReplica::corners(const Triangle& triangle) const {
+  const auto corner = [&](std::size_t i) -> Vec3 {
+    const auto& p = state_.vertices.at(triangle.vertices[i]).position;
+    return {double{p[0]}, double{p[1]}, double{p[2]}};
+  };
+  return {corner(0), corner(1), corner(2)};
 }
 
 SurfaceSnapshotWriter::SurfaceSnapshotWriter(const SurfaceReplica& surface, SnapshotCause cause,

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "protocol/box_follow.hpp"
 #include "protocol/id_map.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
@@ -32,8 +33,6 @@ struct SurfaceChange {
     return {triangle_ids, triangle_vertices, triangle_flags, triangle_pieces, triangle_regions};
   }
 };
-
-class TetIndex;
 
 // Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent and, whatever the ids, 64 MB at most.
 class SurfaceReplica {
@@ -87,10 +86,11 @@ class SurfaceReplica {
   // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
   // O(surface).
   void load_part(const SurfaceReplica& whole, const Box& box);
-  // Where this was that part of the surface that `delta` has since brought to `whole`: makes it that of the surface now,
-  // and returns what changed. `mesh` is what `whole` is the surface of, `index` its index. O(delta x tetrahedra at a vertex).
-  SurfaceChange follow_part(const SurfaceReplica& whole, const Replica& mesh, const TetIndex& index,
-                            const SurfaceDelta& delta, const Box& box);
+  // Where this was that part of the surface that `change` has since brought to `whole`: makes it that of the surface now,
+  // and returns what changed. `index` is that of the mesh. O(change x tetrahedra at a vertex); of a deformation O(part), and
+  // every few steps O(surface).
+  SurfaceChange follow_part(const SurfaceReplica& whole, const TetIndex& index, const MeshChange& change,
+                            const Box& box);
 
  private:
   struct State {
@@ -115,7 +115,7 @@ class SurfaceReplica {
   };
 
   ApplyResult abandon(ApplyResult why);
-  bool meets(const Triangle& triangle, const Box& box) const;
+  std::array<Vec3, 3> corners(const Triangle& triangle) const;
   SurfaceChange take_part(const SurfaceReplica& whole, const Box& box,
                           std::span<const std::uint32_t> triangles, std::span<const std::uint32_t> moved);
   SurfaceChange follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
@@ -123,6 +123,7 @@ class SurfaceReplica {
 
   State state_;
   std::unique_ptr<Staged> staged_;
+  BoxShell shell_;  // of a part that the server keeps
 };
 
 // The parts of a surface snapshot, as SnapshotWriter makes those of a volume.

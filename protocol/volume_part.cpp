@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
-#include <functional>
+#include <map>
 #include <string>
 
 #include "protocol/apply_checks.hpp"
@@ -41,14 +41,9 @@ VolumePart::Tet tet_of(const Replica& mesh, std::uint32_t t) {
   return {mesh.vertices(t), mesh.region(t), mesh.cut_mask(t), mesh.boundary_mask(t), mesh.piece(t)};
 }
 
-bool meets(const Replica& mesh, std::uint32_t t, const Box& box) {
+std::array<Vec3, 4> corners(const Replica& mesh, std::uint32_t t) {
   const auto& v = mesh.vertices(t);
-  const Vec3 p[] = {mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]), mesh.position(v[3])};
-  const auto apart = [&](double Vec3::*k) {
-    const auto [low, high] = std::minmax({p[0].*k, p[1].*k, p[2].*k, p[3].*k});
-    return high < box.min.*k || low > box.max.*k;
-  };
-  return !apart(&Vec3::x) && !apart(&Vec3::y) && !apart(&Vec3::z);
+  return {mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]), mesh.position(v[3])};
 }
 
 void append(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet& t) {
@@ -80,52 +75,6 @@ void append_faces(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet* old,
 
 }  // namespace
 
-// ---- The tetrahedra at a vertex ----
-
-void TetIndex::link(std::uint32_t vertex, std::uint32_t corner) {
-  next_[corner] = first_[vertex];
-  first_[vertex] = corner;
-}
-
-void TetIndex::unlink(std::uint32_t vertex, std::uint32_t corner) {
-  std::uint32_t* place = &first_[vertex];
-  while (*place != corner) place = &next_[*place];
-  *place = next_[corner];
-}
-
-void TetIndex::load(const Replica& mesh) {
-  first_.assign(mesh.vertex_count(), kNoId);
-  next_.assign(4 * std::size_t{mesh.tet_slots()}, kNoId);
-  mesh.for_each_tet([&](std::uint32_t t) {
-    for (std::uint32_t k = 0; k < 4; ++k) link(mesh.vertices(t)[k], 4 * t + k);
-  });
-}
-
-void TetIndex::follow(const Replica& before, const Delta& delta) {
-  first_.resize(delta.vertex_count, kNoId);
-  if (!delta.tets.ids.empty()) {
-    const std::size_t corners = 4 * (delta.tets.ids.back() + std::size_t{1});
-    if (corners > next_.size()) next_.resize(corners, kNoId);
-  }
-  for (const std::uint32_t t : delta.removed_tets)
-    for (std::uint32_t k = 0; k < 4; ++k) unlink(before.vertices(t)[k], 4 * t + k);
-  for (std::size_t i = 0; i < delta.tets.ids.size(); ++i) {
-    const std::uint32_t t = delta.tets.ids[i];
-    const bool was = before.alive(t);
-    for (std::uint32_t k = 0; k < 4; ++k) {
-      const std::uint32_t now = delta.tets.vertices[4 * i + k];
-      if (was && before.vertices(t)[k] == now) continue;
-      if (was) unlink(before.vertices(t)[k], 4 * t + k);
-      link(now, 4 * t + k);
-    }
-  }
-}
-
-void TetIndex::append_tets(std::uint32_t vertex, std::vector<std::uint32_t>& out) const {
-  for (std::uint32_t corner = first_[vertex]; corner != kNoId; corner = next_[corner])
-    out.push_back(corner / 4);
-}
-
 // ---- Receiving ----
 
 ApplyResult VolumePart::State::check(const Change& c, std::uint64_t& hash_after) const {
@@ -140,8 +89,7 @@ ApplyResult VolumePart::State::check(const Change& c, std::uint64_t& hash_after)
 
   hash_after = hash;
   for (std::size_t i = 0; i < c.set_ids.size(); ++i) {
-    const auto old = vertices.find(c.set_ids[i]);
-    if (old != vertices.end()) hash_after ^= hash_of(old->first, old->second.position);
+    if (const Vertex* old = vertices.find(c.set_ids[i])) hash_after ^= hash_of(c.set_ids[i], old->position);
     hash_after ^= hash_of(c.set_ids[i], position_at(c.set_positions, i));
   }
   for (std::size_t i = 0; i < c.added_ids.size(); ++i) {
@@ -149,17 +97,17 @@ ApplyResult VolumePart::State::check(const Change& c, std::uint64_t& hash_after)
       return refuse(ApplyError::BadIndex, "added vertex " + number(c.added_ids[i]) + " exists");
     hash_after ^= hash_of(c.added_ids[i], position_at(c.added_positions, i));
   }
-  // How many more tetrahedra each vertex has afterwards.
-  std::map<std::uint32_t, std::int64_t> more_uses;
-  const auto take_out = [&](const auto& old) {
-    hash_after ^= hash_of(old->first, old->second);
-    for (const std::uint32_t v : old->second.vertices) --more_uses[v];
+  MoreUses more_uses;
+  const auto take_out = [&](std::uint32_t id) {
+    const Tet* old = tets.find(id);
+    if (old == nullptr) return;
+    hash_after ^= hash_of(id, *old);
+    more_uses.add(old->vertices, -1);
   };
   for (const std::uint32_t id : c.removed_tets) {
     if (contains(c.tets.ids, id))
       return refuse(ApplyError::BadIndex, "tetrahedron " + number(id) + " removed and set");
-    const auto old = tets.find(id);
-    if (old != tets.end()) take_out(old);
+    take_out(id);
   }
   for (std::size_t i = 0; i < n; ++i) {
     const Tet tet = entry(c.tets, i);
@@ -175,21 +123,20 @@ ApplyResult VolumePart::State::check(const Change& c, std::uint64_t& hash_after)
           contains(c.set_ids, vertex) || contains(c.added_ids, vertex) || vertices.contains(vertex);
       if (!known || contains(c.removed_vertices, vertex))
         return wrong("vertex " + number(vertex) + " is not in the part");
-      ++more_uses[vertex];
     }
-    const auto old = tets.find(c.tets.ids[i]);
-    if (old != tets.end()) take_out(old);
+    more_uses.add(v, 1);
+    take_out(c.tets.ids[i]);
     hash_after ^= hash_of(c.tets.ids[i], tet);
   }
+  if (!c.removed_vertices.empty()) more_uses.sorted();
   for (const std::uint32_t id : c.removed_vertices) {
     if (contains(c.set_ids, id) || contains(c.added_ids, id))
       return refuse(ApplyError::BadIndex, "vertex " + number(id) + " removed and set");
-    const auto old = vertices.find(id);
-    if (old == vertices.end()) continue;
-    const auto more = more_uses.find(id);
-    if (old->second.uses + (more == more_uses.end() ? 0 : more->second) != 0)
+    const Vertex* old = vertices.find(id);
+    if (old == nullptr) continue;
+    if (old->uses + more_uses.more(id) != 0)
       return refuse(ApplyError::BadIndex, "removed vertex " + number(id) + " still has tetrahedra");
-    hash_after ^= hash_of(id, old->second.position);
+    hash_after ^= hash_of(id, old->position);
   }
   return {};
 }
@@ -204,18 +151,19 @@ void VolumePart::State::apply(const Change& c, std::uint64_t hash_after) {
   for (std::size_t i = 0; i < c.added_ids.size(); ++i)
     vertices[c.added_ids[i]].position = position_at(c.added_positions, i);
   for (std::size_t i = 0; i < c.tets.ids.size(); ++i) {
-    const auto [place, is_new] = tets.try_emplace(c.tets.ids[i]);
-    if (!is_new) use(place->second, kLess);
-    const std::uint32_t piece = place->second.piece;
-    place->second = entry(c.tets, i);
-    place->second.piece = piece;
-    use(place->second, 1);
+    Tet now = entry(c.tets, i);
+    if (const Tet* old = tets.find(c.tets.ids[i])) {
+      use(*old, kLess);
+      now.piece = old->piece;
+    }
+    tets[c.tets.ids[i]] = now;
+    use(now, 1);
   }
   for (const std::uint32_t id : c.removed_tets) {
-    const auto old = tets.find(id);
-    if (old == tets.end()) continue;
-    use(old->second, kLess);
-    tets.erase(old);
+    const Tet* old = tets.find(id);
+    if (old == nullptr) continue;
+    use(*old, kLess);
+    tets.erase(id);
   }
   for (const std::uint32_t id : c.removed_vertices) vertices.erase(id);
   hash = hash_after;
@@ -354,11 +302,12 @@ std::vector<std::byte> VolumePart::canonical_bytes() const {
 void VolumePart::load_part(const Replica& whole, const Box& box) {
   state_ = {};
   staged_.reset();
+  shell_ = {};
   std::vector<std::uint32_t> used;
   whole.for_each_tet([&](std::uint32_t t) {
-    if (!meets(whole, t, box)) return;
+    if (!meets(box, corners(whole, t))) return;
     const Tet tet = tet_of(whole, t);
-    state_.tets.emplace_hint(state_.tets.end(), t, tet);
+    state_.tets[t] = tet;
     state_.hash ^= hash_of(t, tet);
     used.insert(used.end(), tet.vertices.begin(), tet.vertices.end());
   });
@@ -366,43 +315,74 @@ void VolumePart::load_part(const Replica& whole, const Box& box) {
   for (auto at = used.begin(); at != used.end();) {
     const auto next = std::upper_bound(at, used.end(), *at);
     const Vertex vertex{whole.position(*at), static_cast<std::uint32_t>(next - at)};
-    state_.vertices.emplace_hint(state_.vertices.end(), *at, vertex);
+    state_.vertices[*at] = vertex;
     state_.hash ^= hash_of(*at, vertex.position);
     at = next;
   }
   state_.revision = whole.revision();
 }
 
-OwnedDelta VolumePart::follow_part(const Replica& whole, const TetIndex& index, const Delta& delta,
-                                   const Box& box) {
-  std::vector<std::uint32_t> touched(delta.tets.ids.begin(), delta.tets.ids.end());
-  touched.insert(touched.end(), delta.removed_tets.begin(), delta.removed_tets.end());
-  touched.insert(touched.end(), delta.piece_tets.begin(), delta.piece_tets.end());
+// Those that the change names, and those of which it may have changed whether they touch the box.
+std::vector<std::uint32_t> VolumePart::tets_to_look_at(const Replica& whole, const TetIndex& index,
+                                                       const MeshChange& change, const Box& box) {
+  std::vector<std::uint32_t> out = change.tets;
   // A vertex that moves takes tetrahedra into the box, or out of it, that are the same otherwise.
-  for (const std::uint32_t v : delta.moved_ids) index.append_tets(v, touched);
-  std::sort(touched.begin(), touched.end());
-  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+  for (const std::uint32_t v : change.cut_moved) index.append_tets(v, out);
+  sort_unique(out);
+  for (const std::uint32_t t : out)
+    if (whole.alive(t)) shell_.add(t, corners(whole, t));
+  looked_at_ = out.size();
+  if (!change.deformed) return out;
+  const auto look = [&](std::uint32_t t, std::span<const Vec3> at) {
+    if (meets(box, at) != state_.tets.contains(t)) out.push_back(t);
+    ++looked_at_;
+  };
+  if (shell_.covers(change.travel_m)) {
+    for (const std::uint32_t t : shell_.ids())
+      if (whole.alive(t)) look(t, corners(whole, t));
+  } else {
+    shell_.begin(box, change.travel_m);
+    whole.for_each_tet([&](std::uint32_t t) {
+      const std::array<Vec3, 4> at = corners(whole, t);
+      look(t, at);
+      shell_.add(t, at);
+    });
+  }
+  sort_unique(out);
+  return out;
+}
 
+// Vertices that may lie elsewhere now, though no tetrahedron at them has changed.
+void VolumePart::add_moved(const Replica& whole, const MeshChange& change, MoreUses& out) {
+  if (!change.deformed) {
+    for (const std::uint32_t v : change.cut_moved) out.add(v);
+    return;
+  }
+  for (const auto& [v, vertex] : vertices())
+    if (!same_bits(vertex.position, whole.position(v))) out.add(v);
+  looked_at_ += vertices().size();
+}
+
+OwnedDelta VolumePart::follow_part(const Replica& whole, const TetIndex& index, const MeshChange& change,
+                                   const Box& box) {
   OwnedDelta out;
-  out.base_revision = delta.base_revision;
-  out.revision = delta.revision;
-  out.steps = delta.steps;
-  out.first_added = delta.vertex_count - static_cast<std::uint32_t>(delta.provenance_t.size());
-  out.vertex_count = delta.vertex_count;
-  out.live_tets = delta.live_tets;
-  out.state_hash = delta.state_hash;
-  out.first_new_tet = delta.first_new_tet;
-  std::map<std::uint32_t, std::int64_t> more_uses;
-  for (const std::uint32_t v : delta.moved_ids) more_uses[v];
+  out.base_revision = change.base_revision;
+  out.revision = change.revision;
+  out.steps = change.steps;
+  out.first_added = change.first_added;
+  out.vertex_count = change.vertex_count;
+  out.live_tets = change.live_tets;
+  out.state_hash = change.state_hash;
+  out.first_new_tet = change.first_new_tet;
+  MoreUses more_uses;
   std::map<std::uint32_t, std::vector<std::uint32_t>> pieces;
-  for (const std::uint32_t id : touched) {
-    const auto place = state_.tets.find(id);
-    const Tet* const old = place == state_.tets.end() ? nullptr : &place->second;
-    const bool inside = whole.alive(id) && meets(whole, id, box);
+  for (const std::uint32_t id : tets_to_look_at(whole, index, change, box)) {
+    const Tet* const old = state_.tets.find(id);
+    const bool inside = whole.alive(id) && meets(box, corners(whole, id));
     if (old && !inside) {
       out.removed_tets.push_back(id);
       append_faces(out, id, old, nullptr);
-      for (const std::uint32_t v : old->vertices) --more_uses[v];
+      more_uses.add(old->vertices, -1);
     }
     if (!inside) continue;
     const Tet now = tet_of(whole, id);
@@ -412,19 +392,18 @@ OwnedDelta VolumePart::follow_part(const Replica& whole, const TetIndex& index, 
     if (old && *old == in_its_old_piece) continue;
     append(out, id, now);
     append_faces(out, id, old, &now);
-    if (old)
-      for (const std::uint32_t v : old->vertices) --more_uses[v];
-    for (const std::uint32_t v : now.vertices) ++more_uses[v];
+    if (old) more_uses.add(old->vertices, -1);
+    more_uses.add(now.vertices, 1);
   }
-  for (const auto& [v, more] : more_uses) {
-    const auto old = state_.vertices.find(v);
-    const bool here = old != state_.vertices.end();
-    if ((here ? old->second.uses : 0) + more == 0) {
-      if (here) out.removed_vertices.push_back(v);
+  add_moved(whole, change, more_uses);
+  for (const auto& [v, more] : more_uses.sorted()) {
+    const Vertex* old = state_.vertices.find(v);
+    if ((old ? old->uses : 0) + std::int64_t{more} == 0) {
+      if (old) out.removed_vertices.push_back(v);
       continue;
     }
     const Vec3 position = whole.position(v);
-    if (here && same_bits(old->second.position, position)) continue;
+    if (old && same_bits(old->position, position)) continue;
     if (v < out.first_added) {
       out.moved_ids.push_back(v);
       append(out.moved_positions, position);
@@ -433,9 +412,9 @@ OwnedDelta VolumePart::follow_part(const Replica& whole, const TetIndex& index, 
     const std::size_t i = v - out.first_added;
     out.added_ids.push_back(v);
     append(out.added_positions, position);
-    out.provenance_a.push_back(delta.provenance_a[i]);
-    out.provenance_b.push_back(delta.provenance_b[i]);
-    out.provenance_t.push_back(delta.provenance_t[i]);
+    out.provenance_a.push_back(change.provenance_a[i]);
+    out.provenance_b.push_back(change.provenance_b[i]);
+    out.provenance_t.push_back(change.provenance_t[i]);
   }
   for (const auto& [piece, members] : pieces) {
     out.piece_ids.push_back(piece);
@@ -476,16 +455,18 @@ bool VolumePartWriter::next() {
   if (next_vertex_ != part_.vertices().end()) {
     for (; next_vertex_ != part_.vertices().end() && arrays_.moved_ids.size() < chunk_elements_;
          ++next_vertex_) {
-      arrays_.moved_ids.push_back(next_vertex_->first);
-      append(arrays_.moved_positions, next_vertex_->second.position);
+      const auto [id, vertex] = *next_vertex_;
+      arrays_.moved_ids.push_back(id);
+      append(arrays_.moved_positions, vertex.position);
     }
     chunk_.vertex_ids = arrays_.moved_ids;
     chunk_.positions = arrays_.moved_positions;
     return true;
   }
   for (; next_tet_ != part_.tets().end() && arrays_.tet_ids.size() < chunk_elements_; ++next_tet_) {
-    append(arrays_, next_tet_->first, next_tet_->second);
-    pieces_.push_back(next_tet_->second.piece);
+    const auto [id, tet] = *next_tet_;
+    append(arrays_, id, tet);
+    pieces_.push_back(tet.piece);
   }
   chunk_.tets = arrays_.view().tets;
   chunk_.tet_pieces = pieces_;

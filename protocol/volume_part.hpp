@@ -6,38 +6,22 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <map>
 #include <memory>
 #include <optional>
 #include <span>
 #include <vector>
 
+#include "protocol/box_follow.hpp"
 #include "protocol/coalesce.hpp"
+#include "protocol/id_map.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
 
 namespace incise::protocol {
 
-// The tetrahedra at each vertex of a whole mesh, to find what a vertex that moves takes along: a linked list of corners
-// (4 tetrahedron + place) for each vertex.
-//
-// Thread: one, at a time. Owns: its lists, 16 bytes a tetrahedron.
-class TetIndex {
- public:
-  // Of all of `mesh`. O(mesh).
-  void load(const Replica& mesh);
-  // What `delta` changes; `before` has not applied it yet. O(delta x tetrahedra at a vertex).
-  void follow(const Replica& before, const Delta& delta);
-  // Appends the tetrahedra that have `vertex`.
-  void append_tets(std::uint32_t vertex, std::vector<std::uint32_t>& out) const;
+class MoreUses;
 
- private:
-  void link(std::uint32_t vertex, std::uint32_t corner);
-  void unlink(std::uint32_t vertex, std::uint32_t corner);
-  std::vector<std::uint32_t> first_, next_;  // by vertex, by corner; kNoId ends a list
-};
-
-// Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent, whatever the ids.
+// Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent and, whatever the ids, 16 MB at most.
 class VolumePart {
  public:
   struct Tet {
@@ -68,8 +52,8 @@ class VolumePart {
   std::uint64_t compute_part_hash() const;
 
   // By id, ascending.
-  const std::map<std::uint32_t, Tet>& tets() const { return state_.tets; }
-  const std::map<std::uint32_t, Vertex>& vertices() const { return state_.vertices; }
+  const IdMap<Tet>& tets() const { return state_.tets; }
+  const IdMap<Vertex>& vertices() const { return state_.vertices; }
   // About how much memory it takes.
   std::size_t bytes() const {
     return state_.tets.size() * (sizeof(Tet) + 48) + state_.vertices.size() * (sizeof(Vertex) + 48);
@@ -83,9 +67,13 @@ class VolumePart {
   // Makes this the part of `whole` that touches `box`: the tetrahedra whose own bounding box meets it, bounds included.
   // O(mesh).
   void load_part(const Replica& whole, const Box& box);
-  // Where this was that part of the mesh that `delta` has since brought to `whole`: makes it that of the mesh now, and
-  // returns the delta that does so. `index` is that of `whole`. O(delta log part).
-  OwnedDelta follow_part(const Replica& whole, const TetIndex& index, const Delta& delta, const Box& box);
+  // Where this was that part of the mesh that `change` has since brought to `whole`: makes it that of the mesh now, and
+  // returns the delta that does so. `index` is that of `whole`. O(change x tetrahedra at a vertex); of a deformation O(part),
+  // and every few steps O(mesh).
+  OwnedDelta follow_part(const Replica& whole, const TetIndex& index, const MeshChange& change,
+                         const Box& box);
+  // Elements that the last follow_part() looked at.
+  std::size_t looked_at() const { return looked_at_; }
 
  private:
   // What a chunk or a delta does, but for the pieces.
@@ -98,8 +86,8 @@ class VolumePart {
   struct State {
     std::uint64_t revision = 0;
     std::uint64_t hash = 0;
-    std::map<std::uint32_t, Tet> tets;
-    std::map<std::uint32_t, Vertex> vertices;
+    IdMap<Tet> tets;
+    IdMap<Vertex> vertices;
 
     // What stands against the change, or nothing; and what the hash would be after it.
     ApplyResult check(const Change& change, std::uint64_t& hash_after) const;
@@ -115,9 +103,14 @@ class VolumePart {
   static Change change_of(const Delta& delta);
   ApplyResult check_pieces(const Delta& delta) const;
   ApplyResult abandon(ApplyResult why);
+  std::vector<std::uint32_t> tets_to_look_at(const Replica& whole, const TetIndex& index,
+                                             const MeshChange& change, const Box& box);
+  void add_moved(const Replica& whole, const MeshChange& change, MoreUses& out);
 
   State state_;
   std::unique_ptr<Staged> staged_;
+  BoxShell shell_;  // of a part that the server keeps
+  std::size_t looked_at_ = 0;
 };
 
 // The parts of a snapshot of a VolumePart, as SnapshotWriter makes those of a volume.
@@ -142,8 +135,8 @@ class VolumePartWriter {
   SnapshotBegin begin_;
   SnapshotChunk chunk_;
   std::uint32_t chunks_made_ = 0;
-  std::map<std::uint32_t, VolumePart::Vertex>::const_iterator next_vertex_;
-  std::map<std::uint32_t, VolumePart::Tet>::const_iterator next_tet_;
+  IdMap<VolumePart::Vertex>::Iterator next_vertex_;
+  IdMap<VolumePart::Tet>::Iterator next_tet_;
   OwnedDelta arrays_;
   std::vector<std::uint32_t> pieces_;
 };

@@ -109,7 +109,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
 
 // Applies what the capture holds behind the start, and compares the hashes. Returns how many records of what that led to the
 // disk has not taken.
-std::uint64_t replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal) {
+std::uint64_t replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal,
+                     ReplayTail& tail) {
   const std::uint64_t records = journal.position().records;
   core::CutSession* session = start.session.get();
   const RecordedMotion& motion = start.rest;
@@ -120,6 +121,7 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
   core::WorkBudget budget = core::WorkBudget::unlimited();
   const auto commit_all = [&] {
     while (session->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      tail.note(*session, delta);
       if (mark == motion.marks.end()) {  // the crash took this mark, or it never came to the batch
         journal.write(loop::commit_record(delta));
         continue;
@@ -221,6 +223,7 @@ Recording begin_recording(const Config& config, const Body& body) {
   Recording recording;
   recording.session_id = fresh_session_id();
   recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  recording.shown.before = initial_state(*recording.session, recording.session_id);
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;
@@ -287,8 +290,10 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
   const std::int64_t before = input::monotonic_ns();
-  recording.lost = replay(config, path, *start, *recording.journal);
+  ReplayTail tail(*start->session, motion.session, config.stream.ring_bytes);
+  recording.lost = replay(config, path, *start, *recording.journal, tail);
   recording.session = std::move(start->session);
+  recording.shown = tail.take(*recording.session);
   if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
   // A server that crashes soon after each start would have more to replay each time. What is less than this counts towards
   // the next checkpoint.

@@ -8,6 +8,7 @@
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
 #include "server/app/config.hpp"
+#include "server/app/replay_tail.hpp"
 #include "server/core/cut_session.hpp"
 
 namespace incise::app {
@@ -20,6 +21,7 @@ struct Recording {
   int next_checkpoint = 0;                  // the checkpoint file that may be written over
   double debt_s = 0;                        // of computing that the next resume would have to repeat
   std::uint64_t lost = 0;                   // records at the end of it that the disk has not taken
+  ReplayTail::Tail shown;  // what clients see at the start: a state, and the steps to the session's
 };
 
 // Throws ConfigError, `file` in front, where capture.path names a place that cannot be written.

@@ -301,7 +301,9 @@ void run_server(const Config& config, bool resume) {
                               audit_log(),
                               [&] { return recording_now(journal.get()); }};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
-                        initial_state(session, recording.session_id), sink, providers);
+                        recording.shown.before, sink, providers);
+  for (auto& delta : recording.shown.deltas) server.publish(std::move(delta));
+  recording.shown = {};
   StreamOutput output(server);
   loop::LoopOptions options;
   options.rate_hz = config.loop.rate_hz;

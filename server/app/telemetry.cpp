@@ -79,6 +79,22 @@ Json network_json(const input::NetworkStatus& status) {
   return json;
 }
 
+Json stream_json(const stream::StreamCounters& c) {
+  Json json{{"sessions", c.sessions},
+            {"deltas", c.deltas},
+            {"coalesced", c.coalesced},
+            {"snapshots", c.snapshots},
+            {"slow_snapshots", c.slow_snapshots},
+            {"slow_disconnects", c.slow_disconnects},
+            {"resumed", c.resumed}};
+  json["boxes"] = {{"deltas", c.box_turns},
+                   {"coalesced", c.box_coalesced},
+                   {"refused", c.boxes_refused},
+                   {"work_ms", static_cast<double>(c.box_turns_ns) * 1e-6},
+                   {"bytes", c.part_bytes}};
+  return json;
+}
+
 std::string number(double value) {
   return Json(value).dump();
 }
@@ -161,6 +177,7 @@ std::string Telemetry::json() const {
                       {"resets", c.resets},
                       {"takeovers", c.takeovers},
                       {"handovers", c.handovers}};
+    root["stream"] = stream_json(c);
   }
   Json stages;
   for (const Stage& stage : kStages) {

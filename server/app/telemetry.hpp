@@ -27,6 +27,8 @@ class Telemetry {
   void join_network(std::function<std::vector<input::NetworkStatus>()> network) {
     network_ = std::move(network);
   }
+  // And about the sessions; likewise.
+  void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
   // And about connections; likewise.
   void join_stream(std::function<stream::StreamCounters()> stream) { stream_ = std::move(stream); }

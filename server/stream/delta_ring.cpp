@@ -8,20 +8,6 @@
 
 namespace incise::stream {
 
-void DeltaRing::push(EncodedStep step) {
-  bytes_ += step.bytes();
-  steps_.push_back(std::move(step));
-  while (!steps_.empty() && bytes_ > max_bytes_) {
-    bytes_ -= steps_.front().bytes();
-    steps_.pop_front();
-  }
-}
-
-void DeltaRing::clear() {
-  steps_.clear();
-  bytes_ = 0;
-}
-
 SharedFrame coalesce(const DeltaRing& ring, protocol::View view, std::uint64_t base, std::uint64_t head) {
   INCISE_CHECK(base < head && ring.covers(base, head), base, head);
   if (head - base > protocol::kMaxStepsPerDelta) return nullptr;

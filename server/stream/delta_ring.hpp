@@ -3,22 +3,34 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <utility>
 
 #include "server/stream/mirror.hpp"
 
 namespace incise::stream {
 
-// The last steps, encoded, as many as fit into so many bytes: for who returns, falls behind, or wants fewer a
-// second.
+// The last steps of a state, as many as fit into so many bytes: for those that return, fall behind, or want fewer a second.
+// A Step has `revision` (it takes revision - 1 to this) and bytes().
 //
 // Thread: the stream thread.
-class DeltaRing {
+template <class Step>
+class StepRing {
  public:
-  explicit DeltaRing(std::size_t max_bytes) : max_bytes_(max_bytes) {}
+  explicit StepRing(std::size_t max_bytes) : max_bytes_(max_bytes) {}
 
   // The next step; the oldest go until the rest fits, this one included.
-  void push(EncodedStep step);
-  void clear();
+  void push(Step step) {
+    bytes_ += step.bytes();
+    steps_.push_back(std::move(step));
+    while (!steps_.empty() && bytes_ > max_bytes_) {
+      bytes_ -= steps_.front().bytes();
+      steps_.pop_front();
+    }
+  }
+  void clear() {
+    steps_.clear();
+    bytes_ = 0;
+  }
 
   // Whether a state at `revision` can be brought on to `head` from here.
   bool covers(std::uint64_t revision, std::uint64_t head) const {
@@ -26,7 +38,7 @@ class DeltaRing {
                                 revision < head && steps_.back().revision == head);
   }
   // The step that takes revision - 1 to `revision`, which must be here.
-  const EncodedStep& step(std::uint64_t revision) const { return steps_[revision - steps_.front().revision]; }
+  const Step& step(std::uint64_t revision) const { return steps_[revision - steps_.front().revision]; }
 
   std::size_t size() const { return steps_.size(); }
   std::size_t bytes() const { return bytes_; }
@@ -34,8 +46,11 @@ class DeltaRing {
  private:
   std::size_t max_bytes_;
   std::size_t bytes_ = 0;
-  std::deque<EncodedStep> steps_;
+  std::deque<Step> steps_;
 };
+
+using DeltaRing = StepRing<EncodedStep>;
+using ChangeRing = StepRing<protocol::MeshChange>;
 
 // The one delta that leads from `base` to `head` as the steps between do, one after the other. Null where it
 // would be longer than a message may be. The ring must cover both. O(n log n) in the steps' size.

@@ -11,15 +11,17 @@ void Feed::reset(std::shared_ptr<const InitialState> initial) {
   mirror_.reset(*initial);
   keeper_.reset(std::move(initial));
   ring_.clear();
+  changes_.clear();
   coalesced_.clear();
 }
 
 void Feed::apply(const std::shared_ptr<const PublishedDelta>& delta) {
-  std::optional<EncodedStep> step = mirror_.apply(*delta);
+  Mirror::Applied applied = mirror_.apply(*delta);
   keeper_.push(delta);
   coalesced_.clear();
-  if (step) {
-    ring_.push(std::move(*step));
+  changes_.push(std::move(applied.change));
+  if (applied.step) {
+    ring_.push(std::move(*applied.step));
   } else {
     ring_.clear();
   }
@@ -39,16 +41,12 @@ SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {
 }
 
 SharedFrame Feed::part_delta(BoxPart& part) {
-  const bool surface = std::holds_alternative<protocol::SurfaceReplica>(part.held);
   const std::uint64_t base = part.revision(), head = mirror_.revision();
-  const SharedFrame whole = head - base == 1
-                                ? (surface ? ring_.step(head).surface : ring_.step(head).volume)
-                                : coalesced(surface ? protocol::View::Surface : protocol::View::Volume, base);
-  if (!whole) return nullptr;
-  const protocol::DecodeResult decoded = protocol::decode(whole->body());
-  INCISE_CHECK(decoded, decoded.error);
+  if (!changes_.covers(base, head) || head - base > protocol::kMaxStepsPerDelta) return nullptr;
+  protocol::MeshChange change = changes_.step(base + 1);
+  for (std::uint64_t r = base + 2; r <= head; ++r) change.append(changes_.step(r));
   try {
-    return mirror_.follow_part(part, decoded.message->body);
+    return mirror_.follow_part(part, change);
   } catch (const std::length_error&) {
     return nullptr;
   }

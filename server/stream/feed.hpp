@@ -21,7 +21,7 @@ namespace asio = boost::asio;
 // Thread: the stream thread. Owns: the mirror, the snapshot thread.
 class Feed {
  public:
-  Feed(asio::io_context& io, std::size_t ring_bytes) : io_(io), ring_(ring_bytes) {}
+  Feed(asio::io_context& io, std::size_t ring_bytes) : io_(io), ring_(ring_bytes), changes_(ring_bytes) {}
 
   // Another run of ids.
   void reset(std::shared_ptr<const InitialState> initial);
@@ -36,13 +36,15 @@ class Feed {
   // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
   // helps.
   SharedFrame coalesced(protocol::View view, std::uint64_t base);
-  // From `part`, which is brought on to the mirror's revision. Null likewise; the part is then of no use.
+  // From `part`, which is brought on to the mirror's revision. Null likewise; the part is then of no use. What changed is
+  // known longer than the ring has deltas, because a box may have to wait for its turn.
   SharedFrame part_delta(BoxPart& part);
 
  private:
   asio::io_context& io_;
   Mirror mirror_;
   DeltaRing ring_;
+  ChangeRing changes_;
   std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
   SnapshotKeeper keeper_;
 };

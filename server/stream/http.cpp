@@ -87,6 +87,12 @@ std::string stream_metrics(Hub& hub) {
   metric(out, "half_open_closed_total", "counter", "Silent connections closed to make room for others.",
          c.half_open_closed);
   metric(out, "part_bytes", "gauge", "Bytes kept for the sessions with a box of interest.", c.part_bytes);
+  metric(out, "box_turns_total", "counter", "Deltas made for one session's box of interest.", c.box_turns);
+  metric(out, "box_turns_nanoseconds_total", "counter", "Time that these took.", c.box_turns_ns);
+  metric(out, "box_coalesced_total", "counter", "Those of them that stood for several steps.",
+         c.box_coalesced);
+  metric(out, "boxes_refused_total", "counter", "Boxes of interest refused for lack of memory or time.",
+         c.boxes_refused);
   metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
   return out;
 }

@@ -16,6 +16,7 @@ namespace {
 constexpr std::chrono::milliseconds kTick{50};
 constexpr std::chrono::milliseconds kBladeTick{16};  // a screen's
 constexpr std::uint64_t kTicksPerStatistics = 20;
+constexpr std::size_t kMaxLingering = 64;
 
 }  // namespace
 
@@ -29,7 +30,8 @@ Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, In
       access_(config.tokens),
       clock_(io),
       blade_clock_(io),
-      live_(io, config.ring_bytes) {}
+      live_(io, config.ring_bytes),
+      box_turns_(io, config.box_share, *counters_) {}
 
 Hub::~Hub() = default;
 
@@ -86,7 +88,7 @@ void Hub::Ticket::welcome() {
 Hub::Ticket::~Ticket() {
   if (!counters_) return;
   leave_half_open();
-  if (welcomed_) --counters_->sessions;
+  leave();
   --counters_->connections;
 }
 
@@ -129,6 +131,14 @@ std::shared_ptr<Session> Hub::holder(const std::string& source_name) const {
     if (session->holds(source_name)) return session;
   }
   return nullptr;
+}
+
+void Hub::linger(const std::shared_ptr<Session>& session) {
+  std::erase_if(lingering_, [](const auto& other) { return other.expired(); });
+  lingering_.push_back(session);
+  if (lingering_.size() <= kMaxLingering) return;
+  if (const auto first = lingering_.front().lock()) first->close();
+  lingering_.pop_front();
 }
 
 void Hub::start_clock() {
@@ -207,6 +217,7 @@ void Hub::stop() {
 void Hub::close_all() {
   clock_.cancel();
   blade_clock_.cancel();
+  box_turns_.cancel();
   const auto sessions = sessions_;
   for (const auto& session : sessions) session->close();
 }

@@ -5,6 +5,7 @@
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
@@ -13,6 +14,7 @@
 #include <utility>
 
 #include "server/stream/access.hpp"
+#include "server/stream/box_turns.hpp"
 #include "server/stream/feed.hpp"
 #include "server/stream/server.hpp"
 
@@ -25,7 +27,8 @@ struct HubCounters {
   std::atomic<std::uint64_t> revision{0}, state_hash{0}, accepted{0}, refused{0}, deltas{0}, bytes_out{0},
       bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
       slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0},
-      wrong_tokens{0}, tokens_not_looked_at{0}, resets{0}, takeovers{0}, handovers{0};
+      box_turns{0}, box_turns_ns{0}, box_coalesced{0}, boxes_refused{0}, wrong_tokens{0},
+      tokens_not_looked_at{0}, resets{0}, takeovers{0}, handovers{0};
   std::atomic<std::uint32_t> sessions{0}, connections{0};
 };
 
@@ -52,6 +55,7 @@ class Hub {
   InputSink& sink() { return sink_; }
   ReplayLibrary* library() const { return providers_.library; }
   Feed& live() { return live_; }
+  BoxTurns& box_turns() { return box_turns_; }
   HubCounters& counters() { return *counters_; }
   // As of the last tick.
   const RecordingNow& recording() const { return recording_; }
@@ -72,6 +76,9 @@ class Hub {
   bool has_room() const { return counters_->sessions.load(std::memory_order_relaxed) < config_.max_sessions; }
   // Who holds the source of that name, if it is a session of ours.
   std::shared_ptr<Session> holder(const std::string& source_name) const;
+
+  // A session has said goodbye to a peer that does not read. Of too many of those the first is closed.
+  void linger(const std::shared_ptr<Session>& session);
 
   // Deadlines, pings and reports; starts the clock that calls itself.
   void start_clock();
@@ -104,12 +111,14 @@ class Hub {
   std::shared_ptr<HubCounters> counters_ = std::make_shared<HubCounters>();
   std::shared_ptr<HalfOpen> half_open_ = std::make_shared<HalfOpen>();
   std::set<std::shared_ptr<Session>> sessions_;
+  std::deque<std::weak_ptr<Session>> lingering_;
   asio::steady_timer clock_, blade_clock_;
   std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
   RecordingNow recording_;
   bool stopping_ = false;
   Feed live_;
+  BoxTurns box_turns_;
 };
 
 // One connection's place in the counts. Moves.
@@ -131,6 +140,10 @@ class Hub::Ticket {
   // It has said Hello.
   void welcome();
   const asio::ip::tcp::endpoint& peer() const { return peer_; }
+  // It was told goodbye: its place among the sessions is free.
+  void leave() {
+    if (std::exchange(welcomed_, false)) --counters_->sessions;
+  }
 
  private:
   void leave_half_open();

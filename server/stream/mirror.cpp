@@ -28,7 +28,7 @@ void Mirror::reset(const InitialState& initial) {
 
 namespace {
 
-// `from`, a delta of either view, as one of the surface that makes this change.
+// The delta of the surface that makes this change, of the same steps as `from`.
 template <class D>
 protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChange& change,
                                      std::uint64_t surface_hash) {
@@ -48,33 +48,29 @@ protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChang
 
 }  // namespace
 
-std::optional<EncodedStep> Mirror::apply(const PublishedDelta& published) {
+Mirror::Applied Mirror::apply(const PublishedDelta& published) {
   const protocol::Delta& delta = arrays_.assign(published, volume_);
+  Applied out{std::nullopt, protocol::MeshChange(volume_, delta)};
   tets_at_.follow(volume_, delta);
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
   const protocol::SurfaceChange change = surface_.follow(volume_, delta);
   try {
-    return EncodedStep{delta.revision, make_frame(delta),
-                       make_frame(surface_delta(delta, change, surface_.surface_hash()))};
+    out.step = EncodedStep{delta.revision, make_frame(delta),
+                           make_frame(surface_delta(delta, change, surface_.surface_hash()))};
   } catch (const std::length_error&) {
-    return std::nullopt;
   }
+  return out;
 }
 
-SharedFrame Mirror::follow_part(BoxPart& part, const protocol::Body& delta) {
-  if (auto* volume = std::get_if<protocol::VolumePart>(&part.held)) {
-    const auto& whole = std::get<protocol::Delta>(delta);
-    INCISE_CHECK(volume->revision() == whole.base_revision && whole.revision == revision(),
-                 volume->revision(), whole.revision);
-    return make_frame(volume->follow_part(volume_, tets_at_, whole, part.box).view());
-  }
+SharedFrame Mirror::follow_part(BoxPart& part, const protocol::MeshChange& change) {
+  INCISE_CHECK(part.revision() == change.base_revision && change.revision == revision(), part.revision(),
+               change.revision);
+  if (auto* volume = std::get_if<protocol::VolumePart>(&part.held))
+    return make_frame(volume->follow_part(volume_, tets_at_, change, part.box).view());
   auto& surface = std::get<protocol::SurfaceReplica>(part.held);
-  const auto& whole = std::get<protocol::SurfaceDelta>(delta);
-  INCISE_CHECK(surface.revision() == whole.base_revision && whole.revision == revision(), surface.revision(),
-               whole.revision);
-  const protocol::SurfaceChange change = surface.follow_part(surface_, volume_, tets_at_, whole, part.box);
-  return make_frame(surface_delta(whole, change, surface.surface_hash()));
+  const protocol::SurfaceChange done = surface.follow_part(surface_, tets_at_, change, part.box);
+  return make_frame(surface_delta(change, done, surface.surface_hash()));
 }
 
 }  // namespace incise::stream

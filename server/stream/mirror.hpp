@@ -47,18 +47,22 @@ class Mirror {
   // Checks the state. Throws std::runtime_error where it is not one that a client could hold.
   void reset(const InitialState& initial);
 
+  struct Applied {
+    std::optional<EncodedStep>
+        step;  // nothing where it is too long for one message: sessions then need a snapshot
+    protocol::MeshChange change;  // for those with a box of interest
+  };
   // Applies a delta and encodes it for both views. A delta that does not fit is a bug of ours and ends the
-  // process. Nothing comes back for a delta too long for one message: sessions then need a snapshot. O(delta
-  // log surface).
-  std::optional<EncodedStep> apply(const PublishedDelta& published);
+  // process. O(delta log surface).
+  Applied apply(const PublishedDelta& published);
 
   std::uint64_t session() const { return session_; }
   std::uint64_t revision() const { return volume_.revision(); }
   const protocol::Replica& volume() const { return volume_; }
   const protocol::SurfaceReplica& surface() const { return surface_; }
-  // Brings `part`, of what there was when `delta` (of the part's view) began, to what there is now, and returns the delta
-  // that does so for whoever holds the part. O(delta log part).
-  SharedFrame follow_part(BoxPart& part, const protocol::Body& delta);
+  // Brings `part`, of what there was when `change` began, to what there is now, and returns the delta that does so for the
+  // one who holds the part. Throws std::length_error where it is too long for one message. O(change + part).
+  SharedFrame follow_part(BoxPart& part, const protocol::MeshChange& change);
 
  private:
   std::uint64_t session_ = 0;

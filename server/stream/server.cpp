@@ -187,6 +187,8 @@ struct Server::Impl {
 
   void start() {
     INCISE_CHECK(!thread.joinable());
+    // The first client is to find all that was published by now.
+    while (queue.size() > 0) drain();
     if (tcp_acceptor) asio::co_spawn(io, accept(*tcp_acceptor, false), asio::detached);
     if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
     wait_for_work();
@@ -312,6 +314,10 @@ StreamCounters Server::counters() const {
   out.resets = c.resets;
   out.takeovers = c.takeovers;
   out.handovers = c.handovers;
+  out.box_turns = c.box_turns;
+  out.box_turns_ns = c.box_turns_ns;
+  out.box_coalesced = c.box_coalesced;
+  out.boxes_refused = c.boxes_refused;
   return out;
 }
 

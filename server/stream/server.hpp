@@ -73,8 +73,11 @@ struct StreamCounters {
   std::uint64_t messages_in = 0, bad_messages = 0;
   std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;
   std::uint64_t ring_bytes = 0, ring_deltas = 0;
-  std::uint64_t half_open_closed = 0;  // to make room for newcomers
-  std::uint64_t part_bytes = 0;        // what sessions with a box hold
+  std::uint64_t half_open_closed = 0;             // to make room for newcomers
+  std::uint64_t part_bytes = 0;                   // what sessions with a box hold
+  std::uint64_t box_turns = 0, box_turns_ns = 0;  // deltas made for one session's box, and the time that took
+  std::uint64_t box_coalesced = 0;                // those of several steps
+  std::uint64_t boxes_refused = 0;                // for lack of memory or time
 };
 
 // The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.
@@ -92,6 +95,7 @@ class Server {
   Server(const Server&) = delete;
   Server& operator=(const Server&) = delete;
 
+  // What was published before is there for the first client.
   void start();
   // Says goodbye to all sessions once what was published has gone out, at most `stop_grace_s`, then ends the
   // threads.

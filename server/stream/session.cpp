@@ -30,7 +30,9 @@ constexpr std::size_t kMaxWriteFrames = 32;
 constexpr std::uint32_t kMaxPoseMessagesPerSecond =
     20'000;                                         // more than any device sends; beyond that they wait
 constexpr std::int64_t kLinger_ns = 1'000'000'000;  // for the peer to close after Bye
-constexpr milliseconds kRetry{1};                   // until the loop has drained a full queue
+// For a peer that has not read to begin again, so that it finds Bye behind the message that is on its way.
+constexpr std::int64_t kLongLinger_ns = 60'000'000'000;
+constexpr milliseconds kRetry{1};  // until the loop has drained a full queue
 constexpr int kTakeOverTries = 1000;
 
 std::int64_t to_ns(double seconds) {
@@ -468,7 +470,7 @@ void Session::on_reset(std::uint64_t sequence) {
 
 // ---- Replay ----
 
-Feed& Session::feed() {
+Feed& Session::feed() const {
   return scratch_ ? scratch_->feed : hub_.live();
 }
 
@@ -584,9 +586,10 @@ void Session::warn_not_recorded() {
 
 void Session::tick(std::int64_t now_ns) {
   const StreamConfig& config = hub_.config();
-  if (write_began_ns_ != 0 && now_ns - write_began_ns_ > to_ns(config.write_timeout_s)) {
-    if (stage_ == Stage::kOpen) ++hub_.counters().slow_disconnects;
-    close();
+  if (stage_ == Stage::kOpen && write_began_ns_ != 0 &&
+      now_ns - write_began_ns_ > to_ns(config.write_timeout_s)) {
+    finish(ByeReason::TooSlow,
+           "nothing was read for " + std::to_string((now_ns - write_began_ns_) / 1'000'000'000) + " s");
     return;
   }
   switch (stage_) {
@@ -613,7 +616,7 @@ void Session::tick(std::int64_t now_ns) {
       break;
     }
     case Stage::kClosing:
-      if (now_ns - closing_since_ns_ > kLinger_ns) close();
+      if (now_ns - closing_since_ns_ > (write_began_ns_ != 0 ? kLongLinger_ns : kLinger_ns)) close();
       break;
     case Stage::kClosed:
       break;
@@ -635,15 +638,22 @@ void Session::complain(ErrorCode code, const std::string& text, std::uint64_t se
 
 void Session::finish(ByeReason reason, const std::string& text) {
   if (stage_ == Stage::kClosing || stage_ == Stage::kClosed) return;
-  if (reason == ByeReason::TooSlow) ++hub_.counters().slow_disconnects;
+  if (reason == ByeReason::TooSlow) {
+    ++hub_.counters().slow_disconnects;
+    control_.clear();
+    control_bytes_ = writing_control_;
+  }
   // On a server that stops, what it published still goes out.
   if (reason != ByeReason::ServerStops) drop_state();
   snapshot_.reset();
   source_.reset();
   positions_.reset();
   player_.reset();
+  set_part(nullptr);
   stage_ = Stage::kClosing;
   closing_since_ns_ = monotonic_ns();
+  ticket_.leave();
+  if (write_began_ns_ != 0) hub_.linger(shared_from_this());
   state_.push_back(make_frame(protocol::Bye{reason, text}));  // behind all else
   state_bytes_ += state_.back()->tcp().size();
   write();
@@ -684,8 +694,6 @@ void Session::push_control(SharedFrame frame) {
   control_bytes_ += frame->tcp().size();
   control_.push_back(std::move(frame));
   if (control_bytes_ > kMaxControlBytes) {
-    control_.clear();
-    control_bytes_ = writing_control_;
     finish(ByeReason::TooSlow, "answers and statistics were not read");
     return;
   }
@@ -741,6 +749,7 @@ void Session::on_written(boost::system::error_code error) {
     return;
   }
   if (stage_ == Stage::kClosing && control_.empty() && state_.empty()) {
+    closing_since_ns_ = monotonic_ns();
     transport_->shut_down(shared_from_this());
     return;
   }
@@ -781,10 +790,11 @@ void Session::on_snapshot(std::shared_ptr<const Snapshot> snapshot, std::uint64_
   if (snapshot->part) {
     const std::size_t others = hub_.counters().part_bytes - part_bytes_;
     if (others + snapshot->part->bytes() > hub_.config().max_part_bytes) {
-      complain(ErrorCode::NotAvailable, "box: the server has no memory for more of them; everything is sent",
-               0);
-      box_.reset();
-      request_snapshot(snapshot_cause_);
+      refuse_box("has no memory for more of them", snapshot_cause_);
+      return;
+    }
+    if (!hub_.box_turns().has_room()) {
+      refuse_box("has no time for more of them", snapshot_cause_);
       return;
     }
   }
@@ -813,6 +823,46 @@ void Session::set_part(std::shared_ptr<BoxPart> part) {
   const std::size_t bytes = part_ ? part_->bytes() : 0;
   hub_.counters().part_bytes += bytes - part_bytes_;
   part_bytes_ = bytes;
+}
+
+void Session::refuse_box(const std::string& why, SnapshotCause cause) {
+  ++hub_.counters().boxes_refused;
+  complain(ErrorCode::NotAvailable,
+           "box: the server " + why +
+               "; everything is sent. Subscribe again later, with a smaller box or a max_rate_hz",
+           0);
+  box_.reset();
+  set_part(nullptr);
+  request_snapshot(cause);
+}
+
+void Session::lose_box() {
+  if (stage_ != Stage::kOpen || !box_ || snapshot_wanted_ || snapshot_) return;
+  drop_state();
+  refuse_box("has no time for yours", SnapshotCause::Subscribe);
+}
+
+bool Session::wants_box_turn() const {
+  return stage_ == Stage::kOpen && box_ && part_ && !snapshot_wanted_ && !snapshot_ &&
+         revision_ != feed().mirror().revision();
+}
+
+bool Session::take_box_turn() {
+  box_turn_asked_ = false;
+  const std::uint64_t head = feed().mirror().revision();
+  const SharedFrame frame = feed().part_delta(*part_);
+  set_part(part_);
+  if (!frame) {
+    request_snapshot(SnapshotCause::TooSlow);
+    return false;
+  }
+  if (head - revision_ > 1) {
+    ++hub_.counters().coalesced;
+    ++hub_.counters().box_coalesced;
+  }
+  revision_ = head;
+  push_state(frame);
+  return true;
 }
 
 void Session::advance() {
@@ -845,20 +895,12 @@ void Session::advance() {
     }
     next_due_ns_ = now + to_ns(1 / static_cast<double>(max_rate_hz_));
   }
-  if (!feed().ring().covers(revision_, head)) {
-    request_snapshot(SnapshotCause::TooSlow);
+  if (box_) {
+    if (!std::exchange(box_turn_asked_, true)) hub_.box_turns().ask(shared_from_this());
     return;
   }
-  if (box_) {
-    const SharedFrame frame = feed().part_delta(*part_);
-    set_part(part_);
-    if (!frame) {
-      request_snapshot(SnapshotCause::TooSlow);
-      return;
-    }
-    if (head - revision_ > 1) ++hub_.counters().coalesced;
-    revision_ = head;
-    push_state(frame);
+  if (!feed().ring().covers(revision_, head)) {
+    request_snapshot(SnapshotCause::TooSlow);
     return;
   }
   // One delta for each revision where the peer did not ask for fewer and there is room for them; else one for

@@ -45,6 +45,17 @@ class Session : public std::enable_shared_from_this<Session> {
   bool wants_blades() const { return stage_ == Stage::kOpen && blade_rate_hz_ > 0 && !scratch_; }
   // Leaves them out while more is on its way to the peer already, or the last ones went out too short a time ago.
   void send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns);
+  // Whether there is a delta of its box to be made, after it has asked for its turn.
+  bool wants_box_turn() const;
+  // There is none: it asks again.
+  void skip_box_turn() { box_turn_asked_ = false; }
+  // Sends that delta. False where it can no longer be made.
+  bool take_box_turn();
+  // There is no time for its box: it gets everything.
+  void lose_box();
+  // What its last turn took.
+  std::int64_t box_cost_ns() const { return box_cost_ns_; }
+  void set_box_cost(std::int64_t ns) { box_cost_ns_ = ns; }
   // Says goodbye and ends the connection once that is written.
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
@@ -72,7 +83,7 @@ class Session : public std::enable_shared_from_this<Session> {
   ReplayEvents replay_events(std::uint64_t number, std::uint64_t sequence);
   void end_replay();
   // What this session follows.
-  Feed& feed();
+  Feed& feed() const;
   void restart();
   bool within_rate();
   asio::awaitable<void> pause(std::chrono::milliseconds time);
@@ -88,6 +99,7 @@ class Session : public std::enable_shared_from_this<Session> {
   void feed_snapshot();
   // What the peer holds with a box, or null; counted over all sessions.
   void set_part(std::shared_ptr<BoxPart> part);
+  void refuse_box(const std::string& why, protocol::SnapshotCause cause);
   void drop_state();  // what waits of the state, and has not begun to go out
   void push_control(SharedFrame frame);
   void push_state(SharedFrame frame);
@@ -147,8 +159,10 @@ class Session : public std::enable_shared_from_this<Session> {
   bool behind_ = false;                       // the outbox was full: it must half empty first
   std::shared_ptr<const Snapshot> snapshot_;  // on its way
   std::size_t next_chunk_ = 0;
-  std::shared_ptr<BoxPart> part_;       // with a box: what the peer holds at revision_
-  std::size_t part_bytes_ = 0;          // of it, as counted
+  std::shared_ptr<BoxPart> part_;  // with a box: what the peer holds at revision_
+  std::size_t part_bytes_ = 0;     // of it, as counted
+  bool box_turn_asked_ = false;
+  std::int64_t box_cost_ns_ = 0;
   std::uint64_t snapshot_request_ = 0;  // the last one's number
   bool snapshot_wanted_ = false;        // requested, not here yet
   bool resync_again_ = false;

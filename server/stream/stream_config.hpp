@@ -50,6 +50,8 @@ struct StreamConfig {
   // What all sessions with a box of interest hold of the mesh, which the server remembers for them. Who comes beyond that
   // gets everything.
   std::size_t max_part_bytes = 512u << 20;
+  // The share of the stream thread's time for what is made for one session's box of interest alone.
+  double box_share = 0.2;
   double max_report_rate_hz = 20;  // pose reports to an operator
 };
 

@@ -1,6 +1,5 @@
 #include "server/stream/transport.hpp"
 
-#include <array>
 #include <boost/asio/as_tuple.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
@@ -15,6 +14,9 @@ namespace beast = boost::beast;
 namespace websocket = beast::websocket;
 using boost::system::error_code;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+// At once from one peer, in each of its turns. A simulator's messages are long: it takes few turns for each, so that what it
+// has sent since does not wait in the socket while the thread has much to do.
+constexpr std::size_t kSmallRead = 16 << 10, kLargeRead = 256 << 10;
 
 std::string peer_of(NetStream::Tcp& tcp) {
   error_code ec;
@@ -33,13 +35,17 @@ class TcpTransport final : public Transport {
       const auto status = reader_.read(input_);
       if (status == protocol::FrameReader::Status::Complete) co_return Received::message(reader_.body());
       if (status == protocol::FrameReader::Status::Failed) co_return Received::bad(reader_.error(), true);
+      if (buffer_.size() < read_bytes_) buffer_.resize(read_bytes_);
       const auto [ec, n] = co_await stream_.async_read_some(asio::buffer(buffer_), kTuple);
       if (ec) co_return Received::end(ec);
       input_ = std::span<const std::byte>(buffer_).first(n);
     }
   }
 
-  void set_max_bytes(std::size_t max_bytes) override { reader_.set_max_bytes(max_bytes); }
+  void set_max_bytes(std::size_t max_bytes) override {
+    reader_.set_max_bytes(max_bytes);
+    if (max_bytes > protocol::kMaxClientBytes) read_bytes_ = kLargeRead;
+  }
 
   void write(std::span<const SharedFrame> frames, std::function<void(error_code)> done) override {
     buffers_.clear();
@@ -63,7 +69,8 @@ class TcpTransport final : public Transport {
   NetStream stream_;
   std::string peer_;
   protocol::FrameReader reader_{protocol::kMaxHandshakeBytes};
-  std::array<std::byte, 16384> buffer_;
+  std::size_t read_bytes_ = kSmallRead;
+  std::vector<std::byte> buffer_ = std::vector<std::byte>(kSmallRead);
   std::span<const std::byte> input_;
   std::vector<asio::const_buffer> buffers_;
 };

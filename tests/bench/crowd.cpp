@@ -29,8 +29,9 @@ void send_message(int fd, const protocol::Body& body) {
   (void)::send(fd, frame.tcp().data(), frame.tcp().size(), MSG_NOSIGNAL);
 }
 
-protocol::Hello viewer_hello(protocol::View view) {
+protocol::Hello viewer_hello(protocol::View view, const std::optional<protocol::Box>& box = std::nullopt) {
   protocol::Hello hello;
+  hello.box = box;
   hello.role = protocol::Role::Viewer;
   hello.view = view;
   hello.client_name = "incise-bench";
@@ -65,7 +66,7 @@ Crowd::Crowd(std::uint16_t port, const Options& options) : epoll_(epoll_create1(
                  static_cast<std::size_t>(options.silent));
   thread_ = std::thread([this] { run(); });
   for (int i = 0; i < options.viewers; ++i) {
-    send_message(connect(port, true, 0).fd, viewer_hello(options.view));
+    send_message(connect(port, true, 0).fd, viewer_hello(options.view, options.box));
     const int at_least = i + 1 == options.viewers ? options.viewers : i + 1 - kHandshakesAtOnce;
     if (!wait_until([&] { return welcomed_ >= at_least; }, 60))
       throw std::runtime_error("viewer " + std::to_string(welcomed_) + " of " +
@@ -158,6 +159,8 @@ void Crowd::take(Peer& peer, std::span<const std::byte> body, std::int64_t recei
     send_message(peer.fd, protocol::Pong{ping->nonce, ping->sent_ns, 0});
   } else if (std::holds_alternative<protocol::Welcome>(message)) {
     ++welcomed_;
+  } else if (const auto* error = std::get_if<protocol::Error>(&message)) {
+    boxes_refused_ += error->code == protocol::ErrorCode::NotAvailable;
   }
 }
 

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -21,6 +22,7 @@ class Crowd {
   struct Options {
     int viewers = 0;                                // read all the time, answer pings
     protocol::View view = protocol::View::Surface;  // of theirs
+    std::optional<protocol::Box> box;               // of theirs
     int stalled = 0;                                // ask for view Volume, and read nothing
     int silent = 0;                                 // connect, and say nothing at all
   };
@@ -33,6 +35,8 @@ class Crowd {
   // Viewers whose connections have ended, and silent ones.
   int viewers_lost() const { return viewers_lost_; }
   int silent_closed() const { return silent_closed_; }
+  // Viewers that were told that there is no box for them.
+  std::uint64_t boxes_refused() const { return boxes_refused_; }
   // Waits until each viewer that is left has that revision; false after `seconds`.
   bool wait_for_revision(std::uint64_t revision, double seconds) const;
   // Ends the reading. From "cut" to "arrived here" of each delta of each viewer, ms (the latest step of it).
@@ -54,6 +58,7 @@ class Crowd {
   int epoll_ = -1;
   std::vector<std::unique_ptr<Peer>> peers_;
   std::atomic<int> welcomed_{0}, viewers_lost_{0}, silent_closed_{0};
+  std::atomic<std::uint64_t> boxes_refused_{0};
   std::atomic<bool> stop_{false};
   std::vector<double> latencies_ms_;
   std::vector<std::byte> buffer_ = std::vector<std::byte>(1 << 18);

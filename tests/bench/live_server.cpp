@@ -45,7 +45,8 @@ LiveServer::LiveServer(const LiveMotion& motion, const nlohmann::json& listen)
   fs::create_directories(folder_);
   const fs::path file = folder_ / "live.json";
   write_config(motion, way_->blade(), listen, file);
-  process_ = std::make_unique<e2e::Process>(std::vector<std::string>{"incised", "--config", file.string()});
+  process_ =
+      std::make_unique<e2e::Process>(std::vector<std::string>{motion.incised, "--config", file.string()});
   const std::string line = process_->line("listening ");
   if (line.empty()) throw std::runtime_error("incised did not start");
   tcp_port_ = e2e::port_after(line, "tcp=");

@@ -7,6 +7,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <string>
 
 #include "client/client.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -23,6 +24,7 @@ struct LiveMotion {
   int tets = 60'000;
   double batch_h = 0;  // 0: the server's default
   bool capture = true;
+  std::string incised = "incised";  // a path, for another build of it
 };
 
 // What became of the device's poses.

@@ -1,5 +1,5 @@
 // incise-bench stream: what a cut costs as deltas, beside sending the surface or the whole mesh anew each time; what many
-// viewers cost a frame, and how long a delta takes to them; what ten thousand connections do.
+// viewers cost a frame, and how long a delta takes to them; what ten thousand connections do; what boxes of interest cost.
 
 #include <CLI/CLI.hpp>
 #include <boost/beast/zlib/deflate_stream.hpp>
@@ -15,6 +15,7 @@
 #include "server/stream/mirror.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
+#include "tests/bench/box_bench.hpp"
 #include "tests/bench/crowd.hpp"
 #include "tests/bench/live_server.hpp"
 
@@ -195,6 +196,8 @@ struct StreamBench : LiveMotion {
   std::string mesh;
   double scale = 1;
   int viewers = 256, stalled = 5, rounds = 2, connections = 0, snapshots = 0;
+  std::vector<int> boxed;
+  double box = 0.5;
 };
 
 void bench_viewers(const StreamBench& bench, Report& report) {
@@ -273,6 +276,7 @@ void bench_snapshots(const StreamBench& bench, Report& report) {
 
 void run(const StreamBench& bench, Report& report) {
   report.begin("stream");
+  if (!bench.boxed.empty()) return bench_boxed({bench, bench.boxed, bench.box, 60, bench.rounds}, report);
   if (bench.snapshots > 0) return bench_snapshots(bench, report);
   if (bench.connections > 0) return bench_connections(bench, report);
   bench_bytes(bench.mesh.empty() ? phantom("liver", static_cast<std::size_t>(bench.tets))
@@ -302,6 +306,12 @@ void add_stream_bench(CLI::App& app, Report& report) {
   sub->add_option("--snapshots", bench->snapshots,
                   "Instead: somebody joins so often, and how long that takes")
       ->check(CLI::Range(1, 1000));
+  sub->add_option(
+         "--boxed", bench->boxed,
+         "Instead: a simulator moves the body, and so many viewers with a box follow; 0 1 3 8: four runs")
+      ->check(CLI::Range(0, 1000));
+  sub->add_option("--box", bench->box, "Of the body's size, a box's along each axis")->capture_default_str();
+  sub->add_option("--incised", bench->incised, "Another build of incised, to compare with");
   sub->callback([bench, &report] { run(*bench, report); });
 }
 

@@ -353,9 +353,10 @@ std::vector<Body> volume_part_stream() {
   out.push_back(writer.end(two_tets(0).hash()));
   for (std::uint64_t r = 1; r <= 2; ++r) {
     const Delta delta = delta_to(r).view();
+    const MeshChange change(whole, delta);
     index.follow(whole, delta);
     EXPECT_TRUE(whole.apply(delta));
-    out.push_back(keep(part.follow_part(whole, index, delta, box)).view());
+    out.push_back(keep(part.follow_part(whole, index, change, box)).view());
   }
   out.push_back(Bye{ByeReason::ServerStops, "the server stops"});
   return out;

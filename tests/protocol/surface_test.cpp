@@ -102,31 +102,32 @@ namespace {
 
 struct SurfaceView {
   using Part = SurfaceReplica;
-  using Delta = SurfaceDelta;
   void load(Replica replica) {
     mesh = std::move(replica);
     whole.load(mesh);
     index.load(mesh);
   }
-  OwnedSurfaceDelta step(const protocol::Delta& delta) {
+  void step(const Delta& delta) {
     index.follow(mesh, delta);
     EXPECT_TRUE(mesh.apply(delta));
-    return follow(whole, mesh, delta);
+    whole.follow(mesh, delta);
   }
   void load_part(Part& part, const Box& box) const { part.load_part(whole, box); }
   SurfaceSnapshotWriter writer(const Part& part, const Box&) const { return {part, SnapshotCause::Join, 7}; }
-  OwnedSurfaceDelta follow_part(Part& part, const SurfaceDelta& delta, const Box& box) {
+  OwnedSurfaceDelta follow_part(Part& part, const MeshChange& change, const Box& box) {
     OwnedSurfaceDelta out;
-    out.base_revision = delta.base_revision;
-    out.revision = delta.revision;
-    out.steps = delta.steps;
-    out.change = part.follow_part(whole, mesh, index, delta, box);
+    out.base_revision = change.base_revision;
+    out.revision = change.revision;
+    out.steps = change.steps;
+    out.change = part.follow_part(whole, index, change, box);
     out.surface_hash = part.surface_hash();
     return out;
   }
   void expect_part(const Part& part, const Box& box) const { protocol::expect_part(part, whole, box); }
-  static const std::vector<std::uint32_t>& ids_set(const OwnedSurfaceDelta& d) {
-    return d.change.triangle_ids;
+  static std::vector<std::uint32_t> tets_set(const OwnedSurfaceDelta& d) {
+    std::vector<std::uint32_t> tets;
+    for (const std::uint32_t id : d.change.triangle_ids) tets.push_back(id / 4);
+    return tets;
   }
 
   Replica mesh;

@@ -8,11 +8,13 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <random>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "protocol/box_follow.hpp"
 #include "protocol/coalesce.hpp"
 #include "protocol/framing.hpp"
 #include "tests/protocol/model.hpp"
@@ -26,6 +28,21 @@ struct Walk {
   OwnedDelta step() {
     const Model before = model;
     mutate(model, random);
+    return difference(before, model);
+  }
+  // A cut: what it moves goes anywhere.
+  OwnedDelta cut() {
+    OwnedDelta delta = step();
+    delta.steps.back().stroke = 1;
+    return delta;
+  }
+  // A deformation that moves all vertices a little.
+  OwnedDelta sway(double by_m) {
+    const Model before = model;
+    ++model.revision;
+    std::uniform_real_distribution<double> some(-by_m, by_m);
+    for (auto& position : model.positions)
+      for (double& x : position) x += some(random);
     return difference(before, model);
   }
 
@@ -77,20 +94,19 @@ inline std::vector<Box> random_boxes(const Replica& mesh, std::size_t count, std
 }
 
 // Follows a walk in many boxes at once, each of which gets a delta over a number of steps of its own, and has the view say
-// whether what a client holds is what the box holds of the whole. A view has the types Part and Delta, and
-//   mesh, load(mesh), step(delta): the whole; step() applies the delta to the mesh and returns the view's own
-//   load_part(part, box), writer(part, box), follow_part(part, delta of the whole, box) -> owned
-//   expect_part(part, box), ids_set(owned)
+// whether what a client holds is what the box holds of the whole. A view has the type Part and
+//   mesh, load(mesh), step(delta): the whole; step() applies the delta to the mesh
+//   load_part(part, box), writer(part, box), follow_part(part, change of the whole, box) -> owned
+//   expect_part(part, box), tets_set(owned): the tetrahedra of the elements that it sets
 template <class View>
 void follow_boxes(View view) {
   Walk walk(3, 2, 2);
   view.load(walk.model.replica());
-  using Owned = decltype(view.step(walk.step().view()));
   struct Follower {
     Box box;
     std::size_t every;
     typename View::Part server, client;
-    std::vector<Owned> since;
+    std::optional<MeshChange> since;
   };
   std::vector<Follower> followers;
   for (const Box& box : random_boxes(view.mesh, 12, walk.random)) {
@@ -102,22 +118,26 @@ void follow_boxes(View view) {
     followers.push_back(std::move(f));
   }
   int moved_in = 0;
-  for (std::size_t i = 0; i < 300; ++i) {
-    const OwnedDelta change = walk.step();
-    const Owned step = view.step(change.view());
+  for (std::size_t i = 0; i < 400; ++i) {
+    // Deformations that a box's shell covers and such as it does not, with cuts between.
+    const OwnedDelta delta = i % 37 == 36 ? walk.step() : i % 4 == 3 ? walk.cut() : walk.sway(1e-3);
+    const MeshChange change(view.mesh, delta.view());
+    view.step(delta.view());
     for (Follower& f : followers) {
-      f.since.push_back(step);
+      if (f.since) {
+        f.since->append(change);
+      } else {
+        f.since = change;
+      }
       if ((i + 1) % f.every != 0) continue;
-      std::vector<typename View::Delta> deltas;
-      for (const Owned& d : f.since) deltas.push_back(d.view());
-      const Owned all = coalesce(std::span<const typename View::Delta>(deltas));
-      const Owned sent = view.follow_part(f.server, all.view(), f.box);
-      f.since.clear();
-      for (const std::uint32_t id : view.ids_set(sent))
-        moved_in += !std::binary_search(view.ids_set(all).begin(), view.ids_set(all).end(), id);
+      const auto sent = view.follow_part(f.server, *f.since, f.box);
+      const std::vector<std::uint32_t>& named = f.since->tets;
+      for (const std::uint32_t tet : view.tets_set(sent))
+        moved_in += std::find(named.begin(), named.end(), tet) == named.end();
+      f.since.reset();
       Message kept;
       const ApplyResult result = f.client.apply(through_bytes(sent.view(), kept));
-      ASSERT_TRUE(result) << result.text;
+      ASSERT_TRUE(result) << result.text << " at step " << i;
       view.expect_part(f.client, f.box);
       ASSERT_EQ(f.client.canonical_bytes(), f.server.canonical_bytes());
       if (::testing::Test::HasFailure()) return;

@@ -7,6 +7,7 @@
 #include <random>
 #include <thread>
 
+#include "server/stream/delta_arrays.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/stream/viewer.hpp"
@@ -95,6 +96,28 @@ TEST(Server, ReturningViewersGoOnFromTheRing) {
   EXPECT_TRUE(viewer.causes.empty());
   EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
   EXPECT_EQ(test.server.counters().resumed, 1u);
+}
+
+// As a server does that goes on with a session: it begins at a state of before, and publishes the steps since.
+TEST(Server, WhatWasPublishedBeforeTheStartIsThereForThoseWhoReturn) {
+  MiniLoop loop(box_mesh(6));
+  Server server(test_config(), loop.facts(), loop.initial(), loop);
+  loop.attach(server);
+  loop.cut(sweep(0.03, 80, 1, 0.06));
+  ASSERT_GT(loop.revision(), 2u);
+  server.start();
+  EXPECT_EQ(server.counters().revision, loop.revision()) << "before the first client can come";
+  protocol::Hello back = hello(Role::Viewer, View::Volume);
+  back.resume_session = 4711;
+  Viewer viewer(server.tcp_port(), back);
+  viewer.replica = protocol::Replica(protocol::kMaxVertices, protocol::kMaxTets);
+  MiniLoop fresh(box_mesh(6));
+  ASSERT_EQ(load_initial(fresh.initial(), viewer.replica), "");
+  viewer.whole = true;
+  ASSERT_TRUE(viewer.follow(loop.revision()));
+  EXPECT_TRUE(viewer.welcome.resumed);
+  EXPECT_EQ(viewer.replica.compute_state_hash(), loop.state_hash());
+  server.stop();
 }
 
 TEST(Server, WhoLiesAboutItsRevisionGetsASnapshot) {
@@ -220,6 +243,12 @@ TEST(Server, WhoNeverReadsIsDisconnected) {
   EXPECT_EQ(test.server.counters().slow_disconnects, 1u);
   ASSERT_TRUE(eventually([&] { return test.server.counters().sessions == 1; }));
   expect_serves_others(test);
+  // It begins to read after all: what was on its way is whole, and Bye is behind it.
+  const auto bye = stalled.peer.receive_until<protocol::Bye>();
+  ASSERT_TRUE(bye);
+  EXPECT_EQ(std::get<protocol::Bye>(bye->message.body).reason, ByeReason::TooSlow);
+  EXPECT_TRUE(stalled.peer.closes());
+  EXPECT_EQ(test.server.counters().slow_disconnects, 1u);
 }
 
 TEST(Server, RefusesWhatIsNoHello) {
