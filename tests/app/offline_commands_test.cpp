@@ -375,39 +375,35 @@ TEST_F(Incise, MillimetresAreRecognised) {
 // three rectangles that the poses swept, in the mean edge length of the mesh that was given. The body has small elements
 // in its middle, as a tumour has.
 TEST_F(Incise, TheReportsDeviationIsWhatAJudgeMeasures) {
-  core::MeshData body = tests::cube(10, 2);
+  core::MeshData body = tests::cube(14, 2);
   for (core::Vec3& p : body.positions) {
     for (double* x : {&p.x, &p.y, &p.z})
-      *x = 0.05 * (1 + std::copysign(std::pow(std::abs(*x - 1), 2.5), *x - 1));
+      *x = 0.05 * (1 + std::copysign(std::pow(std::abs(*x - 1), 3.5), *x - 1));
   }
   mesh_io::write_mesh(dir_ / "graded.node", body);
   struct Rectangle {
     core::Vec3 corner, along, across;  // motion and blade
   };
-  // The blade points to -z of the tool: turned about x by `a`, it moves along x; the second rectangle is turned about z.
-  const double kLong = 0.2;
+  constexpr double kSide = 0.16;
   std::vector<Rectangle> swept;
   std::string csv = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n";
-  int k = 0;
-  for (const auto& [about_x, about_z] : {std::pair{0.3, 0.0}, {-0.5, 0.0}, {0.2, 1.3}}) {
-    const core::Quat x{std::cos(about_x / 2), std::sin(about_x / 2), 0, 0};
-    const core::Quat z{std::cos(about_z / 2), 0, 0, std::sin(about_z / 2)};
-    const core::Quat q{z.w * x.w, z.w * x.x, z.z * x.x, z.z * x.w};
+  for (core::Quat q : {core::Quat{0.8, 0.3, -0.4, 0.3}, {0.5, -0.6, 0.2, 0.6}, {0.3, 0.7, 0.5, -0.4}}) {
+    const double norm = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
+    q = {q.w / norm, q.x / norm, q.y / norm, q.z / norm};
     const core::Vec3 along = core::rotate(q, {1, 0, 0}), down = core::rotate(q, {0, 0, -1});
-    const core::Vec3 first = core::Vec3{0.0512, 0.0507, 0.0489} - 0.1 * along - 0.1 * down;
-    swept.push_back({first, kLong * along, kLong * down});
+    const core::Vec3 first = core::Vec3{0.0532, 0.0467, 0.0489} - (kSide / 2) * along - (kSide / 2) * down;
     for (int i = 0; i <= 100; ++i) {
-      const core::Vec3 p = first + (0.002 * i) * along;
+      const core::Vec3 p = first + (kSide / 100 * i) * along;
       char line[256];
-      std::snprintf(line, sizeof line, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g\n", 3.0 * k + 0.01 * i,
-                    p.x, p.y, p.z, q.w, q.x, q.y, q.z);
+      std::snprintf(line, sizeof line, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g\n",
+                    3.0 * static_cast<double>(swept.size()) + 0.01 * i, p.x, p.y, p.z, q.w, q.x, q.y, q.z);
       csv += line;
     }
-    ++k;
+    swept.push_back({first, kSide * along, kSide * down});
   }
   write("three.csv", csv);
   const RunResult result = run({"cut", "--mesh", "graded", "--poses", "three.csv", "--blade",
-                                "0,0,0:0,0,-0.2", "--out", "out.vtk", "--json"});
+                                "0,0,0:0,0,-0.16", "--out", "out.vtk", "--json"});
   ASSERT_EQ(result.exit_code, 0) << result.err;
   const json report = json::parse(result.out);
 

@@ -155,7 +155,7 @@ std::string known_files() {
 // By its contents: a configuration, a capture, or a motion.
 Json describe_contents(const fs::path& file) {
   if (looks_like_config(file)) {
-    const Json json = Json::parse(std::ifstream(file), nullptr, false);
+    const Json json = Json::parse(std::ifstream(file), nullptr, false, true);
     if (json.is_object() && json.contains("tools")) {
       return {{"kind", "device profile"}, {"name", input::load_profile(file).name}};
     }
