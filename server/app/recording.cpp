@@ -11,7 +11,7 @@
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/version.hpp"
 #include "server/app/wiring.hpp"
-#include "server/core/session_state.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::app {

@@ -7,7 +7,7 @@
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
 #include "server/app/config.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 

@@ -18,8 +18,8 @@
 #include "server/app/recording.hpp"
 #include "server/app/telemetry.hpp"
 #include "server/app/wiring.hpp"
-#include "server/core/check.hpp"
-#include "server/core/session_state.hpp"
+#include "server/base/check.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {

@@ -10,7 +10,6 @@ namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using loop::Histogram;
 using loop::LoopStats;
 
 // The stages of a pose's way and of a frame, as they are named everywhere.

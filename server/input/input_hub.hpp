@@ -12,9 +12,9 @@
 #include <utility>
 #include <vector>
 
-#include "server/core/blade.hpp"
-#include "server/core/cut_config.hpp"
-#include "server/core/stroke_builder.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/stroke/blade.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
 #include "server/input/spsc_queue.hpp"
 
 namespace incise::input {

@@ -7,7 +7,7 @@
 #include <ctime>
 #include <exception>
 
-#include "server/core/session_state.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::loop {

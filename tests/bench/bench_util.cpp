@@ -9,7 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/phantom.hpp"
 

@@ -36,7 +36,7 @@ struct Discard : loop::DeltaSink {
   std::uint64_t hash = 0;
 };
 
-void add_row(Report& report, const char* name, const loop::Histogram& histogram) {
+void add_row(Report& report, const char* name, const Histogram& histogram) {
   const auto us = [](std::uint64_t ns) { return static_cast<double>(ns) * 1e-3; };
   report.row({std::string(name), count(histogram.count()), us(histogram.quantile_ns(0.5)),
               us(histogram.quantile_ns(0.99)), us(histogram.quantile_ns(0.999)), us(histogram.max_ns())});

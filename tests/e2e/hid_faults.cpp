@@ -16,7 +16,7 @@
 #include <stdexcept>
 #include <thread>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/raw_peer.hpp"

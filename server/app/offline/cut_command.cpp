@@ -15,8 +15,8 @@
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
-#include "server/core/cut_session.hpp"
-#include "server/core/measure.hpp"
+#include "server/core/mesh/measure.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 namespace {

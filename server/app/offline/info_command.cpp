@@ -12,7 +12,7 @@
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
-#include "server/core/measure.hpp"
+#include "server/core/mesh/measure.hpp"
 #include "server/mesh_io/phantom.hpp"
 #include "server/mesh_io/surface_check.hpp"
 

@@ -11,7 +11,7 @@
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/app/version.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 namespace {

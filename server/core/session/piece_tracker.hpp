@@ -1,0 +1,121 @@
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "server/core/cut/cutter.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/util/id_set.hpp"
+
+namespace incise::core {
+
+// Finds out what a step has cut off. From the tetrahedra at the new cut faces, searches spread through the mesh at the
+// same pace; searches that meet become one. A group of searches that has nowhere left to go, while another of the
+// same piece still has, has found a piece of its own. Of the parts of a piece, the largest keeps its id. So it costs what
+// the smaller side holds (times two), and next to nothing where the two sides of a cut still hang together around its
+// front.
+//
+// The searches go by clusters of up to 32 tetrahedra that hang together. Where a step changes what is beside a tetrahedron, its
+// cluster is formed anew, as one or several. One that no step has touched yet knows the clusters beside it and is passed in one go.
+class PieceTracker {
+ public:
+  // O(mesh): later steps only add what the mesh has grown by.
+  explicit PieceTracker(TetMesh& mesh);
+
+  // Begins with the tetrahedra that the running step has touched.
+  void begin();
+  // Goes on until done (true) or the budget is spent (false). Lists in delta.pieces (the same delta each time), by piece,
+  // the tetrahedra that this step has put into another piece than before, and the new ones whose piece is not 0. The
+  // mesh's step must still run.
+  bool advance(WorkBudget& budget, Delta& delta);
+
+  // Pieces there have been so far; ids run below it.
+  std::uint32_t pieces() const { return next_piece_; }
+
+ private:
+  friend struct SessionFields;  // session_state.cpp
+
+  std::uint32_t find(std::uint32_t group) {
+    while (groups_[group].parent != group) {
+      groups_[group].parent = groups_[groups_[group].parent].parent;
+      group = groups_[group].parent;
+    }
+    return group;
+  }
+  void form_cluster(TetId first);
+  void find_links(std::uint32_t cluster);
+  // All clusters: the size, and the highest bit where links are known, then the members.
+  static constexpr std::uint32_t kLinked = 1u << 31;
+  std::vector<std::uint32_t> list_clusters() const;
+  // False, and in no state to go on, where they are not the living tetrahedra, each once.
+  bool restore_clusters(std::span<const std::uint32_t> listed);
+  void dissolve(std::uint32_t cluster);
+  void claim(std::uint32_t cluster, std::uint32_t group);
+  void meet(std::uint32_t cluster, std::uint32_t group);
+  std::int64_t expand(std::uint32_t cluster, std::uint32_t group);
+  void settle(std::uint32_t piece);
+  bool has_other_neighbors(TetId t) const;
+  bool loosen(WorkBudget& budget);
+  bool form(WorkBudget& budget);
+  bool seed(WorkBudget& budget);
+  bool search(WorkBudget& budget);
+  bool relabel(WorkBudget& budget);
+  bool list_new(WorkBudget& budget);
+  bool list(WorkBudget& budget, Delta& delta);
+  static void append(Delta& delta, std::uint32_t piece, TetId t);
+
+  TetMesh& mesh_;
+  std::uint32_t next_piece_ = 1;
+
+  std::vector<std::uint32_t> cluster_of_;  // by tetrahedron; kNone: it is dead, or about to get one
+  std::vector<TetId> next_member_;         // by tetrahedron: the next one of its cluster
+  struct Cluster {
+    TetId first = kNone;  // member; kNone: the slot is free
+    std::uint32_t size = 0;
+    std::uint32_t links = kNone, links_end = kNone;  // kNone: some step has touched it
+    std::uint32_t search = 0, group = 0;             // the search that came by, and its group
+  };
+  std::vector<Cluster> clusters_;
+  std::vector<std::uint32_t> free_clusters_;
+  std::vector<std::uint32_t>
+      links_;  // clusters that share a face with one; a slot that has been formed anew has none itself
+  std::vector<TetId> loose_;  // that this step has taken out of their clusters, and new ones
+
+  std::uint32_t search_ = 0;  // serial of the running search
+  enum class Phase { kLoosen, kForm, kSeed, kSearch, kRelabel, kNew, kList };
+  Phase phase_ = Phase::kLoosen;
+  struct Visited {
+    std::uint32_t cluster;
+    std::uint32_t next;  // that waits in the same group, into visited_
+  };
+  std::vector<Visited> visited_;
+  std::size_t next_ = 0;  // how far the phase is
+  struct Group {
+    std::uint32_t parent;
+    std::uint32_t first, last;  // that wait, breadth first, into visited_
+    std::uint32_t piece;        // that it began in
+    std::uint32_t fresh;        // the new piece that it turned out to be; 0: none
+    std::uint32_t tets;         // that it has claimed
+    std::int32_t credit;        // tetrahedra that it may visit in its turn
+  };
+  void end_group(std::uint32_t group);
+  std::vector<Group> groups_;
+  std::vector<std::uint32_t> ring_;  // groups in turn, and some that are done
+  std::size_t turn_ = 0;
+  std::int32_t rounds_ = 0;
+  std::vector<std::uint32_t> piece_tets_;  // by piece: how many it has
+  struct Search {
+    std::uint32_t groups = 0;       // that still have somewhere to go
+    std::uint32_t largest = kNone;  // of the groups that are pieces of their own
+    std::uint32_t cut_off = 0;      // tetrahedra of all of these
+    bool finishing = false;  // what is left may be less than the largest of them: it is visited to its end
+  };
+  std::vector<Search> searches_;  // by piece
+  std::uint32_t undecided_ = 0;   // pieces with more than one group, or finishing
+  std::uint32_t pieces_before_ = 1;
+  IdSet changed_;  // tetrahedra to list
+};
+
+}  // namespace incise::core
