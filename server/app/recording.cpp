@@ -3,7 +3,6 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <ctime>
 #include <fstream>
 #include <optional>
 #include <vector>
@@ -11,17 +10,12 @@
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/version.hpp"
 #include "server/app/wiring.hpp"
+#include "server/base/clock.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::app {
 namespace {
-
-std::int64_t unix_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_REALTIME, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
 
 // The parts of a configuration that a session's state depends on.
 bool same_cut(const Config& a, const Config& b) {
@@ -130,19 +124,13 @@ void replay(const Config& config, const std::string& path, Start& start, Capture
     loop::JournalRecord end;
     end.kind = loop::JournalRecord::Kind::kEndStroke;
     end.source = source;
-    end.arrival_ns = input::monotonic_ns();
+    end.arrival_ns = monotonic_ns();
     session->end_stroke(source);
     journal.write(end);
     commit_all();
   }
   journal.flush();
   journal.sync();
-}
-
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
 // A checkpoint of the session as it is now, at the end of its capture.
@@ -217,7 +205,7 @@ Recording resume_recording(const Config& config, const Body& body) {
         "capture.path: found \"\"; accepted with --resume is the path of the capture to go on with");
   }
   const std::string path = config.resolve(config.capture.path).string();
-  const auto began = input::monotonic_ns();
+  const auto began = monotonic_ns();
   require_same(config, body, read_capture_header(path), path);
   std::optional<Start> start = from_checkpoint(config, path);
   const bool checkpointed = start.has_value() && start->rest.resets == 0;
@@ -247,7 +235,7 @@ Recording resume_recording(const Config& config, const Body& body) {
   const double most_s = config.capture.checkpoint_replay_s;
   if (most_s > 0 && thread_cpu_s() - before_s > most_s) write_checkpoint(path, recording);
   spdlog::info("resumed {} at revision {} in {:.2f} s: {}, {} poses replayed", path,
-               recording.session->revision(), static_cast<double>(input::monotonic_ns() - began) * 1e-9,
+               recording.session->revision(), static_cast<double>(monotonic_ns() - began) * 1e-9,
                checkpointed ? fmt::format("from the checkpoint at revision {}", from) : "from the beginning",
                motion.poses());
   return recording;

@@ -142,9 +142,6 @@ class InputHub {
   std::array<std::unique_ptr<Slot>, core::kMaxSources> slots_;
 };
 
-// CLOCK_MONOTONIC now, ns: the clock of all times in the server.
-std::int64_t monotonic_ns();
-
 template <class Handle>
 void InputHub::drain(Handle&& handle) {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {

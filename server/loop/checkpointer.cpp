@@ -4,22 +4,13 @@
 #include <sched.h>
 
 #include <algorithm>
-#include <ctime>
 #include <exception>
 
+#include "server/base/clock.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::loop {
-namespace {
-
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-}
-
-}  // namespace
 
 Checkpointer::Checkpointer(const Options& options, std::uint64_t session_id, int next_file,
                            std::function<std::unique_ptr<core::CutSession>()> first, Tell tell)

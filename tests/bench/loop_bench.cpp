@@ -6,6 +6,7 @@
 #include <memory>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "server/loop/realtime.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -14,8 +15,6 @@
 
 namespace incise::bench {
 namespace {
-
-using input::monotonic_ns;
 
 struct LoopBench {
   double seconds = 10;

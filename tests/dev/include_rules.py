@@ -15,12 +15,13 @@ from pathlib import Path
 BASE = "server/base"  # of the standard library only
 CHECK = "server/base/check.hpp"
 STATE_HASH = "protocol/state_hash.hpp"
+TET_FACES = "protocol/tet_faces.hpp"
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
     BASE: [],
-    "server/core": [CHECK, STATE_HASH],  # and no clock
+    "server/core": [CHECK, STATE_HASH, TET_FACES],  # and no clock
     "server/mesh_io": [BASE, "server/core"],
     "server/input": [BASE, "server/core", "protocol", FORCE_SLOT],
     "server/haptics": [BASE, "server/core"],

@@ -15,6 +15,7 @@
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
+#include "server/base/hex.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/session/cut_session.hpp"
 
@@ -99,12 +100,6 @@ std::string box_text(const core::Vec3& low, const core::Vec3& high) {
     return "(" + short_number(p.x) + ", " + short_number(p.y) + ", " + short_number(p.z) + ")";
   };
   return point(low) + " to " + point(high);
-}
-
-std::string hex(std::uint64_t hash) {
-  char text[17];
-  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
-  return text;
 }
 
 // What is cut, and by what.

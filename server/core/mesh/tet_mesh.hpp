@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/tet_faces.hpp"
 #include "server/core/geometry/vec3.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/mesh_data.hpp"
@@ -25,8 +26,7 @@ inline constexpr int face_of(HalfFace h) {
   return static_cast<int>(h & 3u);
 }
 
-// The vertices of face f (opposite to vertex f), counter-clockwise seen from outside the tetrahedron.
-inline constexpr int kFaceVertices[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
+using protocol::kFaceVertices;
 // The two vertices of each of the six edges.
 inline constexpr int kEdgeVertices[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
 

@@ -23,6 +23,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/surface_message.hpp"
