@@ -5,6 +5,7 @@
 
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
+#include "server/core/util/archive.hpp"
 #include "server/core/util/work_budget.hpp"
 
 namespace incise::core {
@@ -37,6 +38,10 @@ class Cutter {
   // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
   // not be moved until it is done.
   virtual void clinging(std::vector<VertexId>& /*out*/) const {}
+  // The batch begun last, as far as the policy needs to know.
+  virtual BatchNumber last() const { return {}; }
+  // Between two batches: what later ones depend on.
+  virtual void archive(Archive& /*io*/) {}
   // Between two batches: brings what the next one is likely to work on into the processor's caches, from which the milliseconds
   // since the last one have driven it. Changes nothing.
   virtual void prefetch() {}

@@ -258,4 +258,48 @@ TetId BoundaryGrid::locate(const TetMesh& mesh, const Vec3& p, std::int64_t* loo
   return kNone;
 }
 
+void BoundaryGrid::archive(Archive& io, const TetMesh& mesh) {
+  io(origin_);
+  io(low_);
+  io(high_);
+  io(cell_);
+  io(inverse_);
+  io(slack_);
+  for (std::int64_t& n : count_) io(n);
+  io.list(head_, 4, [&](std::uint32_t& head) { io(head); });
+  io.list(nodes_, 8, [&](Node& node) {
+    io(node.tet);
+    io(node.next);
+  });
+  std::uint64_t when_built = nodes_when_built_;
+  io(when_built);
+  nodes_when_built_ = when_built;
+  io.list(anchors_, 24, [&](Vec3& anchor) { io(anchor); });
+  if (io.reads()) check_restored(io, mesh);
+}
+
+void BoundaryGrid::check_restored(Archive& io, const TetMesh& mesh) {
+  io.demand(nodes_when_built_ <= nodes_.size(), "a grid that has shrunk");
+  io.demand(slack_ >= 0.25 && slack_ <= 1, "a grid with another slack");
+  io.demand(anchors_.size() <= mesh.vertex_slots(), "more anchors than vertices");
+  std::uint64_t cells = 1;
+  for (const std::int64_t n : count_) {
+    io.demand(n > 0 && n <= (1 << 25), "a grid without cells");
+    if (!io.failed()) cells *= static_cast<std::uint64_t>(n);
+    io.demand(cells <= head_.size(), "a grid of other cells");
+    if (io.failed()) return;
+  }
+  io.demand(cells == head_.size(), "a grid of other cells");
+  io.demand(cell_ > 0 && std::isfinite(cell_) && inverse_ == 1 / cell_, "grid cells without a size");
+  for (const std::uint32_t head : head_)
+    io.demand(head == kNone || head < nodes_.size(), "a grid cell lists nothing");
+  // A list leads to ever older nodes, so it cannot go in a circle.
+  for (std::size_t i = 0; i < nodes_.size(); ++i) {
+    io.demand(nodes_[i].tet < mesh.tet_slots(), "the grid names no tetrahedron");
+    io.demand(nodes_[i].next == kNone || nodes_[i].next < i, "a grid list goes in a circle");
+  }
+  nodes_.reserve(room_for(nodes_.size()));
+  taken_.assign(head_.size(), 0);
+}
+
 }  // namespace incise::core

@@ -5,6 +5,7 @@
 
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/stroke/swept_triangle.hpp"
+#include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
@@ -59,17 +60,19 @@ class BoundaryGrid {
   // The width of a cell, m.
   double cell() const { return cell_; }
 
+  // Lists keep their order: the search meets tetrahedra in it, and ids follow.
+  void archive(Archive& io, const TetMesh& mesh);
+
   // A tetrahedron that contains p, found from the boundary inwards; kNone where p is outside. O(mesh^(1/3)); adds to
   // `looked_at` the boundary tetrahedra that it took.
   TetId locate(const TetMesh& mesh, const Vec3& p, std::int64_t* looked_at = nullptr) const;
 
  private:
-  friend struct SessionFields;  // session_state.cpp
-
   struct Node {
     TetId tet;
     std::uint32_t next;
   };
+  void check_restored(Archive& io, const TetMesh& mesh);
   void lay_out(const Vec3& low, const Vec3& high, double cell);
   std::int64_t cell_of(double x, int axis) const;
   // Where a cell is in head_ and taken_.

@@ -1,11 +1,13 @@
 #include "server/core/mesh/tet_mesh.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include "protocol/state_hash.hpp"
 #include "server/base/check.hpp"
 #include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/core/util/room.hpp"
 
 namespace incise::core {
@@ -857,6 +859,68 @@ MeshData TetMesh::export_data() const {
     data.regions.push_back(attributes_[t].region);
   }
   return data;
+}
+
+void TetMesh::archive(Archive& io) {
+  io(mean_edge_length_);
+  io(initial_vertex_copies_);
+  io(has_regions_);
+  io(cut_sides_);
+  io(hash_);
+  io.list(vertices_, 32, [&](Vertex& v) {
+    io(v.position);
+    io(v.tet);
+    io(v.h);
+  });
+  io.list(rest_, 24, [&](Vec3& rest) { io(rest); });
+  io.list(tets_, 32, [&](Tet& t) {
+    for (VertexId& v : t.vertices) io(v);
+    for (HalfFace& o : t.opposite) io(o);
+  });
+  io.list(attributes_, 9, [&](Attributes& a) {
+    io(a.region);
+    io(a.piece);
+    io(a.cut_mask);
+  });
+  if (!io.reads()) return;
+  check_restored(io);
+  if (io.failed()) return;
+  grow_to(vertices_, vertices_.size());
+  if (deformed()) grow_to(rest_, rest_.size());
+  grow_to(tets_, tets_.size());
+  grow_to(attributes_, tets_.size());
+  grow_to(vertex_mark_, vertices_.size());
+  grow_to(record_, tets_.size());
+  grow_to(tet_mark_, tets_.size());
+  begin_step();
+  const std::string problem = validate(*this, false);
+  io.demand(problem.empty(), problem.c_str());
+}
+
+// That no index leads astray; validate() looks at the rest.
+void TetMesh::check_restored(Archive& io) {
+  io.demand(tets_.size() < kNone / 16 && vertices_.size() < kNone / 2, "the mesh is too large");
+  io.demand(attributes_.size() == tets_.size(), "attributes and tetrahedra differ in number");
+  io.demand(rest_.empty() || rest_.size() == vertices_.size(),
+            "rest positions and vertices differ in number");
+  io.demand(mean_edge_length_ > 0 && std::isfinite(mean_edge_length_), "h is not positive");
+  if (io.failed()) return;
+  live_tets_ = 0;
+  for (const Tet& t : tets_) {
+    if (t.vertices[0] == kNone) continue;
+    ++live_tets_;
+    for (VertexId v : t.vertices) io.demand(v < vertex_slots(), "a tetrahedron names no vertex");
+    for (HalfFace o : t.opposite) {
+      io.demand(o == kNone || (tet_of(o) < tet_slots() && alive(tet_of(o))), "a neighbour does not exist");
+    }
+  }
+  if (io.failed()) return;
+  for (VertexId v = 0; v < vertex_slots(); ++v) {
+    const TetId t = vertex_tet(v);
+    io.demand(t == kNone || (t < tet_slots() && alive(t) && local_index(t, v) >= 0),
+              "a vertex names a tetrahedron that does not have it");
+    io.demand(vertices_[v].h >= 0 && std::isfinite(vertices_[v].h), "a local width is no length");
+  }
 }
 
 }  // namespace incise::core

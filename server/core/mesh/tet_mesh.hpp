@@ -11,6 +11,7 @@
 #include "server/core/geometry/vec3.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/mesh_data.hpp"
+#include "server/core/util/archive.hpp"
 #include "server/core/util/id_set.hpp"
 #include "server/core/util/work_budget.hpp"
 
@@ -159,11 +160,12 @@ class TetMesh {
   // Vertices moved since the last commit that existed then.
   std::span<const VertexId> touched_vertices() const { return touched_vertices_; }
 
+  // Which tetrahedron a vertex names is part of it: stars are walked from there, and ids follow from the walk. O(mesh).
+  void archive(Archive& io);
+
   MeshData export_data() const;  // live tetrahedra and used vertices, renumbered in id order
 
  private:
-  friend struct SessionFields;  // session_state.cpp
-
   struct Vertex {
     Vec3 position;
     TetId tet = kNone;
@@ -178,6 +180,7 @@ class TetMesh {
     std::uint32_t piece = 0;
     std::uint8_t cut_mask = 0;
   };
+  void check_restored(Archive& io);
   void link(HalfFace a, HalfFace b);
   void build_adjacency();
   void split_initial_vertices();

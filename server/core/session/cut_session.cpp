@@ -8,11 +8,17 @@
 #include "server/core/cut/croll/croll_cutter.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/validate.hpp"
+#include "server/core/session/session_state.hpp"
 
 namespace incise::core {
 
 CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
-    : mesh_(mesh), config_(config), workspace_(mesh_), pieces_(mesh_), mover_(mesh_, workspace_) {}
+    : mesh_(mesh),
+      config_(config),
+      workspace_(mesh_),
+      pieces_(mesh_),
+      measured_(workspace_),
+      mover_(mesh_, workspace_) {}
 
 CutSession::~CutSession() = default;
 
@@ -154,7 +160,7 @@ bool CutSession::finish(WorkBudget& budget) {
     if (!mesh_.commit(made_, budget)) return false;
     next_upserted_ = next_moved_ = 0;
     worst_ = -kInverted;
-    ++workspace_.serial;
+    measured_.begin();
     stage_ = Stage::kMeasuring;
   }
   return measure(budget);
@@ -163,8 +169,7 @@ bool CutSession::finish(WorkBudget& budget) {
 // The worst angle of the tetrahedra that the delta names and of those around vertices that moved.
 bool CutSession::measure(WorkBudget& budget) {
   const auto look_at = [this](TetId t) {
-    if (workspace_.tets[t].seen == workspace_.serial) return;
-    workspace_.tets[t].seen = workspace_.serial;
+    if (!measured_.insert(t)) return;
     worst_ = std::max(worst_, mesh_.worst_dihedral(t));
   };
   for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {
@@ -179,9 +184,46 @@ bool CutSession::measure(WorkBudget& budget) {
     if (budget.spent()) return false;
     mesh_.star(made_.moved[next_moved_], star_);
     budget.charge(static_cast<std::int64_t>(star_.size() + 1));
-    for (std::uint32_t corner : star_) look_at(corner >> 2);
+    for (std::uint32_t corner : star_) look_at(tet_of(corner));
   }
   return true;
+}
+
+void CutSession::archive(Archive& io) {
+  std::uint32_t version = kSessionStateVersion;
+  io(version);
+  io.demand(version == kSessionStateVersion, "it is of another version");
+  auto policy = static_cast<std::uint8_t>(config_.policy);
+  io(policy);
+  io.demand(policy == static_cast<std::uint8_t>(config_.policy), "it is of another policy");
+  if (io.failed()) return;
+  io(revision_);
+  io(stroke_counter_);
+  mesh_.archive(io);
+  if (io.failed()) return;
+  pieces_.archive(io);
+  workspace_.archive(io, mesh_);
+  mover_.archive(io);
+  for (std::uint32_t number = 0; number < kMaxSources; ++number) archive_source(io, number);
+}
+
+void CutSession::archive_source(Archive& io, std::uint32_t number) {
+  bool exists = sources_[number] != nullptr;
+  io(exists);
+  if (!exists) return;
+  Blade blade;
+  if (!io.reads()) blade = sources_[number]->builder.blade();
+  io(blade.heel);
+  io(blade.tip);
+  if (io.failed()) return;
+  if (io.reads()) set_blade(number, blade);
+  StrokeBuilder& builder = sources_[number]->builder;
+  Cutter& cutter = *sources_[number]->cutter;
+  builder.archive(io);
+  cutter.archive(io);
+  const BatchNumber made = builder.last_batch(), cut = cutter.last();
+  io.demand(cut.stroke <= stroke_counter_, "a stroke that is not counted");
+  io.demand(cut.stroke != made.stroke || cut.batch == made.batch, "batches that were not cut");
 }
 
 }  // namespace incise::core

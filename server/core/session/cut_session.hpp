@@ -67,9 +67,10 @@ class CutSession {
   // What the batch at work has done so far.
   CutCounts running_counts() const;
 
- private:
-  friend struct SessionFields;  // session_state.cpp
+  // All that later revisions depend on; no batch may wait. See session_state.hpp.
+  void archive(Archive& io);
 
+ private:
   struct Source {
     StrokeBuilder builder;
     std::unique_ptr<Cutter> cutter;
@@ -79,6 +80,7 @@ class CutSession {
   bool measure(WorkBudget& budget);
   Progress advance_deformation(WorkBudget& budget, Delta& delta);
   void describe(Delta& delta);
+  void archive_source(Archive& io, std::uint32_t number);
 
   TetMesh mesh_;
   CutConfig config_;
@@ -92,6 +94,7 @@ class CutSession {
   Stage stage_ = Stage::kWaiting;
   Delta made_;                                      // while it is being made
   std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
+  TetPass measured_;
   double worst_ = 0;
   VertexMover mover_;
   std::size_t deformations_ = 0;  // in the queue

@@ -116,6 +116,25 @@ bool PieceTracker::restore_clusters(std::span<const std::uint32_t> listed) {
   return members == mesh_.live_tets();
 }
 
+void PieceTracker::archive(Archive& io) {
+  io(next_piece_);
+  std::vector<std::uint32_t> clusters;
+  if (!io.reads()) clusters = list_clusters();
+  io.list(clusters, 4, [&](std::uint32_t& entry) { io(entry); });
+  if (!io.reads()) return;
+  io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");
+  for (TetId t = 0; t < mesh_.tet_slots() && !io.failed(); ++t)
+    io.demand(mesh_.piece(t) < next_piece_, "a tetrahedron is in a piece that does not exist");
+  if (io.failed()) return;
+  piece_tets_.assign(next_piece_, 0);
+  for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
+    if (mesh_.alive(t)) ++piece_tets_[mesh_.piece(t)];
+  }
+  io.demand(restore_clusters(clusters), "clusters that are not the tetrahedra, each once");
+  grow_to(cluster_of_, mesh_.tet_slots());
+  grow_to(next_member_, mesh_.tet_slots());
+}
+
 // Its living members become loose.
 void PieceTracker::dissolve(std::uint32_t cluster) {
   for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {

@@ -31,12 +31,13 @@ class PieceTracker {
   // mesh's step must still run.
   bool advance(WorkBudget& budget, Delta& delta);
 
+  // What of it is not in the mesh, and which clusters there are: they decide in which order parts end.
+  void archive(Archive& io);
+
   // Pieces there have been so far; ids run below it.
   std::uint32_t pieces() const { return next_piece_; }
 
  private:
-  friend struct SessionFields;  // session_state.cpp
-
   std::uint32_t find(std::uint32_t group) {
     while (groups_[group].parent != group) {
       groups_[group].parent = groups_[groups_[group].parent].parent;

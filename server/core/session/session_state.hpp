@@ -13,9 +13,9 @@
 namespace incise::core {
 
 // A session as bytes: all that later revisions depend on, strokes that run included, so that a restored session gives
-// the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in one place,
-// struct SessionFields in session_state.cpp: a member of a cutter that lives from one batch to the next belongs there.
-// Raise the version when that list changes.
+// the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in each
+// class's archive(): a member that lives from one batch to the next belongs there. Raise the version when such a list
+// changes: older bytes are then refused.
 inline constexpr std::uint32_t kSessionStateVersion = 5;
 
 // No batch may wait (advance() says kIdle): what is in the middle of a batch has no bytes. O(mesh).

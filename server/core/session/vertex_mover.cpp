@@ -42,7 +42,7 @@ bool in_chunks(std::size_t& next, std::size_t end, WorkBudget& budget, std::int6
 }  // namespace
 
 VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
-    : mesh_(mesh), workspace_(workspace), grid_({}, {}, 1) {
+    : mesh_(mesh), workspace_(workspace), pass_(workspace), grid_({}, {}, 1) {
   known_since_.reserve(mesh.vertex_slots() + mesh.vertex_slots() / 4 + 65536);
   known_since_.resize(mesh.vertex_slots(), 0);
 }
@@ -59,7 +59,7 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   positions_ = &positions;
   phase_ = Phase::kTake;
   next_ = 0;
-  serial_ = ++workspace_.serial;
+  serial_ = workspace_.next_serial();
   const std::size_t vertices = mesh_.vertex_slots();
   wanted_.resize(vertices, 0);
   clinging_.resize(vertices, 0);
@@ -141,7 +141,7 @@ void VertexMover::take(WorkBudget& budget) {
   if (!done) return;
   // A pass over all tetrahedra in their order is quicker than the stars of most vertices, each of which is in four.
   all_tets_ = moving_.size() > mesh_.tet_slots() / 16;
-  search_ = ++workspace_.serial;
+  pass_.begin();
   phase_ = all_tets_ ? Phase::kCheck : Phase::kLook;
 }
 
@@ -151,9 +151,8 @@ void VertexMover::take(WorkBudget& budget) {
 void VertexMover::look_around(VertexId v) {
   mesh_.star(v, star_);
   for (const std::uint32_t corner : star_) {
-    const TetId t = corner >> 2;
-    if (workspace_.tets[t].seen == search_) continue;
-    workspace_.tets[t].seen = search_;
+    const TetId t = tet_of(corner);
+    if (!pass_.insert(t)) continue;
     to_check_.push_back(t);
   }
 }
@@ -178,7 +177,7 @@ void VertexMover::check(WorkBudget& budget) {
   if (!done) return;
   all_tets_ = false;
   to_check_.clear();
-  search_ = ++workspace_.serial;
+  pass_.begin();
   phase_ = too_far_.empty() ? Phase::kSettle : Phase::kYield;
 }
 
@@ -194,8 +193,8 @@ void VertexMover::check_tet(TetId t) {
   const double h = mesh_.local_h(v[0]);
   if (then >= kThinnest * h * h * h) return;
   for (const VertexId w : v) {
-    if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == search_) continue;
-    gives_way_[w] = search_;
+    if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == pass_.serial()) continue;
+    gives_way_[w] = pass_.serial();
     too_far_.push_back(w);
   }
 }
@@ -231,7 +230,7 @@ void VertexMover::settle(WorkBudget& budget) {
   boundary_.clear();
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = {-INFINITY, -INFINITY, -INFINITY};
-  search_ = ++workspace_.serial;
+  pass_.begin();
   phase_ = rebuilt_ ? Phase::kCollect : Phase::kFollow;
 }
 
@@ -249,7 +248,7 @@ void VertexMover::follow(WorkBudget& budget) {
     if (!grid.leaves_anchor(mesh_, moved_[i], moved_positions_[i])) return;
     mesh_.star(moved_[i], star_);
     for (const std::uint32_t corner : star_) {
-      if (mesh_.boundary_mask(corner >> 2) != 0) enter(grid, corner >> 2);
+      if (mesh_.boundary_mask(tet_of(corner)) != 0) enter(grid, tet_of(corner));
     }
   });
   if (done) phase_ = Phase::kReady;
@@ -260,8 +259,8 @@ void VertexMover::collect(WorkBudget& budget) {
   const BoundaryGrid& old = workspace_.grid;
   const bool done = in_chunks(next_, old.entries(), budget, kSmall, [&](std::size_t i) {
     const TetId t = old.entry(i);
-    if (workspace_.tets[t].seen == search_ || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
-    workspace_.tets[t].seen = search_;
+    if (pass_.has(t) || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
+    pass_.add(t);
     boundary_.push_back(t);
     for (const VertexId v : mesh_.vertices(t)) {
       const Vec3& p = target_[v];
@@ -298,6 +297,12 @@ void VertexMover::commit(Delta& delta) {
   mesh_.deform(moved_, moved_positions_, hash_change_, delta);
   if (rebuilt_) std::swap(workspace_.grid, grid_);
   positions_ = nullptr;
+}
+
+void VertexMover::archive(Archive& io) {
+  io.list(known_since_, 8, [&](std::uint64_t& revision) { io(revision); });
+  io.demand(known_since_.size() == mesh_.vertex_slots(), "revisions and vertices differ in number");
+  if (io.reads() && !io.failed()) grow_to(known_since_, mesh_.vertex_slots());
 }
 
 }  // namespace incise::core

@@ -36,9 +36,9 @@ class VertexMover {
   // Takes in that a cut led to delta.revision: what it has moved and made is not as simulations know it.
   void note_cut(const Delta& delta);
 
- private:
-  friend struct SessionFields;  // session_state.cpp
+  void archive(Archive& io);
 
+ private:
   enum class Phase { kTake, kLook, kCheck, kYield, kSettle, kCollect, kRebuild, kFollow, kReady };
   // How much of its way a vertex goes; between the two, half.
   static constexpr std::uint8_t kStays = 0, kFull = 2;
@@ -66,8 +66,8 @@ class VertexMover {
   std::uint32_t serial_ = 0;
   std::vector<std::uint32_t> wanted_;     // by vertex: the step that wants to move it
   std::vector<std::uint32_t> clinging_;   // by vertex: the step in which it clings to a blade
-  std::vector<std::uint32_t> gives_way_;  // by vertex: the search that found that it goes too far
-  std::uint32_t search_ = 0;              // through tetrahedra, that is under way
+  std::vector<std::uint32_t> gives_way_;  // by vertex: the pass that found that it goes too far
+  TetPass pass_;                          // through tetrahedra: looks at each once
   std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted
   std::vector<Vec3>
       target_;  // by vertex: where it will lie, as far as is known; where it is, between two steps

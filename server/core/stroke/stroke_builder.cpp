@@ -202,4 +202,28 @@ void StrokeBuilder::simplify() {
   }
 }
 
+void StrokeBuilder::archive(Archive& io) {
+  io(has_pose_);
+  io(in_stroke_);
+  io(stroke_);
+  io(batch_);
+  io(last_pose_.t_ns);
+  io(last_pose_.position);
+  for (double* q : {&last_pose_.orientation.w, &last_pose_.orientation.x, &last_pose_.orientation.y,
+                    &last_pose_.orientation.z}) {
+    io(*q);
+    io.demand(std::isfinite(*q), "a quaternion is not finite");
+  }
+  io(last_pose_.buttons);
+  io.list(buffer_, 56, [&](TimedLine& line) {
+    io(line.line.heel);
+    io(line.line.tip);
+    io(line.t_ns);
+  });
+  io.demand(!in_stroke_ || !buffer_.empty(), "a stroke without a line");
+  io.demand(buffer_.size() <= (1u << 20), "more lines than a stroke keeps");
+  io.demand(stroke_ <= stroke_counter_, "a stroke that is not counted");
+  if (io.reads()) buffer_.reserve(1024);
+}
+
 }  // namespace incise::core

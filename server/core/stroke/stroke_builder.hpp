@@ -9,6 +9,7 @@
 #include "server/core/cut/cut_config.hpp"
 #include "server/core/session/vertex_positions.hpp"
 #include "server/core/stroke/blade.hpp"
+#include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
@@ -41,6 +42,11 @@ struct Batch {
   std::vector<BladeLine> lines;             // at least one; the first is the last one of the batch before
   std::int64_t from_t_ns = 0, to_t_ns = 0;  // source times of the first and the last line
   std::shared_ptr<const VertexPositions> deformation;  // instead of a cut; stroke 0
+};
+
+// Which batch: 0 and 0 for none.
+struct BatchNumber {
+  std::uint32_t stroke = 0, batch = 0;
 };
 
 // Batches that wait to be cut, oldest first. Keeps the memory of those that are done: a steady stream of batches
@@ -76,10 +82,13 @@ class StrokeBuilder {
 
   bool in_stroke() const { return in_stroke_; }
   const Pose& last_pose() const { return last_pose_; }
+  const Blade& blade() const { return config_.blade; }
+  // The batch made last.
+  BatchNumber last_batch() const { return {stroke_, batch_}; }
+
+  void archive(Archive& io);
 
  private:
-  friend struct SessionFields;  // session_state.cpp
-
   struct TimedLine {
     BladeLine line;
     std::int64_t t_ns;

@@ -223,4 +223,18 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   return found;
 }
 
+void SweptSurface::archive(Archive& io) {
+  io.list(triangles_, 253, [&](SweptTriangle& t) {
+    for (Vec3& corner : t.corners) io(corner);
+    io(t.normal);
+    io(t.offset);
+    io(t.low);
+    io(t.high);
+    for (Vec3& inward : t.inward) io(inward);
+    for (double& offset : t.inward_offset) io(offset);
+    io(t.batch);
+    io(t.rim);
+  });
+}
+
 }  // namespace incise::core

@@ -9,6 +9,7 @@
 
 #include "server/core/geometry/four_points.hpp"
 #include "server/core/stroke/swept_triangle.hpp"
+#include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
@@ -60,6 +61,9 @@ class SweptSurface {
     return overlapping(latest_, low, high, visit);
   }
 
+  // build() follows what is read.
+  void archive(Archive& io);
+
   // The closest point of the surface, as it was when it was built, within `reach` of p and its triangle; false where there
   // is none.
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
@@ -74,8 +78,6 @@ class SweptSurface {
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
 
  private:
-  friend struct SessionFields;  // session_state.cpp
-
   // A node's children are looked at together, in lanes. Their boxes are rounded outwards by more than a query is rounded, so
   // that none that overlaps is passed over.
   static constexpr std::uint32_t kChildren = 4;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 namespace incise::core {
 
@@ -16,6 +17,13 @@ inline constexpr std::size_t kSpareRoom = std::size_t{4} << 20;
 // since moving a large array to a larger place takes milliseconds, in the middle of a frame.
 inline constexpr std::size_t room_for(std::size_t count) {
   return count + count / 4 + kSpareRoom;
+}
+
+// An array of `count` elements with room to grow, as a fresh session has it.
+template <class T>
+void grow_to(std::vector<T>& values, std::size_t count) {
+  values.reserve(room_for(count));
+  values.resize(count, T{});
 }
 
 }  // namespace incise::core

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace incise::core {
@@ -12,6 +13,24 @@ struct WorkBudget {
   static WorkBudget unlimited() { return {INT64_MAX}; }
   bool spent() const { return left <= 0; }
   void charge(std::int64_t units) { left -= units; }
+};
+
+// Units done and not charged to a budget yet.
+class WorkMeter {
+ public:
+  WorkMeter& operator+=(std::int64_t units) {
+    units_ += units;
+    return *this;
+  }
+  // The same for what is this many times as cheap as one unit.
+  void add(std::size_t count, std::size_t a_unit) { units_ += static_cast<std::int64_t>(count / a_unit); }
+  void charge(WorkBudget& budget) {
+    budget.charge(units_);
+    units_ = 0;
+  }
+
+ private:
+  std::int64_t units_ = 0;
 };
 
 }  // namespace incise::core
