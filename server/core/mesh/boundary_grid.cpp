@@ -12,7 +12,7 @@ double coordinate(const Vec3& p, int axis) {
   return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
 }
 
-constexpr double kMostCells = 16e6;
+constexpr double kMaxCells = 16e6;
 // How far a vertex may be from its anchor, in cells.
 constexpr double kFromAnchor = 0.1;
 // Of a body that deforms: a tetrahedron's other vertices were as far from their anchors when it was entered, and a cut may
@@ -56,7 +56,7 @@ void BoundaryGrid::lay_out(const Vec3& low, const Vec3& high, double cell) {
       count_[axis] = static_cast<std::int64_t>(coordinate(size, axis) / cell_) + 1;
       cells *= static_cast<double>(count_[axis]);
     }
-    if (cells <= kMostCells) break;
+    if (cells <= kMaxCells) break;
   }
   origin_ = low;
   const Vec3 margin{cell_, cell_, cell_};

@@ -15,7 +15,7 @@ namespace incise::core {
 //
 // In a body that a simulation deforms (server/core/session/vertex_mover.hpp) each vertex has an anchor, where it was when the
 // tetrahedra around it were last entered. They are entered again when it has moved a tenth of a cell from there, so
-// that the cost is that of what moved; what they leave behind is stale, and is dropped when the grid is built anew, once
+// that the cost is that of what moved; what they leave behind is stale, and is dropped when the grid is rebuilt, once
 // it has doubled or the body has grown out of it.
 class BoundaryGrid {
  public:
@@ -39,22 +39,22 @@ class BoundaryGrid {
   bool leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p);
   void set_anchor(const Vec3& p) { anchors_.push_back(p); }  // of the next vertex
   bool contains(const Vec3& p) const;
-  // Whether so much is stale that it should be built anew.
+  // Whether so much is stale that it should be rebuilt.
   bool overgrown() const { return nodes_.size() > 2 * nodes_when_built_ + 65536; }
   void built() { nodes_when_built_ = nodes_.size(); }
   // All entries, stale ones and repetitions included.
   std::size_t entries() const { return nodes_.size(); }
   TetId entry(std::size_t i) const { return nodes_[i].tet; }
 
-  // Appends boundary tetrahedra near the triangle: all that meet it, others, and some twice. What is in cells that the same
-  // search, by its serial, has taken already for another triangle is left out. Cost: the cells that the triangle passes
+  // Appends boundary tetrahedra near the triangle: every one that meets it, some others, and some twice. Cells that the same
+  // search (known by its serial) has already taken for another triangle are left out. Cost: the cells that the triangle passes
   // (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it finds stale off the
   // cells' lists, or they would grow as long as one cuts.
   void near(const TetMesh& mesh, const SweptTriangle& triangle, std::uint32_t search,
             std::vector<TetId>& out);
 
-  // Calls visit(tet) for the boundary tetrahedra of all cells that the box meets: all that meet the box, others, some
-  // more than once, and some that are gone or have lost their boundary face. O(cells of the box, and what they hold).
+  // Calls visit(tet) for the boundary tetrahedra of all cells that the box meets: every one that meets the box, some others, some
+  // more than once, and some that are dead or have lost their boundary face. O(cells of the box, and what they hold).
   template <class Visit>
   void visit_box(const Vec3& low, const Vec3& high, Visit visit) const;
   // The width of a cell, m.

@@ -36,7 +36,7 @@ struct TetState {
 struct Deformation {
   std::uint64_t frame = 0;        // the simulation's number for them
   std::uint32_t moved = 0;        // lie elsewhere now
-  std::uint32_t passed_over = 0;  // were cut or made after the revision that it computed with, or are gone
+  std::uint32_t passed_over = 0;  // were cut or made after the revision that it computed with, or are dead
   std::vector<VertexId>
       held;  // stayed, or went half the way, ascending: at a blade, or a tetrahedron would invert
 };

@@ -5,14 +5,17 @@
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "protocol/tet_faces.hpp"
+#include "server/core/geometry/quality.hpp"
 #include "server/core/geometry/vec3.hpp"
+#include "server/core/mesh/change_log.hpp"
 #include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/fresh_marks.hpp"
 #include "server/core/mesh/mesh_data.hpp"
 #include "server/core/util/archive.hpp"
-#include "server/core/util/id_set.hpp"
 #include "server/core/util/work_budget.hpp"
 
 namespace incise::core {
@@ -27,9 +30,23 @@ inline constexpr int face_of(HalfFace h) {
   return static_cast<int>(h & 3u);
 }
 
+// Vertex i of tetrahedron t, as 4 t + i; half-face 4 t + i is opposite to it.
+using Corner = std::uint32_t;
+
+inline constexpr int index_of(Corner c) {
+  return static_cast<int>(c & 3u);
+}
+
 using protocol::kFaceVertices;
 // The two vertices of each of the six edges.
 inline constexpr int kEdgeVertices[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+
+inline std::array<VertexId, 3> ascending(std::array<VertexId, 3> f) {
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  if (f[1] > f[2]) std::swap(f[1], f[2]);
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  return f;
+}
 
 // A mesh that a TetMesh cannot be built from. The message names the tetrahedra and vertices by index.
 struct MeshError : std::runtime_error {
@@ -44,8 +61,8 @@ struct MeshError : std::runtime_error {
 // around a vertex are connected through faces that contain it ("face-connected star"); a vertex knows one of them.
 // Positive orientation is the caller's to keep: the policy `croll` does not.
 //
-// All that changes between two commits is recorded; commit() turns the record into a delta and brings the state
-// hash up to date. Each call costs what it touches, never what the mesh holds. Thread: one, at a time.
+// A ChangeLog records what changes between two commits; commit() turns it into a delta and brings the state hash up to date.
+// Each call costs what it touches, never what the mesh holds. Thread: one, at a time.
 class TetMesh {
  public:
   // Builds adjacency; O(vertices + tets). A vertex whose star is not face-connected is split at once into copies
@@ -67,10 +84,10 @@ class TetMesh {
   // Mean length of the edges at v when v came into being, m.
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
 
-  // What will be asked for soon.
+  // For what will be read soon.
   void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
   void prefetch_position(VertexId v) const { __builtin_prefetch(&vertices_[v]); }
-  // All that is known of some tetrahedra and of what is nearest to them, which is appended until there are `most`.
+  // Prefetches some tetrahedra and those around them, which are appended until there are `most`.
   void prefetch_around(std::vector<TetId>& tets, std::size_t most) const;
 
   bool alive(TetId t) const { return tets_[t].vertices[0] != kNone; }
@@ -88,20 +105,49 @@ class TetMesh {
   std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
   void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
   std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
-  std::uint8_t boundary_mask(TetId t) const;
-  std::array<VertexId, 3> face_vertices(HalfFace h) const;
+  std::uint8_t boundary_mask(TetId t) const {
+    unsigned mask = 0;
+    for (unsigned f = 0; f < 4; ++f) mask |= (tets_[t].opposite[f] == kNone ? 1u : 0u) << f;
+    return static_cast<std::uint8_t>(mask);
+  }
+  std::array<VertexId, 3> face_vertices(HalfFace h) const {
+    const auto& v = tets_[tet_of(h)].vertices;
+    const auto& f = kFaceVertices[face_of(h)];
+    return {v[f[0]], v[f[1]], v[f[2]]};
+  }
   // Outward from the tetrahedron, as long as twice the face's area, m^2.
-  Vec3 twice_area(HalfFace h) const;
-  // Which of its four vertices v is; -1 where it is none.
-  int local_index(TetId t, VertexId v) const;
-  TetState state(TetId t) const;
-  double volume(TetId t) const;
+  Vec3 twice_area(HalfFace h) const {
+    const auto v = face_vertices(h);
+    const Vec3& a = position(v[0]);
+    return cross(position(v[1]) - a, position(v[2]) - a);
+  }
+  // Which of its four vertices v is; -1 where it does not have v.
+  int local_index(TetId t, VertexId v) const {
+    const auto& tet = tets_[t].vertices;
+    for (int i = 0; i < 4; ++i) {
+      if (tet[i] == v) return i;
+    }
+    return -1;
+  }
+  TetState state(TetId t) const {
+    return {t, tets_[t].vertices, attributes_[t].region, attributes_[t].cut_mask, boundary_mask(t)};
+  }
+  double volume(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return signed_volume(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+  }
   // The quality measure of quality.hpp; smaller is better.
-  double worst_dihedral(TetId t) const;
-  Vec3 barycentre(TetId t) const;
+  double worst_dihedral(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return core::worst_dihedral(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+  }
+  Vec3 barycentre(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return 0.25 * ((position(v[0]) + position(v[1])) + (position(v[2]) + position(v[3])));
+  }
 
-  // The tetrahedra around v, as 4 t + (index of v in t). Replaces what `star` holds. O(star), some 10 ns each.
-  void star(VertexId v, std::vector<std::uint32_t>& star) const;
+  // The tetrahedra around v, each by its corner at v. Replaces what `star` holds. O(star), some 10 ns each.
+  void star(VertexId v, std::vector<Corner>& star) const;
   // The tetrahedra around the edge (a, b), starting from one that has it, in ring order. On the boundary the first
   // and the last are those with a boundary face at the edge. Replaces what `ring` holds.
   void ring(TetId from, VertexId a, VertexId b, std::vector<TetId>& ring) const;
@@ -148,17 +194,20 @@ class TetMesh {
   bool deformed() const { return !rest_.empty(); }
   const Vec3& rest_position(VertexId v) const { return deformed() ? rest_[v] : vertices_[v].position; }
   // The state hash after the last commit.
-  std::uint64_t state_hash() const { return hash_; }
+  std::uint64_t state_hash() const { return log_.state_hash(); }
   // The same from scratch; O(mesh). For tests and load.
   std::uint64_t compute_state_hash() const;
+  // What each counts for in it.
+  std::uint64_t hash_of_vertex(VertexId v) const;
+  std::uint64_t hash_of_tet(TetId t) const;
   // Where a vertex that is new since the last commit comes from.
-  const Provenance& provenance(VertexId v) const { return provenance_[v - first_new_vertex_]; }
-  bool is_new(VertexId v) const { return v >= first_new_vertex_; }
-  bool is_new_tet(TetId t) const { return t >= first_new_tet_; }
+  const Provenance& provenance(VertexId v) const { return log_.provenance(v); }
+  bool is_new(VertexId v) const { return log_.is_new(v); }
+  bool is_new_tet(TetId t) const { return log_.is_new_tet(t); }
   // Tetrahedra touched since the last commit (new and changed ones that are alive).
-  std::span<const TetId> touched_tets() const { return touched_tets_; }
+  std::span<const TetId> touched_tets() const { return log_.touched_tets(); }
   // Vertices moved since the last commit that existed then.
-  std::span<const VertexId> touched_vertices() const { return touched_vertices_; }
+  std::span<const VertexId> touched_vertices() const { return log_.touched_vertices(); }
 
   // Which tetrahedron a vertex names is part of it: stars are walked from there, and ids follow from the walk. O(mesh).
   void archive(Archive& io);
@@ -180,34 +229,46 @@ class TetMesh {
     std::uint32_t piece = 0;
     std::uint8_t cut_mask = 0;
   };
-  void check_restored(Archive& io);
-  void link(HalfFace a, HalfFace b);
+  // Where vertices may belong to more than one component of their star: they are noted with corners, then each gets one copy for
+  // each face-connected component but the one that holds the tetrahedron that it names.
+  struct Noted {
+    struct NotedCorner {
+      Corner corner;
+      std::uint32_t next;  // the next one at the same vertex
+    };
+    struct Star {
+      VertexId vertex;
+      std::uint32_t first, last;  // into corners
+    };
+    std::uint32_t first_mark = 0;  // of stars[0]; the others count on
+    std::vector<Star> stars;
+    std::vector<NotedCorner> corners;
+  };
+  struct LinkMarks;     // of may_collapse()
+  struct BoundaryLink;  // likewise
+  struct Replacement;   // of replace()
+
+  // mesh_build.cpp
+  void measure_edges();
   void build_adjacency();
   void split_initial_vertices();
-  void touch_vertex(VertexId v);
-  void touch_tet(TetId t);
-  void record_tet(TetId t, const TetState& before);
+  void check_restored(Archive& io);
+  // mesh_edit.cpp
+  void link(HalfFace a, HalfFace b);
   VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
-  Vec3 rest_at(VertexId v, const Vec3& position) const;
   // Region and piece are those of `parent`.
   TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
   void kill_tet(TetId t);
-  // Around a change that opens faces: the corners at each opened side are noted; then each vertex of them gets one copy
-  // for each face-connected component of its star but the one that holds the tetrahedron that it names.
-  void begin_noting(std::size_t most_corners);
-  void note_corner(VertexId v, std::uint32_t corner);
+  void mark_link_of(VertexId w, const LinkMarks& marks) const;
+  bool edges_are_around(TetId t, VertexId v, const LinkMarks& marks) const;
+  void begin_noting(std::size_t max_corners);
+  void note_corner(VertexId v, Corner corner);
   void open_side(HalfFace side);
   void split_noted_stars();
-  void component(VertexId v, TetId from, std::vector<std::uint32_t>& corners) const;
-  void next_mark() const;
-  void next_vertex_marks(std::uint32_t count) const;
-  // Empties what a step fills of the mesh, pieces apart.
-  static void clear_mesh(Delta& delta);
-  void commit_tet(TetId t, Delta& delta);
-  void end_commit(Delta& delta);
-  void begin_step();
-  std::uint64_t hash_of_vertex(VertexId v) const;
-  std::uint64_t hash_of_tet(TetId t) const;
+  // mesh_deform.cpp
+  Vec3 rest_at(VertexId v, const Vec3& position) const;
+  // tet_mesh.cpp
+  void component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const;
 
   std::vector<Vertex> vertices_;
   std::vector<Vec3> rest_;  // by vertex, once deformed
@@ -216,42 +277,14 @@ class TetMesh {
   std::uint32_t live_tets_ = 0;
   bool has_regions_ = false;
   std::uint32_t initial_vertex_copies_ = 0;
-  std::int64_t cut_sides_ = 0;
   double mean_edge_length_ = 0;
 
-  // The record of the running step.
-  std::vector<VertexId> touched_vertices_;
-  std::vector<TetId> touched_tets_;
-  std::vector<std::uint32_t> record_;  // by tetrahedron: where it is in touched_tets_, if it is there
-  std::vector<TetState> before_;       // one for each of touched_tets_
-  VertexId first_new_vertex_ = 0;
-  TetId first_new_tet_ = 0;
-  std::vector<Provenance> provenance_;
-  std::uint64_t hash_ = 0;
-  // How far commit() is.
-  enum class Committing { kNothing, kMoved, kAdded, kTets, kNewTets };
-  Committing committing_ = Committing::kNothing;
-  std::size_t next_commit_ = 0;
-  IdSet vertices_in_order_, tets_in_order_;  // that existed before the step and are touched
-  int commit_sides_ = 0;
-  double commit_side_area_ = 0;
+  ChangeLog log_;
 
   // Scratch, kept so that a warm step allocates nothing.
-  mutable std::uint32_t mark_ = 0;
-  mutable std::vector<std::uint32_t> tet_mark_;
-  mutable std::uint32_t vertex_mark_value_ = 0;
-  mutable std::vector<std::uint32_t> vertex_mark_;
-  struct NotedCorner {
-    std::uint32_t corner, next;  // the next one at the same vertex
-  };
-  struct NotedStar {
-    VertexId vertex;
-    std::uint32_t first, last;  // into noted_corners_
-  };
-  std::uint32_t first_noted_mark_ = 0;  // of noted_stars_[0]; the others count on
-  std::vector<NotedStar> noted_stars_;
-  std::vector<NotedCorner> noted_corners_;
-  mutable std::vector<std::uint32_t> star_scratch_;
+  mutable FreshMarks tet_marks_, vertex_marks_;
+  Noted noted_;
+  mutable std::vector<Corner> star_scratch_;
   mutable std::vector<TetId> ring_scratch_;
 };
 

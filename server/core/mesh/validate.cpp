@@ -89,7 +89,7 @@ std::string validate_near(const TetMesh& mesh, std::span<const TetId> tets, bool
     if (auto problem = check_tet(mesh, t, orientation); !problem.empty()) return problem;
     for (VertexId v : mesh.vertices(t)) {
       if (auto problem = check_star(mesh, v, star); !problem.empty()) return problem;
-      const auto in_star = [&](std::uint32_t corner) { return (corner >> 2) == t; };
+      const auto in_star = [&](std::uint32_t corner) { return tet_of(corner) == t; };
       if (std::none_of(star.begin(), star.end(), in_star)) {
         return name(t) + " is cut off from the star of its vertex " + std::to_string(v);
       }

@@ -99,7 +99,7 @@ const WorstOfLanes kWorstOfLanes = choose();
 void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   mesh.star(v, corner_ids_);
   for (std::uint32_t id : corner_ids_) {
-    for (VertexId other : mesh.vertices(id >> 2)) mesh.prefetch_position(other);
+    for (VertexId other : mesh.vertices(tet_of(id))) mesh.prefetch_position(other);
   }
   position_ = mesh.position(v);
   local_h_ = mesh.local_h(v);
@@ -114,8 +114,8 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
 VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
   const std::size_t index = corners_.size();
   Corner& corner = corners_.emplace_back();
-  corner.tet = id >> 2;
-  const int i = static_cast<int>(id & 3u);
+  corner.tet = tet_of(id);
+  const int i = index_of(id);
   const auto& vertices = mesh.vertices(corner.tet);
   auto& lanes = lanes_[index / 4].p;
   const std::size_t lane = index % 4;

@@ -105,7 +105,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   return Progress::kCommitted;
 }
 
-// What of a delta says which step it is.
+// The identifying fields of a delta.
 void CutSession::describe(Delta& delta) {
   delta.revision = ++revision_;
   delta.source = committed_.source;

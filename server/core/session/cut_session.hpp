@@ -33,7 +33,7 @@ class CutSession {
 
   // Takes a pose of source 0 ... kMaxSources - 1. Rejected poses change nothing.
   PoseVerdict push(std::uint32_t source, const Pose& pose);
-  // Ends the running stroke of a source (it was let go, or it vanished); nothing where there is none.
+  // Ends the stroke of a source (its button was released, or it vanished). No effect between strokes.
   void end_stroke(std::uint32_t source);
 
   // Moves vertices, behind all batches that are complete now, as a step of its own (Delta::deformation says what became of
@@ -67,7 +67,7 @@ class CutSession {
   // What the batch at work has done so far.
   CutCounts running_counts() const;
 
-  // All that later revisions depend on; no batch may wait. See session_state.hpp.
+  // Everything that later revisions depend on; no batch may wait. See session_state.hpp.
   void archive(Archive& io);
 
  private:

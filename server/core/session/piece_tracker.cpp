@@ -2,154 +2,36 @@
 
 #include <algorithm>
 
-#include "server/core/util/room.hpp"
-
 namespace incise::core {
 namespace {
 
 // What a group may visit before the next one has its turn, in tetrahedra: little at first, for most groups soon meet, then
 // more. A cluster is paid for with several turns, so all groups grow at the same pace, whatever they are made of.
-constexpr std::int32_t kFirstTurn = 4, kMostTurn = 256;
-
-// Tetrahedra of a cluster at most: large ones are passed quicker, but more of them dissolves along a cut.
-constexpr std::size_t kCluster = 32;
+constexpr std::int32_t kFirstTurn = 4, kMaxTurn = 256;
 
 }  // namespace
 
-// ------------------------------------------------------------------------------------------------ clusters
-
-PieceTracker::PieceTracker(TetMesh& mesh) : mesh_(mesh), piece_tets_{mesh.live_tets()} {
-  cluster_of_.reserve(room_for(mesh.tet_slots()));
-  cluster_of_.resize(mesh.tet_slots(), kNone);
-  next_member_.reserve(room_for(mesh.tet_slots()));
-  next_member_.resize(mesh.tet_slots(), kNone);
-  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
-    if (mesh.alive(t) && cluster_of_[t] == kNone) form_cluster(t);
-  }
-  for (std::uint32_t c = 0; c < clusters_.size(); ++c) find_links(c);
-}
-
-// Breadth first through tetrahedra that have no cluster.
-void PieceTracker::form_cluster(TetId first) {
-  std::uint32_t c;
-  if (free_clusters_.empty()) {
-    c = static_cast<std::uint32_t>(clusters_.size());
-    clusters_.emplace_back();
-  } else {
-    c = free_clusters_.back();
-    free_clusters_.pop_back();
-    clusters_[c] = {};
-  }
-  cluster_of_[first] = c;
-  next_member_[first] = kNone;
-  TetId last = first;
-  std::uint32_t size = 1;
-  for (TetId t = first; t != kNone && size < kCluster; t = next_member_[t]) {
-    for (int f = 0; f < 4 && size < kCluster; ++f) {
-      const TetId n = mesh_.neighbor(t, f);
-      if (n == kNone || cluster_of_[n] != kNone) continue;
-      cluster_of_[n] = c;
-      next_member_[n] = kNone;
-      next_member_[last] = n;
-      last = n;
-      ++size;
-    }
-  }
-  clusters_[c].first = first;
-  clusters_[c].size = size;
-}
-
-void PieceTracker::find_links(std::uint32_t cluster) {
-  const auto begin = static_cast<std::ptrdiff_t>(links_.size());
-  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
-    for (int f = 0; f < 4; ++f) {
-      const TetId n = mesh_.neighbor(t, f);
-      if (n == kNone || cluster_of_[n] == cluster) continue;
-      if (std::find(links_.begin() + begin, links_.end(), cluster_of_[n]) == links_.end())
-        links_.push_back(cluster_of_[n]);
-    }
-  }
-  clusters_[cluster].links = static_cast<std::uint32_t>(begin);
-  clusters_[cluster].links_end = static_cast<std::uint32_t>(links_.size());
-}
-
-std::vector<std::uint32_t> PieceTracker::list_clusters() const {
-  std::vector<std::uint32_t> listed;
-  listed.reserve(mesh_.live_tets() + clusters_.size());
-  // By first members: slots are handed out otherwise in a session that was restored.
-  for (TetId first = 0; first < cluster_of_.size(); ++first) {
-    if (cluster_of_[first] == kNone || clusters_[cluster_of_[first]].first != first) continue;
-    const Cluster& c = clusters_[cluster_of_[first]];
-    listed.push_back(c.size | (c.links != kNone ? kLinked : 0));
-    for (TetId t = c.first; t != kNone; t = next_member_[t]) listed.push_back(t);
-  }
-  return listed;
-}
-
-bool PieceTracker::restore_clusters(std::span<const std::uint32_t> listed) {
-  clusters_.clear();
-  free_clusters_.clear();
-  links_.clear();
-  cluster_of_.assign(mesh_.tet_slots(), kNone);
-  next_member_.assign(mesh_.tet_slots(), kNone);
-  std::vector<std::uint32_t> linked;
-  std::size_t members = 0;
-  while (!listed.empty()) {
-    const std::uint32_t size = listed[0] & ~kLinked;
-    if (size == 0 || size > kCluster || size >= listed.size()) return false;
-    const auto c = static_cast<std::uint32_t>(clusters_.size());
-    if (listed[0] & kLinked) linked.push_back(c);
-    for (std::uint32_t i = 1; i <= size; ++i) {
-      const TetId t = listed[i];
-      if (t >= mesh_.tet_slots() || !mesh_.alive(t) || cluster_of_[t] != kNone) return false;
-      cluster_of_[t] = c;
-      next_member_[t] = i < size ? listed[i + 1] : kNone;
-    }
-    clusters_.emplace_back();
-    clusters_[c].first = listed[1];
-    clusters_[c].size = size;
-    members += size;
-    listed = listed.subspan(size + 1);
-  }
-  // What a link to an unlinked cluster says is only that the faces tell: as it was.
-  for (const std::uint32_t c : linked) find_links(c);
-  return members == mesh_.live_tets();
-}
+PieceTracker::PieceTracker(TetMesh& mesh) : mesh_(mesh), clusters_(mesh), piece_tets_{mesh.live_tets()} {}
 
 void PieceTracker::archive(Archive& io) {
   io(next_piece_);
-  std::vector<std::uint32_t> clusters;
-  if (!io.reads()) clusters = list_clusters();
-  io.list(clusters, 4, [&](std::uint32_t& entry) { io(entry); });
-  if (!io.reads()) return;
-  io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");
-  for (TetId t = 0; t < mesh_.tet_slots() && !io.failed(); ++t)
-    io.demand(mesh_.piece(t) < next_piece_, "a tetrahedron is in a piece that does not exist");
-  if (io.failed()) return;
-  piece_tets_.assign(next_piece_, 0);
-  for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
-    if (mesh_.alive(t)) ++piece_tets_[mesh_.piece(t)];
+  if (io.reads()) {
+    io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");
+    for (TetId t = 0; t < mesh_.tet_slots() && !io.failed(); ++t)
+      io.demand(mesh_.piece(t) < next_piece_, "a tetrahedron is in a piece that does not exist");
+    if (io.failed()) return;
+    piece_tets_.assign(next_piece_, 0);
+    for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
+      if (mesh_.alive(t)) ++piece_tets_[mesh_.piece(t)];
+    }
   }
-  io.demand(restore_clusters(clusters), "clusters that are not the tetrahedra, each once");
-  grow_to(cluster_of_, mesh_.tet_slots());
-  grow_to(next_member_, mesh_.tet_slots());
-}
-
-// Its living members become loose.
-void PieceTracker::dissolve(std::uint32_t cluster) {
-  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
-    cluster_of_[t] = kNone;
-    if (mesh_.alive(t)) loose_.push_back(t);
-  }
-  clusters_[cluster] = {};
-  free_clusters_.push_back(cluster);
+  clusters_.archive(io);
 }
 
 // ------------------------------------------------------------------------------------------------ the search
 
 void PieceTracker::begin() {
-  cluster_of_.resize(mesh_.tet_slots(), kNone);
-  next_member_.resize(mesh_.tet_slots(), kNone);
+  clusters_.grow();
   changed_.grow(mesh_.tet_slots());
   ++search_;
   visited_.clear();
@@ -207,7 +89,7 @@ bool PieceTracker::has_other_neighbors(TetId t) const {
   return false;
 }
 
-// Takes what this step has touched out of its clusters. All of it, before any is formed anew.
+// Takes what this step has touched out of its clusters. All of it, before any is formed again.
 bool PieceTracker::loosen(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
   for (; next_ < touched.size(); ++next_) {
@@ -220,8 +102,8 @@ bool PieceTracker::loosen(WorkBudget& budget) {
       loose_.push_back(t);
     } else {
       if (!mesh_.alive(t)) --piece_tets_[mesh_.piece(t)];
-      if (cluster_of_[t] == kNone || !has_other_neighbors(t)) continue;
-      dissolve(cluster_of_[t]);
+      if (clusters_.of(t) == kNone || !has_other_neighbors(t)) continue;
+      clusters_.dissolve(clusters_.of(t), loose_);
       budget.charge(4);
     }
   }
@@ -232,9 +114,9 @@ bool PieceTracker::form(WorkBudget& budget) {
   for (; next_ < loose_.size(); ++next_) {
     if (budget.spent()) return false;
     const TetId t = loose_[next_];
-    if (cluster_of_[t] != kNone) continue;
-    form_cluster(t);
-    budget.charge(1 + clusters_[cluster_of_[t]].size / 3);
+    if (clusters_.of(t) != kNone) continue;
+    clusters_.form(t);
+    budget.charge(1 + clusters_[clusters_.of(t)].size / 3);
   }
   return true;
 }
@@ -246,12 +128,12 @@ bool PieceTracker::seed(WorkBudget& budget) {
     if (budget.spent()) return false;
     budget.charge(1);
     const TetId t = touched[next_];
-    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0 || clusters_[cluster_of_[t]].search == search_) continue;
+    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0 || clusters_[clusters_.of(t)].search == search_) continue;
     const auto group = static_cast<std::uint32_t>(groups_.size());
     const std::uint32_t piece = mesh_.piece(t);
     groups_.push_back({group, kNone, kNone, piece, 0, 0, 0});
     ring_.push_back(group);
-    claim(cluster_of_[t], group);
+    claim(clusters_.of(t), group);
     if (++searches_[piece].groups == 2) ++undecided_;
   }
   return true;
@@ -270,7 +152,7 @@ void PieceTracker::claim(std::uint32_t cluster, std::uint32_t group) {
 
 // The group comes to a cluster: takes it, or becomes one with the group that has it.
 void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
-  const Cluster& known = clusters_[cluster];
+  const TetClusters::Cluster& known = clusters_[cluster];
   if (known.search != search_) {
     claim(cluster, group);
     return;
@@ -288,38 +170,6 @@ void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
   }
   const std::uint32_t piece = groups_[group].piece;
   if (--searches_[piece].groups == 1) settle(piece);
-}
-
-// From a cluster to all beside it. Returns the work.
-std::int64_t PieceTracker::expand(std::uint32_t cluster, std::uint32_t group) {
-  const Cluster& c = clusters_[cluster];
-  bool all_known = c.links != kNone;
-  for (std::uint32_t l = c.links; l != c.links_end; ++l) {
-    // Where one beside it was formed anew, only the faces tell.
-    if (clusters_[links_[l]].links == kNone) {
-      all_known = false;
-    } else {
-      meet(links_[l], group);
-    }
-  }
-  if (all_known) return 2;
-  // First what is beside, without a decision on the way: waiting for memory is most of this.
-  std::uint32_t beside[4 * kCluster];
-  std::size_t count = 0;
-  for (TetId t = c.first; t != kNone; t = next_member_[t]) {
-    for (int f = 0; f < 4; ++f) {
-      const TetId n = mesh_.neighbor(t, f);
-      beside[count] = cluster_of_[n == kNone ? t : n];
-      count += beside[count] != cluster;
-    }
-  }
-  std::uint32_t met = cluster;
-  for (std::size_t i = 0; i < count; ++i) {
-    if (beside[i] == met) continue;
-    met = beside[i];
-    meet(met, group);
-  }
-  return 1 + c.size / 4;
 }
 
 // One group of its piece is left: what is not cut off. Whether that is the largest part is known where all others are
@@ -351,12 +201,13 @@ bool PieceTracker::search(WorkBudget& budget) {
       budget.charge(1);
       continue;
     }
-    groups_[group].credit += std::min(kFirstTurn + rounds_ / 4, kMostTurn);
+    groups_[group].credit += std::min(kFirstTurn + rounds_ / 4, kMaxTurn);
     while (groups_[group].credit > 0 && groups_[group].first != kNone) {
       const Visited taken = visited_[groups_[group].first];
       groups_[group].first = taken.next;
       groups_[group].credit -= static_cast<std::int32_t>(clusters_[taken.cluster].size);
-      budget.charge(expand(taken.cluster, group));
+      budget.charge(clusters_.visit_beside(taken.cluster,
+                                           [this, group](std::uint32_t beside) { meet(beside, group); }));
     }
     budget.charge(1);
     if (groups_[group].first == kNone) end_group(group);
@@ -393,12 +244,12 @@ void PieceTracker::end_group(std::uint32_t group) {
 bool PieceTracker::relabel(WorkBudget& budget) {
   for (; next_ < visited_.size(); ++next_) {
     if (budget.spent()) return false;
-    const Cluster& cluster = clusters_[visited_[next_].cluster];
+    const TetClusters::Cluster& cluster = clusters_[visited_[next_].cluster];
     const std::uint32_t fresh = groups_[find(cluster.group)].fresh;
     budget.charge(1);
     if (fresh == 0) continue;
     budget.charge(cluster.size / 4);
-    for (TetId t = cluster.first; t != kNone; t = next_member_[t]) {
+    for (TetId t = cluster.first; t != kNone; t = clusters_.next_member(t)) {
       mesh_.set_piece(t, fresh);
       changed_.insert(t);
     }

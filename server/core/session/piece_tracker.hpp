@@ -1,12 +1,12 @@
 #pragma once
 
 #include <cstdint>
-#include <span>
 #include <vector>
 
-#include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/tet_clusters.hpp"
+#include "server/core/util/archive.hpp"
 #include "server/core/util/id_set.hpp"
 
 namespace incise::core {
@@ -15,10 +15,7 @@ namespace incise::core {
 // same pace; searches that meet become one. A group of searches that has nowhere left to go, while another of the
 // same piece still has, has found a piece of its own. Of the parts of a piece, the largest keeps its id. So it costs what
 // the smaller side holds (times two), and next to nothing where the two sides of a cut still hang together around its
-// front.
-//
-// The searches go by clusters of up to 32 tetrahedra that hang together. Where a step changes what is beside a tetrahedron, its
-// cluster is formed anew, as one or several. One that no step has touched yet knows the clusters beside it and is passed in one go.
+// front. The searches go by clusters (TetClusters).
 class PieceTracker {
  public:
   // O(mesh): later steps only add what the mesh has grown by.
@@ -45,17 +42,8 @@ class PieceTracker {
     }
     return group;
   }
-  void form_cluster(TetId first);
-  void find_links(std::uint32_t cluster);
-  // All clusters: the size, and the highest bit where links are known, then the members.
-  static constexpr std::uint32_t kLinked = 1u << 31;
-  std::vector<std::uint32_t> list_clusters() const;
-  // False, and in no state to go on, where they are not the living tetrahedra, each once.
-  bool restore_clusters(std::span<const std::uint32_t> listed);
-  void dissolve(std::uint32_t cluster);
   void claim(std::uint32_t cluster, std::uint32_t group);
   void meet(std::uint32_t cluster, std::uint32_t group);
-  std::int64_t expand(std::uint32_t cluster, std::uint32_t group);
   void settle(std::uint32_t piece);
   bool has_other_neighbors(TetId t) const;
   bool loosen(WorkBudget& budget);
@@ -70,18 +58,7 @@ class PieceTracker {
   TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
 
-  std::vector<std::uint32_t> cluster_of_;  // by tetrahedron; kNone: it is dead, or about to get one
-  std::vector<TetId> next_member_;         // by tetrahedron: the next one of its cluster
-  struct Cluster {
-    TetId first = kNone;  // member; kNone: the slot is free
-    std::uint32_t size = 0;
-    std::uint32_t links = kNone, links_end = kNone;  // kNone: some step has touched it
-    std::uint32_t search = 0, group = 0;             // the search that came by, and its group
-  };
-  std::vector<Cluster> clusters_;
-  std::vector<std::uint32_t> free_clusters_;
-  std::vector<std::uint32_t>
-      links_;  // clusters that share a face with one; a slot that has been formed anew has none itself
+  TetClusters clusters_;
   std::vector<TetId> loose_;  // that this step has taken out of their clusters, and new ones
 
   std::uint32_t search_ = 0;  // serial of the running search

@@ -12,7 +12,7 @@
 
 namespace incise::core {
 
-// A session as bytes: all that later revisions depend on, strokes that run included, so that a restored session gives
+// A session as bytes: everything that later revisions depend on, strokes in progress included, so that a restored session gives
 // the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in each
 // class's archive(): a member that lives from one batch to the next belongs there. Raise the version when such a list
 // changes: older bytes are then refused.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "server/core/geometry/predicates.hpp"
+#include "server/core/session/in_chunks.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
 
 namespace incise::core {
@@ -15,34 +16,17 @@ constexpr double kThinnest = 1e-3;
 // need then not be looked up.
 constexpr double kLocallyAtMost = 4;
 constexpr std::size_t kAhead = 12;  // tetrahedra, of what is to be fetched
-// Elements between two looks at the budget, and what they cost: a number or a tetrahedron of four places a quarter of a
-// unit of work, a star five units.
-constexpr std::size_t kChunk = 64;
-constexpr std::int64_t kSmall = 1, kStar = 20;  // quarters of a unit
-// A new grid is larger than the body by this part of its largest extent on all sides.
-constexpr double kRoom = 0.25;
+// What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
+constexpr std::int64_t kSmall = 1, kStar = 20;
 
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
 }
 
-// Calls work(i) for i from `next` on, until `end` (true) or until the budget is spent (false).
-template <class Work>
-bool in_chunks(std::size_t& next, std::size_t end, WorkBudget& budget, std::int64_t cost, Work work) {
-  while (next < end) {
-    if (budget.spent()) return false;
-    const std::size_t stop = std::min(next + kChunk, end);
-    budget.charge(1 + cost * static_cast<std::int64_t>(stop - next) / 4);
-    for (; next < stop; ++next) work(next);
-  }
-  next = 0;
-  return true;
-}
-
 }  // namespace
 
 VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
-    : mesh_(mesh), workspace_(workspace), pass_(workspace), grid_({}, {}, 1) {
+    : mesh_(mesh), workspace_(workspace), pass_(workspace), grid_(mesh, workspace) {
   known_since_.reserve(mesh.vertex_slots() + mesh.vertex_slots() / 4 + 65536);
   known_since_.resize(mesh.vertex_slots(), 0);
 }
@@ -75,7 +59,7 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   moved_.clear();
   moved_positions_.clear();
   hash_change_ = 0;
-  rebuilt_ = false;
+  grid_.begin();
   const double h = kLocallyAtMost * mesh_.mean_edge_length();
   surely_thick_ = kThinnest * h * h * h;
 }
@@ -99,14 +83,8 @@ bool VertexMover::advance(WorkBudget& budget) {
       case Phase::kSettle:
         settle(budget);
         break;
-      case Phase::kCollect:
-        collect(budget);
-        break;
-      case Phase::kRebuild:
-        rebuild(budget);
-        break;
       case Phase::kFollow:
-        follow(budget);
+        if (grid_.advance(grid_step(), budget)) phase_ = Phase::kReady;
         break;
       case Phase::kReady:
         break;
@@ -221,72 +199,12 @@ void VertexMover::settle(WorkBudget& budget) {
     hash_change_ ^= mesh_.hash_change(v, to);
     moved_.push_back(v);
     moved_positions_.push_back(to);
-    rebuilt_ = rebuilt_ || !workspace_.grid.contains(to);
+    grid_.look_at(to);
   });
   if (!done) return;
   std::sort(held_.begin(), held_.end());
-  rebuilt_ = rebuilt_ || workspace_.grid.overgrown() || !workspace_.grid.anchored();
-  if (moved_.empty()) rebuilt_ = false;
-  boundary_.clear();
-  low_ = {INFINITY, INFINITY, INFINITY};
-  high_ = {-INFINITY, -INFINITY, -INFINITY};
-  pass_.begin();
-  phase_ = rebuilt_ ? Phase::kCollect : Phase::kFollow;
-}
-
-// ------------------------------------------------------------------------------------------------ the grid
-
-void VertexMover::enter(BoundaryGrid& grid, TetId t) const {
-  const auto& v = mesh_.vertices(t);
-  const Vec3 corners[4] = {target_[v[0]], target_[v[1]], target_[v[2]], target_[v[3]]};
-  grid.add_at(t, corners);
-}
-
-void VertexMover::follow(WorkBudget& budget) {
-  BoundaryGrid& grid = workspace_.grid;
-  const bool done = in_chunks(next_, moved_.size(), budget, kSmall, [&](std::size_t i) {
-    if (!grid.leaves_anchor(mesh_, moved_[i], moved_positions_[i])) return;
-    mesh_.star(moved_[i], star_);
-    for (const std::uint32_t corner : star_) {
-      if (mesh_.boundary_mask(tet_of(corner)) != 0) enter(grid, tet_of(corner));
-    }
-  });
-  if (done) phase_ = Phase::kReady;
-}
-
-// The tetrahedra on the boundary, in the order in which the grid that there is has them, and a box around them.
-void VertexMover::collect(WorkBudget& budget) {
-  const BoundaryGrid& old = workspace_.grid;
-  const bool done = in_chunks(next_, old.entries(), budget, kSmall, [&](std::size_t i) {
-    const TetId t = old.entry(i);
-    if (pass_.has(t) || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
-    pass_.add(t);
-    boundary_.push_back(t);
-    for (const VertexId v : mesh_.vertices(t)) {
-      const Vec3& p = target_[v];
-      extend(p, low_, high_);
-    }
-  });
-  if (!done) return;
-  const Vec3 size = high_ - low_;
-  const double room = kRoom * std::max({size.x, size.y, size.z});
-  const Vec3 margin{room, room, room};
-  grid_ = BoundaryGrid(low_ - margin, high_ + margin, 2 * mesh_.mean_edge_length());
-  phase_ = Phase::kRebuild;
-}
-
-void VertexMover::rebuild(WorkBudget& budget) {
-  const std::size_t count = boundary_.size();
-  const bool done = in_chunks(next_, count + mesh_.vertex_slots(), budget, kSmall, [&](std::size_t i) {
-    if (i < count) {
-      enter(grid_, boundary_[i]);
-    } else {
-      grid_.set_anchor(target_[i - count]);
-    }
-  });
-  if (!done) return;
-  grid_.built();
-  phase_ = Phase::kReady;
+  grid_.settle(grid_step());
+  phase_ = Phase::kFollow;
 }
 
 void VertexMover::commit(Delta& delta) {
@@ -295,7 +213,7 @@ void VertexMover::commit(Delta& delta) {
   delta.deformation.passed_over = passed_over_;
   std::swap(delta.deformation.held, held_);
   mesh_.deform(moved_, moved_positions_, hash_change_, delta);
-  if (rebuilt_) std::swap(workspace_.grid, grid_);
+  grid_.commit();
   positions_ = nullptr;
 }
 

@@ -6,6 +6,7 @@
 #include "server/core/cut/cut_workspace.hpp"
 #include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/grid_follower.hpp"
 #include "server/core/session/vertex_positions.hpp"
 
 namespace incise::core {
@@ -18,7 +19,7 @@ namespace incise::core {
 //   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, unless they were before and
 //            get no thinner). Their vertices go half the way, and where that is too far they stay: again, until no
 //            tetrahedron is wrong. Each vertex gives way at most twice, so this ends.
-//   settle   the change of the state hash; then the boundary grid follows, or is built anew.
+//   settle   the change of the state hash; then the boundary grid follows (GridFollower).
 //
 // Nothing changes before commit(), and the budget is looked at in between. The cost is that of the vertices that move.
 class VertexMover {
@@ -39,7 +40,7 @@ class VertexMover {
   void archive(Archive& io);
 
  private:
-  enum class Phase { kTake, kLook, kCheck, kYield, kSettle, kCollect, kRebuild, kFollow, kReady };
+  enum class Phase { kTake, kLook, kCheck, kYield, kSettle, kFollow, kReady };
   // How much of its way a vertex goes; between the two, half.
   static constexpr std::uint8_t kStays = 0, kFull = 2;
 
@@ -50,11 +51,8 @@ class VertexMover {
   void check_tet(TetId t);
   void yield(WorkBudget& budget);
   void settle(WorkBudget& budget);
-  void collect(WorkBudget& budget);
-  void rebuild(WorkBudget& budget);
-  void follow(WorkBudget& budget);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
-  void enter(BoundaryGrid& grid, TetId t) const;
+  GridFollower::Step grid_step() const { return {moved_, moved_positions_, target_}; }
 
   TetMesh& mesh_;
   CutWorkspace& workspace_;
@@ -81,11 +79,8 @@ class VertexMover {
   std::vector<VertexId> moved_;
   std::vector<Vec3> moved_positions_;
   std::uint64_t hash_change_ = 0;
-  Vec3 low_, high_;  // a box around the boundary, for a new grid
-  std::vector<TetId> boundary_;
-  bool rebuilt_ = false;
-  BoundaryGrid grid_;
-  std::vector<std::uint32_t> star_;
+  GridFollower grid_;
+  std::vector<Corner> star_;
 };
 
 }  // namespace incise::core

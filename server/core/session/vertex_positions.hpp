@@ -7,7 +7,7 @@
 
 namespace incise::core {
 
-// Where a host simulation says that vertices are. Trusted in nothing: CutSession::deform() takes what is valid.
+// Where a host simulation says that vertices are. Not trusted: CutSession::deform() takes what is valid.
 struct VertexPositions {
   std::uint64_t frame = 0;      // the simulation's own number for it
   std::uint64_t revision = 0;   // of the mesh that it computed with
@@ -16,7 +16,7 @@ struct VertexPositions {
   std::vector<VertexId> ids;    // ascending; empty: first, first + 1, ...
   VertexId first = 0;
   std::vector<Vec3> positions;  // metres, world frame
-  bool single = false;          // they are floats: for whoever stores them
+  bool single = false;          // they came as floats, and can be stored so
 
   VertexId id(std::size_t i) const { return ids.empty() ? first + static_cast<VertexId>(i) : ids[i]; }
 };

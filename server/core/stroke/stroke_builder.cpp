@@ -7,7 +7,7 @@ namespace incise::core {
 namespace {
 
 // Poses kept between two batches at most: a blade that trembles in place for minutes must not fill the memory.
-constexpr std::size_t kMostBuffered = 512;
+constexpr std::size_t kMaxBuffered = 512;
 // In a span no longer than this, lines nearer to its chord are the device's noise and no motion, h.
 constexpr double kNoiseSpan_h = 0.35, kNoise_h = 0.08;
 // So is a way this many times as long as its chord: a corner's is 1.4 times.
@@ -72,7 +72,7 @@ StrokeBuilder::StrokeBuilder(std::uint32_t source, const CutConfig& config, doub
       noise_m_(std::max(config.chord_tolerance_h, kNoise_h) * h),
       noise_span_m_(config.policy == Policy::kCroll ? 0 : kNoiseSpan_h * h),
       stroke_counter_(stroke_counter) {
-  buffer_.reserve(kMostBuffered + 1);
+  buffer_.reserve(kMaxBuffered + 1);
 }
 
 PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out) {
@@ -105,7 +105,7 @@ PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out) {
     if (travel(buffer_.back().line, now.line) > 0) buffer_.push_back(now);
     if (!engaged) {
       end_stroke(out);
-    } else if (travel(buffer_.front().line, now.line) >= travel_m_ || buffer_.size() > kMostBuffered) {
+    } else if (travel(buffer_.front().line, now.line) >= travel_m_ || buffer_.size() > kMaxBuffered) {
       emit(out, false);
     }
   }

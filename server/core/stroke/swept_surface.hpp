@@ -13,9 +13,9 @@
 
 namespace incise::core {
 
-// The surface that a blade has swept, as triangles, with a tree of bounding boxes over them. The triangles come in
-// the order in which they were swept, so that neighbours in the list are neighbours in space: the tree needs no
-// sorting, and is made anew in O(triangles) when some are added.
+// The surface that a blade has swept, as triangles, with a tree of bounding boxes over them. Triangles are in
+// the order in which they were swept, so neighbours in the list are neighbours in space: the tree needs no sorting and is
+// rebuilt in O(triangles) when some are added.
 class SweptSurface {
  public:
   // Adds the ruled quad between two blade lines, cut into `rows` strips along the motion and `columns` along the
@@ -64,8 +64,8 @@ class SweptSurface {
   // build() follows what is read.
   void archive(Archive& io);
 
-  // The closest point of the surface, as it was when it was built, within `reach` of p and its triangle; false where there
-  // is none.
+  // The closest point of the surface, as it was when it was built, within `reach` of p and its triangle; false if
+  // nothing is within reach.
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
   // Whether there is one.
   bool is_within(const Vec3& p, double reach) const {

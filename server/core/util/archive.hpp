@@ -30,8 +30,9 @@ class Archive {
   template <class T>
   requires(std::is_arithmetic_v<T> || std::is_enum_v<T>) void operator()(T& value) {
     if (!reads_) {
-      const auto* bytes = reinterpret_cast<const std::byte*>(&value);
-      written_.insert(written_.end(), bytes, bytes + sizeof value);
+      if (written_.size() - size_ < sizeof value) written_.resize(2 * written_.size() + 4096);
+      std::memcpy(written_.data() + size_, &value, sizeof value);
+      size_ += sizeof value;
     } else if (left_.size() < sizeof value) {
       demand(false, "it ends too early");
       value = {};
@@ -75,12 +76,16 @@ class Archive {
   const std::string& error() const { return error_; }
   bool at_end() const { return left_.empty(); }
 
-  std::vector<std::byte> take() { return std::move(written_); }
+  std::vector<std::byte> take() {
+    written_.resize(size_);
+    return std::move(written_);
+  }
 
  private:
   bool reads_ = false;
   std::span<const std::byte> left_;
-  std::vector<std::byte> written_;
+  std::vector<std::byte> written_;  // longer than what is written
+  std::size_t size_ = 0;            // of what is written
   std::string error_;
 };
 

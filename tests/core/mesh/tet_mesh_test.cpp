@@ -26,7 +26,7 @@ std::string build_error(const MeshData& data) {
 
 std::set<TetId> tets_of(const std::vector<std::uint32_t>& corners) {
   std::set<TetId> tets;
-  for (std::uint32_t corner : corners) tets.insert(corner >> 2);
+  for (std::uint32_t corner : corners) tets.insert(tet_of(corner));
   return tets;
 }
 
@@ -185,7 +185,7 @@ TEST(TetMeshQuery, StarsAgreeWithBruteForce) {
     mesh.star(v, star);
     EXPECT_EQ(tets_of(star), tets_with(mesh, {v}));
     EXPECT_EQ(star.size(), tets_of(star).size()) << "a tetrahedron came twice";
-    for (std::uint32_t corner : star) EXPECT_EQ(mesh.vertices(corner >> 2)[corner & 3u], v);
+    for (std::uint32_t corner : star) EXPECT_EQ(mesh.vertices(tet_of(corner))[index_of(corner)], v);
   }
 }
 
@@ -562,10 +562,10 @@ TEST(TetMeshReplace, Collapse) {
   std::vector<TetId> removed;
   std::vector<std::array<VertexId, 4>> added;
   for (std::uint32_t corner : star) {
-    removed.push_back(corner >> 2);
-    auto v = mesh.vertices(corner >> 2);
+    removed.push_back(tet_of(corner));
+    auto v = mesh.vertices(tet_of(corner));
     if (std::find(v.begin(), v.end(), 0u) != v.end()) continue;
-    v[corner & 3u] = 0;
+    v[index_of(corner)] = 0;
     added.push_back(v);
   }
   std::vector<TetId> ids;
@@ -772,7 +772,7 @@ TEST_P(RandomMutations, KeepTheInvariantsAndTheDeltasSayAll) {
           mesh.move_vertex(v[corner], from + random.in_box({-0.05, -0.05, -0.05}, {0.05, 0.05, 0.05}));
           mesh.star(v[corner], star);
           for (std::uint32_t c : star) {
-            if (!positive(mesh.vertices(c >> 2))) mesh.move_vertex(v[corner], from);
+            if (!positive(mesh.vertices(tet_of(c)))) mesh.move_vertex(v[corner], from);
           }
           volume = measure(mesh).volume;
           break;
@@ -786,7 +786,8 @@ TEST_P(RandomMutations, KeepTheInvariantsAndTheDeltasSayAll) {
           mesh.star(v[corner], star);
           std::vector<HalfFace> faces;
           for (std::uint32_t c : star) {
-            if (random.below(4) == 0) faces.push_back(half_face(c >> 2, static_cast<int>(random.below(4))));
+            if (random.below(4) == 0)
+              faces.push_back(half_face(tet_of(c), static_cast<int>(random.below(4))));
           }
           const std::uint32_t before = measure(mesh).cut_sides;
           const std::uint32_t opened = mesh.open_faces(faces);

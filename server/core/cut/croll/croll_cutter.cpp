@@ -145,9 +145,9 @@ Vec3 CrollCutter::surface_normal(VertexId v) {
   double outer_area = 0, cut_area = 0;
   mesh_.star(v, star_);
   for (std::uint32_t corner : star_) {
-    const TetId t = corner >> 2;
+    const TetId t = tet_of(corner);
     for (int f = 0; f < 4; ++f) {
-      if (f == static_cast<int>(corner & 3u) || mesh_.opposite(half_face(t, f)) != kNone) continue;
+      if (f == index_of(corner) || mesh_.opposite(half_face(t, f)) != kNone) continue;
       const Vec3 area = mesh_.twice_area(half_face(t, f));
       const bool is_cut = (mesh_.cut_mask(t) >> f & 1) != 0;
       (is_cut ? cut : outer) += area;

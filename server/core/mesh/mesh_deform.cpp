@@ -19,16 +19,16 @@ void TetMesh::deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions,
     for (const Vertex& v : vertices_) rest_.push_back(v.position);
   }
   for (std::size_t i = 0; i < moved.size(); ++i) vertices_[moved[i]].position = positions[i];
-  hash_ ^= hash_change;
+  log_.deform(hash_change);
 
-  clear_mesh(delta);
+  ChangeLog::clear_mesh(delta);
   std::swap(delta.moved, moved);
   std::swap(delta.moved_positions, positions);
   delta.first_added = vertex_slots();
   delta.pieces.clear();
   delta.cut_faces = 0;
   delta.cut_area = 0;
-  delta.state_hash = hash_;
+  delta.state_hash = state_hash();
 }
 
 // The rest position of the material at a place in the star of v: with the same barycentric coordinates in the same
@@ -37,8 +37,8 @@ Vec3 TetMesh::rest_at(VertexId v, const Vec3& position) const {
   star(v, star_scratch_);
   Vec3 rest = rest_[v];
   double best = -INFINITY;
-  for (const std::uint32_t corner : star_scratch_) {
-    const auto& tet = tets_[corner >> 2].vertices;
+  for (const Corner corner : star_scratch_) {
+    const auto& tet = tets_[tet_of(corner)].vertices;
     const Vec3 p[4] = {vertices_[tet[0]].position, vertices_[tet[1]].position, vertices_[tet[2]].position,
                        vertices_[tet[3]].position};
     const double whole = signed_volume(p[0], p[1], p[2], p[3]);
