@@ -54,7 +54,7 @@ TetMesh::TetMesh(const MeshData& data) {
   tet_marks_.grow_to(room_for(tet_count), tet_count);
   log_.reserve(room_for(tet_count));
   log_.resize(tet_count);
-  log_.begin_step(vertex_slots(), tet_slots());
+  // Until the log begins its first step all is new to it, and nothing is recorded.
   build_adjacency();
   split_initial_vertices();
   log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
