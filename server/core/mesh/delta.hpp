@@ -79,7 +79,7 @@ struct Delta {
   double cut_area = 0;  // m^2
   std::uint32_t snaps = 0, splits = 0;
   double min_dihedral_deg = 180;  // over upserted tetrahedra and those around moved vertices
-  double max_deviation = 0;       // of the new cut faces' vertices from the swept surface, in h
+  double max_deviation_h = 0;     // of the new cut faces' vertices from the swept surface
   std::uint64_t state_hash = 0;   // of the whole mesh after this step (protocol/state_hash.hpp)
   Deformation deformation;        // of a step without a stroke
 };

@@ -118,7 +118,7 @@ void CutSession::describe(Delta& delta) {
   delta.to_t_ns = committed_.to_t_ns;
   delta.snaps = committed_counts_.snaps;
   delta.splits = committed_counts_.splits;
-  delta.max_deviation = committed_counts_.max_deviation_h;
+  delta.max_deviation_h = committed_counts_.max_deviation_h;
 }
 
 CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
