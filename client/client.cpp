@@ -1,7 +1,5 @@
 #include "client/client.hpp"
 
-#include <ctime>
-
 #include <algorithm>
 #include <atomic>
 #include <boost/asio/as_tuple.hpp>
@@ -18,6 +16,7 @@
 #include <utility>
 
 #include "client/link.hpp"
+#include "server/base/clock.hpp"
 
 namespace incise::client {
 namespace {
@@ -34,12 +33,6 @@ constexpr std::int64_t kSilence_ns = 15'000'000'000;  // with a ping a second un
 constexpr int kMostResyncs = 5;                       // in a row: another snapshot would not help
 constexpr std::size_t kPingsForOffset = 16;
 constexpr const char* kOtherHash = "the replica's hash, computed anew, is another";
-
-std::int64_t monotonic_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
 
 steady_clock::duration seconds_of(double s) {
   return duration_cast<steady_clock::duration>(duration<double>(s));

@@ -65,7 +65,9 @@ file(WRITE ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake
 write_basic_package_version_file(${CMAKE_BINARY_DIR}/install/inciseConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake ${CMAKE_BINARY_DIR}/install/inciseConfigVersion.cmake
   DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/incise COMPONENT dev)
-file(GLOB headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS client/*.hpp protocol/*.hpp server/core/*.hpp)
+file(GLOB headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS client/*.hpp protocol/*.hpp server/base/*.hpp)
+file(GLOB_RECURSE core_headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS server/core/*.hpp)
+list(APPEND headers ${core_headers})
 list(REMOVE_ITEM headers client/link.hpp) # Asio, for client.cpp alone
 foreach(header ${headers})
   cmake_path(GET header PARENT_PATH folder)

@@ -14,6 +14,7 @@
 
 #include "protocol/crc32c.hpp"
 #include "protocol/limits.hpp"
+#include "server/base/hex.hpp"
 
 namespace incise::protocol {
 namespace {
@@ -228,12 +229,6 @@ Head read_head(const std::byte* bytes) {
 
 bool crc_matches(const Head& head, const std::byte* bytes) {
   return crc32c({bytes + 8, std::size_t{1} + head.length}) == head.crc;
-}
-
-std::string hex(std::uint64_t value) {
-  char text[17];
-  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(value));
-  return text;
 }
 
 }  // namespace

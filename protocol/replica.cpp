@@ -7,16 +7,10 @@
 
 #include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
+#include "server/base/hex.hpp"
 
 namespace incise::protocol {
 namespace {
-
-std::string hex(std::uint64_t n) {
-  static constexpr char kDigits[] = "0123456789abcdef";
-  std::string out(16, '0');
-  for (int i = 15; i >= 0; --i, n >>= 4) out[static_cast<std::size_t>(i)] = kDigits[n & 15];
-  return out;
-}
 
 bool fits(const TetArrays& t) {
   const std::size_t n = t.ids.size();
@@ -81,7 +75,7 @@ void Replica::State::set_tet(const TetArrays& t, std::size_t i) {
 
 std::array<std::uint32_t, 3> Replica::face_vertices(std::uint32_t tet, int face) const {
   const auto& v = state_.tets[tet];
-  const auto& f = kFaceVertices[static_cast<std::size_t>(face)];
+  const auto& f = kFaceVertices[face];
   return {v[f[0]], v[f[1]], v[f[2]]};
 }
 

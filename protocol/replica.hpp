@@ -13,12 +13,9 @@
 
 #include "protocol/limits.hpp"
 #include "protocol/messages.hpp"
+#include "protocol/tet_faces.hpp"
 
 namespace incise::protocol {
-
-// The vertices of face f (opposite to vertex f) of a tetrahedron, counter-clockwise seen from outside.
-inline constexpr std::array<std::array<std::uint8_t, 3>, 4> kFaceVertices{
-    {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}}};
 
 // Why a snapshot part or a delta was refused. The state is then as it was.
 enum class ApplyError {

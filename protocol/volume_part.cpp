@@ -67,8 +67,7 @@ void append_faces(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet* old,
     if (was && !is) out.boundary_removed.push_back(4 * id + f);
     if (!is) continue;
     bool same = was && (old->cut_mask >> f & 1) == (now->cut_mask >> f & 1);
-    for (const std::uint8_t corner : kFaceVertices[f])
-      same = same && old->vertices[corner] == now->vertices[corner];
+    for (const int corner : kFaceVertices[f]) same = same && old->vertices[corner] == now->vertices[corner];
     if (!same) out.boundary_upserted.push_back(4 * id + f);
   }
 }

@@ -13,6 +13,7 @@
 
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/wiring.hpp"
+#include "server/base/clock.hpp"
 
 namespace incise::app {
 namespace {
@@ -84,7 +85,7 @@ class Replay {
     auto delta = std::make_shared<stream::PublishedDelta>();
     core::WorkBudget budget = core::WorkBudget::unlimited();
     if (session_->advance(budget, delta->delta) == core::CutSession::Progress::kCommitted) {
-      delta->arrival_ns = delta->drain_ns = delta->cut_ns = input::monotonic_ns();
+      delta->arrival_ns = delta->drain_ns = delta->cut_ns = monotonic_ns();
       last_revision_ = std::max(last_revision_, session_->revision());
       if (tell) events_.delta(std::move(delta));
       return true;

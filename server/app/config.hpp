@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "server/core/cut_config.hpp"
+#include "server/core/cut/cut_config.hpp"
 #include "server/haptics/force_config.hpp"
 #include "server/input/haply/haply_input.hpp"
 #include "server/input/hid/hid_input.hpp"

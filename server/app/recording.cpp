@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <ctime>
 #include <fstream>
 #include <optional>
 #include <vector>
@@ -13,17 +12,12 @@
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/version.hpp"
 #include "server/app/wiring.hpp"
-#include "server/core/session_state.hpp"
+#include "server/base/clock.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::app {
 namespace {
-
-std::int64_t unix_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_REALTIME, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
 
 // The parts of a configuration that a session's state depends on.
 bool same_cut(const Config& a, const Config& b) {
@@ -55,7 +49,7 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
 
 // Not the processor's time: what counts is how long a start takes, on a busy machine, too.
 double seconds_since(std::int64_t ns) {
-  return static_cast<double>(input::monotonic_ns() - ns) * 1e-9;
+  return static_cast<double>(monotonic_ns() - ns) * 1e-9;
 }
 
 // A place in the capture to go on from.
@@ -84,7 +78,7 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
     const std::string name = loop::checkpoint_path(path, number);
     Start start;
     start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
-    const std::int64_t before = input::monotonic_ns();
+    const std::int64_t before = monotonic_ns();
     auto rest =
         read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
     start.read_s = seconds_since(before);
@@ -144,7 +138,7 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
     loop::JournalRecord end;
     end.kind = loop::JournalRecord::Kind::kEndStroke;
     end.source = source;
-    end.arrival_ns = input::monotonic_ns();
+    end.arrival_ns = monotonic_ns();
     session->end_stroke(source);
     journal.write(end);
     commit_all();
@@ -264,13 +258,13 @@ Recording resume_recording(const Config& config, const Body& body) {
         "capture.path: found \"\"; accepted with --resume is the path of the capture to go on with");
   }
   const std::string path = config.resolve(config.capture.path).string();
-  const auto began = input::monotonic_ns();
+  const auto began = monotonic_ns();
   require_same(config, body, read_capture_header(path), path);
   std::optional<Start> start = from_checkpoint(config, path);
   const bool checkpointed = start.has_value() && start->rest.resets == 0;
   if (!start) {
     start.emplace();
-    const std::int64_t before = input::monotonic_ns();
+    const std::int64_t before = monotonic_ns();
     start->rest = read_recorded_motion(path);
     start->read_s = seconds_since(before);
   }
@@ -289,7 +283,7 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.next_checkpoint = start->next_checkpoint;
   recording.journal = std::make_unique<CaptureJournal>(path, motion.good_bytes, motion.records);
   const std::uint64_t from = start->session->revision();
-  const std::int64_t before = input::monotonic_ns();
+  const std::int64_t before = monotonic_ns();
   ReplayTail tail(*start->session, motion.session, config.stream.ring_bytes);
   recording.lost = replay(config, path, *start, *recording.journal, tail);
   recording.session = std::move(start->session);

@@ -9,7 +9,7 @@
 #include "server/app/capture_journal.hpp"
 #include "server/app/config.hpp"
 #include "server/app/replay_tail.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "server/app/wiring.hpp"
+#include "server/base/clock.hpp"
 
 namespace incise::app {
 namespace {
@@ -32,7 +33,7 @@ void ReplayTail::note(const core::CutSession& session, const core::Delta& delta)
   if (newer_.before) {
     auto published = std::make_shared<stream::PublishedDelta>();
     published->delta = delta;
-    published->arrival_ns = published->drain_ns = published->cut_ns = input::monotonic_ns();
+    published->arrival_ns = published->drain_ns = published->cut_ns = monotonic_ns();
     newer_.deltas.push_back(std::move(published));
     newer_.bytes += bytes_of(delta);
     if (newer_.bytes < max_bytes_ / 2) return;

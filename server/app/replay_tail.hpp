@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/stream/published_delta.hpp"
 
 namespace incise::app {

@@ -20,8 +20,9 @@
 #include "server/app/recording.hpp"
 #include "server/app/telemetry.hpp"
 #include "server/app/wiring.hpp"
-#include "server/core/check.hpp"
-#include "server/core/session_state.hpp"
+#include "server/base/check.hpp"
+#include "server/base/clock.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/loop/realtime.hpp"
 
@@ -109,12 +110,12 @@ class Watch {
 class LoopHealth {
  public:
   void look(std::uint64_t frames) {
-    if (frames != frames_) seen_ns_.store(input::monotonic_ns(), std::memory_order_relaxed);
+    if (frames != frames_) seen_ns_.store(monotonic_ns(), std::memory_order_relaxed);
     frames_ = frames;
   }
   // For /healthz.
   std::string trouble() const {
-    const auto ns = input::monotonic_ns() - seen_ns_.load(std::memory_order_relaxed);
+    const auto ns = monotonic_ns() - seen_ns_.load(std::memory_order_relaxed);
     return ns > kLongest_ns ? "the loop has not advanced for " + std::to_string(ns / 1'000'000'000) + " s"
                             : "";
   }
@@ -122,7 +123,7 @@ class LoopHealth {
  private:
   static constexpr std::int64_t kLongest_ns = 3'000'000'000;  // looks come once a second
   std::uint64_t frames_ = 0;
-  std::atomic<std::int64_t> seen_ns_{input::monotonic_ns()};
+  std::atomic<std::int64_t> seen_ns_{monotonic_ns()};
 };
 
 // Sources of poses on the network, those that are configured.
@@ -226,7 +227,7 @@ stream::RecordingNow recording_now(const loop::Journal* journal) {
 
 void run_server(const Config& config, bool resume) {
   const EndSignals signals;
-  const auto started = input::monotonic_ns();
+  const auto started = monotonic_ns();
   std::string told;
   const Body body = load_body(config, [&](std::string_view stage, double seconds) {
     if (seconds > 2 && told != stage) spdlog::info("filling the mesh: {}", told = stage);
@@ -236,8 +237,7 @@ void run_server(const Config& config, bool resume) {
   core::CutSession& session = *recording.session;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
-               session.mesh().mean_edge_length(),
-               static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+               session.mesh().mean_edge_length(), static_cast<double>(monotonic_ns() - started) * 1e-9);
   // A session that has been cut a lot takes seconds to make ready: what can be is done side by side.
   const bool cut = session.revision() > 0;
   SavedState saved;
@@ -358,7 +358,7 @@ void run_server(const Config& config, bool resume) {
   std::fflush(stdout);
   if (capture) spdlog::info("recording to {}", config.resolve(config.capture.path).string());
   spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config.loop.rate_hz,
-               static_cast<double>(input::monotonic_ns() - started) * 1e-9);
+               static_cast<double>(monotonic_ns() - started) * 1e-9);
 
   Watch watch(frames.stats());
   const char* signal = nullptr;
@@ -368,7 +368,7 @@ void run_server(const Config& config, bool resume) {
   }
 
   spdlog::info("{}: ending", signal);
-  const auto ending = input::monotonic_ns();
+  const auto ending = monotonic_ns();
   if (devices) devices->stop();  // forces go to zero first
   network.stop();
   loop_thread.request_stop();
@@ -377,7 +377,7 @@ void run_server(const Config& config, bool resume) {
   library.stop();
   const loop::LoopState state = frames.stats().state.load();
   if (journal) {
-    const auto limit = std::max(kLongestFinish_ns - (input::monotonic_ns() - ending), kLastCheckpoint_ns);
+    const auto limit = std::max(kLongestFinish_ns - (monotonic_ns() - ending), kLastCheckpoint_ns);
     const std::string why = journal->close(std::chrono::milliseconds(limit / 1'000'000));
     if (!why.empty())
       spdlog::warn("no checkpoint of the end ({}); incised --resume takes longer for it", why);

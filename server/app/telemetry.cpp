@@ -5,12 +5,12 @@
 #include <nlohmann/json.hpp>
 
 #include "server/app/version.hpp"
+#include "server/base/hex.hpp"
 
 namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using loop::Histogram;
 using loop::LoopStats;
 
 // The stages of a pose's way and of a frame, as they are named everywhere.
@@ -38,12 +38,6 @@ constexpr const char* kQuantileNames[] = {"p50", "p90", "p99", "p99.9"};
 
 double us(std::uint64_t ns) {
   return static_cast<double>(ns) * 1e-3;
-}
-
-std::string hex(std::uint64_t hash) {
-  char text[17];
-  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
-  return text;
 }
 
 Json device_json(const input::DeviceStatus& device) {

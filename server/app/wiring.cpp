@@ -8,6 +8,7 @@
 
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/token_file.hpp"
+#include "server/base/clock.hpp"
 
 namespace incise::app {
 namespace {
@@ -228,7 +229,7 @@ stream::InitialState initial_state(const core::CutSession& session, std::uint64_
 std::uint64_t fresh_session_id() {
   std::uint64_t id = 0;
   while (id == 0) {
-    if (getrandom(&id, sizeof id, 0) != sizeof id) id = static_cast<std::uint64_t>(input::monotonic_ns());
+    if (getrandom(&id, sizeof id, 0) != sizeof id) id = static_cast<std::uint64_t>(monotonic_ns());
   }
   return id;
 }

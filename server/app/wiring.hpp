@@ -6,7 +6,7 @@
 
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/input/input_hub.hpp"
 #include "server/input/positions_slot.hpp"
 #include "server/loop/frame_loop.hpp"

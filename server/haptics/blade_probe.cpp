@@ -5,7 +5,7 @@
 #include <bitset>
 #include <cmath>
 
-#include "server/core/boundary_grid.hpp"
+#include "server/core/mesh/boundary_grid.hpp"
 
 namespace incise::haptics {
 namespace {

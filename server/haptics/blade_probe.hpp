@@ -1,6 +1,6 @@
 #pragma once
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 #include "server/haptics/material.hpp"
 #include "server/haptics/probe_work.hpp"
 #include "server/haptics/tissue.hpp"

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 
 namespace incise::haptics {
 

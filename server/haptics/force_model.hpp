@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <optional>
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 #include "server/haptics/blade_probe.hpp"
 #include "server/haptics/material.hpp"
 #include "server/haptics/tissue.hpp"

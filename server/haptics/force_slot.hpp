@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "server/core/cut_config.hpp"
+#include "server/core/cut/cut_config.hpp"
 
 namespace incise::haptics {
 

@@ -5,8 +5,8 @@
 #include <memory>
 #include <span>
 
-#include "server/core/cut_config.hpp"
-#include "server/core/delta.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/mesh/delta.hpp"
 #include "server/haptics/force_config.hpp"
 #include "server/haptics/force_model.hpp"
 #include "server/haptics/force_slot.hpp"

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::haptics {
 namespace {

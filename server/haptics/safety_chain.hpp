@@ -2,7 +2,7 @@
 
 #include <cstdint>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 
 namespace incise::haptics {
 

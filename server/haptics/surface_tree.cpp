@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "server/core/swept_triangle.hpp"
+#include "server/core/stroke/swept_triangle.hpp"
 
 namespace incise::haptics {
 namespace {

@@ -5,8 +5,8 @@
 #include <span>
 #include <vector>
 
-#include "server/core/blade.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/stroke/blade.hpp"
 #include "server/haptics/probe_work.hpp"
 
 namespace incise::haptics {

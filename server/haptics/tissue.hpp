@@ -2,8 +2,8 @@
 
 #include <span>
 
-#include "server/core/mesh_data.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/haptics/cut_map.hpp"
 #include "server/haptics/surface_tree.hpp"
 

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 #include "server/haptics/force_slot.hpp"
 
 namespace incise::input {

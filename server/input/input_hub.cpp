@@ -1,15 +1,10 @@
 #include "server/input/input_hub.hpp"
 
 #include <algorithm>
-#include <ctime>
+
+#include "server/base/clock.hpp"
 
 namespace incise::input {
-
-std::int64_t monotonic_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
 
 // ------------------------------------------------------------------------------------------------
 // SourceHandle

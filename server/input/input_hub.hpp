@@ -12,9 +12,9 @@
 #include <utility>
 #include <vector>
 
-#include "server/core/blade.hpp"
-#include "server/core/cut_config.hpp"
-#include "server/core/stroke_builder.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/stroke/blade.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
 #include "server/input/spsc_queue.hpp"
 
 namespace incise::input {
@@ -153,9 +153,6 @@ class InputHub {
   mutable std::mutex mutex_;  // of those who open; the loop never takes it
   std::array<std::unique_ptr<Slot>, core::kMaxSources> slots_;
 };
-
-// CLOCK_MONOTONIC now, ns: the clock of all times in the server.
-std::int64_t monotonic_ns();
 
 template <class Handle>
 void InputHub::drain(Handle&& handle) {

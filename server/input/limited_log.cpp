@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 
 namespace incise::input {

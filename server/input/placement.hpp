@@ -1,6 +1,6 @@
 #pragma once
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 
 namespace incise::input {
 

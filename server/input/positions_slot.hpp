@@ -6,7 +6,7 @@
 #include <memory>
 #include <vector>
 
-#include "server/core/vertex_positions.hpp"
+#include "server/core/session/vertex_positions.hpp"
 #include "server/input/spsc_queue.hpp"
 
 namespace incise::input {

@@ -16,7 +16,7 @@ struct Checkpoint {
   std::uint64_t records = 0;  // before that record
   std::uint64_t revision = 0;
   std::uint64_t state_hash = 0;
-  std::vector<std::byte> state;  // core/session_state.hpp
+  std::vector<std::byte> state;  // core/session/session_state.hpp
 };
 
 // There are two for each journal: the next one is written over the older, so that a whole one is there at any time.

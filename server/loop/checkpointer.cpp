@@ -4,10 +4,10 @@
 #include <sched.h>
 
 #include <algorithm>
-#include <ctime>
 #include <exception>
 
-#include "server/core/session_state.hpp"
+#include "server/base/clock.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace incise::loop {
@@ -20,12 +20,6 @@ using std::chrono::steady_clock;
 constexpr std::chrono::seconds kRetry{5};
 // The part of `replay_s` that is worth a checkpoint when nothing else is to be done.
 constexpr double kAtRest = 0.25;
-
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-}
 
 }  // namespace
 

@@ -13,7 +13,7 @@
 #include <thread>
 #include <vector>
 
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/loop/journal_record.hpp"
 
 namespace incise::loop {

@@ -6,10 +6,10 @@
 #include <limits>
 #include <utility>
 
+#include "server/base/clock.hpp"
+
 namespace incise::loop {
 namespace {
-
-using input::monotonic_ns;
 
 // The clock is read after so many poses (some 100 ns each), and after so long a slice of cutting.
 constexpr std::uint32_t kPosesPerLook = 64;

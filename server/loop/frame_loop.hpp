@@ -9,7 +9,7 @@
 #include <stop_token>
 #include <vector>
 
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/haptics/force_stage.hpp"
 #include "server/input/input_hub.hpp"
 #include "server/input/positions_slot.hpp"

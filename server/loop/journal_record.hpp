@@ -3,10 +3,10 @@
 #include <cstdint>
 #include <memory>
 
-#include "server/core/blade.hpp"
-#include "server/core/delta.hpp"
-#include "server/core/stroke_builder.hpp"
-#include "server/core/vertex_positions.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/session/vertex_positions.hpp"
+#include "server/core/stroke/blade.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
 
 namespace incise::loop {
 

@@ -6,8 +6,8 @@
 #include <cstring>
 #include <type_traits>
 
-#include "server/core/stroke_builder.hpp"
-#include "server/loop/histogram.hpp"
+#include "server/base/histogram.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
 
 namespace incise::loop {
 

@@ -4,7 +4,7 @@
 
 #include <bit>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::mesh_io {
 

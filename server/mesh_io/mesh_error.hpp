@@ -3,7 +3,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 
 namespace incise::mesh_io {
 

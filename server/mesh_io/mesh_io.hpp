@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/surface.hpp"
 #include "server/mesh_io/tetgen_fill.hpp"

@@ -5,7 +5,7 @@
 #include <map>
 #include <numbers>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/remesh.hpp"
 #include "server/mesh_io/tet_repair.hpp"

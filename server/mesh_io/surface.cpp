@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "server/core/tet_mesh.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 
 namespace incise::mesh_io {
 

@@ -7,7 +7,7 @@
 #include <variant>
 #include <vector>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::mesh_io {
 

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 #include "server/mesh_io/token_reader.hpp"
 
 namespace incise::mesh_io {

@@ -7,9 +7,9 @@
 #include <span>
 #include <tuple>
 
-#include "server/core/predicates.hpp"
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/geometry/predicates.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 
 namespace incise::mesh_io {

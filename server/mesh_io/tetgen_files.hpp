@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::mesh_io {
 

@@ -7,7 +7,7 @@
 #include <numbers>
 #include <optional>
 
-#include "server/core/quality.hpp"
+#include "server/core/geometry/quality.hpp"
 #include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/remesh.hpp"

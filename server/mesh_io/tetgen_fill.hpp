@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 #include "server/mesh_io/surface_check.hpp"
 
 namespace incise::mesh_io {

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "server/core/predicates.hpp"
+#include "server/core/geometry/predicates.hpp"
 
 namespace incise::mesh_io {
 namespace {

@@ -1,6 +1,6 @@
 #include <cstring>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/mesh_io/surface_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 

@@ -4,7 +4,7 @@
 #include <bit>
 #include <limits>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 

@@ -3,7 +3,7 @@
 #include <bit>
 #include <cstring>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/mesh_io/text_file.hpp"
 
 namespace incise::mesh_io {

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <ctime>
 
+#include "server/base/clock.hpp"
 #include "server/stream/hub.hpp"
 #include "server/stream/session.hpp"
 

@@ -42,7 +42,7 @@ protocol::Step step_of(const PublishedDelta& published) {
   step.snaps = d.snaps;
   step.splits = d.splits;
   step.min_dihedral_deg = d.min_dihedral_deg;
-  step.max_deviation_h = d.max_deviation;
+  step.max_deviation_h = d.max_deviation_h;
   step.state_hash = d.state_hash;
   return step;
 }

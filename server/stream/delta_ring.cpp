@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "protocol/coalesce.hpp"
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::stream {
 

@@ -3,7 +3,7 @@
 #include <boost/asio/post.hpp>
 #include <stdexcept>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::stream {
 

@@ -13,6 +13,7 @@
 #include <memory>
 #include <optional>
 
+#include "server/base/clock.hpp"
 #include "server/stream/origin.hpp"
 #include "server/stream/session.hpp"
 

@@ -8,6 +8,7 @@
 #include <chrono>
 #include <vector>
 
+#include "server/base/clock.hpp"
 #include "server/stream/session.hpp"
 
 namespace incise::stream {

@@ -1,17 +1,11 @@
 #include "server/stream/mirror.hpp"
 
-#include <ctime>
 #include <stdexcept>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
+#include "server/base/clock.hpp"
 
 namespace incise::stream {
-
-std::int64_t monotonic_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
 
 SharedFrame make_frame(const protocol::Body& body, std::uint64_t sequence) {
   return std::make_shared<const protocol::Frame>(protocol::encode(body, {sequence, monotonic_ns()}));

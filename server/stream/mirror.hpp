@@ -72,9 +72,6 @@ class Mirror {
   DeltaArrays arrays_;
 };
 
-// CLOCK_MONOTONIC now, ns: the clock of all times in the server.
-std::int64_t monotonic_ns();
-
 // A message as it goes to one session or many.
 SharedFrame make_frame(const protocol::Body& body, std::uint64_t sequence = 0);
 

@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "server/core/delta.hpp"
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::stream {
 

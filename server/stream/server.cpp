@@ -17,7 +17,7 @@
 #include <system_error>
 #include <thread>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 #include "server/stream/handoff_queue.hpp"
 #include "server/stream/http.hpp"
 #include "server/stream/hub.hpp"

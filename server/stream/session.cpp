@@ -6,8 +6,9 @@
 #include <boost/asio/use_awaitable.hpp>
 #include <chrono>
 #include <cmath>
-#include <ctime>
 #include <utility>
+
+#include "server/base/clock.hpp"
 
 namespace incise::stream {
 namespace {
@@ -37,12 +38,6 @@ constexpr int kTakeOverTries = 1000;
 
 std::int64_t to_ns(double seconds) {
   return static_cast<std::int64_t>(seconds * 1e9);
-}
-
-std::int64_t unix_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_REALTIME, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
 }
 
 constexpr const char* kRoleNames[] = {"viewer", "operator", "simulator", "admin"};

@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "protocol/surface.hpp"
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::stream {
 

@@ -10,8 +10,8 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "server/core/measure.hpp"
-#include "server/core/validate.hpp"
+#include "server/core/mesh/measure.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/support/bodies.hpp"
 #include "tests/support/run_program.hpp"

@@ -9,7 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
+#include "server/base/hex.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/phantom.hpp"
 
@@ -33,12 +34,6 @@ void print_warnings(const std::string& name, const std::vector<std::string>& war
 }
 
 }  // namespace
-
-double thread_cpu_s() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-}
 
 double percentile(std::vector<double> samples, double p) {
   if (samples.empty()) return 0;
@@ -103,9 +98,7 @@ void Report::print_json() const {
 }
 
 Cell hex(std::uint64_t hash) {
-  char buffer[24];
-  std::snprintf(buffer, sizeof buffer, "%016llx", static_cast<unsigned long long>(hash));
-  return std::string(buffer);
+  return incise::hex(hash);
 }
 
 NamedMesh load(const std::string& path, double scale) {

@@ -6,16 +6,14 @@
 #include <variant>
 #include <vector>
 
-#include "server/core/cut_config.hpp"
-#include "server/core/cut_session.hpp"
-#include "server/core/measure.hpp"
-#include "server/core/mesh_data.hpp"
+#include "server/base/clock.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/mesh/measure.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/session/cut_session.hpp"
 
 // What the benches share: meshes, repeated timing, percentiles, and a report as tables or as JSON.
 namespace incise::bench {
-
-// CPU time of the calling thread, seconds: what work costs, also while others use the machine.
-double thread_cpu_s();
 
 // Seconds of CPU time of each of some repetitions; the first found caches, branch predictors and allocator cold.
 struct Timings {

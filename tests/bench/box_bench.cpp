@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "client/client.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/bench/crowd.hpp"
@@ -66,14 +67,14 @@ class SwayingBody {
     message.f32 = moved;
     {
       const std::scoped_lock lock(mutex_);
-      sent_ns_.push_back(input::monotonic_ns());
+      sent_ns_.push_back(monotonic_ns());
       message.frame = sent_ns_.size();
     }
     client_->send_positions(message);
   }
   void took(const protocol::PositionsReport& report) {
     const std::scoped_lock lock(mutex_);
-    ages_ms_.push_back(1e-6 * static_cast<double>(input::monotonic_ns() - sent_ns_[report.frame - 1]));
+    ages_ms_.push_back(1e-6 * static_cast<double>(monotonic_ns() - sent_ns_[report.frame - 1]));
   }
 
   const double rate_hz_;

@@ -16,6 +16,7 @@
 #include <string>
 #include <system_error>
 
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 
 namespace incise::bench {
@@ -131,7 +132,7 @@ void Crowd::drop(Peer& peer) {
 void Crowd::read(Peer& peer) {
   const ssize_t n = ::recv(peer.fd, buffer_.data(), buffer_.size(), MSG_DONTWAIT);
   if (n < 0 && (errno == EAGAIN || errno == EINTR)) return;
-  const std::int64_t now = input::monotonic_ns();
+  const std::int64_t now = monotonic_ns();
   std::span<const std::byte> input(buffer_.data(), static_cast<std::size_t>(n > 0 ? n : 0));
   while (peer.reader.read(input) == protocol::FrameReader::Status::Complete)
     take(peer, peer.reader.body(), now);

@@ -4,7 +4,7 @@
 #include <map>
 #include <memory>
 
-#include "server/core/swept_triangle.hpp"
+#include "server/core/stroke/swept_triangle.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/bench/random_cut.hpp"

@@ -4,8 +4,8 @@
 #include <memory>
 #include <random>
 
-#include "server/core/check.hpp"
-#include "server/core/validate.hpp"
+#include "server/base/check.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 

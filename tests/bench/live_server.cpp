@@ -11,6 +11,7 @@
 #include <string>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/stream/raw_peer.hpp"
 
@@ -70,8 +71,7 @@ LivePoses LiveServer::drive() {
   if (!device_) connect_device();
   LivePoses poses;
   std::uint64_t sequence = 0;
-  const std::int64_t start = input::monotonic_ns(),
-                     period = static_cast<std::int64_t>(1e9 / motion_.pose_rate_hz);
+  const std::int64_t start = monotonic_ns(), period = static_cast<std::int64_t>(1e9 / motion_.pose_rate_hz);
   const auto count = static_cast<std::int64_t>(motion_.seconds * motion_.pose_rate_hz);
   for (std::int64_t i = 0; i <= count; ++i) {
     const std::int64_t at = start + i * period;

@@ -6,6 +6,7 @@
 #include <memory>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "server/loop/realtime.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -14,8 +15,6 @@
 
 namespace incise::bench {
 namespace {
-
-using input::monotonic_ns;
 
 struct LoopBench {
   double seconds = 10;
@@ -36,7 +35,7 @@ struct Discard : loop::DeltaSink {
   std::uint64_t hash = 0;
 };
 
-void add_row(Report& report, const char* name, const loop::Histogram& histogram) {
+void add_row(Report& report, const char* name, const Histogram& histogram) {
   const auto us = [](std::uint64_t ns) { return static_cast<double>(ns) * 1e-3; };
   report.row({std::string(name), count(histogram.count()), us(histogram.quantile_ns(0.5)),
               us(histogram.quantile_ns(0.99)), us(histogram.quantile_ns(0.999)), us(histogram.max_ns())});

@@ -3,10 +3,10 @@
 #include <CLI/CLI.hpp>
 #include <memory>
 
-#include "server/core/cut_session.hpp"
-#include "server/core/predicates.hpp"
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/geometry/predicates.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/haptics/force_model.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/bench/bench_util.hpp"

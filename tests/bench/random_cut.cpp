@@ -6,7 +6,7 @@
 #include <numeric>
 #include <random>
 
-#include "server/core/check.hpp"
+#include "server/base/check.hpp"
 
 namespace incise::bench {
 

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "server/core/cut_session.hpp"
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/session/cut_session.hpp"
 
 // Random cuts right through a body, with what geometry says about each: the sweep is a surface that is known in closed
 // form, so nothing of the cutter's own is needed to judge it.

@@ -14,10 +14,10 @@
 #include <vector>
 
 #include "protocol/state_hash.hpp"
-#include "server/core/delta.hpp"
-#include "server/core/mesh_data.hpp"
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::core::testing {

@@ -12,21 +12,24 @@ from pathlib import Path
 
 # A part is the longest of these prefixes that a file's path starts with. A part may always include itself.
 # What may be included is a list of parts, or of single files.
+BASE = "server/base"  # of the standard library only
+CHECK = "server/base/check.hpp"
 STATE_HASH = "protocol/state_hash.hpp"
+TET_FACES = "protocol/tet_faces.hpp"
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
-HISTOGRAM = "server/loop/histogram.hpp"  # of the standard library only
-DELTA = ["server/core/check.hpp", "server/core/delta.hpp", "server/core/mesh_data.hpp"]  # plain values, no algorithm
+DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
-    "server/core": [STATE_HASH],
-    "server/mesh_io": ["server/core"],
-    "server/input": ["server/core", "protocol", FORCE_SLOT, HISTOGRAM],
-    "server/haptics": ["server/core"],
-    "server/loop": ["server/core", "server/input", "server/haptics", "protocol", PUBLISHED_DELTA],
-    "server/stream": ["protocol"] + DELTA,
+    BASE: [],
+    "server/core": [CHECK, STATE_HASH, TET_FACES],  # and no clock
+    "server/mesh_io": [BASE, "server/core"],
+    "server/input": [BASE, "server/core", "protocol", FORCE_SLOT],
+    "server/haptics": [BASE, "server/core"],
+    "server/loop": [BASE, "server/core", "server/input", "server/haptics", "protocol", PUBLISHED_DELTA],
+    "server/stream": [BASE, "protocol"] + DELTA,
     "server/app": ["server", "client", "protocol"],
-    "protocol": [],
-    "client": ["protocol"],
+    "protocol": [BASE],
+    "client": [BASE, "protocol"],
     "tests": ["server", "client", "protocol"],
 }
 

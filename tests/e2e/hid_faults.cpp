@@ -16,7 +16,8 @@
 #include <stdexcept>
 #include <thread>
 
-#include "server/core/vec3.hpp"
+#include "server/base/clock.hpp"
+#include "server/core/geometry/vec3.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/raw_peer.hpp"
@@ -27,7 +28,6 @@ namespace incise::e2e {
 namespace {
 
 namespace fs = std::filesystem;
-using input::monotonic_ns;
 using tests::eventually;
 using tests::MockDevice;
 

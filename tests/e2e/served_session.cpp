@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/support/to_and_fro.hpp"
@@ -16,7 +17,6 @@ namespace incise::e2e {
 namespace {
 
 namespace fs = std::filesystem;
-using input::monotonic_ns;
 
 }  // namespace
 

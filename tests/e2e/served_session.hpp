@@ -17,7 +17,7 @@
 #include "protocol/capture.hpp"
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "tests/e2e/process.hpp"
 
 namespace incise::e2e {

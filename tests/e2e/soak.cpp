@@ -13,6 +13,7 @@
 #include <random>
 #include <stdexcept>
 
+#include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
 #include "tests/e2e/served_session.hpp"
 #include "tests/stream/raw_peer.hpp"
@@ -21,7 +22,6 @@ namespace incise::e2e {
 namespace {
 
 using client::Client;
-using input::monotonic_ns;
 using protocol::Role;
 using protocol::View;
 using std::chrono::milliseconds;

@@ -6,8 +6,8 @@
 #include <span>
 #include <string>
 
-#include "server/core/session_state.hpp"
-#include "server/core/validate.hpp"
+#include "server/core/mesh/validate.hpp"
+#include "server/core/session/session_state.hpp"
 #include "tests/fuzz/fuzz_check.hpp"
 
 using namespace incise::core;

@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
 

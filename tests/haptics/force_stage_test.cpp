@@ -6,7 +6,7 @@
 #include <cmath>
 #include <vector>
 
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
 

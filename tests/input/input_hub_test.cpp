@@ -1,4 +1,5 @@
 #include "server/input/input_hub.hpp"
+#include "server/base/clock.hpp"
 
 #include <gtest/gtest.h>
 

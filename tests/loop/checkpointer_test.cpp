@@ -9,7 +9,7 @@
 #include <fstream>
 #include <thread>
 
-#include "server/core/session_state.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "tests/support/bodies.hpp"

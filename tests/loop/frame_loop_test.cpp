@@ -6,6 +6,7 @@
 #include <thread>
 #include <vector>
 
+#include "server/base/clock.hpp"
 #include "tests/support/bodies.hpp"
 
 namespace incise::loop {
@@ -13,7 +14,6 @@ namespace {
 
 using core::Policy;
 using input::InputHub;
-using input::monotonic_ns;
 using input::TimedPose;
 
 core::CutConfig config(Policy policy) {

@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <new>
 
+#include "server/base/clock.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "tests/support/bodies.hpp"
 
@@ -101,10 +102,10 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
     const int phase = i % 1000;
     timed.pose.position = {0.5, 2e-4 * (phase < 500 ? phase : 1000 - phase), 0.1};
     timed.pose.buttons = 1;
-    timed.arrival_ns = input::monotonic_ns();
+    timed.arrival_ns = monotonic_ns();
     ASSERT_EQ(source->push(std::span(&timed, 1)), 1u);
     counting = i >= kWarm;
-    loop.frame(input::monotonic_ns());
+    loop.frame(monotonic_ns());
     counting = false;
   }
   EXPECT_EQ(allocations, 0u);
@@ -143,10 +144,10 @@ TEST(SteadyFrame, ForcesAllocateNothing) {
     // The first pose of every fifth second is put into the tissue: too fast to have been moved there.
     const bool buried = i / 1000 % 5 == 4;
     timed.pose.position = {0.03 + 2e-5 * phase, 0.05, buried ? 0.08 : 0.151 - depth};
-    timed.arrival_ns = input::monotonic_ns();
+    timed.arrival_ns = monotonic_ns();
     ASSERT_EQ(source->push(std::span(&timed, 1)), 1u);
     counting = i >= kWarm;
-    loop.frame(input::monotonic_ns());
+    loop.frame(monotonic_ns());
     counting = false;
   }
   EXPECT_EQ(allocations, 0u);

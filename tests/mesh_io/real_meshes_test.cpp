@@ -6,9 +6,9 @@
 #include <algorithm>
 #include <chrono>
 
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
-#include "server/core/validate.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
 

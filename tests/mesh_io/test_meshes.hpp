@@ -5,7 +5,7 @@
 #include <string>
 #include <string_view>
 
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 #include "server/mesh_io/surface.hpp"
 
 namespace incise::mesh_io::testing {

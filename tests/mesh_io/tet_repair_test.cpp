@@ -6,10 +6,10 @@
 #include <numeric>
 #include <random>
 
-#include "server/core/predicates.hpp"
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
-#include "server/core/validate.hpp"
+#include "server/core/geometry/predicates.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
 

@@ -2,8 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
 

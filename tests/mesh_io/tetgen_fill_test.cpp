@@ -7,9 +7,9 @@
 #include <fstream>
 #include <map>
 
-#include "server/core/quality.hpp"
-#include "server/core/tet_mesh.hpp"
-#include "server/core/validate.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/phantom.hpp"

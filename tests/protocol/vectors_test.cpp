@@ -17,6 +17,7 @@
 #include "protocol/state_hash.hpp"
 #include "protocol/surface.hpp"
 #include "protocol/volume_part.hpp"
+#include "server/base/hex.hpp"
 #include "tests/protocol/samples.hpp"
 
 namespace incise::protocol {
@@ -51,12 +52,7 @@ std::string text(std::span<const std::byte> bytes) {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
 }
 
-std::string hex(std::uint64_t value) {
-  std::ostringstream out;
-  out << std::hex << std::setfill('0') << std::setw(16) << value;
-  return out.str();
-}
-
+using incise::hex;
 std::string hex(std::span<const std::byte> bytes) {
   std::ostringstream out;
   out << std::hex << std::setfill('0');

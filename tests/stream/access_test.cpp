@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <mutex>
 
+#include "server/base/clock.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"

@@ -1,5 +1,6 @@
 // What sessions with a box of interest may cost.
 
+#include "server/base/clock.hpp"
 #include "server/stream/box_turns.hpp"
 
 #include <gtest/gtest.h>

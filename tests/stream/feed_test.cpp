@@ -6,7 +6,7 @@
 #include <deque>
 
 #include "protocol/replica.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/stream/delta_arrays.hpp"
 #include "tests/stream/mini_loop.hpp"
 

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "protocol/messages.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/stream/server.hpp"
 
 namespace incise::stream {

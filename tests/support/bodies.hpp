@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "server/core/blade.hpp"
-#include "server/core/mesh_data.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/stroke/blade.hpp"
 
 namespace incise::tests {
 

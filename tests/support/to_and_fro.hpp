@@ -5,7 +5,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 
 namespace incise::tests {
 

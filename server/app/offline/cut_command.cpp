@@ -12,8 +12,9 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
-#include "server/core/cut_session.hpp"
-#include "server/core/measure.hpp"
+#include "server/core/session/cut_session.hpp"
+#include "server/base/hex.hpp"
+#include "server/core/mesh/measure.hpp"
 
 namespace incise::app {
 namespace {
@@ -47,12 +48,6 @@ struct Tally {
     return sorted[k];
   }
 };
-
-std::string hex(std::uint64_t hash) {
-  char text[17];
-  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
-  return text;
-}
 
 // What is cut, and by what.
 struct Input {

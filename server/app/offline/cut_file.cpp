@@ -4,7 +4,7 @@
 #include <fstream>
 #include <system_error>
 
-#include "server/core/quality.hpp"
+#include "server/core/geometry/quality.hpp"
 
 namespace incise::app {
 

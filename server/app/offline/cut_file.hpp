@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "server/core/measure.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/mesh/measure.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::app {

@@ -9,6 +9,7 @@
 
 #include "server/app/config.hpp"
 #include "server/app/offline/commands.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
 
@@ -141,7 +142,7 @@ class Watched {
       last_[numbered ? got[0] : 0] = got;
       ++reports_;
       if (!decoder_) continue;
-      for (const auto& sample : decoder_->take(got, input::monotonic_ns())) samples_[sample.tool] = sample;
+      for (const auto& sample : decoder_->take(got, monotonic_ns())) samples_[sample.tool] = sample;
     }
     gone_ = bytes != 0;
     return !gone_;
@@ -262,7 +263,7 @@ int monitor(const std::vector<Candidate>& found, const DevicesCommand& command) 
 
   const bool terminal = !command.json && ::isatty(STDOUT_FILENO) != 0;
   const double between_s = terminal ? 0.1 : 0.5;
-  const auto start = input::monotonic_ns();
+  const auto start = monotonic_ns();
   auto shown = start;
   while (g_ended == 0 && !watched.empty()) {
     ::usleep(2000);
@@ -271,7 +272,7 @@ int monitor(const std::vector<Candidate>& found, const DevicesCommand& command) 
       std::fprintf(stderr, "incise: unplugged\n");
       watched.erase(watched.begin() + static_cast<std::ptrdiff_t>(i));
     }
-    const auto now = input::monotonic_ns();
+    const auto now = monotonic_ns();
     const bool end = command.for_s > 0 && static_cast<double>(now - start) * 1e-9 >= command.for_s;
     if (!end && static_cast<double>(now - shown) * 1e-9 < between_s) continue;
     if (terminal) std::printf("\x1b[H\x1b[2J");

@@ -11,7 +11,7 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
-#include "server/core/measure.hpp"
+#include "server/core/mesh/measure.hpp"
 #include "server/input/hid/device_profile.hpp"
 #include "server/mesh_io/phantom.hpp"
 #include "server/mesh_io/surface_check.hpp"

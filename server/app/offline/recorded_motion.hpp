@@ -10,7 +10,7 @@
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
 #include "server/app/config.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 

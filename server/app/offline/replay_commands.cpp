@@ -10,18 +10,13 @@
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
 #include "server/app/version.hpp"
-#include "server/core/cut_session.hpp"
+#include "server/base/hex.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-std::string hex(std::uint64_t hash) {
-  char text[17];
-  std::snprintf(text, sizeof text, "%016" PRIx64, hash);
-  return text;
-}
 
 bool mesh_is_there(const std::filesystem::path& path) {
   std::filesystem::path node = path;

@@ -19,6 +19,7 @@
 #include <optional>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "server/input/force_guard.hpp"
 #include "server/input/limited_log.hpp"
 

@@ -9,7 +9,7 @@
 #include <string>
 #include <string_view>
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 
 namespace incise::input {
 

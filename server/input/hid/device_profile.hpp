@@ -9,7 +9,7 @@
 #include <string_view>
 #include <vector>
 
-#include "server/core/vec3.hpp"
+#include "server/core/geometry/vec3.hpp"
 #include "server/input/hid/report_descriptor.hpp"
 #include "server/input/hid/report_field.hpp"
 

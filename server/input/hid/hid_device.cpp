@@ -7,6 +7,8 @@
 #include <cmath>
 #include <ctime>
 
+#include "server/base/clock.hpp"
+
 namespace incise::input {
 namespace {
 

@@ -9,12 +9,12 @@
 #include <thread>
 #include <vector>
 
+#include "server/base/histogram.hpp"
 #include "server/haptics/force_slot.hpp"
 #include "server/input/force_guard.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
 #include "server/input/input_hub.hpp"
-#include "server/loop/histogram.hpp"
 
 namespace incise::input {
 
@@ -84,8 +84,8 @@ class HidDevice {
   std::uint64_t full_queue_ms_ = 0;         // the reader's
   std::atomic<bool> lost_{false};
   std::atomic<std::uint64_t> forces_written_{0}, forces_failed_{0};
-  loop::Histogram pose_to_report_;  // the writer's
-  mutable std::mutex mutex_;        // guards shared_; the reader only tries it
+  Histogram pose_to_report_;  // the writer's
+  mutable std::mutex mutex_;  // guards shared_; the reader only tries it
   DeviceFigures shared_;
   std::jthread reader_, writer_;
 };

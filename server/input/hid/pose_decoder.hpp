@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 #include "server/input/hid/device_clock.hpp"
 #include "server/input/hid/device_profile.hpp"
 #include "server/input/placement.hpp"

@@ -14,7 +14,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 
 namespace incise::input::openigtlink {
 

@@ -24,6 +24,7 @@
 #include <thread>
 #include <utility>
 
+#include "server/base/clock.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/surface_message.hpp"

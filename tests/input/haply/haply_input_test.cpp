@@ -7,6 +7,7 @@
 #include <limits>
 #include <thread>
 
+#include "server/base/clock.hpp"
 #include "tests/input/haply/inverse_service.hpp"
 #include "tests/stream/mini_loop.hpp"
 

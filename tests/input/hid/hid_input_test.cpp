@@ -9,6 +9,7 @@
 #include <random>
 #include <sstream>
 
+#include "server/base/clock.hpp"
 #include "tests/input/hid/stylus.hpp"
 
 namespace incise::input {

@@ -7,7 +7,7 @@
 #include <span>
 
 #include "protocol/hid/incise_stylus.h"
-#include "server/core/blade.hpp"
+#include "server/core/stroke/blade.hpp"
 #include "tests/support/mock_hid.hpp"
 
 namespace incise::tests {

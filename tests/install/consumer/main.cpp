@@ -3,7 +3,7 @@
 #include <cstdlib>
 
 #include "client/client.hpp"
-#include "server/core/tet_mesh.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 
 int main(int, char** argv) {
   using namespace incise;

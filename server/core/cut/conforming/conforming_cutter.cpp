@@ -1,0 +1,126 @@
+#include "server/core/cut/conforming/conforming_cutter.hpp"
+
+#include "server/base/check.hpp"
+
+namespace incise::core {
+
+ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const CutConfig& config)
+    : cut_(mesh, workspace, config),
+      active_(cut_),
+      crossings_(cut_),
+      editor_(mesh, cut_, active_),
+      rim_(cut_, editor_),
+      search_(cut_, active_, crossings_, rim_),
+      crossing_stage_(cut_, crossings_, editor_),
+      repair_(cut_, editor_),
+      verify_(cut_, active_, crossings_, editor_),
+      opening_(cut_, active_, editor_) {}
+
+void ConformingCutter::begin_stroke(std::uint32_t stroke) {
+  cut_.stroke = stroke;
+  cut_.path.clear();
+  active_.clear();
+  crossings_.clear();
+  rim_.clear();
+}
+
+void ConformingCutter::begin(const Batch& batch) {
+  INCISE_CHECK(stage_ == Stage::kIdle);
+  cut_.counts = {};
+  if (batch.stroke != cut_.stroke) begin_stroke(batch.stroke);
+  cut_.batch = batch.number;
+  cut_.front = batch.lines.back();
+  cut_.has_front = !batch.ends_stroke;
+  const BoundaryGrid& grid = cut_.workspace.grid;
+  cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
+  cut_.path.forget_before(active_.needed_since_m());
+  cut_.path.build();
+  cut_.oldest_batch = cut_.path.oldest_batch();
+  repair_.begin_batch();
+  crossings_.begin_batch();
+  cut_.work += static_cast<std::int64_t>(cut_.surface().size() / cost::kTrianglesAUnit +
+                                         crossings_.size() / cost::kCrossingsAUnit +
+                                         active_.size() / cost::kActiveAUnit);
+  search_.begin();
+  stage_ = Stage::kSearch;
+}
+
+bool ConformingCutter::advance(WorkBudget& budget) {
+  while (stage_ != Stage::kIdle) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    switch (stage_) {
+      case Stage::kSearch:
+        if (!search_.advance(budget)) break;
+        rim_.begin();
+        stage_ = Stage::kRim;
+        break;
+      case Stage::kRim:
+        if (!rim_.advance(budget)) break;
+        round_ = 0;
+        crossing_stage_.begin(round_);
+        stage_ = Stage::kCrossings;
+        break;
+      case Stage::kCrossings:
+        if (!crossing_stage_.advance(budget)) break;
+        repair_.begin();
+        stage_ = Stage::kRepair;
+        break;
+      case Stage::kRepair:
+        if (!repair_.advance(budget)) break;
+        verify_.begin(round_);
+        stage_ = Stage::kVerify;
+        break;
+      case Stage::kVerify:
+        if (!verify_.advance(budget)) break;
+        if (verify_.found() && ++round_ < tolerance::kMaxRounds) {
+          crossing_stage_.begin(round_);
+          stage_ = Stage::kCrossings;
+          break;
+        }
+        verify_.fail_found();
+        opening_.begin();
+        stage_ = Stage::kOpening;
+        break;
+      case Stage::kOpening:
+        if (!opening_.advance(budget)) break;
+        finish();
+        break;
+      case Stage::kIdle:
+        break;
+    }
+  }
+  cut_.work.charge(budget);
+  return true;
+}
+
+void ConformingCutter::finish() {
+  crossings_.drop_done();
+  cut_.counts.pending = static_cast<std::uint32_t>(active_.size());
+  if (!cut_.has_front) {
+    active_.clear_entries();
+    cut_.path.clear_surface();
+    crossings_.clear();
+    rim_.clear();
+  }
+  stage_ = Stage::kIdle;
+}
+
+void ConformingCutter::clinging(std::vector<VertexId>& out) const {
+  active_.clinging(out);
+  crossings_.clinging(out);
+  rim_.clinging(out);
+}
+
+// After the last batch of a stroke all of it is left over and means nothing.
+void ConformingCutter::archive(Archive& io) {
+  io(cut_.stroke);
+  io(cut_.batch);
+  cut_.path.archive_surface(io);
+  active_.archive_entries(io);
+  cut_.path.archive_travel(io, active_.widest_m());
+  crossings_.archive(io);
+  rim_.archive(io);
+}
+
+}  // namespace incise::core

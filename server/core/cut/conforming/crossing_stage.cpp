@@ -1,0 +1,145 @@
+#include "server/core/cut/conforming/crossing_stage.hpp"
+
+#include <algorithm>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+void CrossingStage::begin(int round) {
+  round_ = round;
+  order_.clear();
+  next_ordered_ = 0;
+  ordered_ = false;
+}
+
+// Sorts those that need not wait any more.
+bool CrossingStage::order(WorkBudget& budget) {
+  while (next_ordered_ < crossings_.size()) {
+    if (budget.spent()) return false;
+    budget.charge(cost::kLook);
+    const auto i = static_cast<std::uint32_t>(next_ordered_++);
+    const Crossing& c = crossings_[i];
+    if (!c.done && !cut_.hot(c.a) && !cut_.hot(c.b)) order_.push({c.nearness, c.a, c.b, i});
+  }
+  order_.seal();
+  ordered_ = true;
+  pass_ = 0;
+  again_.clear();
+  next_again_ = 0;
+  retry_.clear();
+  return true;
+}
+
+bool CrossingStage::advance(WorkBudget& budget) {
+  if (!ordered_) {
+    order(budget);
+    return false;
+  }
+  for (;;) {
+    while (pass_ == 0 ? !order_.empty() : next_again_ < again_.size()) {
+      cut_.work.charge(budget);
+      if (budget.spent()) return false;
+      handle(pass_ == 0 ? order_.take().index : again_[next_again_++]);
+    }
+    if (retry_.empty()) return true;
+    ++pass_;
+    again_.swap(retry_);
+    retry_.clear();
+    next_again_ = 0;
+  }
+}
+
+void CrossingStage::handle(std::uint32_t index) {
+  crossings_[index].done = true;
+  Crossing crossing = crossings_[index];
+  cut_.work += cost::kLook;
+  if (!still_crosses(crossing)) return;
+  const VertexId a = crossing.a, b = crossing.b;
+  if (cut_.config.prefer == Preference::kExact && std::min(crossing.at, 1 - crossing.at) > kExactNear_edge &&
+      cut_.worst_after_split(crossing.tet, a, b, crossing.at, kExactFloor) <= kExactFloor) {
+    split(crossing);
+    return;
+  }
+  const Vec3 at = lerp(mesh_.position(a), mesh_.position(b), crossing.at);
+  if (snap_well(crossing, at)) return;
+  if (pass_ == 0) {
+    crossings_[index].done = false;
+    retry_.push_back(index);
+    return;
+  }
+  make_do(crossing);
+}
+
+// Whether there is anything to deal with. Brings the crossing up to date.
+bool CrossingStage::still_crosses(Crossing& crossing) {
+  const VertexId a = crossing.a, b = crossing.b;
+  const bool a_on = cut_.on_surface(a), b_on = cut_.on_surface(b);
+  // Dealt with by a snap of one end, as a rule; verification finds the exceptions.
+  if (round_ == 0 && (a_on || b_on)) return false;
+  if (!mesh_.alive(crossing.tet) || mesh_.local_index(crossing.tet, a) < 0 ||
+      mesh_.local_index(crossing.tet, b) < 0) {
+    crossing.tet = mesh_.find_edge(a, b);
+    cut_.work += cost::kFindEdge;
+    if (crossing.tet == kNone) return false;
+  }
+  if (round_ == 0 && crossing.batch == cut_.batch) return true;
+  if (!cut_.find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, crossing.triangle, crossing.at))
+    return false;
+  return !(a_on && crossing.at < kAtVertex_edge) && !(b_on && crossing.at > 1 - kAtVertex_edge);
+}
+
+// Snaps an end of the edge whose star is good then.
+bool CrossingStage::snap_well(const Crossing& crossing, const Vec3& at) {
+  const bool near_a = crossing.at <= 0.5;
+  ends_[0] = near_a ? crossing.a : crossing.b;
+  ends_[1] = near_a ? crossing.b : crossing.a;
+  best_[0] = best_[1] = {};
+  for (int i = 0; i < 2; ++i) {
+    if (cut_.on_surface(ends_[i])) continue;
+    best_[i] = places_.place(stars_[i], ends_[i], crossing, at, kGood, pass_ > 0);
+    if (best_[i].worst <= kGood) {
+      ++cut_.counts.events;
+      editor_.snap(stars_[i], ends_[i], best_[i].target);
+      return true;
+    }
+  }
+  return false;
+}
+
+// The better of what can be had: a snap, or a split, or neither.
+void CrossingStage::make_do(const Crossing& crossing) {
+  const VertexId a = crossing.a, b = crossing.b;
+  const bool exact = cut_.config.prefer == Preference::kExact;
+  const double floor = exact ? kExactFloor : kFloor;
+  int i = best_[1].worst < best_[0].worst ? 1 : 0;
+  if (best_[i].worst > kSnapFloor && !exact) {
+    // At a boundary that runs along the surface, that of an older cut above all, a split only makes splinters.
+    for (int k = 0; k < 2; ++k) {
+      if (!cut_.on_surface(ends_[k]) && places_.stay(stars_[k], best_[k]))
+        i = best_[k].worst < best_[i].worst ? k : i;
+    }
+  }
+  const bool may_split = cut_.config.prefer != Preference::kNoGrowth;
+  const double by_split = best_[i].worst <= kSnapFloor || !may_split
+                              ? kInverted
+                              : cut_.worst_after_split(crossing.tet, a, b, crossing.at, floor);
+  if (best_[i].worst <= kSnapFloor || (best_[i].worst <= by_split && best_[i].worst <= floor)) {
+    ++cut_.counts.events;
+    editor_.snap(stars_[i], ends_[i], best_[i].target);
+  } else if (by_split <= floor) {
+    split(crossing);
+  } else {
+    ++cut_.counts.events;
+    editor_.fail(a);
+    editor_.fail(b);
+    ++cut_.counts.failed;
+  }
+}
+
+void CrossingStage::split(const Crossing& crossing) {
+  ++cut_.counts.events;
+  editor_.split(crossing.tet, crossing.a, crossing.b, crossing.at);
+}
+
+}  // namespace incise::core

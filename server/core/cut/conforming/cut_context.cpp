@@ -1,0 +1,73 @@
+#include "server/core/cut/conforming/cut_context.hpp"
+
+#include <algorithm>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+CutContext::CutContext(const TetMesh& mesh_, CutWorkspace& workspace_, const CutConfig& config_)
+    : mesh(mesh_),
+      workspace(workspace_),
+      config(config_),
+      h(mesh_.mean_edge_length()),
+      clear_m(kClear_h * mesh_.mean_edge_length()),
+      path(config, h) {}
+
+void CutContext::gather(VertexStar& star, VertexId v) const {
+  star.gather(mesh, v, [this](VertexId w) { return on_surface(w); });
+  work += cost::kGather;
+  work.add(star.corners().size(), cost::kGatherCornersAUnit);
+}
+
+double CutContext::worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness_m,
+                            std::vector<TetId>& flat) const {
+  work += cost::kWorstAt;
+  work.add(star.corners().size(), cost::kWorstAtCornersAUnit);
+  const double worst = star.worst_at(p, limit, thickness_m, flat);
+  for (TetId t : flat) {
+    work += cost::kSurfaceQuery;
+    if (!surface().is_within(mesh.barycentre(t) + 0.25 * (p - star.position()), kFlatOff_h * h))
+      return kInverted;
+  }
+  return worst;
+}
+
+bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
+                               double& t) const {
+  work += cost::kFindCrossing;
+  const Vec3 low{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
+  const Vec3 high{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
+  return surface().any_overlapping(low, high, [&](std::uint32_t i) {
+    const SweptTriangle& s = surface()[i];
+    const double da = s.signed_distance(a), db = s.signed_distance(b);
+    // An end on the surface is where the edge meets it.
+    if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
+    double at;
+    if (!crosses(a, b, da, db, s, clear_m, at)) return false;
+    triangle = i;
+    t = at;
+    return true;
+  });
+}
+
+double CutContext::worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const {
+  mesh.ring(tet, a, b, ring_);
+  work += cost::kTrySplit * static_cast<std::int64_t>(ring_.size());
+  const Vec3 x = lerp(mesh.position(a), mesh.position(b), t);
+  double worst = -1;
+  for (TetId r : ring_) {
+    const auto& v = mesh.vertices(r);
+    Vec3 near[4], far[4];
+    for (int i = 0; i < 4; ++i) {
+      near[i] = v[i] == b ? x : mesh.position(v[i]);
+      far[i] = v[i] == a ? x : mesh.position(v[i]);
+    }
+    worst = std::max({worst, worst_dihedral(near[0], near[1], near[2], near[3]),
+                      worst_dihedral(far[0], far[1], far[2], far[3])});
+    if (worst > limit) break;
+  }
+  return worst;
+}
+
+}  // namespace incise::core

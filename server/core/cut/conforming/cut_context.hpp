@@ -1,0 +1,86 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "server/core/cut/conforming/stroke_path.hpp"
+#include "server/core/cut/conforming/tolerances.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/cut/cut_workspace.hpp"
+#include "server/core/cut/cutter.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/vertex_star.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+// What the stages of one blade's cut have in common, and the questions that all of them ask. They read the mesh here; only
+// MeshEditor changes it.
+struct CutContext {
+  CutContext(const TetMesh& mesh_, CutWorkspace& workspace_, const CutConfig& config_);
+  CutContext(const CutContext&) = delete;
+
+  const SweptSurface& surface() const { return path.surface(); }
+  // Whether v was put on what is kept of the swept surface. Where the blade comes across its own cut later in the stroke, that
+  // is an old cut like any other.
+  bool on_surface(VertexId v) const {
+    const CutWorkspace::VertexMarks& marks = workspace.vertices[v];
+    return marks.surface == stroke && marks.batch >= oldest_batch;
+  }
+  // All three vertices of a face.
+  bool face_on_surface(HalfFace face) const {
+    const auto v = mesh.face_vertices(face);
+    return on_surface(v[0]) && on_surface(v[1]) && on_surface(v[2]);
+  }
+  bool on_rim(VertexId v) const { return workspace.vertices[v].rim == stroke; }
+  // Whether a crossing at v could not be dealt with.
+  bool failed(VertexId v) const { return workspace.vertices[v].failed == stroke; }
+
+  // Whether v is near the blade, and by how much.
+  bool hot(VertexId v, double* by_m = nullptr) const {
+    if (!has_front) return false;
+    const double reach = tolerance::kHot_local * mesh.local_h(v);
+    const double d2 = squared_distance_to_segment(mesh.position(v), front.heel, front.tip);
+    if (d2 >= reach * reach) return false;
+    if (by_m != nullptr) *by_m = reach - std::sqrt(d2);
+    return true;
+  }
+
+  // A face that was about to open does not: each side apart.
+  void clear_pending(HalfFace face) const {
+    workspace.tets[tet_of(face)].pending &= static_cast<std::uint8_t>(~(1u << face_of(face)));
+  }
+
+  void gather(VertexStar& star, VertexId v) const;
+  // VertexStar::worst_at(); kInverted where one of the flat ones lies across a bend, between two parts of the surface: what is
+  // removed must be part of it.
+  double worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness_m,
+                  std::vector<TetId>& flat) const;
+  // Where the surface crosses the segment a b: the triangle, and the place at a + t (b - a). `a_on`, `b_on`: an end lies on the
+  // surface, which is then no crossing.
+  bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
+                     double& t) const;
+  // The worst of the tetrahedra that splitting the edge (a, b) of `tet` makes; stops beyond `limit`.
+  double worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const;
+
+  const TetMesh& mesh;
+  CutWorkspace& workspace;
+  const CutConfig config;
+  const double h;        // mean edge length, m
+  const double clear_m;  // nearer to a plane than this only exact arithmetic decides
+
+  std::uint32_t stroke = 0, batch = 0;
+  StrokePath path;
+  std::uint32_t oldest_batch = 0;  // of the path
+  bool has_front = false;          // the stroke goes on: what is near the blade waits
+  BladeLine front;                 // the blade now
+
+  CutCounts counts;
+  mutable WorkMeter work;
+
+ private:
+  mutable std::vector<TetId> ring_;  // scratch
+};
+
+}  // namespace incise::core

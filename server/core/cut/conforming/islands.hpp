@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "server/core/cut/conforming/cut_context.hpp"
+
+namespace incise::core {
+
+// A point that stands for the side of the surface that a tetrahedron is on.
+Vec3 reference_point(const CutContext& cut, TetId t);
+
+// Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
+// neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out
+// of those that are about to open (TetMarks::pending).
+class Islands {
+ public:
+  explicit Islands(CutContext& cut) : cut_(cut), mesh_(cut.mesh), inland_(cut.workspace) {}
+
+  void begin() { inland_.begin(); }
+  // Looks at what lies behind a face that is about to open.
+  void spare(HalfFace side);
+
+ private:
+  static constexpr std::size_t kMaxSize = tolerance::kMaxSheetIsland;
+
+  bool collect(TetId first, bool& clean, bool& thin);
+  void join_larger_side();
+  bool is_above(HalfFace h) const;
+  bool stands_clear(HalfFace h) const;
+  bool is_ragged(HalfFace h) const;
+  bool is_thin(TetId t) const;
+  bool pending(TetId t, int f) const { return (cut_.workspace.tets[t].pending >> f & 1) != 0; }
+
+  CutContext& cut_;
+  const TetMesh& mesh_;
+  TetPass inland_;  // looked at from another face, and found to be no island
+  TetId members_[kMaxSize];
+  std::size_t size_ = 0;
+};
+
+}  // namespace incise::core

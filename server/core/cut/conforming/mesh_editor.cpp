@@ -1,0 +1,140 @@
+#include "server/core/cut/conforming/mesh_editor.hpp"
+
+#include <algorithm>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+// v was moved: the surface may cross other edges of its tetrahedra now, and which side of it they are on may be another.
+// That matters where ragged faces open.
+void MeshEditor::judge_again(const VertexStar& star, VertexId v) {
+  const auto failed = [this](VertexId w) { return cut_.failed(w); };
+  const bool at_v = failed(v);
+  for (const VertexStar::Corner& c : star.corners()) {
+    look_again(c.tet);
+    if (at_v || std::ranges::any_of(c.others, failed)) active_.add(c.tet);
+  }
+}
+
+void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
+  const double worst = cut_.worst_at(star, target, kInverted, kFlat_local * star.local_h(), flat_);
+  mesh_.move_vertex(v, target);
+  cut_.workspace.vertices[v].surface = cut_.stroke;
+  cut_.workspace.vertices[v].batch = cut_.batch;
+  ++cut_.counts.snaps;
+  // What has three vertices on the surface only now may have a face to open.
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (cut_.on_surface(c.others[0]) + cut_.on_surface(c.others[1]) + cut_.on_surface(c.others[2]) >= 2)
+      active_.add(c.tet);
+  }
+  judge_again(star, v);
+  if (worst > kGood || !flat_.empty()) changed_.push_back({v});
+  for (TetId t : flat_) remove_flat(t);
+}
+
+void MeshEditor::snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target) {
+  cut_.workspace.vertices[v].rim = cut_.stroke;
+  snap(star, v, target);
+}
+
+void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
+  mesh_.move_vertex(v, target);
+  judge_again(star, v);
+  for (const VertexStar::Corner& c : star.corners()) may_move_again(mesh_.vertices(c.tet));
+  ++cut_.counts.repairs;
+}
+
+VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVertex is) {
+  mesh_.ring(tet, a, b, ring_);
+  const TetId first = mesh_.tet_slots();
+  const VertexId m = mesh_.split_edge(tet, a, b, t);
+  cut_.work += cost::kSplit * static_cast<std::int64_t>(ring_.size());
+  cut_.workspace.grow(mesh_);
+  cut_.workspace.vertices[m].surface = is == NewVertex::kOnSurface ? cut_.stroke : 0;
+  cut_.workspace.vertices[m].batch = cut_.batch;
+  changed_.push_back({m});
+  for (TetId r : ring_) {
+    look_again(r);
+    active_.add(r);
+  }
+  for (TetId n = first; n < mesh_.tet_slots(); ++n) {
+    enter(n);
+    active_.add(n);
+  }
+  ++cut_.counts.splits;
+  return m;
+}
+
+void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId w) {
+  mesh_.ring(t, v, w, ring_);
+  for (TetId& r : ring_) r = mesh_.neighbor(r, mesh_.local_index(r, v));
+  mesh_.collapse(t, v, w);
+  // What lay across from v may lie at the boundary now.
+  for (TetId r : ring_) {
+    if (r != kNone) enter(r);
+  }
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (!mesh_.alive(c.tet)) continue;
+    look_again(c.tet);
+    active_.add(c.tet);
+    enter(c.tet);
+    may_move_again(mesh_.vertices(c.tet));
+  }
+  ++cut_.counts.repairs;
+}
+
+std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
+                                           std::span<const std::array<VertexId, 4>> added) {
+  cut_.work += cost::kReplace;
+  if (!mesh_.replace(removed, added, new_tets_)) return {};
+  cut_.workspace.grow(mesh_);
+  for (TetId t : new_tets_) {
+    enter(t);
+    active_.add(t);
+    may_move_again(mesh_.vertices(t));
+  }
+  ++cut_.counts.repairs;
+  return new_tets_;
+}
+
+void MeshEditor::remove_flat(TetId t) {
+  TetId neighbors[4];
+  for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
+  const VertexId first_copy = mesh_.vertex_slots();
+  mesh_.remove_tet(t);
+  cut_.work += cost::kRemoveFlat;
+  ++cut_.counts.removed_tets;
+  for (TetId n : neighbors) {
+    if (n != kNone) enter(n);
+  }
+  cut_.workspace.grow(mesh_);
+  // What is poor may be at a copy now, of a vertex that was put on the surface before.
+  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
+}
+
+void MeshEditor::remove_film(TetId t) {
+  may_move_again(mesh_.vertices(t));
+  remove_flat(t);
+  ++cut_.counts.repairs;
+}
+
+void MeshEditor::open(std::span<const HalfFace> faces) {
+  for (HalfFace h : faces) {
+    cut_.workspace.grid.add(mesh_, tet_of(h));
+    cut_.workspace.grid.add(mesh_, tet_of(mesh_.opposite(h)));
+  }
+  cut_.counts.cut_faces += mesh_.open_faces(faces);
+  cut_.workspace.grow(mesh_);
+  cut_.work += cost::kOpenFace * static_cast<std::int64_t>(faces.size());
+}
+
+void MeshEditor::fail(VertexId v) {
+  if (cut_.failed(v)) return;
+  cut_.workspace.vertices[v].failed = cut_.stroke;
+  mesh_.star(v, star_);
+  cut_.work += static_cast<std::int64_t>(star_.size());
+  for (std::uint32_t corner : star_) active_.add(tet_of(corner));
+}
+
+}  // namespace incise::core

@@ -1,0 +1,85 @@
+#pragma once
+
+#include <array>
+#include <span>
+#include <vector>
+
+#include "server/core/cut/conforming/active_set.hpp"
+#include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/vertex_star.hpp"
+
+namespace incise::core {
+
+// Changes the mesh for one blade. Each operation does all that follows from it:
+//
+//                 verification  becomes active               entered in   free to be   to be repaired
+//                 looks again                                the grid     moved again
+//   snap          its star      what has three vertices on   -            -            v, unless its star is good
+//                               the surface now; failed ones
+//   move          its star      failed ones                  -            its star     -
+//   split         the ring      the ring, new ones           new ones     -            the new vertex
+//   collapse      its star      its star                     its star and its star     -
+//                                                            behind it
+//   replace       new ones      new ones                     new ones     new ones     -
+//   remove        -             -                            neighbours   film: its    copies of its vertices
+//                                                                         vertices
+//   open          -             -                            both sides   -            -
+//
+// Snaps and splits do not free vertices to be moved again, for they all come before the repairs of their round. Counts
+// what is done (CutContext::counts).
+class MeshEditor {
+ public:
+  MeshEditor(TetMesh& mesh, CutContext& cut, ActiveSet& active) : mesh_(mesh), cut_(cut), active_(active) {}
+
+  // A vertex that was put on the surface by this batch, or made by that, whose star may not be good.
+  struct Changed {
+    VertexId vertex;
+    int times = 0;  // it was repaired, not well enough
+  };
+  // For the repair stage, in the order in which they came.
+  std::vector<Changed>& changed() { return changed_; }
+
+  // v, whose star that is, goes onto the surface. What becomes flat is removed.
+  void snap(const VertexStar& star, VertexId v, const Vec3& target);
+  // The same, where the sweep ends.
+  void snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target);
+  // v, whose star that is, goes to a better place.
+  void move(const VertexStar& star, VertexId v, const Vec3& target);
+  // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a).
+  enum class NewVertex { kOnSurface, kNotYet };
+  VertexId split(TetId tet, VertexId a, VertexId b, double t, NewVertex is = NewVertex::kOnSurface);
+  // Merges v, whose star that is, into w along an edge of t. TetMesh::may_collapse() must hold.
+  void collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
+  // TetMesh::replace(). The new tetrahedra; none where the two sets do not match.
+  std::span<const TetId> replace(std::span<const TetId> removed,
+                                 std::span<const std::array<VertexId, 4>> added);
+  // Takes out a tetrahedron that is part of the surface.
+  void remove_flat(TetId t);
+  // The same, as a repair.
+  void remove_film(TetId t);
+  void open(std::span<const HalfFace> faces);
+
+  // A crossing at v could not be dealt with: ragged faces may open around it.
+  void fail(VertexId v);
+
+ private:
+  // What verification found to be clear is looked at again only where it has changed since.
+  void look_again(TetId t) { cut_.workspace.tets[t].pass = 0; }
+  void enter(TetId t) {
+    if (mesh_.boundary_mask(t) != 0) cut_.workspace.grid.add(mesh_, t);
+  }
+  void may_move_again(std::span<const VertexId> vertices) {
+    for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
+  }
+  void judge_again(const VertexStar& star, VertexId v);
+
+  TetMesh& mesh_;
+  CutContext& cut_;
+  ActiveSet& active_;
+  std::vector<Changed> changed_;
+  std::vector<TetId> flat_, ring_, new_tets_;  // scratch
+  std::vector<std::uint32_t> star_;            // scratch
+};
+
+}  // namespace incise::core

@@ -1,0 +1,167 @@
+#include "server/core/cut/conforming/opening_stage.hpp"
+
+#include <algorithm>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+void OpeningStage::begin() {
+  phase_ = Phase::kSelect;
+  next_ = kept_ = 0;
+  faces_.clear();
+  selected_.begin();
+}
+
+bool OpeningStage::advance(WorkBudget& budget) {
+  switch (phase_) {
+    case Phase::kSelect:
+      if (!select(budget)) return false;
+      islands_.begin();
+      phase_ = Phase::kSpare;
+      next_ = 0;
+      return false;
+    case Phase::kSpare:
+      if (!spare_islands(budget)) return false;
+      phase_ = Phase::kOpen;
+      next_ = 0;
+      return false;
+    case Phase::kOpen:
+      return open(budget);
+  }
+  return true;
+}
+
+// ------------------------------------------------------------------------------------------------ which
+
+// Scans the active tetrahedra; those that stay are compacted to the front as the scan goes.
+bool OpeningStage::select(WorkBudget& budget) {
+  while (next_ < active_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const std::size_t i = next_++;
+    const TetId t = active_[i].tet;
+    cut_.work += cost::kLook;
+    if (!mesh_.alive(t)) continue;
+    if (!active_.ripe(active_[i]) || select_faces(t)) {
+      active_.keep(kept_, i);
+    } else {
+      active_.drop(i);
+    }
+  }
+  active_.resize(kept_);
+  return true;
+}
+
+// Returns whether one that separates has to wait for the blade to leave what is behind it.
+bool OpeningStage::select_faces(TetId t) {
+  bool waits = false;
+  selected_.add(t);
+  auto& marks = cut_.workspace.tets;
+  const unsigned faces = may_separate(t) & ~unsigned{marks[t].pending};
+  for (int f = 0; f < 4; ++f) {
+    const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
+    // From the other side it looks the same.
+    if (!(faces >> f & 1) || o == kNone || selected_.has(tet_of(o))) continue;
+    if (!separates(h)) continue;
+    if (cut_.hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
+      waits = true;
+      continue;
+    }
+    marks[t].pending |= static_cast<std::uint8_t>(1u << f);
+    marks[tet_of(o)].pending |= static_cast<std::uint8_t>(1u << face_of(o));
+    faces_.push_back(h);
+  }
+  return waits;
+}
+
+// The faces of t that may separate: those with all vertices on the surface, or one at which a crossing could not be dealt
+// with. Bit f: face f.
+unsigned OpeningStage::may_separate(TetId t) const {
+  const auto& v = mesh_.vertices(t);
+  unsigned off = 0, failed = 0;
+  for (unsigned i = 0; i < 4; ++i) {
+    off |= (cut_.on_surface(v[i]) ? 0u : 1u) << i;
+    failed |= (cut_.failed(v[i]) ? 1u : 0u) << i;
+  }
+  unsigned faces = 0;
+  for (unsigned f = 0; f < 4; ++f) {
+    const unsigned others = 0xfu & ~(1u << f);
+    faces |= ((off & others) == 0 || (failed & others) != 0 ? 1u : 0u) << f;
+  }
+  return faces;
+}
+
+// Whether the surface separates the two tetrahedra at an interior face, so that it has to open: whether it crosses the
+// way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
+// separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
+// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
+bool OpeningStage::separates(HalfFace h) const {
+  const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
+  Vec3 middle{}, off{};
+  int off_count = 0;
+  for (VertexId v : mesh_.face_vertices(h)) {
+    middle += (1.0 / 3.0) * mesh_.position(v);
+    if (cut_.on_surface(v)) continue;
+    off += mesh_.position(v);
+    ++off_count;
+  }
+  const auto crossed = [this](const Vec3& p, const Vec3& q) {
+    std::uint32_t triangle;
+    double t;
+    return cut_.find_crossing(p, false, q, false, triangle, t);
+  };
+  const Vec3 from = reference_point(cut_, a), to = reference_point(cut_, b);
+  if (off_count > 0) {
+    const Vec3 by = (1.0 / off_count) * off;
+    return crossed(from, by) || crossed(by, to);
+  }
+  const Vec3 near_a = lerp(middle, from, kPass), near_b = lerp(middle, to, kPass);
+  return crossed(near_a, near_b) || crossed(from, near_a) || crossed(near_b, to);
+}
+
+bool OpeningStage::spare_islands(WorkBudget& budget) {
+  while (next_ < faces_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const HalfFace h = faces_[next_++];
+    islands_.spare(h);
+    islands_.spare(mesh_.opposite(h));
+  }
+  std::erase_if(faces_,
+                [this](HalfFace h) { return !(cut_.workspace.tets[tet_of(h)].pending >> face_of(h) & 1); });
+  return true;
+}
+
+// ------------------------------------------------------------------------------------------------ opening
+
+bool OpeningStage::open(WorkBudget& budget) {
+  while (next_ < faces_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const std::size_t end = std::min(next_ + kOpenChunk, faces_.size());
+    const std::span<const HalfFace> chunk(faces_.data() + next_, end - next_);
+    for (HalfFace h : chunk) account(h);
+    editor_.open(chunk);
+    next_ = end;
+  }
+  return true;
+}
+
+// The face is about to open: its area, and how far it is off the surface.
+void OpeningStage::account(HalfFace h) {
+  cut_.clear_pending(h);
+  cut_.clear_pending(mesh_.opposite(h));
+  cut_.counts.cut_area += 0.5 * length(mesh_.twice_area(h));
+  for (VertexId v : mesh_.face_vertices(h)) {
+    if (cut_.on_surface(v)) continue;
+    std::uint32_t triangle;
+    Vec3 closest = mesh_.position(v);
+    cut_.work += cost::kDeviation;
+    cut_.surface().closest(mesh_.position(v), kSurfaceReach_h * cut_.h, closest, triangle);
+    cut_.counts.max_deviation_h =
+        std::max(cut_.counts.max_deviation_h, distance(closest, mesh_.position(v)) / cut_.h);
+  }
+}
+
+}  // namespace incise::core

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "server/core/cut/conforming/active_set.hpp"
+#include "server/core/cut/conforming/islands.hpp"
+#include "server/core/cut/conforming/mesh_editor.hpp"
+
+namespace incise::core {
+
+// Opens faces: exactly those where the line between the reference points of the two tetrahedra crosses the surface, islands
+// apart. A tetrahedron all of whose faces are decided is active no longer.
+class OpeningStage {
+ public:
+  OpeningStage(CutContext& cut, ActiveSet& active, MeshEditor& editor)
+      : cut_(cut),
+        mesh_(cut.mesh),
+        active_(active),
+        editor_(editor),
+        selected_(cut.workspace),
+        islands_(cut) {}
+
+  // The last scan of the active set still holds.
+  void begin();
+  // True: done; false: the budget is spent, or more is to do.
+  bool advance(WorkBudget& budget);
+
+ private:
+  enum class Phase { kSelect, kSpare, kOpen };
+
+  bool select(WorkBudget& budget);
+  bool select_faces(TetId t);
+  unsigned may_separate(TetId t) const;
+  bool separates(HalfFace h) const;
+  bool spare_islands(WorkBudget& budget);
+  bool open(WorkBudget& budget);
+  void account(HalfFace h);
+
+  CutContext& cut_;
+  const TetMesh& mesh_;
+  ActiveSet& active_;
+  MeshEditor& editor_;
+
+  Phase phase_ = Phase::kSelect;
+  std::size_t next_ = 0;  // how far the phase is, in active_ or in faces_
+  std::size_t kept_ = 0;  // of active_
+  TetPass selected_;      // whose faces have been looked at
+  Islands islands_;
+  std::vector<HalfFace> faces_;  // to open
+};
+
+}  // namespace incise::core

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <vector>
+
+#include "server/core/cut/conforming/crossings.hpp"
+#include "server/core/cut/conforming/cut_context.hpp"
+
+namespace incise::core {
+
+struct Placement {
+  Vec3 target;
+  double worst = kInverted;  // the star's worst measure there
+};
+
+// Where a vertex may go, and where its star is best. Changes nothing.
+class PlaceFinder {
+ public:
+  explicit PlaceFinder(CutContext& cut) : cut_(cut) {}
+
+  // Where on the surface the end v of a crossed edge would best go, until the star's worst measure is at most `limit`. Reads the
+  // star. `search`: also looks around for a better place.
+  Placement place(VertexStar& star, VertexId v, const Crossing& crossing, const Vec3& at, double limit,
+                  bool search);
+  // Whether a boundary vertex may stand for the surface where it is, and better than at `placement`, which is then replaced.
+  bool stay(const VertexStar& star, Placement& placement);
+  // Looks around for a better place than `placement`, until its measure is at most `goal`, within the boundary, and within the
+  // surface where the vertex is `on_surface`, near `triangle`. What is beside the surface stays on its side. `thickness_m`: what
+  // counts as flat; below 0: nothing.
+  void search(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
+              double thickness_m, Placement& placement);
+
+ private:
+  int freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const;
+  int targets(const VertexStar& star, const Crossing& crossing, const Vec3& at, double reach,
+              std::uint32_t& triangle, Vec3 (&out)[2]) const;
+  bool try_step(const VertexStar& star, bool on_surface, std::uint32_t& triangle, double thickness_m, Vec3 p,
+                Placement& placement);
+
+  CutContext& cut_;
+  std::vector<TetId> flat_;  // scratch
+};
+
+}  // namespace incise::core

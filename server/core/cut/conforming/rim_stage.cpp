@@ -1,0 +1,137 @@
+#include "server/core/cut/conforming/rim_stage.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+// Whether v is the rim's vertex where the rim pierces a face of v's at `point`.
+bool RimStage::stands_for(VertexId v, const Vec3& point) const {
+  return cut_.on_rim(v) && distance(mesh_.position(v), point) < kRim_local * mesh_.local_h(v);
+}
+
+void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {
+  cut_.work += cost::kLook;
+  for (int f = 0; f < 4; ++f) {
+    const auto face = mesh_.face_vertices(half_face(t, f));
+    const Vec3 &a = mesh_.position(face[0]), &b = mesh_.position(face[1]), &c = mesh_.position(face[2]);
+    const Vec3 normal = cross(b - a, c - a);
+    const double above = dot(normal, from - a), below = dot(normal, to - a);
+    if ((above >= 0) == (below >= 0)) continue;
+    const Vec3 x = lerp(from, to, above / (above - below));
+    if (dot(cross(b - a, x - a), normal) < 0 || dot(cross(c - b, x - b), normal) < 0 ||
+        dot(cross(a - c, x - c), normal) < 0) {
+      continue;
+    }
+    if (stands_for(face[0], x) || stands_for(face[1], x) || stands_for(face[2], x)) continue;
+    list_.push_back({t, face, x, from, to, false, false});
+  }
+}
+
+bool RimStage::advance(WorkBudget& budget) {
+  while (next_ < list_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    cut_.work += cost::kLook;
+    const std::size_t i = next_++;
+    const Piercing piercing = list_[i];
+    if (cut_.hot(piercing.face[0]) || cut_.hot(piercing.face[1]) || cut_.hot(piercing.face[2])) continue;
+    list_[i].done = true;
+    handle(piercing);
+    if (piercing.again) continue;
+    // What was done here may have changed the faces that the rim pierces: look once more.
+    const std::size_t first = list_.size();
+    for (VertexId v : piercing.face) {
+      mesh_.star(v, star_tets_);
+      for (std::uint32_t corner : star_tets_) probe(tet_of(corner), piercing.from, piercing.to);
+    }
+    for (std::size_t k = first; k < list_.size(); ++k) list_[k].again = true;
+  }
+  std::erase_if(list_, [](const Piercing& p) { return p.done; });
+  return true;
+}
+
+// Puts a vertex of the pierced face on the rim, where it is pierced or nearer.
+void RimStage::handle(const Piercing& piercing) {
+  if (!mesh_.alive(piercing.tet)) return;
+  for (VertexId v : piercing.face) {
+    if (mesh_.local_index(piercing.tet, v) < 0) return;
+  }
+  std::array<VertexId, 3> nearest = piercing.face;
+  std::sort(nearest.begin(), nearest.end(), [&](VertexId v, VertexId w) {
+    const double dv = squared_length(mesh_.position(v) - piercing.point);
+    const double dw = squared_length(mesh_.position(w) - piercing.point);
+    return dv != dw ? dv < dw : v < w;
+  });
+  for (VertexId v : nearest) {
+    if (stands_for(v, piercing.point)) return;
+  }
+  for (const double limit : {kGood, kSnapFloor}) {
+    for (VertexId v : nearest) {
+      if (!cut_.on_rim(v) && put(v, piercing, limit)) return;
+    }
+  }
+  if (cut_.config.prefer != Preference::kNoGrowth) split_for(piercing);
+}
+
+// Puts v on the rim near the place, if its star is not worse than `limit` there.
+bool RimStage::put(VertexId v, const Piercing& piercing, double limit) {
+  const Vec3 direction = normalized(piercing.to - piercing.from);
+  const double length_m = distance(piercing.from, piercing.to);
+  cut_.gather(star_, v);
+  const double middle = dot(star_.position() - piercing.from, direction);
+  const double pierced = dot(piercing.point - piercing.from, direction);
+  const double h = star_.local_h(), shift = kRimShift_local * h;
+  for (const double along : {middle, pierced, pierced - shift, pierced + shift}) {
+    const Vec3 target = piercing.from + std::clamp(along, 0.0, length_m) * direction;
+    if (distance(target, star_.position()) > kRimReach_local * h) continue;
+    if (!star_.keeps_boundary(target)) continue;
+    if (cut_.worst_at(star_, target, limit, kFlat_local * h, flat_) > limit) continue;
+    editor_.snap_to_rim(star_, v, target);
+    return true;
+  }
+  return false;
+}
+
+// Makes a new vertex on the face's edge that is nearest to the rim, and puts that there.
+void RimStage::split_for(const Piercing& piercing) {
+  VertexId a = kNone, b = kNone;
+  double best = INFINITY, at = 0;
+  for (int k = 0; k < 3; ++k) {
+    const VertexId from = piercing.face[k], to = piercing.face[(k + 1) % 3];
+    const Vec3 &p = mesh_.position(from), &q = mesh_.position(to);
+    const double t = std::clamp(dot(piercing.point - p, q - p) / squared_length(q - p), kRimSplit_edge,
+                                1 - kRimSplit_edge);
+    const double d2 = squared_length(lerp(p, q, t) - piercing.point);
+    if (d2 < best) {
+      best = d2;
+      at = t;
+      a = from;
+      b = to;
+    }
+  }
+  if (cut_.worst_after_split(piercing.tet, a, b, at, kSnapFloor) > kSnapFloor) return;
+  put(editor_.split(piercing.tet, a, b, at, MeshEditor::NewVertex::kNotYet), piercing, kSnapFloor);
+}
+
+void RimStage::clinging(std::vector<VertexId>& out) const {
+  for (const Piercing& piercing : list_) out.insert(out.end(), piercing.face.begin(), piercing.face.end());
+}
+
+void RimStage::archive(Archive& io) {
+  io.list(list_, 89, [&](Piercing& p) {
+    io(p.tet);
+    for (VertexId& v : p.face) io(v);
+    io(p.point);
+    io(p.from);
+    io(p.to);
+    io(p.again);
+    io.demand(p.tet < mesh_.tet_slots(), "a rim through no tetrahedron");
+    for (const VertexId v : p.face) io.demand(v < mesh_.vertex_slots(), "a rim through no face");
+    if (io.reads()) p.done = false;
+  });
+}
+
+}  // namespace incise::core

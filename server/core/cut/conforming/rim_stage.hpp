@@ -1,0 +1,54 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <vector>
+
+#include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/mesh_editor.hpp"
+
+namespace incise::core {
+
+// Puts vertices where the rim of the sweep pierces faces: the paper's second move, to the front and back planes, in general.
+class RimStage {
+ public:
+  RimStage(CutContext& cut, MeshEditor& editor) : cut_(cut), mesh_(cut.mesh), editor_(editor) {}
+
+  // Notes the faces of t that a stretch of the rim pierces.
+  void probe(TetId t, const Vec3& from, const Vec3& to);
+  void clear() { list_.clear(); }
+
+  void begin() { next_ = 0; }
+  // True: done; false: the budget is spent.
+  bool advance(WorkBudget& budget);
+
+  void clinging(std::vector<VertexId>& out) const;
+  void archive(Archive& io);
+
+ private:
+  // The rim pierces a face.
+  struct Piercing {
+    TetId tet;
+    std::array<VertexId, 3> face;
+    Vec3 point;     // where
+    Vec3 from, to;  // the stretch of the rim
+    bool again;     // found on the second look
+    bool done;
+  };
+
+  bool stands_for(VertexId v, const Vec3& point) const;
+  void handle(const Piercing& piercing);
+  bool put(VertexId v, const Piercing& piercing, double limit);
+  void split_for(const Piercing& piercing);
+
+  CutContext& cut_;
+  const TetMesh& mesh_;
+  MeshEditor& editor_;
+  std::vector<Piercing> list_;
+  std::size_t next_ = 0;
+  VertexStar star_;
+  std::vector<TetId> flat_;               // scratch
+  std::vector<std::uint32_t> star_tets_;  // scratch
+};
+
+}  // namespace incise::core

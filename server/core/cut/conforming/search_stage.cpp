@@ -1,0 +1,172 @@
+#include "server/core/cut/conforming/search_stage.hpp"
+
+#include <cmath>
+
+namespace incise::core {
+
+void SearchStage::begin() {
+  searched_.begin();
+  queue_.clear();
+  queue_next_ = 0;
+  candidates_.clear();
+  next_candidate_ = 0;
+  go(Phase::kActive, 0);
+}
+
+bool SearchStage::advance(WorkBudget& budget) {
+  switch (phase_) {
+    case Phase::kActive:
+      from_active(budget);
+      return false;
+    case Phase::kLastLine:
+      from_last_line(budget);
+      return false;
+    case Phase::kBoundary:
+      from_boundary(budget);
+      return false;
+    case Phase::kInside:
+      from_inside();
+      return false;
+    case Phase::kSpread:
+      spread(budget);
+      return false;
+    case Phase::kRim:
+      return end_of_rim(budget);
+  }
+  return true;
+}
+
+void SearchStage::from_active(WorkBudget& budget) {
+  while (next_ < active_.size() && work_left(budget)) enqueue(active_[next_++].tet);
+  if (next_ < active_.size()) return;
+  if (cut_.has_front) {
+    go(Phase::kBoundary, cut_.path.first_latest());
+  } else {
+    go(Phase::kLastLine, 0);
+  }
+}
+
+// The stroke's last line is a rim, too; all that is near it is still active.
+void SearchStage::from_last_line(WorkBudget& budget) {
+  while (next_ < active_.size() && work_left(budget)) {
+    const TetId t = active_[next_++].tet;
+    if (mesh_.alive(t)) rim_.probe(t, cut_.front.heel, cut_.front.tip);
+  }
+  if (next_ == active_.size()) go(Phase::kBoundary, cut_.path.first_latest());
+}
+
+void SearchStage::from_boundary(WorkBudget& budget) {
+  while (work_left(budget)) {
+    if (next_candidate_ < candidates_.size()) {
+      enqueue(candidates_[next_candidate_++]);
+    } else if (next_ < cut_.surface().size()) {
+      candidates_.clear();
+      next_candidate_ = 0;
+      const SweptTriangle& triangle = cut_.surface()[next_++];
+      cut_.workspace.grid.near(mesh_, triangle, searched_.serial(), candidates_);
+      cut_.work += cost::kGridCells;
+      cut_.work.add(candidates_.size(), cost::kGridEntriesAUnit);
+    } else {
+      go(Phase::kInside, 0);
+      return;
+    }
+  }
+}
+
+// A sweep that meets no boundary: all of it is inside the tissue, or all of it outside.
+void SearchStage::from_inside() {
+  const SweptSurface& surface = cut_.surface();
+  if (queue_.empty() && surface.size() > cut_.path.first_latest()) {
+    const auto& c = surface[surface.size() - 1].corners;
+    std::int64_t looked_at = 0;
+    const TetId t = cut_.workspace.grid.locate(mesh_, (1.0 / 3.0) * (c[0] + c[1] + c[2]), &looked_at);
+    if (t != kNone) {
+      searched_.add(t);
+      queue_.push_back(t);
+    }
+    cut_.work += cost::kLocate + looked_at;
+  }
+  go(Phase::kSpread, 0);
+}
+
+void SearchStage::spread(WorkBudget& budget) {
+  while (queue_next_ < queue_.size()) {
+    if (!work_left(budget)) return;
+    const TetId t = queue_[queue_next_++];
+    active_.add(t);
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      if (n != kNone) enqueue(n);
+    }
+  }
+  go(Phase::kRim, 0);
+}
+
+bool SearchStage::end_of_rim(WorkBudget& budget) {
+  while (!cut_.has_front && next_ < queue_.size()) {
+    if (!work_left(budget)) return false;
+    rim_.probe(queue_[next_++], cut_.front.heel, cut_.front.tip);
+  }
+  return true;
+}
+
+void SearchStage::enqueue(TetId t) {
+  if (!searched_.insert(t)) return;
+  cut_.work += cost::kProbe;
+  if (mesh_.alive(t) && probe(t)) queue_.push_back(t);
+}
+
+// Whether the tetrahedron meets what this batch has swept, to within what the flood needs: it may say yes to one
+// that passes close by a corner of a triangle. Adds the crossings of its edges.
+bool SearchStage::probe(TetId t) {
+  const auto& v = mesh_.vertices(t);
+  const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
+  bool meets = false;
+  cut_.surface().any_latest_overlapping(p, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = cut_.surface()[index];
+    for (int k = 0; k < 3; ++k) {
+      if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
+    }
+    meets = probe_triangle(t, p, index) || meets;
+    return false;
+  });
+  return meets;
+}
+
+bool SearchStage::probe_triangle(TetId t, const FourPoints& p, std::uint32_t index) {
+  const auto& v = mesh_.vertices(t);
+  const SweptTriangle& triangle = cut_.surface()[index];
+  const double clear = cut_.clear_m;
+  double d[4];
+  p.along(triangle.normal, triangle.offset, d);
+  if (FourPoints::least(d) >= 0 || FourPoints::most(d) < 0) return false;
+  // How far inside each of the triangle's edges; outside one with all corners is outside.
+  double inside[3][4];
+  for (int k = 0; k < 3; ++k) {
+    p.along(triangle.inward[k], triangle.inward_offset[k], inside[k]);
+    if (FourPoints::most(inside[k]) < -clear) return false;
+  }
+  // The same for the corners of the section with the plane.
+  bool beside[3] = {true, true, true};
+  for (const auto& edge : kEdgeVertices) {
+    const int i = edge[0], j = edge[1];
+    if ((d[i] >= 0) == (d[j] >= 0)) continue;
+    const double at = d[i] / (d[i] - d[j]);
+    double least = INFINITY;
+    for (int k = 0; k < 3; ++k) {
+      const double x = inside[k][i] + at * (inside[k][j] - inside[k][i]);
+      beside[k] = beside[k] && x < 0;
+      least = std::min(least, x);
+    }
+    if (least < -clear) continue;
+    if ((cut_.on_surface(v[i]) && std::abs(d[i]) <= clear) ||
+        (cut_.on_surface(v[j]) && std::abs(d[j]) <= clear))
+      continue;
+    const bool sure = least > clear && std::abs(d[i]) > clear && std::abs(d[j]) > clear;
+    if (sure || crosses(mesh_.position(v[i]), mesh_.position(v[j]), triangle))
+      crossings_.add(v[i], v[j], t, index, at);
+  }
+  return !(beside[0] || beside[1] || beside[2]);
+}
+
+}  // namespace incise::core

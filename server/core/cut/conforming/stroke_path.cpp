@@ -1,0 +1,125 @@
+#include "server/core/cut/conforming/stroke_path.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+void StrokePath::clear() {
+  heading_ = {};
+  surface_.clear();
+  swept_.clear();
+  retraced_.clear();
+  travel_m_ = 0;
+}
+
+void StrokePath::add(const Batch& batch, const Tissue& tissue, WorkMeter& work) {
+  swept_.push_back({batch.number, travel_m_});
+  first_latest_ = surface_.size();
+  const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
+  const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / (kCell_h * h_)), 1.0, kMaxColumns));
+  const auto sweep_retraced = [&] {
+    for (std::size_t k = 0; k + 1 < retraced_.size(); ++k)
+      sweep(retraced_[k], retraced_[k + 1], columns, tissue);
+    retraced_.clear();
+  };
+  for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
+    const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
+    travel_m_ += travel(from, to);
+    if (!retrace(from, to, tissue, work)) {
+      sweep_retraced();
+      sweep(from, to, columns, tissue);
+    }
+  }
+  if (batch.ends_stroke) sweep_retraced();
+}
+
+// Cells somewhat larger than tetrahedra, and flat to within the tolerance.
+void StrokePath::sweep(const BladeLine& from, const BladeLine& to, int columns, const Tissue& tissue) {
+  const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
+  const double rows = std::max(travel(from, to) / (kCell_h * h_),
+                               kTwistSag * twist_m / (columns * config_.chord_tolerance_h * h_));
+  surface_.add_quad(from, to, static_cast<int>(std::clamp(std::ceil(rows), 1.0, kMaxRows)), columns,
+                    swept_.back().batch, turns_sharply(from, to), tissue.low, tissue.high);
+}
+
+void StrokePath::forget_before(double limit_m) {
+  std::size_t first = 0;
+  while (first + 1 < swept_.size() && swept_[first + 1].travel_m <= limit_m) ++first;
+  if (first == 0) return;
+  swept_.erase(swept_.begin(), swept_.begin() + static_cast<std::ptrdiff_t>(first));
+  first_latest_ -= surface_.drop_before(swept_.front().batch);
+}
+
+// A blade that trembles in place, or goes back in its own cut, sweeps again what it has swept: where the surface covers all
+// between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on.
+// What leads to a line that lies straight above or below the surface throughout is left out for good, for what follows
+// overlaps there; what comes after the last such line is swept if the blade leaves the surface from there: no gap is left.
+bool StrokePath::retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work) {
+  if (tissue.deformed || retraced_.size() == kMaxRetraced) return false;
+  const double reach_m = kRetrace_h * h_, clear_m = kClear_h * h_;
+  const double travel_m = travel(from, to);
+  const int rows = static_cast<int>(std::clamp(std::ceil(travel_m / reach_m), 1.0, kMaxRetraceRows));
+  const int columns =
+      static_cast<int>(std::clamp(std::ceil(distance(to.heel, to.tip) / h_), 1.0, kMaxRetraceColumns));
+  const Vec3 &low = tissue.low, &high = tissue.high;
+  bool over = true;
+  for (int row = rows; row > 0; --row) {
+    const Vec3 heel = lerp(from.heel, to.heel, static_cast<double>(row) / rows);
+    const Vec3 tip = lerp(from.tip, to.tip, static_cast<double>(row) / rows);
+    for (int column = 0; column <= columns; ++column) {
+      const Vec3 p = lerp(heel, tip, static_cast<double>(column) / columns);
+      if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
+      Vec3 closest;
+      std::uint32_t triangle = 0;
+      work += cost::kRetraceSample;
+      if (!surface_.closest(p, reach_m, closest, triangle)) return false;
+      const double off = surface_[triangle].signed_distance(p);
+      over = over && (row < rows || squared_length(p - closest) - off * off <= clear_m * clear_m);
+    }
+  }
+  if (over) {
+    retraced_.clear();
+  } else if (retraced_.empty()) {
+    retraced_.push_back(from);
+  }
+  retraced_.push_back(to);
+  return true;
+}
+
+// Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.
+bool StrokePath::turns_sharply(const BladeLine& from, const BladeLine& to) {
+  const Vec3 motion = 0.5 * ((to.heel - from.heel) + (to.tip - from.tip));
+  const Vec3 normal = normalized(cross(from.tip - from.heel, motion));
+  const bool begins = squared_length(heading_) == 0;
+  if (squared_length(normal) == 0) return begins;
+  // Straight back is no bend: the surface lies on itself.
+  if (!begins && std::abs(dot(normal, heading_)) > kCosSharpTurn) return false;
+  heading_ = normal;
+  return true;
+}
+
+void StrokePath::archive_surface(Archive& io) {
+  io(heading_);
+  surface_.archive(io);
+}
+
+void StrokePath::archive_travel(Archive& io, double& widest_m) {
+  io(travel_m_);
+  io(widest_m);
+  io.demand(travel_m_ >= 0 && widest_m >= 0, "a path or a width below 0");
+  io.list(swept_, 12, [&](Swept& s) {
+    io(s.batch);
+    io(s.travel_m);
+  });
+  io.list(retraced_, 48, [&](BladeLine& line) {
+    io(line.heel);
+    io(line.tip);
+  });
+  io.demand(retraced_.size() <= kMaxRetraced, "more lines than a blade retraces");
+  if (io.reads() && !io.failed()) surface_.build();
+}
+
+}  // namespace incise::core

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "server/core/cut/conforming/tolerances.hpp"
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
+#include "server/core/stroke/swept_surface.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+// The way of the blade in its stroke and the surface that it has swept, as far back as something may still need it.
+class StrokePath {
+ public:
+  // h: mean edge length, m.
+  StrokePath(const CutConfig& config, double h) : config_(config), h_(h) { retraced_.reserve(kMaxRetraced); }
+
+  // A new stroke.
+  void clear();
+
+  // What the sweep of a batch depends on beside its lines.
+  struct Tissue {
+    Vec3 low, high;  // a box around it: what is swept beyond is left out
+    bool deformed =
+        false;  // other tissue may have come to where the blade has been: nothing counts as swept already
+  };
+  // Adds what a batch sweeps. Call build() before the surface is asked.
+  void add(const Batch& batch, const Tissue& tissue, WorkMeter& work);
+  // Forgets what the blade swept before it had travelled `limit_m`.
+  void forget_before(double limit_m);
+  void build() { surface_.build(first_latest_); }
+  // After the stroke's end.
+  void clear_surface() { surface_.clear(); }
+
+  const SweptSurface& surface() const { return surface_; }
+  // The first triangle of the last batch.
+  std::size_t first_latest() const { return first_latest_; }
+  // The oldest batch whose triangles are kept.
+  std::uint32_t oldest_batch() const { return swept_.front().batch; }
+  // How far the blade has travelled in this stroke, and how far it had before the last batch, m.
+  double travel_m() const { return travel_m_; }
+  double travel_before_batch_m() const { return swept_.back().travel_m; }
+
+  // Two parts, in the order of the file format.
+  void archive_surface(Archive& io);
+  void archive_travel(Archive& io, double& widest_m);
+
+ private:
+  static constexpr std::size_t kMaxRetraced = tolerance::kMaxRetraced;
+
+  void sweep(const BladeLine& from, const BladeLine& to, int columns, const Tissue& tissue);
+  bool retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  bool turns_sharply(const BladeLine& from, const BladeLine& to);
+
+  struct Swept {
+    std::uint32_t batch;
+    double travel_m;  // of the blade in this stroke before the batch
+  };
+
+  const CutConfig& config_;
+  const double h_;
+  Vec3 heading_;  // normal of the sweep where it began or last turned sharply
+  SweptSurface surface_;
+  std::size_t first_latest_ = 0;
+  std::vector<Swept> swept_;  // the batches of surface_
+  // Lines between which the surface covers what the blade has swept, from one that is on it.
+  std::vector<BladeLine> retraced_;
+  double travel_m_ = 0;
+};
+
+}  // namespace incise::core

@@ -1,0 +1,183 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "server/core/geometry/quality.hpp"
+
+// Every constant of the policy `conforming`. `_h`: in mean edge lengths of the mesh as loaded; `_local`: in mean edge lengths at
+// the vertex in question (TetMesh::local_h); `_edge`: a part of the edge's length; `kCos...`: the cosine of an angle. The rest
+// are counts or ratios. A change of any of them changes what cuts do, so all hashes in tests/replay.
+namespace incise::core::tolerance {
+
+// ---- Quality: measures of dihedral angles (quality.hpp), smaller is better.
+
+// A star without a worse angle is good: a snap that leaves it so is taken at once, and repairs stop there.
+inline constexpr double kGood = dihedral_measure(0.9876883406);  // 9 degrees
+// Repairs take on tetrahedra that are worse than this.
+inline constexpr double kPoor = dihedral_measure(0.9914448614);  // 7.5 degrees
+// A snap is preferred to a split down to this.
+inline constexpr double kSnapFloor = dihedral_measure(0.9986295348);  // 3 degrees
+// Neither snap nor split makes anything worse than this: the crossing fails instead.
+inline constexpr double kFloor = dihedral_measure(0.9999904807);  // 0.25 degrees
+// The same where exactness is preferred.
+inline constexpr double kExactFloor = dihedral_measure(0.99999998477);  // 0.01 degrees
+
+// ---- Arithmetic.
+
+// Nearer to a plane than this, only exact predicates decide on which side a point lies.
+inline constexpr double kClear_h = 1e-6;
+// A direction that meets the surface at a slope below this is parallel to it.
+inline constexpr double kParallelSlope = 1e-3;
+// How far off the surface a point that is computed to lie on it may be.
+inline constexpr double kOnSurface_h = 1e-3;
+
+// ---- The swept surface (stroke_path.cpp).
+
+// Side of its cells: somewhat larger than tetrahedra.
+inline constexpr double kCell_h = 4;
+inline constexpr double kMaxColumns = 256,
+                        kMaxRows = 1024;  // cells along the blade, and along the motion of one segment
+// The part of a twist by which the diagonal of a cell leaves the ruled surface.
+inline constexpr double kTwistSag = 0.25;
+// A motion that the surface covers to within this sweeps nothing new. Sampled this finely along the motion, and by h along the
+// blade.
+inline constexpr double kRetrace_h = 0.05;
+inline constexpr double kMaxRetraceRows = 16, kMaxRetraceColumns = 1024;
+// Lines of a motion that sweeps nothing new; after so many it is swept after all.
+inline constexpr std::size_t kMaxRetraced = 256;
+// Where the sweep has turned by more than this since its last sharp turn, the line is met as exactly as a rim.
+inline constexpr double kCosSharpTurn = 0.9;  // 26 degrees
+// The surface is kept this far behind the oldest active tetrahedron, in the largest local mesh widths of the stroke: a split or a
+// flip may reach some edge lengths farther back.
+inline constexpr double kKeptBehind_local = 8;
+
+// ---- Waiting for the blade.
+
+// A vertex nearer than this to the blade's present line waits: what is swept next may concern it too.
+inline constexpr double kHot_local = 1.5;
+
+// ---- The rim (rim_stage.cpp).
+
+// A rim vertex this near to where the rim pierces a face stands for that place.
+inline constexpr double kRim_local = 0.5;
+// A vertex goes no farther than this to the rim.
+inline constexpr double kRimReach_local = 0.75;
+// Places that are tried beside the one that is pierced, along the rim.
+inline constexpr double kRimShift_local = 0.15;
+// A new rim vertex splits an edge of the face no nearer to its ends than this.
+inline constexpr double kRimSplit_edge = 0.2;
+
+// ---- Crossings (crossing_stage.cpp, placement.cpp).
+
+// A crossing this near to an end that is on the surface is that vertex.
+inline constexpr double kAtVertex_edge = 0.25;
+// Where exactness is preferred, an edge crossed farther than this from its ends is split.
+inline constexpr double kExactNear_edge = 0.05;
+// A vertex is snapped no farther than this, of the crossed edge.
+inline constexpr double kSnapReach_edge = 0.75;
+// A tetrahedron with all vertices on the surface and at most this thick is flat, and is removed.
+inline constexpr double kFlat_local = 0.03;
+// Its barycentre has to be this near to the surface: it may lie across a bend.
+inline constexpr double kFlatOff_h = 0.1;
+// A boundary vertex this near to the surface may stand for it where it is, if its boundary runs along the surface. The smaller of
+// h and the local width counts.
+inline constexpr double kStay_h = 0.08;
+inline constexpr double kCosAlong = 0.94;  // 20 degrees
+
+// Which way a vertex is free to go: boundary faces within this angle of a first one make a smooth patch, which fixes one
+// direction; more than one patch make a crease or a corner.
+inline constexpr double kCosPatch = 0.94;  // 20 degrees
+// A patch fixes another direction if this much of its unit normal is off those that are fixed: the first patch (against the swept
+// surface), and each one after it (20 degrees).
+inline constexpr double kFirstPatchOff = 0.05, kNextPatchOff = 0.34;
+
+// The pattern search for a better place: its first step, how often it halves, moves at each step, and how far off the surface a
+// trial point may be to be put back on it.
+inline constexpr double kSearchStep_local = 0.25;
+inline constexpr int kSearchLevels = 3, kSearchTurns = 2;
+inline constexpr double kSearchReach_local = 0.2;
+
+// ---- Repairs (repair_stage.cpp, flips.cpp).
+
+// A vertex that is moved within the surface has to be this near to it.
+inline constexpr double kMoveOff_h = 0.01;
+// A tetrahedron with all vertices on the surface, this thin (local) and this near to it (h), is a film and is removed.
+inline constexpr double kFilm_local = 0.06, kFilmOff_h = 0.06;
+// A vertex whose star stays poor is repaired this often again, after all others.
+inline constexpr int kMaxRepeats = 2;
+// Poor tetrahedra that the repair of one vertex takes on.
+inline constexpr std::size_t kMaxPoor = 32;
+// A new vertex is merged with one of its nearest neighbours, if that is nearer than this.
+inline constexpr double kMerge_local = 0.8;
+inline constexpr int kMaxMergeCandidates = 4;
+// Edges with more tetrahedra around them are not removed.
+inline constexpr std::size_t kMaxEdgeRing = 7;
+
+// ---- Verification.
+
+// How often crossings that snaps and repairs have made are dealt with; those after the last time fail.
+inline constexpr int kMaxRounds = 3;
+
+// ---- Opening (opening_stage.cpp, islands.cpp).
+
+// Where the line between two tetrahedra passes their face: this part of the way from its middle to their reference points.
+inline constexpr double kPass = 0.25;
+// What reaches no farther than this from the surface is no part of the tissue.
+inline constexpr double kThin_local = 0.1;
+// Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a thin sheet.
+inline constexpr std::size_t kMaxRaggedIsland = 8, kMaxSheetIsland = 64;
+// How far from an opened face the surface is looked for: for its side, and for the deviation that is reported.
+inline constexpr double kSurfaceReach_h = 4;
+// Faces opened between two looks at the budget.
+inline constexpr std::size_t kOpenChunk = 16;
+
+// ---- Prefetching.
+
+// Tetrahedra: what is active as a rule, and some layers around it. 30 us.
+inline constexpr std::size_t kMaxPrefetched = 1024;
+
+}  // namespace incise::core::tolerance
+
+// What operations cost, in units of WorkBudget (some 50 ns each). Counted, not timed, so that no clock decides anything.
+namespace incise::core::cost {
+
+inline constexpr std::int64_t kLook = 1;  // at the next entry of a list, or at one number
+
+// A batch begins: by triangles, crossings and active tetrahedra, which are this many times as cheap.
+inline constexpr std::size_t kTrianglesAUnit = 4, kCrossingsAUnit = 8, kActiveAUnit = 16;
+inline constexpr std::int64_t kRetraceSample = 1;
+
+// Search.
+inline constexpr std::int64_t kProbe = 3;
+inline constexpr std::int64_t kGridCells = 10;  // of one triangle
+inline constexpr std::size_t kGridEntriesAUnit = 8;
+inline constexpr std::int64_t kLocate = 50;
+
+// Stars and crossings.
+inline constexpr std::int64_t kGather = 2;
+inline constexpr std::size_t kGatherCornersAUnit = 2;
+inline constexpr std::int64_t kWorstAt = 1;
+inline constexpr std::size_t kWorstAtCornersAUnit = 8;
+inline constexpr std::int64_t kSurfaceQuery = 1;
+inline constexpr std::int64_t kNearby = 2;  // a query that has to look around
+inline constexpr std::int64_t kFindCrossing = 2;
+inline constexpr std::int64_t kFindEdge = 10;
+inline constexpr std::int64_t kPlace = 4;
+
+// Operations on the mesh.
+inline constexpr std::int64_t kTrySplit = 2;  // each tetrahedron around the edge
+inline constexpr std::int64_t kSplit = 8;     // each tetrahedron around the edge
+inline constexpr std::int64_t kRemoveFlat = 60;
+inline constexpr std::int64_t kReplace = 20;
+inline constexpr std::int64_t kTryCollapse = 40;
+inline constexpr std::int64_t kTryFlip = 12;
+inline constexpr std::int64_t kOpenFace = 40;
+
+// Verification and opening.
+inline constexpr std::int64_t kVerify = 2;
+inline constexpr std::int64_t kIslandMember = 2;
+inline constexpr std::int64_t kThin = 6;
+inline constexpr std::int64_t kDeviation = 4;
+
+}  // namespace incise::core::cost

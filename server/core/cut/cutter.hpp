@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
+#include "server/core/util/archive.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+// What a batch did.
+struct CutCounts {
+  std::uint32_t events = 0;        // crossings of the sweep with mesh edges that were dealt with
+  std::uint32_t snaps = 0;         // vertices moved onto the swept surface
+  std::uint32_t splits = 0;        // edges split at the crossing
+  std::uint32_t failed = 0;        // crossings that could be neither snapped nor split
+  std::uint32_t removed_tets = 0;  // flat ones, all four vertices on the swept surface
+  std::uint32_t repairs = 0;       // quality operations: smoothed vertices, flips, collapses
+  std::uint32_t cut_faces = 0;     // interior faces opened
+  double cut_area = 0;             // their area, one side, m^2
+  double max_deviation_h = 0;      // of opened faces' vertices from the swept surface
+  std::uint32_t pending = 0;       // crossings and faces that wait for the blade to pass
+};
+
+// A cut policy at work for one source. A batch is begun once, then advanced until it is done; each return leaves a
+// valid mesh. What is done never depends on the budgets.
+class Cutter {
+ public:
+  virtual ~Cutter() = default;
+  // Takes the next batch; the one before must be done.
+  virtual void begin(const Batch& batch) = 0;
+  // Works until the batch is done (true) or the budget is spent (false).
+  virtual bool advance(WorkBudget& budget) = 0;
+  // Of the batch begun last.
+  virtual const CutCounts& counts() const = 0;
+  // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
+  // not be moved until it is done.
+  virtual void clinging(std::vector<VertexId>& /*out*/) const {}
+  // The batch begun last, as far as the policy needs to know.
+  virtual BatchNumber last() const { return {}; }
+  // Between two batches: what later ones depend on.
+  virtual void archive(Archive& /*io*/) {}
+  // Between two batches: brings what the next one is likely to work on into the processor's caches, from which the milliseconds
+  // since the last one have driven it. Changes nothing.
+  virtual void prefetch() {}
+};
+
+}  // namespace incise::core

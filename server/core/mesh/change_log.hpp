@@ -1,0 +1,96 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "server/core/mesh/delta.hpp"
+#include "server/core/util/archive.hpp"
+#include "server/core/util/id_set.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+class TetMesh;
+
+// What the running step has changed in a mesh; commit() turns it into a delta. Keeps the state hash: the XOR over vertices and
+// tetrahedra (protocol/state_hash.hpp). What the step touches is taken out of it when it is touched, and put back by commit().
+class ChangeLog {
+ public:
+  // Ids below these exist; the rest of the step's ids are new.
+  void begin_step(VertexId vertex_slots, TetId tet_slots);
+  void reserve(std::size_t tets) { record_.reserve(tets); }
+  void resize(std::size_t tets) { record_.resize(tets, 0); }
+
+  // Before a vertex is moved.
+  void touch_vertex(const TetMesh& mesh, VertexId v) {
+    if (!is_new(v) && vertices_in_order_.insert(v)) note_vertex(mesh, v);
+  }
+  // Before a tetrahedron changes or goes.
+  void touch_tet(const TetMesh& mesh, TetId t) {
+    if (!is_new_tet(t) && tets_in_order_.insert(t)) note_tet(mesh, t);
+  }
+  // The next vertex and tetrahedron are new.
+  void add_vertex(const Provenance& provenance) { provenance_.push_back(provenance); }
+  void add_tet(TetId t) {
+    record_.push_back(0);
+    record(t, {});
+  }
+  // A step that only moves vertices.
+  void deform(std::uint64_t hash_change) { hash_ ^= hash_change; }
+
+  // See TetMesh::commit().
+  bool commit(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  // Empties what a step fills of the mesh, pieces apart.
+  static void clear_mesh(Delta& delta);
+  // Forgets the step, of a mesh that has this hash.
+  void forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t hash);
+
+  const Provenance& provenance(VertexId v) const { return provenance_[v - first_new_vertex_]; }
+  bool is_new(VertexId v) const { return v >= first_new_vertex_; }
+  bool is_new_tet(TetId t) const { return t >= first_new_tet_; }
+  std::span<const TetId> touched_tets() const { return touched_tets_; }
+  std::span<const VertexId> touched_vertices() const { return touched_vertices_; }
+  std::uint64_t state_hash() const { return hash_; }
+  void prefetch(TetId t) const { __builtin_prefetch(&record_[t]); }
+
+  void archive(Archive& io);
+
+ private:
+  void note_vertex(const TetMesh& mesh, VertexId v);
+  void note_tet(const TetMesh& mesh, TetId t);
+  void record(TetId t, const TetState& before) {
+    record_[t] = static_cast<std::uint32_t>(touched_tets_.size());
+    touched_tets_.push_back(t);
+    before_.push_back(before);
+  }
+  bool commit_moved(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool commit_added(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool commit_tets(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool commit_new_tets(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  void commit_tet(const TetMesh& mesh, TetId t, Delta& delta);
+  void commit_boundary(TetId t, const TetState& before, const TetState& after, Delta& delta);
+  void count_sides(const TetMesh& mesh, const TetState& tet, int sign);
+  void end_commit(const TetMesh& mesh, Delta& delta);
+
+  std::vector<VertexId> touched_vertices_;
+  std::vector<TetId> touched_tets_;
+  std::vector<std::uint32_t> record_;  // by tetrahedron: where it is in touched_tets_, if it is there
+  std::vector<TetState> before_;       // one for each of touched_tets_
+  VertexId first_new_vertex_ = 0;
+  TetId first_new_tet_ = 0;
+  std::vector<Provenance> provenance_;       // of new vertices
+  IdSet vertices_in_order_, tets_in_order_;  // that existed before the step and are touched
+  std::uint64_t hash_ = 0;
+  std::int64_t cut_sides_ = 0;  // sides of faces that cuts have opened, since load
+
+  // How far commit() is.
+  enum class Committing { kNothing, kMoved, kAdded, kTets, kNewTets };
+  Committing committing_ = Committing::kNothing;
+  std::size_t next_ = 0;
+  int step_sides_ = 0;
+  double step_side_area_ = 0;  // m^2
+};
+
+}  // namespace incise::core

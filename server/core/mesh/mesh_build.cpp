@@ -1,0 +1,234 @@
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <string>
+
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/mesh/validate.hpp"
+#include "server/core/util/room.hpp"
+
+// TetMesh: from a file's arrays or from a saved session, and back.
+namespace incise::core {
+namespace {
+
+void check_tet(std::size_t t, const std::array<VertexId, 4>& v, std::size_t vertex_count) {
+  const auto names = [&](int i) {
+    return "tetrahedron " + std::to_string(t) + " names vertex " + std::to_string(v[i]);
+  };
+  for (int i = 0; i < 4; ++i) {
+    if (v[i] >= vertex_count) throw MeshError(names(i) + " of " + std::to_string(vertex_count));
+    for (int j = 0; j < i; ++j) {
+      if (v[i] == v[j]) throw MeshError(names(i) + " twice");
+    }
+  }
+}
+
+}  // namespace
+
+TetMesh::TetMesh(const MeshData& data) {
+  const std::size_t vertex_count = data.positions.size(), tet_count = data.tets.size();
+  if (vertex_count >= kNone / 2 || tet_count >= kNone / 16) {
+    throw MeshError("the mesh has " + std::to_string(tet_count) + " tetrahedra; at most " +
+                    std::to_string(kNone / 16 - 1) + " fit");
+  }
+  if (!data.regions.empty() && data.regions.size() != tet_count) {
+    throw MeshError("regions given for " + std::to_string(data.regions.size()) + " of " +
+                    std::to_string(tet_count) + " tetrahedra");
+  }
+  vertices_.reserve(room_for(vertex_count));
+  for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
+  tets_.reserve(room_for(tet_count));
+  attributes_.reserve(room_for(tet_count));
+  for (std::size_t t = 0; t < tet_count; ++t) {
+    const auto& v = data.tets[t];
+    check_tet(t, v, vertex_count);
+    for (const VertexId corner : v) vertices_[corner].tet = static_cast<TetId>(t);
+    tets_.push_back({v, {kNone, kNone, kNone, kNone}});
+    attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0, 0});
+  }
+  live_tets_ = static_cast<std::uint32_t>(tet_count);
+  for (const std::int32_t region : data.regions) has_regions_ = has_regions_ || region != data.regions[0];
+
+  measure_edges();
+  vertex_marks_.grow_to(room_for(vertex_count), vertex_count);
+  tet_marks_.grow_to(room_for(tet_count), tet_count);
+  log_.reserve(room_for(tet_count));
+  log_.resize(tet_count);
+  // Until the log begins its first step all is new to it, and nothing is recorded.
+  build_adjacency();
+  split_initial_vertices();
+  log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
+}
+
+// An edge counts once for each tetrahedron around it, which weighs it by the space it stands for.
+void TetMesh::measure_edges() {
+  std::vector<double> sums(vertices_.size(), 0.0);
+  std::vector<std::uint32_t> counts(vertices_.size(), 0);
+  double sum = 0;
+  for (const Tet& tet : tets_) {
+    for (const auto& edge : kEdgeVertices) {
+      const VertexId a = tet.vertices[edge[0]], b = tet.vertices[edge[1]];
+      const double l = distance(vertices_[a].position, vertices_[b].position);
+      sum += l;
+      sums[a] += l;
+      sums[b] += l;
+      ++counts[a];
+      ++counts[b];
+    }
+  }
+  for (std::size_t v = 0; v < vertices_.size(); ++v) {
+    if (counts[v] > 0) vertices_[v].h = static_cast<float>(sums[v] / counts[v]);
+  }
+  mean_edge_length_ = tets_.empty() ? 0 : sum / (6.0 * static_cast<double>(tets_.size()));
+}
+
+// Buckets the faces by their lowest vertex, then matches within the bucket: linear in the mesh.
+void TetMesh::build_adjacency() {
+  std::vector<std::uint32_t> begin(vertices_.size() + 1, 0);
+  const HalfFace half_faces = 4 * tet_slots();
+  for (HalfFace h = 0; h < half_faces; ++h) ++begin[ascending(face_vertices(h))[0] + 1];
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  struct Entry {
+    VertexId mid, max;
+    HalfFace h;
+  };
+  std::vector<Entry> entries(half_faces);
+  {
+    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
+    for (HalfFace h = 0; h < half_faces; ++h) {
+      const auto f = ascending(face_vertices(h));
+      entries[next[f[0]]++] = {f[1], f[2], h};
+    }
+  }
+  for (std::size_t v = 0; v < vertices_.size(); ++v) {
+    const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
+    std::sort(first, last, [](const Entry& a, const Entry& b) {
+      return a.mid != b.mid ? a.mid < b.mid : a.max != b.max ? a.max < b.max : a.h < b.h;
+    });
+    for (auto it = first; it != last;) {
+      auto end = it + 1;
+      while (end != last && end->mid == it->mid && end->max == it->max) ++end;
+      if (end - it > 2) {
+        throw MeshError("tetrahedra " + std::to_string(tet_of(it->h)) + ", " +
+                        std::to_string(tet_of((it + 1)->h)) + " and " + std::to_string(tet_of((it + 2)->h)) +
+                        " share the face (" + std::to_string(v) + ", " + std::to_string(it->mid) + ", " +
+                        std::to_string(it->max) + ")");
+      }
+      if (end - it == 2) link(it->h, (it + 1)->h);
+      it = end;
+    }
+  }
+}
+
+// Real meshes have a few vertices where two parts merely touch.
+void TetMesh::split_initial_vertices() {
+  std::vector<std::uint32_t> incident(vertices_.size(), 0);
+  for (const Tet& tet : tets_) {
+    for (VertexId v : tet.vertices) ++incident[v];
+  }
+  std::vector<bool> pinched(vertices_.size(), false);
+  bool any = false;
+  for (VertexId v = 0; v < incident.size(); ++v) {
+    if (incident[v] == 0) continue;
+    star(v, star_scratch_);
+    if (star_scratch_.size() != incident[v]) pinched[v] = any = true;
+  }
+  if (!any) return;
+  begin_noting(4 * tets_.size());
+  for (TetId t = 0; t < tet_slots(); ++t) {
+    for (std::uint32_t i = 0; i < 4; ++i) {
+      if (pinched[tets_[t].vertices[i]]) note_corner(tets_[t].vertices[i], 4 * t + i);
+    }
+  }
+  // The part that the file lists first keeps the vertex.
+  for (const Noted::Star& noted : noted_.stars)
+    vertices_[noted.vertex].tet = tet_of(noted_.corners[noted.first].corner);
+  const std::uint32_t slots = vertex_slots();
+  split_noted_stars();
+  initial_vertex_copies_ = vertex_slots() - slots;
+}
+
+MeshData TetMesh::export_data() const {
+  MeshData data;
+  std::vector<VertexId> renumbered(vertices_.size(), kNone);
+  for (const Tet& tet : tets_) {
+    if (tet.vertices[0] == kNone) continue;
+    for (VertexId v : tet.vertices) renumbered[v] = 0;
+  }
+  for (VertexId v = 0; v < vertex_slots(); ++v) {
+    if (renumbered[v] == kNone) continue;
+    renumbered[v] = static_cast<VertexId>(data.positions.size());
+    data.positions.push_back(vertices_[v].position);
+  }
+  for (TetId t = 0; t < tet_slots(); ++t) {
+    if (!alive(t)) continue;
+    const auto& v = tets_[t].vertices;
+    data.tets.push_back({renumbered[v[0]], renumbered[v[1]], renumbered[v[2]], renumbered[v[3]]});
+    data.regions.push_back(attributes_[t].region);
+  }
+  return data;
+}
+
+void TetMesh::archive(Archive& io) {
+  io(mean_edge_length_);
+  io(initial_vertex_copies_);
+  io(has_regions_);
+  log_.archive(io);
+  io.list(vertices_, 32, [&](Vertex& v) {
+    io(v.position);
+    io(v.tet);
+    io(v.h);
+  });
+  io.list(rest_, 24, [&](Vec3& rest) { io(rest); });
+  io.list(tets_, 32, [&](Tet& t) {
+    for (VertexId& v : t.vertices) io(v);
+    for (HalfFace& o : t.opposite) io(o);
+  });
+  io.list(attributes_, 9, [&](Attributes& a) {
+    io(a.region);
+    io(a.piece);
+    io(a.cut_mask);
+  });
+  if (!io.reads()) return;
+  check_restored(io);
+  if (io.failed()) return;
+  grow_to(vertices_, vertices_.size());
+  if (deformed()) grow_to(rest_, rest_.size());
+  grow_to(tets_, tets_.size());
+  grow_to(attributes_, tets_.size());
+  vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
+  tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
+  log_.reserve(room_for(tets_.size()));
+  log_.resize(tets_.size());
+  log_.begin_step(vertex_slots(), tet_slots());
+  const std::string problem = validate(*this, false);
+  io.demand(problem.empty(), problem.c_str());
+}
+
+// That no index leads astray; validate() looks at the rest.
+void TetMesh::check_restored(Archive& io) {
+  io.demand(tets_.size() < kNone / 16 && vertices_.size() < kNone / 2, "the mesh is too large");
+  io.demand(attributes_.size() == tets_.size(), "attributes and tetrahedra differ in number");
+  io.demand(rest_.empty() || rest_.size() == vertices_.size(),
+            "rest positions and vertices differ in number");
+  io.demand(mean_edge_length_ > 0 && std::isfinite(mean_edge_length_), "h is not positive");
+  if (io.failed()) return;
+  live_tets_ = 0;
+  for (const Tet& t : tets_) {
+    if (t.vertices[0] == kNone) continue;
+    ++live_tets_;
+    for (VertexId v : t.vertices) io.demand(v < vertex_slots(), "a tetrahedron names no vertex");
+    for (HalfFace o : t.opposite) {
+      io.demand(o == kNone || (tet_of(o) < tet_slots() && alive(tet_of(o))), "a neighbour does not exist");
+    }
+  }
+  if (io.failed()) return;
+  for (VertexId v = 0; v < vertex_slots(); ++v) {
+    const TetId t = vertex_tet(v);
+    io.demand(t == kNone || (t < tet_slots() && alive(t) && local_index(t, v) >= 0),
+              "a vertex names a tetrahedron that does not have it");
+    io.demand(vertices_[v].h >= 0 && std::isfinite(vertices_[v].h), "a local width is no length");
+  }
+}
+
+}  // namespace incise::core

@@ -1,0 +1,291 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "protocol/tet_faces.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/geometry/vec3.hpp"
+#include "server/core/mesh/change_log.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/fresh_marks.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/util/archive.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+inline constexpr HalfFace half_face(TetId tet, int face) {
+  return 4 * tet + static_cast<HalfFace>(face);
+}
+inline constexpr TetId tet_of(HalfFace h) {
+  return h >> 2;
+}
+inline constexpr int face_of(HalfFace h) {
+  return static_cast<int>(h & 3u);
+}
+
+// Vertex i of tetrahedron t, as 4 t + i; half-face 4 t + i is opposite to it.
+using Corner = std::uint32_t;
+
+inline constexpr int index_of(Corner c) {
+  return static_cast<int>(c & 3u);
+}
+
+using protocol::kFaceVertices;
+// The two vertices of each of the six edges.
+inline constexpr int kEdgeVertices[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+
+inline std::array<VertexId, 3> ascending(std::array<VertexId, 3> f) {
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  if (f[1] > f[2]) std::swap(f[1], f[2]);
+  if (f[0] > f[1]) std::swap(f[0], f[1]);
+  return f;
+}
+
+// A mesh that a TetMesh cannot be built from. The message names the tetrahedra and vertices by index.
+struct MeshError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// A tetrahedral mesh that can be cut: positions, tetrahedra, and across each face its neighbour. Indices into flat
+// arrays, not pointers: they stay valid while the arrays grow, they are the ids that clients see, and an id is never
+// used again once its tetrahedron is gone.
+//
+// Invariants, between any two calls (server/core/mesh/validate.hpp checks them): adjacency is symmetric; the tetrahedra
+// around a vertex are connected through faces that contain it ("face-connected star"); a vertex knows one of them.
+// Positive orientation is the caller's to keep: the policy `croll` does not.
+//
+// A ChangeLog records what changes between two commits; commit() turns it into a delta and brings the state hash up to date.
+// Each call costs what it touches, never what the mesh holds. Thread: one, at a time.
+class TetMesh {
+ public:
+  // Builds adjacency; O(vertices + tets). A vertex whose star is not face-connected is split at once into copies
+  // (initial_vertex_copies() counts them). Throws MeshError on a bad index, a repeated vertex in a tetrahedron, or a
+  // face that more than two tetrahedra share.
+  explicit TetMesh(const MeshData& data);
+
+  // Counts of slots ever used: ids run below these.
+  std::uint32_t vertex_slots() const { return static_cast<std::uint32_t>(vertices_.size()); }
+  std::uint32_t tet_slots() const { return static_cast<std::uint32_t>(tets_.size()); }
+  std::uint32_t live_tets() const { return live_tets_; }
+  std::uint32_t initial_vertex_copies() const { return initial_vertex_copies_; }
+  // Mean length of the edges of the mesh as loaded: h, m.
+  double mean_edge_length() const { return mean_edge_length_; }
+
+  const Vec3& position(VertexId v) const { return vertices_[v].position; }
+  // A tetrahedron that has v; kNone where none is left.
+  TetId vertex_tet(VertexId v) const { return vertices_[v].tet; }
+  // Mean length of the edges at v when v came into being, m.
+  double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
+
+  // For what will be read soon.
+  void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
+  void prefetch_position(VertexId v) const { __builtin_prefetch(&vertices_[v]); }
+  // Prefetches some tetrahedra and those around them, which are appended until there are `most`.
+  void prefetch_around(std::vector<TetId>& tets, std::size_t most) const;
+
+  bool alive(TetId t) const { return tets_[t].vertices[0] != kNone; }
+  const std::array<VertexId, 4>& vertices(TetId t) const { return tets_[t].vertices; }
+  // The half-face on the other side; kNone on the boundary.
+  HalfFace opposite(HalfFace h) const { return tets_[tet_of(h)].opposite[face_of(h)]; }
+  TetId neighbor(TetId t, int face) const {
+    const HalfFace h = tets_[t].opposite[face];
+    return h == kNone ? kNone : tet_of(h);
+  }
+  std::int32_t region(TetId t) const { return attributes_[t].region; }
+  // Whether there is more than one.
+  bool has_regions() const { return has_regions_; }
+  // Which piece of the body it is in (server/core/session/piece_tracker.hpp). Not part of the state that the hash names.
+  std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
+  void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
+  std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
+  std::uint8_t boundary_mask(TetId t) const {
+    unsigned mask = 0;
+    for (unsigned f = 0; f < 4; ++f) mask |= (tets_[t].opposite[f] == kNone ? 1u : 0u) << f;
+    return static_cast<std::uint8_t>(mask);
+  }
+  std::array<VertexId, 3> face_vertices(HalfFace h) const {
+    const auto& v = tets_[tet_of(h)].vertices;
+    const auto& f = kFaceVertices[face_of(h)];
+    return {v[f[0]], v[f[1]], v[f[2]]};
+  }
+  // Outward from the tetrahedron, as long as twice the face's area, m^2.
+  Vec3 twice_area(HalfFace h) const {
+    const auto v = face_vertices(h);
+    const Vec3& a = position(v[0]);
+    return cross(position(v[1]) - a, position(v[2]) - a);
+  }
+  // Which of its four vertices v is; -1 where it does not have v.
+  int local_index(TetId t, VertexId v) const {
+    const auto& tet = tets_[t].vertices;
+    for (int i = 0; i < 4; ++i) {
+      if (tet[i] == v) return i;
+    }
+    return -1;
+  }
+  TetState state(TetId t) const {
+    return {t, tets_[t].vertices, attributes_[t].region, attributes_[t].cut_mask, boundary_mask(t)};
+  }
+  double volume(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return signed_volume(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+  }
+  // The quality measure of quality.hpp; smaller is better.
+  double worst_dihedral(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return core::worst_dihedral(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
+  }
+  Vec3 barycentre(TetId t) const {
+    const auto& v = tets_[t].vertices;
+    return 0.25 * ((position(v[0]) + position(v[1])) + (position(v[2]) + position(v[3])));
+  }
+
+  // The tetrahedra around v, each by its corner at v. Replaces what `star` holds. O(star), some 10 ns each.
+  void star(VertexId v, std::vector<Corner>& star) const;
+  // The tetrahedra around the edge (a, b), starting from one that has it, in ring order. On the boundary the first
+  // and the last are those with a boundary face at the edge. Replaces what `ring` holds.
+  void ring(TetId from, VertexId a, VertexId b, std::vector<TetId>& ring) const;
+  // A tetrahedron that has both; kNone where the two are not joined by an edge. O(star of a).
+  TetId find_edge(VertexId a, VertexId b) const;
+
+  // A vertex slides to another place of the body: it stands for the material that is there.
+  void move_vertex(VertexId v, const Vec3& position);
+  // Puts a vertex on the edge (a, b) of tetrahedron `from`, at a + t (b - a), and splits all tetrahedra around it in
+  // two: the half at a keeps its id. Returns the vertex.
+  VertexId split_edge(TetId from, VertexId a, VertexId b, double t);
+  // Whether collapse() of the edge from v to w keeps the mesh a manifold: their links meet in the link of the edge alone
+  // (Dey, Edelsbrunner, Guha and Nekhayev 1999, "Topology preserving edge contraction"). A vertex of the boundary only goes
+  // along the boundary.
+  bool may_collapse(TetId from, VertexId v, VertexId w) const;
+  // Merges v into w along an edge of tetrahedron `from`: the tetrahedra around the edge go, the others at v get w.
+  // v keeps its position and belongs to nothing afterwards.
+  void collapse(TetId from, VertexId v, VertexId w);
+  // Opens interior faces (each given by either half) as cut faces, then gives every vertex of theirs one copy for
+  // each face-connected component of its star. Faces that are open already are passed over. Returns how many opened.
+  std::uint32_t open_faces(std::span<const HalfFace> faces);
+  // Takes a tetrahedron out; the faces that its neighbours shared with it become cut faces; splits vertices likewise.
+  void remove_tet(TetId t);
+  // Replaces tetrahedra by others that fill the same space, on the same vertices: the one primitive of all flips.
+  // `added` are positively oriented vertex quadruples; regions are those of the first removed one. Returns false, and
+  // changes nothing, where faces of the two sets do not match.
+  bool replace(std::span<const TetId> removed, std::span<const std::array<VertexId, 4>> added,
+               std::vector<TetId>& new_ids);
+
+  // Ends a step: what changed since the last commit, by ids ascending; fills the mesh part of `delta` (moved,
+  // added, upserted, removed, boundary, cut faces and area) and its state hash. O(change log change).
+  void commit(Delta& delta);
+  // The same in portions: goes on until done (true) or the budget is spent (false). `delta` must be the same, and nothing
+  // may change in between.
+  bool commit(Delta& delta, WorkBudget& budget);
+  // A step of its own, in which the body deforms: nothing may have changed since the last commit. `moved`, ascending, are
+  // swapped into `delta` with their positions. `hash_change`: the XOR of their hash_change(). O(moved), some 5 ns each.
+  void deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,
+              Delta& delta);
+  // By what the state hash changes when v goes there.
+  std::uint64_t hash_change(VertexId v, const Vec3& to) const;
+  // Whether deform() was ever called. From then on each vertex has a rest position: where the material that it stands for
+  // is in the body at rest. Until then that is its position.
+  bool deformed() const { return !rest_.empty(); }
+  const Vec3& rest_position(VertexId v) const { return deformed() ? rest_[v] : vertices_[v].position; }
+  // The state hash after the last commit.
+  std::uint64_t state_hash() const { return log_.state_hash(); }
+  // The same from scratch; O(mesh). For tests and load.
+  std::uint64_t compute_state_hash() const;
+  // What each counts for in it.
+  std::uint64_t hash_of_vertex(VertexId v) const;
+  std::uint64_t hash_of_tet(TetId t) const;
+  // Where a vertex that is new since the last commit comes from.
+  const Provenance& provenance(VertexId v) const { return log_.provenance(v); }
+  bool is_new(VertexId v) const { return log_.is_new(v); }
+  bool is_new_tet(TetId t) const { return log_.is_new_tet(t); }
+  // Tetrahedra touched since the last commit (new and changed ones that are alive).
+  std::span<const TetId> touched_tets() const { return log_.touched_tets(); }
+  // Vertices moved since the last commit that existed then.
+  std::span<const VertexId> touched_vertices() const { return log_.touched_vertices(); }
+
+  // Which tetrahedron a vertex names is part of it: stars are walked from there, and ids follow from the walk. O(mesh).
+  void archive(Archive& io);
+
+  MeshData export_data() const;  // live tetrahedra and used vertices, renumbered in id order
+
+ private:
+  struct Vertex {
+    Vec3 position;
+    TetId tet = kNone;
+    float h = 0;
+  };
+  struct Tet {
+    std::array<VertexId, 4> vertices;
+    std::array<HalfFace, 4> opposite;
+  };
+  struct Attributes {
+    std::int32_t region = 0;
+    std::uint32_t piece = 0;
+    std::uint8_t cut_mask = 0;
+  };
+  // Where vertices may belong to more than one component of their star: they are noted with corners, then each gets one copy for
+  // each face-connected component but the one that holds the tetrahedron that it names.
+  struct Noted {
+    struct NotedCorner {
+      Corner corner;
+      std::uint32_t next;  // the next one at the same vertex
+    };
+    struct Star {
+      VertexId vertex;
+      std::uint32_t first, last;  // into corners
+    };
+    std::uint32_t first_mark = 0;  // of stars[0]; the others count on
+    std::vector<Star> stars;
+    std::vector<NotedCorner> corners;
+  };
+  struct LinkMarks;     // of may_collapse()
+  struct BoundaryLink;  // likewise
+  struct Replacement;   // of replace()
+
+  // mesh_build.cpp
+  void measure_edges();
+  void build_adjacency();
+  void split_initial_vertices();
+  void check_restored(Archive& io);
+  // mesh_edit.cpp
+  void link(HalfFace a, HalfFace b);
+  VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
+  // Region and piece are those of `parent`.
+  TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
+  void kill_tet(TetId t);
+  void mark_link_of(VertexId w, const LinkMarks& marks) const;
+  bool edges_are_around(TetId t, VertexId v, const LinkMarks& marks) const;
+  void begin_noting(std::size_t max_corners);
+  void note_corner(VertexId v, Corner corner);
+  void open_side(HalfFace side);
+  void split_noted_stars();
+  // mesh_deform.cpp
+  Vec3 rest_at(VertexId v, const Vec3& position) const;
+  // tet_mesh.cpp
+  void component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const;
+
+  std::vector<Vertex> vertices_;
+  std::vector<Vec3> rest_;  // by vertex, once deformed
+  std::vector<Tet> tets_;
+  std::vector<Attributes> attributes_;
+  std::uint32_t live_tets_ = 0;
+  bool has_regions_ = false;
+  std::uint32_t initial_vertex_copies_ = 0;
+  double mean_edge_length_ = 0;
+
+  ChangeLog log_;
+
+  // Scratch, kept so that a warm step allocates nothing.
+  mutable FreshMarks tet_marks_, vertex_marks_;
+  Noted noted_;
+  mutable std::vector<Corner> star_scratch_;
+  mutable std::vector<TetId> ring_scratch_;
+};
+
+}  // namespace incise::core

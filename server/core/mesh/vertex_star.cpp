@@ -1,0 +1,183 @@
+#include "server/core/mesh/vertex_star.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace incise::core {
+
+// Vectors are passed between functions that are always inlined, so that no calling convention matters.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+// worst_dihedral() of four tetrahedra at once. The same operations on each lane as for one, so the same bits, whatever
+// the width of the machine's registers.
+struct LaneKernels {
+  using Lanes = VertexStar::Lanes;
+  using V = double __attribute__((vector_size(32)));
+  struct V3 {
+    V x, y, z;
+  };
+
+  [[gnu::always_inline]] static inline V3 minus(const V3& a, const V3& b) {
+    return {a.x - b.x, a.y - b.y, a.z - b.z};
+  }
+  [[gnu::always_inline]] static inline V3 times(const V3& a, const V3& b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+  }
+  [[gnu::always_inline]] static inline V dot(const V3& a, const V3& b) {
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+  }
+  [[gnu::always_inline]] static inline V larger(const V& a, const V& b) { return a < b ? b : a; }
+  [[gnu::always_inline]] static inline V measure(const V3& m, const V3& n, const V& qm, const V& qn) {
+    const V cosine = -dot(m, n);
+    return cosine * (cosine < 0 ? -cosine : cosine) / (qm * qn);
+  }
+  [[gnu::always_inline]] static inline V3 row(const Lanes& lanes, int k) {
+    V3 out;
+    std::memcpy(&out.x, lanes.p[3 * k], sizeof out.x);
+    std::memcpy(&out.y, lanes.p[3 * k + 1], sizeof out.y);
+    std::memcpy(&out.z, lanes.p[3 * k + 2], sizeof out.z);
+    return out;
+  }
+
+  // Begins with `first`, and puts there which exceeded the limit.
+  [[gnu::always_inline]] static inline double worst(const Vec3& p, const Lanes* lanes, std::size_t count,
+                                                    double limit, std::size_t& first) {
+    const V zero{};
+    const V3 a{zero + p.x, zero + p.y, zero + p.z};
+    double worst = -1;
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::size_t i = k == 0 ? first : k <= first ? k - 1 : k;
+      const V3 u = minus(row(lanes[i], 0), a), v = minus(row(lanes[i], 1), a), w = minus(row(lanes[i], 2), a);
+      const V3 nd = times(v, u), nc = times(u, w), nb = times(w, v);
+      const V3 na{-(nd.x + nc.x + nb.x), -(nd.y + nc.y + nb.y), -(nd.z + nc.z + nb.z)};
+      const V qa = dot(na, na), qb = dot(nb, nb), qc = dot(nc, nc), qd = dot(nd, nd);
+      V m = larger(measure(na, nb, qa, qb), measure(na, nc, qa, qc));
+      m = larger(m, measure(na, nd, qa, qd));
+      m = larger(m, measure(nb, nc, qb, qc));
+      m = larger(m, measure(nb, nd, qb, qd));
+      m = larger(m, measure(nc, nd, qc, qd));
+      const V inverted = zero + kInverted;
+      m = qa * qb * qc * qd > 0 ? m : inverted;
+      m = dot(nd, w) >= 0 ? inverted : m;
+      worst = std::max({worst, m[0], m[1], m[2], m[3]});
+      if (worst > limit) {
+        first = i;
+        break;
+      }
+    }
+    return worst;
+  }
+
+  static double worst_baseline(const Vec3& p, const Lanes* lanes, std::size_t count, double limit,
+                               std::size_t& first) {
+    return worst(p, lanes, count, limit, first);
+  }
+#if defined(__x86_64__)
+  // Without fused multiply-add, which would change the bits.
+  [[gnu::target("avx2")]] static double worst_avx2(const Vec3& p, const Lanes* lanes, std::size_t count,
+                                                   double limit, std::size_t& first) {
+    return worst(p, lanes, count, limit, first);
+  }
+#endif
+};
+
+namespace {
+
+using WorstOfLanes = decltype(&LaneKernels::worst_baseline);
+
+WorstOfLanes choose() {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx2")) return &LaneKernels::worst_avx2;
+#endif
+  return &LaneKernels::worst_baseline;
+}
+const WorstOfLanes kWorstOfLanes = choose();
+
+}  // namespace
+
+void VertexStar::begin(const TetMesh& mesh, VertexId v) {
+  mesh.star(v, corner_ids_);
+  for (std::uint32_t id : corner_ids_) {
+    for (VertexId other : mesh.vertices(tet_of(id))) mesh.prefetch_position(other);
+  }
+  position_ = mesh.position(v);
+  local_h_ = mesh.local_h(v);
+  corners_.clear();
+  flattenable_.clear();
+  walls_.clear();
+  wall_area_ = {};
+  worst_lanes_ = 0;
+  lanes_.resize((corner_ids_.size() + 3) / 4);
+}
+
+VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
+  const std::size_t index = corners_.size();
+  Corner& corner = corners_.emplace_back();
+  corner.tet = tet_of(id);
+  const int i = index_of(id);
+  const auto& vertices = mesh.vertices(corner.tet);
+  auto& lanes = lanes_[index / 4].p;
+  const std::size_t lane = index % 4;
+  for (int k = 0; k < 3; ++k) {
+    const VertexId other = vertices[kFaceVertices[i][k]];
+    corner.others[k] = other;
+    const Vec3& p = mesh.position(other);
+    lanes[3 * k][lane] = p.x;
+    lanes[3 * k + 1][lane] = p.y;
+    lanes[3 * k + 2][lane] = p.z;
+  }
+  for (int f = 0; f < 4; ++f) {
+    if (f == i) continue;
+    const TetId beyond = mesh.neighbor(corner.tet, f);
+    // What lies between two materials is as fixed as what lies between tissue and air.
+    if (beyond != kNone && (!mesh.has_regions() || mesh.region(beyond) == mesh.region(corner.tet))) continue;
+    const auto& k = kFaceVertices[f];
+    const Vec3& a = mesh.position(vertices[k[0]]);
+    const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
+    walls_.push_back({normalized(twice), length(twice), (mesh.cut_mask(corner.tet) >> f & 1) != 0});
+    wall_area_ += 0.5 * twice;
+  }
+  return corner;
+}
+
+void VertexStar::finish() {
+  for (std::size_t i = corners_.size(); i % 4 != 0; ++i) {
+    for (auto& row : lanes_.back().p) row[i % 4] = row[(corners_.size() - 1) % 4];
+  }
+}
+
+double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::vector<TetId>& flat) const {
+  flat.clear();
+  for (std::uint32_t c : flattenable_) {
+    const Vec3 a = point(c, 0);
+    const Vec3 n = cross(point(c, 1) - a, point(c, 2) - a);
+    if (std::abs(dot(n, p - a)) <= thickness * length(n)) flat.push_back(corners_[c].tet);
+  }
+  if (flat.empty()) return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit, worst_lanes_);
+  double worst = -1;
+  for (std::size_t c = 0; c < corners_.size(); ++c) {
+    if (std::find(flat.begin(), flat.end(), corners_[c].tet) != flat.end()) continue;
+    worst = std::max(worst, worst_dihedral(p, point(c, 0), point(c, 1), point(c, 2)));
+    if (worst > limit) break;
+  }
+  return worst;
+}
+
+double VertexStar::worst_now() const {
+  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted, worst_lanes_);
+}
+
+bool VertexStar::keeps_boundary(const Vec3& p) const {
+  constexpr double kDistance_h = 0.05;
+  constexpr double kVolume_h3 = 0.001;
+  const Vec3 d = p - position_;
+  // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
+  if (std::abs(dot(wall_area_, d)) > 3 * kVolume_h3 * local_h_ * local_h_ * local_h_) return false;
+  for (const Wall& wall : walls_) {
+    if (std::abs(dot(wall.normal, d)) > kDistance_h * local_h_) return false;
+  }
+  return true;
+}
+
+}  // namespace incise::core

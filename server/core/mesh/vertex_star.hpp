@@ -1,0 +1,87 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+
+namespace incise::core {
+
+// The star of one vertex, laid out to ask again and again what it would be worth with the vertex elsewhere.
+class VertexStar {
+ public:
+  struct Corner {
+    TetId tet;
+    std::array<VertexId, 3> others;  // (v, others) is positively oriented
+    bool may_flatten;                // all others lie on the swept surface
+  };
+  struct Wall {
+    Vec3 normal;        // unit, outward
+    double twice_area;  // m^2
+    bool cut;           // a cut has opened it
+  };
+
+  // Reads the star of v. on_surface(vertex) says whether a vertex lies on the swept surface.
+  template <class OnSurface>
+  void gather(const TetMesh& mesh, VertexId v, OnSurface on_surface) {
+    begin(mesh, v);
+    for (std::uint32_t id : corner_ids_) {
+      Corner& corner = add(mesh, id);
+      corner.may_flatten =
+          on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]);
+      if (corner.may_flatten) flattenable_.push_back(static_cast<std::uint32_t>(corners_.size() - 1));
+    }
+    finish();
+  }
+
+  const std::vector<Corner>& corners() const { return corners_; }
+  // Where others[k] of the corner is.
+  Vec3 point(std::size_t corner, int k) const {
+    const auto& p = lanes_[corner / 4].p;
+    const std::size_t lane = corner % 4, row = 3 * static_cast<std::size_t>(k);
+    return {p[row][lane], p[row + 1][lane], p[row + 2][lane]};
+  }
+  const Vec3& position() const { return position_; }
+  // The mesh width at the vertex, m.
+  double local_h() const { return local_h_; }
+  // The boundary faces at the vertex, and faces between two regions.
+  const std::vector<Wall>& walls() const { return walls_; }
+  // The sum of their area vectors, m^2.
+  const Vec3& wall_area() const { return wall_area_; }
+  bool on_boundary() const { return !walls_.empty(); }
+
+  // The worst measure (quality.hpp) in the star with the vertex at p; stops early beyond `limit`. Tetrahedra that
+  // would be flat on the surface do not count: they are appended to `flat`. `thickness` is what counts as flat, m.
+  double worst_at(const Vec3& p, double limit, double thickness, std::vector<TetId>& flat) const;
+  // The worst measure as it stands.
+  double worst_now() const;
+  // Whether the boundary would stay where it is, to within a small part of the mesh width, with the vertex at p: the
+  // distance of its faces' planes, and the volume that is won or lost.
+  bool keeps_boundary(const Vec3& p) const;
+
+ private:
+  // The points of four corners, side by side for vector instructions: rows are the coordinates of others[0], [1], [2].
+  struct alignas(32) Lanes {
+    double p[9][4];
+  };
+  friend struct LaneKernels;
+
+  void begin(const TetMesh& mesh, VertexId v);
+  Corner& add(const TetMesh& mesh, std::uint32_t id);
+  void finish();
+
+  Vec3 position_;
+  double local_h_ = 0;
+  std::vector<std::uint32_t> corner_ids_;
+  std::vector<Corner> corners_;
+  std::vector<Lanes> lanes_;  // the last one is filled up with copies of the last corner
+  // Of them, what stood in the way when a place was too bad: it will again, as a rule.
+  mutable std::size_t worst_lanes_ = 0;
+  std::vector<std::uint32_t> flattenable_;  // corners that may flatten
+  std::vector<Wall> walls_;
+  Vec3 wall_area_;
+};
+
+}  // namespace incise::core

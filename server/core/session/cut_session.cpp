@@ -1,0 +1,229 @@
+#include "server/core/session/cut_session.hpp"
+
+#include <algorithm>
+#include <string>
+
+#include "server/base/check.hpp"
+#include "server/core/cut/conforming/conforming_cutter.hpp"
+#include "server/core/cut/croll/croll_cutter.hpp"
+#include "server/core/geometry/quality.hpp"
+#include "server/core/mesh/validate.hpp"
+#include "server/core/session/session_state.hpp"
+
+namespace incise::core {
+
+CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
+    : mesh_(mesh),
+      config_(config),
+      workspace_(mesh_),
+      pieces_(mesh_),
+      measured_(workspace_),
+      mover_(mesh_, workspace_) {}
+
+CutSession::~CutSession() = default;
+
+CutSession::Source& CutSession::source(std::uint32_t number) {
+  if (!sources_[number]) set_blade(number, config_.blade);
+  return *sources_[number];
+}
+
+void CutSession::set_blade(std::uint32_t number, const Blade& blade) {
+  INCISE_CHECK(number < kMaxSources, number);
+  if (sources_[number]) end_stroke(number);
+  CutConfig config = config_;
+  config.blade = blade;
+  std::unique_ptr<Cutter> cutter;
+  if (sources_[number]) {
+    cutter = std::move(sources_[number]->cutter);
+  } else if (config_.policy == Policy::kCroll) {
+    cutter = std::make_unique<CrollCutter>(mesh_);
+  } else {
+    cutter = std::make_unique<ConformingCutter>(mesh_, workspace_, config_);
+  }
+  sources_[number].reset(new Source{StrokeBuilder(number, config, mesh_.mean_edge_length(), stroke_counter_),
+                                    std::move(cutter)});
+}
+
+PoseVerdict CutSession::push(std::uint32_t number, const Pose& pose) {
+  if (number >= kMaxSources) return PoseVerdict::kUnknownSource;
+  return source(number).builder.push(pose, queue_);
+}
+
+void CutSession::end_stroke(std::uint32_t number) {
+  if (number < kMaxSources && sources_[number]) sources_[number]->builder.end_stroke(queue_);
+}
+
+bool CutSession::in_stroke(std::uint32_t number) const {
+  return number < kMaxSources && sources_[number] && sources_[number]->builder.in_stroke();
+}
+
+CutCounts CutSession::running_counts() const {
+  return stage_ == Stage::kWaiting ? CutCounts{} : sources_[queue_.front().source]->cutter->counts();
+}
+
+void CutSession::prefetch() {
+  if (!queue_.empty()) return;
+  for (const auto& source : sources_) {
+    if (source && source->builder.in_stroke()) source->cutter->prefetch();
+  }
+}
+
+void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
+  Batch& batch = deformation_;
+  batch.source = batch.stroke = batch.number = 0;
+  batch.ends_stroke = false;
+  batch.lines.assign(1, {});
+  batch.from_t_ns = batch.to_t_ns = positions->source_ns;
+  batch.deformation = std::move(positions);
+  queue_.push(batch);
+  batch.deformation.reset();
+  ++deformations_;
+}
+
+CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta) {
+  if (!begun_) {
+    clinging_.clear();
+    for (const auto& source : sources_) {
+      if (source) source->cutter->clinging(clinging_);
+    }
+    mover_.begin(*queue_.front().deformation, clinging_);
+    begun_ = true;
+  }
+  if (!mover_.advance(budget)) return Progress::kSpent;
+  begun_ = false;
+  --deformations_;
+  queue_.pop(committed_);
+  committed_counts_ = {};
+  describe(delta);
+  mover_.commit(delta);
+  committed_.deformation.reset();
+#ifdef INCISE_VALIDATE
+  const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);
+  INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
+  delta.min_dihedral_deg = 180;
+  return Progress::kCommitted;
+}
+
+// The identifying fields of a delta.
+void CutSession::describe(Delta& delta) {
+  delta.revision = ++revision_;
+  delta.source = committed_.source;
+  delta.stroke = committed_.stroke;
+  delta.batch = committed_.number;
+  delta.stroke_ended = committed_.ends_stroke;
+  delta.from = committed_.lines.front();
+  delta.to = committed_.lines.back();
+  delta.from_t_ns = committed_.from_t_ns;
+  delta.to_t_ns = committed_.to_t_ns;
+  delta.snaps = committed_counts_.snaps;
+  delta.splits = committed_counts_.splits;
+  delta.max_deviation_h = committed_counts_.max_deviation_h;
+}
+
+CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
+  if (queue_.empty()) return Progress::kIdle;
+  if (queue_.front().deformation) return advance_deformation(budget, delta);
+  Cutter& cutter = *sources_[queue_.front().source]->cutter;
+  if (stage_ == Stage::kWaiting) {
+    cutter.begin(queue_.front());
+    stage_ = Stage::kCutting;
+  }
+  if (stage_ == Stage::kCutting) {
+    if (!cutter.advance(budget)) return Progress::kSpent;
+    workspace_.grow(mesh_);
+#ifdef INCISE_VALIDATE
+    const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
+    INCISE_CHECK(problem.empty(), problem, revision_);
+#endif
+    pieces_.begin();
+    stage_ = Stage::kPieces;
+  }
+  if (!finish(budget)) return Progress::kSpent;
+  stage_ = Stage::kWaiting;
+  queue_.pop(committed_);
+  committed_counts_ = cutter.counts();
+  describe(made_);
+  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
+  mover_.note_cut(made_);
+  std::swap(made_, delta);
+  return Progress::kCommitted;
+}
+
+// What a cut batch still needs, in portions.
+bool CutSession::finish(WorkBudget& budget) {
+  if (stage_ == Stage::kPieces) {
+    if (!pieces_.advance(budget, made_)) return false;
+    stage_ = Stage::kCommitting;
+  }
+  if (stage_ == Stage::kCommitting) {
+    if (!mesh_.commit(made_, budget)) return false;
+    next_upserted_ = next_moved_ = 0;
+    worst_ = -kInverted;
+    measured_.begin();
+    stage_ = Stage::kMeasuring;
+  }
+  return measure(budget);
+}
+
+// The worst angle of the tetrahedra that the delta names and of those around vertices that moved.
+bool CutSession::measure(WorkBudget& budget) {
+  const auto look_at = [this](TetId t) {
+    if (!measured_.insert(t)) return;
+    worst_ = std::max(worst_, mesh_.worst_dihedral(t));
+  };
+  for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {
+    if (budget.spent()) return false;
+    budget.charge(2);
+    const TetState& tet = made_.upserted[next_upserted_];
+    look_at(tet.id);
+    // The policy `croll` does not use the grid itself.
+    if (config_.policy == Policy::kCroll && tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
+  }
+  for (; next_moved_ < made_.moved.size(); ++next_moved_) {
+    if (budget.spent()) return false;
+    mesh_.star(made_.moved[next_moved_], star_);
+    budget.charge(static_cast<std::int64_t>(star_.size() + 1));
+    for (std::uint32_t corner : star_) look_at(tet_of(corner));
+  }
+  return true;
+}
+
+void CutSession::archive(Archive& io) {
+  std::uint32_t version = kSessionStateVersion;
+  io(version);
+  io.demand(version == kSessionStateVersion, "it is of another version");
+  auto policy = static_cast<std::uint8_t>(config_.policy);
+  io(policy);
+  io.demand(policy == static_cast<std::uint8_t>(config_.policy), "it is of another policy");
+  if (io.failed()) return;
+  io(revision_);
+  io(stroke_counter_);
+  mesh_.archive(io);
+  if (io.failed()) return;
+  pieces_.archive(io);
+  workspace_.archive(io, mesh_);
+  mover_.archive(io);
+  for (std::uint32_t number = 0; number < kMaxSources; ++number) archive_source(io, number);
+}
+
+void CutSession::archive_source(Archive& io, std::uint32_t number) {
+  bool exists = sources_[number] != nullptr;
+  io(exists);
+  if (!exists) return;
+  Blade blade;
+  if (!io.reads()) blade = sources_[number]->builder.blade();
+  io(blade.heel);
+  io(blade.tip);
+  if (io.failed()) return;
+  if (io.reads()) set_blade(number, blade);
+  StrokeBuilder& builder = sources_[number]->builder;
+  Cutter& cutter = *sources_[number]->cutter;
+  builder.archive(io);
+  cutter.archive(io);
+  const BatchNumber made = builder.last_batch(), cut = cutter.last();
+  io.demand(cut.stroke <= stroke_counter_, "a stroke that is not counted");
+  io.demand(cut.stroke != made.stroke || cut.batch == made.batch, "batches that were not cut");
+}
+
+}  // namespace incise::core

@@ -1,0 +1,110 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/cut/cut_workspace.hpp"
+#include "server/core/cut/cutter.hpp"
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/piece_tracker.hpp"
+#include "server/core/session/vertex_mover.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
+
+namespace incise::core {
+
+// A mesh and the blades that cut it: poses in, deltas out. The server, `incise cut` and `incise replay` all run this.
+//
+// A host simulation may deform the body: cuts are then made in the deformed body, and the mesh keeps rest positions.
+//
+// Determinism: the state after revision n is a function of the mesh, the configuration and the calls to push(),
+// end_stroke() and deform() in their order. Budgets and call times decide when work is done, never what is done.
+//
+// Thread: one, at a time. Owns the mesh.
+class CutSession {
+ public:
+  CutSession(const MeshData& mesh, const CutConfig& config);
+  ~CutSession();
+
+  // Gives the blade of one source; the configuration's blade stands for all until then. Between strokes only.
+  void set_blade(std::uint32_t source, const Blade& blade);
+
+  // Takes a pose of source 0 ... kMaxSources - 1. Rejected poses change nothing.
+  PoseVerdict push(std::uint32_t source, const Pose& pose);
+  // Ends the stroke of a source (its button was released, or it vanished). No effect between strokes.
+  void end_stroke(std::uint32_t source);
+
+  // Moves vertices, behind all batches that are complete now, as a step of its own (Delta::deformation says what became of
+  // it). Whatever the positions are, the mesh stays valid: see VertexMover.
+  void deform(std::shared_ptr<const VertexPositions> positions);
+
+  enum class Progress {
+    kIdle,       // no batch waits
+    kSpent,      // the budget is spent; work is left
+    kCommitted,  // a batch is done: `delta` takes the mesh to revision()
+  };
+  // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
+  // arrays keep their capacity: reuse it); call again for the next batch.
+  Progress advance(WorkBudget& budget, Delta& delta);
+  // Where no batch waits: brings what the strokes in progress cut next into the caches. Some 30 us for each; changes nothing.
+  void prefetch();
+
+  const TetMesh& mesh() const { return mesh_; }
+  // Where the mesh's boundary is, cut faces included, as of the last operation.
+  const BoundaryGrid& boundary() const { return workspace_.grid; }
+  const CutConfig& config() const { return config_; }
+  std::uint64_t revision() const { return revision_; }
+  // Batches and deformations that wait, the one at work included, and their segments.
+  std::size_t backlog_batches() const { return queue_.size(); }
+  std::size_t backlog_segments() const { return queue_.segments(); }
+  bool in_stroke(std::uint32_t source) const;
+  bool deformation_waits() const { return deformations_ > 0; }
+  // The batch that the last kCommitted was about, and what it did. Of stroke 0 where that was a deformation.
+  const Batch& committed_batch() const { return committed_; }
+  const CutCounts& committed_counts() const { return committed_counts_; }
+  // What the batch at work has done so far.
+  CutCounts running_counts() const;
+
+  // Everything that later revisions depend on; no batch may wait. See session_state.hpp.
+  void archive(Archive& io);
+
+ private:
+  struct Source {
+    StrokeBuilder builder;
+    std::unique_ptr<Cutter> cutter;
+  };
+  Source& source(std::uint32_t number);
+  bool finish(WorkBudget& budget);
+  bool measure(WorkBudget& budget);
+  Progress advance_deformation(WorkBudget& budget, Delta& delta);
+  void describe(Delta& delta);
+  void archive_source(Archive& io, std::uint32_t number);
+
+  TetMesh mesh_;
+  CutConfig config_;
+  CutWorkspace workspace_;
+  PieceTracker pieces_;
+  std::uint32_t stroke_counter_ = 0;
+  std::array<std::unique_ptr<Source>, kMaxSources> sources_;
+  BatchQueue queue_;
+  // Where the oldest batch is: cut, what it has cut off is found, its delta is made, its quality measured.
+  enum class Stage { kWaiting, kCutting, kPieces, kCommitting, kMeasuring };
+  Stage stage_ = Stage::kWaiting;
+  Delta made_;                                      // while it is being made
+  std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
+  TetPass measured_;
+  double worst_ = 0;
+  VertexMover mover_;
+  std::size_t deformations_ = 0;  // in the queue
+  bool begun_ = false;            // the oldest one is at work
+  std::uint64_t revision_ = 0;
+  Batch committed_;
+  CutCounts committed_counts_;
+  std::vector<std::uint32_t> star_;
+  std::vector<VertexId> clinging_;
+  Batch deformation_;  // scratch
+};
+
+}  // namespace incise::core

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "server/core/cut/cut_workspace.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+
+namespace incise::core {
+
+// Lets the boundary grid follow a body that deforms: tetrahedra at vertices that have moved far are entered again, or a new grid
+// is built beside the one in use, when stale entries have doubled that or the body leaves its box.
+class GridFollower {
+ public:
+  GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
+      : mesh_(mesh), workspace_(workspace), pass_(workspace), fresh_({}, {}, 1) {}
+
+  // What is about to move, where to, and where all vertices will be then. These must live until commit().
+  struct Step {
+    const std::vector<VertexId>& moved;
+    const std::vector<Vec3>& positions;
+    const std::vector<Vec3>& targets;  // by vertex
+  };
+  // First each place that a vertex is about to move to, one by one, then all of them.
+  void begin() { rebuilt_ = false; }
+  void look_at(const Vec3& target) { rebuilt_ = rebuilt_ || !workspace_.grid.contains(target); }
+  void settle(const Step& step);
+  // Works until all is ready (true) or the budget is spent (false).
+  bool advance(const Step& step, WorkBudget& budget);
+  // When the vertices have moved.
+  void commit();
+
+ private:
+  enum class Phase { kFollow, kCollect, kRebuild, kReady };
+
+  bool follow(const Step& step, WorkBudget& budget);
+  bool collect(const Step& step, WorkBudget& budget);
+  bool rebuild(const Step& step, WorkBudget& budget);
+  void enter(BoundaryGrid& grid, const Step& step, TetId t) const;
+
+  const TetMesh& mesh_;
+  CutWorkspace& workspace_;
+  Phase phase_ = Phase::kReady;
+  std::size_t next_ = 0;
+  TetPass pass_;
+  Vec3 low_, high_;  // a box around the boundary, for a new grid
+  std::vector<TetId> boundary_;
+  bool rebuilt_ = false;
+  BoundaryGrid fresh_;
+  std::vector<Corner> star_;
+};
+
+}  // namespace incise::core

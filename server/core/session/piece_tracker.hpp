@@ -1,0 +1,99 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/tet_clusters.hpp"
+#include "server/core/util/archive.hpp"
+#include "server/core/util/id_set.hpp"
+
+namespace incise::core {
+
+// Finds out what a step has cut off. From the tetrahedra at the new cut faces, searches spread through the mesh at the
+// same pace; searches that meet become one. A group of searches that has nowhere left to go, while another of the
+// same piece still has, has found a piece of its own. Of the parts of a piece, the largest keeps its id. So it costs what
+// the smaller side holds (times two), and next to nothing where the two sides of a cut still hang together around its
+// front. The searches go by clusters (TetClusters).
+class PieceTracker {
+ public:
+  // O(mesh): later steps only add what the mesh has grown by.
+  explicit PieceTracker(TetMesh& mesh);
+
+  // Begins with the tetrahedra that the running step has touched.
+  void begin();
+  // Goes on until done (true) or the budget is spent (false). Lists in delta.pieces (the same delta each time), by piece,
+  // the tetrahedra that this step has put into another piece than before, and the new ones whose piece is not 0. The
+  // mesh's step must still run.
+  bool advance(WorkBudget& budget, Delta& delta);
+
+  // What of it is not in the mesh, and which clusters there are: they decide in which order parts end.
+  void archive(Archive& io);
+
+  // Pieces there have been so far; ids run below it.
+  std::uint32_t pieces() const { return next_piece_; }
+
+ private:
+  std::uint32_t find(std::uint32_t group) {
+    while (groups_[group].parent != group) {
+      groups_[group].parent = groups_[groups_[group].parent].parent;
+      group = groups_[group].parent;
+    }
+    return group;
+  }
+  void claim(std::uint32_t cluster, std::uint32_t group);
+  void meet(std::uint32_t cluster, std::uint32_t group);
+  void settle(std::uint32_t piece);
+  bool has_other_neighbors(TetId t) const;
+  bool loosen(WorkBudget& budget);
+  bool form(WorkBudget& budget);
+  bool seed(WorkBudget& budget);
+  bool search(WorkBudget& budget);
+  bool relabel(WorkBudget& budget);
+  bool list_new(WorkBudget& budget);
+  bool list(WorkBudget& budget, Delta& delta);
+  static void append(Delta& delta, std::uint32_t piece, TetId t);
+
+  TetMesh& mesh_;
+  std::uint32_t next_piece_ = 1;
+
+  TetClusters clusters_;
+  std::vector<TetId> loose_;  // that this step has taken out of their clusters, and new ones
+
+  std::uint32_t search_ = 0;  // serial of the running search
+  enum class Phase { kLoosen, kForm, kSeed, kSearch, kRelabel, kNew, kList };
+  Phase phase_ = Phase::kLoosen;
+  struct Visited {
+    std::uint32_t cluster;
+    std::uint32_t next;  // that waits in the same group, into visited_
+  };
+  std::vector<Visited> visited_;
+  std::size_t next_ = 0;  // how far the phase is
+  struct Group {
+    std::uint32_t parent;
+    std::uint32_t first, last;  // that wait, breadth first, into visited_
+    std::uint32_t piece;        // that it began in
+    std::uint32_t fresh;        // the new piece that it turned out to be; 0: none
+    std::uint32_t tets;         // that it has claimed
+    std::int32_t credit;        // tetrahedra that it may visit in its turn
+  };
+  void end_group(std::uint32_t group);
+  std::vector<Group> groups_;
+  std::vector<std::uint32_t> ring_;  // groups in turn, and some that are done
+  std::size_t turn_ = 0;
+  std::int32_t rounds_ = 0;
+  std::vector<std::uint32_t> piece_tets_;  // by piece: how many it has
+  struct Search {
+    std::uint32_t groups = 0;       // that still have somewhere to go
+    std::uint32_t largest = kNone;  // of the groups that are pieces of their own
+    std::uint32_t cut_off = 0;      // tetrahedra of all of these
+    bool finishing = false;  // what is left may be less than the largest of them: it is visited to its end
+  };
+  std::vector<Search> searches_;  // by piece
+  std::uint32_t undecided_ = 0;   // pieces with more than one group, or finishing
+  std::uint32_t pieces_before_ = 1;
+  IdSet changed_;  // tetrahedra to list
+};
+
+}  // namespace incise::core

@@ -1,0 +1,29 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "server/core/cut/cut_config.hpp"
+#include "server/core/session/cut_session.hpp"
+
+namespace incise::core {
+
+// A session as bytes: everything that later revisions depend on, strokes in progress included, so that a restored session gives
+// the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in each
+// class's archive(): a member that lives from one batch to the next belongs there. Raise the version when such a list
+// changes: older bytes are then refused.
+inline constexpr std::uint32_t kSessionStateVersion = 5;
+
+// No batch may wait (advance() says kIdle): what is in the middle of a batch has no bytes. O(mesh).
+std::vector<std::byte> save_session(const CutSession& session);
+
+// Trusts none of the bytes: null, and one line in `error`, where they are not a session with this configuration's policy
+// and a valid mesh. Allocates no more than a small multiple of what they hold. O(mesh).
+std::unique_ptr<CutSession> restore_session(std::span<const std::byte> bytes, const CutConfig& config,
+                                            std::string& error);
+
+}  // namespace incise::core

@@ -1,0 +1,92 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <span>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "server/core/geometry/vec3.hpp"
+
+namespace incise::core {
+
+// Saves or restores members: a class lists in archive(Archive&), beside its other code, the members that later revisions depend
+// on, and the same list writes and reads. What is absent is scratch, a stamp that is only compared with serial numbers still to
+// come, or follows from the rest. Little-endian.
+//
+// An archive that reads trusts none of its bytes: the first demand that is not met is its error, after which values are 0.
+class Archive {
+ public:
+  // Writes.
+  Archive() = default;
+  // Reads.
+  explicit Archive(std::span<const std::byte> bytes) : reads_(true), left_(bytes) {}
+
+  bool reads() const { return reads_; }
+
+  template <class T>
+  requires(std::is_arithmetic_v<T> || std::is_enum_v<T>) void operator()(T& value) {
+    if (!reads_) {
+      if (written_.size() - size_ < sizeof value) written_.resize(2 * written_.size() + 4096);
+      std::memcpy(written_.data() + size_, &value, sizeof value);
+      size_ += sizeof value;
+    } else if (left_.size() < sizeof value) {
+      demand(false, "it ends too early");
+      value = {};
+    } else {
+      std::memcpy(&value, left_.data(), sizeof value);
+      left_ = left_.subspan(sizeof value);
+    }
+  }
+  void operator()(bool& value) {
+    auto byte = static_cast<std::uint8_t>(value);
+    (*this)(byte);
+    demand(byte <= 1, "a flag is neither 0 nor 1");
+    value = byte == 1;
+  }
+  void operator()(Vec3& v) {
+    (*this)(v.x);
+    (*this)(v.y);
+    (*this)(v.z);
+    demand(is_finite(v), "a coordinate is not finite");
+  }
+  // The count, then each element by `element`. `least_bytes`: of one, so that a wrong count allocates nothing.
+  template <class T, class Element>
+  void list(std::vector<T>& values, std::size_t least_bytes, Element element) {
+    std::uint64_t count = values.size();
+    (*this)(count);
+    if (reads_) {
+      demand(count <= left_.size() / least_bytes, "a list is longer than what is left");
+      if (failed()) return;
+      values.clear();
+      values.reserve(count + count / 4 + 64);
+      values.resize(count);
+    }
+    for (T& value : values) element(value);
+  }
+
+  // What is read must be so. What is written is.
+  void demand(bool met, const char* otherwise) {
+    if (!met && reads_ && error_.empty()) error_ = otherwise;
+  }
+  bool failed() const { return !error_.empty(); }
+  const std::string& error() const { return error_; }
+  bool at_end() const { return left_.empty(); }
+
+  std::vector<std::byte> take() {
+    written_.resize(size_);
+    return std::move(written_);
+  }
+
+ private:
+  bool reads_ = false;
+  std::span<const std::byte> left_;
+  std::vector<std::byte> written_;  // longer than what is written
+  std::size_t size_ = 0;            // of what is written
+  std::string error_;
+};
+
+}  // namespace incise::core

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace incise::core {
+
+// Counted work: what a budget is in, so that no clock decides anything. One unit is about the work on one
+// tetrahedron: some 50 ns. server/loop knows what a unit costs on this machine.
+struct WorkBudget {
+  std::int64_t left = 0;
+
+  static WorkBudget unlimited() { return {INT64_MAX}; }
+  bool spent() const { return left <= 0; }
+  void charge(std::int64_t units) { left -= units; }
+};
+
+// Units done and not charged to a budget yet.
+class WorkMeter {
+ public:
+  WorkMeter& operator+=(std::int64_t units) {
+    units_ += units;
+    return *this;
+  }
+  // The same for what is this many times as cheap as one unit.
+  void add(std::size_t count, std::size_t a_unit) { units_ += static_cast<std::int64_t>(count / a_unit); }
+  void charge(WorkBudget& budget) {
+    budget.charge(units_);
+    units_ = 0;
+  }
+
+ private:
+  std::int64_t units_ = 0;
+};
+
+}  // namespace incise::core

@@ -1,0 +1,417 @@
+#include "server/core/session/vertex_mover.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include "server/core/mesh/measure.hpp"
+#include "server/core/mesh/validate.hpp"
+#include "server/core/session/cut_session.hpp"
+#include "server/core/session/session_state.hpp"
+#include "tests/core/test_meshes.hpp"
+
+namespace incise::core {
+namespace {
+
+using testing::PlainModel;
+using testing::Random;
+
+constexpr double kCell = 0.01;
+
+MeshData body() {
+  return testing::shaken_box(8, 6, 6, 1, 0.1, kCell);
+}
+
+CutConfig config(const Vec3& heel = {0, 0, -0.1}, const Vec3& tip = {0, 0, 0.2}) {
+  CutConfig c;
+  c.blade = {heel, tip};
+  return c;
+}
+
+Pose at(std::int64_t t_ms, const Vec3& position, bool engaged = true) {
+  return {t_ms * 1'000'000, position, {}, engaged ? 1u : 0u};
+}
+
+// All vertices of the mesh, where `where` puts them.
+std::shared_ptr<VertexPositions> all(const CutSession& session,
+                                     const std::function<Vec3(VertexId, const Vec3&)>& where) {
+  auto made = std::make_shared<VertexPositions>();
+  made->frame = 7;
+  made->revision = session.revision();
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v)
+    made->positions.push_back(where(v, session.mesh().position(v)));
+  return made;
+}
+
+std::shared_ptr<VertexPositions> some(std::uint64_t revision, std::vector<VertexId> ids,
+                                      std::vector<Vec3> positions) {
+  auto made = std::make_shared<VertexPositions>();
+  made->revision = revision;
+  made->ids = std::move(ids);
+  made->positions = std::move(positions);
+  return made;
+}
+
+// Deltas until nothing waits, `units` of work at a time.
+std::vector<Delta> run_all(CutSession& session, std::int64_t units = INT64_MAX) {
+  std::vector<Delta> deltas;
+  for (;;) {
+    WorkBudget budget{units};
+    Delta delta;
+    const auto progress = session.advance(budget, delta);
+    if (progress == CutSession::Progress::kIdle) return deltas;
+    if (progress == CutSession::Progress::kCommitted) deltas.push_back(std::move(delta));
+  }
+}
+
+Delta deform(CutSession& session, std::shared_ptr<const VertexPositions> positions) {
+  session.deform(std::move(positions));
+  auto deltas = run_all(session);
+  EXPECT_EQ(deltas.size(), 1u);
+  return std::move(deltas.back());
+}
+
+// ---- A step by itself
+
+TEST(VertexMover, AStepIsARevisionWithMovedVertices) {
+  CutSession session(body(), config());
+  PlainModel model(session.mesh());
+  session.deform(all(session, [](VertexId, const Vec3& p) { return p + Vec3{0.001, 0, 0.5 * p.x}; }));
+  EXPECT_TRUE(session.deformation_waits());
+  EXPECT_EQ(session.backlog_batches(), 1u);
+  const auto deltas = run_all(session);
+  ASSERT_EQ(deltas.size(), 1u);
+  const Delta& delta = deltas[0];
+  EXPECT_FALSE(session.deformation_waits());
+  EXPECT_EQ(delta.revision, 1u);
+  EXPECT_EQ(delta.stroke, 0u);
+  EXPECT_EQ(delta.deformation.frame, 7u);
+  EXPECT_EQ(delta.deformation.moved, session.mesh().vertex_slots());
+  EXPECT_EQ(delta.deformation.passed_over, 0u);
+  EXPECT_TRUE(delta.deformation.held.empty());
+  EXPECT_EQ(delta.moved.size(), session.mesh().vertex_slots());
+  EXPECT_TRUE(delta.moved_rest.empty());
+  model.apply(delta);
+  EXPECT_EQ(model.hash(), delta.state_hash);
+  model.expect_equals(session.mesh());
+  EXPECT_EQ(validate(session.mesh()), "");
+  const MeshData rest = body();
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v)
+    ASSERT_EQ(session.mesh().rest_position(v), rest.positions[v]);
+
+  // The same once more: nothing moves, and that is a revision, too.
+  const Delta again = deform(session, all(session, [](VertexId, const Vec3& p) { return p; }));
+  EXPECT_EQ(again.revision, 2u);
+  EXPECT_TRUE(again.moved.empty());
+  EXPECT_EQ(again.state_hash, delta.state_hash);
+}
+
+TEST(VertexMover, WhatIsNoPlaceOrNoVertexChangesNothing) {
+  CutSession session(body(), config());
+  const double nan = std::nan("");
+  const std::uint64_t hash = session.mesh().state_hash();
+  const std::uint32_t n = session.mesh().vertex_slots();
+  const Delta delta = deform(
+      session, some(0, {3, 4, 5, n, n + 9}, {{nan, 0, 0}, {0, INFINITY, 0}, {1e300, 0, 0}, {}, {0, 0, 1}}));
+  EXPECT_EQ(delta.deformation.moved, 0u);
+  EXPECT_EQ(delta.deformation.held, (std::vector<VertexId>{3, 4, 5}));
+  EXPECT_EQ(delta.deformation.passed_over, 2u);
+  EXPECT_EQ(delta.state_hash, hash);
+  // Ids twice or out of order: the later ones count for nothing.
+  const Vec3 near = session.mesh().position(8) + Vec3{0, 0, 1e-4};
+  deform(session, some(0, {8, 8, 2}, {near, {1, 1, 1}, {2, 2, 2}}));
+  EXPECT_EQ(session.mesh().position(8), near);
+  EXPECT_EQ(validate(session.mesh()), "");
+  deform(session, std::make_shared<VertexPositions>());
+  EXPECT_EQ(session.revision(), 3u);
+}
+
+// A vertex that is pushed out of its star goes half the way if that is inside, else it stays; others go.
+TEST(VertexMover, TetrahedraNeverInvert) {
+  CutSession session(testing::box(8, 8, 8, kCell), config());
+  const auto vertex = [](int i, int j, int k) { return static_cast<VertexId>((k * 9 + j) * 9 + i); };
+  const VertexId half = vertex(6, 6, 2), stays = vertex(2, 2, 2), goes = vertex(2, 2, 6);
+  const Vec3 before = session.mesh().position(half);
+  const Delta delta =
+      deform(session, some(0, {stays, half, goes},
+                           {session.mesh().position(stays) + Vec3{0.05, 0, 0}, before + Vec3{0.012, 0, 0},
+                            session.mesh().position(goes) + Vec3{0.003, 0, 0}}));
+  EXPECT_EQ(delta.deformation.held, (std::vector<VertexId>{stays, half}));
+  EXPECT_EQ(delta.deformation.moved, 2u);
+  EXPECT_EQ(session.mesh().position(half), lerp(before, before + Vec3{0.012, 0, 0}, 0.5));
+  EXPECT_EQ(validate(session.mesh()), "");
+
+  // Whatever is sent, of however many vertices: a scramble, a mirror image, a collapse to a point.
+  constexpr std::uint64_t kSeed = 5;
+  Random random(kSeed);
+  for (int round = 0; round < 60; ++round) {
+    const double size = std::pow(10.0, random.uniform(-5, 0));
+    const int kind = round % 4;
+    auto sent = all(session, [&](VertexId, const Vec3& p) {
+      if (kind == 1) return Vec3{-p.x, p.y, p.z};
+      if (kind == 2) return Vec3{0.01, 0.01, 0.01};
+      return p + random.in_box({-size, -size, -size}, {size, size, size});
+    });
+    if (kind == 3) {
+      sent->ids = {random.below(60), 60 + random.below(60)};
+      sent->positions.resize(2);
+    }
+    deform(session, sent);
+    ASSERT_EQ(validate(session.mesh()), "") << "seed " << kSeed << ", round " << round;
+  }
+}
+
+// ---- Among cuts
+
+// A motion of the whole body that bends and sways it, up to a third of an edge a step.
+Vec3 sway(const Vec3& rest, double t) {
+  const double bend = 0.6 * std::sin(t) * rest.x * rest.x / 0.08;
+  return {rest.x + 0.1 * std::sin(0.7 * t) * rest.y, rest.y + 0.01 * std::sin(1.3 * t) + 0.3 * bend,
+          rest.z + bend + 0.1 * std::cos(t) * rest.x};
+}
+
+// The simulation that sends it: it knows where the material of each vertex is at rest.
+std::shared_ptr<VertexPositions> swayed(const CutSession& session, double t) {
+  return all(session, [&](VertexId v, const Vec3&) { return sway(session.mesh().rest_position(v), t); });
+}
+
+// What happens to a session: strokes, and a body that moves between any two poses.
+std::vector<std::function<void(CutSession&)>> happenings(std::uint64_t seed) {
+  std::vector<std::function<void(CutSession&)>> calls;
+  auto random = std::make_shared<Random>(seed);
+  for (int i = 0; i <= 300; ++i) {
+    const double s = i / 300.0, wave = std::sin(9 * s);
+    const Pose pose = at(1 + 4 * i, {-0.02 + 0.12 * s, 0.03 + 0.015 * wave, 0}, i % 110 != 109);
+    const Pose other = at(1 + 4 * i, {0.04 + 0.02 * wave, 0.08 - 0.1 * s, 0});
+    calls.emplace_back([=](CutSession& session) { session.push(0, pose), session.push(1, other); });
+    if (i % 3 == 1) {
+      calls.emplace_back([=](CutSession& session) { session.deform(swayed(session, 0.02 * i)); });
+    }
+    if (i % 17 == 5) {
+      // Wild ones in between, and late ones.
+      const double d = random->uniform(0, 0.02);
+      const std::uint64_t noise = random->next();
+      calls.emplace_back([=](CutSession& session) {
+        Random some_noise(noise);
+        auto sent = all(session, [&](VertexId, const Vec3& p) {
+          return some_noise.below(9) == 0 ? p + some_noise.in_box({-d, -d, -d}, {d, d, d}) : p;
+        });
+        sent->revision = session.revision() - std::min<std::uint64_t>(session.revision(), i % 4);
+        session.deform(sent);
+      });
+    }
+  }
+  calls.emplace_back([](CutSession& session) { session.end_stroke(0), session.end_stroke(1); });
+  return calls;
+}
+
+// The same calls give the same bits with any budget, and in a session that is saved and restored all the time; the mesh
+// is valid after each step, and the deltas say all.
+TEST(VertexMover, CutsInAMovingBodyAreValidAndDeterministic) {
+  for (const std::uint64_t seed : {1u, 2u}) {
+    std::vector<std::uint64_t> hashes;
+    std::size_t deformations = 0, held = 0, passed_over = 0;
+    {
+      CutSession session(body(), config());
+      PlainModel model(session.mesh());
+      for (const auto& call : happenings(seed)) {
+        call(session);
+        for (const Delta& delta : run_all(session)) {
+          hashes.push_back(delta.state_hash);
+          model.apply(delta);
+          ASSERT_EQ(model.hash(), delta.state_hash) << "seed " << seed << ", revision " << delta.revision;
+          if (delta.stroke != 0) {
+            ASSERT_EQ(delta.moved_rest.size(), session.mesh().deformed() ? delta.moved.size() : 0);
+            continue;
+          }
+          ++deformations;
+          held += delta.deformation.held.size();
+          passed_over += delta.deformation.passed_over;
+        }
+        ASSERT_EQ(validate(session.mesh()), "") << "seed " << seed << ", revision " << session.revision();
+      }
+      model.expect_equals(session.mesh());
+      EXPECT_GT(measure(session.mesh()).cut_faces, 100u);
+    }
+    EXPECT_GT(deformations, 100u);
+    EXPECT_GT(held, 500u);
+    EXPECT_GT(passed_over, 10u);
+    auto session = std::make_unique<CutSession>(body(), config());
+    std::vector<std::uint64_t> again;
+    int calls = 0;
+    for (const auto& call : happenings(seed)) {
+      call(*session);
+      for (const Delta& delta : run_all(*session, 1 + calls % 40)) again.push_back(delta.state_hash);
+      if (++calls % 11 != 0) continue;
+      std::string error;
+      session = restore_session(save_session(*session), session->config(), error);
+      ASSERT_TRUE(session) << error;
+    }
+    EXPECT_EQ(again, hashes) << "seed " << seed;
+  }
+}
+
+// A blade that goes right through separates a body that moves while it is cut: none of it slips past the blade. It moves when
+// the blade is in: tissue that comes over the blade's line from ahead where the blade has yet to enter is cut by nobody. What sways
+// back over the cut may be cut off a second time.
+TEST(VertexMover, AThroughCutSeparatesAMovingBody) {
+  constexpr std::uint64_t kSeed = 11;
+  constexpr int kIn = 20;
+  Random random(kSeed);
+  int with_crumbs = 0;
+  for (int round = 0; round < 60; ++round) {
+    CutSession session(body(), config());
+    const double y = random.uniform(0.02, 0.04), phase = random.uniform(0, 6), rate = random.uniform(0, 0.15);
+    for (int i = 0; i <= 60; ++i) {
+      if (round > 0) session.deform(swayed(session, phase + rate * std::max(i - kIn, 0)));
+      if (i == 0) run_all(session);
+      session.push(0, at(1 + 8 * i, {-0.04 + 0.17 * i / 60, y + 0.0002 * i, 0}));
+      run_all(session);
+    }
+    session.end_stroke(0);
+    run_all(session);
+    std::uint32_t count = 0;
+    const auto pieces = label_pieces(session.mesh(), &count);
+    std::vector<std::uint32_t> sizes(count, 0);
+    for (const std::uint32_t piece : pieces) {
+      if (piece != kNone) ++sizes[piece];
+    }
+    ASSERT_GE(count, 2u) << "seed " << kSeed << ", round " << round;
+    // Two bodies, and crumbs at most.
+    std::ranges::sort(sizes, std::greater<>());
+    EXPECT_GE(20 * (sizes[0] + sizes[1]), 19 * session.mesh().live_tets());
+    with_crumbs += count > 2;
+    EXPECT_EQ(validate(session.mesh()), "");
+  }
+  EXPECT_LE(with_crumbs, 6);
+}
+
+// A blade that stands in moving tissue cuts nothing and holds what it is in; when it leaves, that is free.
+TEST(VertexMover, TissueClingsToABladeThatStands) {
+  CutSession session(body(), config());
+  for (int i = 0; i <= 20; ++i) session.push(0, at(1 + 8 * i, {-0.01 + 0.05 * i / 20, 0.03, 0}));
+  run_all(session);
+  ASSERT_TRUE(session.in_stroke(0));
+  const std::uint32_t faces = measure(session.mesh()).cut_faces;
+  ASSERT_GT(faces, 10u);
+  std::vector<VertexId> held;
+  for (int i = 1; i <= 30; ++i) {
+    const Delta delta = deform(session, all(session, [](VertexId, const Vec3& p) {
+                                 return p + Vec3{0, 1e-4, 0};
+                               }));
+    EXPECT_TRUE(i == 1 || delta.deformation.held == held) << i;
+    held = delta.deformation.held;
+    ASSERT_GT(held.size(), 10u);
+    ASSERT_LT(held.size(), session.mesh().vertex_slots() / 2);
+    session.push(0, at(1 + 8 * (20 + i), {0.04, 0.03, 0}));
+  }
+  EXPECT_EQ(measure(session.mesh()).cut_faces, faces);
+  EXPECT_EQ(validate(session.mesh()), "");
+  session.end_stroke(0);
+  run_all(session);
+  const Delta after = deform(session, all(session, [](VertexId, const Vec3& p) {
+                               return p + Vec3{0, 1e-4, 0};
+                             }));
+  EXPECT_TRUE(after.deformation.held.empty());
+}
+
+// Positions of before a cut move what the cut has not touched.
+TEST(VertexMover, VerticesThatWereCutSinceKeepTheirPlaces) {
+  CutSession session(body(), config());
+  for (int i = 0; i <= 50; ++i) session.push(0, at(1 + 8 * i, {-0.02 + 0.12 * i / 50, 0.03, 0}, i < 50));
+  std::vector<bool> touched(session.mesh().vertex_slots(), false);
+  for (const Delta& delta : run_all(session)) {
+    for (const VertexId v : delta.moved) touched[v] = true;
+  }
+  const std::uint32_t before = static_cast<std::uint32_t>(touched.size()),
+                      now = session.mesh().vertex_slots();
+  ASSERT_GT(now, before);
+  std::vector<Vec3> places;
+  for (VertexId v = 0; v < now; ++v) places.push_back(session.mesh().position(v));
+  auto late = all(session, [](VertexId, const Vec3& p) { return p + Vec3{1e-4, 0, 0}; });
+  late->revision = 0;
+  const Delta delta = deform(session, late);
+  EXPECT_EQ(delta.deformation.passed_over + delta.deformation.moved, now);
+  for (VertexId v = 0; v < now; ++v) {
+    const bool moves = v < before && !touched[v] && session.mesh().vertex_tet(v) != kNone;
+    const Vec3 expected = moves ? places[v] + Vec3{1e-4, 0, 0} : places[v];
+    EXPECT_EQ(session.mesh().position(v), expected) << v;
+  }
+}
+
+// In a body that is deformed by one matrix all over, rest positions follow from places by its inverse, whatever a cut
+// has moved and made.
+TEST(VertexMover, RestPositionsAreThoseOfTheMaterial) {
+  const auto deformed = [](const Vec3& p) {
+    return Vec3{1.1 * p.x + 0.3 * p.y + 1, p.y + 0.2 * p.z, 0.9 * p.z - 0.1 * p.x};
+  };
+  CutSession session(body(), config());
+  for (int i = 1; i <= 10; ++i) {  // in steps, so that none inverts anything
+    deform(session, all(session, [&](VertexId v, const Vec3&) {
+             const Vec3 rest = session.mesh().rest_position(v);
+             return lerp(rest, deformed(rest), 0.1 * i);
+           }));
+  }
+  for (int i = 0; i <= 80; ++i) {
+    const double s = i / 80.0;
+    session.push(0, at(1 + 8 * i, deformed({-0.02 + 0.12 * s, 0.03 + 0.01 * std::sin(9 * s), 0}), i < 80));
+  }
+  std::size_t moved = 0, added = 0;
+  for (const Delta& delta : run_all(session)) {
+    ASSERT_EQ(delta.moved_rest.size(), delta.moved.size());
+    ASSERT_EQ(delta.added_rest.size(), delta.added_positions.size());
+    moved += delta.moved.size();
+    added += delta.added_positions.size();
+  }
+  EXPECT_GT(moved, 30u);
+  EXPECT_GT(added, 30u);
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v) {
+    EXPECT_LT(distance(deformed(session.mesh().rest_position(v)), session.mesh().position(v)), 1e-12) << v;
+  }
+}
+
+// ---- The grid
+
+// A body that has gone far away, out of the grid that it was loaded with, is found where it is.
+TEST(VertexMover, ABodyIsFoundWhereItWent) {
+  constexpr std::uint64_t kSeed = 3;
+  Random random(kSeed);
+  CutSession session(body(), config());
+  const Vec3 step = 0.004 * random.direction();
+  Vec3 gone{};
+  for (int i = 0; i < 200; ++i) {
+    gone += step;
+    deform(session, all(session, [&](VertexId v, const Vec3&) {
+             return sway(session.mesh().rest_position(v), 0.05 * i) + gone;
+           }));
+    if (i % 20 != 19) continue;
+    const TetMesh& mesh = session.mesh();
+    int inside = 0;
+    for (int k = 0; k < 50; ++k) {
+      const auto t = static_cast<TetId>(random.below(mesh.tet_slots()));
+      const TetId found = session.boundary().locate(mesh, mesh.barycentre(t));
+      inside += found == t;
+    }
+    EXPECT_EQ(inside, 50) << "seed " << kSeed << ", step " << i;
+    // Every boundary tetrahedron is listed in the cells of each of its corners.
+    for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+      if (mesh.boundary_mask(t) == 0) continue;
+      for (const VertexId v : mesh.vertices(t)) {
+        bool listed = false;
+        session.boundary().visit_box(mesh.position(v), mesh.position(v), [&](TetId n) { listed |= n == t; });
+        ASSERT_TRUE(listed) << "tetrahedron " << t << ", step " << i;
+      }
+    }
+  }
+  EXPECT_LT(session.boundary().entries(), 400'000u);
+  for (int i = 0; i <= 50; ++i) {
+    session.push(0, at(1 + 8 * i, gone + Vec3{-0.04 + 0.17 * i / 50, 0.03, 0}, i < 50));
+  }
+  run_all(session);
+  EXPECT_EQ(measure(session.mesh()).pieces, 2u);
+}
+
+}  // namespace
+}  // namespace incise::core
