@@ -186,6 +186,22 @@ TEST(PieceTracker, ThePartThatIsVisitedLastIsNotTakenForTheLargest) {
   }
 }
 
+// Clusters whose tetrahedra have been split, without a cut: a later search still passes through them.
+TEST(PieceTracker, ASearchPassesWhatEarlierStepsHaveSplit) {
+  for (int from = 1; from <= 5; ++from) {
+    SCOPED_TRACE(from);
+    Body body(box(18, 3, 3));
+    for (TetId t = 0, slots = body.mesh().tet_slots(); t < slots; ++t) {
+      const double x = body.mesh().barycentre(t).x;
+      if (x > from && x < from + 1) body.split_an_edge_of(t);
+    }
+    body.commit();
+    body.open_plane(0, 7);
+    body.commit();
+    EXPECT_EQ(body.sizes().size(), 2u);
+  }
+}
+
 TEST(PieceTracker, RandomCutsAgreeWithAWalkThroughTheMesh) {
   for (std::uint64_t seed = 1; seed <= 60; ++seed) {
     SCOPED_TRACE(::testing::Message() << "seed " << seed);
