@@ -195,6 +195,23 @@ test("a face without another side is what its neighbours in the same wall are", 
   assert.ok(faces.cut.every((slot) => sides[slot] !== kUnknown));
 });
 
+test("in a deformed body, where the gap stands open, the shape of its walls tells them from a parted face", () => {
+  const box = crossedBox();
+  for (const triangle of box.triangles)
+    triangle.low = normalY(box, triangle) > 0 || triangle.v.some((v) => box.vertices[v][1] < 3);
+  const low = new Set(box.triangles.filter((t) => t.low).flatMap((t) => t.v));
+  box.vertices.forEach((p, v) => {
+    if (p[1] === 3 && p[2] > 2) p[1] += (low.has(v) ? -0.4 : 0.4) * (p[2] - 2);
+    if (v >= box.vertices.length - 35) p[0] += 3; // the other piece has moved away
+  });
+  const surface = filled(box);
+  const faces = measureFaces(surface);
+  const sides = sidesOf(surface, faces);
+  const count = [0, 0, 0];
+  for (const slot of faces.cut) ++count[sides[slot]];
+  assert.deepEqual(count, [0, 48, 96]);
+});
+
 function normalY({ vertices }, { v: [a, b, c] }) {
   const [ux, , uz] = vertices[b].map((x, k) => x - vertices[a][k]);
   const [vx, , vz] = vertices[c].map((x, k) => x - vertices[a][k]);
