@@ -195,6 +195,29 @@ test("a face without another side is what its neighbours in the same wall are", 
   assert.ok(faces.cut.every((slot) => sides[slot] !== kUnknown));
 });
 
+test("in a deformed body, where the gap stands open, the shape of its walls tells them from a parted face", () => {
+  const box = crossedBox();
+  for (const triangle of box.triangles)
+    triangle.low = normalY(box, triangle) > 0 || triangle.v.some((v) => box.vertices[v][1] < 3);
+  const low = new Set(box.triangles.filter((t) => t.low).flatMap((t) => t.v));
+  box.vertices.forEach((p, v) => {
+    if (p[1] === 3 && p[2] > 2) p[1] += (low.has(v) ? -0.4 : 0.4) * (p[2] - 2);
+    if (v >= box.vertices.length - 35) p[0] += 3; // the other piece has moved away
+  });
+  const surface = filled(box);
+  const faces = measureFaces(surface);
+  const sides = sidesOf(surface, faces);
+  const count = [0, 0, 0];
+  for (const slot of faces.cut) ++count[sides[slot]];
+  assert.deepEqual(count, [0, 48, 96]);
+});
+
+function normalY({ vertices }, { v: [a, b, c] }) {
+  const [ux, , uz] = vertices[b].map((x, k) => x - vertices[a][k]);
+  const [vx, , vz] = vertices[c].map((x, k) => x - vertices[a][k]);
+  return uz * vx - ux * vz;
+}
+
 function opened(box) {
   const surface = filled(box);
   const out = { lips: new Float32Array(0), pieces: new Float32Array(0), cutArea_m2: 0 };
@@ -216,6 +239,16 @@ test("a slit's lips go apart, its front stays, and a parted face stays plane", (
   assert.equal(top.length, 2);
   assert.ok(top[0] < -0.1 && top[1] > 0.1, `${top}`);
   near(top[0], -top[1], 0.05);
+  // Each away from the other: the side at smaller y moves to smaller y.
+  const lower = box.triangles.find(
+    (t) =>
+      t.cut &&
+      t.v.every((v) => box.vertices[v][1] === 3) &&
+      normalY(box, t) > 0 &&
+      t.v.some((v) => box.vertices[v][2] === 4),
+  );
+  const lip = lower.v.find((v) => box.vertices[v][2] === 4);
+  assert.ok(out.lips[3 * lip + 1] < 0);
   for (const d of at((x, y, z) => y === 3 && z === 2 && x > 0 && x < 6))
     assert.ok(Math.hypot(...d) < 0.01, `the front moves by ${d}`);
   for (const d of at((x) => x === 6)) assert.ok(Math.abs(d[0]) < 0.05 * top[1], `a parted face moves by ${d}`);
@@ -318,10 +351,10 @@ test("a plane crosses triangles along segments, and knows which are of a cut", (
     isCut: (slot) => slot === 2,
   };
   const seen = [];
-  crossings(triangles, [0, 0, 1, 1], (segment, cut) => seen.push({ ends: [...segment], cut }));
+  crossings(triangles, [0, 0, 1, 0.5], (segment, cut) => seen.push({ ends: [...segment], cut }));
   assert.deepEqual(seen, [
-    { ends: [0.5, 0, 1, 0, 0, 1], cut: false },
-    { ends: [0.5, 0, 1, 0, 0, 1], cut: true },
+    { ends: [0.75, 0, 0.5, 0, 0, 0.5], cut: false },
+    { ends: [0.75, 0, 0.5, 0, 0, 0.5], cut: true },
   ]);
 });
 

@@ -71,6 +71,7 @@ const {
   Welcome,
   Hello,
   PoseBatch,
+  SurfaceDelta,
   BladeEdge,
 } = await load(
   "link",
@@ -87,6 +88,7 @@ const {
   "wire/incise/wire/error-code",
   "wire/incise/wire/welcome",
   "wire/incise/wire/hello",
+  "wire/incise/wire/surface-delta",
   "wire/incise/wire/pose-batch",
   "wire/incise/wire/blade-edge",
 ).then(async (all) => ({
@@ -240,11 +242,10 @@ test("each pause before a try is longer, up to a bound", () => {
 
 // ---- The viewer ----
 
-function view() {
+function view(blade = { owns: () => false }) {
   sockets.length = 0;
   clock.timers.clear();
   const said = [];
-  const blade = { owns: (source) => source === 5 };
   const viewer = new Viewer(blade, (m) => said.push(m));
   viewer.connect("ws://here", "");
   sockets[0].open();
@@ -282,6 +283,55 @@ test("the viewer shows the protocol's example to the page", () => {
   assert.equal(patch.progress.revision, 1);
   assert.equal(patch.progress.deltas, 1);
   assert.equal(patch.progress.hashAgrees, true);
+});
+
+/** What the page is sent of the protocol's example, whose two steps are of source 2. */
+function shown({ own = false, replaying = false, offset_ns = 0n, spoil = () => {} } = {}) {
+  const { viewer, said } = view({ owns: (source) => own && source === 2 });
+  for (const bytes of surfaceStream()) {
+    const message = Message.getRootAsMessage(new ByteBuffer(bytes));
+    if (message.bodyType() === Body.SurfaceDelta) spoil(message.body(new SurfaceDelta()));
+    sockets[0].receive(bytes);
+    viewer.replaying = replaying;
+    viewer.link.clockOffset_ns = offset_ns;
+  }
+  const patch = said.find((m) => m.kind === "patch");
+  return { said, patch, step: patch?.steps[0] };
+}
+
+test("a step is passed on with its area, and as one's own where it is", () => {
+  const { step } = shown();
+  assert.deepEqual([step.source, step.own, step.ended], [2, false, false]);
+  assert.ok(step.cutArea_m2 > 8e-5);
+  assert.equal(shown({ own: true }).step.own, true);
+  assert.equal(shown({ own: true, replaying: true }).step.own, false);
+});
+
+test("a pose is as old as its arrival says, one's own as its own clock says, where that is earlier", () => {
+  assert.equal(shown().patch.posed_ms, 77_000);
+  assert.equal(shown({ offset_ns: 70_000_000_000n }).patch.posed_ms, 7000);
+  assert.equal(shown({ own: true }).patch.posed_ms, 1004);
+  assert.equal(shown({ own: true, offset_ns: 76_500_000_000n }).patch.posed_ms, 500);
+  assert.equal(shown({ replaying: true }).patch.posed_ms, 0);
+});
+
+test("a step without a stroke is a simulation's, and is said once", () => {
+  const { said, patch } = shown({
+    spoil: (delta) => {
+      const step = delta.steps(0);
+      step.bb.writeInt32(step.bb_pos + step.bb.__offset(step.bb_pos, 8), 0);
+    },
+  });
+  assert.equal(said.filter((m) => m.kind === "deforms").length, 1);
+  assert.deepEqual(patch.steps, []);
+  assert.equal(patch.posed_ms, 0);
+});
+
+test("a state that differs is said to, and asked for again", () => {
+  const { said } = shown({ spoil: (delta) => (delta.vertices().positionsArray()[0] += 1) });
+  assert.equal(said.filter((m) => m.kind === "differs").length, 1);
+  assert.ok(sentKinds(sockets[0]).includes(Body.Resync));
+  assert.equal(shown().said.filter((m) => m.kind === "differs").length, 0);
 });
 
 test("a replay ends with its connection", () => {
