@@ -2,27 +2,22 @@
 
 #include <array>
 #include <boost/asio/as_tuple.hpp>
-#include <boost/asio/connect.hpp>
-#include <boost/asio/ip/tcp.hpp>
-#include <boost/asio/ssl.hpp>
+#include <boost/asio/error.hpp>
+#include <boost/asio/ssl/host_name_verification.hpp>
 #include <boost/asio/this_coro.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/asio/write.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/ssl.hpp>
-#include <boost/beast/websocket.hpp>
-#include <boost/beast/websocket/ssl.hpp>
+#include <boost/beast/http/error.hpp>
+
+#include "protocol/net/web_socket.hpp"
 
 namespace incise::client {
 namespace {
 
 namespace beast = boost::beast;
 namespace ssl = asio::ssl;
-namespace websocket = beast::websocket;
-using asio::ip::tcp;
 using boost::system::error_code;
-using TcpStream = beast::tcp_stream;
-using TlsStream = ssl::stream<TcpStream>;
+using net::NetStream;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
 // Keeps what a TLS stream refers to.
@@ -30,10 +25,9 @@ struct TlsContext {
   ssl::context context{ssl::context::tls_client};
 };
 
-template <class Stream>
 class TcpLink final : public Link {
  public:
-  TcpLink(Stream stream, std::shared_ptr<TlsContext> tls)
+  TcpLink(NetStream stream, std::shared_ptr<TlsContext> tls)
       : tls_(std::move(tls)), stream_(std::move(stream)) {}
 
   asio::awaitable<Received> read() override {
@@ -54,82 +48,58 @@ class TcpLink final : public Link {
     co_return ec;
   }
 
-  void close() override {
-    error_code ignored;
-    auto& socket = beast::get_lowest_layer(stream_).socket();
-    socket.shutdown(tcp::socket::shutdown_both, ignored);
-    socket.close(ignored);
-  }
+  void close() override { stream_.close(); }
 
  private:
   std::shared_ptr<TlsContext> tls_;
-  Stream stream_;
+  NetStream stream_;
   protocol::FrameReader reader_;
   std::array<std::byte, 65536> buffer_;
   std::span<const std::byte> input_;
 };
 
-template <class Stream>
 class WebSocketLink final : public Link {
  public:
-  WebSocketLink(Stream stream, std::shared_ptr<TlsContext> tls)
-      : tls_(std::move(tls)), stream_(std::move(stream)) {
-    stream_.binary(true);
-    stream_.auto_fragment(false);
-    stream_.read_message_max(protocol::kMaxMessageBytes);
+  WebSocketLink(NetStream stream, std::shared_ptr<TlsContext> tls)
+      : tls_(std::move(tls)), socket_(std::move(stream)) {
+    socket_.set_max_bytes(protocol::kMaxMessageBytes);
   }
 
   asio::awaitable<error_code> shake_hands(std::string host) {
-    const auto [ec] = co_await stream_.async_handshake(host, "/ws", kTuple);
-    co_return ec;
-  }
-  void expires_never() {
-    beast::get_lowest_layer(stream_).expires_never();
-    stream_.set_option(websocket::stream_base::timeout{websocket::stream_base::none(),
-                                                       websocket::stream_base::none(), false});
+    const error_code error = co_await socket_.shake_hands(std::move(host), "/ws");
+    if (!error) socket_.stream().tcp().expires_never();
+    co_return error;
   }
 
   asio::awaitable<Received> read() override {
-    buffer_.consume(buffer_.size());
-    const auto [ec, n] = co_await stream_.async_read(buffer_, kTuple);
-    if (ec) co_return Received::end(ec.message());
-    const auto data = buffer_.cdata();
-    co_return Received::message({static_cast<const std::byte*>(data.data()), data.size()});
+    const error_code error = co_await socket_.read();
+    co_return error ? Received::end(error.message()) : Received::message(socket_.message());
   }
 
   asio::awaitable<error_code> write(const protocol::Frame& frame) override {
-    const auto bytes = frame.body();
-    const auto [ec, n] = co_await stream_.async_write(asio::buffer(bytes.data(), bytes.size()), kTuple);
-    co_return ec;
+    return socket_.write(frame.body());
   }
 
-  void close() override {
-    error_code ignored;
-    auto& socket = beast::get_lowest_layer(stream_).socket();
-    socket.shutdown(tcp::socket::shutdown_both, ignored);
-    socket.close(ignored);
-  }
+  void close() override { socket_.stream().close(); }
 
  private:
   std::shared_ptr<TlsContext> tls_;
-  websocket::stream<Stream> stream_;
-  beast::flat_buffer buffer_;
+  net::WebSocket socket_;
 };
 
 [[noreturn]] void fail(const std::string& host, std::uint16_t port, const std::string& what) {
   throw ConnectError(host + ":" + std::to_string(port) + ": " + what);
 }
 
-template <class Stream>
-asio::awaitable<std::unique_ptr<Link>> finish(Stream stream, std::shared_ptr<TlsContext> tls,
+asio::awaitable<std::unique_ptr<Link>> finish(NetStream stream, std::shared_ptr<TlsContext> tls,
                                               const std::string& host, std::uint16_t port,
                                               TransportKind kind) {
   if (kind == TransportKind::kTcp) {
-    beast::get_lowest_layer(stream).expires_never();
-    co_return std::make_unique<TcpLink<Stream>>(std::move(stream), std::move(tls));
+    stream.tcp().expires_never();
+    co_return std::make_unique<TcpLink>(std::move(stream), std::move(tls));
   }
   const bool tls_used = tls != nullptr;
-  auto link = std::make_unique<WebSocketLink<Stream>>(std::move(stream), std::move(tls));
+  auto link = std::make_unique<WebSocketLink>(std::move(stream), std::move(tls));
   const bool literal_v6 = host.find(':') != std::string::npos;
   const std::string name = (literal_v6 ? "[" + host + "]" : host) + ":" + std::to_string(port);
   const error_code ec = co_await link->shake_hands(name);
@@ -137,7 +107,6 @@ asio::awaitable<std::unique_ptr<Link>> finish(Stream stream, std::shared_ptr<Tls
     const bool silent = ec == beast::http::error::end_of_stream || ec == asio::error::eof;
     fail(host, port, "no WebSocket there: " + (silent && !tls_used ? std::string(kMaybeTls) : ec.message()));
   }
-  link->expires_never();
   co_return link;
 }
 
@@ -172,24 +141,20 @@ std::string tls_failure(const error_code& ec, SSL* connection, const std::string
 
 asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t port, const Options& options,
                                                  std::chrono::steady_clock::time_point deadline) {
-  const auto executor = co_await asio::this_coro::executor;
-  tcp::resolver resolver(executor);
-  const auto [resolve_error, endpoints] = co_await resolver.async_resolve(host, std::to_string(port), kTuple);
-  if (resolve_error) fail(host, port, resolve_error.message());
-  TcpStream stream(executor);
-  stream.expires_at(deadline);
-  const auto [connect_error, endpoint] = co_await stream.async_connect(endpoints, kTuple);
+  NetStream::Tcp tcp(co_await asio::this_coro::executor);
+  tcp.expires_at(deadline);
+  const error_code connect_error = co_await net::connect(tcp, host, std::to_string(port));
   if (connect_error) fail(host, port, connect_error.message());
-  error_code ignored;
-  stream.socket().set_option(tcp::no_delay(true), ignored);
-  if (!options.tls) co_return co_await finish(std::move(stream), nullptr, host, port, options.transport);
-
+  if (!options.tls) {
+    co_return co_await finish(NetStream(std::move(tcp)), nullptr, host, port, options.transport);
+  }
   auto tls = make_tls(host, port, options);
-  TlsStream secured(std::move(stream), tls->context);
-  SSL_set_tlsext_host_name(secured.native_handle(), host.c_str());
-  secured.set_verify_callback(ssl::host_name_verification(host));
-  const auto [tls_error] = co_await secured.async_handshake(ssl::stream_base::client, kTuple);
-  if (tls_error) fail(host, port, tls_failure(tls_error, secured.native_handle(), host));
+  NetStream secured(std::move(tcp), tls->context);
+  SSL* const connection = secured.tls()->native_handle();
+  SSL_set_tlsext_host_name(connection, host.c_str());
+  secured.tls()->set_verify_callback(ssl::host_name_verification(host));
+  const error_code tls_error = co_await secured.secure(ssl::stream_base::client);
+  if (tls_error) fail(host, port, tls_failure(tls_error, connection, host));
   co_return co_await finish(std::move(secured), std::move(tls), host, port, options.transport);
 }
 

@@ -50,14 +50,14 @@ file(WRITE ${CMAKE_BINARY_DIR}/install/70-incise-devices.rules "${rules}")
 install(FILES ${CMAKE_BINARY_DIR}/install/70-incise-devices.rules DESTINATION lib/udev/rules.d COMPONENT incised)
 
 # --- Libraries
-foreach(part core protocol client)
+foreach(part core protocol net client)
   set_target_properties(incise_${part} PROPERTIES EXPORT_NAME ${part})
   target_compile_features(incise_${part} PUBLIC cxx_std_20)
   target_include_directories(incise_${part} INTERFACE $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/incise>)
   # The linker may keep a user's copy of our inline arithmetic: it must round as ours does.
   target_compile_options(incise_${part} INTERFACE $<INSTALL_INTERFACE:-ffp-contract=off>)
 endforeach()
-install(TARGETS incise_core incise_protocol incise_client EXPORT incise ARCHIVE COMPONENT dev)
+install(TARGETS incise_core incise_protocol incise_net incise_client EXPORT incise ARCHIVE COMPONENT dev)
 install(EXPORT incise NAMESPACE incise:: DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/incise FILE inciseTargets.cmake COMPONENT dev)
 file(WRITE ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake
   "include(CMakeFindDependencyMacro)\nfind_dependency(Threads)\nfind_dependency(OpenSSL)\n"

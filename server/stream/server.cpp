@@ -149,7 +149,7 @@ struct Server::Impl {
     NetStream stream(std::move(tcp), *tls);
     stream.tcp().expires_after(
         std::chrono::milliseconds(static_cast<std::int64_t>(config.handshake_timeout_s * 1000)));
-    const auto [ec] = co_await stream.tls()->async_handshake(asio::ssl::stream_base::server, kTuple);
+    const error_code ec = co_await stream.secure(asio::ssl::stream_base::server);
     if (ec) co_return std::nullopt;
     co_return std::move(stream);
   }

@@ -2,9 +2,6 @@
 
 #include <boost/asio/any_io_executor.hpp>
 #include <boost/asio/awaitable.hpp>
-#include <boost/asio/ip/tcp.hpp>
-#include <boost/beast/http/message.hpp>
-#include <boost/beast/http/string_body.hpp>
 #include <cstddef>
 #include <functional>
 #include <memory>
@@ -12,12 +9,14 @@
 #include <string>
 #include <utility>
 
+#include "protocol/net/web_socket.hpp"
 #include "server/stream/mirror.hpp"
-#include "server/stream/net_stream.hpp"
 
 namespace incise::stream {
 
-using HttpRequest = boost::beast::http::request<boost::beast::http::string_body>;
+namespace asio = boost::asio;
+using net::HttpRequest;
+using net::NetStream;
 
 // One message a peer sent, or why no more will come.
 struct Received {

@@ -7,7 +7,7 @@ set -euo pipefail
 source_dir="$(cd "$(dirname "$0")/../.." && pwd)"
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
-mkdir "$work/config" "$work/stand_ins"
+mkdir -p "$work/config" "$work/stand_ins" "$work/tests/dev"
 cp "$source_dir/dev" "$source_dir/CMakePresets.json" "$work/"
 cp "$source_dir/config/packages.txt" "$work/config/"
 
@@ -49,7 +49,8 @@ all_packages="$(sed 's/[ #].*//; /^\[/d; /^$/d' "$work/config/packages.txt" | so
 installed() { # PACKAGES, one a line: what dpkg-query reports
   stand_in dpkg-query "printf 'installed %s, \n' $(tr '\n' ' ' <<< "$1")"
 }
-stand_in cmake 'echo "cmake $*" >> "$CALLS"'
+stand_in cmake 'echo "cmake $*" >> "$CALLS"; if [[ $* == *" -- -n" ]]; then echo "[1/${STEPS:-1}] a.cpp"; fi'
+stand_in nproc 'echo 2'
 stand_in ctest 'echo "ctest $*" >> "$CALLS"; printf "    Start 1: core\n1/1 Test #1: core ...   Passed    0.01 sec\n\n100%% tests passed, 0 tests failed out of 1\n"; exit "${CTEST_STATUS:-0}"'
 stand_in apt-get 'echo "apt-get $*" >> "$CALLS"; exit "${APT_STATUS:-0}"'
 stand_in sudo 'exec "$@"'
@@ -74,6 +75,12 @@ expect 0 '' build
 expect_call 'cmake --preset release'
 expect_call "cmake --build $work/build/release"
 expect_no_call apt-get
+STEPS=300 expect 0 'building 300 files, about ' build
+STEPS=300 expect 0 ' min on 2 cores' build
+if STEPS=3 "$work/dev" build | grep -q 'building'; then
+  echo 'dev build announces what takes no time'
+  failures=$((failures + 1))
+fi
 expect 0 '100% tests passed, 0 tests failed out of 1' test asan -R core
 expect_call "cmake --build $work/build/asan"
 expect_call "ctest --test-dir $work/build/asan --output-on-failure"
@@ -84,6 +91,30 @@ if "$work/dev" test | grep -q 'Test *#1'; then
 fi
 CTEST_STATUS=8 expect 8 '' test
 INCISE_DATA='' expect 0 'INCISE_DATA is not set' test
+
+# The check: every step runs, what fails is named, and only C++ files that differ are linted.
+cp "$source_dir/tests/dev/check.sh" "$work/tests/dev/"
+echo pass > "$work/tests/dev/include_rules.py"
+for tool in clang-format-14 clang-tidy-14; do stand_in "$tool" "echo \"$tool \$*\" >> \"\$CALLS\"; exit \"\${TIDY_STATUS:-0}\""; done
+expect 0 'check passed (0 changed C++ files): include rules' check
+expect_call 'cmake --build build/clang --target incise'
+expect_call 'ctest --test-dir build/clang --output-on-failure --no-tests=error -j 2 -L ^replay$'
+expect_call '--test-dir build/asan'
+expect_no_call clang-tidy
+CTEST_STATUS=8 expect 1 'check found faults: golden hashes, g++ (see ' check
+expect_call '--test-dir build/asan'
+expect 2 "there is no commit 'nowhere'" check nowhere
+(
+  cd "$work"
+  echo 'int same;' > same.cpp
+  git init -q . && git add same.cpp
+  git -c user.name=t -c user.email=t@example.invalid -c commit.gpgsign=false commit -q -m one
+  echo 'int new_one;' > new.cpp
+)
+expect 0 'check passed (1 changed C++ files)' check HEAD
+expect_call 'clang-format-14 --dry-run -Werror new.cpp'
+expect_call 'clang-tidy-14 --quiet -p build/lint new.cpp'
+TIDY_STATUS=1 expect 1 'check found faults: layout (see ' check HEAD
 
 # Only what is missing is installed, and only for the command at hand.
 installed "$(grep -vxE 'ccache|clang|chromium' <<< "$all_packages")"

@@ -16,6 +16,7 @@ BASE = "server/base"  # of the standard library only
 CHECK = "server/base/check.hpp"
 STATE_HASH = "protocol/state_hash.hpp"
 TET_FACES = "protocol/tet_faces.hpp"
+NET = "protocol/net"  # connections; the only part of protocol that needs Asio
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
@@ -23,14 +24,15 @@ RULES = {
     BASE: [],
     "server/core": [CHECK, STATE_HASH, TET_FACES],  # and no clock
     "server/mesh_io": [BASE, "server/core"],
-    "server/input": [BASE, "server/core", "protocol", FORCE_SLOT],
+    "server/input": [BASE, "server/core", "protocol", NET, FORCE_SLOT],
     "server/haptics": [BASE, "server/core"],
     "server/loop": [BASE, "server/core", "server/input", "server/haptics", "protocol", PUBLISHED_DELTA],
-    "server/stream": [BASE, "protocol"] + DELTA,
+    "server/stream": [BASE, "protocol", NET] + DELTA,
     "server/app": ["server", "client", "protocol"],
     "protocol": [BASE],
-    "client": [BASE, "protocol"],
-    "tests": ["server", "client", "protocol"],
+    NET: [],
+    "client": [BASE, "protocol", NET],
+    "tests": ["server", "client", "protocol", NET],
 }
 
 # The C++20 library, less what the core must not have: threads, clocks, files and streams, random numbers, and
@@ -45,7 +47,7 @@ CORE_LIBRARY = set(
 # Libraries that only these parts may include, by the beginning of the header's name.
 ONLY_IN = {
     "tetgen.h": ["server/mesh_io/tetgen_child"],  # AGPL: in an executable of its own, linked with nothing else of ours
-    "boost/": ["server/input", "server/stream", "server/app", "client", "tests"],
+    "boost/": [NET, "server/input", "server/stream", "server/app", "client", "tests"],
     "hidapi": ["server/input", "tests"],
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
     "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],

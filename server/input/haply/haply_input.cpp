@@ -7,19 +7,17 @@
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/detached.hpp>
 #include <boost/asio/io_context.hpp>
-#include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/asio/use_awaitable.hpp>
-#include <boost/beast/core/flat_buffer.hpp>
-#include <boost/beast/core/tcp_stream.hpp>
-#include <boost/beast/websocket.hpp>
+#include <boost/beast/core/error.hpp>
 #include <chrono>
 #include <mutex>
 #include <optional>
 #include <thread>
 
 #include "server/base/clock.hpp"
+#include "protocol/net/web_socket.hpp"
 #include "server/input/force_guard.hpp"
 #include "server/input/limited_log.hpp"
 
@@ -28,8 +26,8 @@ namespace {
 
 namespace asio = boost::asio;
 namespace beast = boost::beast;
-using asio::ip::tcp;
-using WebSocket = beast::websocket::stream<beast::tcp_stream>;
+using boost::system::error_code;
+using net::WebSocket;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
 constexpr std::size_t kMostBytes = 1 << 20;  // of a state message
@@ -79,7 +77,7 @@ struct HaplyInput::Impl {
   asio::awaitable<void> run() {
     bool complained = false;
     while (!stopping) {
-      WebSocket ws(io);
+      WebSocket ws{net::NetStream(net::NetStream::Tcp(io))};
       std::string why = co_await connect(ws);
       if (why.empty()) {
         complained = false;
@@ -108,34 +106,28 @@ struct HaplyInput::Impl {
   }
 
   asio::awaitable<std::string> connect(WebSocket& ws) {
-    tcp::resolver resolver(io);
-    const auto [resolve_error, found] = co_await resolver.async_resolve(host, service, kTuple);
-    if (resolve_error) co_return resolve_error.message();
-    auto& stream = beast::get_lowest_layer(ws);
-    stream.expires_after(kConnectTime);
-    const auto [connect_error, endpoint] = co_await stream.async_connect(found, kTuple);
+    ws.stream().tcp().expires_after(kConnectTime);
+    const error_code connect_error = co_await net::connect(ws.stream().tcp(), host, service);
     if (connect_error) co_return connect_error.message();
-    boost::system::error_code ignored;
-    stream.socket().set_option(tcp::no_delay(true), ignored);
-    ws.read_message_max(kMostBytes);
-    const auto [error] = co_await ws.async_handshake(host + ":" + service, path, kTuple);
+    ws.send_text();
+    ws.set_max_bytes(kMostBytes);
+    const error_code error = co_await ws.shake_hands(host + ":" + service, path);
     co_return error ? error.message() : std::string();
   }
 
   // Reads states and sends commands, by turns. Why it ended.
   asio::awaitable<std::string> serve(WebSocket& ws) {
-    beast::flat_buffer buffer;
     const auto period = std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / options.rate_hz));
     auto due = std::chrono::steady_clock::now();
     bool first = true;
     int faults = 0;
     while (!stopping) {
-      beast::get_lowest_layer(ws).expires_after(kAnswerTime);
-      const auto [error, bytes] = co_await ws.async_read(buffer, kTuple);
+      ws.stream().tcp().expires_after(kAnswerTime);
+      const error_code error = co_await ws.read();
       if (error) co_return error == beast::error::timeout ? "no answer for a second" : error.message();
-      const std::string_view text(static_cast<const char*>(buffer.data().data()), buffer.size());
+      const auto message = ws.message();
+      const std::string_view text(reinterpret_cast<const char*>(message.data()), message.size());
       faults = co_await take(text) ? 0 : faults + 1;
-      buffer.consume(buffer.size());
       if (faults >= kMostFaults) co_return std::to_string(faults) + " bad messages in a row";
 
       due = std::max(due + period, std::chrono::steady_clock::now());
@@ -154,8 +146,8 @@ struct HaplyInput::Impl {
     // what the service had not read is lost.
     if (!device.empty()) {
       const std::string failed = co_await command(ws, false);
-      beast::get_lowest_layer(ws).expires_after(kAnswerTime);
-      if (failed.empty()) co_await ws.async_read(buffer, kTuple);
+      ws.stream().tcp().expires_after(kAnswerTime);
+      if (failed.empty()) co_await ws.read();
     }
     co_return std::string("ended");
   }
@@ -168,8 +160,8 @@ struct HaplyInput::Impl {
     }
     const std::string text =
         device.empty() ? haply_query() : haply_force(device, force, options.version, first);
-    beast::get_lowest_layer(ws).expires_after(kAnswerTime);
-    const auto [error, bytes] = co_await ws.async_write(asio::buffer(text), kTuple);
+    ws.stream().tcp().expires_after(kAnswerTime);
+    const error_code error = co_await ws.write(std::as_bytes(std::span(text)));
     if (!error) {
       counts.forces_written += !device.empty();
       co_return std::string();

@@ -25,6 +25,7 @@
 #include <utility>
 
 #include "server/base/clock.hpp"
+#include "protocol/net/net_stream.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/surface_message.hpp"
@@ -448,16 +449,11 @@ struct OpenIgtLinkInput::Impl {
   asio::awaitable<void> keep_connected(std::string place) {
     const std::size_t colon = place.rfind(':');
     const std::string host = place.substr(0, colon), service = place.substr(colon + 1);
-    tcp::resolver resolver(io);
     bool complained = false;
     for (;;) {
       boost::beast::tcp_stream stream(io);
-      auto [error, found] = co_await resolver.async_resolve(host, service, kTuple);
-      if (!error) {
-        stream.expires_after(kConnectTime);
-        const auto [connect_error, endpoint] = co_await stream.async_connect(found, kTuple);
-        error = connect_error;
-      }
+      stream.expires_after(kConnectTime);
+      const error_code error = co_await net::connect(stream, host, service);
       if (!error) {
         stream.expires_never();
         complained = false;
