@@ -190,7 +190,7 @@ TEST(PieceTracker, ThePartThatIsVisitedLastIsNotTakenForTheLargest) {
 TEST(PieceTracker, ASearchPassesWhatEarlierStepsHaveSplit) {
   for (int from = 1; from <= 5; ++from) {
     SCOPED_TRACE(from);
-    Body body(box(18, 3, 3));
+    Body body(box(40, 3, 3));
     for (TetId t = 0, slots = body.mesh().tet_slots(); t < slots; ++t) {
       const double x = body.mesh().barycentre(t).x;
       if (x > from && x < from + 1) body.split_an_edge_of(t);
