@@ -1,4 +1,5 @@
 // Renders forces for a device at this end, at its own rate: contact [PORT]. A device of yours takes the place of Device.
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
@@ -36,14 +37,19 @@ int main(int argc, char** argv) {
   client::ContactRenderer renderer;  // at most 3.3 N, 500 N/s
   client::Callbacks callbacks;
   callbacks.on_force = [&](const protocol::Force& force) { renderer.take(force, now_ns()); };
-  client::Options options{.role = protocol::Role::Operator, .view = protocol::View::None};
+  client::Options options;
+  options.role = protocol::Role::Operator;
+  options.view = protocol::View::None;
   options.blade = protocol::BladeEdge{{0, 0, 0}, {0, 0, -0.05}};
   const auto client = client::Client::connect("127.0.0.1", port, options, callbacks);
 
   Device device;
   while (device.open()) {  // the device's own loop, 1 kHz
     const protocol::Vec3 tool = device.position();
-    client->send_poses(std::vector<protocol::PoseSample>{{.source_ns = now_ns(), .position = tool}});
+    protocol::PoseSample pose;
+    pose.source_ns = now_ns();
+    pose.position = tool;
+    client->send_poses({&pose, 1});
     device.apply(renderer.force(tool, now_ns()));
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }

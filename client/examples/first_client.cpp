@@ -9,7 +9,9 @@ int main(int argc, char** argv) {
   using namespace incise;
   const auto port = static_cast<std::uint16_t>(argc > 1 ? std::atoi(argv[1]) : 7450);
   const auto motion = protocol::read_motion(argc > 2 ? argv[2] : "config/demo_motion.csv");
-  const auto client = client::Client::connect("127.0.0.1", port, {.role = protocol::Role::Operator});
+  client::Options options;
+  options.role = protocol::Role::Operator;
+  const auto client = client::Client::connect("127.0.0.1", port, options);
   const auto sequence = client->send_poses(motion.samples);
   if (!client->wait_for_report(sequence, 30)) return 1;  // the loop has taken all of them
   if (!client->wait_for_revision(1, 5)) return 1;        // the first delta is here; others follow

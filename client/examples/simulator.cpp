@@ -19,7 +19,9 @@ int main(int argc, char** argv) {
     // These vertices did not move, or not all the way: they would have inverted an element, or touch the blade.
     std::printf("%zu vertices held\n", report.held.size());
   };
-  const auto client = client::Client::connect("127.0.0.1", port, {.role = protocol::Role::Simulator}, callbacks);
+  client::Options options;
+  options.role = protocol::Role::Simulator;
+  const auto client = client::Client::connect("127.0.0.1", port, options, callbacks);
   if (!client->wait_for_revision(0, 30)) return 1;
   for (int step = 1; step <= 20; ++step) {
     std::vector<float> positions;  // of all vertices, or of some, with Positions::ids
@@ -28,7 +30,10 @@ int main(int argc, char** argv) {
       return mesh.revision();
     });
     for (std::size_t v = 0; v < positions.size(); v += 3) positions[v] *= 1 + 0.001F * static_cast<float>(step);
-    client->send_positions({.revision = revision, .f32 = positions});
+    protocol::Positions message;
+    message.revision = revision;
+    message.f32 = positions;
+    client->send_positions(message);
     if (!client->wait_for_revision(revision + 1, 5)) return 1;
   }
 }

@@ -30,9 +30,6 @@ class Telemetry {
   // And about the sessions; likewise.
   void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
-  // And about connections; likewise.
-  void join_stream(std::function<stream::StreamCounters()> stream) { stream_ = std::move(stream); }
-
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
   // Prometheus text format 0.0.4.
