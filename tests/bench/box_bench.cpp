@@ -11,7 +11,7 @@
 #include "client/client.hpp"
 #include "server/base/clock.hpp"
 #include "server/input/input_hub.hpp"
-#include "tests/bench/benches.hpp"
+#include "tests/bench/box_bench.hpp"
 #include "tests/bench/crowd.hpp"
 #include "tests/bench/live_server.hpp"
 

@@ -103,7 +103,7 @@ void bench_bytes(const NamedMesh& named, Report& report) {
     if (session.advance(budget, published.delta) != core::CutSession::Progress::kCommitted) break;
     faces += published.delta.cut_faces;
     const double start = thread_cpu_s();
-    const auto step = mirror.apply(published);
+    const std::optional<stream::EncodedStep> step = mirror.apply(published).step;
     mirror_ms.push_back(1e3 * (thread_cpu_s() - start));
     if (!step) throw std::runtime_error("a delta longer than a message may be");
     // Both include reading the arrays that they send, as the snapshots do.

@@ -47,9 +47,10 @@ class Follower {
     if (change(behind_)) reload(volume);
   }
   void delta(const Replica& volume, const Delta& delta) {
+    const MeshChange change(behind_, delta);
     index_.follow(behind_, delta);
     FUZZ_CHECK(behind_.apply(delta));
-    part_.follow_part(volume, index_, delta, kBox);
+    part_.follow_part(volume, index_, change, kBox);
     VolumePart anew;
     anew.load_part(volume, kBox);
     FUZZ_CHECK(part_.canonical_bytes() == anew.canonical_bytes());

@@ -119,8 +119,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::span<const std::byte> input(reinterpret_cast<const std::byte*>(data) + 1, size - 1);
   bool ended = false;
   {
+    asio::ip::tcp::socket none(world.io);
     const auto session = std::make_shared<Session>(
-        world.hub, std::make_unique<InputTransport>(world.io, input, data[0] > 127), *world.hub.admit(-1));
+        world.hub, std::make_unique<InputTransport>(world.io, input, data[0] > 127), *world.hub.admit(none));
     asio::co_spawn(world.io, run(session), [&](std::exception_ptr thrown) {
       FUZZ_CHECK(!thrown);
       ended = true;
