@@ -17,7 +17,7 @@ constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 NetStream::NetStream(Tcp tcp) : plain_(std::move(tcp)) {}
 NetStream::NetStream(Tcp tcp, asio::ssl::context& context)
     : secured_(std::in_place, std::move(tcp), context) {}
-NetStream::NetStream(NetStream&& other) = default;
+NetStream::NetStream(NetStream&& other) noexcept = default;
 NetStream::~NetStream() = default;
 
 asio::awaitable<error_code> NetStream::secure(asio::ssl::stream_base::handshake_type side) {

@@ -49,7 +49,7 @@ class NetStream {
 
   explicit NetStream(Tcp tcp);
   NetStream(Tcp tcp, asio::ssl::context& context);
-  NetStream(NetStream&& other);
+  NetStream(NetStream&& other) noexcept;
   ~NetStream();
 
   executor_type get_executor() { return tcp().get_executor(); }

@@ -319,13 +319,34 @@ TEST(FrameLoop, TheNextOwnerOfABladeStartsItsOwnClock) {
     auto source = rig.hub.open_source("blade");
     ASSERT_TRUE(source) << owner;
     source->push(timed(tests::sweep_through(100, 1000, 0.2 + 0.2 * owner)));
-    rig.loop.frame(monotonic_ns());
+    // A frame whose time is up carries the rest of the poses over to the next one.
+    do rig.loop.frame(monotonic_ns());
+    while (rig.hub.waiting() > 0);
     EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), 100u);
     source.reset();
     rig.loop.frame(monotonic_ns());
   }
   rig.loop.finish();
   EXPECT_EQ(rig.loop.stats().state.load().strokes, 3u);
+}
+
+// Where the end of the period is near, the budget is not: a frame cuts one slice, however much budget there is.
+TEST(FrameLoop, ALateFrameCutsOneSlice) {
+  LoopOptions options;
+  options.rate_hz = 1e6;          // periods of a microsecond: every frame is late
+  options.budget_fraction = 1e9;  // a budget of a thousand seconds
+  Rig rig(Policy::kConforming, tests::cube(6), options);
+  auto source = rig.hub.open_source("blade");
+  ASSERT_EQ(source->push(timed(tests::sweep_through(300))), 300u);
+  int frames = 0;
+  do {
+    const std::size_t before = rig.kept.deltas.size();
+    rig.loop.frame(monotonic_ns());
+    EXPECT_LE(rig.kept.deltas.size(), before + 1) << "frame " << frames;
+    ++frames;
+  } while (rig.hub.waiting() > 0 || rig.session.backlog_batches() > 0);
+  EXPECT_GT(rig.kept.deltas.size(), 5u);
+  EXPECT_GE(static_cast<std::size_t>(frames), rig.kept.deltas.size());
 }
 
 // A stream that reads nothing stops the cutting, loses nothing, and all goes on when it reads again.

@@ -27,7 +27,7 @@ class HttpTest : public ::testing::Test {
   HttpTest() {
     fs::create_directories(site);
     std::ofstream(site / "index.html") << "<!doctype html><title>Incise</title>";
-    std::ofstream(site.parent_path() / "secret.txt") << "secret";
+    std::ofstream(site.parent_path() / "secret.txt") << "classified";
     StreamConfig config = test_config();
     config.viewer_directory = site;
     Providers providers;
@@ -117,7 +117,7 @@ TEST_F(HttpTest, RefusesTheRest) {
        {"/../secret.txt", "/%2e%2e/secret.txt", "/..%2Fsecret.txt", "/none", "//etc/passwd"}) {
     const std::string answer = http(port(), target);
     EXPECT_EQ(status_of(answer), "HTTP/1.1 404 Not Found") << target;
-    EXPECT_EQ(answer.find("secret\n"), std::string::npos);
+    EXPECT_EQ(answer.find("classified"), std::string::npos) << target;
   }
   EXPECT_EQ(status_of(http(port(), "/", "POST")), "HTTP/1.1 405 Method Not Allowed");
   EXPECT_EQ(status_of(http(port(), "/ws")), "HTTP/1.1 426 Upgrade Required");

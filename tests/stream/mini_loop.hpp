@@ -81,7 +81,7 @@ class MiniLoop final : public InputSink {
 };
 
 // Waits until `condition` holds; false after `seconds`.
-bool eventually(const std::function<bool()>& condition, double seconds = 60);
+bool eventually(const std::function<bool()>& condition, double seconds = 20);
 
 StreamConfig test_config();
 

@@ -9,22 +9,41 @@
 #include <utility>
 
 namespace incise::stream {
+namespace {
 
-RawPeer::RawPeer(std::uint16_t port, int receive_buffer) {
-  const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  if (receive_buffer > 0) ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &receive_buffer, sizeof receive_buffer);
-  const timeval patience{60, 0};
-  ::setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
-  ::setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
+sockaddr_in loopback(std::uint16_t port) {
   sockaddr_in address{};
   address.sin_family = AF_INET;
   address.sin_port = htons(port);
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  return address;
+}
+
+}  // namespace
+
+RawPeer::RawPeer(std::uint16_t port, int receive_buffer) {
+  const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (receive_buffer > 0) ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &receive_buffer, sizeof receive_buffer);
+  set_patience(fd);
+  const sockaddr_in address = loopback(port);
   if (::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0) {
     fd_ = fd;
   } else {
     ::close(fd);
   }
+}
+
+std::unique_ptr<RawPeer> RawPeer::accept(int listener) {
+  std::unique_ptr<RawPeer> peer(new RawPeer);
+  peer->fd_ = ::accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
+  peer->set_patience(peer->fd_);
+  return peer;
+}
+
+void RawPeer::set_patience(int fd) {
+  const timeval patience{20, 0};
+  ::setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+  ::setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
 }
 
 RawPeer::~RawPeer() {
@@ -99,6 +118,21 @@ void RawPeer::vanish() {
 
 void RawPeer::shut_down() {
   ::shutdown(fd_, SHUT_RDWR);
+}
+
+Listener::Listener() : fd_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+  const timeval patience{20, 0};  // for accept()
+  ::setsockopt(fd_, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+  sockaddr_in address = loopback(0);
+  ::bind(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address);
+  ::listen(fd_, 4);
+  socklen_t size = sizeof address;
+  ::getsockname(fd_, reinterpret_cast<sockaddr*>(&address), &size);
+  port_ = ntohs(address.sin_port);
+}
+
+Listener::~Listener() {
+  ::close(fd_);
 }
 
 std::string http(std::uint16_t port, const std::string& target, const std::string& method,

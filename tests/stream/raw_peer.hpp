@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -16,9 +17,11 @@ namespace incise::stream {
 
 class RawPeer {
  public:
-  // Connects to 127.0.0.1; reads time out after 60 s. `receive_buffer`: bytes for the kernel's, 0 for its
+  // Connects to 127.0.0.1; reads time out after 20 s. `receive_buffer`: bytes for the kernel's, 0 for its
   // default.
   explicit RawPeer(std::uint16_t port, int receive_buffer = 0);
+  // A server's side of a connection: the next one that comes to `listener`, a listening socket.
+  static std::unique_ptr<RawPeer> accept(int listener);
   ~RawPeer();
   RawPeer(const RawPeer&) = delete;
   RawPeer& operator=(const RawPeer&) = delete;
@@ -53,10 +56,28 @@ class RawPeer {
   void shut_down();
 
  private:
+  RawPeer() = default;
+  void set_patience(int fd);
+
   int fd_ = -1;
   protocol::FrameReader reader_;
   std::vector<std::byte> input_;
   std::size_t used_ = 0;
+};
+
+// A listening socket on a free port of 127.0.0.1.
+class Listener {
+ public:
+  Listener();
+  ~Listener();
+  Listener(const Listener&) = delete;
+  Listener& operator=(const Listener&) = delete;
+  std::uint16_t port() const { return port_; }
+  std::unique_ptr<RawPeer> accept() const { return RawPeer::accept(fd_); }
+
+ private:
+  int fd_;
+  std::uint16_t port_ = 0;
 };
 
 // One HTTP request with `Connection: close`; the whole answer.

@@ -324,9 +324,11 @@ TEST(Server, GarbageIsAnsweredAndTheRestLives) {
 TEST(Server, DamagedMessagesInAnOpenSessionEndThatSessionOnly) {
   TestServer test;
   test.loop.start();
+  ReadingViewer bystander(test.server.tcp_port());
   const auto poses = sweep(0.03, 40, 1, test.side);
   const protocol::Frame good = protocol::encode(protocol::PoseBatch{poses}, {2, 0});
   std::mt19937_64 random(7);
+  std::uint64_t refused = 0;
   for (int i = 0; i < 60; ++i) {
     RawPeer peer(test.server.tcp_port());
     peer.send(hello(Role::Operator, View::None));
@@ -334,16 +336,30 @@ TEST(Server, DamagedMessagesInAnOpenSessionEndThatSessionOnly) {
     std::vector<std::byte> damaged(good.tcp().begin(), good.tcp().end());
     if (i % 3 == 0) {
       damaged.resize(4 + random() % (damaged.size() - 4));  // cut off in the middle
+      peer.send(damaged);
+      peer.vanish();
     } else {
       for (int k = 0; k < 8; ++k) damaged[4 + random() % 60] = std::byte(random() & 0xff);
+      peer.send(damaged);
+      peer.send(protocol::Ping{1, 2}, 3);
+      if (protocol::decode(std::span(damaged).subspan(4))) {
+        EXPECT_TRUE(peer.receive_until<protocol::Pong>()) << "seed 7, case " << i << ": still a message";
+        peer.vanish();
+      } else {
+        ++refused;
+        const auto error = peer.receive_until<protocol::Error>();
+        ASSERT_TRUE(error) << "seed 7, case " << i;
+        EXPECT_TRUE(std::get<protocol::Error>(error->message.body).fatal) << "seed 7, case " << i;
+        EXPECT_TRUE(peer.closes()) << "seed 7, case " << i;
+      }
     }
-    peer.send(damaged);
-    peer.vanish();
-    ASSERT_TRUE(eventually([&] { return test.loop.open_sources() == 0; }));
+    ASSERT_TRUE(eventually([&] { return test.loop.open_sources() == 0; })) << "seed 7, case " << i;
   }
-  Viewer viewer(test.server.tcp_port());
-  ASSERT_TRUE(viewer.follow(test.loop.revision()));
-  EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
+  EXPECT_GT(refused, 10u);
+  EXPECT_EQ(test.server.counters().bad_messages, refused);
+  EXPECT_FALSE(bystander.ended());
+  EXPECT_TRUE(eventually([&] { return bystander.at(test.loop.revision()); }));
+  EXPECT_EQ(bystander.stop().replica.compute_state_hash(), test.loop.state_hash());
 }
 
 TEST(Server, WhoSaysNothingIsShownTheDoor) {
@@ -837,6 +853,13 @@ TEST(Server, BeyondLoopbackItWantsTokensAndTls) {
   EXPECT_NE(problem().find("not loopback"), std::string::npos);
   config.tokens = {{"secret", {Role::Viewer}}};
   EXPECT_NE(problem().find("not loopback"), std::string::npos);
+  // TLS alone lets everybody in just the same. The files are not looked at before that.
+  config.tokens.clear();
+  config.certificate_file = config.private_key_file = "/nowhere.pem";
+  EXPECT_NE(problem().find("not loopback"), std::string::npos) << problem();
+  config.tokens = {{"secret", {Role::Viewer}}};
+  EXPECT_NE(problem().find("/nowhere.pem"), std::string::npos) << "both: allowed";
+  config.certificate_file = config.private_key_file = "";
   config.insecure = true;
   EXPECT_EQ(problem(), "");
   config.address = "somewhere";

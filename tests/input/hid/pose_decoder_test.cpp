@@ -170,6 +170,29 @@ TEST(PoseDecoder, WhatCannotBeAPoseChangesNothing) {
   EXPECT_EQ(n.lost, 0u);
 }
 
+TEST(PoseDecoder, ACounterThatWrapsHasLostNothing) {
+  PoseDecoder decoder(profile_of(R"("report": 7, "counter": {"at": 1, "type": "u8"}, "tools": [{"position": {
+      "x": {"at": 2, "type": "f32"}, "y": {"at": 6, "type": "f32"}, "z": {"at": 10, "type": "f32"}}}])"),
+                      {});
+  std::vector<std::uint8_t> report(14, 0);
+  report[0] = 7;
+  std::int64_t t_ns = 0;
+  const auto take = [&](std::uint8_t count) {
+    report[1] = count;
+    return decoder.take(report, t_ns += kMs).size();
+  };
+  const std::vector<std::uint8_t> in_step{253, 254, 255, 0, 1};
+  for (const std::uint8_t count : in_step) EXPECT_EQ(take(count), 1u) << int{count};
+  EXPECT_EQ(decoder.counts().lost, 0u);
+  EXPECT_EQ(take(1), 0u) << "the same report again";
+  take(254);
+  EXPECT_EQ(decoder.counts().restarts, 1u) << "back by three";
+  take(2);
+  EXPECT_EQ(decoder.counts().lost, 3u) << "255, 0 and 1";
+  EXPECT_EQ(decoder.counts().repeated, 1u);
+  EXPECT_EQ(decoder.counts().restarts, 1u);
+}
+
 // A real hand, straight from the capture: all of its reports are poses, and most steps are of one tick.
 TEST(PoseDecoder, ReadsARealHydra) {
   const char* const data = std::getenv("INCISE_DATA");

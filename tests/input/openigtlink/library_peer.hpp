@@ -138,7 +138,7 @@ class LibraryPeer {
   explicit LibraryPeer(int port) {
     std::signal(SIGPIPE, SIG_IGN);
     connected_ = socket_->ConnectToServer("127.0.0.1", port) == 0;
-    socket_->SetReceiveTimeout(60'000);
+    socket_->SetReceiveTimeout(20'000);
   }
   ~LibraryPeer() { close(); }
   bool connected() const { return connected_; }

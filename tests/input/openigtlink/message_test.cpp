@@ -243,7 +243,7 @@ TEST(OpenIgtLinkMessage, TheSurfaceOfACutBodyIsReadByTheLibrary) {
   std::promise<stream::Server::SharedFrames> promise;
   test.server.request_surface([&](auto frames) { promise.set_value(std::move(frames)); });
   auto future = promise.get_future();
-  ASSERT_EQ(future.wait_for(std::chrono::seconds(60)), std::future_status::ready);
+  ASSERT_EQ(future.wait_for(std::chrono::seconds(20)), std::future_status::ready);
   std::string error;
   auto frames = future.get();
   const auto surface = surface_of(frames, error);

@@ -333,11 +333,11 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
   options.ask_for = "TDATA";
   start(options);
   const auto serve = [&](std::int64_t t_ns) {
-    const igtl::ClientSocket::Pointer socket = listener->WaitForConnection(60'000);
+    const igtl::ClientSocket::Pointer socket = listener->WaitForConnection(20'000);
     ASSERT_TRUE(socket.IsNotNull());
     const auto header = igtl::MessageHeader::New();
     header->InitPack();
-    socket->SetReceiveTimeout(60'000);
+    socket->SetReceiveTimeout(20'000);
     socket->Receive(header->GetPackPointer(), header->GetPackSize());
     header->Unpack();
     EXPECT_STREQ(header->GetDeviceType(), "STT_TDATA");

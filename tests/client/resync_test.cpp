@@ -1,0 +1,94 @@
+// A server that sends a wrong hash: what the client library does about it.
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <memory>
+#include <optional>
+#include <thread>
+#include <variant>
+#include <vector>
+
+#include "client/client.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/viewer.hpp"
+
+namespace incise::client {
+namespace {
+
+using protocol::Delta;
+using stream::RawPeer;
+using stream::TestServer;
+
+constexpr double kPatience_s = 20;
+
+// What a server sent to a viewer: a Welcome, a snapshot of the mesh as loaded, and the steps of a stroke.
+struct Recording {
+  Recording() {
+    TestServer test(4);
+    RawPeer peer(test.server.tcp_port());
+    peer.send(stream::hello(protocol::Role::Viewer, protocol::View::Volume));
+    while (snapshot.empty() || !std::holds_alternative<protocol::SnapshotEnd>(snapshot.back().message.body)) {
+      auto received = peer.receive();
+      if (!received) return;
+      const bool is_welcome = std::holds_alternative<protocol::Welcome>(received->message.body);
+      (is_welcome ? welcome : snapshot).push_back(std::move(*received));
+    }
+    test.cut();
+    hash = test.loop.state_hash();
+    while (steps.size() < test.loop.revision()) {
+      auto received = peer.receive_until<Delta>();
+      if (!received) return;
+      steps.push_back(std::move(*received));
+    }
+  }
+  std::vector<RawPeer::Message> welcome, snapshot, steps;
+  std::uint64_t hash = 0;
+};
+
+void play(RawPeer& to, const std::vector<RawPeer::Message>& messages) {
+  for (const auto& one : messages) to.send(one.message.body, one.message.envelope.sequence);
+}
+
+TEST(Resync, AWrongHashIsAnsweredByAskingForTheWholeState) {
+  const Recording recording;
+  ASSERT_GT(recording.steps.size(), 4u);
+  const stream::Listener listener;
+  std::optional<protocol::Resync> asked;
+  std::thread server([&] {
+    const std::unique_ptr<RawPeer> accepted = listener.accept();
+    RawPeer& peer = *accepted;
+    if (!peer.receive_until<protocol::Hello>()) return;
+    play(peer, recording.welcome);
+    play(peer, recording.snapshot);
+    peer.send(recording.steps[0].message.body);
+    Delta wrong = std::get<Delta>(recording.steps[1].message.body);
+    wrong.state_hash ^= 1;
+    peer.send(wrong);
+    peer.send(recording.steps[2].message.body);  // on its way already
+    const auto received = peer.receive_until<protocol::Resync>();
+    if (!received) return;
+    asked = std::get<protocol::Resync>(received->message.body);
+    play(peer, recording.snapshot);
+    play(peer, recording.steps);
+    peer.receive_until<protocol::Bye>();
+  });
+  std::atomic<int> told{0};
+  Callbacks callbacks;
+  callbacks.on_resync = [&](const std::string&) { ++told; };
+  auto client = Client::connect("127.0.0.1", listener.port(), Options{}, callbacks);
+  EXPECT_TRUE(client->wait_for_revision(recording.steps.size(), kPatience_s)) << client->last_error();
+  EXPECT_EQ(client->read([](const protocol::Replica& mesh) { return mesh.compute_state_hash(); }),
+            recording.hash);
+  EXPECT_EQ(client->counters().resyncs, 1u) << "what came before the snapshot is no further fault";
+  EXPECT_EQ(client->counters().snapshots, 2u);
+  EXPECT_EQ(told, 1);
+  client.reset();
+  server.join();
+  ASSERT_TRUE(asked) << "the client never asked";
+  EXPECT_EQ(asked->revision, 1u);
+  EXPECT_FALSE(asked->reason.empty());
+}
+
+}  // namespace
+}  // namespace incise::client

@@ -1,0 +1,81 @@
+// Who may send what: every role, every message.
+
+#include <gtest/gtest.h>
+
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
+#include "tests/stream/viewer.hpp"
+
+namespace incise::stream {
+namespace {
+
+using protocol::ErrorCode;
+using protocol::Role;
+
+constexpr Role kRoles[] = {Role::Viewer, Role::Operator, Role::Simulator, Role::Admin};
+
+// The error that answers a message; nothing where there is none. A ping behind it says when the answer must be there.
+std::optional<ErrorCode> answer(TestServer& test, Role role, const protocol::Body& message) {
+  RawPeer peer(test.server.tcp_port());
+  protocol::Hello greeting = hello(role, protocol::View::None);
+  greeting.take_over = role == Role::Operator;  // from the one before, whom the server may still see
+  peer.send(greeting);
+  EXPECT_TRUE(peer.receive_until<protocol::Welcome>());
+  peer.send(message, 2);
+  peer.send(protocol::Ping{3, 0}, 3);
+  std::optional<ErrorCode> code;
+  for (;;) {
+    const auto received = peer.receive();
+    if (!received) {
+      ADD_FAILURE() << "the session ended";
+      return code;
+    }
+    if (const auto* error = std::get_if<protocol::Error>(&received->message.body)) code = error->code;
+    if (std::holds_alternative<protocol::Pong>(received->message.body)) return code;
+  }
+}
+
+TEST(Roles, EachMayWhatItIsForAndNothingElse) {
+  TestServer test(2);
+  test.loop.start();
+  const std::vector<protocol::PoseSample> poses = sweep(0.03, 3, 1);
+  const std::vector<float> positions{0, 0, 0};
+  protocol::Positions deformation;
+  deformation.f32 = positions;
+  struct Case {
+    const char* name;
+    protocol::Body message;
+    std::vector<Role> allowed;
+  };
+  const std::vector<Role> all(std::begin(kRoles), std::end(kRoles));
+  const std::vector<Case> cases{
+      {"PoseBatch", protocol::PoseBatch{poses}, {Role::Operator}},
+      {"StrokeControl", protocol::StrokeControl{protocol::StrokeAction::Engage, 0}, {Role::Operator}},
+      {"Positions", deformation, {Role::Simulator}},
+      {"Reset", protocol::Reset{}, {Role::Admin}},
+      {"ReplayControl", protocol::ReplayControl{}, {Role::Viewer, Role::Admin}},
+      {"Subscribe", protocol::Subscribe{}, all},
+      {"Resync", protocol::Resync{}, all},
+      {"Pong", protocol::Pong{}, all},
+  };
+  for (const Case& one : cases) {
+    for (const Role role : kRoles) {
+      const bool allowed = std::find(one.allowed.begin(), one.allowed.end(), role) != one.allowed.end();
+      const std::optional<ErrorCode> code = answer(test, role, one.message);
+      EXPECT_EQ(code != ErrorCode::Forbidden, allowed) << one.name << " from role " << static_cast<int>(role);
+    }
+  }
+  // What only a server sends is out of place, whoever sends it.
+  for (const Role role : kRoles) {
+    EXPECT_EQ(answer(test, role, protocol::PoseReport{}), ErrorCode::BadState);
+    EXPECT_EQ(answer(test, role, hello(role, protocol::View::None)), ErrorCode::BadState);
+  }
+}
+
+}  // namespace
+}  // namespace incise::stream

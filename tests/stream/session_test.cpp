@@ -1,0 +1,153 @@
+#include "server/stream/session.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <boost/asio/co_spawn.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/use_awaitable.hpp>
+#include <deque>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "server/stream/hub.hpp"
+#include "tests/stream/mini_loop.hpp"
+#include "tests/stream/viewer.hpp"
+
+namespace incise::stream {
+namespace {
+
+using protocol::Role;
+using protocol::View;
+
+// A peer that has sent all its messages at once. It reads one write at a time, when the test says so.
+class SlowReader final : public Transport {
+ public:
+  struct Peer {
+    std::deque<protocol::Frame> sends;
+    std::vector<SharedFrame> reads;
+    std::function<void(boost::system::error_code)> done;  // of the write under way
+    bool closed = false;
+  };
+  SlowReader(asio::io_context& io, Peer& peer) : silence_(io), io_(io), peer_(peer) {
+    silence_.expires_at(asio::steady_timer::time_point::max());
+  }
+
+  asio::awaitable<Received> read() override {
+    if (peer_.sends.empty() && !peer_.closed) {
+      try {
+        co_await silence_.async_wait(asio::use_awaitable);
+      } catch (const boost::system::system_error&) {
+      }
+    }
+    if (peer_.closed) co_return Received::end(asio::error::eof);
+    current_ = std::move(peer_.sends.front());
+    peer_.sends.pop_front();
+    co_return Received::message(current_->body());
+  }
+  void set_max_bytes(std::size_t) override {}
+  void write(std::span<const SharedFrame> frames,
+             std::function<void(boost::system::error_code)> done) override {
+    peer_.reads.insert(peer_.reads.end(), frames.begin(), frames.end());
+    peer_.done = std::move(done);
+  }
+  asio::awaitable<void> discard() override { co_return; }
+  void shut_down(std::shared_ptr<void>) override {}
+  void close() override {
+    peer_.closed = true;
+    silence_.cancel();
+  }
+  std::string peer() const override { return "test"; }
+  asio::any_io_executor executor() override { return io_.get_executor(); }
+
+ private:
+  asio::steady_timer silence_;
+  asio::io_context& io_;
+  Peer& peer_;
+  std::optional<protocol::Frame> current_;
+};
+
+class SessionTest : public ::testing::Test {
+ protected:
+  void start(std::uint32_t cells) {
+    loop_ = std::make_unique<MiniLoop>(box_mesh(cells));
+    hub_ = std::make_unique<Hub>(io_, config_, loop_->facts(), *loop_, Providers{});
+    hub_->reset(std::make_shared<const InitialState>(loop_->initial()));
+  }
+  void join(const protocol::Hello& greeting) {
+    peer_.sends.push_front(protocol::encode(greeting, {1, 0}));
+    session_ = std::make_shared<Session>(*hub_, std::make_unique<SlowReader>(io_, peer_), *hub_->admit(-1));
+    asio::co_spawn(io_, run(session_), [this](std::exception_ptr) { ended_ = true; });
+  }
+  static asio::awaitable<void> run(std::shared_ptr<Session> session) { co_await session->run(); }
+  // Runs what is ready until `condition` holds.
+  bool run_until(const std::function<bool()>& condition) {
+    return eventually([&] {
+      io_.restart();
+      io_.poll();
+      return condition();
+    });
+  }
+  void TearDown() override {
+    session_->close();
+    EXPECT_TRUE(run_until([&] { return ended_; }));
+  }
+
+  StreamConfig config_ = test_config();
+  asio::io_context io_{1};
+  SlowReader::Peer peer_;
+  std::unique_ptr<MiniLoop> loop_;
+  std::unique_ptr<Hub> hub_;
+  std::shared_ptr<Session> session_;
+  bool ended_ = false;
+};
+
+TEST_F(SessionTest, APeerThatPingsAndReadsNothingIsLetGo) {
+  config_.max_messages_per_s = std::numeric_limits<std::uint32_t>::max();
+  start(2);
+  for (int i = 0; i < 50'000; ++i) peer_.sends.push_back(protocol::encode(protocol::Ping{1, 2}, {2, 0}));
+  join(hello(Role::Viewer, View::None));
+  ASSERT_TRUE(run_until([&] { return !session_->open() || peer_.sends.empty(); }));
+  EXPECT_FALSE(session_->open());
+  EXPECT_GT(peer_.sends.size(), 10'000u) << "the answers to the first fill its megabyte";
+  EXPECT_EQ(hub_->counters().slow_disconnects, 1u);
+}
+
+// Who joins and does not read holds one piece of the snapshot at a time, not all of it.
+TEST_F(SessionTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
+  config_.outbox_bytes = 1000;
+  start(24);
+  join(hello(Role::Viewer, View::Volume));
+  std::shared_ptr<const Snapshot> snapshot;
+  ASSERT_TRUE(run_until([&] { return hub_->counters().snapshots == 1; }));
+  // The same snapshot as the session's, as long as that one sends it.
+  hub_->live().request_snapshot(View::Volume, std::nullopt, [&](const auto& same) { snapshot = same; });
+  ASSERT_TRUE(run_until([&] { return snapshot != nullptr; }));
+  ASSERT_GE(snapshot->chunks.size(), 4u);
+  const auto waiting = [&] {
+    return std::count_if(snapshot->chunks.begin(), snapshot->chunks.end(),
+                         [](const SharedFrame& chunk) { return chunk.use_count() > 1; });
+  };
+  EXPECT_EQ(waiting(), 1);
+  std::size_t chunks = 0;
+  bool ended = false;
+  for (;;) {
+    for (const SharedFrame& frame : std::exchange(peer_.reads, {})) {
+      chunks += static_cast<std::size_t>(std::count(snapshot->chunks.begin(), snapshot->chunks.end(), frame));
+      ended = ended || frame == snapshot->end;
+    }
+    if (ended) break;
+    ASSERT_TRUE(peer_.done) << "the session sends no more";
+    std::exchange(peer_.done, nullptr)({});
+    EXPECT_LE(waiting(), 1);
+  }
+  EXPECT_EQ(chunks, snapshot->chunks.size());
+}
+
+}  // namespace
+}  // namespace incise::stream
