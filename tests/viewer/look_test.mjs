@@ -298,7 +298,7 @@ test("open lifts the lips of a cut that stops inside, and leaves faces that were
       return found;
     }, at);
   let moved = await measure(Math.fround(x + 0.013));
-  for (let tries = 0; tries < 300 && moved.along < 0.5 * moved.most; ++tries) {
+  for (let tries = 0; tries < 300 && !(moved.along > 0.5 * moved.most && moved.off < 0.1 * moved.most); ++tries) {
     // until the last state's opening is there
     await page.waitForTimeout(100);
     moved = await measure(Math.fround(x + 0.013));
