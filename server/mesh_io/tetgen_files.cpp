@@ -34,7 +34,8 @@ void read_nodes(const std::filesystem::path& path, core::MeshData& mesh, int& in
   const std::string text = read_whole_file(path);
   LineReader in(text, path.string());
   in.require("the header 'points dimension attributes markers'");
-  // The dimension first: a line of a plane mesh is shorter, so its count would look wrong.
+  in.integer(0, "the number of points");  // a file of another kind fails here
+  // The dimension before the count is checked: a line of a flat mesh is shorter, so its count would look wrong.
   if (const std::int64_t dimension = in.integer(1, "the dimension"); dimension != 3) {
     in.fail("the dimension is not 3 but " + std::to_string(dimension) +
             ": a flat mesh; accepted are tetrahedra, as TetGen writes them");

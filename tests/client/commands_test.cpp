@@ -67,8 +67,19 @@ class CommandsTest : public ::testing::Test {
   ~CommandsTest() override { fs::remove_all(directory); }
   std::string address() const { return "127.0.0.1:" + std::to_string(test.server.tcp_port()); }
 
+  // What an incised says once a second.
+  stream::Providers providers() {
+    stream::Providers out;
+    out.statistics = [this] {
+      protocol::Stats stats;
+      stats.live_tets = test.loop.live_tets();
+      return stats;
+    };
+    return out;
+  }
+
   fs::path directory = fs::temp_directory_path() / ("incise_commands_" + std::to_string(::getpid()));
-  TestServer test;
+  TestServer test{6, stream::test_config(), providers()};
 };
 
 TEST_F(CommandsTest, StreamPlaysAMotionAndSumsUp) {

@@ -94,7 +94,9 @@ class ProgramsTest : public ::testing::Test {
 
 TEST_F(ProgramsTest, AStreamedMotionCanBeginWithAnUncutBody) {
   const auto server = start();
-  const auto viewer = client::Client::connect("127.0.0.1", tcp_port);
+  client::Options options;
+  options.view = protocol::View::Surface;  // as incise stream: each view has a session of its own
+  const auto viewer = client::Client::connect("127.0.0.1", tcp_port, options);
   write_motion(viewer->welcome().mesh.box, 0.5);
   const auto first = stream("1");
   const auto again = stream("1", {"--reset"});

@@ -57,7 +57,7 @@ TEST(SurfaceFiles, UnknownEndings) {
   EXPECT_NE(error_of([&] { write_surface(directory / "a.xyz", cube()); }).find(".stl, .ply"),
             std::string::npos);
   directory.write("a.xyz", "1");
-  EXPECT_NE(error_of([&] { load_mesh(directory / "a.xyz"); }).find(".node, .ele"), std::string::npos);
+  EXPECT_NE(error_of([&] { load_mesh(directory / "a.xyz"); }).find(".node and .ele"), std::string::npos);
   EXPECT_NE(error_of([&] { load_mesh(directory / "b.off"); }).find("no such file"), std::string::npos);
 }
 

@@ -127,7 +127,10 @@ TEST(BoxTurns, ABoxThatWouldWaitTooLongIsRefused) {
     peers.back()->send(boxed(i == 0 ? View::Volume : View::Surface));
     ASSERT_TRUE(peers.back()->receive_until<protocol::SnapshotEnd>());
   }
-  test.cut(2);
+  // The first turn costs nothing yet; who got it waits from the second cut on.
+  test.cut(1);
+  ASSERT_TRUE(eventually([&] { return test.server.counters().box_turns > 0; }));
+  test.cut(1);
   for (const auto& peer : peers) {
     const auto error = peer->receive_until<protocol::Error>();
     ASSERT_TRUE(error);

@@ -101,6 +101,7 @@ MiniLoop::MiniLoop(const core::MeshData& mesh, std::uint64_t session) : mesh_(me
   config_.blade = {{0, 0, 0}, {0, 0, -(top + 0.03)}};
   session_ = std::make_unique<core::CutSession>(mesh_, config_);
   hash_ = session_->mesh().state_hash();
+  live_tets_ = session_->mesh().live_tets();
 }
 
 MiniLoop::~MiniLoop() {
@@ -174,6 +175,7 @@ void MiniLoop::publish_all() {
     if (session_->advance(budget, published->delta) != core::CutSession::Progress::kCommitted) return;
     published->arrival_ns = published->drain_ns = published->cut_ns = now_ns();
     hash_ = published->delta.state_hash;
+    live_tets_ = session_->mesh().live_tets();
     const std::uint64_t revision = published->delta.revision;
     const bool stroke_ended = published->delta.stroke_ended;
     if (server_) server_->publish(std::move(published));
@@ -212,6 +214,7 @@ void MiniLoop::work() {
     ++session_id_;
     revision_ = 0;
     hash_ = session_->mesh().state_hash();
+    live_tets_ = session_->mesh().live_tets();
     server_->publish_reset(std::make_shared<const InitialState>(initial()));
   }
   for (std::uint32_t i = 0; i < slots_.size(); ++i) {

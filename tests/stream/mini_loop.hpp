@@ -53,6 +53,7 @@ class MiniLoop final : public InputSink {
 
   std::uint64_t revision() const { return revision_; }
   std::uint64_t state_hash() const;
+  std::uint32_t live_tets() const { return live_tets_; }
   std::uint64_t strokes_ended() const { return strokes_ended_; }
   std::size_t open_sources() const;
 
@@ -74,6 +75,7 @@ class MiniLoop final : public InputSink {
   std::unique_ptr<core::CutSession> session_;
   Server* server_ = nullptr;
   std::atomic<std::uint64_t> revision_{0}, strokes_ended_{0}, hash_{0};
+  std::atomic<std::uint32_t> live_tets_{0};
   std::atomic<bool> running_{false}, held_{false}, recorded_{false}, reset_{false};
   mutable std::mutex mutex_;
   std::array<Slot, core::kMaxSources> slots_;  // guarded by mutex_

@@ -81,7 +81,8 @@ class SessionTest : public ::testing::Test {
   }
   void join(const protocol::Hello& greeting) {
     peer_.sends.push_front(protocol::encode(greeting, {1, 0}));
-    session_ = std::make_shared<Session>(*hub_, std::make_unique<SlowReader>(io_, peer_), *hub_->admit(-1));
+    asio::ip::tcp::socket none(io_);
+    session_ = std::make_shared<Session>(*hub_, std::make_unique<SlowReader>(io_, peer_), *hub_->admit(none));
     asio::co_spawn(io_, run(session_), [this](std::exception_ptr) { ended_ = true; });
   }
   static asio::awaitable<void> run(std::shared_ptr<Session> session) { co_await session->run(); }
