@@ -54,26 +54,36 @@ std::vector<PoseSample> read_capture_poses(protocol::CaptureReader& capture, con
   return poses;
 }
 
-// The poses of a file. Those of a motion without buttons hold the button that engages, or nothing would be cut.
-std::vector<PoseSample> read_poses(const StreamCommand& command, std::int32_t engage_button) {
+struct RecordedPoses {
+  std::vector<PoseSample> poses;
+  bool has_buttons = true;
+};
+
+RecordedPoses read_poses(const StreamCommand& command) {
   const std::string name = command.poses.string();
   std::ifstream in(command.poses, std::ios::binary);
   if (!in) throw std::runtime_error(name + ": cannot be opened");
   protocol::CaptureReader capture(in);
-  std::vector<PoseSample> poses;
+  RecordedPoses recorded;
   if (capture.header_ok()) {
-    poses = read_capture_poses(capture, command);
+    recorded.poses = read_capture_poses(capture, command);
   } else {
     protocol::Motion motion =
         protocol::read_motion(name, command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip);
     if (!motion.warning.empty()) warn(motion.warning);
-    poses = std::move(motion.samples);
-    if (!motion.has_buttons && engage_button >= 0) {
-      for (PoseSample& pose : poses) pose.buttons |= 1u << engage_button;
-    }
+    recorded.poses = std::move(motion.samples);
+    recorded.has_buttons = motion.has_buttons;
   }
-  if (poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
-  return poses;
+  if (recorded.poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
+  return recorded;
+}
+
+// In a motion without buttons the one that engages is held, or nothing would be cut.
+std::vector<PoseSample> engaged(RecordedPoses recorded, int engage_button) {
+  if (!recorded.has_buttons && engage_button >= 0) {
+    for (PoseSample& pose : recorded.poses) pose.buttons |= 1u << engage_button;
+  }
+  return std::move(recorded.poses);
 }
 
 // What has been cut, as far as it has come here.
@@ -84,10 +94,10 @@ struct Seen {
 
 class Player {
  public:
-  Player(const StreamCommand& command, Client& client, const Seen& seen)
+  Player(const StreamCommand& command, Client& client, RecordedPoses recorded, const Seen& seen)
       : command_(command),
         client_(client),
-        poses_(read_poses(command, client.welcome().engage_button)),
+        poses_(engaged(std::move(recorded), client.welcome().engage_button)),
         welcome_(client.welcome()),
         seen_(seen) {}
 
@@ -263,6 +273,7 @@ int run_stream(const StreamCommand& command) {
   options.source_name = command.source_name;
   options.take_over = command.take_over;
   if (!command.blade.empty()) options.blade = protocol::parse_blade("--blade", command.blade);
+  RecordedPoses recorded = read_poses(command);  // before anything that others see
   if (command.reset) reset_body(where, options);
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
@@ -283,7 +294,7 @@ int run_stream(const StreamCommand& command) {
     }
   };
   const auto client = connect(where, options, std::move(callbacks));
-  return Player(command, *client, seen).run();
+  return Player(command, *client, std::move(recorded), seen).run();
 }
 
 }  // namespace incise::client
