@@ -42,7 +42,7 @@ struct StreamCommand {
   std::string blade;  // hx,hy,hz:tx,ty,tz; empty: the server's
   bool take_over = false;
   bool strict = false;  // refuse a motion whose times do not rise
-  bool reset = false;  // before the first pose
+  bool reset = false;   // before the first pose
   bool json = false;
 };
 // Plays a motion against a server; waits until the server has dealt with every pose. 0: it has.

@@ -12,7 +12,9 @@ using namespace incise;
 
 namespace {
 
-std::int64_t now_ns() { return std::chrono::steady_clock::now().time_since_epoch().count(); }
+std::int64_t now_ns() {
+  return std::chrono::steady_clock::now().time_since_epoch().count();
+}
 
 // A hand that moves the tool down into the body and up again, once.
 class Device {

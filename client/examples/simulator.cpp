@@ -29,7 +29,8 @@ int main(int argc, char** argv) {
       positions.assign(mesh.rest_positions().begin(), mesh.rest_positions().end());
       return mesh.revision();
     });
-    for (std::size_t v = 0; v < positions.size(); v += 3) positions[v] *= 1 + 0.001F * static_cast<float>(step);
+    for (std::size_t v = 0; v < positions.size(); v += 3)
+      positions[v] *= 1 + 0.001F * static_cast<float>(step);
     protocol::Positions message;
     message.revision = revision;
     message.f32 = positions;

@@ -445,7 +445,8 @@ const std::vector<Key>& keys() {
               "of poses."),
       text("devices.profiles", INCISE_FIELD(devices.profiles),
            "the path of a folder, relative to this file; or \"\"",
-           "Device profiles of your own, *.json; they go before the shipped ones. DEVICES.md, \"Writing a device "
+           "Device profiles of your own, *.json; they go before the shipped ones. DEVICES.md, \"Writing a "
+           "device "
            "profile\"."),
       overrides(),
 

@@ -14,6 +14,7 @@ int main(int argc, char** argv) {
   app.require_subcommand(0, 1);
   incise::bench::add_cut_bench(app, report);
   incise::bench::add_life_bench(app, report);
+  incise::bench::add_meet_bench(app, report);
   incise::bench::add_micro_bench(app, report);
   incise::bench::add_paper_bench(app, report);
   incise::bench::add_loop_bench(app, report);

@@ -11,6 +11,7 @@ class Report;
 
 void add_cut_bench(CLI::App& app, Report& report);
 void add_life_bench(CLI::App& app, Report& report);
+void add_meet_bench(CLI::App& app, Report& report);
 void add_micro_bench(CLI::App& app, Report& report);
 void add_paper_bench(CLI::App& app, Report& report);
 void add_plane_bench(CLI::App& app, Report& report);

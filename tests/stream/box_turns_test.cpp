@@ -1,7 +1,7 @@
 // What sessions with a box of interest may cost.
 
-#include "server/base/clock.hpp"
 #include "server/stream/box_turns.hpp"
+#include "server/base/clock.hpp"
 
 #include <gtest/gtest.h>
 

@@ -225,7 +225,7 @@ test("a server with tokens asks for one", async (t) => {
   const page = await context.newPage();
   await page.goto(server.url);
   await page.locator("#token-dialog[open]").waitFor();
-  assert.equal((await fetch(server.url + "captures")).status, 401);
+  assert.equal((await fetch(`${server.url}captures`)).status, 401);
   await page.locator("#token").fill("only-for-watching");
   await page.getByRole("button", { name: "Continue" }).click();
   await until(page, () => window.incise.progress);

@@ -12,9 +12,9 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
-#include "server/core/session/cut_session.hpp"
 #include "server/base/hex.hpp"
 #include "server/core/mesh/measure.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 namespace {

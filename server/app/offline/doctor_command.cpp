@@ -38,7 +38,8 @@ struct Finding {
 };
 
 constexpr const char* kUdevRemedy =
-    "install the udev rules (DEVICES.md, \"Connecting a device\"), plug the device in again, or join the group "
+    "install the udev rules (DEVICES.md, \"Connecting a device\"), plug the device in again, or join the "
+    "group "
     "incise";
 
 std::string reason(int error) {

@@ -8,8 +8,8 @@
 #include "server/app/config.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
-#include "server/core/session/cut_session.hpp"
 #include "server/core/mesh/mesh_data.hpp"
+#include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
 

@@ -16,8 +16,8 @@
 #include <optional>
 #include <thread>
 
-#include "server/base/clock.hpp"
 #include "protocol/net/web_socket.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/force_guard.hpp"
 #include "server/input/limited_log.hpp"
 

@@ -24,8 +24,8 @@
 #include <thread>
 #include <utility>
 
-#include "server/base/clock.hpp"
 #include "protocol/net/net_stream.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/surface_message.hpp"

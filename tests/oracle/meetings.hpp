@@ -1,0 +1,77 @@
+#pragma once
+
+#include <cstdint>
+#include <random>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "server/core/session/cut_session.hpp"
+#include "tests/oracle/judge.hpp"
+
+// Random cuts that meet: loops that close, strokes that cross, end in an older cut or begin in one.
+namespace incise::oracle {
+
+// What the names say; of those with a gap or an overlap it is -0.25, 0, 0.5 or 2 h.
+inline constexpr std::string_view kMeetingKinds[] = {
+    "circle",   // closed, by a blade that reaches through the body
+    "ellipse",  //
+    "polygon",  // three to six corners
+    "lasso",    // in from outside, around, and across its own way in
+    "spiral",   // one turn and a quarter inwards, then straight out across the first turn
+    "plunge",   // plunge, circle, withdraw
+    "cone",     // the blade's tip stays, its heel goes around
+    "nested",   // two circles around one another
+    "grid",     // two or three strokes across two or three
+    "square",   // four strokes that overshoot their corners
+    "halves",   // two half circles
+    "ends_in",  // a stroke that ends at an older cut
+    "starts_in",
+    "along",    // over an older cut again, up to 0.2 h beside it
+    "crosses",  // two strokes at any angle
+};
+
+struct Meeting {
+  std::string kind;
+  std::uint64_t seed = 0;
+  double overlap_h = 0;
+  double step_h = 0;   // between poses
+  double batch_h = 0;  // CutConfig's
+  core::Blade blade;
+  std::vector<std::vector<core::Pose>> strokes;  // source times rise throughout
+
+  std::string name() const;
+};
+
+// Depends on the body, the kind and the seed alone.
+Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed);
+
+// A configuration whose stroke rules nothing runs into.
+core::CutConfig meeting_config(const Meeting& meeting);
+// Cuts it, stroke by stroke, into a session that has meeting_config().
+void cut(const Meeting& meeting, core::CutSession& session);
+// What the judge is told.
+std::vector<Stroke> strokes_of(const Meeting& meeting);
+
+// The pose at which a blade from the origin along z has its heel there and points along `direction`.
+core::Pose pose_along(const Vec3& heel, const Vec3& direction);
+
+// Whole random numbers as parts of 1, the same with every library.
+class Random {
+ public:
+  explicit Random(std::uint64_t seed) : engine_(seed) {}
+  double uniform(double from, double to) {
+    return from + (to - from) * static_cast<double>(engine_() >> 11) * 0x1p-53;
+  }
+  std::size_t below(std::size_t n) { return engine_() % n; }
+  Vec3 direction();
+  template <class T, std::size_t N>
+  T one_of(const T (&list)[N]) {
+    return list[below(N)];
+  }
+
+ private:
+  std::mt19937_64 engine_;
+};
+
+}  // namespace incise::oracle
