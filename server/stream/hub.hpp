@@ -126,14 +126,17 @@ class Hub::Ticket {
  public:
   Ticket(std::shared_ptr<HubCounters> counters, std::shared_ptr<HalfOpen> half_open, std::uint64_t number,
          asio::ip::tcp::endpoint peer)
-      : counters_(std::move(counters)), half_open_(std::move(half_open)), number_(number), peer_(peer) {
+      : counters_(std::move(counters)),
+        half_open_(std::move(half_open)),
+        number_(number),
+        peer_(std::move(peer)) {
     ++counters_->connections;
   }
   Ticket(Ticket&& other) noexcept
       : counters_(std::exchange(other.counters_, nullptr)),
         half_open_(std::exchange(other.half_open_, nullptr)),
         number_(other.number_),
-        peer_(other.peer_),
+        peer_(std::move(other.peer_)),
         welcomed_(std::exchange(other.welcomed_, false)) {}
   Ticket& operator=(Ticket&&) = delete;
   ~Ticket();

@@ -6,12 +6,12 @@ namespace incise::core {
 
 using namespace tolerance;
 
-CutContext::CutContext(const TetMesh& mesh_, CutWorkspace& workspace_, const CutConfig& config_)
-    : mesh(mesh_),
-      workspace(workspace_),
-      config(config_),
-      h(mesh_.mean_edge_length()),
-      clear_m(kClear_h * mesh_.mean_edge_length()),
+CutContext::CutContext(const TetMesh& body, CutWorkspace& marks, const CutConfig& settings)
+    : mesh(body),
+      workspace(marks),
+      config(settings),
+      h(body.mean_edge_length()),
+      clear_m(kClear_h * body.mean_edge_length()),
       path(config, h) {}
 
 void CutContext::gather(VertexStar& star, VertexId v) const {

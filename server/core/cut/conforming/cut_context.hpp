@@ -18,7 +18,7 @@ namespace incise::core {
 // What the stages of one blade's cut have in common, and the questions that all of them ask. They read the mesh here; only
 // MeshEditor changes it.
 struct CutContext {
-  CutContext(const TetMesh& mesh_, CutWorkspace& workspace_, const CutConfig& config_);
+  CutContext(const TetMesh& body, CutWorkspace& marks, const CutConfig& settings);
   CutContext(const CutContext&) = delete;
 
   const SweptSurface& surface() const { return path.surface(); }
