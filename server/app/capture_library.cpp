@@ -6,11 +6,13 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
+#include <fstream>
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
 
+#include "protocol/capture.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/wiring.hpp"
 #include "server/base/clock.hpp"
@@ -53,8 +55,11 @@ class Replay {
       : name_(std::move(name)), events_(std::move(events)) {}
 
   void load(const fs::path& path, const Body& live) {
+    {
+      std::ifstream in(path, std::ios::binary);
+      if (!protocol::CaptureReader(in).header_ok()) throw std::runtime_error(name_ + ": not a capture");
+    }
     motion_ = read_recorded_motion(path);
-    if (!motion_.header) throw std::runtime_error(name_ + ": is no capture");
     config_ = config_of(*motion_.header, name_);
     if (motion_.header->mesh_content_hash == live.loaded.content_hash) {
       body_ = &live;

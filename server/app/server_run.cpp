@@ -356,7 +356,8 @@ void run_server(const Config& config, bool resume) {
   std::printf("listening tcp=%s http=%s%s\n", place(server.tcp_port()).c_str(),
               place(server.http_port()).c_str(), network.place(config).c_str());
   std::fflush(stdout);
-  if (capture) spdlog::info("recording to {}", config.resolve(config.capture.path).string());
+  if (capture && recording.lost == 0)
+    spdlog::info("recording to {}", config.resolve(config.capture.path).string());
   spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config.loop.rate_hz,
                static_cast<double>(monotonic_ns() - started) * 1e-9);
 
@@ -379,8 +380,15 @@ void run_server(const Config& config, bool resume) {
   if (journal) {
     const auto limit = std::max(kLongestFinish_ns - (monotonic_ns() - ending), kLastCheckpoint_ns);
     const std::string why = journal->close(std::chrono::milliseconds(limit / 1'000'000));
-    if (!why.empty())
+    if (!why.empty() && journal->lost() > 0) {
+      spdlog::error(
+          "recording stopped before the end and {} records are not in the capture: incised --resume goes "
+          "back to where it "
+          "stopped; make room on the disk",
+          journal->lost());
+    } else if (!why.empty()) {
       spdlog::warn("no checkpoint of the end ({}); incised --resume takes longer for it", why);
+    }
   }
   const std::uint64_t lost = journal ? journal->lost() : 0;
   if (state.backlog_segments > 0) {

@@ -56,7 +56,8 @@ void BoxTurns::schedule() {
   if (scheduled_ || queue_.empty()) return;
   scheduled_ = true;
   const std::int64_t now = monotonic_ns();
-  const std::int64_t at = std::min(share_.free_at_ns(), overdue_at_ns());
+  const std::int64_t at =
+      std::min(std::max(share_.free_at_ns(), queue_.front().since_ns + kBehind_ns), overdue_at_ns());
   if (at <= now) {
     asio::post(io_, [this] { serve(); });
     return;
@@ -75,7 +76,7 @@ void BoxTurns::serve() {
   if (now >= overdue_at_ns()) {
     refused_ns_ = now;
     refuse_costliest();
-  } else if (now >= share_.free_at_ns()) {
+  } else if (now >= std::max(share_.free_at_ns(), queue_.front().since_ns + kBehind_ns)) {
     const auto session = queue_.front().session.lock();
     queue_.pop_front();
     const std::int64_t before = thread_cpu_ns();

@@ -39,6 +39,8 @@ class TimeShare {
 class BoxTurns {
  public:
   static constexpr std::int64_t kMaxWait_ns = 2'000'000'000;
+  // A turn begins so long after it was asked for: by then what goes to sessions without a box is on its way.
+  static constexpr std::int64_t kBehind_ns = 3'000'000;
 
   BoxTurns(asio::io_context& io, double share, HubCounters& counters)
       : io_(io), timer_(io), share_(share), counters_(counters) {}

@@ -283,7 +283,9 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
   }
   if (!source) {
     refuse(ErrorCode::BladeTaken,
-           "the blade \"" + hello.source_name + "\" is held by another operator, or no blade is free",
+           hub_.holder(hello.source_name)
+               ? "the blade \"" + hello.source_name + "\" is held by another operator"
+               : "no blade is free for \"" + hello.source_name + "\": all are held by other sources",
            sequence);
     co_return false;
   }

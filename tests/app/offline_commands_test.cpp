@@ -491,6 +491,22 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
       << result.err;
 }
 
+TEST_F(Incise, NothingThatIsReadIsOverwritten) {
+  write_cube_and_sweep();
+  const auto bytes = [&](const char* name) {
+    std::ifstream in(dir_ / name, std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  const std::string motion = bytes("sweep.csv"), mesh = bytes("cube.node");
+  for (const char* out : {"cube.node", "cube", "./cube.ele"}) {
+    expect_error(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out}), 1,
+                 {"would overwrite", "choose another name"});
+  }
+  expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "sweep.csv"}), 1, {"would overwrite"});
+  EXPECT_EQ(bytes("sweep.csv"), motion);
+  EXPECT_EQ(bytes("cube.node"), mesh);
+}
+
 TEST_F(Incise, CutSaysWhatIsWrongWithWhatItIsGiven) {
   write_cube_and_sweep();
   const std::vector<std::string> good{"cut", "--mesh", "cube", "--poses", "sweep.csv", "--out", "out.vtu"};

@@ -226,8 +226,14 @@ test("a server with tokens asks for one", async (t) => {
   await page.goto(server.url);
   await page.locator("#token-dialog[open]").waitFor();
   assert.equal((await fetch(`${server.url}captures`)).status, 401);
+  // Who does not give one can change their mind; a wrong one is called wrong; Enter sends it.
+  await page.getByRole("button", { name: "Not now" }).click();
+  await page.getByRole("button", { name: "Enter a token" }).click();
+  await page.locator("#token").fill("not-one-of-the-tokens");
+  await page.keyboard.press("Enter");
+  await page.getByText("did not accept that token").waitFor();
   await page.locator("#token").fill("only-for-watching");
-  await page.getByRole("button", { name: "Continue" }).click();
+  await page.keyboard.press("Enter");
   await until(page, () => window.incise.progress);
   // What the page asks for beside the stream comes by the same token.
   await until(page, () => document.querySelector("#captures")?.textContent === "last week");

@@ -266,7 +266,7 @@ export class Link {
     }
     switch (error.code()) {
       case ErrorCode.Unauthorized:
-        return this.giveUp("token", "The server asks for a token. Enter one with this role.");
+        return this.giveUp("token", "This server needs a token.");
       case ErrorCode.BladeTaken:
       case ErrorCode.UnknownSource:
         return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");

@@ -178,7 +178,7 @@ export class Page {
         this.viewState = state;
         this.showConnection();
         this.operator.onViewLink(state);
-        if (state.reason === "token") this.askToken("This server shows its body only to those who have a token.");
+        if (state.reason === "token") this.askTokenToSee();
         return;
       case "blade":
         return this.operator.onBladeLink(state);
@@ -237,6 +237,7 @@ export class Page {
         this.send({ kind: "reset" });
       });
     element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
+    element("token-cancel").onclick = () => element<HTMLDialogElement>("token-dialog").close();
     for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a"))
       link.onclick = (event) => void this.openWithToken(event, link.href);
   }
@@ -291,12 +292,21 @@ export class Page {
     ];
   }
 
-  private askToken(why: string): void {
-    element("token-why").textContent = `${why} Whoever runs the server can give you one; it stays in this window.`;
+  private askTokenToSee(): void {
+    const why = this.token
+      ? "The server did not accept that token."
+      : "This server shows its body only to those who have a token.";
+    const again = () => notice("Without a token there is nothing to see.", "Enter a token", () => this.askTokenToSee());
+    this.askToken(why, again);
+  }
+
+  private askToken(why: string, refused = () => {}): void {
+    element("token-why").textContent =
+      `${why} Whoever runs the server can give you one. The token is kept only in this window.`;
     ask("token-dialog", (confirmed) => {
       const token = input("token").value;
       input("token").value = "";
-      if (!confirmed || token === "") return;
+      if (!confirmed || token === "") return refused();
       this.token = token;
       sessionStorage.setItem("incise-token", token);
       this.connect();

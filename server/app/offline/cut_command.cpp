@@ -296,6 +296,7 @@ int run_cut(const CutCommand& command) {
     if (compares)
       throw std::runtime_error("--policy compare writes no mesh: leave out --out, or name one policy");
     require_mesh_output(command.out, "--out");
+    require_not_read(command.out, {command.mesh, command.poses}, "--out");
   }
   if (!command.report.empty()) require_writable(command.report, "--report");
   std::vector<Json> reports;

@@ -1,5 +1,6 @@
 #include "server/app/offline/cut_file.hpp"
 
+#include <array>
 #include <bit>
 #include <fstream>
 #include <system_error>
@@ -19,6 +20,24 @@ void require_writable(const fs::path& path, const std::string& option) {
   }
   if (path.empty() || !path.has_filename() || fs::is_directory(path, error)) {
     throw std::runtime_error(option + " " + path.string() + ": is a directory; accepted is a file's name");
+  }
+}
+
+void require_not_read(const fs::path& out, std::initializer_list<fs::path> read, const std::string& option) {
+  const auto files = [](const fs::path& path) {
+    const bool of_pair = path.extension() == ".node" || path.extension() == ".ele";
+    const std::string base = of_pair ? fs::path(path).replace_extension().string() : path.string();
+    return std::array{path, fs::path(base + ".node"), fs::path(base + ".ele")};
+  };
+  for (const fs::path& input : read) {
+    for (const fs::path& from : files(input)) {
+      for (const fs::path& to : files(out)) {
+        std::error_code error;
+        if (!from.empty() && fs::equivalent(from, to, error))
+          throw std::runtime_error(option + " " + out.string() + ": would overwrite " + from.string() +
+                                   ", which is read; choose another name");
+      }
+    }
   }
 }
 

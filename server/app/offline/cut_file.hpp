@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <initializer_list>
 #include <string>
 #include <vector>
 
@@ -14,7 +15,10 @@ namespace incise::app {
 // Throws std::runtime_error where `path` cannot become a file: its directory is missing, or it is a directory. Asked
 // before the work whose result goes there. `option` names it in the message.
 void require_writable(const std::filesystem::path& path, const std::string& option);
-// The same, and that its ending is one that write_cut_mesh takes: a mesh's or a surface's that can be written, or none (TetGen).
+// Throws std::runtime_error where `out` is one of the files that are read (a TetGen mesh is named by its base, too).
+void require_not_read(const std::filesystem::path& out, std::initializer_list<std::filesystem::path> read,
+                      const std::string& option);
+// The same as require_writable, and that its ending is one that write_cut_mesh takes: a mesh's or a surface's that can be written, or none (TetGen).
 void require_mesh_output(const std::filesystem::path& path, const std::string& option);
 
 // Writes what is left of a mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),

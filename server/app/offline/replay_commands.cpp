@@ -147,6 +147,7 @@ int run_replay(const ReplayCommand& command) {
 
 int run_export(const ExportCommand& command) {
   require_mesh_output(command.out, "--out");
+  require_not_read(command.out, {command.capture, command.mesh}, "--out");
   const Replayable opened = open_capture(command.capture, command.mesh);
   core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
   if (!command.revision || *command.revision > 0) {
@@ -276,6 +277,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
 
 int run_convert(const ConvertCommand& command) {
   require_writable(command.out, "--out");
+  require_not_read(command.out, {command.motion, command.mesh}, "--out");
   const Conversion done = [&] {
     Progress progress("reading " + command.motion.filename().string());
     return convert(command, progress);
