@@ -433,14 +433,14 @@ TEST_F(Incise, TheReportsDeviationIsWhatAJudgeMeasures) {
   for (std::size_t t = 0; t < cut.tets.size(); ++t) {
     for (int f = 0; f < 4; ++f) {
       if (!(static_cast<unsigned char>(values[t]) >> f & 1)) continue;
-      core::Vec3 middle{};
+      std::vector<core::Vec3> corners;
       for (int v = 0; v < 4; ++v) {
-        if (v == f) continue;
-        const core::Vec3& p = cut.positions[cut.tets[t][static_cast<std::size_t>(v)]];
-        look_at(p);
-        middle += (1.0 / 3) * p;
+        if (v != f) corners.push_back(cut.positions[cut.tets[t][static_cast<std::size_t>(v)]]);
       }
-      look_at(middle);
+      for (int i = 0; i <= 6; ++i) {
+        for (int j = 0; i + j <= 6; ++j)
+          look_at((i / 6.0) * corners[0] + (j / 6.0) * corners[1] + ((6 - i - j) / 6.0) * corners[2]);
+      }
     }
   }
   ASSERT_GT(samples, 1000u);

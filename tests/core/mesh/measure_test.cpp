@@ -112,7 +112,7 @@ TEST(Measure, DeviationOfFacesThatLieOffTheSweep) {
             0.01);
   surface.build();
   const Deviation result = deviation(mesh, surface);
-  EXPECT_EQ(result.samples, 4u * 4);
+  EXPECT_EQ(result.samples, 4u * 28);
   EXPECT_NEAR(result.max_m, 0.25, 1e-12);
   EXPECT_DOUBLE_EQ(result.max_h, 0.25 / mesh.mean_edge_length());
   EXPECT_GT(result.mean_h, 0.1);
