@@ -239,7 +239,7 @@ test("a server with tokens asks for one", async (t) => {
   await until(page, () => document.querySelector("#captures")?.textContent === "last week");
   const figures = page.waitForEvent("popup");
   await page.evaluate(() => document.querySelector(".links a[href=stats]").click());
-  await (await figures).getByText('"wrong_tokens":0').waitFor();
+  await (await figures).getByText('"wrong_tokens":2').waitFor();
   await page.getByText("you need an operator's token").waitFor();
   await page.getByRole("button", { name: "Enter a token" }).first().click();
   await page.locator("#token").fill("for-cutting-as-well");
