@@ -321,7 +321,7 @@ void VolumePart::load_part(const Replica& whole, const Box& box) {
   state_.revision = whole.revision();
 }
 
-// Those that the change names, and those of which it may have changed whether they touch the box.
+// Those that the change names, and those that it may have moved into or out of the box.
 std::vector<std::uint32_t> VolumePart::tets_to_look_at(const Replica& whole, const TetIndex& index,
                                                        const MeshChange& change, const Box& box) {
   std::vector<std::uint32_t> out = change.tets;

@@ -37,7 +37,7 @@ class CaptureLibrary final : public stream::ReplayLibrary {
 
   const std::filesystem::path directory_;
   const Body& live_;
-  std::set<std::string> left_out_;               // what the log has been told of
+  std::set<std::string> left_out_;               // already logged
   std::list<std::shared_ptr<Playing>> playing_;  // with those that have ended and were not joined yet
 };
 

@@ -763,7 +763,7 @@ void check_readable(const Config& config, const std::string& file, const std::st
   }
 }
 
-// Refuses a folder that is none, or that cannot be read.
+// Refuses a path that is not a folder, or a folder that cannot be read.
 void check_folder(const std::string& file, const std::string& key, const Path& folder) {
   std::error_code error;
   int why = 0;

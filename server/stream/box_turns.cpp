@@ -10,15 +10,6 @@
 #include "server/stream/session.hpp"
 
 namespace incise::stream {
-namespace {
-
-std::int64_t thread_cpu_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
-}
-
-}  // namespace
 
 void TimeShare::spend(std::int64_t cost_ns, std::int64_t now_ns) {
   free_at_ns_ = std::max(free_at_ns_, now_ns - kSaved_ns) +
@@ -79,9 +70,9 @@ void BoxTurns::serve() {
   } else if (now >= std::max(share_.free_at_ns(), queue_.front().since_ns + kBehind_ns)) {
     const auto session = queue_.front().session.lock();
     queue_.pop_front();
-    const std::int64_t before = thread_cpu_ns();
+    const std::int64_t before = clock_ns(CLOCK_THREAD_CPUTIME_ID);
     if (session && session->take_box_turn()) {
-      const std::int64_t cost = thread_cpu_ns() - before;
+      const std::int64_t cost = clock_ns(CLOCK_THREAD_CPUTIME_ID) - before;
       session->set_box_cost(cost);
       share_.spend(cost, monotonic_ns());
       ++counters_.box_turns;
