@@ -59,9 +59,12 @@ void for_each_live_tet(const core::TetMesh& mesh, Visit visit) {
 // The parts that some walls leave of a body, and how they lie in the pieces of the mesh.
 struct Parts {
   std::uint32_t count = 0;
-  std::vector<std::uint32_t> of;                                              // by point
-  std::vector<std::uint64_t> points, deep, thick;                             // by part
-  std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint64_t> in_piece;  // (part, piece): points
+  std::vector<std::uint32_t> of;                   // by point
+  std::vector<std::uint64_t> points, deep, thick;  // by part
+  struct Shared {
+    std::uint64_t points = 0, thick = 0;
+  };
+  std::map<std::pair<std::uint32_t, std::uint32_t>, Shared> in_piece;  // by part and piece
 
   void lay_out(const SampleGrid& grid, const Walls& walls, const std::vector<std::uint8_t>& inside) {
     count = flood(grid, walls, inside, of);
@@ -71,20 +74,15 @@ struct Parts {
     points.assign(count, 0);
     thick.assign(count, 0);
     deep.assign(count, 0);
-    std::vector<std::uint64_t> keys;
     for (std::size_t i = 0; i < of.size(); ++i) {
       if (of[i] == kNone) continue;
       ++points[of[i]];
       deep[of[i]] += off2[i] > deep2;
       thick[of[i]] += off2[i] > thick2;
-      if (piece_at[i] != kNone) keys.push_back(std::uint64_t{of[i]} << 32 | piece_at[i]);
-    }
-    std::sort(keys.begin(), keys.end());
-    for (std::size_t i = 0; i < keys.size();) {
-      std::size_t end = i;
-      while (end < keys.size() && keys[end] == keys[i]) ++end;
-      in_piece[{static_cast<std::uint32_t>(keys[i] >> 32), static_cast<std::uint32_t>(keys[i])}] = end - i;
-      i = end;
+      if (piece_at[i] == kNone) continue;
+      Shared& shared = in_piece[{of[i], piece_at[i]}];
+      ++shared.points;
+      shared.thick += off2[i] > thick2;
     }
   }
 };
@@ -237,8 +235,8 @@ class Judge {
     std::map<std::uint32_t, std::uint32_t> pieces;
     // A point or two may lie in a bump that the boundary's own vertices have slid over.
     constexpr std::uint64_t kLeast = 4;
-    for (const auto& [where, points] : parts.in_piece) {
-      if (points < kLeast || ++pieces[where.first] < 2) continue;
+    for (const auto& [where, shared] : parts.in_piece) {
+      if (shared.points < kLeast || ++pieces[where.first] < 2) continue;
       ++verdict_.torn;
       for (std::size_t i = 0; i < piece_at_.size(); ++i) {
         if (parts.of[i] == where.first && piece_at_[i] == where.second)
@@ -247,14 +245,17 @@ class Judge {
     }
   }
 
-  // Pieces that are no part of the geometry: none that has half of its points there, and half of it in the piece.
+  // Pieces that are no part of the geometry: none that has half of its points there, and half of it, or of what is thick in it, in the
+  // piece.
   void find_crumbs(const Parts& must, const Parts& may) {
     std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
     const auto accept = [&](const Parts& parts, std::uint64_t least_thick) {
-      for (const auto& [where, points] : parts.in_piece) {
+      for (const auto& [where, shared] : parts.in_piece) {
         const auto [part, piece] = where;
-        if (parts.thick[part] >= least_thick && 2 * points >= parts.points[part] &&
-            2 * points >= piece_points_[piece])
+        // The thin end of a wedge between two surfaces is one with them.
+        const bool most_of_it =
+            2 * shared.points >= parts.points[part] || 2 * shared.thick >= parts.thick[part];
+        if (parts.thick[part] >= least_thick && most_of_it && 2 * shared.points >= piece_points_[piece])
           is_part[piece] = 1;
       }
     };

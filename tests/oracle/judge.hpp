@@ -26,7 +26,7 @@ inline constexpr double kClosed_h = 0.25;
 inline constexpr double kMayClose_h = 0.6;  // gaps between the two may be closed
 inline constexpr double kDeep_h = 0.3;
 inline constexpr double kThick_h =
-    0.2;  // a part that nowhere reaches this far from a surface is no piece, either
+    0.125;  // a part that nowhere reaches this far from a surface, between two that are one, is no piece
 inline constexpr double kDeepVolume_h3 = 0.25;
 inline constexpr double kNeck_h = 0.5;
 inline constexpr std::uint32_t kCrumb = 8;

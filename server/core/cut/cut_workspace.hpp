@@ -14,20 +14,24 @@ namespace incise::core {
 // with it, never cleared. A mark holds when it equals the number of the stroke, the pass or the collection that asks.
 struct CutWorkspace {
   struct VertexMarks {
-    std::uint32_t surface = 0;         // the stroke on whose swept surface it was put ...
-    std::uint32_t batch = 0;           // ... and the stroke's batch that did so
-    std::uint32_t failed = 0;          // the stroke that could not deal with a crossing at it
-    std::uint32_t rim = 0;             // the stroke on whose sweep's rim it was put
+    std::uint32_t surface = 0;  // the stroke on whose swept surface it was put ...
+    std::uint32_t batch = 0;    // ... and the stroke's batch that did so
+    std::uint32_t failed = 0;   // the stroke that could not deal with a crossing at it
+    std::uint32_t rim = 0;      // the stroke on whose sweep's rim it was put
+    std::uint32_t stands = 0;   // the stroke for whose swept surface it stands where it is, near to that
     std::uint32_t first_crossing = 0;  // of the edges whose lower vertex it is, in Crossings
     std::uint32_t crossings = 0;       // the collection that first_crossing belongs to
     std::uint32_t looked_at = 0;       // the scan that found out whether it is near the blade (ActiveSet)
     std::uint32_t tried = 0;           // the repairs in which moving it, as its star is now, was of no use
-    bool hot = false;                  // looked_at: it is near
+    std::uint32_t at_boundary = 0;  // the scan that found it at the boundary, or that + 1: not (ClosingStage)
+    bool hot = false;               // looked_at: it is near
   };
   struct TetMarks {
     std::uint32_t pass = 0;    // the last pass that has it (TetPass)
     std::uint32_t active = 0;  // the stroke that has it in its list
     std::uint8_t pending = 0;  // bit f: face f is about to open
+    std::uint8_t waiting = 0;  // bit f: face f waits for the blade to go on (ClosingStage), in the stroke
+    std::uint32_t waits_for = 0;
   };
 
   explicit CutWorkspace(const TetMesh& mesh) : grid(mesh) {
@@ -42,7 +46,7 @@ struct CutWorkspace {
       VertexMarks marks;
       if (mesh.is_new(v) && mesh.provenance(v).a == mesh.provenance(v).b) {
         marks = vertices[mesh.provenance(v).a];
-        marks.crossings = marks.looked_at = 0;
+        marks.crossings = marks.looked_at = marks.at_boundary = 0;
       }
       vertices.push_back(marks);
     }
@@ -52,11 +56,12 @@ struct CutWorkspace {
 
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
-    io.list(vertices, 16, [&](VertexMarks& marks) {
+    io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
       io(marks.failed);
       io(marks.rim);
+      io(marks.stands);
     });
     io.list(tets, 4, [&](TetMarks& marks) { io(marks.active); });
     if (!io.reads()) return;

@@ -16,7 +16,7 @@ namespace incise::core {
 // the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in each
 // class's archive(): a member that lives from one batch to the next belongs there. Raise the version when such a list
 // changes: older bytes are then refused.
-inline constexpr std::uint32_t kSessionStateVersion = 5;
+inline constexpr std::uint32_t kSessionStateVersion = 6;
 
 // No batch may wait (advance() says kIdle): what is in the middle of a batch has no bytes. O(mesh).
 std::vector<std::byte> save_session(const CutSession& session);

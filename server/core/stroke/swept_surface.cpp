@@ -57,6 +57,14 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
   add(add, 0, rows, 0, columns);
 }
 
+void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d,
+                             std::uint32_t batch) {
+  SweptTriangle triangle;
+  triangle.batch = batch;
+  if (make_swept_triangle(a, b, c, triangle)) triangles_.push_back(triangle);
+  if (make_swept_triangle(a, c, d, triangle)) triangles_.push_back(triangle);
+}
+
 void SweptSurface::build(std::size_t latest) {
   build(all_, 0, [](const SweptTriangle& triangle, Vec3& low, Vec3& high) {
     low = triangle.low;

@@ -25,6 +25,8 @@ class SweptSurface {
   void add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns, std::uint32_t batch,
                 bool first, const Vec3& low = {-INFINITY, -INFINITY, -INFINITY},
                 const Vec3& high = {INFINITY, INFINITY, INFINITY});
+  // Adds the quad with these corners in turn, none of whose sides is a rim.
+  void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch);
   // `latest`: the first triangle of the last batch.
   void build(std::size_t latest = SIZE_MAX);
   // Forgets all triangles of batches before `oldest`; returns how many. Call build() before the next query.
@@ -41,15 +43,15 @@ class SweptSurface {
   bool any_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
     return overlapping(all_, low, high, visit);
   }
-  // The same for the triangles of the last batch alone and the box around four points. These boxes lie along that batch's
-  // sweep, which is thin in at least one direction, so that few overlap in vain.
+  // The same for the triangles of the last batch alone and the box around four points, larger by `slack` on all sides. These
+  // boxes lie along that batch's sweep, which is thin in at least one direction, so that few overlap in vain.
   template <class Visit>
-  bool any_latest_overlapping(const FourPoints& points, Visit visit) const {
-    const auto range = [&points](const Vec3& axis, double& low, double& high) {
+  bool any_latest_overlapping(const FourPoints& points, double slack, Visit visit) const {
+    const auto range = [&points, slack](const Vec3& axis, double& low, double& high) {
       double at[4];
       points.along(axis, 0, at);
-      low = FourPoints::least(at);
-      high = FourPoints::most(at);
+      low = FourPoints::least(at) - slack;
+      high = FourPoints::most(at) + slack;
     };
     // The thin directions first: most that is asked for misses all of the sweep.
     Vec3 low, high;

@@ -9,12 +9,14 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
       active_(cut_),
       crossings_(cut_),
       editor_(mesh, cut_, active_),
+      joining_(cut_),
       rim_(cut_, editor_),
-      search_(cut_, active_, crossings_, rim_),
+      search_(cut_, active_, crossings_, rim_, editor_),
       crossing_stage_(cut_, crossings_, editor_),
       repair_(cut_, editor_),
       verify_(cut_, active_, crossings_, editor_),
-      opening_(cut_, active_, editor_) {}
+      opening_(cut_, active_, editor_),
+      closing_(cut_, editor_) {}
 
 void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   cut_.stroke = stroke;
@@ -22,6 +24,8 @@ void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   active_.clear();
   crossings_.clear();
   rim_.clear();
+  joining_.clear();
+  closing_.clear();
 }
 
 void ConformingCutter::begin(const Batch& batch) {
@@ -33,6 +37,11 @@ void ConformingCutter::begin(const Batch& batch) {
   cut_.has_front = !batch.ends_stroke;
   const BoundaryGrid& grid = cut_.workspace.grid;
   cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
+  joining_.begin(batch);
+  stage_ = Stage::kJoining;
+}
+
+void ConformingCutter::begin_search() {
   cut_.path.forget_before(active_.needed_since_m());
   cut_.path.build();
   cut_.oldest_batch = cut_.path.oldest_batch();
@@ -50,6 +59,10 @@ bool ConformingCutter::advance(WorkBudget& budget) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     switch (stage_) {
+      case Stage::kJoining:
+        if (!joining_.advance(budget)) break;
+        begin_search();
+        break;
       case Stage::kSearch:
         if (!search_.advance(budget)) break;
         rim_.begin();
@@ -84,6 +97,11 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         break;
       case Stage::kOpening:
         if (!opening_.advance(budget)) break;
+        closing_.begin(opening_.opened());
+        stage_ = Stage::kClosing;
+        break;
+      case Stage::kClosing:
+        if (!closing_.advance(budget)) break;
         finish();
         break;
       case Stage::kIdle:
@@ -102,6 +120,7 @@ void ConformingCutter::finish() {
     cut_.path.clear_surface();
     crossings_.clear();
     rim_.clear();
+    closing_.clear();
   }
   stage_ = Stage::kIdle;
 }
@@ -121,6 +140,8 @@ void ConformingCutter::archive(Archive& io) {
   cut_.path.archive_travel(io, active_.widest_m());
   crossings_.archive(io);
   rim_.archive(io);
+  joining_.archive(io);
+  closing_.archive(io);
 }
 
 }  // namespace incise::core

@@ -3,9 +3,11 @@
 #include <vector>
 
 #include "server/core/cut/conforming/active_set.hpp"
+#include "server/core/cut/conforming/closing_stage.hpp"
 #include "server/core/cut/conforming/crossing_stage.hpp"
 #include "server/core/cut/conforming/crossings.hpp"
 #include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/joining_stage.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 #include "server/core/cut/conforming/opening_stage.hpp"
 #include "server/core/cut/conforming/repair_stage.hpp"
@@ -18,6 +20,7 @@ namespace incise::core {
 
 // The policy `conforming`, for one blade. Each batch goes through these stages:
 //
+//   joining     a first or last line near an older cut or the boundary is continued through it.
 //   search      which tetrahedra the new swept triangles meet. They join the active ones.
 //   rim         where the sweep's rim pierces a face, a vertex is put on the rim.
 //   crossings   where the surface crosses an edge of an active tetrahedron, a vertex is put on the surface: the nearer
@@ -27,6 +30,7 @@ namespace incise::core {
 //   verify      crossings that snaps and repairs have made: back to `crossings`, twice at most.
 //   opening     a face opens exactly when the line between the reference points of its two tetrahedra crosses the
 //               surface; each vertex gets one copy for each component of its star.
+//   closing     where that comes upon an older cut or the boundary, faces that would still hold the two sides together open.
 //
 // All but the search keep one element behind the blade: a tetrahedron with a vertex near the blade's present line
 // waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is chopped.
@@ -49,9 +53,10 @@ class ConformingCutter final : public Cutter {
   void archive(Archive& io) override;
 
  private:
-  enum class Stage { kIdle, kSearch, kRim, kCrossings, kRepair, kVerify, kOpening };
+  enum class Stage { kIdle, kJoining, kSearch, kRim, kCrossings, kRepair, kVerify, kOpening, kClosing };
 
   void begin_stroke(std::uint32_t stroke);
+  void begin_search();
   void finish();
 
   CutContext cut_;
@@ -59,12 +64,14 @@ class ConformingCutter final : public Cutter {
   Crossings crossings_;
   MeshEditor editor_;
 
+  JoiningStage joining_;
   RimStage rim_;
   SearchStage search_;
   CrossingStage crossing_stage_;
   RepairStage repair_;
   VerifyStage verify_;
   OpeningStage opening_;
+  ClosingStage closing_;
 
   Stage stage_ = Stage::kIdle;
   int round_ = 0;  // of crossings, repair and verification

@@ -86,7 +86,8 @@ bool CrossingStage::still_crosses(Crossing& crossing) {
   if (round_ == 0 && crossing.batch == cut_.batch) return true;
   if (!cut_.find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, crossing.triangle, crossing.at))
     return false;
-  return !(a_on && crossing.at < kAtVertex_edge) && !(b_on && crossing.at > 1 - kAtVertex_edge);
+  const double length_m = distance(mesh_.position(a), mesh_.position(b));
+  return !cut_.meets_end(a, crossing.at, length_m) && !cut_.meets_end(b, 1 - crossing.at, length_m);
 }
 
 // Snaps an end of the edge whose star is good then.

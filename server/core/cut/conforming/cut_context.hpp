@@ -34,6 +34,13 @@ struct CutContext {
     return on_surface(v[0]) && on_surface(v[1]) && on_surface(v[2]);
   }
   bool on_rim(VertexId v) const { return workspace.vertices[v].rim == stroke; }
+  // Whether v stands for the surface, though it is only near to that: it lies in an older cut that runs along there.
+  bool stands(VertexId v) const { return workspace.vertices[v].stands == stroke; }
+  // Whether a crossing of an edge of this length, `part` of it from its end v, is as good as at v.
+  bool meets_end(VertexId v, double part, double length_m) const {
+    if (!on_surface(v)) return false;
+    return part < tolerance::kAtVertex_edge || (stands(v) && part * length_m < tolerance::kOne_h * h);
+  }
   // Whether a crossing at v could not be dealt with.
   bool failed(VertexId v) const { return workspace.vertices[v].failed == stroke; }
 
@@ -47,7 +54,13 @@ struct CutContext {
     return true;
   }
 
-  // A face that was about to open does not: each side apart.
+  // Whether a face is about to open: each side apart.
+  bool is_pending(HalfFace face) const {
+    return (workspace.tets[tet_of(face)].pending >> face_of(face) & 1) != 0;
+  }
+  void set_pending(HalfFace face) const {
+    workspace.tets[tet_of(face)].pending |= static_cast<std::uint8_t>(1u << face_of(face));
+  }
   void clear_pending(HalfFace face) const {
     workspace.tets[tet_of(face)].pending &= static_cast<std::uint8_t>(~(1u << face_of(face)));
   }

@@ -19,12 +19,23 @@ Vec3 reference_point(const CutContext& cut, TetId t) {
   return count == 0 ? cut.mesh.barycentre(t) : (1.0 / count) * sum;
 }
 
+bool is_shallow(const CutContext& cut, TetId t, double reach) {
+  const TetMesh& mesh = cut.mesh;
+  for (int f = 0; f < 4; ++f) {
+    if (!(mesh.cut_mask(t) >> f & 1)) continue;
+    // The middle is a quarter as far from a face as the apex.
+    if (6 * mesh.volume(t) <= 4 * reach * length(mesh.twice_area(half_face(t, f)))) return true;
+  }
+  cut.work += cost::kNearby;
+  return cut.surface().is_within(mesh.barycentre(t), reach);
+}
+
 void Islands::spare(HalfFace side) {
   cut_.work += cost::kLook;
   if (!pending(tet_of(side), face_of(side)) || stands_clear(side)) return;
-  bool clean = true, thin = true;
-  const bool island = collect(tet_of(side), clean, thin);
-  if (island && (!clean || thin)) {
+  bool clean = true, thin = true, shallow = true;
+  const bool island = collect(tet_of(side), clean, thin, shallow);
+  if (island && (!clean || thin || shallow)) {
     join_larger_side();
   } else {
     for (std::size_t i = 0; i < size_; ++i) inland_.add(members_[i]);
@@ -33,17 +44,16 @@ void Islands::spare(HalfFace side) {
 
 // The tetrahedra that hang together behind the faces that are about to open. Whether they are few enough for an island; `clean`:
 // none of its faces is beside the surface; `thin`: all of it is near the surface.
-bool Islands::collect(TetId first, bool& clean, bool& thin) {
+bool Islands::collect(TetId first, bool& clean, bool& thin, bool& shallow) {
   std::size_t max_size = kMaxSheetIsland;
   size_ = 1;
   members_[0] = first;
   bool island = !inland_.has(first);
   for (std::size_t i = 0; i < size_ && island; ++i) {
     const TetId t = members_[i];
-    if (thin && !is_thin(t)) {
-      thin = false;
-      max_size = kMaxRaggedIsland;
-    }
+    thin = thin && is_thin(t);
+    shallow = shallow && is_shallow(cut_, t, kShallow_h * cut_.h) && reaches_no_farther(t);
+    if (!thin && !shallow) max_size = kMaxRaggedIsland;
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {
       if (pending(t, f)) {
@@ -99,7 +109,7 @@ bool Islands::is_above(HalfFace h) const {
 
 // Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.
 bool Islands::stands_clear(HalfFace h) const {
-  if (!cut_.face_on_surface(h)) return false;
+  if (!cut_.face_on_surface(h) || mesh_.cut_mask(tet_of(h)) != 0) return false;
   const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
   if (cut_.on_surface(apex)) return false;
   for (int f = 0; f < 4; ++f) {
@@ -107,7 +117,7 @@ bool Islands::stands_clear(HalfFace h) const {
   }
   const Vec3 n = mesh_.twice_area(h);
   return std::abs(dot(n, mesh_.position(apex) - mesh_.position(mesh_.face_vertices(h)[0]))) >
-         kThin_local * mesh_.local_h(apex) * length(n);
+         4 * kShallow_h * cut_.h * length(n);
 }
 
 // Whether a face has been opened beside the surface, where a crossing could not be dealt with.
@@ -115,6 +125,19 @@ bool Islands::is_ragged(HalfFace h) const {
   if (!(mesh_.cut_mask(tet_of(h)) >> face_of(h) & 1)) return false;
   return !cut_.face_on_surface(h) &&
          std::ranges::any_of(mesh_.face_vertices(h), [this](VertexId v) { return cut_.failed(v); });
+}
+
+// Whether each vertex of a tetrahedron lies in a cut or near the surface.
+bool Islands::reaches_no_farther(TetId t) const {
+  const unsigned cut_faces = mesh_.cut_mask(t);
+  for (unsigned i = 0; i < 4; ++i) {
+    const VertexId v = mesh_.vertices(t)[i];
+    if (cut_.on_surface(v) || (cut_faces & ~(1u << i)) != 0) continue;
+    cut_.work += cost::kNearby;
+    if (!cut_.surface().is_within(mesh_.position(v), kCrumb_h * std::min(cut_.h, mesh_.local_h(v))))
+      return false;
+  }
+  return true;
 }
 
 // Whether all of a tetrahedron is near the surface.

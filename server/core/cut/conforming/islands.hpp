@@ -11,6 +11,9 @@ namespace incise::core {
 // A point that stands for the side of the surface that a tetrahedron is on.
 Vec3 reference_point(const CutContext& cut, TetId t);
 
+// Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
+bool is_shallow(const CutContext& cut, TetId t, double reach);
+
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out
 // of those that are about to open (TetMarks::pending).
@@ -25,13 +28,14 @@ class Islands {
  private:
   static constexpr std::size_t kMaxSize = tolerance::kMaxSheetIsland;
 
-  bool collect(TetId first, bool& clean, bool& thin);
+  bool collect(TetId first, bool& clean, bool& thin, bool& shallow);
   void join_larger_side();
   bool is_above(HalfFace h) const;
   bool stands_clear(HalfFace h) const;
   bool is_ragged(HalfFace h) const;
+  bool reaches_no_farther(TetId t) const;
   bool is_thin(TetId t) const;
-  bool pending(TetId t, int f) const { return (cut_.workspace.tets[t].pending >> f & 1) != 0; }
+  bool pending(TetId t, int f) const { return cut_.is_pending(half_face(t, f)); }
 
   CutContext& cut_;
   const TetMesh& mesh_;

@@ -38,6 +38,19 @@ void MeshEditor::snap_to_rim(const VertexStar& star, VertexId v, const Vec3& tar
   snap(star, v, target);
 }
 
+void MeshEditor::stand(VertexId v) {
+  if (cut_.on_surface(v)) return;
+  cut_.workspace.vertices[v].surface = cut_.stroke;
+  cut_.workspace.vertices[v].batch = cut_.batch;
+  mesh_.star(v, star_);
+  cut_.work += static_cast<std::int64_t>(star_.size());
+  for (Corner c : star_) {
+    const auto on =
+        std::ranges::count_if(mesh_.vertices(tet_of(c)), [this](VertexId w) { return cut_.on_surface(w); });
+    if (on >= 3) active_.add(tet_of(c));
+  }
+}
+
 void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
   mesh_.move_vertex(v, target);
   judge_again(star, v);
@@ -99,16 +112,23 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
 }
 
 void MeshEditor::remove_flat(TetId t) {
+  if (!mesh_.alive(t)) return;  // it went with another one
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
   const VertexId first_copy = mesh_.vertex_slots();
   mesh_.remove_tet(t);
   cut_.work += cost::kRemoveFlat;
   ++cut_.counts.removed_tets;
-  for (TetId n : neighbors) {
-    if (n != kNone) enter(n);
-  }
   cut_.workspace.grow(mesh_);
+  for (TetId n : neighbors) {
+    if (n == kNone) continue;
+    enter(n);
+    // What hung by it alone, and is part of the surface like it, goes with it.
+    const auto on_surface = [this](VertexId v) { return cut_.on_surface(v); };
+    if (mesh_.boundary_mask(n) != 0xf || !std::ranges::all_of(mesh_.vertices(n), on_surface)) continue;
+    mesh_.remove_tet(n);
+    ++cut_.counts.removed_tets;
+  }
   // What is poor may be at a copy now, of a vertex that was put on the surface before.
   for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
 }
@@ -119,8 +139,25 @@ void MeshEditor::remove_film(TetId t) {
   ++cut_.counts.repairs;
 }
 
+// The face is about to open: its area, and how far it is off the surface.
+void MeshEditor::account(HalfFace h) {
+  cut_.clear_pending(h);
+  cut_.clear_pending(mesh_.opposite(h));
+  cut_.counts.cut_area += 0.5 * length(mesh_.twice_area(h));
+  for (VertexId v : mesh_.face_vertices(h)) {
+    if (cut_.on_surface(v)) continue;
+    std::uint32_t triangle;
+    Vec3 closest = mesh_.position(v);
+    cut_.work += cost::kDeviation;
+    cut_.surface().closest(mesh_.position(v), kSurfaceReach_h * cut_.h, closest, triangle);
+    cut_.counts.max_deviation_h =
+        std::max(cut_.counts.max_deviation_h, distance(closest, mesh_.position(v)) / cut_.h);
+  }
+}
+
 void MeshEditor::open(std::span<const HalfFace> faces) {
   for (HalfFace h : faces) {
+    account(h);
     cut_.workspace.grid.add(mesh_, tet_of(h));
     cut_.workspace.grid.add(mesh_, tet_of(mesh_.opposite(h)));
   }

@@ -17,6 +17,8 @@ namespace incise::core {
 //                 looks again                                the grid     moved again
 //   snap          its star      what has three vertices on   -            -            v, unless its star is good
 //                               the surface now; failed ones
+//   stand         -             what has three vertices on   -            -            -
+//                               the surface now
 //   move          its star      failed ones                  -            its star     -
 //   split         the ring      the ring, new ones           new ones     -            the new vertex
 //   collapse      its star      its star                     its star and its star     -
@@ -44,6 +46,8 @@ class MeshEditor {
   void snap(const VertexStar& star, VertexId v, const Vec3& target);
   // The same, where the sweep ends.
   void snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target);
+  // v lies on the surface, or stands for it, where it is. Before verification.
+  void stand(VertexId v);
   // v, whose star that is, goes to a better place.
   void move(const VertexStar& star, VertexId v, const Vec3& target);
   // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a).
@@ -73,6 +77,7 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
+  void account(HalfFace h);
 
   TetMesh& mesh_;
   CutContext& cut_;

@@ -10,6 +10,7 @@ void OpeningStage::begin() {
   phase_ = Phase::kSelect;
   next_ = kept_ = 0;
   faces_.clear();
+  opened_.clear();
   selected_.begin();
 }
 
@@ -128,8 +129,7 @@ bool OpeningStage::spare_islands(WorkBudget& budget) {
     islands_.spare(h);
     islands_.spare(mesh_.opposite(h));
   }
-  std::erase_if(faces_,
-                [this](HalfFace h) { return !(cut_.workspace.tets[tet_of(h)].pending >> face_of(h) & 1); });
+  std::erase_if(faces_, [this](HalfFace h) { return !cut_.is_pending(h); });
   return true;
 }
 
@@ -140,28 +140,14 @@ bool OpeningStage::open(WorkBudget& budget) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const std::size_t end = std::min(next_ + kOpenChunk, faces_.size());
-    const std::span<const HalfFace> chunk(faces_.data() + next_, end - next_);
-    for (HalfFace h : chunk) account(h);
-    editor_.open(chunk);
+    for (std::size_t i = next_; i < end; ++i) {
+      opened_.push_back(faces_[i]);
+      opened_.push_back(mesh_.opposite(faces_[i]));
+    }
+    editor_.open(std::span<const HalfFace>(faces_.data() + next_, end - next_));
     next_ = end;
   }
   return true;
-}
-
-// The face is about to open: its area, and how far it is off the surface.
-void OpeningStage::account(HalfFace h) {
-  cut_.clear_pending(h);
-  cut_.clear_pending(mesh_.opposite(h));
-  cut_.counts.cut_area += 0.5 * length(mesh_.twice_area(h));
-  for (VertexId v : mesh_.face_vertices(h)) {
-    if (cut_.on_surface(v)) continue;
-    std::uint32_t triangle;
-    Vec3 closest = mesh_.position(v);
-    cut_.work += cost::kDeviation;
-    cut_.surface().closest(mesh_.position(v), kSurfaceReach_h * cut_.h, closest, triangle);
-    cut_.counts.max_deviation_h =
-        std::max(cut_.counts.max_deviation_h, distance(closest, mesh_.position(v)) / cut_.h);
-  }
 }
 
 }  // namespace incise::core

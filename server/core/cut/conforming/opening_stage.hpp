@@ -26,6 +26,8 @@ class OpeningStage {
   void begin();
   // True: done; false: the budget is spent, or more is to do.
   bool advance(WorkBudget& budget);
+  // What has opened: both sides of each face.
+  std::span<const HalfFace> opened() const { return opened_; }
 
  private:
   enum class Phase { kSelect, kSpare, kOpen };
@@ -36,7 +38,6 @@ class OpeningStage {
   bool separates(HalfFace h) const;
   bool spare_islands(WorkBudget& budget);
   bool open(WorkBudget& budget);
-  void account(HalfFace h);
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -48,7 +49,8 @@ class OpeningStage {
   std::size_t kept_ = 0;  // of active_
   TetPass selected_;      // whose faces have been looked at
   Islands islands_;
-  std::vector<HalfFace> faces_;  // to open
+  std::vector<HalfFace> faces_;   // to open
+  std::vector<HalfFace> opened_;  // both sides of each
 };
 
 }  // namespace incise::core

@@ -7,9 +7,10 @@ namespace incise::core {
 
 using namespace tolerance;
 
-// Whether v is the rim's vertex where the rim pierces a face of v's at `point`.
+// Whether v is the rim's vertex where the rim pierces a face of v's at `point`: put there, or of an older cut that the sweep is one with.
 bool RimStage::stands_for(VertexId v, const Vec3& point) const {
-  return cut_.on_rim(v) && distance(mesh_.position(v), point) < kRim_local * mesh_.local_h(v);
+  return (cut_.on_rim(v) || (cut_.stands(v) && cut_.on_surface(v))) &&
+         distance(mesh_.position(v), point) < kRim_local * mesh_.local_h(v);
 }
 
 void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {

@@ -4,6 +4,8 @@
 
 namespace incise::core {
 
+using namespace tolerance;
+
 void SearchStage::begin() {
   searched_.begin();
   queue_.clear();
@@ -122,7 +124,8 @@ bool SearchStage::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
   const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
   bool meets = false;
-  cut_.surface().any_latest_overlapping(p, [&](std::uint32_t index) {
+  const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
+  cut_.surface().any_latest_overlapping(p, slack_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     for (int k = 0; k < 3; ++k) {
       if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
@@ -133,12 +136,39 @@ bool SearchStage::probe(TetId t) {
   return meets;
 }
 
+// Vertices that lie in the sweep already, since no edge crosses there, and those of an older cut's faces that run along it so near
+// that they are one with it.
+void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4]) {
+  const auto& v = mesh_.vertices(t);
+  const unsigned cut_faces = mesh_.cut_mask(t);
+  for (int i = 0; i < 4; ++i) {
+    const double off_m = std::abs(d[i]);
+    if (off_m > kOne_h * cut_.h || cut_.on_surface(v[i])) continue;
+    const Vec3& p = mesh_.position(v[i]);
+    bool over = true;
+    for (int k = 0; k < 3; ++k)
+      over = over && dot(triangle.inward[k], p) - triangle.inward_offset[k] >= -cut_.clear_m;
+    if (!over) continue;
+    bool stands = off_m <= (cut_faces != 0 ? kLiesAtCut_h : kLies_h) * cut_.h;
+    // Around a crossing that this stroke could not deal with, faces open beside its own surface.
+    for (int f = 0; f < 4 && cut_faces != 0 && !stands && !cut_.failed(v[i]); ++f) {
+      if (f == i || !(cut_faces >> f & 1)) continue;
+      const Vec3 n = mesh_.twice_area(half_face(t, f));
+      const double along = dot(n, triangle.normal);
+      stands = along * along > kCosAlong * kCosAlong * squared_length(n);
+    }
+    if (stands && (cut_faces & ~(1u << i)) != 0) cut_.workspace.vertices[v[i]].stands = cut_.stroke;
+    if (stands) editor_.stand(v[i]);
+  }
+}
+
 bool SearchStage::probe_triangle(TetId t, const FourPoints& p, std::uint32_t index) {
   const auto& v = mesh_.vertices(t);
   const SweptTriangle& triangle = cut_.surface()[index];
   const double clear = cut_.clear_m;
   double d[4];
   p.along(triangle.normal, triangle.offset, d);
+  note_standing(t, triangle, d);
   if (FourPoints::least(d) >= 0 || FourPoints::most(d) < 0) return false;
   // How far inside each of the triangle's edges; outside one with all corners is outside.
   double inside[3][4];

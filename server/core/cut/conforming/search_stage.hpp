@@ -13,12 +13,13 @@ namespace incise::core {
 // adjacency. They become active; crossings of their edges and of their faces with the rim are noted.
 class SearchStage {
  public:
-  SearchStage(CutContext& cut, ActiveSet& active, Crossings& crossings, RimStage& rim)
+  SearchStage(CutContext& cut, ActiveSet& active, Crossings& crossings, RimStage& rim, MeshEditor& editor)
       : cut_(cut),
         mesh_(cut.mesh),
         active_(active),
         crossings_(crossings),
         rim_(rim),
+        editor_(editor),
         searched_(cut.workspace) {}
 
   void begin();
@@ -45,6 +46,7 @@ class SearchStage {
   bool end_of_rim(WorkBudget& budget);
   void enqueue(TetId t);
   bool probe(TetId t);
+  void note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4]);
   bool probe_triangle(TetId t, const FourPoints& p, std::uint32_t index);
 
   CutContext& cut_;
@@ -52,6 +54,7 @@ class SearchStage {
   ActiveSet& active_;
   Crossings& crossings_;
   RimStage& rim_;
+  MeshEditor& editor_;
 
   Phase phase_ = Phase::kActive;
   std::size_t next_ = 0;  // how far the phase is, in its list

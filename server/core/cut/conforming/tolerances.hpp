@@ -52,6 +52,29 @@ inline constexpr double kCosSharpTurn = 0.9;  // 26 degrees
 // flip may reach some edge lengths farther back.
 inline constexpr double kKeptBehind_local = 8;
 
+// ---- What is nearer than a quarter of an element is one (joining_stage.cpp, search_stage.cpp, closing_stage.cpp).
+
+// What is nearer than this to an older cut is one with it. kLiesAtCut_h, kLies_h: a vertex this near to the sweep lies in it, at an
+// older cut and elsewhere.
+inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
+// A sweep that begins or ends this near before an older cut or the boundary goes on until it is so far beyond. Somewhat more than kOne_h:
+// an older cut may end somewhat before its own rim.
+inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
+// The parts of a line that are looked at one by one: how long each is, and how many there are at most.
+inline constexpr double kJoinPart_h = 0.5, kMaxJoinParts = 4096;
+// A sweep begins and ends, too, where the blade moves along itself, but for this part of its way.
+inline constexpr double kLeastAcross = 0.05;
+// A boundary faces a blade whose motion is off its normal by no more than this.
+inline constexpr double kCosFacing = 0.5;  // 60 degrees
+// How far a face that closes a gap may be off the surface where it lies at no older cut, and where it cuts off a small part.
+inline constexpr double kAtSkin_h = 0.1, kSure_h = 0.05;
+// A tetrahedron this near to the surface may be on either side of it.
+inline constexpr double kBeside_h = 0.1;
+// A face nearer to the blade than this waits: what the blade is about to part hangs together before it.
+inline constexpr double kFar_h = 4;
+// What reaches more tetrahedra than this is no small part; a way from one side of a face to the other that passes more is none.
+inline constexpr std::size_t kMaxWay = 400;
+
 // ---- Waiting for the blade.
 
 // A vertex nearer than this to the blade's present line waits: what is swept next may concern it too.
@@ -125,6 +148,9 @@ inline constexpr int kMaxRounds = 3;
 inline constexpr double kPass = 0.25;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
+// Nor is a crumb: it has no vertex farther than this from the surface, or from an older cut that it lies at, and the middle of each
+// tetrahedron is nearer than kShallow_h.
+inline constexpr double kCrumb_h = 0.35, kShallow_h = 0.125;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a thin sheet.
 inline constexpr std::size_t kMaxRaggedIsland = 8, kMaxSheetIsland = 64;
 // How far from an opened face the surface is looked for: for its side, and for the deviation that is reported.

@@ -66,7 +66,10 @@ bool VerifyStage::collect_from(TetId t) {
       double at;
       if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_m, at)) continue;
       clear = false;
-      if ((on[i] && at < kAtVertex_edge) || (on[j] && at > 1 - kAtVertex_edge)) {
+      const double length_m = distance(mesh_.position(v[i]), mesh_.position(v[j]));
+      if (cut_.meets_end(v[i], at, length_m) || cut_.meets_end(v[j], 1 - at, length_m)) {
+        // What stands for the surface deals with it.
+        if (cut_.stands(v[i]) || cut_.stands(v[j])) continue;
         // A vertex on another part of the surface is as near as can be had.
         editor_.fail(v[i]);
         editor_.fail(v[j]);

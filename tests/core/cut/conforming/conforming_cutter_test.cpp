@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "server/core/cut/conforming/tolerances.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -87,18 +88,20 @@ class Cut {
   }
   // Of the cut faces from the surface swept.
   Deviation cut_deviation() const { return deviation(mesh(), swept()); }
-  // How many pieces one through-cut makes of `uncut`: the components of its vertices on either side, joined by edges
-  // that stay on it. Those of one or two vertices are specks at the surface that a cut may take or leave.
+  // How many pieces one through-cut makes of `uncut`, at least and at most: the components of its vertices on either side, joined by
+  // edges that stay on it. Those of one or two vertices, and those that nowhere reach far from the surface, may stay with a neighbour.
   std::pair<std::uint32_t, std::uint32_t> expected_pieces(const MeshData& uncut) const {
     const SweptSurface surface = swept();
     std::vector<std::uint32_t> parent(uncut.positions.size()), size(uncut.positions.size(), 0);
-    std::vector<bool> above(uncut.positions.size());
+    std::vector<bool> above(uncut.positions.size()), reaches(uncut.positions.size(), false);
+    std::vector<double> off_m(uncut.positions.size());
     for (std::uint32_t v = 0; v < parent.size(); ++v) {
       parent[v] = v;
       Vec3 closest;
       std::uint32_t triangle = 0;
       surface.closest(uncut.positions[v], 1e9, closest, triangle);
       above[v] = surface[triangle].signed_distance(uncut.positions[v]) >= 0;
+      off_m[v] = distance(uncut.positions[v], closest);
     }
     const auto find = [&parent](std::uint32_t v) {
       while (parent[v] != v) v = parent[v] = parent[parent[v]];
@@ -112,12 +115,17 @@ class Cut {
         if (above[a] == above[b]) parent[find(a)] = find(b);
       }
     }
-    for (std::uint32_t v = 0; v < parent.size(); ++v) size[find(v)] += used[v];
-    const auto count = [&](std::uint32_t from) {
-      return static_cast<std::uint32_t>(
-          std::count_if(size.begin(), size.end(), [from](std::uint32_t n) { return n >= from; }));
-    };
-    return {count(3), count(1)};
+    const double crumb_m = tolerance::kCrumb_h * TetMesh(uncut).mean_edge_length();
+    for (std::uint32_t v = 0; v < parent.size(); ++v) {
+      size[find(v)] += used[v];
+      if (used[v] && off_m[v] > crumb_m) reaches[find(v)] = true;
+    }
+    std::pair<std::uint32_t, std::uint32_t> count{};
+    for (std::uint32_t v = 0; v < parent.size(); ++v) {
+      count.first += size[v] >= 3 && reaches[v];
+      count.second += size[v] >= 1;
+    }
+    return count;
   }
 
  private:

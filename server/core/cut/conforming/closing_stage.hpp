@@ -1,0 +1,94 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/mesh_editor.hpp"
+
+namespace incise::core {
+
+// Closes the gaps between what has just opened and what was open before: an older cut, an earlier part of this one, the body's
+// boundary. A face near the surface all of whose vertices lie there may be all that still holds two parts together. It opens where
+// its two sides hang together in no other way near by.
+class ClosingStage {
+ public:
+  ClosingStage(CutContext& cut, MeshEditor& editor)
+      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace) {}
+
+  void clear() { waiting_.clear(); }
+  // `opened`: the faces that this batch has opened, both sides of each.
+  void begin(std::span<const HalfFace> opened);
+  // True: done; false: the budget is spent, or more is to do.
+  bool advance(WorkBudget& budget);
+
+  void archive(Archive& io);
+
+ private:
+  enum class Phase { kCollect, kJudge, kOpen };
+  // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
+  // closed, and the others are judged with it.
+  struct Gap {
+    double off_m;
+    HalfFace face;
+    bool operator<(const Gap& other) const {
+      return off_m != other.off_m ? off_m > other.off_m : face < other.face;
+    }
+  };
+
+  // A face near the blade. While this has travelled less in the stroke, its sides may hang together before the blade.
+  struct Waiting {
+    HalfFace face;
+    double ripe_at_m;
+  };
+
+  void go(Phase phase) {
+    phase_ = phase;
+    next_ = 0;
+  }
+  bool collect(WorkBudget& budget);
+  bool judge(WorkBudget& budget);
+  bool open(WorkBudget& budget);
+  void consider(HalfFace h);
+  bool has_to_wait(HalfFace h);
+  // One of the two sides of a face waits for both.
+  bool waits(HalfFace h) const { return is_marked(h) || is_marked(mesh_.opposite(h)); }
+  bool is_marked(HalfFace h) const {
+    const CutWorkspace::TetMarks& marks = cut_.workspace.tets[tet_of(h)];
+    return marks.waits_for == cut_.stroke && (marks.waiting >> face_of(h) & 1) != 0;
+  }
+  void set_waits(HalfFace h, bool waits) {
+    CutWorkspace::TetMarks& marks = cut_.workspace.tets[tet_of(h)];
+    // A blade beside it asks for its own faces again.
+    if (marks.waits_for != cut_.stroke) marks.waiting = 0;
+    marks.waits_for = cut_.stroke;
+    const auto bit = static_cast<std::uint8_t>(1u << face_of(h));
+    marks.waiting = static_cast<std::uint8_t>(waits ? marks.waiting | bit : marks.waiting & ~bit);
+  }
+  bool all_at_boundary(HalfFace h);
+  bool may_close(HalfFace h, double& off_m);
+  bool is_near(const Vec3& p, double& off_m);
+  bool at_boundary(VertexId v);
+  bool at_older_cut(VertexId v);
+  bool is_part(TetId from, TetId other, double off_m);
+
+  CutContext& cut_;
+  const TetMesh& mesh_;
+  MeshEditor& editor_;
+
+  Phase phase_ = Phase::kCollect;
+  std::size_t next_ = 0;          // how far the phase is, in its list
+  std::vector<HalfFace> opened_;  // by this batch, both sides
+  std::vector<Waiting> waiting_;
+  std::vector<Gap> gaps_;
+  std::vector<HalfFace> faces_;         // to open
+  TetPass pass_;                        // whose faces have been considered; then what is_part() has reached
+  std::uint32_t scan_ = 0;              // that finds out whether vertices are at the boundary
+  std::uint32_t nearest_ = 0;           // the surface's triangle that is_near() has found
+  std::vector<TetId> queue_;            // of is_part()
+  std::vector<Waiting> waited_;         // scratch
+  std::vector<Corner> star_, corners_;  // scratch
+};
+
+}  // namespace incise::core
