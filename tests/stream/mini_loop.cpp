@@ -63,7 +63,7 @@ std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns,
   return out;
 }
 
-class MiniLoop::Source final : public PoseSource {
+class MiniLoop::Source final : public PoseInput {
  public:
   Source(MiniLoop& loop, std::uint32_t number) : loop_(loop), number_(number) {}
   ~Source() override {
@@ -71,7 +71,7 @@ class MiniLoop::Source final : public PoseSource {
     loop_.slots_[number_].closing = true;
   }
   std::uint32_t number() const override { return number_; }
-  std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t) override {
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t) override {
     const std::scoped_lock lock(loop_.mutex_);
     auto& queue = loop_.slots_[number_].poses;
     const std::size_t n = std::min(poses.size(), kQueue - queue.size());
@@ -237,8 +237,8 @@ void MiniLoop::work() {
   }
 }
 
-std::unique_ptr<PoseSource> MiniLoop::open(std::string_view source_name,
-                                           const std::optional<protocol::BladeEdge>&) {
+std::unique_ptr<PoseInput> MiniLoop::open(std::string_view source_name,
+                                          const std::optional<protocol::BladeEdge>&) {
   const std::scoped_lock lock(mutex_);
   for (const Slot& slot : slots_) {
     if (slot.open && slot.name == source_name) return nullptr;
@@ -257,7 +257,7 @@ bool MiniLoop::reset() {
   return reset_ = true;
 }
 
-std::size_t MiniLoop::open_sources() const {
+std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;
   for (const Slot& slot : slots_) open += slot.open;
