@@ -29,7 +29,7 @@ constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a re
 constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
 
-// Whether a name can be told to clients: UTF-8 without control characters.
+// Whether clients can show a name: UTF-8 without control characters.
 bool is_text(const std::string& name) {
   const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7f; };
   if (std::any_of(name.begin(), name.end(), is_control)) return false;
@@ -40,7 +40,7 @@ bool is_text(const std::string& name) {
   }
 }
 
-// Whether it is a file of the folder `home` (canonical): links that lead outside are not.
+// Whether it is a file in the folder `home` (canonical); links that lead outside are not.
 bool lies_in(const fs::path& home, const fs::path& path) {
   std::error_code error;
   const fs::path real = fs::canonical(path, error);
@@ -48,7 +48,7 @@ bool lies_in(const fs::path& home, const fs::path& path) {
   return std::mismatch(home.begin(), home.end(), real.begin(), real.end()).first == home.end();
 }
 
-// One capture's replay, on its thread: what was asked for is in `wish`, under the mutex.
+// One capture's replay, on its thread. Requests arrive in `wishes`, under the mutex.
 class Replay {
  public:
   Replay(std::string name, stream::ReplayEvents events)
@@ -81,11 +81,11 @@ class Replay {
   std::uint64_t revision() const { return session_->revision(); }
   std::uint64_t last_revision() const { return last_revision_; }
   bool at_end() const { return next_ == motion_.events.size() && session_->backlog_batches() == 0; }
-  // When what comes next arrived, on the recording's clock with its long silences left out; ns.
+  // When the next event arrived, on the recording's clock with long silences left out; ns.
   std::int64_t due_ns() const { return next_ < motion_.events.size() ? clock_ns_ + pause_ns() : clock_ns_; }
   std::int64_t clock_ns() const { return clock_ns_; }
 
-  // Commits a batch that waits, or takes the next event. Whether a batch was committed.
+  // Commits a batch that waits, or applies the next event. Whether a batch was committed.
   bool advance(bool tell) {
     auto delta = std::make_shared<stream::PublishedDelta>();
     core::WorkBudget budget = core::WorkBudget::unlimited();
@@ -168,7 +168,7 @@ struct CaptureLibrary::Playing {
     bool playing = false;
     float speed = 1;
     replay.report_state(playing, speed);
-    // While it plays: the recording's clock was at `from_ns` at the time `since`.
+    // While it plays: the recording's clock read `from_ns` at the time `since`.
     std::int64_t from_ns = 0;
     steady_clock::time_point since, told;
     const auto restart_clock = [&] {
@@ -193,7 +193,7 @@ struct CaptureLibrary::Playing {
       for (const protocol::ReplayControl& wish : taken) {
         switch (wish.action) {
           case ReplayAction::Play:
-            // From the end it begins anew.
+            // From the end it starts again.
             if (replay.at_end()) replay.seek(0, stop);
             playing = true;
             speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
@@ -229,7 +229,7 @@ struct CaptureLibrary::Playing {
   }
 };
 
-// What the session holds: the wishes go to the thread.
+// What the session holds. It hands the wishes to the thread.
 class CaptureLibrary::Player final : public stream::ReplayPlayer {
  public:
   explicit Player(std::shared_ptr<Playing> playing) : playing_(std::move(playing)) {}
@@ -269,7 +269,7 @@ std::vector<std::string> CaptureLibrary::names() {
       names.push_back(name);
     } else if (left_out_.insert(name).second) {
       spdlog::warn("capture.library: {} is not offered", is_text(name)
-                                                             ? name + ", which is no file of this folder,"
+                                                             ? name + ", which is not a file in this folder,"
                                                              : "a file whose name is not UTF-8 text");
     }
   }
