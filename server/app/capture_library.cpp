@@ -165,66 +165,75 @@ struct CaptureLibrary::Playing {
   }
 
   void run(Replay& replay) {
-    bool playing = false;
-    float speed = 1;
-    replay.report_state(playing, speed);
-    // While it plays: the recording's clock read `from_ns` at the time `since`.
-    std::int64_t from_ns = 0;
-    steady_clock::time_point since, told;
-    const auto restart_clock = [&] {
-      from_ns = replay.clock_ns();
-      since = steady_clock::now();
-    };
+    Tempo tempo;
+    steady_clock::time_point reported;
+    replay.report_state(tempo.playing, tempo.speed);
     while (!stop) {
-      std::vector<protocol::ReplayControl> taken;
-      {
-        std::unique_lock lock(mutex);
-        const auto due =
-            since + std::chrono::nanoseconds(static_cast<std::int64_t>(
-                        static_cast<double>(replay.due_ns() - from_ns) / static_cast<double>(speed)));
-        const auto asked = [&] { return stop || !wishes.empty(); };
-        if (playing) {
-          wake.wait_until(lock, due, asked);
-        } else {
-          wake.wait(lock, asked);
-        }
-        taken.swap(wishes);
+      const std::vector<protocol::ReplayControl> asked = wait_for_wishes(replay, tempo);
+      for (const protocol::ReplayControl& wish : asked) {
+        apply(wish, replay, tempo);
+        tempo.from_ns = replay.clock_ns();
+        tempo.since = steady_clock::now();
       }
-      for (const protocol::ReplayControl& wish : taken) {
-        switch (wish.action) {
-          case ReplayAction::Play:
-            // From the end it starts again.
-            if (replay.at_end()) replay.seek(0, stop);
-            playing = true;
-            speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
-            break;
-          case ReplayAction::Pause:
-            playing = false;
-            break;
-          case ReplayAction::Step:
-            playing = false;
-            while (!replay.at_end() && !replay.advance(true) && !stop) {
-            }
-            break;
-          case ReplayAction::Seek:
-            replay.seek(wish.revision, stop);
-            break;
-          case ReplayAction::Open:
-          case ReplayAction::Close:
-            break;
-        }
-        restart_clock();
-      }
-      bool news = !taken.empty();
-      if (playing && taken.empty() && !stop) {
+      bool news = !asked.empty();
+      if (tempo.playing && asked.empty() && !stop) {
         replay.advance(true);
-        if (replay.at_end()) playing = false;
-        news = !playing || steady_clock::now() - told > kStateEvery;
+        if (replay.at_end()) tempo.playing = false;
+        news = !tempo.playing || steady_clock::now() - reported > kStateEvery;
       }
       if (news) {
-        told = steady_clock::now();
-        replay.report_state(playing, speed);
+        reported = steady_clock::now();
+        replay.report_state(tempo.playing, tempo.speed);
       }
+    }
+  }
+
+ private:
+  struct Tempo {
+    bool playing = false;
+    float speed = 1;
+    // While it plays: the recording's clock read `from_ns` at the time `since`.
+    std::int64_t from_ns = 0;
+    steady_clock::time_point since;
+  };
+
+  // While it plays, waits until the next event is due.
+  std::vector<protocol::ReplayControl> wait_for_wishes(const Replay& replay, const Tempo& tempo) {
+    std::unique_lock lock(mutex);
+    const auto asked = [&] { return stop || !wishes.empty(); };
+    if (tempo.playing) {
+      const double ahead_ns =
+          static_cast<double>(replay.due_ns() - tempo.from_ns) / static_cast<double>(tempo.speed);
+      wake.wait_until(lock, tempo.since + std::chrono::nanoseconds(static_cast<std::int64_t>(ahead_ns)),
+                      asked);
+    } else {
+      wake.wait(lock, asked);
+    }
+    return std::exchange(wishes, {});
+  }
+
+  void apply(const protocol::ReplayControl& wish, Replay& replay, Tempo& tempo) {
+    switch (wish.action) {
+      case ReplayAction::Play:
+        // From the end it starts again.
+        if (replay.at_end()) replay.seek(0, stop);
+        tempo.playing = true;
+        tempo.speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
+        break;
+      case ReplayAction::Pause:
+        tempo.playing = false;
+        break;
+      case ReplayAction::Step:
+        tempo.playing = false;
+        while (!replay.at_end() && !replay.advance(true) && !stop) {
+        }
+        break;
+      case ReplayAction::Seek:
+        replay.seek(wish.revision, stop);
+        break;
+      case ReplayAction::Open:
+      case ReplayAction::Close:
+        break;
     }
   }
 };

@@ -171,8 +171,7 @@ std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format)
       }
       const auto type = ply_type(in.field(list ? 3 : 1));
       if (!type)
-        in.fail(
-            "the type of the property is not char, uchar, short, ushort, int, uint, float or double");
+        in.fail("the type of the property is not char, uchar, short, ushort, int, uint, float or double");
       property.type = *type;
       property.name = in.field(list ? 4 : 2);
       elements.back().properties.push_back(std::move(property));
