@@ -121,7 +121,6 @@ TEST_F(Incise, ExitStatusesTellAWrongCommandLineFromAFailure) {
                {"nothing.csv: cannot be opened: No such file"});
   expect_error(run({"watch", "127.0.0.1:1", "--token-file", "nothing"}), 1,
                {"nothing: cannot be opened: No such file"});
-  expect_error(run({"watch", "tls://127.0.0.1:1", "--ca", "nothing"}), 1, {"nothing"});
 }
 
 TEST_F(Incise, ANumberOutOfRangeGetsOneShortLine) {
@@ -561,10 +560,10 @@ TEST_F(Incise, CutComparesThePolicies) {
   EXPECT_NE(table.out.find("croll   no-growth    balanced       exact"), std::string::npos) << table.out;
   auto with_out = compare;
   with_out.insert(with_out.end(), {"--out", "out.vtu"});
-  expect_error(run(with_out), 1, {"--policy compare writes no mesh", "--out"});
+  expect_error(run(with_out), 2, {"--policy compare writes no mesh", "--out"});
   auto without_out = compare;
   without_out.resize(7);
-  expect_error(run(without_out), 1, {"--out is required"});
+  expect_error(run(without_out), 2, {"--out is required"});
 }
 
 TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
@@ -584,10 +583,10 @@ TEST_F(Incise, NothingThatIsReadIsOverwritten) {
   };
   const std::string motion = bytes("sweep.csv"), mesh = bytes("cube.node");
   for (const char* out : {"cube.node", "cube", "./cube.ele"}) {
-    expect_error(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out}), 1,
+    expect_error(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out}), 2,
                  {"would overwrite", "choose another name"});
   }
-  expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "sweep.csv"}), 1, {"would overwrite"});
+  expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "sweep.csv"}), 2, {"would overwrite"});
   EXPECT_EQ(bytes("sweep.csv"), motion);
   EXPECT_EQ(bytes("cube.node"), mesh);
 }
@@ -609,12 +608,12 @@ TEST_F(Incise, CutSaysWhatIsWrongWithWhatItIsGiven) {
   expect_error(with(6, "nowhere/out.vtu"), 1,
                {"--out nowhere/out.vtu", "does not exist", "mkdir -p nowhere"});
   expect_error(with(6, "."), 1, {"--out"});
-  expect_error(with(6, "out.docx"), 1, {"--out", ".docx", ".vtu"});
+  expect_error(with(6, "out.docx"), 2, {"--out", ".docx", ".vtu"});
   expect_error(with(0, "", {"--report", "nowhere/r.json"}), 1, {"--report nowhere/r.json", "does not exist"});
-  expect_error(with(0, "", {"--blade", "0,0,0"}), 1, {"--blade", "\"0,0,0\"", "hx,hy,hz:tx,ty,tz"});
-  expect_error(with(0, "", {"--blade", "0,0,0:0,0,0"}), 1, {"--blade"});
-  expect_error(with(0, "", {"--blade", "0,0,0:0,0,x"}), 1, {"--blade"});
-  expect_error(with(0, "", {"--blade", "0,0,0:0,0,1,2"}), 1, {"--blade"});
+  expect_error(with(0, "", {"--blade", "0,0,0"}), 2, {"--blade", "\"0,0,0\"", "hx,hy,hz:tx,ty,tz"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,0"}), 2, {"--blade"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,x"}), 2, {"--blade"});
+  expect_error(with(0, "", {"--blade", "0,0,0:0,0,1,2"}), 2, {"--blade"});
   expect_error(with(0, "", {"--config", "none.json"}), 1, {"none.json", "cannot be opened"});
   write("bad.json", "{\"cut\": {\"batch_h\": -1}}");
   expect_error(with(0, "", {"--config", "bad.json"}), 1, {"bad.json: cut.batch_h", "-1"});

@@ -269,7 +269,7 @@ std::size_t MiniLoop::open_count() const {
 bool eventually(const std::function<bool()>& condition, double seconds) {
   // Once a wait has failed the test has failed: the conditions that depend on that one must not wait as long again.
   static std::atomic<bool> failed{false};
-  const double limit_s = failed ? std::min(seconds, 2.0) : seconds;
+  const double limit_s = failed ? std::min(seconds, 5.0) : seconds;
   const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(limit_s);
   while (!condition()) {
     if (std::chrono::steady_clock::now() > end) {
