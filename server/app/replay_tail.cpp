@@ -2,13 +2,13 @@
 
 #include <utility>
 
-#include "server/app/wiring.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/base/clock.hpp"
 
 namespace incise::app {
 namespace {
 
-// About what it takes on the wire.
+// About its size on the wire.
 std::size_t bytes_of(const core::Delta& d) {
   std::size_t bytes = sizeof d + 28 * d.moved.size() + 40 * d.added_positions.size() +
                       24 * (d.moved_rest.size() + d.added_rest.size()) + 28 * d.upserted.size() +
@@ -21,7 +21,7 @@ std::size_t bytes_of(const core::Delta& d) {
 
 ReplayTail::ReplayTail(const core::CutSession& session, std::uint64_t session_id, std::size_t max_bytes)
     : session_id_(session_id), max_bytes_(max_bytes) {
-  // A batch at work has changed the mesh already: then the first commit begins.
+  // A batch in progress has already changed the mesh: then the tail begins with the first commit.
   if (session.backlog_batches() == 0) newer_ = run_from(session);
 }
 
@@ -42,7 +42,7 @@ void ReplayTail::note(const core::CutSession& session, const core::Delta& delta)
   newer_ = run_from(session);
 }
 
-ReplayTail::Tail ReplayTail::take(const core::CutSession& session) {
+ReplayTail::Tail ReplayTail::finish(const core::CutSession& session) {
   if (!newer_.before) newer_ = run_from(session);
   if (!older_.before) std::swap(older_, newer_);
   Tail tail{std::move(*older_.before), std::move(older_.deltas)};

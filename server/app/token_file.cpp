@@ -34,7 +34,7 @@ stream::AccessToken read_token(const Json& entry, const std::string& at, const s
     refuse(path, at + ": the token's length is out of range");
   if (!entry["roles"].is_array() || entry["roles"].empty()) refuse(path, at + ": no roles");
   for (const Json& role : entry["roles"]) {
-    if (role == "metrics") continue;  // it opens what every token opens
+    if (role == "metrics") continue;  // every token has this right
     const auto* const found =
         std::find_if(kRoles.begin(), kRoles.end(), [&](const char* name) { return role == name; });
     if (found == kRoles.end())

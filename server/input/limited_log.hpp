@@ -7,7 +7,7 @@
 
 namespace incise::input {
 
-// Log lines that a peer can cause: ten at once, then one in five seconds, which says how many were left out.
+// Log lines that a peer can cause: ten at once, then one every five seconds, which says how many were left out.
 //
 // Thread: one.
 class LimitedLog {

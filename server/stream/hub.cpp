@@ -21,12 +21,12 @@ constexpr std::size_t kMaxLingering = 64;
 
 }  // namespace
 
-Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, InputSink& sink,
+Hub::Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, PeerInput& input,
          Providers providers)
     : io_(io),
       config_(config),
       facts_(std::move(facts)),
-      sink_(sink),
+      input_(input),
       providers_(std::move(providers)),
       access_(config.tokens),
       clock_(io),

@@ -37,7 +37,7 @@ struct HubCounters {
 // Thread: the stream thread, counters() apart. Owns: the live feed.
 class Hub {
  public:
-  Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, InputSink& sink,
+  Hub(asio::io_context& io, const StreamConfig& config, ServerFacts facts, PeerInput& input,
       Providers providers);
   ~Hub();
 
@@ -52,7 +52,7 @@ class Hub {
   const StreamConfig& config() const { return config_; }
   const ServerFacts& facts() const { return facts_; }
   const Providers& providers() const { return providers_; }
-  InputSink& sink() { return sink_; }
+  PeerInput& input() { return input_; }
   ReplayLibrary* library() const { return providers_.library; }
   Feed& live() { return live_; }
   BoxTurns& box_turns() { return box_turns_; }
@@ -97,7 +97,7 @@ class Hub {
   asio::io_context& io_;
   const StreamConfig& config_;
   ServerFacts facts_;
-  InputSink& sink_;
+  PeerInput& input_;
   Providers providers_;
   Access access_;
   // Connections that have not said Hello, by the order in which they came, as descriptors of our own: whatever becomes of

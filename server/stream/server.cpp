@@ -73,13 +73,13 @@ tcp::acceptor listen(asio::io_context& io, const asio::ip::address& address, int
 }  // namespace
 
 struct Server::Impl {
-  Impl(StreamConfig given, ServerFacts facts, const InitialState& initial, InputSink& sink,
+  Impl(StreamConfig given, ServerFacts facts, const InitialState& initial, PeerInput& input,
        Providers providers)
       : config(std::move(given)),
         files(config.viewer_directory),
         event_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
         wake(io),
-        hub(io, config, std::move(facts), sink, std::move(providers)) {
+        hub(io, config, std::move(facts), input, std::move(providers)) {
     if (event_fd < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
     wake.assign(event_fd);
     error_code error;
@@ -240,10 +240,10 @@ struct Server::Impl {
   std::thread thread;
 };
 
-Server::Server(StreamConfig config, ServerFacts facts, const InitialState& initial, InputSink& sink,
+Server::Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
                Providers providers)
-    : impl_(
-          std::make_unique<Impl>(std::move(config), std::move(facts), initial, sink, std::move(providers))) {}
+    : impl_(std::make_unique<Impl>(std::move(config), std::move(facts), initial, input,
+                                   std::move(providers))) {}
 
 Server::~Server() {
   stop();

@@ -9,7 +9,7 @@
 
 #include "protocol/framing.hpp"
 #include "protocol/messages.hpp"
-#include "server/stream/input_sink.hpp"
+#include "server/stream/peer_input.hpp"
 #include "server/stream/published_delta.hpp"
 #include "server/stream/replay_library.hpp"
 #include "server/stream/stream_config.hpp"
@@ -88,8 +88,8 @@ struct StreamCounters {
 class Server {
  public:
   // Listens at once; bytes flow from start(). Throws std::runtime_error where an address cannot be had or the
-  // configuration is not safe. `sink` must outlive the server.
-  Server(StreamConfig config, ServerFacts facts, const InitialState& initial, InputSink& sink,
+  // configuration is not safe. `input` must outlive the server.
+  Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
          Providers providers = {});
   ~Server();
   Server(const Server&) = delete;

@@ -266,7 +266,7 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
       co_return false;
     }
   }
-  std::unique_ptr<PoseSource> source = hub_.sink().open(hello.source_name, hello.blade);
+  std::unique_ptr<PoseInput> source = hub_.input().open(hello.source_name, hello.blade);
   if (!source && hello.take_over) {
     if (const auto holder = hub_.holder(hello.source_name)) {
       ++hub_.counters().takeovers;
@@ -278,7 +278,7 @@ asio::awaitable<bool> Session::take_blade(const protocol::Hello& hello, std::uin
     // The blade is free once the loop has ended the stroke that was.
     for (int i = 0; i < kTakeOverTries && !source && stage_ == Stage::kHandshake; ++i) {
       co_await pause(kRetry);
-      source = hub_.sink().open(hello.source_name, hello.blade);
+      source = hub_.input().open(hello.source_name, hello.blade);
     }
   }
   if (!source) {
@@ -361,7 +361,7 @@ asio::awaitable<void> Session::on_poses(const protocol::PoseBatch& batch, std::u
     poses = held;
   }
   while (!poses.empty() && source_) {
-    poses = poses.subspan(source_->push(poses, arrival_ns));
+    poses = poses.subspan(source_->enqueue(poses, arrival_ns));
     // The queue is full: nothing is read from the peer until the loop has made room.
     if (!poses.empty()) co_await pause(kRetry);
   }
@@ -405,10 +405,10 @@ void Session::on_positions(const protocol::Positions& positions, std::uint64_t s
                  std::to_string(mirror.volume().vertex_count()) + ", at a revision up to " +
                  std::to_string(mirror.revision()),
              sequence);
-  } else if (!positions_ && !(positions_ = hub_.sink().open_positions())) {
+  } else if (!positions_ && !(positions_ = hub_.input().open_positions())) {
     complain(ErrorCode::NotAvailable, "Positions: another simulator sets them", sequence);
   } else {
-    positions_->push(positions, last_received_ns_);
+    positions_->offer(positions, last_received_ns_);
   }
 }
 
@@ -457,7 +457,7 @@ void Session::on_resync() {
 void Session::on_reset(std::uint64_t sequence) {
   if (role_ != Role::Admin) {
     complain(ErrorCode::Forbidden, "Reset: only an admin may", sequence);
-  } else if (!hub_.sink().reset()) {
+  } else if (!hub_.input().reset()) {
     complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
   } else {
     ++hub_.counters().resets;

@@ -121,7 +121,7 @@ class Session : public std::enable_shared_from_this<Session> {
   std::int64_t blades_due_ns_ = 0;
 
   // An operator's.
-  std::unique_ptr<PoseSource> source_;
+  std::unique_ptr<PoseInput> source_;
   std::string source_name_;
   bool engaged_ = false;       // by message, whatever the poses' buttons say
   std::uint64_t offered_ = 0;  // poses pushed since Welcome
@@ -133,7 +133,7 @@ class Session : public std::enable_shared_from_this<Session> {
   protocol::PoseReport last_report_;
 
   // A simulator's, from its first Positions on.
-  std::unique_ptr<PositionsSource> positions_;
+  std::unique_ptr<PositionsInput> positions_;
   std::uint64_t positions_taken_ = 0;
 
   // A capture that is replayed for this session alone, and the state that it has come to.

@@ -22,14 +22,14 @@ using namespace incise::stream;
 namespace {
 
 // Takes every pose, and frees a blade at once.
-class OpenHand final : public InputSink {
+class OpenHand final : public PeerInput {
  public:
-  class Source final : public PoseSource {
+  class Source final : public PoseInput {
    public:
     explicit Source(bool& held) : held_(held) { held_ = true; }
     ~Source() override { held_ = false; }
     std::uint32_t number() const override { return 0; }
-    std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t) override {
+    std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t) override {
       totals_.accepted += poses.size();
       return poses.size();
     }
@@ -42,7 +42,7 @@ class OpenHand final : public InputSink {
     bool& held_;
     PoseTotals totals_;
   };
-  std::unique_ptr<PoseSource> open(std::string_view, const std::optional<protocol::BladeEdge>&) override {
+  std::unique_ptr<PoseInput> open(std::string_view, const std::optional<protocol::BladeEdge>&) override {
     return held ? nullptr : std::make_unique<Source>(held);
   }
   bool held = false;

@@ -1,5 +1,7 @@
 #include "tests/stream/mini_loop.hpp"
 
+#include <algorithm>
+#include <atomic>
 #include <utility>
 
 namespace incise::stream {
@@ -63,7 +65,7 @@ std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns,
   return out;
 }
 
-class MiniLoop::Source final : public PoseSource {
+class MiniLoop::Source final : public PoseInput {
  public:
   Source(MiniLoop& loop, std::uint32_t number) : loop_(loop), number_(number) {}
   ~Source() override {
@@ -71,7 +73,7 @@ class MiniLoop::Source final : public PoseSource {
     loop_.slots_[number_].closing = true;
   }
   std::uint32_t number() const override { return number_; }
-  std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t) override {
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t) override {
     const std::scoped_lock lock(loop_.mutex_);
     auto& queue = loop_.slots_[number_].poses;
     const std::size_t n = std::min(poses.size(), kQueue - queue.size());
@@ -237,8 +239,8 @@ void MiniLoop::work() {
   }
 }
 
-std::unique_ptr<PoseSource> MiniLoop::open(std::string_view source_name,
-                                           const std::optional<protocol::BladeEdge>&) {
+std::unique_ptr<PoseInput> MiniLoop::open(std::string_view source_name,
+                                          const std::optional<protocol::BladeEdge>&) {
   const std::scoped_lock lock(mutex_);
   for (const Slot& slot : slots_) {
     if (slot.open && slot.name == source_name) return nullptr;
@@ -257,7 +259,7 @@ bool MiniLoop::reset() {
   return reset_ = true;
 }
 
-std::size_t MiniLoop::open_sources() const {
+std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;
   for (const Slot& slot : slots_) open += slot.open;
@@ -265,9 +267,15 @@ std::size_t MiniLoop::open_sources() const {
 }
 
 bool eventually(const std::function<bool()>& condition, double seconds) {
-  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+  // Once a wait has failed the test has failed: the conditions that depend on that one must not wait as long again.
+  static std::atomic<bool> failed{false};
+  const double limit_s = failed ? std::min(seconds, 5.0) : seconds;
+  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(limit_s);
   while (!condition()) {
-    if (std::chrono::steady_clock::now() > end) return false;
+    if (std::chrono::steady_clock::now() > end) {
+      failed = true;
+      return false;
+    }
     std::this_thread::sleep_for(std::chrono::milliseconds(2));
   }
   return true;

@@ -64,7 +64,7 @@ std::string usages_of(const HidInterface& interface) {
   return text;
 }
 
-// "input 1: 7 bytes, feature 3: 5 bytes": as the device describes itself.
+// "input 1: 7 bytes, feature 3: 5 bytes": from the report descriptor.
 std::string reports_of(const HidInterface& interface) {
   constexpr const char* kKinds[] = {"input", "output", "feature"};
   std::string text;
@@ -102,7 +102,8 @@ int list(const std::vector<Candidate>& found, bool json) {
   if (json) std::printf("%s\n", all.dump(2).c_str());
   if (found.empty() && !json) {
     std::printf(
-        "no HID device is connected, or none that this user may see (DEVICES.md, \"Connecting a device\")\n");
+        "no HID device is connected, or none that this user may access (DEVICES.md, \"Connecting a "
+        "device\")\n");
   }
   return 0;
 }
@@ -117,7 +118,7 @@ std::string hex(const std::vector<std::uint8_t>& bytes) {
   return text;
 }
 
-// A device that the monitor reads. Nothing is sent to it but the profile's start reports, and its stop reports at the end.
+// A device that the monitor reads. It gets only the profile's start reports, and the stop reports at the end.
 class Watched {
  public:
   Watched(Candidate candidate, input::HidHandle handle)
@@ -132,8 +133,8 @@ class Watched {
   Watched(const Watched&) = delete;
   Watched& operator=(const Watched&) = delete;
 
-  // Takes all that waits. False once the device is gone.
-  bool take() {
+  // Reads all reports that wait. False once the device is gone.
+  bool read_reports() {
     int bytes = 0;
     std::vector<std::uint8_t> report(4096);
     while ((bytes = handle_.read(report, 0)) > 0) {
@@ -142,7 +143,7 @@ class Watched {
       last_[numbered ? got[0] : 0] = got;
       ++reports_;
       if (!decoder_) continue;
-      for (const auto& sample : decoder_->take(got, monotonic_ns())) samples_[sample.tool] = sample;
+      for (const auto& sample : decoder_->decode(got, monotonic_ns())) samples_[sample.tool] = sample;
     }
     gone_ = bytes != 0;
     return !gone_;
@@ -233,7 +234,7 @@ class Watched {
   bool gone_ = false;
 };
 
-// Opens one for reading; nothing, and says why on stderr.
+// Opens one for reading. Null if that fails; stderr says why.
 std::unique_ptr<Watched> watch(const Candidate& candidate) {
   std::string error = candidate.interface.trouble;
   std::optional<input::HidHandle> handle;
@@ -268,7 +269,7 @@ int monitor(const std::vector<Candidate>& found, const DevicesCommand& command) 
   while (g_ended == 0 && !watched.empty()) {
     ::usleep(2000);
     for (std::size_t i = watched.size(); i-- > 0;) {
-      if (watched[i]->take()) continue;
+      if (watched[i]->read_reports()) continue;
       std::fprintf(stderr, "incise: unplugged\n");
       watched.erase(watched.begin() + static_cast<std::ptrdiff_t>(i));
     }

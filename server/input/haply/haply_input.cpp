@@ -31,7 +31,7 @@ using net::WebSocket;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
 constexpr std::size_t kMostBytes = 1 << 20;  // of a state message
-constexpr int kMostFaults = 32;              // in a row: then it is another service
+constexpr int kMostFaults = 32;              // in a row: then it is some other service
 constexpr std::chrono::seconds kConnectTime{5}, kAnswerTime{1}, kRetry{2};
 constexpr std::chrono::milliseconds kNoDevice{200}, kStopTime{500};
 
@@ -42,10 +42,10 @@ struct Counts {
 
 }  // namespace
 
-// All but the constructor, stop() and status() runs on thread.
+// Everything but the constructor, stop() and status() runs on `thread`.
 struct HaplyInput::Impl {
-  Impl(InputHub& of, haptics::ForceSlots& slots, HaplyOptions given)
-      : hub(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
+  Impl(PoseSources& of, haptics::ForceSlots& slots, HaplyOptions given)
+      : sources(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
     std::string place = options.url.substr(options.url.find("://") + 3);
     path = place.find('/') == std::string::npos ? "/" : place.substr(place.find('/'));
     place = place.substr(0, place.find('/'));
@@ -115,7 +115,7 @@ struct HaplyInput::Impl {
     co_return error ? error.message() : std::string();
   }
 
-  // Reads states and sends commands, by turns. Why it ended.
+  // Reads states and sends commands in turn. Returns why it ended.
   asio::awaitable<std::string> serve(WebSocket& ws) {
     const auto period = std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / options.rate_hz));
     auto due = std::chrono::steady_clock::now();
@@ -127,7 +127,7 @@ struct HaplyInput::Impl {
       if (error) co_return error == beast::error::timeout ? "no answer for a second" : error.message();
       const auto message = ws.message();
       const std::string_view text(reinterpret_cast<const char*>(message.data()), message.size());
-      faults = co_await take(text) ? 0 : faults + 1;
+      faults = co_await handle_message(text) ? 0 : faults + 1;
       if (faults >= kMostFaults) co_return std::to_string(faults) + " bad messages in a row";
 
       due = std::max(due + period, std::chrono::steady_clock::now());
@@ -142,8 +142,8 @@ struct HaplyInput::Impl {
       first = false;
       if (++turns % 64 == 1 || device.empty()) publish();
     }
-    // The last word: no force. Its answer says that it was heard; a connection closed with an answer unread is reset, and
-    // what the service had not read is lost.
+    // The last command is no force. Its answer shows that it arrived: closing a connection with an answer unread resets it,
+    // and what the service had not read is lost.
     if (!device.empty()) {
       const std::string failed = co_await command(ws, false);
       ws.stream().tcp().expires_after(kAnswerTime);
@@ -172,8 +172,8 @@ struct HaplyInput::Impl {
     co_return error == beast::error::timeout ? "it does not read" : error.message();
   }
 
-  // False where the message was none.
-  asio::awaitable<bool> take(std::string_view text) {
+  // False if the message was not a state.
+  asio::awaitable<bool> handle_message(std::string_view text) {
     const std::int64_t arrival_ns = monotonic_ns();
     ++counts.messages;
     std::string error;
@@ -196,18 +196,19 @@ struct HaplyInput::Impl {
     pose.pose.orientation = world_from_device(options.placement, state->orientation);
     pose.pose.buttons = state->buttons;
     ++counts.poses;
-    // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service lets the device go.
-    while (source->push(std::span(&pose, 1)) == 0 && !stopping) co_await wait(std::chrono::milliseconds(1));
+    // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service releases the device.
+    while (source->enqueue(std::span(&pose, 1)) == 0 && !stopping)
+      co_await wait(std::chrono::milliseconds(1));
     co_return true;
   }
 
-  // Whether there is a blade.
+  // Whether this has a blade; opens one if need be.
   bool hold() {
     if (source) return true;
-    source = hub.open_source(options.source);
+    source = sources.open(options.source);
     if (!source) {
       ++counts.no_blade;
-      events.write(spdlog::level::warn, "haply: no blade for " + options.source + ": it is taken, or all " +
+      events.write(spdlog::level::warn, "haply: no blade for " + options.source + ": it is in use, or all " +
                                             std::to_string(core::kMaxSources) + " are");
       return false;
     }
@@ -240,7 +241,7 @@ struct HaplyInput::Impl {
     told = std::move(status);
   }
 
-  InputHub& hub;
+  PoseSources& sources;
   haptics::ForceSlots& forces;
   const HaplyOptions options;
   std::string host, service, path;
@@ -248,7 +249,7 @@ struct HaplyInput::Impl {
   asio::steady_timer pause{io}, limit{io};
   bool stopping = false, connected = false;
   std::string device;  // the id of the Inverse3 that is there
-  std::optional<SourceHandle> source;
+  std::optional<PoseSource> source;
   haptics::ForceSlot* slot = nullptr;  // while there is a source
   haptics::ForceCommand newest;
   ForceGuard guard;
@@ -261,8 +262,8 @@ struct HaplyInput::Impl {
   std::thread thread;
 };
 
-HaplyInput::HaplyInput(InputHub& hub, haptics::ForceSlots& forces, HaplyOptions options)
-    : impl_(std::make_unique<Impl>(hub, forces, std::move(options))) {}
+HaplyInput::HaplyInput(PoseSources& sources, haptics::ForceSlots& forces, HaplyOptions options)
+    : impl_(std::make_unique<Impl>(sources, forces, std::move(options))) {}
 
 HaplyInput::~HaplyInput() {
   stop();

@@ -12,7 +12,7 @@
 namespace incise::input {
 namespace {
 
-constexpr int kReadTimeout_ms = 50;  // how long the end of the thread may have to wait
+constexpr int kReadTimeout_ms = 50;  // the longest that ending the thread may take
 
 void sleep_until(std::int64_t ns) {
   const timespec time{ns / 1'000'000'000, ns % 1'000'000'000};
@@ -57,10 +57,10 @@ HidDevice::~HidDevice() {
 
 bool HidDevice::open_sources(std::string& error) {
   for (const std::string& name : sources()) {
-    auto source = surroundings_.hub.open_source(name);
+    auto source = surroundings_.sources.open(name);
     if (!source) {
-      error =
-          "no blade is free: \"" + name + "\" is taken, or all " + std::to_string(core::kMaxSources) + " are";
+      error = "no blade is free: \"" + name + "\" is in use, or all " + std::to_string(core::kMaxSources) +
+              " are";
       sources_.clear();
       return false;
     }
@@ -102,7 +102,7 @@ void HidDevice::read_loop(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
     int bytes = reading_->read(report, kReadTimeout_ms);
     for (; bytes > 0 && !stop.stop_requested(); bytes = reading_->read(report, 0)) {
-      take(std::span(report).first(static_cast<std::size_t>(bytes)), stop);
+      handle_report(std::span(report).first(static_cast<std::size_t>(bytes)), stop);
     }
     publish_figures();
     if (bytes < 0) {
@@ -112,18 +112,19 @@ void HidDevice::read_loop(const std::stop_token& stop) {
   }
 }
 
-void HidDevice::take(std::span<const std::uint8_t> report, const std::stop_token& stop) {
+void HidDevice::handle_report(std::span<const std::uint8_t> report, const std::stop_token& stop) {
   const std::int64_t arrival_ns = monotonic_ns();
-  for (const PoseDecoder::Sample& sample : decoder_.take(report, arrival_ns)) push(sample, arrival_ns, stop);
+  for (const PoseDecoder::Sample& sample : decoder_.decode(report, arrival_ns))
+    enqueue(sample, arrival_ns, stop);
 }
 
-void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
-                     const std::stop_token& stop) {
+void HidDevice::enqueue(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
+                        const std::stop_token& stop) {
   const std::size_t tool = sample.tool;
   const auto pushed = [&] {
     if (sample.valid) {
       const TimedPose pose{sample.pose, arrival_ns};
-      return sources_[tool].push(std::span(&pose, 1)) == 1;
+      return sources_[tool].enqueue(std::span(&pose, 1)) == 1;
     }
     return !in_sight_[tool] || sources_[tool].end_stroke(arrival_ns);
   };
@@ -137,9 +138,9 @@ void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
 }
 
 void HidDevice::lose() {
-  // At once: the strokes end, and the loop learns that nobody feels its forces.
+  // At once: end the strokes, and tell the loop that nobody feels its forces.
   if (slot_) slot_->device_lost();
-  for (SourceHandle& source : sources_) source.end_stroke(monotonic_ns());
+  for (PoseSource& source : sources_) source.end_stroke(monotonic_ns());
   lost_.store(true, std::memory_order_release);
   surroundings_.on_loss();
 }
@@ -170,7 +171,7 @@ void HidDevice::write_loop(const std::stop_token& stop) {
     report.failed();
     if (!lost()) slot_->write_failed();
   };
-  // A sleep of this thread ends within microseconds, not within the 50 that Linux adds to those of others.
+  // Lets this thread's sleeps end on time; by default Linux adds up to 50 us.
   prctl(PR_SET_TIMERSLACK, 1000UL, 0UL, 0UL, 0UL);
   std::int64_t last_ns = 0, pose_ns = 0;
   while (!stop.stop_requested() && !lost()) {

@@ -14,7 +14,7 @@
 #include "server/input/force_guard.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 
 namespace incise::input {
 
@@ -26,14 +26,14 @@ struct DeviceFigures {
   std::uint64_t forces_written = 0, forces_failed = 0;
   struct {
     double p50_us = 0, p99_us = 0, p999_us = 0, max_us = 0;
-  } pose_to_report;  // arrival of a pose until the report with its force was written
+  } pose_to_report;  // from a pose's arrival until the report with its force was written
 };
 
-// An open device: reads its reports, pushes the poses of its tools to the hub, and writes the newest force to it.
+// An open device: reads its reports, queues the poses of its tools for the loop, and writes the newest force to it.
 //
 // Thread: made and destroyed by one thread; status by any. Owns: a reading thread with a handle of its own and, where the
-// profile has forces, a writing thread with another; a source of the hub for each tool. A report that arrives wakes the
-// reader, which drains all that wait: a cut needs every pose.
+// profile has forces, a writing thread with another; a pose source for each tool. A report wakes the reader, which reads
+// all that wait: a cut needs every pose.
 class HidDevice {
  public:
   struct Setup {
@@ -43,17 +43,17 @@ class HidDevice {
     std::string name;  // of its source, or the beginning of its sources' names
   };
   struct Surroundings {
-    InputHub& hub;
+    PoseSources& sources;
     haptics::ForceSlots& forces;
     std::function<void()> on_thread;  // called first in each of its threads
     std::function<void()> on_loss;    // called by the reader when the device has gone
   };
 
-  // Sends the profile's start reports and begins to read. Nothing, and why in `error`, where the device cannot be opened
-  // or no blade is free. `all`: the connected interfaces, for start reports that go to others of the same device.
+  // Sends the profile's start reports and begins to read. Null, and the reason in `error`, if the device cannot be opened
+  // or no blade is free. `all`: the connected interfaces, for start reports to others of the same device.
   static std::unique_ptr<HidDevice> open(Setup setup, const std::vector<HidInterface>& all,
                                          const Surroundings& surroundings, std::string& error);
-  // Ends the strokes; zeroes the force and sends the stop reports where the device is still there.
+  // Ends the strokes; zeroes the force and sends the stop reports if the device is still there.
   ~HidDevice();
   HidDevice(const HidDevice&) = delete;
   HidDevice& operator=(const HidDevice&) = delete;
@@ -68,17 +68,17 @@ class HidDevice {
   bool open_sources(std::string& error);
   bool open_handles(const std::vector<HidInterface>& all, std::string& error);
   void read_loop(const std::stop_token& stop);
-  void take(std::span<const std::uint8_t> report, const std::stop_token& stop);
-  void push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop);
+  void handle_report(std::span<const std::uint8_t> report, const std::stop_token& stop);
+  void enqueue(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop);
   void lose();
   void publish_figures();
   void write_loop(const std::stop_token& stop);
 
   const Setup setup_;
   const Surroundings surroundings_;
-  haptics::ForceSlot* slot_ = nullptr;  // where the profile has forces
+  haptics::ForceSlot* slot_ = nullptr;  // if the profile has forces
   std::optional<HidHandle> reading_, writing_;
-  std::vector<SourceHandle> sources_;
+  std::vector<PoseSource> sources_;
   PoseDecoder decoder_;                     // the reader's
   std::array<bool, kMaxTools> in_sight_{};  // the reader's
   std::uint64_t full_queue_ms_ = 0;         // the reader's
@@ -90,7 +90,7 @@ class HidDevice {
   std::jthread reader_, writer_;
 };
 
-// Makes force reports of commands, as the guard lets them pass.
+// Turns commands into force reports, through the guard.
 //
 // Thread: one.
 class ForceReport {
