@@ -74,7 +74,7 @@ Json network_json(const input::NetworkStatus& status) {
 }
 
 Json stream_json(const stream::StreamCounters& c) {
-  Json json{{"sessions", c.sessions},
+  Json json{{"sessions", c.peers},
             {"deltas", c.deltas},
             {"coalesced", c.coalesced},
             {"snapshots", c.snapshots},
@@ -162,7 +162,7 @@ std::string Telemetry::json() const {
   }
   if (stream_) {
     const stream::StreamCounters c = stream_();
-    root["access"] = {{"sessions", c.sessions},
+    root["access"] = {{"sessions", c.peers},
                       {"connections", c.connections},
                       {"accepted", c.accepted},
                       {"refused", c.refused},

@@ -26,14 +26,14 @@ std::string built_viewer() {
 }
 
 // A session's blade. Thread: the stream's.
-class HubSource final : public stream::PoseSource {
+class HubSource final : public stream::PoseInput {
  public:
   HubSource(input::SourceHandle handle, const core::Blade& blade, const loop::LoopStats* stats)
       : handle_(std::move(handle)), blade_(blade), stats_(stats) {}
 
   std::uint32_t number() const override { return handle_.number(); }
 
-  std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) override {
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) override {
     std::array<input::TimedPose, 256> chunk;
     std::size_t taken = 0;
     while (taken < poses.size()) {
@@ -79,14 +79,14 @@ class HubSource final : public stream::PoseSource {
 };
 
 // A simulator's hold on the positions. Thread: the stream's.
-class SlotPositions final : public stream::PositionsSource {
+class SlotPositions final : public stream::PositionsInput {
  public:
   SlotPositions(input::PositionsSlot& slot, bool& open) : slot_(slot), open_(open), before_(slot.skipped()) {
     open_ = true;
   }
   ~SlotPositions() override { open_ = false; }
 
-  void push(const protocol::Positions& positions, std::int64_t arrival_ns) override {
+  void offer(const protocol::Positions& positions, std::int64_t arrival_ns) override {
     const auto buffer = slot_.buffer();
     if (!buffer) return;
     buffer->frame = positions.frame;
@@ -120,11 +120,11 @@ class SlotPositions final : public stream::PositionsSource {
 
 }  // namespace
 
-std::unique_ptr<stream::PositionsSource> HubInput::open_positions() {
+std::unique_ptr<stream::PositionsInput> HubInput::open_positions() {
   return positions_open_ ? nullptr : std::make_unique<SlotPositions>(positions_, positions_open_);
 }
 
-std::unique_ptr<stream::PoseSource> HubInput::open(std::string_view source_name,
+std::unique_ptr<stream::PoseInput> HubInput::open(std::string_view source_name,
                                                    const std::optional<protocol::BladeEdge>& brought) {
   std::optional<core::Blade> own;
   if (brought) own = to_core(*brought);
@@ -208,7 +208,7 @@ stream::ServerFacts server_facts(const Config& config, const Body& body, const c
 stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id) {
   const core::TetMesh& mesh = session.mesh();
   stream::InitialState state;
-  state.session = session_id;
+  state.epoch = session_id;
   state.revision = session.revision();
   state.positions.reserve(mesh.vertex_slots());
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));

@@ -26,16 +26,16 @@ stream::InitialState initial_state(const core::CutSession& session, std::uint64_
 std::uint64_t fresh_session_id();
 
 // Sessions that send poses, as sources of the hub.
-class HubInput final : public stream::InputSink {
+class HubInput final : public stream::PeerInput {
  public:
   // All must outlive this. A source without a name is called "blade".
   HubInput(input::InputHub& hub, input::PositionsSlot& positions, const Config& config)
       : hub_(hub), positions_(positions), config_(config) {}
   // The loop that takes the poses, for its backlog and for resets; before the first session.
   void join(loop::FrameLoop& loop) { loop_ = &loop; }
-  std::unique_ptr<stream::PoseSource> open(std::string_view source_name,
+  std::unique_ptr<stream::PoseInput> open(std::string_view source_name,
                                            const std::optional<protocol::BladeEdge>& blade) override;
-  std::unique_ptr<stream::PositionsSource> open_positions() override;
+  std::unique_ptr<stream::PositionsInput> open_positions() override;
   bool reset() override { return loop_ && loop_->request_reset(); }
 
  private:

@@ -15,7 +15,8 @@
 
 #include "server/base/clock.hpp"
 #include "server/stream/origin.hpp"
-#include "server/stream/session.hpp"
+#include "server/stream/pause.hpp"
+#include "server/stream/peer.hpp"
 
 namespace incise::stream {
 namespace {
@@ -56,11 +57,10 @@ void metric(std::string& out, const char* name, const char* type, const char* he
          type + "\nincise_stream_" + name + ' ' + std::to_string(value) + '\n';
 }
 
-std::string stream_metrics(Hub& hub) {
-  const HubCounters& c = hub.counters();
+std::string stream_metrics(const SharedCounters& c) {
   std::string out;
   metric(out, "revision", "gauge", "Revision that clients can see.", c.revision);
-  metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.sessions);
+  metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.peers);
   metric(out, "connections", "gauge", "Open connections.", c.connections);
   metric(out, "accepted_total", "counter", "Connections taken in.", c.accepted);
   metric(out, "refused_total", "counter",
@@ -99,20 +99,21 @@ std::string stream_metrics(Hub& hub) {
 }
 
 // What the server itself has to say at a path; nothing: it is a file, if anything.
-std::optional<Answer> answer(Hub& hub, std::string_view path) {
-  const Providers& providers = hub.providers();
-  const HubCounters& counters = hub.counters();
+std::optional<Answer> answer(const PeerContext& context, std::string_view path) {
+  const Providers& providers = context.providers;
+  const SharedCounters& counters = *context.counters;
   if (path == "/healthz") {
     // The text is ours and needs no escapes.
     const std::string trouble = providers.trouble ? providers.trouble() : std::string();
     return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
                   "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
                       "\",\"revision\":" + std::to_string(counters.revision) +
-                      ",\"sessions\":" + std::to_string(counters.sessions) + "}\n"};
+                      ",\"sessions\":" + std::to_string(counters.peers) + "}\n"};
   }
   if (path == "/metrics") {
-    return Answer{http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
-                  (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(hub)};
+    return Answer{
+        http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
+        (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(counters)};
   }
   if (path == "/captures") {
     std::string list;
@@ -264,37 +265,36 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
 }
 
 // What keeps the request from being answered, counted and logged; kGranted: nothing.
-Access::Answer check_token(Hub& hub, const HttpRequest& request, std::string_view path,
+Access::Answer check_token(PeerContext& context, const HttpRequest& request, std::string_view path,
                            const asio::ip::tcp::endpoint& peer) {
   const std::function<bool(const AccessToken&)> opens = opening(path);
   if (!opens) return {};
   const Access::Answer access =
-      hub.access().ask(peer.address(), bearer_token(request), opens, monotonic_ns());
+      context.access.ask(peer.address(), bearer_token(request), opens, monotonic_ns());
   if (access.verdict != Access::Verdict::kGranted) {
-    ++hub.counters().refused;
-    hub.note_refusal(access, std::string(path), name_of(peer));
+    ++context.counters->refused;
+    context.note_refusal(access, std::string(path), name_of(peer));
   }
   return access;
 }
 
-asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStream& stream,
+asio::awaitable<bool> serve_request(PeerContext& context, const StaticFiles& files, NetStream& stream,
                                     const HttpRequest& request, const asio::ip::tcp::endpoint& peer) {
   if (request.method() != http::verb::get && request.method() != http::verb::head) {
     co_return co_await send_text(stream, request, http::status::method_not_allowed, "GET and HEAD only\n");
   }
   const std::string_view target = view_of(request.target());
   const std::string_view path = target.substr(0, target.find('?'));
-  const Access::Answer access = check_token(hub, request, path, peer);
+  const Access::Answer access = check_token(context, request, path, peer);
   if (access.verdict != Access::Verdict::kGranted) {
     if (access.hold_ns > 0) {
-      const auto held = hub.access().hold();
-      asio::steady_timer timer(hub.io(), std::chrono::nanoseconds(access.hold_ns));
-      co_await timer.async_wait(kTuple);
+      const auto held = context.access.hold();
+      co_await pause(std::chrono::nanoseconds(access.hold_ns));
       stream.tcp().expires_after(kRequestTime);
     }
     co_return co_await send_refusal(stream, request, access);
   }
-  if (std::optional<Answer> own = answer(hub, path)) {
+  if (std::optional<Answer> own = answer(context, path)) {
     co_return co_await send_answer(stream, request, std::move(*own));
   }
   if (const std::optional<StaticFiles::File> file = files.find(target)) {
@@ -305,7 +305,8 @@ asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStrea
 
 }  // namespace
 
-asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket) {
+asio::awaitable<void> serve_http(PeerContext& context, PeerDirectory& peers, const StaticFiles& files,
+                                 NetStream stream, Ticket ticket) {
   beast::flat_buffer buffer;
   bool go_on = true;
   while (go_on) {
@@ -314,7 +315,7 @@ asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream s
     const std::string_view target = view_of(request->target());
     if (beast::websocket::is_upgrade(*request) && target.substr(0, target.find('?')) == "/ws") {
       if (!origin_allowed(view_of((*request)[http::field::origin]), view_of((*request)[http::field::host]),
-                          hub.config().allowed_origins)) {
+                          context.config.allowed_origins)) {
         co_await send_text(stream, *request, http::status::forbidden, "this page may not connect here\n");
         break;
       }
@@ -325,11 +326,11 @@ asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream s
       }
       std::unique_ptr<Transport> transport = co_await accept_websocket(std::move(stream), *request);
       if (!transport) co_return;
-      const auto session = std::make_shared<Session>(hub, std::move(transport), std::move(ticket));
-      co_await session->run();
+      const auto peer = std::make_shared<Peer>(context, peers, std::move(transport), std::move(ticket));
+      co_await peer->run();
       co_return;
     }
-    go_on = co_await serve_request(hub, files, stream, *request, ticket.peer());
+    go_on = co_await serve_request(context, files, stream, *request, ticket.address());
   }
   stream.shut_down(asio::ip::tcp::socket::shutdown_both);
 }

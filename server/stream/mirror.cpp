@@ -17,7 +17,7 @@ void Mirror::reset(const InitialState& initial) {
   }
   surface_.load(volume_);
   tets_at_.load(volume_);
-  session_ = initial.session;
+  epoch_ = initial.epoch;
 }
 
 namespace {

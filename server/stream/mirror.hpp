@@ -56,7 +56,8 @@ class Mirror {
   // process. O(delta log surface).
   Applied apply(const PublishedDelta& published);
 
-  std::uint64_t session() const { return session_; }
+  // Names this run of ids.
+  std::uint64_t epoch() const { return epoch_; }
   std::uint64_t revision() const { return volume_.revision(); }
   const protocol::Replica& volume() const { return volume_; }
   const protocol::SurfaceReplica& surface() const { return surface_; }
@@ -65,7 +66,7 @@ class Mirror {
   SharedFrame follow_part(BoxPart& part, const protocol::MeshChange& change);
 
  private:
-  std::uint64_t session_ = 0;
+  std::uint64_t epoch_ = 0;
   protocol::Replica volume_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;
   protocol::TetIndex tets_at_;

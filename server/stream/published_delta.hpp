@@ -20,7 +20,7 @@ struct PublishedDelta {
 // A whole state: what the stream starts from, and starts again from after a reset. All tetrahedra are in
 // piece 0 unless `pieces` says otherwise.
 struct InitialState {
-  std::uint64_t session = 0;  // names this run of ids; another one after each reset. Never 0
+  std::uint64_t epoch = 0;  // names this run of ids; another after each reset. Never 0
   std::uint64_t revision = 0;
   std::vector<core::Vec3> positions;  // of all vertex slots
   std::vector<core::Vec3> rest;       // likewise, or empty: the body has not deformed

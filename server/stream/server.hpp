@@ -9,7 +9,8 @@
 
 #include "protocol/framing.hpp"
 #include "protocol/messages.hpp"
-#include "server/stream/input_sink.hpp"
+#include "server/stream/counters.hpp"
+#include "server/stream/peer_input.hpp"
 #include "server/stream/published_delta.hpp"
 #include "server/stream/replay_library.hpp"
 #include "server/stream/stream_config.hpp"
@@ -56,30 +57,6 @@ struct Providers {
   std::function<RecordingNow()> recording;
 };
 
-// What the stream has done since it started.
-struct StreamCounters {
-  std::uint64_t revision = 0;  // of the mirror: what clients can see
-  std::uint64_t state_hash = 0;
-  std::uint32_t sessions = 0;     // welcomed
-  std::uint32_t connections = 0;  // open, with those in their handshake
-  std::uint64_t accepted = 0;     // connections
-  // Connections that did not become sessions because the server refused, and HTTP requests without the token that they need.
-  std::uint64_t refused = 0;
-  std::uint64_t wrong_tokens = 0, tokens_not_looked_at = 0;  // of these; the latter from addresses that guess
-  std::uint64_t resets = 0, takeovers = 0, handovers = 0;    // of the mesh; of blades
-  std::uint64_t deltas = 0;                                  // applied to the mirror
-  std::uint64_t queued = 0;                                  // published, and not applied yet
-  std::uint64_t bytes_out = 0, bytes_in = 0;
-  std::uint64_t messages_in = 0, bad_messages = 0;
-  std::uint64_t coalesced = 0, snapshots = 0, slow_snapshots = 0, slow_disconnects = 0, resumed = 0;
-  std::uint64_t ring_bytes = 0, ring_deltas = 0;
-  std::uint64_t half_open_closed = 0;             // to make room for newcomers
-  std::uint64_t part_bytes = 0;                   // what sessions with a box hold
-  std::uint64_t box_turns = 0, box_turns_ns = 0;  // deltas made for one session's box, and the time that took
-  std::uint64_t box_coalesced = 0;                // those of several steps
-  std::uint64_t boxes_refused = 0;                // for lack of memory or time
-};
-
 // The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.
 //
 // Thread: publish*() from the loop's thread; everything else from the thread that made it, counters() from
@@ -88,8 +65,8 @@ struct StreamCounters {
 class Server {
  public:
   // Listens at once; bytes flow from start(). Throws std::runtime_error where an address cannot be had or the
-  // configuration is not safe. `sink` must outlive the server.
-  Server(StreamConfig config, ServerFacts facts, const InitialState& initial, InputSink& sink,
+  // configuration is not safe. `input` must outlive the server.
+  Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
          Providers providers = {});
   ~Server();
   Server(const Server&) = delete;

@@ -51,7 +51,7 @@ void SnapshotKeeper::run() {
       if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
         const std::string problem = load_initial(**initial, replica_);
         INCISE_CHECK(problem.empty(), problem);
-        session_ = (*initial)->session;
+        epoch_ = (*initial)->epoch;
         surface_.reset();
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
         const protocol::Delta& change = arrays_.assign(**delta, replica_);
@@ -71,11 +71,11 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
                                                        const std::optional<protocol::Box>& box) {
   std::weak_ptr<const Snapshot>& last = last_[static_cast<std::size_t>(view)];
   if (auto same = last.lock();
-      same && !box && same->session == session_ && same->begin.revision == replica_.revision()) {
+      same && !box && same->epoch == epoch_ && same->begin.revision == replica_.revision()) {
     return same;
   }
   auto snapshot = std::make_shared<Snapshot>();
-  snapshot->session = session_;
+  snapshot->epoch = epoch_;
   const auto add = [&](const protocol::SnapshotChunk& chunk) {
     snapshot->chunks.push_back(make_frame(chunk));
     snapshot->bytes += snapshot->chunks.back()->tcp().size();

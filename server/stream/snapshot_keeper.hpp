@@ -18,7 +18,7 @@ namespace incise::stream {
 // A whole state, encoded, for any number of sessions at once. `begin` lacks the cause, which is each
 // session's own.
 struct Snapshot {
-  std::uint64_t session = 0;
+  std::uint64_t epoch = 0;
   protocol::SnapshotBegin begin;
   std::vector<SharedFrame> chunks;
   SharedFrame end;
@@ -60,7 +60,7 @@ class SnapshotKeeper {
   // The thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
   std::optional<protocol::SurfaceReplica> surface_;  // of it, once somebody has asked for that view
-  std::uint64_t session_ = 0;
+  std::uint64_t epoch_ = 0;
   DeltaArrays arrays_;
   // The last one of each view, while somebody still sends it: many who join at once share it.
   std::weak_ptr<const Snapshot> last_[3];

@@ -63,7 +63,7 @@ std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns,
   return out;
 }
 
-class MiniLoop::Source final : public PoseSource {
+class MiniLoop::Source final : public PoseInput {
  public:
   Source(MiniLoop& loop, std::uint32_t number) : loop_(loop), number_(number) {}
   ~Source() override {
@@ -71,7 +71,7 @@ class MiniLoop::Source final : public PoseSource {
     loop_.slots_[number_].closing = true;
   }
   std::uint32_t number() const override { return number_; }
-  std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t) override {
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t) override {
     const std::scoped_lock lock(loop_.mutex_);
     auto& queue = loop_.slots_[number_].poses;
     const std::size_t n = std::min(poses.size(), kQueue - queue.size());
@@ -111,7 +111,7 @@ MiniLoop::~MiniLoop() {
 InitialState MiniLoop::initial() const {
   const core::TetMesh& mesh = session_->mesh();
   InitialState state;
-  state.session = session_id_;
+  state.epoch = session_id_;
   state.revision = session_->revision();
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
@@ -237,7 +237,7 @@ void MiniLoop::work() {
   }
 }
 
-std::unique_ptr<PoseSource> MiniLoop::open(std::string_view source_name,
+std::unique_ptr<PoseInput> MiniLoop::open(std::string_view source_name,
                                            const std::optional<protocol::BladeEdge>&) {
   const std::scoped_lock lock(mutex_);
   for (const Slot& slot : slots_) {

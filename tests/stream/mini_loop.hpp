@@ -1,6 +1,6 @@
 #pragma once
 
-// A loop for tests: a CutSession behind an InputSink, with deltas published to a Server. Small meshes, no
+// A loop for tests: a CutSession behind an PeerInput, with deltas published to a Server. Small meshes, no
 // frames.
 
 #include <array>
@@ -27,7 +27,7 @@ core::MeshData box_mesh(std::uint32_t n, double cell = 0.01);
 // rise from `t0_ns` by a millisecond.
 std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns, double side = 0.1);
 
-class MiniLoop final : public InputSink {
+class MiniLoop final : public PeerInput {
  public:
   explicit MiniLoop(const core::MeshData& mesh, std::uint64_t session = 4711);
   ~MiniLoop() override;
@@ -47,7 +47,7 @@ class MiniLoop final : public InputSink {
   // Whether the poses that it takes count as recorded, too.
   void record(bool recorded) { recorded_ = recorded; }
 
-  std::unique_ptr<PoseSource> open(std::string_view source_name,
+  std::unique_ptr<PoseInput> open(std::string_view source_name,
                                    const std::optional<protocol::BladeEdge>& blade) override;
   bool reset() override;
 

@@ -233,7 +233,7 @@ TEST(Server, WhoNeverReadsIsDisconnected) {
   TestServer test(8, config);
   Viewer stalled(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096);
   ReadingViewer other(test.server.tcp_port());
-  ASSERT_TRUE(eventually([&] { return test.server.counters().sessions == 2; }));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().peers == 2; }));
   ASSERT_TRUE(eventually([&] {
     test.cut();
     return test.server.counters().slow_disconnects > 0;
@@ -241,7 +241,7 @@ TEST(Server, WhoNeverReadsIsDisconnected) {
   ASSERT_TRUE(eventually([&] { return other.at(test.loop.revision()); }));
   EXPECT_FALSE(other.ended());
   EXPECT_EQ(test.server.counters().slow_disconnects, 1u);
-  ASSERT_TRUE(eventually([&] { return test.server.counters().sessions == 1; }));
+  ASSERT_TRUE(eventually([&] { return test.server.counters().peers == 1; }));
   expect_serves_others(test);
   // It begins to read after all: what was on its way is whole, and Bye is behind it.
   const auto bye = stalled.peer.receive_until<protocol::Bye>();

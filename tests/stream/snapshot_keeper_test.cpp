@@ -81,7 +81,7 @@ TEST_F(SnapshotKeeperTest, ASnapshotHasWhatWasPushedBeforeAndNothingAfter) {
   }
   for (std::size_t i = 0; i < answers.size(); ++i) {
     const SharedSnapshot snapshot = answers[i].get();
-    EXPECT_EQ(snapshot->session, 7u);
+    EXPECT_EQ(snapshot->epoch, 7u);
     EXPECT_EQ(snapshot->begin.revision, i);
     const protocol::Replica replica = loaded(*snapshot);
     EXPECT_EQ(replica.compute_state_hash(), i == 0 ? replica.state_hash() : steps[i - 1]->delta.state_hash);
@@ -109,7 +109,7 @@ TEST_F(SnapshotKeeperTest, AResetStartsAnotherSession) {
   keeper.push(cut().front());
   keeper.reset(std::make_shared<const InitialState>(MiniLoop(box_mesh(kCells), 8).initial()));
   const SharedSnapshot after = ask();
-  EXPECT_EQ(after->session, 8u);
+  EXPECT_EQ(after->epoch, 8u);
   EXPECT_EQ(after->begin.revision, 0u);
   EXPECT_NE(after, before) << "of the same revision, and another session";
 }

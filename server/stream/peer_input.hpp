@@ -1,6 +1,6 @@
 #pragma once
 
-// What the stream needs of the input side. server/app joins it to input::InputHub.
+// What the stream needs of the input side. server/app joins it to input::PoseSources.
 
 #include <cstddef>
 #include <cstdint>
@@ -30,14 +30,14 @@ struct PoseTotals {
 // A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
 //
 // Thread: the stream thread.
-class PoseSource {
+class PoseInput {
  public:
-  virtual ~PoseSource() = default;
+  virtual ~PoseInput() = default;
   virtual std::uint32_t number() const = 0;
   // Queues poses in order; returns how many were taken. Where that is not all the session reads no more from
   // its peer and offers the rest again: no pose is dropped.
-  virtual std::size_t push(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) = 0;
-  // Ends the running stroke after the poses pushed so far. False: no room, try again.
+  virtual std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) = 0;
+  // Ends the running stroke after the poses queued so far. False: no room, try again.
   virtual bool end_stroke(std::int64_t arrival_ns) = 0;
   virtual PoseTotals totals() const = 0;
   // The blade's edge in the tool's frame, metres.
@@ -48,25 +48,25 @@ class PoseSource {
 // The body's positions, which one simulator sets. Destroying it leaves the body as it is.
 //
 // Thread: the stream thread.
-class PositionsSource {
+class PositionsInput {
  public:
-  virtual ~PositionsSource() = default;
+  virtual ~PositionsInput() = default;
   // Takes positions that refer to vertices which exist, on their way to the loop.
-  virtual void push(const protocol::Positions& positions, std::int64_t arrival_ns) = 0;
+  virtual void offer(const protocol::Positions& positions, std::int64_t arrival_ns) = 0;
   // Messages that newer ones have replaced before the loop had time, since it was opened.
   virtual std::uint64_t skipped() const = 0;
 };
 
 // Thread: all calls come from the stream thread.
-class InputSink {
+class PeerInput {
  public:
-  virtual ~InputSink() = default;
+  virtual ~PeerInput() = default;
   // Takes a blade by its source's name, with the server's shape or one that the operator brings. Null where somebody
   // holds it, or no blade is free.
-  virtual std::unique_ptr<PoseSource> open(std::string_view source_name,
-                                           const std::optional<protocol::BladeEdge>& blade) = 0;
+  virtual std::unique_ptr<PoseInput> open(std::string_view source_name,
+                                          const std::optional<protocol::BladeEdge>& blade) = 0;
   // Takes the body's positions. Null where another simulator sets them, or the server does not offer it.
-  virtual std::unique_ptr<PositionsSource> open_positions() { return nullptr; }
+  virtual std::unique_ptr<PositionsInput> open_positions() { return nullptr; }
   // An administrator wants the mesh as loaded. False where the server does not offer that. When it is done,
   // Server::publish_reset() follows.
   virtual bool reset() { return false; }

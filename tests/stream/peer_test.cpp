@@ -1,4 +1,4 @@
-#include "server/stream/session.hpp"
+#include "server/stream/peer.hpp"
 
 #include <gtest/gtest.h>
 
@@ -15,7 +15,7 @@
 #include <utility>
 #include <vector>
 
-#include "server/stream/hub.hpp"
+#include "server/stream/peers.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/viewer.hpp"
 
@@ -28,38 +28,38 @@ using protocol::View;
 // A peer that has sent all its messages at once. It reads one write at a time, when the test says so.
 class SlowReader final : public Transport {
  public:
-  struct Peer {
+  struct Wire {
     std::deque<protocol::Frame> sends;
     std::vector<SharedFrame> reads;
     std::function<void(boost::system::error_code)> done;  // of the write under way
     bool closed = false;
   };
-  SlowReader(asio::io_context& io, Peer& peer) : silence_(io), io_(io), peer_(peer) {
+  SlowReader(asio::io_context& io, Wire& wire) : silence_(io), io_(io), wire_(wire) {
     silence_.expires_at(asio::steady_timer::time_point::max());
   }
 
   asio::awaitable<Received> read() override {
-    if (peer_.sends.empty() && !peer_.closed) {
+    if (wire_.sends.empty() && !wire_.closed) {
       try {
         co_await silence_.async_wait(asio::use_awaitable);
       } catch (const boost::system::system_error&) {
       }
     }
-    if (peer_.closed) co_return Received::end(asio::error::eof);
-    current_ = std::move(peer_.sends.front());
-    peer_.sends.pop_front();
+    if (wire_.closed) co_return Received::end(asio::error::eof);
+    current_ = std::move(wire_.sends.front());
+    wire_.sends.pop_front();
     co_return Received::message(current_->body());
   }
   void set_max_bytes(std::size_t) override {}
   void write(std::span<const SharedFrame> frames,
              std::function<void(boost::system::error_code)> done) override {
-    peer_.reads.insert(peer_.reads.end(), frames.begin(), frames.end());
-    peer_.done = std::move(done);
+    wire_.reads.insert(wire_.reads.end(), frames.begin(), frames.end());
+    wire_.done = std::move(done);
   }
   asio::awaitable<void> discard() override { co_return; }
   void shut_down(std::shared_ptr<void>) override {}
   void close() override {
-    peer_.closed = true;
+    wire_.closed = true;
     silence_.cancel();
   }
   std::string peer() const override { return "test"; }
@@ -68,24 +68,27 @@ class SlowReader final : public Transport {
  private:
   asio::steady_timer silence_;
   asio::io_context& io_;
-  Peer& peer_;
+  Wire& wire_;
   std::optional<protocol::Frame> current_;
 };
 
-class SessionTest : public ::testing::Test {
+class PeerTest : public ::testing::Test {
  protected:
   void start(std::uint32_t cells) {
     loop_ = std::make_unique<MiniLoop>(box_mesh(cells));
-    hub_ = std::make_unique<Hub>(io_, config_, loop_->facts(), *loop_, Providers{});
-    hub_->reset(std::make_shared<const InitialState>(loop_->initial()));
+    context_ = std::make_unique<PeerContext>(io_, config_, loop_->facts(), *loop_, providers_);
+    peers_ = std::make_unique<Peers>(*context_);
+    peers_->reset(std::make_shared<const InitialState>(loop_->initial()));
   }
   void join(const protocol::Hello& greeting) {
-    peer_.sends.push_front(protocol::encode(greeting, {1, 0}));
+    wire_.sends.push_front(protocol::encode(greeting, {1, 0}));
     asio::ip::tcp::socket none(io_);
-    session_ = std::make_shared<Session>(*hub_, std::make_unique<SlowReader>(io_, peer_), *hub_->admit(none));
-    asio::co_spawn(io_, run(session_), [this](std::exception_ptr) { ended_ = true; });
+    Admission admission(config_, context_->counters);
+    peer_ = std::make_shared<Peer>(*context_, *peers_, std::make_unique<SlowReader>(io_, wire_),
+                                   *admission.admit(none));
+    asio::co_spawn(io_, run(peer_), [this](std::exception_ptr) { ended_ = true; });
   }
-  static asio::awaitable<void> run(std::shared_ptr<Session> session) { co_await session->run(); }
+  static asio::awaitable<void> run(std::shared_ptr<Peer> peer) { co_await peer->run(); }
   // Runs what is ready until `condition` holds.
   bool run_until(const std::function<bool()>& condition) {
     return eventually([&] {
@@ -95,39 +98,41 @@ class SessionTest : public ::testing::Test {
     });
   }
   void TearDown() override {
-    session_->close();
+    peer_->close();
     EXPECT_TRUE(run_until([&] { return ended_; }));
   }
 
   StreamConfig config_ = test_config();
   asio::io_context io_{1};
-  SlowReader::Peer peer_;
+  Providers providers_;
+  SlowReader::Wire wire_;
   std::unique_ptr<MiniLoop> loop_;
-  std::unique_ptr<Hub> hub_;
-  std::shared_ptr<Session> session_;
+  std::unique_ptr<PeerContext> context_;
+  std::unique_ptr<Peers> peers_;
+  std::shared_ptr<Peer> peer_;
   bool ended_ = false;
 };
 
-TEST_F(SessionTest, APeerThatPingsAndReadsNothingIsLetGo) {
+TEST_F(PeerTest, APeerThatPingsAndReadsNothingIsLetGo) {
   config_.max_messages_per_s = std::numeric_limits<std::uint32_t>::max();
   start(2);
-  for (int i = 0; i < 50'000; ++i) peer_.sends.push_back(protocol::encode(protocol::Ping{1, 2}, {2, 0}));
+  for (int i = 0; i < 50'000; ++i) wire_.sends.push_back(protocol::encode(protocol::Ping{1, 2}, {2, 0}));
   join(hello(Role::Viewer, View::None));
-  ASSERT_TRUE(run_until([&] { return !session_->open() || peer_.sends.empty(); }));
-  EXPECT_FALSE(session_->open());
-  EXPECT_GT(peer_.sends.size(), 10'000u) << "the answers to the first fill its megabyte";
-  EXPECT_EQ(hub_->counters().slow_disconnects, 1u);
+  ASSERT_TRUE(run_until([&] { return !peer_->open() || wire_.sends.empty(); }));
+  EXPECT_FALSE(peer_->open());
+  EXPECT_GT(wire_.sends.size(), 10'000u) << "the answers to the first fill its megabyte";
+  EXPECT_EQ(context_->counters->slow_disconnects, 1u);
 }
 
 // Who joins and does not read holds one piece of the snapshot at a time, not all of it.
-TEST_F(SessionTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
+TEST_F(PeerTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
   config_.outbox_bytes = 1000;
   start(24);
   join(hello(Role::Viewer, View::Volume));
   std::shared_ptr<const Snapshot> snapshot;
-  ASSERT_TRUE(run_until([&] { return hub_->counters().snapshots == 1; }));
-  // The same snapshot as the session's, as long as that one sends it.
-  hub_->live().request_snapshot(View::Volume, std::nullopt, [&](const auto& same) { snapshot = same; });
+  ASSERT_TRUE(run_until([&] { return context_->counters->snapshots == 1; }));
+  // The peer's own snapshot, as long as it sends it.
+  context_->live.request_snapshot(View::Volume, std::nullopt, [&](const auto& same) { snapshot = same; });
   ASSERT_TRUE(run_until([&] { return snapshot != nullptr; }));
   ASSERT_GE(snapshot->chunks.size(), 4u);
   const auto waiting = [&] {
@@ -138,13 +143,13 @@ TEST_F(SessionTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
   std::size_t chunks = 0;
   bool ended = false;
   for (;;) {
-    for (const SharedFrame& frame : std::exchange(peer_.reads, {})) {
+    for (const SharedFrame& frame : std::exchange(wire_.reads, {})) {
       chunks += static_cast<std::size_t>(std::count(snapshot->chunks.begin(), snapshot->chunks.end(), frame));
       ended = ended || frame == snapshot->end;
     }
     if (ended) break;
-    ASSERT_TRUE(peer_.done) << "the session sends no more";
-    std::exchange(peer_.done, nullptr)({});
+    ASSERT_TRUE(wire_.done) << "the peer is sent no more";
+    std::exchange(wire_.done, nullptr)({});
     EXPECT_LE(waiting(), 1);
   }
   EXPECT_EQ(chunks, snapshot->chunks.size());
