@@ -109,7 +109,7 @@ class Replay {
     if (back) show();
   }
 
-  void tell(bool playing, float speed) const {
+  void report_state(bool playing, float speed) const {
     protocol::ReplayState state;
     state.capture = name_;
     state.playing = playing;
@@ -167,7 +167,7 @@ struct CaptureLibrary::Playing {
   void run(Replay& replay) {
     bool playing = false;
     float speed = 1;
-    replay.tell(playing, speed);
+    replay.report_state(playing, speed);
     // While it plays: the recording's clock was at `from_ns` at the time `since`.
     std::int64_t from_ns = 0;
     steady_clock::time_point since, told;
@@ -223,7 +223,7 @@ struct CaptureLibrary::Playing {
       }
       if (news) {
         told = steady_clock::now();
-        replay.tell(playing, speed);
+        replay.report_state(playing, speed);
       }
     }
   }

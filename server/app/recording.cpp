@@ -287,7 +287,7 @@ Recording resume_recording(const Config& config, const Body& body) {
   ReplayTail tail(*start->session, motion.session, config.stream.ring_bytes);
   recording.lost = replay(config, path, *start, *recording.journal, tail);
   recording.session = std::move(start->session);
-  recording.shown = tail.take(*recording.session);
+  recording.shown = tail.finish(*recording.session);
   if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
   // A server that crashes soon after each start would have more to replay each time. What is less than this counts towards
   // the next checkpoint.

@@ -42,7 +42,7 @@ void ReplayTail::note(const core::CutSession& session, const core::Delta& delta)
   newer_ = run_from(session);
 }
 
-ReplayTail::Tail ReplayTail::take(const core::CutSession& session) {
+ReplayTail::Tail ReplayTail::finish(const core::CutSession& session) {
   if (!newer_.before) newer_ = run_from(session);
   if (!older_.before) std::swap(older_, newer_);
   Tail tail{std::move(*older_.before), std::move(older_.deltas)};

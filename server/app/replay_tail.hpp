@@ -26,7 +26,7 @@ class ReplayTail {
     Deltas deltas;
   };
   // `session` after the replay. This is empty then.
-  Tail take(const core::CutSession& session);
+  Tail finish(const core::CutSession& session);
 
  private:
   struct Run {

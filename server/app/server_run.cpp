@@ -129,14 +129,14 @@ class LoopHealth {
 // Sources of poses on the network, those that are configured.
 class NetworkSources {
  public:
-  NetworkSources(const Config& config, input::InputHub& hub, haptics::ForceSlots& forces,
+  NetworkSources(const Config& config, input::PoseSources& sources, haptics::ForceSlots& forces,
                  [[maybe_unused]] stream::Server& server, const std::function<void()>& on_thread) {
 #ifdef INCISE_OPENIGTLINK
     if (config.openigtlink.wanted()) {
       input::OpenIgtLinkOptions options = config.openigtlink;
       options.engage_buttons = static_cast<std::uint32_t>(config.cut.engage_buttons);
       openigtlink_ = std::make_unique<input::OpenIgtLinkInput>(
-          hub, std::move(options),
+          sources, std::move(options),
           input::SurfaceFeed{[&] { return server.counters().state_hash; },
                              [&](auto ready) { server.request_surface(std::move(ready)); }});
     }
@@ -144,7 +144,7 @@ class NetworkSources {
     if (!config.haply.url.empty()) {
       input::HaplyOptions options = config.haply;
       options.on_thread = on_thread;
-      haply_ = std::make_unique<input::HaplyInput>(hub, forces, std::move(options));
+      haply_ = std::make_unique<input::HaplyInput>(sources, forces, std::move(options));
     }
   }
   std::vector<input::NetworkStatus> status() const {
@@ -253,9 +253,9 @@ void run_server(const Config& config, bool resume) {
       return made;
     });
   }
-  std::vector<input::InputHub::Declared> declared;
+  std::vector<input::PoseSources::Declared> declared;
   for (const Config::Source& source : config.sources) declared.push_back({source.name, source.blade});
-  input::InputHub hub(config.cut.blade, declared);
+  input::PoseSources sources(config.cut.blade, declared);
   const bool capture = recording.journal != nullptr;
   std::unique_ptr<loop::Journal> journal;
   if (capture) {
@@ -277,15 +277,15 @@ void run_server(const Config& config, bool resume) {
           }
         },
         make_checkpointer(config, body, recording, saved),
-        [&hub](const loop::JournalRecord& pose, bool recorded) {
+        [&sources](const loop::JournalRecord& pose, bool recorded) {
           if (recorded && core::accepted(pose.verdict))
-            hub.tell_recorded(pose.source, pose.owner, pose.pose.t_ns);
-          hub.tell(pose.source, pose.verdict, pose.pose.t_ns);
+            sources.acknowledge_recorded(pose.source, pose.owner, pose.pose.t_ns);
+          sources.acknowledge(pose.source, pose.verdict, pose.pose.t_ns);
         });
   }
 
   input::PositionsSlot positions;
-  HubInput sink(hub, positions, config);
+  StreamInput sink(sources, positions, config);
 
   // The loop wants the stream to publish to, the stream the loop's figures: the figures come first, by a pointer that is
   // set before the stream starts.
@@ -309,12 +309,12 @@ void run_server(const Config& config, bool resume) {
   options.rate_hz = config.loop.rate_hz;
   options.budget_fraction = config.loop.budget_fraction;
   options.longest_finish_ns = kLongestFinish_ns;
-  loop::FrameLoop frames(session, hub, output, journal.get(), options);
+  loop::FrameLoop frames(session, sources, output, journal.get(), options);
   frames.offer_deformation(positions);
   haptics::ForceSlots forces;
   ForceOutput force_output(server, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6));
   if (config.haptics.forces) frames.offer_forces(config.haptics.force, tissue.get(), &force_output, &forces);
-  telemetry.emplace(frames.stats(), hub, journal.get(), config.loop.rate_hz);
+  telemetry.emplace(frames.stats(), sources, journal.get(), config.loop.rate_hz);
   telemetry->join_stream([&] { return server.counters(); });
   sink.join(frames);
   frames.offer_reset(
@@ -332,10 +332,11 @@ void run_server(const Config& config, bool resume) {
   std::unique_ptr<input::HidInput> devices;
   if (config.devices.enabled) {
     devices = std::make_unique<input::HidInput>(
-        hub, forces, input::HidInput::Options{device_profiles(config), config.devices.overrides, on_thread});
+        sources, forces,
+        input::HidInput::Options{device_profiles(config), config.devices.overrides, on_thread});
     telemetry->join([&] { return devices->status(); });
   }
-  NetworkSources network(config, hub, forces, server, on_thread);
+  NetworkSources network(config, sources, forces, server, on_thread);
   telemetry->join_network([&] { return network.status(); });
 
   if (saved.valid()) saved.wait();  // before anything changes the session

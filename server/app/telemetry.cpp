@@ -95,9 +95,9 @@ std::string number(double value) {
 
 }  // namespace
 
-Telemetry::Telemetry(const loop::LoopStats& stats, const input::InputHub& hub, const loop::Journal* journal,
-                     double rate_hz)
-    : stats_(stats), hub_(hub), journal_(journal), rate_hz_(rate_hz) {}
+Telemetry::Telemetry(const loop::LoopStats& stats, const input::PoseSources& sources,
+                     const loop::Journal* journal, double rate_hz)
+    : stats_(stats), sources_(sources), journal_(journal), rate_hz_(rate_hz) {}
 
 std::string Telemetry::json() const {
   const loop::LoopState state = stats_.state.load();
@@ -114,7 +114,7 @@ std::string Telemetry::json() const {
                           {"vertices_held", stats_.vertices_held.load(std::memory_order_relaxed)}};
   root["cut_faces"] = state.cut_faces;
   root["cut_area_m2"] = state.cut_area_m2;
-  root["sources"] = hub_.open_sources();
+  root["sources"] = sources_.open_count();
   Json poses;
   for (int i = 0; i < core::kPoseVerdicts; ++i) {
     poses[core::to_string(static_cast<core::PoseVerdict>(i))] =
@@ -207,7 +207,7 @@ std::string Telemetry::metrics() const {
       static_cast<double>(stats_.vertices_held.load(std::memory_order_relaxed)));
   one("cut_faces_total", "counter", "Faces opened.", static_cast<double>(state.cut_faces));
   one("cut_area_square_metres_total", "counter", "Area of the faces opened, one side.", state.cut_area_m2);
-  one("sources", "gauge", "Pose sources that are open.", hub_.open_sources());
+  one("sources", "gauge", "Pose sources that are open.", sources_.open_count());
   one("frames_total", "counter", "Frames of the loop.", static_cast<double>(state.frames));
   one("frames_skipped_total", "counter", "Frames whose time had passed before they could begin.",
       static_cast<double>(state.skipped_frames));

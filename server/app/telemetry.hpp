@@ -6,8 +6,8 @@
 
 #include "protocol/messages.hpp"
 #include "server/input/hid/hid_input.hpp"
-#include "server/input/input_hub.hpp"
 #include "server/input/network_status.hpp"
+#include "server/input/pose_sources.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
 #include "server/stream/server.hpp"
@@ -19,7 +19,7 @@ namespace incise::app {
 class Telemetry {
  public:
   // `journal` may be null. All must outlive this.
-  Telemetry(const loop::LoopStats& stats, const input::InputHub& hub, const loop::Journal* journal,
+  Telemetry(const loop::LoopStats& stats, const input::PoseSources& sources, const loop::Journal* journal,
             double rate_hz);
   // Who tells about the devices; before the first question.
   void join(std::function<std::vector<input::DeviceStatus>()> devices) { devices_ = std::move(devices); }
@@ -40,7 +40,7 @@ class Telemetry {
 
  private:
   const loop::LoopStats& stats_;
-  const input::InputHub& hub_;
+  const input::PoseSources& sources_;
   const loop::Journal* const journal_;
   const double rate_hz_;
   std::function<std::vector<input::DeviceStatus>()> devices_;

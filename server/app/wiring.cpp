@@ -26,12 +26,12 @@ std::string built_viewer() {
 }
 
 // A session's blade. Thread: the stream's.
-class HubSource final : public stream::PoseInput {
+class StreamPoseInput final : public stream::PoseInput {
  public:
-  HubSource(input::SourceHandle handle, const core::Blade& blade, const loop::LoopStats* stats)
-      : handle_(std::move(handle)), blade_(blade), stats_(stats) {}
+  StreamPoseInput(input::PoseSource source, const core::Blade& blade, const loop::LoopStats* stats)
+      : source_(std::move(source)), blade_(blade), stats_(stats) {}
 
-  std::uint32_t number() const override { return handle_.number(); }
+  std::uint32_t number() const override { return source_.number(); }
 
   std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) override {
     std::array<input::TimedPose, 256> chunk;
@@ -44,18 +44,18 @@ class HubSource final : public stream::PoseInput {
         const protocol::Quat& q = sample.orientation;
         chunk[i] = {{sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons}, arrival_ns};
       }
-      const std::size_t pushed = handle_.push(std::span(chunk).first(count));
+      const std::size_t pushed = source_.enqueue(std::span(chunk).first(count));
       taken += pushed;
       if (pushed < count) break;
     }
     return taken;
   }
 
-  bool end_stroke(std::int64_t arrival_ns) override { return handle_.end_stroke(arrival_ns); }
+  bool end_stroke(std::int64_t arrival_ns) override { return source_.end_stroke(arrival_ns); }
 
   stream::PoseTotals totals() const override {
     using core::PoseVerdict;
-    const input::SourceCounts counts = handle_.counts();
+    const input::SourceCounts counts = source_.counts();
     stream::PoseTotals totals;
     totals.too_fast = counts.count(PoseVerdict::kNewStroke);
     totals.accepted = counts.count(PoseVerdict::kAccepted) + totals.too_fast;
@@ -73,18 +73,19 @@ class HubSource final : public stream::PoseInput {
   protocol::Vec3 tip() const override { return to_protocol(blade_.tip); }
 
  private:
-  input::SourceHandle handle_;
+  input::PoseSource source_;
   const core::Blade blade_;
   const loop::LoopStats* const stats_;
 };
 
 // A simulator's hold on the positions. Thread: the stream's.
-class SlotPositions final : public stream::PositionsInput {
+class StreamPositionsInput final : public stream::PositionsInput {
  public:
-  SlotPositions(input::PositionsSlot& slot, bool& open) : slot_(slot), open_(open), before_(slot.skipped()) {
+  StreamPositionsInput(input::PositionsSlot& slot, bool& open)
+      : slot_(slot), open_(open), before_(slot.skipped()) {
     open_ = true;
   }
-  ~SlotPositions() override { open_ = false; }
+  ~StreamPositionsInput() override { open_ = false; }
 
   void offer(const protocol::Positions& positions, std::int64_t arrival_ns) override {
     const auto buffer = slot_.buffer();
@@ -120,18 +121,18 @@ class SlotPositions final : public stream::PositionsInput {
 
 }  // namespace
 
-std::unique_ptr<stream::PositionsInput> HubInput::open_positions() {
-  return positions_open_ ? nullptr : std::make_unique<SlotPositions>(positions_, positions_open_);
+std::unique_ptr<stream::PositionsInput> StreamInput::open_positions() {
+  return positions_open_ ? nullptr : std::make_unique<StreamPositionsInput>(positions_, positions_open_);
 }
 
-std::unique_ptr<stream::PoseInput> HubInput::open(std::string_view source_name,
-                                                   const std::optional<protocol::BladeEdge>& brought) {
+std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_name,
+                                                     const std::optional<protocol::BladeEdge>& brought) {
   std::optional<core::Blade> own;
   if (brought) own = to_core(*brought);
-  auto handle = hub_.open_source(source_name.empty() ? "blade" : source_name, own);
-  if (!handle) return nullptr;
-  const core::Blade blade = own ? *own : blade_of(config_, handle->number());
-  return std::make_unique<HubSource>(std::move(*handle), blade, loop_ ? &loop_->stats() : nullptr);
+  auto source = sources_.open(source_name.empty() ? "blade" : source_name, own);
+  if (!source) return nullptr;
+  const core::Blade blade = own ? *own : blade_of(config_, source->number());
+  return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
 void ForceOutput::feel(const haptics::BladeForce& force) noexcept {

@@ -7,7 +7,7 @@
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/core/session/cut_session.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "server/input/positions_slot.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "server/stream/server.hpp"
@@ -25,21 +25,21 @@ stream::InitialState initial_state(const core::CutSession& session, std::uint64_
 // A number that no other run has: names a run of ids. Never 0.
 std::uint64_t fresh_session_id();
 
-// Sessions that send poses, as sources of the hub.
-class HubInput final : public stream::PeerInput {
+// Gives each operator a pose source, and a simulator the slot for its positions.
+class StreamInput final : public stream::PeerInput {
  public:
   // All must outlive this. A source without a name is called "blade".
-  HubInput(input::InputHub& hub, input::PositionsSlot& positions, const Config& config)
-      : hub_(hub), positions_(positions), config_(config) {}
+  StreamInput(input::PoseSources& sources, input::PositionsSlot& positions, const Config& config)
+      : sources_(sources), positions_(positions), config_(config) {}
   // The loop that takes the poses, for its backlog and for resets; before the first session.
   void join(loop::FrameLoop& loop) { loop_ = &loop; }
   std::unique_ptr<stream::PoseInput> open(std::string_view source_name,
-                                           const std::optional<protocol::BladeEdge>& blade) override;
+                                          const std::optional<protocol::BladeEdge>& blade) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
   bool reset() override { return loop_ && loop_->request_reset(); }
 
  private:
-  input::InputHub& hub_;
+  input::PoseSources& sources_;
   input::PositionsSlot& positions_;
   bool positions_open_ = false;  // the stream thread's
   const Config& config_;

@@ -80,7 +80,7 @@ class ForceSlot {
   std::atomic<std::uint32_t> losses_{0}, failed_writes_{0};
 };
 
-// One for each source, by its number in the hub.
+// One for each pose source, by its number.
 using ForceSlots = std::array<ForceSlot, core::kMaxSources>;
 
 }  // namespace incise::haptics

@@ -5,7 +5,6 @@
 #include <algorithm>
 
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
 
 namespace incise::input {
 namespace {

@@ -38,7 +38,7 @@ bool PositionsSlot::offer(std::shared_ptr<core::VertexPositions> positions) {
   return false;
 }
 
-std::shared_ptr<const core::VertexPositions> PositionsSlot::take() {
+std::shared_ptr<const core::VertexPositions> PositionsSlot::pop_newest() {
   Buffer newest, one;
   while (queue_.pop(one)) {
     if (newest) bump(replaced_);

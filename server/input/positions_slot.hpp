@@ -11,23 +11,23 @@
 
 namespace incise::input {
 
-// A host simulation's positions on their way to the loop. The loop wants the newest only: those that it has not taken by
-// then are skipped, and so are those for which there is no buffer, because the journal or the checkpoints still hold them
-// all. Skipped ones were never there: the capture has those that the loop has taken.
+// A host simulation's positions on their way to the loop. The loop wants only the newest: older ones that wait are skipped,
+// and so are those for which no buffer is free because journal or checkpoints still hold them all. The capture has only
+// those that the loop used, so skipped ones do not matter to a replay.
 //
-// Thread: buffer() and offer() from one, take() from the loop's, which neither allocates nor frees; figures from any.
+// Thread: buffer() and offer() from one, pop_newest() from the loop's, which neither allocates nor frees; figures from any.
 class PositionsSlot {
  public:
   // `most_bytes`: of all buffers; there may be four in any case.
   explicit PositionsSlot(std::size_t most_bytes = 64u << 20) : most_bytes_(most_bytes), queue_(8) {}
 
-  // A buffer to fill and offer; null where all are in use: the message is skipped.
+  // A buffer to fill and offer; null if all are in use: skip the message.
   std::shared_ptr<core::VertexPositions> buffer();
-  // False where it is skipped.
+  // False if it was skipped.
   bool offer(std::shared_ptr<core::VertexPositions> positions);
 
-  // The newest one that waits; null where none does.
-  std::shared_ptr<const core::VertexPositions> take();
+  // Empties the queue and returns its newest entry; null if it was empty.
+  std::shared_ptr<const core::VertexPositions> pop_newest();
 
   std::uint64_t skipped() const {
     return refused_.load(std::memory_order_relaxed) + replaced_.load(std::memory_order_relaxed);

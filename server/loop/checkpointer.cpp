@@ -24,8 +24,8 @@ constexpr double kAtRest = 0.25;
 }  // namespace
 
 Checkpointer::Checkpointer(const Options& options, std::uint64_t session_id, int next_file,
-                           std::function<std::unique_ptr<core::CutSession>()> first, Tell tell)
-    : options_(options), tell_(std::move(tell)), session_id_(session_id), next_file_(next_file) {
+                           std::function<std::unique_ptr<core::CutSession>()> first, Report report)
+    : options_(options), report_(std::move(report)), session_id_(session_id), next_file_(next_file) {
   thread_ = std::thread([this, first = std::move(first)] { run(first); });
 }
 
@@ -106,7 +106,7 @@ void Checkpointer::give_up(const std::string& why) {
   computed_.clear();
   dirty_ = true;
   following_.store(false, std::memory_order_relaxed);
-  tell_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
+  report_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
 }
 
 void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>& first) {
@@ -117,7 +117,7 @@ void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>&
   began_s_ = thread_cpu_s() - options_.debt_s;
   dirty_ = options_.debt_s > 0;
   std::deque<Item> taken;
-  while (take(taken)) {
+  while (wait_for_items(taken)) {
     for (const Item& item : taken) {
       if (stop_) return;
       handle(item);
@@ -126,7 +126,7 @@ void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>&
   }
 }
 
-bool Checkpointer::take(std::deque<Item>& taken) {
+bool Checkpointer::wait_for_items(std::deque<Item>& taken) {
   const auto news = [this] { return stop_ || overflow_ || finish_ || !waiting_.empty(); };
   std::unique_lock lock(mutex_);
   for (;;) {
@@ -264,7 +264,7 @@ void Checkpointer::write(const Item& mark) {
     write_s_ = began_s_ - before;
   } catch (const std::exception& error) {
     // The debt stands.
-    if (failure_.empty()) tell_(false, std::string("a checkpoint cannot be written: ") + error.what());
+    if (failure_.empty()) report_(false, std::string("a checkpoint cannot be written: ") + error.what());
     failure_ = error.what();
     next_try_ = steady_clock::now() + kRetry;
     began_s_ += thread_cpu_s() - before;

@@ -46,12 +46,12 @@ class Checkpointer {
     std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
   };
   // Called on its thread, and from record(): a line for the log. `bad`: there will be no checkpoints for now.
-  using Tell = std::function<void(bool bad, const std::string& text)>;
+  using Report = std::function<void(bool bad, const std::string& text)>;
 
   // `first`: gives the session as it is where the records begin; called on the thread. `next_file`: 0 or 1, not the one
   // that holds the newest checkpoint.
   Checkpointer(const Options& options, std::uint64_t session_id, int next_file,
-               std::function<std::unique_ptr<core::CutSession>()> first, Tell tell);
+               std::function<std::unique_ptr<core::CutSession>()> first, Report report);
   // Drops what waits.
   ~Checkpointer();
   // After the last record and mark: computes what waits, for at most so long, and saves the session as it is there. Empty
@@ -86,7 +86,7 @@ class Checkpointer {
   };
   void run(const std::function<std::unique_ptr<core::CutSession>()>& first);
   // Waits for records and moves some of them to `taken`; meanwhile pays debt at rest. False at the end.
-  bool take(std::deque<Item>& taken);
+  bool wait_for_items(std::deque<Item>& taken);
   void accept_given();  // under mutex_
   double debt_s() const;
   bool can_write_at_rest() const;
@@ -97,7 +97,7 @@ class Checkpointer {
   void write(const Item& mark);
 
   const Options options_;
-  const Tell tell_;
+  const Report report_;
   std::mutex mutex_;
   std::condition_variable wake_, finished_;
   std::vector<Item> given_;        // the journal's: not handed over yet

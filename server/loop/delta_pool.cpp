@@ -30,7 +30,7 @@ DeltaPool::DeltaPool(std::size_t warm, std::size_t most) : most_(std::max<std::s
   size_.store(ring_.size(), std::memory_order_relaxed);
 }
 
-std::shared_ptr<PublishedDelta> DeltaPool::take() {
+std::shared_ptr<PublishedDelta> DeltaPool::next_free() {
   if (ring_[next_].use_count() > 1) {
     if (ring_.size() >= most_) return nullptr;
     ring_.insert(ring_.begin() + static_cast<std::ptrdiff_t>(next_), std::make_shared<PublishedDelta>());

@@ -20,21 +20,20 @@ class DeltaSink {
   virtual void publish(std::shared_ptr<const PublishedDelta> delta) noexcept = 0;
 };
 
-// Objects for deltas that go round: one that all readers have let go of is filled again, arrays and all, so a
-// steady frame allocates nothing. Readers are expected to let go in the order of publishing.
+// A ring of reusable deltas: one that all readers have released is filled again, arrays and all, so a steady frame
+// allocates nothing. Readers are expected to release deltas in the order of publishing.
 //
-// Thread: take() from the loop's; letting go from any. A reader may outlive the pool.
+// Thread: next_free() and published() from the loop's; releasing from any. A reader may outlive the pool.
 class DeltaPool {
  public:
   // `warm`: objects made in advance, with room for the deltas of common batches. `most`: objects at most,
   // which bounds the memory that a reader who has stopped reading can hold.
   explicit DeltaPool(std::size_t warm = 64, std::size_t most = 1u << 16);
 
-  // An object to fill; null where `most` are held by readers. One that was taken is taken again until
-  // given().
-  std::shared_ptr<PublishedDelta> take();
-  // The object that take() gave is on its way to the readers.
-  void given() { next_ = (next_ + 1) % ring_.size(); }
+  // A delta to fill; null if readers hold `most`. Returns the same one until published() is called.
+  std::shared_ptr<PublishedDelta> next_free();
+  // The delta from next_free() is on its way to the readers.
+  void published() { next_ = (next_ + 1) % ring_.size(); }
 
   // Objects there are now. From any thread.
   std::size_t size() const { return size_.load(std::memory_order_relaxed); }

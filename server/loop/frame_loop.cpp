@@ -19,7 +19,7 @@ constexpr std::int64_t kSlice_ns = 20'000;
 constexpr std::int64_t kSpin_ns = 20'000;
 // No slice begins that would not be over by then, going by the last ones: the part of a frame.
 constexpr double kLatest = 0.95;
-// The part of a frame's budget that taking poses may use: after a burst the rest is for cutting.
+// The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
 
 void sleep_until(std::int64_t ns) {
@@ -44,7 +44,7 @@ const char* to_string(LateCause cause) {
   return "?";
 }
 
-FrameLoop::FrameLoop(core::CutSession& session, input::InputHub& input, DeltaSink& sink, Journal* journal,
+FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, DeltaSink& sink, Journal* journal,
                      const LoopOptions& options)
     : session_(&session),
       input_(input),
@@ -85,7 +85,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
-  take_positions(start);
+  start_deformation(start);
   const std::int64_t drained = monotonic_ns();
   // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
@@ -104,7 +104,7 @@ void FrameLoop::finish() noexcept {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
     if (session_->in_stroke(source)) {
       const std::int64_t now = monotonic_ns();
-      take(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}}, now);
+      handle(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}}, now);
     }
   }
   // A reader that has gone for good must not keep the server from ending: what it has not read by then it
@@ -125,10 +125,10 @@ void FrameLoop::finish() noexcept {
 // ------------------------------------------------------------------------------------------------ input
 
 void FrameLoop::drain(std::int64_t now_ns, std::int64_t until_ns) {
-  std::uint32_t taken = 0;
+  std::uint32_t handled = 0;
   input_.drain([&](std::uint32_t source, const input::InputEvent& event) {
-    take(source, event, now_ns);
-    if (++taken % kPosesPerLook != 0) return true;
+    handle(source, event, now_ns);
+    if (++handled % kPosesPerLook != 0) return true;
     now_ns = monotonic_ns();
     if (now_ns < until_ns) return true;
     state_.flags |= kInputCarried;
@@ -136,7 +136,7 @@ void FrameLoop::drain(std::int64_t now_ns, std::int64_t until_ns) {
   });
 }
 
-void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns) {
+void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns) {
   using Kind = input::InputEvent::Kind;
   const std::size_t batches = session_->backlog_batches();
   JournalRecord record;
@@ -182,8 +182,8 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       break;
   }
   const bool recorded = write(record);
-  // What is in the journal's hands is told of by the journal, once it has handed it on.
-  if (!recorded && event.kind == Kind::kPose) input_.tell(source, record.verdict, record.pose.t_ns);
+  // The journal acknowledges the poses that it has written.
+  if (!recorded && event.kind == Kind::kPose) input_.acknowledge(source, record.verdict, record.pose.t_ns);
   for (std::size_t i = batches; i < session_->backlog_batches(); ++i) stamp(event.pose.arrival_ns, now_ns);
 }
 
@@ -196,10 +196,10 @@ void FrameLoop::stamp(std::int64_t arrival_ns, std::int64_t drain_ns) {
   stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {arrival_ns, drain_ns};
 }
 
-void FrameLoop::take_positions(std::int64_t now_ns) {
+void FrameLoop::start_deformation(std::int64_t now_ns) {
   if (!positions_ || session_->deformation_waits()) return;
   JournalRecord record;
-  record.positions = positions_->take();
+  record.positions = positions_->pop_newest();
   if (!record.positions) return;
   record.kind = JournalRecord::Kind::kDeform;
   record.arrival_ns = record.positions->arrival_ns;
@@ -251,7 +251,7 @@ void FrameLoop::reset() {
   own_session_ = std::move(fresh);
   session_ = own_session_.get();
   if (forces_) forces_->restart();
-  if (positions_) positions_->take();  // of the mesh that was
+  if (positions_) positions_->pop_newest();  // of the mesh that was
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   LoopState as_loaded;
@@ -285,7 +285,7 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
   // At least one slice, however late it is: a frame that never cuts would never end the backlog.
   std::shared_ptr<PublishedDelta> out;
   while (session_->backlog_batches() > 0) {
-    if (!out && !(out = pool_.take())) {
+    if (!out && !(out = pool_.next_free())) {
       state_.flags |= kDeltasBlocked;
       return;
     }
@@ -308,7 +308,7 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
                    ns_per_segment_);
       }
       commit(*out, now);
-      pool_.given();
+      pool_.published();
       ready_.push_back(std::exchange(out, nullptr));
     }
     if (now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {

@@ -11,7 +11,7 @@
 
 #include "server/core/session/cut_session.hpp"
 #include "server/haptics/force_stage.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "server/input/positions_slot.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
@@ -32,18 +32,18 @@ struct LoopOptions {
   std::int64_t longest_finish_ns = INT64_MAX;
 };
 
-// The real-time loop. Once a frame, in this order: take the poses that wait, check and batch them, update the
-// forces, cut until the budget is spent, publish the deltas of finished batches, account. What does not fit is carried over to
-// the next frame; poses stay in their queues until the loop can take them, and none is dropped.
+// The real-time loop. Each frame, in this order: drains the queued poses, checks and batches them, updates the
+// forces, cuts until the budget is spent, publishes the deltas of finished batches, accounts. What does not fit is carried
+// over to the next frame; poses stay in their queues until the loop gets to them, and none is dropped.
 //
 // A frame takes no lock, throws nothing and logs nothing, and once buffers are warm it allocates nothing.
 //
-// Thread: one runs frames; stats() is for any. Owns nothing but its buffers: session, hub, channel and
+// Thread: one runs frames; stats() is for any. Owns only its buffers: session, sources, sink and
 // journal must outlive it.
 class FrameLoop {
  public:
   // `journal` may be null.
-  FrameLoop(core::CutSession& session, input::InputHub& input, DeltaSink& sink, Journal* journal,
+  FrameLoop(core::CutSession& session, input::PoseSources& input, DeltaSink& sink, Journal* journal,
             const LoopOptions& options);
 
   // Makes resets possible; before the first frame. `restart` gives a session as it was loaded; `done` gets it before its
@@ -61,8 +61,8 @@ class FrameLoop {
   void offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
                     haptics::ForceSink* sink, haptics::ForceSlots* slots);
 
-  // Takes a host simulation's positions, in each frame after drain: the newest, when the last ones are done. Before the
-  // first frame; must outlive this.
+  // Deforms the body to a host simulation's newest positions, in each frame after drain, once the last ones are done. Call
+  // before the first frame; `positions` must outlive this.
   void offer_deformation(input::PositionsSlot& positions) { positions_ = &positions; }
 
   // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
@@ -71,7 +71,7 @@ class FrameLoop {
   void run(const std::stop_token& stop) noexcept;
   // One frame that should have begun at `deadline_ns` (CLOCK_MONOTONIC).
   void frame(std::int64_t deadline_ns) noexcept;
-  // Closes the hub, takes what waits, ends all strokes, cuts and publishes all of it.
+  // Closes the sources, drains their queues, ends all strokes, cuts and publishes everything.
   void finish() noexcept;
 
   const LoopStats& stats() const { return stats_; }
@@ -82,7 +82,7 @@ class FrameLoop {
   struct Stamp {
     std::int64_t arrival_ns, drain_ns;
   };
-  void take(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
+  void handle(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
   void cut(std::int64_t until_ns, std::int64_t latest_ns);
@@ -90,7 +90,7 @@ class FrameLoop {
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
-  void take_positions(std::int64_t now_ns);
+  void start_deformation(std::int64_t now_ns);
   void stamp(std::int64_t arrival_ns, std::int64_t drain_ns);
   // Whether the journal has it.
   bool write(const JournalRecord& record);
@@ -104,8 +104,8 @@ class FrameLoop {
   std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
-  std::array<std::uint32_t, core::kMaxSources> owners_{};             // theirs, as the input hub numbers them
-  input::InputHub& input_;
+  std::array<std::uint32_t, core::kMaxSources> owners_{};             // the numbers of their owners
+  input::PoseSources& input_;
   input::PositionsSlot* positions_ = nullptr;
   DeltaSink& sink_;
   Journal* const journal_;

@@ -124,7 +124,7 @@ bool Journal::write_waiting() {
   return true;
 }
 
-void Journal::tell_poses(bool recorded) {
+void Journal::acknowledge_poses(bool recorded) {
   for (const JournalRecord& pose : poses_) on_pose_(pose, recorded);
   poses_.clear();
 }
@@ -159,7 +159,7 @@ void Journal::run() {
       last_try = steady_clock::now();
       mark_checkpoint(false);
       const bool wrote = write_waiting();
-      tell_poses(true);
+      acknowledge_poses(true);
       {
         const std::scoped_lock lock(sync_mutex_);
         unsynced_ = unsynced_ || wrote;
@@ -180,7 +180,7 @@ void Journal::run() {
       set_trouble("");
     } catch (const std::exception& error) {
       lost_unwritten_.store(lost_unwritten_before_ + unflushed_ - unflushed_gaps_, std::memory_order_relaxed);
-      tell_poses(false);
+      acknowledge_poses(false);
       if (!failing()) on_trouble_(error.what());
       set_trouble(error.what());
       failing_.store(true, std::memory_order_relaxed);

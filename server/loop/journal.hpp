@@ -96,8 +96,8 @@ class Journal {
   void run();
   // Writes and flushes what waits; whether there was anything.
   bool write_waiting();
-  // Tells of the poses that were flushed, or lost.
-  void tell_poses(bool recorded);
+  // Acknowledges the poses that were flushed, or lost.
+  void acknowledge_poses(bool recorded);
   // Ends the thread, once all is written.
   void end();
   void set_trouble(const std::string& error);
@@ -115,7 +115,7 @@ class Journal {
   std::uint64_t gap_ = 0;  // the loop's: records lost since the last one that was queued
   // The thread's: records that the sink has not flushed, and of them those that lost_unqueued_ counts already.
   std::uint64_t unflushed_ = 0, unflushed_gaps_ = 0;
-  std::vector<JournalRecord> poses_;         // of the pass at hand, where they are to be told of
+  std::vector<JournalRecord> poses_;         // of the pass at hand, to be acknowledged
   std::uint64_t lost_unwritten_before_ = 0;  // the failure at hand
   bool unmarked_ = false, wanted_ = false;   // records since the last mark; a gap since the last one
   // In what is not flushed: a gap; a reset, which makes the gaps before it past.

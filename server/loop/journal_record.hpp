@@ -25,7 +25,7 @@ struct JournalRecord {
   };
   Kind kind = Kind::kPose;
   std::uint32_t source = 0;
-  std::uint32_t owner = 0;  // the source's owner, as the input hub numbers them; not in the capture
+  std::uint32_t owner = 0;  // number of the source's owner; not in the capture
   std::int64_t arrival_ns = 0;
   core::Pose pose;
   core::Blade blade;

@@ -31,7 +31,7 @@ class ReplayTailTest : public ::testing::Test {
       while (session_->advance(budget, delta) == core::CutSession::Progress::kCommitted)
         tail.note(*session_, delta);
     }
-    tail_ = tail.take(*session_);
+    tail_ = tail.finish(*session_);
   }
   // Whether the deltas lead from the state before to the session's, without a gap.
   void expect_leads_to_the_end() {

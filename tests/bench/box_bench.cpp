@@ -10,7 +10,7 @@
 
 #include "client/client.hpp"
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "tests/bench/box_bench.hpp"
 #include "tests/bench/crowd.hpp"
 #include "tests/bench/live_server.hpp"

@@ -17,7 +17,7 @@
 #include <system_error>
 
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 
 namespace incise::bench {
 namespace {

@@ -12,7 +12,7 @@
 #include <thread>
 
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "tests/stream/raw_peer.hpp"
 
 namespace incise::bench {

@@ -62,11 +62,11 @@ void bench_jitter(const LoopBench& bench, const core::MeshData& mesh, const core
   report.table("wake-up late, us", {{"beside"}, {"count"}, {"p50", 1}, {"p99", 1}, {"p99.9", 1}, {"max", 1}});
   for (const bool loaded : {false, true}) {
     core::CutSession session(mesh, config);
-    input::InputHub hub(config.blade);
+    input::PoseSources sources(config.blade);
     Discard sink;
     loop::LoopOptions options;
     options.rate_hz = bench.frame_rate_hz;
-    loop::FrameLoop frames(session, hub, sink, nullptr, options);
+    loop::FrameLoop frames(session, sources, sink, nullptr, options);
     const Load load(loaded);
     std::jthread thread([&](const std::stop_token& stop) {
       if (bench.realtime_priority > 0) loop::request_priority(bench.realtime_priority);
@@ -86,11 +86,11 @@ void run(const LoopBench& bench, Report& report) {
   core::CutConfig config;
   config.blade = motion.blade();
   core::CutSession session(body.mesh, config);
-  input::InputHub hub(config.blade);
+  input::PoseSources sources(config.blade);
   Discard sink;
   loop::LoopOptions options;
   options.rate_hz = bench.frame_rate_hz;
-  loop::FrameLoop frames(session, hub, sink, nullptr, options);
+  loop::FrameLoop frames(session, sources, sink, nullptr, options);
 
   auto load = std::make_unique<Load>(bench.load);
   std::string granted;
@@ -98,7 +98,7 @@ void run(const LoopBench& bench, Report& report) {
     if (bench.realtime_priority > 0) granted = loop::request_priority(bench.realtime_priority);
     frames.run(stop);
   });
-  auto source = hub.open_source("bench");
+  auto source = sources.open("bench");
   const std::int64_t start = monotonic_ns(), period = static_cast<std::int64_t>(1e9 / bench.pose_rate_hz);
   const auto poses = static_cast<std::int64_t>(bench.seconds * bench.pose_rate_hz);
   for (std::int64_t i = 0; i < poses; ++i) {
@@ -107,7 +107,7 @@ void run(const LoopBench& bench, Report& report) {
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) != 0) {
     }
     const input::TimedPose pose{motion.next(), monotonic_ns()};
-    while (source->push(std::span(&pose, 1)) == 0) std::this_thread::yield();
+    while (source->enqueue(std::span(&pose, 1)) == 0) std::this_thread::yield();
   }
   loop_thread.request_stop();
   loop_thread.join();
@@ -144,16 +144,16 @@ void run(const LoopBench& bench, Report& report) {
 
   // The input path alone: poses beside the body, as fast as one thread gives them and the loop takes them.
   core::CutSession idle(body.mesh, config);
-  input::InputHub flood_hub(config.blade);
-  loop::FrameLoop flood(idle, flood_hub, sink, nullptr, options);
-  auto flooding = flood_hub.open_source("flood");
+  input::PoseSources flood_sources(config.blade);
+  loop::FrameLoop flood(idle, flood_sources, sink, nullptr, options);
+  auto flooding = flood_sources.open("flood");
   std::vector<input::TimedPose> chunk(4096);
   std::int64_t t_ns = 0, taken = 0, taking_ns = 0;
   while (taken < 1'000'000) {
     for (auto& pose : chunk) pose.pose.t_ns = ++t_ns;
-    const std::size_t pushed = flooding->push(chunk);
+    const std::size_t pushed = flooding->enqueue(chunk);
     const std::int64_t before = monotonic_ns();
-    while (flood_hub.waiting() > 0) flood.frame(before);
+    while (flood_sources.waiting() > 0) flood.frame(before);
     taking_ns += monotonic_ns() - before;
     taken += static_cast<std::int64_t>(pushed);
   }

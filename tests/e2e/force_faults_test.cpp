@@ -56,7 +56,7 @@ class Rig {
 
   void plug() {
     decoder_.emplace(profile_, input::Placement{});
-    source_ = hub_.open_source("stylus");
+    source_ = sources_.open("stylus");
     ASSERT_TRUE(source_);
     slots_[0].device_came(profile_.force->max_newtons);
     maker_.emplace(*profile_.force, *decoder_);
@@ -75,12 +75,12 @@ class Rig {
   // A report from the device.
   void report(const Report& bytes) { report(std::span<const std::uint8_t>(bytes)); }
   void report(std::span<const std::uint8_t> bytes) {
-    for (const auto& sample : decoder_->take(bytes, virtual_ns)) {
+    for (const auto& sample : decoder_->decode(bytes, virtual_ns)) {
       const input::TimedPose pose{sample.pose, virtual_ns};
       if (!sample.valid) {
         source_->end_stroke(virtual_ns);
       } else {
-        ASSERT_EQ(source_->push(std::span(&pose, 1)), 1u);
+        ASSERT_EQ(source_->enqueue(std::span(&pose, 1)), 1u);
       }
     }
   }
@@ -173,12 +173,12 @@ class Rig {
   const input::DeviceProfile profile_ = input::parse_profile(
       tests::float_stylus_profile(R"("usage_page": "ff1c", "usage": "0001")"), "float.json");
   core::CutSession session_{tests::cube(6), cut_config()};
-  input::InputHub hub_{cut_config().blade};
+  input::PoseSources sources_{cut_config().blade};
   Discard sink_;
   haptics::ForceSlots slots_;
-  loop::FrameLoop loop_{session_, hub_, sink_, nullptr, {}};
+  loop::FrameLoop loop_{session_, sources_, sink_, nullptr, {}};
   std::optional<input::PoseDecoder> decoder_;
-  std::optional<input::SourceHandle> source_;
+  std::optional<input::PoseSource> source_;
   std::optional<input::ForceReport> maker_;
   haptics::ForceCommand command_;
   std::int64_t command_ns_ = kBegun;

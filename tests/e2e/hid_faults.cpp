@@ -18,7 +18,7 @@
 
 #include "server/base/clock.hpp"
 #include "server/core/geometry/vec3.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/support/float_stylus.hpp"

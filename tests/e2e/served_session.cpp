@@ -9,7 +9,7 @@
 
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/support/to_and_fro.hpp"
 

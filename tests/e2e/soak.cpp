@@ -14,7 +14,7 @@
 #include <stdexcept>
 
 #include "server/base/clock.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 #include "tests/e2e/served_session.hpp"
 #include "tests/stream/raw_peer.hpp"
 

@@ -19,7 +19,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     input::PoseDecoder decoder(profile, {});
     for (std::size_t at = 0; at < size && at < 64; ++at) {
       for (const auto& sample :
-           decoder.take({data + at, size - at}, static_cast<std::int64_t>(1'000'000 * (at + 1)))) {
+           decoder.decode({data + at, size - at}, static_cast<std::int64_t>(1'000'000 * (at + 1)))) {
         FUZZ_CHECK(sample.tool < profile.tools.size());
         FUZZ_CHECK(!std::isnan(sample.pose.position.x) && !std::isnan(sample.pose.orientation.w));
       }

@@ -34,7 +34,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   for (std::size_t at = 0; at < size && at < 64; ++at) {
     const std::size_t bytes = std::min<std::size_t>(size - at, 1 + data[at]);
     for (const auto& sample :
-         decoder.take({data + at, bytes}, static_cast<std::int64_t>(1'000'000 * (at + 1)))) {
+         decoder.decode({data + at, bytes}, static_cast<std::int64_t>(1'000'000 * (at + 1)))) {
       FUZZ_CHECK(core::is_finite(sample.pose.position));
       FUZZ_CHECK(std::isfinite(sample.pose.orientation.w));
     }

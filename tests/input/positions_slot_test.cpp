@@ -19,15 +19,15 @@ bool offer(PositionsSlot& slot, std::uint64_t frame) {
 
 TEST(PositionsSlot, TheLoopGetsTheNewestAndTheOthersAreCounted) {
   PositionsSlot slot;
-  EXPECT_FALSE(slot.take());
+  EXPECT_FALSE(slot.pop_newest());
   EXPECT_TRUE(offer(slot, 1));
   EXPECT_TRUE(offer(slot, 2));
   EXPECT_TRUE(offer(slot, 3));
-  const auto newest = slot.take();
+  const auto newest = slot.pop_newest();
   ASSERT_TRUE(newest);
   EXPECT_EQ(newest->frame, 3u);
   EXPECT_EQ(slot.skipped(), 2u);
-  EXPECT_FALSE(slot.take());
+  EXPECT_FALSE(slot.pop_newest());
 }
 
 // The journal and the checkpoints hold on to what the loop took.
@@ -36,7 +36,7 @@ TEST(PositionsSlot, ABufferThatSomebodyHoldsIsNotWrittenInto) {
   std::vector<std::shared_ptr<const VertexPositions>> held;
   for (std::uint64_t frame = 1; frame <= 3; ++frame) {
     ASSERT_TRUE(offer(slot, frame));
-    held.push_back(slot.take());
+    held.push_back(slot.pop_newest());
     ASSERT_TRUE(held.back());
   }
   for (std::uint64_t frame = 1; frame <= 3; ++frame) EXPECT_EQ(held[frame - 1]->frame, frame);
@@ -51,7 +51,7 @@ TEST(PositionsSlot, FourBuffersInAnyCaseAndMoreWhileTheyFit) {
     if (!buffer) return false;
     buffer->positions.resize(1000);
     if (!slot.offer(buffer)) return false;
-    held.push_back(slot.take());
+    held.push_back(slot.pop_newest());
     return true;
   };
   std::vector<std::shared_ptr<const VertexPositions>> held;
@@ -74,7 +74,7 @@ TEST(PositionsSlot, WhatTheQueueCannotTakeIsSkipped) {
   while (offer(slot, frame + 1)) ++frame;
   EXPECT_GE(frame, 8u);
   EXPECT_EQ(slot.skipped(), 1u);
-  EXPECT_EQ(slot.take()->frame, frame);
+  EXPECT_EQ(slot.pop_newest()->frame, frame);
   EXPECT_EQ(slot.skipped(), frame) << "all but the newest";
 }
 

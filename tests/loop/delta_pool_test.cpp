@@ -15,11 +15,11 @@ TEST(DeltaPool, ObjectsGoRoundInOrder) {
   std::vector<std::shared_ptr<const PublishedDelta>> readers;
   std::vector<const PublishedDelta*> seen;
   for (int i = 0; i < 6; ++i) {
-    const PublishedDelta* const first = pool.take().get();
-    auto delta = pool.take();
+    const PublishedDelta* const first = pool.next_free().get();
+    auto delta = pool.next_free();
     EXPECT_EQ(delta.get(), first) << "not given yet";
     seen.push_back(delta.get());
-    pool.given();
+    pool.published();
     readers.push_back(std::move(delta));
     if (readers.size() == 2) readers.erase(readers.begin());
   }
@@ -33,17 +33,17 @@ TEST(DeltaPool, GrowsForASlowReaderUpToItsLimit) {
   DeltaPool pool(2, 5);
   std::vector<std::shared_ptr<const PublishedDelta>> readers;
   for (std::uint64_t i = 0; i < 5; ++i) {
-    auto delta = pool.take();
+    auto delta = pool.next_free();
     ASSERT_TRUE(delta);
     delta->delta.revision = i;
-    pool.given();
+    pool.published();
     readers.push_back(std::move(delta));
   }
   EXPECT_EQ(pool.size(), 5u);
-  EXPECT_FALSE(pool.take());
+  EXPECT_FALSE(pool.next_free());
   for (std::uint64_t i = 0; i < 5; ++i) EXPECT_EQ(readers[i]->delta.revision, i);
   readers.erase(readers.begin());
-  EXPECT_TRUE(pool.take());
+  EXPECT_TRUE(pool.next_free());
   EXPECT_EQ(pool.size(), 5u);
 }
 
@@ -54,14 +54,14 @@ TEST(DeltaPool, AReaderInAnotherThreadSeesWhatWasPublished) {
   input::SpscQueue<std::shared_ptr<const PublishedDelta>> queue(128);
   std::thread loop([&] {
     for (std::uint64_t i = 1; i <= kDeltas;) {
-      auto delta = pool.take();
+      auto delta = pool.next_free();
       if (!delta) {
         std::this_thread::yield();
         continue;
       }
       delta->delta.revision = i;
       delta->delta.moved.assign(3, static_cast<std::uint32_t>(i));
-      pool.given();
+      pool.published();
       ASSERT_TRUE(queue.push(std::shared_ptr<const PublishedDelta>(std::move(delta))));
       ++i;
     }

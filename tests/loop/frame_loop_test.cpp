@@ -13,7 +13,7 @@ namespace incise::loop {
 namespace {
 
 using core::Policy;
-using input::InputHub;
+using input::PoseSources;
 using input::TimedPose;
 
 core::CutConfig config(Policy policy) {
@@ -58,8 +58,8 @@ struct Rig {
   Rig(Policy policy, const core::MeshData& mesh, const LoopOptions& options = {},
       std::size_t queue_capacity = 8192)
       : session(mesh, config(policy)),
-        hub(tests::long_blade(), {}, queue_capacity),
-        loop(session, hub, kept, nullptr, options) {}
+        sources(tests::long_blade(), {}, queue_capacity),
+        loop(session, sources, kept, nullptr, options) {}
 
   void read() {
     for (const auto& lease : kept.deltas) {
@@ -73,7 +73,7 @@ struct Rig {
   }
 
   core::CutSession session;
-  InputHub hub;
+  PoseSources sources;
   Kept kept;
   FrameLoop loop;
   Hashes hashes;
@@ -95,9 +95,9 @@ TEST(FrameLoop, ForcesChangeNoCut) {
     } sink;
     rig.loop.offer_forces({}, std::make_unique<haptics::Tissue>(mesh), &sink, &slots);
     {
-      auto source = rig.hub.open_source("blade");
+      auto source = rig.sources.open("blade");
       for (const TimedPose& pose : timed(poses)) {
-        ASSERT_EQ(source->push(std::span(&pose, 1)), 1u);
+        ASSERT_EQ(source->enqueue(std::span(&pose, 1)), 1u);
         rig.loop.frame(monotonic_ns());
       }
     }
@@ -119,22 +119,22 @@ TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
   const core::MeshData mesh = tests::cube(2);
   for (int attempt = 0; attempt < 1000; ++attempt) {
     core::CutSession session(mesh, made);
-    InputHub hub(made.blade);
+    PoseSources sources(made.blade);
     Kept kept;
-    FrameLoop loop(session, hub, kept, nullptr, {});
+    FrameLoop loop(session, sources, kept, nullptr, {});
     struct : haptics::ForceSink {
       void feel(const haptics::BladeForce& force) noexcept override { last = force; }
       haptics::BladeForce last;
     } sink;
     loop.offer_forces({}, std::make_unique<haptics::Tissue>(mesh), &sink, nullptr);
-    auto source = hub.open_source("blade");
+    auto source = sources.open("blade");
     int frame = 0;
     const auto press = [&] {
       TimedPose timed;
       timed.pose.t_ns = 1 + std::int64_t{++frame} * 1'000'000;
       timed.pose.position = {0.05 + 1e-6 * frame, 0.05, std::max(0.151 - 5e-5 * frame, 0.148)};
       timed.arrival_ns = monotonic_ns();
-      source->push(std::span(&timed, 1));
+      source->enqueue(std::span(&timed, 1));
       loop.frame(monotonic_ns());
     };
     while (frame < 100 && sink.last.newtons.z == 0) press();
@@ -164,10 +164,10 @@ TEST_P(FrameLoopPolicies, EveryBudgetGivesTheSameHashes) {
     options.units_per_frame = units;
     Rig rig(GetParam(), mesh, options);
     {
-      auto source = rig.hub.open_source("blade");
+      auto source = rig.sources.open("blade");
       const auto all = timed(poses);
       for (std::size_t i = 0; i < all.size(); ++i) {  // a pose a frame, as at 1 kHz
-        ASSERT_EQ(source->push(std::span(&all[i], 1)), 1u);
+        ASSERT_EQ(source->enqueue(std::span(&all[i], 1)), 1u);
         rig.loop.frame(monotonic_ns());
       }
     }
@@ -192,10 +192,10 @@ TEST_P(FrameLoopPolicies, ABurstOfPosesIsCarriedOverAndEndsWithTheSameHash) {
   Rig rig(GetParam(), mesh, options);
   std::uint64_t carried = 0;
   {
-    auto source = rig.hub.open_source("blade");
+    auto source = rig.sources.open("blade");
     const auto all = timed(poses);
     for (std::size_t pushed = 0; pushed < all.size();) {
-      pushed += source->push(std::span(all).subspan(pushed));
+      pushed += source->enqueue(std::span(all).subspan(pushed));
       rig.loop.frame(monotonic_ns());
       carried += (rig.loop.stats().state.load().flags & kInputCarried) != 0;
     }
@@ -218,10 +218,10 @@ TEST(FrameLoop, AMeshThatIsFarTooFineEndsWithTheSameHash) {
   Rig rig(Policy::kConforming, mesh, options);
   std::uint64_t most_segments = 0, most_recovery_ns = 0;
   {
-    auto source = rig.hub.open_source("blade");
+    auto source = rig.sources.open("blade");
     const auto all = timed(poses);
     for (std::size_t i = 0; i < all.size(); i += 4) {  // poses come at four times the frames' rate
-      source->push(std::span(all).subspan(i, std::min<std::size_t>(4, all.size() - i)));
+      source->enqueue(std::span(all).subspan(i, std::min<std::size_t>(4, all.size() - i)));
       rig.loop.frame(monotonic_ns());
       const LoopState state = rig.loop.stats().state.load();
       most_segments = std::max(most_segments, state.backlog_segments);
@@ -244,10 +244,11 @@ TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
   Rig rig(Policy::kCroll, mesh);
   std::jthread thread([&](const std::stop_token& stop) { rig.loop.run(stop); });
   {
-    auto source = rig.hub.open_source("blade");
+    auto source = rig.sources.open("blade");
     const auto all = timed(poses);
     for (std::size_t pushed = 0; pushed < all.size();) {
-      pushed += source->push(std::span(all).subspan(pushed, std::min<std::size_t>(9, all.size() - pushed)));
+      pushed +=
+          source->enqueue(std::span(all).subspan(pushed, std::min<std::size_t>(9, all.size() - pushed)));
       std::this_thread::yield();
     }
   }
@@ -256,7 +257,7 @@ TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
   thread.join();
   rig.read();
   EXPECT_EQ(rig.hashes, wanted);
-  EXPECT_FALSE(rig.hub.open_source("late"));
+  EXPECT_FALSE(rig.sources.open("late"));
   EXPECT_EQ(rig.loop.stats().frame_work.count(), rig.loop.stats().state.load().frames);
 }
 
@@ -266,8 +267,8 @@ TEST(FrameLoop, FinishTakesWhatWaitsAndEndsStrokes) {
   const auto poses = tests::sweep_through(200);
   const Hashes wanted = without_loop(Policy::kCroll, mesh, poses);
   Rig rig(Policy::kCroll, mesh);
-  auto source = rig.hub.open_source("blade");
-  ASSERT_EQ(source->push(timed(poses)), poses.size());
+  auto source = rig.sources.open("blade");
+  ASSERT_EQ(source->enqueue(timed(poses)), poses.size());
   rig.loop.finish();
   rig.read();
   EXPECT_EQ(rig.hashes, wanted);
@@ -280,11 +281,11 @@ TEST(FrameLoop, FinishLeavesWhatTakesTooLong) {
   LoopOptions options;
   options.longest_finish_ns = 0;
   Rig rig(Policy::kConforming, mesh, options);
-  auto source = rig.hub.open_source("blade");
+  auto source = rig.sources.open("blade");
   const auto poses = tests::sweep_through(200);
-  ASSERT_EQ(source->push(timed(poses)), poses.size());
+  ASSERT_EQ(source->enqueue(timed(poses)), poses.size());
   rig.loop.finish();
-  EXPECT_EQ(rig.hub.waiting(), 0u);
+  EXPECT_EQ(rig.sources.waiting(), 0u);
   EXPECT_GT(rig.session.backlog_batches(), 0u);
   EXPECT_GT(rig.loop.stats().state.load().backlog_segments, 0u);
 }
@@ -301,8 +302,8 @@ TEST(FrameLoop, RejectedPosesAreCountedAndChangeNothing) {
   poses.insert(poses.begin() + 81, broken);
   poses.insert(poses.begin() + 101, poses[100]);  // the same time again
   Rig rig(Policy::kCroll, mesh);
-  auto source = rig.hub.open_source("blade");
-  source->push(timed(poses));
+  auto source = rig.sources.open("blade");
+  source->enqueue(timed(poses));
   rig.loop.finish();
   rig.read();
   EXPECT_EQ(rig.hashes, wanted);
@@ -316,12 +317,12 @@ TEST(FrameLoop, RejectedPosesAreCountedAndChangeNothing) {
 TEST(FrameLoop, TheNextOwnerOfABladeStartsItsOwnClock) {
   Rig rig(Policy::kCroll, tests::cube(5));
   for (int owner = 0; owner < 3; ++owner) {
-    auto source = rig.hub.open_source("blade");
+    auto source = rig.sources.open("blade");
     ASSERT_TRUE(source) << owner;
-    source->push(timed(tests::sweep_through(100, 1000, 0.2 + 0.2 * owner)));
+    source->enqueue(timed(tests::sweep_through(100, 1000, 0.2 + 0.2 * owner)));
     // A frame whose time is up carries the rest of the poses over to the next one.
     do rig.loop.frame(monotonic_ns());
-    while (rig.hub.waiting() > 0);
+    while (rig.sources.waiting() > 0);
     EXPECT_EQ(source->counts().count(core::PoseVerdict::kAccepted), 100u);
     source.reset();
     rig.loop.frame(monotonic_ns());
@@ -336,15 +337,15 @@ TEST(FrameLoop, ALateFrameCutsOneSlice) {
   options.rate_hz = 1e6;          // periods of a microsecond: every frame is late
   options.budget_fraction = 1e9;  // a budget of a thousand seconds
   Rig rig(Policy::kConforming, tests::cube(6), options);
-  auto source = rig.hub.open_source("blade");
-  ASSERT_EQ(source->push(timed(tests::sweep_through(300))), 300u);
+  auto source = rig.sources.open("blade");
+  ASSERT_EQ(source->enqueue(timed(tests::sweep_through(300))), 300u);
   int frames = 0;
   do {
     const std::size_t before = rig.kept.deltas.size();
     rig.loop.frame(monotonic_ns());
     EXPECT_LE(rig.kept.deltas.size(), before + 1) << "frame " << frames;
     ++frames;
-  } while (rig.hub.waiting() > 0 || rig.session.backlog_batches() > 0);
+  } while (rig.sources.waiting() > 0 || rig.session.backlog_batches() > 0);
   EXPECT_GT(rig.kept.deltas.size(), 5u);
   EXPECT_GE(static_cast<std::size_t>(frames), rig.kept.deltas.size());
 }
@@ -355,20 +356,20 @@ TEST(FrameLoop, AStreamThatDoesNotReadHoldsTheCutAndLosesNothing) {
   core::CutConfig fine = config(Policy::kConforming);
   fine.batch_h = 1e-6;  // a batch for each pose
   core::CutSession session(mesh, fine);
-  InputHub hub(tests::long_blade());
+  PoseSources sources(tests::long_blade());
   Kept kept;
   LoopOptions options;
   options.most_unread_deltas = 1000;
-  FrameLoop loop(session, hub, kept, nullptr, options);
-  auto source = hub.open_source("blade");
+  FrameLoop loop(session, sources, kept, nullptr, options);
+  auto source = sources.open("blade");
   const auto all = timed(tests::sweep_through(5'000, 10'000, 2.0));  // beside the body
   std::size_t pushed = 0;
   while (pushed < all.size()) {
-    pushed += source->push(std::span(all).subspan(pushed));
+    pushed += source->enqueue(std::span(all).subspan(pushed));
     loop.frame(monotonic_ns());
   }
   // A frame that was held up takes but some of the poses that wait.
-  const auto left = [&] { return session.backlog_batches() > 0 || hub.waiting() > 0; };
+  const auto left = [&] { return session.backlog_batches() > 0 || sources.waiting() > 0; };
   while ((loop.stats().state.load().flags & kDeltasBlocked) == 0 && left()) {
     loop.frame(monotonic_ns());
   }
@@ -402,14 +403,14 @@ TEST(FrameLoop, AResetStartsAgainFromTheMeshAsLoaded) {
                          rig.revision = 0;
                          return ++resets;
                        });
-  auto source = rig.hub.open_source("blade");
+  auto source = rig.sources.open("blade");
   const auto all = timed(poses);
   for (std::size_t i = 0; i < all.size(); ++i) {
     if (i == half) {
       EXPECT_GT(rig.loop.stats().state.load().revision, 0u);
       EXPECT_TRUE(rig.loop.request_reset());
     }
-    source->push(std::span(&all[i], 1));
+    source->enqueue(std::span(&all[i], 1));
     rig.loop.frame(monotonic_ns());
   }
   rig.loop.finish();
@@ -438,18 +439,18 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
   Hashes hashes;
   {
     core::CutSession session(mesh, config(Policy::kCroll));
-    InputHub hub(tests::long_blade());
+    PoseSources sources(tests::long_blade());
     Kept kept;
     Journal journal(std::make_unique<Memory>(records), {}, [](const std::string&) {});
     LoopOptions options;
     options.units_per_frame = 50;
-    FrameLoop loop(session, hub, kept, &journal, options);
-    auto left = hub.open_source("left"), right = hub.open_source("right");
+    FrameLoop loop(session, sources, kept, &journal, options);
+    auto left = sources.open("left"), right = sources.open("right");
     const auto a = timed(tests::sweep_through(300, 1000, 0.3)),
                b = timed(tests::sweep_through(400, 1000, 0.62));
     for (std::size_t i = 0; i < b.size(); ++i) {
-      if (i < a.size()) left->push(std::span(&a[i], 1));
-      right->push(std::span(&b[i], 1));
+      if (i < a.size()) left->enqueue(std::span(&a[i], 1));
+      right->enqueue(std::span(&b[i], 1));
       if (i % 3 == 0) loop.frame(monotonic_ns());
     }
     loop.finish();

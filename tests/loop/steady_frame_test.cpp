@@ -75,7 +75,7 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
   // Back and forth beside the body at 1 kHz, batch after batch, so that the core's events do not count here:
   // what the loop itself does in a frame does, with poses, batches, deltas and the journal's queue.
   core::CutSession session(tests::cube(6), config);
-  input::InputHub hub(config.blade);
+  input::PoseSources sources(config.blade);
   struct : DeltaSink {
     void publish(std::shared_ptr<const PublishedDelta> delta) noexcept override {
       last = std::move(delta);
@@ -93,8 +93,8 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
   Journal::Options roomy;
   roomy.capacity = 1u << 18;  // frames come faster here than any journal's thread may get a processor
   Journal journal(std::make_unique<Nowhere>(), roomy, [](const std::string&) {});
-  FrameLoop loop(session, hub, sink, &journal, {});
-  auto source = hub.open_source("blade");
+  FrameLoop loop(session, sources, sink, &journal, {});
+  auto source = sources.open("blade");
   constexpr int kWarm = 5'000, kFrames = 100'000;
   for (int i = 0; i < kWarm + kFrames; ++i) {
     input::TimedPose timed;
@@ -103,7 +103,7 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
     timed.pose.position = {0.5, 2e-4 * (phase < 500 ? phase : 1000 - phase), 0.1};
     timed.pose.buttons = 1;
     timed.arrival_ns = monotonic_ns();
-    ASSERT_EQ(source->push(std::span(&timed, 1)), 1u);
+    ASSERT_EQ(source->enqueue(std::span(&timed, 1)), 1u);
     counting = i >= kWarm;
     loop.frame(monotonic_ns());
     counting = false;
@@ -120,7 +120,7 @@ TEST(SteadyFrame, ForcesAllocateNothing) {
   core::CutConfig config;
   config.blade = {{0, 0, 0}, {0, 0, -0.05}};
   core::CutSession session(tests::cube(6), config);
-  input::InputHub hub(config.blade);
+  input::PoseSources sources(config.blade);
   struct : DeltaSink {
     void publish(std::shared_ptr<const PublishedDelta>) noexcept override {}
   } deltas;
@@ -131,10 +131,10 @@ TEST(SteadyFrame, ForcesAllocateNothing) {
     }
     std::uint64_t count = 0, inside = 0;
   } forces;
-  FrameLoop loop(session, hub, deltas, nullptr, {});
+  FrameLoop loop(session, sources, deltas, nullptr, {});
   haptics::ForceSlots slots;
   loop.offer_forces({}, std::make_unique<haptics::Tissue>(tests::cube(6)), &forces, &slots);
-  auto source = hub.open_source("blade");
+  auto source = sources.open("blade");
   constexpr int kWarm = 1'000, kFrames = 10'000;
   for (int i = 0; i < kWarm + kFrames; ++i) {
     input::TimedPose timed;
@@ -145,7 +145,7 @@ TEST(SteadyFrame, ForcesAllocateNothing) {
     const bool buried = i / 1000 % 5 == 4;
     timed.pose.position = {0.03 + 2e-5 * phase, 0.05, buried ? 0.08 : 0.151 - depth};
     timed.arrival_ns = monotonic_ns();
-    ASSERT_EQ(source->push(std::span(&timed, 1)), 1u);
+    ASSERT_EQ(source->enqueue(std::span(&timed, 1)), 1u);
     counting = i >= kWarm;
     loop.frame(monotonic_ns());
     counting = false;

@@ -238,7 +238,7 @@ void MiniLoop::work() {
 }
 
 std::unique_ptr<PoseInput> MiniLoop::open(std::string_view source_name,
-                                           const std::optional<protocol::BladeEdge>&) {
+                                          const std::optional<protocol::BladeEdge>&) {
   const std::scoped_lock lock(mutex_);
   for (const Slot& slot : slots_) {
     if (slot.open && slot.name == source_name) return nullptr;
@@ -257,7 +257,7 @@ bool MiniLoop::reset() {
   return reset_ = true;
 }
 
-std::size_t MiniLoop::open_sources() const {
+std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;
   for (const Slot& slot : slots_) open += slot.open;

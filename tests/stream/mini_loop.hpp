@@ -48,14 +48,14 @@ class MiniLoop final : public PeerInput {
   void record(bool recorded) { recorded_ = recorded; }
 
   std::unique_ptr<PoseInput> open(std::string_view source_name,
-                                   const std::optional<protocol::BladeEdge>& blade) override;
+                                  const std::optional<protocol::BladeEdge>& blade) override;
   bool reset() override;
 
   std::uint64_t revision() const { return revision_; }
   std::uint64_t state_hash() const;
   std::uint32_t live_tets() const { return live_tets_; }
   std::uint64_t strokes_ended() const { return strokes_ended_; }
-  std::size_t open_sources() const;
+  std::size_t open_count() const;
 
  private:
   class Source;

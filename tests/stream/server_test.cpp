@@ -353,7 +353,7 @@ TEST(Server, DamagedMessagesInAnOpenSessionEndThatSessionOnly) {
         EXPECT_TRUE(peer.closes()) << "seed 7, case " << i;
       }
     }
-    ASSERT_TRUE(eventually([&] { return test.loop.open_sources() == 0; })) << "seed 7, case " << i;
+    ASSERT_TRUE(eventually([&] { return test.loop.open_count() == 0; })) << "seed 7, case " << i;
   }
   EXPECT_GT(refused, 10u);
   EXPECT_EQ(test.server.counters().bad_messages, refused);
@@ -683,7 +683,7 @@ TEST(Server, AVanishedOperatorEndsItsStroke) {
     ASSERT_TRUE(eventually([&] { return test.loop.revision() > 0; }));
     peer.vanish();
   }
-  EXPECT_TRUE(eventually([&] { return test.loop.strokes_ended() == 1 && test.loop.open_sources() == 0; }));
+  EXPECT_TRUE(eventually([&] { return test.loop.strokes_ended() == 1 && test.loop.open_count() == 0; }));
 }
 
 TEST(Server, AFullQueueHoldsTheSenderBackAndLosesNothing) {

@@ -132,8 +132,8 @@ class Watched {
   Watched(const Watched&) = delete;
   Watched& operator=(const Watched&) = delete;
 
-  // Takes all that waits. False once the device is gone.
-  bool take() {
+  // Reads all reports that wait. False once the device is gone.
+  bool read_reports() {
     int bytes = 0;
     std::vector<std::uint8_t> report(4096);
     while ((bytes = handle_.read(report, 0)) > 0) {
@@ -142,7 +142,7 @@ class Watched {
       last_[numbered ? got[0] : 0] = got;
       ++reports_;
       if (!decoder_) continue;
-      for (const auto& sample : decoder_->take(got, monotonic_ns())) samples_[sample.tool] = sample;
+      for (const auto& sample : decoder_->decode(got, monotonic_ns())) samples_[sample.tool] = sample;
     }
     gone_ = bytes != 0;
     return !gone_;
@@ -268,7 +268,7 @@ int monitor(const std::vector<Candidate>& found, const DevicesCommand& command) 
   while (g_ended == 0 && !watched.empty()) {
     ::usleep(2000);
     for (std::size_t i = watched.size(); i-- > 0;) {
-      if (watched[i]->take()) continue;
+      if (watched[i]->read_reports()) continue;
       std::fprintf(stderr, "incise: unplugged\n");
       watched.erase(watched.begin() + static_cast<std::ptrdiff_t>(i));
     }

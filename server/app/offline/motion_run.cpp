@@ -115,15 +115,15 @@ void MotionRun::run(const Options& options, Progress& progress) {
     const bool deforms = event.kind == MotionEvent::Kind::kDeform;
     if (deforms && !options.deformations) continue;
     used[event.source] = used[event.source] || !deforms;
-    take(event, options);
+    handle(event, options);
     progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
   }
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
-    if (used[source]) take({MotionEvent::Kind::kEndStroke, source, {}, 0}, options);
+    if (used[source]) handle({MotionEvent::Kind::kEndStroke, source, {}, 0}, options);
   }
 }
 
-void MotionRun::take(const MotionEvent& event, const Options& options) {
+void MotionRun::handle(const MotionEvent& event, const Options& options) {
   if (event.kind == MotionEvent::Kind::kPose) {
     ++verdicts_[static_cast<std::size_t>(session_.push(event.source, event.pose))];
     engaged_ = engaged_ || engaged(config_.cut, event.pose);

@@ -54,7 +54,7 @@ class MotionRun {
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
 
  private:
-  void take(const MotionEvent& event, const Options& options);
+  void handle(const MotionEvent& event, const Options& options);
   void commit_all(const Options& options);
   std::uint64_t count(core::PoseVerdict verdict) const {
     return verdicts_[static_cast<std::size_t>(verdict)];

@@ -44,8 +44,8 @@ struct Counts {
 
 // All but the constructor, stop() and status() runs on thread.
 struct HaplyInput::Impl {
-  Impl(InputHub& of, haptics::ForceSlots& slots, HaplyOptions given)
-      : hub(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
+  Impl(PoseSources& of, haptics::ForceSlots& slots, HaplyOptions given)
+      : sources(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
     std::string place = options.url.substr(options.url.find("://") + 3);
     path = place.find('/') == std::string::npos ? "/" : place.substr(place.find('/'));
     place = place.substr(0, place.find('/'));
@@ -127,7 +127,7 @@ struct HaplyInput::Impl {
       if (error) co_return error == beast::error::timeout ? "no answer for a second" : error.message();
       const auto message = ws.message();
       const std::string_view text(reinterpret_cast<const char*>(message.data()), message.size());
-      faults = co_await take(text) ? 0 : faults + 1;
+      faults = co_await handle_message(text) ? 0 : faults + 1;
       if (faults >= kMostFaults) co_return std::to_string(faults) + " bad messages in a row";
 
       due = std::max(due + period, std::chrono::steady_clock::now());
@@ -173,7 +173,7 @@ struct HaplyInput::Impl {
   }
 
   // False where the message was none.
-  asio::awaitable<bool> take(std::string_view text) {
+  asio::awaitable<bool> handle_message(std::string_view text) {
     const std::int64_t arrival_ns = monotonic_ns();
     ++counts.messages;
     std::string error;
@@ -197,14 +197,15 @@ struct HaplyInput::Impl {
     pose.pose.buttons = state->buttons;
     ++counts.poses;
     // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service lets the device go.
-    while (source->push(std::span(&pose, 1)) == 0 && !stopping) co_await wait(std::chrono::milliseconds(1));
+    while (source->enqueue(std::span(&pose, 1)) == 0 && !stopping)
+      co_await wait(std::chrono::milliseconds(1));
     co_return true;
   }
 
   // Whether there is a blade.
   bool hold() {
     if (source) return true;
-    source = hub.open_source(options.source);
+    source = sources.open(options.source);
     if (!source) {
       ++counts.no_blade;
       events.write(spdlog::level::warn, "haply: no blade for " + options.source + ": it is taken, or all " +
@@ -240,7 +241,7 @@ struct HaplyInput::Impl {
     told = std::move(status);
   }
 
-  InputHub& hub;
+  PoseSources& sources;
   haptics::ForceSlots& forces;
   const HaplyOptions options;
   std::string host, service, path;
@@ -248,7 +249,7 @@ struct HaplyInput::Impl {
   asio::steady_timer pause{io}, limit{io};
   bool stopping = false, connected = false;
   std::string device;  // the id of the Inverse3 that is there
-  std::optional<SourceHandle> source;
+  std::optional<PoseSource> source;
   haptics::ForceSlot* slot = nullptr;  // while there is a source
   haptics::ForceCommand newest;
   ForceGuard guard;
@@ -261,8 +262,8 @@ struct HaplyInput::Impl {
   std::thread thread;
 };
 
-HaplyInput::HaplyInput(InputHub& hub, haptics::ForceSlots& forces, HaplyOptions options)
-    : impl_(std::make_unique<Impl>(hub, forces, std::move(options))) {}
+HaplyInput::HaplyInput(PoseSources& sources, haptics::ForceSlots& forces, HaplyOptions options)
+    : impl_(std::make_unique<Impl>(sources, forces, std::move(options))) {}
 
 HaplyInput::~HaplyInput() {
   stop();

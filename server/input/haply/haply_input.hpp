@@ -7,9 +7,9 @@
 
 #include "server/haptics/force_slot.hpp"
 #include "server/input/haply/haply_messages.hpp"
-#include "server/input/input_hub.hpp"
 #include "server/input/network_status.hpp"
 #include "server/input/placement.hpp"
+#include "server/input/pose_sources.hpp"
 
 namespace incise::input {
 
@@ -32,8 +32,8 @@ struct HaplyOptions {
 // Thread: made and destroyed by one; status() by any. Owns: a thread with the connection.
 class HaplyInput {
  public:
-  // `hub` and `forces` must outlive this.
-  HaplyInput(InputHub& hub, haptics::ForceSlots& forces, HaplyOptions options);
+  // `sources` and `forces` must outlive this.
+  HaplyInput(PoseSources& sources, haptics::ForceSlots& forces, HaplyOptions options);
   ~HaplyInput();
   // Sends no force as the last one, and lets go of the blade, for good.
   void stop();

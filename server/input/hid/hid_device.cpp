@@ -57,7 +57,7 @@ HidDevice::~HidDevice() {
 
 bool HidDevice::open_sources(std::string& error) {
   for (const std::string& name : sources()) {
-    auto source = surroundings_.hub.open_source(name);
+    auto source = surroundings_.sources.open(name);
     if (!source) {
       error =
           "no blade is free: \"" + name + "\" is taken, or all " + std::to_string(core::kMaxSources) + " are";
@@ -102,7 +102,7 @@ void HidDevice::read_loop(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
     int bytes = reading_->read(report, kReadTimeout_ms);
     for (; bytes > 0 && !stop.stop_requested(); bytes = reading_->read(report, 0)) {
-      take(std::span(report).first(static_cast<std::size_t>(bytes)), stop);
+      handle_report(std::span(report).first(static_cast<std::size_t>(bytes)), stop);
     }
     publish_figures();
     if (bytes < 0) {
@@ -112,18 +112,19 @@ void HidDevice::read_loop(const std::stop_token& stop) {
   }
 }
 
-void HidDevice::take(std::span<const std::uint8_t> report, const std::stop_token& stop) {
+void HidDevice::handle_report(std::span<const std::uint8_t> report, const std::stop_token& stop) {
   const std::int64_t arrival_ns = monotonic_ns();
-  for (const PoseDecoder::Sample& sample : decoder_.take(report, arrival_ns)) push(sample, arrival_ns, stop);
+  for (const PoseDecoder::Sample& sample : decoder_.decode(report, arrival_ns))
+    enqueue(sample, arrival_ns, stop);
 }
 
-void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
-                     const std::stop_token& stop) {
+void HidDevice::enqueue(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
+                        const std::stop_token& stop) {
   const std::size_t tool = sample.tool;
   const auto pushed = [&] {
     if (sample.valid) {
       const TimedPose pose{sample.pose, arrival_ns};
-      return sources_[tool].push(std::span(&pose, 1)) == 1;
+      return sources_[tool].enqueue(std::span(&pose, 1)) == 1;
     }
     return !in_sight_[tool] || sources_[tool].end_stroke(arrival_ns);
   };
@@ -139,7 +140,7 @@ void HidDevice::push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns,
 void HidDevice::lose() {
   // At once: the strokes end, and the loop learns that nobody feels its forces.
   if (slot_) slot_->device_lost();
-  for (SourceHandle& source : sources_) source.end_stroke(monotonic_ns());
+  for (PoseSource& source : sources_) source.end_stroke(monotonic_ns());
   lost_.store(true, std::memory_order_release);
   surroundings_.on_loss();
 }

@@ -14,7 +14,7 @@
 #include "server/input/force_guard.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/input/hid/pose_decoder.hpp"
-#include "server/input/input_hub.hpp"
+#include "server/input/pose_sources.hpp"
 
 namespace incise::input {
 
@@ -29,10 +29,10 @@ struct DeviceFigures {
   } pose_to_report;  // arrival of a pose until the report with its force was written
 };
 
-// An open device: reads its reports, pushes the poses of its tools to the hub, and writes the newest force to it.
+// An open device: reads its reports, queues the poses of its tools for the loop, and writes the newest force to it.
 //
 // Thread: made and destroyed by one thread; status by any. Owns: a reading thread with a handle of its own and, where the
-// profile has forces, a writing thread with another; a source of the hub for each tool. A report that arrives wakes the
+// profile has forces, a writing thread with another; a pose source for each tool. A report that arrives wakes the
 // reader, which drains all that wait: a cut needs every pose.
 class HidDevice {
  public:
@@ -43,7 +43,7 @@ class HidDevice {
     std::string name;  // of its source, or the beginning of its sources' names
   };
   struct Surroundings {
-    InputHub& hub;
+    PoseSources& sources;
     haptics::ForceSlots& forces;
     std::function<void()> on_thread;  // called first in each of its threads
     std::function<void()> on_loss;    // called by the reader when the device has gone
@@ -68,8 +68,8 @@ class HidDevice {
   bool open_sources(std::string& error);
   bool open_handles(const std::vector<HidInterface>& all, std::string& error);
   void read_loop(const std::stop_token& stop);
-  void take(std::span<const std::uint8_t> report, const std::stop_token& stop);
-  void push(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop);
+  void handle_report(std::span<const std::uint8_t> report, const std::stop_token& stop);
+  void enqueue(const PoseDecoder::Sample& sample, std::int64_t arrival_ns, const std::stop_token& stop);
   void lose();
   void publish_figures();
   void write_loop(const std::stop_token& stop);
@@ -78,7 +78,7 @@ class HidDevice {
   const Surroundings surroundings_;
   haptics::ForceSlot* slot_ = nullptr;  // where the profile has forces
   std::optional<HidHandle> reading_, writing_;
-  std::vector<SourceHandle> sources_;
+  std::vector<PoseSource> sources_;
   PoseDecoder decoder_;                     // the reader's
   std::array<bool, kMaxTools> in_sight_{};  // the reader's
   std::uint64_t full_queue_ms_ = 0;         // the reader's

@@ -42,8 +42,8 @@ std::optional<DeviceProfile> choose_profile(const std::vector<DeviceProfile>& pr
   return made;
 }
 
-HidInput::HidInput(InputHub& hub, haptics::ForceSlots& forces, Options options)
-    : hub_(hub),
+HidInput::HidInput(PoseSources& sources, haptics::ForceSlots& forces, Options options)
+    : sources_(sources),
       forces_(forces),
       options_(std::move(options)),
       wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -95,7 +95,7 @@ void HidInput::run(const std::stop_token& stop) {
     ::poll(ready, 2, waiting ? kRetry_ms : kRescan_ms);
     eventfd_t count;
     ::eventfd_read(wake_, &count);
-    monitor.take();
+    monitor.drain();
   }
 }
 
@@ -166,7 +166,7 @@ void HidInput::consider(const HidInterface& interface, const std::vector<HidInte
   HidDevice::Setup setup{interface, std::move(*profile), over ? over->placement : Placement{},
                          known_[known].name};
   auto device = HidDevice::open(std::move(setup), all,
-                                {hub_, forces_, options_.on_thread, [this] { wake(); }}, status.why);
+                                {sources_, forces_, options_.on_thread, [this] { wake(); }}, status.why);
   if (!device) return;
   known_[known].here = true;
   status.connections = ++known_[known].connections;

@@ -45,7 +45,7 @@ class HidInput {
     std::function<void()> on_thread = [] {};  // called first in each thread that reads or writes a device
   };
 
-  HidInput(InputHub& hub, haptics::ForceSlots& forces, Options options);
+  HidInput(PoseSources& sources, haptics::ForceSlots& forces, Options options);
   ~HidInput();
   // Lets go of all devices, for good.
   void stop();
@@ -73,7 +73,7 @@ class HidInput {
   std::size_t know(const HidInterface& interface, const std::string& name);
   void close(std::size_t i, const char* why);
 
-  InputHub& hub_;
+  PoseSources& sources_;
   haptics::ForceSlots& forces_;
   const Options options_;
   const int wake_;  // an eventfd

@@ -221,7 +221,7 @@ int HotplugMonitor::descriptor() const {
   return monitor_ ? udev_monitor_get_fd(monitor_.get()) : -1;
 }
 
-bool HotplugMonitor::take() {
+bool HotplugMonitor::drain() {
   bool any = false;
   while (udev_device* device = monitor_ ? udev_monitor_receive_device(monitor_.get()) : nullptr) {
     any = true;

@@ -70,8 +70,8 @@ class HotplugMonitor {
   HotplugMonitor();
   // To poll for reading; -1 where udev cannot tell.
   int descriptor() const;
-  // Takes what has been told. Whether anything was.
-  bool take();
+  // Discards the notices that wait. Whether there were any.
+  bool drain();
 
  private:
   struct Unref {

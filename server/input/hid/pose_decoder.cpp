@@ -82,8 +82,8 @@ PoseDecoder::PoseDecoder(const DeviceProfile& profile, const Placement& placemen
   }
 }
 
-std::span<const PoseDecoder::Sample> PoseDecoder::take(std::span<const std::uint8_t> report,
-                                                       std::int64_t arrival_ns) noexcept {
+std::span<const PoseDecoder::Sample> PoseDecoder::decode(std::span<const std::uint8_t> report,
+                                                         std::int64_t arrival_ns) noexcept {
   ++counts_.reports;
   const std::uint8_t number = numbered_ && !report.empty() ? report[0] : 0;
   const std::uint32_t need = need_of(number);

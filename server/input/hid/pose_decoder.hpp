@@ -40,7 +40,7 @@ class PoseDecoder {
   PoseDecoder(const DeviceProfile& profile, const Placement& placement);
 
   // The samples that a report brings, until the next call; none where it was ignored.
-  std::span<const Sample> take(std::span<const std::uint8_t> report, std::int64_t arrival_ns) noexcept;
+  std::span<const Sample> decode(std::span<const std::uint8_t> report, std::int64_t arrival_ns) noexcept;
 
   const ReportCounts& counts() const noexcept { return counts_; }
   double drift_ppm() const noexcept { return clock_ ? clock_->drift_ppm() : 0; }

@@ -62,7 +62,7 @@ class Parser {
       std::uint32_t data = 0;
       for (std::size_t i = 0; i < size; ++i) data |= std::uint32_t{bytes[at + i]} << (8 * i);
       at += size;
-      if (!take(prefix & 0xfc, data, size)) return std::nullopt;
+      if (!handle_item(prefix & 0xfc, data, size)) return std::nullopt;
     }
     if (!collections_.empty()) return refuse("ends within a collection");
     if (made_.reports.empty()) return refuse("describes no report");
@@ -95,7 +95,7 @@ class Parser {
     return raw <= 0x7fffffff ? static_cast<std::int32_t>(raw) : INT32_MAX;
   }
 
-  bool take(std::uint8_t item, std::uint32_t data, std::size_t size) {
+  bool handle_item(std::uint8_t item, std::uint32_t data, std::size_t size) {
     switch (item) {
       case kUsagePage:
         globals_.usage_page = data & 0xffff;

@@ -20,7 +20,7 @@ class Reader {
  public:
   explicit Reader(Bytes bytes) : left_(bytes) {}
   std::size_t left() const { return left_.size(); }
-  Bytes take(std::size_t count) {
+  Bytes read_bytes(std::size_t count) {
     const Bytes taken = left_.first(count);
     left_ = left_.subspan(count);
     return taken;
@@ -28,7 +28,7 @@ class Reader {
   template <class Unsigned>
   Unsigned number() {
     std::uint64_t value = 0;
-    for (const std::uint8_t byte : take(sizeof(Unsigned))) value = value << 8 | byte;
+    for (const std::uint8_t byte : read_bytes(sizeof(Unsigned))) value = value << 8 | byte;
     return static_cast<Unsigned>(value);
   }
   double real() { return std::bit_cast<float>(number<std::uint32_t>()); }
@@ -133,11 +133,11 @@ bool read_quaternion(Reader& reader, ToolPose& tool) {
 // Elements of a name, a type, a spare byte and a pose.
 void read_tools(Reader reader, std::size_t element_bytes, Message& message, const std::string& device) {
   while (reader.left() > 0) {
-    Reader element(reader.take(element_bytes));
+    Reader element(reader.read_bytes(element_bytes));
     ToolPose tool;
-    tool.name = name_of(element.take(kNameBytes));
+    tool.name = name_of(element.read_bytes(kNameBytes));
     if (tool.name.empty()) tool.name = device;
-    element.take(2);
+    element.read_bytes(2);
     const bool good = element_bytes == kTdataBytes ? read_matrix(element, tool, message.stretched)
                                                    : read_quaternion(element, tool);
     if (good) {
@@ -194,9 +194,9 @@ std::optional<Header> read_header(std::span<const std::uint8_t, kHeaderBytes> by
   Reader reader(bytes);
   Header header;
   header.version = reader.number<std::uint16_t>();
-  const Bytes type = reader.take(kTypeBytes);
+  const Bytes type = reader.read_bytes(kTypeBytes);
   header.type = name_of(type);
-  header.device = name_of(reader.take(kNameBytes));
+  header.device = name_of(reader.read_bytes(kNameBytes));
   header.timestamp = reader.number<std::uint64_t>();
   header.body_bytes = reader.number<std::uint64_t>();
   header.crc = reader.number<std::uint64_t>();
@@ -246,10 +246,10 @@ Decoded decode(const Header& header, std::span<const std::uint8_t> body) {
   } else if (message.kind == Kind::kPoses) {
     read_tools(reader, header.type == "TDATA" ? kTdataBytes : kQtdataBytes, message, header.device);
   } else if (message.kind == Kind::kText) {
-    reader.take(2);  // the encoding: what we look for is ASCII
+    reader.read_bytes(2);  // the encoding: what we look for is ASCII
     const std::size_t length = reader.number<std::uint16_t>();
     if (length > reader.left()) return fault(Fault::kShape, "STRING: it is longer than its body");
-    message.text = name_of(reader.take(length));
+    message.text = name_of(reader.read_bytes(length));
   } else if (message.kind == Kind::kStatus) {
     message.status = reader.number<std::uint16_t>();
   } else if (message.kind == Kind::kStartSurface && reader.left() >= 4) {

@@ -59,7 +59,7 @@ struct Counts {
 
 // A device name of one connection.
 struct Tool {
-  std::optional<SourceHandle> source;
+  std::optional<PoseSource> source;
   bool engaged = true;
   bool waiting = false;  // for room in the queue
   std::int64_t released_ns = 0;
@@ -186,7 +186,7 @@ struct OpenIgtLinkInput::Impl {
         body.resize(header->body_bytes);
         why = co_await read_part(body);
         if (!why.empty()) break;
-        co_await take(*header, body);
+        co_await handle_body(*header, body);
         if (faults >= kMostFaults) why = std::to_string(faults) + " bad messages in a row";
       }
       tools.clear();
@@ -226,7 +226,7 @@ struct OpenIgtLinkInput::Impl {
       owner.faults.write(spdlog::level::warn, "openigtlink: " + name + ": message ignored: " + decoded.error);
     }
 
-    asio::awaitable<void> take(const link::Header& header, std::span<const std::uint8_t> body) {
+    asio::awaitable<void> handle_body(const link::Header& header, std::span<const std::uint8_t> body) {
       const std::int64_t arrival_ns = monotonic_ns();
       const link::Decoded decoded = link::decode(header, body);
       if (!decoded.message) {
@@ -237,9 +237,9 @@ struct OpenIgtLinkInput::Impl {
       const link::Message& message = *decoded.message;
       switch (message.kind) {
         case link::Kind::kPoses:
-          tell_of(message, header.device);
+          note_bad_tools(message, header.device);
           for (const link::ToolPose& pose : message.tools) {
-            co_await push(pose, link::timestamp_ns(header), arrival_ns);
+            co_await enqueue(pose, link::timestamp_ns(header), arrival_ns);
           }
           break;
         case link::Kind::kText:
@@ -267,7 +267,7 @@ struct OpenIgtLinkInput::Impl {
       }
     }
 
-    void tell_of(const link::Message& message, const std::string& device) {
+    void note_bad_tools(const link::Message& message, const std::string& device) {
       owner.counts.bad_values += message.bad_tools;
       owner.counts.stretched += message.stretched;
       if (message.bad_tools > 0) {
@@ -316,12 +316,13 @@ struct OpenIgtLinkInput::Impl {
       co_await timer.async_wait(kTuple);
     }
 
-    asio::awaitable<void> push(const link::ToolPose& pose, std::int64_t stamp_ns, std::int64_t arrival_ns) {
+    asio::awaitable<void> enqueue(const link::ToolPose& pose, std::int64_t stamp_ns,
+                                  std::int64_t arrival_ns) {
       Tool* const tool = tool_of(pose.name);
       if (!tool) co_return;
       if (!tool->source) {
         // What was let go a moment ago is free when the loop has seen that.
-        while (!(tool->source = owner.hub.open_source(pose.name)) &&
+        while (!(tool->source = owner.sources.open(pose.name)) &&
                monotonic_ns() - tool->released_ns < kSecond_ns / 4) {
           co_await pause();
         }
@@ -344,7 +345,7 @@ struct OpenIgtLinkInput::Impl {
       tool->source_ns = timed.pose.t_ns;
       ++owner.counts.poses;
       // A full queue: the loop is far behind. The rest waits in the socket.
-      while (tool->source && !closed && tool->source->push(std::span(&timed, 1)) == 0) {
+      while (tool->source && !closed && tool->source->enqueue(std::span(&timed, 1)) == 0) {
         tool->waiting = true;
         co_await pause();
       }
@@ -359,8 +360,8 @@ struct OpenIgtLinkInput::Impl {
     Impl* impl = nullptr;  // guarded by mutex; null: too late
   };
 
-  Impl(InputHub& of, OpenIgtLinkOptions given, SurfaceFeed feed)
-      : hub(of), options(std::move(given)), surfaces(std::move(feed)) {
+  Impl(PoseSources& of, OpenIgtLinkOptions given, SurfaceFeed feed)
+      : sources(of), options(std::move(given)), surfaces(std::move(feed)) {
     mailbox->impl = this;
     if (options.port >= 0) listen();
     if (acceptor) asio::co_spawn(io, accept(), asio::detached);
@@ -586,7 +587,7 @@ struct OpenIgtLinkInput::Impl {
     peer.send(surface);
   }
 
-  InputHub& hub;
+  PoseSources& sources;
   const OpenIgtLinkOptions options;
   const SurfaceFeed surfaces;
   asio::io_context io{1};
@@ -608,8 +609,8 @@ struct OpenIgtLinkInput::Impl {
   std::thread thread;
 };
 
-OpenIgtLinkInput::OpenIgtLinkInput(InputHub& hub, OpenIgtLinkOptions options, SurfaceFeed surfaces)
-    : impl_(std::make_unique<Impl>(hub, std::move(options), std::move(surfaces))) {}
+OpenIgtLinkInput::OpenIgtLinkInput(PoseSources& sources, OpenIgtLinkOptions options, SurfaceFeed surfaces)
+    : impl_(std::make_unique<Impl>(sources, std::move(options), std::move(surfaces))) {}
 
 OpenIgtLinkInput::~OpenIgtLinkInput() {
   stop();

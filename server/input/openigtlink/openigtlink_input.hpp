@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "protocol/framing.hpp"
-#include "server/input/input_hub.hpp"
 #include "server/input/network_status.hpp"
 #include "server/input/placement.hpp"
+#include "server/input/pose_sources.hpp"
 
 namespace incise::input {
 
@@ -51,8 +51,8 @@ struct SurfaceFeed {
 // Thread: made and destroyed by one; status() by any. Owns: a thread with all sockets, and one that packs surfaces.
 class OpenIgtLinkInput {
  public:
-  // Listens at once. Throws std::runtime_error where the address cannot be had. `hub` must outlive this.
-  OpenIgtLinkInput(InputHub& hub, OpenIgtLinkOptions options, SurfaceFeed surfaces);
+  // Listens at once. Throws std::runtime_error where the address cannot be had. `sources` must outlive this.
+  OpenIgtLinkInput(PoseSources& sources, OpenIgtLinkOptions options, SurfaceFeed surfaces);
   ~OpenIgtLinkInput();
   // Lets go of all blades and connections, for good.
   void stop();

@@ -93,7 +93,7 @@ class Haply : public ::testing::Test {
     options.url = service.url();
     options.max_force_n = 2;
     options.placement = {{0, 0, 1}, {0, 0, 0, 1}, 0.5};  // turned half about z
-    input = std::make_unique<HaplyInput>(hub, forces, options);
+    input = std::make_unique<HaplyInput>(sources, forces, options);
   }
   std::uint64_t count(const std::string& what) const {
     for (const auto& [name, value] : input->status().counts) {
@@ -102,7 +102,7 @@ class Haply : public ::testing::Test {
     return ~std::uint64_t{0};
   }
   void drain() {
-    hub.drain([&](std::uint32_t, const InputEvent& event) {
+    sources.drain([&](std::uint32_t, const InputEvent& event) {
       events.push_back(event);
       return true;
     });
@@ -112,7 +112,7 @@ class Haply : public ::testing::Test {
     return !events.empty() && events.back().kind == Kind::kEndStroke;
   }
 
-  InputHub hub{core::Blade{}};
+  PoseSources sources{core::Blade{}};
   haptics::ForceSlots forces;
   std::unique_ptr<HaplyInput> input;
   std::vector<InputEvent> events;
@@ -170,15 +170,15 @@ TEST_F(Haply, ADeviceThatIsUnpluggedAndPutBack) {
   });
   start(service);
   ASSERT_TRUE(eventually([&] { return count("messages") > 2; }));
-  EXPECT_EQ(hub.open_sources(), 0u);
+  EXPECT_EQ(sources.open_count(), 0u);
   EXPECT_FALSE(force_of(service.messages().back()));
   here = true;
-  ASSERT_TRUE(eventually([&] { return hub.is_open("haply"); }));
+  ASSERT_TRUE(eventually([&] { return sources.is_open("haply"); }));
   here = false;
-  ASSERT_TRUE(eventually([&] { return ended() && !hub.is_open("haply"); }));
+  ASSERT_TRUE(eventually([&] { return ended() && !sources.is_open("haply"); }));
   EXPECT_EQ(forces[0].losses(), 1u);
   here = true;
-  EXPECT_TRUE(eventually([&] { return hub.is_open("haply"); }));
+  EXPECT_TRUE(eventually([&] { return sources.is_open("haply"); }));
 }
 
 TEST_F(Haply, AServiceThatHangsUpIsCalledAgain) {
@@ -224,7 +224,7 @@ TEST_F(Haply, StopsWhileNobodyAnswers) {
   HaplyOptions options;
   options.url = service->url();
   service.reset();
-  HaplyInput lonely(hub, forces, options);
+  HaplyInput lonely(sources, forces, options);
   std::this_thread::sleep_for(50ms);
   EXPECT_FALSE(lonely.status().peers[0].connected);
 }

@@ -36,11 +36,11 @@ class HidInputTest : public ::testing::Test {
   };
 
   void start(std::vector<DeviceOverride> overrides = {}, std::vector<DeviceProfile> profiles = shipped()) {
-    input.emplace(hub, forces, HidInput::Options{std::move(profiles), std::move(overrides)});
+    input.emplace(sources, forces, HidInput::Options{std::move(profiles), std::move(overrides)});
   }
   void drain() {
-    hub.drain([&](std::uint32_t source, const InputEvent& event) {
-      Seen& s = seen[hub.name_of(source)];
+    sources.drain([&](std::uint32_t source, const InputEvent& event) {
+      Seen& s = seen[sources.name_of(source)];
       s.opened += event.kind == InputEvent::Kind::kOpened;
       s.ended += event.kind == InputEvent::Kind::kEndStroke;
       if (event.kind == InputEvent::Kind::kPose) s.poses.push_back(event.pose);
@@ -56,7 +56,7 @@ class HidInputTest : public ::testing::Test {
   ::testing::AssertionResult open(const std::string& source) {
     const bool came = eventually([&] {
       drain();
-      return hub.is_open(source);
+      return sources.is_open(source);
     });
     if (came) return ::testing::AssertionSuccess();
     auto failure = ::testing::AssertionFailure() << "not opened; there is";
@@ -92,7 +92,7 @@ class HidInputTest : public ::testing::Test {
   }
 
   MockHid machine;
-  InputHub hub{core::Blade{}};
+  PoseSources sources{core::Blade{}};
   haptics::ForceSlots forces;
   std::map<std::string, Seen> seen;
   std::optional<HidInput> input;  // goes first
@@ -190,7 +190,7 @@ TEST_F(HidInputTest, UnplugEndsTheStrokeAndAReturnOnAnotherPathIsTheSameSource) 
   EXPECT_TRUE(eventually([&] {
     drain();
     return forces[0].losses() == 1 && forces[0].limit() == 0 && seen["incise_stylus"].ended > 0 &&
-           !hub.is_open("incise_stylus");
+           !sources.is_open("incise_stylus");
   }));
   device = machine.plug(stylus("S1", 5, 2));
   ASSERT_TRUE(open("incise_stylus"));
@@ -214,12 +214,12 @@ TEST_F(HidInputTest, EqualDevicesKeepTheirNamesBySerialNumber) {
   second.reset();
   ASSERT_TRUE(eventually([&] {
     drain();
-    return hub.open_sources() == 0;
+    return sources.open_count() == 0;
   }));
   // The second comes back first, on the path of the first.
   second = machine.plug(stylus("B", 0, 1));
   ASSERT_TRUE(open("incise_stylus-2"));
-  EXPECT_FALSE(hub.is_open("incise_stylus"));
+  EXPECT_FALSE(sources.is_open("incise_stylus"));
   first = machine.plug(stylus("A", 1, 2));
   ASSERT_TRUE(open("incise_stylus"));
 }
@@ -233,14 +233,14 @@ TEST_F(HidInputTest, EqualDevicesWithoutSerialNumberGetTheNamesThatAreFree) {
   second.reset();
   ASSERT_TRUE(eventually([&] {
     drain();
-    return hub.open_sources() == 1;
+    return sources.open_count() == 1;
   }));
   second = machine.plug(stylus("", 7, 3));
   EXPECT_TRUE(open("incise_stylus-2"));
 }
 
 TEST_F(HidInputTest, ATakenBladeIsWaitedFor) {
-  auto other = hub.open_source("incise_stylus");
+  auto other = sources.open("incise_stylus");
   const auto device = machine.plug(stylus());
   start();
   ASSERT_TRUE(eventually(

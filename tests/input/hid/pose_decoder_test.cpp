@@ -53,7 +53,7 @@ TEST(PoseDecoder, MapsLeftHandedAxesWithTheirRotations) {
                                  R"(}], "world": {"x": "x", "y": "z", "z": "y", "scale": 2})"),
                       {{10, 0, 0}, {}, 0.5});
   // A third of a turn about the device's (1, 1, 1): it takes x to y, y to z. In the world: x to z, z to y.
-  const auto samples = decoder.take(bytes16(0, {100, 200, 300, 5000, 5000, 5000, 5000}), kMs);
+  const auto samples = decoder.decode(bytes16(0, {100, 200, 300, 5000, 5000, 5000, 5000}), kMs);
   ASSERT_EQ(samples.size(), 1u);
   const Pose& pose = samples[0].pose;
   EXPECT_NEAR(core::distance(pose.position, {10.1, 0.3, 0.2}), 0, 1e-12);
@@ -69,7 +69,7 @@ TEST(PoseDecoder, EulerAnglesTurnAboutTheToolsAxesInTheirOrder) {
         "y": {"at": 2, "type": "i16", "scale": 0.017453292519943295},
         "z": {"at": 4, "type": "i16", "scale": 0.017453292519943295}}}])"),
                       {});
-  const auto samples = decoder.take(bytes16(0, {90, 0, 90}), kMs);
+  const auto samples = decoder.decode(bytes16(0, {90, 0, 90}), kMs);
   ASSERT_EQ(samples.size(), 1u);
   // About z: tool x is world y. Then about tool x, which is world y: tool z is world x.
   EXPECT_NEAR(core::distance(core::rotate(samples[0].pose.orientation, {1, 0, 0}), {0, 1, 0}), 0, 1e-12);
@@ -82,30 +82,30 @@ TEST(PoseDecoder, ADeflectionIsIntegratedOverTheReportsTimes) {
   std::span<const PoseDecoder::Sample> samples;
   std::int64_t t = 1000 * kMs;
   for (int i = 0; i <= 125; ++i, t += 8 * kMs) {
-    samples = decoder.take(i % 2 == 0 ? bytes16(1, {0, 350, 0}) : bytes16(2, {0, 0, 0}), t);
+    samples = decoder.decode(i % 2 == 0 ? bytes16(1, {0, 350, 0}) : bytes16(2, {0, 0, 0}), t);
     ASSERT_EQ(samples.size(), 1u);
     ASSERT_EQ(samples[0].pose.t_ns, t);
   }
   EXPECT_NEAR(core::distance(samples[0].pose.position, {1, 2 - 0.1, 3}), 0, 1e-9);
   // At rest nothing comes; a long silence is no long motion.
-  samples = decoder.take(bytes16(1, {0, 350, 0}), t + 60'000 * kMs);
+  samples = decoder.decode(bytes16(1, {0, 350, 0}), t + 60'000 * kMs);
   EXPECT_NEAR(samples[0].pose.position.y, 2 - 0.1 - 0.1 * 4 / 125, 1e-9);
   // Within the dead zone nothing moves; half-way it is a quarter as fast, by its curve.
   const double before = samples[0].pose.position.y;
   t += 70'000 * kMs;
-  decoder.take(bytes16(1, {0, 0, 0}), t);
-  samples = decoder.take(bytes16(1, {0, 17, 0}), t + 8 * kMs);
-  samples = decoder.take(bytes16(1, {0, 17, 0}), t + 16 * kMs);
+  decoder.decode(bytes16(1, {0, 0, 0}), t);
+  samples = decoder.decode(bytes16(1, {0, 17, 0}), t + 8 * kMs);
+  samples = decoder.decode(bytes16(1, {0, 17, 0}), t + 16 * kMs);
   const double moved = samples[0].pose.position.y;
   EXPECT_LE(std::abs(moved - before), 0.1 * 4 / 125 + 1e-9);
-  samples = decoder.take(bytes16(1, {0, 17, 0}), t + 24 * kMs);
+  samples = decoder.decode(bytes16(1, {0, 17, 0}), t + 24 * kMs);
   EXPECT_EQ(samples[0].pose.position.y, moved);
   EXPECT_NEAR((RateShape{0.1, 0.05, 2}.speed(-0.525)), -0.025, 1e-12);
   // The buttons: the first engages, the second brings it home.
-  samples = decoder.take(std::vector<std::uint8_t>{3, 1}, t + 32 * kMs);
+  samples = decoder.decode(std::vector<std::uint8_t>{3, 1}, t + 32 * kMs);
   ASSERT_EQ(samples.size(), 1u);
   EXPECT_EQ(samples[0].pose.buttons, 1u);
-  samples = decoder.take(std::vector<std::uint8_t>{3, 2}, t + 40 * kMs);
+  samples = decoder.decode(std::vector<std::uint8_t>{3, 2}, t + 40 * kMs);
   EXPECT_EQ(samples[0].pose.buttons, 0u);
   EXPECT_EQ(samples[0].pose.position, (Vec3{1, 2, 3}));
 }
@@ -113,7 +113,7 @@ TEST(PoseDecoder, ADeflectionIsIntegratedOverTheReportsTimes) {
 TEST(PoseDecoder, AnIntegratedTurnIsOfUnitLengthAndOfTheRightAngle) {
   PoseDecoder decoder(shipped("3dconnexion_spacenavigator"), {});
   std::span<const PoseDecoder::Sample> samples;
-  for (int i = 0; i <= 250; ++i) samples = decoder.take(bytes16(2, {0, 0, -350}), 1000 * kMs + 8 * kMs * i);
+  for (int i = 0; i <= 250; ++i) samples = decoder.decode(bytes16(2, {0, 0, -350}), 1000 * kMs + 8 * kMs * i);
   // 2 s at 1 rad/s about the device's -z, which is the world's z.
   const Quat& q = samples[0].pose.orientation;
   EXPECT_NEAR(q.w, std::cos(1.0), 1e-9);
@@ -126,8 +126,8 @@ TEST(PoseDecoder, ReachEndsTheMotion) {
                       {});
   std::span<const PoseDecoder::Sample> samples;
   for (int i = 0; i < 10; ++i) {
-    samples = decoder.take(std::vector<std::uint8_t>{1, 3}, kMs * (1 + 10 * i));
-    samples = decoder.take(std::vector<std::uint8_t>{2, 0xf6}, kMs * (5 + 10 * i));
+    samples = decoder.decode(std::vector<std::uint8_t>{1, 3}, kMs * (1 + 10 * i));
+    samples = decoder.decode(std::vector<std::uint8_t>{2, 0xf6}, kMs * (5 + 10 * i));
   }
   EXPECT_NEAR(core::distance(samples[0].pose.position, {0.03, 0, -0.05}), 0, 1e-12);
 }
@@ -136,7 +136,7 @@ TEST(PoseDecoder, ReportsThatWaitedTogetherAreSpreadInTime) {
   PoseDecoder decoder(shipped("3dconnexion_spacenavigator"), {});
   std::int64_t last = 0;
   for (int i = 0; i < 10; ++i) {
-    const auto samples = decoder.take(bytes16(1, {0, 0, 0}), 1000 * kMs + i);
+    const auto samples = decoder.decode(bytes16(1, {0, 0, 0}), 1000 * kMs + i);
     ASSERT_GE(samples[0].pose.t_ns - last, 4 * kMs);
     last = samples[0].pose.t_ns;
   }
@@ -149,19 +149,19 @@ TEST(PoseDecoder, WhatCannotBeAPoseChangesNothing) {
   std::vector<std::uint8_t> report(14, 0);
   report[0] = 7;
   report[1] = 1;
-  EXPECT_EQ(decoder.take(report, kMs).size(), 1u);
+  EXPECT_EQ(decoder.decode(report, kMs).size(), 1u);
   report[1] = 2;
   report[8] = 0xc0;
   report[9] = 0x7f;  // a NaN
-  EXPECT_EQ(decoder.take(report, 2 * kMs).size(), 0u);
+  EXPECT_EQ(decoder.decode(report, 2 * kMs).size(), 0u);
   report[9] = 0x7f;
   report[8] = 0x80;  // infinity
-  EXPECT_EQ(decoder.take(report, 3 * kMs).size(), 0u);
-  EXPECT_EQ(decoder.take(std::span(report).first(13), 4 * kMs).size(), 0u);
-  EXPECT_EQ(decoder.take(std::span(report).first(0), 5 * kMs).size(), 0u);
+  EXPECT_EQ(decoder.decode(report, 3 * kMs).size(), 0u);
+  EXPECT_EQ(decoder.decode(std::span(report).first(13), 4 * kMs).size(), 0u);
+  EXPECT_EQ(decoder.decode(std::span(report).first(0), 5 * kMs).size(), 0u);
   report[8] = report[9] = 0;
   report[1] = 2;
-  EXPECT_EQ(decoder.take(report, 6 * kMs).size(), 1u);
+  EXPECT_EQ(decoder.decode(report, 6 * kMs).size(), 1u);
   const ReportCounts& n = decoder.counts();
   EXPECT_EQ(n.reports, 6u);
   EXPECT_EQ(n.bad_values, 2u);
@@ -179,7 +179,7 @@ TEST(PoseDecoder, ACounterThatWrapsHasLostNothing) {
   std::int64_t t_ns = 0;
   const auto take = [&](std::uint8_t count) {
     report[1] = count;
-    return decoder.take(report, t_ns += kMs).size();
+    return decoder.decode(report, t_ns += kMs).size();
   };
   const std::vector<std::uint8_t> in_step{253, 254, 255, 0, 1};
   for (const std::uint8_t count : in_step) EXPECT_EQ(take(count), 1u) << int{count};
@@ -210,7 +210,7 @@ TEST(PoseDecoder, ReadsARealHydra) {
     words >> seconds >> count >> std::hex;
     std::vector<std::uint8_t> report;
     while (words >> byte) report.push_back(static_cast<std::uint8_t>(byte));
-    for (const auto& sample : decoder.take(report, std::llround((seconds + 1) * 1e9))) {
+    for (const auto& sample : decoder.decode(report, std::llround((seconds + 1) * 1e9))) {
       if (sample.tool != 0) continue;
       ++poses;
       const Vec3& p = sample.pose.position;

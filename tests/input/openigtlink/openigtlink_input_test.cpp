@@ -1,4 +1,4 @@
-// Peers built on the OpenIGTLink library, and some that keep to nothing, with an InputHub behind the server.
+// Peers built on the OpenIGTLink library, and some that keep to nothing, with PoseSources behind the server.
 
 #include "server/input/openigtlink/openigtlink_input.hpp"
 
@@ -31,7 +31,7 @@ class OpenIgtLink : public ::testing::Test {
   void start(OpenIgtLinkOptions options = {}) {
     if (options.connect.empty()) options.port = 0;
     if (options.silence_s == 0.5) options.silence_s = 3600;  // only those who ask for it are timed
-    input = std::make_unique<OpenIgtLinkInput>(hub, options,
+    input = std::make_unique<OpenIgtLinkInput>(pose_sources, options,
                                                SurfaceFeed{[this] { return state.load(); },
                                                            [this](auto ready) {
                                                              ++requests;
@@ -44,9 +44,9 @@ class OpenIgtLink : public ::testing::Test {
     }
     return ~std::uint64_t{0};
   }
-  // Events of all sources so far; drains the hub.
+  // Events of all sources so far; drains them.
   const std::vector<InputEvent>& drain() {
-    hub.drain([&](std::uint32_t source, const InputEvent& event) {
+    pose_sources.drain([&](std::uint32_t source, const InputEvent& event) {
       events.push_back(event);
       sources.push_back(source);
       return true;
@@ -57,7 +57,7 @@ class OpenIgtLink : public ::testing::Test {
     return stream::eventually([&] { return drain().size() >= count; });
   }
 
-  InputHub hub{core::Blade{}};
+  PoseSources pose_sources{core::Blade{}};
   stream::TestServer test{2};
   std::atomic<std::uint64_t> state{1};
   std::atomic<int> requests{0};
@@ -79,7 +79,7 @@ TEST_F(OpenIgtLink, PosesComeInMetresWithThePeersTimeAndEngaged) {
   }
   ASSERT_TRUE(came(4));
   EXPECT_EQ(events[0].kind, Kind::kOpened);
-  EXPECT_EQ(hub.name_of(sources[0]), "Scalpel");
+  EXPECT_EQ(pose_sources.name_of(sources[0]), "Scalpel");
   for (std::size_t i = 0; i < 3; ++i) {
     const core::Pose& pose = events[i + 1].pose.pose;
     EXPECT_NEAR(core::length(pose.position - core::Vec3{-0.01, -0.02, 1.03 + 0.001 * static_cast<double>(i)}),
@@ -103,8 +103,8 @@ TEST_F(OpenIgtLink, EachToolOfAMessageIsABladeAndTwoPeersShareThem) {
   ASSERT_TRUE(came(4));
   ASSERT_TRUE(other.send(tests::qtdata({{"Right"}, {"Third"}}, kStart_ns)));  // the first holds "Right"
   ASSERT_TRUE(came(6));
-  EXPECT_EQ(hub.open_sources(), 3u);
-  EXPECT_TRUE(hub.is_open("Third"));
+  EXPECT_EQ(pose_sources.open_count(), 3u);
+  EXPECT_TRUE(pose_sources.is_open("Third"));
   EXPECT_TRUE(stream::eventually([&] { return count("no_blade") == 1; }));
 }
 
@@ -116,7 +116,7 @@ TEST_F(OpenIgtLink, SilenceABadStatusAndTheNextPose) {
   ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns)));
   ASSERT_TRUE(came(3));  // opened, a pose, and the end, with nothing more being said
   EXPECT_EQ(events[2].kind, Kind::kEndStroke);
-  EXPECT_FALSE(hub.is_open("Scalpel"));
+  EXPECT_FALSE(pose_sources.is_open("Scalpel"));
   ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + kStep_ns)));
   ASSERT_TRUE(peer.send(tests::status("Scalpel", 16)));
   ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, kStart_ns + 2 * kStep_ns)));
@@ -248,7 +248,7 @@ TEST_F(OpenIgtLink, AFullQueueHoldsThePeerBackAndLosesNothing) {
   std::thread sender([&] {
     for (int i = 0; i < kPoses; ++i) peer.send(tests::transform({"Scalpel"}, kStart_ns + i * kStep_ns));
   });
-  ASSERT_TRUE(stream::eventually([&] { return hub.waiting() >= 8192; }));
+  ASSERT_TRUE(stream::eventually([&] { return pose_sources.waiting() >= 8192; }));
   EXPECT_TRUE(came(1 + kPoses));
   sender.join();
   for (std::size_t i = 2; i < events.size(); ++i)
@@ -354,7 +354,7 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
   };
   serve(kStart_ns);
   ASSERT_TRUE(came(3));  // opened, a pose, and the end, since the server has gone
-  EXPECT_EQ(hub.name_of(sources[0]), "Channel 0");
+  EXPECT_EQ(pose_sources.name_of(sources[0]), "Channel 0");
   // It comes back.
   serve(kStart_ns);
   EXPECT_TRUE(came(6));
@@ -366,7 +366,7 @@ TEST_F(OpenIgtLink, AnAddressThatIsTakenIsNamed) {
   OpenIgtLinkOptions options;
   options.port = input->port();
   try {
-    OpenIgtLinkInput second(hub, options, {[] { return std::uint64_t{0}; }, [](auto) {}});
+    OpenIgtLinkInput second(pose_sources, options, {[] { return std::uint64_t{0}; }, [](auto) {}});
     FAIL() << "two listeners at one port";
   } catch (const std::runtime_error& error) {
     EXPECT_NE(std::string(error.what()).find("127.0.0.1:" + std::to_string(options.port)), std::string::npos);
@@ -385,7 +385,7 @@ TEST_F(OpenIgtLink, StoppedInTheMiddleOfEverything) {
   input->stop();
   ASSERT_TRUE(came(3));
   EXPECT_EQ(events[2].kind, Kind::kEndStroke);
-  EXPECT_EQ(hub.open_sources(), 0u);
+  EXPECT_EQ(pose_sources.open_count(), 0u);
   input.reset();
 }
 
