@@ -94,9 +94,10 @@ protocol::Hello Client::Impl::hello() const {
   hello.blade = options.blade;
   // After a lost connection the server may still count the blade as held by it.
   hello.take_over = options.take_over || reconnecting;
-  if (reconnecting && state.whole()) {
+  if (reconnecting && state.whole() && !state.awaiting_snapshot()) {
     hello.resume_session = epoch;
     hello.resume_revision = state.revision();
+    hello.resume_hash = state.state_hash();
   }
   return hello;
 }

@@ -37,7 +37,8 @@ struct Client::Impl {
   void start();
   void close();
   void stop();
-  // Waits until `done()` holds, which it calls with `mutex` held. False when the time is over or the client is closed.
+  // Waits until `done()` holds, which it calls with `mutex` held. False when the time is over or the client is
+  // closed.
   template <class Done>
   bool wait(Done&& done, double timeout_s);
   // Without a thread of the client's own: does its work.

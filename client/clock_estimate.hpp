@@ -9,8 +9,8 @@
 
 namespace incise::client {
 
-// The server's monotonic clock against ours, from the last pings (Cristian 1989, "Probabilistic clock synchronization": the
-// shortest round trip gives the best bound).
+// The server's monotonic clock against ours, from the last pings (Cristian 1989, "Probabilistic clock
+// synchronization": the shortest round trip gives the best bound).
 //
 // Thread: add() from the client's thread; the results from any.
 class ClockEstimate {

@@ -13,8 +13,8 @@ namespace incise::client {
 
 // The mesh as the client holds it: a replica of the view in force, and how far it is.
 //
-// Thread: changed by the client's thread, which may read without the lock. Others lock mutex() for the replicas. Owns: the
-// replicas.
+// Thread: changed by the client's thread, which may read without the lock. Others lock mutex() for the replicas.
+// Owns: the replicas.
 class HeldState {
  public:
   // `full_check_interval`: every so many revisions the whole replica is hashed. 0: never.

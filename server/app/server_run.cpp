@@ -3,7 +3,6 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -14,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "server/app/audit_log.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
 #include "server/app/offline/recorded_motion.hpp"
@@ -23,7 +23,6 @@
 #include "server/base/check.hpp"
 #include "server/base/clock.hpp"
 #include "server/core/session/session_state.hpp"
-#include "server/input/limited_log.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {
@@ -177,15 +176,6 @@ class NetworkSources {
   std::unique_ptr<input::HaplyInput> haply_;
 };
 
-// Lines on who was refused, and who did what others notice. Each kind has a limit of its own.
-std::function<void(stream::Audit, const std::string&)> audit_log() {
-  return [logs = std::array<input::LimitedLog, stream::kAudits>{}](stream::Audit kind,
-                                                                   const std::string& line) mutable {
-    const auto level = kind == stream::Audit::kRefused ? spdlog::level::warn : spdlog::level::info;
-    logs[static_cast<std::size_t>(kind)].write(level, line);
-  };
-}
-
 // A session's state, which somebody saves; whoever takes it moves it out.
 using SavedState = std::shared_future<std::shared_ptr<std::vector<std::byte>>>;
 
@@ -292,13 +282,14 @@ void run_server(const Config& config, bool resume) {
   std::optional<Telemetry> telemetry;
   LoopHealth health;
   CaptureLibrary library(config.resolve(config.capture.library), body);
+  AuditLog audit;
   stream::Providers providers{[&] { return telemetry->json(); },
                               [&] { return telemetry->metrics(); },
                               [&] { return telemetry->message(); },
                               [&] { return telemetry->blades(); },
                               &library,
                               [&] { return health.trouble(); },
-                              audit_log(),
+                              [&](auto kind, auto& address, auto& line) { audit.write(kind, address, line); },
                               [&] { return recording_now(journal.get()); }};
   stream::Server server(stream_config(config), server_facts(config, body, session.mesh()),
                         recording.shown.before, sink, providers);
@@ -366,6 +357,7 @@ void run_server(const Config& config, bool resume) {
   const char* signal = nullptr;
   while (!(signal = signals.wait())) {
     watch.look();
+    audit.flush();
     health.look(frames.stats().state.load().frames);
   }
 

@@ -29,8 +29,8 @@ class Admission {
 
  private:
   friend class Ticket;
-  // Connections that have not said Hello, in the order in which they came. The descriptors are duplicates, so that a number
-  // here is never another connection's, whatever happens to the connection's own descriptor.
+  // Connections that have not said Hello, in the order in which they came. The descriptors are duplicates, so that a
+  // number here is never another connection's, whatever happens to the connection's own descriptor.
   struct HalfOpen {
     ~HalfOpen();
     void close(std::map<std::uint64_t, int>::iterator which);

@@ -12,8 +12,8 @@ namespace asio = boost::asio;
 
 struct SharedCounters;
 
-// A share of one thread's time, for work of any length: after work that took t, the next may begin t / share later. Time
-// that was not used is saved, up to kSaved_ns, and may be used at once.
+// A share of one thread's time, for work of any length: after work that took t, the next may begin t / share later.
+// Time that was not used is saved, up to kSaved_ns, and may be used at once.
 class TimeShare {
  public:
   static constexpr std::int64_t kSaved_ns = 50'000'000;
@@ -51,10 +51,10 @@ class BoxHolder {
   std::int64_t last_turn_ns_ = 0;  // how long its last turn took
 };
 
-// Peers with a box of interest, in the order in which they asked for their deltas. Each such delta is made for one peer
-// alone. So all of them together get a share of the stream thread's time (StreamConfig::box_share), and the thread does its
-// other work between any two. A peer that waits gets everything since its last delta as one; when one has waited longer than
-// kMaxWait_ns, the peer whose last turn took longest loses its box.
+// Peers with a box of interest, in the order in which they asked for their deltas. Each such delta is made for one
+// peer alone. So all of them together get a share of the stream thread's time (StreamConfig::box_share), and the
+// thread does its other work between any two. A peer that waits gets everything since its last delta as one; when one
+// has waited longer than kMaxWait_ns, the peer whose last turn took longest loses its box.
 //
 // Thread: the stream thread. Owns: the queue.
 class BoxTurns {

@@ -20,8 +20,8 @@ class DeltaPace {
   // 0: no limit. The next delta may go out at once.
   void set_rate(float max_hz);
   bool limited() const { return max_hz_ > 0; }
-  // Whether a delta may go out now; if so it counts as sent. If not, calls `again` once one may, unless `keep`, which keeps
-  // this alive, is gone by then.
+  // Whether a delta may go out now; if so it counts as sent. If not, calls `again` once one may, unless `keep`, which
+  // keeps this alive, is gone by then.
   bool allow(const std::shared_ptr<void>& keep, std::function<void()> again);
   void cancel() { timer_.cancel(); }
 

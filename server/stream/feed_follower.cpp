@@ -41,9 +41,14 @@ void FeedFollower::resubscribe(const Subscription& subscription) {
 }
 
 void FeedFollower::switch_to(Feed& feed) {
-  feed_ = &feed;
   drop_state();
-  snapshot_.drop();
+  // A feed that ends drops what was requested of it.
+  if (&feed == feed_) {
+    snapshot_.drop();
+  } else {
+    snapshot_.forget();
+  }
+  feed_ = &feed;
   resync_again_ = false;
 }
 
@@ -60,8 +65,9 @@ void FeedFollower::drop_state() {
 }
 
 // What a peer with a box held is no longer known, so it cannot resume.
-bool FeedFollower::can_resume(std::uint64_t epoch, std::uint64_t revision) const {
-  return !want_.box && epoch == epoch_name() && feed_->ring().covers(revision, feed_->mirror().revision());
+bool FeedFollower::can_resume(const protocol::Hello& hello) const {
+  return want_.view != View::None && !want_.box && hello.resume_session == epoch_name() &&
+         feed_->can_resume(hello.resume_revision, hello.resume_hash);
 }
 
 void FeedFollower::resume(std::uint64_t revision) {

@@ -22,8 +22,8 @@ struct Subscription {
   float max_rate_hz = 0;  // deltas a second; 0: one for each revision
 };
 
-// Keeps one peer in step with a feed: a snapshot, then deltas. It knows which revision the peer holds, counting what the
-// outbox has, and decides what comes next; StreamConfig gives the policy for peers that read slowly.
+// Keeps one peer in step with a feed: a snapshot, then deltas. It knows which revision the peer holds, counting what
+// the outbox has, and decides what comes next; StreamConfig gives the policy for peers that read slowly.
 //
 // Thread: the stream thread. Owns: the snapshot on its way, what the peer holds with a box.
 class FeedFollower final : public BoxHolder {
@@ -38,8 +38,8 @@ class FeedFollower final : public BoxHolder {
   // Adds nothing more; what waits in the outbox is the caller's to drop.
   void stop();
 
-  // Whether the peer can go on from that revision of that epoch, both as it gave them, without a snapshot.
-  bool can_resume(std::uint64_t epoch, std::uint64_t revision) const;
+  // Whether the peer can go on without a snapshot from the state that its Hello names.
+  bool can_resume(const protocol::Hello& hello) const;
   void resume(std::uint64_t revision);
   void send_snapshot(protocol::SnapshotCause cause);
   // The peer says that its state is wrong.
@@ -49,8 +49,8 @@ class FeedFollower final : public BoxHolder {
 
   const Feed& feed() const { return *feed_; }
   protocol::View view() const { return want_.view; }
-  // What the peer knows the feed's epoch as. Each view, and each box, has another name, so that a peer cannot resume one
-  // view with another's state.
+  // What the peer knows the feed's epoch as. Each view, and each box, has another name, so that a peer cannot resume
+  // one view with another's state.
   std::uint64_t epoch_name() const;
 
   // BoxHolder

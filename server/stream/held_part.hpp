@@ -9,8 +9,8 @@
 
 namespace incise::stream {
 
-// What one peer with a box of interest holds, kept here so that its deltas can be made. Its bytes are counted among those of
-// all peers (SharedCounters::part_bytes).
+// What one peer with a box of interest holds, kept here so that its deltas can be made. Its bytes are counted among
+// those of all peers (SharedCounters::part_bytes).
 //
 // Thread: the stream thread. Owns: the part.
 class HeldPart {

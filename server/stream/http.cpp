@@ -60,50 +60,46 @@ void metric(std::string& out, const char* name, const char* type, const char* he
 std::string stream_metrics(const SharedCounters& c) {
   std::string out;
   metric(out, "revision", "gauge", "Revision that clients can see.", c.revision);
-  metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.peers);
+  metric(out, "sessions", "gauge", "Peers that are connected and welcomed.", c.peers);
   metric(out, "connections", "gauge", "Open connections.", c.connections);
-  metric(out, "accepted_total", "counter", "Connections taken in.", c.accepted);
+  metric(out, "accepted_total", "counter", "Connections accepted.", c.accepted);
   metric(out, "refused_total", "counter",
-         "Connections that were refused before they were sessions, and requests without the token they need.",
-         c.refused);
-  metric(out, "wrong_tokens_total", "counter", "Tokens that were none of ours.", c.wrong_tokens);
+         "Connections refused before Welcome, and requests without the token they need.", c.refused);
+  metric(out, "wrong_tokens_total", "counter", "Tokens that were wrong.", c.wrong_tokens);
   metric(out, "tokens_not_looked_at_total", "counter",
-         "Tokens that were not looked at, from addresses that had guessed too often.",
-         c.tokens_not_looked_at);
+         "Tokens not looked at, from addresses that had guessed too often.", c.tokens_not_looked_at);
   metric(out, "resets_total", "counter", "Resets by an admin.", c.resets);
   metric(out, "takeovers_total", "counter", "Blades that an operator took from another.", c.takeovers);
-  metric(out, "handovers_total", "counter", "Blades that their operators let go of.", c.handovers);
+  metric(out, "handovers_total", "counter", "Blades that their operators handed over.", c.handovers);
   metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);
   metric(out, "bytes_out_total", "counter", "Bytes of messages sent.", c.bytes_out);
   metric(out, "bytes_in_total", "counter", "Bytes of messages received.", c.bytes_in);
   metric(out, "messages_in_total", "counter", "Messages received.", c.messages_in);
-  metric(out, "bad_messages_total", "counter", "Messages that were none.", c.bad_messages);
-  metric(out, "coalesced_total", "counter", "Deltas that stood for several steps.", c.coalesced);
+  metric(out, "bad_messages_total", "counter", "Messages that could not be read.", c.bad_messages);
+  metric(out, "coalesced_total", "counter", "Deltas that cover several steps.", c.coalesced);
   metric(out, "snapshots_total", "counter", "Snapshots sent.", c.snapshots);
-  metric(out, "slow_snapshots_total", "counter", "Snapshots for sessions that fell behind.",
-         c.slow_snapshots);
-  metric(out, "slow_disconnects_total", "counter", "Sessions ended because they did not read.",
+  metric(out, "slow_snapshots_total", "counter", "Snapshots for peers that fell behind.", c.slow_snapshots);
+  metric(out, "slow_disconnects_total", "counter", "Peers disconnected because they did not read.",
          c.slow_disconnects);
-  metric(out, "resumed_total", "counter", "Sessions that went on where they had been.", c.resumed);
-  metric(out, "half_open_closed_total", "counter", "Silent connections closed to make room for others.",
+  metric(out, "resumed_total", "counter", "Peers that came back and needed no snapshot.", c.resumed);
+  metric(out, "half_open_closed_total", "counter", "Connections closed before Hello to make room for others.",
          c.half_open_closed);
-  metric(out, "part_bytes", "gauge", "Bytes kept for the sessions with a box of interest.", c.part_bytes);
-  metric(out, "box_turns_total", "counter", "Deltas made for one session's box of interest.", c.box_turns);
-  metric(out, "box_turns_nanoseconds_total", "counter", "Time that these took.", c.box_turns_ns);
-  metric(out, "box_coalesced_total", "counter", "Those of them that stood for several steps.",
-         c.box_coalesced);
+  metric(out, "part_bytes", "gauge", "Bytes kept for peers with a box of interest.", c.part_bytes);
+  metric(out, "box_turns_total", "counter", "Deltas made for one peer's box of interest.", c.box_turns);
+  metric(out, "box_turns_nanoseconds_total", "counter", "Processor time that these took.", c.box_turns_ns);
+  metric(out, "box_coalesced_total", "counter", "Those of them that cover several steps.", c.box_coalesced);
   metric(out, "boxes_refused_total", "counter", "Boxes of interest refused for lack of memory or time.",
          c.boxes_refused);
   metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
   return out;
 }
 
-// What the server itself has to say at a path; nothing: it is a file, if anything.
+// The answer to a path that the server itself serves; nothing for other paths, which may be files.
 std::optional<Answer> answer(const PeerContext& context, std::string_view path) {
   const Providers& providers = context.providers;
   const SharedCounters& counters = *context.counters;
   if (path == "/healthz") {
-    // The text is ours and needs no escapes.
+    // The text is ours, without characters to escape.
     const std::string trouble = providers.trouble ? providers.trouble() : std::string();
     return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
                   "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
@@ -130,12 +126,13 @@ std::optional<Answer> answer(const PeerContext& context, std::string_view path) 
   }
   if (path == "/stats" || path == "/ws") {
     return Answer{path == "/ws" ? http::status::upgrade_required : http::status::not_found,
-                  "text/plain; charset=utf-8", path == "/ws" ? "a WebSocket, please\n" : "not found\n"};
+                  "text/plain; charset=utf-8",
+                  path == "/ws" ? "/ws is a WebSocket: send an upgrade request\n" : "not found\n"};
   }
   return std::nullopt;
 }
 
-// The token of "Authorization: Bearer TOKEN"; "" where there is none.
+// The token of "Authorization: Bearer TOKEN"; empty without one.
 std::string bearer_token(const HttpRequest& request) {
   constexpr std::string_view kScheme = "bearer ";
   const std::string_view given = view_of(request[http::field::authorization]);
@@ -144,7 +141,7 @@ std::string bearer_token(const HttpRequest& request) {
   return begin == std::string_view::npos ? std::string() : std::string(given.substr(begin));
 }
 
-// What a token must open for a path; nothing: the path needs none.
+// Which tokens open a path; null where it needs none.
 std::function<bool(const AccessToken&)> opening(std::string_view path) {
   if (path == "/stats" || path == "/metrics") return [](const AccessToken&) { return true; };
   if (path != "/captures") return nullptr;
@@ -196,7 +193,7 @@ asio::awaitable<bool> send_answer(NetStream& stream, const HttpRequest& request,
   co_return !ec && response.keep_alive();
 }
 
-// Not a coroutine: GCC 12 destroys an aggregate made within a co_await expression twice.
+// Not a coroutine: g++ 12 destroys an aggregate made within a co_await expression twice.
 asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, http::status status,
                                 const char* text) {
   return send_answer(stream, request, Answer{status, "text/plain; charset=utf-8", text, 0});
@@ -242,7 +239,7 @@ asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
   co_return !ec && response.keep_alive();
 }
 
-// Reads a request; nothing where none came, or none that can be answered otherwise than by hanging up.
+// Reads a request; nothing where the connection is to be closed: it ended, or sent a bad request, which this answers.
 asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beast::flat_buffer& buffer) {
   http::request_parser<http::string_body> parser;
   parser.header_limit(kMaxHeaderBytes);
@@ -259,12 +256,12 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
     none.keep_alive(false);
     co_await send_text(stream, none,
                        large ? http::status::request_header_fields_too_large : http::status::bad_request,
-                       "not a request that is understood here\n");
+                       "the request could not be read\n");
   }
   co_return std::nullopt;
 }
 
-// What keeps the request from being answered, counted and logged; kGranted: nothing.
+// Whether the request may be answered. A refusal is counted and logged.
 Access::Answer check_token(PeerContext& context, const HttpRequest& request, std::string_view path,
                            const asio::ip::tcp::endpoint& peer) {
   const std::function<bool(const AccessToken&)> opens = opening(path);
@@ -273,7 +270,7 @@ Access::Answer check_token(PeerContext& context, const HttpRequest& request, std
       context.access.ask(peer.address(), bearer_token(request), opens, monotonic_ns());
   if (access.verdict != Access::Verdict::kGranted) {
     ++context.counters->refused;
-    context.note_refusal(access, std::string(path), name_of(peer));
+    context.note_refusal(access, peer.address(), std::string(path), name_of(peer));
   }
   return access;
 }
@@ -316,7 +313,8 @@ asio::awaitable<void> serve_http(PeerContext& context, PeerDirectory& peers, con
     if (beast::websocket::is_upgrade(*request) && target.substr(0, target.find('?')) == "/ws") {
       if (!origin_allowed(view_of((*request)[http::field::origin]), view_of((*request)[http::field::host]),
                           context.config.allowed_origins)) {
-        co_await send_text(stream, *request, http::status::forbidden, "this page may not connect here\n");
+        co_await send_text(stream, *request, http::status::forbidden,
+                           "pages from this origin may not connect: see listen.allowed_origins\n");
         break;
       }
       if (!is_websocket_key(view_of((*request)[http::field::sec_websocket_key]))) {

@@ -8,8 +8,8 @@
 
 namespace incise::stream {
 
-// Serves one connection of the HTTP port until it ends: /healthz and the viewer's files for everybody, /stats, /metrics and
-// /captures for holders of a token (where the server has tokens), and /ws, which turns it into a session.
+// Serves one connection of the HTTP port until it ends: /healthz and the viewer's files for everybody, /stats,
+// /metrics and /captures for holders of a token (where the server has tokens), and /ws, which makes it a peer.
 asio::awaitable<void> serve_http(PeerContext& context, PeerDirectory& peers, const StaticFiles& files,
                                  NetStream stream, Ticket ticket);
 

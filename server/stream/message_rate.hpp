@@ -20,8 +20,8 @@ class MessageRate {
     begin_second(now_ns);
     return ++messages_ <= max_per_second_;
   }
-  // An operator's poses have come. How long to wait before they are used, and the next message read: too many are not an
-  // error, the peer's own send buffer fills and it waits.
+  // An operator's poses have come. How long to wait before they are used, and the next message read: too many are not
+  // an error, the peer's own send buffer fills and it waits.
   std::chrono::milliseconds delay_poses(std::int64_t now_ns) {
     begin_second(now_ns);
     if (++pose_messages_ <= kMaxPoseMessagesPerSecond) return {};

@@ -26,8 +26,8 @@ class OperatorBlade {
   const PoseInput* input() const { return input_.get(); }
   const std::string& source_name() const { return source_name_; }
 
-  // Queues the poses for the loop, in order. While the queue is full it waits, so that nothing more is read from the peer.
-  // `engage_button`: the bit that stands for an engaged blade, -1 where it always is.
+  // Queues the poses for the loop, in order. While the queue is full it waits, so that nothing more is read from the
+  // peer. `engage_button`: the bit that stands for an engaged blade, -1 where it always is.
   asio::awaitable<void> enqueue(const protocol::PoseBatch& batch, std::uint64_t sequence,
                                 std::int64_t arrival_ns, int engage_button);
   // All poses from here on are engaged, whatever their buttons say, until end_stroke().

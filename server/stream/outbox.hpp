@@ -14,9 +14,9 @@
 
 namespace incise::stream {
 
-// What one peer is to be sent, in order of urgency: the newest force, control messages (answers, reports, statistics), the
-// state (snapshots and deltas). One write is under way at a time. Control messages are bounded here, the state by the
-// one who adds it (FeedFollower), who looks at state_bytes() first.
+// What one peer is to be sent, in order of urgency: the newest force, control messages (answers, reports,
+// statistics), the state (snapshots and deltas). One write is under way at a time. Control messages are bounded here,
+// the state by the one who adds it (FeedFollower), who looks at state_bytes() first.
 //
 // Thread: the stream thread alone, as everything of a peer. Owns: the frames that wait or are being written.
 class Outbox {

@@ -166,7 +166,7 @@ asio::awaitable<void> Peer::on_stroke(const protocol::StrokeControl& control, st
       break;
     case protocol::StrokeAction::HandOver:
       ++context_.counters->handovers;
-      context_.audit(Audit::kBlade,
+      context_.audit(Audit::kBlade, ticket_.address().address(),
                      "blade " + quoted(blade_.source_name()) + " handed over by " + described());
       blade_.release();
       finish(ByeReason::HandedOver, "the blade is free");
@@ -190,7 +190,7 @@ void Peer::on_reset(std::uint64_t sequence) {
     outbox_.complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
   } else {
     ++context_.counters->resets;
-    context_.audit(Audit::kReset, "the mesh is reset by " + described());
+    context_.audit(Audit::kReset, ticket_.address().address(), "the mesh is reset by " + described());
   }
 }
 

@@ -15,8 +15,8 @@ PeerContext::PeerContext(asio::io_context& io_context, const StreamConfig& strea
       live(io, config.ring_bytes),
       box_turns(io, config.box_share, *counters) {}
 
-void PeerContext::note_refusal(const Access::Answer& answer, const std::string& what,
-                               const std::string& peer) {
+void PeerContext::note_refusal(const Access::Answer& answer, const asio::ip::address& address,
+                               const std::string& what, const std::string& peer) {
   using Verdict = Access::Verdict;
   std::string why = "no token";
   if (answer.verdict == Verdict::kOtherRole) why = "its token does not open that";
@@ -28,7 +28,7 @@ void PeerContext::note_refusal(const Access::Answer& answer, const std::string& 
     ++counters->tokens_not_looked_at;
     why = "too many wrong tokens from this address";
   }
-  audit(Audit::kRefused, what + " refused to " + peer + ": " + why);
+  audit(Audit::kRefused, address, what + " refused to " + peer + ": " + why);
 }
 
 }  // namespace incise::stream

@@ -8,6 +8,7 @@
 #include "server/stream/box_turns.hpp"
 #include "server/stream/counters.hpp"
 #include "server/stream/feed.hpp"
+#include "server/stream/network.hpp"
 #include "server/stream/server.hpp"
 
 namespace incise::stream {
@@ -19,11 +20,12 @@ struct PeerContext {
   PeerContext(asio::io_context& io_context, const StreamConfig& stream_config, ServerFacts server_facts,
               PeerInput& peer_input, Providers given);
 
-  void audit(Audit kind, const std::string& line) const {
-    if (providers.audit) providers.audit(kind, line);
+  void audit(Audit kind, const asio::ip::address& address, const std::string& line) const {
+    if (providers.audit) providers.audit(kind, network_of(address), line);
   }
-  // Counts and logs that `peer` was refused `what` for want of a token.
-  void note_refusal(const Access::Answer& answer, const std::string& what, const std::string& peer);
+  // Counts and logs that `peer`, at that address, was refused `what` for want of a token.
+  void note_refusal(const Access::Answer& answer, const asio::ip::address& address, const std::string& what,
+                    const std::string& peer);
 
   asio::io_context& io;
   const StreamConfig& config;

@@ -56,7 +56,7 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   transport_->set_max_bytes(accepted_bytes());
   follower_.start({hello.view, hello.box, hello.max_rate_hz});
   const bool returns = hello.view != protocol::View::None && hello.resume_session != 0;
-  const bool resumed = returns && follower_.can_resume(hello.resume_session, hello.resume_revision);
+  const bool resumed = returns && follower_.can_resume(hello);
   send_welcome(resumed);
   blade_.note_reported(context_.recording.state);
   if (context_.recording.state == protocol::Recording::Stopped) warn_not_recorded();
@@ -73,11 +73,11 @@ asio::awaitable<std::optional<Refusal>> Peer::check_token(const protocol::Hello&
   const auto opens = [&](const AccessToken& token) {
     return std::find(token.roles.begin(), token.roles.end(), hello.role) != token.roles.end();
   };
-  const Access::Answer answer =
-      context_.access.ask(ticket_.address().address(), hello.token, opens, last_received_ns_);
+  const asio::ip::address address = ticket_.address().address();
+  const Access::Answer answer = context_.access.ask(address, hello.token, opens, last_received_ns_);
   if (answer.verdict == Verdict::kGranted) co_return std::nullopt;
   const std::string role = std::string("role ") + name_of(hello.role);
-  context_.note_refusal(answer, role, described());
+  context_.note_refusal(answer, address, role, described());
   if (answer.hold_ns > 0) {
     const auto held = context_.access.hold();
     opened_ns_ += answer.hold_ns;  // the handshake's deadline is for the peer's time, not for ours
@@ -114,8 +114,9 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
 asio::awaitable<std::unique_ptr<PoseInput>> Peer::take_over(const protocol::Hello& hello) {
   if (const auto holder = others_.holder(hello.source_name)) {
     ++context_.counters->takeovers;
-    context_.audit(Audit::kBlade, "blade " + quoted(hello.source_name) + " taken over by " + described() +
-                                      " from " + holder->described());
+    context_.audit(Audit::kBlade, ticket_.address().address(),
+                   "blade " + quoted(hello.source_name) + " taken over by " + described() + " from " +
+                       holder->described());
     holder->blade_.release();
     holder->finish(protocol::ByeReason::HandedOver, "another operator has taken the blade");
   }

@@ -34,7 +34,8 @@ void PeerReplay::open(const std::string& capture, std::uint64_t sequence) {
                    sequence);
 }
 
-// The player speaks on its own thread. Its events are handled on this one, unless it has been replaced or stopped by then.
+// The player speaks on its own thread. Its events are handled on this one, unless it has been replaced or stopped by
+// then.
 ReplayEvents PeerReplay::events(std::uint64_t number, std::uint64_t sequence) {
   const auto post = [this, &io = context_.io, weak = std::weak_ptr<void>(outbox_.keep()), number](auto what) {
     asio::post(io, [this, weak, number, what = std::move(what)]() mutable {

@@ -13,8 +13,8 @@
 
 namespace incise::stream {
 
-// All connected peers: passes on to them what the loop publishes, and runs the clock for deadlines, statistics and blade
-// poses.
+// All connected peers: passes on to them what the loop publishes, and runs the clock for deadlines, statistics and
+// blade poses.
 //
 // Thread: the stream thread. Owns: the peers, together with the coroutines that serve them.
 class Peers final : public PeerDirectory {

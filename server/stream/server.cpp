@@ -106,7 +106,7 @@ struct Server::Impl {
     queue.push(std::move(what));
     if (!awake.exchange(true)) {
       const std::uint64_t one = 1;
-      // It can only fail when the counter is full, and then the reader is awake.
+      // It fails only when the counter is full, and then the reader is awake.
       [[maybe_unused]] const auto written = ::write(event_fd, &one, sizeof one);
     }
   }
@@ -142,7 +142,7 @@ struct Server::Impl {
     });
   }
 
-  // With TLS where there is a certificate; nothing where the peer's handshake fails.
+  // With TLS if there is a certificate. Nothing if the client's handshake fails.
   asio::awaitable<std::optional<NetStream>> secure(NetStream::Tcp tcp) {
     if (!tls) co_return NetStream(std::move(tcp));
     NetStream stream(std::move(tcp), *tls);
@@ -177,7 +177,7 @@ struct Server::Impl {
       std::optional<Ticket> ticket = admission.admit(socket);
       if (!ticket) continue;  // the socket closes here
       socket.set_option(tcp::no_delay(true), ec);
-      // One connection's failure is its own.
+      // A failure ends that connection only.
       asio::co_spawn(io, serve(NetStream::Tcp(std::move(socket)), std::move(*ticket), web),
                      [](std::exception_ptr) {});
     }
@@ -185,7 +185,7 @@ struct Server::Impl {
 
   void start() {
     INCISE_CHECK(!thread.joinable());
-    // The first client is to find all that was published by now.
+    // The first client finds everything published by now.
     while (queue.size() > 0) drain();
     if (tcp_acceptor) asio::co_spawn(io, accept(*tcp_acceptor, false), asio::detached);
     if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
@@ -211,8 +211,8 @@ struct Server::Impl {
     thread.join();
   }
 
-  // Ends the thread's work once every session has ended or the grace is over. Connections that are none (HTTP, and who
-  // has not said Hello) have nothing to lose.
+  // Ends the thread's work once every peer has gone or the grace is over. Other connections (HTTP, and those before
+  // Hello) have nothing to lose.
   void wait_for_goodbyes(std::chrono::steady_clock::time_point deadline) {
     if (peers.empty() || std::chrono::steady_clock::now() >= deadline) {
       peers.close_all();

@@ -17,54 +17,52 @@
 
 namespace incise::stream {
 
-// What Welcome says beside what the stream knows itself.
+// What Welcome says and the stream does not know itself.
 struct ServerFacts {
   protocol::MeshFacts mesh;
-  protocol::Vec3 blade_heel, blade_tip;  // of who holds no blade of its own
+  protocol::Vec3 blade_heel, blade_tip;  // for peers that hold no blade
   std::int32_t engage_button = -1;       // -1: always engaged
   double max_speed_m_s = 0;
   double frame_rate_hz = 0;
   std::string policy;
 };
 
-// Whose lines a log keeps apart, so that many of one kind do not crowd out another.
+// Kinds of audit lines. A log limits each apart, so that many of one kind do not hide another.
 enum class Audit { kRefused, kBlade, kReset };
 inline constexpr std::size_t kAudits = 3;
 
-// Whether what is taken is recorded, and where not: why.
+// Whether poses are recorded; `trouble` says why not.
 struct RecordingNow {
   protocol::Recording state = protocol::Recording::Off;
   std::string trouble;
 };
 
-// What the HTTP port and the statistics message show. Called on the stream thread; must not block. An absent
-// one makes the address answer 404, and the message is not sent.
+// What the HTTP port and the statistics message show. Called on the stream thread; must not block. Without a function
+// its path answers 404 and its message is not sent.
 struct Providers {
   std::function<std::string()> stats_json;    // GET /stats
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
   std::function<protocol::Stats()>
-      statistics;  // once a second to every session; sessions, revision and recording are filled in
-  // Where the blades are now, for who asked for that; those that were never moved are left out.
+      statistics;  // once a second to every peer; sessions, revision, live_tets and recording are filled in here
+  // Where the blades are now, for peers that asked; blades that never moved are left out.
   std::function<std::vector<protocol::BladePose>()> blades;
   ReplayLibrary* library =
-      nullptr;  // captures to replay and GET /captures; must outlive the server. Null: none
-  std::function<std::string()>
-      trouble;  // GET /healthz: what keeps the server from its work; "": nothing does
-  // One line, for the log, on who was refused, reset the mesh, or took or let go of a blade that somebody held. As often as
-  // peers cause it.
-  std::function<void(Audit, const std::string&)> audit;
+      nullptr;  // for replays and GET /captures; must outlive the server. Null: no captures
+  std::function<std::string()> trouble;  // GET /healthz: why the server does not work; "": it does
+  // One line for the log: who was refused, reset the mesh, or took or handed over a blade. `address` is what to limit
+  // lines by, since peers can cause any number of them.
+  std::function<void(Audit, const std::string& address, const std::string& line)> audit;
   // Asked at every tick. Absent: nothing is recorded.
   std::function<RecordingNow()> recording;
 };
 
-// The network side of incised: a mirror of the mesh, the sessions (TCP, WebSocket) and HTTP.
+// The network side of incised: a mirror of the mesh, the peers (TCP, WebSocket) and HTTP.
 //
-// Thread: publish*() from the loop's thread; everything else from the thread that made it, counters() from
-// any. Owns: the stream thread, which runs all sessions and the mirror, and the snapshot thread, which
-// encodes whole states.
+// Thread: publish*() from the loop's thread; everything else from the thread that made it, counters() from any. Owns:
+// the stream thread, which runs all peers and the mirror, and the snapshot thread, which encodes whole states.
 class Server {
  public:
-  // Listens at once; bytes flow from start(). Throws std::runtime_error where an address cannot be had or the
+  // Listens at once; serves from start() on. Throws std::runtime_error where it cannot listen at the address or the
   // configuration is not safe. `input` must outlive the server.
   Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
          Providers providers = {});
@@ -72,28 +70,26 @@ class Server {
   Server(const Server&) = delete;
   Server& operator=(const Server&) = delete;
 
-  // What was published before is there for the first client.
+  // The first client finds everything published before.
   void start();
-  // Says goodbye to all sessions once what was published has gone out, at most `stop_grace_s`, then ends the
-  // threads.
+  // Sends out what was published and says goodbye to all peers, for at most `stop_grace_s`, then ends the threads.
   void stop();
 
-  // Hands a delta on. Never blocks and never fails: a short critical path of two stores and, when the stream
-  // thread sleeps, one write to an eventfd. Memory for the queue grows only while the stream thread falls
-  // behind.
+  // Hands a delta on. Never blocks and never fails: two stores and, where the stream thread sleeps, one write to an
+  // eventfd. Memory for the queue grows only while the stream thread falls behind.
   void publish(std::shared_ptr<const PublishedDelta> delta) noexcept;
-  // The ids start again: every session gets a Welcome with the new session id and a snapshot.
-  // The force on a blade, for the operator who holds it. Only the latest is sent where the network is slower.
+  // The force on a blade, for the operator who holds it. Only the newest is sent where the network is slower.
   void publish_force(const protocol::Force& force) noexcept;
+  // The ids start again: every peer gets a Welcome with the new epoch, and a snapshot.
   void publish_reset(std::shared_ptr<const InitialState> initial) noexcept;
 
-  // The whole surface as the frames of a snapshot (begin, chunks, end), for who carries it on in another format: encoded on
-  // the snapshot thread, as for those who join, and handed to `ready` on the stream thread, later, or never where the server
-  // stops. From any thread.
+  // Requests the whole surface as the frames of a snapshot (begin, chunks, end), for output in another format. It is
+  // encoded on the snapshot thread, as for a peer that joins; `ready` is called on the stream thread, later, or never
+  // if the server stops. From any thread.
   using SharedFrames = std::vector<std::shared_ptr<const protocol::Frame>>;
   void request_surface(std::function<void(SharedFrames)> ready);
 
-  // The ports in use, where the configuration asked for 0; 0: that listener is off.
+  // The ports in use, also where the configuration says 0; 0: that listener is off.
   std::uint16_t tcp_port() const;
   std::uint16_t http_port() const;
   StreamCounters counters() const;

@@ -10,7 +10,7 @@
 
 namespace incise::stream {
 
-// The body's positions, which one simulator sets: its from its first Positions on.
+// A simulator's hold on the body's positions, from its first Positions message on.
 //
 // Thread: the stream thread. Owns: the right to set them, until release().
 class SimulatorPositions {
@@ -19,7 +19,7 @@ class SimulatorPositions {
   std::optional<Refusal> offer(const protocol::Positions& positions, const Mirror& mirror, PeerInput& input,
                                std::int64_t arrival_ns);
   void release() { input_.reset(); }
-  // What the loop made of a message of ours; nothing where this peer sets no positions.
+  // The report on a message of this peer that the loop has used; nothing where it sets no positions.
   std::optional<protocol::PositionsReport> report(const PublishedDelta& step);
 
  private:

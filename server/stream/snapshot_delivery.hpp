@@ -11,8 +11,8 @@
 
 namespace incise::stream {
 
-// A whole state on its way to one peer: requested from a feed, then moved to the outbox chunk by chunk as there is room, so
-// that a peer that does not read holds one chunk of it.
+// A whole state on its way to one peer: requested from a feed, then moved to the outbox chunk by chunk as there is
+// room, so that a peer that does not read holds one chunk of it.
 //
 // Thread: the stream thread. Owns: its share of the snapshot.
 class SnapshotDelivery {
@@ -30,7 +30,8 @@ class SnapshotDelivery {
   void request(Feed& feed, protocol::View view, const std::optional<protocol::Box>& box,
                protocol::SnapshotCause cause, Ready ready);
   void begin(std::shared_ptr<const Snapshot> snapshot);
-  // Sends on while at most `max_bytes` of state wait. Returns the snapshot once all of it is in the outbox, else null.
+  // Sends on while at most `max_bytes` of state wait. Returns the snapshot once all of it is in the outbox, else
+  // null.
   std::shared_ptr<const Snapshot> send_chunks(std::size_t max_bytes);
   // Drops the one that is being sent.
   void drop() { snapshot_.reset(); }

@@ -1,5 +1,6 @@
-// The server's side of one peer that may send anything. The input is a TCP stream or, with a first byte above 127, what
-// comes out of WebSocket frames. In every case the peer ends, its blade is free, and what it was sent are messages.
+// The server's side of one peer that may send anything. The input is a TCP stream or, with a first byte above 127,
+// what comes out of WebSocket frames. In every case the peer ends, its blade is free, and what it was sent are
+// messages.
 
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/detached.hpp>

@@ -258,10 +258,13 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
   static const auto all = [] {
     Welcome hail = welcome();
     hail.recording = Recording::On;
+    Hello back = std::get<Hello>(messages()[0].second);
+    back.resume_hash = 0x8877665544332211;
     Stats stats;
     stats.json = "{}";
     stats.recording = Recording::Stopped;
     return std::vector<std::pair<std::string, Body>>{
+        {"HelloResumeHash", back},
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
          PoseReport{17, 100, 1, 2, 3, 4, 5, 1'001'000'000, 6, 90, 991'000'000, Recording::Stopped}},

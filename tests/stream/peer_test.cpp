@@ -33,13 +33,15 @@ class SlowReader final : public Transport {
     std::vector<SharedFrame> reads;
     std::function<void(boost::system::error_code)> done;  // of the write under way
     bool closed = false;
+    std::function<void()> wake;  // the peer has sent more
   };
   SlowReader(asio::io_context& io, Wire& wire) : silence_(io), io_(io), wire_(wire) {
     silence_.expires_at(asio::steady_timer::time_point::max());
+    wire_.wake = [this] { silence_.cancel(); };
   }
 
   asio::awaitable<Received> read() override {
-    if (wire_.sends.empty() && !wire_.closed) {
+    while (wire_.sends.empty() && !wire_.closed) {
       try {
         co_await silence_.async_wait(asio::use_awaitable);
       } catch (const boost::system::system_error&) {
@@ -153,6 +155,60 @@ TEST_F(PeerTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
     EXPECT_LE(waiting(), 1);
   }
   EXPECT_EQ(chunks, snapshot->chunks.size());
+}
+
+// A player whose state is there as soon as it is opened.
+class InstantLibrary final : public ReplayLibrary {
+ public:
+  explicit InstantLibrary(std::shared_ptr<const InitialState> initial) : initial_(std::move(initial)) {}
+  std::vector<std::string> names() override { return {"a"}; }
+  std::unique_ptr<ReplayPlayer> open(const std::string&, ReplayEvents events) override {
+    struct Player final : ReplayPlayer {
+      void control(const protocol::ReplayControl&) override {}
+    };
+    events.restarted({}, initial_);
+    return std::make_unique<Player>();
+  }
+
+ private:
+  std::shared_ptr<const InitialState> initial_;
+};
+
+// A snapshot that was requested of the replay's state may end with it: the peer must not wait for that one.
+TEST_F(PeerTest, AReplayClosedAtOnceLeavesThePeerWithTheLiveMesh) {
+  MiniLoop other(box_mesh(12), 4712);
+  InstantLibrary library(std::make_shared<const InitialState>(other.initial()));
+  providers_.library = &library;
+  start(2);
+  join(hello(Role::Viewer, View::Volume));
+  // Reads until `wanted` says so of a message.
+  const auto read_until = [&](const std::function<bool(const protocol::Body&)>& wanted) {
+    return run_until([&] {
+      bool found = false;
+      if (wire_.done) std::exchange(wire_.done, nullptr)({});
+      for (const SharedFrame& frame : std::exchange(wire_.reads, {}))
+        found = wanted(protocol::decode(frame->body()).message->body) || found;
+      return found;
+    });
+  };
+  const auto live_snapshot = [&](const protocol::Body& body) {
+    const auto* end = std::get_if<protocol::SnapshotEnd>(&body);
+    return end && end->state_hash == loop_->state_hash();
+  };
+  const auto control = [&](protocol::ReplayAction action) {
+    protocol::ReplayControl message;
+    message.action = action;
+    message.capture = "a";
+    wire_.sends.push_back(protocol::encode(message, {2, 0}));
+    wire_.wake();
+  };
+  ASSERT_TRUE(read_until(live_snapshot));
+  for (int i = 0; i < 10; ++i) {
+    control(protocol::ReplayAction::Open);
+    ASSERT_TRUE(read_until([](const auto& body) { return std::holds_alternative<protocol::Welcome>(body); }));
+    control(protocol::ReplayAction::Close);
+    ASSERT_TRUE(read_until(live_snapshot)) << i;
+  }
 }
 
 }  // namespace

@@ -125,8 +125,7 @@ struct OpenIgtLinkInput::Impl {
     void send(SharedBytes bytes) {
       if (closed) return;
       if (outbox.size() >= kMostWaiting) {
-        owner.faults.write(spdlog::level::warn,
-                           "openigtlink: " + name + " asks, and does not read: it is let go");
+        owner.log(owner.faults, spdlog::level::warn, name, "  asks, and does not read: it is let go");
         close();
         return;
       }
@@ -191,7 +190,7 @@ struct OpenIgtLinkInput::Impl {
       }
       tools.clear();
       if (!closed) close();
-      owner.events.write(spdlog::level::info, "openigtlink: " + name + ": connection ended: " + why);
+      owner.log(owner.events, spdlog::level::info, name, ": connection ended: " + why);
     }
 
     // Reads the rest of what has begun, which tick() gives a deadline. Empty, or why the connection must end.
@@ -223,7 +222,7 @@ struct OpenIgtLinkInput::Impl {
       ++(decoded.fault == link::Fault::kCrc     ? owner.counts.bad_crc
          : decoded.fault == link::Fault::kShape ? owner.counts.bad_shape
                                                 : owner.counts.bad_values);
-      owner.faults.write(spdlog::level::warn, "openigtlink: " + name + ": message ignored: " + decoded.error);
+      owner.log(owner.faults, spdlog::level::warn, name, ": message ignored: " + decoded.error);
     }
 
     asio::awaitable<void> handle_body(const link::Header& header, std::span<const std::uint8_t> body) {
@@ -271,12 +270,11 @@ struct OpenIgtLinkInput::Impl {
       owner.counts.bad_values += message.bad_tools;
       owner.counts.stretched += message.stretched;
       if (message.bad_tools > 0) {
-        owner.faults.write(
-            spdlog::level::warn,
-            "openigtlink: " + name + ": tools ignored whose numbers are no pose, of device " + device);
+        owner.log(owner.faults, spdlog::level::warn, name,
+                  ": tools ignored whose numbers are no pose, of device " + device);
       } else if (message.stretched > 0) {
-        owner.faults.write(spdlog::level::warn, "openigtlink: " + name + ": a matrix of device " + device +
-                                                    " is no rotation; one near it is taken");
+        owner.log(owner.faults, spdlog::level::warn, name,
+                  ": a matrix of device " + device + " is no rotation; one near it is taken");
       }
     }
 
@@ -328,9 +326,9 @@ struct OpenIgtLinkInput::Impl {
         }
         if (!tool->source) {
           ++owner.counts.no_blade;
-          owner.faults.write(spdlog::level::warn, "openigtlink: " + name + ": no blade for device " +
-                                                      pose.name + ": it is taken, or all " +
-                                                      std::to_string(core::kMaxSources) + " are");
+          owner.log(owner.faults, spdlog::level::warn, name,
+                    ": no blade for device " + pose.name + ": it is taken, or all " +
+                        std::to_string(core::kMaxSources) + " are");
           co_return;
         }
         tool->arrival_ns = tool->offset_ns = 0;
@@ -412,8 +410,8 @@ struct OpenIgtLinkInput::Impl {
       const std::string name = from.address().to_string() + ":" + std::to_string(from.port());
       if (peers.size() >= kMostPeers) {
         ++counts.refused;
-        faults.write(spdlog::level::warn, "openigtlink: " + name + " refused: " + std::to_string(kMostPeers) +
-                                              " peers are connected");
+        log(faults, spdlog::level::warn, name,
+            "  refused: " + std::to_string(kMostPeers) + " peers are connected");
         continue;  // the socket closes here
       }
       asio::co_spawn(io, serve(boost::beast::tcp_stream(std::move(socket)), name, false),
@@ -430,7 +428,7 @@ struct OpenIgtLinkInput::Impl {
     const auto peer = std::make_shared<Peer>(*this, std::move(stream), std::move(name));
     peers.insert(peer);
     ++counts.connections;
-    events.write(spdlog::level::info, "openigtlink: " + peer->name + " connected");
+    log(events, spdlog::level::info, peer->name, "  connected");
     if (ask && options.ask_for != "nothing") {
       // A frame each millisecond at most (0 would mean: as fast as it can), in its own coordinates.
       std::vector<std::uint8_t> body(36);
@@ -440,7 +438,7 @@ struct OpenIgtLinkInput::Impl {
     try {
       co_await peer->run();
     } catch (const std::exception& error) {
-      faults.write(spdlog::level::err, "openigtlink: " + peer->name + ": " + error.what());
+      log(faults, spdlog::level::err, peer->name, ": " + error.what());
       peer->tools.clear();
       peer->close();
     }
@@ -471,8 +469,16 @@ struct OpenIgtLinkInput::Impl {
 
   // ---- The clock ----
 
+  // A line about the peer "address:port", limited with all of its address.
+  static void log(LimitedLog& limited, spdlog::level::level_enum level, const std::string& peer,
+                  const std::string& line) {
+    limited.write(level, peer.substr(0, peer.rfind(':')), "openigtlink: " + peer + line, monotonic_ns());
+  }
+
   void tick() {
     const std::int64_t now = monotonic_ns();
+    events.flush(now);
+    faults.flush(now);
     const auto message_time_ns = static_cast<std::int64_t>(options.message_time_s * 1e9);
     for (const auto& peer : peers) {
       for (auto& [name, tool] : peer->tools) {
@@ -485,7 +491,7 @@ struct OpenIgtLinkInput::Impl {
         peer->close();
       }
       if (!peer->outbox.empty() && now - peer->write_began_ns > kWriteTime_ns) {
-        faults.write(spdlog::level::warn, "openigtlink: " + peer->name + " does not read: it is let go");
+        log(faults, spdlog::level::warn, peer->name, "  does not read: it is let go");
         peer->close();
       }
     }
@@ -566,7 +572,7 @@ struct OpenIgtLinkInput::Impl {
     asio::post(io, [this, bytes, state, error] {
       making = false;
       if (!bytes) {
-        faults.write(spdlog::level::err, "openigtlink: no surface: " + error);
+        faults.write(spdlog::level::err, "", "openigtlink: no surface: " + error, monotonic_ns());
         return;
       }
       surface = bytes;
