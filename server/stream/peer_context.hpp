@@ -9,7 +9,9 @@
 #include "server/stream/counters.hpp"
 #include "server/stream/feed.hpp"
 #include "server/stream/network.hpp"
-#include "server/stream/server.hpp"
+#include "server/stream/peer_input.hpp"
+#include "server/stream/providers.hpp"
+#include "server/stream/stream_config.hpp"
 
 namespace incise::stream {
 

@@ -11,50 +11,11 @@
 #include "protocol/messages.hpp"
 #include "server/stream/counters.hpp"
 #include "server/stream/peer_input.hpp"
+#include "server/stream/providers.hpp"
 #include "server/stream/published_delta.hpp"
-#include "server/stream/replay_library.hpp"
 #include "server/stream/stream_config.hpp"
 
 namespace incise::stream {
-
-// What Welcome says and the stream does not know itself.
-struct ServerFacts {
-  protocol::MeshFacts mesh;
-  protocol::Vec3 blade_heel, blade_tip;  // for peers that hold no blade
-  std::int32_t engage_button = -1;       // -1: always engaged
-  double max_speed_m_s = 0;
-  double frame_rate_hz = 0;
-  std::string policy;
-};
-
-// Kinds of audit lines. A log limits each apart, so that many of one kind do not hide another.
-enum class Audit { kRefused, kBlade, kReset };
-inline constexpr std::size_t kAudits = 3;
-
-// Whether poses are recorded; `trouble` says why not.
-struct RecordingNow {
-  protocol::Recording state = protocol::Recording::Off;
-  std::string trouble;
-};
-
-// What the HTTP port and the statistics message show. Called on the stream thread; must not block. Without a function
-// its path answers 404 and its message is not sent.
-struct Providers {
-  std::function<std::string()> stats_json;    // GET /stats
-  std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
-  std::function<protocol::Stats()>
-      statistics;  // once a second to every peer; sessions, revision, live_tets and recording are filled in here
-  // Where the blades are now, for peers that asked; blades that never moved are left out.
-  std::function<std::vector<protocol::BladePose>()> blades;
-  ReplayLibrary* library =
-      nullptr;  // for replays and GET /captures; must outlive the server. Null: no captures
-  std::function<std::string()> trouble;  // GET /healthz: why the server does not work; "": it does
-  // One line for the log: who was refused, reset the mesh, or took or handed over a blade. `address` is what to limit
-  // lines by, since peers can cause any number of them.
-  std::function<void(Audit, const std::string& address, const std::string& line)> audit;
-  // Asked at every tick. Absent: nothing is recorded.
-  std::function<RecordingNow()> recording;
-};
 
 // The network side of incised: a mirror of the mesh, the peers (TCP, WebSocket) and HTTP.
 //
