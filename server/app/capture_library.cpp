@@ -14,7 +14,7 @@
 
 #include "protocol/capture.hpp"
 #include "server/app/offline/recorded_motion.hpp"
-#include "server/app/wiring.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/base/clock.hpp"
 
 namespace incise::app {

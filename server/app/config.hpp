@@ -16,17 +16,16 @@
 
 namespace incise::app {
 
-// A configuration that cannot be used. One line: file, key, what was found, what is accepted.
+// A configuration that cannot be used. Its text is one line: file, key, what was found, what is accepted.
 struct ConfigError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// All that `incised` can be told. One table in config.cpp says for each key its place in the JSON file, what
-// it accepts and what it means: reading, --print-config and the error texts come from there. Defaults are
-// those here.
+// All settings of `incised`. A table (app/config/*_keys.cpp) gives for each key its place in the JSON file, what it accepts
+// and what it means: reading, --print-config and the error texts follow from it. The defaults are those here.
 struct Config {
   struct Mesh {
-    std::string path;     // as given; resolve() says where that is
+    std::string path;     // as given; resolve() finds it
     std::string phantom;  // instead: "liver", "cylinder" or "slab"
     double scale_to_metres = 1;
     std::int64_t target_tets = 60'000;
@@ -111,22 +110,22 @@ struct Config {
   std::filesystem::path resolve(const std::string& path) const;
 };
 
-// Reads a configuration file: JSON, // and /* */ comments allowed. Keys that are absent have their defaults;
-// unknown ones are refused. Throws ConfigError.
+// Reads a configuration file: JSON, with // and /* */ comments. Absent keys have their defaults; unknown keys are
+// refused. Throws ConfigError.
 Config load_config(const std::filesystem::path& file);
-// The same from a text; `name` stands for the file in messages.
+// The same from a text; `name` is the file in messages.
 Config parse_config(std::string_view text, const std::string& name);
 
-// What a server needs beyond what parsing asks: tokens, certificates and profiles that can be used, a mesh that exists, folders
-// that can be read. Throws ConfigError with `file` in front.
+// What a server needs and parsing does not check: usable tokens, certificates and profiles, a mesh that exists, folders
+// that can be read. Throws ConfigError, its text beginning with `file`.
 void check_config(const Config& config, const std::string& file);
 
-// The profiles of devices.profiles, then the shipped ones; none where devices are not enabled. Throws ConfigError.
+// The profiles of devices.profiles, then the shipped ones; none if devices are not enabled. Throws ConfigError.
 std::vector<input::DeviceProfile> device_profiles(const Config& config);
-// The folder of those that come with the programs.
+// The folder of the shipped ones.
 std::filesystem::path shipped_profiles();
 
-// The configuration as a file of all keys, each with a comment that says what it means and accepts.
+// The configuration as a file with all keys, each with a comment: what it means and accepts.
 std::string commented(const Config& config);
 // As one line of JSON: what a capture carries.
 std::string compact(const Config& config);

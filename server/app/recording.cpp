@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/app/version.hpp"
-#include "server/app/wiring.hpp"
 #include "server/base/clock.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"

@@ -2,7 +2,7 @@
 
 #include <utility>
 
-#include "server/app/wiring.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/base/clock.hpp"
 
 namespace incise::app {

@@ -94,7 +94,7 @@ TEST(Config, TheShippedFilesAreGood) {
   }
 }
 
-// The one with all keys is as --print-config prints it, phantom apart: when a key comes or changes, write it anew.
+// The one with all keys is as --print-config prints it, phantom apart: when a key is added or changed, write it again.
 TEST(Config, TheShippedFileWithAllKeysIsUpToDate) {
   Config config;
   config.mesh.phantom = "liver";

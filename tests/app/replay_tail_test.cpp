@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "protocol/replica.hpp"
-#include "server/app/wiring.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/stream/delta_arrays.hpp"
 #include "tests/stream/mini_loop.hpp"
 

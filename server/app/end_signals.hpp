@@ -1,0 +1,18 @@
+#pragma once
+
+#include <csignal>
+
+namespace incise::app {
+
+// Blocks the signals that end the server, in this thread and in all threads that it starts, so that wait() gets them.
+class EndSignals {
+ public:
+  EndSignals();
+  // The signal's name; null after a second without one.
+  const char* wait() const;
+
+ private:
+  sigset_t set_;
+};
+
+}  // namespace incise::app

@@ -1,0 +1,87 @@
+#include "server/app/stream_input.hpp"
+
+#include <algorithm>
+#include <array>
+
+#include "server/app/offline/recorded_motion.hpp"
+
+namespace incise::app {
+namespace {
+
+input::TimedPose timed_pose(const protocol::PoseSample& sample, std::int64_t arrival_ns) {
+  const protocol::Vec3& p = sample.position;
+  const protocol::Quat& q = sample.orientation;
+  return {{sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons}, arrival_ns};
+}
+
+template <class Number>
+void fill(core::VertexPositions& buffer, std::span<const Number> numbers) {
+  buffer.positions.resize(numbers.size() / 3);
+  for (std::size_t i = 0; i < buffer.positions.size(); ++i)
+    buffer.positions[i] = {numbers[3 * i], numbers[3 * i + 1], numbers[3 * i + 2]};
+}
+
+}  // namespace
+
+std::size_t StreamPoseInput::enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) {
+  std::array<input::TimedPose, 256> chunk;
+  std::size_t queued = 0;
+  while (queued < poses.size()) {
+    const std::size_t count = std::min(chunk.size(), poses.size() - queued);
+    for (std::size_t i = 0; i < count; ++i) chunk[i] = timed_pose(poses[queued + i], arrival_ns);
+    const std::size_t fitted = source_.enqueue(std::span(chunk).first(count));
+    queued += fitted;
+    if (fitted < count) break;
+  }
+  return queued;
+}
+
+stream::PoseTotals StreamPoseInput::totals() const {
+  using core::PoseVerdict;
+  const input::SourceCounts counts = source_.counts();
+  stream::PoseTotals totals;
+  totals.too_fast = counts.count(PoseVerdict::kNewStroke);
+  totals.accepted = counts.count(PoseVerdict::kAccepted) + totals.too_fast;
+  totals.not_finite = counts.count(PoseVerdict::kNotFinite);
+  totals.not_unit = counts.count(PoseVerdict::kNotUnit);
+  totals.time_not_rising = counts.count(PoseVerdict::kTimeNotIncreasing);
+  totals.last_source_ns = counts.last_source_ns;
+  totals.recorded = counts.recorded;
+  totals.recorded_source_ns = counts.recorded_source_ns;
+  if (stats_) totals.backlog_segments = static_cast<std::uint32_t>(stats_->state.load().backlog_segments);
+  return totals;
+}
+
+void StreamPositionsInput::offer(const protocol::Positions& positions, std::int64_t arrival_ns) {
+  const auto buffer = slot_.buffer();
+  if (!buffer) return;
+  buffer->frame = positions.frame;
+  buffer->revision = positions.revision;
+  buffer->source_ns = positions.source_ns;
+  buffer->arrival_ns = arrival_ns;
+  buffer->ids.assign(positions.ids.begin(), positions.ids.end());
+  buffer->first = positions.first;
+  buffer->single = positions.f64.empty();
+  if (buffer->single) {
+    fill(*buffer, positions.f32);
+  } else {
+    fill(*buffer, positions.f64);
+  }
+  slot_.offer(buffer);
+}
+
+std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_name,
+                                                     const std::optional<protocol::BladeEdge>& own_edge) {
+  std::optional<core::Blade> own;
+  if (own_edge) own = to_core(*own_edge);
+  auto source = sources_.open(source_name.empty() ? "blade" : source_name, own);
+  if (!source) return nullptr;
+  const core::Blade blade = own ? *own : blade_of(config_, source->number());
+  return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
+}
+
+std::unique_ptr<stream::PositionsInput> StreamInput::open_positions() {
+  return positions_open_ ? nullptr : std::make_unique<StreamPositionsInput>(positions_, positions_open_);
+}
+
+}  // namespace incise::app
