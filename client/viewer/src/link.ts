@@ -272,7 +272,7 @@ export class Link {
       case ErrorCode.UnknownSource:
         return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");
       case ErrorCode.BadVersion:
-        return this.giveUp("version", "This page and the server are of different versions. Reload the page.");
+        return this.giveUp("version", "This page and the server have different versions. Reload the page.");
       case ErrorCode.TooManySessions:
         this.lost = "The server is full.";
         break;
