@@ -10,9 +10,13 @@ LimitedLog::LimitedLog()
     : LimitedLog(
           [](spdlog::level::level_enum level, const std::string& line) { spdlog::log(level, "{}", line); }) {}
 
-void LimitedLog::refill(Address& address, std::int64_t now_ns) {
+double LimitedLog::tokens_at(const Address& address, std::int64_t now_ns) {
   const double seconds = 1e-9 * static_cast<double>(now_ns - address.last_ns);
-  address.tokens = std::min(kBurst, address.tokens + seconds / kEach_s);
+  return std::min(kBurst, address.tokens + seconds / kEach_s);
+}
+
+void LimitedLog::refill(Address& address, std::int64_t now_ns) {
+  address.tokens = tokens_at(address, now_ns);
   address.last_ns = now_ns;
 }
 
@@ -21,9 +25,8 @@ LimitedLog::Address& LimitedLog::address_of(const std::string& name, std::int64_
   const auto known = addresses_.find(name);
   if (known != addresses_.end()) return known->second;
   if (addresses_.size() >= kMaxAddresses) {
-    std::erase_if(addresses_, [now_ns](auto& entry) {
-      refill(entry.second, now_ns);
-      return entry.second.tokens >= kBurst && entry.second.left_out == 0;
+    std::erase_if(addresses_, [now_ns](const auto& entry) {
+      return tokens_at(entry.second, now_ns) >= kBurst && entry.second.left_out == 0;
     });
   }
   if (addresses_.size() >= kMaxAddresses) return others_;

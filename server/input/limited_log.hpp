@@ -38,6 +38,7 @@ class LimitedLog {
     std::string last_line;       // of those left out
     std::uint64_t left_out = 0;  // since a line was written
   };
+  static double tokens_at(const Address& address, std::int64_t now_ns);
   static void refill(Address& address, std::int64_t now_ns);
   void write_left_out(Address& address);
   Address& address_of(const std::string& name, std::int64_t now_ns);
