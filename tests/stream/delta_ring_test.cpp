@@ -12,7 +12,7 @@ namespace {
 // A step of 100 bytes for each view.
 EncodedStep step(std::uint64_t revision) {
   const auto frame = std::make_shared<const protocol::Frame>(std::vector<std::byte>(100));
-  return {revision, frame, frame};
+  return {revision, 0, frame, frame};
 }
 
 TEST(DeltaRing, HoldsTheNewestStepsThatFit) {
