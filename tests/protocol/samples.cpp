@@ -264,13 +264,13 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     stats.json = "{}";
     stats.recording = Recording::Stopped;
     return std::vector<std::pair<std::string, Body>>{
-        {"HelloResumeHash", back},
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
          PoseReport{17, 100, 1, 2, 3, 4, 5, 1'001'000'000, 6, 90, 991'000'000, Recording::Stopped}},
         {"ErrorNotRecorded",
          Error{ErrorCode::NotRecorded, "poses are cut, but not recorded: No space left on device", false, 0}},
         {"StatsRecording", stats},
+        {"HelloResumeHash", back},
     };
   }();
   return all;
