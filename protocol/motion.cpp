@@ -4,6 +4,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <cstdint>
 #include <fstream>
 #include <istream>
 #include <limits>
@@ -21,6 +22,8 @@ constexpr std::array<std::string_view, kColumns> kNames{"t_s", "x_m", "y_m", "z_
 // The columns of a TUM line.
 constexpr std::array<Column, 8> kTum{kT, kX, kY, kZ, kQx, kQy, kQz, kQw};
 constexpr double kMotionQuaternionTolerance = 0.1;
+// How far back a clock must go to count as restarted, how soon the next sample must follow, and the pause in between.
+constexpr std::int64_t kRestart_ns = 1'000'000'000;
 constexpr const char* kTumLine = "t x y z qx qy qz qw";
 constexpr const char* kCsvHeader = "t_s,x_m,y_m,z_m[,qw,qx,qy,qz][,button]";
 
@@ -116,10 +119,8 @@ class MotionReader {
       add_sample();
     }
     if (motion_.samples.empty()) fail_without_samples();
-    if (motion_.not_rising > 0) {
-      motion_.warning = skipped_warning(name_, motion_.not_rising,
-                                        motion_.samples.size() + motion_.not_rising, first_skipped_);
-    }
+    skip_early();
+    motion_.warning = warning();
     return std::move(motion_);
   }
 
@@ -137,8 +138,8 @@ class MotionReader {
     const std::string what = line_number_ == 0 ? "the file is empty"
                              : !known_         ? "no samples, only comments and empty lines"
                                                : "no samples behind the header";
-    throw NotAMotion(name_ + ": " + what + "; accepted are TUM lines (" + kTumLine +
-                     ") or CSV with the header " + kCsvHeader);
+    throw EmptyMotion(name_ + ": " + what + "; accepted are TUM lines (" + kTumLine +
+                      ") or CSV with the header " + kCsvHeader);
   }
 
   void check_first_tum(std::string_view line) const {
@@ -265,28 +266,94 @@ class MotionReader {
       }
       q = {q.w / length, q.x / length, q.y / length, q.z / length};
     }
-    if (!motion_.samples.empty()) {
-      const std::int64_t last_ns = motion_.samples.back().source_ns;
-      if (sample_.source_ns <= last_ns) {
-        skip("time " + seconds_text(sample_.source_ns) + " after " + seconds_text(last_ns));
-        return;
-      }
+    const std::int64_t file_ns = sample_.source_ns;
+    if (__builtin_add_overflow(file_ns, shift_ns_, &sample_.source_ns))
+      fail("t_s is out of range after the clock's restart");
+    if (!motion_.samples.empty() && sample_.source_ns <= motion_.samples.back().source_ns) {
+      handle_earlier(file_ns);
+      return;
     }
-    if (motion_.samples.size() == kMaxMotionSamples) {
-      fail("more than " + std::to_string(kMaxMotionSamples) + " samples");
-    }
-    motion_.samples.push_back(sample_);
+    skip_early();
+    append(sample_);
   }
 
-  void skip(const std::string& what) {
-    if (times_ == Times::kRefuse) fail(what + ", accepted are rising times");
-    if (motion_.not_rising++ == 0) first_skipped_ = "line " + std::to_string(line_number_) + ": " + what;
+  // A sample that is not later than the last one kept: the clock has restarted, or the sample is skipped.
+  void handle_earlier(std::int64_t file_ns) {
+    const std::int64_t last_ns = motion_.samples.back().source_ns;
+    const std::string where = "line " + std::to_string(line_number_) + ": time " + seconds_text(file_ns) +
+                              " after " + seconds_text(last_ns - shift_ns_);
+    if (times_ == Times::kRefuse) {
+      fail("time " + seconds_text(file_ns) + " after " + seconds_text(last_ns - shift_ns_) +
+           ", accepted are rising times");
+    }
+    if (early_ && continues(file_ns)) {
+      restart(file_ns);
+      return;
+    }
+    skip_early();
+    early_ = Early{sample_, file_ns, where};
+  }
+
+  // Whether a sample follows the one that came early, as after a restart of the clock.
+  bool continues(std::int64_t file_ns) const {
+    const std::int64_t last_ns = motion_.samples.back().source_ns;
+    if (early_->sample.source_ns >= last_ns - kRestart_ns || file_ns <= early_->file_ns) return false;
+    const auto step_ns = static_cast<std::uint64_t>(file_ns) - static_cast<std::uint64_t>(early_->file_ns);
+    std::int64_t shift_ns = 0;  // times of far apart ages cannot be joined
+    return step_ns <= kRestart_ns && last_ns < INT64_MAX - 2 * kRestart_ns &&
+           !__builtin_sub_overflow(last_ns + 2 * kRestart_ns, file_ns, &shift_ns);
+  }
+
+  void restart(std::int64_t file_ns) {
+    const std::int64_t last_ns = motion_.samples.back().source_ns;
+    if (motion_.restarts.empty()) first_restart_ = early_->where;
+    motion_.restarts.push_back(motion_.samples.size());
+    early_->sample.source_ns = last_ns + kRestart_ns;
+    sample_.source_ns = early_->sample.source_ns + (file_ns - early_->file_ns);
+    shift_ns_ = sample_.source_ns - file_ns;
+    append(early_->sample);
+    append(sample_);
+    early_.reset();
+  }
+
+  // The early sample, if there is one, was not the beginning of a restart.
+  void skip_early() {
+    if (early_ && motion_.not_rising++ == 0) first_skipped_ = early_->where;
+    early_.reset();
+  }
+
+  void append(const PoseSample& sample) {
+    if (motion_.samples.size() == kMaxMotionSamples)
+      fail("more than " + std::to_string(kMaxMotionSamples) + " samples");
+    motion_.samples.push_back(sample);
+  }
+
+  std::string warning() const {
+    std::string text;
+    if (motion_.not_rising > 0) {
+      text = skipped_warning(name_, motion_.not_rising, motion_.samples.size() + motion_.not_rising,
+                             first_skipped_);
+    }
+    if (const std::size_t n = motion_.restarts.size(); n > 0) {
+      text += (text.empty() ? name_ + ": " : "; ") + "the clock restarts " +
+              (n == 1 ? "once (" : std::to_string(n) + " times (first ") + first_restart_ +
+              "): what follows is kept as a new stroke, a second later";
+    }
+    return text;
   }
 
   std::istream& in_;
   const std::string& name_;
   const Times times_;
-  std::string first_skipped_;
+  // A sample that is earlier than the last one kept: skipped, unless the next one shows that the clock has restarted.
+  struct Early {
+    PoseSample sample;
+    std::int64_t file_ns;
+    std::string where;
+  };
+  std::optional<Early> early_;
+  std::int64_t shift_ns_ = 0;  // from the file's times to ours, after a restart
+  std::string first_skipped_, first_restart_;
   std::size_t line_number_ = 0;
   std::string text_;
   bool known_ = false;  // the format

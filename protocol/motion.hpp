@@ -19,6 +19,10 @@ struct MotionError : std::runtime_error {
 struct NotAMotion : MotionError {
   using MotionError::MotionError;
 };
+// There is no sample in the file: it is empty, or has only comments or a header.
+struct EmptyMotion : NotAMotion {
+  using NotAMotion::NotAMotion;
+};
 
 struct Motion {
   std::vector<PoseSample> samples;  // times strictly rising, quaternions of unit length
@@ -26,10 +30,14 @@ struct Motion {
   bool has_orientation = false;     // else every orientation is the identity
   bool has_buttons = false;         // else no button is ever held
   std::size_t not_rising = 0;       // samples skipped because their time is not later than the one before
-  std::string warning;              // says how many were skipped and where the first is; else empty
+  // Where the clock restarted: indices of samples that begin a new stroke. Their times, and all later ones, are shifted so
+  // that the motion continues after a pause of a second.
+  std::vector<std::size_t> restarts;
+  std::string warning;  // what was skipped or shifted, and where first; else empty
 };
 
-// What to do with a sample whose time is not later than that of the one before.
+// What to do with a sample whose time is not later than that of the one before. kSkip: if it is more than a second earlier
+// and the next sample continues from there, the clock has restarted, and both are kept; else the sample is skipped.
 enum class Times { kSkip, kRefuse };
 
 // Reads a motion. Lines that begin with # and empty lines are passed over. Two formats, told apart by the
@@ -39,7 +47,7 @@ enum class Times { kSkip, kRefuse };
 // - CSV: a header names the columns, in any order: t_s, x_m, y_m, z_m; qw, qx, qy, qz (all or none); button
 //   (a mask, bit i: button i is held). Other columns are passed over.
 //
-// Times keep their nanoseconds; a sample whose time does not rise is skipped or refused. Quaternions may be off unit
+// Times keep their nanoseconds; `times` says what happens if they do not rise. Quaternions may be off unit
 // length by 10 % and are normalised; q and -q are one rotation. Throws MotionError.
 Motion read_motion(std::istream& in, const std::string& name, Times times = Times::kSkip);
 // The same from a file.

@@ -2,13 +2,18 @@
 
 #include <CLI/CLI.hpp>
 #include <array>
+#include <cerrno>
 #include <charconv>
 #include <csignal>
 #include <cstdlib>
 #include <fstream>
 #include <memory>
 #include <stdexcept>
+#include <system_error>
 #include <utility>
+
+#include "client/cli/option_checks.hpp"
+#include "client/cli/usage.hpp"
 
 namespace incise::client {
 namespace {
@@ -23,13 +28,10 @@ void on_signal(int) {
 }
 
 void add_server_options(CLI::App& command, ServerOptions& server) {
-  command
-      .add_option("--token-file", server.token_file,
-                  "file whose first line is the access token; else $INCISE_TOKEN")
-      ->check(CLI::ExistingFile);
-  command
-      .add_option("--ca", server.ca_file, "PEM file of the authority that signed the server's certificate")
-      ->check(CLI::ExistingFile);
+  command.add_option("--token-file", server.token_file,
+                     "file whose first line is the access token; else $INCISE_TOKEN");
+  command.add_option("--ca", server.ca_file,
+                     "PEM file of the authority that signed the server's certificate");
 }
 
 }  // namespace
@@ -53,11 +55,10 @@ Address parse_address(const std::string& text) {
       {"ws://", {TransportKind::kWebSocket, false}},
       {"wss://", {TransportKind::kWebSocket, true}},
   }};
-  const auto fail = [&]() -> std::invalid_argument {
-    return std::invalid_argument("server \"" + text +
-                                 "\": accepted is HOST or HOST:PORT (without a port: 7450, with ws:// or "
-                                 "wss:// 7480), behind tcp://, tls://, "
-                                 "ws:// or wss:// if you like, an IPv6 address in brackets");
+  const auto fail = [&] {
+    return UsageError("server \"" + text +
+                      "\": accepted is [tcp://|tls://|ws://|wss://]HOST[:PORT], an IPv6 address in brackets; "
+                      "without a port 7450, or 7480 for ws and wss");
   };
   Address address;
   std::string rest = text;
@@ -108,6 +109,10 @@ Options ServerOptions::options(Address& where) const {
   options.client_name = "incise";
   if (!token_file.empty()) {
     std::ifstream in(token_file);
+    if (!in) {
+      throw std::runtime_error(token_file.string() +
+                               ": cannot be opened: " + std::generic_category().message(errno));
+    }
     if (!std::getline(in, options.token))
       throw std::runtime_error(token_file.string() + ": no token in its first line");
   } else if (const char* token = std::getenv("INCISE_TOKEN")) {
@@ -116,56 +121,63 @@ Options ServerOptions::options(Address& where) const {
   return options;
 }
 
+namespace {
+
+void add_stream(CLI::App& app, int& exit_code) {
+  auto command = std::make_shared<StreamCommand>();
+  CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
+  sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")->required();
+  sub->add_option("--to", command->server.address,
+                  "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
+      ->required();
+  sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
+      ->check(number_from(0, 1000))
+      ->capture_default_str();
+  sub->add_flag("--loop", command->loop, "over and over, until interrupted");
+  sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
+  sub->add_option(
+         "--blade", command->blade,
+         "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade")
+      ->check(blade_edge());
+  sub->add_flag("--take-over", command->take_over, "take the blade from the client that holds it");
+  sub->add_flag("--strict", command->strict,
+                "refuse a motion whose times do not rise, instead of skipping samples");
+  sub->add_flag("--reset", command->reset,
+                "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
+  sub->add_flag("--json", command->json, "print the summary as JSON");
+  add_server_options(*sub, command->server);
+  sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
+}
+
+void add_watch(CLI::App& app, int& exit_code) {
+  auto command = std::make_shared<WatchCommand>();
+  CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
+  sub->add_option("server", command->server.address,
+                  "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
+      ->required();
+  sub->add_option("--view", command->view, "what to hold a replica of")
+      ->check(CLI::IsMember({"volume", "surface"}))
+      ->capture_default_str();
+  sub->add_option("--max-rate", command->max_rate_hz, "deltas a second at most; 0: one for each revision")
+      ->check(number_from(0, 10'000));
+  sub->add_option("--for", command->for_s, "seconds; 0: until interrupted")->check(number_from(0));
+  sub->add_option("--give-up-after", command->give_up_after_s,
+                  "seconds to try to connect again when the server has gone; 0: for ever")
+      ->check(number_from(0))
+      ->capture_default_str();
+  sub->add_option("--until-revision", command->until_revision, "end when the replica is there")
+      ->check(whole_number());
+  sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
+  sub->add_flag("--json", command->json, "print JSON lines");
+  add_server_options(*sub, command->server);
+  sub->callback([command, &exit_code] { exit_code = run_watch(*command); });
+}
+
+}  // namespace
+
 void add_network_commands(CLI::App& app, int& exit_code) {
-  {
-    auto command = std::make_shared<StreamCommand>();
-    CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
-    sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")
-        ->required()
-        ->check(CLI::ExistingFile);
-    sub->add_option("--to", command->server.address,
-                    "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
-        ->required();
-    sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
-        ->check(CLI::Range(0.0, 1000.0))
-        ->capture_default_str();
-    sub->add_flag("--loop", command->loop, "over and over, until interrupted");
-    sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
-    sub->add_option(
-        "--blade", command->blade,
-        "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade");
-    sub->add_flag("--take-over", command->take_over, "take the blade from the client that holds it");
-    sub->add_flag("--strict", command->strict,
-                  "refuse a motion whose times do not rise, instead of skipping samples");
-    sub->add_flag(
-        "--reset", command->reset,
-        "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
-    sub->add_flag("--json", command->json, "print the summary as JSON");
-    add_server_options(*sub, command->server);
-    sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
-  }
-  {
-    auto command = std::make_shared<WatchCommand>();
-    CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
-    sub->add_option("server", command->server.address,
-                    "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
-        ->required();
-    sub->add_option("--view", command->view, "what to hold a replica of")
-        ->check(CLI::IsMember({"volume", "surface"}))
-        ->capture_default_str();
-    sub->add_option("--max-rate", command->max_rate_hz, "deltas a second at most; 0: one for each revision")
-        ->check(CLI::Range(0.0, 10000.0));
-    sub->add_option("--for", command->for_s, "seconds; 0: until interrupted")->check(CLI::NonNegativeNumber);
-    sub->add_option("--give-up-after", command->give_up_after_s,
-                    "seconds to try to connect again when the server has gone; 0: for ever")
-        ->check(CLI::NonNegativeNumber)
-        ->capture_default_str();
-    sub->add_option("--until-revision", command->until_revision, "end when the replica is there");
-    sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
-    sub->add_flag("--json", command->json, "print JSON lines");
-    add_server_options(*sub, command->server);
-    sub->callback([command, &exit_code] { exit_code = run_watch(*command); });
-  }
+  add_stream(app, exit_code);
+  add_watch(app, exit_code);
 }
 
 }  // namespace incise::client

@@ -23,13 +23,13 @@ struct Address {
   TransportKind transport = TransportKind::kTcp;
   bool tls = false;
 };
-// Throws std::invalid_argument with what was found and what is accepted.
+// Throws UsageError with what was found and what is accepted.
 Address parse_address(const std::string& text);
 
 struct ServerOptions {
   std::string address;
   std::filesystem::path token_file, ca_file;
-  // Options for a session there. Throws std::invalid_argument, std::runtime_error.
+  // Options for a session there. Throws UsageError, std::runtime_error.
   Options options(Address& where) const;
 };
 

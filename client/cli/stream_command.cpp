@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cinttypes>
 #include <cstdio>
@@ -6,6 +8,7 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -56,13 +59,14 @@ std::vector<PoseSample> read_capture_poses(protocol::CaptureReader& capture, con
 
 struct RecordedPoses {
   std::vector<PoseSample> poses;
+  std::vector<std::size_t> restarts;  // poses that begin a new stroke, because the clock restarted
   bool has_buttons = true;
 };
 
 RecordedPoses read_poses(const StreamCommand& command) {
   const std::string name = command.poses.string();
   std::ifstream in(command.poses, std::ios::binary);
-  if (!in) throw std::runtime_error(name + ": cannot be opened");
+  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
   protocol::CaptureReader capture(in);
   RecordedPoses recorded;
   if (capture.header_ok()) {
@@ -72,6 +76,7 @@ RecordedPoses read_poses(const StreamCommand& command) {
         protocol::read_motion(name, command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip);
     if (!motion.warning.empty()) warn(motion.warning);
     recorded.poses = std::move(motion.samples);
+    recorded.restarts = std::move(motion.restarts);
     recorded.has_buttons = motion.has_buttons;
   }
   if (recorded.poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
@@ -79,11 +84,12 @@ RecordedPoses read_poses(const StreamCommand& command) {
 }
 
 // In a motion without buttons the one that engages is held, or nothing would be cut.
-std::vector<PoseSample> engaged(RecordedPoses recorded, int engage_button) {
+std::vector<PoseSample> engaged(const RecordedPoses& recorded, int engage_button) {
+  std::vector<PoseSample> poses = recorded.poses;
   if (!recorded.has_buttons && engage_button >= 0) {
-    for (PoseSample& pose : recorded.poses) pose.buttons |= 1u << engage_button;
+    for (PoseSample& pose : poses) pose.buttons |= 1u << engage_button;
   }
-  return std::move(recorded.poses);
+  return poses;
 }
 
 // What has been cut, as far as it has come here.
@@ -97,7 +103,8 @@ class Player {
   Player(const StreamCommand& command, Client& client, RecordedPoses recorded, const Seen& seen)
       : command_(command),
         client_(client),
-        poses_(engaged(std::move(recorded), client.welcome().engage_button)),
+        poses_(engaged(recorded, client.welcome().engage_button)),
+        restarts_(std::move(recorded.restarts)),
         welcome_(client.welcome()),
         seen_(seen) {}
 
@@ -118,6 +125,10 @@ class Player {
  private:
   bool connected() const { return client_.status() == Status::kConnected; }
 
+  bool restarts_at(std::size_t pose) const {
+    return std::binary_search(restarts_.begin(), restarts_.end(), pose);
+  }
+
   // Sends every pose at its time. The deadlines are absolute: a late one does not make all others late.
   void play_once() {
     const std::int64_t first_ns = poses_.front().source_ns;
@@ -137,6 +148,7 @@ class Player {
         }
         pose.source_ns += shift_ns;
         due.push_back(pose);
+        if (restarts_at(next + due.size())) break;
       }
       const std::uint64_t sequence = client_.send_poses(due);
       if (sequence == 0) {
@@ -147,6 +159,7 @@ class Player {
       last_source_ns_ = due.back().source_ns;
       next += due.size();
       sent_ += due.size();
+      if (restarts_at(next)) client_.end_stroke(last_source_ns_);
     }
   }
 
@@ -189,7 +202,7 @@ class Player {
     if (settled && !seen_.faces) {
       warn(std::string("nothing was cut: ") +
            (r.too_fast > 0
-                ? "the server took steps for jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
+                ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
                 : "the blade missed the mesh, never moved, or no pose held the button that engages it"));
     }
     if (command_.json) {
@@ -222,12 +235,13 @@ class Player {
     }
     std::printf("; %" PRIu64 " new strokes by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
                 r.too_fast, welcome_.revision, revision);
-    if (!settled) std::printf("the server has not taken and cut all of them within %.0f s\n", kPatience_s);
+    if (!settled) std::printf("the server has not received and cut all of them within %.0f s\n", kPatience_s);
   }
 
   const StreamCommand& command_;
   Client& client_;
   const std::vector<PoseSample> poses_;
+  const std::vector<std::size_t> restarts_;
   const protocol::Welcome welcome_;
   const Seen& seen_;
   std::uint64_t rounds_ = 0, sent_ = 0, last_sequence_ = 0;

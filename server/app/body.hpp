@@ -9,7 +9,7 @@
 
 namespace incise::app {
 
-// The mesh that a configuration names, file or phantom, and what it is called in messages.
+// The mesh that a configuration names, file or phantom, and its name in messages.
 struct Body {
   mesh_io::LoadedMesh loaded;
   std::string name;
@@ -20,11 +20,11 @@ using FillProgress = std::function<void(std::string_view stage, double seconds)>
 // How the configuration wants a file read. `progress` is called while a surface is filled.
 mesh_io::LoadOptions load_options(const Config& config, FillProgress progress = {});
 
-// Looks at the mesh that the configuration `file` names as far as can be without filling it, which may take minutes: reads
-// and repairs tetrahedra, reads and checks a surface. Throws ConfigError.
+// Checks the mesh that the configuration names, but does not fill a surface, which may take minutes: reads and repairs
+// tetrahedra, reads and checks a surface. `file` is the configuration in messages. Throws ConfigError.
 void check_body(const Config& config, const std::string& file);
 
-// Throws ConfigError where neither mesh.path nor mesh.phantom is given, MeshError where it cannot be read or made.
+// Throws ConfigError if neither mesh.path nor mesh.phantom is given, MeshError if the mesh cannot be read or made.
 Body load_body(const Config& config, FillProgress progress = {});
 
 }  // namespace incise::app

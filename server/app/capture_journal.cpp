@@ -13,9 +13,9 @@
 namespace incise::app {
 namespace {
 
-// How much is written between two looks at what is free.
+// How many bytes are written between two checks of the free space.
 constexpr std::uint64_t kLook_bytes = 1u << 20;
-// So much more than must be kept has to be free before recording goes on, or it would stop again at once.
+// So much beyond the reserve must be free before recording resumes, or it would stop again at once.
 constexpr double kRoomAgain = 0.01;
 
 protocol::Vec3 to_protocol(const core::Vec3& p) {
@@ -82,7 +82,7 @@ void CaptureJournal::write(const loop::JournalRecord& record) {
   writer_.append(to_capture(record));
 }
 
-// Behind a gap only a checkpoint leads on. A gap that just fits into a full disk, with no checkpoint behind it, would take
+// After a gap a replay can go on only from a checkpoint. A gap that just fits into a full disk, with no checkpoint behind it, would take
 // even what the capture had before.
 std::uint64_t CaptureJournal::room_to_go_on() const {
   std::uint64_t largest = 0;

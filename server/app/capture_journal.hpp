@@ -9,22 +9,22 @@
 
 namespace incise::app {
 
-// A journal that goes to a capture file. Thread: one, at a time.
+// Writes a journal to a capture file. Thread: one at a time.
 class CaptureJournal final : public loop::JournalSink {
  public:
-  // A new capture, in place of whatever `path` was. Throws std::system_error.
+  // A new capture; replaces whatever is at `path`. Throws std::system_error.
   CaptureJournal(const std::string& path, const protocol::CaptureHeader& header);
-  // Goes on with a capture whose whole records end at `offset` and number `records`.
+  // Continues a capture whose whole records end at `offset` and number `records`.
   CaptureJournal(const std::string& path, std::uint64_t offset, std::uint64_t records);
-  // From here on flush() fails while less than this share of the file system is free to us, as on a full disk: what else
-  // lives there needs room, too, and so do checkpoints.
+  // From here on flush() fails, as on a full disk, while less than this share of the file system is free to us: other files
+  // and the checkpoints need room, too.
   void keep_free(double share) { keep_free_ = share; }
   void write(const loop::JournalRecord& record) override;
   void flush() override;
   void sync() override;
-  // Marks the end, on the disk: the capture was closed, not cut off.
+  // Writes the end mark to the disk: the capture was closed, not cut off.
   void close() override;
-  // Between two flushes it counts what waits as well: ask after a flush.
+  // Between two flushes this also counts what waits; call it after a flush.
   Position position() const override;
 
  private:

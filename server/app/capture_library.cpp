@@ -29,7 +29,7 @@ constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a re
 constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
 
-// Whether a name can be told to clients: UTF-8 without control characters.
+// Whether clients can show a name: UTF-8 without control characters.
 bool is_text(const std::string& name) {
   const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7f; };
   if (std::any_of(name.begin(), name.end(), is_control)) return false;
@@ -40,7 +40,7 @@ bool is_text(const std::string& name) {
   }
 }
 
-// Whether it is a file of the folder `home` (canonical): links that lead outside are not.
+// Whether it is a file in the folder `home` (canonical); links that lead outside are not.
 bool lies_in(const fs::path& home, const fs::path& path) {
   std::error_code error;
   const fs::path real = fs::canonical(path, error);
@@ -48,7 +48,7 @@ bool lies_in(const fs::path& home, const fs::path& path) {
   return std::mismatch(home.begin(), home.end(), real.begin(), real.end()).first == home.end();
 }
 
-// One capture's replay, on its thread: what was asked for is in `wish`, under the mutex.
+// One capture's replay, on its thread. Requests arrive in `wishes`, under the mutex.
 class Replay {
  public:
   Replay(std::string name, stream::ReplayEvents events)
@@ -81,11 +81,11 @@ class Replay {
   std::uint64_t revision() const { return session_->revision(); }
   std::uint64_t last_revision() const { return last_revision_; }
   bool at_end() const { return next_ == motion_.events.size() && session_->backlog_batches() == 0; }
-  // When what comes next arrived, on the recording's clock with its long silences left out; ns.
+  // When the next event arrived, on the recording's clock with long silences left out; ns.
   std::int64_t due_ns() const { return next_ < motion_.events.size() ? clock_ns_ + pause_ns() : clock_ns_; }
   std::int64_t clock_ns() const { return clock_ns_; }
 
-  // Commits a batch that waits, or takes the next event. Whether a batch was committed.
+  // Commits a batch that waits, or applies the next event. Whether a batch was committed.
   bool advance(bool tell) {
     auto delta = std::make_shared<stream::PublishedDelta>();
     core::WorkBudget budget = core::WorkBudget::unlimited();
@@ -165,71 +165,80 @@ struct CaptureLibrary::Playing {
   }
 
   void run(Replay& replay) {
-    bool playing = false;
-    float speed = 1;
-    replay.report_state(playing, speed);
-    // While it plays: the recording's clock was at `from_ns` at the time `since`.
-    std::int64_t from_ns = 0;
-    steady_clock::time_point since, told;
-    const auto restart_clock = [&] {
-      from_ns = replay.clock_ns();
-      since = steady_clock::now();
-    };
+    Tempo tempo;
+    steady_clock::time_point reported;
+    replay.report_state(tempo.playing, tempo.speed);
     while (!stop) {
-      std::vector<protocol::ReplayControl> taken;
-      {
-        std::unique_lock lock(mutex);
-        const auto due =
-            since + std::chrono::nanoseconds(static_cast<std::int64_t>(
-                        static_cast<double>(replay.due_ns() - from_ns) / static_cast<double>(speed)));
-        const auto asked = [&] { return stop || !wishes.empty(); };
-        if (playing) {
-          wake.wait_until(lock, due, asked);
-        } else {
-          wake.wait(lock, asked);
-        }
-        taken.swap(wishes);
+      const std::vector<protocol::ReplayControl> asked = wait_for_wishes(replay, tempo);
+      for (const protocol::ReplayControl& wish : asked) {
+        apply(wish, replay, tempo);
+        tempo.from_ns = replay.clock_ns();
+        tempo.since = steady_clock::now();
       }
-      for (const protocol::ReplayControl& wish : taken) {
-        switch (wish.action) {
-          case ReplayAction::Play:
-            // From the end it begins anew.
-            if (replay.at_end()) replay.seek(0, stop);
-            playing = true;
-            speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
-            break;
-          case ReplayAction::Pause:
-            playing = false;
-            break;
-          case ReplayAction::Step:
-            playing = false;
-            while (!replay.at_end() && !replay.advance(true) && !stop) {
-            }
-            break;
-          case ReplayAction::Seek:
-            replay.seek(wish.revision, stop);
-            break;
-          case ReplayAction::Open:
-          case ReplayAction::Close:
-            break;
-        }
-        restart_clock();
-      }
-      bool news = !taken.empty();
-      if (playing && taken.empty() && !stop) {
+      bool news = !asked.empty();
+      if (tempo.playing && asked.empty() && !stop) {
         replay.advance(true);
-        if (replay.at_end()) playing = false;
-        news = !playing || steady_clock::now() - told > kStateEvery;
+        if (replay.at_end()) tempo.playing = false;
+        news = !tempo.playing || steady_clock::now() - reported > kStateEvery;
       }
       if (news) {
-        told = steady_clock::now();
-        replay.report_state(playing, speed);
+        reported = steady_clock::now();
+        replay.report_state(tempo.playing, tempo.speed);
       }
+    }
+  }
+
+ private:
+  struct Tempo {
+    bool playing = false;
+    float speed = 1;
+    // While it plays: the recording's clock read `from_ns` at the time `since`.
+    std::int64_t from_ns = 0;
+    steady_clock::time_point since;
+  };
+
+  // While it plays, waits until the next event is due.
+  std::vector<protocol::ReplayControl> wait_for_wishes(const Replay& replay, const Tempo& tempo) {
+    std::unique_lock lock(mutex);
+    const auto asked = [&] { return stop || !wishes.empty(); };
+    if (tempo.playing) {
+      const double ahead_ns =
+          static_cast<double>(replay.due_ns() - tempo.from_ns) / static_cast<double>(tempo.speed);
+      wake.wait_until(lock, tempo.since + std::chrono::nanoseconds(static_cast<std::int64_t>(ahead_ns)),
+                      asked);
+    } else {
+      wake.wait(lock, asked);
+    }
+    return std::exchange(wishes, {});
+  }
+
+  void apply(const protocol::ReplayControl& wish, Replay& replay, Tempo& tempo) {
+    switch (wish.action) {
+      case ReplayAction::Play:
+        // From the end it starts again.
+        if (replay.at_end()) replay.seek(0, stop);
+        tempo.playing = true;
+        tempo.speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
+        break;
+      case ReplayAction::Pause:
+        tempo.playing = false;
+        break;
+      case ReplayAction::Step:
+        tempo.playing = false;
+        while (!replay.at_end() && !replay.advance(true) && !stop) {
+        }
+        break;
+      case ReplayAction::Seek:
+        replay.seek(wish.revision, stop);
+        break;
+      case ReplayAction::Open:
+      case ReplayAction::Close:
+        break;
     }
   }
 };
 
-// What the session holds: the wishes go to the thread.
+// What the session holds. It hands the wishes to the thread.
 class CaptureLibrary::Player final : public stream::ReplayPlayer {
  public:
   explicit Player(std::shared_ptr<Playing> playing) : playing_(std::move(playing)) {}
@@ -269,7 +278,7 @@ std::vector<std::string> CaptureLibrary::names() {
       names.push_back(name);
     } else if (left_out_.insert(name).second) {
       spdlog::warn("capture.library: {} is not offered", is_text(name)
-                                                             ? name + ", which is no file of this folder,"
+                                                             ? name + ", which is not a file in this folder,"
                                                              : "a file whose name is not UTF-8 text");
     }
   }

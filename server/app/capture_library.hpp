@@ -13,21 +13,21 @@
 
 namespace incise::app {
 
-// The captures of one directory, each played on a thread and in a session of its own: the loop and the mesh of the server
-// know nothing of it.
+// The captures of one directory. Each plays on its own thread and in its own session, apart from the server's loop and
+// mesh.
 //
 // Thread: the stream's; stop() from main's. Owns: the threads.
 class CaptureLibrary final : public stream::ReplayLibrary {
  public:
-  // An empty directory offers nothing. `live`, which must outlive this, serves where a capture is of the same mesh.
+  // An empty directory offers nothing. `live` is used for captures of the same mesh; it must outlive this.
   CaptureLibrary(std::filesystem::path directory, const Body& live);
   ~CaptureLibrary() override;
 
-  // Files that end in .capture, in order. Not offered: hidden ones, links that lead out of the directory, names that are not
-  // UTF-8 text; the log says so once of each of the last two.
+  // Files that end in .capture, in order. Left out: hidden files, links that lead out of the directory, names that are not
+  // UTF-8 text; the last two are logged once each.
   std::vector<std::string> names() override;
   std::unique_ptr<stream::ReplayPlayer> open(const std::string& name, stream::ReplayEvents events) override;
-  // Ends all threads. Before what their events go to is gone.
+  // Ends all threads. Call it while the receivers of their events exist.
   void stop();
 
  private:
@@ -38,7 +38,7 @@ class CaptureLibrary final : public stream::ReplayLibrary {
   const std::filesystem::path directory_;
   const Body& live_;
   std::set<std::string> left_out_;               // already logged
-  std::list<std::shared_ptr<Playing>> playing_;  // with those that have ended and were not joined yet
+  std::list<std::shared_ptr<Playing>> playing_;  // including those that have ended and are not joined yet
 };
 
 }  // namespace incise::app

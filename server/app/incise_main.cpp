@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "client/cli/usage.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/version.hpp"
@@ -19,7 +20,7 @@
 
 namespace {
 
-// How many letters must change, come or go to make one word of the other.
+// How many letters must be changed, added or removed to turn one word into the other.
 std::size_t distance(std::string_view a, std::string_view b) {
   std::vector<std::size_t> row(b.size() + 1);
   std::iota(row.begin(), row.end(), std::size_t{0});
@@ -33,7 +34,7 @@ std::size_t distance(std::string_view a, std::string_view b) {
   return row.back();
 }
 
-// The word that was probably meant; empty where none is near.
+// The word that was probably meant; empty if none is close.
 std::string meant(const std::string& word, const std::vector<std::string>& known) {
   std::string best;
   std::size_t least = 1 + std::min<std::size_t>(word.size() / 3, 3);
@@ -46,8 +47,7 @@ std::string meant(const std::string& word, const std::vector<std::string>& known
   return best;
 }
 
-// What is wrong with a command line: an option or a command that does not exist comes first, since what else is missing
-// often follows from it.
+// What is wrong with a command line. An unknown option or command comes first, since other faults often follow from it.
 std::string problem(const CLI::App& app, int argc, char** argv, const std::string& otherwise) {
   const bool called = !app.get_subcommands().empty();
   const CLI::App& command = called ? *app.get_subcommands().front() : app;
@@ -78,7 +78,8 @@ int main(int argc, char** argv) {
   CLI::App app("Cut tetrahedral meshes with a moving blade: on files, or with a running incised.", "incise");
   app.set_version_flag("--version", incise::app::kSoftware);
   app.require_subcommand(0, 1);
-  int exit_code = 0;
+  app.footer("Exit status: " + incise::app::exit_statuses(1));
+  int exit_code = incise::client::kSuccess;
   incise::app::add_offline_commands(app, exit_code);
 #if INCISE_NETWORK_COMMANDS
   incise::client::add_network_commands(app, exit_code);
@@ -88,15 +89,18 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
     if (app.get_subcommands().empty()) std::fputs(app.help().c_str(), stdout);
   } catch (const CLI::ParseError& error) {
-    // --help and --version end as an "error" of code 0.
+    // --help and --version arrive as an "error" of code 0.
     if (error.get_exit_code() == 0) return app.exit(error);
     std::fprintf(
         stderr, "incise: %s; see incise %s--help\n", problem(app, argc, argv, error.what()).c_str(),
         app.get_subcommands().empty() ? "" : (app.get_subcommands().front()->get_name() + " ").c_str());
-    return 2;
+    return incise::client::kWrongUsage;
+  } catch (const incise::client::UsageError& error) {
+    std::fprintf(stderr, "incise: %s\n", error.what());
+    return incise::client::kWrongUsage;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "incise: %s\n", error.what());
-    return 1;
+    return incise::client::kFailed;
   }
   return exit_code;
 }

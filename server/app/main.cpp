@@ -10,6 +10,7 @@
 #include <exception>
 #include <nlohmann/json.hpp>
 
+#include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/app/manual.hpp"
@@ -19,7 +20,7 @@
 
 namespace {
 
-// The line's text as a JSON string, quotes and all.
+// The line's text as a JSON string, with its quotes.
 class JsonText final : public spdlog::custom_flag_formatter {
  public:
   void format(const spdlog::details::log_msg& message, const std::tm&, spdlog::memory_buf_t& out) override {
@@ -53,24 +54,25 @@ void start_log(const incise::app::Config::Log& log) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("The cut server: holds one mesh, takes blade poses, cuts, and streams what changed.",
+  CLI::App app("The cut server: holds one mesh, reads blade poses, cuts, and streams what changed.",
                "incised");
   app.set_version_flag("--version", incise::app::kSoftware);
+  app.footer("Exit status: " + incise::app::exit_statuses(8));
   std::string config_file, check_file;
   bool print_config = false, resume = false;
   app.add_option("--config", config_file, "Run with this configuration");
-  app.add_flag("--resume", resume, "With --config: go on with the session that capture.path recorded");
+  app.add_flag("--resume", resume, "With --config: continue the session that capture.path recorded");
   app.add_option("--check", check_file,
                  "Check a configuration and the files that it names, and say what is wrong");
   app.add_flag("--print-config", print_config,
-               "Print a configuration of all keys, their defaults and meanings");
+               "Print a configuration with all keys, their defaults and meanings");
   incise::app::add_manual_options(app, 8);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);
     std::fprintf(stderr, "incised: %s; see incised --help\n", error.what());
-    return 2;
+    return incise::client::kWrongUsage;
   }
   try {
     if (print_config) {
@@ -88,7 +90,7 @@ int main(int argc, char** argv) {
     if (config_file.empty()) {
       if (resume) {
         std::fputs("incised: --resume needs --config; see incised --help\n", stderr);
-        return 2;
+        return incise::client::kWrongUsage;
       }
       std::fputs(app.help().c_str(), stdout);
       return 0;
@@ -100,13 +102,13 @@ int main(int argc, char** argv) {
     try {
       incise::app::run_server(config, resume);
     } catch (...) {
-      spdlog::shutdown();  // what was logged comes before the reason
+      spdlog::shutdown();  // so that the log comes before the reason
       throw;
     }
     spdlog::shutdown();
     return 0;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "incised: %s\n", error.what());
-    return 1;
+    return incise::client::kFailed;
   }
 }

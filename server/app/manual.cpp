@@ -10,7 +10,7 @@
 namespace incise::app {
 namespace {
 
-// Text that man(7) does not take for its own: no macro at a line's start, no escape, hyphens that can be copied.
+// Escapes text for man(7): no macro at a line's start, no escape, hyphens that can be copied.
 std::string man_text(const std::string& text) {
   std::string out;
   for (const char c : text) {
@@ -87,6 +87,13 @@ std::string words(const CLI::App& app) {
 
 }  // namespace
 
+std::string exit_statuses(int section) {
+  return std::string(
+             "0: success. 1: it failed; one line on the standard error says why. 2: the command "
+             "line is wrong.") +
+         (section == 1 ? " 3: incise cut wrote its results, but the blade cut nothing." : "");
+}
+
 std::string man_page(const CLI::App& app, int section) {
   const std::string& name = app.get_name();
   // "Does this: and that." -> "does this: and that", as NAME lines are.
@@ -105,11 +112,7 @@ std::string man_page(const CLI::App& app, int section) {
     text += ".SS " + man_text(command->get_name()) + "\n" + man_text(command->get_description()) + ".\n" +
             man_options(*command);
   }
-  text +=
-      ".SH EXIT STATUS\n0: done. 1: it could not be done; one line on the standard error says why. 2: the "
-      "command "
-      "line is wrong.";
-  text += section == 1 ? " 3, of cut: all is written, but the blade has cut nothing.\n" : "\n";
+  text += ".SH EXIT STATUS\n" + exit_statuses(section) + "\n";
   return text + ".SH SEE ALSO\n" + (section == 8 ? "\\fBincise\\fP(1)\n" : "\\fBincised\\fP(8)\n");
 }
 

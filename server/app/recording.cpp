@@ -19,7 +19,7 @@
 namespace incise::app {
 namespace {
 
-// The parts of a configuration that a session's state depends on.
+// The parts of a configuration on which a session's state depends.
 bool same_cut(const Config& a, const Config& b) {
   const auto cut_only = [](const Config& config) {
     Config kept;
@@ -30,7 +30,7 @@ bool same_cut(const Config& a, const Config& b) {
   return cut_only(a) == cut_only(b);
 }
 
-// Whether the capture belongs to this mesh and configuration; throws where not.
+// Throws if the capture does not belong to this mesh and configuration.
 void require_same(const Config& config, const Body& body, const protocol::CaptureHeader& header,
                   const std::string& path) {
   if (header.mesh_content_hash != body.loaded.content_hash) {
@@ -47,16 +47,16 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
   }
 }
 
-// Not the processor's time: what counts is how long a start takes, on a busy machine, too.
+// Wall-clock time, not processor time: what matters is how long a start takes, also on a busy machine.
 double seconds_since(std::int64_t ns) {
   return static_cast<double>(monotonic_ns() - ns) * 1e-9;
 }
 
-// A place in the capture to go on from.
+// A place in the capture from which to continue.
 struct Start {
   std::unique_ptr<core::CutSession> session;
-  RecordedMotion rest;  // what the capture holds after it
-  double read_s = 0;    // what reading that took
+  RecordedMotion rest;  // the capture after that place
+  double read_s = 0;    // time for reading that
   int next_checkpoint = 0;
 };
 
@@ -101,8 +101,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
   return std::nullopt;
 }
 
-// Applies what the capture holds behind the start, and compares the hashes. Returns how many records of what that led to the
-// disk has not taken.
+// Applies the rest of the capture after the start, and compares the hashes. Returns how many of the records that this led to
+// could not be written to the disk.
 std::uint64_t replay(const Config& config, const std::string& path, Start& start, CaptureJournal& journal,
                      ReplayTail& tail) {
   const std::uint64_t records = journal.position().records;
@@ -116,7 +116,7 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
   const auto commit_all = [&] {
     while (session->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
       tail.note(*session, delta);
-      if (mark == motion.marks.end()) {  // the crash took this mark, or it never came to the batch
+      if (mark == motion.marks.end()) {  // this mark was lost in the crash, or the batch never happened
         journal.write(loop::commit_record(delta));
         continue;
       }
@@ -153,7 +153,7 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
   return records + more - journal.position().records;
 }
 
-// Whether the file has a session that somebody may want: poses, or bytes that are no capture.
+// Whether the file may be worth keeping: it has poses, or bytes that are not a capture.
 bool worth_keeping(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   protocol::CaptureReader reader(in);
@@ -168,7 +168,7 @@ bool worth_keeping(const std::filesystem::path& path) {
   return status == Status::Corrupt;
 }
 
-// A checkpoint of the session as it is now, at the end of its capture. False where it cannot be written.
+// Writes a checkpoint of the session as it is now, at the end of its capture. False if that fails.
 bool write_checkpoint(const std::string& path, Recording& recording) {
   loop::JournalRecord mark;
   mark.kind = loop::JournalRecord::Kind::kCheckpoint;
@@ -221,8 +221,8 @@ Recording begin_recording(const Config& config, const Body& body) {
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;
-  // A recording is somebody's work: the one before is kept under another name. Not so one without a pose: a server that is
-  // started again and again must not put its empty ones in the place of the last good one.
+  // A recording is somebody's work, so the last one is kept under another name. But not one without a pose: a server that is
+  // started again and again must not replace the last good recording by empty ones.
   if (std::filesystem::exists(path, error) && worth_keeping(path)) {
     std::filesystem::path old = path;
     old += ".old";
@@ -273,7 +273,7 @@ Recording resume_recording(const Config& config, const Body& body) {
   if (motion.gap) {
     throw std::runtime_error(
         path + ": " + motion.gap->text +
-        ", and no checkpoint behind that can be used: the session cannot go on. incise export " + path +
+        ", and no usable checkpoint after that: the session cannot be resumed. incise export " + path +
         " --out MESH saves the mesh as it was before; without --resume a new session begins, "
         "and this capture is kept");
   }
@@ -289,8 +289,8 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.session = std::move(start->session);
   recording.shown = tail.finish(*recording.session);
   if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
-  // A server that crashes soon after each start would have more to replay each time. What is less than this counts towards
-  // the next checkpoint.
+  // A server that crashes soon after each start would have more to replay each time. Less work than this counts towards the
+  // next checkpoint.
   const double most_s = config.capture.checkpoint_replay_s;
   const bool due = most_s > 0 && recording.debt_s > most_s && recording.lost == 0;
   if (due && write_checkpoint(path, recording)) recording.debt_s = 0;

@@ -13,27 +13,28 @@
 
 namespace incise::app {
 
-// A session at the start of a server, and the journal that records what is done to it.
+// A session at the start of a server, and its journal.
 struct Recording {
   std::unique_ptr<core::CutSession> session;
   std::uint64_t session_id = 0;             // names the run of ids
   std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
-  int next_checkpoint = 0;                  // the checkpoint file that may be written over
-  double debt_s = 0;                        // of computing that the next resume would have to repeat
-  std::uint64_t lost = 0;                   // records at the end of it that the disk has not taken
-  ReplayTail::Tail shown;  // what clients see at the start: a state, and the steps to the session's
+  int next_checkpoint = 0;                  // the checkpoint file that may be overwritten
+  double debt_s = 0;                        // work that the next resume would have to repeat
+  std::uint64_t lost = 0;                   // records at its end that could not be written
+  ReplayTail::Tail
+      shown;  // what clients see at the start: a state, and the steps from there to the session's
 };
 
-// Throws ConfigError, `file` in front, where capture.path names a place that cannot be written.
+// Throws ConfigError, its text beginning with `file`, if capture.path cannot be written.
 void check_recording(const Config& config, const std::string& file);
 
-// A fresh session. A capture that is there already is kept under another name, with its checkpoints. Throws ConfigError,
+// A fresh session. An existing capture is kept under another name, with its checkpoints. Throws ConfigError,
 // std::runtime_error.
 Recording begin_recording(const Config& config, const Body& body);
 
-// The session that config.capture.path recorded, where it ended: from the newest checkpoint that is whole, else from the
-// one before, else from the beginning; what the capture holds after that is replayed, with every hash compared. Ends the
-// strokes of those who held a blade: they are gone. Throws ConfigError, or std::runtime_error with one line that says
+// The session that config.capture.path recorded, as it was at its end: starts from the newest whole checkpoint, else from
+// the one before, else from the beginning, and replays the rest of the capture, comparing every hash. Ends the strokes in
+// progress, whose operators are gone. Throws ConfigError, or std::runtime_error with one line that says
 // what to do.
 Recording resume_recording(const Config& config, const Body& body);
 

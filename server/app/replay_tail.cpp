@@ -8,7 +8,7 @@
 namespace incise::app {
 namespace {
 
-// About what it takes on the wire.
+// About its size on the wire.
 std::size_t bytes_of(const core::Delta& d) {
   std::size_t bytes = sizeof d + 28 * d.moved.size() + 40 * d.added_positions.size() +
                       24 * (d.moved_rest.size() + d.added_rest.size()) + 28 * d.upserted.size() +
@@ -21,7 +21,7 @@ std::size_t bytes_of(const core::Delta& d) {
 
 ReplayTail::ReplayTail(const core::CutSession& session, std::uint64_t session_id, std::size_t max_bytes)
     : session_id_(session_id), max_bytes_(max_bytes) {
-  // A batch at work has changed the mesh already: then the first commit begins.
+  // A batch in progress has already changed the mesh: then the tail begins with the first commit.
   if (session.backlog_batches() == 0) newer_ = run_from(session);
 }
 

@@ -10,14 +10,14 @@
 
 namespace incise::app {
 
-// The last steps of a session that is replayed, and the state before them: a server that resumes begins there, so that clients
-// which come back a few steps behind get these and no snapshot. Holds between half of `max_bytes` and all of it once there is
-// so much, and at most two whole states.
+// The last steps of a session that is replayed, and the state before them. A server that resumes begins there, so that
+// clients that return a few steps behind get these steps and no snapshot. Holds at most two whole states, and steps of
+// `max_bytes`, or at least half of that once there are so many.
 class ReplayTail {
  public:
   // `session` before the replay.
   ReplayTail(const core::CutSession& session, std::uint64_t session_id, std::size_t max_bytes);
-  // `delta` has just been committed.
+  // Call it when `delta` has just been committed.
   void note(const core::CutSession& session, const core::Delta& delta);
 
   using Deltas = std::vector<std::shared_ptr<const stream::PublishedDelta>>;
@@ -25,7 +25,7 @@ class ReplayTail {
     stream::InitialState before;
     Deltas deltas;
   };
-  // `session` after the replay. This is empty then.
+  // `session` after the replay. Leaves this empty.
   Tail finish(const core::CutSession& session);
 
  private:
@@ -38,7 +38,7 @@ class ReplayTail {
 
   std::uint64_t session_id_;
   std::size_t max_bytes_;
-  Run older_, newer_;  // the newer one follows on the older one
+  Run older_, newer_;  // the newer one continues the older one
 };
 
 }  // namespace incise::app

@@ -13,7 +13,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 using loop::LoopStats;
 
-// The stages of a pose's way and of a frame, as they are named everywhere.
+// The stages of a pose and of a frame, with the names used everywhere.
 struct Stage {
   const char* name;
   const char* meaning;
@@ -30,7 +30,8 @@ constexpr Stage kStages[] = {
     {"pose_to_force", "arrival of a blade's newest pose until its force was there",
      &LoopStats::pose_to_force},
     {"deform", "taking a simulation's positions, over all its frames", &LoopStats::deform},
-    {"pose_to_drain", "arrival of a batch's last pose until the loop took it", &LoopStats::pose_to_drain},
+    {"pose_to_drain", "from a batch's last pose arriving until the loop drained it",
+     &LoopStats::pose_to_drain},
     {"pose_to_cut", "arrival of a batch's last pose until the batch was cut", &LoopStats::pose_to_cut},
 };
 constexpr double kQuantiles[] = {0.5, 0.9, 0.99, 0.999};
@@ -204,13 +205,14 @@ std::string Telemetry::metrics() const {
   one("strokes_total", "counter", "Strokes begun.", static_cast<double>(state.strokes));
   one("deformations_total", "counter", "Steps in which a simulation has moved vertices.",
       static_cast<double>(stats_.deformations.load(std::memory_order_relaxed)));
-  one("vertices_held_total", "counter", "Vertices that did not go where a simulation wanted them.",
+  one("vertices_held_total", "counter", "Vertices that could not move where a simulation wanted them.",
       static_cast<double>(stats_.vertices_held.load(std::memory_order_relaxed)));
   one("cut_faces_total", "counter", "Faces opened.", static_cast<double>(state.cut_faces));
   one("cut_area_square_metres_total", "counter", "Area of the faces opened, one side.", state.cut_area_m2);
   one("sources", "gauge", "Pose sources that are open.", sources_.open_count());
   one("frames_total", "counter", "Frames of the loop.", static_cast<double>(state.frames));
-  one("frames_skipped_total", "counter", "Frames whose time had passed before they could begin.",
+  one("frames_skipped_total", "counter",
+      "Frames skipped because their time had passed before they could begin.",
       static_cast<double>(state.skipped_frames));
   one("backlog_poses", "gauge", "Poses in the queues.", static_cast<double>(state.backlog_events));
   one("backlog_segments", "gauge", "Segments to be cut.", static_cast<double>(state.backlog_segments));
@@ -220,14 +222,14 @@ std::string Telemetry::metrics() const {
     one("journal_lost_total", "counter", "Records that the journal could not take.",
         static_cast<double>(journal_->lost()));
     one("journal_failing", "gauge", "1 while the journal cannot be written.", journal_->failing() ? 1 : 0);
-    one("recording", "gauge", "1 while a restart would have what is taken now.",
+    one("recording", "gauge", "1 while poses that arrive now would survive a restart.",
         journal_->trouble().empty() ? 1 : 0);
     if (const loop::Checkpointer* checkpoints = journal_->checkpointer()) {
       one("checkpoints_total", "counter", "Checkpoints written.",
           static_cast<double>(checkpoints->written()));
       one("checkpoint_revision", "gauge", "Revision of the last checkpoint.",
           static_cast<double>(checkpoints->last_revision()));
-      one("checkpoints_following", "gauge", "0 where there can be no checkpoints until the next reset.",
+      one("checkpoints_following", "gauge", "0 if there can be no checkpoints until the next reset.",
           checkpoints->following() ? 1 : 0);
     }
   }

@@ -14,20 +14,20 @@
 
 namespace incise::app {
 
-// What the server tells about itself, from any thread: the loop's statistics as JSON, as Prometheus text and as the
+// What the server reports about itself, from any thread: the loop's statistics as JSON, as Prometheus text and as the
 // statistics message. Reads counters only; takes no lock that the loop could wait for.
 class Telemetry {
  public:
   // `journal` may be null. All must outlive this.
   Telemetry(const loop::LoopStats& stats, const input::PoseSources& sources, const loop::Journal* journal,
             double rate_hz);
-  // Who tells about the devices; before the first question.
+  // Where to ask about devices; call it before the first report.
   void join(std::function<std::vector<input::DeviceStatus>()> devices) { devices_ = std::move(devices); }
-  // And about sources on the network; likewise.
+  // And about sources on the network.
   void join_network(std::function<std::vector<input::NetworkStatus>()> network) {
     network_ = std::move(network);
   }
-  // And about the sessions; likewise.
+  // And about the sessions.
   void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.

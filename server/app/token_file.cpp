@@ -33,7 +33,7 @@ stream::AccessToken read_token(const Json& entry, const std::string& at, const s
     refuse(path, at + ": the token's length is out of range");
   if (!entry["roles"].is_array() || entry["roles"].empty()) refuse(path, at + ": no roles");
   for (const Json& role : entry["roles"]) {
-    if (role == "metrics") continue;  // it opens what every token opens
+    if (role == "metrics") continue;  // every token has this right
     const auto known = role.is_string() ? protocol::role_named(role.get<std::string>()) : std::nullopt;
     if (!known)
       refuse(path,

@@ -7,7 +7,7 @@
 
 namespace incise::app {
 
-// Reads the file that listen.token_file names. Throws ConfigError, whose text names the place and never a token.
+// Reads the file that listen.token_file names. Throws ConfigError; its text names the place and never a token.
 std::vector<stream::AccessToken> read_tokens(const std::filesystem::path& path);
 
 }  // namespace incise::app

@@ -10,9 +10,9 @@ namespace incise::input {
 
 inline constexpr std::int64_t kForceLife_ns = 20'000'000;
 
-// What may leave for a device, whatever the loop says: a command that is older than 20 ms, is not finite, or follows a
-// failed write counts as no force (until a command of no force has come: then the loop knows); a longer one is cut to what
-// the device may be asked for.
+// The last check before a force goes to a device, whatever the loop says. A command that is older than 20 ms or not finite
+// becomes no force. So does every command after a failed write, until the loop has sent one of no force and so knows of
+// the failure. A force beyond the device's limit is cut to that limit.
 //
 // Thread: one.
 class ForceGuard {

@@ -7,7 +7,7 @@
 
 namespace incise::input {
 
-// What a source of poses on the network tells about itself, for /stats and /metrics.
+// What a source of poses on the network reports about itself, for /stats and /metrics.
 struct NetworkStatus {
   struct Peer {
     std::string name;  // address, or what was configured

@@ -28,9 +28,9 @@ struct TimedPose {
 // What a source tells the loop.
 struct InputEvent {
   enum class Kind : std::uint8_t {
-    kOpened,     // the blade has (another) owner: a clock of its own, `blade`
+    kOpened,     // the blade has a new owner: with its own clock, `blade`
     kPose,       // `pose`
-    kEndStroke,  // the blade was let go, or its owner vanished
+    kEndStroke,  // the blade was released, or its owner vanished
   };
   Kind kind = Kind::kPose;
   TimedPose pose;  // of kOpened and kEndStroke: arrival_ns only
@@ -123,7 +123,7 @@ class PoseSources {
   std::size_t waiting() const;
   // Sources that are open.
   std::uint32_t open_count() const;
-  // Name of a source's owner, or of its last one; empty where there was none.
+  // Name of a source's owner, or of its last one; empty if there was none.
   std::string name_of(std::uint32_t source) const;
 
  private:

@@ -36,9 +36,9 @@ class PositionsSlot {
  private:
   using Buffer = std::shared_ptr<core::VertexPositions>;
   const std::size_t most_bytes_;
-  std::vector<Buffer> buffers_;  // each is held here too, so that nobody else frees it
-  std::size_t next_ = 0;         // the one that was given out longest ago
-  std::size_t last_bytes_ = 0;   // of the last one that was filled: they are of about one size
+  std::vector<Buffer> buffers_;  // held here too, so that no other thread frees one
+  std::size_t next_ = 0;         // the least recently used
+  std::size_t last_bytes_ = 0;   // of the last one that was filled; all are about that size
   SpscQueue<Buffer> queue_;
   std::atomic<std::uint64_t> refused_{0}, replaced_{0};
 };

@@ -13,7 +13,7 @@ namespace incise::input {
 // A bounded queue between two threads: one pushes, one pops, neither ever waits, locks or allocates (Lamport
 // 1983, "Specifying concurrent program modules", with each side's copy of the other's index kept on its own
 // cache line so that the line is fetched only when the queue looks full or empty). Full is an answer, not an
-// error: what to do then is the pusher's policy.
+// error: what to do then is up to the caller.
 //
 // Thread: push() from one thread, pop() from one thread; size() from any.
 template <class T>
@@ -38,7 +38,7 @@ class SpscQueue {
     tail_.store(tail + count, std::memory_order_release);
     return count;
   }
-  // Moves `value` in; false, and `value` is as it was, where the queue is full.
+  // Moves `value` in; false, and `value` unchanged, if the queue is full.
   bool push(T&& value) {
     const std::size_t tail = tail_.load(std::memory_order_relaxed);
     if (tail - known_head_ == capacity()) {
@@ -51,7 +51,7 @@ class SpscQueue {
   }
   bool push(const T& value) { return push(std::span(&value, 1)) == 1; }
 
-  // Moves the oldest element out; false where there is none.
+  // Moves the oldest element out; false if there is none.
   bool pop(T& value) {
     const std::size_t head = head_.load(std::memory_order_relaxed);
     if (head == known_tail_) {
@@ -63,7 +63,7 @@ class SpscQueue {
     return true;
   }
 
-  // How many wait: exact for a moment that has passed.
+  // How many wait. The answer may be out of date already.
   std::size_t size() const {
     const std::size_t head = head_.load(std::memory_order_acquire);
     return std::min(tail_.load(std::memory_order_acquire) - head, capacity());
@@ -73,7 +73,7 @@ class SpscQueue {
   static constexpr std::size_t kCacheLine = 64;
   const std::size_t mask_;
   const std::unique_ptr<T[]> slots_;
-  // Indices count on for ever; the slot is the index modulo the capacity.
+  // Indices never wrap; the slot is the index modulo the capacity.
   alignas(kCacheLine) std::atomic<std::size_t> tail_{0};
   std::size_t known_head_ = 0;  // the pusher's
   alignas(kCacheLine) std::atomic<std::size_t> head_{0};

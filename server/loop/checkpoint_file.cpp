@@ -108,7 +108,7 @@ std::optional<Checkpoint> read_checkpoint(const std::string& path, std::string& 
   std::uint32_t version = 0, crc = 0;
   std::memcpy(&version, first + 8, 4);
   std::memcpy(&crc, first + 12, 4);
-  if (!in || std::memcmp(first, kMagic, sizeof kMagic) != 0) return refuse("is no checkpoint");
+  if (!in || std::memcmp(first, kMagic, sizeof kMagic) != 0) return refuse("is not a checkpoint");
   if (version != kVersion) return refuse("is a checkpoint of another version");
   std::vector<std::byte> bytes(static_cast<std::size_t>(size) - kPreambleBytes);
   std::memcpy(bytes.data(), first + kPreambleBytes, kHeadBytes - kPreambleBytes);

@@ -106,7 +106,7 @@ void Checkpointer::give_up(const std::string& why) {
   computed_.clear();
   dirty_ = true;
   following_.store(false, std::memory_order_relaxed);
-  report_(true, "no more checkpoints until the mesh is reset or the server started anew: " + why);
+  report_(true, "no more checkpoints until the mesh is reset or the server restarted: " + why);
 }
 
 void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>& first) {

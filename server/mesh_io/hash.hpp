@@ -8,7 +8,7 @@
 
 namespace incise::mesh_io {
 
-// SHA-256 (FIPS 180-4) of what is added, in order. Numbers are hashed as they lie in memory, little-endian.
+// SHA-256 (FIPS 180-4) of what is added, in order. Numbers are hashed as in memory, little-endian.
 class ContentHash {
  public:
   ContentHash();

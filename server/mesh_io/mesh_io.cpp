@@ -26,7 +26,7 @@ bool is_one_of(std::string_view ending, std::initializer_list<std::string_view> 
   return std::find(endings.begin(), endings.end(), ending) != endings.end();
 }
 
-// False, rather than an exception, where a directory on the way may not be looked into.
+// False, not an exception, if a directory on the path cannot be read.
 bool is_there(const std::filesystem::path& path) {
   std::error_code error;
   return std::filesystem::exists(path, error);
@@ -34,7 +34,7 @@ bool is_there(const std::filesystem::path& path) {
 
 using Parser = core::MeshData (*)(std::string_view, const std::string&, std::vector<std::string>&);
 
-// Of files that hold tetrahedra, TetGen's pair apart. Null: none of these endings.
+// The parser for files of tetrahedra, except TetGen's pair. Null: not one of these endings.
 Parser parser_of(std::string_view ending) {
   static constexpr std::pair<std::string_view, Parser> kParsers[] = {
       {".msh", parse_gmsh}, {".msh2", parse_gmsh},  {".vtk", parse_vtk},
@@ -45,7 +45,7 @@ Parser parser_of(std::string_view ending) {
   return nullptr;
 }
 
-// The cell array named "region", as integers; empty where there is none.
+// The cell array named "region", as integers; empty without one.
 std::vector<std::int32_t> regions_in(std::span<const CellArray> cell_data) {
   std::vector<std::int32_t> regions;
   for (const CellArray& array : cell_data) {

@@ -1,6 +1,6 @@
 #pragma once
 
-// Mesh files in and out: what server/app and the tests use. Files are told apart by their ending.
+// Mesh files in and out: what server/app and the tests use. A file's ending says what it is.
 
 #include <filesystem>
 #include <span>
@@ -21,11 +21,11 @@ struct LoadOptions {
 };
 
 struct LoadedMesh {
-  core::MeshData mesh;                // valid: what core::TetMesh takes, every tetrahedron positive
-  std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and where
+  core::MeshData mesh;                // valid for core::TetMesh: every tetrahedron positive
+  std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and the first place
   std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash)
   bool filled = false;                // from a surface
-  bool from_cache = false;            // and the fill was found in the cache
+  bool from_cache = false;            // and the fill came from the cache
 };
 
 // Reads a tetrahedral mesh (.node, .ele, or the base name of both; Gmsh .msh, VTK .vtk and .vtu, Medit .mesh, VegaFEM
@@ -34,7 +34,7 @@ struct LoadedMesh {
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
-// Throws MeshError where load_mesh would, as far as is known before a surface is filled.
+// Throws MeshError if load_mesh would, as far as that shows without filling a surface.
 void check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
 // Reads a triangle surface by its ending, in the file's units, unchecked (check_surface in
@@ -45,9 +45,9 @@ Surface read_surface(const std::filesystem::path& path, std::vector<std::string>
 // same hash are the same bits.
 std::string mesh_hash(const core::MeshData& mesh);
 
-// Whether load_mesh takes a file of this ending for tetrahedra.
+// Whether load_mesh reads a file with this ending as tetrahedra.
 bool is_mesh_input(const std::filesystem::path& path);
-// Whether write_mesh / write_surface takes a file of this ending.
+// Whether write_mesh / write_surface can write a file with this ending.
 bool is_mesh_file(const std::filesystem::path& path);
 bool is_surface_file(const std::filesystem::path& path);
 // ".vtu, .node, .ele" and so on, for messages and --help.

@@ -16,12 +16,11 @@ namespace {
 using core::Vec3;
 using core::VertexId;
 
-// Of the surface edges, in edges of a regular tetrahedron of the mean volume: measured to give the best
-// angles.
+// Length of the surface edges, in edges of a regular tetrahedron of the mean volume. This value gave the
+// best angles.
 constexpr double kSurfaceEdge = 1.05;
-constexpr std::size_t kFewestTets = 500, kMostTets = 20'000'000;
 
-// The length of the surface edges that suits a fill.
+// The surface edge length for a fill of so many tetrahedra.
 double edge_length_for(double volume, std::size_t tets) {
   return kSurfaceEdge * std::cbrt(6 * std::numbers::sqrt2 * volume / static_cast<double>(tets));
 }
@@ -37,7 +36,7 @@ double smooth_max(double a, double b, double k) {
   return -smooth_min(-a, -b, k);
 }
 
-// Nearly the distance to an ellipsoid's surface near to it; negative inside.
+// Approximate distance to an ellipsoid's surface, good near the surface; negative inside.
 double ellipsoid(const Vec3& p, const Vec3& centre, const Vec3& radii) {
   const Vec3 d = p - centre;
   const Vec3 u{d.x / radii.x, d.y / radii.y, d.z / radii.z};
@@ -89,7 +88,7 @@ constexpr double kRadius = 0.025, kHeight = 0.100;
 // tetrahedra and 3,234 for 15,115, where the paper has 1,720 for 7,844 and 3,234 for 15,272.
 constexpr double kCylinderEdge = 0.76;
 
-// Two caps of rings of 6, 12, 18, ... vertices, and a mantle of staggered rows of the outermost ring's.
+// Two caps of rings of 6, 12, 18, ... vertices, and a mantle of staggered rows like the outermost ring.
 Surface cylinder_surface(std::size_t target_tets) {
   const double edge =
       kCylinderEdge * edge_length_for(std::numbers::pi * kRadius * kRadius * kHeight, target_tets);
@@ -106,7 +105,7 @@ Surface cylinder_surface(std::size_t target_tets) {
     return Vec3{radius * std::cos(angle), radius * std::sin(angle), z};
   };
   const auto index = [&surface] { return static_cast<VertexId>(surface.positions.size()); };
-  // Row r is turned by half a column where r is odd. Its first vertex:
+  // The first vertex of row r. Odd rows are shifted by half a column.
   std::vector<VertexId> row_begin;
   for (int r = 0; r <= rows; ++r) {
     row_begin.push_back(index());
@@ -220,9 +219,10 @@ std::optional<PhantomKind> phantom_kind(std::string_view name) {
 }
 
 Surface make_phantom_surface(PhantomKind kind, std::size_t target_tets) {
-  if (target_tets < kFewestTets || target_tets > kMostTets) {
+  if (target_tets < kMinPhantomTets || target_tets > kMaxPhantomTets) {
     throw MeshError("a phantom of " + std::to_string(target_tets) + " tetrahedra cannot be made; " +
-                    std::to_string(kFewestTets) + " to " + std::to_string(kMostTets) + " are accepted");
+                    std::to_string(kMinPhantomTets) + " to " + std::to_string(kMaxPhantomTets) +
+                    " are accepted");
   }
   switch (kind) {
     case PhantomKind::kLiver:

@@ -21,7 +21,7 @@ struct ElementType {
   std::size_t nodes = 0;
 };
 
-// Gmsh's number of an element type: how many nodes follow, and what becomes of it.
+// A Gmsh element type, by number: how many nodes follow, and whether we read or skip it.
 ElementType element_type(std::int64_t type) {
   static const std::map<std::int64_t, ElementType> types = [] {
     std::map<std::int64_t, ElementType> t;
@@ -116,7 +116,7 @@ class GmshReader {
     if (version != 2 && version != 2.1 && version != 2.2 && version != 4.1) {
       in_.fail("version " + to_text(version) +
                " of the format; 1, 2, 2.1, 2.2 and 4.1 are accepted (gmsh FILE -save "
-               "-format msh41 writes it anew)");
+               "-format msh41 converts it)");
     }
     version_ = version == 4.1 ? 4 : 2;
     const std::int64_t type = in_.integer("the file's type");
@@ -130,7 +130,7 @@ class GmshReader {
     if (one == 0x01000000u) {
       order_ = std::endian::big;
     } else if (one != 1) {
-      in_.fail("the number one, which tells the byte order, is neither way one");
+      in_.fail("the number 1, which shows the byte order, reads as 1 in neither order");
     }
   }
 
@@ -146,7 +146,7 @@ class GmshReader {
     }
   }
 
-  // A count that is text even in binary files.
+  // A count, which is text even in binary files.
   std::size_t count_line(std::string_view what, std::size_t least_bytes) {
     in_.set_text();
     const std::size_t count = in_.count(what, least_bytes);
@@ -297,7 +297,7 @@ class GmshReader {
     return type;
   }
 
-  // The nodes of an element; T is what a node's number is packed in.
+  // The nodes of an element; T is the packed type of a node's number.
   template <class T>
   void read_element(const ElementType& type, std::int64_t physical, std::int64_t volume) {
     std::array<core::VertexId, 4> corners{};

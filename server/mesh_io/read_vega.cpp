@@ -33,7 +33,7 @@ class VegaReader {
       } else if (section == "*REGION") {
         read_region();
       } else if (section == "*INCLUDE") {
-        in_.fail("'*INCLUDE' is not accepted: put the file's text here");
+        in_.fail("'*INCLUDE' is not accepted: insert the file's text here");
       } else {
         in_.fail("'*VERTICES', '*ELEMENTS', '*MATERIAL', '*SET' or '*REGION' expected, found " +
                  in_quotes(section));
@@ -119,7 +119,7 @@ class VegaReader {
 
 core::MeshData parse_vega(std::string_view bytes, const std::string& file,
                           std::vector<std::string>& warnings) {
-  // Lists have commas between their fields; lines stay where they are, for messages.
+  // Replaces the commas in lists; lines keep their numbers, for messages.
   std::string text(bytes);
   std::replace(text.begin(), text.end(), ',', ' ');
   return VegaReader(text, file).read(warnings);

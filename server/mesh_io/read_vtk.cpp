@@ -22,7 +22,7 @@ std::string lowercase(std::string_view text) {
 enum class Number { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kInt64, kUint64, kFloat, kDouble };
 
 std::optional<Number> number_type(const std::string& name) {
-  // vtkIdType is written as 32 bits whatever it has in memory.
+  // vtkIdType is written with 32 bits, whatever its size in memory.
   static const std::pair<const char*, Number> types[] = {{"char", Number::kInt8},
                                                          {"signed_char", Number::kInt8},
                                                          {"unsigned_char", Number::kUint8},
@@ -78,7 +78,7 @@ class VtkReader {
  private:
   void read_header() {
     if (!in_.line().starts_with("# vtk DataFile Version"))
-      in_.fail("the first line is '# vtk DataFile Version 3.0' or so");
+      in_.fail("the first line must be like '# vtk DataFile Version 3.0'");
     in_.line();  // a title
     const std::string format = lowercase(in_.token("'ASCII' or 'BINARY'"));
     if (format != "ascii" && format != "binary")
@@ -120,7 +120,7 @@ class VtkReader {
     }
   }
 
-  // Runs `action` on packed numbers, or on text: what follows the current line.
+  // Runs `action` on what follows the current line: packed numbers, or text.
   template <class F>
   void data(F&& action) {
     in_.line();
@@ -195,13 +195,13 @@ class VtkReader {
     const std::size_t size = in_.count("the size of the list of cells", binary_ ? 1 : 2);
     in_.line();
     if (lowercase(in_.peek().substr(0, 7)) == "offsets") {
-      read_offsets(count, size);  // version 5: `count` is that of the offsets, one more than of the cells
+      read_offsets(count, size);  // version 5: `count` is the number of offsets, one more than cells
     } else {
       read_counted_cells(count, size);
     }
   }
 
-  // Each cell is the number of its points, and these: as 32-bit integers.
+  // Each cell is its number of points, then the points, as 32-bit integers.
   void read_counted_cells(std::size_t count, std::size_t size) {
     if (binary_) in_.set_binary(std::endian::big);
     offsets_.reserve(count + 1);
@@ -257,7 +257,7 @@ class VtkReader {
     });
   }
 
-  // Cell or point data of a single array, of the older kind.
+  // Cell or point data of a single array, in the older form.
   void read_attribute(const std::string& word, std::string_view field) {
     struct Kind {
       const char* word;
@@ -327,7 +327,7 @@ class VtkReader {
     read_values(name, components, tuples, type);
   }
 
-  // The values, from the start of a line; kept where they can be the regions.
+  // The values, from the start of a line; kept if they can be regions.
   void read_values(const std::string& name, std::size_t components, std::size_t tuples,
                    const std::string& type_name) {
     if (components != 0 && tuples > in_.remaining() / components * 8 + 8) {
@@ -365,7 +365,7 @@ class VtkReader {
     in_.set_text();
   }
 
-  // Up to a line that is empty.
+  // Skips to an empty line.
   void skip_metadata() {
     in_.line();
     while (in_.remaining() > 0 && !in_.line().empty()) {

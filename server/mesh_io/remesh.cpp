@@ -22,7 +22,7 @@ Vec3 gradient(const Function& f, const Vec3& p, double step) {
                              f({p.x, p.y, p.z + step}) - f({p.x, p.y, p.z - step})};
 }
 
-// Newton steps along the gradient, each no longer than a third of an edge. Without a function: where it is.
+// Newton steps along the gradient, each no longer than a third of an edge. Without a function: no step.
 Vec3 project(const Function& f, Vec3 p, double edge_length) {
   if (!f) return p;
   for (int i = 0; i < 6; ++i) {
@@ -39,14 +39,14 @@ Vec3 project(const Function& f, Vec3 p, double edge_length) {
   return p;
 }
 
-// The cosine of the smallest angle of a triangle; 1 where it has none.
+// The cosine of the smallest angle of a triangle; 1 if it is degenerate.
 double largest_cosine(const Vec3& a, const Vec3& b, const Vec3& c) {
   const Vec3 u = core::normalized(b - a), v = core::normalized(c - b), w = core::normalized(a - c);
   return std::max({-dot(u, w), -dot(v, u), -dot(w, v)});
 }
 
-// One pass at a time over a surface: connectivity is built anew for each, and a pass changes no triangle
-// twice, so that it never reads what it has outdated.
+// One pass over a surface. Each pass builds its own connectivity and changes no triangle twice, so it never
+// reads outdated connectivity.
 class Remesher {
  public:
   Remesher(Surface& surface, const Function& f, double edge_length)
@@ -201,7 +201,7 @@ class Remesher {
     return true;
   }
 
-  // The link condition: the ends share two neighbours only (Dey et al. 1999); and nothing around was changed.
+  // The link condition: the ends share only two neighbours (Dey et al. 1999). And nothing around has changed.
   bool can_collapse(const Edge& e) {
     ring_.clear();
     for (const std::uint32_t t : around(e.a)) {
@@ -244,7 +244,7 @@ class Remesher {
     return true;
   }
 
-  // Flips an edge where that raises the smallest angle of its two triangles.
+  // Flips an edge if that raises the smallest angle of its two triangles.
   bool flip_pass() {
     connect();
     bool changed = false;
@@ -354,7 +354,7 @@ Surface isosurface(const Function& f, const Vec3& low, const Vec3& high, double 
           }
           if (ins == 0 || outs == 0) continue;
           const auto add = [&](VertexId a, VertexId b, VertexId c) {
-            // Outward: away from a corner that is inside.
+            // Outward means away from a corner that is inside.
             const Vec3 normal = cross(surface.positions[b] - surface.positions[a],
                                       surface.positions[c] - surface.positions[a]);
             if (dot(normal, surface.positions[a] - position(inside[0])) < 0) std::swap(b, c);

@@ -19,8 +19,8 @@ Surface isosurface(const std::function<double(const core::Vec3&)>& f, const core
 void remesh_isotropically(Surface& surface, const std::function<double(const core::Vec3&)>& f,
                           double edge_length, int iterations);
 
-// Splits edges longer than `max_length` at their middle, the longest first, until there is none: the surface
-// stays where it is. A closed manifold surface stays one.
+// Splits edges longer than `max_length` at their middle, the longest first, until none is left. The surface
+// does not move. A closed manifold surface stays one.
 void split_long_edges(Surface& surface, double max_length);
 
 }  // namespace incise::mesh_io

@@ -12,7 +12,7 @@ using core::VertexId;
 
 double signed_volume(const Surface& surface) {
   if (surface.positions.empty()) return 0;
-  // Relative to a vertex: a body far from the origin keeps its digits.
+  // Relative to a vertex, so that a body far from the origin loses no digits.
   const core::Vec3 origin = surface.positions.front();
   double six_volumes = 0;
   for (const auto& t : surface.triangles) {

@@ -17,7 +17,7 @@ struct Surface {
   std::vector<std::array<core::VertexId, 3>> triangles;
 };
 
-// A named value for each cell (tetrahedron or triangle) of what is written.
+// A named value for each cell (tetrahedron or triangle) that is written.
 struct CellArray {
   std::string name;
   std::variant<std::vector<std::uint8_t>, std::vector<std::int32_t>, std::vector<std::uint32_t>,
@@ -25,11 +25,11 @@ struct CellArray {
       values;
 };
 
-// The volume that a closed surface encloses, m^3; negative where it is inside out.
+// The volume that a closed surface encloses, m^3; negative if it is inside out.
 double signed_volume(const Surface& surface);
 
-// The boundary of a mesh: the faces that one tetrahedron has, counter-clockwise from outside, vertices
-// renumbered in ascending order. `half_faces`, where given, gets 4 * tetrahedron + face of each triangle.
+// The boundary of a mesh: the faces of only one tetrahedron, counter-clockwise from outside, vertices
+// renumbered in ascending order. `half_faces`, if given, gets 4 * tetrahedron + face of each triangle.
 // O(n).
 Surface boundary_surface(std::span<const core::Vec3> positions,
                          std::span<const std::array<core::VertexId, 4>> tets,

@@ -15,8 +15,8 @@ using core::kNone;
 using core::Vec3;
 using core::VertexId;
 
-constexpr double kLargest = 1e+60, kSmallest = 1e-60;  // as in tet_repair.cpp: what exact predicates take
-constexpr std::size_t kMaxPairs = 1000;  // of intersecting triangles: beyond, "at least" is said
+constexpr double kLargest = 1e+60, kSmallest = 1e-60;  // as in tet_repair.cpp: the limit of exact predicates
+constexpr std::size_t kMaxPairs = 1000;  // of intersecting triangles; beyond that the text says "at least"
 constexpr std::size_t kNamedPairs = 3;
 
 class SurfaceCheck {
@@ -84,7 +84,7 @@ class SurfaceCheck {
   }
 
   // Fills neighbour_[3 t + i], the triangle across the edge from corner i to corner i + 1, and whether it
-  // runs the edge the same way (then one of the two is turned).
+  // runs along the edge in the same direction (then one of the two must be turned).
   void match_edges() {
     struct Edge {
       VertexId low, high;
@@ -148,7 +148,7 @@ class SurfaceCheck {
       fail(place(a) + " and triangle " + std::to_string(b) + " have the same vertices: remove one of them");
   }
 
-  // Turns triangles so that neighbours agree, shell by shell, as the majority of the shell's triangles is.
+  // Turns triangles so that neighbours agree, shell by shell, following the majority of the shell.
   void orient() {
     std::vector<std::uint8_t> seen(surface_.triangles.size(), 0), turn(surface_.triangles.size(), 0);
     std::size_t turned = 0;
@@ -191,7 +191,7 @@ class SurfaceCheck {
 
   void turn_over(std::uint32_t t) { std::swap(surface_.triangles[t][1], surface_.triangles[t][2]); }
 
-  // The middle of what the boxes of two triangles have in common.
+  // The middle of the intersection of two triangles' boxes.
   Vec3 common_middle(std::size_t s, std::size_t t) const {
     const auto middle = [&](auto axis) {
       const auto [s0, s1] = std::minmax({corner(s, 0).*axis, corner(s, 1).*axis, corner(s, 2).*axis});
@@ -224,7 +224,7 @@ class SurfaceCheck {
     for (std::size_t i = 0; i < shells_.size(); ++i) find_parent(i);
     std::vector<std::size_t> by_depth(shells_.size());
     for (std::size_t i = 0; i < by_depth.size(); ++i) by_depth[i] = i;
-    // A parent encloses more, so it comes first.
+    // A parent encloses more volume, so it comes first.
     std::sort(by_depth.begin(), by_depth.end(), [this](std::size_t a, std::size_t b) {
       const double va = std::abs(shells_[a].volume), vb = std::abs(shells_[b].volume);
       return va != vb ? va > vb : a < b;
@@ -281,7 +281,7 @@ class SurfaceCheck {
     if (shell.volume == 0) fail("the shell with " + place(shell.triangles[0]) + " encloses no volume");
   }
 
-  // The smallest shell that has shell i inside. Shells do not cross, so one vertex tells.
+  // The smallest shell around shell i. Shells do not cross, so one vertex decides.
   void find_parent(std::size_t i) {
     const Vec3& p = corner(shells_[i].triangles[0], 0);
     for (std::size_t j = 0; j < shells_.size(); ++j) {

@@ -17,14 +17,14 @@ struct ClosedSurface {
     core::Vec3 seed;
     std::int32_t id;
   };
-  std::vector<Region> regions;  // empty where the whole is region 0
-  double volume = 0;            // that it encloses, m^3: without its cavities
+  std::vector<Region> regions;  // empty if everything is region 0
+  double volume = 0;            // enclosed, m^3, without the cavities
 };
 
-// Makes sure that a surface can be filled with tetrahedra, or says why not. Orientation is mended: triangles
-// are turned to agree with their neighbours, shells that are inside out are turned as a whole; a line in
-// `warnings` says so. A shell inside another one is a cavity where the file orients it against the outer one,
-// else an inclusion: tissue with a region of its own, counted from 1.
+// Makes sure that a surface can be filled with tetrahedra, or says why not. Fixes orientation: triangles are
+// turned to agree with their neighbours, shells that are inside out are turned as a whole; a line in
+// `warnings` says so. A shell inside another one is a cavity if the file orients it opposite to the outer one,
+// else an inclusion: tissue with its own region, counted from 1.
 //
 // Throws MeshError, naming the first place and the number of them, for: a triangle with a vertex twice or
 // without area, two triangles with the same vertices, edges of one triangle (open) or of more than two

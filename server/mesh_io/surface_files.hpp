@@ -10,10 +10,10 @@ namespace incise::mesh_io {
 
 // Readers of triangle surfaces. Each gives the triangles in the file's order (a polygon becomes a fan, so it
 // stands for several) with indices that exist and finite coordinates, in the file's units, and throws
-// MeshError for anything else; whether the surface is closed and so on is check_surface's to say. Vertices at
-// exactly the same place become one (STL has no other way to say it); those that no triangle has are dropped.
+// MeshError for anything else; check_surface decides whether the surface is closed and so on. Vertices at
+// exactly the same place become one (STL cannot express shared vertices); unused ones are dropped.
 
-// ASCII or binary, told apart by the file's size; several solids are one surface. Normals are ignored.
+// ASCII or binary, decided by the file's size; several solids become one surface. Normals are ignored.
 Surface read_stl(const std::filesystem::path& path, std::vector<std::string>& warnings);
 // PLY 1.0, ASCII or binary of either byte order: elements `vertex` (x, y, z) and `face` (vertex_indices or
 // vertex_index); all else is skipped.
@@ -23,7 +23,7 @@ Surface read_off(const std::filesystem::path& path);
 // Wavefront OBJ: v and f (v, v/vt, v/vt/vn, v//vn, negative indices); all else is skipped.
 Surface read_obj(const std::filesystem::path& path);
 
-// By what the names say; see write_surface in mesh_io.hpp.
+// Writers; see write_surface in mesh_io.hpp.
 void write_stl(const std::filesystem::path& path, const Surface& surface);
 void write_ply(const std::filesystem::path& path, const Surface& surface,
                std::span<const CellArray> cell_data);

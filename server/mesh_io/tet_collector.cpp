@@ -12,7 +12,7 @@ void TetCollector::add_node(std::int64_t number, const core::Vec3& position) {
   const std::size_t index = mesh_.positions.size();
   if (index == kMaxTets) in_.fail("more than " + std::to_string(kMaxTets) + " nodes");
   if (index == 0) first_ = number;
-  // Unsigned, so that no number in a hostile file overflows.
+  // Unsigned, so that a hostile file cannot cause overflow.
   if (dense_ && static_cast<std::uint64_t>(number) - static_cast<std::uint64_t>(first_) != index) {
     dense_ = false;
     for (std::size_t i = 0; i < index; ++i) numbers_.push_back(first_ + static_cast<std::int64_t>(i));

@@ -1,6 +1,6 @@
 #pragma once
 
-// Files of tetrahedra, TetGen's apart (tetgen_files.hpp).
+// Files of tetrahedra, except TetGen's (tetgen_files.hpp).
 
 #include <filesystem>
 #include <span>
@@ -12,18 +12,18 @@
 
 namespace incise::mesh_io {
 
-// What core::TetMesh takes: half-faces and new ids fit in 32 bits.
+// Limits of core::TetMesh: half-faces and new ids fit in 32 bits.
 inline constexpr std::size_t kMaxTets = (std::size_t{1} << 28) - 2;
 
 // The parsers take a file's bytes, and its name for messages. They give the vertices in the file's order (all of them)
 // and the tetrahedra; cells of fewer dimensions are skipped, tetrahedra of higher order keep their corners (a warning
 // says so), other cells of three dimensions are an error: leaving them out would leave holes. Coordinates are finite and
-// indices exist; whether the mesh can be cut is repair_tets' to say. `regions` is empty where the file has none. They
+// indices exist; repair_tets decides whether the mesh can be cut. `regions` is empty if the file has none. They
 // throw MeshError.
 
-// Gmsh MSH 1, 2.x (ASCII, binary) and 4.1 (ASCII, binary). The region is the physical group of the volume; where the
-// file has no such group and several volumes, the volume's number. A tetrahedron that the file repeats for each of its
-// groups (MSH 2) is taken once, with the first.
+// Gmsh MSH 1, 2.x (ASCII, binary) and 4.1 (ASCII, binary). The region is the physical group of the volume; if the
+// file has several volumes and no such group, the volume's number. A tetrahedron that the file repeats for each of its
+// groups (MSH 2) is read once, with its first group.
 core::MeshData parse_gmsh(std::string_view bytes, const std::string& file,
                           std::vector<std::string>& warnings);
 // Legacy VTK (2.0 to 5.1), ASCII or binary, UNSTRUCTURED_GRID. The region is the cell data that find_region_array finds.
@@ -38,19 +38,19 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
 core::MeshData parse_vega(std::string_view bytes, const std::string& file,
                           std::vector<std::string>& warnings);
 
-// Which of the names of cell arrays says the region: the first that is there of region, regions, gmsh:physical,
+// The index of the cell array with the regions: the first that exists of region, regions, gmsh:physical,
 // PhysicalIds, MaterialIds, material, medit:ref, CellEntityIds, attribute; upper or lower case. -1: none.
 int find_region_array(std::span<const std::string> names);
-// What becomes of a VTK cell type: how many nodes a tetrahedron has at least whose first four are its corners; 0: fewer
-// dimensions, skipped; -1: another cell of three dimensions.
+// How to read a VTK cell type. > 0: a tetrahedron with at least so many nodes, the first four its corners; 0: a cell of
+// fewer dimensions, skipped; -1: another cell of three dimensions.
 int vtk_tet_nodes(std::int64_t type);
 
 // Legacy VTK 3.0, binary, with `cell_data` as scalars.
 void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                       std::span<const std::array<core::VertexId, 4>> tets,
                       std::span<const CellArray> cell_data);
-// Gmsh MSH, ASCII: version 2.2 or 4.1. Each region is a volume and, where it is not 0, its physical group (Gmsh takes a
-// negative group for the positive one with its volume turned over).
+// Gmsh MSH, ASCII: version 2.2 or 4.1. Each region is a volume and, where it is not 0, its physical group (Gmsh reads a
+// negative group as the positive one with its volume turned over).
 void write_gmsh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                 std::span<const std::array<core::VertexId, 4>> tets, std::span<const std::int32_t> regions,
                 bool version_4);

@@ -4,13 +4,13 @@
 #include <cmath>
 #include <numeric>
 #include <optional>
-#include <span>
 #include <tuple>
 
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/tet_topology.hpp"
 
 namespace incise::mesh_io {
 namespace {
@@ -22,46 +22,36 @@ using core::TetId;
 using core::Vec3;
 using core::VertexId;
 
-// core::orient3d is exact for magnitudes from 1e-90 to 1e+90, products of three included; bodies are far
-// inside.
+// core::orient3d is exact for magnitudes from 1e-90 to 1e+90, products of three included. Bodies stay far inside that.
 constexpr double kLargest = 1e+60, kSmallest = 1e-60;
-// More bad tetrahedra than this are no slip of a mesher but a tangled mesh: one in fifty, or sixteen.
+// More bad tetrahedra than this mean a tangled mesh, not a mesher's slip: one in fifty, or sixteen.
 constexpr double kMaxBadShare = 0.02;
 constexpr std::size_t kMaxBadCount = 16;
+
 class TetRepair {
  public:
   TetRepair(MeshData& mesh, const std::string& file, int index_base, std::vector<std::string>& warnings)
-      : mesh_(mesh), file_(file), base_(index_base), warnings_(warnings) {}
+      : mesh_(mesh),
+        file_(file),
+        names_(mesh, file, index_base),
+        topology_(mesh, names_),
+        warnings_(warnings) {}
 
   void run() {
     check_positions();
     check_tets();
-    match_faces();
-    list_stars();
+    topology_.match_faces();
+    topology_.list_stars();
     orient();
-    mend();
+    fix_bad_tets();
     note_loose_vertices();
     drop_unused_vertices();
     note_coincident_vertices();
   }
 
  private:
-  [[noreturn]] void fail(const std::string& message) const { throw MeshError(file_ + ": " + message); }
   void warn(const std::string& message) { warnings_.push_back(file_ + ": " + message); }
 
-  std::string name(VertexId v) const { return std::to_string(static_cast<std::int64_t>(v) + base_); }
-  std::string place(VertexId v) const { return "vertex " + name(v) + " at " + to_text(mesh_.positions[v]); }
-  std::string tet_name(TetId t) const {
-    return "tetrahedron " + std::to_string(static_cast<std::int64_t>(t) + base_);
-  }
-  std::string place(const std::array<VertexId, 4>& v) const {
-    return "vertices " + name(v[0]) + ", " + name(v[1]) + ", " + name(v[2]) + ", " + name(v[3]) +
-           ", around " + to_text(barycentre(v));
-  }
-  Vec3 barycentre(const std::array<VertexId, 4>& v) const {
-    return 0.25 *
-           (mesh_.positions[v[0]] + mesh_.positions[v[1]] + mesh_.positions[v[2]] + mesh_.positions[v[3]]);
-  }
   double volume(TetId t) const {
     const auto& v = mesh_.tets[t];
     const auto& p = mesh_.positions;
@@ -73,13 +63,21 @@ class TetRepair {
     return core::orient3d(p[v[0]], p[v[1]], p[v[2]], p[v[3]]) > 0;
   }
 
+  // What is wrong with a tetrahedron that is not positive.
+  std::string flaw(TetId t) const {
+    return names_.tet(t) + " (" + names_.place(mesh_.tets[t]) + ") is " +
+           (volume(t) < 0 ? "inverted" : "flat") + ", volume " + to_text(volume(t)) + " m^3";
+  }
+
   void check_positions() {
     for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
       Vec3& p = mesh_.positions[v];
       for (double* x : {&p.x, &p.y, &p.z}) {
-        if (!std::isfinite(*x)) fail("vertex " + name(v) + " has a coordinate that is not finite");
+        if (!std::isfinite(*x))
+          names_.fail("vertex " + names_.number(v) + " has a coordinate that is not finite");
         if (std::abs(*x) > kLargest) {
-          fail(place(v) + " lies beyond " + to_text(kLargest) + " m: check the file's numbers and the scale");
+          names_.fail(names_.place(v) + " lies beyond " + to_text(kLargest) +
+                      " m: check the file's numbers and the scale");
         }
         if (std::abs(*x) < kSmallest) *x = 0;
       }
@@ -87,121 +85,26 @@ class TetRepair {
   }
 
   void check_tets() {
-    if (mesh_.tets.empty()) fail("there is no tetrahedron");
+    if (mesh_.tets.empty()) names_.fail("there is no tetrahedron");
     for (TetId t = 0; t < mesh_.tets.size(); ++t) {
       const auto& v = mesh_.tets[t];
       for (std::size_t i = 0; i < 4; ++i) {
         if (v[i] >= mesh_.positions.size()) {
-          fail(tet_name(t) + " has vertex " + name(v[i]) + "; the file has " + std::to_string(base_) +
-               " to " + name(static_cast<VertexId>(mesh_.positions.size() - 1)));
+          names_.fail(names_.tet(t) + " has vertex " + names_.number(v[i]) + "; the file has " +
+                      names_.number(0) + " to " +
+                      names_.number(static_cast<VertexId>(mesh_.positions.size() - 1)));
         }
         for (std::size_t j = 0; j < i; ++j) {
-          if (v[i] == v[j]) fail(tet_name(t) + " has " + place(v[i]) + " twice: remove the tetrahedron");
+          if (v[i] == v[j])
+            names_.fail(names_.tet(t) + " has " + names_.place(v[i]) + " twice: remove the tetrahedron");
         }
       }
     }
   }
 
-  // The vertices of a face in ascending order, and whether that took an odd permutation.
-  struct SortedFace {
-    std::array<VertexId, 3> v;
-    bool odd;
-  };
-  SortedFace sorted_face(HalfFace h) const {
-    const auto& tet = mesh_.tets[core::tet_of(h)];
-    const auto& f = core::kFaceVertices[core::face_of(h)];
-    SortedFace face{{tet[f[0]], tet[f[1]], tet[f[2]]}, false};
-    const auto order = [&face](std::size_t i, std::size_t j) {
-      if (face.v[i] > face.v[j]) {
-        std::swap(face.v[i], face.v[j]);
-        face.odd = !face.odd;
-      }
-    };
-    order(0, 1);
-    order(1, 2);
-    order(0, 1);
-    return face;
-  }
-
-  // Fills opposite_: buckets the faces by their lowest vertex, sorts each small bucket.
-  void match_faces() {
-    const auto half_faces = static_cast<HalfFace>(4 * mesh_.tets.size());
-    opposite_.assign(half_faces, kNone);
-    std::vector<std::uint32_t> begin(mesh_.positions.size() + 1, 0);
-    for (HalfFace h = 0; h < half_faces; ++h) ++begin[sorted_face(h).v[0] + 1];
-    std::partial_sum(begin.begin(), begin.end(), begin.begin());
-    struct Entry {
-      VertexId mid, high;
-      HalfFace h;
-    };
-    std::vector<Entry> entries(half_faces);
-    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-    for (HalfFace h = 0; h < half_faces; ++h) {
-      const auto face = sorted_face(h);
-      entries[next[face.v[0]]++] = {face.v[1], face.v[2], h};
-    }
-    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
-      const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
-      std::sort(first, last, [](const Entry& a, const Entry& b) {
-        return std::tie(a.mid, a.high, a.h) < std::tie(b.mid, b.high, b.h);
-      });
-      for (auto it = first; it != last;) {
-        auto end = it + 1;
-        while (end != last && end->mid == it->mid && end->high == it->high) ++end;
-        if (end - it > 2) refuse_shared_face(it->h, (it + 1)->h, (it + 2)->h, end - it);
-        if (end - it == 2) {
-          const HalfFace a = it->h, b = (it + 1)->h;
-          if (mesh_.tets[core::tet_of(a)][core::face_of(a)] ==
-              mesh_.tets[core::tet_of(b)][core::face_of(b)]) {
-            refuse_twins(a, b);
-          }
-          opposite_[a] = b;
-          opposite_[b] = a;
-        }
-        it = end;
-      }
-    }
-  }
-
-  [[noreturn]] void refuse_twins(HalfFace a, HalfFace b) const {
-    fail(tet_name(core::tet_of(a)) + " and " + std::to_string(core::tet_of(b) + static_cast<TetId>(base_)) +
-         " have the same " + place(mesh_.tets[core::tet_of(a)]) + ": remove one of them");
-  }
-
-  [[noreturn]] void refuse_shared_face(HalfFace a, HalfFace b, HalfFace c, std::ptrdiff_t count) const {
-    const auto opposite_vertex = [this](HalfFace h) { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; };
-    if (opposite_vertex(a) == opposite_vertex(b)) refuse_twins(a, b);
-    if (opposite_vertex(b) == opposite_vertex(c)) refuse_twins(b, c);
-    if (opposite_vertex(a) == opposite_vertex(c)) refuse_twins(a, c);
-    const auto f = sorted_face(a).v;
-    const auto tet = [this](HalfFace h) {
-      return std::to_string(static_cast<std::int64_t>(core::tet_of(h)) + base_);
-    };
-    fail(std::to_string(count) + " tetrahedra (" + tet(a) + ", " + tet(b) + ", " + tet(c) +
-         (count > 3 ? ", ..." : "") + ") share the face with " + place(f[0]) + ", " + place(f[1]) + " and " +
-         place(f[2]) + "; a face has one or two: remove those that overlap");
-  }
-
-  // star_begin_, star_: the tetrahedra of each vertex.
-  void list_stars() {
-    star_begin_.assign(mesh_.positions.size() + 1, 0);
-    for (const auto& tet : mesh_.tets) {
-      for (const VertexId v : tet) ++star_begin_[v + 1];
-    }
-    std::partial_sum(star_begin_.begin(), star_begin_.end(), star_begin_.begin());
-    star_.resize(4 * mesh_.tets.size());
-    std::vector<std::uint32_t> next(star_begin_.begin(), star_begin_.end() - 1);
-    for (TetId t = 0; t < mesh_.tets.size(); ++t) {
-      for (const VertexId v : mesh_.tets[t]) star_[next[v]++] = t;
-    }
-  }
-  std::span<const TetId> star(VertexId v) const {
-    return {star_.data() + star_begin_[v], star_.data() + star_begin_[v + 1]};
-  }
-
-  // Floods each body over its faces so that neighbours see a shared face from opposite sides, then turns the
-  // body right-handed by its total volume. What is negative after that lies folded over its neighbours: no
-  // order of its indices is right.
+  // Floods each body over its faces so that neighbours see a shared face from opposite sides, then makes the body
+  // right-handed by its total volume. A tetrahedron that is still negative is folded over its neighbours: no order of its
+  // indices is right.
   void orient() {
     std::vector<std::uint8_t> seen(mesh_.tets.size(), 0), flip(mesh_.tets.size(), 0);
     std::vector<TetId> body;
@@ -216,9 +119,9 @@ class TetRepair {
         const TetId t = body[i];
         total += flip[t] ? -volume(t) : volume(t);
         for (int f = 0; f < 4; ++f) {
-          const HalfFace h = core::half_face(t, f), g = opposite_[h];
+          const HalfFace h = core::half_face(t, f), g = topology_.opposite(h);
           if (g == kNone) continue;
-          const bool turned = sorted_face(h).odd == sorted_face(g).odd;
+          const bool turned = topology_.sorted_face(h).odd == topology_.sorted_face(g).odd;
           const auto wanted = static_cast<std::uint8_t>(flip[t] ^ static_cast<std::uint8_t>(turned));
           const TetId n = core::tet_of(g);
           if (!seen[n]) {
@@ -226,9 +129,9 @@ class TetRepair {
             flip[n] = wanted;
             body.push_back(n);
           } else if (flip[n] != wanted) {
-            fail(tet_name(t) + " and " + std::to_string(static_cast<std::int64_t>(n) + base_) +
-                 " share a face in a body that cannot be oriented (" + place(mesh_.tets[t]) +
-                 "): some of its tetrahedra are turned inside out, remesh it");
+            names_.fail(names_.tet(t) + " and " + names_.number(n) +
+                        " share a face in a body that cannot be oriented (" + names_.place(mesh_.tets[t]) +
+                        "): some of its tetrahedra are turned inside out, remesh it");
           }
         }
       }
@@ -245,17 +148,10 @@ class TetRepair {
            " tetrahedra are left-handed: two vertices of each are exchanged");
     } else {
       warn(std::to_string(flipped) + " of " + std::to_string(mesh_.tets.size()) +
-           " tetrahedra are left-handed (the first: " + tet_name(first_flipped) +
+           " tetrahedra are left-handed (the first: " + names_.tet(first_flipped) +
            "): two vertices of each are exchanged");
     }
-    match_faces();  // exchanging vertices renumbered the faces
-  }
-
-  bool on_boundary(TetId t) const {
-    for (int f = 0; f < 4; ++f) {
-      if (opposite_[core::half_face(t, f)] == kNone) return true;
-    }
-    return false;
+    topology_.match_faces();  // exchanging vertices renumbered the faces
   }
 
   std::vector<TetId> bad_tets() const {
@@ -266,19 +162,20 @@ class TetRepair {
     return bad;
   }
 
-  void mend() {
+  void fix_bad_tets() {
     removed_.assign(mesh_.tets.size(), 0);
     std::vector<TetId> bad = bad_tets();
     if (bad.empty()) return;
     const auto limit = std::max(
         kMaxBadCount, static_cast<std::size_t>(kMaxBadShare * static_cast<double>(mesh_.tets.size())));
     if (bad.size() > limit) {
-      fail(std::to_string(bad.size()) + " of " + std::to_string(mesh_.tets.size()) +
-           " tetrahedra are flat or folded over their neighbours (the first: " + tet_name(bad[0]) + ", " +
-           place(mesh_.tets[bad[0]]) + ", volume " + to_text(volume(bad[0])) + " m^3): remesh it");
+      names_.fail(std::to_string(bad.size()) + " of " + std::to_string(mesh_.tets.size()) +
+                  " tetrahedra are flat or folded over their neighbours (the first: " + names_.tet(bad[0]) +
+                  ", " + names_.place(mesh_.tets[bad[0]]) + ", volume " + to_text(volume(bad[0])) +
+                  " m^3): remesh it");
     }
     mark_boundary_vertices();
-    // A move can mend several, and a removal can bring others to the boundary: until nothing changes.
+    // A move can fix several, and a removal can expose others at the boundary: repeat until nothing changes.
     for (bool progress = true; progress && !bad.empty();) {
       progress = false;
       for (const TetId t : bad) {
@@ -287,36 +184,35 @@ class TetRepair {
       bad = bad_tets();
       if (progress) continue;
       for (const TetId t : bad) {
-        if (!on_boundary(t)) continue;
+        if (!topology_.on_boundary(t)) continue;
         remove(t);
         progress = true;
       }
       std::erase_if(bad, [this](TetId t) { return removed_[t] != 0; });
     }
     if (!bad.empty()) {
-      fail(tet_name(bad[0]) + " (" + place(mesh_.tets[bad[0]]) + ") is " +
-           (volume(bad[0]) < 0 ? "inverted" : "flat") + ", volume " + to_text(volume(bad[0])) +
-           " m^3, inside the body, and no small move of a vertex mends it: remesh it there");
+      names_.fail(flaw(bad[0]) +
+                  ", inside the body, and no small move of a vertex fixes it: remesh it there");
     }
     compact();
   }
 
   void mark_boundary_vertices() {
     boundary_.assign(mesh_.positions.size(), 0);
-    for (HalfFace h = 0; h < opposite_.size(); ++h) {
-      if (opposite_[h] != kNone) continue;
-      for (const VertexId v : sorted_face(h).v) boundary_[v] = 1;
+    for (HalfFace h = 0; h < static_cast<HalfFace>(4 * mesh_.tets.size()); ++h) {
+      if (topology_.opposite(h) != kNone) continue;
+      for (const VertexId v : topology_.sorted_face(h).v) boundary_[v] = 1;
     }
   }
 
-  // Of the star of v: how many tetrahedra are not positive, and the worst dihedral measure of the others.
+  // How many tetrahedra of a star are not positive, and the worst dihedral measure of the others.
   struct StarQuality {
     std::size_t bad = 0;
     double worst = -core::kInverted;
   };
   StarQuality star_quality(VertexId v) const {
     StarQuality quality;
-    for (const TetId t : star(v)) {
+    for (const TetId t : topology_.star(v)) {
       if (removed_[t]) continue;
       const auto& tet = mesh_.tets[t];
       const auto& p = mesh_.positions;
@@ -338,7 +234,7 @@ class TetRepair {
     std::optional<Vec3> best_position;
     VertexId best_vertex = kNone;
     double best_worst = 0;
-    std::ptrdiff_t best_mended = 0;
+    std::ptrdiff_t best_fixed = 0;
     for (int i = 0; i < 4; ++i) {
       const VertexId v = mesh_.tets[t][i];
       const auto& f = core::kFaceVertices[i];
@@ -348,10 +244,12 @@ class TetRepair {
       const Vec3 inward = -core::normalized(core::cross(b - a, c - a));
       double edge = 0;
       Vec3 middle;
-      for (const TetId s : star(v)) {
+      for (const TetId s : topology_.star(v)) {
         for (const VertexId w : mesh_.tets[s]) {
-          edge += core::distance(mesh_.positions[w], start) / (3.0 * static_cast<double>(star(v).size()));
-          if (w != v) middle += (1.0 / (3.0 * static_cast<double>(star(v).size()))) * mesh_.positions[w];
+          edge += core::distance(mesh_.positions[w], start) /
+                  (3.0 * static_cast<double>(topology_.star(v).size()));
+          if (w != v)
+            middle += (1.0 / (3.0 * static_cast<double>(topology_.star(v).size()))) * mesh_.positions[w];
         }
       }
       const double height = core::dot(start - a, inward);
@@ -367,9 +265,9 @@ class TetRepair {
         if (!(core::distance(candidate, start) <= reach)) continue;
         mesh_.positions[v] = candidate;
         const StarQuality after = star_quality(v);
-        const auto mended = static_cast<std::ptrdiff_t>(before.bad) - static_cast<std::ptrdiff_t>(after.bad);
-        if (mended > best_mended || (mended > 0 && mended == best_mended && after.worst < best_worst)) {
-          best_mended = mended;
+        const auto fixed = static_cast<std::ptrdiff_t>(before.bad) - static_cast<std::ptrdiff_t>(after.bad);
+        if (fixed > best_fixed || (fixed > 0 && fixed == best_fixed && after.worst < best_worst)) {
+          best_fixed = fixed;
           best_worst = after.worst;
           best_vertex = v;
           best_position = candidate;
@@ -379,22 +277,16 @@ class TetRepair {
     }
     if (!best_position) return false;
     const double moved = core::distance(*best_position, mesh_.positions[best_vertex]);
-    warn(tet_name(t) + " (" + place(mesh_.tets[t]) + ") is " + (volume(t) < 0 ? "inverted" : "flat") +
-         ", volume " + to_text(volume(t)) + " m^3: " + place(best_vertex) + " is moved by " + to_text(moved) +
-         " m");
+    warn(flaw(t) + ": " + names_.place(best_vertex) + " is moved by " + to_text(moved) + " m");
     mesh_.positions[best_vertex] = *best_position;
     return true;
   }
 
   void remove(TetId t) {
-    warn(tet_name(t) + " (" + place(mesh_.tets[t]) + ") is " + (volume(t) < 0 ? "inverted" : "flat") +
-         ", volume " + to_text(volume(t)) + " m^3, on the boundary: it is removed");
+    warn(flaw(t) + ", on the boundary: it is removed");
     removed_[t] = 1;
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace h = core::half_face(t, f);
-      if (opposite_[h] != kNone) opposite_[opposite_[h]] = kNone;
-      for (const VertexId v : sorted_face(h).v) boundary_[v] = 1;
-    }
+    topology_.detach(t);
+    for (const VertexId v : mesh_.tets[t]) boundary_[v] = 1;
   }
 
   void compact() {
@@ -406,11 +298,11 @@ class TetRepair {
       ++kept;
     }
     if (kept == mesh_.tets.size()) return;
-    if (kept == 0) fail("no tetrahedron of positive volume is left");
+    if (kept == 0) names_.fail("no tetrahedron of positive volume is left");
     mesh_.tets.resize(kept);
     if (!mesh_.regions.empty()) mesh_.regions.resize(kept);
-    match_faces();
-    list_stars();
+    topology_.match_faces();
+    topology_.list_stars();
   }
 
   // Vertices where parts of the body touch in a point or along an edge only.
@@ -420,24 +312,24 @@ class TetRepair {
     std::size_t count = 0;
     VertexId first = kNone;
     for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
-      if (star(v).empty()) continue;
-      reached.assign(1, star(v)[0]);
+      if (topology_.star(v).empty()) continue;
+      reached.assign(1, topology_.star(v)[0]);
       mark[reached[0]] = v;
       for (std::size_t i = 0; i < reached.size(); ++i) {
         for (int f = 0; f < 4; ++f) {
-          const HalfFace g = opposite_[core::half_face(reached[i], f)];
+          const HalfFace g = topology_.opposite(core::half_face(reached[i], f));
           if (g == kNone || mesh_.tets[reached[i]][f] == v || mark[core::tet_of(g)] == v) continue;
           mark[core::tet_of(g)] = v;
           reached.push_back(core::tet_of(g));
         }
       }
-      if (reached.size() == star(v).size()) continue;
+      if (reached.size() == topology_.star(v).size()) continue;
       if (count++ == 0) first = v;
     }
     if (count == 0) return;
     warn((count == 1 ? "1 vertex is non-manifold: its"
                      : std::to_string(count) + " vertices are non-manifold: their") +
-         " tetrahedra are not connected through faces (the first: " + place(first) +
+         " tetrahedra are not connected through faces (the first: " + names_.place(first) +
          "); each connected part gets a copy of its own");
   }
 
@@ -446,7 +338,7 @@ class TetRepair {
     std::size_t unused = 0;
     VertexId kept = 0, first = kNone;
     for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
-      if (star(v).empty()) {
+      if (topology_.star(v).empty()) {
         if (unused++ == 0) first = v;
       } else {
         renumbered[v] = kept++;
@@ -454,7 +346,7 @@ class TetRepair {
     }
     if (unused == 0) return;
     warn((unused == 1 ? std::string("1 vertex has") : std::to_string(unused) + " vertices have") +
-         " no tetrahedron (the first: " + place(first) + "): dropped");
+         " no tetrahedron (the first: " + names_.place(first) + "): dropped");
     for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
       if (renumbered[v] != kNone) mesh_.positions[renumbered[v]] = mesh_.positions[v];
     }
@@ -483,11 +375,9 @@ class TetRepair {
 
   MeshData& mesh_;
   const std::string& file_;
-  const int base_;
+  const TetNames names_;
+  TetTopology topology_;
   std::vector<std::string>& warnings_;
-  std::vector<HalfFace> opposite_;
-  std::vector<std::uint32_t> star_begin_;
-  std::vector<TetId> star_;
   std::vector<std::uint8_t> boundary_;
   std::vector<std::uint8_t> removed_;
 };

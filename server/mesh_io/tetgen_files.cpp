@@ -10,10 +10,10 @@
 namespace incise::mesh_io {
 namespace {
 
-// "0 0 0 0" and its end of line; "0 0 1 2 3" and its.
+// Least bytes: "0 0 0 0" and "0 0 1 2 3", each with its end of line.
 constexpr std::size_t kMinNodeLine = 8, kMinEleLine = 10;
 
-// The index that starts a data line must count up from the first one: a gap means a line that was lost.
+// The index at the start of a data line must count up from the first one: a gap means a lost line.
 void check_index(const LineReader& in, std::size_t i, std::int64_t base, std::string_view what) {
   const std::int64_t index = in.integer(0, std::string("the index of a ") + std::string(what));
   const std::int64_t expected = base + static_cast<std::int64_t>(i);

@@ -18,8 +18,8 @@ TetgenPaths tetgen_paths(const std::filesystem::path& path);
 // Reads NAME.node and NAME.ele (TetGen manual 1.5, sections 5.2.1 and 5.2.4): first index 0 or 1, comments,
 // point attributes and boundary markers (ignored), four or ten nodes a tetrahedron (the corners are kept),
 // the first attribute of a tetrahedron as its region. The tetrahedra are as the file has them: see
-// repair_tets. `index_base` is set to the file's first index, `warnings` gets a line for each thing that was
-// not kept.
+// repair_tets. `index_base` is set to the file's first index, `warnings` gets a line for each thing that is
+// dropped.
 core::MeshData read_tetgen(const std::filesystem::path& path, int& index_base,
                            std::vector<std::string>& warnings);
 

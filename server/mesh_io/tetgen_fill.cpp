@@ -20,7 +20,7 @@ namespace {
 
 using core::MeshData;
 
-// Part of the cache's key: raise it when the same options would give another mesh.
+// Part of the cache's key: increase it when the same options give a different mesh.
 constexpr std::string_view kFillVersion = "incise fill 1";
 // TetGen with q1.4 and a bound makes tetrahedra of about this share of the bound on average.
 constexpr double kMeanShareOfBound = 0.48;
@@ -41,7 +41,7 @@ void check_options(const FillOptions& options, const std::string& file) {
   }
 }
 
-// Whether the switches hold a volume bound of their own: an a with a number.
+// Whether the switches contain a volume bound: an a with a number.
 bool has_bound(const std::string& switches) {
   for (std::size_t i = 0; i + 1 < switches.size(); ++i) {
     if (switches[i] == 'a' && ((switches[i + 1] >= '0' && switches[i + 1] <= '9') || switches[i + 1] == '.'))
@@ -75,7 +75,7 @@ std::string encode_input(const ClosedSurface& closed) {
   return bytes;
 }
 
-// The mesh in a file of the layout that incise-tetgen writes. Nothing where it is not one.
+// The mesh in a file that incise-tetgen wrote. Nothing if it is not one.
 std::optional<MeshData> decode_output(std::string_view bytes) {
   FillOutputHeader header;
   if (bytes.size() < sizeof header) return std::nullopt;
@@ -153,7 +153,7 @@ std::string digest(std::string_view bytes) {
   return hash.hex();
 }
 
-// An entry is the mesh and the digest of its bytes. One that is missing, torn or altered is no entry.
+// An entry is the mesh and the digest of its bytes. A missing, torn or altered one does not count.
 std::optional<MeshData> read_cache(const std::filesystem::path& entry) {
   try {
     if (!std::filesystem::exists(entry)) return std::nullopt;
@@ -263,8 +263,8 @@ double off_target(const MeshData& mesh, std::size_t target) {
   return std::abs(static_cast<double>(mesh.tets.size()) / static_cast<double>(target) - 1.0);
 }
 
-// What a coarse surface's edges are split to: one and a half edges of a regular tetrahedron of the mean volume wanted,
-// but, on a thin sheet, no less than what makes half as many triangles as tetrahedra.
+// The length to which a coarse surface's edges are split: 1.5 edges of a regular tetrahedron of the wanted mean volume,
+// but on a thin sheet no less than gives half as many triangles as tetrahedra.
 double split_length(const Surface& surface, double volume, double target) {
   double area = 0;
   for (const auto& t : surface.triangles) {
@@ -276,9 +276,9 @@ double split_length(const Surface& surface, double volume, double target) {
   return std::max(of_tets, of_triangles);
 }
 
-// Tunes the volume bound: the count is nearly inverse to it, where the surface's own triangles do not ask for
-// more. Next to triangles much larger than the bound TetGen cannot add vertices where Y forbids it to add
-// them on the surface: then they are split.
+// Tunes the volume bound: the count is nearly inverse to it, unless the surface's own triangles need more.
+// Beside triangles much larger than the bound TetGen cannot add vertices, because Y forbids it to add them on
+// the surface: then those triangles are split.
 MeshData fill_to_target(const ClosedSurface& given, const std::string& file, const FillOptions& options,
                         std::vector<std::string>& warnings) {
   const auto target = static_cast<double>(options.target_tets);
@@ -292,7 +292,7 @@ MeshData fill_to_target(const ClosedSurface& given, const std::string& file, con
   for (int run = 0; run < kMaxRuns; ++run) {
     const auto spent =
         std::chrono::floor<std::chrono::milliseconds>(std::chrono::steady_clock::now() - start);
-    // Another run would take about as long: no risk for a count that is nearer.
+    // Another run would take about as long: not worth the risk for a closer count.
     if (!best.tets.empty() && 2 * spent > options.time_limit) break;
     remaining.time_limit = options.time_limit - spent;
     MeshData mesh = checked_run(closed, file, options.tetgen_switches + "a" + to_text(bound), remaining);

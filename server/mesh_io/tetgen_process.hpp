@@ -17,8 +17,8 @@ struct ChildResult {
   std::string last_line;   // the last line that it wrote
 };
 
-// Runs a program (looked up on the PATH where its name has no slash), reads what it writes, and kills it when
-// the time is over. `on_stage` is called for each line that ends in "..." and twice a second: stage, seconds.
+// Runs a program (looked up on the PATH if its name has no slash), reads what it writes, and kills it when
+// its time is over. `on_stage` is called for each line that ends in "..." and twice a second: stage, seconds.
 ChildResult run_child(const std::string& program, const std::vector<std::string>& arguments,
                       std::chrono::milliseconds time_limit,
                       const std::function<void(std::string_view, double)>& on_stage);
@@ -26,7 +26,7 @@ ChildResult run_child(const std::string& program, const std::vector<std::string>
 // The incise-tetgen to start; see fill_surface.
 std::string tetgen_program();
 
-// A new directory that only this user can enter; removed with all that is in it at the end.
+// A new directory that only this user can enter; removed at the end with its contents.
 class TemporaryDirectory {
  public:
   TemporaryDirectory();  // throws MeshError

@@ -9,7 +9,7 @@
 
 namespace incise::mesh_io {
 
-// The bytes of a regular file. Throws MeshError where it is missing, not a regular file, empty or unreadable.
+// The bytes of a regular file. Throws MeshError if it is missing, not a regular file, empty or unreadable.
 std::string read_whole_file(const std::filesystem::path& path);
 
 // Writes `bytes` to a temporary file beside `path` and renames it there, so that a reader never sees half a
@@ -20,18 +20,18 @@ void write_whole_file(const std::filesystem::path& path, std::string_view bytes)
 void append_number(std::string& text, double number);
 void append_number(std::string& text, std::int64_t number);
 
-// The end of a message about a count that the rest of a file cannot hold.
+// The end of a message about a count that is too large for the rest of a file.
 extern const char* const kFit;
 
 // At most 40 printable characters of a field, in quotes, for a message: a binary file read as text must not spill into
 // it.
 std::string in_quotes(std::string_view field);
 
-// Walks over the lines of a text file that hold something besides blanks and comments, split into fields.
+// Walks over the lines of a text file that are not blank and not comments, split into fields.
 // Keeps views into `text`, which must outlive it.
 class LineReader {
  public:
-  // `comment`: the character that starts a comment, which ends with the line; '\0': there are none.
+  // `comment`: the character that starts a comment, which ends with the line; '\0': none.
   LineReader(std::string_view text, std::string file_name, char comment = '#');
 
   // Moves to the next line with a field. False at the end of the text.
@@ -47,11 +47,11 @@ class LineReader {
   std::int64_t integer(std::size_t i, std::string_view what) const;
   // Field i as a count: an integer in [0, limit].
   std::size_t count(std::size_t i, std::string_view what, std::size_t limit) const;
-  // Field i as a count of things that take `least_bytes` each in the rest of the file, at least: more cannot follow.
+  // Field i as a count of things that each take at least `least_bytes` of the rest of the file: more cannot follow.
   std::size_t count_of_rest(std::size_t i, std::string_view what, std::size_t least_bytes) const;
 
   std::size_t line() const { return line_; }
-  // Bytes from the end of the current line to the end of the text: bounds what can still be declared.
+  // Bytes from the end of the current line to the end of the text: bounds any declared count.
   std::size_t remaining() const { return text_.size() - position_; }
   std::size_t position() const { return position_; }
 

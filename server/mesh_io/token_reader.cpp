@@ -65,7 +65,7 @@ double TokenReader::number(std::string_view what) {
   const std::string_view field = all.starts_with('+') ? all.substr(1) : all;
   double value = 0;
   const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
-  // A number too small for a double is zero to any mesh; one too large is refused below.
+  // A number too small for a double is zero for any mesh; one too large is refused below.
   if (error == std::errc::result_out_of_range) {
     value = std::strtod(std::string(field).c_str(), nullptr);
   } else if (error != std::errc() || end != field.data() + field.size()) {

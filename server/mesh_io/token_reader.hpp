@@ -10,11 +10,11 @@
 
 namespace incise::mesh_io {
 
-// Reads files whose line ends mean little and that may change between text and packed numbers: Gmsh, VTK, Medit.
+// Reads files in which line ends mean little and text may alternate with packed numbers: Gmsh, VTK, Medit.
 // Keeps a view into `bytes`, which must outlive it.
 class TokenReader {
  public:
-  // `comment`: the character that starts a comment, which ends with the line; '\0': there are none.
+  // `comment`: the character that starts a comment, which ends with the line; '\0': none.
   TokenReader(std::string_view bytes, std::string file_name, char comment = '\0')
       : bytes_(bytes), file_name_(std::move(file_name)), comment_(comment) {}
 
@@ -41,22 +41,22 @@ class TokenReader {
   // A number of T's size from binary data, or a field of text that fits T.
   template <class T>
   T value(std::string_view what);
-  // A number of things that follow, each of which takes at least `least_bytes` of the file: so that no declared count
-  // makes anyone allocate more than the file could fill. T: as it is packed in a binary file.
+  // The number of things that follow, each of at least `least_bytes`, so that no declared count causes a larger
+  // allocation than the file could fill. T: its type in a binary file.
   template <class T = std::int64_t>
   std::size_t count(std::string_view what, std::size_t least_bytes);
-  // `least_bytes` of a thing that text says in `text` bytes at least, and binary data in `binary`.
+  // `least_bytes` of a thing that takes at least `text` bytes as text and `binary` bytes as packed numbers.
   std::size_t least(std::size_t text, std::size_t binary) const { return binary_ ? binary : text; }
 
-  // The next `size` bytes as they are.
+  // The next `size` bytes.
   std::string_view take(std::size_t size, std::string_view what);
-  // Moves behind the next occurrence of `text`; false, and nowhere, where there is none.
+  // Moves past the next occurrence of `text`; false, without moving, if there is none.
   bool skip_past(std::string_view text);
 
   std::size_t remaining() const { return bytes_.size() - position_; }
   std::size_t position() const { return position_; }
 
-  // Throws MeshError "FILE:LINE: message", of the field read last, or "FILE, byte N: message" in binary data.
+  // Throws MeshError "FILE:LINE: message", for the field read last, or "FILE, byte N: message" in binary data.
   [[noreturn]] void fail(std::string_view message) const;
   const std::string& file_name() const { return file_name_; }
 
@@ -69,12 +69,12 @@ class TokenReader {
   std::string_view bytes_;
   std::string file_name_;
   std::size_t position_ = 0;
-  std::size_t last_ = 0;  // where what was read last began
+  std::size_t last_ = 0;  // where the last thing read began
   char comment_;
   bool binary_ = false, swap_ = false;
 };
 
-// A packed number at `bytes`, its bytes turned round where `swap`.
+// A packed number at `bytes`; `swap`: its bytes are in reverse order.
 template <class T>
 T unpack(const char* bytes, bool swap) {
   char raw[sizeof(T)];

@@ -17,8 +17,8 @@ double coordinate(const Vec3& p, int axis) {
   return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
 }
 
-// core::orient3d, with the case that plane faces of boxes and cylinders bring up all the time decided at
-// once: its exact evaluation takes microseconds.
+// core::orient3d, with a shortcut for a case that is frequent with the plane faces of boxes and cylinders:
+// the exact evaluation takes microseconds.
 int side(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   if ((a.x == b.x && a.x == c.x && a.x == d.x) || (a.y == b.y && a.y == c.y && a.y == d.y) ||
       (a.z == b.z && a.z == c.z && a.z == d.z)) {
@@ -32,7 +32,7 @@ int dominant_axis(const Vec3& normal) {
   return x >= y && x >= z ? 0 : y >= z ? 1 : 2;
 }
 
-// An axis along which a triangle, not degenerate, has an area.
+// An axis along which a triangle that is not degenerate has an area.
 int projection_axis(const Vec3& a, const Vec3& b, const Vec3& c) {
   const int axis = dominant_axis(core::cross(b - a, c - a));
   for (const int candidate : {axis, 0, 1, 2}) {
@@ -41,7 +41,7 @@ int projection_axis(const Vec3& a, const Vec3& b, const Vec3& c) {
   return axis;
 }
 
-// Whether segment pq meets segment ab, all four in one plane that is seen along `drop`; ends count.
+// Whether segment pq meets segment ab, ends included; all four points lie in one plane, seen along `drop`.
 bool segments_meet(const Vec3& p, const Vec3& q, const Vec3& a, const Vec3& b, int drop) {
   const int pa = orient2d(p, q, a, drop), pb = orient2d(p, q, b, drop);
   const int ap = orient2d(a, b, p, drop), aq = orient2d(a, b, q, drop);
@@ -75,7 +75,7 @@ bool segment_meets_triangle(const Vec3& p, const Vec3& q, const Vec3& a, const V
   return (s >= 0 && t >= 0 && u >= 0) || (s <= 0 && t <= 0 && u <= 0);
 }
 
-// Shewchuk's filter for the two-dimensional orientation (1997, section 4.2, bound A); 0 where it cannot tell.
+// Shewchuk's filter for the two-dimensional orientation (1997, section 4.2, bound A); 0 if it is not certain.
 int filtered_orient2d(const Vec3& a, const Vec3& b, const Vec3& c, int drop) {
   const int x = drop == 0 ? 1 : 0, y = drop == 2 ? 1 : 2;
   const double left = (coordinate(a, x) - coordinate(c, x)) * (coordinate(b, y) - coordinate(c, y));
@@ -85,8 +85,8 @@ int filtered_orient2d(const Vec3& a, const Vec3& b, const Vec3& c, int drop) {
   return determinant > bound ? 1 : -determinant > bound ? -1 : 0;
 }
 
-// Whether an edge of s certainly separates the two triangles but for the vertices that they share: the edge
-// has all of these, and the rest of t lies strictly beyond it. Decides the neighbours in flat regions without
+// Whether an edge of s certainly separates the two triangles except for their shared vertices: the edge
+// contains all of these, and the rest of t lies strictly beyond it. Decides the neighbours in flat regions without
 // exact arithmetic.
 bool separated_by_edge(const std::vector<Vec3>& p, const Triangle& s, const Triangle& t, int drop) {
   for (std::size_t i = 0; i < 3; ++i) {
@@ -223,13 +223,13 @@ bool triangles_meet(const std::vector<Vec3>& p, const Triangle& s, const Triangl
   const int drop = dominant_axis(core::cross(p[a[1]] - p[a[0]], p[a[2]] - p[a[0]]));
   if (separated_by_edge(p, a, b, drop) || separated_by_edge(p, b, a, drop)) return false;
   if (shared == 2) {
-    // Around a shared edge two triangles overlap only where one is folded onto the other.
+    // Around a shared edge two triangles overlap only if one is folded onto the other.
     if (side(p[a[0]], p[a[1]], p[a[2]], p[b[2]]) != 0) return false;
     const int axis = projection_axis(p[a[0]], p[a[1]], p[a[2]]);
     return orient2d(p[a[0]], p[a[1]], p[a[2]], axis) == orient2d(p[a[0]], p[a[1]], p[b[2]], axis);
   }
   if (shared == 1) {
-    // What they have in common is convex and starts at the shared vertex: it ends on an edge opposite to it.
+    // Their intersection is convex and starts at the shared vertex, so it ends on an edge opposite to it.
     return segment_meets_triangle(p[a[1]], p[a[2]], p[b[0]], p[b[1]], p[b[2]]) ||
            segment_meets_triangle(p[b[1]], p[b[2]], p[a[0]], p[a[1]], p[a[2]]);
   }

@@ -17,12 +17,12 @@ int orient2d(const core::Vec3& a, const core::Vec3& b, const core::Vec3& c, int 
 // Whether the three points lie on one line; exact.
 bool is_collinear(const core::Vec3& a, const core::Vec3& b, const core::Vec3& c);
 
-// Whether two triangles of a surface meet anywhere but in the vertices and edges that they share by index:
-// where they cross, touch or overlap. Exact, whatever the position; neither may be degenerate.
+// Whether two triangles of a surface meet anywhere but in vertices and edges that they share by index:
+// whether they cross, touch or overlap. Exact, whatever the position; neither may be degenerate.
 bool triangles_meet(const std::vector<core::Vec3>& positions, const std::array<core::VertexId, 3>& s,
                     const std::array<core::VertexId, 3>& t);
 
-// The pairs of triangles that meet so, each (lower, higher), ascending; the search ends after `limit` of
+// All such pairs of triangles, each (lower, higher), ascending; the search ends after `limit` of
 // them. A tree of boxes: O(n log n) for the surfaces of bodies.
 std::vector<std::pair<std::size_t, std::size_t>> self_intersections(const Surface& surface,
                                                                     std::size_t limit);

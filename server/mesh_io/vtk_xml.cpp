@@ -26,8 +26,8 @@ int base64_digit(char c) {
   return c == '+' ? 62 : c == '/' ? 63 : -1;
 }
 
-// The bytes of an array: as they are, or in base64. A header that is encoded by itself, with padding behind it, is
-// followed by the next group: so padding only shortens its own group.
+// The bytes of an array: raw, or in base64. A header that is encoded by itself ends with padding, and the next group
+// follows: so padding only shortens its own group.
 class ByteSource {
  public:
   ByteSource(std::string_view text, bool base64, std::string what)
@@ -81,7 +81,7 @@ class ByteSource {
   bool base64_;
   std::string what_;
   std::size_t position_ = 0;
-  std::string rest_;  // decoded and not taken
+  std::string rest_;  // decoded and not consumed
 };
 
 struct Tag {
@@ -263,7 +263,7 @@ class VtkXmlReader {
   }
 
  private:
-  // The appended data come last, but arrays before refer to them.
+  // The appended data come last, but earlier arrays refer to them.
   void find_appended() {
     const std::size_t tag_begin = bytes_.find("<AppendedData");
     if (tag_begin == bytes_.npos) return;
@@ -388,7 +388,7 @@ class VtkXmlReader {
   std::string read_bytes(ByteSource& source, const std::string& what) const {
     const std::uint64_t first = header_number(source);
     if (!compressed_) return source.take(first);
-    // Compressed: the number of blocks, their size, that of the last where it is shorter, and each one's compressed size.
+    // Compressed: the number of blocks, their size, the size of the last if it is shorter, then each compressed size.
     const std::uint64_t size = header_number(source), last = header_number(source);
     std::vector<std::uint64_t> packed;
     for (std::uint64_t i = 0; i < first; ++i) packed.push_back(header_number(source));

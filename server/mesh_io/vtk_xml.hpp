@@ -19,7 +19,7 @@ struct VtkXmlPiece {
   std::size_t points = 0, cells = 0;
   std::vector<VtkXmlArray> point_arrays;  // of <Points>
   std::vector<VtkXmlArray> cell_arrays;   // of <Cells>: connectivity, offsets, types
-  std::vector<VtkXmlArray> cell_data;     // those that can be the region
+  std::vector<VtkXmlArray> cell_data;     // those that may be the region
 };
 
 // Reads a VTK XML file of an unstructured grid (see parse_vtu in tet_files.hpp). Every array is checked against what its

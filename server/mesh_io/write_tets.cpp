@@ -1,4 +1,4 @@
-// Writers of tetrahedral meshes; the sources of the layouts are named where they are read (read_*.cpp).
+// Writers of tetrahedral meshes; read_*.cpp name the sources of the layouts.
 
 #include <algorithm>
 #include <bit>
@@ -13,7 +13,7 @@ namespace {
 
 using Tets = std::span<const std::array<core::VertexId, 4>>;
 
-// Big-endian, which legacy VTK asks for.
+// Big-endian, as legacy VTK requires.
 template <class T>
 void append_big(std::string& bytes, T value) {
   const auto raw = std::bit_cast<std::array<char, sizeof(T)>>(value);
@@ -68,7 +68,7 @@ std::string vtk_name(const std::string& name) {
   return text;
 }
 
-// The regions that are there, in ascending order, and the tetrahedra of each.
+// The regions in ascending order, and the tetrahedra of each.
 struct Volume {
   std::int32_t region = 0;
   std::vector<std::size_t> tets;

@@ -7,8 +7,8 @@
 
 namespace incise::mesh_io {
 
-// Writes a VTK XML unstructured grid (.vtu): tetrahedra only, so that a reader finds as many cells as there
-// are tetrahedra; coordinates as doubles, metres; `cell_data` as cell data. Raw appended data, little-endian,
+// Writes a VTK XML unstructured grid (.vtu): only tetrahedra, so that a reader finds as many cells as
+// tetrahedra; coordinates as doubles, metres; `cell_data` as cell data. Raw appended data, little-endian,
 // 64-bit lengths ("VTK File Formats", XML formats): what ParaView and VTK >= 6 read. Each array is as long as
 // `tets`.
 void write_vtu(const std::filesystem::path& path, std::span<const core::Vec3> positions,

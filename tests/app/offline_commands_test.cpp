@@ -96,6 +96,62 @@ TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
   expect_error(run({"exprot", "b"}), 2, {"unknown command exprot (did you mean export?)"});
 }
 
+// 2: the command line is wrong, whatever the files hold. 1: it failed.
+TEST_F(Incise, ExitStatusesTellAWrongCommandLineFromAFailure) {
+  EXPECT_NE(run({"--help"}).out.find("Exit status: 0: success. 1: it failed"), std::string::npos);
+  write_cube_and_sweep();
+  const std::vector<std::string> cut{"cut", "--mesh", "cube", "--poses", "sweep.csv"};
+  const auto with = [](std::vector<std::string> arguments, const std::vector<std::string>& more) {
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  };
+  expect_error(run(cut), 2, {"--out is required"});
+  expect_error(run(with(cut, {"--out", "o.vtu", "--policy", "compare"})), 2, {"leave out --out"});
+  expect_error(run(with(cut, {"--out", "o.foo"})), 2, {"--out o.foo: cannot write \".foo\"; choose"});
+  expect_error(run(with(cut, {"--out", "sweep.csv"})), 2, {"cannot write"});
+  expect_error(run(with(cut, {"--out", "cube.node"})), 2, {"would overwrite"});
+  expect_error(run(with(cut, {"--out", "o.vtu", "--blade", "1,2"})), 2, {"--blade: found \"1,2\""});
+  expect_error(run({"convert", "sweep.csv", "--out", "c.capture"}), 2, {"no mesh to cut: give --mesh"});
+  expect_error(run({"phantom", "kidney", "--out", "k.node"}), 2, {"found \"kidney\""});
+  expect_error(run({"stream", "sweep.csv", "--to", "http://x"}), 2, {"server \"http://x\""});
+  for (const auto& nothing : {"replay", "info"})
+    expect_error(run({nothing, "nothing.tum"}), 1, {"nothing.tum: "});
+  expect_error(run({"cut", "--mesh", "nothing", "--poses", "sweep.csv", "--out", "o.vtu"}), 1, {"nothing"});
+  expect_error(run({"stream", "nothing.csv", "--to", "127.0.0.1:1"}), 1,
+               {"nothing.csv: cannot be opened: No such file"});
+  expect_error(run({"watch", "127.0.0.1:1", "--token-file", "nothing"}), 1,
+               {"nothing: cannot be opened: No such file"});
+  expect_error(run({"watch", "tls://127.0.0.1:1", "--ca", "nothing"}), 1, {"nothing"});
+}
+
+TEST_F(Incise, ANumberOutOfRangeGetsOneShortLine) {
+  write("a.tum", "0 0 0 0 0 0 0 1\n");
+  const struct {
+    std::vector<std::string> arguments;
+    std::string expected;
+  } cases[] = {
+      {{"watch", "x", "--for", "-1"}, "--for: found -1; accepted is a number, 0 or more;"},
+      {{"watch", "x", "--for", "1e400"}, "--for: found 1e400; accepted is a number, 0 or more;"},
+      {{"watch", "x", "--give-up-after", "soon"},
+       "--give-up-after: found soon; accepted is a number, 0 or more;"},
+      {{"watch", "x", "--max-rate", "1e9"}, "--max-rate: found 1e9; accepted is a number from 0 to 10000;"},
+      {{"watch", "x", "--until-revision", "-1"},
+       "--until-revision: found -1; accepted is a whole number, 0 or more;"},
+      {{"stream", "a.tum", "--to", "x", "--speed", "-0.5"},
+       "--speed: found -0.5; accepted is a number from 0 to 1000;"},
+      {{"devices", "--monitor", "--for", "nan"}, "--for: found nan; accepted is a number, 0 or more;"},
+      {{"phantom", "slab", "--size", "10", "--out", "k.node"},
+       "--size: found 10; accepted is a whole number from 500 to 20000000;"},
+      {{"export", "a.capture", "--revision", "18446744073709551616", "--out", "k.node"},
+       "--revision: found 18446744073709551616; accepted is a whole number from 0 to 18446744073709551615;"},
+  };
+  for (const auto& c : cases) {
+    const RunResult result = run(c.arguments);
+    expect_error(result, 2, {c.expected});
+    EXPECT_LT(result.err.size(), 160u) << result.err;
+  }
+}
+
 TEST_F(Incise, AFileOfTheWrongKindIsNamedAsThat) {
   write_cube_and_sweep();
   write("passwd", "root:x:0:0:root:/root:/bin/bash\n");
@@ -114,7 +170,9 @@ TEST_F(Incise, AFileOfTheWrongKindIsNamedAsThat) {
   EXPECT_NE(config.out.find("configuration of incised"), std::string::npos) << config.out;
   EXPECT_NE(config.out.find("liver (phantom)"), std::string::npos) << config.out;
   write("empty.tum", "");
-  expect_error(run({"info", "empty.tum"}), 1, {"empty.tum"});
+  expect_error(run({"info", "empty.tum"}), 1, {"empty.tum: holds no poses: the file is empty"});
+  write("header.csv", "t_s,x_m,y_m,z_m\n");
+  expect_error(run({"info", "header.csv"}), 1, {"header.csv: holds no poses: no samples behind the header"});
   expect_error(run({"cut", "--mesh", "cube", "--poses", "empty.tum", "--out", "o.vtu"}), 1,
                {"empty.tum: the file is empty; accepted are TUM lines"});
 }
@@ -346,6 +404,33 @@ TEST_F(Incise, OddTimesAreSkippedOrRefused) {
   ASSERT_EQ(run({"convert", "twice.tum", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
   EXPECT_EQ(run({"cut", "--mesh", "cube", "--poses", "a.capture", "--out", "o.vtu", "--strict"}).exit_code,
             0);
+}
+
+// A recording whose clock restarts half-way: both halves cut, and nothing between them.
+TEST_F(Incise, AClockThatRestartsKeepsTheSecondHalf) {
+  write_cube_and_sweep();
+  const std::string csv = tests::read_file(dir_ / "sweep.csv");
+  std::istringstream lines(csv);
+  std::string restarted, line;
+  for (int i = -1; std::getline(lines, line); ++i) {
+    const auto comma = line.find(',');
+    const double t_s = i < 0 ? 0 : std::stod(line.substr(0, comma));
+    restarted += (i < 200 ? line : std::to_string(t_s - 1.2) + line.substr(comma)) + "\n";
+  }
+  write("restarted.csv", restarted);
+  RunResult result = run(
+      {"cut", "--mesh", "cube", "--poses", "restarted.csv", "--blade", kBlade, "--out", "o.vtu", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json report = json::parse(result.out);
+  EXPECT_EQ(report["poses_taken"], 400);
+  EXPECT_NE(report["warnings"].dump().find("restarted.csv: the clock restarts once (line 202: "),
+            std::string::npos)
+      << report["warnings"];
+  ASSERT_EQ(run({"convert", "restarted.csv", "--mesh", "cube", "--out", "r.capture"}).exit_code, 0);
+  result = run({"replay", "r.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  result = run({"info", "r.capture", "--json"});
+  EXPECT_EQ(json::parse(result.out)["poses"], 400) << result.out;
 }
 
 TEST_F(Incise, MillimetresAreRecognised) {
@@ -693,8 +778,8 @@ TEST_F(Incise, PhantomsAreTheSameEveryTime) {
   }
   EXPECT_EQ(tests::read_file(dir_ / "a.node"), tests::read_file(dir_ / "b.node"));
   EXPECT_EQ(tests::read_file(dir_ / "a.ele"), tests::read_file(dir_ / "b.ele"));
-  expect_error(run({"phantom", "kidney", "--out", "k.node"}), 1, {"kidney", "liver"});
-  expect_error(run({"phantom", "slab", "--size", "10", "--out", "k.node"}), 1, {"10"});
+  expect_error(run({"phantom", "kidney", "--out", "k.node"}), 2, {"kidney", "liver"});
+  expect_error(run({"phantom", "slab", "--size", "10", "--out", "k.node"}), 2, {"10"});
   expect_error(run({"phantom", "slab", "--out", "nowhere/k.node"}), 1, {"nowhere"});
 }
 

@@ -230,7 +230,7 @@ TEST_F(ProgramsTest, AnOperatorFeelsTheTissue) {
   client::Options options;
   options.role = protocol::Role::Operator;
   bool felt = false, planes = false, rendered = false;
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(120);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(40);
   while (!(felt && planes && rendered) && std::chrono::steady_clock::now() < deadline) {
     const auto blade = client::Client::connect("127.0.0.1", tcp_port, options, callbacks);
     const protocol::Box box = blade->welcome().mesh.box;

@@ -18,7 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 
 bool wait_for(const std::function<bool()>& condition) {
-  for (int i = 0; i < 6000; ++i) {
+  for (int i = 0; i < 2000; ++i) {
     if (condition()) return true;
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
   }

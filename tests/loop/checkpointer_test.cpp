@@ -73,7 +73,7 @@ class CheckpointerTest : public ::testing::Test {
   }
   // As the journal does: what the thread was too busy to take is offered again.
   static bool wait_for(Checkpointer& checkpointer, const std::function<bool()>& condition) {
-    for (int i = 0; i < 12'000; ++i) {
+    for (int i = 0; i < 4'000; ++i) {
       checkpointer.hand_over();
       if (condition()) return true;
       std::this_thread::sleep_for(std::chrono::milliseconds(5));

@@ -106,7 +106,7 @@ TEST(TetRepair, FlatTetrahedronOnTheBoundaryIsMendedOrRemoved) {
 
 TEST(TetRepair, InvertedTetrahedronOnTheBoundaryIsRemoved) {
   MeshData mesh = cube_mesh(2);
-  // Folded deep into the body over the tetrahedron below its face (18, 19, 22) of z = 2: no small move mends
+  // Folded deep into the body over the tetrahedron below its face (18, 19, 22) of z = 2: no small move fixes
   // it.
   mesh.positions.push_back({0.6, 0.3, 1.2});
   const auto on_top = [&](std::uint32_t a, std::uint32_t b, std::uint32_t c) {
@@ -135,12 +135,12 @@ TEST(TetRepair, TangledMeshIsRefused) {
 
 TEST(TetRepair, InvertedTetrahedraDeepInsideAreRefused) {
   MeshData mesh = cube_mesh(12);
-  // Two neighbours deep inside have changed places: no small move mends that.
+  // Two neighbours deep inside have changed places: no small move fixes that.
   const std::size_t v = 6 + 13 * (6 + 13 * 6);
   std::swap(mesh.positions[v], mesh.positions[v + 1]);
   const std::string error = error_of([&] { repair(mesh, 1); });
   EXPECT_NE(error.find("is inverted, volume -"), std::string::npos) << error;
-  EXPECT_NE(error.find("inside the body, and no small move of a vertex mends it"), std::string::npos)
+  EXPECT_NE(error.find("inside the body, and no small move of a vertex fixes it"), std::string::npos)
       << error;
 }
 

@@ -12,14 +12,14 @@
 namespace incise::protocol {
 namespace {
 
-Motion read(const std::string& text) {
+Motion read(const std::string& text, Times times = Times::kSkip) {
   std::istringstream in(text);
-  return read_motion(in, "m.csv");
+  return read_motion(in, "m.csv", times);
 }
 
-std::string error_of(const std::string& text) {
+std::string error_of(const std::string& text, Times times = Times::kSkip) {
   try {
-    read(text);
+    read(text, times);
   } catch (const MotionError& e) {
     return e.what();
   }
@@ -95,6 +95,33 @@ TEST(Motion, SamplesWhoseTimeDoesNotRiseAreSkippedAndCountedInEveryFormat) {
     }
   }
   EXPECT_EQ(read("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n").warning, "");
+}
+
+TEST(Motion, AClockThatRestartsBeginsANewStroke) {
+  const std::string csv =
+      "t_s,x_m,y_m,z_m\n5,0,0,0\n5.01,0,0,1\n0,0,0,2\n0.01,0,0,3\n0.02,0,0,4\n0,0,0,9\n0.03,0,0,5\n";
+  const Motion m = read(csv);
+  ASSERT_EQ(m.samples.size(), 6u);
+  EXPECT_EQ(m.restarts, std::vector<std::size_t>{2});
+  EXPECT_EQ(m.not_rising, 1u) << "the sample at z = 9";
+  const std::int64_t expected_ns[] = {5'000'000'000, 5'010'000'000, 6'010'000'000,
+                                      6'020'000'000, 6'030'000'000, 6'040'000'000};
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(m.samples[i].source_ns, expected_ns[i]) << i;
+    EXPECT_EQ(m.samples[i].position.z, static_cast<double>(i)) << i;
+  }
+  EXPECT_EQ(m.warning,
+            "m.csv: skipped 1 of 7 samples: its time does not rise (line 7: time 0 s after 0.02 s); --strict "
+            "refuses such files; the clock restarts once (line 4: time 0 s after 5.01 s): what follows is "
+            "kept as a new stroke, a second later");
+  EXPECT_EQ(error_of(csv, Times::kRefuse), "m.csv:4: time 0 s after 5.01 s, accepted are rising times");
+  EXPECT_EQ(read(csv + "0,0,0,6\n").samples.size(), 6u) << "the last sample alone shows no restart";
+  EXPECT_EQ(read("t_s,x_m,y_m,z_m\n3,0,0,0\n0,0,0,1\n0.5,0,0,2\n3,0,0,3\n0,0,0,4\n0.5,0,0,5\n").restarts,
+            (std::vector<std::size_t>{1, 4}));
+  // Ages apart, or beyond what a time may be: one line, or as before.
+  EXPECT_EQ(read("t_s,x_m,y_m,z_m\n9e9,0,0,0\n-9e9,0,0,1\n-8999999999.5,0,0,2\n").samples.size(), 1u);
+  EXPECT_EQ(error_of("t_s,x_m,y_m,z_m\n1e9,0,0,0\n0,0,0,1\n0.5,0,0,2\n8999999999,0,0,3\n"),
+            "m.csv:5: t_s is out of range after the clock's restart");
 }
 
 TEST(Motion, TimesAreWrittenAsInTheFile) {

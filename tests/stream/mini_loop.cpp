@@ -1,5 +1,7 @@
 #include "tests/stream/mini_loop.hpp"
 
+#include <algorithm>
+#include <atomic>
 #include <utility>
 
 namespace incise::stream {
@@ -265,9 +267,15 @@ std::size_t MiniLoop::open_count() const {
 }
 
 bool eventually(const std::function<bool()>& condition, double seconds) {
-  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+  // Once a wait has failed the test has failed: the conditions that depend on that one must not wait as long again.
+  static std::atomic<bool> failed{false};
+  const double limit_s = failed ? std::min(seconds, 2.0) : seconds;
+  const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(limit_s);
   while (!condition()) {
-    if (std::chrono::steady_clock::now() > end) return false;
+    if (std::chrono::steady_clock::now() > end) {
+      failed = true;
+      return false;
+    }
     std::this_thread::sleep_for(std::chrono::milliseconds(2));
   }
   return true;

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <stdexcept>
@@ -64,11 +65,15 @@ Bytes from_hex(std::string_view text) {
 }
 
 bool eventually(const std::function<bool()>& condition) {
-  for (const std::int64_t end = now_ns() + 30'000'000'000; now_ns() < end;) {
+  // Once a wait has failed the test has failed: the conditions that depend on that one must not wait as long again.
+  static std::atomic<bool> failed{false};
+  const std::int64_t limit_ns = failed ? 2'000'000'000 : 20'000'000'000;
+  for (const std::int64_t end = now_ns() + limit_ns; now_ns() < end;) {
     if (condition()) return true;
     ::usleep(2000);
   }
-  return condition();
+  failed = !condition();
+  return !failed;
 }
 
 // ------------------------------------------------------------------------------------------------ MockNode

@@ -96,7 +96,7 @@ void check_files(const Config& config, const std::string& file) {
 
 void check_together(const Config& config, const std::string& file) {
   if (!config.mesh.path.empty() && !config.mesh.phantom.empty()) {
-    refuse(file, "mesh.phantom", shown(config.mesh.phantom), "\"\" where mesh.path is given");
+    refuse(file, "mesh.phantom", shown(config.mesh.phantom), "\"\" if mesh.path is given");
   }
   if (!config.mesh.phantom.empty() && config.mesh.target_tets < 500) {
     refuse(file, "mesh.target_tets", std::to_string(config.mesh.target_tets), "500 or more for a phantom");
@@ -112,8 +112,7 @@ void check_together(const Config& config, const std::string& file) {
   if (config.listen.certificate_file.empty() != config.listen.private_key_file.empty()) {
     const bool key = config.listen.private_key_file.empty();
     refuse(file, key ? "listen.private_key_file" : "listen.certificate_file", "\"\"",
-           key ? "a path where listen.certificate_file is given"
-               : "a path where listen.private_key_file is given");
+           key ? "a path if listen.certificate_file is given" : "a path if listen.private_key_file is given");
   }
   if (config.listen.tcp_port > 0 && config.listen.tcp_port == config.listen.http_port) {
     refuse(file, "listen.http_port", std::to_string(config.listen.http_port),
@@ -149,7 +148,7 @@ void check_config(const Config& config, const std::string& file) {
 #endif
   if (config.openigtlink.port >= 0 && !is_loopback(config.openigtlink.address) && !config.listen.insecure) {
     refuse(file, "openigtlink.address", shown(config.openigtlink.address),
-           "a loopback address, or any where listen.insecure is true");
+           "a loopback address, or any if listen.insecure is true");
   }
   boost::system::error_code no_address;
   boost::asio::ip::make_address(config.listen.address, no_address);
@@ -158,7 +157,7 @@ void check_config(const Config& config, const std::string& file) {
   if (!is_loopback(config.listen.address) && !config.listen.insecure &&
       (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
     refuse(file, "listen.address", shown(config.listen.address),
-           "a loopback address, or any where listen.token_file and listen.certificate_file are given, or "
+           "a loopback address, or any if listen.token_file and listen.certificate_file are given, or "
            "listen.insecure is true");
   }
 }

@@ -71,11 +71,11 @@ ConfigKeys loop_keys() {
           "loop.budget_fraction", INCISE_FIELD(loop.budget_fraction), 0.01, 0.95,
           "The part of a frame that input and cutting may use; what does not fit waits for the next frame."),
       integer("loop.realtime_priority", INCISE_FIELD(loop.realtime_priority), 0, 99,
-              "Priority of the loop's thread under SCHED_FIFO, where the system grants it; 0: do not ask."),
+              "Priority of the loop's thread under SCHED_FIFO, if the system grants it; 0: do not ask."),
       integer("loop.cpu", INCISE_FIELD(loop.cpu), -1, 1023,
               "The processor that the loop's thread is bound to; -1: any."),
       boolean("loop.lock_memory", INCISE_FIELD(loop.lock_memory),
-              "Keep all memory from being swapped out, where the system grants it."),
+              "Keep all memory from being swapped out, if the system grants it."),
   };
 }
 

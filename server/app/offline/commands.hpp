@@ -1,7 +1,8 @@
 #pragma once
 
-// The commands of `incise` that need no server. Each returns the program's exit code (0 only on success), prints its
-// result on stdout and warnings on stderr, and throws std::exception with one line that says what is wrong and what to do.
+// The commands of `incise` that need no server. Each returns the program's exit status (0 only on success), prints
+// its result on stdout and warnings on stderr, and throws std::exception with one line that says what is wrong and what to
+// do: client::UsageError if the command line is wrong.
 
 #include <cstdint>
 #include <filesystem>
@@ -19,14 +20,14 @@ namespace incise::app {
 struct CutCommand {
   std::filesystem::path mesh, poses, out, report;
   std::string blade;             // "hx,hy,hz:tx,ty,tz"; empty: the configuration's
-  std::filesystem::path config;  // empty: the capture's where poses are one, else the defaults
-  std::string policy, prefer;    // empty: the configuration's; policy "compare": all, and no mesh is written
+  std::filesystem::path config;  // empty: the capture's if poses are one, else the defaults
+  std::string policy, prefer;  // empty: the configuration's; policy "compare": tries all, and writes no mesh
   protocol::Times times = protocol::Times::kSkip;
   bool json = false;
 };
-// What `incise cut` exits with where all was done and written, but the blade has cut nothing.
+// Exit status of `incise cut` if it wrote its results but the blade cut nothing.
 inline constexpr int kNothingCut = 3;
-// Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report of it, or compares the policies.
+// Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report, or compares the policies.
 int run_cut(const CutCommand& command);
 
 struct ReplayCommand {
@@ -35,7 +36,7 @@ struct ReplayCommand {
   bool verify = false;
   bool json = false;
 };
-// Replays a capture and compares the hash of every batch: 1 where one differs.
+// Replays a capture and compares the hash of every batch: 1 if one differs.
 int run_replay(const ReplayCommand& command);
 
 struct InfoCommand {
@@ -68,31 +69,31 @@ struct ConvertCommand {
   protocol::Times times = protocol::Times::kSkip;
   bool json = false;
 };
-// Makes a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with
-// it, batch marks and all.
+// Turns a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with
+// it, with batch marks.
 int run_convert(const ConvertCommand& command);
 
 struct DoctorCommand {
-  std::filesystem::path config;  // of the server that is to run; empty: the defaults
+  std::filesystem::path config;  // of the server; empty: the defaults
   bool json = false;
 };
-// Looks at what a server needs of this machine (limits, clock, ports, devices, directories) and says what to mend. 1: it
-// would not start, or not work.
+// Checks what a server needs from this machine (limits, clock, ports, devices, directories) and says how to fix what is
+// missing. 1: it would not start, or not work.
 int run_doctor(const DoctorCommand& command);
 
 struct DevicesCommand {
   std::filesystem::path config;  // its devices section counts
   std::filesystem::path check;   // a profile
   bool monitor = false;
-  std::string device;  // "vvvv:pppp", with :serial or not; empty: all that a profile fits
+  std::string device;  // "vvvv:pppp", with :serial or not; empty: all that fit a profile
   double for_s = 0;    // 0: until interrupted
   bool json = false;
 };
-// Lists the HID devices of this machine and which profile fits each, or why none does; or shows live what they say; or
+// Lists the HID devices of this machine and the profile that fits each, or why none does; or shows their reports live; or
 // checks a profile.
 int run_devices(const DevicesCommand& command);
 
-// Adds all of these to `app`; a command that is called puts its exit code into `exit_code`.
+// Adds all of these to `app`; the command that runs sets `exit_code`.
 void add_offline_commands(CLI::App& app, int& exit_code);
 
 }  // namespace incise::app

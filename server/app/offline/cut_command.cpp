@@ -7,6 +7,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "client/cli/usage.hpp"
 #include "protocol/motion.hpp"
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
@@ -68,7 +69,7 @@ Input read_input(const CutCommand& command, Progress& progress) {
   } else if (in.motion.header) {
     in.config = config_of(*in.motion.header, command.poses.string());
   }
-  if (!command.blade.empty()) {  // for every source, whatever configuration or capture say
+  if (!command.blade.empty()) {  // for every source, whatever the configuration or capture says
     in.config.cut.blade = to_core(protocol::parse_blade("--blade", command.blade));
     in.config.sources.clear();
     for (MotionEvent& event : in.motion.events) event.blade.reset();
@@ -95,7 +96,7 @@ const char* name_of(core::Preference prefer) {
   return kNames[static_cast<std::size_t>(prefer)];
 }
 
-// What became of the mesh; `tally` is complete.
+// The result for the mesh; `tally` is complete.
 Json report_of(const CutCommand& command, const Input& in, const Config& config, const core::TetMesh& mesh,
                const core::CutReport& before, Tally& tally) {
   const core::CutReport after = core::measure(mesh);
@@ -142,7 +143,7 @@ Json report_of(const CutCommand& command, const Input& in, const Config& config,
   return report;
 }
 
-// Cuts the mesh by the motion, in the server's own way.
+// Cuts the mesh by the motion, in the same way as the server.
 Outcome cut(const CutCommand& command, const Input& in, const Config& config, Progress& progress) {
   progress.stage("preparing");
   Outcome out{std::make_unique<core::CutSession>(in.loaded.mesh, config.cut), {}};
@@ -151,13 +152,13 @@ Outcome cut(const CutCommand& command, const Input& in, const Config& config, Pr
   std::vector<std::string> warnings = in.warnings;
   if (const auto copies = session.mesh().initial_vertex_copies(); copies > 0) {
     warnings.push_back(command.mesh.string() + ": " + counted(copies, "vertex", "vertices") +
-                       " joined parts that merely touch there; each part has its own now");
+                       " joined parts that only touch there; now each part has its own");
   }
   Tally tally{0.001 * session.mesh().mean_edge_length(), {}, 0, {}, {}};
   progress.stage("cutting");
   MotionRun run(session, in.motion, config, command.poses.string());
   run.run(
-      {.deformations = false,  // of the vertices of another mesh
+      {.deformations = false,  // they name vertices of another mesh
        .event = {},
        .commit = [&](const core::Delta&,
                      double us) { tally.add(session.committed_batch(), session.committed_counts(), us); }},
@@ -171,7 +172,7 @@ Outcome cut(const CutCommand& command, const Input& in, const Config& config, Pr
   return out;
 }
 
-// In h; what is no more than rounding is not worth its digits.
+// In h. Rounding errors are not worth their digits.
 std::string deviation_text(double h) {
   return h < 1e-9 ? "below 1e-9 h" : short_number(h) + " h";
 }
@@ -240,7 +241,7 @@ void print_comparison(const std::vector<Json>& reports) {
   }
 }
 
-// The same cut in every way that there is.
+// The same cut by every policy.
 std::vector<Json> compare(const CutCommand& command, const Input& in, Progress& progress) {
   struct Way {
     core::Policy policy;
@@ -261,8 +262,8 @@ std::vector<Json> compare(const CutCommand& command, const Input& in, Progress& 
   return reports;
 }
 
-// What a cut prints at its end: the warnings of all reports, each once, and the report or the comparison of several. The
-// exit code.
+// Prints the warnings of all reports, each once, and the report, or the comparison of several. Returns the exit
+// status.
 int finish(const CutCommand& command, const std::vector<Json>& reports) {
   std::vector<std::string> warnings;
   for (const Json& report : reports) {
@@ -291,10 +292,10 @@ int finish(const CutCommand& command, const std::vector<Json>& reports) {
 int run_cut(const CutCommand& command) {
   const bool compares = command.policy == "compare";
   if (!compares && command.out.empty())
-    throw std::runtime_error("--out is required: where the cut mesh goes");
+    throw client::UsageError("--out is required: where the cut mesh goes");
   if (!command.out.empty()) {
     if (compares)
-      throw std::runtime_error("--policy compare writes no mesh: leave out --out, or name one policy");
+      throw client::UsageError("--policy compare writes no mesh: leave out --out, or name one policy");
     require_mesh_output(command.out, "--out");
     require_not_read(command.out, {command.mesh, command.poses}, "--out");
   }

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <system_error>
 
+#include "client/cli/usage.hpp"
 #include "server/core/geometry/quality.hpp"
 
 namespace incise::app {
@@ -34,7 +35,7 @@ void require_not_read(const fs::path& out, std::initializer_list<fs::path> read,
       for (const fs::path& to : files(out)) {
         std::error_code error;
         if (!from.empty() && fs::equivalent(from, to, error))
-          throw std::runtime_error(option + " " + out.string() + ": would overwrite " + from.string() +
+          throw client::UsageError(option + " " + out.string() + ": would overwrite " + from.string() +
                                    ", which is read; choose another name");
       }
     }
@@ -42,13 +43,13 @@ void require_not_read(const fs::path& out, std::initializer_list<fs::path> read,
 }
 
 void require_mesh_output(const fs::path& path, const std::string& option) {
-  require_writable(path, option);
   if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path)) {
-    throw std::runtime_error(option + " " + path.string() + ": cannot write \"" + path.extension().string() +
+    throw client::UsageError(option + " " + path.string() + ": cannot write \"" + path.extension().string() +
                              "\"; choose " + std::string(mesh_io::mesh_file_endings()) + " for tetrahedra, " +
                              std::string(mesh_io::surface_file_endings()) +
                              " for the surface, or no ending for TetGen's pair");
   }
+  require_writable(path, option);
 }
 
 void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {

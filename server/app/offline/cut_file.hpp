@@ -12,16 +12,16 @@
 
 namespace incise::app {
 
-// Throws std::runtime_error where `path` cannot become a file: its directory is missing, or it is a directory. Asked
-// before the work whose result goes there. `option` names it in the message.
+// Throws std::runtime_error if `path` cannot become a file: its directory is missing, or it is a directory. Call it before
+// the work whose result goes there. `option` names the path in the message.
 void require_writable(const std::filesystem::path& path, const std::string& option);
-// Throws std::runtime_error where `out` is one of the files that are read (a TetGen mesh is named by its base, too).
+// Throws UsageError if `out` is one of the files that are read (a TetGen mesh can also be named by its base).
 void require_not_read(const std::filesystem::path& out, std::initializer_list<std::filesystem::path> read,
                       const std::string& option);
-// The same as require_writable, and that its ending is one that write_cut_mesh takes: a mesh's or a surface's that can be written, or none (TetGen).
+// As require_writable; also throws UsageError if write_cut_mesh cannot write this ending: a mesh's, a surface's or none (TetGen).
 void require_mesh_output(const std::filesystem::path& path, const std::string& option);
 
-// Writes what is left of a mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
+// Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp). Throws MeshError.

@@ -64,7 +64,7 @@ std::string usages_of(const HidInterface& interface) {
   return text;
 }
 
-// "input 1: 7 bytes, feature 3: 5 bytes": as the device describes itself.
+// "input 1: 7 bytes, feature 3: 5 bytes": from the report descriptor.
 std::string reports_of(const HidInterface& interface) {
   constexpr const char* kKinds[] = {"input", "output", "feature"};
   std::string text;
@@ -102,7 +102,8 @@ int list(const std::vector<Candidate>& found, bool json) {
   if (json) std::printf("%s\n", all.dump(2).c_str());
   if (found.empty() && !json) {
     std::printf(
-        "no HID device is connected, or none that this user may see (DEVICES.md, \"Connecting a device\")\n");
+        "no HID device is connected, or none that this user may access (DEVICES.md, \"Connecting a "
+        "device\")\n");
   }
   return 0;
 }
@@ -117,7 +118,7 @@ std::string hex(const std::vector<std::uint8_t>& bytes) {
   return text;
 }
 
-// A device that the monitor reads. Nothing is sent to it but the profile's start reports, and its stop reports at the end.
+// A device that the monitor reads. It gets only the profile's start reports, and the stop reports at the end.
 class Watched {
  public:
   Watched(Candidate candidate, input::HidHandle handle)
@@ -233,7 +234,7 @@ class Watched {
   bool gone_ = false;
 };
 
-// Opens one for reading; nothing, and says why on stderr.
+// Opens one for reading. Null if that fails; stderr says why.
 std::unique_ptr<Watched> watch(const Candidate& candidate) {
   std::string error = candidate.interface.trouble;
   std::optional<input::HidHandle> handle;

@@ -1,4 +1,4 @@
-// incise doctor: what keeps a server on this machine, as this user, from doing its work well.
+// incise doctor: finds what would keep a server from working well on this machine, as this user.
 
 #include <netdb.h>
 #include <pwd.h>
@@ -34,7 +34,7 @@ struct Finding {
   std::string what;
   Verdict verdict = Verdict::kGood;
   std::string found;
-  std::string remedy;  // empty where all is good
+  std::string remedy;  // empty if all is good
 };
 
 constexpr const char* kUdevRemedy =
@@ -54,7 +54,7 @@ std::string first_word(const char* file) {
 
 Finding check_configuration(const DoctorCommand& command, Config& config) {
   if (command.config.empty())
-    return {"configuration", Verdict::kGood, "none given: the defaults are looked at", ""};
+    return {"configuration", Verdict::kGood, "none given: checking the defaults", ""};
   try {
     config = load_config(command.config);
     check_config(config, command.config.string());
@@ -65,7 +65,7 @@ Finding check_configuration(const DoctorCommand& command, Config& config) {
   return {"configuration", Verdict::kGood, command.config.string() + ": good", ""};
 }
 
-// Asks for the priority in a thread that then ends: the only way to know, whatever grants it.
+// Requests the priority in a thread that then ends: the only way to find out.
 Finding check_priority(const Config& config) {
   const int priority = static_cast<int>(config.loop.realtime_priority);
   if (priority == 0) return {"real-time priority", Verdict::kGood, "not asked for", ""};
@@ -88,8 +88,8 @@ Finding check_memory(const Config& config) {
   if (!config.loop.lock_memory) return {"locked memory", Verdict::kGood, "not asked for", ""};
   rlimit limit{};
   getrlimit(RLIMIT_MEMLOCK, &limit);
-  // A limit below what the server grows to is granted at first and fails later: so only no limit, or the right to pass
-  // it, is good.
+  // With a limit below its final size the server starts and fails later. So only no limit, or the right to exceed it, is
+  // good.
   const bool locked = mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
   if (locked) munlockall();
   if (limit.rlim_cur == RLIM_INFINITY || (locked && geteuid() == 0)) {
@@ -113,14 +113,14 @@ Finding check_clock() {
     return {"clock", Verdict::kFault, found, "a kernel with high-resolution timers (CONFIG_HIGH_RES_TIMERS)"};
   }
   if (source == "hpet" || source == "acpi_pm" || source == "jiffies") {
-    return {"clock", Verdict::kWarning, found + ": each look at it takes microseconds",
+    return {"clock", Verdict::kWarning, found + ": reading it takes microseconds",
             "the kernel parameter clocksource=tsc, if the processor's is stable"};
   }
   return {"clock", Verdict::kGood, found, ""};
 }
 
-// How late a thread of ordinary priority wakes from 200 sleeps of a millisecond: what the loop has to do with where it
-// gets no better one.
+// How late a thread of ordinary priority wakes from 200 sleeps of a millisecond: what the loop gets without real-time
+// priority.
 Finding check_wakeups() {
   std::vector<double> late_us;
   timespec at{};
@@ -162,7 +162,7 @@ Finding check_processors(const Config& config) {
   return {"processors", Verdict::kGood, found, ""};
 }
 
-// Whether an incised answers there, over HTTP without TLS, within two seconds.
+// Whether incised answers there, over HTTP without TLS, within two seconds.
 bool incised_answers(const std::string& address, std::int64_t port) {
   addrinfo hints{}, *list = nullptr;
   hints.ai_socktype = SOCK_STREAM;
@@ -189,7 +189,7 @@ bool incised_answers(const std::string& address, std::int64_t port) {
          answer.find("\"sessions\":") != std::string::npos;
 }
 
-// Whether the server could listen there: by doing so for a moment. `running`: an incised does so already.
+// Whether the server could listen there: tries it for a moment. `running`: an incised listens there already.
 Finding check_port(const std::string& key, const std::string& address, std::int64_t port,
                    bool running = false) {
   const std::string where = address + ":" + std::to_string(port);
@@ -252,7 +252,7 @@ Finding check_tetgen() {
 }
 
 Finding check_directory(const std::string& what, fs::path directory) {
-  // What is not there yet is made when it is needed, where that is possible.
+  // A missing directory is made when it is needed, if that is possible.
   std::error_code error;
   while (!directory.empty() && !fs::exists(directory, error) && directory.has_parent_path()) {
     directory = directory.parent_path();

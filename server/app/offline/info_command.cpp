@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
@@ -152,7 +153,7 @@ std::string known_files() {
          "configuration";
 }
 
-// By its contents: a configuration, a capture, or a motion.
+// Decides by the contents: a configuration, a capture, or a motion.
 Json describe_contents(const fs::path& file) {
   if (looks_like_config(file)) {
     const Json json = Json::parse(std::ifstream(file), nullptr, false, true);
@@ -164,6 +165,9 @@ Json describe_contents(const fs::path& file) {
   }
   try {
     return describe_motion(read_recorded_motion(file));
+  } catch (const protocol::EmptyMotion& error) {
+    const std::string name = file.string() + ": ";
+    throw std::runtime_error(name + "holds no poses: " + std::string(error.what()).substr(name.size()));
   } catch (const protocol::NotAMotion&) {
     throw std::runtime_error(file.string() + ": not a file that incise knows; it knows " + known_files());
   }
@@ -235,7 +239,7 @@ int run_info(const InfoCommand& command) {
 int run_phantom(const PhantomCommand& command) {
   const auto kind = mesh_io::phantom_kind(command.kind);
   if (!kind)
-    throw std::runtime_error("found \"" + command.kind + "\"; accepted are liver, cylinder and slab");
+    throw client::UsageError("found \"" + command.kind + "\"; accepted are liver, cylinder and slab");
   require_mesh_output(command.out, "--out");
   Json facts;
   std::vector<std::string> warnings;

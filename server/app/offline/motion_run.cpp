@@ -11,11 +11,11 @@ namespace {
 
 using core::PoseVerdict;
 
-// A limit is raised where more of the steps than this would be jumps, to so many times what is usual.
+// If more than this share of the steps would be jumps, a limit is raised to so many times the usual step.
 constexpr double kMaxJumps = 0.1, kTimesUsualSpeed = 20, kTimesUsualGap = 5;
-// A body larger than this is not in metres, and a hand's speed says nothing: so many bodies a second instead.
+// A larger body is probably not in metres, and a hand's speed means nothing: use so many bodies a second instead.
 constexpr double kMaxBody_m = 1, kBodiesPerSecond = 10;
-// Where a motion spans so many times as much as the body, or the other way round, one of them is in millimetres.
+// If a motion spans so many times the body, or the other way round, one of them is probably in millimetres.
 constexpr double kMinUnitError = 150, kMaxUnitError = 7000;
 
 double middle(std::vector<double> values) {
@@ -30,7 +30,7 @@ bool engaged(const core::CutConfig& cut, const core::Pose& pose) {
 }
 
 struct Steps {
-  std::vector<double> gaps_s, speeds_m_s;  // of all; of those that move
+  std::vector<double> gaps_s, speeds_m_s;  // of all steps; of those with motion
 };
 
 // The steps of a motion while the blade is engaged.
@@ -160,7 +160,7 @@ std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box&
     const auto verdict = static_cast<PoseVerdict>(i);
     if (verdicts_[i] == 0 || core::accepted(verdict)) continue;
     all.push_back(name_ + ": " + counted(verdicts_[i], "pose was", "poses were") +
-                  " not taken: " + core::to_string(verdict));
+                  " rejected: " + core::to_string(verdict));
   }
   if (jumps() > 0) {
     all.push_back(name_ + ": " + counted(jumps(), "jump", "jumps") + " began a new stroke: faster than " +

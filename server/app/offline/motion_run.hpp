@@ -13,8 +13,8 @@
 
 namespace incise::app {
 
-// How a recorded motion cuts a mesh without a server: `incise cut` and `incise convert` do it in the same way and warn of
-// the same things.
+// Cutting a mesh by a recorded motion, without a server: common to `incise cut` and `incise convert`, with the same
+// warnings.
 
 struct Box {
   core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
@@ -24,33 +24,33 @@ struct Box {
 };
 Box box_of(const core::MeshData& mesh);
 
-// Holds the button that engages the blade in each pose of a motion without buttons, as `incise stream` does: nothing would
-// be cut otherwise.
+// Sets the button that engages the blade in each pose of a motion without buttons, as `incise stream` does: otherwise
+// nothing would be cut.
 void hold_button(RecordedMotion& motion, const Config& config);
 
-// Raises the limits beyond which a step counts as a jump where they do not suit a text motion, whose rate and units
-// nobody has stated: where more than a tenth of its steps would be jumps. A limit becomes a multiple of what is usual in
-// the motion. One that the configuration sets to something else than the default stays, and those of a capture stay.
-// Returns what was raised, as a sentence without its end; empty where nothing was.
+// Raises the limits beyond which a step counts as a jump, if more than a tenth of a text motion's steps would be jumps: its
+// rate and units are unknown. A limit becomes a multiple of the motion's usual step. Limits that the configuration sets, and
+// those of a capture, stay.
+// Returns what was raised, for messages; empty: nothing.
 std::string suit_limits(Config& config, const RecordedMotion& motion, double body_size_m);
 
-// Does to a session what a motion says.
+// Applies a motion to a session.
 class MotionRun {
  public:
-  // All must outlive this. `name` is the motion's in warnings.
+  // All must outlive this. `name` is the motion in warnings.
   MotionRun(core::CutSession& session, const RecordedMotion& motion, const Config& config, std::string name)
       : session_(session), motion_(motion), config_(config), name_(std::move(name)) {}
 
   struct Options {
-    bool deformations = true;  // false: they are passed over, being of another mesh's vertices
-    std::function<void(const MotionEvent&)> event;              // the session has taken it
+    bool deformations = true;  // false: skip them, because they name another mesh's vertices
+    std::function<void(const MotionEvent&)> event;              // the session has handled it
     std::function<void(const core::Delta&, double us)> commit;  // a batch, and how long it took
   };
-  // Every event, then the end of each stroke that is open, each followed by all that it calls for.
+  // Applies every event, then ends the open strokes; commits all batches after each.
   void run(const Options& options, Progress& progress);
 
   std::uint64_t poses_taken() const { return count(core::PoseVerdict::kAccepted) + jumps(); }
-  // Poses refused, jumps, poses that look like millimetres; and, where `cut_faces` is 0, why nothing was cut.
+  // Poses rejected, jumps, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut.
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
 
  private:

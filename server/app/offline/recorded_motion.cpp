@@ -29,7 +29,7 @@ struct RecordReader {
   void operator()(const protocol::StrokeRecord& record) {
     check_source(record.source);
     if (motion.gap) return;
-    // HandOver: the blade has another owner from here on. A blade is engaged by buttons that its poses carry.
+    // HandOver: the blade has a new owner from here on. Other actions do not matter: the poses carry the buttons.
     if (record.action == protocol::StrokeAction::End) {
       motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns});
     } else if (record.action == protocol::StrokeAction::HandOver) {
@@ -57,7 +57,7 @@ struct RecordReader {
     if (motion.gap) return;
     motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, {}, positions_of(record)});
   }
-  // One replay is of one session: that after the last reset.
+  // A replay is of one session: the one after the last reset.
   void operator()(const protocol::ResetRecord& record) {
     motion.events.clear();
     motion.marks.clear();
@@ -126,8 +126,8 @@ bool begins_as_capture(std::istream& in) {
   return std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP";
 }
 
-// Throws where a pose is not later than the one before of the same source; a source that is opened again has a clock
-// of its own.
+// Throws if a pose is not later than the one before of the same source; a source that is opened again has a new
+// clock.
 void refuse_unless_rising(const RecordedMotion& motion, const std::string& name) {
   std::array<std::optional<std::int64_t>, core::kMaxSources> last_ns;
   for (const MotionEvent& event : motion.events) {
@@ -174,7 +174,13 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
   motion.format = text.csv ? "CSV" : "TUM";
   motion.has_orientation = text.has_orientation;
   motion.has_buttons = text.has_buttons;
-  for (const protocol::PoseSample& sample : text.samples) {
+  auto restart = text.restarts.begin();
+  for (std::size_t i = 0; i < text.samples.size(); ++i) {
+    const protocol::PoseSample& sample = text.samples[i];
+    if (restart != text.restarts.end() && *restart == i) {
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, 0, {}, sample.source_ns});
+      ++restart;
+    }
     motion.events.push_back({MotionEvent::Kind::kPose, 0, pose_of(sample), sample.source_ns});
   }
   if (!text.warning.empty()) motion.warnings.push_back(text.warning);
@@ -211,7 +217,7 @@ protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
   std::ifstream in = open_file(path.string());
   const protocol::CaptureReader reader(in);
   if (!reader.header_ok())
-    throw std::runtime_error(path.string() + ": is no capture of incised: " + reader.error());
+    throw std::runtime_error(path.string() + ": is not a capture of incised: " + reader.error());
   return reader.header();
 }
 

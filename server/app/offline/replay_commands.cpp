@@ -4,6 +4,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
 #include "server/app/offline/commands.hpp"
@@ -25,7 +26,7 @@ bool mesh_is_there(const std::filesystem::path& path) {
   return std::filesystem::exists(path, error) || std::filesystem::exists(node, error);
 }
 
-// A capture with what is needed to replay it.
+// A capture and what its replay needs.
 struct Replayable {
   RecordedMotion motion;
   Config config;
@@ -41,7 +42,7 @@ Replayable open_capture(const std::filesystem::path& capture, const std::filesys
     opened.config.mesh.phantom.clear();
     opened.config.mesh.path = std::filesystem::absolute(mesh).string();
   } else if (!opened.config.mesh.path.empty()) {
-    // As it was given to the server, which looked beside its configuration; then beside the capture.
+    // First the path given to the server, relative to its configuration; then beside the capture.
     opened.config.mesh.path = header.mesh_path;
     const std::filesystem::path beside =
         capture.parent_path() / std::filesystem::path(header.mesh_path).filename();
@@ -94,7 +95,7 @@ int run_replay(const ReplayCommand& command) {
                   {"batch", delta.batch},
                   {"recorded_hash", hex(mark->second.state_hash)},
                   {"replayed_hash", hex(delta.state_hash)}};
-    return !command.verify;  // the first one is what counts
+    return !command.verify;  // the first one decides
   });
   const std::uint64_t last_mark = marks.empty() ? 0 : marks.rbegin()->first;
   const bool short_of = difference.is_null() && session.revision() < last_mark;
@@ -179,7 +180,7 @@ int run_export(const ExportCommand& command) {
 
 namespace {
 
-// What a capture holds of an event.
+// The record of an event in a capture.
 loop::JournalRecord record_of(const MotionEvent& event, const Config& config) {
   loop::JournalRecord record;
   record.source = event.source;
@@ -224,7 +225,7 @@ Config convert_config(const ConvertCommand& command, const RecordedMotion& motio
     config.directory.clear();
   }
   if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
-    throw std::runtime_error(
+    throw client::UsageError(
         "no mesh to cut: give --mesh, or a configuration with mesh.path or mesh.phantom (--config)");
   }
   return config;
@@ -267,7 +268,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
   if (!raised.empty()) {
     done.warnings.push_back(
         command.motion.string() + ": raised " + raised +
-        " to suit the motion; a server with this configuration takes its steps for jumps: "
+        " to suit the motion; a server with this configuration treats its steps as jumps: "
         "set the same there");
   }
   return done;

@@ -13,21 +13,21 @@
 
 namespace incise::app {
 
-// A progress bar on stderr, where that is a terminal, for what takes longer than a second; it goes away when done.
+// A progress bar on stderr, if that is a terminal, for work that takes longer than a second; it disappears when done.
 //
-// Thread: any may call stage() and show(). Owns: a thread that draws, where there is a terminal, so that a step that does
-// not report shows the time passing all the same.
+// Thread: any may call stage() and show(). Owns: a thread that draws, if there is a terminal, so that time is seen to pass
+// even in a step that does not report progress.
 class Progress {
  public:
   explicit Progress(std::string label);
-  // `out` is drawn on where `terminal` says so, first after `delay`.
+  // Draws on `out` if `terminal` is set, first after `delay`.
   Progress(std::string label, std::FILE* out, bool terminal, std::chrono::milliseconds delay);
   ~Progress();
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
-  // What is being done from here on; how far it is, nobody knows yet.
+  // Names the work from here on; its progress is not known yet.
   void stage(std::string label);
-  // `fraction` of 1, or less than 0 where that is unknown; `detail` stands behind the bar.
+  // `fraction` of 1, or less than 0 if unknown; `detail` is shown after the bar.
   void show(double fraction, std::string_view detail = {});
 
  private:
@@ -51,7 +51,7 @@ void print_row(std::string_view name, const std::string& value);
 
 // A number in few digits: "12.3", "0.00042".
 std::string short_number(double number);
-// A duration in the unit that suits it: "840 us", "13.8 ms", "2.1 s".
+// A duration in a suitable unit: "840 us", "13.8 ms", "2.1 s".
 std::string short_duration(double us);
 // "1 pose", "2 poses".
 std::string counted(std::uint64_t n, std::string_view one, std::string_view many);

@@ -31,7 +31,7 @@ using net::WebSocket;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
 constexpr std::size_t kMostBytes = 1 << 20;  // of a state message
-constexpr int kMostFaults = 32;              // in a row: then it is another service
+constexpr int kMostFaults = 32;              // in a row: then it is some other service
 constexpr std::chrono::seconds kConnectTime{5}, kAnswerTime{1}, kRetry{2};
 constexpr std::chrono::milliseconds kNoDevice{200}, kStopTime{500};
 
@@ -42,7 +42,7 @@ struct Counts {
 
 }  // namespace
 
-// All but the constructor, stop() and status() runs on thread.
+// Everything but the constructor, stop() and status() runs on `thread`.
 struct HaplyInput::Impl {
   Impl(PoseSources& of, haptics::ForceSlots& slots, HaplyOptions given)
       : sources(of), forces(slots), options(std::move(given)), guard(options.max_force_n) {
@@ -120,7 +120,7 @@ struct HaplyInput::Impl {
     co_return error ? error.message() : std::string();
   }
 
-  // Reads states and sends commands, by turns. Why it ended.
+  // Reads states and sends commands in turn. Returns why it ended.
   asio::awaitable<std::string> serve(WebSocket& ws) {
     const auto period = std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / options.rate_hz));
     auto due = std::chrono::steady_clock::now();
@@ -147,8 +147,8 @@ struct HaplyInput::Impl {
       first = false;
       if (++turns % 64 == 1 || device.empty()) publish();
     }
-    // The last word: no force. Its answer says that it was heard; a connection closed with an answer unread is reset, and
-    // what the service had not read is lost.
+    // The last command is no force. Its answer shows that it arrived: closing a connection with an answer unread resets it,
+    // and what the service had not read is lost.
     if (!device.empty()) {
       const std::string failed = co_await command(ws, false);
       ws.stream().tcp().expires_after(kAnswerTime);
@@ -177,7 +177,7 @@ struct HaplyInput::Impl {
     co_return error == beast::error::timeout ? "it does not read" : error.message();
   }
 
-  // False where the message was none.
+  // False if the message was not a state.
   asio::awaitable<bool> handle_message(std::string_view text) {
     const std::int64_t arrival_ns = monotonic_ns();
     ++counts.messages;
@@ -202,19 +202,19 @@ struct HaplyInput::Impl {
     pose.pose.orientation = world_from_device(options.placement, state->orientation);
     pose.pose.buttons = state->buttons;
     ++counts.poses;
-    // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service lets the device go.
+    // A full queue: the loop is far behind. Meanwhile nothing is sent, and the service releases the device.
     while (source->enqueue(std::span(&pose, 1)) == 0 && !stopping)
       co_await wait(std::chrono::milliseconds(1));
     co_return true;
   }
 
-  // Whether there is a blade.
+  // Whether this has a blade; opens one if need be.
   bool hold() {
     if (source) return true;
     source = sources.open(options.source);
     if (!source) {
       ++counts.no_blade;
-      log(spdlog::level::warn, "no blade for " + options.source + ": it is taken, or all " +
+      log(spdlog::level::warn, "no blade for " + options.source + ": it is in use, or all " +
                                    std::to_string(core::kMaxSources) + " are");
       return false;
     }

@@ -14,7 +14,7 @@
 namespace incise::input {
 
 struct HaplyOptions {
-  std::string url;  // "ws://host:port"; "": none
+  std::string url;  // "ws://host:port"; "": off
   HaplyVersion version = HaplyVersion::k35;
   std::string device, grip;  // ids; "": the first
   std::string source = "haply";
@@ -24,10 +24,10 @@ struct HaplyOptions {
   std::function<void()> on_thread = [] {};  // called first in its thread
 };
 
-// Haply's Inverse Service as a pose source and a sink of forces: connects, and again when the connection is lost. Each
-// state it sends is a pose, at the time it arrived; each command brings the newest force and asks for the next state. What is
-// sent is checked last here (ForceGuard). Gone, silent for a second or stopped, the device has lost its force: the service
-// lets a device go that gets no commands.
+// Haply's Inverse Service as a pose source that renders forces. Connects, and reconnects when the connection is lost. Each
+// state from the service is a pose, at the time it arrived; each command carries the newest force and asks for the next
+// state. ForceGuard has the last word on a force. When the service is gone, silent for a second or stopped, the device has
+// no force: the service releases a device that gets no commands.
 //
 // Thread: made and destroyed by one; status() by any. Owns: a thread with the connection.
 class HaplyInput {
@@ -35,7 +35,7 @@ class HaplyInput {
   // `sources` and `forces` must outlive this.
   HaplyInput(PoseSources& sources, haptics::ForceSlots& forces, HaplyOptions options);
   ~HaplyInput();
-  // Sends no force as the last one, and lets go of the blade, for good.
+  // Sends no force as the last command and releases the blade, for good.
   void stop();
 
   NetworkStatus status() const;

@@ -37,7 +37,7 @@ std::string id_of(const Json& entry) {
   return text;
 }
 
-// The first entry of a list of devices that has the id (any, where that is empty); null where there is none.
+// The first device in a list with this id (any device if it is empty); null if there is none.
 const Json* find_device(const Json& root, const char* kind, const std::string& id) {
   const Json* const list = member(&root, kind);
   if (!list || !list->is_array()) return nullptr;
@@ -103,7 +103,7 @@ std::optional<HaplyState> read_haply_state(std::string_view text, const std::str
   }
   read_vector(member(body, "cursor_velocity"), state.velocity);
   if (!read_grip(root, grip, state)) {
-    error = "the grip's orientation is no unit quaternion of w, x, y and z";
+    error = "the grip's orientation is not a unit quaternion of w, x, y and z";
     return std::nullopt;
   }
   state.device = id_of(*found);

@@ -8,8 +8,8 @@ namespace {
 
 constexpr double kWindow_ns = 1e9;
 constexpr double kMostSlope = 2e-3;       // quartz is within 1e-4, a resonator on a chip within 1e-2 at worst
-constexpr double kCorrection_ns = 0.5e9;  // an error is made good in about this time ...
-constexpr double kMostCorrection = 0.1;   // ... at this rate at most
+constexpr double kCorrection_ns = 0.5e9;  // an error is corrected in about this time ...
+constexpr double kMostCorrection = 0.1;   // ... but no faster than this
 constexpr double kLeap_ns = 1e9;
 
 }  // namespace
@@ -20,7 +20,7 @@ DeviceClock::DeviceClock(double tick_s, unsigned bits) noexcept
       period_ns_(tick_ns_ * std::ldexp(1.0, static_cast<int>(bits))) {}
 
 void DeviceClock::anchor(std::uint64_t count, std::int64_t arrival_ns) noexcept {
-  // Never back: what was given out before stays in the past.
+  // Never backwards: earlier times have been handed out.
   const std::int64_t after = running_ ? zero_ns_ + static_cast<std::int64_t>(host_ns_) + 1 : arrival_ns;
   zero_ns_ = std::max(arrival_ns, after);
   device_ns_ = host_ns_ = 0;
@@ -64,11 +64,11 @@ std::int64_t DeviceClock::host_ns(std::uint64_t count, std::int64_t arrival_ns) 
   last_count_ = count;
   last_arrival_ns_ = arrival_ns;
   device_ns_ += step;
-  // Offsets as they were at the beginning of their window, by the drift known so far.
+  // Offsets at the beginning of their window, using the drift known so far.
   const double since = slope_ * (device_ns_ - window_start_ns_);
   const double offset = static_cast<double>(arrival_ns - zero_ns_) - device_ns_ - since;
   window_least_ns_ = std::min(window_least_ns_, offset);
-  // The best guess of the least offset now: that of the window before, or a lower one since, carried on by the drift.
+  // The best guess of the least offset now: that of the last window, or a lower one since, advanced by the drift.
   double least = window_least_ns_ + since;
   if (windows_ > 0) least = std::min(least, last_least_ns_ + slope_ * (device_ns_ - last_start_ns_));
   if (step > 0) {

@@ -15,7 +15,7 @@ constexpr std::size_t kMaxProfileBytes = 1u << 20;
 constexpr const char* kTypes =
     "\"u1\" to \"u32\" (unsigned), \"i2\" to \"i32\" (two's complement), \"f32\" or \"f64\" (IEEE 754), with "
     "\"be\" "
-    "behind where the highest byte comes first: \"i16be\"";
+    "appended if the highest byte comes first: \"i16be\"";
 
 // ------------------------------------------------------------------------------------------------ pieces
 
@@ -33,14 +33,13 @@ void read_type(const JsonNode& node, ReportField& field) {
                              : ReportField::Kind::kFloat;
   field.bits = static_cast<std::uint8_t>(bits);
   field.big_endian = order == "be";
-  if (field.big_endian && bits % 8 != 0)
-    node.refuse("\"be\" behind whole bytes only: 8, 16, 24, 32, 64 bits");
+  if (field.big_endian && bits % 8 != 0) node.refuse("\"be\" only after whole bytes: 8, 16, 24, 32, 64 bits");
 }
 
-// The keys of every field, to which its user adds its own.
+// The keys of every field; users of a field add their own.
 #define INCISE_FIELD_KEYS "report", "at", "bit", "type", "scale", "zero"
 
-// `report`: its number where the field does not name one.
+// `report`: the default of the report's number.
 ReportField read_field(const JsonNode& node, std::uint8_t report) {
   ReportField field;
   field.report = node.has("report") ? static_cast<std::uint8_t>(node.at("report").integer(0, 255)) : report;
@@ -70,7 +69,7 @@ std::optional<ReportField> read_axis(const JsonNode& node, const char* axis, std
   return read_field(node.at(axis).only({INCISE_FIELD_KEYS}), report);
 }
 
-// A counter or a clock: a field without a meaning of its own.
+// A counter or a clock: an integer field.
 ReportField read_count(const JsonNode& node, std::uint8_t report) {
   ReportField field = read_field(node, report);
   if (field.kind == ReportField::Kind::kFloat || field.bits < 4) {
@@ -98,12 +97,12 @@ std::uint16_t read_hex16(const JsonNode& node) {
   return value;
 }
 
-// "02 ff 00*5": bytes in hexadecimal, a repeated one with its decimal number of times.
+// "02 ff 00*5": bytes in hexadecimal; *5 repeats one five times.
 std::vector<std::uint8_t> read_bytes(const JsonNode& node) {
   constexpr const char* kAccepted =
-      "bytes in hexadecimal, the report's number first (00 where the device does not number its reports), "
+      "bytes in hexadecimal, the report's number first (00 if the device does not number its reports), "
       "with *N "
-      "behind one that is repeated: \"02 ff 00*5\"";
+      "after one that is repeated: \"02 ff 00*5\"";
   if (!node.is_text()) node.refuse(kAccepted);
   const std::string text = node.text(0, 100'000);
   std::vector<std::uint8_t> bytes;
@@ -152,11 +151,11 @@ void read_position(const JsonNode& node, std::uint8_t report, ToolProfile& tool)
   const bool rate = tool.position == ToolProfile::Position::kRate;
   if (rate) tool.position_rate = read_shape(node, "full_m_s");
   for (const char* key : {"full_m_s", "dead_zone", "curve"}) {
-    if (!rate && node.has(key)) node.at(key).refuse("this key only where mode is \"rate\"");
+    if (!rate && node.has(key)) node.at(key).refuse("this key only if mode is \"rate\"");
   }
   if (node.has("reach_m")) {
     if (tool.position == ToolProfile::Position::kAbsolute) {
-      node.at("reach_m").refuse("this key only where mode is \"rate\" or \"relative\"");
+      node.at("reach_m").refuse("this key only if mode is \"rate\" or \"relative\"");
     }
     tool.position_reach = node.at("reach_m").number(1e-4, 100);
   }
@@ -178,7 +177,7 @@ void read_rotation(const JsonNode& node, std::uint8_t report, ToolProfile& tool)
   constexpr const char* kNames[] = {"w", "x", "y", "z"};
   for (std::size_t i = 0; i < 4; ++i) tool.rotation_fields[i] = read_axis(node, kNames[i], report);
   const auto needs = [&](const char* key, bool allowed, const char* mode) {
-    if (!allowed && node.has(key)) node.at(key).refuse(std::string("this key only where mode is ") + mode);
+    if (!allowed && node.has(key)) node.at(key).refuse(std::string("this key only if mode is ") + mode);
   };
   const bool rate = tool.rotation == Rotation::kRate;
   needs("w", tool.rotation == Rotation::kQuaternion, "\"quaternion\"");
@@ -229,7 +228,7 @@ ToolProfile read_tool(const JsonNode& node, std::uint8_t report, bool alone) {
   return tool;
 }
 
-// ------------------------------------------------------------------------------------------------ the whole
+// ------------------------------------------------------------------------------------------------ profile
 
 void read_match(const JsonNode& root, DeviceProfile& profile) {
   for (auto& [key, value] :
@@ -395,7 +394,7 @@ DeviceProfile load_profile(const std::filesystem::path& file) {
   in.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<std::size_t>(in.gcount()));
   if (text.size() > kMaxProfileBytes)
-    throw ProfileError(file.string() + ": longer than 1 MB; that is no profile");
+    throw ProfileError(file.string() + ": longer than 1 MB; that is too much for a profile");
   return parse_profile(text, file.string());
 }
 
@@ -406,7 +405,8 @@ std::vector<DeviceProfile> load_profiles(const std::filesystem::path& folder) {
        entry.increment(error)) {
     if (entry->path().extension() == ".json") files.push_back(entry->path());
   }
-  if (error) throw ProfileError(folder.string() + ": no folder of profiles: " + error.message());
+  if (error)
+    throw ProfileError(folder.string() + ": cannot be read as a folder of profiles: " + error.message());
   std::sort(files.begin(), files.end());
   std::vector<DeviceProfile> profiles;
   for (const auto& file : files) profiles.push_back(load_profile(file));
@@ -432,86 +432,6 @@ std::string mismatch(const DeviceProfile& profile, const ReportDescriptor& descr
     look(DescribedField::Kind::kOutput, bytes[0], bytes[0] == 0 ? bytes.size() - 1 : bytes.size(), "output");
   }
   return why;
-}
-
-// ------------------------------------------------------------------------------------------------ from a descriptor
-
-namespace {
-
-constexpr std::uint32_t kGenericDesktop = 1, kButtonPage = 9, kAxisX = 0x30, kAxisRz = 0x35,
-                        kMultiAxis = 0x10008;
-
-ReportField field_of(const DescribedField& described) {
-  ReportField field;
-  field.report = described.report_id;
-  field.bit = described.bit;
-  field.bits = described.bits;
-  field.kind = described.logical_min < 0 ? ReportField::Kind::kSigned : ReportField::Kind::kUnsigned;
-  return field;
-}
-
-// Metres for one step of the logical value where the unit is one of length; 0 where it is not.
-double metres_per_step(const DescribedField& field) {
-  const std::uint32_t system = field.unit & 0xf;
-  if ((field.unit & ~0xfu) != 0x10 || (system != 1 && system != 3)) return 0;
-  const bool same = field.physical_min == 0 && field.physical_max == 0;
-  const double logical = static_cast<double>(field.logical_max) - field.logical_min;
-  const double physical = same ? logical : static_cast<double>(field.physical_max) - field.physical_min;
-  if (!(logical > 0) || !(physical > 0)) return 0;
-  return (system == 1 ? 0.01 : 0.0254) * std::pow(10.0, field.unit_exponent) * physical / logical;
-}
-
-}  // namespace
-
-bool is_multi_axis(const ReportDescriptor& descriptor) {
-  return std::find(descriptor.applications.begin(), descriptor.applications.end(), kMultiAxis) !=
-         descriptor.applications.end();
-}
-
-std::optional<DeviceProfile> profile_from(const ReportDescriptor& descriptor, std::string& why) {
-  std::array<const DescribedField*, 6> axes{};
-  DeviceProfile profile;
-  profile.tools.resize(1);
-  ToolProfile& tool = profile.tools[0];
-  for (const DescribedField& field : descriptor.fields) {
-    if (field.kind != DescribedField::Kind::kInput) continue;
-    const std::uint32_t page = field.usage >> 16, usage = field.usage & 0xffff;
-    if (page == kGenericDesktop && usage >= kAxisX && usage <= kAxisRz &&
-        field.logical_min < field.logical_max) {
-      auto& axis = axes[usage - kAxisX];
-      if (!axis) axis = &field;
-    } else if (page == kButtonPage && usage >= 1 && usage <= 32) {
-      tool.buttons.push_back({field_of(field), 1, usage - 1});
-    }
-  }
-  if (!axes[0] || !axes[1] || !axes[2]) {
-    why = "it does not describe X, Y and Z of the Generic Desktop page";
-    return std::nullopt;
-  }
-  bool deflections = is_multi_axis(descriptor);
-  for (std::size_t i = 0; i < 3; ++i) deflections = deflections || metres_per_step(*axes[i]) == 0;
-  tool.position = deflections         ? ToolProfile::Position::kRate
-                  : axes[0]->relative ? ToolProfile::Position::kRelative
-                                      : ToolProfile::Position::kAbsolute;
-  const auto deflection = [](const DescribedField& described) {
-    ReportField field = field_of(described);
-    const double low = described.logical_min, high = described.logical_max;
-    field.zero = (low + high) / 2;
-    field.scale = 2 / (high - low);
-    return field;
-  };
-  for (std::size_t i = 0; i < 3; ++i) {
-    tool.position_fields[i] = deflections ? deflection(*axes[i]) : field_of(*axes[i]);
-    if (!deflections) tool.position_fields[i]->scale = metres_per_step(*axes[i]);
-    if (axes[3 + i]) {
-      tool.rotation = ToolProfile::Rotation::kRate;
-      tool.rotation_fields[1 + i] = deflection(*axes[3 + i]);
-    }
-  }
-  // Slow enough to aim with: 0.1 m/s and 1 rad/s where pushed all the way.
-  tool.position_rate = {0.1, 0.05, 2};
-  tool.rotation_rate = {1, 0.05, 2};
-  return profile;
 }
 
 }  // namespace incise::input

@@ -42,18 +42,18 @@ struct ToolProfile {
   };
   enum class Rotation : std::uint8_t {
     kNone,
-    kQuaternion,  // w x y z, of any length near that of a unit
+    kQuaternion,  // w x y z, of a length near 1
     kEuler,       // x y z: radians about the tool's axes, in the order `euler_order`
     kRate,        // x y z: deflections about the axes, integrated with `rotation_rate`
   };
   struct Switch {
     ReportField field;
     double from = 1;      // on at this value and above
-    unsigned button = 0;  // of buttons: bit of Pose::buttons
+    unsigned button = 0;  // for buttons: bit of Pose::buttons
 
     friend bool operator==(const Switch&, const Switch&) = default;
   };
-  std::string name;  // "" where the device has one tool
+  std::string name;  // "" if the device has one tool
   Position position = Position::kAbsolute;
   std::array<std::optional<ReportField>, 3> position_fields;
   RateShape position_rate;
@@ -63,18 +63,18 @@ struct ToolProfile {
   RateShape rotation_rate;
   bool rotation_in_tool_frame = false;  // kRate: about the tool's own axes, as a gyroscope measures
   std::array<std::uint8_t, 3> euler_order{2, 1,
-                                          0};  // axes, the first turned about first; each turns the next ones
+                                          0};  // axes in the order of rotation; each rotates the next ones
   std::vector<Switch> buttons;
-  std::optional<Switch> valid;  // off: there is no pose (out of the tracker's sight)
-  std::optional<Switch> home;   // on: a position and rotation that are integrated return to the start
+  std::optional<Switch> valid;  // off: no pose (out of the tracker's sight)
+  std::optional<Switch> home;   // on: an integrated position and rotation return to the start
 
   friend bool operator==(const ToolProfile&, const ToolProfile&) = default;
 };
 
-// Bytes sent as they are, the report's number first (0 where the device does not number them).
+// Bytes sent as they are, the report's number first (0 if the device does not number its reports).
 struct FixedReport {
   bool feature = false;  // else an output report
-  int interface = -1;    // of the same device; -1: the one that is read
+  int interface = -1;    // of the same device; -1: the one that poses come from
   std::vector<std::uint8_t> bytes;
 
   friend bool operator==(const FixedReport&, const FixedReport&) = default;
@@ -90,12 +90,12 @@ struct ForceProfile {
   friend bool operator==(const ForceProfile&, const ForceProfile&) = default;
 };
 
-// How a kind of device speaks: what it is known by, what its reports mean, what is sent to it.
+// A kind of device: how to recognise it, what its reports mean, what to send to it.
 struct DeviceProfile {
   std::string id;    // names its sources; the file's name without .json
-  std::string file;  // "" where it was made from a descriptor
+  std::string file;  // "" if it was made from a descriptor
   std::string name;
-  // Known by: numbers of maker and product, or a vendor-defined usage, and perhaps the interface.
+  // How to recognise it: numbers of maker and product, or a vendor-defined usage, and perhaps the interface.
   std::optional<std::uint16_t> vendor, product, usage_page, usage;
   std::optional<int> interface;
 
@@ -104,7 +104,7 @@ struct DeviceProfile {
   double counter_step = 1;
   std::optional<ReportField> clock;  // its scale: seconds for a tick
   std::vector<ToolProfile> tools;
-  // World from device: world axis i is sign * device axis. With a scale for all lengths.
+  // World from device: world axis i is sign * device axis; `scale` applies to all lengths.
   std::array<std::uint8_t, 3> axes{0, 1, 2};
   std::array<std::int8_t, 3> signs{1, 1, 1};
   double scale = 1;
@@ -114,22 +114,22 @@ struct DeviceProfile {
   friend bool operator==(const DeviceProfile&, const DeviceProfile&) = default;
 };
 
-// Reads a profile: JSON with comments. Throws ProfileError. `name` stands for the file in messages and, without folder
-// and ending, is the profile's id.
+// Reads a profile: JSON with comments. Throws ProfileError. `name` is the file in messages; without folder and ending
+// it is the profile's id.
 DeviceProfile parse_profile(std::string_view text, const std::string& name);
 DeviceProfile load_profile(const std::filesystem::path& file);
 // All *.json of a folder, by name. Throws ProfileError for the first that is wrong.
 std::vector<DeviceProfile> load_profiles(const std::filesystem::path& folder);
 
-// Why a device that describes its reports so cannot be what the profile says; empty where it can be. A descriptor that
-// calls its reports opaque bytes says only how long they are.
+// Why a device with this descriptor does not fit the profile; empty if it does. A descriptor that calls its reports opaque
+// bytes tells only their length.
 std::string mismatch(const DeviceProfile& profile, const ReportDescriptor& descriptor);
 
-// A profile for a device nobody has written one for, from X ... Rz of the Generic Desktop page and its buttons: a
-// multi-axis controller's are deflections, others' are places where they have a unit of length. Nothing where it has not
-// at least X, Y and Z; `why` then says so.
+// A profile for a device without one, from X ... Rz of the Generic Desktop page and its buttons. Values of a multi-axis
+// controller are deflections; those of other devices are positions if they have a unit of length. Nothing, and the reason
+// in `why`, if the device lacks X, Y or Z.
 std::optional<DeviceProfile> profile_from(const ReportDescriptor& descriptor, std::string& why);
-// Whether its makers say it is a multi-axis controller: then profile_from() may be used without asking.
+// Whether the descriptor says multi-axis controller: then profile_from() may be used without asking.
 bool is_multi_axis(const ReportDescriptor& descriptor);
 
 }  // namespace incise::input

@@ -12,7 +12,7 @@
 namespace incise::input {
 namespace {
 
-constexpr int kReadTimeout_ms = 50;  // how long the end of the thread may have to wait
+constexpr int kReadTimeout_ms = 50;  // the longest that ending the thread may take
 
 void sleep_until(std::int64_t ns) {
   const timespec time{ns / 1'000'000'000, ns % 1'000'000'000};
@@ -59,8 +59,8 @@ bool HidDevice::open_sources(std::string& error) {
   for (const std::string& name : sources()) {
     auto source = surroundings_.sources.open(name);
     if (!source) {
-      error =
-          "no blade is free: \"" + name + "\" is taken, or all " + std::to_string(core::kMaxSources) + " are";
+      error = "no blade is free: \"" + name + "\" is in use, or all " + std::to_string(core::kMaxSources) +
+              " are";
       sources_.clear();
       return false;
     }
@@ -138,7 +138,7 @@ void HidDevice::enqueue(const PoseDecoder::Sample& sample, std::int64_t arrival_
 }
 
 void HidDevice::lose() {
-  // At once: the strokes end, and the loop learns that nobody feels its forces.
+  // At once: end the strokes, and tell the loop that nobody feels its forces.
   if (slot_) slot_->device_lost();
   for (PoseSource& source : sources_) source.end_stroke(monotonic_ns());
   lost_.store(true, std::memory_order_release);
@@ -171,7 +171,7 @@ void HidDevice::write_loop(const std::stop_token& stop) {
     report.failed();
     if (!lost()) slot_->write_failed();
   };
-  // A sleep of this thread ends within microseconds, not within the 50 that Linux adds to those of others.
+  // Lets this thread's sleeps end on time; by default Linux adds up to 50 us.
   prctl(PR_SET_TIMERSLACK, 1000UL, 0UL, 0UL, 0UL);
   std::int64_t last_ns = 0, pose_ns = 0;
   while (!stop.stop_requested() && !lost()) {

@@ -26,14 +26,14 @@ struct DeviceFigures {
   std::uint64_t forces_written = 0, forces_failed = 0;
   struct {
     double p50_us = 0, p99_us = 0, p999_us = 0, max_us = 0;
-  } pose_to_report;  // arrival of a pose until the report with its force was written
+  } pose_to_report;  // from a pose's arrival until the report with its force was written
 };
 
 // An open device: reads its reports, queues the poses of its tools for the loop, and writes the newest force to it.
 //
 // Thread: made and destroyed by one thread; status by any. Owns: a reading thread with a handle of its own and, where the
-// profile has forces, a writing thread with another; a pose source for each tool. A report that arrives wakes the
-// reader, which drains all that wait: a cut needs every pose.
+// profile has forces, a writing thread with another; a pose source for each tool. A report wakes the reader, which reads
+// all that wait: a cut needs every pose.
 class HidDevice {
  public:
   struct Setup {
@@ -49,11 +49,11 @@ class HidDevice {
     std::function<void()> on_loss;    // called by the reader when the device has gone
   };
 
-  // Sends the profile's start reports and begins to read. Nothing, and why in `error`, where the device cannot be opened
-  // or no blade is free. `all`: the connected interfaces, for start reports that go to others of the same device.
+  // Sends the profile's start reports and begins to read. Null, and the reason in `error`, if the device cannot be opened
+  // or no blade is free. `all`: the connected interfaces, for start reports to others of the same device.
   static std::unique_ptr<HidDevice> open(Setup setup, const std::vector<HidInterface>& all,
                                          const Surroundings& surroundings, std::string& error);
-  // Ends the strokes; zeroes the force and sends the stop reports where the device is still there.
+  // Ends the strokes; zeroes the force and sends the stop reports if the device is still there.
   ~HidDevice();
   HidDevice(const HidDevice&) = delete;
   HidDevice& operator=(const HidDevice&) = delete;
@@ -76,7 +76,7 @@ class HidDevice {
 
   const Setup setup_;
   const Surroundings surroundings_;
-  haptics::ForceSlot* slot_ = nullptr;  // where the profile has forces
+  haptics::ForceSlot* slot_ = nullptr;  // if the profile has forces
   std::optional<HidHandle> reading_, writing_;
   std::vector<PoseSource> sources_;
   PoseDecoder decoder_;                     // the reader's
@@ -90,7 +90,7 @@ class HidDevice {
   std::jthread reader_, writer_;
 };
 
-// Makes force reports of commands, as the guard lets them pass.
+// Turns commands into force reports, through the guard.
 //
 // Thread: one.
 class ForceReport {

@@ -11,7 +11,7 @@
 namespace incise::input {
 namespace {
 
-// Beside udev's word: where there is no udevd, or its word got lost; and another try for what could not be opened.
+// Looks besides udev's notices: udevd may be absent, a notice may get lost, and what could not be opened is tried again.
 constexpr int kRescan_ms = 2000, kRetry_ms = 200;
 
 }  // namespace
@@ -85,7 +85,7 @@ std::vector<DeviceStatus> HidInput::status() const {
 }
 
 void HidInput::run(const std::stop_token& stop) {
-  HotplugMonitor monitor;  // before the first look, so that nothing comes unseen between the two
+  HotplugMonitor monitor;  // before the first look, so that no device slips in between
   while (!stop.stop_requested()) {
     scan();
     const bool waiting = std::any_of(status_.begin(), status_.end(), [](const DeviceStatus& status) {
@@ -114,7 +114,7 @@ void HidInput::scan() {
     const std::string line = status.path + ": " + status.why;
     told.push_back(line);
     if (std::find(told_.begin(), told_.end(), line) != told_.end()) continue;
-    // Keyboards and mice are nobody's concern; a device that ought to work is.
+    // Not worth a line for keyboards and mice; but a device that should work is.
     spdlog::log(status.profile.empty() ? spdlog::level::debug : spdlog::level::warn,
                 "device {} ({}) is not read: {}", status.identity, status.name, status.why);
   }
@@ -191,7 +191,7 @@ const DeviceOverride* HidInput::override_of(const HidInterface& interface) const
 
 std::size_t HidInput::know(const HidInterface& interface, const std::string& name) {
   for (std::size_t i = 0; i < known_.size(); ++i) {
-    // Of equal devices without a serial number any that is away will do. A serial number that two devices share is none.
+    // Among equal devices without a serial number any absent one will do. A number that two devices share does not count.
     if (!known_[i].here && known_[i].identity == interface.identity()) return i;
   }
   const auto taken = [&](const std::string& wanted) {

@@ -11,11 +11,10 @@
 
 namespace incise::input {
 
-// What is to be different for some devices.
+// Settings of a single device.
 struct DeviceOverride {
   enum class Use : std::uint8_t { kProfile, kDescriptor, kIgnore };
-  std::string
-      device;  // "vvvv:pppp" or "vvvv:pppp:serial"; one with the serial number goes before one without
+  std::string device;  // "vvvv:pppp" or "vvvv:pppp:serial"; one with the serial number takes precedence
   Use use = Use::kProfile;
   std::string source;  // name of its source, or the beginning of its sources' names; "": the profile's id
   Placement placement;
@@ -23,7 +22,7 @@ struct DeviceOverride {
   friend bool operator==(const DeviceOverride&, const DeviceOverride&) = default;
 };
 
-// One HID interface that is connected, and what is done with it.
+// A connected HID interface, and how it is used.
 struct DeviceStatus {
   std::string identity, path, name, profile;
   std::vector<std::string> sources;  // empty: it is not read
@@ -32,28 +31,28 @@ struct DeviceStatus {
   DeviceFigures figures;
 };
 
-// The HID devices of this machine as pose sources: opens those that a profile fits, as they come, and lets go of those
-// that leave. One that returns is known again by its maker, product and serial number, whatever path it has, and gets
-// the name that it had.
+// The HID devices of this machine as pose sources: opens those that match a profile when they are plugged in, and closes
+// those that are unplugged. A device that returns is recognised by its maker, product and serial number, whatever its path,
+// and keeps its name.
 //
 // Thread: made and destroyed by one; status() from any. Owns: a thread that looks for devices, and the devices.
 class HidInput {
  public:
   struct Options {
-    std::vector<DeviceProfile> profiles;  // those in front go first
+    std::vector<DeviceProfile> profiles;  // the first that fits is used
     std::vector<DeviceOverride> overrides;
     std::function<void()> on_thread = [] {};  // called first in each thread that reads or writes a device
   };
 
   HidInput(PoseSources& sources, haptics::ForceSlots& forces, Options options);
   ~HidInput();
-  // Lets go of all devices, for good.
+  // Closes all devices, for good.
   void stop();
 
   std::vector<DeviceStatus> status() const;
 
  private:
-  // A device that has been here, and is perhaps again.
+  // A device that was here, and may be again.
   struct Known {
     std::string identity, name;
     std::uint64_t connections = 0;
@@ -85,8 +84,8 @@ class HidInput {
   std::jthread thread_;
 };
 
-// The profile for an interface: one of `profiles`, or, where its override asks for it or it is a multi-axis controller
-// without a profile, one from its descriptor. Nothing, and `why`, where there is none or it is to be ignored.
+// The profile for an interface: one of `profiles`, or one from its descriptor if its override asks for that or it is a
+// multi-axis controller without a profile. Nothing, and the reason in `why`, if there is none or it is to be ignored.
 std::optional<DeviceProfile> choose_profile(const std::vector<DeviceProfile>& profiles,
                                             const HidInterface& interface, const DeviceOverride* over,
                                             std::string& why);

@@ -18,7 +18,7 @@
 namespace incise::input {
 namespace {
 
-// hidapi's texts, as UTF-8; what is not a character of a name becomes '?'.
+// hidapi's texts, as UTF-8; unprintable characters become '?'.
 std::string utf8(const wchar_t* text) {
   std::string made;
   for (; text && *text; ++text) {
@@ -43,7 +43,7 @@ std::string utf8(const wchar_t* text) {
   return made;
 }
 
-// hidapi 0.13 crashes on a node that opens and is no hidraw node: so ask it first.
+// hidapi 0.13 crashes on a node that opens but is not hidraw, so check first.
 std::string trouble_of(const std::string& path) {
   const int node = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NONBLOCK);
   if (node < 0) {
@@ -54,11 +54,11 @@ std::string trouble_of(const std::string& path) {
   int size = 0;
   const bool hidraw = ::ioctl(node, HIDIOCGRDESCSIZE, &size) >= 0;
   ::close(node);
-  return hidraw ? "" : path + ": is no hidraw node";
+  return hidraw ? "" : path + ": is not a hidraw node";
 }
 
 std::vector<std::uint8_t> descriptor_bytes(const std::string& hid_syspath, const std::string& path) {
-  // hidapi has no call for it before 0.14.
+  // Before 0.14 hidapi has no call for it.
   std::ifstream in(hid_syspath + "/report_descriptor", std::ios::binary);
   std::vector<std::uint8_t> bytes((std::istreambuf_iterator<char>(in)), {});
   if (!bytes.empty() && bytes.size() <= kMaxDescriptorBytes) return bytes;
@@ -75,7 +75,7 @@ std::vector<std::uint8_t> descriptor_bytes(const std::string& hid_syspath, const
   return bytes;
 }
 
-// What hidapi does not tell: the descriptor, and which interfaces are one device.
+// Adds what hidapi does not report: the descriptor, and which interfaces belong to one device.
 void complete(udev* context, HidInterface& interface) {
   const auto slash = interface.path.rfind('/');
   udev_device* node =
@@ -119,7 +119,7 @@ std::vector<HidInterface> list_hid_interfaces() {
   hid_device_info* const all = hid_enumerate(0, 0);
   for (const hid_device_info* info = all; info; info = info->next) {
     if (!info->path) continue;
-    // One entry for each top-level collection: the same path again.
+    // hidapi has an entry for each top-level collection, all with the same path.
     auto known =
         std::find_if(found.begin(), found.end(), [&](const auto& other) { return other.path == info->path; });
     if (known == found.end()) {
@@ -243,7 +243,7 @@ const DeviceProfile* find_profile(const std::vector<DeviceProfile>& profiles, co
         return usage.page == *profile.usage_page && (!profile.usage || usage.usage == *profile.usage);
       });
       if (!has) {
-        if (profile.vendor) why += profile.id + " is for another usage of it; ";
+        if (profile.vendor) why += profile.id + " is for another usage of this device; ";
         continue;
       }
     }

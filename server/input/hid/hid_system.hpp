@@ -15,7 +15,7 @@ struct udev_monitor;
 
 namespace incise::input {
 
-// One HID interface of a device that is connected: one /dev/hidraw node.
+// One HID interface of a connected device: one /dev/hidraw node.
 struct HidInterface {
   struct Usage {
     std::uint16_t page = 0, usage = 0;
@@ -27,13 +27,13 @@ struct HidInterface {
   std::vector<Usage> usages;  // of its top-level collections
   std::string parent;         // the whole device, the same for all its interfaces
   std::optional<ReportDescriptor> descriptor;
-  std::string trouble;  // why it cannot be used: permission, a descriptor that is none; empty: it can
+  std::string trouble;  // why it cannot be used: permission, a broken descriptor; empty: it can
 
   // "vvvv:pppp" or "vvvv:pppp:serial".
   std::string identity() const;
 };
 
-// All that are connected, each once. Opens nothing but for a look at the permissions.
+// All connected interfaces, each once. Opens nodes only to check permissions.
 // Thread: the one that opens (hidapi's enumeration and opening share their last error).
 std::vector<HidInterface> list_hid_interfaces();
 
@@ -41,13 +41,13 @@ std::vector<HidInterface> list_hid_interfaces();
 // one thread.
 class HidHandle {
  public:
-  // Nothing, and why in `error`, where it cannot be opened.
+  // Nothing, and the reason in `error`, if it cannot be opened.
   static std::optional<HidHandle> open(const std::string& path, std::string& error);
 
-  // The next report, its number first where the device numbers them: its length; 0 after `timeout_ms` without one; -1
+  // The next report, its number first if the device numbers its reports. Returns its length; 0 after `timeout_ms` without one; -1
   // when the device is gone.
   int read(std::span<std::uint8_t> report, int timeout_ms) noexcept;
-  // Sends a whole report, its number (or 0) first. Whether the device took it. May wait for the device.
+  // Sends a whole report, its number (or 0) first. False if the device refused it. May wait for the device.
   bool write(std::span<const std::uint8_t> report) noexcept;
   bool send_feature(std::span<const std::uint8_t> report) noexcept;
 
@@ -59,8 +59,8 @@ class HidHandle {
   std::unique_ptr<hid_device_, Close> device_;
 };
 
-// Sends start or stop reports of a profile through `handle`, an open one of `interface`, or to the interface of the same
-// device in `all` that each names. Whether all were taken; else why not in `error`.
+// Sends a profile's start or stop reports through `handle`, an open handle of `interface`, or to the interface that the
+// report names (of the same device, in `all`). False, and the reason in `error`, if one was refused.
 bool send_all(const std::vector<FixedReport>& reports, const HidInterface& interface, HidHandle& handle,
               const std::vector<HidInterface>& all, std::string& error);
 
@@ -68,7 +68,7 @@ bool send_all(const std::vector<FixedReport>& reports, const HidInterface& inter
 class HotplugMonitor {
  public:
   HotplugMonitor();
-  // To poll for reading; -1 where udev cannot tell.
+  // To poll for reading; -1 without udev.
   int descriptor() const;
   // Discards the notices that wait. Whether there were any.
   bool drain();
@@ -82,8 +82,8 @@ class HotplugMonitor {
   std::unique_ptr<udev_monitor, Unref> monitor_;
 };
 
-// The profile that fits an interface: the first that does. Else `why` says what speaks against each that names it, or
-// that none does.
+// The first profile that fits an interface; null if none does: `why` then says why those that name it do not fit, or that
+// none names it.
 const DeviceProfile* find_profile(const std::vector<DeviceProfile>& profiles, const HidInterface& interface,
                                   std::string& why);
 

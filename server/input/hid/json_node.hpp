@@ -8,15 +8,15 @@
 
 namespace incise::input {
 
-// JSON with comments; a key that stands twice in one object is refused, since JSON leaves open which counts. Throws
+// JSON with comments; a key that occurs twice in one object is refused, since JSON does not say which counts. Throws
 // std::runtime_error with file, place and fault in one line.
 nlohmann::ordered_json parse_json(std::string_view text, const std::string& file);
-// For errors: a value in one line of at most 80 characters; a number by the fewest digits that mean it.
+// For errors: a value in one line of at most 80 characters; a number with the fewest digits that identify it.
 std::string shown(const nlohmann::ordered_json& value);
 std::string text_of(double number);
 
-// A value in a JSON file that knows its place, so that whatever is wrong with it names file, key, what was found and
-// what is accepted. Thread: any one. Owns: nothing; file and document must outlive it.
+// A value in a JSON file that knows its place, so that an error names file, key, what was found and what is accepted.
+// Thread: any one. Owns: nothing; file and document must outlive it.
 class JsonNode {
  public:
   using Json = nlohmann::ordered_json;
@@ -25,10 +25,10 @@ class JsonNode {
       : json_(&json), key_(std::move(key)), file_(&file) {}
   [[noreturn]] void refuse(const std::string& accepted) const;
   [[noreturn]] void refuse(const std::string& found, const std::string& accepted) const;
-  // Refuses what is no object, and keys other than these.
+  // Refuses anything but an object, and keys other than these.
   const JsonNode& only(std::initializer_list<const char*> keys) const;
   bool has(const char* key) const { return json_->is_object() && json_->contains(key); }
-  // The member; refused where it is absent.
+  // The member; an error if it is absent.
   JsonNode at(const char* key) const;
   std::vector<JsonNode> list(std::size_t least, std::size_t most) const;
 
@@ -36,7 +36,7 @@ class JsonNode {
   std::int64_t integer(std::int64_t least, std::int64_t most) const;
   std::string text(std::size_t least, std::size_t most) const;
   bool truth() const;
-  // Position among the words.
+  // Index of the value among the words.
   std::size_t word(std::initializer_list<const char*> words) const;
   bool is_text() const { return json_->is_string(); }
 

@@ -9,8 +9,7 @@ namespace {
 using core::Quat;
 using core::Vec3;
 
-constexpr double kFarthest =
-    1e6;  // metres, radians or deflections: beyond that a number is no part of a pose
+constexpr double kFarthest = 1e6;  // metres, radians or deflections: a larger number is not part of a pose
 
 Quat product(const Quat& a, const Quat& b) {
   return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
@@ -22,7 +21,7 @@ Quat normalized(const Quat& q) {
   return {q.w / n, q.x / n, q.y / n, q.z / n};
 }
 
-// The turn by a rotation vector: its direction is the axis, its length the angle.
+// The rotation by a rotation vector: its direction is the axis, its length the angle.
 Quat turn_by(const Vec3& v) {
   const double angle = core::length(v);
   if (angle < 1e-12) return {};
@@ -95,7 +94,7 @@ std::span<const PoseDecoder::Sample> PoseDecoder::decode(std::span<const std::ui
     ++counts_.short_ones;
     return {};
   }
-  // What is wrong in one report must not reach the clock or the counter: all is read before anything is kept.
+  // A bad report must not change clock or counter: everything is read before anything is kept.
   std::array<Axes, kMaxTools> axes;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     axes[i] = tools_[i].axes;
@@ -118,7 +117,7 @@ std::span<const PoseDecoder::Sample> PoseDecoder::decode(std::span<const std::ui
       return sw && sw->field.report == number && sw->field.value(report) >= sw->from;
     };
     if (profile.valid && profile.valid->field.report == number) tool.valid = on(profile.valid);
-    // A device at rest may send nothing: what passed since is not all motion.
+    // A device at rest may send nothing: not all of the time since was motion.
     const double most_s = 4 / profile_.rate_hz;
     const double dt_s = tool.t_ns == 0 ? 0 : std::min(static_cast<double>(t_ns - tool.t_ns) * 1e-9, most_s);
     tool.t_ns = t_ns;
@@ -152,7 +151,7 @@ bool PoseDecoder::follow_counter(std::uint8_t number, std::span<const std::uint8
     return false;
   }
   if (ahead > mask / 2) {
-    ++counts_.restarts;  // less than before: the device began anew
+    ++counts_.restarts;  // less than before: the device restarted
     return true;
   }
   const auto sent =

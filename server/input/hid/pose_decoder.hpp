@@ -16,16 +16,16 @@ namespace incise::input {
 // What became of a device's reports since it was opened.
 struct ReportCounts {
   std::uint64_t reports = 0;     // all that arrived
-  std::uint64_t lost = 0;        // that the device's counter says were sent besides
+  std::uint64_t lost = 0;        // that were lost, by the device's counter
   std::uint64_t short_ones = 0;  // too short for the profile's fields, and ignored
-  std::uint64_t other = 0;       // of a number that the profile does not name, and ignored
-  std::uint64_t repeated = 0;    // with the counter or clock of the one before, and ignored: the device hangs
+  std::uint64_t other = 0;       // with a number that the profile does not name, and ignored
+  std::uint64_t repeated = 0;    // with the last one's counter or clock, and ignored: the device hangs
   std::uint64_t bad_values = 0;  // with numbers that cannot be a pose, and ignored
   std::uint64_t restarts = 0;    // of the device's counter or clock
 };
 
-// Makes poses of a device's reports. The source time of a pose is CLOCK_MONOTONIC when the device measured it, as far
-// as its clock tells, else when it arrived, and always rises.
+// Turns a device's reports into poses. The source time of a pose is CLOCK_MONOTONIC when the device measured it, if its
+// clock tells that, else when it arrived. It always rises.
 //
 // Thread: one. Allocates nothing after construction. O(fields of the profile) a report.
 class PoseDecoder {
@@ -39,14 +39,14 @@ class PoseDecoder {
 
   PoseDecoder(const DeviceProfile& profile, const Placement& placement);
 
-  // The samples that a report brings, until the next call; none where it was ignored.
+  // The samples in a report, valid until the next call; none if it was ignored.
   std::span<const Sample> decode(std::span<const std::uint8_t> report, std::int64_t arrival_ns) noexcept;
 
   const ReportCounts& counts() const noexcept { return counts_; }
   double drift_ppm() const noexcept { return clock_ ? clock_->drift_ppm() : 0; }
-  // A force in the world as the device's own axes have it.
+  // A force in the world, in the device's own axes.
   core::Vec3 device_from_world(const core::Vec3& force) const noexcept;
-  // What the fields of a tool say in the last report that had them, before any integration: for displays.
+  // The values of a tool's fields in the last report that had them, before integration: for displays.
   struct Axes {
     std::array<double, 3> position{};
     std::array<double, 4> rotation{};
@@ -57,11 +57,11 @@ class PoseDecoder {
  private:
   struct Tool {
     Axes axes;
-    core::Vec3 place;  // integrated or relative: from the start, device axes, metres
+    core::Vec3 place;  // if integrated or relative: from the start, device axes, metres
     core::Quat turn;
     std::int64_t t_ns = 0;  // of the last sample
     bool valid = true;
-    std::uint64_t reports[4]{};  // set of the report numbers that bring something
+    std::uint64_t reports[4]{};  // set of the report numbers with fields
   };
 
   std::uint32_t need_of(std::uint8_t report) const noexcept { return need_[report]; }
@@ -77,7 +77,7 @@ class PoseDecoder {
   const DeviceProfile profile_;
   const Placement placement_;
   const bool numbered_;
-  std::array<std::uint32_t, 256> need_{};  // bytes that a report of this number needs; 0: it brings nothing
+  std::array<std::uint32_t, 256> need_{};  // bytes that a report of this number needs; 0: it has no fields
   std::optional<DeviceClock> clock_;
   std::optional<std::uint64_t> last_count_;
   std::int64_t last_ns_ = INT64_MIN;  // the last source time

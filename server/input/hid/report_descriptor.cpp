@@ -27,9 +27,10 @@ enum Item : std::uint8_t {
   kUsage = 0x08,
   kUsageMin = 0x18,
   kUsageMax = 0x28,
-  kDelimiter = 0xa8,
   kLongItem = 0xfc,
 };
+// The bits of an item with its type.
+constexpr std::uint8_t kItemType = 0x0c, kMain = 0x00, kGlobal = 0x04, kLocal = 0x08;
 
 constexpr std::size_t kMaxPushed = 16, kMaxNested = 32, kMaxUsages = 1024;
 constexpr std::uint32_t kConstant = 1, kVariable = 2, kRelative = 4;
@@ -52,7 +53,7 @@ class Parser {
     std::size_t at = 0;
     while (at < bytes.size()) {
       const std::uint8_t prefix = bytes[at++];
-      if ((prefix & kLongItem) == kLongItem) {  // 6.2.2.3: length, tag, data; none is defined
+      if ((prefix & kLongItem) == kLongItem) {  // 6.2.2.3: length, tag, data; no long item is defined
         if (at + 2 > bytes.size() || at + 2 + bytes[at] > bytes.size()) return refuse("ends within an item");
         at += 2u + bytes[at];
         continue;
@@ -96,6 +97,20 @@ class Parser {
   }
 
   bool handle_item(std::uint8_t item, std::uint32_t data, std::size_t size) {
+    switch (item & kItemType) {
+      case kMain:
+        return handle_main(item, data);
+      case kGlobal:
+        return handle_global(item, data, size);
+      case kLocal:
+        return handle_local(item, data, size);
+      default:
+        return true;  // reserved
+    }
+  }
+
+  // 6.2.2.7
+  bool handle_global(std::uint8_t item, std::uint32_t data, std::size_t size) {
     switch (item) {
       case kUsagePage:
         globals_.usage_page = data & 0xffff;
@@ -139,6 +154,14 @@ class Parser {
         globals_ = pushed_.back();
         pushed_.pop_back();
         return true;
+      default:
+        return true;
+    }
+  }
+
+  // 6.2.2.8. Designators and strings do not affect the layout.
+  bool handle_local(std::uint8_t item, std::uint32_t data, std::size_t size) {
+    switch (item) {
       case kUsage:
         if (usages_.size() == kMaxUsages) return fail("has more than 1024 usages for one item");
         usages_.push_back(whole_usage(data, size));
@@ -148,8 +171,14 @@ class Parser {
         return true;
       case kUsageMax:
         return add_range(whole_usage(data, size));
-      case kDelimiter:
+      default:
         return true;
+    }
+  }
+
+  // 6.2.2.4
+  bool handle_main(std::uint8_t item, std::uint32_t data) {
+    switch (item) {
       case kCollection:
         return open(data);
       case kEndCollection:
@@ -164,7 +193,7 @@ class Parser {
       case kFeature:
         return add(DescribedField::Kind::kFeature, data);
       default:
-        return true;  // designators, strings and reserved items say nothing of the layout
+        return true;
     }
   }
 
@@ -174,7 +203,7 @@ class Parser {
 
   bool add_range(std::uint32_t last) {
     if (last < usage_min_) return fail("has a usage range that ends before it begins");
-    // A longer range than one item can use names nothing (some devices say 0 ... 65535).
+    // A range longer than any item can use names nothing (some devices say 0 ... 65535).
     for (std::uint32_t u = usage_min_; usages_.size() < kMaxUsages; ++u) {
       usages_.push_back(u);
       if (u == last) break;
@@ -199,7 +228,7 @@ class Parser {
     if (globals_.report_size > 8 * kMaxReportBytes || end > 8 * kMaxReportBytes) {
       return fail("has a report longer than 16384 bytes");
     }
-    // An array's entries are indices, not values; constants are padding; wider ones are opaque.
+    // An array's entries are indices, not values; constants are padding; wider fields are opaque.
     const bool values = (flags & kConstant) == 0 && (flags & kVariable) != 0 && globals_.report_size >= 1 &&
                         globals_.report_size <= 32 && !usages_.empty();
     for (std::uint32_t i = 0; values && i < globals_.report_count; ++i) {

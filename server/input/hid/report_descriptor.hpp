@@ -8,7 +8,7 @@
 
 namespace incise::input {
 
-// What a HID device says of its own reports: the report descriptor (USB Device Class Definition for HID 1.11, section
+// What a HID device says about its reports: the report descriptor (USB Device Class Definition for HID 1.11, section
 // 6.2.2), as far as a pose needs it. One entry for each Input, Output or Feature element that has a usage.
 struct DescribedField {
   enum class Kind : std::uint8_t { kInput, kOutput, kFeature };
@@ -36,17 +36,17 @@ struct ReportDescriptor {
   std::vector<std::uint32_t> applications;  // usages of the top-level collections
 
   bool numbered() const { return !reports.empty() && reports.front().id != 0; }
-  // Bytes of that report; 0 where the device has none.
+  // Bytes of that report; 0 if the device has none.
   std::uint32_t bytes_of(DescribedField::Kind kind, std::uint8_t id) const;
 };
 
-// Sizes that a descriptor must keep to; a real one is far from them.
+// Limits of a descriptor; real ones are far below.
 inline constexpr std::size_t kMaxDescriptorBytes = 4096;  // the kernel's HID_MAX_DESCRIPTOR_SIZE
 inline constexpr std::size_t kMaxDescribedFields = 4096;
 inline constexpr std::uint32_t kMaxReportBytes = 16384;  // the kernel's HID_MAX_BUFFER_SIZE
 
-// Reads untrusted bytes. Nothing, and the reason in `error`, where they are no descriptor or need more than the limits
-// above. O(bytes + fields).
+// Reads untrusted bytes. Nothing, and the reason in `error`, if they are not a descriptor or exceed the limits above.
+// O(bytes + fields).
 std::optional<ReportDescriptor> parse_report_descriptor(std::span<const std::uint8_t> bytes,
                                                         std::string& error);
 

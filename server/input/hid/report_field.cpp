@@ -7,7 +7,7 @@
 namespace incise::input {
 namespace {
 
-// Bit b of the number lies in this bit of the report: HID packs from the lowest bit of the first byte up.
+// The bit of the report that holds bit b of the number: HID packs from the lowest bit of the first byte up.
 std::uint32_t place(const ReportField& field, std::uint32_t b) {
   if (!field.big_endian) return field.bit + b;
   const std::uint32_t byte = field.bits / 8u - 1 - b / 8;

@@ -6,7 +6,7 @@
 
 namespace incise::input {
 
-// A number in a report: where it lies, how it is written, and what it means: value = scale * (raw - zero).
+// A number in a report: its place, its encoding and its meaning: value = scale * (raw - zero).
 struct ReportField {
   enum class Kind : std::uint8_t { kUnsigned, kSigned, kFloat };
   std::uint8_t report = 0;  // the report's number; 0: the device does not number its reports
@@ -23,7 +23,7 @@ struct ReportField {
   double value(std::span<const std::uint8_t> report_bytes) const noexcept {
     return scale * (raw(report_bytes) - zero);
   }
-  // The number as it is written, for counters and clocks: integers only, not sign-extended.
+  // The raw number, for counters and clocks: integers only, not sign-extended.
   std::uint64_t bits_of(std::span<const std::uint8_t> report_bytes) const noexcept;
   // Writes the raw number nearest to value / scale + zero that its type can hold; NaN as 0.
   void write(std::span<std::uint8_t> report_bytes, double value) const noexcept;

@@ -15,7 +15,7 @@ constexpr std::size_t kExtendedBytes = 12;
 
 using Bytes = std::span<const std::uint8_t>;
 
-// Reads on from where it is; whoever calls has seen to it that enough is left.
+// Reads from its position; the caller has checked that enough is left.
 class Reader {
  public:
   explicit Reader(Bytes bytes) : left_(bytes) {}
@@ -62,7 +62,7 @@ constexpr std::array<std::uint64_t, 256> crc_table() {
   return table;
 }
 
-// A body without its extended header and metadata; empty, and why, where their lengths do not fit.
+// A body without its extended header and metadata; nothing, and the reason, if their lengths do not fit.
 std::optional<Bytes> content_of(const Header& header, Bytes body, std::string& error) {
   if (header.version < 2) return body;
   if (body.size() < kExtendedBytes) {
@@ -97,9 +97,9 @@ core::Quat quaternion_of(const core::Vec3& x, const core::Vec3& y, const core::V
   return {q.w / n, q.x / n, q.y / n, q.z / n};
 }
 
-// The three columns of a matrix, then its translation. Of a matrix that is no rotation (some peers make theirs of
-// quaternions that are not of unit length) the x axis is kept, and y in its plane. False where nothing can be made of it:
-// numbers that are none, a flat or mirroring matrix.
+// The three columns of a matrix, then its translation. If the matrix is not a rotation (some peers make theirs from
+// quaternions that do not have unit length) the x axis is kept, and y in its plane. False if that is impossible: NaN or
+// infinite numbers, a flat or mirroring matrix.
 bool read_matrix(Reader& reader, ToolPose& tool, std::uint32_t& stretched) {
   const core::Vec3 x = reader.vector(), y = reader.vector(), z = reader.vector();
   tool.position = reader.vector();
@@ -130,7 +130,7 @@ bool read_quaternion(Reader& reader, ToolPose& tool) {
   return true;
 }
 
-// Elements of a name, a type, a spare byte and a pose.
+// Elements: a name, a type, a spare byte and a pose.
 void read_tools(Reader reader, std::size_t element_bytes, Message& message, const std::string& device) {
   while (reader.left() > 0) {
     Reader element(reader.read_bytes(element_bytes));
@@ -169,7 +169,7 @@ constexpr Type kTypes[] = {{"TRANSFORM", Kind::kPoses},
                            {"STT_POLYDATA", Kind::kStartSurface},
                            {"STP_POLYDATA", Kind::kStopSurface}};
 
-// Empty, or what is wrong with the length.
+// What is wrong with the length; empty: nothing.
 std::string wrong_length(const std::string& type, std::size_t bytes) {
   const auto found = ": found " + std::to_string(bytes) + " bytes, ";
   if (type == "TRANSFORM" && bytes != kTransformBytes) return type + found + "it has 48";
@@ -190,7 +190,8 @@ std::uint64_t crc64(std::span<const std::uint8_t> bytes) {
 }
 
 std::optional<Header> read_header(std::span<const std::uint8_t, kHeaderBytes> bytes, std::string& error) {
-  constexpr std::uint16_t kNewest = 16;  // versions 1 and 2 exist; a later one may add, but not move
+  constexpr std::uint16_t kNewest =
+      16;  // versions 1 and 2 exist; a later one may add fields, but not move them
   Reader reader(bytes);
   Header header;
   header.version = reader.number<std::uint16_t>();
@@ -240,13 +241,13 @@ Decoded decode(const Header& header, std::span<const std::uint8_t> body) {
   if (header.type == "TRANSFORM") {
     ToolPose tool{header.device, {}, {}};
     if (!read_matrix(reader, tool, message.stretched)) {
-      return fault(Fault::kValues, "TRANSFORM: its numbers are no pose");
+      return fault(Fault::kValues, "TRANSFORM: its numbers are not a pose");
     }
     message.tools.push_back(std::move(tool));
   } else if (message.kind == Kind::kPoses) {
     read_tools(reader, header.type == "TDATA" ? kTdataBytes : kQtdataBytes, message, header.device);
   } else if (message.kind == Kind::kText) {
-    reader.read_bytes(2);  // the encoding: what we look for is ASCII
+    reader.read_bytes(2);  // the encoding: we look for ASCII only
     const std::size_t length = reader.number<std::uint16_t>();
     if (length > reader.left()) return fault(Fault::kShape, "STRING: it is longer than its body");
     message.text = name_of(reader.read_bytes(length));

@@ -1,8 +1,8 @@
 #pragma once
 
 // OpenIGTLink messages as bytes. https://github.com/openigtlink/OpenIGTLink/tree/master/Documents/Protocol: a header of
-// 58 bytes, a body; all numbers big endian. With header version 2 the body has an extended header in front and metadata
-// behind. Nothing here trusts a length.
+// 58 bytes, a body; all numbers big endian. With header version 2 an extended header precedes the body's content and
+// metadata follows it. No length is trusted.
 
 #include <bit>
 #include <cstddef>
@@ -25,20 +25,20 @@ inline constexpr std::size_t kMaxBodyBytes = 64 * 1024;
 struct Header {
   std::uint16_t version = 1;
   std::string type;
-  std::string device;           // what is not printable ASCII, quote or backslash became '_'
+  std::string device;           // anything but printable ASCII, and quotes and backslashes, became '_'
   std::uint64_t timestamp = 0;  // seconds since 1970 in the upper 32 bits, 2^-32 s in the lower; 0: none
   std::uint64_t body_bytes = 0;
   std::uint64_t crc = 0;  // of the body
 };
 
-// Nothing, and why, where these bytes are no header: the stream of messages is then out of step for good.
+// Nothing, and the reason, if these bytes are not a header: the stream of messages is then out of step for good.
 std::optional<Header> read_header(std::span<const std::uint8_t, kHeaderBytes> bytes, std::string& error);
 
 // ns since 1970; 0: none was given.
 std::int64_t timestamp_ns(const Header& header);
 
 struct ToolPose {
-  std::string name;     // of the element; the message's device where that is empty
+  std::string name;     // of the element; if that is empty, of the message's device
   core::Vec3 position;  // as sent
   core::Quat orientation;
 };
@@ -51,11 +51,11 @@ Kind kind_of(std::string_view type);
 struct Message {
   Kind kind = Kind::kOther;
   std::vector<ToolPose> tools;    // kPoses
-  std::uint32_t bad_tools = 0;    // kPoses: left out, their numbers being no pose
-  std::uint32_t stretched = 0;    // kPoses: whose matrix was no rotation; they have one near it
+  std::uint32_t bad_tools = 0;    // kPoses: left out, because their numbers are not a pose
+  std::uint32_t stretched = 0;    // kPoses: whose matrix was not a rotation and was replaced
   std::string text;               // kText
   std::uint16_t status = 0;       // kStatus: 1 is good
-  std::uint32_t interval_ms = 0;  // kStartSurface: the least between two
+  std::uint32_t interval_ms = 0;  // kStartSurface: the shortest time between two
 };
 
 enum class Fault : std::uint8_t { kNone, kCrc, kShape, kValues };
@@ -73,7 +73,7 @@ Decoded decode(const Header& header, std::span<const std::uint8_t> body);
 // ECMA-182, as OpenIGTLink uses it: not reflected, starts at 0.
 std::uint64_t crc64(std::span<const std::uint8_t> bytes);
 
-// A message with a header of version 1, which every peer reads: the header, and room for the body behind it.
+// A message with a header of version 1, which every peer reads: the header, then room for the body.
 class Writer {
  public:
   Writer(std::string_view type, std::string_view device, std::uint64_t timestamp, std::size_t body_bytes);

@@ -16,18 +16,18 @@ namespace incise::input {
 struct OpenIgtLinkOptions {
   std::string address = "127.0.0.1";  // to listen on
   std::int64_t port = -1;             // 0: any free one, -1: do not listen
-  std::vector<std::string> connect;   // "host:port" of servers to connect to, again and again
+  std::vector<std::string> connect;   // "host:port" of servers to connect to, and to reconnect to
   std::string ask_for = "nothing";    // "TDATA", "QTDATA": what to ask those servers to stream
-  std::vector<std::string> devices;   // names that are taken; empty: all
+  std::vector<std::string> devices;   // names that are used; empty: all
   std::string engage = "always";      // while poses come; "string": as a STRING says
-  double silence_s = 0.5;             // after that without a pose a device lets go of its blade
+  double silence_s = 0.5;             // without a pose, after which a device releases its blade
   Placement world{{}, {}, 0.001};     // of the peers' space, in their units
-  std::string surface = "asked";      // "always": to whoever connects; "never"
+  std::string surface = "asked";      // "always": to all that connect; "never"
   double surface_hz = 2;              // at most
   std::uint32_t engage_buttons = 1;   // that a pose holds while its device is engaged
 
-  // Once a message has begun: for the rest of its header, for its body, for each 64 KiB of one that is passed over. Between
-  // messages a peer may be silent for as long as it likes.
+  // Time limit once a message has begun: for the rest of its header, for its body, for each 64 KiB of one that is skipped.
+  // Between messages a peer may be silent for any time.
   double message_time_s = 10;
 
   bool wanted() const { return port >= 0 || !connect.empty(); }
@@ -38,23 +38,23 @@ struct SurfaceFeed {
   using Frames = std::vector<std::shared_ptr<const protocol::Frame>>;
   // Changes with the surface.
   std::function<std::uint64_t()> state;
-  // Calls `ready` with a snapshot of view Surface, on a thread of its own, later or (at the end) never.
+  // Later calls `ready` with a snapshot of view Surface, on another thread; at the end perhaps never.
   std::function<void(std::function<void(Frames)> ready)> request;
 };
 
 // OpenIGTLink peers, such as 3D Slicer or PLUS, as pose sources and viewers: those that connect, and servers that this
-// connects to. Each device name that poses come under is a source of that name; it has a blade from its first pose until it
-// is silent, reports a bad STATUS, or its connection ends. A peer may ask for the surface (GET_, STT_, STP_POLYDATA).
+// connects to. Each device name with poses is a source of that name. It has a blade from its first pose until it falls
+// silent, reports a bad STATUS, or its connection ends. A peer may ask for the surface (GET_, STT_, STP_POLYDATA).
 //
-// A message that is wrong is counted and forgotten; where the stream of messages is out of step, its connection ends.
+// A wrong message is counted and ignored; if the stream of messages is out of step, its connection ends.
 //
 // Thread: made and destroyed by one; status() by any. Owns: a thread with all sockets, and one that packs surfaces.
 class OpenIgtLinkInput {
  public:
-  // Listens at once. Throws std::runtime_error where the address cannot be had. `sources` must outlive this.
+  // Listens at once. Throws std::runtime_error if the address is not available. `sources` must outlive this.
   OpenIgtLinkInput(PoseSources& sources, OpenIgtLinkOptions options, SurfaceFeed surfaces);
   ~OpenIgtLinkInput();
-  // Lets go of all blades and connections, for good.
+  // Releases all blades and closes all connections, for good.
   void stop();
 
   std::uint16_t port() const;  // 0: does not listen

@@ -36,7 +36,7 @@ std::unique_ptr<protocol::SurfaceReplica> surface_of(
 std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, const Placement& peers,
                                        const std::string& device) {
   constexpr std::string_view kNames("piece\0cut\0", 10);  // of an even length, or a zero would follow
-  // Of one component. Of cells the library's readers would take nine each, and so read beyond the message.
+  // One component each. As cell scalars the library's readers would read nine each, beyond the end of the message.
   constexpr std::uint16_t kPointScalar = 0x0001;
   const auto points = static_cast<std::uint32_t>(surface.vertices().size());
   const auto cells = static_cast<std::uint32_t>(surface.triangles().size());
@@ -53,7 +53,7 @@ std::vector<std::uint8_t> pack_surface(const protocol::SurfaceReplica& surface, 
     for (const double x : {p.x, p.y, p.z}) message.number(static_cast<float>(x));
     index.emplace(id, static_cast<std::uint32_t>(index.size()));
   }
-  // A vertex lies in one piece: its tetrahedra hang together by faces.
+  // A vertex belongs to one piece: its tetrahedra are connected by faces.
   std::vector<float> piece(points), cut(points);
   for (const auto& [id, triangle] : surface.triangles()) {
     message.number(std::uint32_t{3});

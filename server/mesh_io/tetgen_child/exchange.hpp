@@ -1,7 +1,7 @@
 #pragma once
 
 // The two files that tetgen_fill.cpp and incise-tetgen exchange. Native byte order: both run on one machine,
-// from one build. No more is shared between them.
+// from one build. They share nothing else.
 
 #include <cstdint>
 

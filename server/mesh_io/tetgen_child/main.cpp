@@ -5,9 +5,9 @@
 // under the Apache License 2.0, does not link TetGen, and only starts this program and exchanges files with
 // it.
 //
-// On bad input TetGen throws an int through frames that cannot be unwound, corrupts the heap, or never ends:
-// so it runs here, under limits, and the caller (server/mesh_io/tetgen_fill.cpp) reads how it went from the
-// exit.
+// On bad input TetGen throws an int through frames that cannot be unwound, corrupts the heap, or never ends.
+// So it runs here, under limits, and the caller (server/mesh_io/tetgen_fill.cpp) learns the outcome from the
+// exit status.
 
 #include <fcntl.h>
 #include <signal.h>
@@ -69,7 +69,7 @@ void set_limits(unsigned long memory_mb, unsigned long cpu_s) {
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // these map terabytes of shadow memory
   if (memory_mb > 0) limit(RLIMIT_AS, static_cast<rlim_t>(memory_mb) << 20);
 #endif
-  prctl(PR_SET_PDEATHSIG, SIGKILL);  // no orphan that goes on for minutes
+  prctl(PR_SET_PDEATHSIG, SIGKILL);  // so that no orphan runs on for minutes
 }
 
 template <class T>
@@ -167,7 +167,7 @@ int main(int argc, char** argv) {
   set_limits(memory_mb, cpu_s);
   // The caller reads TetGen's stages as they come.
   std::setvbuf(stdout, nullptr, _IOLBF, 4096);
-  // Never freed: TetGen's destructors are one more thing that can go wrong, and the process ends here.
+  // Never freed: TetGen's destructors could go wrong too, and the process ends here.
   auto& in = *new tetgenio;
   auto& out = *new tetgenio;
   read_input(input.c_str(), in);

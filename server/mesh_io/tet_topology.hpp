@@ -1,0 +1,77 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
+
+namespace incise::mesh_io {
+
+// The elements of a mesh as its file numbers them, for messages.
+class TetNames {
+ public:
+  // `index_base`: the file's number of vertex 0 and of tetrahedron 0. Mesh and file must outlive this.
+  TetNames(const core::MeshData& mesh, const std::string& file, int index_base)
+      : mesh_(mesh), file_(file), base_(index_base) {}
+
+  // Throws MeshError, its text beginning with the file's name.
+  [[noreturn]] void fail(const std::string& message) const;
+  std::string number(std::uint32_t index) const {
+    return std::to_string(static_cast<std::int64_t>(index) + base_);
+  }
+  std::string tet(core::TetId t) const { return "tetrahedron " + number(t); }
+  std::string place(core::VertexId v) const;
+  std::string place(const std::array<core::VertexId, 4>& v) const;
+
+ private:
+  const core::MeshData& mesh_;
+  const std::string& file_;
+  const int base_;
+};
+
+// What is beside what in a mesh as read: the neighbour behind each face, the tetrahedra at each vertex. The mesh may change;
+// match_faces() and list_stars() bring this up to date.
+class TetTopology {
+ public:
+  TetTopology(const core::MeshData& mesh, const TetNames& names) : mesh_(mesh), names_(names) {}
+
+  // Throws MeshError if more than two tetrahedra share a face, or two have the same vertices. O(n log n).
+  void match_faces();
+  // The same face seen from the other side; kNone on the boundary.
+  core::HalfFace opposite(core::HalfFace h) const { return opposite_[h]; }
+  bool on_boundary(core::TetId t) const;
+  // A removed tetrahedron's neighbours have no neighbour there.
+  void detach(core::TetId t);
+
+  // O(n).
+  void list_stars();
+  // The tetrahedra at v.
+  std::span<const core::TetId> star(core::VertexId v) const {
+    return {star_.data() + star_begin_[v], star_.data() + star_begin_[v + 1]};
+  }
+
+  // The vertices of a face in ascending order, and whether sorting took an odd permutation.
+  struct SortedFace {
+    std::array<core::VertexId, 3> v;
+    bool odd;
+  };
+  SortedFace sorted_face(core::HalfFace h) const;
+
+ private:
+  core::VertexId apex(core::HalfFace h) const { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; }
+  [[noreturn]] void refuse_twins(core::HalfFace a, core::HalfFace b) const;
+  [[noreturn]] void refuse_shared_face(core::HalfFace a, core::HalfFace b, core::HalfFace c,
+                                       std::ptrdiff_t count) const;
+
+  const core::MeshData& mesh_;
+  const TetNames& names_;
+  std::vector<core::HalfFace> opposite_;
+  std::vector<std::uint32_t> star_begin_;
+  std::vector<core::TetId> star_;
+};
+
+}  // namespace incise::mesh_io
