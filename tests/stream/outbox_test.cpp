@@ -79,7 +79,7 @@ TEST_F(OutboxTest, ForcesGoFirstThenControlThenState) {
 }
 
 TEST_F(OutboxTest, DroppedStateThatIsBeingWrittenStillCounts) {
-  outbox.send_state(ping(0));
+  outbox.send_state(ping(1));
   outbox.send_state(ping(1));
   const std::size_t one = outbox.state_bytes() / 2;
   outbox.drop_state();
