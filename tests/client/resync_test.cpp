@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <future>
 #include <memory>
 #include <optional>
 #include <thread>
@@ -96,6 +97,7 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
   ASSERT_GT(recording.steps.size(), 4u);
   const stream::Listener listener;
   std::vector<protocol::Hello> hellos;
+  std::promise<void> connected;  // connect() has returned: only from then on is a lost connection made again
   std::thread server([&] {
     const auto accept = [&] {
       std::unique_ptr<RawPeer> peer = listener.accept();
@@ -110,6 +112,7 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
       peer->send(recording.steps[0].message.body);
       peer->send(protocol::Ping{7, 0});
       peer->receive_until<protocol::Pong>();  // so it has read the step
+      connected.get_future().wait();
     }
     {
       const auto peer = accept();
@@ -128,6 +131,7 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
   Options options;
   options.reconnect = true;
   auto client = Client::connect("127.0.0.1", listener.port(), options);
+  connected.set_value();
   EXPECT_TRUE(client->wait_for_revision(recording.steps.size(), kPatience_s)) << client->last_error();
   EXPECT_EQ(client->counters().resyncs, 1u);
   client.reset();

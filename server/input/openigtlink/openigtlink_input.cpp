@@ -115,7 +115,7 @@ struct OpenIgtLinkInput::Impl {
     try {
       co_await peer->run();
     } catch (const std::exception& error) {
-      context.log_fault(spdlog::level::err, peer->name(), ": " + error.what());
+      context.log_fault(spdlog::level::err, peer->name(), std::string(": ") + error.what());
       peer->release_tools();
       peer->close();
     }
