@@ -24,7 +24,7 @@
 
 namespace incise::client {
 
-// No session came about. The message says with whom and why.
+// The server could not be reached, or refused us. The message says which server and why.
 struct ConnectError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -40,34 +40,32 @@ struct Options {
   std::string token;
   std::string client_name = "incise_client";
   std::string source_name = "blade";         // operator: which blade
-  bool take_over = false;                    // operator: take it from whoever holds it
+  bool take_over = false;                    // operator: take it from the operator who holds it
   std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
-  std::optional<protocol::Box> box;  // of either view only what touches it; of Volume that is read_part()'s
+  std::optional<protocol::Box> box;  // of either view only what touches it; for Volume use read_part()
   float max_rate_hz = 0;             // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
-  // Connects again when the connection is lost, as often as it takes, and goes on where it was.
+  // Connects again when the connection is lost, as often as it takes, and resumes the state it holds.
   bool reconnect = false;
-  // The hash of each delta is checked anyway; every so many revisions the whole replica is hashed anew. 0:
-  // never.
+  // The hash of each delta is always checked; every so many revisions the whole replica is hashed as well. 0: never.
   std::uint32_t full_check_interval = 0;
-  // A thread of the client's own does the work; else poll() does.
+  // The client has a thread that does the work; otherwise poll() does.
   bool background = true;
-  std::size_t max_outbox_bytes = 8u << 20;  // of poses that wait for the network
-  // What the replica may grow to.
+  std::size_t max_outbox_bytes = 8u << 20;  // poses that wait for the network
+  // The largest size of the replica.
   std::uint32_t max_vertices = protocol::kDefaultReplicaVertices;
   std::uint32_t max_tets = protocol::kDefaultReplicaTets;
 };
 
-// How a message came.
+// When a message came, and its size.
 struct Arrival {
   std::int64_t received_ns = 0;  // CLOCK_MONOTONIC here
   std::int64_t sent_ns = 0;      // the server's clock
   std::size_t bytes = 0;
 };
 
-// Called on the client's thread (background) or within poll(), one at a time, after the replica has changed.
-// They may call the client's send and accessor functions, but not close(), poll(), or the wait functions.
-// Must not throw.
+// Called on the client's thread (background) or within poll(), one at a time, after the replica has changed. They may
+// call the client's send and accessor functions, but not close(), poll() or the wait functions. Must not throw.
 struct Callbacks {
   std::function<void(const protocol::Replica&, const protocol::Delta&, const Arrival&)> on_delta;
   std::function<void(const protocol::SurfaceReplica&, const protocol::SurfaceDelta&, const Arrival&)>
@@ -82,9 +80,9 @@ struct Callbacks {
   std::function<void(const protocol::Stats&)> on_stats;
   std::function<void(const protocol::Error&)> on_error;
   std::function<void(const std::string& reason)>
-      on_resync;  // the replica was wrong; a snapshot has been asked for
+      on_resync;  // the replica refused a message; a snapshot was requested
   std::function<void(const std::string& reason)> on_disconnect;
-  std::function<void(const protocol::Welcome&)> on_welcome;  // again after a reset and a reconnection
+  std::function<void(const protocol::Welcome&)> on_welcome;  // also after a reset and a reconnection
 };
 
 enum class Status : std::uint8_t { kConnected, kReconnecting, kClosed };
@@ -94,11 +92,10 @@ struct Counters {
                 resyncs = 0, reconnects = 0;
 };
 
-// A session with an incised.
+// A connection to an incised, and the replica that it keeps in step.
 //
-// Thread: every function may be called from any thread, poll() from one at a time and only without a
-// background thread. The replica changes on the client's thread; read() locks it out for as long as its
-// function runs. Owns: the connection, the replica, the background thread.
+// Thread: any; poll() from one at a time, and only without a background thread. The replica changes on the client's
+// thread; read() locks it while its function runs. Owns: the connection, the replica, the background thread.
 class Client {
  public:
   // Connects and waits for Welcome. Throws ConnectError: no such host, no answer in time, refused.
@@ -109,33 +106,31 @@ class Client {
   Client(const Client&) = delete;
   Client& operator=(const Client&) = delete;
 
-  // Queues poses in order, splitting them into messages as needed. Returns the sequence of the last message,
-  // which PoseReport::through_sequence will reach; 0, and nothing is queued, where there is no connection or
-  // no room for them: try again.
+  // Queues poses in order, in as many messages as needed. Returns the sequence of the last message, which
+  // PoseReport::through_sequence will reach. 0 without a connection or room for them: nothing is queued, try again.
   std::uint64_t send_poses(std::span<const protocol::PoseSample> poses);
-  // For a tool without a button: engages the blade for all poses sent from here on, until end_stroke(). False without a
-  // connection.
+  // For a tool without a button: engages the blade for all poses sent from here on, until end_stroke(). False without
+  // a connection.
   bool engage(std::int64_t source_ns);
   // Ends the running stroke after the poses sent so far. False without a connection.
   bool end_stroke(std::int64_t source_ns);
-  // Simulators: where vertices are, all of revision `positions.revision`. Returns the message's sequence; 0, and nothing is
-  // queued, where there is no connection or the last ones wait for the network still: the next ones will do.
+  // Simulators: where vertices are, computed for revision `positions.revision`. Returns the message's sequence. 0
+  // without a connection or while older ones still wait for the network: nothing is queued, send the next ones.
   std::uint64_t send_positions(const protocol::Positions& positions);
-  // Another view or rate from here on.
+  // Changes view and rate.
   bool subscribe(protocol::View view, float max_rate_hz);
-  // Administrators: the mesh as it was loaded, for all.
+  // Administrators: restores the mesh as it was loaded, for everyone.
   bool reset();
 
   Status status() const;
-  // Why it is not connected; empty while it is.
+  // Why it is not connected; empty while connected.
   std::string last_error() const;
   protocol::Welcome welcome() const;
-  protocol::PoseReport report() const;  // the last one
+  protocol::PoseReport report() const;  // the last
   Counters counters() const;
-  // Of the view in force: what the replica has.
+  // The replica's, in the current view.
   std::uint64_t revision() const;
-  // The server's monotonic clock minus ours, from the ping with the shortest way, and that way there and
-  // back.
+  // The server's monotonic clock minus ours, from the ping with the shortest round trip, and that round trip.
   std::int64_t clock_offset_ns() const;
   std::int64_t round_trip_ns() const;
 
@@ -157,19 +152,18 @@ class Client {
     return function(part());
   }
 
-  // Wait until the replica is at `revision` or later, or until the server has dealt with all poses up to a
-  // message, or until all that was queued here is on the network. False when the time is over or the client
-  // is closed.
+  // Wait until the replica is at `revision` or later, or until the server has dealt with all poses up to a message.
+  // False when the time is over or the client is closed.
   bool wait_for_revision(std::uint64_t revision, double timeout_s);
   bool wait_for_report(std::uint64_t sequence, double timeout_s);
 
-  // Without a background thread: handles what has come, waiting for it at most so long. Returns whether the
+  // Without a background thread: handles what has arrived, waiting for it at most `timeout_s`. Returns whether the
   // client is still open.
   bool poll(double timeout_s = 0);
 
-  // Says goodbye and waits, half a second at most, until all that was queued has been sent.
+  // Says goodbye and waits, for half a second at most, until everything queued has been sent.
   void close();
-  // Cuts the connection without a word, as a lost network does. With Options::reconnect it comes back.
+  // Drops the connection without a goodbye, as a lost network does. With Options::reconnect it comes back.
   void drop_connection();
 
  private:

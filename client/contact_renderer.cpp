@@ -8,9 +8,9 @@ namespace {
 
 using protocol::Vec3;
 
-constexpr double kSmoothing_s = 0.005;               // of the velocity
-constexpr double kLongestStep_s = 0.005;             // what a force may grow by after a pause of the caller
-constexpr std::int64_t kLongest_ns = 1'000'000'000;  // that a plane may be valid, whatever it says
+constexpr double kSmoothing_s = 0.005;    // of the velocity
+constexpr double kLongestStep_s = 0.005;  // after a pause of the caller a force grows as in this time at most
+constexpr std::int64_t kLongest_ns = 1'000'000'000;  // a plane is valid at most so long, whatever it says
 
 Vec3 add(const Vec3& a, const Vec3& b, double s = 1) {
   return {a.x + s * b.x, a.y + s * b.y, a.z + s * b.z};
@@ -53,7 +53,7 @@ void ContactRenderer::take(const protocol::Force& force, std::int64_t now_ns) {
 Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
   {
     const std::scoped_lock lock(mutex_);
-    // A plane that is still the same keeps where it has given way to.
+    // The same plane keeps the place to which it has given way.
     if (newest_.number != plane_.number) plane_ = newest_;
   }
   const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - last_ns_) * 1e-9) : 0;
@@ -111,7 +111,7 @@ Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
   if (valid && (ramp_ > 0 || energy > 0 || c.penetrated))
     ramp_ = std::min(1.0, ramp_ + growing / limits_.ramp_s);
   applied_ = scale(ramp_, slewed_);
-  // One that ran out while it acted begins anew, once it has faded.
+  // A plane expired while it acted: once the force has faded, the next one starts from nothing.
   if (!valid && !plane_.over && length(slewed_) == 0) ramp_ = 0;
   return applied_;
 }

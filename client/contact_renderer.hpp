@@ -7,23 +7,24 @@
 
 namespace incise::client {
 
-// What a device at this end may be asked for.
+// What may be asked of the device at this end.
 struct ContactLimits {
   double most_n = 3.3;    // magnitude
   double slew_n_s = 500;  // change in a second
-  double ramp_s = 2;  // from nothing to full at the first contact, and after a contact that ran out in use
+  double ramp_s =
+      2;  // from nothing to full force at the first contact, and after a contact that expired in use
   double stiffest_n_m = 2000;
 };
 
 // Renders the tissue near the blade at the device's own rate, from the planes that the server sends (Force.contact,
-// PROTOCOL.md section 7), however old they are. No force is NaN, beyond the limits, or there without the ramp; one
-// whose plane has expired fades at the slew limit.
+// PROTOCOL.md section 7), however old they are. No force is NaN, exceeds the limits, or starts without the ramp; when
+// its plane expires it fades at the slew limit.
 //
-// Delay cannot make it unstable: a plane is only ever a spring, a damper and friction, and what they give back is
-// bounded by an account of the work that the tool has done on them here. A plane that comes late, or jumps, may
-// promise more than that; its elastic force is then scaled down to what is in the account (after Hannaford and Ryu 2002,
-// "Time-domain passivity control of haptic interfaces"). In t seconds no more than kReserve_j + kLeak_w t comes out
-// than went in, but for the work of one step and of the fade.
+// Delay cannot make it unstable: a plane is a spring, a damper and friction, and what they give back is bounded by an
+// account of the work that the tool has done on them here. A plane that comes late or jumps may promise more; its
+// elastic force is then scaled down to what is in the account (after Hannaford and Ryu 2002, "Time-domain passivity
+// control of haptic interfaces"). In t seconds no more than kReserve_j + kLeak_w t comes out than went in, except for
+// the work of one step and of the fade.
 //
 // Thread: take() from one (the client's), force() from one (the device's), at the same time if need be.
 class ContactRenderer {
@@ -33,18 +34,18 @@ class ContactRenderer {
 
   explicit ContactRenderer(const ContactLimits& limits = {}) : limits_(limits) {}
 
-  // A message that came at `now_ns`, a clock of this machine's. From Callbacks::on_force.
+  // Takes over a message that arrived at `now_ns`, by a clock of this machine. For Callbacks::on_force.
   void take(const protocol::Force& force, std::int64_t now_ns);
 
-  // The force on the hand, N, world frame, for the tool's origin there and then: to be applied until the next call. Same
-  // clock; it must rise. Allocates nothing; waits for take() at most while it copies a plane.
+  // The force on the hand, N, world frame, for the tool's origin at `tool_m` now. Apply it until the next call.
+  // `now_ns` is of the same clock and must rise. Allocates nothing; waits at most while take() copies a plane.
   protocol::Vec3 force(const protocol::Vec3& tool_m, std::int64_t now_ns);
 
  private:
   struct Plane {
     protocol::LocalContact contact;
     std::int64_t until_ns = 0;
-    bool over = true;  // the server says that there is no tissue; else it runs out
+    bool over = true;  // the server said that there is no tissue; otherwise it has expired
     std::uint64_t number = 0;
   };
   const ContactLimits limits_;

@@ -20,7 +20,7 @@ using boost::system::error_code;
 using net::NetStream;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 
-// Keeps what a TLS stream refers to.
+// A TLS stream refers to this.
 struct TlsContext {
   ssl::context context{ssl::context::tls_client};
 };
@@ -105,7 +105,8 @@ asio::awaitable<std::unique_ptr<Link>> finish(NetStream stream, std::shared_ptr<
   const error_code ec = co_await link->shake_hands(name);
   if (ec) {
     const bool silent = ec == beast::http::error::end_of_stream || ec == asio::error::eof;
-    fail(host, port, "no WebSocket there: " + (silent && !tls_used ? std::string(kMaybeTls) : ec.message()));
+    fail(host, port,
+         "cannot open a WebSocket: " + (silent && !tls_used ? std::string(kMaybeTls) : ec.message()));
   }
   co_return link;
 }
@@ -123,7 +124,7 @@ std::shared_ptr<TlsContext> make_tls(const std::string& host, std::uint16_t port
   return tls;
 }
 
-// Why no TLS came about, and what to look at.
+// Why TLS failed, and what to do.
 std::string tls_failure(const error_code& ec, SSL* connection, const std::string& host) {
   const long verdict = SSL_get_verify_result(connection);
   if (verdict != X509_V_OK) {
@@ -133,7 +134,7 @@ std::string tls_failure(const error_code& ec, SSL* connection, const std::string
   std::string what = "TLS: " + ec.message();
   if (what.find("certificate verify failed") != std::string::npos)
     return what + ": the certificate is not for the name " + host;
-  if (what.find("wrong version number") != std::string::npos) return what + ": no TLS is spoken there";
+  if (what.find("wrong version number") != std::string::npos) return what + ": the server does not use TLS";
   return what;
 }
 

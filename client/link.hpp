@@ -1,7 +1,6 @@
 #pragma once
 
-// One connection of the client's, by TCP or WebSocket, with TLS or without. Not installed: Asio stays in
-// here.
+// One connection of the client, by TCP or WebSocket, with TLS or without. Not installed: Asio stays in here.
 
 #include <boost/asio/awaitable.hpp>
 #include <boost/asio/io_context.hpp>
@@ -19,9 +18,9 @@ namespace incise::client {
 
 namespace asio = boost::asio;
 
-// What a server that wants TLS looks like to who does not speak it.
+// What a server with TLS looks like to a client without.
 inline constexpr const char* kMaybeTls =
-    "the connection was closed without an answer; a server with a certificate wants TLS (tls:// or wss://)";
+    "the connection was closed without an answer; a server with a certificate needs TLS (tls:// or wss://)";
 
 // Thread: the client's. Owns: the socket.
 class Link {
@@ -45,13 +44,13 @@ class Link {
   };
   virtual ~Link() = default;
   virtual asio::awaitable<Received> read() = 0;
-  // Writes one frame, which must stay until then; one call at a time.
+  // Writes one frame, which must stay until this is done. One call at a time.
   virtual asio::awaitable<boost::system::error_code> write(const protocol::Frame& frame) = 0;
-  // What is under way comes back with an error.
+  // Reads and writes under way return an error.
   virtual void close() = 0;
 };
 
-// Throws ConnectError. `deadline` holds for all of it.
+// Throws ConnectError. `deadline` is for connecting and all handshakes together.
 asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t port, const Options& options,
                                                  std::chrono::steady_clock::time_point deadline);
 

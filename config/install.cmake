@@ -68,7 +68,7 @@ install(FILES ${CMAKE_BINARY_DIR}/install/inciseConfig.cmake ${CMAKE_BINARY_DIR}
 file(GLOB headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS client/*.hpp protocol/*.hpp server/base/*.hpp)
 file(GLOB_RECURSE core_headers RELATIVE ${CMAKE_SOURCE_DIR} CONFIGURE_DEPENDS server/core/*.hpp)
 list(APPEND headers ${core_headers})
-list(REMOVE_ITEM headers client/link.hpp) # Asio, for client.cpp alone
+list(REMOVE_ITEM headers client/client_impl.hpp client/link.hpp protocol/field_reader.hpp) # Asio and the generated schema, for our sources alone
 foreach(header ${headers})
   cmake_path(GET header PARENT_PATH folder)
   install(FILES ${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/incise/${folder} COMPONENT dev)

@@ -94,7 +94,7 @@ struct Encoder {
     const auto blade = edge(b, m.blade);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over, m.blade_rate_hz, blade)
+                             m.take_over, m.blade_rate_hz, blade, m.resume_hash)
         .Union();
   }
   auto operator()(const Welcome& m) {

@@ -69,6 +69,7 @@ struct Hello {
   bool take_over = false;
   float blade_rate_hz = 0;
   std::optional<BladeEdge> blade;
+  std::uint64_t resume_hash = 0;  // Welcome's or a delta's state_hash at resume_revision; 0: not known
 };
 
 struct MeshFacts {

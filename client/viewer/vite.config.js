@@ -28,7 +28,7 @@ export default defineConfig({
   build: { target: "es2022", emptyOutDir: true, chunkSizeWarningLimit: 2000, modulePreload: { polyfill: false } },
   worker: { format: "es" },
   plugins: [compressed()],
-  // npm run dev beside a running incised.
+  // `npm run dev` gets the stream from an incised that runs on this machine.
   server: {
     proxy: {
       "/ws": { target: "ws://127.0.0.1:7480", ws: true, changeOrigin: true },

@@ -3,7 +3,6 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <array>
 #include <cstdio>
 #include <future>
 #include <memory>
@@ -11,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "server/app/audit_log.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
 #include "server/app/end_signals.hpp"
@@ -23,7 +23,6 @@
 #include "server/app/stream_setup.hpp"
 #include "server/app/telemetry.hpp"
 #include "server/base/clock.hpp"
-#include "server/input/limited_log.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {
@@ -76,15 +75,6 @@ loop::LoopOptions loop_options(const Config& config) {
   return options;
 }
 
-// Logs who was refused, and what others than its author notice. Each kind has a limit of its own.
-std::function<void(stream::Audit, const std::string&)> audit_log() {
-  return [logs = std::array<input::LimitedLog, stream::kAudits>{}](stream::Audit kind,
-                                                                   const std::string& line) mutable {
-    const auto level = kind == stream::Audit::kRefused ? spdlog::level::warn : spdlog::level::info;
-    logs[static_cast<std::size_t>(kind)].write(level, line);
-  };
-}
-
 stream::RecordingNow recording_now(const loop::Journal* journal) {
   if (!journal) return {};
   std::string trouble = journal->trouble();
@@ -127,6 +117,7 @@ class RunningServer {
   // The loop publishes to the stream, which reports the loop's figures: they are set before the stream starts.
   std::optional<Telemetry> telemetry_;
   std::optional<LoopWatch> watch_;
+  AuditLog audit_;
   CaptureLibrary library_;
   stream::Server server_;
   StreamOutput output_;
@@ -171,7 +162,7 @@ stream::Providers RunningServer::providers() {
           [this] { return telemetry_->blades(); },
           &library_,
           [this] { return watch_->trouble(); },
-          audit_log(),
+          [this](auto kind, auto& address, auto& line) { audit_.write(kind, address, line); },
           [this] { return recording_now(journal_.get()); }};
 }
 
@@ -238,7 +229,10 @@ void RunningServer::print_places() const {
 
 const char* RunningServer::watch(const EndSignals& signals) {
   const char* signal = nullptr;
-  while (!(signal = signals.wait())) watch_->look();
+  while (!(signal = signals.wait())) {
+    watch_->look();
+    audit_.flush();
+  }
   return signal;
 }
 

@@ -79,7 +79,7 @@ stream::ServerFacts server_facts(const Config& config, const Body& body, const c
 stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id) {
   const core::TetMesh& mesh = session.mesh();
   stream::InitialState state;
-  state.session = session_id;
+  state.epoch = session_id;
   state.revision = session.revision();
   state.positions.reserve(mesh.vertex_slots());
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));

@@ -75,7 +75,7 @@ Json network_json(const input::NetworkStatus& status) {
 }
 
 Json stream_json(const stream::StreamCounters& c) {
-  Json json{{"sessions", c.sessions},
+  Json json{{"sessions", c.peers},  // the older name of access.peers
             {"deltas", c.deltas},
             {"coalesced", c.coalesced},
             {"snapshots", c.snapshots},
@@ -163,7 +163,8 @@ std::string Telemetry::json() const {
   }
   if (stream_) {
     const stream::StreamCounters c = stream_();
-    root["access"] = {{"sessions", c.sessions},
+    root["access"] = {{"peers", c.peers},
+                      {"sessions", c.peers},  // the older name of peers
                       {"connections", c.connections},
                       {"accepted", c.accepted},
                       {"refused", c.refused},

@@ -1,13 +1,13 @@
 #include "server/app/token_file.hpp"
 
-#include <algorithm>
-#include <array>
 #include <cerrno>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <system_error>
 
+#include "protocol/role_names.hpp"
 #include "server/app/config.hpp"
 
 namespace incise::app {
@@ -24,7 +24,6 @@ constexpr const char* kAccepted =
 }
 
 stream::AccessToken read_token(const Json& entry, const std::string& at, const std::filesystem::path& path) {
-  constexpr std::array<const char*, 4> kRoles{"viewer", "operator", "simulator", "admin"};
   if (!entry.is_object() || entry.size() != 2 || !entry.contains("token") || !entry.contains("roles")) {
     refuse(path, at + " is not an object of token and roles");
   }
@@ -35,12 +34,11 @@ stream::AccessToken read_token(const Json& entry, const std::string& at, const s
   if (!entry["roles"].is_array() || entry["roles"].empty()) refuse(path, at + ": no roles");
   for (const Json& role : entry["roles"]) {
     if (role == "metrics") continue;  // every token has this right
-    const auto* const found =
-        std::find_if(kRoles.begin(), kRoles.end(), [&](const char* name) { return role == name; });
-    if (found == kRoles.end())
+    const auto known = role.is_string() ? protocol::role_named(role.get<std::string>()) : std::nullopt;
+    if (!known)
       refuse(path,
              at + ": found role " + role.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
-    token.roles.push_back(static_cast<protocol::Role>(found - kRoles.begin()));
+    token.roles.push_back(*known);
   }
   return token;
 }

@@ -4,27 +4,70 @@
 
 #include <algorithm>
 
-#include "server/base/clock.hpp"
-
 namespace incise::input {
-namespace {
 
-constexpr double kBurst = 10, kEach_s = 5;
+LimitedLog::LimitedLog()
+    : LimitedLog(
+          [](spdlog::level::level_enum level, const std::string& line) { spdlog::log(level, "{}", line); }) {}
 
-}  // namespace
+double LimitedLog::tokens_at(const Address& address, std::int64_t now_ns) {
+  const double seconds = 1e-9 * static_cast<double>(now_ns - address.last_ns);
+  return std::min(kBurst, address.tokens + seconds / kEach_s);
+}
 
-void LimitedLog::write(spdlog::level::level_enum level, const std::string& line) {
-  const std::int64_t now = monotonic_ns();
-  tokens_ = std::min(kBurst, tokens_ + 1e-9 * static_cast<double>(now - last_ns_) / kEach_s);
-  last_ns_ = now;
-  if (tokens_ < 1) {
-    ++left_out_;
+void LimitedLog::refill(Address& address, std::int64_t now_ns) {
+  address.tokens = tokens_at(address, now_ns);
+  address.last_ns = now_ns;
+}
+
+// Addresses that have nothing left to say are forgotten where there is no room.
+LimitedLog::Address& LimitedLog::address_of(const std::string& name, std::int64_t now_ns) {
+  const auto known = addresses_.find(name);
+  if (known != addresses_.end()) return known->second;
+  if (addresses_.size() >= kMaxAddresses) {
+    std::erase_if(addresses_, [now_ns](const auto& entry) {
+      return tokens_at(entry.second, now_ns) >= kBurst && entry.second.left_out == 0;
+    });
+  }
+  if (addresses_.size() >= kMaxAddresses) return others_;
+  return addresses_[name];
+}
+
+void LimitedLog::write(spdlog::level::level_enum level, const std::string& address, const std::string& line,
+                       std::int64_t now_ns) {
+  const std::scoped_lock lock(mutex_);
+  Address& from = address_of(address, now_ns);
+  refill(from, now_ns);
+  if (from.left_out == 0 && from.tokens >= 1) {
+    from.tokens -= 1;
+    write_(level, line);
     return;
   }
-  tokens_ -= 1;
-  spdlog::log(level, "{}{}", line,
-              left_out_ > 0 ? fmt::format(" ({} lines like this left out)", left_out_) : std::string());
-  left_out_ = 0;
+  ++from.left_out;
+  from.level = level;
+  from.last_line = line;
+  if (from.tokens >= 1) write_left_out(from);
+}
+
+void LimitedLog::flush(std::int64_t now_ns) {
+  const std::scoped_lock lock(mutex_);
+  const auto flush_one = [&](Address& address) {
+    if (address.left_out == 0) return;
+    refill(address, now_ns);
+    if (address.tokens >= 1) write_left_out(address);
+  };
+  for (auto& [name, address] : addresses_) flush_one(address);
+  flush_one(others_);
+}
+
+void LimitedLog::write_left_out(Address& address) {
+  address.tokens -= 1;
+  const std::uint64_t others = address.left_out - 1;
+  write_(address.level, others == 0
+                            ? address.last_line
+                            : fmt::format("{} ({} lines like this left out)", address.last_line, others));
+  address.left_out = 0;
+  address.last_line.clear();
 }
 
 }  // namespace incise::input

@@ -5,7 +5,7 @@
 namespace incise::stream {
 namespace {
 
-// Takes as long wherever the two differ, and whatever lengths they have.
+// Takes the same time wherever the two differ, and whatever their lengths.
 bool equal_in_constant_time(const std::string& a, const std::string& b) {
   std::size_t difference = a.size() ^ b.size();
   for (std::size_t i = 0; i < protocol::kMaxTokenBytes; ++i) {
@@ -16,7 +16,8 @@ bool equal_in_constant_time(const std::string& a, const std::string& b) {
   return difference == 0;
 }
 
-// So that who is not looked at does not come back a thousand times a second, before others from his address.
+// So that a client whose token is not looked at does not come back a thousand times a second, ahead of others from
+// its address.
 constexpr std::int64_t kNotLookedAtHold_ns = 1'000'000'000;
 
 }  // namespace

@@ -23,29 +23,28 @@ class Access {
 
   enum class Verdict {
     kGranted,
-    kNoToken,      // one is needed
-    kOtherRole,    // a token that does not open this
-    kWrong,        // no token of ours
-    kNotLookedAt,  // from an address that has guessed too often
+    kNoToken,      // none was given, and one is needed
+    kOtherRole,    // the token does not open this
+    kWrong,        // not one of our tokens
+    kNotLookedAt,  // its address has guessed too often
   };
   struct Answer {
     Verdict verdict = Verdict::kGranted;
-    std::int64_t hold_ns = 0;       // how long to hold the answer back
-    std::int64_t come_back_ns = 0;  // kNotLookedAt: how long it is so
+    std::int64_t hold_ns = 0;       // how long to delay the answer
+    std::int64_t come_back_ns = 0;  // kNotLookedAt: for how long that lasts
   };
-  // `opens`: whether a token that we know opens what is asked for.
+  // `opens`: whether one of our tokens opens what is asked for.
   Answer ask(const boost::asio::ip::address& from, const std::string& token,
              const std::function<bool(const AccessToken&)>& opens, std::int64_t now_ns);
 
-  // Counts an answer that is held back for as long as the result lives. Of kMaxHeld at once each holds a socket; ask() wants
-  // no others held.
+  // Counts a delayed answer while the result lives. Each keeps a socket; with kMaxHeld of them ask() delays no more.
   static constexpr std::size_t kMaxHeld = 64;
   std::shared_ptr<void> hold();
 
  private:
   const std::vector<AccessToken>& tokens_;
   GuessLimiter guesses_;
-  // Shared with what hold() gave out, which may be destroyed later than this.
+  // Shared with the results of hold(), which may outlive this.
   std::shared_ptr<std::size_t> held_ = std::make_shared<std::size_t>(0);
 };
 

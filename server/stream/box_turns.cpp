@@ -6,8 +6,7 @@
 #include <ctime>
 
 #include "server/base/clock.hpp"
-#include "server/stream/hub.hpp"
-#include "server/stream/session.hpp"
+#include "server/stream/counters.hpp"
 
 namespace incise::stream {
 
@@ -16,17 +15,17 @@ void TimeShare::spend(std::int64_t cost_ns, std::int64_t now_ns) {
                 static_cast<std::int64_t>(static_cast<double>(cost_ns) / share_);
 }
 
-void BoxTurns::ask(const std::shared_ptr<Session>& session) {
-  queue_.push_back({session, monotonic_ns()});
+void BoxTurns::ask(const std::shared_ptr<BoxHolder>& holder) {
+  queue_.push_back({holder, monotonic_ns()});
   schedule();
 }
 
-// Those that no longer want their turn are no reason to wait.
+// Those that no longer want a turn must not hold up the rest.
 void BoxTurns::forget_gone() {
   while (!queue_.empty()) {
-    const auto session = queue_.front().session.lock();
-    if (session && session->wants_box_turn()) return;
-    if (session) session->skip_box_turn();
+    const auto holder = queue_.front().holder.lock();
+    if (holder && holder->wants_box_turn()) return;
+    if (holder) holder->skip_box_turn();
     queue_.pop_front();
   }
 }
@@ -36,12 +35,12 @@ bool BoxTurns::has_room() {
   return queue_.empty() || monotonic_ns() - queue_.front().since_ns < kMaxWait_ns / 2;
 }
 
-// When one has waited too long, and as long since the last one lost its box.
+// kMaxWait_ns after the first one asked, and as long after a peer last lost its box.
 std::int64_t BoxTurns::overdue_at_ns() const {
   return std::max(queue_.front().since_ns, refused_ns_) + kMaxWait_ns;
 }
 
-// One turn at a time, each behind whatever the thread has to do by then: messages are read and deltas go out in between.
+// One turn at a time, each behind what the thread has to do by then: it reads messages and sends deltas in between.
 void BoxTurns::schedule() {
   if (!scheduled_) forget_gone();
   if (scheduled_ || queue_.empty()) return;
@@ -68,12 +67,12 @@ void BoxTurns::serve() {
     refused_ns_ = now;
     refuse_costliest();
   } else if (now >= std::max(share_.free_at_ns(), queue_.front().since_ns + kBehind_ns)) {
-    const auto session = queue_.front().session.lock();
+    const auto holder = queue_.front().holder.lock();
     queue_.pop_front();
     const std::int64_t before = clock_ns(CLOCK_THREAD_CPUTIME_ID);
-    if (session && session->take_box_turn()) {
+    if (holder && holder->make_box_delta()) {
       const std::int64_t cost = clock_ns(CLOCK_THREAD_CPUTIME_ID) - before;
-      session->set_box_cost(cost);
+      holder->last_turn_ns_ = cost;
       share_.spend(cost, monotonic_ns());
       ++counters_.box_turns;
       counters_.box_turns_ns += static_cast<std::uint64_t>(cost);
@@ -83,12 +82,12 @@ void BoxTurns::serve() {
 }
 
 void BoxTurns::refuse_costliest() {
-  std::shared_ptr<Session> costliest;
+  std::shared_ptr<BoxHolder> costliest;
   for (const Waiting& waiting : queue_) {
-    const auto session = waiting.session.lock();
-    if (session && session->wants_box_turn() &&
-        (!costliest || session->box_cost_ns() >= costliest->box_cost_ns())) {
-      costliest = session;
+    const auto holder = waiting.holder.lock();
+    if (holder && holder->wants_box_turn() &&
+        (!costliest || holder->last_turn_ns_ >= costliest->last_turn_ns_)) {
+      costliest = holder;
     }
   }
   if (costliest) costliest->lose_box();

@@ -9,7 +9,7 @@
 namespace incise::stream {
 namespace {
 
-// A core vector array is an array of doubles: x y z x y z ...
+// An array of core vectors is an array of doubles: x y z x y z ...
 static_assert(sizeof(core::Vec3) == 3 * sizeof(double) && std::is_trivially_copyable_v<core::Vec3>);
 
 std::span<const double> flat(const std::vector<core::Vec3>& positions) {
@@ -144,7 +144,7 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
     const core::Vec3& p = initial.positions[v];
     hash ^= protocol::vertex_hash(v, p.x, p.y, p.z);
   }
-  // Pieces and rest positions come with a snapshot only.
+  // Only a snapshot carries pieces and rest positions.
   protocol::SnapshotBegin begin;
   begin.revision = initial.revision;
   begin.chunks = 1;

@@ -10,12 +10,12 @@
 
 namespace incise::stream {
 
-// A published delta in the shape of the wire: arrays of scalars. Reused from delta to delta, so a warm one
-// allocates nothing.
+// A published delta as the wire has it: arrays of scalars. Reused from delta to delta, so that once warm it allocates
+// nothing.
 class DeltaArrays {
  public:
-  // The message that takes `before` to the delta's revision. Valid until the next call; points into
-  // `published` too. O(delta).
+  // The message that takes `before` to the delta's revision. Valid until the next call; also points into `published`.
+  // O(delta).
   const protocol::Delta& assign(const PublishedDelta& published, const protocol::Replica& before);
 
  private:
@@ -30,7 +30,7 @@ class DeltaArrays {
   std::vector<core::Vec3> rest_;
 };
 
-// Makes `replica` hold the state. Returns what is wrong with it, or an empty text. O(state).
+// Loads the state into `replica`. Returns what is wrong with it, or an empty text. O(state).
 std::string load_initial(const InitialState& initial, protocol::Replica& replica);
 
 }  // namespace incise::stream

@@ -9,8 +9,8 @@
 
 namespace incise::stream {
 
-// The last steps of a state, as many as fit into so many bytes: for those that return, fall behind, or want fewer a second.
-// A Step has `revision` (it takes revision - 1 to this) and bytes().
+// The last steps of a state, as many as fit into `max_bytes`: for peers that return, fall behind, or want fewer a
+// second. A Step takes the state from `revision` - 1 to `revision`, and has bytes().
 //
 // Thread: the stream thread.
 template <class Step>
@@ -18,8 +18,8 @@ class StepRing {
  public:
   explicit StepRing(std::size_t max_bytes) : max_bytes_(max_bytes) {}
 
-  // The next step; the oldest go until the rest fits, this one included.
-  void push(Step step) {
+  // Adds the next step, and drops the oldest ones until the rest fits; this one too where it is too large.
+  void append(Step step) {
     bytes_ += step.bytes();
     steps_.push_back(std::move(step));
     while (!steps_.empty() && bytes_ > max_bytes_) {
@@ -32,7 +32,7 @@ class StepRing {
     bytes_ = 0;
   }
 
-  // Whether a state at `revision` can be brought on to `head` from here.
+  // Whether the steps from `revision` to `head` are here.
   bool covers(std::uint64_t revision, std::uint64_t head) const {
     return revision == head || (!steps_.empty() && steps_.front().revision <= revision + 1 &&
                                 revision < head && steps_.back().revision == head);
@@ -52,8 +52,8 @@ class StepRing {
 using DeltaRing = StepRing<EncodedStep>;
 using ChangeRing = StepRing<protocol::MeshChange>;
 
-// The one delta that leads from `base` to `head` as the steps between do, one after the other. Null where it
-// would be longer than a message may be. The ring must cover both. O(n log n) in the steps' size.
+// One delta for all steps from `base` to `head`. Null where it would be longer than a message may be. The ring must
+// cover both. O(n log n) in the steps' size.
 SharedFrame coalesce(const DeltaRing& ring, protocol::View view, std::uint64_t base, std::uint64_t head);
 
 }  // namespace incise::stream

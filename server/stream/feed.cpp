@@ -17,14 +17,21 @@ void Feed::reset(std::shared_ptr<const InitialState> initial) {
 
 void Feed::apply(const std::shared_ptr<const PublishedDelta>& delta) {
   Mirror::Applied applied = mirror_.apply(*delta);
-  keeper_.push(delta);
+  keeper_.apply(delta);
   coalesced_.clear();
-  changes_.push(std::move(applied.change));
+  changes_.append(std::move(applied.change));
   if (applied.step) {
-    ring_.push(std::move(*applied.step));
+    ring_.append(std::move(*applied.step));
   } else {
     ring_.clear();
   }
+}
+
+bool Feed::can_resume(std::uint64_t revision, std::uint64_t hash) const {
+  const std::uint64_t head = mirror_.revision();
+  if (!ring_.covers(revision, head)) return false;
+  if (hash == 0) return true;
+  return hash == (revision == head ? mirror_.volume().state_hash() : ring_.step(revision + 1).base_hash);
 }
 
 void Feed::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,

@@ -15,29 +15,32 @@ namespace incise::stream {
 
 namespace asio = boost::asio;
 
-// A state that sessions follow, with what they need to: its mirror, the ring of encoded steps, snapshots. There is one of the
-// live mesh, and one for each session that replays a capture.
+// A state that peers follow, with what they are sent of it: the mirror, the ring of encoded steps, snapshots. There
+// is one for the live mesh, and one for each peer that replays a capture.
 //
 // Thread: the stream thread. Owns: the mirror, the snapshot thread.
 class Feed {
  public:
   Feed(asio::io_context& io, std::size_t ring_bytes) : io_(io), ring_(ring_bytes), changes_(ring_bytes) {}
 
-  // Another run of ids.
+  // Another epoch.
   void reset(std::shared_ptr<const InitialState> initial);
   void apply(const std::shared_ptr<const PublishedDelta>& delta);
 
   const Mirror& mirror() const { return mirror_; }
   const DeltaRing& ring() const { return ring_; }
 
+  // Whether deltas lead on from the state of that revision with that hash (0: not known). The hash matters after a
+  // crash: a server that resumes a capture may have lost its last steps and made others in their place.
+  bool can_resume(std::uint64_t revision, std::uint64_t hash) const;
   // Calls `ready` on this thread, later.
   void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
                         SnapshotKeeper::Ready ready);
-  // The delta from `base` to the mirror's revision, made once for all who ask; null where only a snapshot
-  // helps.
+  // The delta from `base` to the mirror's revision, made once for all who ask. Null where only a snapshot helps.
   SharedFrame coalesced(protocol::View view, std::uint64_t base);
-  // From `part`, which is brought on to the mirror's revision. Null likewise; the part is then of no use. What changed is
-  // known longer than the ring has deltas, because a box may have to wait for its turn.
+  // Brings `part` to the mirror's revision and returns the delta that does the same for the peer that holds it. Null
+  // where only a snapshot helps; the part is then of no use. The changes are kept longer than the ring keeps deltas,
+  // because a box may have to wait for its turn.
   SharedFrame part_delta(BoxPart& part);
 
  private:

@@ -3,20 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-namespace incise::stream {
+#include "server/stream/network.hpp"
 
-// An IPv4 address that came through a socket for IPv6 counts as itself.
-GuessLimiter::Network GuessLimiter::network_of(const boost::asio::ip::address& address) {
-  using boost::asio::ip::make_address_v4;
-  using boost::asio::ip::v4_mapped;
-  if (address.is_v4()) return {false, address.to_v4().to_uint()};
-  const auto v6 = address.to_v6();
-  if (v6.is_v4_mapped()) return {false, make_address_v4(v4_mapped, v6).to_uint()};
-  std::uint64_t bits = 0;
-  const auto bytes = v6.to_bytes();
-  for (std::size_t i = 0; i < 8; ++i) bits = bits << 8 | bytes[i];
-  return {true, bits};
-}
+namespace incise::stream {
 
 std::int64_t GuessLimiter::closed_for(const boost::asio::ip::address& from, std::int64_t now_ns) {
   const auto found = guessers_.find(network_of(from));
@@ -28,7 +17,7 @@ std::int64_t GuessLimiter::closed_for(const boost::asio::ip::address& from, std:
 }
 
 std::int64_t GuessLimiter::note_wrong(const boost::asio::ip::address& from, std::int64_t now_ns) {
-  const Network network = network_of(from);
+  const std::string network = network_of(from);
   if (!guessers_.contains(network)) make_room();
   Guesser& guesser = guessers_[network];
   const double forgotten = static_cast<double>(now_ns - guesser.last_ns) / static_cast<double>(kForget_ns);

@@ -7,9 +7,8 @@
 
 namespace incise::stream {
 
-// An unbounded queue from one thread to one other: push() never waits, never fails and locks nothing.
-// Elements lie in linked blocks; one consumed block is handed back for reuse, so a queue that is drained in
-// time allocates nothing.
+// An unbounded queue from one thread to one other: push() never waits, never fails and takes no lock. Elements lie in
+// linked blocks; one consumed block is kept for reuse, so a queue that is drained in time allocates nothing.
 //
 // Thread: push() from one thread, pop() from one thread.
 template <class T, std::size_t kBlock = 256>
@@ -36,7 +35,7 @@ class HandoffQueue {
     pushed_.store(pushed_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
   }
 
-  // Moves the oldest element out; false where there is none.
+  // Moves the oldest element out. False where the queue is empty.
   bool pop(T& value) {
     if (taken_ == kBlock) {
       Block* next = first_->next.load(std::memory_order_acquire);
@@ -53,7 +52,7 @@ class HandoffQueue {
     return true;
   }
 
-  // How many wait: exact for a moment that has passed. From any thread.
+  // How many wait; may be out of date on return. From any thread.
   std::size_t size() const {
     const std::size_t popped = popped_.load(std::memory_order_acquire);
     return pushed_.load(std::memory_order_acquire) - popped;
@@ -66,11 +65,11 @@ class HandoffQueue {
     std::atomic<Block*> next{nullptr};
   };
   static constexpr std::size_t kCacheLine = 64;
-  // The popper's.
+  // The consumer's.
   alignas(kCacheLine) Block* first_;
   std::size_t taken_ = 0;
   std::atomic<std::size_t> popped_{0};
-  // The pusher's.
+  // The producer's.
   alignas(kCacheLine) Block* last_;
   std::size_t last_filled_ = 0;
   std::atomic<std::size_t> pushed_{0};

@@ -15,7 +15,8 @@
 
 #include "server/base/clock.hpp"
 #include "server/stream/origin.hpp"
-#include "server/stream/session.hpp"
+#include "server/stream/pause.hpp"
+#include "server/stream/peer.hpp"
 
 namespace incise::stream {
 namespace {
@@ -56,63 +57,59 @@ void metric(std::string& out, const char* name, const char* type, const char* he
          type + "\nincise_stream_" + name + ' ' + std::to_string(value) + '\n';
 }
 
-std::string stream_metrics(Hub& hub) {
-  const HubCounters& c = hub.counters();
+std::string stream_metrics(const SharedCounters& c) {
   std::string out;
   metric(out, "revision", "gauge", "Revision that clients can see.", c.revision);
-  metric(out, "sessions", "gauge", "Sessions that have been welcomed.", c.sessions);
+  metric(out, "sessions", "gauge", "Peers that are connected and welcomed.", c.peers);
   metric(out, "connections", "gauge", "Open connections.", c.connections);
-  metric(out, "accepted_total", "counter", "Connections taken in.", c.accepted);
+  metric(out, "accepted_total", "counter", "Connections accepted.", c.accepted);
   metric(out, "refused_total", "counter",
-         "Connections that were refused before they were sessions, and requests without the token they need.",
-         c.refused);
-  metric(out, "wrong_tokens_total", "counter", "Tokens that were none of ours.", c.wrong_tokens);
+         "Connections refused before Welcome, and requests without the token they need.", c.refused);
+  metric(out, "wrong_tokens_total", "counter", "Tokens that were wrong.", c.wrong_tokens);
   metric(out, "tokens_not_looked_at_total", "counter",
-         "Tokens that were not looked at, from addresses that had guessed too often.",
-         c.tokens_not_looked_at);
+         "Tokens not looked at, from addresses that had guessed too often.", c.tokens_not_looked_at);
   metric(out, "resets_total", "counter", "Resets by an admin.", c.resets);
   metric(out, "takeovers_total", "counter", "Blades that an operator took from another.", c.takeovers);
-  metric(out, "handovers_total", "counter", "Blades that their operators let go of.", c.handovers);
+  metric(out, "handovers_total", "counter", "Blades that their operators handed over.", c.handovers);
   metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);
   metric(out, "bytes_out_total", "counter", "Bytes of messages sent.", c.bytes_out);
   metric(out, "bytes_in_total", "counter", "Bytes of messages received.", c.bytes_in);
   metric(out, "messages_in_total", "counter", "Messages received.", c.messages_in);
-  metric(out, "bad_messages_total", "counter", "Messages that were none.", c.bad_messages);
-  metric(out, "coalesced_total", "counter", "Deltas that stood for several steps.", c.coalesced);
+  metric(out, "bad_messages_total", "counter", "Messages that could not be read.", c.bad_messages);
+  metric(out, "coalesced_total", "counter", "Deltas that cover several steps.", c.coalesced);
   metric(out, "snapshots_total", "counter", "Snapshots sent.", c.snapshots);
-  metric(out, "slow_snapshots_total", "counter", "Snapshots for sessions that fell behind.",
-         c.slow_snapshots);
-  metric(out, "slow_disconnects_total", "counter", "Sessions ended because they did not read.",
+  metric(out, "slow_snapshots_total", "counter", "Snapshots for peers that fell behind.", c.slow_snapshots);
+  metric(out, "slow_disconnects_total", "counter", "Peers disconnected because they did not read.",
          c.slow_disconnects);
-  metric(out, "resumed_total", "counter", "Sessions that went on where they had been.", c.resumed);
-  metric(out, "half_open_closed_total", "counter", "Silent connections closed to make room for others.",
+  metric(out, "resumed_total", "counter", "Peers that came back and needed no snapshot.", c.resumed);
+  metric(out, "half_open_closed_total", "counter", "Connections closed before Hello to make room for others.",
          c.half_open_closed);
-  metric(out, "part_bytes", "gauge", "Bytes kept for the sessions with a box of interest.", c.part_bytes);
-  metric(out, "box_turns_total", "counter", "Deltas made for one session's box of interest.", c.box_turns);
-  metric(out, "box_turns_nanoseconds_total", "counter", "Time that these took.", c.box_turns_ns);
-  metric(out, "box_coalesced_total", "counter", "Those of them that stood for several steps.",
-         c.box_coalesced);
+  metric(out, "part_bytes", "gauge", "Bytes kept for peers with a box of interest.", c.part_bytes);
+  metric(out, "box_turns_total", "counter", "Deltas made for one peer's box of interest.", c.box_turns);
+  metric(out, "box_turns_nanoseconds_total", "counter", "Processor time that these took.", c.box_turns_ns);
+  metric(out, "box_coalesced_total", "counter", "Those of them that cover several steps.", c.box_coalesced);
   metric(out, "boxes_refused_total", "counter", "Boxes of interest refused for lack of memory or time.",
          c.boxes_refused);
   metric(out, "ring_bytes", "gauge", "Bytes of the deltas kept for resuming.", c.ring_bytes);
   return out;
 }
 
-// What the server itself has to say at a path; nothing: it is a file, if anything.
-std::optional<Answer> answer(Hub& hub, std::string_view path) {
-  const Providers& providers = hub.providers();
-  const HubCounters& counters = hub.counters();
+// The answer to a path that the server itself serves; nothing for other paths, which may be files.
+std::optional<Answer> answer(const PeerContext& context, std::string_view path) {
+  const Providers& providers = context.providers;
+  const SharedCounters& counters = *context.counters;
   if (path == "/healthz") {
-    // The text is ours and needs no escapes.
+    // The text is ours, without characters to escape.
     const std::string trouble = providers.trouble ? providers.trouble() : std::string();
     return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
                   "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
                       "\",\"revision\":" + std::to_string(counters.revision) +
-                      ",\"sessions\":" + std::to_string(counters.sessions) + "}\n"};
+                      ",\"sessions\":" + std::to_string(counters.peers) + "}\n"};
   }
   if (path == "/metrics") {
-    return Answer{http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
-                  (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(hub)};
+    return Answer{
+        http::status::ok, "text/plain; version=0.0.4; charset=utf-8",
+        (providers.metrics_text ? providers.metrics_text() : std::string()) + stream_metrics(counters)};
   }
   if (path == "/captures") {
     std::string list;
@@ -129,12 +126,13 @@ std::optional<Answer> answer(Hub& hub, std::string_view path) {
   }
   if (path == "/stats" || path == "/ws") {
     return Answer{path == "/ws" ? http::status::upgrade_required : http::status::not_found,
-                  "text/plain; charset=utf-8", path == "/ws" ? "a WebSocket, please\n" : "not found\n"};
+                  "text/plain; charset=utf-8",
+                  path == "/ws" ? "/ws is a WebSocket: send an upgrade request\n" : "not found\n"};
   }
   return std::nullopt;
 }
 
-// The token of "Authorization: Bearer TOKEN"; "" where there is none.
+// The token of "Authorization: Bearer TOKEN"; empty without one.
 std::string bearer_token(const HttpRequest& request) {
   constexpr std::string_view kScheme = "bearer ";
   const std::string_view given = view_of(request[http::field::authorization]);
@@ -143,7 +141,7 @@ std::string bearer_token(const HttpRequest& request) {
   return begin == std::string_view::npos ? std::string() : std::string(given.substr(begin));
 }
 
-// What a token must open for a path; nothing: the path needs none.
+// Which tokens open a path; null where it needs none.
 std::function<bool(const AccessToken&)> opening(std::string_view path) {
   if (path == "/stats" || path == "/metrics") return [](const AccessToken&) { return true; };
   if (path != "/captures") return nullptr;
@@ -195,7 +193,7 @@ asio::awaitable<bool> send_answer(NetStream& stream, const HttpRequest& request,
   co_return !ec && response.keep_alive();
 }
 
-// Not a coroutine: GCC 12 destroys an aggregate made within a co_await expression twice.
+// Not a coroutine: g++ 12 destroys an aggregate made within a co_await expression twice.
 asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, http::status status,
                                 const char* text) {
   return send_answer(stream, request, Answer{status, "text/plain; charset=utf-8", text, 0});
@@ -241,7 +239,7 @@ asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
   co_return !ec && response.keep_alive();
 }
 
-// Reads a request; nothing where none came, or none that can be answered otherwise than by hanging up.
+// Reads a request; nothing where the connection is to be closed: it ended, or sent a bad request, which this answers.
 asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beast::flat_buffer& buffer) {
   http::request_parser<http::string_body> parser;
   parser.header_limit(kMaxHeaderBytes);
@@ -258,43 +256,42 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
     none.keep_alive(false);
     co_await send_text(stream, none,
                        large ? http::status::request_header_fields_too_large : http::status::bad_request,
-                       "not a request that is understood here\n");
+                       "the request could not be read\n");
   }
   co_return std::nullopt;
 }
 
-// What keeps the request from being answered, counted and logged; kGranted: nothing.
-Access::Answer check_token(Hub& hub, const HttpRequest& request, std::string_view path,
+// Whether the request may be answered. A refusal is counted and logged.
+Access::Answer check_token(PeerContext& context, const HttpRequest& request, std::string_view path,
                            const asio::ip::tcp::endpoint& peer) {
   const std::function<bool(const AccessToken&)> opens = opening(path);
   if (!opens) return {};
   const Access::Answer access =
-      hub.access().ask(peer.address(), bearer_token(request), opens, monotonic_ns());
+      context.access.ask(peer.address(), bearer_token(request), opens, monotonic_ns());
   if (access.verdict != Access::Verdict::kGranted) {
-    ++hub.counters().refused;
-    hub.note_refusal(access, std::string(path), name_of(peer));
+    ++context.counters->refused;
+    context.note_refusal(access, peer.address(), std::string(path), name_of(peer));
   }
   return access;
 }
 
-asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStream& stream,
+asio::awaitable<bool> serve_request(PeerContext& context, const StaticFiles& files, NetStream& stream,
                                     const HttpRequest& request, const asio::ip::tcp::endpoint& peer) {
   if (request.method() != http::verb::get && request.method() != http::verb::head) {
     co_return co_await send_text(stream, request, http::status::method_not_allowed, "GET and HEAD only\n");
   }
   const std::string_view target = view_of(request.target());
   const std::string_view path = target.substr(0, target.find('?'));
-  const Access::Answer access = check_token(hub, request, path, peer);
+  const Access::Answer access = check_token(context, request, path, peer);
   if (access.verdict != Access::Verdict::kGranted) {
     if (access.hold_ns > 0) {
-      const auto held = hub.access().hold();
-      asio::steady_timer timer(hub.io(), std::chrono::nanoseconds(access.hold_ns));
-      co_await timer.async_wait(kTuple);
+      const auto held = context.access.hold();
+      co_await pause(std::chrono::nanoseconds(access.hold_ns));
       stream.tcp().expires_after(kRequestTime);
     }
     co_return co_await send_refusal(stream, request, access);
   }
-  if (std::optional<Answer> own = answer(hub, path)) {
+  if (std::optional<Answer> own = answer(context, path)) {
     co_return co_await send_answer(stream, request, std::move(*own));
   }
   if (const std::optional<StaticFiles::File> file = files.find(target)) {
@@ -305,7 +302,8 @@ asio::awaitable<bool> serve_request(Hub& hub, const StaticFiles& files, NetStrea
 
 }  // namespace
 
-asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket) {
+asio::awaitable<void> serve_http(PeerContext& context, PeerDirectory& peers, const StaticFiles& files,
+                                 NetStream stream, Ticket ticket) {
   beast::flat_buffer buffer;
   bool go_on = true;
   while (go_on) {
@@ -314,8 +312,9 @@ asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream s
     const std::string_view target = view_of(request->target());
     if (beast::websocket::is_upgrade(*request) && target.substr(0, target.find('?')) == "/ws") {
       if (!origin_allowed(view_of((*request)[http::field::origin]), view_of((*request)[http::field::host]),
-                          hub.config().allowed_origins)) {
-        co_await send_text(stream, *request, http::status::forbidden, "this page may not connect here\n");
+                          context.config.allowed_origins)) {
+        co_await send_text(stream, *request, http::status::forbidden,
+                           "pages from this origin may not connect: see listen.allowed_origins\n");
         break;
       }
       if (!is_websocket_key(view_of((*request)[http::field::sec_websocket_key]))) {
@@ -325,11 +324,11 @@ asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream s
       }
       std::unique_ptr<Transport> transport = co_await accept_websocket(std::move(stream), *request);
       if (!transport) co_return;
-      const auto session = std::make_shared<Session>(hub, std::move(transport), std::move(ticket));
-      co_await session->run();
+      const auto peer = std::make_shared<Peer>(context, peers, std::move(transport), std::move(ticket));
+      co_await peer->run();
       co_return;
     }
-    go_on = co_await serve_request(hub, files, stream, *request, ticket.peer());
+    go_on = co_await serve_request(context, files, stream, *request, ticket.address());
   }
   stream.shut_down(asio::ip::tcp::socket::shutdown_both);
 }

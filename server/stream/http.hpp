@@ -2,14 +2,15 @@
 
 #include <boost/asio/awaitable.hpp>
 
-#include "server/stream/hub.hpp"
+#include "server/stream/peer.hpp"
 #include "server/stream/static_files.hpp"
 #include "server/stream/transport.hpp"
 
 namespace incise::stream {
 
-// Serves one connection of the HTTP port until it ends: /healthz and the viewer's files for everybody, /stats, /metrics and
-// /captures for holders of a token (where the server has tokens), and /ws, which turns it into a session.
-asio::awaitable<void> serve_http(Hub& hub, const StaticFiles& files, NetStream stream, Hub::Ticket ticket);
+// Serves one connection of the HTTP port until it ends: /healthz and the viewer's files for everybody, /stats,
+// /metrics and /captures for holders of a token (where the server has tokens), and /ws, which makes it a peer.
+asio::awaitable<void> serve_http(PeerContext& context, PeerDirectory& peers, const StaticFiles& files,
+                                 NetStream stream, Ticket ticket);
 
 }  // namespace incise::stream

@@ -17,12 +17,12 @@ void Mirror::reset(const InitialState& initial) {
   }
   surface_.load(volume_);
   tets_at_.load(volume_);
-  session_ = initial.session;
+  epoch_ = initial.epoch;
 }
 
 namespace {
 
-// The delta of the surface that makes this change, of the same steps as `from`.
+// The surface's delta for this change, with the steps of `from`.
 template <class D>
 protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChange& change,
                                      std::uint64_t surface_hash) {
@@ -45,12 +45,13 @@ protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChang
 Mirror::Applied Mirror::apply(const PublishedDelta& published) {
   const protocol::Delta& delta = arrays_.assign(published, volume_);
   Applied out{std::nullopt, protocol::MeshChange(volume_, delta)};
+  const std::uint64_t base_hash = volume_.state_hash();
   tets_at_.follow(volume_, delta);
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
   const protocol::SurfaceChange change = surface_.follow(volume_, delta);
   try {
-    out.step = EncodedStep{delta.revision, make_frame(delta),
+    out.step = EncodedStep{delta.revision, base_hash, make_frame(delta),
                            make_frame(surface_delta(delta, change, surface_.surface_hash()))};
   } catch (const std::length_error&) {
   }

@@ -13,9 +13,9 @@
 
 namespace incise::stream {
 
-// What became of the poses of one source since it was opened; the sums of a PoseReport.
+// What became of one source's poses since it was opened: the sums in a PoseReport.
 struct PoseTotals {
-  std::uint64_t accepted = 0;  // those counted in too_fast too
+  std::uint64_t accepted = 0;  // including those in too_fast
   std::uint64_t not_finite = 0, not_unit = 0, time_not_rising = 0, queue_full = 0;
   std::uint64_t too_fast = 0;  // accepted, but each began a new stroke
   std::int64_t last_source_ns = 0;
@@ -34,8 +34,8 @@ class PoseInput {
  public:
   virtual ~PoseInput() = default;
   virtual std::uint32_t number() const = 0;
-  // Queues poses in order; returns how many were taken. Where that is not all the session reads no more from
-  // its peer and offers the rest again: no pose is dropped.
+  // Queues poses in order; returns how many there was room for. The peer is not read further until the rest is queued
+  // too: no pose is dropped.
   virtual std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) = 0;
   // Ends the running stroke after the poses queued so far. False: no room, try again.
   virtual bool end_stroke(std::int64_t arrival_ns) = 0;
@@ -51,9 +51,9 @@ class PoseInput {
 class PositionsInput {
  public:
   virtual ~PositionsInput() = default;
-  // Takes positions that refer to vertices which exist, on their way to the loop.
+  // Passes positions of existing vertices on to the loop.
   virtual void offer(const protocol::Positions& positions, std::int64_t arrival_ns) = 0;
-  // Messages that newer ones have replaced before the loop had time, since it was opened.
+  // Messages since it was opened that newer ones replaced before the loop had time.
   virtual std::uint64_t skipped() const = 0;
 };
 
@@ -61,14 +61,14 @@ class PositionsInput {
 class PeerInput {
  public:
   virtual ~PeerInput() = default;
-  // Takes a blade by its source's name, with the server's shape or one that the operator brings. Null where somebody
-  // holds it, or no blade is free.
+  // Opens a blade by its source's name, with the server's shape or the operator's own. Null where it is held, or no
+  // blade is free.
   virtual std::unique_ptr<PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& blade) = 0;
-  // Takes the body's positions. Null where another simulator sets them, or the server does not offer it.
+  // Opens the body's positions. Null where another simulator sets them, or the server does not offer it.
   virtual std::unique_ptr<PositionsInput> open_positions() { return nullptr; }
-  // An administrator wants the mesh as loaded. False where the server does not offer that. When it is done,
-  // Server::publish_reset() follows.
+  // Asks for the mesh as loaded. False where the server does not offer that. Server::publish_reset() follows when it
+  // is done.
   virtual bool reset() { return false; }
 };
 

@@ -8,19 +8,19 @@
 
 namespace incise::stream {
 
-// A delta on its way from the loop to the stream, with the times of its way so far (CLOCK_MONOTONIC, ns).
-// Immutable once published; the stream lets go of it after one encoding, so the loop may pool these.
+// A delta on its way from the loop to the stream, with times so far (CLOCK_MONOTONIC, ns). Immutable once published;
+// the stream releases it once encoded, so the loop may pool these.
 struct PublishedDelta {
   core::Delta delta;
-  std::int64_t arrival_ns = 0;  // of the last pose of the batch, at this machine
-  std::int64_t drain_ns = 0;    // when the loop took that pose
+  std::int64_t arrival_ns = 0;  // of the batch's last pose, at this machine
+  std::int64_t drain_ns = 0;    // when the loop popped that pose
   std::int64_t cut_ns = 0;      // when the batch was done
 };
 
-// A whole state: what the stream starts from, and starts again from after a reset. All tetrahedra are in
-// piece 0 unless `pieces` says otherwise.
+// A whole state: what the stream starts from, and again after a reset. All tetrahedra are in piece 0 unless `pieces`
+// says otherwise.
 struct InitialState {
-  std::uint64_t session = 0;  // names this run of ids; another one after each reset. Never 0
+  std::uint64_t epoch = 0;  // names this run of ids; another after each reset. Never 0
   std::uint64_t revision = 0;
   std::vector<core::Vec3> positions;  // of all vertex slots
   std::vector<core::Vec3> rest;       // likewise, or empty: the body has not deformed

@@ -1,6 +1,6 @@
 #pragma once
 
-// What the stream needs to play captures. server/app makes it of the core.
+// What the stream needs to replay captures. server/app implements it with the core.
 
 #include <cstdint>
 #include <functional>
@@ -13,23 +13,23 @@
 
 namespace incise::stream {
 
-// What a replay says, from its own thread.
+// What a replay reports, from its own thread.
 struct ReplayEvents {
   // A state to start from: when the capture is open, and after a jump back.
   std::function<void(protocol::MeshFacts, std::shared_ptr<const InitialState>)> restarted;
   std::function<void(std::shared_ptr<const PublishedDelta>)> delta;
   std::function<void(protocol::ReplayState)> state;
-  // It cannot be played; one line. Nothing else follows.
+  // It cannot be played; one line says why. Nothing else follows.
   std::function<void(std::string)> failed;
 };
 
-// A capture that is being played in a scratch session. Destroying it ends that soon, without waiting.
+// A capture that is being played in a cut session of its own. Destroying it ends that soon, without waiting.
 //
 // Thread: one.
 class ReplayPlayer {
  public:
   virtual ~ReplayPlayer() = default;
-  // Does what an action other than Open and Close says; `state` follows.
+  // Carries out any action but Open and Close; `state` follows.
   virtual void control(const protocol::ReplayControl& control) = 0;
 };
 
@@ -37,9 +37,9 @@ class ReplayPlayer {
 class ReplayLibrary {
  public:
   virtual ~ReplayLibrary() = default;
-  // The captures there are now, by name.
+  // The names of the captures that are there now.
   virtual std::vector<std::string> names() = 0;
-  // Null where there is none of that name, or too many are played.
+  // Null where no capture has that name, or too many are being played.
   virtual std::unique_ptr<ReplayPlayer> open(const std::string& name, ReplayEvents events) = 0;
 };
 

@@ -16,12 +16,13 @@
 #include <stdexcept>
 #include <system_error>
 #include <thread>
+#include <variant>
 
 #include "server/base/check.hpp"
 #include "server/stream/handoff_queue.hpp"
 #include "server/stream/http.hpp"
-#include "server/stream/hub.hpp"
-#include "server/stream/session.hpp"
+#include "server/stream/pause.hpp"
+#include "server/stream/peers.hpp"
 #include "server/stream/tls.hpp"
 
 namespace incise::stream {
@@ -30,14 +31,11 @@ namespace {
 using asio::ip::tcp;
 using boost::system::error_code;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
-constexpr int kMostAtOnce = 256;  // deltas applied before sessions get them
+constexpr int kMaxAtOnce = 256;  // taken from the queue before peers get their deltas
 
-// What the loop hands over: one of the three.
-struct Item {
-  std::shared_ptr<const PublishedDelta> delta;
-  std::shared_ptr<const InitialState> initial;
-  std::optional<protocol::Force> force;
-};
+// What the loop hands over.
+using Published = std::variant<std::monostate, std::shared_ptr<const PublishedDelta>,
+                               std::shared_ptr<const InitialState>, protocol::Force>;
 
 void check_safe(const StreamConfig& config, const asio::ip::address& address) {
   const bool tls = !config.certificate_file.empty();
@@ -79,7 +77,9 @@ struct Server::Impl {
         files(config.viewer_directory),
         event_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
         wake(io),
-        hub(io, config, std::move(facts), input, std::move(providers)) {
+        context(io, config, std::move(facts), input, std::move(providers)),
+        admission(config, context.counters),
+        peers(context) {
     if (event_fd < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
     wake.assign(event_fd);
     error_code error;
@@ -97,16 +97,16 @@ struct Server::Impl {
     if (config.http_port >= 0) http_acceptor.emplace(listen(io, address, config.http_port, "http_port"));
     if (tcp_acceptor) tcp_port = tcp_acceptor->local_endpoint().port();
     if (http_acceptor) http_port = http_acceptor->local_endpoint().port();
-    hub.reset(std::make_shared<const InitialState>(initial));
+    peers.reset(std::make_shared<const InitialState>(initial));
   }
 
   // ---- The loop's side ----
 
-  void publish(Item item) {
-    queue.push(std::move(item));
+  void publish(Published what) {
+    queue.push(std::move(what));
     if (!awake.exchange(true)) {
       const std::uint64_t one = 1;
-      // It can only fail when the counter is full, and then the reader is awake.
+      // It fails only when the counter is full, and then the reader is awake.
       [[maybe_unused]] const auto written = ::write(event_fd, &one, sizeof one);
     }
   }
@@ -114,24 +114,23 @@ struct Server::Impl {
   // ---- The stream thread ----
 
   void drain() {
-    // Before the queue is looked at: whoever pushes after the last look finds the flag down and wakes us
-    // again.
+    // First, so that one who pushes after our last look at the queue finds the flag down and wakes us again.
     awake.exchange(false);
-    Item item;
+    Published what;
     bool moved = false;
-    for (int taken = 0; taken < kMostAtOnce && queue.pop(item); ++taken) {
-      moved = moved || item.delta;
-      if (item.delta) {
-        hub.apply(item.delta);
-      } else if (item.force) {
-        hub.send_force(*item.force);
+    for (int popped = 0; popped < kMaxAtOnce && queue.pop(what); ++popped) {
+      if (const auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&what)) {
+        moved = true;
+        peers.apply(*delta);
+      } else if (const auto* force = std::get_if<protocol::Force>(&what)) {
+        peers.send_force(*force);
       } else {
-        hub.reset(item.initial);
+        peers.reset(std::get<std::shared_ptr<const InitialState>>(std::move(what)));
       }
-      item = {};
+      what = {};  // releases the delta
     }
-    if (moved) hub.advance_all();
-    // The sessions have their turn in between.
+    if (moved) peers.advance_all();
+    // Through the io_context, so that peers are read in between.
     if (queue.size() > 0 && !awake.exchange(true)) asio::post(io, [this] { drain(); });
   }
 
@@ -143,7 +142,7 @@ struct Server::Impl {
     });
   }
 
-  // With TLS where there is a certificate; nothing where the peer's handshake fails.
+  // With TLS if there is a certificate. Nothing if the client's handshake fails.
   asio::awaitable<std::optional<NetStream>> secure(NetStream::Tcp tcp) {
     if (!tls) co_return NetStream(std::move(tcp));
     NetStream stream(std::move(tcp), *tls);
@@ -154,16 +153,16 @@ struct Server::Impl {
     co_return std::move(stream);
   }
 
-  asio::awaitable<void> serve(NetStream::Tcp tcp, Hub::Ticket ticket, bool web) {
+  asio::awaitable<void> serve(NetStream::Tcp tcp, Ticket ticket, bool web) {
     std::optional<NetStream> stream = co_await secure(std::move(tcp));
     if (!stream) co_return;
     if (web) {
-      co_await serve_http(hub, files, std::move(*stream), std::move(ticket));
+      co_await serve_http(context, peers, files, std::move(*stream), std::move(ticket));
       co_return;
     }
-    const auto session =
-        std::make_shared<Session>(hub, make_tcp_transport(std::move(*stream)), std::move(ticket));
-    co_await session->run();
+    const auto peer =
+        std::make_shared<Peer>(context, peers, make_tcp_transport(std::move(*stream)), std::move(ticket));
+    co_await peer->run();
   }
 
   asio::awaitable<void> accept(tcp::acceptor& acceptor, bool web) {
@@ -171,15 +170,14 @@ struct Server::Impl {
       auto [ec, socket] = co_await acceptor.async_accept(kTuple);
       if (ec == asio::error::operation_aborted || !acceptor.is_open()) co_return;
       if (ec) {
-        // Out of descriptors, most likely: those who are here go on, and some will leave.
-        asio::steady_timer timer(io, std::chrono::milliseconds(100));
-        co_await timer.async_wait(kTuple);
+        // Out of descriptors, most likely. The connected peers go on, and some will leave.
+        co_await pause(std::chrono::milliseconds(100));
         continue;
       }
-      std::optional<Hub::Ticket> ticket = hub.admit(socket);
+      std::optional<Ticket> ticket = admission.admit(socket);
       if (!ticket) continue;  // the socket closes here
       socket.set_option(tcp::no_delay(true), ec);
-      // One connection's failure is its own.
+      // A failure ends that connection only.
       asio::co_spawn(io, serve(NetStream::Tcp(std::move(socket)), std::move(*ticket), web),
                      [](std::exception_ptr) {});
     }
@@ -187,12 +185,12 @@ struct Server::Impl {
 
   void start() {
     INCISE_CHECK(!thread.joinable());
-    // The first client is to find all that was published by now.
+    // The first client finds everything published by now.
     while (queue.size() > 0) drain();
     if (tcp_acceptor) asio::co_spawn(io, accept(*tcp_acceptor, false), asio::detached);
     if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
     wait_for_work();
-    hub.start_clock();
+    peers.start_clock();
     thread = std::thread([this] { io.run(); });
   }
 
@@ -204,7 +202,8 @@ struct Server::Impl {
       if (http_acceptor) http_acceptor->close(ignored);
       while (queue.size() > 0) drain();
       wake.cancel(ignored);
-      hub.stop();
+      admission.stop();
+      peers.finish_all();
       const auto deadline = std::chrono::steady_clock::now() +
                             std::chrono::milliseconds(static_cast<std::int64_t>(config.stop_grace_s * 1000));
       wait_for_goodbyes(deadline);
@@ -212,11 +211,11 @@ struct Server::Impl {
     thread.join();
   }
 
-  // Ends the thread's work once every session has ended or the grace is over. Connections that are none (HTTP, and who
-  // has not said Hello) have nothing to lose.
+  // Ends the thread's work once every peer has gone or the grace is over. Other connections (HTTP, and those before
+  // Hello) have nothing to lose.
   void wait_for_goodbyes(std::chrono::steady_clock::time_point deadline) {
-    if (hub.idle() || std::chrono::steady_clock::now() >= deadline) {
-      hub.close_all();
+    if (peers.empty() || std::chrono::steady_clock::now() >= deadline) {
+      peers.close_all();
       io.stop();
       return;
     }
@@ -231,12 +230,14 @@ struct Server::Impl {
   asio::posix::stream_descriptor wake;  // owns event_fd
   std::uint64_t wake_count = 0;
   std::atomic<bool> awake{false};
-  HandoffQueue<Item> queue;
+  HandoffQueue<Published> queue;
   std::optional<asio::ssl::context> tls;
   std::optional<tcp::acceptor> tcp_acceptor, http_acceptor;
   std::uint16_t tcp_port = 0, http_port = 0;
   asio::steady_timer stop_timer{io};
-  Hub hub;
+  PeerContext context;
+  Admission admission;
+  Peers peers;
   std::thread thread;
 };
 
@@ -257,13 +258,13 @@ void Server::stop() {
 }
 
 void Server::publish(std::shared_ptr<const PublishedDelta> delta) noexcept {
-  impl_->publish({std::move(delta), nullptr, {}});
+  impl_->publish(std::move(delta));
 }
 void Server::publish_reset(std::shared_ptr<const InitialState> initial) noexcept {
-  impl_->publish({nullptr, std::move(initial), {}});
+  impl_->publish(std::move(initial));
 }
 void Server::publish_force(const protocol::Force& force) noexcept {
-  impl_->publish({nullptr, nullptr, force});
+  impl_->publish(force);
 }
 
 void Server::request_surface(std::function<void(SharedFrames)> ready) {
@@ -274,7 +275,7 @@ void Server::request_surface(std::function<void(SharedFrames)> ready) {
       frames.push_back(snapshot->end);
       ready(std::move(frames));
     };
-    impl->hub.live().request_snapshot(protocol::View::Surface, std::nullopt, unpack);
+    impl->context.live.request_snapshot(protocol::View::Surface, std::nullopt, unpack);
   });
 }
 
@@ -286,38 +287,8 @@ std::uint16_t Server::http_port() const {
 }
 
 StreamCounters Server::counters() const {
-  const HubCounters& c = impl_->hub.counters();
-  StreamCounters out;
-  out.revision = c.revision;
-  out.state_hash = c.state_hash;
-  out.sessions = c.sessions;
-  out.connections = c.connections;
-  out.accepted = c.accepted;
-  out.refused = c.refused;
-  out.deltas = c.deltas;
+  StreamCounters out = impl_->context.counters->read();
   out.queued = impl_->queue.size();
-  out.bytes_out = c.bytes_out;
-  out.bytes_in = c.bytes_in;
-  out.messages_in = c.messages_in;
-  out.bad_messages = c.bad_messages;
-  out.coalesced = c.coalesced;
-  out.snapshots = c.snapshots;
-  out.slow_snapshots = c.slow_snapshots;
-  out.slow_disconnects = c.slow_disconnects;
-  out.resumed = c.resumed;
-  out.ring_bytes = c.ring_bytes;
-  out.ring_deltas = c.ring_deltas;
-  out.half_open_closed = c.half_open_closed;
-  out.part_bytes = c.part_bytes;
-  out.wrong_tokens = c.wrong_tokens;
-  out.tokens_not_looked_at = c.tokens_not_looked_at;
-  out.resets = c.resets;
-  out.takeovers = c.takeovers;
-  out.handovers = c.handovers;
-  out.box_turns = c.box_turns;
-  out.box_turns_ns = c.box_turns_ns;
-  out.box_coalesced = c.box_coalesced;
-  out.boxes_refused = c.boxes_refused;
   return out;
 }
 

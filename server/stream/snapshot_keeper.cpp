@@ -30,7 +30,7 @@ void SnapshotKeeper::enqueue(Task task) {
 void SnapshotKeeper::reset(std::shared_ptr<const InitialState> initial) {
   enqueue(std::move(initial));
 }
-void SnapshotKeeper::push(std::shared_ptr<const PublishedDelta> delta) {
+void SnapshotKeeper::apply(std::shared_ptr<const PublishedDelta> delta) {
   enqueue(std::move(delta));
 }
 void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready) {
@@ -51,7 +51,7 @@ void SnapshotKeeper::run() {
       if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
         const std::string problem = load_initial(**initial, replica_);
         INCISE_CHECK(problem.empty(), problem);
-        session_ = (*initial)->session;
+        epoch_ = (*initial)->epoch;
         surface_.reset();
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
         const protocol::Delta& change = arrays_.assign(**delta, replica_);
@@ -62,7 +62,7 @@ void SnapshotKeeper::run() {
         const Request& request = std::get<Request>(task);
         request.ready(encode(request.view, request.box));
       }
-      task = Task{};  // lets go of the delta as soon as it is applied
+      task = Task{};  // releases the delta at once
     }
   }
 }
@@ -71,16 +71,16 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
                                                        const std::optional<protocol::Box>& box) {
   std::weak_ptr<const Snapshot>& last = last_[static_cast<std::size_t>(view)];
   if (auto same = last.lock();
-      same && !box && same->session == session_ && same->begin.revision == replica_.revision()) {
+      same && !box && same->epoch == epoch_ && same->begin.revision == replica_.revision()) {
     return same;
   }
   auto snapshot = std::make_shared<Snapshot>();
-  snapshot->session = session_;
+  snapshot->epoch = epoch_;
   const auto add = [&](const protocol::SnapshotChunk& chunk) {
     snapshot->chunks.push_back(make_frame(chunk));
     snapshot->bytes += snapshot->chunks.back()->tcp().size();
   };
-  const auto take = [&](auto writer, auto&&... hash) {
+  const auto encode_all = [&](auto writer, auto&&... hash) {
     snapshot->begin = writer.begin();
     while (writer.next()) add(writer.chunk());
     snapshot->end = make_frame(writer.end(hash...));
@@ -92,18 +92,18 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
       snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::SurfaceReplica()});
       auto& part = std::get<protocol::SurfaceReplica>(snapshot->part->held);
       part.load_part(*surface_, *box);
-      take(protocol::SurfaceSnapshotWriter(part, kCause), replica_.state_hash());
+      encode_all(protocol::SurfaceSnapshotWriter(part, kCause), replica_.state_hash());
       snapshot->begin.box = box;
     } else {
-      take(protocol::SurfaceSnapshotWriter(*surface_, kCause), replica_.state_hash());
+      encode_all(protocol::SurfaceSnapshotWriter(*surface_, kCause), replica_.state_hash());
     }
   } else if (box) {
     snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::VolumePart()});
     auto& part = std::get<protocol::VolumePart>(snapshot->part->held);
     part.load_part(replica_, *box);
-    take(protocol::VolumePartWriter(part, *box, kCause), replica_.state_hash());
+    encode_all(protocol::VolumePartWriter(part, *box, kCause), replica_.state_hash());
   } else {
-    take(protocol::SnapshotWriter(replica_, kCause));
+    encode_all(protocol::SnapshotWriter(replica_, kCause));
   }
   if (!box) last = snapshot;
   return snapshot;

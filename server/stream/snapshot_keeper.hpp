@@ -15,34 +15,33 @@
 
 namespace incise::stream {
 
-// A whole state, encoded, for any number of sessions at once. `begin` lacks the cause, which is each
-// session's own.
+// A whole state, encoded, for any number of peers at once. `begin` lacks the cause, which differs from peer to peer.
 struct Snapshot {
-  std::uint64_t session = 0;
+  std::uint64_t epoch = 0;
   protocol::SnapshotBegin begin;
   std::vector<SharedFrame> chunks;
   SharedFrame end;
   std::size_t bytes = 0;
-  // With a box: what it holds. Such a snapshot is for one session, which takes this over.
+  // With a box: what it contains. Such a snapshot is for one peer, which takes the part over.
   std::shared_ptr<BoxPart> part;
 };
 
-// Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror: a snapshot of
-// millions of tetrahedra takes a tenth of a second, in which deltas must go on to everybody else. What is
-// asked for is done in order, so a snapshot has the last revision that was pushed before the request.
+// Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror: a snapshot of millions
+// of tetrahedra takes a tenth of a second, and deltas must go on to everybody else. Calls take effect in order, so a
+// snapshot has the last revision that was applied before the request.
 //
-// Thread: all calls from one thread; `ready` comes on the keeper's. Owns: the thread, the replica.
+// Thread: all calls from one thread; `ready` is called on the keeper's. Owns: the thread, the replica.
 class SnapshotKeeper {
  public:
   using Ready = std::function<void(std::shared_ptr<const Snapshot>)>;
 
   SnapshotKeeper();
-  // Ends the thread; requests that wait are dropped.
+  // Ends the thread; requests that still wait are dropped.
   ~SnapshotKeeper();
 
   void reset(std::shared_ptr<const InitialState> initial);
-  void push(std::shared_ptr<const PublishedDelta> delta);
-  // `box`: only what touches it.
+  void apply(std::shared_ptr<const PublishedDelta> delta);
+  // With a box: only what touches it.
   void request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready);
 
  private:
@@ -57,12 +56,12 @@ class SnapshotKeeper {
   void run();
   std::shared_ptr<const Snapshot> encode(protocol::View view, const std::optional<protocol::Box>& box);
 
-  // The thread's.
+  // The keeper's thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
-  std::optional<protocol::SurfaceReplica> surface_;  // of it, once somebody has asked for that view
-  std::uint64_t session_ = 0;
+  std::optional<protocol::SurfaceReplica> surface_;  // of replica_, from the first request for that view on
+  std::uint64_t epoch_ = 0;
   DeltaArrays arrays_;
-  // The last one of each view, while somebody still sends it: many who join at once share it.
+  // The last snapshot of each view while a peer is still sent it: many that join at once share it.
   std::weak_ptr<const Snapshot> last_[3];
 
   std::mutex mutex_;

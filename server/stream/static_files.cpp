@@ -37,7 +37,7 @@ int hex_digit(char c) {
   return -1;
 }
 
-// The path of a target, percent-decoded once. Nothing where it is not one.
+// The path of a target, percent-decoded once. Nothing if it is malformed.
 std::optional<std::string> decoded_path(std::string_view target) {
   target = target.substr(0, target.find_first_of("?#"));
   if (target.empty() || target.front() != '/') return std::nullopt;
@@ -80,7 +80,7 @@ std::optional<StaticFiles::File> StaticFiles::find(std::string_view target) cons
   std::error_code error;
   const fs::path path = fs::canonical(root_ / relative, error);
   if (error) return std::nullopt;
-  // What it is in the end counts, after every ".." and every link.
+  // The resolved path counts, after every ".." and every link.
   const auto [in_root, rest] = std::mismatch(root_.begin(), root_.end(), path.begin(), path.end());
   if (in_root != root_.end()) return std::nullopt;
   if (std::any_of(relative.begin(), relative.end(), is_hidden) || std::any_of(rest, path.end(), is_hidden)) {

@@ -15,16 +15,16 @@ class StaticFiles {
     std::filesystem::path path;
     std::string mime_type;
     std::string etag;                   // quoted, of size and time of change
-    std::filesystem::path packed_path;  // the same with gzip, where it lies beside it (NAME.gz); else empty
+    std::filesystem::path packed_path;  // its gzip, where NAME.gz lies beside it; else empty
     std::string packed_etag;
     std::string cache_control;  // names under assets/ carry a hash of their content and never change
   };
 
-  // An empty directory offers nothing.
+  // An empty directory name: no files.
   explicit StaticFiles(const std::string& directory);
 
-  // The file that a target names, "/" being index.html. Nothing where it names none, a hidden one (".name", or in such a
-  // folder), or anything that lies outside of the directory, by whatever spelling or link.
+  // The file that a target names; "/" is index.html. Nothing for a missing or hidden file (".name", or in such a
+  // folder), and for anything outside the directory, however spelt or linked.
   std::optional<File> find(std::string_view target) const;
 
  private:

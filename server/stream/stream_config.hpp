@@ -9,18 +9,18 @@
 
 namespace incise::stream {
 
-// A secret that lets its holder in, in one of the roles. Any of them may read /stats and /metrics.
+// A secret that admits its holder, in one of the roles. Any token opens /stats and /metrics.
 struct AccessToken {
   std::string token;
-  std::vector<protocol::Role> roles;  // none: it opens no session
+  std::vector<protocol::Role> roles;  // empty: it opens only those
 };
 
 struct StreamConfig {
-  std::string address = "127.0.0.1";         // to listen on
+  std::string address = "127.0.0.1";         // to listen at
   int tcp_port = 7450;                       // 0: any free one; -1: off
   int http_port = 7480;                      // HTTP and WebSocket; likewise
   std::string viewer_directory;              // static files; empty: none
-  std::vector<std::string> allowed_origins;  // of WebSockets, beside the server's own; "*": any
+  std::vector<std::string> allowed_origins;  // of WebSockets, beside our own; "*": any
   // Without tokens everybody may do everything, which is for loopback only.
   std::vector<AccessToken> tokens;
   // TLS for both ports: PEM files. Empty: none.
@@ -28,29 +28,26 @@ struct StreamConfig {
   // Listen beyond loopback without tokens and TLS.
   bool insecure = false;
 
-  std::uint32_t max_sessions = 300;
-  // Connections that have not said Hello yet. One more, and the oldest of them is closed: who says nothing keeps nobody
-  // out.
+  std::uint32_t max_sessions = 300;  // peers welcomed at once
+  // Connections before Hello. One more, and the oldest of them is closed, so that silent connections keep nobody out.
   std::uint32_t max_handshakes = 64;
   double handshake_timeout_s = 5;
-  double idle_timeout_s = 30;   // a peer that sends nothing; it is pinged after a third of it
+  double idle_timeout_s = 30;   // for a peer that sends nothing; it is pinged after a third of this
   double write_timeout_s = 10;  // for one frame to go out
   double stop_grace_s = 2;
   // Messages a second from one peer, beside pose batches; beyond that it is disconnected.
   std::uint32_t max_messages_per_s = 500;
 
-  // The outbox policy. While more than `outbox_bytes` wait for a peer it gets no deltas; when half has gone
-  // out it gets what it missed as one coalesced delta, or, where the ring no longer has that, a fresh
-  // snapshot; who needs `max_slow_snapshots` in a row without ever catching up, or lets a write time out, is
-  // disconnected.
+  // The outbox policy. While more than `outbox_bytes` wait for a peer it gets no deltas; when half has gone out it
+  // gets what it missed as one coalesced delta or, where the ring no longer has that, as a snapshot. A peer that
+  // needs more than `max_slow_snapshots` in a row without catching up, or lets a write time out, is disconnected.
   std::size_t outbox_bytes = 4u << 20;
   std::uint32_t max_slow_snapshots = 3;
-  // Encoded deltas kept for those who return or fall behind.
+  // Encoded deltas kept for peers that return or fall behind.
   std::size_t ring_bytes = 64u << 20;
-  // What all sessions with a box of interest hold of the mesh, which the server remembers for them. Who comes beyond that
-  // gets everything.
+  // What the server keeps for peers with a box of interest. A peer that comes beyond that gets everything.
   std::size_t max_part_bytes = 512u << 20;
-  // The share of the stream thread's time for what is made for one session's box of interest alone.
+  // The share of the stream thread's time for deltas of boxes of interest.
   double box_share = 0.2;
   double max_report_rate_hz = 20;  // pose reports to an operator
 };

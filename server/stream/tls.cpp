@@ -13,12 +13,12 @@ void load_certificate(boost::asio::ssl::context& tls, const std::string& certifi
   tls.use_certificate_chain_file(certificate_file, error);
   if (error) {
     throw std::runtime_error("listen.certificate_file: " + certificate_file + ": " + error.message() +
-                             "; accepted is a chain of certificates in PEM");
+                             "; give a chain of certificates in PEM");
   }
   tls.use_private_key_file(private_key_file, ssl::context::pem, error);
   if (error) {
     throw std::runtime_error("listen.private_key_file: " + private_key_file + ": " + error.message() +
-                             "; accepted is the private key, in PEM, of " + certificate_file);
+                             "; give the private key, in PEM, of " + certificate_file);
   }
 }
 

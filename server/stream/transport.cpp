@@ -12,8 +12,8 @@ namespace {
 namespace beast = boost::beast;
 using boost::system::error_code;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
-// At once from one peer, in each of its turns. A simulator's messages are long: it takes few turns for each, so that what it
-// has sent since does not wait in the socket while the thread has much to do.
+// Bytes read from one peer at a time. A simulator's messages are long: large reads take few turns for each, so that
+// newer ones do not wait in the socket while the thread is busy.
 constexpr std::size_t kSmallRead = 16 << 10, kLargeRead = 256 << 10;
 
 std::string peer_of(NetStream::Tcp& tcp) {
@@ -79,7 +79,7 @@ class WebSocketTransport final : public Transport {
       : socket_(std::move(stream)), peer_(peer_of(socket_.stream().tcp())) {
     socket_.stream().tcp().expires_never();
     socket_.set_max_bytes(protocol::kMaxHandshakeBytes);
-    // The session has its own deadlines and its own pings.
+    // The peer has its own deadlines and pings.
     socket_.set_handshake_time(std::chrono::seconds(5));
   }
 
@@ -96,7 +96,7 @@ class WebSocketTransport final : public Transport {
     }
     if (error) co_return Received::end(error);
     if (!socket_.got_binary())
-      co_return Received::bad("WebSocket text frame, accepted are binary ones", false);
+      co_return Received::bad("WebSocket text frame; messages are binary frames", false);
     co_return Received::message(socket_.message());
   }
 
@@ -108,7 +108,7 @@ class WebSocketTransport final : public Transport {
 
   asio::awaitable<void> discard() override {
     for (;;) {
-      // A name of its own: g++ 12 takes the wrong branch where the condition itself awaits.
+      // In a variable: g++ 12 takes the wrong branch where the condition itself awaits.
       const error_code error = co_await socket_.read();
       if (error) co_return;
     }

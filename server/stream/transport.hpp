@@ -18,12 +18,12 @@ namespace asio = boost::asio;
 using net::HttpRequest;
 using net::NetStream;
 
-// One message a peer sent, or why no more will come.
+// One message from a peer, or why no more will come.
 struct Received {
   std::span<const std::byte> body;   // valid until the next read
-  boost::system::error_code closed;  // the connection's end: nothing can be answered
-  std::string error;                 // bytes that are no message: answer it, then close
-  bool too_long = false;             // what is wrong is the length
+  boost::system::error_code closed;  // the connection has ended: no answer is possible
+  std::string error;                 // the bytes are not a message: answer, then close
+  bool too_long = false;             // because of their length
 
   // Functions rather than braces where a coroutine returns one: g++ 12 destroys the members of a braced aggregate
   // in a co_return twice.
@@ -45,25 +45,24 @@ struct Received {
   }
 };
 
-// A connection that carries messages: TCP with a length in front, or WebSocket frames; with TLS or without.
+// A connection that carries messages: TCP with a length before each, or WebSocket frames; with TLS or without.
 //
 // Thread: the stream thread. Owns: the socket.
 class Transport {
  public:
   virtual ~Transport() = default;
-  // Waits for the next message, of at most as many bytes as set_max_bytes() said.
+  // Waits for the next message, of at most set_max_bytes().
   virtual asio::awaitable<Received> read() = 0;
   virtual void set_max_bytes(std::size_t max_bytes) = 0;
-  // Writes all frames; one call at a time, the frames stay until `done`, which is never called from within.
+  // Writes all frames. One call at a time; the frames must stay until `done`, which is never called from within.
   virtual void write(std::span<const SharedFrame> frames,
                      std::function<void(boost::system::error_code)> done) = 0;
-  // Reads on and forgets what it reads until the peer has closed too, so that what was written last still
-  // arrives.
+  // Reads and drops everything until the peer has closed too, so that what was written last still arrives.
   virtual asio::awaitable<void> discard() = 0;
-  // Says to the peer that nothing more will come. After the last write is done; a read may be under way.
-  // `keep` stays until that is said.
+  // Tells the peer that nothing more will come, after the last write; a read may be under way. `keep` is held until
+  // that is done.
   virtual void shut_down(std::shared_ptr<void> keep) = 0;
-  // Ends the connection now: reads and writes under way come back with an error.
+  // Ends the connection now: reads and writes under way return an error.
   virtual void close() = 0;
   virtual std::string peer() const = 0;
   virtual asio::any_io_executor executor() = 0;
@@ -73,7 +72,7 @@ class Transport {
 std::string name_of(const asio::ip::tcp::endpoint& endpoint);
 
 std::unique_ptr<Transport> make_tcp_transport(NetStream stream);
-// Answers the upgrade request; null where the handshake fails.
+// Answers the upgrade request. Null if the handshake fails.
 asio::awaitable<std::unique_ptr<Transport>> accept_websocket(NetStream stream, const HttpRequest& request);
 
 }  // namespace incise::stream

@@ -212,7 +212,7 @@ TEST_F(CaptureLibraryTest, SoManyAtATimeAndAPlaceIsFreeAgainWhenOneGoes) {
   ask(late, ReplayAction::Open, 0, 1, "sweep.capture");
   EXPECT_EQ(answer(late), ErrorCode::BadRequest);
   players.pop_back();
-  EXPECT_TRUE(stream::eventually([&] { return server_->server.counters().sessions == 4; }));
+  EXPECT_TRUE(stream::eventually([&] { return server_->server.counters().peers == 4; }));
   ask(late, ReplayAction::Open, 0, 1, "sweep.capture");
   EXPECT_EQ(follow(late, 0).last_revision, last_);
 }

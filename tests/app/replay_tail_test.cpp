@@ -36,7 +36,7 @@ class ReplayTailTest : public ::testing::Test {
   // Whether the deltas lead from the state before to the session's, without a gap.
   void expect_leads_to_the_end() {
     protocol::Replica replica(protocol::kMaxVertices, protocol::kMaxTets);
-    ASSERT_EQ(tail_.before.session, kSession);
+    ASSERT_EQ(tail_.before.epoch, kSession);
     ASSERT_EQ(stream::load_initial(tail_.before, replica), "");
     stream::DeltaArrays arrays;
     for (const auto& delta : tail_.deltas) {

@@ -174,7 +174,7 @@ void deform(benchmark::State& state, bool stream_part) {
                                      Vec3{0, 0, (k == 0 ? 1e-4 : -1e-4) * std::sin(30 * mesh.position(v).x)});
   }
   stream::InitialState initial;
-  initial.session = 1;
+  initial.epoch = 1;
   for (VertexId v = 0; v < mesh.vertex_slots(); ++v) initial.positions.push_back(mesh.position(v));
   for (TetId t = 0; t < mesh.tet_slots(); ++t) initial.tets.push_back(mesh.state(t));
   stream::Mirror mirror;

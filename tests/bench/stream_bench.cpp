@@ -24,7 +24,7 @@ namespace {
 
 stream::InitialState initial_state(const core::TetMesh& mesh) {
   stream::InitialState state;
-  state.session = 1;
+  state.epoch = 1;
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t)
     if (mesh.alive(t)) state.tets.push_back(mesh.state(t));

@@ -222,7 +222,7 @@ TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
   watch.give_up_after_s = 0.3;
   watch.save = directory / "last";
   std::thread stopping([&] {
-    while (test.server.counters().sessions == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    while (test.server.counters().peers == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
     std::this_thread::sleep_for(std::chrono::milliseconds(200));
     test.server.stop();
   });

@@ -248,6 +248,38 @@ class Session(unittest.TestCase):
             hello = parse(self.received[0])
             self.assertEqual((hello.View(), hello.Box().Min().Z(), hello.Box().Max().Y()), (view, -2, 2))
 
+    def test_resumes_what_another_client_held(self):
+        hashes = set()
+        for name, view in (("volume", View.View.Volume), ("surface", View.View.Surface)):
+            stream = (VECTORS / "streams" / f"{name}.bin").read_bytes()
+            stream = stream[:-4 - len(list(split(stream))[-1])]  # without the Bye
+            with incise_client.connect("127.0.0.1", self.serve(stream), view=view) as first:
+                self.assertTrue(first.wait_for_revision(2))
+            self.thread.join()
+            self.assertEqual(parse(self.received[0]).ResumeHash(), 0)
+            with incise_client.connect("127.0.0.1", self.serve(stream), view=view, resume=first):
+                pass
+            self.thread.join()
+            hello = parse(self.received[0])
+            self.assertEqual((hello.ResumeSession(), hello.ResumeRevision()), (first.welcome.Session(), 2))
+            hashes.add(hello.ResumeHash())
+        self.assertEqual(len(hashes), 1, "the whole mesh's, in either view")
+        self.assertNotEqual(hashes, {0})
+
+    def test_does_not_resume_a_state_that_was_refused(self):
+        stream = (VECTORS / "streams" / "volume.bin").read_bytes()
+        stream = stream[:-4 - len(list(split(stream))[-1])]  # without the Bye
+        bodies = list(split(stream))
+        del bodies[-2]  # so the last delta does not fit
+        with incise_client.connect("127.0.0.1", self.serve(b"".join(struct.pack("<I", len(b)) + b for b in bodies))) as first:
+            while not first.resyncs:
+                first.poll(0.1)
+        self.thread.join()
+        with incise_client.connect("127.0.0.1", self.serve(stream), resume=first):
+            pass
+        self.thread.join()
+        self.assertEqual(parse(self.received[0]).ResumeSession(), 0)
+
     def test_says_why_it_ends(self):
         port = self.serve((VECTORS / "streams" / "volume.bin").read_bytes())
         with self.assertRaisesRegex(incise_client.ConnectError, "the server stops"):

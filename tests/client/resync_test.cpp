@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <future>
 #include <memory>
 #include <optional>
 #include <thread>
@@ -88,6 +89,59 @@ TEST(Resync, AWrongHashIsAnsweredByAskingForTheWholeState) {
   ASSERT_TRUE(asked) << "the client never asked";
   EXPECT_EQ(asked->revision, 1u);
   EXPECT_FALSE(asked->reason.empty());
+}
+
+// The connection is lost before the snapshot that was asked for came: the client must not go on from what it holds.
+TEST(Resync, AStateThatWasRefusedIsNotResumed) {
+  const Recording recording;
+  ASSERT_GT(recording.steps.size(), 4u);
+  const stream::Listener listener;
+  std::vector<protocol::Hello> hellos;
+  std::promise<void> connected;  // connect() has returned: only from then on is a lost connection made again
+  std::thread server([&] {
+    const auto accept = [&] {
+      std::unique_ptr<RawPeer> peer = listener.accept();
+      const auto received = peer->receive_until<protocol::Hello>();
+      if (received) hellos.push_back(std::get<protocol::Hello>(received->message.body));
+      play(*peer, recording.welcome);
+      return peer;
+    };
+    {
+      const auto peer = accept();
+      play(*peer, recording.snapshot);
+      peer->send(recording.steps[0].message.body);
+      peer->send(protocol::Ping{7, 0});
+      peer->receive_until<protocol::Pong>();  // so it has read the step
+      connected.get_future().wait();
+    }
+    {
+      const auto peer = accept();
+      play(*peer, recording.snapshot);
+      peer->send(recording.steps[0].message.body);
+      Delta wrong = std::get<Delta>(recording.steps[1].message.body);
+      wrong.state_hash ^= 1;
+      peer->send(wrong);
+      peer->receive_until<protocol::Resync>();
+    }
+    const auto peer = accept();
+    play(*peer, recording.snapshot);
+    play(*peer, recording.steps);
+    peer->receive_until<protocol::Bye>();
+  });
+  Options options;
+  options.reconnect = true;
+  auto client = Client::connect("127.0.0.1", listener.port(), options);
+  connected.set_value();
+  EXPECT_TRUE(client->wait_for_revision(recording.steps.size(), kPatience_s)) << client->last_error();
+  EXPECT_EQ(client->counters().resyncs, 1u);
+  client.reset();
+  server.join();
+  ASSERT_EQ(hellos.size(), 3u);
+  EXPECT_EQ(hellos[0].resume_session, 0u);
+  EXPECT_EQ(hellos[1].resume_revision, 1u) << "a whole state, of a connection that was lost";
+  EXPECT_EQ(hellos[1].resume_hash, std::get<Delta>(recording.steps[0].message.body).state_hash);
+  EXPECT_EQ(hellos[2].resume_session, 0u);
+  EXPECT_EQ(hellos[2].resume_hash, 0u);
 }
 
 }  // namespace

@@ -5,8 +5,9 @@
 - Every relative link leads to a file, and its fragment to a heading there.
 - A code block after `<!-- FILE -->` is FILE without its first comment: what a page shows is what is built.
 - What stands between `<!-- figures -->` and `<!-- /figures -->` is what tests/bench/figures.py prints.
+- `find_package(incise X.Y` asks for the version in CMakeLists.txt, and CHANGELOG.md has a section for that version.
 
---write brings code blocks and figures up to date instead of reporting them.
+--write brings code blocks, figures and find_package up to date instead of reporting them.
 """
 
 import pathlib
@@ -18,6 +19,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 README_LINES = 200
 BLOCK = re.compile(r"(<!-- ([\w./-]+\.\w+) -->\n```\w*\n)(.*?)(```\n)", re.DOTALL)
 FIGURES = re.compile(r"(<!-- figures -->\n)(.*?)(<!-- /figures -->\n)", re.DOTALL)
+PACKAGE = re.compile(r"(find_package\(incise )([\d.]+)")
+CONSUMER = ROOT / "tests/install/consumer/CMakeLists.txt"
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -46,8 +49,14 @@ def anchors(text: str) -> set[str]:
     return found
 
 
+def version() -> str:
+    """The version of the project: CMakeLists.txt is the one place that has it."""
+    return re.search(r"^project\(incise VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text(), re.MULTILINE)[1]
+
+
 def fill(text: str, figures: str) -> str:
     text = BLOCK.sub(lambda m: m[1] + shown(ROOT / m[2]) + m[4] if (ROOT / m[2]).is_file() else m[0], text)
+    text = PACKAGE.sub(lambda m: m[1] + version().rpartition(".")[0], text)
     return FIGURES.sub(lambda m: m[1] + figures + m[3], text)
 
 
@@ -74,17 +83,19 @@ def main() -> int:
     figures = subprocess.run([sys.executable, "-B", str(ROOT / "tests/bench/figures.py")], capture_output=True, text=True,
                              check=True).stdout
     faults = []
-    for page in pages():
+    for page in [*pages(), CONSUMER]:
         text = page.read_text()
         wanted = fill(text, figures)
         if wanted != text and write:
             page.write_text(wanted)
         elif wanted != text:
-            faults.append(f"{page.relative_to(ROOT)}: code or figures are not up to date: run tests/dev/docs.py --write")
+            faults.append(f"{page.relative_to(ROOT)}: code, figures or version are not up to date: run tests/dev/docs.py --write")
         faults += faults_of(page, wanted)
     lines = (ROOT / "README.md").read_text().count("\n")
     if lines > README_LINES:
         faults.append(f"README.md: {lines} lines; at most {README_LINES}: move details to the page of their subject")
+    if f"\n## {version()}\n" not in (ROOT / "CHANGELOG.md").read_text():
+        faults.append(f"CHANGELOG.md: no section for {version()}, the version in CMakeLists.txt: rename Unreleased to it")
     print("\n".join(faults), file=sys.stderr, end="\n" if faults else "")
     return 1 if faults else 0
 

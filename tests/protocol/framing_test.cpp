@@ -92,6 +92,10 @@ TEST(Framing, HelloKeepsItsFields) {
   EXPECT_TRUE(got.take_over);
   EXPECT_EQ(got.blade_rate_hz, 60);
   EXPECT_EQ(got.blade, sent.blade);
+  EXPECT_EQ(got.resume_hash, 0u);
+  Hello back = sent;
+  back.resume_hash = 0xfedcba9876543210;
+  EXPECT_EQ(round_trip(back, result).resume_hash, 0xfedcba9876543210u);
 }
 
 TEST(Framing, PosesKeepTheirBitsEvenWhereTheyAreNoNumbers) {

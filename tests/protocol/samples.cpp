@@ -258,6 +258,8 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
   static const auto all = [] {
     Welcome hail = welcome();
     hail.recording = Recording::On;
+    Hello back = std::get<Hello>(messages()[0].second);
+    back.resume_hash = 0x8877665544332211;
     Stats stats;
     stats.json = "{}";
     stats.recording = Recording::Stopped;
@@ -268,6 +270,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"ErrorNotRecorded",
          Error{ErrorCode::NotRecorded, "poses are cut, but not recorded: No space left on device", false, 0}},
         {"StatsRecording", stats},
+        {"HelloResumeHash", back},
     };
   }();
   return all;

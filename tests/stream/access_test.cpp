@@ -28,7 +28,8 @@ class AccessTest : public ::testing::Test {
                      {"a scraper's token", {}}};
     Providers providers;
     providers.stats_json = [] { return std::string("{\"frames\":1}"); };
-    providers.audit = [this](Audit, const std::string& line) {
+    providers.audit = [this](Audit, const std::string& address, const std::string& line) {
+      EXPECT_EQ(address, "127.0.0.1");
       const std::scoped_lock lock(mutex);
       lines.push_back(line);
     };

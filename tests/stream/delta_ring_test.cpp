@@ -12,15 +12,15 @@ namespace {
 // A step of 100 bytes for each view.
 EncodedStep step(std::uint64_t revision) {
   const auto frame = std::make_shared<const protocol::Frame>(std::vector<std::byte>(100));
-  return {revision, frame, frame};
+  return {revision, 0, frame, frame};
 }
 
 TEST(DeltaRing, HoldsTheNewestStepsThatFit) {
   DeltaRing ring(1000);
-  for (std::uint64_t r = 1; r <= 5; ++r) ring.push(step(r));
+  for (std::uint64_t r = 1; r <= 5; ++r) ring.append(step(r));
   EXPECT_EQ(ring.size(), 5u) << "a thousand bytes just fit";
   EXPECT_EQ(ring.bytes(), 1000u);
-  ring.push(step(6));
+  ring.append(step(6));
   EXPECT_EQ(ring.size(), 5u);
   EXPECT_EQ(ring.bytes(), 1000u);
   for (std::uint64_t r = 2; r <= 6; ++r) EXPECT_EQ(ring.step(r).revision, r);
@@ -33,7 +33,7 @@ TEST(DeltaRing, CoversFromTheStateBeforeItsOldestStep) {
   DeltaRing ring(1000);
   EXPECT_TRUE(ring.covers(0, 0)) << "nothing is missing";
   EXPECT_FALSE(ring.covers(0, 1));
-  for (std::uint64_t r = 1; r <= 7; ++r) ring.push(step(r));  // 3 to 7 are left
+  for (std::uint64_t r = 1; r <= 7; ++r) ring.append(step(r));  // 3 to 7 are left
   EXPECT_FALSE(ring.covers(1, 7));
   EXPECT_TRUE(ring.covers(2, 7));
   EXPECT_TRUE(ring.covers(6, 7));
@@ -44,7 +44,7 @@ TEST(DeltaRing, CoversFromTheStateBeforeItsOldestStep) {
 
 TEST(DeltaRing, AStepLargerThanTheRingLeavesItEmpty) {
   DeltaRing ring(199);
-  ring.push(step(1));
+  ring.append(step(1));
   EXPECT_EQ(ring.size(), 0u);
   EXPECT_EQ(ring.bytes(), 0u);
   EXPECT_FALSE(ring.covers(0, 1));

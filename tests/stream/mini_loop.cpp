@@ -113,7 +113,7 @@ MiniLoop::~MiniLoop() {
 InitialState MiniLoop::initial() const {
   const core::TetMesh& mesh = session_->mesh();
   InitialState state;
-  state.session = session_id_;
+  state.epoch = session_id_;
   state.revision = session_->revision();
   for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {

@@ -76,12 +76,12 @@ TEST_F(SnapshotKeeperTest, ASnapshotHasWhatWasPushedBeforeAndNothingAfter) {
   };
   request();
   for (const auto& step : steps) {
-    keeper.push(step);
+    keeper.apply(step);
     request();
   }
   for (std::size_t i = 0; i < answers.size(); ++i) {
     const SharedSnapshot snapshot = answers[i].get();
-    EXPECT_EQ(snapshot->session, 7u);
+    EXPECT_EQ(snapshot->epoch, 7u);
     EXPECT_EQ(snapshot->begin.revision, i);
     const protocol::Replica replica = loaded(*snapshot);
     EXPECT_EQ(replica.compute_state_hash(), i == 0 ? replica.state_hash() : steps[i - 1]->delta.state_hash);
@@ -98,7 +98,7 @@ TEST_F(SnapshotKeeperTest, ManyShareOneAsLongAsItIsCurrent) {
   ASSERT_TRUE(part->part);
   EXPECT_LT(part->bytes, first->bytes);
   EXPECT_EQ(ask(), first) << "a part does not stand for the whole";
-  keeper.push(cut().front());
+  keeper.apply(cut().front());
   const SharedSnapshot next = ask();
   EXPECT_NE(next, first);
   EXPECT_EQ(next->begin.revision, 1u);
@@ -106,10 +106,10 @@ TEST_F(SnapshotKeeperTest, ManyShareOneAsLongAsItIsCurrent) {
 
 TEST_F(SnapshotKeeperTest, AResetStartsAnotherSession) {
   const SharedSnapshot before = ask();
-  keeper.push(cut().front());
+  keeper.apply(cut().front());
   keeper.reset(std::make_shared<const InitialState>(MiniLoop(box_mesh(kCells), 8).initial()));
   const SharedSnapshot after = ask();
-  EXPECT_EQ(after->session, 8u);
+  EXPECT_EQ(after->epoch, 8u);
   EXPECT_EQ(after->begin.revision, 0u);
   EXPECT_NE(after, before) << "of the same revision, and another session";
 }

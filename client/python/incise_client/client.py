@@ -1,4 +1,4 @@
-"""A session with an incised over TCP."""
+"""A connection to an incised over TCP."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POSE_DTYPE = np.dtype([("source_ns", "<i8"), ("position", "<f8", 3), ("orientati
 
 
 class ConnectError(Exception):
-    """No session came about, or it has ended. The text says why."""
+    """The server could not be reached or refused us, or the connection has ended. The text says why."""
 
 
 @dataclass
@@ -54,8 +54,8 @@ class Client:
     """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it.
 
     ``replica`` is a Replica for view Volume, a Surface for view Surface. With ``box``, two corners ((x, y, z), (x, y, z)) in
-    metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade``, heel and tip in the tool's frame
-    in metres, is that of an operator that brings its own.
+    metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade`` is an operator's own: heel and
+    tip in the tool's frame, metres. ``resume`` is a client that was connected to the same server: its state is continued.
     """
 
     def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
@@ -64,10 +64,11 @@ class Client:
                  box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
                  ssl_context: Optional[tls.SSLContext] = None) -> None:
-        self.replica: Any = resume.replica if resume else Replica()
+        held = resume if resume and not resume._awaiting_snapshot else None
+        self.replica: Any = held.replica if held else Replica()
         self.welcome: Any = None
         self.report: Any = None  # the last wire.PoseReport: what became of an operator's poses
-        self.recording: int = Recording.Recording.Off  # whether the server records what it takes, by the last message that says so
+        self.recording: int = Recording.Recording.Off  # whether the server records poses, by the last message that says so
         self.error: Any = None  # the last wire.Error that was not fatal
         self.resyncs = 0
         self.snapshots = 0
@@ -80,6 +81,7 @@ class Client:
         self._input = bytearray()
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
         self._awaiting_snapshot = False
+        self._state_hash = held._state_hash if held else 0  # of the whole mesh at the replica's revision, as announced
         try:
             self._socket: Any = socket.create_connection((host, port), timeout_s)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -87,7 +89,7 @@ class Client:
                 self._socket = ssl_context.wrap_socket(self._socket, server_hostname=host)
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
-        session = resume.welcome.Session() if resume else 0
+        session = held.welcome.Session() if held else 0
         self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session)
         end = time.monotonic() + timeout_s
         try:
@@ -116,7 +118,7 @@ class Client:
     # ---- Receiving ----
 
     def poll(self, timeout_s: float = 0.0) -> int:
-        """Handles what has come, waiting at most so long for the first byte. Returns the number of messages."""
+        """Handles what has arrived, waiting at most ``timeout_s`` for the first byte. Returns the number of messages."""
         self._socket.settimeout(max(timeout_s, 1e-6))
         try:
             data = self._socket.recv(1 << 20)
@@ -139,7 +141,7 @@ class Client:
         return handled
 
     def wait_for_revision(self, revision: int, timeout_s: float = 10.0) -> bool:
-        """Polls until the replica is at the revision or beyond. False: not in that time."""
+        """Polls until the replica is at the revision or beyond. False if the time is over first."""
         return self._wait(lambda: self.snapshots_or_resumed and self.replica.revision >= revision, timeout_s)
 
     def wait_for_report(self, sequence: int, timeout_s: float = 10.0) -> bool:
@@ -166,7 +168,7 @@ class Client:
 
     def _handle(self, data: bytes) -> None:
         if data[4:8] != b"INC1":
-            raise ConnectError("the server sent what is no message of this protocol")
+            raise ConnectError("the server sent something that is not a message of this protocol")
         message = Message.Message.GetRootAs(data, 0)
         table = _MODULES.get(message.BodyType())
         if table is None:
@@ -200,14 +202,16 @@ class Client:
             if self.on_force:
                 self.on_force(self, body)
         elif kind in (Body.Body.Delta, Body.Body.SurfaceDelta) and not self._awaiting_snapshot:
-            if self._fits(lambda: self.replica.apply(body)) and self.on_delta:
-                self.on_delta(self, body)
+            if self._try_change(lambda: self.replica.apply(body)):
+                self._state_hash = body.StateHash()
+                if self.on_delta:
+                    self.on_delta(self, body)
         elif kind == Body.Body.SnapshotBegin:
             self._snapshot = (body, [])
         elif kind == Body.Body.SnapshotChunk and self._snapshot:
             self._snapshot[1].append(body)
         elif kind == Body.Body.SnapshotEnd and self._snapshot:
-            self._fits(lambda: self._end_snapshot(body))
+            self._try_change(lambda: self._end_snapshot(body))
 
     def _end_snapshot(self, end: Any) -> None:
         begin, chunks = self._snapshot or (None, [])
@@ -219,10 +223,11 @@ class Client:
         else:
             self.replica = Replica.from_snapshot(begin, chunks, end)
         self.snapshots += 1
+        self._state_hash = end.StateHash()
         self._awaiting_snapshot = False
 
-    def _fits(self, change: Callable[[], None]) -> bool:
-        """Makes a change; where it does not fit, asks for the whole state."""
+    def _try_change(self, change: Callable[[], None]) -> bool:
+        """Makes a change. If the replica refuses it, asks for a snapshot and returns False."""
         try:
             change()
             return True
@@ -235,7 +240,7 @@ class Client:
     # ---- Sending ----
 
     def send_poses(self, poses: Iterable[Pose]) -> int:
-        """Sends poses in time order. Returns the sequence that wait_for_report() takes."""
+        """Sends poses in time order. Returns the sequence for wait_for_report()."""
         rows = [(p.source_ns, p.position, p.orientation, p.buttons, 0) for p in poses]
         return self.send_pose_array(np.array(rows, POSE_DTYPE))
 
@@ -254,9 +259,9 @@ class Client:
         return self._sequence
 
     def send_positions(self, positions: Any, *, ids: Any = None, first: int = 0, revision: Optional[int] = None) -> int:
-        """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. They are ``ids`` (ascending), or
-        ``first``, ``first + 1``, ... ``revision`` is the state that they were computed with, if that is not the replica's.
-        Returns the frame's number, which wait_for_positions_report() takes; ``positions_report`` has what was held back.
+        """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` (ascending),
+        or ``first``, ``first + 1``, ... ``revision`` is that of the state they were computed with, by default the replica's.
+        Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back.
         """
         array = np.ascontiguousarray(positions)
         single = array.dtype == np.float32
@@ -297,7 +302,8 @@ class Client:
             return _table(b, Hello, optional + [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
                                      ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
                                      ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
-                                     ("ResumeRevision", self.replica.revision if session else 0)])
+                                     ("ResumeRevision", self.replica.revision if session else 0),
+                                     ("ResumeHash", self._state_hash if session else 0)])
 
         self._send(Body.Body.Hello, build)
 
@@ -332,5 +338,5 @@ def _text(value: Any) -> str:
 
 
 def connect(host: str, port: int, **options: Any) -> Client:
-    """Connects and waits for Welcome; see Client for the options. Throws ConnectError."""
+    """Connects and waits for Welcome; see Client for the options. Raises ConnectError."""
     return Client(host, port, **options)

@@ -10,17 +10,17 @@ import numpy as np
 RESERVE_J = 5e-4
 LEAK_W = 0.01
 _SMOOTHING_S = 0.005  # of the velocity
-_LONGEST_STEP_S = 0.005  # what a force may grow by after a pause of the caller
-_LONGEST_NS = 1_000_000_000  # that a plane may be valid, whatever it says
+_LONGEST_STEP_S = 0.005  # after a pause of the caller a force grows as in this time at most
+_LONGEST_NS = 1_000_000_000  # a plane is valid at most so long, whatever it says
 
 
 class ContactRenderer:
     """Renders the planes that the server sends (Force.contact, PROTOCOL.md section 7), however old they are.
 
-    No force is NaN, beyond the limits, or there without the ramp; one whose plane has expired fades at the slew limit.
+    No force is NaN, exceeds the limits, or starts without the ramp; when its plane expires it fades at the slew limit.
     Delay cannot make it unstable: what spring and friction give back is bounded by an account of the work that the tool has
-    done on them here. In t seconds no more than RESERVE_J + LEAK_W * t comes out than went in, but for the work of one step
-    and of the fade. One thread at a time. For a device's loop of 1 kHz and more use the C++ library's, which is the same::
+    done on them here. In t seconds no more than RESERVE_J + LEAK_W * t comes out than went in, except for the work of one step
+    and of the fade. One thread at a time. For a device's loop of 1 kHz and more use the same class of the C++ library::
 
         renderer = incise_client.ContactRenderer()
         client.on_force = lambda _, force: renderer.take(force, time.monotonic_ns())
@@ -31,7 +31,7 @@ class ContactRenderer:
                  stiffest_n_m: float = 2000.0) -> None:
         self._most, self._slew, self._ramp_s, self._stiffest = most_n, slew_n_s, ramp_s, stiffest_n_m
         self._until_ns = 0
-        self._over = True  # the server says that there is no tissue; else the plane runs out
+        self._over = True  # the server said that there is no tissue; otherwise the plane has expired
         self._point = self._normal = np.zeros(3)
         self._stiffness = self._damping = self._resistance = self._friction = 0.0
         self._penetrated = False
@@ -40,7 +40,7 @@ class ContactRenderer:
         self._account, self._ramp = RESERVE_J, 0.0
 
     def take(self, force: Any, now_ns: int) -> None:
-        """A wire.Force that came at now_ns, a clock of this machine's."""
+        """Takes over a wire.Force that arrived at now_ns, by a clock of this machine."""
         self._until_ns, self._over = now_ns, True  # without a contact there is no tissue
         contact = force.Contact()
         if contact is None:
@@ -60,7 +60,7 @@ class ContactRenderer:
         self._until_ns = now_ns + min(contact.ValidForNs(), _LONGEST_NS)
 
     def force(self, tool_m: Any, now_ns: int) -> Any:
-        """The force on the hand, N, world frame, for the tool's origin there and then, until the next call."""
+        """The force on the hand, N, world frame, for the tool's origin at tool_m now. Apply it until the next call."""
         tool = np.asarray(tool_m, dtype=float)
         usable = bool(np.isfinite(tool).all())
         dt = 0.0 if self._last_ns is None else max(0.0, (now_ns - self._last_ns) * 1e-9)
@@ -97,7 +97,7 @@ class ContactRenderer:
         return spring * normal, viscous, 0.5 * spring * max(depth, 0.0)
 
     def _limit(self, wanted: Any, growing_s: float, valid: bool, touching: bool) -> Any:
-        """Finite, clamp, slew, ramp: in the order of the server's."""
+        """The limits in the server's order: finite, clamp, slew, ramp."""
         size = float(np.linalg.norm(wanted))
         if not math.isfinite(size):
             wanted, size = np.zeros(3), 0.0
@@ -111,5 +111,5 @@ class ContactRenderer:
             self._ramp = min(1.0, self._ramp + growing_s / self._ramp_s)
         self._applied = self._ramp * self._slewed
         if not valid and not self._over and not self._slewed.any():
-            self._ramp = 0.0  # it ran out while it acted: it begins anew
+            self._ramp = 0.0  # it expired while it acted, so the next one starts from nothing
         return self._applied

@@ -1,4 +1,4 @@
-"""What of the state is held by id with gaps: the surface, and the part of the volume in a box of interest."""
+"""States whose ids have gaps: the surface, and the part of the volume in a box of interest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Ids = npt.NDArray[np.uint32]
 
 
 class Rows:
-    """Arrays of one length, a row for each of ``ids``, which ascend. Never changed in place: keep what you like."""
+    """Arrays with a row for each of ``ids``, which ascend. Never changed in place, so they may be kept."""
 
     def __init__(self, ids: Any, **columns: Any) -> None:
         self.ids: Ids = np.asarray(ids, np.uint32)
@@ -33,17 +33,17 @@ class Rows:
         return len(self.ids)
 
     def take(self, where: Any) -> "Rows":
-        """Some of the rows."""
+        """The rows at these places, or where a mask is true."""
         return Rows(self.ids[where], **{name: c[where] for name, c in self.columns.items()})
 
     def among(self, ids: Ids) -> npt.NDArray[np.bool_]:
-        """One for each row: whether its id is one of these."""
+        """For each row, whether its id is one of these."""
         return np.isin(self.ids, ids)
 
     def changed(self, put: "Rows", removed: Ids) -> "Rows":
-        """These with others set, new or not, and some taken out. O(rows)."""
+        """A copy with rows put, new or in place of old ones, and others removed. O(rows)."""
         if np.isin(put.ids, removed).any():
-            raise ApplyError("elements that are removed and set")
+            raise ApplyError("elements both removed and set")
         kept = self.take(~self.among(np.concatenate([put.ids, removed])))
         at = np.searchsorted(kept.ids, put.ids)
         return Rows(np.insert(kept.ids, at, put.ids),
@@ -51,7 +51,7 @@ class Rows:
 
 
 def _rows_of(rows: Rows, ids: Ids, what: str) -> npt.NDArray[np.intp]:
-    """Where these ids are; all must be there."""
+    """The rows of these ids, which must all exist."""
     at = np.searchsorted(rows.ids, ids)
     if len(ids) and (not len(rows) or int(at.max()) == len(rows) or (rows.ids[at] != ids).any()):
         raise ApplyError(f"{what} that do not exist")
@@ -59,7 +59,7 @@ def _rows_of(rows: Rows, ids: Ids, what: str) -> npt.NDArray[np.intp]:
 
 
 class _Held:
-    """What Surface and VolumePart have in common: vertices, elements with their vertices, a hash."""
+    """Base of Surface and VolumePart: vertices, elements with their vertices, a hash."""
 
     vertices: Rows
     elements: Rows
@@ -80,7 +80,7 @@ class _Held:
 
     def _change(self, revision: int, hash_after: int, vertices: Rows, gone_vertices: Ids, elements: Rows, gone: Ids,
                 finish: Callable[[Rows], Rows] = lambda rows: rows) -> None:
-        """Completely or not at all. Hashing costs what changes, the rest a copy of the arrays."""
+        """Makes a change completely or not at all. Hashing costs what changes; the rest copies the arrays."""
         value = self.hash
         for rows, ids, hashes in ((self.vertices, np.concatenate([vertices.ids, gone_vertices]), self._vertex_hashes),
                                   (self.elements, np.concatenate([elements.ids, gone]), self._element_hashes)):
@@ -101,7 +101,7 @@ class _Held:
         if len(chunks) != begin.Chunks() or end.Revision() != begin.Revision():
             raise ApplyError(f"snapshot with {len(chunks)} of {begin.Chunks()} chunks")
         if len(self.vertices) != begin.VertexCount() or count != announced:
-            raise ApplyError("snapshot that does not add up")
+            raise ApplyError("snapshot whose counts differ from its contents")
         _rows_of(self.vertices, np.unique(self.elements.corners), "vertices of an element")
         self.revision, self.hash = begin.Revision(), self.compute_hash()
         if self.hash != value:
@@ -166,7 +166,7 @@ class Surface(_Held):
 
     @staticmethod
     def from_snapshot(begin: Any, chunks: list[Any], end: Any) -> "Surface":
-        """Of SnapshotBegin, all SnapshotChunk and SnapshotEnd. Throws ApplyError."""
+        """Built from SnapshotBegin, every SnapshotChunk and SnapshotEnd. Raises ApplyError."""
         new = Surface()
         new.vertices = _joined([Surface._vertices(c.SurfaceVertices()) for c in chunks], new.vertices)
         new.elements = _joined([Surface._triangles(c.Triangles()) for c in chunks], new.elements)
@@ -174,7 +174,7 @@ class Surface(_Held):
         return new
 
     def apply(self, delta: Any) -> None:
-        """Takes the state from the SurfaceDelta's base revision to its revision, or throws ApplyError."""
+        """Takes the state from the SurfaceDelta's base revision to its revision, or raises ApplyError."""
         self._base(delta)
         self._change(delta.Revision(), delta.SurfaceHash(), self._vertices(delta.Vertices()),
                      _array(delta.RemovedVerticesAsNumpy(), np.uint32), self._triangles(delta.Triangles()),
@@ -213,7 +213,7 @@ class VolumePart(_Held):
 
     @staticmethod
     def from_snapshot(begin: Any, chunks: list[Any], end: Any) -> "VolumePart":
-        """Of SnapshotBegin, all SnapshotChunk and SnapshotEnd. Throws ApplyError."""
+        """Built from SnapshotBegin, every SnapshotChunk and SnapshotEnd. Raises ApplyError."""
         new = VolumePart()
         new.vertices = _joined([Rows(_array(c.VertexIdsAsNumpy(), np.uint32),
                                      positions=_array(c.PositionsAsNumpy(), np.float64).reshape(-1, 3)) for c in chunks],
@@ -224,7 +224,7 @@ class VolumePart(_Held):
         return new
 
     def apply(self, delta: Any) -> None:
-        """Takes the state from the Delta's base revision to its revision, or throws ApplyError."""
+        """Takes the state from the Delta's base revision to its revision, or raises ApplyError."""
         self._base(delta)
         moved = Rows(_array(delta.MovedIdsAsNumpy(), np.uint32),
                      positions=_array(delta.MovedPositionsAsNumpy(), np.float64).reshape(-1, 3))
@@ -232,11 +232,11 @@ class VolumePart(_Held):
                      positions=_array(delta.AddedPositionsAsNumpy(), np.float64).reshape(-1, 3))
         tets = self._tets(delta.Tets(), np.zeros(delta.Tets().IdsLength() if delta.Tets() else 0, np.uint32))
         held = self.elements.take(self.elements.among(tets.ids))
-        tets.columns["pieces"][np.isin(tets.ids, held.ids)] = held.pieces  # those that change stay in theirs
+        tets.columns["pieces"][np.isin(tets.ids, held.ids)] = held.pieces  # changed ones stay in their pieces
         piece_tets = _array(delta.PieceTetsAsNumpy(), np.uint32)
         sizes = _array(delta.PieceSizesAsNumpy(), np.uint32)
         if int(sizes.sum()) != len(piece_tets):
-            raise ApplyError("delta that does not add up")
+            raise ApplyError("delta whose counts differ from its contents")
         pieces = np.repeat(_array(delta.PieceIdsAsNumpy(), np.uint32), sizes)
 
         def in_pieces(rows: Rows) -> Rows:

@@ -13,7 +13,7 @@ NO_ID = 0xFFFFFFFF
 
 
 class ApplyError(Exception):
-    """A part of the state that does not fit. The replica is as it was: ask for a resync."""
+    """A message that does not fit the state. The replica is unchanged: ask for a resync."""
 
 
 def _array(value: Any, dtype: Any) -> Any:
@@ -53,7 +53,7 @@ class Replica:
 
     positions (n, 3) float64, metres; tets (m, 4) uint32; regions int32; cut_masks and boundary_masks uint8, bit f for the
     face opposite to vertex f; pieces uint32. In a body that a simulator deforms, rest_positions says where the material of each
-    vertex is at rest, else it is positions. The arrays are replaced or changed by apply(): copy what you keep.
+    vertex is at rest; otherwise it equals positions. The arrays are replaced or changed by apply(): copy what you keep.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Replica:
         self.state_hash = 0
         self.live_tets = 0
         self.positions = np.empty((0, 3))
-        self._rest: Optional[npt.NDArray[np.float64]] = None  # none before the first deformation
+        self._rest: Optional[npt.NDArray[np.float64]] = None  # None before the first deformation
         self._set_slots(0)
 
     def _set_slots(self, n: int) -> None:
@@ -87,7 +87,7 @@ class Replica:
 
     @property
     def alive(self) -> npt.NDArray[np.bool_]:
-        """One for each id: whether there is such a tetrahedron."""
+        """For each id, whether that tetrahedron exists."""
         return self.tets[:, 0] != NO_ID
 
     def boundary_triangles(self) -> npt.NDArray[np.uint32]:
@@ -118,7 +118,7 @@ class Replica:
 
     @staticmethod
     def from_snapshot(begin: Any, chunks: list[Any], end: Any) -> "Replica":
-        """A replica of SnapshotBegin, all SnapshotChunk and SnapshotEnd. Throws ApplyError."""
+        """Builds a replica from SnapshotBegin, every SnapshotChunk and SnapshotEnd. Raises ApplyError."""
         new = Replica()
         if len(chunks) != begin.Chunks() or end.Revision() != begin.Revision():
             raise ApplyError(f"snapshot with {len(chunks)} of {begin.Chunks()} chunks")
@@ -139,7 +139,7 @@ class Replica:
                 new.pieces[t.ids] = p
             new.live_tets += len(t.ids)
         if len(new.positions) != begin.VertexCount() or new.live_tets != begin.TetCount():
-            raise ApplyError("snapshot that does not add up")
+            raise ApplyError("snapshot whose counts differ from its contents")
         if last >= 0 and int(new.tets[new.alive].max(initial=0)) >= len(new.positions):
             raise ApplyError("snapshot: a tetrahedron of vertices that do not exist")
         new.revision = begin.Revision()
@@ -157,7 +157,7 @@ class Replica:
     # ---- A delta ----
 
     def apply(self, delta: Any) -> None:
-        """Takes the state from the delta's base revision to its revision, completely or not at all. Throws ApplyError.
+        """Takes the state from the delta's base revision to its revision, completely or not at all. Raises ApplyError.
 
         Hashing costs what the delta changes; adding vertices or tetrahedra copies their arrays.
         """
@@ -183,13 +183,13 @@ class Replica:
         if len(moved) != len(moved_to) or (len(moved) and int(moved[-1]) >= old_vertices):
             raise ApplyError("moved vertices that do not exist")
         if (len(added) and delta.FirstAdded() != old_vertices) or delta.VertexCount() != vertices:
-            raise ApplyError("added vertices that do not follow on")
+            raise ApplyError("added vertices do not follow the last vertex")
         if len(tets.ids) and int(tets.vertices.max()) >= vertices:
             raise ApplyError("a tetrahedron of vertices that do not exist")
         if len(removed) and (int(removed[-1]) >= old_slots or not self.alive[removed].all()):
             raise ApplyError("removed tetrahedra that do not exist")
         if np.intersect1d(removed, tets.ids, assume_unique=True).size:
-            raise ApplyError("tetrahedra that change and go")
+            raise ApplyError("tetrahedra both changed and removed")
         is_new = tets.ids >= delta.FirstNewTet()
         changed = tets.ids[~is_new]
         if delta.FirstNewTet() < old_slots or (
@@ -197,7 +197,7 @@ class Replica:
             raise ApplyError("changed tetrahedra that do not exist")
         live = self.live_tets + int(is_new.sum()) - len(removed)
         if live != delta.LiveTets() or int(piece_sizes.sum()) != len(piece_tets) or len(piece_sizes) != len(piece_ids):
-            raise ApplyError("delta that does not add up")
+            raise ApplyError("delta whose counts differ from its contents")
 
         gone = np.concatenate([changed, removed])
         new_ids = np.arange(old_vertices, vertices, dtype=np.uint32)

@@ -1,5 +1,6 @@
 import type { Elements } from "./elements";
 import { kNone, type Surface, withRoom } from "./surface";
+import { faceNormal } from "./triangle";
 
 /** What the graphics card gets for each corner of a triangle; the three corners of a slot are adjacent. */
 export interface Corners {
@@ -117,19 +118,8 @@ export class CornerBuilder {
     this.quality = withRoom(this.quality, slot + 1);
     const { positions: p, corners } = this.surface;
     if (this.surface.ids[slot] === kNone) return;
-    const a = 3 * corners[3 * slot],
-      b = 3 * corners[3 * slot + 1],
-      c = 3 * corners[3 * slot + 2];
-    const ux = p[b] - p[a],
-      uy = p[b + 1] - p[a + 1],
-      uz = p[b + 2] - p[a + 2];
-    const vx = p[c] - p[a],
-      vy = p[c + 1] - p[a + 1],
-      vz = p[c + 2] - p[a + 2];
-    const nx = uy * vz - uz * vy,
-      ny = uz * vx - ux * vz,
-      nz = ux * vy - uy * vx;
-    this.faceNormals.set([nx, ny, nz], 3 * slot);
+    const at = 3 * slot;
+    faceNormal(p, 3 * corners[at], 3 * corners[at + 1], 3 * corners[at + 2], this.faceNormals, at);
     this.quality[slot] = this.qualityOf(slot);
   }
 

@@ -1,4 +1,5 @@
 import { withRoom } from "./surface";
+import { faceNormal } from "./triangle";
 import type { Delta } from "./wire/incise/wire/delta";
 import type { SnapshotChunk } from "./wire/incise/wire/snapshot-chunk";
 import type { Tets } from "./wire/incise/wire/tets";
@@ -84,10 +85,10 @@ export class Elements {
       c = 3 * this.vertices[v + 2],
       d = 3 * this.vertices[v + 3];
     const n = kNormals;
-    faceNormal(p, b, d, c, 0);
-    faceNormal(p, a, c, d, 3);
-    faceNormal(p, a, d, b, 6);
-    faceNormal(p, a, b, c, 9);
+    unitNormal(p, b, d, c, 0);
+    unitNormal(p, a, c, d, 3);
+    unitNormal(p, a, d, b, 6);
+    unitNormal(p, a, b, c, 9);
     let most = -1; // cosine of the smallest angle
     for (let i = 0; i < 9; i += 3) {
       for (let j = i + 3; j < 12; j += 3)
@@ -100,18 +101,7 @@ export class Elements {
 
 const kNormals = new Float64Array(12); // of the four faces of the tetrahedron being measured
 
-function faceNormal(p: Float64Array, a: number, b: number, c: number, at: number): void {
-  const ux = p[b] - p[a],
-    uy = p[b + 1] - p[a + 1],
-    uz = p[b + 2] - p[a + 2];
-  const vx = p[c] - p[a],
-    vy = p[c + 1] - p[a + 1],
-    vz = p[c + 2] - p[a + 2];
-  const x = uy * vz - uz * vy,
-    y = uz * vx - ux * vz,
-    z = ux * vy - uy * vx;
-  const scale = 1 / (Math.hypot(x, y, z) || 1);
-  kNormals[at] = x * scale;
-  kNormals[at + 1] = y * scale;
-  kNormals[at + 2] = z * scale;
+function unitNormal(p: Float64Array, a: number, b: number, c: number, at: number): void {
+  const scale = 1 / (faceNormal(p, a, b, c, kNormals, at) || 1);
+  for (let k = 0; k < 3; ++k) kNormals[at + k] *= scale;
 }

@@ -4,6 +4,7 @@ import { Latency } from "./latency";
 import type { Progress } from "./messages";
 
 const kEvery_ms = 500;
+const kLatencyStays = 4; // looks without a pose, after which the last latency is no longer shown
 
 /** What is shown of the server's /stats, whose keys may change. */
 interface ServerStats {
@@ -16,6 +17,7 @@ interface ServerStats {
 export class Figures {
   progress: Progress | null = null;
   readonly latency = new Latency();
+  private looksWithoutPose = 0;
   private last = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
   private readonly charts = {
     latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20),
@@ -95,7 +97,9 @@ export class Figures {
     this.charts.deltas.push(deltas);
     element("deltas").textContent = deltas > 0 ? `${number(deltas)}/s, ${number(bytes / 1024)} KiB/s` : "none";
     const median = this.latency.takeMedian();
+    this.looksWithoutPose = median === undefined ? this.looksWithoutPose + 1 : 0;
     if (median !== undefined) element("latency").textContent = `${number(median)} ms`;
+    else if (this.looksWithoutPose >= kLatencyStays) element("latency").textContent = "–";
     this.charts.latency.push(median ?? 0);
   }
 }

@@ -36,6 +36,7 @@ export interface HelloFields {
   blade?: { heel: Vec3; tip: Vec3 }; // an operator's own
   resumeSession?: bigint;
   resumeRevision?: bigint;
+  resumeHash?: bigint;
 }
 
 export interface LinkEvents {
@@ -271,7 +272,7 @@ export class Link {
       case ErrorCode.UnknownSource:
         return this.giveUp("taken", "Somebody else holds the blade. You can watch, or take it over.");
       case ErrorCode.BadVersion:
-        return this.giveUp("version", "This page and the server are of different versions. Reload the page.");
+        return this.giveUp("version", "This page and the server have different versions. Reload the page.");
       case ErrorCode.TooManySessions:
         this.lost = "The server is full.";
         break;
@@ -321,6 +322,7 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   Hello.addBladeRateHz(builder, fields.bladeRate_hz ?? 0);
   Hello.addMaxRateHz(builder, fields.maxRate_hz ?? 0);
   if (edge) Hello.addBlade(builder, edge);
+  Hello.addResumeHash(builder, fields.resumeHash ?? 0n);
   return Hello.endHello(builder);
 }
 

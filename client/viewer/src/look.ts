@@ -1,6 +1,6 @@
 import type { Colouring } from "./body_mesh";
 import { choose, element, input, onChoice } from "./dom";
-import { axisFacing, sideFacing } from "./section";
+import { axisFacing, mirrored, sideFacing } from "./section";
 import type { Stage } from "./stage";
 
 const kNarrow_px = 760; // as in style.css
@@ -65,7 +65,9 @@ export class Look {
     );
     onChoice("section-axis", (value) => face("xyz".indexOf(value)));
     input("section-at").addEventListener("input", show);
+    // The other half is looked at from the other side, or its skin would hide the section.
     element("section-flip").onclick = () => {
+      this.stage.lookFrom(mirrored(this.stage.toEye, this.axis));
       this.side = -this.side;
       show();
     };

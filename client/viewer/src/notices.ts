@@ -2,8 +2,8 @@ import { element } from "./dom";
 
 const kShown_ms = 8000;
 
-/** Shows a text at the top of the page for a while, with a button if there is an action. */
-export function notice(text: string, action?: string, act?: () => void): void {
+/** Shows a text at the top of the page for a while, with a button if there is an action. Returns a function to take it away. */
+export function notice(text: string, action?: string, act?: () => void): () => void {
   const box = document.createElement("div");
   box.className = "notice glass";
   const words = document.createElement("p");
@@ -22,7 +22,9 @@ export function notice(text: string, action?: string, act?: () => void): void {
   const list = element("notices");
   for (const old of [...list.children]) if (old.firstChild?.textContent === text) old.remove();
   list.append(box);
-  setTimeout(() => box.remove(), action ? 3 * kShown_ms : kShown_ms);
+  const remove = () => box.remove();
+  setTimeout(remove, action ? 3 * kShown_ms : kShown_ms);
+  return remove;
 }
 
 /** Shows what to do next; empty: hides the hint. */

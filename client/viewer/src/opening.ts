@@ -1,5 +1,6 @@
 import { kWall, sidesOf } from "./cut_sides";
 import { kNone, type Surface, withRoom } from "./surface";
+import { faceNormal } from "./triangle";
 
 // How the body is shown opened: a displacement for the lips of cuts that stop inside the tissue, and one for each piece
 // that has come free. Only what is drawn moves; positions and hashes stay.
@@ -58,22 +59,9 @@ export function measureFaces({ positions: p, corners, slots, ids, flags }: Surfa
   const faces: Faces = { normals: new Float32Array(3 * slots), areas: new Float32Array(slots), cut: [], cutArea: 0 };
   for (let s = 0; s < slots; ++s) {
     if (ids[s] === kNone) continue;
-    const a = 3 * corners[3 * s],
-      b = 3 * corners[3 * s + 1],
-      c = 3 * corners[3 * s + 2];
-    const ux = p[b] - p[a],
-      uy = p[b + 1] - p[a + 1],
-      uz = p[b + 2] - p[a + 2];
-    const vx = p[c] - p[a],
-      vy = p[c + 1] - p[a + 1],
-      vz = p[c + 2] - p[a + 2];
-    const x = (uy * vz - uz * vy) / 2,
-      y = (uz * vx - ux * vz) / 2,
-      z = (ux * vy - uy * vx) / 2;
-    faces.normals[3 * s] = x;
-    faces.normals[3 * s + 1] = y;
-    faces.normals[3 * s + 2] = z;
-    faces.areas[s] = Math.hypot(x, y, z);
+    const at = 3 * s;
+    faces.areas[s] = faceNormal(p, 3 * corners[at], 3 * corners[at + 1], 3 * corners[at + 2], faces.normals, at) / 2;
+    for (let k = 0; k < 3; ++k) faces.normals[at + k] /= 2;
     if (!(flags[s] & kCut)) continue;
     faces.cut.push(s);
     faces.cutArea += faces.areas[s];

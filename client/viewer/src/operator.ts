@@ -23,6 +23,7 @@ export class Operator {
   private openTimer: ReturnType<typeof setTimeout> | undefined;
   private openIsChosen = false;
   private newBladeTimer: ReturnType<typeof setTimeout> | undefined;
+  private removeReplayNotice = () => {};
   private held = false; // we have the blade: after a break it is taken back
   private strokesTried = 0; // for the hints
   private strokeArea_m2 = 0; // cut by the current or last stroke
@@ -51,7 +52,8 @@ export class Operator {
 
   setTool(tool: Tool): void {
     if (tool === "cut" && this.replaying) {
-      notice("A recording cannot be cut.", "Back to live", () => this.send({ kind: "replay", action: "close" }));
+      const close = () => this.send({ kind: "replay", action: "close" });
+      this.removeReplayNotice = notice("A recording cannot be cut.", "Back to live", close);
       tool = "turn";
     }
     this.show(tool);
@@ -112,7 +114,10 @@ export class Operator {
   onReplay(on: boolean): void {
     if (on === this.replaying) return;
     this.replaying = on;
-    if (!on) return this.setTool("cut");
+    if (!on) {
+      this.removeReplayNotice();
+      return this.setTool("cut");
+    }
     this.setTool("turn");
     this.send({ kind: "release-blade" });
     document.body.dataset.blade = "ended";

@@ -117,7 +117,8 @@ export class Page {
       case "was-reset":
         return this.onReset();
       case "notice":
-        return notice(message.text);
+        notice(message.text);
+        return;
       case "dump":
         return this.onDump?.(message.triangles);
     }
@@ -196,8 +197,8 @@ export class Page {
   private onReset(): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
     notice(
-      "The body was reset for everybody: by an administrator, or by the demo, which begins each pass with an " +
-        "uncut body. Earlier cuts are gone.",
+      "The body was reset for everybody, by an administrator or by the demo, which begins each pass with an " +
+        "uncut body. All cuts are gone.",
     );
   }
 
@@ -302,7 +303,7 @@ export class Page {
 
   private askToken(why: string, refused = () => {}): void {
     element("token-why").textContent =
-      `${why} Whoever runs the server can give you one. The token is kept only in this window.`;
+      `${why} Ask the person who runs the server for one. It is kept only in this window.`;
     ask("token-dialog", (confirmed) => {
       const token = input("token").value;
       input("token").value = "";

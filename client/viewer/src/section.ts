@@ -22,6 +22,13 @@ export function axisFacing(toEye: Vec3): number {
   return lengths.indexOf(Math.max(...lengths));
 }
 
+/** The direction to the eye, mirrored at the plane: from there one sees the other half's side of the section. */
+export function mirrored(toEye: Vec3, axis: number): Vec3 {
+  const there: Vec3 = [...toEye];
+  there[axis] = -there[axis];
+  return there;
+}
+
 /** The side of the plane to leave out so that the section faces the eye. */
 export function sideFacing(toEye: Vec3, axis: number): number {
   return toEye[axis] < 0 ? -1 : 1;

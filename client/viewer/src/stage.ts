@@ -217,6 +217,11 @@ export class Stage {
     this.draw();
   }
 
+  /** The whole body in view, from this direction. */
+  lookFrom(direction: Vec3): void {
+    this.fit(false, new THREE.Vector3(...direction));
+  }
+
   /** Turns around the body, in steps of 6 degrees. */
   turn(right: number, up: number): void {
     const step = Math.PI / 30;

@@ -126,7 +126,7 @@ export class Viewer {
   }
 
   private hello(): HelloFields {
-    const { holding, session, revision } = this.replica;
+    const { holding, session, revision, stateHash } = this.replica;
     this.justConnected = true;
     this.showReplay(null); // it ended with the connection
     return {
@@ -136,6 +136,7 @@ export class Viewer {
       bladeRate_hz: kBladeRate_hz,
       resumeSession: holding ? session : 0n,
       resumeRevision: holding ? revision : 0n,
+      resumeHash: holding ? stateHash : 0n,
     };
   }
 

@@ -83,20 +83,25 @@ struct HaplyInput::Impl {
         complained = false;
         ++counts.connections;
         connected = true;
-        events.write(spdlog::level::info, "haply: connected to " + options.url);
+        log(spdlog::level::info, "connected to " + options.url);
         why = co_await serve(ws);
         connected = false;
         lose();
         publish();
-        if (!stopping) events.write(spdlog::level::warn, "haply: " + options.url + ": " + why);
+        if (!stopping) log(spdlog::level::warn, options.url + ": " + why);
       } else if (!complained) {
         spdlog::warn("haply: cannot connect to {}: {}; trying again every {} s", options.url, why,
                      kRetry.count());
         complained = true;
       }
       if (!stopping) co_await wait(kRetry);
+      events.flush(monotonic_ns());
     }
     limit.cancel();
+  }
+
+  void log(spdlog::level::level_enum level, const std::string& line) {
+    events.write(level, options.url, "haply: " + line, monotonic_ns());
   }
 
   template <class Duration>
@@ -176,11 +181,12 @@ struct HaplyInput::Impl {
   asio::awaitable<bool> handle_message(std::string_view text) {
     const std::int64_t arrival_ns = monotonic_ns();
     ++counts.messages;
+    events.flush(arrival_ns);
     std::string error;
     const std::optional<HaplyState> state = read_haply_state(text, options.device, options.grip, error);
     if (!state) {
       ++counts.bad_messages;
-      events.write(spdlog::level::warn, "haply: message ignored: " + error);
+      log(spdlog::level::warn, "message ignored: " + error);
       co_return false;
     }
     if (state->device != device) {
@@ -208,8 +214,8 @@ struct HaplyInput::Impl {
     source = sources.open(options.source);
     if (!source) {
       ++counts.no_blade;
-      events.write(spdlog::level::warn, "haply: no blade for " + options.source + ": it is in use, or all " +
-                                            std::to_string(core::kMaxSources) + " are");
+      log(spdlog::level::warn, "no blade for " + options.source + ": it is in use, or all " +
+                                   std::to_string(core::kMaxSources) + " are");
       return false;
     }
     slot = &forces[source->number()];

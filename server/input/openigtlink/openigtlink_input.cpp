@@ -87,8 +87,8 @@ struct OpenIgtLinkInput::Impl {
       const std::string name = from.address().to_string() + ":" + std::to_string(from.port());
       if (peers.size() >= kMaxPeers) {
         ++context.counts.refused;
-        context.faults.write(spdlog::level::warn, "openigtlink: " + name + " refused: " +
-                                                      std::to_string(kMaxPeers) + " peers are connected");
+        context.log_fault(spdlog::level::warn, name,
+                          " refused: " + std::to_string(kMaxPeers) + " peers are connected");
         continue;  // the socket closes here
       }
       asio::co_spawn(io, serve(boost::beast::tcp_stream(std::move(socket)), name, false),
@@ -105,7 +105,7 @@ struct OpenIgtLinkInput::Impl {
     const auto peer = std::make_shared<Peer>(context, std::move(stream), std::move(name));
     peers.insert(peer);
     ++context.counts.connections;
-    context.events.write(spdlog::level::info, "openigtlink: " + peer->name() + " connected");
+    context.log_event(peer->name(), " connected");
     if (ask && options.ask_for != "nothing") {
       // At most a frame each millisecond (0 would mean: as fast as it can), in its own coordinates.
       std::vector<std::uint8_t> body(36);
@@ -115,7 +115,7 @@ struct OpenIgtLinkInput::Impl {
     try {
       co_await peer->run();
     } catch (const std::exception& error) {
-      context.faults.write(spdlog::level::err, "openigtlink: " + peer->name() + ": " + error.what());
+      context.log_fault(spdlog::level::err, peer->name(), std::string(": ") + error.what());
       peer->release_tools();
       peer->close();
     }
@@ -148,6 +148,8 @@ struct OpenIgtLinkInput::Impl {
 
   void tick() {
     const std::int64_t now_ns = monotonic_ns();
+    context.events.flush(now_ns);
+    context.faults.flush(now_ns);
     for (const auto& peer : peers) peer->check_deadlines(now_ns);
     surfaces.offer(now_ns);
     publish();

@@ -82,7 +82,7 @@ void Peer::check_deadlines(std::int64_t now_ns) {
     close();
   }
   if (!outbox_.empty() && now_ns - write_began_ns_ > kWriteTime_ns) {
-    context_.faults.write(spdlog::level::warn, "openigtlink: " + name_ + " does not read: connection closed");
+    context_.log_fault(spdlog::level::warn, name_, " does not read: connection closed");
     close();
   }
 }
@@ -92,8 +92,7 @@ void Peer::check_deadlines(std::int64_t now_ns) {
 void Peer::send(SharedBytes bytes) {
   if (closed_) return;
   if (outbox_.size() >= kMaxWaiting) {
-    context_.faults.write(spdlog::level::warn,
-                          "openigtlink: " + name_ + " sends requests and does not read: connection closed");
+    context_.log_fault(spdlog::level::warn, name_, " sends requests and does not read: connection closed");
     close();
     return;
   }
@@ -137,7 +136,7 @@ asio::awaitable<void> Peer::run() {
   while (why.empty()) why = co_await read_message();
   tools_.clear();
   if (!closed_) close();
-  context_.events.write(spdlog::level::info, "openigtlink: " + name_ + ": connection ended: " + why);
+  context_.log_event(name_, ": connection ended: " + why);
 }
 
 // Empty, or why the connection must end.
@@ -240,19 +239,18 @@ void Peer::count_fault(const Decoded& decoded) {
   ++(decoded.fault == Fault::kCrc     ? context_.counts.bad_crc
      : decoded.fault == Fault::kShape ? context_.counts.bad_shape
                                       : context_.counts.bad_values);
-  context_.faults.write(spdlog::level::warn, "openigtlink: " + name_ + ": message ignored: " + decoded.error);
+  context_.log_fault(spdlog::level::warn, name_, ": message ignored: " + decoded.error);
 }
 
 void Peer::note_bad_tools(const Message& message, const std::string& device) {
   context_.counts.bad_values += message.bad_tools;
   context_.counts.stretched += message.stretched;
-  const std::string peer = "openigtlink: " + name_ + ": ";
   if (message.bad_tools > 0) {
-    context_.faults.write(spdlog::level::warn,
-                          peer + "ignored tools of device " + device + " whose numbers are not a pose");
+    context_.log_fault(spdlog::level::warn, name_,
+                       ": ignored tools of device " + device + " whose numbers are not a pose");
   } else if (message.stretched > 0) {
-    context_.faults.write(spdlog::level::warn, peer + "a matrix of device " + device +
-                                                   " is not a rotation; the nearest rotation is used");
+    context_.log_fault(spdlog::level::warn, name_,
+                       ": a matrix of device " + device + " is not a rotation; the nearest rotation is used");
   }
 }
 
@@ -296,9 +294,9 @@ asio::awaitable<bool> Peer::open_source(Tool& tool, const std::string& name) {
     co_await pause();
   if (!tool.source) {
     ++context_.counts.no_blade;
-    context_.faults.write(spdlog::level::warn, "openigtlink: " + name_ + ": no blade for device " + name +
-                                                   ": it is in use, or all " +
-                                                   std::to_string(core::kMaxSources) + " are");
+    context_.log_fault(spdlog::level::warn, name_,
+                       ": no blade for device " + name + ": it is in use, or all " +
+                           std::to_string(core::kMaxSources) + " are");
     co_return false;
   }
   tool.arrival_ns = tool.offset_ns = 0;

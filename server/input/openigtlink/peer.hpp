@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "server/base/clock.hpp"
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/openigtlink_input.hpp"
@@ -38,6 +39,15 @@ struct PeerContext {
   const OpenIgtLinkOptions& options;
   Counts counts{};
   LimitedLog events{}, faults{};
+
+  // Lines about the peer "address:port", limited together with all of its address.
+  void log_event(const std::string& peer, const std::string& line) {
+    events.write(spdlog::level::info, address_of(peer), "openigtlink: " + peer + line, monotonic_ns());
+  }
+  void log_fault(spdlog::level::level_enum level, const std::string& peer, const std::string& line) {
+    faults.write(level, address_of(peer), "openigtlink: " + peer + line, monotonic_ns());
+  }
+  static std::string address_of(const std::string& peer) { return peer.substr(0, peer.rfind(':')); }
 
   // The shortest time between two surfaces to one peer.
   std::int64_t surface_interval_ns() const { return static_cast<std::int64_t>(1e9 / options.surface_hz); }

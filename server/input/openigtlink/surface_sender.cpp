@@ -70,7 +70,7 @@ void SurfaceSender::pack(const SurfaceFeed::Frames& frames, std::uint64_t state)
   asio::post(context_.io, [this, bytes, state, error] {
     requested_ = false;
     if (!bytes) {
-      context_.faults.write(spdlog::level::err, "openigtlink: no surface: " + error);
+      context_.log_fault(spdlog::level::err, "", "no surface: " + error);
       return;
     }
     surface_ = bytes;

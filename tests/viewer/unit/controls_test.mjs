@@ -1,6 +1,7 @@
 // The page's controls without a browser: keys, figures, the player of recordings, and who may cut.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { beforeEach, test } from "node:test";
 import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
 import { load } from "./modules.mjs";
@@ -95,6 +96,36 @@ test("the frame budget is the share of the frames since the last look", () => {
   figures.showStats("not JSON");
   assert.equal(byId("budget").textContent, "50%");
   assert.equal(byId("backlog").textContent, "none");
+});
+
+test("the latency goes when there are no poses any more", () => {
+  const timers = [];
+  const { setInterval } = globalThis;
+  globalThis.setInterval = (look) => timers.push(look);
+  const figures = new Figures();
+  globalThis.setInterval = setInterval;
+  const [look] = timers;
+  const text = () => byId("latency").textContent;
+  figures.show(progress);
+  figures.latency.expect(100);
+  figures.latency.drawn()(117);
+  look();
+  assert.equal(text(), "17 ms");
+  for (let i = 0; i < 3; ++i) look();
+  assert.equal(text(), "17 ms"); // between two poses of a slow hand
+  look();
+  assert.equal(text(), "–");
+});
+
+test("every control and every figure of the page has a tooltip", () => {
+  const page = readFileSync(new URL("../../../client/viewer/index.html", import.meta.url), "utf8");
+  const lines = page.replace(/<dialog.*?<\/dialog>/gs, "").split("\n");
+  const controls = lines.filter((line) => /<(button|input|select|dt|a) |<dt>|class="chart"/.test(line));
+  assert.ok(controls.length > 30);
+  assert.deepEqual(
+    controls.filter((line) => !/ title="[^"]{5,}"/.test(line) && !line.includes("/stats</a>.")),
+    [],
+  );
 });
 
 // ---- Recordings ----
@@ -283,6 +314,7 @@ test("in a replay there is nothing to cut", () => {
   assert.deepEqual(noticeTexts(), ["A recording cannot be cut."]);
   hands.onReplay(false);
   assert.equal(hands.tool, "cut");
+  assert.deepEqual(noticeTexts(), []); // it no longer holds
 });
 
 test("the same notice is shown once, and its button does what it says", () => {

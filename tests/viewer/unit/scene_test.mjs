@@ -16,6 +16,7 @@ const {
   kParted,
   planeOf,
   axisFacing,
+  mirrored,
   sideFacing,
   crossings,
   BodyMesh,
@@ -333,6 +334,16 @@ test("a section's plane keeps what is below it, on the side that is asked for", 
   assert.equal(axisFacing([-0.2, -0.9, 0.4]), 1);
   assert.equal(sideFacing([-0.2, -0.9, 0.4], 1), -1);
   assert.equal(sideFacing([-0.2, -0.9, 0.4], 2), 1);
+});
+
+test("the other half of a section is seen from the mirrored place, so it faces the eye, too", () => {
+  for (let axis = 0; axis < 3; ++axis) {
+    const toEye = [0.3, -0.5, 0.8];
+    const there = mirrored(toEye, axis);
+    assert.equal(sideFacing(there, axis), -sideFacing(toEye, axis));
+    assert.deepEqual(there.map(Math.abs), toEye.map(Math.abs));
+    assert.deepEqual(mirrored(there, axis), toEye);
+  }
 });
 
 test("a plane crosses triangles along segments, and knows which are of a cut", () => {

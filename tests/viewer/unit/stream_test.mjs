@@ -285,6 +285,25 @@ test("the viewer shows the protocol's example to the page", () => {
   assert.equal(patch.progress.hashAgrees, true);
 });
 
+test("a connection that is lost is taken up with the state that is held, and its hash", () => {
+  view();
+  const helloOf = (socket) => Message.getRootAsMessage(new ByteBuffer(socket.sent[0])).body(new Hello());
+  assert.equal(helloOf(sockets[0]).resumeHash(), 0n);
+  let last;
+  for (const bytes of surfaceStream()) {
+    const message = Message.getRootAsMessage(new ByteBuffer(bytes));
+    if (message.bodyType() === Body.Bye) break;
+    if (message.bodyType() === Body.SurfaceDelta) last = message.body(new SurfaceDelta());
+    sockets[0].receive(bytes);
+  }
+  sockets[0].onclose();
+  run(1000);
+  sockets[1].open();
+  const hello = helloOf(sockets[1]);
+  assert.equal(hello.resumeRevision(), last.revision());
+  assert.equal(hello.resumeHash(), last.stateHash());
+});
+
 /** What the page is sent of the protocol's example, whose two steps are of source 2. */
 function shown({ own = false, replaying = false, offset_ns = 0n, spoil = () => {} } = {}) {
   const { viewer, said } = view({ owns: (source) => own && source === 2 });

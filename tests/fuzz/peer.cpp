@@ -1,5 +1,6 @@
-// One session of the server, from a peer who may send anything. The input is a TCP stream, or with a first byte above 127
-// what comes out of WebSocket frames. Whatever comes: the session ends, its blade is free, what it sent are messages.
+// The server's side of one peer that may send anything. The input is a TCP stream or, with a first byte above 127,
+// what comes out of WebSocket frames. In every case the peer ends, its blade is free, and what it was sent are
+// messages.
 
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/detached.hpp>
@@ -12,8 +13,7 @@
 #include <span>
 #include <variant>
 
-#include "server/stream/hub.hpp"
-#include "server/stream/session.hpp"
+#include "server/stream/peers.hpp"
 #include "tests/fuzz/fuzz_check.hpp"
 
 using namespace incise;
@@ -48,7 +48,7 @@ class OpenHand final : public PeerInput {
   bool held = false;
 };
 
-// Gives a session the input's messages, and checks what it answers.
+// Gives the server the input's messages, and checks what it answers.
 class InputTransport final : public Transport {
  public:
   InputTransport(asio::io_context& io, std::span<const std::byte> input, bool web)
@@ -93,22 +93,24 @@ class InputTransport final : public Transport {
 };
 
 struct World {
-  World() : hub(io, config, {}, hand, {}) {
+  World() : context(io, config, {}, hand, {}), admission(config, context.counters), peers(context) {
     auto initial = std::make_shared<InitialState>();
-    initial->session = 1;
+    initial->epoch = 1;
     initial->positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
     initial->tets = {{0, {0, 1, 2, 3}, 0, 0, 15}};
-    hub.reset(initial);
+    peers.reset(initial);
   }
   StreamConfig config;
   asio::io_context io{1};
   OpenHand hand;
-  Hub hub;
+  PeerContext context;
+  Admission admission;
+  Peers peers;
 };
 
-// Session::run() holds its session only from its first step on.
-asio::awaitable<void> run(std::shared_ptr<Session> session) {
-  co_await session->run();
+// Peer::run() keeps its peer alive only from its first step on.
+asio::awaitable<void> run(std::shared_ptr<Peer> peer) {
+  co_await peer->run();
 }
 
 }  // namespace
@@ -120,9 +122,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   bool ended = false;
   {
     asio::ip::tcp::socket none(world.io);
-    const auto session = std::make_shared<Session>(
-        world.hub, std::make_unique<InputTransport>(world.io, input, data[0] > 127), *world.hub.admit(none));
-    asio::co_spawn(world.io, run(session), [&](std::exception_ptr thrown) {
+    const auto peer = std::make_shared<Peer>(world.context, world.peers,
+                                             std::make_unique<InputTransport>(world.io, input, data[0] > 127),
+                                             *world.admission.admit(none));
+    asio::co_spawn(world.io, run(peer), [&](std::exception_ptr thrown) {
       FUZZ_CHECK(!thrown);
       ended = true;
     });
@@ -134,6 +137,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   FUZZ_CHECK(ended);
   world.io.poll();
   FUZZ_CHECK(!world.hand.held);
-  FUZZ_CHECK(world.hub.idle());
+  FUZZ_CHECK(world.peers.empty());
   return 0;
 }

@@ -1,0 +1,233 @@
+#include "server/stream/feed_follower.hpp"
+
+#include <utility>
+
+namespace incise::stream {
+
+using protocol::SnapshotCause;
+using protocol::View;
+
+FeedFollower::FeedFollower(PeerContext& context, Outbox& outbox)
+    : context_(context),
+      outbox_(outbox),
+      feed_(&context.live),
+      snapshot_(outbox),
+      part_(*context.counters),
+      pace_(context.io) {}
+
+std::uint64_t FeedFollower::epoch_name() const {
+  return feed_->mirror().epoch() ^ (want_.view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^
+         (want_.box ? 0xc2b2ae3d27d4eb4f : 0);
+}
+
+// ---- What the peer asks for ----
+
+void FeedFollower::set(const Subscription& subscription) {
+  want_ = subscription;
+  pace_.set_rate(subscription.max_rate_hz);
+}
+
+void FeedFollower::resubscribe(const Subscription& subscription) {
+  const bool same = subscription.view == want_.view && subscription.box == want_.box;
+  set(subscription);
+  if (same) {
+    advance();
+    return;
+  }
+  drop_state();
+  snapshot_.forget();
+  resync_again_ = false;
+  send_snapshot(SnapshotCause::Subscribe);
+}
+
+void FeedFollower::switch_to(Feed& feed) {
+  drop_state();
+  // A feed that ends drops what was requested of it.
+  if (&feed == feed_) {
+    snapshot_.drop();
+  } else {
+    snapshot_.forget();
+  }
+  feed_ = &feed;
+  resync_again_ = false;
+}
+
+void FeedFollower::stop() {
+  want_ = {};
+  snapshot_.forget();
+  part_.hold(nullptr);
+  pace_.cancel();
+}
+
+void FeedFollower::drop_state() {
+  outbox_.drop_state();
+  behind_ = false;
+}
+
+// What a peer with a box held is no longer known, so it cannot resume.
+bool FeedFollower::can_resume(const protocol::Hello& hello) const {
+  return want_.view != View::None && !want_.box && hello.resume_session == epoch_name() &&
+         feed_->can_resume(hello.resume_revision, hello.resume_hash);
+}
+
+void FeedFollower::resume(std::uint64_t revision) {
+  ++context_.counters->resumed;
+  revision_ = revision;
+  advance();
+}
+
+// One snapshot at a time, however often the peer asks.
+void FeedFollower::resync() {
+  if (snapshot_.busy()) {
+    resync_again_ = snapshot_.sending();
+    return;
+  }
+  drop_state();
+  send_snapshot(SnapshotCause::Resync);
+}
+
+// ---- Snapshots ----
+
+void FeedFollower::send_snapshot(SnapshotCause cause) {
+  if (want_.view == View::None || snapshot_.requested()) return;
+  if (cause == SnapshotCause::TooSlow) {
+    if (++slow_snapshots_ > context_.config.max_slow_snapshots) {
+      outbox_.give_up(std::to_string(slow_snapshots_ - 1) + " snapshots in a row, and never caught up");
+      return;
+    }
+    ++context_.counters->slow_snapshots;
+  }
+  ++context_.counters->snapshots;
+  snapshot_.request(*feed_, want_.view, want_.box, cause,
+                    [this](std::shared_ptr<const Snapshot> snapshot) { on_snapshot(std::move(snapshot)); });
+}
+
+void FeedFollower::on_snapshot(std::shared_ptr<const Snapshot> snapshot) {
+  if (snapshot->epoch != feed_->mirror().epoch()) {
+    send_snapshot(snapshot_.cause());  // encoded before a reset
+    return;
+  }
+  if (snapshot->part) {
+    if (!part_.has_room_for(*snapshot->part, context_.config.max_part_bytes)) {
+      refuse_box("has no memory for more of them", snapshot_.cause());
+      return;
+    }
+    if (!context_.box_turns.has_room()) {
+      refuse_box("has no time for more of them", snapshot_.cause());
+      return;
+    }
+  }
+  snapshot_.begin(std::move(snapshot));
+  advance();
+}
+
+void FeedFollower::on_snapshot_sent(const Snapshot& snapshot) {
+  revision_ = snapshot.begin.revision;
+  part_.hold(snapshot.part);
+  if (std::exchange(resync_again_, false)) send_snapshot(SnapshotCause::Resync);
+}
+
+// ---- Deltas ----
+
+void FeedFollower::advance() {
+  if (want_.view == View::None || snapshot_.requested()) return;
+  if (snapshot_.sending()) {
+    const auto sent = snapshot_.send_chunks(context_.config.outbox_bytes);
+    if (!sent) return;
+    on_snapshot_sent(*sent);
+    if (snapshot_.requested()) return;
+  }
+  if (!has_room()) return;
+  const std::uint64_t head = feed_->mirror().revision();
+  if (revision_ == head) {
+    if (outbox_.state_bytes() == 0) slow_snapshots_ = 0;
+    return;
+  }
+  if (!pace_.allow(outbox_.keep(), [this] { advance(); })) return;
+  if (!want_.box) {
+    send_deltas(head);
+  } else if (!std::exchange(box_turn_asked_, true)) {
+    context_.box_turns.ask(self());
+  }
+}
+
+// A full outbox must half empty before it gets more, so that what is missing becomes one delta.
+bool FeedFollower::has_room() {
+  const std::size_t limit = context_.config.outbox_bytes;
+  if (outbox_.state_bytes() > limit) behind_ = true;
+  if (behind_ && outbox_.state_bytes() > limit / 2) return false;
+  behind_ = false;
+  return true;
+}
+
+// One delta for each revision if the peer did not ask for fewer and there is room for them; else one for all.
+void FeedFollower::send_deltas(std::uint64_t head) {
+  if (!feed_->ring().covers(revision_, head)) {
+    send_snapshot(SnapshotCause::TooSlow);
+    return;
+  }
+  const auto frame_of = [&](std::uint64_t revision) {
+    const EncodedStep& step = feed_->ring().step(revision);
+    return want_.view == View::Surface ? step.surface : step.volume;
+  };
+  const std::size_t limit = context_.config.outbox_bytes;
+  std::size_t missing = 0;
+  for (std::uint64_t r = revision_ + 1; r <= head && missing <= limit; ++r)
+    missing += frame_of(r)->tcp().size();
+  if (head - revision_ == 1 || (!pace_.limited() && outbox_.state_bytes() + missing <= limit)) {
+    while (revision_ < head) outbox_.send_state(frame_of(++revision_));
+    return;
+  }
+  const SharedFrame frame = feed_->coalesced(want_.view, revision_);
+  if (!frame) {
+    send_snapshot(SnapshotCause::TooSlow);
+    return;
+  }
+  ++context_.counters->coalesced;
+  revision_ = head;
+  outbox_.send_state(frame);
+}
+
+// ---- The box ----
+
+bool FeedFollower::wants_box_turn() const {
+  return want_.view != View::None && want_.box && part_.get() && !snapshot_.busy() &&
+         revision_ != feed_->mirror().revision();
+}
+
+bool FeedFollower::make_box_delta() {
+  box_turn_asked_ = false;
+  const std::uint64_t head = feed_->mirror().revision();
+  const SharedFrame frame = feed_->part_delta(*part_.get());
+  part_.recount();
+  if (!frame) {
+    send_snapshot(SnapshotCause::TooSlow);
+    return false;
+  }
+  if (head - revision_ > 1) {
+    ++context_.counters->coalesced;
+    ++context_.counters->box_coalesced;
+  }
+  revision_ = head;
+  outbox_.send_state(frame);
+  return true;
+}
+
+void FeedFollower::lose_box() {
+  if (!want_.box || snapshot_.busy()) return;
+  drop_state();
+  refuse_box("has no time for yours", SnapshotCause::Subscribe);
+}
+
+void FeedFollower::refuse_box(const std::string& why, SnapshotCause cause) {
+  ++context_.counters->boxes_refused;
+  outbox_.complain(protocol::ErrorCode::NotAvailable,
+                   "box: the server " + why +
+                       "; everything is sent. Subscribe again later, with a smaller box or a max_rate_hz",
+                   0);
+  want_.box.reset();
+  part_.hold(nullptr);
+  send_snapshot(cause);
+}
+
+}  // namespace incise::stream

@@ -1,0 +1,333 @@
+#include "server/stream/peer.hpp"
+
+#include <utility>
+#include <variant>
+
+#include "server/base/clock.hpp"
+#include "server/stream/pause.hpp"
+#include "server/stream/quoted.hpp"
+
+namespace incise::stream {
+namespace {
+
+using protocol::ByeReason;
+using protocol::ErrorCode;
+using protocol::Role;
+
+constexpr std::size_t kMaxWaitingBladeBytes = 4096;  // older poses are of no use
+constexpr std::int64_t kLinger_ns = 1'000'000'000;   // for the peer to close after Bye
+// For a peer that has not been reading, so that it still finds Bye behind the message that is on its way.
+constexpr std::int64_t kLongLinger_ns = 60'000'000'000;
+
+std::int64_t to_ns(double seconds) {
+  return static_cast<std::int64_t>(seconds * 1e9);
+}
+
+std::string seconds_text(std::int64_t ns) {
+  return std::to_string(ns / 1'000'000'000) + " s";
+}
+
+}  // namespace
+
+Peer::Peer(PeerContext& context, PeerDirectory& others, std::unique_ptr<Transport> transport, Ticket ticket)
+    : context_(context),
+      others_(others),
+      transport_(std::move(transport)),
+      ticket_(std::move(ticket)),
+      address_(transport_->peer()),
+      rate_(context.config.max_messages_per_s),
+      outbox_(*transport_, *this, *context.counters),
+      replay_(context, outbox_, *this),
+      follower_(context, outbox_),
+      opened_ns_(monotonic_ns()),
+      last_received_ns_(opened_ns_) {}
+
+Peer::~Peer() = default;
+
+std::string Peer::described() const {
+  return quoted(client_name_) + " at " + address_;
+}
+
+std::size_t Peer::accepted_bytes() const {
+  if (stage_ == Stage::kHandshake) return protocol::kMaxHandshakeBytes;
+  return role_ == Role::Simulator ? protocol::kMaxSimulatorBytes : protocol::kMaxClientBytes;
+}
+
+// ---- Reading ----
+
+asio::awaitable<void> Peer::run() {
+  const auto self = shared_from_this();
+  others_.add(self);
+  while (stage_ == Stage::kHandshake || stage_ == Stage::kOpen) {
+    const bool go_on = co_await receive();
+    if (!go_on) break;
+  }
+  blade_.release();
+  positions_.release();
+  if (stage_ == Stage::kClosing) co_await transport_->discard();
+  close();
+  others_.remove(self);
+}
+
+// False at the end of the connection.
+asio::awaitable<bool> Peer::receive() {
+  const Received received = co_await transport_->read();
+  if (received.closed) co_return false;
+  last_received_ns_ = monotonic_ns();
+  if (ending()) co_return true;
+  if (!received.error.empty()) {
+    ++context_.counters->bad_messages;
+    refuse({received.too_long ? ErrorCode::TooLong : ErrorCode::BadFrame, received.error});
+    co_return true;
+  }
+  ++context_.counters->messages_in;
+  context_.counters->bytes_in += received.body.size();
+  protocol::DecodeResult decoded = protocol::decode(received.body, accepted_bytes());
+  if (!decoded) {
+    ++context_.counters->bad_messages;
+    refuse({decoded.code, decoded.error});
+    co_return true;
+  }
+  const bool poses = std::holds_alternative<protocol::PoseBatch>(decoded.message->body);
+  if (!poses && !rate_.allow(last_received_ns_)) {
+    refuse({ErrorCode::RateExceeded,
+            "more than " + std::to_string(context_.config.max_messages_per_s) + " messages a second"},
+           decoded.message->envelope.sequence);
+    co_return true;
+  }
+  co_await dispatch(std::move(*decoded.message));
+  co_return true;
+}
+
+asio::awaitable<void> Peer::dispatch(protocol::Message message) {
+  const std::uint64_t sequence = message.envelope.sequence;
+  const protocol::Body& body = message.body;
+  if (stage_ == Stage::kHandshake) {
+    if (const auto* hello = std::get_if<protocol::Hello>(&body)) {
+      co_await on_hello(*hello, sequence);
+    } else {
+      refuse({ErrorCode::BadState, std::string(name_of(body)) + " before Hello"}, sequence);
+    }
+    co_return;
+  }
+  if (const auto* poses = std::get_if<protocol::PoseBatch>(&body)) {
+    co_await on_poses(*poses, sequence);
+  } else if (const auto* stroke = std::get_if<protocol::StrokeControl>(&body)) {
+    co_await on_stroke(*stroke, sequence);
+  } else if (const auto* ping = std::get_if<protocol::Ping>(&body)) {
+    outbox_.send(make_frame(protocol::Pong{ping->nonce, ping->sent_ns, last_received_ns_}));
+  } else if (std::holds_alternative<protocol::Pong>(body)) {
+    // It has moved last_received_ns_, which is all it is for.
+  } else if (const auto* subscribe = std::get_if<protocol::Subscribe>(&body)) {
+    follower_.resubscribe({subscribe->view, subscribe->box, subscribe->max_rate_hz});
+  } else if (std::holds_alternative<protocol::Resync>(body)) {
+    follower_.resync();
+  } else if (std::holds_alternative<protocol::Reset>(body)) {
+    on_reset(sequence);
+  } else if (std::holds_alternative<protocol::Bye>(body)) {
+    finish(ByeReason::Done, "");
+  } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
+    on_replay(*replay, sequence);
+  } else if (const auto* positions = std::get_if<protocol::Positions>(&body)) {
+    on_positions(*positions, sequence);
+  } else {
+    outbox_.complain(ErrorCode::BadState, std::string(name_of(body)) + " is not for a client to send now",
+                     sequence);
+  }
+}
+
+// ---- Messages of an open peer ----
+
+asio::awaitable<void> Peer::on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence) {
+  if (!blade_.held()) {
+    if (!rate_.allow(last_received_ns_)) {
+      refuse({ErrorCode::RateExceeded, "poses from a peer that is not an operator"}, sequence);
+    } else {
+      outbox_.complain(ErrorCode::Forbidden, "PoseBatch: only operators send poses", sequence);
+    }
+    co_return;
+  }
+  const auto delay = rate_.delay_poses(last_received_ns_);
+  if (delay.count() > 0) co_await pause(delay);
+  co_await blade_.enqueue(batch, sequence, last_received_ns_, context_.facts.engage_button);
+}
+
+asio::awaitable<void> Peer::on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence) {
+  if (!blade_.held()) {
+    outbox_.complain(ErrorCode::Forbidden, "StrokeControl: only operators have a blade", sequence);
+    co_return;
+  }
+  switch (control.action) {
+    case protocol::StrokeAction::Engage:
+      blade_.engage();
+      break;
+    case protocol::StrokeAction::End:
+      co_await blade_.end_stroke(last_received_ns_);
+      break;
+    case protocol::StrokeAction::HandOver:
+      ++context_.counters->handovers;
+      context_.audit(Audit::kBlade, ticket_.address().address(),
+                     "blade " + quoted(blade_.source_name()) + " handed over by " + described());
+      blade_.release();
+      finish(ByeReason::HandedOver, "the blade is free");
+      break;
+  }
+}
+
+void Peer::on_positions(const protocol::Positions& positions, std::uint64_t sequence) {
+  if (role_ != Role::Simulator) {
+    outbox_.complain(ErrorCode::Forbidden, "Positions: only simulators send them", sequence);
+    return;
+  }
+  const auto refusal = positions_.offer(positions, context_.live.mirror(), context_.input, last_received_ns_);
+  if (refusal) outbox_.complain(refusal->code, refusal->text, sequence);
+}
+
+void Peer::on_reset(std::uint64_t sequence) {
+  if (role_ != Role::Admin) {
+    outbox_.complain(ErrorCode::Forbidden, "Reset: only an admin may", sequence);
+  } else if (!context_.input.reset()) {
+    outbox_.complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
+  } else {
+    ++context_.counters->resets;
+    context_.audit(Audit::kReset, ticket_.address().address(), "the mesh is reset by " + described());
+  }
+}
+
+void Peer::on_replay(const protocol::ReplayControl& control, std::uint64_t sequence) {
+  if (role_ != Role::Viewer && role_ != Role::Admin) {
+    outbox_.complain(ErrorCode::Forbidden, "ReplayControl: only viewers and admins may", sequence);
+  } else {
+    replay_.control(control, sequence);
+  }
+}
+
+// ---- What is sent to it ----
+
+void Peer::on_live_reset() {
+  if (!replay_.feed()) on_state_replaced();
+}
+
+void Peer::on_state_replaced() {
+  follower_.switch_to(replay_.feed() ? *replay_.feed() : context_.live);
+  if (!open()) return;
+  send_welcome(false);
+  follower_.send_snapshot(protocol::SnapshotCause::Reset);
+}
+
+void Peer::send(SharedFrame frame) {
+  if (open()) outbox_.send(std::move(frame));
+}
+
+void Peer::send_force(const protocol::Force& force) {
+  if (open() && blade_.held() && blade_.input()->number() == force.source) outbox_.send_force(force);
+}
+
+void Peer::report_deformation(const PublishedDelta& step) {
+  if (!open()) return;
+  if (const auto report = positions_.report(step)) outbox_.send(make_frame(*report));
+}
+
+void Peer::send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns) {
+  if (!wants_blades() || now_ns < blades_due_ns_ || outbox_.control_bytes() > kMaxWaitingBladeBytes) return;
+  blades_due_ns_ = now_ns + to_ns(0.9 / static_cast<double>(blade_rate_hz_));
+  for (const SharedFrame& frame : frames) outbox_.send(frame);
+}
+
+void Peer::warn_not_recorded() {
+  if (!open() || !blade_.held()) return;
+  const std::string text = "poses are cut, but not recorded: " + context_.recording.trouble;
+  outbox_.complain(ErrorCode::NotRecorded, text.substr(0, protocol::kMaxTextBytes), 0);
+}
+
+// ---- Deadlines ----
+
+void Peer::tick(std::int64_t now_ns) {
+  switch (stage_) {
+    case Stage::kHandshake:
+      if (now_ns - opened_ns_ > to_ns(context_.config.handshake_timeout_s))
+        finish(ByeReason::HandshakeTimeout, "no Hello in time");
+      break;
+    case Stage::kOpen:
+      tick_open(now_ns);
+      break;
+    case Stage::kClosing:
+      if (now_ns - closing_since_ns_ > (outbox_.write_began_ns() != 0 ? kLongLinger_ns : kLinger_ns)) close();
+      break;
+    case Stage::kClosed:
+      break;
+  }
+}
+
+void Peer::tick_open(std::int64_t now_ns) {
+  const StreamConfig& config = context_.config;
+  const std::int64_t writing_ns = outbox_.write_began_ns() != 0 ? now_ns - outbox_.write_began_ns() : 0;
+  if (writing_ns > to_ns(config.write_timeout_s)) {
+    on_too_slow("nothing was read for " + seconds_text(writing_ns));
+    return;
+  }
+  const std::int64_t silent_ns = now_ns - last_received_ns_, idle_ns = to_ns(config.idle_timeout_s);
+  if (silent_ns > idle_ns) {
+    finish(ByeReason::Idle, "nothing came for " + seconds_text(silent_ns));
+    return;
+  }
+  if (silent_ns > idle_ns / 3 && now_ns - last_ping_ns_ > idle_ns / 3) {
+    last_ping_ns_ = now_ns;
+    outbox_.send(make_frame(protocol::Ping{static_cast<std::uint64_t>(now_ns), now_ns}));
+  }
+  if (blade_.held() && now_ns - last_report_ns_ >= to_ns(1 / config.max_report_rate_hz)) {
+    last_report_ns_ = now_ns;
+    if (const auto report = blade_.next_report(context_.recording.state)) outbox_.send(make_frame(*report));
+  }
+}
+
+// ---- Ending ----
+
+void Peer::refuse(const Refusal& refusal, std::uint64_t sequence) {
+  if (ending()) return;
+  if (stage_ == Stage::kHandshake) ++context_.counters->refused;
+  const std::string text = refusal.text.substr(0, protocol::kMaxTextBytes);
+  outbox_.send(make_frame(protocol::Error{refusal.code, text, true, sequence}));
+  finish(ByeReason::Refused, "");
+}
+
+void Peer::on_too_slow(const std::string& what) {
+  if (ending()) return;
+  ++context_.counters->slow_disconnects;
+  outbox_.drop_control();
+  finish(ByeReason::TooSlow, what);
+}
+
+void Peer::finish(ByeReason reason, const std::string& text) {
+  if (ending()) return;
+  // When the server stops, what it has published still goes out.
+  if (reason != ByeReason::ServerStops) outbox_.drop_state();
+  release_parts();
+  stage_ = Stage::kClosing;
+  closing_since_ns_ = monotonic_ns();
+  ticket_.free_place();
+  if (outbox_.write_began_ns() != 0) others_.linger(shared_from_this());
+  outbox_.send_last(make_frame(protocol::Bye{reason, text}));
+}
+
+void Peer::release_parts() {
+  blade_.release();
+  positions_.release();
+  replay_.stop();
+  follower_.stop();
+}
+
+void Peer::on_last_written() {
+  closing_since_ns_ = monotonic_ns();
+  transport_->shut_down(shared_from_this());
+}
+
+void Peer::close() {
+  if (stage_ == Stage::kClosed) return;
+  stage_ = Stage::kClosed;
+  release_parts();
+  outbox_.close();
+  transport_->close();
+}
+
+}  // namespace incise::stream

@@ -1,0 +1,160 @@
+// Peer, from Hello to Welcome.
+
+#include <algorithm>
+#include <cmath>
+
+#include "protocol/role_names.hpp"
+#include "server/base/clock.hpp"
+#include "server/stream/pause.hpp"
+#include "server/stream/peer.hpp"
+#include "server/stream/quoted.hpp"
+
+namespace incise::stream {
+namespace {
+
+using protocol::ErrorCode;
+using protocol::SnapshotCause;
+using std::chrono::milliseconds;
+
+constexpr int kTakeOverTries = 1000;  // of kQueueRetry each
+
+double distance(const protocol::Vec3& a, const protocol::Vec3& b) {
+  return std::hypot(a.x - b.x, a.y - b.y, a.z - b.z);
+}
+
+// The cost of a sweep grows with the blade's length.
+std::optional<Refusal> check_blade(const protocol::BladeEdge& blade, const protocol::Box& mesh) {
+  const double length = distance(blade.heel, blade.tip), max = 100 * distance(mesh.min, mesh.max);
+  if (length <= max) return std::nullopt;
+  return Refusal{ErrorCode::BadRequest, "Hello.blade is " + std::to_string(length) +
+                                            " m long, accepted are up to " + std::to_string(max) +
+                                            " m: 100 times the mesh"};
+}
+
+}  // namespace
+
+asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t sequence) {
+  if (hello.protocol_version != protocol::kProtocolVersion) {
+    refuse({ErrorCode::BadVersion, "protocol version " + std::to_string(hello.protocol_version) +
+                                       ", accepted is " + std::to_string(protocol::kProtocolVersion)},
+           sequence);
+    co_return;
+  }
+  client_name_ = hello.client_name;
+  std::optional<Refusal> refusal = co_await check_token(hello);
+  if (!refusal && !ticket_.take_place()) {
+    refusal = Refusal{ErrorCode::TooManySessions,
+                      "there are " + std::to_string(context_.config.max_sessions) + " sessions already"};
+  }
+  if (!refusal && hello.role == protocol::Role::Operator) refusal = co_await take_blade(hello);
+  if (refusal) refuse(*refusal, sequence);
+  if (stage_ != Stage::kHandshake) co_return;
+
+  role_ = hello.role;
+  blade_rate_hz_ = hello.blade_rate_hz;
+  stage_ = Stage::kOpen;
+  transport_->set_max_bytes(accepted_bytes());
+  follower_.start({hello.view, hello.box, hello.max_rate_hz});
+  const bool returns = hello.view != protocol::View::None && hello.resume_session != 0;
+  const bool resumed = returns && follower_.can_resume(hello);
+  send_welcome(resumed);
+  blade_.note_reported(context_.recording.state);
+  if (context_.recording.state == protocol::Recording::Stopped) warn_not_recorded();
+  if (resumed) {
+    follower_.resume(hello.resume_revision);
+  } else {
+    follower_.send_snapshot(returns ? SnapshotCause::ResumeGone : SnapshotCause::Join);
+  }
+}
+
+// A right token is never delayed; the answer to a wrong one may be.
+asio::awaitable<std::optional<Refusal>> Peer::check_token(const protocol::Hello& hello) {
+  using Verdict = Access::Verdict;
+  const auto opens = [&](const AccessToken& token) {
+    return std::find(token.roles.begin(), token.roles.end(), hello.role) != token.roles.end();
+  };
+  const asio::ip::address address = ticket_.address().address();
+  const Access::Answer answer = context_.access.ask(address, hello.token, opens, last_received_ns_);
+  if (answer.verdict == Verdict::kGranted) co_return std::nullopt;
+  const std::string role = std::string("role ") + name_of(hello.role);
+  context_.note_refusal(answer, address, role, described());
+  if (answer.hold_ns > 0) {
+    const auto held = context_.access.hold();
+    opened_ns_ += answer.hold_ns;  // the handshake's deadline is for the peer's time, not for ours
+    co_await pause(milliseconds(answer.hold_ns / 1'000'000));
+  }
+  Refusal refusal{ErrorCode::Unauthorized, "the token is wrong, or does not open " + role};
+  if (answer.verdict == Verdict::kNoToken) refusal.text = role + " needs a token, and none was given";
+  if (answer.verdict == Verdict::kNotLookedAt) {
+    refusal = {ErrorCode::RateExceeded, "too many wrong tokens from this address; try again in " +
+                                            std::to_string(1 + answer.come_back_ns / 1'000'000'000) + " s"};
+  }
+  co_return refusal;
+}
+
+asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& hello) {
+  if (hello.blade) {
+    std::optional<Refusal> refusal = check_blade(*hello.blade, context_.facts.mesh.box);
+    if (refusal) co_return refusal;
+  }
+  std::unique_ptr<PoseInput> input = context_.input.open(hello.source_name, hello.blade);
+  if (!input && hello.take_over) input = co_await take_over(hello);
+  if (!input) {
+    co_return Refusal{
+        ErrorCode::BladeTaken,
+        others_.holder(hello.source_name)
+            ? "the blade \"" + hello.source_name + "\" is held by another operator"
+            : "no blade is free for \"" + hello.source_name + "\": all are held by other sources"};
+  }
+  blade_.hold(std::move(input), hello.source_name);
+  co_return std::nullopt;
+}
+
+// The blade of that name, from the peer that holds it; null where it does not become free.
+asio::awaitable<std::unique_ptr<PoseInput>> Peer::take_over(const protocol::Hello& hello) {
+  if (const auto holder = others_.holder(hello.source_name)) {
+    ++context_.counters->takeovers;
+    context_.audit(Audit::kBlade, ticket_.address().address(),
+                   "blade " + quoted(hello.source_name) + " taken over by " + described() + " from " +
+                       holder->described());
+    holder->blade_.release();
+    holder->finish(protocol::ByeReason::HandedOver, "another operator has taken the blade");
+  }
+  // It is free once the loop has ended its stroke.
+  std::unique_ptr<PoseInput> input;
+  for (int i = 0; i < kTakeOverTries && !input && stage_ == Stage::kHandshake; ++i) {
+    co_await pause(kQueueRetry);
+    input = context_.input.open(hello.source_name, hello.blade);
+  }
+  co_return input;
+}
+
+void Peer::send_welcome(bool resumed) {
+  const ServerFacts& facts = context_.facts;
+  const Mirror& mirror = follower_.feed().mirror();
+  const PoseInput* blade = blade_.input();
+  protocol::Welcome welcome;
+  welcome.session = follower_.epoch_name();
+  welcome.role = role_;
+  welcome.view = follower_.view();
+  welcome.resumed = resumed;
+  welcome.revision = mirror.revision();
+  welcome.state_hash = mirror.volume().state_hash();
+  welcome.mesh = replay_.feed() ? replay_.mesh() : facts.mesh;
+  welcome.blade_heel = blade ? blade->heel() : facts.blade_heel;
+  welcome.blade_tip = blade ? blade->tip() : facts.blade_tip;
+  welcome.source = blade ? blade->number() : 0;
+  welcome.engage_button = facts.engage_button;
+  welcome.max_speed_m_s = facts.max_speed_m_s;
+  welcome.frame_rate_hz = facts.frame_rate_hz;
+  welcome.max_message_bytes = static_cast<std::uint32_t>(accepted_bytes());
+  welcome.server_name = "incised";
+  welcome.server_version = INCISE_VERSION;
+  welcome.server_monotonic_ns = monotonic_ns();
+  welcome.server_unix_ns = unix_ns();
+  welcome.policy = facts.policy;
+  welcome.recording = context_.recording.state;
+  outbox_.send(make_frame(std::move(welcome)));
+}
+
+}  // namespace incise::stream
