@@ -1,5 +1,5 @@
 // One session of the server, from a peer who may send anything. The input is a TCP stream, or with a first byte above 127
-// what comes out of WebSocket frames. Whatever comes: the session ends, its blade is free, what it sent are messages.
+// the payload of WebSocket frames. For any input the session ends, its blade is free, and it has sent only messages.
 
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/detached.hpp>

@@ -112,7 +112,7 @@ TEST(FrameLoop, ForcesChangeNoCut) {
 }
 
 // A frame that hangs ends the force of the next one, whatever deadline that one was given. On a loaded machine frames
-// hang by themselves, before there is a force: then it is tried anew.
+// hang by themselves, before there is a force: then it is tried again.
 TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
   core::CutConfig made = config(Policy::kConforming);
   made.blade = {{0, 0, 0}, {0, 0, -0.05}};
@@ -361,7 +361,7 @@ TEST(FrameLoop, AStreamThatDoesNotReadHoldsTheCutAndLosesNothing) {
   options.most_unread_deltas = 1000;
   FrameLoop loop(session, hub, kept, nullptr, options);
   auto source = hub.open_source("blade");
-  const auto all = timed(tests::sweep_through(5'000, 10'000, 2.0));  // beside the body
+  const auto all = timed(tests::sweep_through(5'000, 10'000, 2.0));  // outside the body
   std::size_t pushed = 0;
   while (pushed < all.size()) {
     pushed += source->push(std::span(all).subspan(pushed));

@@ -135,7 +135,7 @@ TEST(TetRepair, TangledMeshIsRefused) {
 
 TEST(TetRepair, InvertedTetrahedraDeepInsideAreRefused) {
   MeshData mesh = cube_mesh(12);
-  // Two neighbours deep inside have changed places: no small move mends that.
+  // Two neighbours deep inside have changed places: no small move repairs that.
   const std::size_t v = 6 + 13 * (6 + 13 * 6);
   std::swap(mesh.positions[v], mesh.positions[v + 1]);
   const std::string error = error_of([&] { repair(mesh, 1); });

@@ -235,7 +235,7 @@ test("a server with tokens asks for one", async (t) => {
   await page.locator("#token").fill("only-for-watching");
   await page.keyboard.press("Enter");
   await until(page, () => window.incise.progress);
-  // What the page asks for beside the stream comes by the same token.
+  // What the page fetches apart from the stream uses the same token.
   await until(page, () => document.querySelector("#captures")?.textContent === "last week");
   const figures = page.waitForEvent("popup");
   await page.evaluate(() => document.querySelector(".links a[href=stats]").click());
