@@ -41,7 +41,7 @@ class ForceSink {
 // Thread: the loop's. frame() does at most ProbeWork's bounds for each blade, whatever has been cut, and allocates nothing.
 class ForceStage {
  public:
-  // `tissue` knows of all cuts so far. `sink` and `slots` may be null; what is not must outlive this.
+  // `tissue` knows all cuts so far. `sink` and `slots` may be null; otherwise they must outlive this.
   ForceStage(const ForceConfig& config, const core::CutConfig& cut, std::unique_ptr<Tissue> tissue,
              ForceSink* sink, ForceSlots* slots);
 
@@ -70,9 +70,9 @@ class ForceStage {
     core::Pose pose, felt;  // the newest; the one that the last frame took
     std::int64_t arrival_ns = 0, moved_ns = 0, last_frame_ns = 0;
     bool opened = false, has_pose = false, has_felt = false, jumped = false;
-    bool pressed_anew = false;  // the engage button, since the last frame
-    bool told = false;          // the sink knows of a force or of tissue
-    core::Vec3 acting;          // N
+    bool pressed_again = false;  // the engage button, since the last frame
+    bool told = false;           // the sink knows of a force or of tissue
+    core::Vec3 acting;           // N
   };
   bool engaged(const core::Pose& pose) const noexcept {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;

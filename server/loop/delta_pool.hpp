@@ -16,21 +16,21 @@ using stream::PublishedDelta;
 class DeltaSink {
  public:
   virtual ~DeltaSink() = default;
-  // Immutable from here on; whoever gets a copy lets go of it when done.
+  // Immutable from here on; each reader releases its copy when done.
   virtual void publish(std::shared_ptr<const PublishedDelta> delta) noexcept = 0;
 };
 
-// Objects for deltas that go round: one that all readers have let go of is filled again, arrays and all, so a
-// steady frame allocates nothing. Readers are expected to let go in the order of publishing.
+// Reuses delta objects: one that all readers have released is filled again, arrays and all, so a
+// steady frame allocates nothing. Readers are expected to release them in the order of publishing.
 //
-// Thread: take() from the loop's; letting go from any. A reader may outlive the pool.
+// Thread: take() from the loop's; releasing from any. A reader may outlive the pool.
 class DeltaPool {
  public:
   // `warm`: objects made in advance, with room for the deltas of common batches. `most`: objects at most,
   // which bounds the memory that a reader who has stopped reading can hold.
   explicit DeltaPool(std::size_t warm = 64, std::size_t most = 1u << 16);
 
-  // An object to fill; null where `most` are held by readers. One that was taken is taken again until
+  // An object to fill; null if readers hold `most`. Returns the same object until
   // given().
   std::shared_ptr<PublishedDelta> take();
   // The object that take() gave is on its way to the readers.

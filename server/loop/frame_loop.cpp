@@ -182,7 +182,7 @@ void FrameLoop::take(std::uint32_t source, const input::InputEvent& event, std::
       break;
   }
   const bool recorded = write(record);
-  // What is in the journal's hands is told of by the journal, once it has handed it on.
+  // The journal acknowledges the poses that it has accepted, once they are written.
   if (!recorded && event.kind == Kind::kPose) input_.tell(source, record.verdict, record.pose.t_ns);
   for (std::size_t i = batches; i < session_->backlog_batches(); ++i) stamp(event.pose.arrival_ns, now_ns);
 }

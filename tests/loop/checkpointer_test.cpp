@@ -164,7 +164,8 @@ TEST_F(CheckpointerTest, AnotherHashIsToldAndEndsIt) {
   const auto checkpointer = make(1000);
   for (const JournalRecord& record : records) checkpointer->record(record);
   EXPECT_TRUE(wait_for(*checkpointer, [&] { return !checkpointer->following(); }));
-  EXPECT_NE(told().find("revision 3 has another hash when it is computed again"), std::string::npos) << told();
+  EXPECT_NE(told().find("revision 3 has another hash when it is computed again"), std::string::npos)
+      << told();
   checkpointer->mark(1, 0, 0, true);
   checkpointer->record({});
   EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->behind() == 0; }));
