@@ -5,7 +5,7 @@
 namespace incise::haptics {
 namespace {
 
-// A source that has been silent for so long is not looked at until it sends again.
+// A source that has been silent for this long is skipped until it sends again.
 constexpr std::int64_t kAsleep_ns = 1'000'000'000;
 
 }  // namespace

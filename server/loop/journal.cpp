@@ -16,8 +16,8 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
-// How often the thread looks for records. The queue holds a second of them at the least, so this bounds only
-// how old a record is when it reaches the system.
+// How often the thread looks for records. The queue holds at least a second's worth, so this only bounds
+// how old a record is when it is written.
 constexpr milliseconds kPoll{5};
 // How long to wait before a failing sink is tried again.
 constexpr milliseconds kRetry{1000};
