@@ -1,6 +1,6 @@
 #pragma once
 
-// What the replicas of both views and of parts check alike. For their sources alone.
+// Checks that the replicas of both views and of parts share. For their sources only.
 
 #include <algorithm>
 #include <array>
@@ -78,7 +78,7 @@ class MoreUses {
   std::vector<Use> uses_;
 };
 
-// Whether it is the next chunk of a snapshot of which so many have come.
+// Whether `chunk` is the next one of a snapshot, after the first `chunks_done`.
 inline ApplyResult check_turn(const SnapshotBegin& begin, std::uint32_t chunks_done,
                               const SnapshotChunk& chunk) {
   if (chunk.index == chunks_done && chunk.index < begin.chunks) return {};
@@ -86,7 +86,7 @@ inline ApplyResult check_turn(const SnapshotBegin& begin, std::uint32_t chunks_d
                                             number(chunks_done) + " of " + number(begin.chunks));
 }
 
-// Whether it ends that snapshot, and all chunks have come.
+// Whether `end` ends that snapshot, and all chunks have arrived.
 inline ApplyResult check_turn(const SnapshotBegin& begin, std::uint32_t chunks_done, const SnapshotEnd& end) {
   if (chunks_done == begin.chunks && end.revision == begin.revision) return {};
   return refuse(ApplyError::OutOfOrder, "end of the snapshot of revision " + number(end.revision) +

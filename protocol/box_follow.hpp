@@ -1,7 +1,7 @@
 #pragma once
 
-// What a server needs to keep the parts of a mesh that boxes of interest hold up to date, at a cost that goes with the part
-// and with what changed at its edge: which elements it has to look at after a step.
+// Finds the elements that a server must look at after a step to keep the parts of a mesh in boxes of interest up to
+// date, at a cost that depends on the part and on what changed at its edge, not on the mesh.
 
 #include <cstddef>
 #include <cstdint>
@@ -16,7 +16,7 @@ namespace incise::protocol {
 // Whether the corners' own bounding box meets `box`, bounds included.
 bool meets(const Box& box, std::span<const Vec3> corners);
 
-// The tetrahedra at each vertex of a whole mesh, to find what a vertex that moves takes along: a linked list of corners
+// The tetrahedra at each vertex of a whole mesh, to find those that change when a vertex moves: a linked list of corners
 // (4 tetrahedron + place) for each vertex.
 //
 // Thread: one, at a time. Owns: its lists, 16 bytes a tetrahedron.
@@ -24,7 +24,7 @@ class TetIndex {
  public:
   // Of all of `mesh`. O(mesh).
   void load(const Replica& mesh);
-  // What `delta` changes; `before` has not applied it yet. O(delta x tetrahedra at a vertex).
+  // Applies `delta`; `before` has not applied it yet. O(delta x tetrahedra at a vertex).
   void follow(const Replica& before, const Delta& delta);
   // Appends the tetrahedra that have `vertex`.
   void append_tets(std::uint32_t vertex, std::vector<std::uint32_t>& out) const;

@@ -26,8 +26,8 @@ constexpr std::size_t kRecordHeadBytes = 4 + 4 + 1;  // length, CRC, type
 // Flags of a PositionsRecord.
 constexpr std::uint8_t kWithIds = 1, kSingle = 2;
 constexpr std::uint8_t kLastType = std::variant_size_v<CaptureRecord>;
-// How far behind wrong bytes a good record is looked for, and how long it may be: poses and marks are short
-// and many.
+// How far behind wrong bytes the reader looks for a good record, and how long that may be: most records are poses
+// and marks, which are short.
 constexpr std::size_t kScanBytes = 1u << 20;
 constexpr std::size_t kScanRecordBytes = 4096;
 

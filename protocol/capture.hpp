@@ -1,7 +1,7 @@
 #pragma once
 
 // The capture: what the loop drained, in order, with marks that carry the state hash. One append-only file,
-// which a replay verifies and a restarted server resumes from. PROTOCOL.md, "Capture", gives it byte for
+// which a replay verifies and a restarted server resumes from. PROTOCOL.md, "Capture", specifies every
 // byte.
 
 #include <cstddef>
@@ -45,7 +45,7 @@ struct StrokeRecord {
   friend bool operator==(const StrokeRecord&, const StrokeRecord&) = default;
 };
 
-// The blade has another holder, whose clock may start anew, and this shape from here on.
+// From here on the blade has another holder, whose clock may have another origin, and this shape.
 struct BladeRecord {
   std::uint32_t source = 0;
   std::int64_t arrival_ns = 0;
@@ -69,7 +69,7 @@ struct NoteRecord {
   friend bool operator==(const NoteRecord&, const NoteRecord&) = default;
 };
 
-// Records are missing here: the disk was full or too slow. A replay cannot go past it, only start behind it
+// Records are missing here: the disk was full or too slow. A replay cannot cross the gap, only start behind it
 // from a checkpoint.
 struct GapRecord {
   std::uint64_t records = 0, bytes = 0;  // that were dropped
@@ -78,7 +78,7 @@ struct GapRecord {
   friend bool operator==(const GapRecord&, const GapRecord&) = default;
 };
 
-// A checkpoint may be of this place: a file that carries this id holds the state that replaying all before gives.
+// A checkpoint may exist for this place: a file with this id holds the state that replaying all earlier records gives.
 struct CheckpointRecord {
   std::uint64_t id = 0;  // random
   friend bool operator==(const CheckpointRecord&, const CheckpointRecord&) = default;
@@ -141,23 +141,23 @@ class FileSink final : public CaptureSink {
   int fd_ = -1;
 };
 
-// Makes records into bytes and the bytes into whole records on the sink. Thread: one, at a time, not the
+// Encodes records and writes them whole to the sink. Thread: one, at a time, not the
 // loop's.
 //
-// After an error the sink is cut back to the last whole flush before anything else is written, so that a
-// capture has no torn record but at its end.
+// After an error the sink is cut back to the last whole flush before anything else is written, so that only
+// the last record of a capture can be torn.
 class CaptureWriter {
  public:
   // A new capture: the header waits in the buffer as if it were the first record. Throws
-  // std::invalid_argument where config_json is no JSON object or the header is longer than
+  // std::invalid_argument if config_json is not a JSON object or the header is longer than
   // kMaxCaptureHeaderBytes.
   CaptureWriter(CaptureSink& sink, const CaptureHeader& header);
-  // Goes on with a capture whose whole records end at `offset` (CaptureReader::good_bytes()) and number
-  // `records`; what stands behind them is cut off with the first flush.
+  // Continues a capture that has `records` whole records, up to `offset` (CaptureReader::good_bytes()); the
+  // first flush cuts off what follows them.
   CaptureWriter(CaptureSink& sink, std::uint64_t offset, std::uint64_t records);
 
-  // Puts a record into the buffer. Throws std::length_error where it is longer than kMaxCaptureRecordBytes,
-  // or where positions are not three for each vertex.
+  // Puts a record into the buffer. Throws std::length_error if it is longer than kMaxCaptureRecordBytes,
+  // or has not three coordinates for each vertex.
   void append(const CaptureRecord& record);
   // Writes the buffer. On an error it keeps all of it, to be tried again or dropped.
   std::error_code flush();
@@ -167,7 +167,7 @@ class CaptureWriter {
   struct Dropped {
     std::uint64_t records = 0, bytes = 0;
   };
-  // Empties the buffer: what a gap record then stands for. A header that was never written stays.
+  // Empties the buffer; a gap record should then say so. A header that was never written stays.
   Dropped drop_pending();
 
   std::size_t pending_bytes() const { return buffer_.size(); }
@@ -185,7 +185,7 @@ class CaptureWriter {
   bool cut_back_ = false;  // the sink may hold more than written_
 };
 
-// Reads a capture from the front, trusting none of it. Never throws on account of the bytes; allocates no
+// Reads a capture from the front, trusting none of it. Never throws because of the bytes; allocates no
 // more than the stream holds. Thread: one, at a time.
 //
 //   CaptureReader reader(in);
@@ -203,8 +203,8 @@ class CaptureReader {
   // Reads and checks the header. `in` must outlive the reader.
   explicit CaptureReader(std::istream& in);
 
-  // Goes on at `offset`, where a record begins that `records` others stand before, as a checkpoint says. Where none begins
-  // there, next() gives Torn or Corrupt. Before the first next(), with a good header.
+  // Goes on at `offset`, the place of record number `records` (from 0), as a checkpoint says. If no record begins
+  // there, next() gives Torn or Corrupt. Call it before the first next(), with a good header.
   void skip_to(std::uint64_t offset, std::uint64_t records);
 
   // Whether the header is good: without it next() gives Torn or Corrupt at once.

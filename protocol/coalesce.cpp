@@ -44,8 +44,8 @@ bool deforms(const Delta& d) {
   return std::any_of(d.steps.begin(), d.steps.end(), [](const Step& step) { return step.stroke == 0; });
 }
 
-// The rest positions that the deltas together change. A cut before the first deformation says none: they are the
-// positions that it gives, which a later delta of these may change.
+// The rest positions that the deltas change together. A cut before the first deformation lists none: there they are the
+// positions that it sets, which a later one of these deltas may change.
 void join_rest(std::span<const Delta> deltas, OwnedDelta& out) {
   if (std::none_of(deltas.begin(), deltas.end(),
                    [](const Delta& d) { return deforms(d) || !d.rest_ids.empty(); })) {

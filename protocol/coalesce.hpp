@@ -52,11 +52,11 @@ struct OwnedSurfaceDelta {
   SurfaceDelta view() const;
 };
 
-// The one delta that leads where `deltas` lead one after the other: it takes a state at the first one's base
+// One delta with the same effect as `deltas` one after the other: it takes a state at the first one's base
 // revision to the same state, hash, pieces and steps included. Vertices keep the provenance of the delta that
-// added them. The deltas must follow on each other and there must be one at least (else
-// std::invalid_argument). Deltas of a part of the volume (VolumePart) are not put together so: a part's is made of the
-// whole's. O(n log n) in their size.
+// added them. There must be at least one delta, and each must start where the one before ends (else
+// std::invalid_argument). Not for deltas of a part of the volume (VolumePart), which are made from those of the
+// whole. O(n log n) in their size.
 OwnedDelta coalesce(std::span<const Delta> deltas);
 OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas);
 

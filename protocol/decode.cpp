@@ -232,7 +232,7 @@ class MessageReader : public FieldReader {
     out.first = m.first();
     const std::size_t single = m.f32() == nullptr ? 0 : m.f32()->size();
     const std::size_t twice = m.f64() == nullptr ? 0 : m.f64()->size();
-    require(single == 0 || twice == 0, "f64", "present beside f32, accepted is one of them");
+    require(single == 0 || twice == 0, "f64", "present as well as f32, accepted is one of them");
     const std::size_t vertices = out.ids.empty() ? (single + twice) / 3 : out.ids.size();
     if (single > 0) out.f32 = positions("f32", m.f32(), vertices);
     if (twice > 0) out.f64 = positions("f64", m.f64(), vertices);

@@ -257,7 +257,7 @@ std::size_t bytes_of(const SurfaceVertexArrays& v) {
   return v.ids.size() * (4 + 12);
 }
 
-// What a message takes beside its arrays, about.
+// About how many bytes a message has apart from its arrays.
 constexpr std::size_t kSmall = 1024;
 
 // About how long the message gets: what the builder should allocate at once.
@@ -339,7 +339,7 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
       failed_ = true;
       if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
         error_ =
-            "the port speaks HTTP, not the binary protocol: give the other port, or ws:// before this one; ";
+            "the port speaks HTTP, not the binary protocol: use the other port, or ws:// before this one; ";
       error_ += "length prefix: " + std::to_string(size) + " bytes, accepted are " +
                 std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
       return Status::Failed;
@@ -349,7 +349,7 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
   const std::size_t n = std::min(size_ - have_, input.size());
   const std::size_t words = (have_ + n + 7) / 8;
   if (buffer_.size() < words) {
-    // Twice what has arrived, never more than the message: a prefix alone makes nobody allocate.
+    // Twice what has arrived, never more than the message: a prefix alone must not cause a large allocation.
     buffer_.resize(std::min((size_ + 7) / 8, 2 * words));
   }
   if (n > 0) std::memcpy(reinterpret_cast<std::byte*>(buffer_.data()) + have_, input.data(), n);

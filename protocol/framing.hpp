@@ -62,8 +62,8 @@ struct DecodeResult {
 // Decodes one message (without the length prefix) that a peer sent. Checks, in this order: the length against
 // `max_bytes`; the identifier; every offset (FlatBuffers' verifier); that arrays which belong together have
 // matching lengths, numbers are finite and coordinates within kMaxCoordinate, enumerations known, texts
-// within their limits. What only a state can tell (ids in range, order of messages) is for whoever holds the
-// state. Never throws on account of the bytes; allocates no more than a small multiple of their number.
+// within their limits. Checks that need a state (ids in range, order of messages) are left to its
+// holder. Never throws because of the bytes; allocates no more than a small multiple of their number.
 DecodeResult decode(std::span<const std::byte> bytes, std::size_t max_bytes = kMaxMessageBytes);
 
 // Cuts a TCP byte stream into messages. Holds at most one message and grows with what has arrived, not with

@@ -35,7 +35,7 @@ struct Sparse64 {
   }
 };
 
-// Values by id, in the order of the ids. For ids that are handed out one after another and of which some are in use: a surface's
+// Values by id, in the order of the ids. For ids that are assigned in ascending order, some of them in use, such as a surface's
 // vertices and half-faces. Looking one up takes three steps, whatever the size; a value takes its own bytes and, with few
 // neighbours, up to a hundred more. The whole takes 32 bytes for each 4,096 ids up to the largest.
 template <class T>
@@ -93,20 +93,20 @@ class IdMap {
   Iterator begin() const { return Iterator(this, 0); }
   Iterator end() const { return Iterator(this, Iterator::kEnd); }
 
-  // Null where there is none. Pointers and references are good until the next element is made or taken out.
+  // Null if the id is not there. Pointers and references are valid until the next element is added or removed.
   const T* find(std::uint32_t id) const {
     if (id >> 12 >= blocks_.size()) return nullptr;
     const Page* page = blocks_[id >> 12].find(id >> 6 & 63);
     return page == nullptr ? nullptr : page->find(id & 63);
   }
   bool contains(std::uint32_t id) const { return find(id) != nullptr; }
-  // Throws std::out_of_range where there is none.
+  // Throws std::out_of_range if the id is not there.
   const T& at(std::uint32_t id) const {
     const T* found = find(id);
     if (found == nullptr) throw std::out_of_range("IdMap: no such id");
     return *found;
   }
-  // Makes it where there is none.
+  // Adds the id if it is not there.
   T& operator[](std::uint32_t id) {
     if (id >> 12 >= blocks_.size()) blocks_.resize((id >> 12) + std::size_t{1});
     Page& page = blocks_[id >> 12].at(id >> 6 & 63);

@@ -11,8 +11,8 @@ namespace incise::protocol {
 // One message, whoever sends it: a snapshot chunk or the delta of a very large batch. A browser allocates one
 // message at once, so not more.
 inline constexpr std::size_t kMaxMessageBytes = 64u << 20;
-// Before Welcome a peer is a stranger: a Hello with a token and a name fits many times over, a flood does
-// not.
+// What a peer may send before Welcome: many times a Hello with a token and a name, but not a
+// flood.
 inline constexpr std::size_t kMaxHandshakeBytes = 16u << 10;
 // What a viewer, operator or admin may send: the largest pose batch, rounded up.
 inline constexpr std::size_t kMaxClientBytes = 1u << 20;

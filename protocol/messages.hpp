@@ -371,7 +371,7 @@ using Body =
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);
-// The code's name as in the schema, e.g. "BadFrame"; "?" for a number that is none.
+// The code's name as in the schema, e.g. "BadFrame"; "?" for an unknown number.
 const char* name_of(ErrorCode code);
 // "off", "on" or "stopped".
 const char* name_of(Recording recording);

@@ -247,7 +247,7 @@ ApplyResult Replica::check(const Delta& d) const {
                                             ", accepted are those below " + number(vertices));
   }
   for (std::size_t i = 0; i < added; ++i) {
-    // Of an older vertex, or one added before it in this delta.
+    // Made from an older vertex, or from one added earlier in this delta.
     if (d.provenance_a[i] >= vertices + i || d.provenance_b[i] >= vertices + i) {
       return refuse(ApplyError::BadIndex, "vertex " + number(vertices + i) + " made of " +
                                               number(d.provenance_a[i]) + " and " +

@@ -25,7 +25,7 @@ enum class ApplyError {
   BadShape,      // arrays that do not fit together
   BadIndex,      // an id out of range, dead, twice, or not where it must be
   LimitReached,  // more than this replica may hold
-  HashMismatch,  // all is consistent, and yet the state is another than the sender's
+  HashMismatch,  // the message is consistent, but the state differs from the sender's
 };
 
 struct ApplyResult {
@@ -46,12 +46,12 @@ class Replica {
   // for each vertex. O(mesh).
   ApplyResult load(std::span<const double> positions, const TetArrays& tets, std::uint64_t revision);
 
-  // A snapshot: begin, its chunks in order, end. The state before it stays in force until end() has checked
+  // A snapshot: begin, its chunks in order, end. The old state stays in force until end() has checked
   // the whole; a part that is refused abandons the snapshot.
   ApplyResult begin(const SnapshotBegin& part);
   ApplyResult chunk(const SnapshotChunk& part);
   ApplyResult end(const SnapshotEnd& part);
-  // Chunks that have come of the snapshot under way, and all that it has; 0 and 0 without one.
+  // Chunks of the current snapshot that have arrived, and how many it has; 0 and 0 without one.
   std::uint32_t chunks_done() const { return staged_ ? staged_->chunks_done : 0; }
   std::uint32_t chunks_total() const { return staged_ ? staged_->begin.chunks : 0; }
 
@@ -107,7 +107,7 @@ class Replica {
     });
   }
 
-  // The state as bytes, the same for any two replicas of it whatever way they came there. PROTOCOL.md,
+  // The state as bytes, the same for any two replicas of it however they reached it. PROTOCOL.md,
   // "Canonical bytes", is the format. O(mesh).
   std::vector<std::byte> canonical_bytes() const;
 

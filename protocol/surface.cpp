@@ -325,7 +325,7 @@ void SurfaceReplica::load_part(const SurfaceReplica& whole, const Box& box) {
 SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, const TetIndex& index,
                                           const MeshChange& change, const Box& box) {
   std::vector<std::uint32_t> tets = change.tets;
-  // A vertex that moves takes triangles into the box, or out of it, that are the same otherwise.
+  // A vertex that moves may take otherwise unchanged triangles into the box, or out of it.
   for (const std::uint32_t v : change.cut_moved) index.append_tets(v, tets);
   sort_unique(tets);
   std::vector<std::uint32_t> triangles;

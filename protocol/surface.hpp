@@ -1,7 +1,7 @@
 #pragma once
 
 // View Surface: the boundary triangles of the mesh and their vertices in single precision. A client holds a
-// SurfaceReplica; the server holds one too, beside its Replica, and finds with it what to send.
+// SurfaceReplica; the server holds one too, in addition to its Replica, and finds with it what to send.
 
 #include <array>
 #include <cstddef>
@@ -49,7 +49,7 @@ class SurfaceReplica {
     std::uint32_t uses = 0;  // triangles at it
   };
 
-  // As Replica's: the state before it stays in force until end() has checked the whole.
+  // As in Replica: the old state stays in force until end() has checked the whole new one.
   ApplyResult begin(const SnapshotBegin& part);
   ApplyResult chunk(const SnapshotChunk& part);
   ApplyResult end(const SnapshotEnd& part);
@@ -86,8 +86,8 @@ class SurfaceReplica {
   // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
   // O(surface).
   void load_part(const SurfaceReplica& whole, const Box& box);
-  // Where this was that part of the surface that `change` has since brought to `whole`: makes it that of the surface now,
-  // and returns what changed. `index` is that of the mesh. O(change x tetrahedra at a vertex); of a deformation O(part), and
+  // Brings this part from the state before `change` to that of `whole`, which has applied it, and returns what
+  // changed. `index` is that of the mesh. O(change x tetrahedra at a vertex); of a deformation O(part), and
   // every few steps O(surface).
   SurfaceChange follow_part(const SurfaceReplica& whole, const TetIndex& index, const MeshChange& change,
                             const Box& box);
@@ -99,11 +99,11 @@ class SurfaceReplica {
     IdMap<Triangle> triangles;
     IdMap<Vertex> vertices;
 
-    // What stands against the change, or nothing; and what the hash would be after it.
+    // Why the change must be refused, or no error; `hash_after`: the hash after it.
     ApplyResult check(const SurfaceVertexArrays& vertices, std::span<const std::uint32_t> removed_vertices,
                       const TriangleArrays& triangles, std::span<const std::uint32_t> removed_triangles,
                       std::uint64_t& hash_after) const;
-    // A change that check() has let pass.
+    // Makes a change that check() has accepted.
     void apply(const SurfaceVertexArrays& vertices, std::span<const std::uint32_t> removed_vertices,
                const TriangleArrays& triangles, std::span<const std::uint32_t> removed_triangles,
                std::uint64_t hash_after);

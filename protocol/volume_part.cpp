@@ -58,8 +58,8 @@ void append(std::vector<double>& out, const Vec3& p) {
   out.insert(out.end(), {p.x, p.y, p.z});
 }
 
-// The half-faces whose place on the boundary is another after a tetrahedron of the part has changed, come (no `old`) or
-// gone (no `now`).
+// The half-faces that enter, leave or change on the boundary when a tetrahedron of the part changes, enters (no `old`) or
+// leaves (no `now`).
 void append_faces(OwnedDelta& out, std::uint32_t id, const VolumePart::Tet* old, const VolumePart::Tet* now) {
   for (std::uint32_t f = 0; f < 4; ++f) {
     const bool was = old && (old->boundary_mask >> f & 1);
@@ -321,11 +321,11 @@ void VolumePart::load_part(const Replica& whole, const Box& box) {
   state_.revision = whole.revision();
 }
 
-// Those that the change names, and those that it may have moved into or out of the box.
+// The tetrahedra that the change names, and those that it may have moved into or out of the box.
 std::vector<std::uint32_t> VolumePart::tets_to_look_at(const Replica& whole, const TetIndex& index,
                                                        const MeshChange& change, const Box& box) {
   std::vector<std::uint32_t> out = change.tets;
-  // A vertex that moves takes tetrahedra into the box, or out of it, that are the same otherwise.
+  // A vertex that moves may take otherwise unchanged tetrahedra into the box, or out of it.
   for (const std::uint32_t v : change.cut_moved) index.append_tets(v, out);
   sort_unique(out);
   for (const std::uint32_t t : out)
@@ -351,7 +351,7 @@ std::vector<std::uint32_t> VolumePart::tets_to_look_at(const Replica& whole, con
   return out;
 }
 
-// Vertices that may lie elsewhere now, though no tetrahedron at them has changed.
+// Adds vertices that may have moved although none of their tetrahedra has changed.
 void VolumePart::add_moved(const Replica& whole, const MeshChange& change, MoreUses& out) {
   if (!change.deformed) {
     for (const std::uint32_t v : change.cut_moved) out.add(v);

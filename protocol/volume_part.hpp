@@ -36,7 +36,7 @@ class VolumePart {
     std::uint32_t uses = 0;  // tetrahedra at it, of the part
   };
 
-  // As Replica's: the state before it stays in force until end() has checked the whole.
+  // As in Replica: the old state stays in force until end() has checked the whole new one.
   ApplyResult begin(const SnapshotBegin& part);
   ApplyResult chunk(const SnapshotChunk& part);
   ApplyResult end(const SnapshotEnd& part);
@@ -67,8 +67,8 @@ class VolumePart {
   // Makes this the part of `whole` that touches `box`: the tetrahedra whose own bounding box meets it, bounds included.
   // O(mesh).
   void load_part(const Replica& whole, const Box& box);
-  // Where this was that part of the mesh that `change` has since brought to `whole`: makes it that of the mesh now, and
-  // returns the delta that does so. `index` is that of `whole`. O(change x tetrahedra at a vertex); of a deformation O(part),
+  // Brings this part from the state before `change` to that of `whole`, which has applied it, and returns the delta
+  // that does so. `index` is that of `whole`. O(change x tetrahedra at a vertex); of a deformation O(part),
   // and every few steps O(mesh).
   OwnedDelta follow_part(const Replica& whole, const TetIndex& index, const MeshChange& change,
                          const Box& box);

@@ -38,7 +38,7 @@ typedef struct {
   int32_t position[3];  /* x y z, nm */
   int32_t rotation[4];  /* w x y z, times 2^30; of unit length */
   uint16_t buttons;     /* bit i: button i is held; button 0 engages the blade */
-  uint16_t grip;        /* 0 open ... 65535 closed; 0 where there is none */
+  uint16_t grip;        /* 0 open ... 65535 closed; 0 if the device has no grip */
 } incise_stylus_input;  /* 40 bytes */
 
 enum { INCISE_STYLUS_FORCE_ON = 1 };

@@ -16,7 +16,7 @@ using core::Vec3;
 
 constexpr double kSame = 1e-7;  // parameters that differ by less are one crossing
 
-// Where along a line the tissue is cut already, by so many samples.
+// Which parts of a line run through tissue that is cut already, in samples.
 class CutStretches {
  public:
   CutStretches(const CutMap& cuts, const BladeLine& line) noexcept {
@@ -29,7 +29,7 @@ class CutStretches {
         cut_.set(static_cast<std::size_t>(i));
     }
   }
-  // The part of [a, b] that is not.
+  // The part of [a, b] that is not cut.
   double uncut(double a, double b) const noexcept {
     if (count_ == 0) return 1;
     const int first = sample(a), last = sample(b);
@@ -96,8 +96,7 @@ class Sum {
   Vec3 at(double t) const noexcept { return lerp(line_.heel, line_.tip, t); }
 
   void add(TetId t, double in, double out) noexcept {
-    if (in <=
-        out) {  // forward: what was counted is not counted again, though inverted tetrahedra may overlap
+    if (in <= out) {  // only forward: nothing is counted twice, even if inverted tetrahedra overlap
       in = std::max(in, counted_to_);
       counted_to_ = std::max(counted_to_, out);
       if (out <= in) return;
@@ -129,8 +128,8 @@ class Sum {
   Engagement sum_;
 };
 
-// The tetrahedron that p lies in: the surface is left where a ray from p first meets it, and from there a walk leads
-// back. A ray that grazes an edge can mislead; hardly all of them.
+// The tetrahedron that contains p: a ray from p finds the surface, and a walk leads back from there to
+// p. A ray that grazes an edge can mislead; hardly all three.
 TetId locate(const Tissue& tissue, const Vec3& p, ProbeWork& work) noexcept {
   const Vec3 low = tissue.surface().low(), high = tissue.surface().high();
   if (!(p.x >= low.x && p.y >= low.y && p.z >= low.z && p.x <= high.x && p.y <= high.y && p.z <= high.z))
@@ -164,7 +163,7 @@ Engagement probe(const Tissue& tissue, const Materials& materials, const BladeLi
     if (t != core::kNone) sum.walk(t, 0, 1);
     return sum.result();
   }
-  double done = -1;  // the line is dealt with up to here
+  double done = -1;  // the line has been processed up to here
   for (const Crossing& crossing : std::span(found).first(count)) {
     if (crossing.entering) {
       if (crossing.at < done - kSame) continue;

@@ -20,8 +20,8 @@ struct Engagement {
   double from = 0, to = 0;
 };
 
-// Finds what of the edge is inside: where it crosses the surface, and what lies between by walking through the
-// tetrahedra; and what of that is cut, every 0.25 h. O(log surface + tetrahedra along the edge), within the bounds of
+// Finds the parts of the edge inside, from its crossings with the surface and a walk through the
+// tetrahedra between them, and which of that is cut, every 0.25 h. O(log surface + tetrahedra along the edge), within the bounds of
 // `work`; at most kMostCrossings crossings count.
 Engagement probe(const Tissue& tissue, const Materials& materials, const core::BladeLine& line,
                  ProbeWork& work) noexcept;

@@ -7,10 +7,10 @@
 
 namespace incise::haptics {
 
-// Where a body has been cut, and across which directions, however often: a grid of cells of 0.25 h, each with one bit
-// for each of 16 directions that the normals of its cuts are nearest to. So what a frame asks of it costs the same in a
-// fresh body and in one that was cut to slices. Two bytes a cell of the body's box; at most 16 million cells, wider ones
-// beyond that.
+// Where a body has been cut, and in which directions: a grid of cells of 0.25 h, each with one bit
+// for each of 16 directions; a cut sets the one nearest to its normal. So a frame's queries cost the same in a
+// fresh body and in one that was cut to slices. Two bytes for each cell of the body's box; at most 16 million cells, wider
+// ones in larger bodies.
 //
 // Thread: one, at a time.
 class CutMap {
@@ -27,8 +27,8 @@ class CutMap {
 
   // The directions of cuts at p.
   Directions at(const core::Vec3& p) const noexcept;
-  // The directions of cuts that an edge along the unit vector lies in, rather than crosses them: its angle to them is
-  // below 40 degrees, give or take the 21 that a direction stands for.
+  // The directions of cuts in which an edge along this unit vector lies, instead of crossing them: its angle to the cut is
+  // below 40 degrees, within the 21 degrees that one direction covers.
   static Directions along(const core::Vec3& edge) noexcept;
   // m.
   double cell() const { return cell_; }

@@ -11,8 +11,8 @@ using core::Vec3;
 constexpr double kSmoothing_s = 0.005;  // of the velocity: one pose's noise must not be felt
 constexpr double kFaceSlack_h = 0.05;   // what the surface may have moved between two frames
 constexpr double kDeepest_h = 6;        // the surface is not looked for farther off
-// The front forgets itself when the blade has left it so far behind, or aside: from there the mesh knows what is cut,
-// for it opens up to two elements behind the blade.
+// The front is forgotten when the blade is this far behind it or beside it: there the map of cuts is up to date,
+// since faces open at most two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
 
 Vec3 across(const Vec3& v, const Vec3& unit) {
@@ -62,7 +62,7 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   return feel;
 }
 
-// The velocity of the point of the tool that is in the middle of the edge inside.
+// The velocity of the tool at the middle of the edge inside.
 void ForceModel::find_velocity(const BladeMotion& motion, const Engagement& engagement) noexcept {
   if (!has_last_) return;
   if (!(motion.dt_s > 0)) {
@@ -74,13 +74,13 @@ void ForceModel::find_velocity(const BladeMotion& motion, const Engagement& enga
   velocity_ += motion.dt_s / (kSmoothing_s + motion.dt_s) * ((1 / motion.dt_s) * step - velocity_);
 }
 
-// Free or in contact, with something of the edge inside: how deep, and which way is out.
+// Free or in contact, with part of the edge inside: finds how deep it is, and which way is out.
 void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, double moved,
                             Feel& feel) noexcept {
   const Engagement& engagement = feel.engagement;
   const bool first = phase_ == Phase::kFree;
   const double h = tissue.h();
-  if (first && !has_last_) {  // it was put there: nothing says which way is out
+  if (first && !has_last_) {  // it did not move there: the way out is unknown
     phase_ = Phase::kInside;
     front_ = lerp(motion.line.heel, motion.line.tip, engagement.middle);
     front_heading_ = {};
@@ -103,7 +103,7 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
     const Vec3 out = normalized(deepest->point - deepest_point);
     normal_ = depth_ > 1e-3 * h && dot(out, deepest->normal) > 0 ? out : deepest->normal;
   } else if (!first) {
-    // Deeper than is looked for: by how it has moved.
+    // Deeper than the search reaches: follow its motion.
     const double at = engagement.middle;
     depth_ -=
         dot(lerp(motion.line.heel, motion.line.tip, at) - lerp(last_line_.heel, last_line_.tip, at), normal_);
@@ -113,7 +113,7 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   }
 }
 
-// From the surface to the inside, or from nowhere: the front is ahead of the spring, which keeps what it may hold.
+// The blade enters, from the surface or without a contact before: the front starts where the spring just holds.
 void ForceModel::get_in(const Vec3& middle, const Vec3& along, const Engagement& engagement) noexcept {
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
@@ -125,7 +125,7 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
                                       Feel& feel) noexcept {
   const double stiffness = engagement.stiffness_n_m;
   const double holds = std::max(engagement.puncture_n, engagement.fracture_n);
-  // Into a slit that is there already nothing is punctured.
+  // A blade that enters an existing slit punctures nothing.
   const bool open = engagement.uncut_m < 0.5 * engagement.length_m;
   if (open || (motion.engaged && stiffness * depth_ > holds)) {
     const Vec3 edge = normalized(motion.line.tip - motion.line.heel);
@@ -135,7 +135,7 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
   }
   const double into = dot(velocity_, normal_);
   const double spring = stiffness * depth_;
-  // The damper only takes from a spring that lets go: the surface does not pull.
+  // The damper can only reduce the force of a spring that relaxes: the surface does not pull.
   const double damper = std::max(-damping_ * into, -spring);
   feel.force = damper * normal_ - engagement.friction_n_s_m * across(velocity_, normal_);
   feel.contact =
@@ -150,7 +150,7 @@ ForceModel::Elastic ForceModel::cut(const BladeMotion& motion, const Engagement&
   const Vec3 edge = normalized(motion.line.tip - motion.line.heel);
   const double stiffness = engagement.stiffness_n_m;
   Vec3 ahead = across(middle - front_, edge);
-  double behind = 0;  // the front, m
+  double behind = 0;  // how far the blade is behind the front, m
   if (!motion.engaged) {
     front_ = middle;
     front_heading_ = ahead = {};
@@ -170,7 +170,7 @@ ForceModel::Elastic ForceModel::cut(const BladeMotion& motion, const Engagement&
     ahead = (holds / stretch) * ahead;
   }
   feel.force = -engagement.friction_n_s_m * velocity_;
-  // As a plane: across the way that the spring is stretched, or that the front went.
+  // The contact plane: square to the stretch of the spring, or to the last motion of the front.
   const double stretch = length(ahead);
   const Vec3 way = stretch > 0 ? (1 / stretch) * ahead : front_heading_;
   const bool plane = motion.engaged && engagement.fracture_n > 0 && squared_length(way) > 0;

@@ -19,7 +19,7 @@ struct BladeMotion {
   double elapsed_s = 0;  // since the last call, by ours
 };
 
-// The tissue near the blade as a plane, for whoever renders at a rate of their own (protocol::LocalContact).
+// The tissue near the blade as a plane, for clients that render at their own rate (protocol::LocalContact).
 struct ContactPlane {
   core::Vec3 point;   // the tool's origin when the force begins, m
   core::Vec3 normal;  // unit, out of the tissue

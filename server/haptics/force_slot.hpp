@@ -58,7 +58,7 @@ class ForceSlot {
   // The device's: a report could not be written. The device may still hold the last force.
   void write_failed() noexcept { failed_writes_.fetch_add(1, std::memory_order_release); }
 
-  // Any: what the device can make at most, newtons; 0: there is none that makes forces.
+  // Any: the largest force that the device can make, newtons; 0: no device makes forces.
   double limit() const noexcept { return limit_.load(std::memory_order_acquire); }
   // Any: how often so far. A change since the last look is a fault of the device.
   std::uint32_t losses() const noexcept { return losses_.load(std::memory_order_acquire); }

@@ -5,7 +5,7 @@
 namespace incise::haptics {
 namespace {
 
-// A source that has been silent for so long is not looked at until it sends again.
+// A source that has been silent for this long is skipped until it sends again.
 constexpr std::int64_t kAsleep_ns = 1'000'000'000;
 
 }  // namespace
@@ -20,7 +20,7 @@ void ForceStage::opened(std::uint32_t source, const core::Blade& blade) noexcept
   Hand& hand = *hands_[source];
   hand.blade = blade;
   hand.opened = true;
-  hand.has_pose = hand.has_felt = hand.pressed_anew = false;
+  hand.has_pose = hand.has_felt = hand.pressed_again = false;
   hand.model.jump();
   hand.chain.arm(slots_ ? (*slots_)[source].losses() : 0, slots_ ? (*slots_)[source].failed_writes() : 0);
 }
@@ -31,14 +31,14 @@ void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_
   const bool same = hand.has_pose && pose.position == hand.pose.position &&
                     pose.orientation == hand.pose.orientation && pose.buttons == hand.pose.buttons;
   if (!same) hand.moved_ns = arrival_ns;
-  hand.pressed_anew = hand.pressed_anew || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
+  hand.pressed_again = hand.pressed_again || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
   hand.jumped = hand.jumped || jumped || (hand.has_pose && too_far(hand.blade, hand.pose, pose));
   hand.pose = pose;
   hand.arrival_ns = arrival_ns;
   hand.has_pose = true;
 }
 
-// Not moved there, but put there: as a stroke judges it, of blades that do not cut, too.
+// Whether the blade jumped there instead of moving: the rule for strokes, applied to blades that do not cut, too.
 bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
                          const core::Pose& to) const noexcept {
   const core::BladeLine a = core::blade_line(blade, from), b = core::blade_line(blade, to);
@@ -104,8 +104,8 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   force.feel = hand.model.update(*tissue_, motion, hand.acting);
   cut_short_ += force.feel.work.cut_short;
 
-  if (hand.pressed_anew && !force.feel.contact) hand.chain.rearm_after_faults();
-  hand.pressed_anew = false;
+  if (hand.pressed_again && !force.feel.contact) hand.chain.rearm_after_faults();
+  hand.pressed_again = false;
   SafetyInput in;
   in.now_ns = now_ns;
   in.wanted = force.feel.force;

@@ -15,7 +15,7 @@
 
 namespace incise::haptics {
 
-// What a blade makes its user feel from one frame on.
+// The force on a blade from one frame on.
 struct BladeForce {
   std::uint32_t source = 0;
   std::int64_t pose_t_ns = 0;        // source time of the pose that it belongs to
@@ -26,7 +26,7 @@ struct BladeForce {
   Feel feel;                         // what the safety chain was given, and the tissue at the blade
 };
 
-// Takes the forces that are for somebody on the network. Called on the loop's thread: must not block or allocate.
+// Takes the forces for operators on the network. Called on the loop's thread: must not block or allocate.
 class ForceSink {
  public:
   virtual ~ForceSink() = default;
@@ -41,23 +41,23 @@ class ForceSink {
 // Thread: the loop's. frame() does at most ProbeWork's bounds for each blade, whatever has been cut, and allocates nothing.
 class ForceStage {
  public:
-  // `tissue` knows of all cuts so far. `sink` and `slots` may be null; what is not must outlive this.
+  // `tissue` knows all cuts so far. `sink` and `slots` may be null; otherwise they must outlive this.
   ForceStage(const ForceConfig& config, const core::CutConfig& cut, std::unique_ptr<Tissue> tissue,
              ForceSink* sink, ForceSlots* slots);
 
   // What the loop took: a source opened (its force is armed), a pose that was accepted.
   void opened(std::uint32_t source, const core::Blade& blade) noexcept;
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
-  // Takes note of the cuts that a delta has brought to the mesh. O(delta's boundary).
+  // Adds the cuts of a delta, which `mesh` has already. O(delta's boundary).
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
   // The body is whole again.
   void restart() noexcept;
 
   void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
-  // When the poses arrived that the last frame was the first to make a force of: one a blade at most.
+  // Arrival times of the poses that got their first force in the last frame: at most one for each blade.
   std::span<const std::int64_t> felt_ns() const { return std::span(felt_ns_).first(felt_count_); }
-  // Forces for which not all of the edge was looked at: a bound of ProbeWork was met.
+  // Forces whose edge was not searched to its end, because a bound of ProbeWork was reached.
   std::uint64_t cut_short() const { return cut_short_; }
 
  private:
@@ -70,9 +70,9 @@ class ForceStage {
     core::Pose pose, felt;  // the newest; the one that the last frame took
     std::int64_t arrival_ns = 0, moved_ns = 0, last_frame_ns = 0;
     bool opened = false, has_pose = false, has_felt = false, jumped = false;
-    bool pressed_anew = false;  // the engage button, since the last frame
-    bool told = false;          // the sink knows of a force or of tissue
-    core::Vec3 acting;          // N
+    bool pressed_again = false;  // the engage button, since the last frame
+    bool told = false;           // the sink knows of a force or of tissue
+    core::Vec3 acting;           // N
   };
   bool engaged(const core::Pose& pose) const noexcept {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;

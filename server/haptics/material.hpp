@@ -13,7 +13,7 @@ struct Material {
   // and validation"); porcine liver, in vivo: 76 to 185 (Azar and Hayward 2008, "Estimation of the fracture
   // toughness of soft tissue from needle insertion").
   double toughness_j_m2 = 164;
-  // What a point must press with before it gets in, N. A capsule's; some tenths of a newton to 2 N for needles in
+  // Force at which a point punctures the surface, N. For an organ's capsule; some tenths of a newton to 2 N for needles in
   // bovine liver (Okamura, Simone and O'Leary 2004, "Force modeling for needle insertion into soft tissue").
   double puncture_n = 0.8;
   // How fast the force grows as the tissue gives before it tears: under a point, N/m, and more for each metre of edge,

@@ -60,7 +60,7 @@ Vec3 SafetyChain::update(const SafetyInput& in) noexcept {
   return acting_;
 }
 
-// What is wrong in this frame, beside the force itself.
+// What is wrong in this frame, apart from the force itself.
 std::uint32_t SafetyChain::look(const SafetyInput& in) noexcept {
   std::uint32_t faults = 0;
   if (in.losses != losses_) faults |= kDeviceLost;
@@ -84,7 +84,7 @@ void SafetyChain::note_fault(std::uint32_t faults, std::int64_t before_ns, std::
   const bool acts = squared_length(acting_) > 0;
   const bool device = (faults & (kDeviceLost | kWriteFailed)) != 0;
   present_ = faults;
-  // A device that rests without a force does no harm; nothing need begin anew.
+  // A device that rests without a force does no harm: no new ramp is needed.
   if (!acts && !fading_ && faults == kFrozen) {
     present_ = 0;
     return;

@@ -50,23 +50,23 @@ struct SafetyInput {
 //               the ramp, so that the two together keep to it.
 //   4 ramp      grows from 0 to 1 in ramp_s from the first contact on, again after any fault.
 //   5 watchdog  after a fault the force that acted fades linearly to 0 within decay_s; only then, and only when the
-//               fault has gone, does it begin anew with the ramp.
+//               fault has gone, does it begin again with the ramp.
 //   6 latch     device lost, write failed, or three faults in a minute: 0 until armed again.
 //
-// So whatever comes in: |force| <= limit, |change| <= slew_n_s x time, a fault is followed by 0 within decay_s, and what
-// follows a fault is at most limit x time / ramp_s.
+// So for any input: |force| <= limit, |change| <= slew_n_s x time, a fault is followed by 0 within decay_s, and the
+// force after a fault is at most limit x time / ramp_s.
 //
-// Silence, a frozen device and a late frame count as faults only while a force acts; else they merely start the ramp
-// anew. Pure: time is passed in. Thread: one.
+// Silence, a frozen device and a late frame count as faults only while a force acts; else they merely restart the
+// ramp. Pure: time is passed in. Thread: one.
 class SafetyChain {
  public:
   explicit SafetyChain(const SafetyLimits& limits);
 
-  // Lets forces begin, with the ramp: a source was opened, or its user asks for it after a latch. `losses` and
-  // `failed_writes` of the device that count as past.
+  // Lets forces begin, with the ramp: a source was opened, or its user asks for it after a latch. Only later `losses` and
+  // `failed_writes` of the device count as faults.
   void arm(std::uint32_t losses, std::uint32_t failed_writes) noexcept;
-  // The user's wish to go on after three faults: the engage button pressed anew, outside the tissue. Not after the loss
-  // of a device or a failed write: those need a source that is opened anew.
+  // The user's wish to go on after three faults: the engage button pressed again, outside the tissue. Has no effect after
+  // the loss of a device or a failed write: then the source must be opened again.
   void rearm_after_faults() noexcept;
 
   // The force that may act from here on, N. Time must not fall; O(1).

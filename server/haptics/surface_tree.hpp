@@ -35,7 +35,7 @@ class SurfaceTree {
   // left out. O(log n + crossings), within the bounds of `work`.
   std::size_t crossings(const core::BladeLine& line, std::span<Crossing> found,
                         ProbeWork& work) const noexcept;
-  // The first one; nothing where there is none.
+  // The first crossing, if there is one.
   std::optional<Crossing> first_crossing(const core::BladeLine& line, ProbeWork& work) const noexcept;
   // The point of the surface nearest to p within `radius`, m.
   std::optional<SurfacePoint> nearest(const core::Vec3& p, double radius, ProbeWork& work) const noexcept;

@@ -10,9 +10,9 @@
 namespace incise::haptics {
 
 // What forces need to know of a body: how it was loaded, and where it has been cut since. Cutting takes nothing away and
-// bends nothing (but flat tetrahedra, and vertices that slide within their surface by hundredths of h), so what of a
-// blade is inside does not depend on the cuts: it is found in the body as loaded, at a cost that no cut changes. Where
-// it is cut is in a map of its own.
+// bends nothing (but flat tetrahedra, and vertices that slide within their surface by hundredths of h), so which part of a
+// blade is inside does not depend on the cuts: it is found in the body as loaded, at a cost that no cut changes. A
+// separate map says where the body is cut.
 //
 // Thread: one, at a time. Owns a mesh: 69 bytes a tetrahedron and 64 a vertex, 140 a boundary triangle, and the map.
 class Tissue {

@@ -82,7 +82,7 @@ void write_checkpoint(const std::string& path, const Checkpoint& checkpoint) {
     write_all(file.fd, bytes, beside);
     if (::fsync(file.fd) != 0) fail(beside);
   } catch (...) {
-    ::unlink(beside.c_str());  // on a full disk its bytes are wanted by others
+    ::unlink(beside.c_str());  // on a full disk others need its bytes
     throw;
   }
   if (std::rename(beside.c_str(), path.c_str()) != 0) fail(path);

@@ -19,16 +19,16 @@ struct Checkpoint {
   std::vector<std::byte> state;  // core/session/session_state.hpp
 };
 
-// There are two for each journal: the next one is written over the older, so that a whole one is there at any time.
+// Each journal has two: the next one replaces the older, so that a whole one exists at any time.
 inline constexpr int kCheckpointFiles = 2;
 std::string checkpoint_path(const std::string& journal, int number);
 
-// Writes and syncs a file beside, then puts it in place of `path`: a crash leaves the old one or the new one. Throws
+// Writes and syncs `path`.part, then renames it to `path`: a crash leaves the old one or the new one. Throws
 // std::system_error.
 void write_checkpoint(const std::string& path, const Checkpoint& checkpoint);
 
-// Reads and checks one; the state's bytes are as untrusted as before. Empty, with one line in `error`, where the file is
-// not a whole checkpoint; with no line where there is none.
+// Reads and checks a checkpoint; the bytes of its state remain untrusted. Returns nothing if the file is not a whole
+// checkpoint, with one line in `error`, or does not exist, without.
 std::optional<Checkpoint> read_checkpoint(const std::string& path, std::string& error);
 
 }  // namespace incise::loop

@@ -46,7 +46,7 @@ std::string Checkpointer::finish(milliseconds limit) {
   finished_.wait_for(lock, limit, [this] { return done_; });
   if (!done_) {
     return "in " + std::to_string(limit.count() / 1000) +
-           " s the second session has not come to it; records that wait: " + std::to_string(waiting_.size());
+           " s the second session did not catch up; records that wait: " + std::to_string(waiting_.size());
   }
   if (!dirty_) return "";
   return failure_.empty() ? "there is no checkpoint after the last record" : failure_;
@@ -73,7 +73,7 @@ void Checkpointer::mark(std::uint64_t id, std::uint64_t offset, std::uint64_t re
 void Checkpointer::hand_over() {
   if (given_.empty()) return;
   {
-    // The thread may have been set aside with the mutex in its hands, for as long as the processors are busy: the journal
+    // The thread may have been preempted while it holds the mutex, for as long as the processors are busy: the journal
     // does not wait for it.
     const std::unique_lock lock(mutex_, std::try_to_lock);
     if (!lock) return;
@@ -84,7 +84,7 @@ void Checkpointer::hand_over() {
 
 void Checkpointer::accept_given() {
   for (const Item& item : given_) {
-    // What is dropped here counts until the next reset, which makes all before it past.
+    // A record dropped here matters until the next reset, before which nothing needs to be replayed.
     if (!item.mark && item.record.kind == JournalRecord::Kind::kReset) {
       waiting_.clear();
       overflow_ = false;
@@ -142,7 +142,7 @@ bool Checkpointer::wait_for_items(std::deque<Item>& taken) {
     if (stop_) return false;
     if (overflow_) {
       lock.unlock();
-      give_up("computing everything again does not keep up with the loop");
+      give_up("the second session cannot keep up with the loop");
       lock.lock();
       wake_.wait(lock, [this] { return stop_ || finish_ || !overflow_; });
       if (!finish_) continue;
@@ -234,10 +234,9 @@ void Checkpointer::compare(const JournalRecord& commit) {
   const bool same = computed_.front().hash == commit.state_hash;
   computed_.pop_front();
   if (!same) {
-    give_up(
-        "revision " + std::to_string(commit.revision) +
-        " came out with another hash when it was computed again; keep the capture, it shows a fault of the "
-        "program or of this machine's memory");
+    give_up("revision " + std::to_string(commit.revision) +
+            " has another hash when it is computed again; keep the capture: it shows a fault in the "
+            "program or in this machine's memory");
   }
 }
 
@@ -263,7 +262,7 @@ void Checkpointer::write(const Item& mark) {
     began_s_ = thread_cpu_s();
     write_s_ = began_s_ - before;
   } catch (const std::exception& error) {
-    // The debt stands.
+    // The debt remains.
     if (failure_.empty()) report_(false, std::string("a checkpoint cannot be written: ") + error.what());
     failure_ = error.what();
     next_try_ = steady_clock::now() + kRetry;

@@ -18,15 +18,15 @@
 
 namespace incise::loop {
 
-// Keeps the time that a restart takes short. A second session, which does at its own pace what the loop's did, from the
-// records that the journal writes; between two records it can be saved at leisure, whatever strokes run, while the loop
-// goes on. It computes each revision again and compares the hash, so that a journal that does not replay is known
+// Keeps restarts short. A second session repeats at its own pace what the loop's session did, from the
+// records that the journal writes. It can be saved between any two records, in the middle of strokes, while the loop
+// goes on. It computes each revision again and compares the hash, so that a journal that does not replay is noticed
 // while the server still runs.
 //
-// The journal marks places where a checkpoint may be, more than are used: which of them is, the thread decides when it
-// comes there, however far behind the loop it is. What counts is the debt: the computing that a resume from the newest
-// checkpoint would have to do again, whichever runs of the server it comes from. When nothing happens for a while, a
-// smaller debt is paid, and at the end any.
+// The journal marks more places for checkpoints than are used. The thread decides when it reaches a mark,
+// however far behind the loop it is, whether to write one there. What counts is the debt: the computing that a resume from
+// the newest checkpoint would have to repeat, in this run of the server or an earlier one. When nothing happens for a
+// while, a smaller debt is enough, and at the end any.
 //
 // It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH).
 //
@@ -36,7 +36,7 @@ class Checkpointer {
  public:
   struct Options {
     std::string journal;  // the path that the checkpoints' names begin with
-    // A checkpoint is written when the debt is so large; more seldom where writing one takes more than a fifth of that.
+    // A checkpoint is written when the debt is this large; less often if writing one takes more than a fifth of that.
     double replay_s = 1;
     // What the resume at the start of this run had to compute, and has written no checkpoint of.
     double debt_s = 0;
@@ -54,23 +54,23 @@ class Checkpointer {
                std::function<std::unique_ptr<core::CutSession>()> first, Report report);
   // Drops what waits.
   ~Checkpointer();
-  // After the last record and mark: computes what waits, for at most so long, and saves the session as it is there. Empty
-  // where a restart has nothing to compute again then; else why it has.
+  // After the last record and mark: works off what waits, for at most `limit`, and saves the session as it is then. Returns
+  // an empty text if a restart has nothing to compute again, else why it has.
   std::string finish(std::chrono::milliseconds limit);
 
-  // The next record that the journal took from the loop, written or not. Where more wait than `capacity` the second
-  // session cannot follow any more, until the next reset.
+  // The next record that the journal took from the loop, written or not. If more than `capacity` wait, the second
+  // session stops following until the next reset.
   void record(const JournalRecord& record);
-  // A checkpoint may be here: `offset` and `records` of the journal's record that says so. `wanted`: here or at the next
-  // mark where it can be written there must be one: the journal has a gap, and only a checkpoint after it leads on.
+  // A checkpoint may be written here: `offset` and `records` of the journal's record that says so. `wanted`: one must be
+  // written, here or at the next possible mark, because the journal has a gap that only a checkpoint behind it bridges.
   void mark(std::uint64_t id, std::uint64_t offset, std::uint64_t records, bool wanted);
 
-  // Tries again to give the thread what it was too busy to take; the journal calls it now and then.
+  // Tries again to hand records to the thread when it was busy; the journal calls it now and then.
   void hand_over();
 
   std::uint64_t written() const { return written_.load(std::memory_order_relaxed); }
   std::uint64_t last_revision() const { return last_revision_.load(std::memory_order_relaxed); }
-  // Where in the journal the newest checkpoint of this run stands, in bytes; 0: there is none.
+  // The offset in the journal of the newest checkpoint of this run, in bytes; 0: none yet.
   std::uint64_t last_offset() const { return last_offset_.load(std::memory_order_acquire); }
   // Records that wait.
   std::size_t behind() const { return behind_.load(std::memory_order_relaxed); }

@@ -8,10 +8,10 @@ namespace incise::loop {
 // What a unit of cutting work (core::WorkBudget) costs on this machine now: the one place where time becomes
 // work. It only decides how far a frame gets, never what is done.
 //
-// A unit costs some 20 ns where a batch is searched and 600 where it is repaired, so an average would overrun by what the
-// heavy phases cost more: a slice is measured by what nine slices in ten do not exceed, or by the last one if that cost
-// more. And the core stops only between two operations, some of which take longer than a slice: how long tells the loop
-// whether another one still fits into its frame.
+// A unit costs some 20 ns while a batch is searched and 600 while it is repaired, so with the average the heavy phases
+// would overrun. A slice is sized by the cost that nine slices in ten do not exceed, or by the last one's if that was
+// higher. The core stops only between two operations, and some take longer than a slice: from longest_ns() the loop knows
+// whether another slice still fits into its frame.
 //
 // Thread: the loop's.
 class CostModel {
@@ -21,14 +21,14 @@ class CostModel {
     const double cost = std::max(high_ns_, last_ns_);
     return std::max<std::int64_t>(1, static_cast<std::int64_t>(static_cast<double>(ns) / cost));
   }
-  // How long a slice may take however little it is given, ns: the longest of the last ones, at most kLongest_ns.
+  // How long even the smallest slice may take, ns: the longest of the last ones, at most kLongest_ns.
   std::int64_t longest_ns() const { return static_cast<std::int64_t>(longest_ns_); }
 
   // Learns from a slice of work. `whole`: it neither began nor ended a batch, which costs time but no units.
   void observe(std::int64_t units, std::int64_t ns, bool whole) {
     longest_ns_ = std::max(std::min(static_cast<double>(ns), kLongest_ns), kForget * longest_ns_);
     if (units <= 0 || ns <= 0) return;
-    // One slice that was interrupted must not make the next frames timid for long.
+    // One slice that was interrupted must not shorten those of the next frames for long.
     const double cost = std::clamp(static_cast<double>(ns) / static_cast<double>(units), kLeast_ns, kMost_ns);
     const double weight = std::min(1.0, static_cast<double>(units) / kMemory_units);
     average_ns_ += weight * (std::min(cost, 4 * average_ns_) - average_ns_);

@@ -16,7 +16,7 @@ using stream::PublishedDelta;
 class DeltaSink {
  public:
   virtual ~DeltaSink() = default;
-  // Immutable from here on; whoever gets a copy lets go of it when done.
+  // Immutable from here on; each reader releases its copy when done.
   virtual void publish(std::shared_ptr<const PublishedDelta> delta) noexcept = 0;
 };
 

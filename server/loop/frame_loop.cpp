@@ -11,13 +11,13 @@
 namespace incise::loop {
 namespace {
 
-// The clock is read after so many poses (some 100 ns each), and after so long a slice of cutting.
+// The clock is read after this many poses (some 100 ns each), and after a slice of cutting of this length.
 constexpr std::uint32_t kPosesPerLook = 64;
 constexpr std::int64_t kSlice_ns = 20'000;
 // A sleep ends up to some 50 us late without real-time priority; the last stretch is spent looking at the
 // clock.
 constexpr std::int64_t kSpin_ns = 20'000;
-// No slice begins that would not be over by then, going by the last ones: the part of a frame.
+// No slice begins that would, judging by the last ones, end after this part of the frame.
 constexpr double kLatest = 0.95;
 // The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
@@ -87,7 +87,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
-  // A frame that took long makes the next one late, though that one keeps to the deadline it was given after the skip.
+  // A long frame makes the next one late, even if that one meets the deadline that it got after the skipped ones.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
@@ -107,8 +107,8 @@ void FrameLoop::finish() noexcept {
       handle(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}}, now);
     }
   }
-  // A reader that has gone for good must not keep the server from ending: what it has not read by then it
-  // will not.
+  // A reader that has stopped must not keep the server from ending: what it has not read by then is
+  // lost.
   const std::int64_t begin = monotonic_ns();
   const std::int64_t latest =
       begin + std::min(options_.longest_finish_ns, std::numeric_limits<std::int64_t>::max() - begin);
@@ -251,7 +251,7 @@ void FrameLoop::reset() {
   own_session_ = std::move(fresh);
   session_ = own_session_.get();
   if (forces_) forces_->restart();
-  if (positions_) positions_->pop_newest();  // of the mesh that was
+  if (positions_) positions_->pop_newest();  // drops those of the old mesh
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   LoopState as_loaded;

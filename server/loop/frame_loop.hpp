@@ -47,7 +47,7 @@ class FrameLoop {
             const LoopOptions& options);
 
   // Makes resets possible; before the first frame. `restart` gives a session as it was loaded; `done` gets it before its
-  // first pose, tells whoever must know, and returns the new session's id. Both run on the loop's thread and may take as
+  // first pose, informs the other parts, and returns the new session's id. Both run on the loop's thread and may take as
   // long as loading did: the frame is late.
   using Restart = std::function<std::unique_ptr<core::CutSession>()>;
   using ResetDone = std::function<std::uint64_t(const core::CutSession& fresh)>;
@@ -57,7 +57,7 @@ class FrameLoop {
   bool request_reset();
 
   // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
-  // cuts so far. `sink` and `slots` may be null; what is not must outlive this.
+  // cuts so far. `sink` and `slots` may be null; otherwise they must outlive this.
   void offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
                     haptics::ForceSink* sink, haptics::ForceSlots* slots);
 

@@ -16,10 +16,10 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
-// How often the thread looks for records. The queue holds a second of them at the least, so this bounds only
-// how old a record is when it reaches the system.
+// How often the thread looks for records. The queue holds at least a second's worth, so this only bounds
+// how old a record is when it is written.
 constexpr milliseconds kPoll{5};
-// How long a failing sink is left alone.
+// How long to wait before a failing sink is tried again.
 constexpr milliseconds kRetry{1000};
 // Between two places where a checkpoint may be.
 constexpr milliseconds kMarks{250};
@@ -77,7 +77,7 @@ void Journal::set_trouble(const std::string& error) {
   if (error.empty() && gap_end_) {
     trouble = checkpointer_ && checkpointer_->following()
                   ? "records are missing in the capture, and the checkpoint after the gap is not written yet"
-                  : "records are missing in the capture, and no restart gets across the gap until the mesh "
+                  : "records are missing in the capture, and no restart can cross the gap until the mesh "
                     "is reset";
   }
   const std::scoped_lock lock(trouble_mutex_);
@@ -129,7 +129,7 @@ void Journal::acknowledge_poses(bool recorded) {
   poses_.clear();
 }
 
-// Before anything of this pass is written: a mark that the disk does not take is never told to the checkpointer.
+// Called before anything of this pass is written: the checkpointer never sees a mark that the disk did not take.
 void Journal::mark_checkpoint(bool last) {
   const auto now = steady_clock::now();
   if (!checkpointer_ || failing() || !(wanted_ || (unmarked_ && (last || now - last_mark_ >= kMarks))))

@@ -12,9 +12,9 @@
 namespace incise::loop {
 
 // A value of several words from one writer to any readers, without a lock: the writer's sequence number is
-// odd while it writes, and a reader tries again where that was so or has changed (the seqlock; Boehm 2012,
+// odd while it writes, and a reader tries again if it was odd or has changed (the seqlock; Boehm 2012,
 // "Can seqlocks get along with programming language memory models?"). Words are stored with release and
-// loaded with acquire in place of his fences: whoever reads a new word then also sees the odd number that was
+// loaded with acquire instead of his fences: a reader that sees a new word then also sees the odd number that was
 // stored before it.
 template <class T>
 class Published {
@@ -53,10 +53,10 @@ enum class LateCause : std::uint8_t { kWakeUp, kInput, kCut, kPublish };
 inline constexpr int kLateCauses = 4;
 const char* to_string(LateCause cause);
 
-// Limits that a frame ran into; it completed all the same.
+// Limits that a frame ran into; it completed nevertheless.
 enum FrameFlag : std::uint64_t {
   kBudgetSpent =
-      1,  // work is carried over: raise loop.budget_fraction, lower loop.rate_hz, or a coarser mesh
+      1,  // work is carried over: raise loop.budget_fraction, lower loop.rate_hz, or use a coarser mesh
   kInputCarried = 2,    // poses wait in their queues for the next frame
   kDeltasBlocked = 4,   // the stream does not read: cutting waits for it
   kJournalBlocked = 8,  // the disk does not keep up: the journal has a gap
@@ -80,7 +80,7 @@ struct LoopState {
   std::uint64_t strokes = 0;           // of all sources, begun so far
   double cut_area_m2 = 0;              // one side, so far
   double ns_per_unit = 0;              // the cost model's
-  std::uint64_t forces_cut_short = 0;  // of which not all of the edge was looked at
+  std::uint64_t forces_cut_short = 0;  // whose edge was not searched to its end
 };
 
 // Where a blade was last; arrival_ns is 0 where there was no pose yet.

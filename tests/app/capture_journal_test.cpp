@@ -28,7 +28,7 @@ class CaptureJournalTest : public ::testing::Test {
       (fs::temp_directory_path() / ("incise_journal_" + std::to_string(::getpid()))).string();
 };
 
-// No file system that we can write to is all free: what must be kept free there is not.
+// No file system that we can write to is completely free, so requiring 100 % always fails.
 TEST_F(CaptureJournalTest, WhatMustStayFreeIsNotWritten) {
   CaptureJournal journal(path_, {"", "", 1, 2, "test", "{}"});
   journal.write({});
@@ -51,7 +51,7 @@ TEST_F(CaptureJournalTest, WhatMustStayFreeIsNotWritten) {
   EXPECT_GT(journal.position().bytes, bytes);
 }
 
-// It does not look each time, but when so much was written, and as long as there is no room.
+// The free space is checked only after enough was written, and each time while there is no room.
 TEST_F(CaptureJournalTest, ItLooksAgainWhileItWrites) {
   CaptureJournal journal(path_, {"", "", 1, 2, "test", "{}"});
   journal.keep_free(1e-9);

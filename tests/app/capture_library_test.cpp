@@ -136,7 +136,7 @@ TEST_F(CaptureLibraryTest, PlaysToItsEndWhileTheLiveMeshIsCutForTheOthers) {
   EXPECT_EQ(player.replica.compute_state_hash(), hash_);
   ASSERT_TRUE(other.follow(server_->loop.revision()));
   EXPECT_EQ(other.replica.compute_state_hash(), server_->loop.state_hash());
-  // Played once more it begins anew; closed, the viewer is back at the live mesh.
+  // Played again it starts from the beginning; closed, the viewer is back at the live mesh.
   ask(player, ReplayAction::Play, 0, 1000);
   follow(player, last_);
   ask(player, ReplayAction::Close);
@@ -165,7 +165,7 @@ TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {
   ASSERT_TRUE(error);
   EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::NotAvailable);
   EXPECT_EQ(std::get<protocol::Error>(error->message.body).in_reply_to, 77u);
-  // It is still there for what is whole, and for the live mesh.
+  // It still serves whole captures, and the live mesh.
   ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
   follow(viewer, 0);
 

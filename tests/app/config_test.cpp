@@ -94,7 +94,7 @@ TEST(Config, TheShippedFilesAreGood) {
   }
 }
 
-// The one with all keys is as --print-config prints it, phantom apart: when a key is added or changed, write it again.
+// The file with all keys is what --print-config prints, apart from the phantom: when a key changes, write it again.
 TEST(Config, TheShippedFileWithAllKeysIsUpToDate) {
   Config config;
   config.mesh.phantom = "liver";
@@ -161,7 +161,7 @@ const Malformed kMalformed[] = {
     {"{\"blade\": {\"heel\": [0,0,0], \"point\": [0,0,1]}}", {"unknown key \"blade.point\"", "tip"}},
     {"{\"loop\": {\"cpu\": 0, \"cpu\": 1}}", {"\"cpu\": found", "twice"}},
     {"{\"log\": {}, \"log\": {}}", {"\"log\": found", "twice"}},
-    // A section that is none.
+    // A section that is not an object.
     {"{\"loop\": 1000}", {"loop", "1000", "object"}},
     {"{\"mesh\": \"liver.node\"}", {"mesh", "liver.node", "object"}},
     {"{\"cut\": null}", {"cut", "null", "object"}},
@@ -208,7 +208,7 @@ const Malformed kMalformed[] = {
     {"{\"capture\": {\"sync\": \"sometimes\"}}", {"capture.sync", "group"}},
     {"{\"log\": {\"level\": \"loud\"}}", {"log.level", "loud", "warning"}},
     {"{\"log\": {\"format\": \"xml\"}}", {"log.format", "text"}},
-    // Texts, truths and points.
+    // Texts, booleans and points.
     {"{\"mesh\": {\"path\": 7}}", {"mesh.path", "7", "path"}},
     {"{\"mesh\": {\"path\": \"a\\u0000b\"}}", {"mesh.path"}},
     {"{\"loop\": {\"lock_memory\": 1}}", {"loop.lock_memory", "true or false"}},
@@ -220,7 +220,7 @@ const Malformed kMalformed[] = {
     {"{\"blade\": {\"tip\": [0, 0, \"1\"]}}", {"blade.tip"}},
     {"{\"blade\": {\"heel\": [0, 0, 1e9]}}", {"blade.heel"}},
     {"{\"blade\": {\"heel\": \"0,0,0\"}}", {"blade.heel"}},
-    // What does not go together.
+    // Values that exclude each other.
     {"{\"blade\": {\"heel\": [0,0,0], \"tip\": [0,0,0]}}", {"blade.tip", "not the heel"}},
     {"{\"mesh\": {\"path\": \"a.node\", \"phantom\": \"liver\"}}", {"mesh.phantom", "mesh.path"}},
     {"{\"mesh\": {\"phantom\": \"liver\", \"target_tets\": 10}}", {"mesh.target_tets", "500"}},

@@ -359,7 +359,7 @@ TEST_F(Incise, ConvertCutsWhatCutCuts) {
   }
 }
 
-// Of a motion at a hand's rate the limits stay as they are, whatever is odd about it: the server's are the same.
+// For a motion at a hand's rate the limits stay as they are, even if it is irregular: the server's are the same.
 TEST_F(Incise, LimitsStayWhereFewStepsAreBeyondThem) {
   mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
   std::string csv = "t_s,x_m,y_m,z_m\n";
@@ -455,7 +455,7 @@ TEST_F(Incise, MillimetresAreRecognised) {
   EXPECT_EQ(result.err.find("millimetres"), std::string::npos) << result.err;
 }
 
-// The deviation as somebody from outside finds it: the distance of each cut face's corners and middle from the nearest of
+// The deviation, computed independently: the distance of each cut face's corners and middle from the nearest of
 // three rectangles that the poses swept, in the mean edge length of the mesh that was given. The body has small elements
 // in its middle, as a tumour has.
 TEST_F(Incise, TheReportsDeviationIsWhatAJudgeMeasures) {
@@ -551,7 +551,7 @@ TEST_F(Incise, CutComparesThePolicies) {
   EXPECT_EQ(reports[2]["pieces"], 2);
   EXPECT_EQ(reports[3]["pieces"], 2);
   EXPECT_GT(reports[3]["splits"], reports[2]["splits"]);
-  // Each is what the command makes of it alone.
+  // Each entry equals the result of the command with that policy alone.
   auto alone = compare;
   alone.back() = "conforming";
   alone.insert(alone.end(), {"--prefer", "exact", "--json", "--out", "out.vtu"});
@@ -727,7 +727,7 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
 }
 
 TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
-  // A port that somebody has, a processor that is not there, a place where nothing can be written.
+  // A port that is in use, a processor that does not exist, a place that cannot be written to.
   const int s = ::socket(AF_INET, SOCK_STREAM, 0);
   sockaddr_in address{};
   address.sin_family = AF_INET;

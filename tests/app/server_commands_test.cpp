@@ -109,7 +109,7 @@ TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
   EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);
 }
 
-// --check finds what the start would find, and the start finds it before the work on the mesh.
+// --check finds the same faults as the start does, and the start finds them before it works on the mesh.
 TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
   const auto fault = [&](const std::string& mesh, const std::string& rest) {
     write("c.json", "{\"mesh\": {" + mesh + "}" + rest + "}");
@@ -129,7 +129,7 @@ TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
   }
   fs::create_directories(dir_ / "folder.msh");
   EXPECT_NE(fault(R"("path": "folder.msh")", "").find("mesh.path"), std::string::npos);
-  // The rest: with a body that takes minutes to make, the start is refused all the same.
+  // The rest: the start is refused at once, although the body would take minutes to make.
   write("tokens.json", R"([{"token": "short", "roles": ["viewer"]}])");
   write("roles.json", R"([{"token": "sixteen letters or more", "roles": ["metric"]}])");
   write("server.pem", "no certificate");

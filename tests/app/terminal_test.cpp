@@ -20,7 +20,7 @@ TEST(Terminal, NumbersAreShortAndDurationsHaveTheirUnit) {
   EXPECT_EQ(counted(2, "vertex", "vertices"), "2 vertices");
 }
 
-// What a step of the work that does not report shows by itself, and that nothing of it stays.
+// What is shown for a step that does not report progress, and that all of it is erased at the end.
 TEST(Terminal, ProgressIsDrawnWhileASilentStepRunsAndGoesAway) {
   const auto directory = tests::fresh_directory("Progress");
   const auto file = directory / "terminal";

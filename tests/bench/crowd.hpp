@@ -1,7 +1,7 @@
 #pragma once
 
-// Many peers at once on one thread, by plain sockets: they cost the machine as little as peers can, so that what is
-// measured is the server.
+// Many peers at once on one thread, with plain sockets: they cost the machine as little as possible, so that the
+// server is what is measured.
 
 #include <atomic>
 #include <cstdint>

@@ -7,7 +7,7 @@ import sys
 
 RESULTS = pathlib.Path(__file__).resolve().parent / "results"
 
-# What is said, and where it stands: bench, part of the table's title, part of the row's name, column; how it is written.
+# The label, and where its values are: bench, part of the table's title, part of the row's name, column; then their format.
 FIGURES = [
     ("the same corner cut off 16k / 146k / 1.5M tetrahedra, ms", "scale", "the same cut", None, "corner ms", "{:.2f}"),
     ("a cut right through 16k / 146k / 1.5M tetrahedra, ms", "scale", "the same cut", None, "through ms", "{:.1f}"),

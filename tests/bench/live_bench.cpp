@@ -1,4 +1,4 @@
-// incise-bench live: the whole server as it is run. incised in a process of its own on a phantom liver, with its journal
+// incise-bench live: the whole server as users run it. incised in its own process on a phantom liver, with its journal
 // and checkpoints; a device that sends each pose as it is measured; viewers that follow; all over loopback.
 
 #include <CLI/CLI.hpp>

@@ -47,8 +47,8 @@ class LiveServer {
 
   // An operator takes the blade; drive() does it where this has not.
   void connect_device();
-  // The operator sends poses at their times, each as soon as it is there; the source's clock is CLOCK_MONOTONIC.
-  // Waits until all of them have been taken.
+  // The operator sends each pose at its time; the source's clock is CLOCK_MONOTONIC.
+  // Waits until the server has taken all of them.
   LivePoses drive();
   nlohmann::json stats() const;
   // The same when nothing waits to be cut any more.

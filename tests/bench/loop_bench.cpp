@@ -27,7 +27,7 @@ struct LoopBench {
   double jitter_seconds = 3;
 };
 
-// Lets go of every delta at once, as a stream does that keeps up.
+// Releases every delta at once, as a stream that keeps up does.
 struct Discard : loop::DeltaSink {
   void publish(std::shared_ptr<const loop::PublishedDelta> delta) noexcept override {
     hash = delta->delta.state_hash;
@@ -56,7 +56,7 @@ class Load {
   std::jthread thread_;
 };
 
-// How late empty frames begin, with nothing else of ours to run and beside a thread that computes.
+// How late empty frames begin, alone and with another thread that computes.
 void bench_jitter(const LoopBench& bench, const core::MeshData& mesh, const core::CutConfig& config,
                   Report& report) {
   report.table("wake-up late, us", {{"beside"}, {"count"}, {"p50", 1}, {"p99", 1}, {"p99.9", 1}, {"max", 1}});
@@ -142,7 +142,7 @@ void run(const LoopBench& bench, Report& report) {
 
   bench_jitter(bench, body.mesh, config, report);
 
-  // The input path alone: poses beside the body, as fast as one thread gives them and the loop takes them.
+  // The input path alone: poses outside the body, as fast as one thread sends them and the loop takes them.
   core::CutSession idle(body.mesh, config);
   input::PoseSources flood_sources(config.blade);
   loop::FrameLoop flood(idle, flood_sources, sink, nullptr, options);
@@ -175,7 +175,7 @@ void add_loop_bench(CLI::App& app, Report& report) {
   sub->add_option("--tets", bench->tets, "Of the phantom liver")->capture_default_str();
   sub->add_option("--priority", bench->realtime_priority, "SCHED_FIFO priority; 0: none")
       ->capture_default_str();
-  sub->add_option("--jitter-seconds", bench->jitter_seconds, "Of empty frames, free and beside a load")
+  sub->add_option("--jitter-seconds", bench->jitter_seconds, "Of empty frames, alone and under load")
       ->capture_default_str();
   sub->add_flag("--load", bench->load, "With another thread that computes all the time");
   sub->callback([bench, &report] { run(*bench, report); });

@@ -5,7 +5,7 @@
 #include "tests/bench/benches.hpp"
 
 // The paper's table (Croll 2007, section 4.2): one cut through cylinders of 1,720 vertices / 7,844 tetrahedra and
-// 3,234 / 15,272, by the policy `croll` and by `conforming`, beside what the paper took in 2007.
+// 3,234 / 15,272, by the policy `croll` and by `conforming`, with the paper's times of 2007.
 namespace incise::bench {
 namespace {
 
@@ -106,7 +106,7 @@ void add_paper_bench(CLI::App& app, Report& report) {
     bool phantom = false;
   };
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("paper", "The paper's two cylinders, beside the paper's times");
+  CLI::App* command = app.add_subcommand("paper", "The paper's two cylinders, with the paper's times");
   command->add_option("--repetitions", options->repetitions, "Cuts to time, each in a fresh mesh")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();

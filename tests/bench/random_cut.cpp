@@ -96,7 +96,7 @@ void RandomCut::push(core::CutSession& session) const {
 }
 
 double RandomCut::side(const Vec3& p) const {
-  // Every blade line lies in a plane across the motion, so only one can be beside p.
+  // Every blade line lies in a plane across the motion, so only one can be level with p.
   const double s = std::clamp(0.5 * (core::dot(p - middle_, ahead_) / reach_ + 1), 0.0, 1.0);
   const double step = std::min(std::floor(s * segments_), static_cast<double>(segments_ - 1));
   const core::BladeLine from = line(step / segments_), to = line((step + 1) / segments_);
@@ -113,7 +113,7 @@ RandomCut::Pieces RandomCut::pieces(const core::MeshData& uncut, double thin_m, 
     while (root[v] != v) v = root[v] = root[root[v]];
     return v;
   };
-  // The parts of the body on the side that `sign` names, of a surface that lies `off` towards it.
+  // The parts of the body on side `sign` of the surface moved by `off` towards that side.
   const auto parts = [&](double sign, double off) {
     const auto within = [&](std::uint32_t v) { return sign * sides[v] > off; };
     std::iota(root.begin(), root.end(), 0u);

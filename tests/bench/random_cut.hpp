@@ -24,13 +24,13 @@ class RandomCut {
   // Pushes it into source 0, and ends the stroke. The session wants bench_config().
   void push(core::CutSession& session) const;
 
-  // How far p lies off the swept surface, along the normal of the blade line beside it, m: positive on one side. The
+  // How far p lies off the swept surface, along the normal at the nearest blade line, m: positive on one side. The
   // distance is at most its magnitude.
   double side(const core::Vec3& p) const;
 
-  // How many pieces the cut makes of `uncut`: the components of the body's parts on either side. Those that nowhere reach
-  // farther from the surface than `thin_m` may come away or not: they count only into `most`. So do those that hang
-  // together by a neck which is there or not as the surface lies up to `off_m` to either side.
+  // How many pieces the cut should make of `uncut`: the components of the body's parts on either side. Components nowhere
+  // farther than `thin_m` from the surface may come off or not: they count only into `most`. So do those joined by
+  // a neck that is cut or not when the surface is moved by up to `off_m` to either side.
   struct Pieces {
     std::uint32_t least = 0, most = 0;
   };

@@ -2,7 +2,7 @@
 """Figures as data: what ./dev bench --record and ./dev bench --compare REF run.
 
     record.py record                     runs SET and writes tests/bench/results/MACHINE.csv
-    record.py compare REF [--rounds N]   builds REF beside this tree, runs PAIRED in both in turn, prints ratios
+    record.py compare REF [--rounds N]   builds REF in a second tree, runs PAIRED in both in turn, prints ratios
 
 A result is a CSV file with the columns bench, table, row, column, value; its first rows (bench `run`) say which commit, compiler and
 processor. README's table of figures is made from these files by figures.py.

@@ -1,4 +1,4 @@
-// incise-bench stream: what a cut costs as deltas, beside sending the surface or the whole mesh anew each time; what many
+// incise-bench stream: what a cut costs as deltas, compared with sending the surface or the whole mesh each time; what many
 // viewers cost a frame, and how long a delta takes to them; what ten thousand connections do; what boxes of interest cost.
 
 #include <CLI/CLI.hpp>
@@ -31,7 +31,7 @@ stream::InitialState initial_state(const core::TetMesh& mesh) {
   return state;
 }
 
-// The length of a message as permessage-deflate would send it, with the context of those before it.
+// The length of a message as permessage-deflate would send it, with the earlier messages as context.
 class Deflater {
  public:
   Deflater() { stream_.reset(6, 15, 8, boost::beast::zlib::Strategy::normal); }
@@ -92,9 +92,9 @@ void bench_bytes(const NamedMesh& named, Report& report) {
   mirror.reset(initial_state(session.mesh()));
   Way ways[4];
   ways[0].name = "surface, deltas";
-  ways[1].name = "surface anew";
+  ways[1].name = "whole surface";
   ways[2].name = "volume, deltas";
-  ways[3].name = "whole mesh anew";
+  ways[3].name = "whole mesh";
   std::vector<double> mirror_ms;
   std::uint64_t faces = 0;
   for (;;) {
@@ -213,7 +213,7 @@ void bench_viewers(const StreamBench& bench, Report& report) {
   }
 }
 
-// Eight viewers follow; the rest is connections: such as say nothing, at the default caps, and sessions that only listen
+// Eight viewers follow; the rest are connections that say nothing, at the default caps, and sessions that only listen
 // (view None), where the cap is raised.
 void bench_connections(const StreamBench& bench, Report& report) {
   const std::size_t limit = raise_descriptor_limit();

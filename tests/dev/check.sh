@@ -1,4 +1,4 @@
-# ./dev check, which dev sources: what a change must pass beside ./dev test. Quiet as long as nothing is found.
+# ./dev check (sourced by dev): what a change must pass in addition to ./dev test. Quiet as long as nothing is found.
 # shellcheck shell=bash disable=SC2154  # root is dev's
 
 readonly check_max_files=40 # that clang-tidy looks at

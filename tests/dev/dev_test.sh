@@ -226,7 +226,7 @@ kill -KILL "$!"
 wait "$!" 2> /dev/null || true
 expect_server_gone 'after kill -9 of dev'
 
-# A soft one has a simulation beside it.
+# The soft demo runs a simulation, too.
 begin_demo --soft
 kill -TERM "$!"
 wait "$!" || { echo "the soft demo ended with $? at a TERM"; failures=$((failures + 1)); }

@@ -1,7 +1,7 @@
 #!/bin/sh
-# Runs a test, and once more where it fails: for tests that stand on programs that are not ours and that now and then fall
-# over by themselves (umockdev's preloaded library ends a process that opens a device in the wrong moment; a browser without
-# a graphics card may miss events on a machine that is very busy). What failed first is printed all the same.
+# Runs a test, and once more if it fails: for tests that depend on programs that are not ours and now and then fail
+# by themselves (umockdev's preloaded library ends a process that opens a device at the wrong moment; a browser without
+# a graphics card may miss events on a very busy machine). The first failure is printed as well.
 #
 # INCISE_TEST_PRELOAD: libraries to preload into the test, and not into this shell, which does not live with a sanitizer's.
 run() { env ${INCISE_TEST_PRELOAD:+LD_PRELOAD="$INCISE_TEST_PRELOAD"} "$@"; }

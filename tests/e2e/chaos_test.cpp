@@ -1,4 +1,4 @@
-// Peers that connect, break off, stall, lie and come back, while a stroke runs: whoever survives holds the server's mesh.
+// Peers that connect, break off, stall, lie and come back, while a stroke runs: those that survive hold the server's mesh.
 // INCISE_CHAOS_ROUNDS=2000 makes it long.
 
 #include <gtest/gtest.h>

@@ -1,7 +1,7 @@
 // A device's reports to the force that it is sent, through all that lies between, with a clock of the test's own: decoder,
 // queue, loop with forces and cutting, slot, report. So limits in newtons a second and times in milliseconds are checked
-// to the digit, on any machine; incise-hid-faults does the same with threads and a process of its own, where time is as it
-// is.
+// to the digit, on any machine; incise-hid-faults does the same with threads and a separate process, in real
+// time.
 
 #include <gtest/gtest.h>
 #include <sys/syscall.h>
@@ -97,7 +97,7 @@ class Rig {
     std::memcpy(&bytes[4], p, sizeof p);
     return last_pose = bytes;
   }
-  // The same place, told anew.
+  // The same place, reported again.
   Report frozen() {
     ++counter_;
     std::memcpy(&last_pose[1], &counter_, 2);
@@ -139,7 +139,7 @@ class Rig {
     }
   }
   // Pulled out of the tissue and in again, the button pressed in the air.
-  void press_anew() {
+  void press_again() {
     height = 0.16;
     engaged = false;
     run(30);
@@ -254,7 +254,7 @@ std::int64_t inflict(Rig& rig, Fault fault, Random& random) {
         rig.tick(false);
       }
       last(12, [&] { rig.report(rig.pose()); });
-      return 20 * kMs + kDecay_ns;  // a report of a command older than that is none
+      return 20 * kMs + kDecay_ns;  // older commands are not sent to the device
     case kRefuses:
       rig.refuses = true;
       last(5 + random.below(20), [&] { rig.report(rig.pose()); });
@@ -313,15 +313,15 @@ TEST(ForceFaults, FiveHundredInContactEndTheForceInTimeAndNoneBreaksALimit) {
         const double ramp = kMost_n / kRamp_s * 1e-9 * static_cast<double>(virtual_ns - zero);
         ASSERT_LE(length(rig.felt), latched ? 0 : ramp + kQuantum_n) << i << " ms after";
       }
-      if (fault == kRefuses) {  // only a source that is opened anew begins again
+      if (fault == kRefuses) {  // forces begin again only when the source is opened again
         ASSERT_TRUE(latched);
-        rig.press_anew();
+        rig.press_again();
         ASSERT_TRUE(rig.latched());
         rig.unplug();
         rig.tick();
         rig.plug();
       }
-      rig.press_anew();
+      rig.press_again();
       if (HasFatalFailure()) return;
       ASSERT_FALSE(rig.latched());
     }

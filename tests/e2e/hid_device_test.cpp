@@ -1,5 +1,5 @@
-// incised and incise with a haptic device on the machine, which umockdev feigns: the device's reports cut, what it is sent
-// is kept, it is pulled out and put back.
+// incised and incise with a haptic device that umockdev simulates: its reports cut, the reports sent to it are
+// checked, and it is unplugged and plugged in again.
 
 #include <gtest/gtest.h>
 #include <time.h>

@@ -1,7 +1,7 @@
-// incise-hid-faults: incised with a force device that umockdev feigns, and faults while a force acts: pulled out, garbage,
-// silence, a frozen device, numbers that are none, out of sight, a loop that hangs, writes that fail. Ends with 1 where a
-// force breaks its limit, does not come to 0, or comes back without its ramp; prints how long things took. What can be
-// said to the digit about times, tests/e2e/force_faults_test.cpp says with a clock of its own.
+// incise-hid-faults: incised with a force device that umockdev simulates, and faults while a force acts: unplugged, garbage,
+// silence, a frozen device, NaN, no tracking, a loop that hangs, writes that fail. Exits with 1 if a
+// force breaks its limit, does not reach 0, or returns without its ramp; prints how long things took. Exact times
+// are checked by tests/e2e/force_faults_test.cpp, which has its own clock.
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -218,7 +218,7 @@ class Run {
   }
 
   // Down into a contact, until a force acts. On a busy machine frames are late and reports are by themselves, and three such
-  // faults end the force for good: then the button is pressed anew.
+  // faults end the force for good: then the button is pressed again.
   void press() {
     const std::int64_t end = monotonic_ns() + 60'000 * kMs;
     while (monotonic_ns() < end) {
@@ -366,7 +366,7 @@ class Run {
       stylus_.plug();
       require(eventually([&] { return stats()["sources"] == 1; }), "the device is not found again");
     }
-    lift();  // three faults in a minute end the force until the button is pressed anew in the air
+    lift();  // three faults in a minute end the force until the button is pressed again in the air
   }
 
   std::mt19937_64 random_;

@@ -1,8 +1,8 @@
 // kernel_stylus uhid|usb: runs inside of a virtual machine as its only program (tests/e2e/qemu_hid.sh): incised and a
 // Reference Stylus that the kernel makes, so that hidapi meets a real /dev/hidraw0. With uhid the kernel's HID layer has
 // the device from this program; with usb it is a USB gadget on a bus of the kernel's own (dummy_hcd), found, read and
-// written by the drivers that a device on a cable has. Prints the verdict as its last line. Says nothing of times: an
-// emulated processor has its own.
+// written by the same drivers as a device on a cable. Prints the verdict as its last line. Does not check times: an
+// emulated processor distorts them.
 
 #include <fcntl.h>
 #include <linux/input.h>
@@ -245,7 +245,7 @@ void run(const std::function<std::unique_ptr<Device>()>& plug) {
     const auto& reports = stats["devices"][0]["reports"];
     return reports["count"].get<int>() + reports["lost"].get<int>();
   };
-  // To and fro through the liver, each time beside the last; again where the processor was too slow for a force, which is
+  // Back and forth through the liver, each time in a new place; again if the processor was too slow for a force, which is
   // zero once it is old.
   int sent = 0;
   const auto send_pass = [&](int pass) {

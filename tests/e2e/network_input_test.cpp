@@ -175,7 +175,7 @@ TEST_F(NetworkInput, AHaplyInverse3CutsTheLiverInTwoAndIsFelt) {
     felt += size > 0;
   }
   EXPECT_LE(strongest, 2.5 + 1e-9);
-  // How often depends on the machine: whoever gets no processor for 20 ms has no force.
+  // How often depends on the machine: a service that gets no processor for 20 ms gets no force.
   EXPECT_GT(felt, 0u);
   EXPECT_TRUE(
       eventually([&] { return *tests::force_of(service.messages().back()) == std::vector<double>(3); }));

@@ -37,7 +37,7 @@ class Process {
   std::string pending_;
 };
 
-// The port behind `key` ("tcp=", "http=", ...) in the line that incised prints when it listens; 0 where there is none.
+// The port behind `key` ("tcp=", "http=", ...) in the line that incised prints when it listens; 0 if it is not there.
 std::uint16_t port_after(const std::string& line, const std::string& key);
 
 // Whether build/bin/<name> has been built.

@@ -79,7 +79,7 @@ with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator, timeout_
     assert replica.compute_state_hash() == replica.state_hash
     assert client.resyncs == 0 and client.snapshots == 1
 
-    # Whoever comes now gets the same, rest positions and all.
+    # A client that connects now gets the same, including rest positions.
     with incise_client.connect("127.0.0.1", port, timeout_s=patience_s) as late:
         assert late.wait_for_revision(replica.revision, patience_s)
         assert late.replica.canonical_bytes() == replica.canonical_bytes()

@@ -1,4 +1,4 @@
-// What a restart makes of full disks and damaged files.
+// How a restart copes with full disks and damaged files.
 
 #include <gtest/gtest.h>
 #include <sys/mount.h>
@@ -56,7 +56,7 @@ std::pair<std::uint64_t, int> last_mark_and_gaps(const std::string& path) {
 // Ends the motion, and waits until what it made is with the viewer and in the capture.
 Held settle(const ServedSession& session, PoseDriver& driver, const client::Client& viewer) {
   EXPECT_TRUE(driver.settle());
-  // The loop tells of a frame at its end: the second one from here on is after the last pose.
+  // The loop publishes a frame at its end: the second one from here on is after the last pose.
   const double frames = session.stat("/frames/count").value_or(0);
   EXPECT_TRUE(wait_for([&] { return session.stat("/frames/count").value_or(0) >= frames + 2; }));
   EXPECT_TRUE(wait_for([&] {
@@ -250,8 +250,8 @@ TEST(Recovery, OnAFullDiskAPoseThatIsReportedAsRecordedIsInTheCapture) {
   EXPECT_EQ(what_the_server_has(session), before) << session.log();
 }
 
-// However little there was to do in a run: what a resume would have to compute is saved where the server ends, and while
-// nothing else is to be done.
+// Even after a short run, what a resume would have to compute is saved when the server ends, and when it
+// has nothing else to do.
 TEST(Recovery, ACleanEndLeavesNothingToReplay) {
   ServedSession session("end", 4000, R"(, "checkpoint_replay_s": 3000)");
   ASSERT_TRUE(session.start(false)) << session.log();

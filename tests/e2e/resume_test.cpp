@@ -46,7 +46,7 @@ TEST(Resume, ThoseWhoAreBehindGetDeltasFromAServerThatWasKilled) {
   EXPECT_TRUE(back->causes.empty()) << "a snapshot";
   EXPECT_EQ(back->replica.state_hash(), back->replica.compute_state_hash());
 
-  // What nobody recorded cannot be gone on from.
+  // A client cannot resume from steps that were not recorded.
   protocol::Hello ahead = stream::hello(Role::Viewer, View::Volume);
   ahead.resume_session = back->welcome.session;
   ahead.resume_revision = back->welcome.revision + 1;

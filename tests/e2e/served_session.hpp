@@ -117,7 +117,7 @@ class CaptureFollower {
   std::uint64_t gaps() const { return gaps_; }
   std::uint64_t deformations() const { return deformations_; }
   std::int64_t last_source_ns() const { return last_source_ns_; }
-  // Whether the last follow() came upon a pose of that source time.
+  // Whether the last follow() found a pose with that source time.
   bool has_seen(std::int64_t source_ns) const { return seen_.contains(source_ns); }
 
  private:

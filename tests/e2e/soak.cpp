@@ -47,7 +47,7 @@ std::size_t count_of(const std::string& text, const std::string& what) {
   return n;
 }
 
-// The longest resumption that the log tells of, s.
+// The longest resumption in the log, s.
 double longest_resume_s(const std::string& log) {
   double longest = 0;
   for (auto at = log.find("resumed "); at != std::string::npos; at = log.find("resumed ", at + 1)) {
@@ -107,7 +107,7 @@ void run_kills(const Kills& kills) {
             where + "poses of " +
                 std::to_string(1e-6 * static_cast<double>(taken_ns - offline.last_source_ns())) +
                 " ms were acknowledged and are lost");
-    // One in four is killed again before it is up.
+    // One in four is killed again while it starts.
     while (random() % 4 == 0 && round + 1 < kills.count) {
       session.start(true, false);
       std::this_thread::sleep_for(milliseconds(random() % 120));
@@ -243,7 +243,7 @@ void run_soak(const Soak& soak) {
   while (monotonic_ns() < end) {
     std::this_thread::sleep_for(milliseconds(1000 + random() % 4000));
     if (random() % 4 == 0) by_tcp->drop_connection();
-    // A body that has been cut to crumbs is as little like a day's work as one that has not been cut.
+    // A body cut to crumbs is as unlike a day's work as an uncut one.
     if (kills % 4 == 2) {
       client::Options admin;
       admin.role = Role::Admin;

@@ -3,7 +3,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-// What a fuzz target promises beside "it does not crash".
+// What a fuzz target promises apart from "it does not crash".
 #define FUZZ_CHECK(condition)                                                      \
   do {                                                                             \
     if (!(condition)) {                                                            \

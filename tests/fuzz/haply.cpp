@@ -1,4 +1,4 @@
-// A state of Haply's Inverse Service: an error, or a pose that is one, or no device.
+// A state of Haply's Inverse Service: an error, a valid pose, or no device.
 
 #include <cmath>
 #include <cstddef>

@@ -51,9 +51,9 @@ class Follower {
     index_.follow(behind_, delta);
     FUZZ_CHECK(behind_.apply(delta));
     part_.follow_part(volume, index_, change, kBox);
-    VolumePart anew;
-    anew.load_part(volume, kBox);
-    FUZZ_CHECK(part_.canonical_bytes() == anew.canonical_bytes());
+    VolumePart fresh;
+    fresh.load_part(volume, kBox);
+    FUZZ_CHECK(part_.canonical_bytes() == fresh.canonical_bytes());
     FUZZ_CHECK(part_.part_hash() == part_.compute_part_hash());
   }
   void reload(const Replica& volume) {

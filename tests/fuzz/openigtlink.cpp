@@ -1,4 +1,4 @@
-// An OpenIGTLink message: an error, or poses that are some. The CRC is made to fit, or nothing behind it would be reached.
+// An OpenIGTLink message: an error, or valid poses. The CRC is set to match, or no code behind its check would run.
 
 #include <cmath>
 #include <cstddef>

@@ -17,7 +17,7 @@ TEST(CutMap, KnowsWhatACutFaceCovers) {
   const Vec3 a{0.31, 0.31, 0.51}, b{0.61, 0.31, 0.51}, c{0.31, 0.61, 0.51};
   map.mark(a, b, c);
   EXPECT_FALSE(map.empty());
-  // Every place on it, none well beside it.
+  // Every place on it, none well off it.
   for (int i = 0; i <= 30; ++i) {
     for (int j = 0; i + j <= 30; ++j)
       ASSERT_NE(map.at(a + (i / 30.0) * (b - a) + (j / 30.0) * (c - a)), 0) << i << ", " << j;

@@ -177,7 +177,7 @@ TEST(ForceModel, TheWayBackIsFree) {
   EXPECT_LT(most, 0.2 * fracture);
 }
 
-// A second stroke along a cut that is there: the mesh says so, whoever made it.
+// A second stroke along an existing cut feels the cut, even if another blade made it.
 TEST(ForceModel, AnOldCutIsOpen) {
   Hand hand(tests::long_blade(kSize));
   hand.to({0.0371, -0.02, 0.12});

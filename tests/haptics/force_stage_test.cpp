@@ -170,7 +170,7 @@ TEST(ForceStage, FaultsInContactEndTheForceAndTheRampBeginsIt) {
             << "episode " << episode << " kind " << kind;
       }
       if (latched) {
-        // Plugged in again: the source is opened anew.
+        // Plugged in again: the source is opened again.
         rig.slots[0].device_came(3);
         rig.stage.opened(0, cut_config().blade);
         rig.height = 0.16;

@@ -112,7 +112,7 @@ TEST(FrameLoop, ForcesChangeNoCut) {
 }
 
 // A frame that hangs ends the force of the next one, whatever deadline that one was given. On a loaded machine frames
-// hang by themselves, before there is a force: then it is tried anew.
+// hang by themselves, before there is a force: then it is tried again.
 TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
   core::CutConfig made = config(Policy::kConforming);
   made.blade = {{0, 0, 0}, {0, 0, -0.05}};

@@ -154,7 +154,7 @@ TEST(Journal, ADiskThatHangsInASyncDoesNotHoldBackWhatIsWritten) {
   EXPECT_GE(disk.syncs, 2);
 }
 
-// A pose is told of when the system has it, never before; and where it is lost, then as well, and as lost.
+// A pose is reported once it is written, never earlier; a lost pose is reported as lost.
 TEST(Journal, TellsOfPosesOnceTheyAreWrittenOrLost) {
   Disk disk;
   disk.slow = true;
@@ -202,7 +202,7 @@ TEST(Journal, AfterAGapItIsInTroubleUntilTheMeshIsReset) {
   while (journal.failing()) std::this_thread::yield();
   journal.record(pose(2));
   while (journal.waiting() > 0) std::this_thread::yield();
-  EXPECT_NE(journal.trouble().find("no restart gets across the gap"), std::string::npos) << journal.trouble();
+  EXPECT_NE(journal.trouble().find("no restart can cross the gap"), std::string::npos) << journal.trouble();
   JournalRecord reset;
   reset.kind = Kind::kReset;
   journal.record(reset);

@@ -72,7 +72,7 @@ TEST(SteadyFrame, AllocatesNothingAndTakesNoLock) {
   if (!INCISE_COUNTS) GTEST_SKIP() << "a sanitizer's build: allocations cannot be counted";
   core::CutConfig config;
   config.blade = tests::long_blade();
-  // Back and forth beside the body at 1 kHz, batch after batch, so that the core's events do not count here:
+  // Back and forth outside the body at 1 kHz, batch after batch, so that the core's events do not count here:
   // what the loop itself does in a frame does, with poses, batches, deltas and the journal's queue.
   core::CutSession session(tests::cube(6), config);
   input::PoseSources sources(config.blade);

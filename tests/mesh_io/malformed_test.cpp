@@ -24,7 +24,7 @@ using namespace std::string_view_literals;
 
 constexpr const char* kGoodNodes = "4 3 0 0\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n";
 
-// Beside a.node, there is kGoodNodes's .ele: 1 tetrahedron 0 1 2 3.
+// a.node comes with kGoodNodes's .ele: 1 tetrahedron 0 1 2 3.
 const BadFile kBadNodes[] = {
     {"node", "", "a.node: the file is empty"},
     {"node", "\n\n# nothing\n", "a.node: ends after line 3, where the header"},
@@ -58,7 +58,7 @@ const BadFile kBadNodes[] = {
     {"node", "version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "not an integer"},
 };
 
-// Beside a.ele there is kGoodNodes.
+// a.ele comes with kGoodNodes.
 const BadFile kBadElements[] = {
     {"ele", "", "a.ele: the file is empty"},
     {"ele", "#\n", "a.ele: ends after line 1, where the header"},

@@ -27,7 +27,7 @@ inline constexpr std::string_view kMeetingKinds[] = {
     "halves",   // two half circles
     "ends_in",  // a stroke that ends at an older cut
     "starts_in",
-    "along",    // over an older cut again, up to 0.2 h beside it
+    "along",    // over an older cut again, up to 0.2 h off it
     "crosses",  // two strokes at any angle
 };
 

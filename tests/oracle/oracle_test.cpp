@@ -159,7 +159,7 @@ TEST_P(OracleGap, BelowTheBoundary) {
 TEST_P(OracleGap, BesideAnotherStroke) {
   const core::TetMesh mesh(cube());
   const double gap = GetParam().gap_h * body().h;
-  // The second one ends beside the first one's rim.
+  // The second one ends near the first one's rim.
   const Stroke strokes[] = {
       straight({0.043, -0.05, -0.05}, {0.043, 0.055, -0.05}),
       straight({0.043 + std::abs(gap), 0.15, -0.05}, {0.043 + std::abs(gap), 0.045, -0.05})};

@@ -123,7 +123,7 @@ TEST(Replica, ABadDeltaChangesNothing) {
       {"removed that does not exist", ApplyError::BadIndex, [](OwnedDelta& d) { d.removed_tets = {2}; }},
       {"removed and changed", ApplyError::BadIndex, [](OwnedDelta& d) { d.removed_tets = {1}; }},
       {"another count of tetrahedra", ApplyError::BadShape, [](OwnedDelta& d) { d.live_tets = 3; }},
-      {"boundary face that is none", ApplyError::BadIndex,
+      {"boundary face that is not on the boundary", ApplyError::BadIndex,
        [](OwnedDelta& d) { d.tet_boundary_masks[0] = 0b1110, d.boundary_upserted = {0}; }},
       {"boundary face of no tetrahedron", ApplyError::BadIndex,
        [](OwnedDelta& d) { d.boundary_upserted = {400}; }},

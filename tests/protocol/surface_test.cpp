@@ -53,9 +53,9 @@ TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
     Message kept;
     result = client.apply(through_bytes(owned.back().view(), kept));
     ASSERT_TRUE(result) << result.text;
-    SurfaceReplica anew;
-    anew.load(mesh);
-    ASSERT_EQ(server.canonical_bytes(), anew.canonical_bytes()) << "revision " << walk.model.revision;
+    SurfaceReplica fresh;
+    fresh.load(mesh);
+    ASSERT_EQ(server.canonical_bytes(), fresh.canonical_bytes()) << "revision " << walk.model.revision;
     ASSERT_EQ(client.surface_hash(), client.compute_surface_hash());
   }
   EXPECT_EQ(client.canonical_bytes(), server.canonical_bytes());

@@ -1,6 +1,6 @@
 // The golden bytes in protocol/vectors: what this library writes, byte for byte, and what a client in another
 // language can test itself with. Where the protocol changes on purpose: INCISE_WRITE_VECTORS=1 protocol_test
-// --gtest_filter='Vectors.*' writes them anew, and the difference is for review.
+// --gtest_filter='Vectors.*' writes them again, and the difference is for review.
 
 #include <gtest/gtest.h>
 

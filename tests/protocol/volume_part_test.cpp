@@ -99,7 +99,7 @@ TEST(VolumePart, ADeformationCostsWhatIsInTheBox) {
   }
 }
 
-// The tetrahedron beside the box comes in whole, in its piece, with its faces, when a vertex of it moves; an added vertex
+// The tetrahedron next to the box enters whole, in its piece, with its faces, when a vertex of it moves; an added vertex
 // tells where it comes from though the part has not got that.
 TEST(VolumePart, DeltasTellWhatCameInAndWhatWent) {
   VolumeView view;

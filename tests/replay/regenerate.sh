@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Writes the golden captures anew with the incise of a build, poses and configurations as they are, hashes as this build
+# Writes the golden captures again with the incise of a build, poses and configurations as they are, hashes as this build
 # computes them: ./regenerate.sh ../../build/release/bin. Says for each whether its hashes changed.
 set -euo pipefail
 bin="$(cd "${1:?usage: regenerate.sh BIN_DIR}" && pwd)"
@@ -11,5 +11,5 @@ for capture in *.capture; do
   fi
   "$bin/incise" convert "$capture" --mesh body --out "$capture.new" > /dev/null
   mv "$capture.new" "$capture"
-  echo "$capture: written anew"
+  echo "$capture: written"
 done

@@ -30,7 +30,7 @@ protocol::Hello boxed(View view = View::Volume) {
 // A viewer of view Volume with a box.
 struct BoxViewer {
   explicit BoxViewer(std::uint16_t port) : peer(port) { peer.send(boxed()); }
-  // Until the part is at `revision`, or the server says that there is none.
+  // Until the part is at `revision`, or the server says that the box is not available.
   bool follow(std::uint64_t revision) {
     while (!whole || part.revision() < revision) {
       const auto received = peer.receive();
@@ -82,7 +82,7 @@ TEST(TimeShare, WorkGetsItsShareAndWhatWasSaved) {
 }
 
 // Three boxes want more than their share: each still gets every step, in fewer deltas, and what they cost stays within the
-// share. Whoever has no box gets each delta.
+// share. A session without a box gets each delta.
 TEST(BoxTurns, BeyondTheirShareBoxesGetFewerDeltas) {
   StreamConfig config = test_config();
   config.box_share = 0.005;

@@ -19,7 +19,7 @@ using protocol::Role;
 
 constexpr Role kRoles[] = {Role::Viewer, Role::Operator, Role::Simulator, Role::Admin};
 
-// The error that answers a message; nothing where there is none. A ping behind it says when the answer must be there.
+// The error that answers a message, if any. A ping sent after it tells when the answer must have arrived.
 std::optional<ErrorCode> answer(TestServer& test, Role role, const protocol::Body& message) {
   RawPeer peer(test.server.tcp_port());
   protocol::Hello greeting = hello(role, protocol::View::None);
@@ -70,7 +70,7 @@ TEST(Roles, EachMayWhatItIsForAndNothingElse) {
       EXPECT_EQ(code != ErrorCode::Forbidden, allowed) << one.name << " from role " << static_cast<int>(role);
     }
   }
-  // What only a server sends is out of place, whoever sends it.
+  // Messages that only a server sends are refused from every role.
   for (const Role role : kRoles) {
     EXPECT_EQ(answer(test, role, protocol::PoseReport{}), ErrorCode::BadState);
     EXPECT_EQ(answer(test, role, hello(role, protocol::View::None)), ErrorCode::BadState);

@@ -443,7 +443,7 @@ TEST(Server, SilentConnectionsKeepNobodyOut) {
   EXPECT_TRUE(flood.front()->closes());
   EXPECT_TRUE(flood.back()->send(hello(Role::Viewer, View::None)));
   EXPECT_TRUE(flood.back()->receive_until<protocol::Welcome>());
-  // Whoever has said Hello stays, however many come after.
+  // A peer that has sent Hello stays, however many connect after it.
   Viewer viewer(test.server.tcp_port());
   ASSERT_TRUE(viewer.follow(0));
   for (int i = 0; i < 40; ++i) flood.push_back(std::make_unique<RawPeer>(test.server.http_port()));
@@ -733,7 +733,7 @@ TEST(Server, AFullQueueHoldsTheSenderBackAndLosesNothing) {
   RawPeer peer(test.server.tcp_port());
   peer.send(hello(Role::Operator, View::None));
   ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
-  // Beside the tissue, so that nothing is cut; more than the queue holds.
+  // Outside the tissue, so that nothing is cut; more than the queue holds.
   std::vector<protocol::PoseSample> poses(30'000);
   for (std::size_t i = 0; i < poses.size(); ++i) {
     poses[i].source_ns = 1'000'000'000'000 + static_cast<std::int64_t>(i) * 1000;
@@ -821,7 +821,7 @@ TEST(Server, BladesAreShownToWhoAskedEachPoseOnceAndNoOftenerThanAsked) {
     last_ns = now_ns;
   }
   moving = false;
-  // What else they got, up to a revision: at most one pose for whoever wants one in fifty seconds, none unasked.
+  // What else they got, up to a revision: at most one pose for a client that wants one in fifty seconds, none unasked.
   test.cut();
   const auto poses_until_cut = [&](Viewer& viewer) {
     int poses = 0;

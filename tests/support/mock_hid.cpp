@@ -145,7 +145,7 @@ MockDevice::MockDevice(MockHid& bus, Kind kind)
     if (!umockdev_testbed_add_from_string(bus_.testbed_, text.c_str(), &error))
       throw std::runtime_error(error->message);
   };
-  // All is there before anybody is told of it.
+  // Everything exists before udev announces it.
   const std::string pipe = bus_.root_ + format("/dev/hidraw%d", node);
   must(::mkfifo(pipe.c_str(), 0600) == 0, "mkfifo");
   pipe_ = ::open(pipe.c_str(), O_RDWR | O_CLOEXEC);

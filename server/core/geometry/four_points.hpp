@@ -7,8 +7,8 @@
 
 namespace incise::core {
 
-// The corners of a tetrahedron, side by side: what is asked of all four compiles to vector instructions, with the same
-// bits for each as for one alone.
+// The corners of a tetrahedron, side by side: operations on all four compile to vector instructions and give the same
+// bits as one at a time.
 struct FourPoints {
   double x[4], y[4], z[4];
 

@@ -36,8 +36,8 @@ class CutSession {
   // Ends the stroke of a source (its button was released, or it vanished). No effect between strokes.
   void end_stroke(std::uint32_t source);
 
-  // Moves vertices, behind all batches that are complete now, as a step of its own (Delta::deformation says what became of
-  // it). Whatever the positions are, the mesh stays valid: see VertexMover.
+  // Moves vertices in a separate step, after all batches that are complete now (Delta::deformation has its
+  // outcome). The mesh stays valid for any positions: see VertexMover.
   void deform(std::shared_ptr<const VertexPositions> positions);
 
   enum class Progress {
@@ -48,7 +48,7 @@ class CutSession {
   // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
   // arrays keep their capacity: reuse it); call again for the next batch.
   Progress advance(WorkBudget& budget, Delta& delta);
-  // Where no batch waits: brings what the strokes in progress cut next into the caches. Some 30 us for each; changes nothing.
+  // When no batch waits: loads what the strokes in progress will cut next into the caches. Some 30 us for each; changes nothing.
   void prefetch();
 
   const TetMesh& mesh() const { return mesh_; }
@@ -56,15 +56,15 @@ class CutSession {
   const BoundaryGrid& boundary() const { return workspace_.grid; }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
-  // Batches and deformations that wait, the one at work included, and their segments.
+  // Batches and deformations that wait, including the current one, and their segments.
   std::size_t backlog_batches() const { return queue_.size(); }
   std::size_t backlog_segments() const { return queue_.segments(); }
   bool in_stroke(std::uint32_t source) const;
   bool deformation_waits() const { return deformations_ > 0; }
-  // The batch that the last kCommitted was about, and what it did. Of stroke 0 where that was a deformation.
+  // The batch of the last kCommitted, and what it did. Its stroke is 0 if it was a deformation.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
-  // What the batch at work has done so far.
+  // What the current batch has done so far.
   CutCounts running_counts() const;
 
   // Everything that later revisions depend on; no batch may wait. See session_state.hpp.
@@ -89,7 +89,7 @@ class CutSession {
   std::uint32_t stroke_counter_ = 0;
   std::array<std::unique_ptr<Source>, kMaxSources> sources_;
   BatchQueue queue_;
-  // Where the oldest batch is: cut, what it has cut off is found, its delta is made, its quality measured.
+  // The stage of the oldest batch: it is cut, its pieces are found, its delta is made, its quality is measured.
   enum class Stage { kWaiting, kCutting, kPieces, kCommitting, kMeasuring };
   Stage stage_ = Stage::kWaiting;
   Delta made_;                                      // while it is being made
@@ -98,7 +98,7 @@ class CutSession {
   double worst_ = 0;
   VertexMover mover_;
   std::size_t deformations_ = 0;  // in the queue
-  bool begun_ = false;            // the oldest one is at work
+  bool begun_ = false;            // the oldest one is under way
   std::uint64_t revision_ = 0;
   Batch committed_;
   CutCounts committed_counts_;

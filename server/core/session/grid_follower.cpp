@@ -58,7 +58,7 @@ bool GridFollower::follow(const Step& step, WorkBudget& budget) {
   });
 }
 
-// The tetrahedra on the boundary, in the order in which the grid in use has them, and a box around them.
+// Collects the tetrahedra on the boundary, in the order of the current grid, and a box around them.
 bool GridFollower::collect(const Step& step, WorkBudget& budget) {
   const BoundaryGrid& old = workspace_.grid;
   const bool done = in_chunks(next_, old.entries(), budget, kQuarters, [&](std::size_t i) {

@@ -8,8 +8,8 @@
 
 namespace incise::core {
 
-// Lets the boundary grid follow a body that deforms: tetrahedra at vertices that have moved far are entered again, or a new grid
-// is built beside the one in use, when stale entries have doubled that or the body leaves its box.
+// Keeps the boundary grid up to date while the body deforms: tetrahedra at vertices that have moved far are entered again, or a
+// new grid is built while the old one is used, when stale entries have doubled it or the body leaves its box.
 class GridFollower {
  public:
   GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
@@ -21,7 +21,7 @@ class GridFollower {
     const std::vector<Vec3>& positions;
     const std::vector<Vec3>& targets;  // by vertex
   };
-  // First each place that a vertex is about to move to, one by one, then all of them.
+  // Call begin(), then look_at() for each vertex's new place, then settle() for all of them.
   void begin() { rebuilt_ = false; }
   void look_at(const Vec3& target) { rebuilt_ = rebuilt_ || !workspace_.grid.contains(target); }
   void settle(const Step& step);

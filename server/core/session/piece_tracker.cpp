@@ -5,8 +5,8 @@
 namespace incise::core {
 namespace {
 
-// What a group may visit before the next one has its turn, in tetrahedra: little at first, for most groups soon meet, then
-// more. A cluster is paid for with several turns, so all groups grow at the same pace, whatever they are made of.
+// How many tetrahedra a group may visit in its turn: few at first, since most groups soon meet, then
+// more. A group pays for a large cluster with several turns, so all groups grow at the same pace.
 constexpr std::int32_t kFirstTurn = 4, kMaxTurn = 256;
 
 }  // namespace
@@ -79,7 +79,7 @@ bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
   return list(budget, delta);
 }
 
-// Whether what is beside a tetrahedron may have changed in this step, and not only the names of its vertices.
+// Whether the neighbours of a tetrahedron may have changed in this step, and not only the ids of its vertices.
 bool PieceTracker::has_other_neighbors(TetId t) const {
   if (!mesh_.alive(t) || mesh_.cut_mask(t) != 0) return true;
   for (int f = 0; f < 4; ++f) {
@@ -89,7 +89,7 @@ bool PieceTracker::has_other_neighbors(TetId t) const {
   return false;
 }
 
-// Takes what this step has touched out of its clusters. All of it, before any is formed again.
+// Dissolves the clusters of all tetrahedra that this step has touched, before any is formed again.
 bool PieceTracker::loosen(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
   for (; next_ < touched.size(); ++next_) {
@@ -121,7 +121,7 @@ bool PieceTracker::form(WorkBudget& budget) {
   return true;
 }
 
-// A group for each cluster with a tetrahedron that has got a cut face, or had one and was changed.
+// Starts a group at each cluster with a tetrahedron that has a new cut face, or had one and was changed.
 bool PieceTracker::seed(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
   for (; next_ < touched.size(); ++next_) {
@@ -150,7 +150,7 @@ void PieceTracker::claim(std::uint32_t cluster, std::uint32_t group) {
   visited_.push_back({cluster, kNone});
 }
 
-// The group comes to a cluster: takes it, or becomes one with the group that has it.
+// The group reaches a cluster: it claims it, or merges with the group that has it.
 void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
   const TetClusters::Cluster& known = clusters_[cluster];
   if (known.search != search_) {
@@ -172,8 +172,8 @@ void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
   if (--searches_[piece].groups == 1) settle(piece);
 }
 
-// One group of its piece is left: what is not cut off. Whether that is the largest part is known where all others are
-// smaller; else it is visited, too.
+// One group of its piece is left: the part that is not cut off. If that is smaller than the largest part that is, it
+// must be visited to its end, since it loses the id.
 void PieceTracker::settle(std::uint32_t piece) {
   Search& of_piece = searches_[piece];
   const std::uint32_t rest = piece_tets_[piece] - of_piece.cut_off;
@@ -195,7 +195,7 @@ bool PieceTracker::search(WorkBudget& budget) {
     const Search& of_piece = searches_[groups_[group].piece];
     if (groups_[group].parent != group || groups_[group].first == kNone ||
         (of_piece.groups == 1 && !of_piece.finishing)) {
-      // It has become part of another one, or is done, or its piece is decided.
+      // It has merged into another one, or is done, or its piece is decided.
       ring_[turn_] = ring_.back();
       ring_.pop_back();
       budget.charge(1);
@@ -218,7 +218,7 @@ bool PieceTracker::search(WorkBudget& budget) {
   return true;
 }
 
-// The group has nowhere left to go.
+// The group has no cluster left to visit.
 void PieceTracker::end_group(std::uint32_t group) {
   Search& of_piece = searches_[groups_[group].piece];
   const std::uint32_t tets = groups_[group].tets;
@@ -230,7 +230,7 @@ void PieceTracker::end_group(std::uint32_t group) {
     of_piece.finishing = false;
     --undecided_;
   } else if (of_piece.groups > 1) {
-    // Another group of the piece still has: this is a piece of its own.
+    // Another group of the piece still goes on: this one is a separate piece.
     groups_[group].fresh = next_piece_++;
     piece_tets_.push_back(tets);
     of_piece.cut_off += tets;

@@ -12,13 +12,13 @@
 namespace incise::core {
 
 // Finds out what a step has cut off. From the tetrahedra at the new cut faces, searches spread through the mesh at the
-// same pace; searches that meet become one. A group of searches that has nowhere left to go, while another of the
-// same piece still has, has found a piece of its own. Of the parts of a piece, the largest keeps its id. So it costs what
-// the smaller side holds (times two), and next to nothing where the two sides of a cut still hang together around its
-// front. The searches go by clusters (TetClusters).
+// same pace; searches that meet merge into a group. A group that has nothing left to visit, while another of the
+// same piece goes on, is a separate piece. Of the parts of a piece, the largest keeps its id. So the cost is that of
+// the smaller side (times two), and next to nothing if the two sides of a cut are still connected around its
+// front. The searches visit clusters (TetClusters), not single tetrahedra.
 class PieceTracker {
  public:
-  // O(mesh): later steps only add what the mesh has grown by.
+  // O(mesh). Later steps only add the elements that are new.
   explicit PieceTracker(TetMesh& mesh);
 
   // Begins with the tetrahedra that the running step has touched.
@@ -28,7 +28,7 @@ class PieceTracker {
   // mesh's step must still run.
   bool advance(WorkBudget& budget, Delta& delta);
 
-  // What of it is not in the mesh, and which clusters there are: they decide in which order parts end.
+  // Its members that do not follow from the mesh, and the clusters, which decide in which order parts end.
   void archive(Archive& io);
 
   // Pieces there have been so far; ids run below it.
@@ -59,7 +59,7 @@ class PieceTracker {
   std::uint32_t next_piece_ = 1;
 
   TetClusters clusters_;
-  std::vector<TetId> loose_;  // that this step has taken out of their clusters, and new ones
+  std::vector<TetId> loose_;  // without a cluster: this step has dissolved theirs, or they are new
 
   std::uint32_t search_ = 0;  // serial of the running search
   enum class Phase { kLoosen, kForm, kSeed, kSearch, kRelabel, kNew, kList };
@@ -85,7 +85,7 @@ class PieceTracker {
   std::int32_t rounds_ = 0;
   std::vector<std::uint32_t> piece_tets_;  // by piece: how many it has
   struct Search {
-    std::uint32_t groups = 0;       // that still have somewhere to go
+    std::uint32_t groups = 0;       // that still have something to visit
     std::uint32_t largest = kNone;  // of the groups that are pieces of their own
     std::uint32_t cut_off = 0;      // tetrahedra of all of these
     bool finishing = false;  // what is left may be less than the largest of them: it is visited to its end

@@ -12,17 +12,17 @@
 
 namespace incise::core {
 
-// A session as bytes: everything that later revisions depend on, strokes in progress included, so that a restored session gives
-// the ids and hashes that the saved one would have given. Little-endian. Which members that is stands in each
-// class's archive(): a member that lives from one batch to the next belongs there. Raise the version when such a list
+// A session as bytes: everything that later revisions depend on, including strokes in progress, so that a restored session gives
+// the ids and hashes that the saved one would have given. Little-endian. Each class's archive() lists its
+// members: one that lives from one batch to the next belongs there. Raise the version when such a list
 // changes: older bytes are then refused.
 inline constexpr std::uint32_t kSessionStateVersion = 6;
 
-// No batch may wait (advance() says kIdle): what is in the middle of a batch has no bytes. O(mesh).
+// No batch may wait (advance() returns kIdle): a batch under way cannot be saved. O(mesh).
 std::vector<std::byte> save_session(const CutSession& session);
 
-// Trusts none of the bytes: null, and one line in `error`, where they are not a session with this configuration's policy
-// and a valid mesh. Allocates no more than a small multiple of what they hold. O(mesh).
+// Trusts none of the bytes: returns null, and one line in `error`, unless they are a session with this configuration's policy
+// and a valid mesh. Allocates no more than a small multiple of their number. O(mesh).
 std::unique_ptr<CutSession> restore_session(std::span<const std::byte> bytes, const CutConfig& config,
                                             std::string& error);
 

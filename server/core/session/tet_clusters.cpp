@@ -88,7 +88,7 @@ void TetClusters::archive(Archive& io) {
 std::vector<std::uint32_t> TetClusters::list() const {
   std::vector<std::uint32_t> listed;
   listed.reserve(mesh_.live_tets() + clusters_.size());
-  // By first members: slots are handed out otherwise in a session that was restored.
+  // In the order of their first members: a restored session assigns other slots.
   for (TetId first = 0; first < cluster_of_.size(); ++first) {
     if (cluster_of_[first] == kNone || clusters_[cluster_of_[first]].first != first) continue;
     const Cluster& c = clusters_[cluster_of_[first]];
@@ -123,7 +123,7 @@ bool TetClusters::restore(std::span<const std::uint32_t> listed) {
     members += size;
     listed = listed.subspan(size + 1);
   }
-  // What a link to an unlinked cluster says is only that the faces tell: as it was.
+  // Links to clusters without links are kept as they were: they make searches use the faces.
   for (const std::uint32_t c : linked) find_links(c);
   return members == mesh_.live_tets();
 }

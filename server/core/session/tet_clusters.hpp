@@ -10,9 +10,9 @@
 
 namespace incise::core {
 
-// The tetrahedra of a mesh in clusters of up to 32 that hang together: searches pass a cluster at a time. Where a step changes
-// what is beside a tetrahedron, its cluster is dissolved and formed again, as one or several. A cluster that no step has touched
-// yet knows the clusters beside it (its links) and is passed in one go.
+// The tetrahedra of a mesh in connected clusters of up to 32, so that searches can pass a cluster at a time. When a step changes
+// the neighbours of a tetrahedron, its cluster is dissolved and formed again, as one or several. A cluster that no step has touched
+// yet knows its neighbour clusters (its links), so a search passes it at once.
 class TetClusters {
  public:
   struct Cluster {
@@ -28,7 +28,7 @@ class TetClusters {
   // With the mesh. New tetrahedra are in none.
   void grow();
 
-  // kNone: it is dead, or about to get one.
+  // kNone: t is dead, or has no cluster yet.
   std::uint32_t of(TetId t) const { return cluster_of_[t]; }
   // The member after t; kNone after the last.
   TetId next_member(TetId t) const { return next_member_[t]; }
@@ -39,7 +39,7 @@ class TetClusters {
   void dissolve(std::uint32_t cluster, std::vector<TetId>& loose);
   // A cluster of `first` and tetrahedra around it that have none.
   void form(TetId first);
-  // Calls visit(cluster) for those beside it, some more than once. Returns units of work.
+  // Calls visit(cluster) for its neighbours, some more than once. Returns units of work.
   template <class Visit>
   std::int64_t visit_beside(std::uint32_t cluster, Visit visit) const;
 
@@ -47,14 +47,14 @@ class TetClusters {
   void archive(Archive& io);
 
  private:
-  // Large clusters are passed quicker, but more of them dissolves along a cut.
+  // Larger clusters make searches faster, but more of the mesh dissolves along a cut.
   static constexpr std::size_t kMaxSize = 32;
   // In the list of all clusters: the size, and this bit where links are known, then the members.
   static constexpr std::uint32_t kLinked = 1u << 31;
 
   void find_links(std::uint32_t cluster);
   std::vector<std::uint32_t> list() const;
-  // False, and in no state to go on, where they are not the living tetrahedra, each once.
+  // False, and unusable from then on, if they are not the living tetrahedra, each once.
   bool restore(std::span<const std::uint32_t> listed);
 
   const TetMesh& mesh_;
@@ -71,7 +71,7 @@ std::int64_t TetClusters::visit_beside(std::uint32_t cluster, Visit visit) const
   const Cluster& c = clusters_[cluster];
   bool all_known = c.links != kNone;
   for (std::uint32_t l = c.links; l != c.links_end; ++l) {
-    // Where one beside it was formed again, only the faces tell.
+    // If a neighbour was formed again, its new clusters are found through the faces only.
     if (clusters_[links_[l]].links == kNone) {
       all_known = false;
     } else {
@@ -79,7 +79,7 @@ std::int64_t TetClusters::visit_beside(std::uint32_t cluster, Visit visit) const
     }
   }
   if (all_known) return 2;
-  // First what is beside, without a decision on the way: waiting for memory is most of this.
+  // First collect all neighbours, without branches: most of the time goes into waiting for memory.
   std::uint32_t beside[4 * kMaxSize];
   std::size_t count = 0;
   for (TetId t = c.first; t != kNone; t = next_member_[t]) {

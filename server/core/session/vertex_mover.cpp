@@ -12,8 +12,8 @@ namespace {
 
 // Six times the volume below which a tetrahedron is flat, in cubes of the local edge length. A regular one has 0.7.
 constexpr double kThinnest = 1e-3;
-// What is thick enough where edges are so many times as long as on the mean counts as thick enough anywhere: the local length
-// need then not be looked up.
+// A tetrahedron that would be thick enough where edges are this many times the mean length is thick enough anywhere: then the
+// local length is not looked up.
 constexpr double kLocallyAtMost = 4;
 constexpr std::size_t kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
@@ -117,7 +117,7 @@ void VertexMover::take(WorkBudget& budget) {
     moving_.push_back(v);
   });
   if (!done) return;
-  // A pass over all tetrahedra in their order is quicker than the stars of most vertices, each of which is in four.
+  // One pass over all tetrahedra is faster than visiting the stars of most vertices, which reach each tetrahedron four times.
   all_tets_ = moving_.size() > mesh_.tet_slots() / 16;
   pass_.begin();
   phase_ = all_tets_ ? Phase::kCheck : Phase::kLook;

@@ -11,17 +11,17 @@
 
 namespace incise::core {
 
-// Moves vertices to where a host simulation says that they are, all at once, when it is sure that the mesh stays valid:
+// Moves vertices to the positions that a host simulation has sent, all at once, after checking that the mesh stays valid:
 //
-//   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know them
-//            as they are), nor those at a blade: there a cut is at work that relies on where it has put them, and so
+//   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
+//            present state), nor those at a blade: the cut under way relies on the places it has given them, so
 //            the tissue clings to the blade until it has passed.
 //   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, unless they were before and
-//            get no thinner). Their vertices go half the way, and where that is too far they stay: again, until no
-//            tetrahedron is wrong. Each vertex gives way at most twice, so this ends.
+//            get no thinner). Their vertices go half the way, or stay if that is still too far; this repeats until no
+//            tetrahedron is wrong. Each vertex is held back at most twice, so this ends.
 //   settle   the change of the state hash; then the boundary grid follows (GridFollower).
 //
-// Nothing changes before commit(), and the budget is looked at in between. The cost is that of the vertices that move.
+// Nothing changes before commit(), and the budget is checked in between. The cost depends on the vertices that move only.
 class VertexMover {
  public:
   // Both must outlive this.
@@ -34,7 +34,7 @@ class VertexMover {
   // Moves the vertices. Fills the mesh part of `delta`.
   void commit(Delta& delta);
 
-  // Takes in that a cut led to delta.revision: what it has moved and made is not as simulations know it.
+  // Records the vertices that a cut has moved or made in delta.revision: simulations do not know these yet.
   void note_cut(const Delta& delta);
 
   void archive(Archive& io);

@@ -13,11 +13,11 @@
 
 namespace incise::core {
 
-// Saves or restores members: a class lists in archive(Archive&), beside its other code, the members that later revisions depend
-// on, and the same list writes and reads. What is absent is scratch, a stamp that is only compared with serial numbers still to
-// come, or follows from the rest. Little-endian.
+// Saves or restores members: each class lists in archive(Archive&) the members that later revisions depend
+// on, and the same list writes and reads. Absent members are scratch, stamps that are only compared with later serial
+// numbers, or follow from the rest. Little-endian.
 //
-// An archive that reads trusts none of its bytes: the first demand that is not met is its error, after which values are 0.
+// An archive that reads trusts none of its bytes: the first demand that fails is its error, after which values are 0.
 class Archive {
  public:
   // Writes.
@@ -53,7 +53,7 @@ class Archive {
     (*this)(v.z);
     demand(is_finite(v), "a coordinate is not finite");
   }
-  // The count, then each element by `element`. `least_bytes`: of one, so that a wrong count allocates nothing.
+  // The count, then each element by `element`. `least_bytes`: the size of the smallest element, so that a wrong count allocates nothing.
   template <class T, class Element>
   void list(std::vector<T>& values, std::size_t least_bytes, Element element) {
     std::uint64_t count = values.size();
@@ -68,7 +68,7 @@ class Archive {
     for (T& value : values) element(value);
   }
 
-  // What is read must be so. What is written is.
+  // A condition on the bytes that are read; it has no effect while writing.
   void demand(bool met, const char* otherwise) {
     if (!met && reads_ && error_.empty()) error_ = otherwise;
   }

@@ -7,7 +7,7 @@
 
 namespace incise::core {
 
-// A set of ids that is filled, then emptied from the least id upwards: sorting without comparisons, which may stop at
+// A set of ids that is filled, then emptied in ascending order: sorting without comparisons that can be interrupted at
 // any time. Two levels of bits. Keeps its memory.
 class IdSet {
  public:
@@ -20,7 +20,7 @@ class IdSet {
     }
   }
   bool empty() const { return size_ == 0; }
-  // Returns whether it is new. Not between the first take() and the last. O(1).
+  // Returns whether the id is new. Not allowed between the first take() and the last. O(1).
   bool insert(std::uint32_t id) {
     std::uint64_t& word = words_[id / 64];
     const std::uint64_t bit = std::uint64_t{1} << id % 64;
@@ -30,7 +30,7 @@ class IdSet {
     ++size_;
     return true;
   }
-  // The least id, which is taken out; there must be one. O(1), and O(slots / 4096) for all of them.
+  // Removes and returns the least id; the set must not be empty. O(1), and O(slots / 4096) for all of them.
   std::uint32_t take() {
     while (summary_[first_] == 0) ++first_;
     const std::size_t at = 64 * first_ + static_cast<std::size_t>(std::countr_zero(summary_[first_]));

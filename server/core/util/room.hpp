@@ -5,8 +5,8 @@
 
 namespace incise::core {
 
-// Memory that is not touched costs nothing but address space, except in builds with a sanitizer, which touches its
-// shadow for each new session. With little room it also sees what is held of arrays that have moved.
+// Memory that is not touched costs only address space, except in builds with a sanitizer, which touches its
+// shadow for each new session. With little room it also finds stale pointers into arrays that have moved.
 #if INCISE_SMALL_ROOM
 inline constexpr std::size_t kSpareRoom = std::size_t{64} << 10;
 #else

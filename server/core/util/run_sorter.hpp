@@ -7,8 +7,8 @@
 
 namespace incise::core {
 
-// Sorts in portions, so that one may stop at any time: runs of kRun keys are sorted as they fill up, then the least key
-// of all is taken from a heap of the runs' first ones. Keys have a total order (operator<). Keeps its memory.
+// Sorts in portions, so that it can be interrupted: runs of kRun keys are sorted as they fill up, then the least key
+// of all is taken from a heap of the runs' first keys. Keys have a total order (operator<). Keeps its memory.
 template <class Key>
 class RunSorter {
  public:
@@ -18,7 +18,7 @@ class RunSorter {
     keys_.clear();
     heap_.clear();
   }
-  // Before all of the taking. O(1), but for every kRun-th key, which sorts as many.
+  // Only before seal(). O(1), except that every kRun-th key sorts a run.
   void push(const Key& key) {
     keys_.push_back(key);
     if (keys_.size() % kRun == 0) sort_last_run();
@@ -29,7 +29,7 @@ class RunSorter {
     std::make_heap(heap_.begin(), heap_.end(), After{keys_});
   }
   bool empty() const { return heap_.empty(); }
-  // The least key left, and on to the next. O(log runs).
+  // Removes and returns the least key. O(log runs).
   Key take() {
     Run& run = heap_.front();
     const Key key = keys_[run.next];

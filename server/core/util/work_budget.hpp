@@ -5,8 +5,8 @@
 
 namespace incise::core {
 
-// Counted work: what a budget is in, so that no clock decides anything. One unit is about the work on one
-// tetrahedron: some 50 ns. server/loop knows what a unit costs on this machine.
+// Budgets are counted work, so that no clock decides anything. One unit is about the work on one
+// tetrahedron: some 50 ns. server/loop measures what a unit costs on this machine.
 struct WorkBudget {
   std::int64_t left = 0;
 
@@ -22,7 +22,7 @@ class WorkMeter {
     units_ += units;
     return *this;
   }
-  // The same for what is this many times as cheap as one unit.
+  // The same for operations of which `a_unit` make one unit.
   void add(std::size_t count, std::size_t a_unit) { units_ += static_cast<std::int64_t>(count / a_unit); }
   void charge(WorkBudget& budget) {
     budget.charge(units_);

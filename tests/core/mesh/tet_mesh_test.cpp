@@ -40,7 +40,7 @@ std::set<TetId> tets_with(const TetMesh& mesh, std::initializer_list<VertexId> v
   return tets;
 }
 
-// The interior face whose three vertices are given; kNone where there is none.
+// The interior face with these three vertices; kNone if there is no such face.
 HalfFace find_face(const TetMesh& mesh, VertexId a, VertexId b, VertexId c) {
   for (TetId t : tets_with(mesh, {a, b, c})) {
     for (int f = 0; f < 4; ++f) {

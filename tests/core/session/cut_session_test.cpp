@@ -119,7 +119,7 @@ TEST_P(CutSessionOf, TheSameWithAnyBudget) {
   }
 }
 
-// Poses pushed while a batch is at work, in other portions than they came before: the same mesh.
+// Poses pushed in other portions, while a batch is being cut: the same mesh.
 TEST_P(CutSessionOf, TheSameHoweverPushingAndCuttingInterleave) {
   Random random(7);
   std::vector<std::uint64_t> expected;

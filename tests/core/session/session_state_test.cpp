@@ -82,8 +82,8 @@ class SessionStateOf : public ::testing::TestWithParam<Policy> {};
 INSTANTIATE_TEST_SUITE_P(, SessionStateOf, ::testing::Values(Policy::kConforming, Policy::kCroll),
                          [](const auto& p) { return p.param == Policy::kCroll ? "croll" : "conforming"; });
 
-// A session that is saved and restored at every seventh call, strokes running or not, gives what one gives that never
-// was.
+// A session that is saved and restored at every seventh call, even during strokes, gives the same result as one that
+// never was.
 TEST_P(SessionStateOf, RestoredSessionsGoOnToTheSameBits) {
   const MeshData mesh = body();
   CutSession whole(mesh, config(GetParam()));
@@ -154,7 +154,7 @@ TEST(SessionState, SmallSessionsAreRestored) {
   }
 }
 
-// Bytes that are wrong either are refused or make a session that can be cut.
+// Damaged bytes are refused, or give a session that can be cut.
 TEST(SessionState, WrongBytesDoNoHarm) {
   CutSession session(body(), config(Policy::kConforming));
   std::vector<std::uint64_t> hashes;

@@ -254,8 +254,8 @@ TEST(VertexMover, CutsInAMovingBodyAreValidAndDeterministic) {
 }
 
 // A blade that goes right through separates a body that moves while it is cut: none of it slips past the blade. It moves when
-// the blade is in: tissue that comes over the blade's line from ahead where the blade has yet to enter is cut by nobody. What sways
-// back over the cut may be cut off a second time.
+// the blade is in: tissue that moves over the blade's line from ahead, where the blade has not entered yet, is not cut. Tissue that
+// sways back over the cut may be cut off a second time.
 TEST(VertexMover, AThroughCutSeparatesAMovingBody) {
   constexpr std::uint64_t kSeed = 11;
   constexpr int kIn = 20;

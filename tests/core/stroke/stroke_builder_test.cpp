@@ -358,7 +358,7 @@ TEST(StrokeBuilder, KeepsPosesThatTheTwistNeeds) {
   }
 }
 
-// How finely the motion is chopped must not show: the surfaces of 2, 10, 200 and 5,000 poses.
+// How finely the motion is sampled must not matter: the surfaces of 2, 10, 200 and 5,000 poses.
 TEST(StrokeBuilder, TheSurfaceDoesNotDependOnTheNumberOfPoses) {
   using Motion = std::function<Pose(double)>;
   const std::vector<std::pair<const char*, Motion>> motions{

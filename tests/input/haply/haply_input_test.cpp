@@ -137,7 +137,7 @@ TEST_F(Haply, StatesBecomePosesAndForcesGoBack) {
     EXPECT_TRUE(i == 1 || pose.t_ns > events[i - 1].pose.pose.t_ns);
   }
   EXPECT_EQ(forces[0].limit(), 2);
-  // A force reaches the device in its own axes; one above its limit is cut to that; NaN becomes no force.
+  // A force reaches the device in its own axes; one above the limit is reduced to it; NaN becomes no force.
   const auto arrives = [&](const core::Vec3& world, const core::Vec3& device) {
     return eventually([&] {
       drain();  // a full queue stops the exchange

@@ -1,4 +1,4 @@
-// The HID input with hidapi, udev and threads, on devices that umockdev feigns.
+// The HID input with hidapi, udev and threads, on devices that umockdev simulates.
 
 #include "server/input/hid/hid_input.hpp"
 
@@ -269,7 +269,7 @@ constexpr const char* kMouse =
     "05 01 09 02 a1 01 09 01 a1 00 05 09 19 01 29 03 15 00 25 01 95 03 75 01 81 02 95 01 75 05 81 03 05 01 "
     "09 30 09 31 "
     "15 81 25 7f 75 08 95 02 81 06 c0 c0";
-// A multi-axis controller of nobody's: X ... Rz of 16 bits, -500 ... 500, and two buttons, unnumbered.
+// A multi-axis controller without a profile: X ... Rz of 16 bits, -500 ... 500, and two buttons, unnumbered.
 constexpr const char* kMultiAxis =
     "05 01 09 08 a1 01 16 0c fe 26 f4 01 75 10 95 06 09 30 09 31 09 32 09 33 09 34 09 35 81 02 05 09 19 01 "
     "29 02 15 00 "

@@ -158,7 +158,7 @@ TEST(OpenIgtLinkMessage, LengthsThatDoNotFitAreRefused) {
       EXPECT_EQ(with_body("TRANSFORM", bad, 2).fault, Fault::kShape) << at << ' ' << value;
     }
   }
-  // A tool count that is none is a frame without tools.
+  // An empty body is a frame without tools.
   EXPECT_TRUE(with_body("TDATA", {}).message);
 }
 

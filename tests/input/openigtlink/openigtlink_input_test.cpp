@@ -266,7 +266,7 @@ TEST_F(OpenIgtLink, TheSurfaceIsSentToWhoAsks) {
   EXPECT_EQ(peer.device(), "Incise");
   ASSERT_TRUE(peer.receive_body(*surface));
   EXPECT_TRUE(tests::seen(*surface).good);
-  // Again: nothing has changed, and nothing is made anew.
+  // Again: nothing has changed, and nothing is made a second time.
   ASSERT_TRUE(peer.send(tests::get_polydata()));
   ASSERT_EQ(peer.receive_header(), "POLYDATA");
   peer.skip_body();

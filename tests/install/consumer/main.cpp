@@ -1,4 +1,4 @@
-// consumer PORT: what a server there holds is what the core makes of it again.
+// consumer PORT: makes a mesh of the core from the state of the server there, and prints its number of tetrahedra.
 #include <cstdio>
 #include <cstdlib>
 

@@ -1,4 +1,4 @@
-// What the page makes of a hand: the mouse's blade, and the time until a hand sees what it did.
+// How the page turns the pointer into the mouse's blade, and measures the time until the user sees the effect.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";

@@ -1,4 +1,4 @@
-// What the page makes of the state to be drawn: corners, sides of cuts, how they open, sections, the skin under the mouse.
+// How the page turns the state into a picture: corners, sides of cuts, how they open, sections, the skin under the mouse.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -143,7 +143,7 @@ function slitBox({ nx = 6, ny = 6, nz = 4, at = 3, bottom = 2 } = {}) {
   return { vertices, triangles };
 }
 
-/** The slit box, and beside it at x = nx the piece that a through-cut has parted from it: a slab one unit thick. */
+/** The slit box, and next to it at x = nx the piece that a through-cut has parted from it: a slab one unit thick. */
 function crossedBox() {
   const box = slitBox();
   const { vertices, triangles } = box;

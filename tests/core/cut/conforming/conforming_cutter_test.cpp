@@ -385,7 +385,7 @@ TEST(ConformingCutter, tremble_in_place_adds_nothing_much) {
   EXPECT_LT(cut.mesh().live_tets(), before + 300);
 }
 
-// A hand that rests with the blade in the tissue trembles: what is swept again and again costs no more after a minute.
+// A hand that rests with the blade in the tissue trembles: sweeping the same place costs no more after a minute.
 TEST(ConformingCutter, trembling_costs_no_more_the_longer_it_lasts) {
   Cut cut(block(), 12);
   cut.sweep({4.13, -2, -2}, {4.13, 4, -2}, {0, 0, 1}, 20);
@@ -409,7 +409,7 @@ TEST(ConformingCutter, trembling_costs_no_more_the_longer_it_lasts) {
   EXPECT_LT(cut.cut_deviation().max_h, 0.15);
 }
 
-// Back over what was cut, beside it by less than what counts, and on from there: nothing is left between.
+// Back along the cut, closer to it than the retrace tolerance, and on from there: nothing is left between.
 TEST(ConformingCutter, back_over_the_cut_and_on_leaves_no_bridge) {
   for (const double beside : {0.0, 0.01, 0.03, 0.06, 0.2}) {
     for (const int poses : {4, 30, 400}) {
@@ -426,7 +426,7 @@ TEST(ConformingCutter, back_over_the_cut_and_on_leaves_no_bridge) {
   }
 }
 
-// A device's noise beside slow motion: steps that go to and fro across the cut far more than along it.
+// A device's noise on a slow motion: steps that go back and forth across the cut far more than along it.
 TEST(ConformingCutter, noise_beside_slow_motion_leaves_no_bridge) {
   for (const double noise : {0.01, 0.03, 0.05, 0.1}) {
     for (const double step : {0.004, 0.02}) {
