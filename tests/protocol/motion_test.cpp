@@ -161,7 +161,9 @@ TEST(Motion, ErrorsNameFileLineAndWhatIsAccepted) {
       {head + "0,0,0,0,1,0,0,0,-1\n", "m.csv:2: button is '-1'"},
       {head + "0,0,0,0,1,0,0,0,4294967296\n", "m.csv:2: button is '4294967296'"},
       {head + "1e10,0,0,0,1,0,0,0,0\n", "m.csv:2: t_s is '1e10', accepted are seconds"},
-      {head + "0,0,0,0,1,0,0,0,0\n\xef\xbb\xbf" "1,0,0,0,1,0,0,0,0\n", "m.csv:3: t_s is "},
+      {head + "0,0,0,0,1,0,0,0,0\n\xef\xbb\xbf"
+              "1,0,0,0,1,0,0,0,0\n",
+       "m.csv:3: t_s is "},
       {"0 0 0 0 0 0 0\n", "m.csv:1: 7 fields, accepted are 8: t x y z qx qy qz qw"},
       {"0 0 0 0 0 0 0 1 0\n", "m.csv:1: 9 fields"},
       {"0 0 0 0 0 0 0 one\n", "m.csv:1: qw is 'one'"},
