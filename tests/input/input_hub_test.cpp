@@ -263,5 +263,39 @@ TEST(InputHub, OwnersComeAndGoWhileTheLoopDrains) {
   EXPECT_EQ(ended, kThreads * kVisits);
 }
 
+TEST(InputHub, APoseThatBeginsAStrokeIsAcceptedToo) {
+  InputHub hub(core::Blade{});
+  auto source = hub.open_source("s");
+  hub.count(0, core::PoseVerdict::kNewStroke);
+  hub.tell(0, core::PoseVerdict::kNewStroke, 5);
+  EXPECT_EQ(source->counts().last_source_ns, 5);
+}
+
+// The journal counts a pose as recorded before it tells of it: whoever looks in between sees neither.
+TEST(InputHub, NoMorePosesAreRecordedThanAccepted) {
+  InputHub hub(core::Blade{});
+  for (std::uint64_t owner = 1; owner <= 2; ++owner) {
+    auto source = hub.open_source("s");
+    std::uint32_t number = 0;
+    hub.drain([&](std::uint32_t, const InputEvent& event) {
+      number = event.owner;
+      return true;
+    });
+    for (std::uint64_t n = 1; n <= 3; ++n) {
+      hub.count(0, core::PoseVerdict::kAccepted);
+      hub.tell_recorded(0, number, 1);
+      EXPECT_EQ(source->counts().recorded, n - 1);
+      hub.tell(0, core::PoseVerdict::kAccepted, 1);
+      EXPECT_EQ(source->counts().recorded, n);
+    }
+    hub.count(0, core::PoseVerdict::kAccepted);
+    hub.tell(0, core::PoseVerdict::kAccepted, 1);
+    EXPECT_EQ(source->counts().recorded, 3u) << "the last one was not";
+    source.reset();
+    EXPECT_EQ(hub.open_sources(), 0u) << "though the loop has not yet ended its stroke";
+    drain(hub);
+  }
+}
+
 }  // namespace
 }  // namespace incise::input
