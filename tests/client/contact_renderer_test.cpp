@@ -172,5 +172,83 @@ TEST(ContactRenderer, DelayMakesNoEnergy) {
   EXPECT_GT(felt, 20);
 }
 
+TEST(ContactRenderer, NoPlaneIsValidForMoreThanASecond) {
+  Device device;
+  device.press(0.002, 2500);
+  protocol::Force message = table();
+  message.contact->valid_for_ns = 1'000'000 * kMs;
+  device.renderer.take(message, device.now);
+  for (int i = 0; i < 900; ++i) device.at({0, 0, -0.002});
+  EXPECT_NEAR(device.last.z, 1.6, 0.05);
+  for (int i = 0; i < 200; ++i) device.at({0, 0, -0.002});
+  EXPECT_EQ(size(device.last), 0);
+}
+
+TEST(ContactRenderer, WhatHasGivenWayDoesNotComeBack) {
+  Device device;
+  device.press(0.0005, 2500);
+  protocol::Force message = table();
+  message.contact->cutting_resistance_n = 0.8;
+  message.contact->valid_for_ns = 1000 * kMs;
+  device.renderer.take(message, device.now);
+  for (int i = 0; i <= 100; ++i) device.at({0, 0, -0.0005 - 4.5e-5 * i});
+  EXPECT_NEAR(device.last.z, 0.8, 0.05);
+  for (int i = 0; i <= 50; ++i) device.at({0, 0, -0.005 + 4e-5 * i});
+  EXPECT_EQ(size(device.last), 0) << "2 mm back, of which the spring was stretched by one";
+}
+
+TEST(ContactRenderer, APlaneDoesNotPull) {
+  Device device;
+  const auto damped = [&](double z) {
+    protocol::Force message = table();
+    message.contact->damping_n_s_per_m = 50;
+    device.renderer.take(message, device.now);
+    return device.at({0, 0, z}).z;
+  };
+  for (int i = 0; i < 2500; ++i) damped(-0.002 * std::min(1.0, i / 500.0));
+  ASSERT_GT(device.last.z, 1);
+  for (int i = 0; i <= 20; ++i) EXPECT_GE(damped(-0.002 + 1e-4 * i), -1e-9) << i;
+}
+
+// Where the server says that the tissue has ended the next contact is felt at once; one that ran out ramps again.
+TEST(ContactRenderer, OnlyAPlaneThatRanOutRampsAgain) {
+  for (const bool ran_out : {false, true}) {
+    Device device;
+    device.press(0.002, 2500);
+    for (int i = 0; !ran_out && i <= 100; ++i) {
+      device.renderer.take(table(), device.now);
+      device.at({0, 0, -0.002 + 3e-5 * i});
+    }
+    if (!ran_out) device.renderer.take(protocol::Force{}, device.now);
+    for (int i = 0; i < 100; ++i) device.at(device.place);
+    ASSERT_EQ(size(device.last), 0);
+    device.press(0.002, 150);
+    EXPECT_EQ(device.last.z > 1, !ran_out) << device.last.z;
+  }
+}
+
+TEST(ContactRenderer, NoPlaneIsStifferThanADeviceCanRender) {
+  Device device;
+  for (int i = 0; i < 2500; ++i) {
+    device.renderer.take(table(1e5), device.now);
+    device.at({0, 0, -0.001 * std::min(1.0, i / 500.0)});
+  }
+  EXPECT_NEAR(device.last.z, 0.001 * device.limits.stiffest_n_m, 0.02);
+}
+
+TEST(ContactRenderer, AfterAPauseAForceChangesAsAfterAShortOne) {
+  Device device;
+  device.press(0.004, 2500);
+  const double before = device.last.z;
+  ASSERT_GT(before, 3);
+  device.now += 1000 * kMs;
+  protocol::Force message = table();
+  message.contact->point = {0, 0, -0.1};
+  device.renderer.take(message, device.now);
+  const Vec3 force = device.renderer.force(device.place, device.now);
+  EXPECT_GT(force.z, before - 0.005 * device.limits.slew_n_s);
+  EXPECT_LT(force.z, before);
+}
+
 }  // namespace
 }  // namespace incise::client

@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 
+#include "server/core/geometry/quality.hpp"
 #include "server/core/session/cut_session.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
@@ -208,13 +211,7 @@ TEST(BladeProbe, CutsAreFoundAgainInTheMesh) {
 
 // A body beyond all bounds: what is looked at stays within them, and it is said that this is not all.
 TEST(BladeProbe, BoundsHoldForAHostileBody) {
-  core::MeshData comb;  // three thousand thin tetrahedra across the line, none of which touches another
-  for (std::uint32_t i = 0; i < 3000; ++i) {
-    const double x = 1e-4 * i;
-    comb.positions.insert(comb.positions.end(), {{x, -1, -1}, {x, 1, -1}, {x, 0, 1}, {x + 5e-5, 0, 0}});
-    comb.tets.push_back({4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3});
-  }
-  const Tissue tissue(comb);
+  const Tissue tissue(tests::comb(3000));
   ProbeWork work;
   const Engagement e = probe(tissue, {}, {{-0.1, 0.01, 0.01}, {0.4, 0.01, 0.01}}, work);
   EXPECT_TRUE(work.cut_short);
@@ -268,6 +265,51 @@ TEST(BladeProbe, AnEmptyMeshIsAir) {
   ProbeWork work;
   EXPECT_EQ(probe(tissue, {}, {{0, 0, 0}, {1, 0, 0}}, work).length_m, 0);
   EXPECT_FALSE(tissue.surface().nearest({0, 0, 0}, 1, work).has_value());
+}
+
+// The same for one body that the line does not leave.
+TEST(BladeProbe, AWalkThroughTooManyTetrahedraIsCutShort) {
+  core::MeshData bar;  // of flat cells, one on the other, each six tetrahedra around its diagonal
+  const std::uint32_t cells = ProbeWork::kMostTets;
+  for (std::uint32_t i = 0; i <= cells; ++i)
+    for (const double y : {-1., 1.})
+      for (const double z : {-1., 1.}) bar.positions.push_back({1e-4 * i, y, z});
+  for (std::uint32_t a = 0; a < 4 * cells; a += 4) {
+    std::array<std::uint32_t, 3> way{1, 2, 4};
+    do {
+      std::array<core::VertexId, 4> tet{a, a + way[0], a + way[0] + way[1], a + 7};
+      const auto& p = bar.positions;
+      if (core::signed_volume(p[tet[0]], p[tet[1]], p[tet[2]], p[tet[3]]) < 0) std::swap(tet[2], tet[3]);
+      bar.tets.push_back(tet);
+    } while (std::next_permutation(way.begin(), way.end()));
+  }
+  const Tissue tissue(bar);
+  ProbeWork work;
+  probe(tissue, {}, {{-0.01, 0.01, 0.02}, {1e-4 * cells + 0.01, 0.02, 0.04}}, work);
+  EXPECT_LT(work.boxes, ProbeWork::kMostBoxes);
+  EXPECT_TRUE(work.cut_short);
+  EXPECT_LE(work.tets, ProbeWork::kMostTets);
+}
+
+// Through two bodies one behind the other, the front of the blade is where most of it is inside.
+TEST(BladeProbe, TheLongestStretchCounts) {
+  core::MeshData two = tests::cube(4, kSize);
+  const core::MeshData small = tests::cube(2, 0.3 * kSize);
+  const auto first = static_cast<core::VertexId>(two.positions.size());
+  for (const Vec3& p : small.positions) two.positions.push_back(p + Vec3{2 * kSize, 0, 0});
+  for (const auto& t : small.tets)
+    two.tets.push_back({t[0] + first, t[1] + first, t[2] + first, t[3] + first});
+  two.regions.clear();
+  const Tissue tissue(two);
+  const Materials materials;
+  BladeLine line{{-kSize, 0.011, 0.012}, {3 * kSize, 0.013, 0.014}};
+  for (const bool turned : {false, true}) {
+    if (turned) std::swap(line.heel, line.tip);
+    const Engagement e = probe_line(tissue, materials, line);
+    EXPECT_NEAR(e.length_m, 1.3 * kSize, 1e-4);
+    EXPECT_NEAR(e.from, turned ? 0.5 : 0.25, 1e-3);
+    EXPECT_NEAR(e.to, turned ? 0.75 : 0.5, 1e-3);
+  }
 }
 
 }  // namespace

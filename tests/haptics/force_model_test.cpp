@@ -52,6 +52,15 @@ class Hand {
     pose.buttons = engaged ? 1 : 0;
     return to_pose(pose);
   }
+  // A frame without a pose.
+  const Feel& wait() {
+    BladeMotion motion;
+    motion.line = core::blade_line(blade_, pose_);
+    motion.tool = pose_.position;
+    motion.engaged = pose_.buttons != 0;
+    motion.elapsed_s = kStep_s;
+    return feel_ = model_.update(tissue_, motion, feel_.force);
+  }
   // Straight on at a speed, m/s, to there.
   const Feel& slide(const Vec3& there, double speed, bool engaged = true) {
     const Vec3 from = pose_.position;
@@ -244,6 +253,96 @@ TEST(ForceModel, IsPassive) {
     felt += force > 0.05;
   }
   EXPECT_GT(felt, 30) << "there must be forces for this to mean anything";
+}
+
+// What was spent on a cut does not come back: a blade that turns into tissue, which takes no work of the hand, is felt as
+// weakly after a long cut as before one.
+TEST(ForceModel, WorkSpentOnACutIsNotStored) {
+  Hand hand(short_blade());
+  hand.to({0.05, -0.02, 0.12});
+  hand.slide({0.05, 0.13, 0.12}, 0.05);
+  ASSERT_GT(hand.work(), 0.1);
+  hand.slide({-0.005, 0.13, 0.12}, 0.2, false);
+  hand.slide({-0.005, 0.05, 0.12}, 0.2, false);
+  ASSERT_EQ(length(hand.feel().force), 0);
+  double most = 0;
+  for (int i = 1; i <= 20; ++i) {
+    core::Pose pose = hand.pose();
+    pose.orientation = {std::cos(0.0125 * i), 0, -std::sin(0.0125 * i), 0};
+    most = std::max(most, length(hand.to_pose(pose).force));
+  }
+  ASSERT_GT(hand.feel().engagement.length_m, 0.01);
+  EXPECT_LT(most, 2);
+}
+
+// A velocity is smoothed, so the friction on a trembling blade pushes it on: only as long as the account lasts.
+TEST(ForceModel, ATremblingBladeGetsNoEnergyOut) {
+  Hand hand(tests::long_blade(kSize), false);
+  hand.to({0.05, 0.05, 0.12}, false);
+  for (int i = 1; i <= 2000; ++i) {
+    hand.to({0.05 + (i % 2) * 1e-3, 0.05, 0.12}, false);
+    ASSERT_GE(hand.work(),
+              -(ForceModel::kReserve_j + ForceModel::kLeak_w * kStep_s * i + hand.largest_step()))
+        << "step " << i;
+  }
+}
+
+TEST(ForceModel, FrictionEndsWithTheMotion) {
+  Hand hand(tests::long_blade(kSize), false);
+  hand.to({0.05, 0.05, 0.12}, false);
+  hand.slide({0.06, 0.05, 0.12}, 0.1, false);
+  const double sliding = length(hand.feel().force);
+  ASSERT_GT(sliding, 0.01);
+  for (int i = 0; i < 50; ++i) hand.wait();
+  EXPECT_LT(length(hand.feel().force), 0.01 * sliding);
+}
+
+TEST(ForceModel, ASurfaceDoesNotPull) {
+  Hand hand(short_blade());
+  hand.to({0.05, 0.05, 0.151}, false);
+  hand.slide({0.05, 0.05, 0.146}, 0.05, false);
+  for (int i = 0; i < 50; ++i) hand.to({0.05, 0.05, 0.146}, false);
+  ASSERT_GT(hand.feel().force.z, 0.5);
+  for (int i = 1; i <= 20; ++i) {
+    const Feel& feel = hand.to({0.05, 0.05, 0.146 + 2.5e-4 * i}, false);
+    EXPECT_GE(feel.force.z, -1e-9) << "step " << i;
+  }
+}
+
+// Behind the front of a cut the blade is in its slit; aside of it there is fresh tissue.
+TEST(ForceModel, AsideOfItsSlitABladeCutsAgain) {
+  Hand hand(tests::long_blade(kSize), false);
+  hand.to({0.05, -0.02, 0.12});
+  hand.slide({0.05, 0.05, 0.12}, 0.05);
+  const double fracture = hand.feel().engagement.fracture_n;
+  hand.slide({0.05, 0.036, 0.12}, 0.05);
+  EXPECT_LT(std::abs(hand.feel().force.y), 0.5 * fracture) << "in the slit";
+  hand.slide({0.075, 0.036, 0.12}, 0.05);
+  EXPECT_LT(hand.feel().force.x, -0.8 * fracture);
+}
+
+TEST(ForceModel, NoTissueIsStifferThanADeviceCanRender) {
+  Hand hand(short_blade());
+  hand.materials.tissue.stiffness_n_m = 1e5;
+  hand.to({0.05, 0.05, 0.151}, false);
+  hand.slide({0.05, 0.05, 0.149}, 0.05, false);
+  EXPECT_EQ(hand.feel().engagement.stiffness_n_m, 2000);
+  EXPECT_EQ(hand.feel().contact->stiffness_n_m, 2000);
+}
+
+TEST(ForceModel, IntoAnOpenSlitNothingIsPunctured) {
+  Hand hand(short_blade());
+  hand.to({0.05, -0.02, 0.12});
+  hand.slide({0.05, 0.12, 0.12}, 0.05);
+  hand.slide({0.05, 0.12, 0.16}, 0.5);
+  hand.slide({0.05, 0.05, 0.16}, 0.5);
+  double most = 0;
+  for (int i = 0; i < 250; ++i) {
+    hand.to({0.05, 0.05, 0.155 - 1e-4 * i});
+    most = std::max(most, length(hand.feel().force));
+  }
+  ASSERT_GT(hand.feel().engagement.length_m, 0.015);
+  EXPECT_LT(most, 0.5 * hand.materials.tissue.puncture_n);
 }
 
 }  // namespace

@@ -182,5 +182,65 @@ TEST(ForceStage, FaultsInContactEndTheForceAndTheRampBeginsIt) {
   EXPECT_GE(acted, 150);
 }
 
+// A loop that hung for seconds: what acted before must not go on acting because nothing has come since.
+TEST(ForceStage, AForceThatActsIsNotLeftAloneAfterALongPause) {
+  Rig rig;
+  ASSERT_GT(length(rig.frames(500)), 0.1);
+  rig.silent = true;
+  rig.frame(1500 * kMs);  // which checks that the device is told
+  EXPECT_EQ(rig.last, Vec3{});
+}
+
+TEST(ForceStage, AfterARestartABladeInTheBodyWasPutThere) {
+  Rig rig;
+  const double pressing = length(rig.frames(500));
+  ASSERT_GT(pressing, 0.1);
+  rig.stage.restart();
+  EXPECT_LT(length(rig.frames(30)), 0.3 * pressing);
+  EXPECT_TRUE(rig.told.forces.back().feel.contact->penetrated);
+}
+
+TEST(ForceStage, TheButtonRearmsOnlyInAir) {
+  Rig rig;
+  for (int fault = 0; fault < 3; ++fault) {
+    rig.frames(300);
+    rig.silent = true;
+    rig.frames(50);
+    rig.silent = false;
+  }
+  rig.engaged = true;
+  rig.frames(20);
+  EXPECT_NE(rig.flags & kForceLatchedOff, 0u) << "pressed in the tissue";
+}
+
+// Two poses in one frame, of which the first one jumped.
+TEST(ForceStage, AJumpIsNotForgottenByTheNextPose) {
+  Rig rig;
+  rig.height = 0.16;
+  rig.frames(100);
+  core::Pose pose = rig.pose;
+  pose.position.z = 0.12;
+  pose.t_ns = rig.now + 1;
+  rig.stage.posed(0, pose, rig.now, true);
+  pose.position.z -= 1e-6;
+  pose.t_ns = rig.now + 100'000;
+  rig.stage.posed(0, pose, rig.now, false);
+  rig.stage.frame(rig.now + kMs, 0);
+  ASSERT_TRUE(rig.told.forces.back().feel.contact.has_value());
+  EXPECT_TRUE(rig.told.forces.back().feel.contact->penetrated) << "it was put there";
+}
+
+TEST(ForceStage, CountsTheForcesThatWereCutShort) {
+  core::CutConfig config;
+  config.blade = {{-0.1, 0.01, 0.01}, {0.4, 0.01, 0.01}};
+  ForceStage stage({}, config, std::make_unique<Tissue>(tests::comb(3000)), nullptr, nullptr);
+  stage.opened(0, config.blade);
+  for (int i = 1; i <= 5; ++i) {
+    stage.posed(0, {i * kMs, {}, {}, 0}, i * kMs, false);
+    stage.frame(i * kMs, 0);
+    EXPECT_EQ(stage.cut_short(), static_cast<std::uint64_t>(i));
+  }
+}
+
 }  // namespace
 }  // namespace incise::haptics

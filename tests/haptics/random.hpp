@@ -3,6 +3,7 @@
 #include <cstdint>
 
 #include "server/core/geometry/vec3.hpp"
+#include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::tests {
 
@@ -28,5 +29,16 @@ class Random {
  private:
   std::uint64_t state_;
 };
+
+// Thin tetrahedra across the x axis, none of which touches another.
+inline core::MeshData comb(std::uint32_t teeth) {
+  core::MeshData mesh;
+  for (std::uint32_t i = 0; i < teeth; ++i) {
+    const double x = 1e-4 * i;
+    mesh.positions.insert(mesh.positions.end(), {{x, -1, -1}, {x, 1, -1}, {x, 0, 1}, {x + 5e-5, 0, 0}});
+    mesh.tets.push_back({4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3});
+  }
+  return mesh;
+}
 
 }  // namespace incise::tests

@@ -291,5 +291,53 @@ TEST(SafetyChain, RandomFaultsNeverGetThrough) {
   EXPECT_GE(latches, 100);
 }
 
+TEST(SafetyChain, ArmingForgetsTheFaultsBefore) {
+  Loop loop;
+  const auto fault = [&] {
+    loop.frames(500, kPush);
+    loop.frame({kNan, 0, 0});
+    loop.frames(10, kPush);
+  };
+  fault();
+  fault();
+  loop.chain.arm(0, 0);
+  EXPECT_EQ(loop.chain.faults(), 0u);
+  EXPECT_EQ(loop.chain.fault_count(), 0u);
+  fault();
+  fault();
+  EXPECT_FALSE(loop.chain.latched());
+  fault();
+  EXPECT_TRUE(loop.chain.latched());
+}
+
+TEST(SafetyChain, AfterAPauseAForceChangesAsAfterAShortOne) {
+  Loop loop;
+  loop.frames(2500, {0, 0, 3});
+  ASSERT_DOUBLE_EQ(loop.last.z, 3);
+  loop.frame({0, 0, -3}, 100 * kMs);
+  EXPECT_GT(loop.last.z, 0.5) << "500 N/s for 5 ms";
+  Loop fresh;
+  fresh.frame(kPush);
+  EXPECT_LT(fresh.frame(kPush, 100 * kMs).z, 0.02) << "nor does the ramp";
+}
+
+TEST(SafetyChain, AStrongDeviceGetsNoMoreThanOurLimit) {
+  Loop loop;
+  loop.device_most_n = 10;
+  EXPECT_NEAR(length(loop.frames(2500, {0, 0, 9})), loop.limits.most_n, 1e-9);
+}
+
+TEST(SafetyChain, ADeviceThatIsLostWhileItRestsLatches) {
+  Loop loop;
+  loop.frames(100, {});
+  loop.frozen = true;
+  loop.frames(300, {});
+  EXPECT_EQ(loop.chain.faults(), 0u) << "at rest, without a force";
+  ++loop.losses;
+  loop.frame({});
+  EXPECT_TRUE(loop.chain.latched());
+  EXPECT_NE(loop.chain.faults() & kDeviceLost, 0u);
+}
+
 }  // namespace
 }  // namespace incise::haptics

@@ -263,5 +263,39 @@ TEST(PoseSources, OwnersComeAndGoWhileTheLoopDrains) {
   EXPECT_EQ(ended, kThreads * kVisits);
 }
 
+TEST(PoseSources, APoseThatBeginsAStrokeIsAcceptedToo) {
+  PoseSources sources(core::Blade{});
+  auto source = sources.open("s");
+  sources.count(0, core::PoseVerdict::kNewStroke);
+  sources.acknowledge(0, core::PoseVerdict::kNewStroke, 5);
+  EXPECT_EQ(source->counts().last_source_ns, 5);
+}
+
+// The journal counts a pose as recorded before it tells of it: whoever looks in between sees neither.
+TEST(PoseSources, NoMorePosesAreRecordedThanAccepted) {
+  PoseSources sources(core::Blade{});
+  for (std::uint64_t owner = 1; owner <= 2; ++owner) {
+    auto source = sources.open("s");
+    std::uint32_t number = 0;
+    sources.drain([&](std::uint32_t, const InputEvent& event) {
+      number = event.owner;
+      return true;
+    });
+    for (std::uint64_t n = 1; n <= 3; ++n) {
+      sources.count(0, core::PoseVerdict::kAccepted);
+      sources.acknowledge_recorded(0, number, 1);
+      EXPECT_EQ(source->counts().recorded, n - 1);
+      sources.acknowledge(0, core::PoseVerdict::kAccepted, 1);
+      EXPECT_EQ(source->counts().recorded, n);
+    }
+    sources.count(0, core::PoseVerdict::kAccepted);
+    sources.acknowledge(0, core::PoseVerdict::kAccepted, 1);
+    EXPECT_EQ(source->counts().recorded, 3u) << "the last one was not";
+    source.reset();
+    EXPECT_EQ(sources.open_count(), 0u) << "though the loop has not yet ended its stroke";
+    drain(sources);
+  }
+}
+
 }  // namespace
 }  // namespace incise::input

@@ -268,6 +268,44 @@ TEST(Capture, WrongContentsUnderARightChecksumAreCorrupt) {
   std::string positions(41, '\0');
   std::memset(&positions[36], 0xff, 4);
   EXPECT_EQ(read_all(good.substr(0, header) + record_bytes(7, positions)).status, Status::Corrupt);
+  // A flag that does not exist.
+  std::string flags(41, '\0');
+  EXPECT_EQ(read_all(good.substr(0, header) + record_bytes(7, flags)).status, Status::End);
+  flags[40] = 4;
+  EXPECT_EQ(read_all(good.substr(0, header) + record_bytes(7, flags)).status, Status::Corrupt);
+}
+
+TEST(Capture, EveryStrokeActionComesBack) {
+  for (const auto action : {StrokeAction::Engage, StrokeAction::End, StrokeAction::HandOver}) {
+    FailingSink sink;
+    CaptureWriter writer(sink, samples::capture_header());
+    writer.append(StrokeRecord{1, action, 2, 3});
+    EXPECT_FALSE(writer.flush());
+    EXPECT_EQ(read_all(sink.bytes).records, (std::vector<CaptureRecord>{StrokeRecord{1, action, 2, 3}}));
+  }
+}
+
+// A server that goes on with a capture writes behind its end.
+TEST(Capture, IsClosedOnlyWhereItsEndIsTheLastRecord) {
+  FailingSink sink;
+  CaptureWriter writer(sink, samples::capture_header());
+  for (const bool closed : {true, false, true}) {
+    if (closed) {
+      writer.append(EndRecord{writer.records()});
+    } else {
+      writer.append(CheckpointRecord{7});
+    }
+    EXPECT_FALSE(writer.flush());
+    EXPECT_EQ(read_all(sink.bytes).closed, closed);
+  }
+}
+
+TEST(Capture, AGoodRecordIsFoundAtTheVeryEnd) {
+  const std::string good = sample_capture();
+  std::string wrong = record_bytes(1, std::string(10, 'x'));
+  wrong.back() ^= 1;
+  EXPECT_EQ(read_all(good + wrong).status, Status::Torn);
+  EXPECT_EQ(read_all(good + wrong + record_bytes(5, "")).status, Status::Corrupt) << "an empty note";
 }
 
 TEST(Capture, MutationsNeverCrashTheReader) {

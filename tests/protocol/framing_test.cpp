@@ -1,6 +1,7 @@
 #include "protocol/framing.hpp"
 
 #include <gtest/gtest.h>
+#include <malloc.h>
 
 #include <algorithm>
 #include <bit>
@@ -318,6 +319,25 @@ TEST(Framing, SemanticErrorsNameTheField) {
 }
 
 // Found by fuzzing: FlatBuffers' verifier takes a vector whose elements are not aligned for their type.
+TEST(Framing, ABoxMayBeFlatAndNotInsideOut) {
+  for (double Vec3::*axis : {&Vec3::x, &Vec3::y, &Vec3::z}) {
+    Hello hello;
+    hello.box = Box{{1, 1, 1}, {2, 2, 2}};
+    hello.box->max.*axis = 1;
+    EXPECT_TRUE(decode(encode(hello).body()));
+    hello.box->max.*axis = 0.5;
+    EXPECT_NE(error_of(hello).find("Hello.box: min above max"), std::string::npos);
+  }
+}
+
+TEST(Framing, StatisticsAreNumbers) {
+  for (auto Stats::*field : {&Stats::frame_work_p99_us, &Stats::pose_to_delta_p99_us}) {
+    Stats stats;
+    stats.*field = std::numeric_limits<float>::quiet_NaN();
+    EXPECT_NE(error_of(stats).find("accepted are finite numbers"), std::string::npos);
+  }
+}
+
 TEST(Framing, ElementsThatAreNotAlignedAreRefused) {
   // Doubles whose low half reads as 3: an offset that is 4 too large finds an array of 3 elements there.
   const std::vector<double> numbers(6, std::bit_cast<double>(0x3ff0000000000003u));
@@ -452,6 +472,30 @@ TEST(FrameReader, RefusesLengthsThatLie) {
   std::memcpy(bytes.data(), &length, 4);
   std::span<const std::byte> input = bytes;
   EXPECT_EQ(stranger.read(input), FrameReader::Status::Failed);
+}
+
+TEST(FrameReader, TakesTheShortestMessageAndTheLongest) {
+  for (const std::uint32_t size : {std::uint32_t{kMinMessageBytes}, 1000u}) {
+    FrameReader reader(1000);
+    Bytes bytes(4 + size);
+    std::memcpy(bytes.data(), &size, 4);
+    std::span<const std::byte> input = bytes;
+    EXPECT_EQ(reader.read(input), FrameReader::Status::Complete) << size;
+    EXPECT_EQ(reader.body().size(), size);
+  }
+}
+
+// A peer that announces 64 MB and sends nothing costs nothing. Large blocks are mapped one by one, and counted.
+TEST(FrameReader, AnAnnouncedLengthAloneAllocatesNothing) {
+  const std::size_t before = mallinfo2().hblkhd;
+  FrameReader reader;
+  Bytes bytes(8);
+  const std::uint32_t size = kMaxMessageBytes;
+  std::memcpy(bytes.data(), &size, 4);
+  std::span<const std::byte> input = bytes;
+  EXPECT_EQ(reader.read(input), FrameReader::Status::NeedMore);
+  EXPECT_EQ(reader.pending_bytes(), 8u);
+  EXPECT_LT(mallinfo2().hblkhd, before + (1u << 20));
 }
 
 TEST(FrameReader, TellsAStreamThatWasCutOff) {

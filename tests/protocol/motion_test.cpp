@@ -148,6 +148,16 @@ TEST(Motion, WhatIsNoMotionAtAllIsToldFromABrokenOne) {
   }
 }
 
+TEST(Motion, ABladeLiesWithinTenKilometres) {
+  const BladeEdge blade = parse_blade("--blade", "-10000,0,1:10000,2,3.5");
+  EXPECT_EQ(blade.heel, (Vec3{-10000, 0, 1}));
+  EXPECT_EQ(blade.tip, (Vec3{10000, 2, 3.5}));
+  for (const char* text : {"0,0,0:10001,0,0", "-10001,0,0:0,0,0", "0,0,0:0,0,0", "0,0,0,1,0,0", "0,0,0:1,0",
+                           "0,0,0:1,0,0,0", "", "a,0,0:1,0,0", "nan,0,0:1,0,0"}) {
+    EXPECT_THROW(parse_blade("--blade", text), MotionError) << text;
+  }
+}
+
 TEST(Motion, ErrorsNameFileLineAndWhatIsAccepted) {
   const std::string head = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
   struct Case {
@@ -177,6 +187,10 @@ TEST(Motion, ErrorsNameFileLineAndWhatIsAccepted) {
       {head + "0,0,0,0,1,0,0,0,0.5\n", "m.csv:2: button is '0.5', accepted are whole numbers"},
       {head + "0,0,0,0,1,0,0,0,-1\n", "m.csv:2: button is '-1'"},
       {head + "0,0,0,0,1,0,0,0,4294967296\n", "m.csv:2: button is '4294967296'"},
+      {head + "1e10,0,0,0,1,0,0,0,0\n", "m.csv:2: t_s is '1e10', accepted are seconds"},
+      {head + "0,0,0,0,1,0,0,0,0\n\xef\xbb\xbf"
+              "1,0,0,0,1,0,0,0,0\n",
+       "m.csv:3: t_s is "},
       {"0 0 0 0 0 0 0\n", "m.csv:1: 7 fields, accepted are 8: t x y z qx qy qz qw"},
       {"0 0 0 0 0 0 0 1 0\n", "m.csv:1: 9 fields"},
       {"0 0 0 0 0 0 0 one\n", "m.csv:1: qw is 'one'"},

@@ -106,11 +106,27 @@ TEST(Replica, ABadDeltaChangesNothing) {
       {"added at another id", ApplyError::BadIndex, [](OwnedDelta& d) { d.first_added = 4; }},
       {"another vertex count", ApplyError::BadIndex, [](OwnedDelta& d) { d.vertex_count = 9; }},
       {"provenance of itself", ApplyError::BadIndex, [](OwnedDelta& d) { d.provenance_a[1] = 6; }},
+      {"provenance of itself, the other parent", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.provenance_b[1] = 6; }},
+      {"rest position of a vertex that does not exist", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.rest_ids = {d.vertex_count}, d.rest_positions = {0, 0, 0};
+       }},
       {"provenance shorter", ApplyError::BadShape, [](OwnedDelta& d) { d.provenance_b.pop_back(); }},
       {"tetrahedron with a vertex that does not exist", ApplyError::BadIndex,
        [](OwnedDelta& d) { d.tet_vertices[5] = 8; }},
       {"tetrahedron with a vertex twice", ApplyError::BadIndex,
        [](OwnedDelta& d) { d.tet_vertices[5] = d.tet_vertices[6]; }},
+      {"first vertex again as the second", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[5] = d.tet_vertices[4]; }},
+      {"first vertex again as the third", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[6] = d.tet_vertices[4]; }},
+      {"first vertex again as the last", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[7] = d.tet_vertices[4]; }},
+      {"second vertex again as the last", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[7] = d.tet_vertices[5]; }},
+      {"third vertex again as the last", ApplyError::BadIndex,
+       [](OwnedDelta& d) { d.tet_vertices[7] = d.tet_vertices[6]; }},
       {"tetrahedron arrays of different lengths", ApplyError::BadShape,
        [](OwnedDelta& d) { d.tet_regions.pop_back(); }},
       {"mask bit above 3", ApplyError::BadShape, [](OwnedDelta& d) { d.tet_cut_masks[0] = 16; }},
@@ -243,10 +259,62 @@ TEST(Replica, ABadSnapshotLeavesTheStateBefore) {
   attempt("another hash", ApplyError::HashMismatch, [](auto&, auto&, auto& e) { e.state_hash ^= 1; });
   attempt("another revision at the end", ApplyError::OutOfOrder,
           [](auto&, auto&, auto& e) { e.revision = 3; });
+  const std::vector<double> few(3), all(27);
+  attempt("rest positions of some vertices", ApplyError::BadShape,
+          [&](auto&, auto& c, auto&) { c[0].rest_positions = few; });
+  attempt("rest positions beside tetrahedra", ApplyError::BadShape, [&](auto&, auto& c, auto&) {
+    c[0].rest_positions = std::span(all).first(c[0].positions.size());
+    c[1].rest_positions = few;
+  });
   EXPECT_EQ(replica.chunk({}).error, ApplyError::OutOfOrder);
   EXPECT_EQ(replica.end({}).error, ApplyError::OutOfOrder);
   attempt("nothing", ApplyError::None, [](auto&, auto&, auto&) {});
   EXPECT_EQ(replica.state_hash(), source.state_hash());
+}
+
+// What a snapshot announces bounds what is kept of it: each chunk that goes beyond is refused, not only the end.
+TEST(Replica, AChunkBeyondWhatWasAnnouncedIsRefusedAtOnce) {
+  const Replica source = samples::two_tets(2).replica();
+  for (const bool vertices : {true, false}) {
+    Replica replica;
+    SnapshotWriter writer(source, SnapshotCause::Join, 1000);
+    SnapshotBegin begin = writer.begin();
+    --(vertices ? begin.vertex_count : begin.tet_count);
+    ASSERT_TRUE(replica.begin(begin));
+    ASSERT_TRUE(writer.next());
+    EXPECT_EQ(replica.chunk(writer.chunk()).error, vertices ? ApplyError::BadShape : ApplyError::None);
+    if (vertices) continue;
+    ASSERT_TRUE(writer.next());
+    EXPECT_EQ(replica.chunk(writer.chunk()).error, ApplyError::BadShape);
+  }
+}
+
+TEST(Replica, TakesASnapshotOfAsMuchAsItMayHold) {
+  const Replica source = samples::two_tets(2).replica();
+  const std::uint32_t vertices = source.vertex_count(), slots = source.tet_slots();
+  Replica enough(vertices, slots);
+  EXPECT_TRUE(send(source, enough, 1000));
+  Replica few_vertices(vertices - 1, slots), few_tets(vertices, slots - 1);
+  EXPECT_EQ(send(source, few_vertices, 1000).error, ApplyError::LimitReached);
+  EXPECT_EQ(send(source, few_tets, 1000).error, ApplyError::LimitReached);
+}
+
+TEST(Replica, ARestPositionOfAnAddedVertexLiesBetweenItsParents) {
+  Model before = samples::two_tets(1), after = samples::two_tets(2);
+  after.origins.begin()->second.t = 0.25;
+  for (auto& [v, origin] : after.origins)
+    if (v >= before.positions.size()) origin.t = 0.25;
+  OwnedDelta delta = difference(before, after);
+  delta.steps.at(0).stroke = 0;  // a deformation, which makes a body tell rest from place
+  Replica replica = before.replica();
+  ASSERT_TRUE(replica.apply(delta.view()));
+  const auto v = before.positions.size();
+  const auto& [a, b, t] = after.origins.at(static_cast<std::uint32_t>(v));
+  ASSERT_EQ(t, 0.25);
+  for (std::size_t k = 0; k < 3; ++k) {
+    EXPECT_DOUBLE_EQ(replica.rest_positions()[3 * v + k],
+                     0.75 * before.positions[a][k] + 0.25 * before.positions[b][k]);
+  }
 }
 
 TEST(Replica, LoadRefusesWhatIsNoMesh) {
@@ -285,6 +353,9 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
     ASSERT_TRUE(applied) << applied.text;
     EXPECT_TRUE(holds(at_once, walk.model));
     EXPECT_EQ(at_once.canonical_bytes(), one_by_one.canonical_bytes());
+    // What came and went in between is not spoken of.
+    for (const std::uint32_t t : sum.removed_tets) EXPECT_LT(t, sum.first_new_tet);
+    for (const std::uint32_t h : sum.boundary_removed) EXPECT_LT(h / 4, sum.first_new_tet);
 
     // It does not matter how they are put together.
     if (deltas.size() >= 2) {

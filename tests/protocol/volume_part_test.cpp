@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <bit>
 #include <functional>
 #include <map>
 
@@ -115,7 +116,49 @@ TEST(VolumePart, DeltasTellWhatCameInAndWhatWent) {
   EXPECT_EQ(sent.provenance_a, split.provenance_a);
   EXPECT_EQ(sent.moved_ids, split.moved_ids);
   EXPECT_EQ(sent.tet_ids, split.tet_ids);
+  EXPECT_EQ(sent.boundary_removed, split.boundary_removed);
   EXPECT_EQ(sent.part_hash, view.mesh.state_hash());
+}
+
+// A boundary face that becomes a cut face is another one, though its vertices are the same.
+TEST(VolumePart, AFaceThatBecomesACutFaceIsNamed) {
+  Model before = samples::two_tets(0), after = before;
+  ++after.revision;
+  Model::Tet& tet = after.tets.begin()->second;
+  const int face = std::countr_zero(tet.boundary_mask);
+  tet.cut_mask = static_cast<std::uint8_t>(1u << face);
+  VolumeView view;
+  view.load(before.replica());
+  VolumePart part;
+  const Box box{{-1, -1, -1}, {1, 1, 1}};
+  part.load_part(view.mesh, box);
+  const OwnedDelta delta = difference(before, after);
+  const MeshChange change(view.mesh, delta.view());
+  view.step(delta.view());
+  const OwnedDelta sent = part.follow_part(view.mesh, view.index, change, box);
+  EXPECT_EQ(sent.boundary_upserted, (std::vector<std::uint32_t>{static_cast<std::uint32_t>(face)}));
+  EXPECT_TRUE(sent.boundary_removed.empty());
+}
+
+// A ring of changes is bounded by their bytes, so all that a change holds counts.
+TEST(MeshChange, ItsBytesGrowWithWhatItHolds) {
+  Walk walk(2, 2, 1);
+  const Replica mesh = walk.model.replica();
+  OwnedDelta delta = walk.cut();
+  const auto bytes = [&] { return MeshChange(mesh, delta.view()).bytes(); };
+  const auto grow = [&](auto& list, std::size_t by) {
+    const std::size_t before = bytes();
+    list.resize(list.size() + 100);
+    EXPECT_EQ(bytes(), before + 100 * by);
+  };
+  grow(delta.removed_tets, 4);
+  grow(delta.piece_tets, 4);
+  grow(delta.steps, sizeof(Step));
+  const std::size_t before = bytes();
+  for (auto* list : {&delta.provenance_a, &delta.provenance_b}) list->resize(list->size() + 100);
+  delta.provenance_t.resize(delta.provenance_t.size() + 100);
+  delta.vertex_count += 100;
+  EXPECT_EQ(bytes(), before + 1600);
 }
 
 TEST(VolumePart, ABadDeltaChangesNothing) {
@@ -146,9 +189,22 @@ TEST(VolumePart, ABadDeltaChangesNothing) {
       {"vertex that is not there", ApplyError::BadIndex, [](auto& d) { d.tet_vertices[1] = 99; }},
       {"vertex twice", ApplyError::BadIndex, [](auto& d) { d.tet_vertices[1] = d.tet_vertices[0]; }},
       {"vertex removed that is used", ApplyError::BadIndex, [](auto& d) { d.removed_vertices = {0}; }},
+      {"vertex removed that another tetrahedron uses", ApplyError::BadIndex,
+       [](auto& d) {
+         d.tet_ids = {1}, d.tet_vertices.erase(d.tet_vertices.begin(), d.tet_vertices.begin() + 4);
+         d.tet_regions.resize(1), d.tet_cut_masks.resize(1), d.tet_boundary_masks.resize(1);
+         d.removed_vertices = {0};
+       }},
       {"vertex removed and set", ApplyError::BadIndex, [](auto& d) { d.removed_vertices = {5}; }},
       {"tetrahedron removed and set", ApplyError::BadIndex, [](auto& d) { d.removed_tets = {d.tet_ids[0]}; }},
       {"piece of what is not there", ApplyError::BadIndex, [](auto& d) { d.piece_tets[0] = 77; }},
+      {"piece of what goes", ApplyError::BadIndex,
+       [](auto& d) {
+         const std::uint32_t gone = d.tet_ids[1];
+         d.tet_ids.resize(1), d.tet_vertices.resize(4), d.tet_regions.resize(1);
+         d.tet_cut_masks.resize(1), d.tet_boundary_masks.resize(1);
+         d.removed_tets = {gone}, d.piece_tets[0] = gone;
+       }},
       {"pieces that do not add up", ApplyError::BadShape, [](auto& d) { d.piece_sizes[0] += 1; }},
       {"another hash", ApplyError::HashMismatch, [](auto& d) { d.part_hash ^= 1; }},
       {"another position", ApplyError::HashMismatch, [](auto& d) { d.added_positions[1] += 1; }},

@@ -66,6 +66,7 @@ TEST(DeviceClock, CountsTheTurnsOfAShortCounter) {
     const std::int64_t t = clock.host_ns(static_cast<std::uint8_t>(i), kStart_ns + 4'000'000LL * i);
     ASSERT_NEAR(static_cast<double>(t - kStart_ns), 4e6 * i, 1e3) << i;
   }
+  EXPECT_EQ(clock.restarts(), 0u);
 }
 
 TEST(DeviceClock, ARestartBeginsAnewAndTimeStillRises) {
@@ -85,6 +86,29 @@ TEST(DeviceClock, ACountThatStandsStillIsTheSameTime) {
   DeviceClock clock(1e-6, 32);
   const std::int64_t t = clock.host_ns(77, kStart_ns);
   for (int i = 1; i < 100; ++i) EXPECT_EQ(clock.host_ns(77, kStart_ns + 1'000'000LL * i), t);
+}
+
+TEST(DeviceClock, ARestartForgetsTheDelaysOfBefore) {
+  DeviceClock clock(1e-6, 32);
+  // The first report comes late, so all others seem to come early, for two windows and more.
+  clock.host_ns(3'000'000'000, kStart_ns + 50'000'000);
+  for (int i = 1; i < 2500; ++i) clock.host_ns(3'000'000'000 + 1000u * i, kStart_ns + 1'000'000LL * i);
+  const std::int64_t again_ns = kStart_ns + 4'000'000'000;
+  std::int64_t t = clock.host_ns(0, again_ns);
+  EXPECT_EQ(clock.restarts(), 1u);
+  for (int i = 1; i < 500; ++i) t = clock.host_ns(1000u * i, again_ns + 1'000'000LL * i);
+  EXPECT_NEAR(static_cast<double>(t - again_ns), 499e6, 1e6);
+}
+
+TEST(DeviceClock, TimeRisesThroughRestartsThatArriveTogether) {
+  DeviceClock clock(1e-6, 32);
+  std::int64_t last = clock.host_ns(2'000'000'000, kStart_ns);
+  for (const std::uint64_t count : {0u, 2'000'000'000u, 0u}) {
+    const std::int64_t t = clock.host_ns(count, kStart_ns);
+    EXPECT_GT(t, last);
+    last = t;
+  }
+  EXPECT_EQ(clock.restarts(), 3u);
 }
 
 }  // namespace

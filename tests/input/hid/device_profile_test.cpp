@@ -118,6 +118,8 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
       {"\"output\": \"06 01\"", "\"feature\": \"06 01\", \"output\": \"06 01\"", "start[1]", "06", "either"},
       {"\"max_newtons\": 2", "\"max_newtons\": 0", "force.max_newtons", "0", "0.001 to 1000"},
       {"\"at\": 1, \"type\": \"i16\"", "\"at\": 6, \"type\": \"i16\"", "force.x.at", "6", "which has 7"},
+      {"\"x\": {\"at\": 1, \"type\": \"i16\"}", "\"x\": {\"at\": 0, \"type\": \"i16\"}", "force.x.at", "0",
+       "1 or more"},
       {"\"report\": 1, ", "", "tools", "fields with a report number", "or none"},
       {"\"tools\": [", "\"tools\": 3, \"x\": [", "\"x\"", "means nothing here", "tools"},
       {"\"tools\": [", "\"tools\": [3,", "tools[0]", "3", "object"},
@@ -215,6 +217,42 @@ TEST(DeviceProfile, MatchesByNumbersOrByUsageAndByInterface) {
   EXPECT_EQ(why, "no profile names it");
   interface.usages = {{0x0001, 0x0006}, {0xff1c, 0x0001}};
   EXPECT_EQ(find_profile(profiles, interface, why)->id, "usage");
+}
+
+// An unnumbered report's leading zero is not on the wire.
+TEST(DeviceProfile, AForceReportFitsTheDevices) {
+  const auto device = [](std::uint8_t bytes) {
+    std::string error;
+    const std::vector<std::uint8_t> all{0x05, 0x01,  0x09, 0x04, 0xa1, 0x01, 0x75, 0x08,
+                                        0x95, 0x08,  0x09, 0x30, 0x81, 0x02, 0x75, 0x08,
+                                        0x95, bytes, 0x09, 0x31, 0x91, 0x02, 0xc0};
+    return parse_report_descriptor(all, error).value_or(ReportDescriptor{});
+  };
+  const DeviceProfile profile = parse_profile(R"({"name": "F", "vendor": "1", "product": "2",
+      "tools": [{"position": {"x": {"at": 0, "type": "i8"}}}],
+      "force": {"max_newtons": 1, "bytes": "00*7", "x": {"at": 1, "type": "i16"}}})",
+                                              "force.json");
+  EXPECT_EQ(mismatch(profile, device(6)), "");
+  EXPECT_NE(mismatch(profile, device(5)).find("5 bytes, and the profile wants 6"), std::string::npos)
+      << mismatch(profile, device(5));
+}
+
+// Its first byte is the report's number, also where that is none.
+TEST(DeviceProfile, AForceLeavesTheReportsNumberAlone) {
+  for (const char* at : {"0", "6"}) {
+    const std::string error = error_of(std::string(R"({"name": "F", "vendor": "1", "product": "2",
+        "tools": [{"position": {"x": {"at": 0, "type": "i8"}}}],
+        "force": {"max_newtons": 1, "bytes": "00*7", "x": {"at": )") +
+                                       at + R"(, "type": "i16"}}})");
+    EXPECT_NE(error.find("between byte 1 and the end"), std::string::npos) << error;
+  }
+}
+
+TEST(DeviceProfile, BeyondFullDeflectionIsFullSpeed) {
+  const RateShape shape{0.1, 0.05, 2};
+  EXPECT_DOUBLE_EQ(shape.speed(1), 0.1);
+  EXPECT_DOUBLE_EQ(shape.speed(-3), -0.1);
+  EXPECT_EQ(shape.speed(0.05), 0);
 }
 
 }  // namespace

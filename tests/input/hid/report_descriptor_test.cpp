@@ -107,5 +107,40 @@ TEST(ReportDescriptor, ReadsRealOnes) {
   EXPECT_EQ(wireless.bytes_of(Kind::kInput, 1), 13u);
 }
 
+// One input field of 8 bits with these global items.
+DescribedField field_with(std::vector<std::uint8_t> items) {
+  std::vector<std::uint8_t> bytes{0x05, 0x01, 0x09, 0x04, 0xa1, 0x01};
+  bytes.insert(bytes.end(), items.begin(), items.end());
+  bytes.insert(bytes.end(), {0x75, 0x08, 0x95, 0x01, 0x09, 0x30, 0x81, 0x02, 0xc0});
+  const ReportDescriptor d = parsed(bytes);
+  return d.fields.empty() ? DescribedField{} : d.fields[0];
+}
+
+TEST(ReportDescriptor, AnExponentIsANibbleInTwosComplement) {
+  const std::pair<std::uint8_t, int> nibbles[] = {{0x0, 0}, {0x7, 7}, {0x8, -8}, {0xf, -1}};
+  for (const auto& [nibble, exponent] : nibbles)
+    EXPECT_EQ(field_with({0x55, nibble}).unit_exponent, exponent);
+}
+
+TEST(ReportDescriptor, AMaximumIsSignedWhereItsMinimumIs) {
+  EXPECT_EQ(field_with({0x15, 0x81, 0x25, 0xff}).logical_max, -1);
+  EXPECT_EQ(field_with({0x25, 0xff, 0x15, 0x81}).logical_max, -1) << "whichever comes first";
+  EXPECT_EQ(field_with({0x15, 0x00, 0x25, 0xff}).logical_max, 255);
+  EXPECT_EQ(field_with({0x35, 0x81, 0x45, 0xff}).physical_max, -1);
+}
+
+TEST(ReportDescriptor, UsagesEndWithTheirCollection) {
+  const ReportDescriptor d =
+      parsed({0x05, 0x01, 0x09, 0x04, 0xa1, 0x01, 0xa1, 0x00, 0x09, 0x33, 0xc0,  // unused
+              0x09, 0x30, 0x75, 0x08, 0x95, 0x01, 0x81, 0x02, 0xc0});
+  ASSERT_EQ(d.fields.size(), 1u);
+  EXPECT_EQ(d.fields[0].usage, 0x10030u);
+}
+
+// Some devices say 0 to 65535 where they mean any: as many are kept as one item may have.
+TEST(ReportDescriptor, ALongRangeOfUsagesIsCutOff) {
+  EXPECT_EQ(error_of({0x19, 0x00, 0x2a, 0xff, 0xff, 0x09, 0x01}), "has more than 1024 usages for one item");
+}
+
 }  // namespace
 }  // namespace incise::input

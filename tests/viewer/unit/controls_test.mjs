@@ -128,6 +128,15 @@ test("every control and every figure of the page has a tooltip", () => {
   );
 });
 
+test("a first look at the frames shows no share yet; areas are in square centimetres", () => {
+  byId("budget").textContent = "-";
+  const figures = new Figures();
+  figures.showStats(JSON.stringify({ stages_us: { frame_work: { sum: 100_000, count: 1000 } } }));
+  assert.equal(byId("budget").textContent, "-");
+  figures.showCutArea(12.34e-4);
+  assert.equal(byId("cut-area").textContent, "12.3");
+});
+
 // ---- Recordings ----
 
 function player(facts = {}) {
@@ -302,6 +311,30 @@ test("a blade that was held is taken again after a break, one that somebody took
   assert.match(noticeTexts()[0], /Another window has taken the blade/);
   hands.setTool("cut");
   assert.equal(sent.at(-1).takeOver, false);
+  hands.meet("liver"); // of another length, while the blade is asked for
+  assert.equal(sent.at(-1).takeOver, false);
+});
+
+test("a blade reaches through a body that it is long enough for, else up to its heel", () => {
+  const { hands, sent } = operator();
+  assert.equal(hands.mouse.depth_m, null);
+  hands.onBladeLink({ stage: "waiting", text: "" });
+  hands.meet("liver");
+  assert.ok(Math.abs(sent.at(-1).length_m - 0.3) < 1e-9, "1.5 times the body");
+  byId("length").valueAsNumber = 0.2;
+  hands.meet("liver");
+  assert.ok(Math.abs(hands.mouse.depth_m - 0.97 * 0.06) < 1e-9, `${hands.mouse.depth_m} m`);
+});
+
+test("a simulation closes Open, unless the hand has set it", () => {
+  const { hands } = operator();
+  hands.onDeforms();
+  assert.equal(byId("open").valueAsNumber, 0);
+  const { hands: others } = operator();
+  byId("open").valueAsNumber = 0.5;
+  byId("open").dispatchEvent({ type: "input" });
+  others.onDeforms();
+  assert.equal(byId("open").valueAsNumber, 0.5);
 });
 
 test("in a replay there is nothing to cut", () => {

@@ -70,7 +70,7 @@ function scene() {
   mouse.facts = { heel: [0, 0, 0], tip: [0, 0, -kLength_m], source: 0, engageButton: 0, maxSpeed_m_s: 1 };
   mouse.enabled = true;
   let time = 1000;
-  const hand = (name, x, y, step_ms = 8) =>
+  const hand = (name, x, y, step_ms = 8, more = {}) =>
     listeners[name]({
       pointerId: 1,
       button: 0,
@@ -79,6 +79,7 @@ function scene() {
       clientX: x,
       clientY: y,
       timeStamp: (time += step_ms),
+      ...more,
     });
   const draw = (from, to, steps = 20) => {
     hand("pointerdown", ...from);
@@ -162,6 +163,57 @@ test("a click is no stroke, and a stroke that never meets the skin sends nothing
   draw([10, 10], [10, 390]);
   assert.ok(poses.length > 0);
   assert.equal(said.at(-1), "sent");
+});
+
+test("a stroke that begins beside the body comes in where the hand does", () => {
+  const { mouse, poses, draw } = scene();
+  mouse.depth_m = 0.03;
+  draw([10, 200], [200, 200]);
+  assert.ok(poses.length > 0);
+  const edge = -0.1, // of the skin; the hand moves by 0.02 m at a time
+    first = poses[0].tip.x;
+  assert.ok(first > edge - 0.04, `begins at ${first}`);
+});
+
+test("where one part is in front of another the blade does not jump", () => {
+  const { mouse, poses, draw, hand } = scene();
+  mouse.depth_m = 0.01;
+  const steps = () => poses.slice(1).map((p, i) => Math.abs(p.tip.z - poses[i].tip.z));
+  hand("pointerdown", 180, 200);
+  hand("pointermove", 190, 200);
+  mouse.stage.body.raycast = () => 1 - kSkin_m + 0.1; // what is behind, 0.1 m deeper
+  for (let x = 191; x < 230; ++x) hand("pointermove", x, 200);
+  hand("pointerup", 230, 200);
+  assert.ok(Math.max(...steps()) < 0.06, `${Math.max(...steps())} m at once`);
+  assert.ok(poses.at(-1).tip.z < -0.07, "it follows in the end");
+});
+
+test("a hand that rests repeats its pose, so that the stroke goes on", (t) => {
+  const { mouse, poses, hand } = scene();
+  let now = performance.now();
+  t.mock.method(performance, "now", () => now);
+  hand("pointerdown", 140, 200);
+  hand("pointermove", 200, 200);
+  const moved = poses.length;
+  now += 50;
+  mouse.tick();
+  assert.equal(poses.length, moved);
+  now += 50;
+  mouse.tick();
+  assert.ok(poses.length > moved);
+  assert.equal(poses.at(-1).buttons, 1);
+  mouse.cancel();
+  const ended = poses.length;
+  now += 1000;
+  mouse.tick();
+  assert.equal(poses.length, ended);
+});
+
+test("a finger that is not the first begins no stroke", () => {
+  const { said, hand } = scene();
+  hand("pointerdown", 140, 200, 8, { pointerType: "touch", isPrimary: false });
+  hand("pointermove", 200, 200);
+  assert.deepEqual(said, []);
 });
 
 test("a hand that may not cut is told so, a second finger ends the stroke", () => {

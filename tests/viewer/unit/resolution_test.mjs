@@ -62,3 +62,11 @@ test("a step that is too much is tried ever more seldom", () => {
     assert.ok(changes[i] - changes[i - 1] > 1.8 * (changes[i - 1] - changes[i - 2]), changes.join());
   }
 });
+
+test("steps down that no step up led to do not make it wait longer", () => {
+  const resolution = new Resolution(false);
+  run(resolution, 200, () => 60);
+  assert.equal(resolution.scale, kScales.at(-1));
+  run(resolution, 600, () => 16.7);
+  assert.equal(resolution.scale, 1);
+});

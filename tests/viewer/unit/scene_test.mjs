@@ -213,6 +213,25 @@ test("in a deformed body, where the gap stands open, the shape of its walls tell
   assert.deepEqual(count, [0, 48, 96]);
 });
 
+test("a small slit is a wall where its sides lie together, and a flap where they stand apart", () => {
+  const box = slitBox({ nx: 2, bottom: 3 }); // two squares of two triangles on either side
+  const inSlit = (slot) => box.triangles[slot].v.every((v) => box.vertices[v][1] === 3);
+  const sidesIn = (surface) => {
+    const faces = measureFaces(surface);
+    const sides = sidesOf(surface, faces);
+    return faces.cut.filter(inSlit).map((slot) => sides[slot]);
+  };
+  assert.deepEqual(sidesIn(filled(box)), Array(8).fill(kWall));
+  const open = filled({
+    ...box,
+    vertices: box.vertices.map(([x, y, z], v) => {
+      const wall = box.triangles.find((t) => t.cut && t.v.includes(v) && y === 3);
+      return wall && z > 3 ? [x, y - Math.sign(normalY(box, wall)), z] : [x, y, z];
+    }),
+  });
+  assert.deepEqual(sidesIn(open), Array(8).fill(kParted));
+});
+
 function normalY({ vertices }, { v: [a, b, c] }) {
   const [ux, , uz] = vertices[b].map((x, k) => x - vertices[a][k]);
   const [vx, , vz] = vertices[c].map((x, k) => x - vertices[a][k]);
@@ -265,6 +284,9 @@ test("pieces go away from each other, an uncut body stays", () => {
   assert.deepEqual([...out.pieces.subarray(0, 4)], [0, 0, 0, 0]);
   assert.equal(out.cutArea_m2, 0);
   assert.ok(out.lips.every((x) => x === 0));
+  // Nor does one that is cut, as long as it is one piece.
+  computeOpening(filled(slitBox()), () => 0, 1, 9, out);
+  assert.deepEqual([...out.pieces.subarray(0, 4)], [0, 0, 0, 0]);
 });
 
 test("normals are smooth over the skin and break at an edge", () => {
@@ -321,6 +343,27 @@ test("quality without tetrahedra is that of the triangle; rows are given to piec
   assert.ok([...builder.touched()].includes(0));
   builder.write(0, out, 0);
   assert.ok(out.positions.subarray(0, 9).every((x) => x === 0)); // a free slot has no size
+});
+
+test("skin and cut faces that continue each other have an edge between them", () => {
+  const surface = fill(
+    new Surface(),
+    [
+      [0, 0, 0],
+      [1, 0, 0.1],
+      [1, 1, 0.1],
+      [2, 0, 0],
+      [2, 1, 0],
+    ],
+    [{ v: [0, 1, 2] }, { v: [1, 3, 4], cut: true }, { v: [1, 4, 2], cut: true }],
+  );
+  const builder = new CornerBuilder(surface);
+  builder.restart();
+  builder.measureAll();
+  const out = allocateCorners(1);
+  builder.write(0, out, 0);
+  const own = -0.1 / Math.hypot(0.1, 1); // of the skin's triangle alone
+  for (const corner of [0, 1, 2]) near(out.normals[4 * corner] / 32767, own, 0.001);
 });
 
 test("a section's plane keeps what is below it, on the side that is asked for", () => {

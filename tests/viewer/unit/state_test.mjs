@@ -115,8 +115,20 @@ test("a surface changed back and forth has the hash that it had", () => {
   assert.equal(surface.surfaceHash, hash);
   assert.equal(surface.slots, 2); // the free slot was used again
   assert.ok(surface.touchedSlots.has(1) && surface.touchedVertices.has(3));
+  surface.removeTriangles(Uint32Array.of(4));
   surface.clear();
   assert.equal(surface.surfaceHash, 0n);
+  fill(surface, square, [{ v: [0, 1, 2] }]);
+  assert.deepEqual([surface.slots, surface.ids[0]], [1, 0]); // no slot from before is free
+});
+
+test("a piece is counted until its last triangle has gone", () => {
+  const surface = fill(new Surface(), square, [{ v: [0, 1, 2], piece: 5 }, { v: [0, 2, 3], piece: 5 }]);
+  const counts = [0, 4].map((id) => {
+    surface.removeTriangles(Uint32Array.of(id));
+    return surface.pieceCount;
+  });
+  assert.deepEqual(counts, [1, 0]);
 });
 
 test("the corners at a vertex are those of its triangles", () => {
@@ -138,6 +150,15 @@ test("arrays that do not belong together are refused", () => {
     surface.setVertices({ idsArray: () => Uint32Array.of(1, 2), positionsArray: () => new Float32Array(3) }),
     false,
   );
+  const triangle = {
+    idsArray: () => Uint32Array.of(8),
+    verticesArray: () => Uint32Array.of(0, 1, 2),
+    flagsArray: () => Uint8Array.of(0),
+    piecesArray: () => Uint32Array.of(0),
+  };
+  for (const name of ["verticesArray", "flagsArray", "piecesArray"])
+    assert.equal(surface.setTriangles({ ...triangle, [name]: () => new Uint32Array(9) }), false, name);
+  assert.equal(surface.setTriangles(triangle), true);
   const removed = fill(new Surface(), square, []);
   removed.removeVertices(Uint32Array.of(2));
   assert.throws(() => fill(removed, [], [{ v: [0, 1, 2] }]));
@@ -237,6 +258,29 @@ test("a delta before any snapshot, and one of another session, is passed over", 
   assert.equal(replica.holding, true);
   replica.distrust();
   assert.equal(replica.holding, false);
+});
+
+test("a welcome to the session that is held keeps its state, and drops a snapshot that was cut off", () => {
+  const messages = surfaceStream();
+  const [begin, end, delta] = ["SnapshotBegin", "SnapshotEnd", "SurfaceDelta"].map((kind) =>
+    messages.findIndex((bytes) => kindOf(bytes) === kind),
+  );
+  const held = messages.slice(0, end + 1);
+  for (const cut of [[], [messages[begin]]]) {
+    const { states, asked } = follow([...held, ...cut, messages[0], messages[delta]]);
+    assert.deepEqual([states.map((s) => s.revision), asked], [[0, 1], []]);
+  }
+});
+
+test("a chunk whose arrays do not fit spoils the snapshot, whatever comes after it", () => {
+  const messages = surfaceStream();
+  const end = messages.findIndex((bytes) => kindOf(bytes) === "SnapshotEnd");
+  const { replica, asked } = follow(messages.slice(0, end));
+  const chunks = [{ surfaceVertices: () => ({ idsArray: () => Uint32Array.of(0), positionsArray: () => null }) }, {}];
+  for (const chunk of chunks) replica.addChunk({ surfaceVertices: () => null, triangles: () => null, ...chunk });
+  const message = Message.getRootAsMessage(new ByteBuffer(messages[end]));
+  replica.endSnapshot(message.body(new SnapshotEnd()));
+  assert.deepEqual(asked, ["the arrays do not fit the state"]);
 });
 
 test("elements are coloured by their smallest dihedral angle", () => {

@@ -1,250 +1,45 @@
-// The worker's side of the stream: a link and what it says of the server, the viewer, the page's feed.
+// What the page's worker makes of the stream: the viewer, the page's feed, the mouse's connection.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { fill, load, surfaceStream } from "./modules.mjs";
-
-// ---- A network and a clock that do what a test says ----
-
-const sockets = [];
-class FakeSocket {
-  static OPEN = 1;
-  readyState = 0;
-  sent = [];
-  constructor(url) {
-    this.url = url;
-    sockets.push(this);
-  }
-  open() {
-    this.readyState = FakeSocket.OPEN;
-    this.onopen();
-  }
-  send(bytes) {
-    this.sent.push(Uint8Array.from(bytes));
-  }
-  receive(bytes) {
-    this.onmessage({ data: Uint8Array.from(bytes).buffer });
-  }
-  close() {
-    this.readyState = 3;
-  }
-}
-globalThis.WebSocket = FakeSocket;
-
-/** setInterval and setTimeout by hand: `run` calls what is due in so many milliseconds. */
-const clock = { now: 0, timers: new Map(), next: 1 };
-function add(callback, ms, every) {
-  clock.timers.set(clock.next, { callback, due: clock.now + ms, every });
-  return clock.next++;
-}
-globalThis.setTimeout = (callback, ms = 0) => add(callback, ms, 0);
-globalThis.setInterval = (callback, ms) => add(callback, ms, ms);
-globalThis.clearTimeout = globalThis.clearInterval = (id) => clock.timers.delete(id);
-function run(ms) {
-  const end = clock.now + ms;
-  for (;;) {
-    const [id, timer] = [...clock.timers].filter(([, t]) => t.due <= end).sort((a, b) => a[1].due - b[1].due)[0] ?? [];
-    if (!timer) break;
-    clock.now = timer.due;
-    if (timer.every) timer.due += timer.every;
-    else clock.timers.delete(id);
-    timer.callback();
-  }
-  clock.now = end;
-}
-
-const {
-  Link,
-  Viewer,
-  PageFeed,
-  Surface,
-  Blade,
-  Message,
+import {
   Body,
-  Builder,
   ByteBuffer,
-  Pong,
-  Bye,
-  ByeReason,
-  WireError,
   ErrorCode,
+  Message,
   Welcome,
-  Hello,
-  PoseBatch,
-  SurfaceDelta,
-  BladeEdge,
-} = await load(
-  "link",
+  error,
+  forget,
+  message,
+  run,
+  sentKinds,
+  sockets,
+  welcome,
+} from "./fake_network.mjs";
+import { fill, json, load, surfaceStream } from "./modules.mjs";
+
+const wire = (name) => `wire/incise/wire/${name}`;
+const { Viewer, PageFeed, Surface, Blade, Hello, PoseBatch, SurfaceDelta, BladeEdge } = await load(
   "viewer",
   "page_feed",
   "surface",
   "blade",
-  "wire/incise/wire/message",
-  "wire/incise/wire/body",
-  "../node_modules/flatbuffers",
-  "wire/incise/wire/pong",
-  "wire/incise/wire/bye",
-  "wire/incise/wire/bye-reason",
-  "wire/incise/wire/error-code",
-  "wire/incise/wire/welcome",
-  "wire/incise/wire/hello",
-  "wire/incise/wire/surface-delta",
-  "wire/incise/wire/pose-batch",
-  "wire/incise/wire/blade-edge",
-).then(async (all) => ({
-  ...all,
-  WireError: (await load("wire/incise/wire/error")).Error,
-}));
-
-function message(type, make) {
-  const b = new Builder(256);
-  const body = make(b);
-  Message.startMessage(b);
-  Message.addBodyType(b, type);
-  Message.addBody(b, body);
-  Message.finishMessageBuffer(b, Message.endMessage(b));
-  return b.asUint8Array();
-}
-const welcome = (session = 1n) =>
-  message(Body.Welcome, (b) => {
-    Welcome.startWelcome(b);
-    Welcome.addSession(b, session);
-    return Welcome.endWelcome(b);
-  });
-const pong = () => message(Body.Pong, (b) => Pong.createPong(b, 1n, 0n, 0n));
-const bye = (reason) => message(Body.Bye, (b) => Bye.createBye(b, reason, 0));
-const error = (code, fatal) =>
-  message(Body.Error, (b) => {
-    const text = b.createString("because");
-    WireError.startError(b);
-    WireError.addCode(b, code);
-    WireError.addFatal(b, fatal);
-    WireError.addText(b, text);
-    return WireError.endError(b);
-  });
-const sentKinds = (socket) => socket.sent.map((bytes) => Message.getRootAsMessage(new ByteBuffer(bytes)).bodyType());
-
-function open() {
-  sockets.length = 0;
-  clock.timers.clear();
-  const states = [],
-    refused = [];
-  const link = new Link("ws://here", {
-    hello: () => ({ role: 0, view: 0, token: "t" }),
-    welcome: () => {},
-    message: () => {},
-    unreadable: () => {},
-    state: (state) => states.push(state),
-    refused: (text) => refused.push(text),
-  });
-  sockets[0].open();
-  sockets[0].receive(welcome());
-  return { link, states, refused, stages: () => states.map((s) => s.stage) };
-}
-
-test("a link whose server answers stays open", () => {
-  const { stages } = open();
-  for (let i = 0; i < 100; ++i) {
-    run(400);
-    sockets[0].receive(pong());
-  }
-  assert.deepEqual(stages(), ["connecting", "open"]);
-  assert.ok(sentKinds(sockets[0]).filter((kind) => kind === Body.Ping).length >= 100);
-});
-
-test("a server that does not answer is seen at the third check, gets no more pings, and is left after the twenty-second", () => {
-  const { stages, states } = open();
-  sockets[0].receive(pong());
-  run(2 * 400);
-  assert.deepEqual(stages(), ["connecting", "open"]);
-  run(400);
-  assert.deepEqual(stages(), ["connecting", "open", "stalled"]);
-  run(18 * 400);
-  assert.equal(stages().at(-1), "stalled");
-  const pings = sentKinds(sockets[0]).filter((kind) => kind === Body.Ping).length;
-  assert.equal(pings, 2); // the one with the Welcome, which was answered, and one that is not
-  run(400);
-  assert.equal(stages().at(-1), "waiting");
-  assert.match(states.at(-1).text, /Nothing was heard|lost/);
-  run(1000);
-  assert.equal(sockets.length, 2); // it tries again
-});
-
-test("whatever comes ends the stall, on the same connection", () => {
-  const { stages } = open();
-  run(5 * 400);
-  assert.equal(stages().at(-1), "stalled");
-  sockets[0].receive(pong());
-  assert.equal(stages().at(-1), "open");
-  run(2 * 400);
-  assert.equal(stages().at(-1), "open");
-  assert.equal(sockets.length, 1);
-});
-
-test("a connection that is never welcomed is left, too", () => {
-  sockets.length = 0;
-  clock.timers.clear();
-  const states = [];
-  new Link("ws://here", { hello: () => ({ role: 0, view: 0, token: "" }), state: (s) => states.push(s.stage) });
-  run(21 * 400);
-  assert.deepEqual(states, ["connecting"]);
-  run(400);
-  assert.deepEqual(states, ["connecting", "waiting"]);
-});
-
-test("each way to be sent away is told apart", () => {
-  const cases = [
-    [error(ErrorCode.Unauthorized, true), "ended", "token"],
-    [error(ErrorCode.BladeTaken, true), "ended", "taken"],
-    [error(ErrorCode.BadVersion, true), "ended", "version"],
-    [bye(ByeReason.HandedOver), "ended", "handed-over"],
-  ];
-  for (const [bytes, stage, reason] of cases) {
-    const { states } = open();
-    sockets[0].receive(bytes);
-    assert.deepEqual([states.at(-1).stage, states.at(-1).reason], [stage, reason]);
-    run(60_000);
-    assert.equal(sockets.length, 1, `${reason}: it does not come back`);
-  }
-  const { refused, states } = open();
-  sockets[0].receive(error(ErrorCode.Forbidden, false));
-  assert.deepEqual(refused, ["because"]);
-  assert.equal(states.at(-1).stage, "open");
-  sockets[0].receive(bye(ByeReason.ServerStops));
-  sockets[0].onclose();
-  assert.match(states.at(-1).text, /The server has stopped/);
-});
-
-test("bytes that are not a message end the connection, which comes back", () => {
-  const { stages } = open();
-  sockets[0].receive(new Uint8Array(40));
-  assert.equal(stages().at(-1), "waiting");
-  run(1000);
-  assert.equal(sockets.length, 2);
-});
-
-test("each pause before a try is longer, up to a bound", () => {
-  open();
-  sockets[0].onclose();
-  const tries = [];
-  for (let ms = 0; ms < 60_000; ms += 50) {
-    const before = sockets.length;
-    run(50);
-    if (sockets.length > before) {
-      tries.push(ms);
-      sockets.at(-1).onclose();
-    }
-  }
-  const pauses = tries.slice(1).map((t, i) => t - tries[i]);
-  assert.ok(pauses[0] < 1000);
-  assert.ok(pauses.at(-1) > 5000 && Math.max(...pauses) < 10_500, pauses.join());
-});
+  wire("hello"),
+  wire("surface-delta"),
+  wire("pose-batch"),
+  wire("blade-edge"),
+);
+const { BladePose, MeshFacts, Stats, Vec3 } = await load(
+  wire("blade-pose"),
+  wire("mesh-facts"),
+  wire("stats"),
+  wire("vec3"),
+);
 
 // ---- The viewer ----
 
 function view(blade = { owns: () => false }) {
-  sockets.length = 0;
-  clock.timers.clear();
+  forget();
   const said = [];
   const viewer = new Viewer(blade, (m) => said.push(m));
   viewer.connect("ws://here", "");
@@ -365,12 +160,109 @@ test("a replay ends with its connection", () => {
   assert.equal(said.filter((m) => m.kind === "replay").at(-1).facts, null);
 });
 
+const hello = (socket) => Message.getRootAsMessage(new ByteBuffer(socket.sent[0])).body(new Hello());
+
+test("a connection that comes back goes on from the state that is held, and from none that is not trusted", () => {
+  view();
+  const messages = surfaceStream();
+  const deltas = messages.filter((m) => Message.getRootAsMessage(new ByteBuffer(m)).bodyType() === Body.SurfaceDelta);
+  for (const bytes of messages.slice(0, messages.indexOf(deltas.at(-1)))) sockets[0].receive(bytes);
+  const held = json("streams/surface.json").at(-2).revision;
+  const back = () => {
+    sockets.at(-1).onclose();
+    run(1000);
+    sockets.at(-1).open();
+    return hello(sockets.at(-1));
+  };
+  assert.deepEqual([hello(sockets[0]).resumeSession(), hello(sockets[0]).resumeRevision()], [0n, 0n]);
+  const again = back();
+  assert.ok(again.resumeSession() !== 0n);
+  assert.equal(Number(again.resumeRevision()), held);
+  sockets.at(-1).receive(deltas.at(-1).subarray(0, 120)); // its arrays lie beyond its end
+  run(1000);
+  sockets.at(-1).open();
+  assert.deepEqual([hello(sockets.at(-1)).resumeSession(), hello(sockets.at(-1)).resumeRevision()], [0n, 0n]);
+});
+
+test("while another session's state is on its way the page is sent nothing", () => {
+  const { viewer, said } = view();
+  for (const bytes of surfaceStream().slice(0, -1)) sockets[0].receive(bytes);
+  sockets[0].receive(welcome(99n));
+  viewer.feed.applied();
+  viewer.feed.addStep(step(1), 1);
+  said.length = 0;
+  viewer.feed.sendChanges();
+  run(10_000);
+  assert.deepEqual(said.filter((m) => ["patch", "geometry", "opening"].includes(m.kind)), []);
+});
+
+test("the body has the tetrahedra of its mesh only before the first cut; in a replay statistics are of another", () => {
+  const { viewer, said } = view();
+  const greet = (revision) =>
+    sockets[0].receive(
+      message(Body.Welcome, (b) => {
+        MeshFacts.startMeshFacts(b);
+        MeshFacts.addTets(b, 500);
+        const mesh = MeshFacts.endMeshFacts(b);
+        Welcome.startWelcome(b);
+        Welcome.addSession(b, 1n);
+        Welcome.addRevision(b, revision);
+        Welcome.addMesh(b, mesh);
+        return Welcome.endWelcome(b);
+      }),
+    );
+  const tets = (live) => {
+    sockets[0].receive(
+      message(Body.Stats, (b) => {
+        Stats.startStats(b);
+        Stats.addLiveTets(b, live);
+        return Stats.endStats(b);
+      }),
+    );
+    return said.at(-1).tets;
+  };
+  greet(7n);
+  viewer.replaying = true;
+  assert.equal(tets(510), 0);
+  greet(0n);
+  assert.equal(tets(510), 500);
+  viewer.replaying = false;
+  assert.equal(tets(510), 510);
+});
+
+test("other blades are shown, one's own is not: the page draws that itself", () => {
+  const { said } = view({ owns: (source) => source === 2 });
+  sockets[0].receive(welcome());
+  for (const source of [2, 3]) {
+    sockets[0].receive(
+      message(Body.BladePose, (b) => {
+        BladePose.startBladePose(b);
+        BladePose.addSource(b, source);
+        BladePose.addHeel(b, Vec3.createVec3(b, 1, 2, 3));
+        BladePose.addTip(b, Vec3.createVec3(b, 4, 5, 6));
+        return BladePose.endBladePose(b);
+      }),
+    );
+  }
+  const shownBlades = said.filter((m) => m.kind === "blade-pose");
+  assert.deepEqual(shownBlades.map((m) => [m.source, m.heel]), [[3, [1, 2, 3]]]);
+});
+
+test("a replay that was refused leaves the next new session a reset", () => {
+  const { viewer, kinds } = view();
+  sockets[0].receive(welcome(1n));
+  viewer.controlReplay({ kind: "replay", action: "open", capture: "none.capture" });
+  sockets[0].receive(error(ErrorCode.BadRequest, false));
+  sockets[0].receive(welcome(2n));
+  assert.equal(kinds().filter((kind) => kind === "was-reset").length, 1);
+});
+
 // ---- The feed ----
 
 const step = (n) => ({ source: 1, own: false, heel: [0, 0, 0], tip: [0, 0, n], ended: false, cutArea_m2: 0 });
 
 function feed() {
-  clock.timers.clear();
+  forget();
   const surface = fill(
     new Surface(),
     [
@@ -430,6 +322,19 @@ test("a patch that no pose is behind says so", () => {
   );
 });
 
+test("how the body opens is sent after its changes, and not while another session is awaited", () => {
+  const { pageFeed, said } = feed();
+  const openings = () => said.filter((m) => m.kind === "opening").length;
+  pageFeed.restart();
+  run(0);
+  assert.equal(openings(), 1);
+  pageFeed.addStep(step(1), 1);
+  pageFeed.sendChanges();
+  pageFeed.pause();
+  run(10_000);
+  assert.equal(openings(), 1);
+});
+
 test("what waits for a page that is hidden stays bounded", () => {
   const { pageFeed, said } = feed();
   pageFeed.restart();
@@ -463,15 +368,13 @@ test("more triangles than there is room for are sent as a whole", () => {
 // ---- The mouse's connection ----
 
 test("a blade brings its length, owns its source while it is open, and sends poses as they are", () => {
-  sockets.length = 0;
-  clock.timers.clear();
+  forget();
   const said = [];
   const blade = new Blade((m) => said.push(m));
   blade.take("ws://here", "", false, 0.25);
   sockets[0].open();
-  const hello = Message.getRootAsMessage(new ByteBuffer(sockets[0].sent[0])).body(new Hello());
-  assert.equal(hello.sourceName(), "mouse");
-  assert.equal(hello.blade(new BladeEdge()).tip().z(), -0.25);
+  assert.equal(hello(sockets[0]).sourceName(), "mouse");
+  assert.equal(hello(sockets[0]).blade(new BladeEdge()).tip().z(), -0.25);
   assert.equal(blade.owns(0), false);
   sockets[0].receive(welcome());
   assert.equal(blade.owns(0), true);
@@ -483,4 +386,17 @@ test("a blade brings its length, owns its source while it is open, and sends pos
   assert.deepEqual([batch.poses(0).buttons(), batch.poses(1).buttons()], [1, 0]);
   blade.release();
   assert.equal(blade.owns(0), false);
+});
+
+test("after a break the blade is taken from the connection that was lost", () => {
+  forget();
+  const blade = new Blade(() => {});
+  blade.take("ws://here", "", false, 0.25);
+  sockets[0].open();
+  assert.equal(hello(sockets[0]).takeOver(), false);
+  sockets[0].receive(welcome());
+  sockets[0].onclose();
+  run(1000);
+  sockets[1].open();
+  assert.equal(hello(sockets[1]).takeOver(), true);
 });

@@ -1,0 +1,273 @@
+"""What the Python replicas make of changes that the golden streams do not have: a random walk beside a plain model, pieces,
+rest positions, and what must be refused.
+
+Run like python_client_test.py.
+"""
+
+import random
+import unittest
+
+import flatbuffers
+import numpy as np
+
+import incise_client
+from incise.wire import Box, Delta, SnapshotBegin, SnapshotChunk, SnapshotEnd, Step, Tets, Vec3
+from incise_client.part import Rows
+from incise_client.replica import NO_ID
+
+
+def build(b, module, fields):
+    """The offset of a table; a value that is a pair (module, fields) is a table in it, a list of pairs a vector of these."""
+    made = {}
+    for name, value in fields.items():
+        if isinstance(value, tuple):
+            made[name] = build(b, *value)
+        elif isinstance(value, list):
+            offsets = [build(b, *one) for one in value]
+            module.StartStepsVector(b, len(offsets))
+            for offset in reversed(offsets):
+                b.PrependUOffsetTRelative(offset)
+            made[name] = b.EndVector()
+        elif isinstance(value, np.ndarray):
+            made[name] = b.CreateNumpyVector(value)
+        else:
+            made[name] = value
+    module.Start(b)
+    for name, value in made.items():
+        getattr(module, "Add" + name)(b, value)
+    return module.End(b)
+
+
+def table(module, fields):
+    """A table as a client reads it from a message."""
+    b = flatbuffers.Builder(1024)
+    b.Finish(build(b, module, fields))
+    return getattr(module, module.__name__.split(".")[-1]).GetRootAs(b.Output(), 0)
+
+
+def u32(values):
+    return np.array(list(values), np.uint32)
+
+
+class Model:
+    """A state told in the plainest way: lists and dictionaries."""
+
+    def __init__(self, seed):
+        self.random = random.Random(seed)
+        self.revision = 1
+        self.positions = [self.place() for _ in range(6)]
+        self.rest = None
+        self.tets = {t: self.tet(6) for t in range(4)}
+        self.slots = 4
+
+    def place(self):
+        return [self.random.uniform(-1, 1) for _ in range(3)]
+
+    def tet(self, vertices):
+        r = self.random
+        return {"v": r.sample(range(vertices), 4), "region": r.randrange(-3, 4), "cut": r.randrange(16),
+                "boundary": r.randrange(16), "piece": r.randrange(3)}
+
+    def hash(self):
+        ids = sorted(self.tets)
+        value = incise_client.state_hash.xor_of(
+            incise_client.vertex_hashes(u32(range(len(self.positions))), np.array(self.positions)))
+        if not ids:
+            return value
+        return value ^ incise_client.state_hash.xor_of(incise_client.tet_hashes(
+            u32(ids), np.array([self.tets[t]["v"] for t in ids], np.uint32),
+            np.array([self.tets[t]["region"] for t in ids], np.int32),
+            np.array([self.tets[t]["cut"] for t in ids], np.uint8)))
+
+    def arrays(self, ids):
+        return (Tets, {"Ids": u32(ids), "Vertices": u32(v for t in ids for v in self.tets[t]["v"]),
+                       "Regions": np.array([self.tets[t]["region"] for t in ids], np.int32),
+                       "CutMasks": np.array([self.tets[t]["cut"] for t in ids], np.uint8),
+                       "BoundaryMasks": np.array([self.tets[t]["boundary"] for t in ids], np.uint8)})
+
+    def snapshot(self, rest=None):
+        ids = sorted(self.tets)
+        chunk = {"Positions": np.array(self.positions).reshape(-1), "Tets": self.arrays(ids),
+                 "TetPieces": u32(self.tets[t]["piece"] for t in ids)}
+        if rest is not None:
+            chunk["RestPositions"] = np.array(rest).reshape(-1)
+        return (table(SnapshotBegin, {"Revision": self.revision, "Chunks": 1, "VertexCount": len(self.positions),
+                                      "TetCount": len(ids)}),
+                [table(SnapshotChunk, chunk)],
+                table(SnapshotEnd, {"Revision": self.revision, "StateHash": self.hash()}))
+
+    def replica(self):
+        return incise_client.Replica.from_snapshot(*self.snapshot())
+
+    def step(self, deforms=False):
+        """A random change; the fields of the delta that says it."""
+        r = self.random
+        old = len(self.positions)
+        before = [list(p) for p in self.positions]
+        moved = sorted(r.sample(range(old), r.randrange(min(4, old))))
+        for v in moved:
+            self.positions[v] = self.place()
+        parents = []
+        for v in range(old, old + r.randrange(3)):
+            parents.append((r.randrange(v), r.randrange(v), r.random()))
+            self.positions.append(self.place())
+        first_new = self.slots + r.randrange(3)
+        gone = sorted(r.sample(sorted(self.tets), r.randrange(min(3, len(self.tets)))))
+        for t in gone:
+            del self.tets[t]
+        changed = sorted(r.sample(sorted(self.tets), r.randrange(1 + min(3, len(self.tets)))))
+        for t in changed:
+            self.tets[t] = {**self.tet(len(self.positions)), "piece": self.tets[t]["piece"]}
+        new = sorted(r.sample(range(first_new, first_new + 6), r.randrange(4)))
+        for t in new:
+            self.tets[t] = {**self.tet(len(self.positions)), "piece": 0}
+        self.slots = max([self.slots] + [t + 1 for t in new])
+        listed = sorted(r.sample(sorted(self.tets), r.randrange(1 + min(4, len(self.tets)))))
+        piece = r.randrange(1, 9)
+        for t in listed:
+            self.tets[t]["piece"] = piece
+        rest_ids = []
+        if deforms or self.rest is not None:
+            self.rest = before if self.rest is None else self.rest
+            for a, b, t in parents:
+                self.rest.append([x + t * (y - x) for x, y in zip(self.rest[a], self.rest[b])])
+            rest_ids = sorted(r.sample(range(len(self.positions)), 2))
+            for v in rest_ids:
+                self.rest[v] = self.place()
+        self.revision += 1
+        fields = {"BaseRevision": self.revision - 1, "Revision": self.revision,
+                  "Steps": [(Step, {"Revision": self.revision, "Stroke": 0 if deforms else 1})],
+                  "MovedIds": u32(moved), "MovedPositions": np.array([self.positions[v] for v in moved]).reshape(-1),
+                  "FirstAdded": old, "AddedPositions": np.array(self.positions[old:]).reshape(-1),
+                  "ProvenanceA": u32(p[0] for p in parents), "ProvenanceB": u32(p[1] for p in parents),
+                  "ProvenanceT": np.array([p[2] for p in parents], np.float64), "Tets": self.arrays(sorted(changed + new)),
+                  "RemovedTets": u32(gone), "PieceIds": u32([piece]), "PieceSizes": u32([len(listed)]),
+                  "PieceTets": u32(listed), "VertexCount": len(self.positions), "LiveTets": len(self.tets),
+                  "StateHash": self.hash(), "FirstNewTet": first_new, "RestIds": u32(rest_ids)}
+        if rest_ids:
+            fields["RestPositions"] = np.array([self.rest[v] for v in rest_ids]).reshape(-1)
+        return {name: value for name, value in fields.items() if not isinstance(value, np.ndarray) or len(value)}
+
+
+class Walk(unittest.TestCase):
+    def holds(self, replica, model):
+        np.testing.assert_array_equal(replica.positions, model.positions)
+        np.testing.assert_array_equal(replica.rest_positions, model.positions if model.rest is None else model.rest)
+        self.assertEqual(list(np.flatnonzero(replica.alive)), sorted(model.tets))
+        for t, tet in model.tets.items():
+            self.assertEqual((list(replica.tets[t]), replica.regions[t], replica.cut_masks[t], replica.boundary_masks[t],
+                              replica.pieces[t]), (tet["v"], tet["region"], tet["cut"], tet["boundary"], tet["piece"]))
+        gone = ~replica.alive
+        self.assertTrue((replica.tets[gone] == NO_ID).all())
+        for array in (replica.regions, replica.cut_masks, replica.boundary_masks, replica.pieces):
+            self.assertFalse(array[gone].any())
+        self.assertEqual(replica.state_hash, replica.compute_state_hash())
+        self.assertEqual((replica.revision, replica.live_tets), (model.revision, len(model.tets)))
+
+    def test_random_deltas_keep_it_in_step_with_a_plain_model(self):
+        for seed in range(4):
+            with self.subTest(seed=seed):
+                model = Model(seed)
+                replica = model.replica()
+                for i in range(60):
+                    replica.apply(table(Delta, model.step(deforms=i >= 20 and i % 5 == 0)))
+                    self.holds(replica, model)
+                late = incise_client.Replica.from_snapshot(*model.snapshot(model.rest))
+                np.testing.assert_array_equal(late.rest_positions, model.rest)
+
+    def test_rest_positions_of_some_vertices_are_none(self):
+        model = Model(1)
+        with self.assertRaisesRegex(incise_client.ApplyError, "rest positions"):
+            incise_client.Replica.from_snapshot(*model.snapshot(model.positions[:2]))
+
+    def test_what_does_not_fit_changes_nothing(self):
+        def longer(name, value):
+            return lambda f: {**f, name: np.append(f[name], np.array([value], f[name].dtype))}
+
+        for seed in range(8):
+            model = Model(seed)
+            replica = model.replica()
+            for _ in range(3):
+                replica.apply(table(Delta, model.step()))
+            before = replica.canonical_bytes()
+            dead = sorted(set(range(len(replica.tets))) - set(model.tets))
+            vertices = len(model.positions)
+            good = model.step(deforms=True)
+            cases = {"added elsewhere": lambda f: {**f, "FirstAdded": f["FirstAdded"] + 1},
+                     "another count": lambda f: {**f, "VertexCount": f["VertexCount"] + 1},
+                     "too many tetrahedra": lambda f: {**f, "LiveTets": f["LiveTets"] + 1},
+                     "a rest position too many": longer("RestIds", 10**6),
+                     "another hash": lambda f: {**f, "StateHash": f["StateHash"] ^ 1},
+                     "a piece of nothing": lambda f: {**f, "PieceTets": u32([10**6]), "PieceSizes": u32([1])},
+                     "new among the old": lambda f: {**f, "FirstNewTet": 0}}
+            if dead:
+                cases["goes twice"] = lambda f: {**f, "RemovedTets": u32(dead[-1:])}
+            if "Vertices" in good["Tets"][1] and len(good["Tets"][1]["Vertices"]):
+                def beyond(f):
+                    fields = dict(f["Tets"][1])
+                    fields["Vertices"] = fields["Vertices"].copy()
+                    fields["Vertices"][-1] = f["VertexCount"]
+                    return {**f, "Tets": (Tets, fields)}
+                cases["a vertex that is not there"] = beyond
+            for what, change in cases.items():
+                if what == "added elsewhere" and good["VertexCount"] == vertices:
+                    continue  # nothing is added
+                with self.subTest(seed=seed, what=what), self.assertRaises(incise_client.ApplyError):
+                    replica.apply(table(Delta, change(good)))
+                self.assertEqual(replica.canonical_bytes(), before)
+            replica.apply(table(Delta, good))
+            self.holds(replica, model)
+
+    def test_faces_are_seen_from_outside(self):
+        model = Model(1)
+        model.positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        model.tets = {0: {"v": [0, 1, 2, 3], "region": 0, "cut": 0, "boundary": 15, "piece": 0}}
+        replica = model.replica()
+        triangles = replica.positions[replica.boundary_triangles()]
+        self.assertEqual(len(triangles), 4)
+        for a, b, c in triangles:
+            outward = np.dot(np.cross(b - a, c - a), (a + b + c) / 3 - replica.positions.mean(axis=0))
+            self.assertGreater(outward, 0)
+
+
+class Parts(unittest.TestCase):
+    def test_an_element_is_not_removed_and_set(self):
+        rows = Rows([1, 2, 3], x=np.array([10, 20, 30]))
+        changed = rows.changed(Rows([2, 7], x=np.array([21, 70])), u32([3, 9]))
+        self.assertEqual((list(changed.ids), list(changed.x)), ([1, 2, 7], [10, 21, 70]))
+        with self.assertRaises(incise_client.ApplyError):
+            rows.changed(Rows([2], x=np.array([21])), u32([2]))
+
+    def test_a_tetrahedron_that_changes_stays_in_its_piece(self):
+        model = Model(3)
+        model.tets[2]["piece"] = 7
+        ids = sorted(model.tets)
+        vertices = u32(range(len(model.positions)))
+        begin = self.begin(model)
+        chunk = table(SnapshotChunk, {"VertexIds": vertices, "Positions": np.array(model.positions).reshape(-1),
+                                      "Tets": model.arrays(ids), "TetPieces": u32(model.tets[t]["piece"] for t in ids)})
+        end = table(SnapshotEnd, {"Revision": 1, "StateHash": 5, "PartHash": model.hash()})
+        part = incise_client.VolumePart.from_snapshot(begin, [chunk], end)
+        model.tets[2]["region"] = 3
+        part.apply(table(Delta, {"BaseRevision": 1, "Revision": 2, "Tets": model.arrays([2]), "FirstNewTet": model.slots,
+                                 "PartHash": model.hash()}))
+        at = list(part.elements.ids).index(2)
+        self.assertEqual((part.elements.pieces[at], part.elements.regions[at]), (7, 3))
+
+    @staticmethod
+    def begin(model):
+        b = flatbuffers.Builder(256)
+        Box.Start(b)
+        Box.AddMin(b, Vec3.CreateVec3(b, -1, -1, -1))
+        Box.AddMax(b, Vec3.CreateVec3(b, 1, 1, 1))
+        box = Box.End(b)
+        SnapshotBegin.Start(b)
+        for name, value in (("Revision", 1), ("Chunks", 1), ("VertexCount", len(model.positions)),
+                            ("TetCount", len(model.tets)), ("Box", box)):
+            getattr(SnapshotBegin, "Add" + name)(b, value)
+        b.Finish(SnapshotBegin.End(b))
+        return SnapshotBegin.SnapshotBegin.GetRootAs(b.Output(), 0)
+
+
+if __name__ == "__main__":
+    unittest.main()
