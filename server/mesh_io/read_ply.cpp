@@ -146,7 +146,7 @@ std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format)
   } else if (in.field(1) == "binary_big_endian") {
     format = PlyBody::Format::kBig;
   } else {
-    in.fail("the format is not ascii, binary_little_endian or binary_big_endian");
+    in.fail("the format is none of ascii, binary_little_endian and binary_big_endian");
   }
   std::vector<PlyElement> elements;
   while (true) {

@@ -37,7 +37,7 @@ Surface read_off(const std::filesystem::path& path) {
   if (word.ends_with("OFF")) {
     word.remove_suffix(3);
     if (word.find('4') != word.npos || word.find('n') != word.npos)
-      in.fail("accepted are points of three dimensions");
+      in.fail("only points of three dimensions are accepted");
     if (in.size() > 1 && in.field(1) == "BINARY") in.fail("binary OFF is not accepted: write it as ASCII");
     first = 1;
     if (in.size() == 1) {

@@ -216,7 +216,7 @@ const BadFile kBadTetFiles[] = {
     {"msh", "$MeshFormat\n3 0 8\n$EndMeshFormat\n",
      "a.msh:2: version 3 of the format; 1, 2, 2.1, 2.2 and 4.1"},
     {"msh", "$MeshFormat\n2.2 7 8\n", "a.msh:2: the file's type is neither"},
-    {"msh", "$MeshFormat\n2.2 1 8\n\2\0\0\0"sv, "a.msh, byte 20: the number one"},
+    {"msh", "$MeshFormat\n2.2 1 8\n\2\0\0\0"sv, "a.msh, byte 20: the number 1,"},
     {"msh", "$MeshFormat\n2.2 1 8\n\1\0"sv, "a.msh: ends where the number one"},
     {"msh",
      "$MeshFormat\n2.2 1 8\n\1\0\0\0\n$EndMeshFormat\n$Nodes\n1\n\1\0\0\0\0\0\0\0\0\0\xf8\x7f"
@@ -250,7 +250,7 @@ const BadFile kBadTetFiles[] = {
     {"msh", MSH4 "$Nodes\n1 2 1 1\n3 1 0 1\n1\n0 0 0\n$EndNodes\n",
      "there are 1 nodes in the blocks; the section declares 2"},
     {"msh", MSH4 "$Nodes\n1 1 1 1\n5 1 0 1\n1\n0 0 0\n$EndNodes\n", "an entity of dimension 5"},
-    {"vtk", "hello\n", "a.vtk:1: the first line is '# vtk DataFile"},
+    {"vtk", "hello\n", "a.vtk:1: the first line must be like '# vtk DataFile"},
     {"vtk", "# vtk DataFile Version 3.0\nx\nEBCDIC\n",
      "a.vtk:3: 'ASCII' or 'BINARY' expected, found 'ebcdic'"},
     {"vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\n",
