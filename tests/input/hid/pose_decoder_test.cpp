@@ -227,10 +227,10 @@ TEST(PoseDecoder, ReadsARealHydra) {
 
 TEST(PoseDecoder, HomeIsAPlaceAndADirection) {
   PoseDecoder decoder(shipped("3dconnexion_spacenavigator"), {});
-  for (int i = 0; i < 50; ++i) decoder.take(bytes16(2, {0, 0, -350}), 1000 * kMs + 8 * kMs * i);
-  const auto turned = decoder.take(std::vector<std::uint8_t>{3, 0}, 1400 * kMs);
+  for (int i = 0; i < 50; ++i) decoder.decode(bytes16(2, {0, 0, -350}), 1000 * kMs + 8 * kMs * i);
+  const auto turned = decoder.decode(std::vector<std::uint8_t>{3, 0}, 1400 * kMs);
   ASSERT_LT(turned[0].pose.orientation.w, 0.99);
-  const auto home = decoder.take(std::vector<std::uint8_t>{3, 2}, 1408 * kMs);
+  const auto home = decoder.decode(std::vector<std::uint8_t>{3, 2}, 1408 * kMs);
   EXPECT_EQ(home[0].pose.orientation, Quat{});
 }
 
@@ -243,10 +243,10 @@ TEST(PoseDecoder, TurnsAreAboutTheAxesOfTheirFrame) {
         "x": {"at": 0, "type": "i16"}, "z": {"at": 2, "type": "i16"}}}])"),
         {});
     const std::int64_t second = 1000 * kMs;
-    decoder.take(bytes16(0, {0, 0}), second);
-    decoder.take(bytes16(0, {1, 0}), 2 * second);
-    decoder.take(bytes16(0, {1, 0}), 3 * second);
-    const auto samples = decoder.take(bytes16(0, {0, 1}), 4 * second);
+    decoder.decode(bytes16(0, {0, 0}), second);
+    decoder.decode(bytes16(0, {1, 0}), 2 * second);
+    decoder.decode(bytes16(0, {1, 0}), 3 * second);
+    const auto samples = decoder.decode(bytes16(0, {0, 1}), 4 * second);
     const Vec3 x = core::rotate(samples[0].pose.orientation, {1, 0, 0});
     EXPECT_NEAR(core::distance(x, {0, tool_frame ? -1.0 : 1.0, 0}), 0, 1e-9);
   }
@@ -257,10 +257,10 @@ TEST(PoseDecoder, AClockThatStandsStillRepeatsItsReport) {
       profile_of(R"("clock": {"at": 0, "type": "u16", "tick_s": 0.001}, "tools": [{"position": {
       "x": {"at": 2, "type": "i16"}}}])"),
       {});
-  EXPECT_EQ(decoder.take(bytes16(0, {5, 1}), 1000 * kMs).size(), 1u);
-  EXPECT_EQ(decoder.take(bytes16(0, {5, 2}), 1001 * kMs).size(), 0u);
+  EXPECT_EQ(decoder.decode(bytes16(0, {5, 1}), 1000 * kMs).size(), 1u);
+  EXPECT_EQ(decoder.decode(bytes16(0, {5, 2}), 1001 * kMs).size(), 0u);
   EXPECT_EQ(decoder.counts().repeated, 1u);
-  EXPECT_EQ(decoder.take(bytes16(0, {7, 3}), 1002 * kMs).size(), 1u);
+  EXPECT_EQ(decoder.decode(bytes16(0, {7, 3}), 1002 * kMs).size(), 1u);
 }
 
 }  // namespace
