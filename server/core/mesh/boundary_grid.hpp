@@ -48,8 +48,8 @@ class BoundaryGrid {
 
   // Appends boundary tetrahedra near the triangle: every one that meets it, some others, and some twice. Cells that the same
   // search (known by its serial) has already taken for another triangle are left out. Cost: the cells that the triangle passes
-  // (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Strikes what it finds stale off the
-  // cells' lists, or they would grow as long as one cuts.
+  // (cells are 2 h wide) and the boundary in them; clipped to the mesh's bounding box. Removes stale entries from the
+  // cells' lists, or they would grow with every cut.
   void near(const TetMesh& mesh, const SweptTriangle& triangle, std::uint32_t search,
             std::vector<TetId>& out);
 

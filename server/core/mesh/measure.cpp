@@ -117,7 +117,7 @@ Deviation deviation(const TetMesh& mesh, const SweptSurface& surface) {
     for (int f = 0; f < 4; ++f) {
       if (!is_cut(mesh, t, f)) continue;
       const auto face = mesh.face_vertices(half_face(t, f));
-      // 28 points: where cuts cross, the farthest point of a face is none of its vertices.
+      // 28 points: where cuts cross, the farthest point of a face need not be a vertex.
       constexpr int kRows = 6;
       const Vec3 &a = mesh.position(face[0]), &b = mesh.position(face[1]), &c = mesh.position(face[2]);
       for (int i = 0; i <= kRows; ++i) {

@@ -227,7 +227,7 @@ void TetMesh::check_restored(Archive& io) {
     const TetId t = vertex_tet(v);
     io.demand(t == kNone || (t < tet_slots() && alive(t) && local_index(t, v) >= 0),
               "a vertex names a tetrahedron that does not have it");
-    io.demand(vertices_[v].h >= 0 && std::isfinite(vertices_[v].h), "a local width is no length");
+    io.demand(vertices_[v].h >= 0 && std::isfinite(vertices_[v].h), "a local width is not a length");
   }
 }
 

@@ -9,7 +9,7 @@
 
 namespace incise::core {
 
-// The star of one vertex, laid out to ask again and again what it would be worth with the vertex elsewhere.
+// The star of one vertex, laid out to evaluate its quality with the vertex at many trial positions.
 class VertexStar {
  public:
   struct Corner {
@@ -77,7 +77,7 @@ class VertexStar {
   std::vector<std::uint32_t> corner_ids_;
   std::vector<Corner> corners_;
   std::vector<Lanes> lanes_;  // the last one is filled up with copies of the last corner
-  // Of them, what stood in the way when a place was too bad: it will again, as a rule.
+  // The lanes that decided the last rejection: they usually decide the next one.
   mutable std::size_t worst_lanes_ = 0;
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
   std::vector<Wall> walls_;

@@ -10,7 +10,7 @@ void ActiveSet::append(TetId t) {
   for (VertexId v : cut_.mesh.vertices(t)) widest_m_ = std::max(widest_m_, cut_.mesh.local_h(v));
 }
 
-// What becomes active now, by a split or a flip, may reach some edge lengths farther back than what has been so for longest.
+// What a split or a flip makes active now may reach some edge lengths farther back than the oldest active tetrahedron.
 double ActiveSet::needed_since_m() const {
   double oldest = cut_.path.travel_before_batch_m();
   for (const Entry& entry : entries_) oldest = std::min(oldest, entry.since_m);
@@ -40,7 +40,7 @@ void ActiveSet::clinging(std::vector<VertexId>& out) const {
   for (const Entry& entry : entries_) {
     if (!mesh.alive(entry.tet)) continue;
     out.insert(out.end(), mesh.vertices(entry.tet).begin(), mesh.vertices(entry.tet).end());
-    // And what is beside it: else it could slip past the blade, in between two batches.
+    // And its neighbours, or they could slip past the blade between two batches.
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh.opposite(half_face(entry.tet, f));
       if (o != kNone) out.push_back(mesh.vertices(tet_of(o))[face_of(o)]);

@@ -36,7 +36,7 @@ class ActiveSet {
 
   // A scan asks whether entries are ripe. No vertex may move meanwhile, so each vertex is looked at once.
   void begin_scan() { scan_ = cut_.workspace.next_serial(); }
-  // Whether none of its vertices is near the blade. None can be while the blade has come less far than they were away.
+  // Whether none of its vertices is near the blade: certain while the blade has travelled less than they were away.
   bool ripe(Entry& entry);
 
   // Compacts the entries while they are scanned in order: keeps one, at `kept` or after it; drops one.

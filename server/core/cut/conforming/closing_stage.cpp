@@ -65,7 +65,7 @@ bool ClosingStage::collect(WorkBudget& budget) {
   return true;
 }
 
-// A face near the blade waits, once, however often something opens beside it.
+// A face near the blade is listed once, however often its neighbours open.
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (o == kNone || waits(h) || cut_.is_pending(h) || !all_at_boundary(h) || has_to_wait(h)) return;
@@ -190,7 +190,7 @@ void ClosingStage::archive(Archive& io) {
   io.list(waiting_, 12, [&](Waiting& w) {
     io(w.face);
     io(w.ripe_at_m);
-    io.demand(tet_of(w.face) < mesh_.tet_slots(), "a face that waits, of no tetrahedron");
+    io.demand(tet_of(w.face) < mesh_.tet_slots(), "a waiting face of no tetrahedron");
     if (io.reads() && !io.failed()) set_waits(w.face, true);
   });
 }

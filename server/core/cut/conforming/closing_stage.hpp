@@ -60,7 +60,7 @@ class ClosingStage {
   }
   void set_waits(HalfFace h, bool waits) {
     CutWorkspace::TetMarks& marks = cut_.workspace.tets[tet_of(h)];
-    // A blade beside it asks for its own faces again.
+    // Another blade may have to list its own faces again.
     if (marks.waits_for != cut_.stroke) marks.waiting = 0;
     marks.waits_for = cut_.stroke;
     const auto bit = static_cast<std::uint8_t>(1u << face_of(h));

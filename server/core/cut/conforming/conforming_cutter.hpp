@@ -33,7 +33,7 @@ namespace incise::core {
 //   closing     where that comes upon an older cut or the boundary, faces that would still hold the two sides together open.
 //
 // All but the search keep one element behind the blade: a tetrahedron with a vertex near the blade's present line
-// waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is chopped.
+// waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is sampled.
 // At the stroke's end nothing waits any more.
 //
 // Each operation leaves a valid mesh, and the budget is looked at after each. A stage keeps how far it is in its own members:

@@ -50,9 +50,9 @@ void Crossings::archive(Archive& io) {
     io(c.triangle);
     io(c.batch);
     io.demand(c.a < mesh.vertex_slots() && c.b < mesh.vertex_slots() && c.tet < mesh.tet_slots(),
-              "a crossing of no edge");
-    // A crossing of an earlier batch is looked for again; one that claims to be of the next would not be.
-    io.demand(c.batch <= cut_.batch, "a crossing of a batch to come");
+              "a crossing of an edge that does not exist");
+    // A crossing of an earlier batch is looked for again; one of a later batch would not be.
+    io.demand(c.batch <= cut_.batch, "a crossing of a later batch");
     io.demand(c.nearness == c.nearness && c.at >= 0 && c.at <= 1, "a crossing beyond its edge");
     if (io.reads()) c.done = false;
   });

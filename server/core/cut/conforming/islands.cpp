@@ -43,7 +43,7 @@ void Islands::spare(HalfFace side) {
 }
 
 // The tetrahedra that hang together behind the faces that are about to open. Whether they are few enough for an island; `clean`:
-// none of its faces is beside the surface; `thin`: all of it is near the surface.
+// none of its faces is off the surface; `thin`: all of it is near the surface.
 bool Islands::collect(TetId first, bool& clean, bool& thin, bool& shallow) {
   std::size_t max_size = kMaxSheetIsland;
   size_ = 1;
@@ -120,7 +120,7 @@ bool Islands::stands_clear(HalfFace h) const {
          4 * kShallow_h * cut_.h * length(n);
 }
 
-// Whether a face has been opened beside the surface, where a crossing could not be dealt with.
+// Whether a face has been opened off the surface, where a crossing could not be dealt with.
 bool Islands::is_ragged(HalfFace h) const {
   if (!(mesh_.cut_mask(tet_of(h)) >> face_of(h) & 1)) return false;
   return !cut_.face_on_surface(h) &&

@@ -24,7 +24,7 @@ class PlaceFinder {
   // Whether a boundary vertex may stand for the surface where it is, and better than at `placement`, which is then replaced.
   bool stay(const VertexStar& star, Placement& placement);
   // Looks around for a better place than `placement`, until its measure is at most `goal`, within the boundary, and within the
-  // surface where the vertex is `on_surface`, near `triangle`. What is beside the surface stays on its side. `thickness_m`: what
+  // surface where the vertex is `on_surface`, near `triangle`. What is off the surface stays on its side. `thickness_m`: what
   // counts as flat; below 0: nothing.
   void search(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
               double thickness_m, Placement& placement);

@@ -103,7 +103,7 @@ void RepairStage::try_moving(VertexId v) {
   places_.search(star_, on, triangle, kGood, -1, place);
   if (place.worst >= before) return;
   editor_.move(star_, v, place.target);
-  // What is better for the worst may be worse for others, which then stand in its way.
+  // A move that helps the worst tetrahedron may make others poor.
   for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
 }
 

@@ -129,8 +129,8 @@ void RimStage::archive(Archive& io) {
     io(p.from);
     io(p.to);
     io(p.again);
-    io.demand(p.tet < mesh_.tet_slots(), "a rim through no tetrahedron");
-    for (const VertexId v : p.face) io.demand(v < mesh_.vertex_slots(), "a rim through no face");
+    io.demand(p.tet < mesh_.tet_slots(), "a rim that pierces no tetrahedron");
+    for (const VertexId v : p.face) io.demand(v < mesh_.vertex_slots(), "a rim that pierces no face");
     if (io.reads()) p.done = false;
   });
 }

@@ -150,7 +150,7 @@ void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const do
       over = over && dot(triangle.inward[k], p) - triangle.inward_offset[k] >= -cut_.clear_m;
     if (!over) continue;
     bool stands = off_m <= (cut_faces != 0 ? kLiesAtCut_h : kLies_h) * cut_.h;
-    // Around a crossing that this stroke could not deal with, faces open beside its own surface.
+    // Around a crossing that this stroke could not deal with, faces open off its own surface.
     for (int f = 0; f < 4 && cut_faces != 0 && !stands && !cut_.failed(v[i]); ++f) {
       if (f == i || !(cut_faces >> f & 1)) continue;
       const Vec3 n = mesh_.twice_area(half_face(t, f));

@@ -21,7 +21,7 @@ class StrokePath {
   // A new stroke.
   void clear();
 
-  // What the sweep of a batch depends on beside its lines.
+  // What the sweep of a batch depends on besides its lines.
   struct Tissue {
     Vec3 low, high;  // a box around it: what is swept beyond is left out
     bool deformed =

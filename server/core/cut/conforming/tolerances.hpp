@@ -86,7 +86,7 @@ inline constexpr double kHot_local = 1.5;
 inline constexpr double kRim_local = 0.5;
 // A vertex goes no farther than this to the rim.
 inline constexpr double kRimReach_local = 0.75;
-// Places that are tried beside the one that is pierced, along the rim.
+// Places that are tried besides the one that is pierced, along the rim.
 inline constexpr double kRimShift_local = 0.15;
 // A new rim vertex splits an edge of the face no nearer to its ends than this.
 inline constexpr double kRimSplit_edge = 0.2;
