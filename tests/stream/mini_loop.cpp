@@ -305,7 +305,8 @@ void TestServer::cut(int count) {
   for (int i = 0; i < count; ++i, ++strokes) {
     // Planes in an order that never comes back to the same place.
     const double y = side * (0.5 + 0.45 * (((strokes * 37) % 64) / 32.0 - 1));
-    loop.cut(sweep(y, 80, std::int64_t{strokes} * 1'000'000'000 + 1, side));
+    const int poses = std::max(80, static_cast<int>(1000 * side));  // slow enough to count as one stroke
+    loop.cut(sweep(y, poses, std::int64_t{strokes} * 1'000'000'000 + 1, side));
   }
   wait_for_mirror();
 }

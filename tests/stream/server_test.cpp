@@ -248,7 +248,7 @@ TEST(Server, ASlowReaderIsCaughtUpAndHurtsNobody) {
   StreamConfig config = test_config();
   config.outbox_bytes = 16 << 10;
   config.write_timeout_s = config.idle_timeout_s = 600;  // it reads nothing for as long as the cutting takes
-  TestServer test(8, config);
+  TestServer test(10, config);
   Viewer slow(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096);
   ReadingViewer reading(test.server.tcp_port());
   ASSERT_TRUE(slow.follow(0));
