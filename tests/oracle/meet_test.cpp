@@ -138,7 +138,8 @@ TEST(MeetingSlits, GoingOverOneAgainAddsNextToNothing) {
     for (int i = 0; i <= 40; ++i) {
       core::Pose pose;
       pose.t_ns = t_ns += 1000000;
-      pose.position = {middle.x + beside_m, loaded.low.y - h + (0.6 * size.y + h) * i / 40, loaded.high.z + h};
+      pose.position = {middle.x + beside_m, loaded.low.y - h + (0.6 * size.y + h) * i / 40,
+                       loaded.high.z + h};
       pose.buttons = 1;
       session.push(0, pose);
       drain(session);
@@ -149,7 +150,8 @@ TEST(MeetingSlits, GoingOverOneAgainAddsNextToNothing) {
   const auto cut_faces = [&] {
     std::uint32_t n = 0;
     for (core::TetId t = 0; t < session.mesh().tet_slots(); ++t)
-      if (session.mesh().alive(t)) n += static_cast<std::uint32_t>(std::popcount(unsigned{session.mesh().cut_mask(t)}));
+      if (session.mesh().alive(t))
+        n += static_cast<std::uint32_t>(std::popcount(unsigned{session.mesh().cut_mask(t)}));
     return n;
   };
   pass(0);

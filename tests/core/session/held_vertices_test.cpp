@@ -31,7 +31,8 @@ TEST(HeldVertices, AreNamedInOrderAndForTheirStepOnly) {
   EXPECT_EQ(held(session, {0, last}, {{0.1, 0.1, 0.1}, {NAN, 0, 0}}), (std::vector<VertexId>{0, last}));
   EXPECT_EQ(held(session, {last}, {session.mesh().position(last) + Vec3{1e-4, 0, 0}}),
             std::vector<VertexId>{});
-  EXPECT_EQ(held(session, {last}, {session.mesh().position(last) + Vec3{1e-4, 0, 0}}), std::vector<VertexId>{});
+  EXPECT_EQ(held(session, {last}, {session.mesh().position(last) + Vec3{1e-4, 0, 0}}),
+            std::vector<VertexId>{});
 }
 
 TEST(HeldVertices, APlaceLiesWithinTenKilometres) {

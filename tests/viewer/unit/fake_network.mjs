@@ -98,4 +98,5 @@ export const error = (code, fatal) =>
     WireError.addText(b, text);
     return WireError.endError(b);
   });
-export const sentKinds = (socket) => socket.sent.map((bytes) => Message.getRootAsMessage(new ByteBuffer(bytes)).bodyType());
+export const sentKinds = (socket) =>
+  socket.sent.map((bytes) => Message.getRootAsMessage(new ByteBuffer(bytes)).bodyType());

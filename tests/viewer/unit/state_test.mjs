@@ -123,7 +123,10 @@ test("a surface changed back and forth has the hash that it had", () => {
 });
 
 test("a piece is counted until its last triangle has gone", () => {
-  const surface = fill(new Surface(), square, [{ v: [0, 1, 2], piece: 5 }, { v: [0, 2, 3], piece: 5 }]);
+  const surface = fill(new Surface(), square, [
+    { v: [0, 1, 2], piece: 5 },
+    { v: [0, 2, 3], piece: 5 },
+  ]);
   const counts = [0, 4].map((id) => {
     surface.removeTriangles(Uint32Array.of(id));
     return surface.pieceCount;

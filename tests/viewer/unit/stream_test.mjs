@@ -193,7 +193,10 @@ test("while another session's state is on its way the page is sent nothing", () 
   said.length = 0;
   viewer.feed.sendChanges();
   run(10_000);
-  assert.deepEqual(said.filter((m) => ["patch", "geometry", "opening"].includes(m.kind)), []);
+  assert.deepEqual(
+    said.filter((m) => ["patch", "geometry", "opening"].includes(m.kind)),
+    [],
+  );
 });
 
 test("the body has the tetrahedra of its mesh only before the first cut; in a replay statistics are of another", () => {
@@ -245,7 +248,10 @@ test("other blades are shown, one's own is not: the page draws that itself", () 
     );
   }
   const shownBlades = said.filter((m) => m.kind === "blade-pose");
-  assert.deepEqual(shownBlades.map((m) => [m.source, m.heel]), [[3, [1, 2, 3]]]);
+  assert.deepEqual(
+    shownBlades.map((m) => [m.source, m.heel]),
+    [[3, [1, 2, 3]]],
+  );
 });
 
 test("a replay that was refused leaves the next new session a reset", () => {
