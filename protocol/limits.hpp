@@ -8,8 +8,8 @@
 
 namespace incise::protocol {
 
-// One message, whoever sends it: a snapshot chunk or the delta of a very large batch. A browser allocates one
-// message at once, so not more.
+// The largest message in either direction: a snapshot chunk or the delta of a very large batch. A browser allocates
+// room for a whole message at once, so the limit is low.
 inline constexpr std::size_t kMaxMessageBytes = 64u << 20;
 // What a peer may send before Welcome: many times a Hello with a token and a name, but not a
 // flood.

@@ -271,7 +271,7 @@ TEST(PoseSources, APoseThatBeginsAStrokeIsAcceptedToo) {
   EXPECT_EQ(source->counts().last_source_ns, 5);
 }
 
-// The journal counts a pose as recorded before it tells of it: whoever looks in between sees neither.
+// The journal counts a pose as recorded before it reports it: a reader in between sees neither.
 TEST(PoseSources, NoMorePosesAreRecordedThanAccepted) {
   PoseSources sources(core::Blade{});
   for (std::uint64_t owner = 1; owner <= 2; ++owner) {

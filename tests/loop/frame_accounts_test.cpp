@@ -73,7 +73,7 @@ TEST(FrameAccounts, ASlowLoopIsNotLate) {
   EXPECT_EQ(pressing->felt().faults & haptics::kLate, 0u);
 }
 
-// The journal tells of what it was given, to whom it belonged; the loop of nothing but what the journal did not get.
+// The journal reports on the poses that it was given, to their owner; the loop only on those that the journal did not get.
 TEST(FrameAccounts, ThePosesInAJournalAreToldByIt) {
   for (const bool journalled : {true, false}) {
     std::vector<JournalRecord> records;

@@ -31,7 +31,7 @@ class SoftBody {
  public:
   explicit SoftBody(const Material& material) : material_(material) {}
 
-  // Begins anew with a whole mesh, at rest in velocity. O(mesh).
+  // Starts over with a whole mesh, with all velocities zero. O(mesh).
   void load(const protocol::Replica& mesh);
   // Takes a cut in; `mesh` is the state after it. Deformations, which are our own positions coming back, are passed over.
   // O(mesh), some 2 ns a tetrahedron.

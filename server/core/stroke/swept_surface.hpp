@@ -44,7 +44,7 @@ class SweptSurface {
     return overlapping(all_, low, high, visit);
   }
   // The same for the triangles of the last batch alone and the box around four points, larger by `slack` on all sides. These
-  // boxes lie along that batch's sweep, which is thin in at least one direction, so that few overlap in vain.
+  // boxes lie along that batch's sweep, which is thin in at least one direction, so that few overlap without touching.
   template <class Visit>
   bool any_latest_overlapping(const FourPoints& points, double slack, Visit visit) const {
     const auto range = [&points, slack](const Vec3& axis, double& low, double& high) {

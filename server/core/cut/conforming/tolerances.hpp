@@ -72,7 +72,8 @@ inline constexpr double kAtSkin_h = 0.1, kSure_h = 0.05;
 inline constexpr double kBeside_h = 0.1;
 // A face nearer to the blade than this waits: what the blade is about to part hangs together before it.
 inline constexpr double kFar_h = 4;
-// What reaches more tetrahedra than this is no small part; a way from one side of a face to the other that passes more is none.
+// The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
+// tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
 
 // ---- Waiting for the blade.

@@ -37,7 +37,7 @@ void VerifyStage::fail_found() {
   }
 }
 
-// Adds the crossings of the tetrahedron's edges. Returns whether there is none.
+// Adds the crossings of the tetrahedron's edges. Returns true if there are none.
 bool VerifyStage::collect_from(TetId t) {
   bool clear = true;
   const double clear_m = cut_.clear_m;
