@@ -117,6 +117,23 @@ test("the latency goes when there are no poses any more", () => {
   assert.equal(text(), "–");
 });
 
+test("the rates of deltas and bytes are of a second, looked at every half", () => {
+  const timers = [];
+  const { setInterval } = globalThis;
+  globalThis.setInterval = (look, every_ms) => timers.push([look, every_ms]);
+  const figures = new Figures();
+  globalThis.setInterval = setInterval;
+  const [[look, every_ms]] = timers;
+  assert.equal(every_ms, 500);
+  figures.show({ ...progress, deltas: 10, bytes: 1024 });
+  look();
+  figures.show({ ...progress, deltas: 30, bytes: 1024 + 64 * 1024 });
+  look();
+  assert.equal(byId("deltas").textContent, "40/s, 128 KiB/s");
+  look();
+  assert.equal(byId("deltas").textContent, "none");
+});
+
 test("every control and every figure of the page has a tooltip", () => {
   const page = readFileSync(new URL("../../../client/viewer/index.html", import.meta.url), "utf8");
   const lines = page.replace(/<dialog.*?<\/dialog>/gs, "").split("\n");
@@ -195,6 +212,39 @@ test("a recording that ends takes its wishes with it", () => {
   replay.show(null);
   assert.equal(byId("player").hidden, true);
   assert.deepEqual(sent, ["seek 3"]);
+});
+
+test("another speed is sent to what plays, and only there", () => {
+  const sent = [];
+  const replay = new Replay((message) => sent.push(message));
+  const facts = { capture: "a.capture", playing: false, speed: 1, revision: 0, lastRevision: 9, text: "" };
+  replay.show(facts);
+  byId("speed").value = "4";
+  byId("speed").onchange();
+  assert.deepEqual(sent, []);
+  replay.show({ ...facts, playing: true });
+  byId("speed").onchange();
+  assert.deepEqual(sent, [{ kind: "replay", action: "play", speed: 4 }]);
+  byId("speed").value = "1";
+});
+
+test("recordings are listed without their ending, and opened by their whole name", async () => {
+  const sent = [],
+    asked = [];
+  globalThis.fetch = (url, options) => {
+    asked.push([url, options.headers]);
+    return Promise.resolve({ ok: true, json: () => Promise.resolve(["first.capture", "second.capture"]) });
+  };
+  await new Replay((message) => sent.push(message)).list("secret");
+  assert.deepEqual(asked, [["captures", { Authorization: "Bearer secret" }]]);
+  const buttons = byId("captures").children.map((item) => item.children[0]);
+  assert.deepEqual(
+    buttons.map((button) => button.textContent),
+    ["first", "second"],
+  );
+  assert.equal(byId("recordings").hidden, false);
+  buttons[1].click();
+  assert.deepEqual(sent, [{ kind: "replay", action: "open", capture: "second.capture" }]);
 });
 
 // ---- Who may cut ----
@@ -296,6 +346,34 @@ test("a stroke that cut something says nothing", () => {
   letGo();
   hands.onOwnStep(step(0, true));
   assert.deepEqual(noticeTexts(), []);
+});
+
+test("what the stroke before cut does not count for the next", () => {
+  const { hands, draw, letGo } = operator();
+  draw();
+  hands.onOwnStep(step(1e-4, false));
+  letGo();
+  hands.onOwnStep(step(0, true));
+  draw();
+  letGo();
+  hands.onOwnStep(step(0, true));
+  assert.deepEqual(noticeTexts(), ["That stroke cut nothing. Draw across the liver."]);
+});
+
+test("the tilt is set in degrees, and a key opens the cuts or closes them", () => {
+  const { hands } = operator();
+  byId("tilt").valueAsNumber = 30;
+  byId("tilt").value = "30";
+  byId("tilt").dispatchEvent({ type: "input" });
+  assert.ok(Math.abs(hands.mouse.tilt_rad - Math.PI / 6) < 1e-12);
+  assert.equal(byId("tilt-text").textContent, "30°");
+  hands.toggleOpen();
+  assert.equal(byId("open").valueAsNumber, 0);
+  hands.toggleOpen();
+  assert.equal(byId("open").valueAsNumber, 0.3);
+  hands.nudge("open", 0.05);
+  assert.ok(Math.abs(byId("open").valueAsNumber - 0.35) < 1e-12);
+  assert.equal(byId("open-text").textContent, "35%");
 });
 
 test("a blade that was held is taken again after a break, one that somebody took is not", () => {

@@ -209,6 +209,14 @@ test("a hand that rests repeats its pose, so that the stroke goes on", (t) => {
   assert.equal(poses.length, ended);
 });
 
+test("only the first button begins a stroke", () => {
+  const { hand, said, mouse } = scene();
+  hand("pointerdown", 100, 200, 8, { button: 2 });
+  for (let x = 110; x <= 300; x += 10) hand("pointermove", x, 200, 8, { button: -1 });
+  assert.equal(mouse.cutting, false);
+  assert.deepEqual(said, []);
+});
+
 test("a finger that is not the first begins no stroke", () => {
   const { said, hand } = scene();
   hand("pointerdown", 140, 200, 8, { pointerType: "touch", isPrimary: false });

@@ -6,6 +6,7 @@ import {
   Body,
   ByeReason,
   ErrorCode,
+  ByteBuffer,
   Message,
   bye,
   error,
@@ -20,7 +21,8 @@ import {
 } from "./fake_network.mjs";
 import { load } from "./modules.mjs";
 
-const { Link } = await load("link");
+const wire = (name) => `wire/incise/wire/${name}`;
+const { Link, Hello, Ping, Role, View } = await load("link", wire("hello"), wire("ping"), wire("role"), wire("view"));
 
 function open(events = {}) {
   forget();
@@ -48,6 +50,48 @@ test("a link whose server answers stays open", () => {
   }
   assert.deepEqual(stages(), ["connecting", "open"]);
   assert.ok(sentKinds(sockets[0]).filter((kind) => kind === Body.Ping).length >= 100);
+});
+
+test("a greeting has all that was asked for, and a number of its own", () => {
+  forget();
+  const fields = { role: Role.Operator, view: View.None, token: "secret", sourceName: "mouse", takeOver: true };
+  const rest = { bladeRate_hz: 60, maxRate_hz: 20, resumeSession: 7n, resumeRevision: 8n, resumeHash: 9n };
+  const silent = { welcome() {}, message() {}, unreadable() {}, state() {}, refused() {} };
+  const link = new Link("ws://here", { hello: () => ({ ...fields, ...rest }), ...silent });
+  sockets[0].open();
+  const sent = (i) => Message.getRootAsMessage(new ByteBuffer(sockets[0].sent[i]));
+  assert.equal(sent(0).sequence(), 1n);
+  const hello = sent(0).body(new Hello());
+  assert.deepEqual([hello.protocolVersion(), hello.role(), hello.view()], [1, Role.Operator, View.None]);
+  assert.deepEqual([hello.token(), hello.sourceName(), hello.takeOver()], ["secret", "mouse", true]);
+  assert.deepEqual([hello.bladeRateHz(), hello.maxRateHz()], [60, 20]);
+  assert.deepEqual([hello.resumeSession(), hello.resumeRevision(), hello.resumeHash()], [7n, 8n, 9n]);
+  assert.equal(hello.blade(), null);
+  sockets[0].receive(welcome());
+  assert.equal(sent(1).sequence(), 2n);
+  link.end();
+});
+
+test("a ping is answered with its own number and time", () => {
+  open();
+  sockets[0].receive(message(Body.Ping, (b) => Ping.createPing(b, 5n, 123_456n)));
+  const answer = Message.getRootAsMessage(new ByteBuffer(sockets[0].sent.at(-1)));
+  assert.equal(answer.bodyType(), Body.Pong);
+  const pong = answer.body(new Pong());
+  assert.deepEqual([pong.nonce(), pong.pingSentNs()], [5n, 123_456n]);
+  assert.ok(pong.receivedNs() > 123_456n);
+});
+
+test("why one connection was lost is not said of the next", () => {
+  const { states } = open();
+  sockets[0].receive(bye(ByeReason.ServerStops));
+  sockets[0].onclose();
+  assert.match(states.at(-1).text, /The server has stopped/);
+  run(1000);
+  sockets[1].open();
+  sockets[1].receive(welcome());
+  sockets[1].onclose();
+  assert.match(states.at(-1).text, /The connection was lost/);
 });
 
 test("a server that does not answer is seen at the third check, gets no more pings, and is left after the twenty-second", () => {

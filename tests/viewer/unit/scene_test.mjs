@@ -21,6 +21,8 @@ const {
   crossings,
   BodyMesh,
   rangesOf,
+  BladeView,
+  Chart,
   Vector3,
 } = await load(
   "surface",
@@ -30,6 +32,8 @@ const {
   "section",
   "section_lines",
   "body_mesh",
+  "blade_view",
+  "chart",
   "../node_modules/three",
 );
 
@@ -338,11 +342,35 @@ test("quality without tetrahedra is that of the triangle; rows are given to piec
   assert.equal(out.facts[12], 1);
   assert.ok(out.facts[13] < 20);
   assert.deepEqual([builder.rowOf(0), builder.rowOf(9), builder.rowOf(4), builder.rowCount], [0, 1, 2, 3]);
+  for (let piece = 1000; builder.rowCount < 300; ++piece) builder.rowOf(piece);
+  surface.pieces[0] = 5000;
+  builder.write(0, out, 0);
+  assert.deepEqual([...out.facts.subarray(2, 4)], [300 & 255, 1]); // low byte, high byte
   surface.clearTouched();
   surface.removeTriangles(Uint32Array.of(0));
   assert.ok([...builder.touched()].includes(0));
   builder.write(0, out, 0);
   assert.ok(out.positions.subarray(0, 9).every((x) => x === 0)); // a free slot has no size
+});
+
+test("slots to draw again ascend, in whatever order they changed", () => {
+  const surface = fill(
+    new Surface(),
+    [
+      [0, 0, 0],
+      [1, 0, 0],
+      [0, 1, 0],
+      [5, 0, 0],
+      [6, 0, 0],
+      [5, 1, 0],
+    ],
+    [{ v: [0, 1, 2] }, { v: [3, 4, 5] }, { v: [0, 2, 1] }],
+  );
+  const builder = new CornerBuilder(surface);
+  builder.measureAll();
+  surface.clearTouched();
+  surface.touchedSlots.add(2).add(1);
+  assert.deepEqual([...builder.touched()], [0, 1, 2]);
 });
 
 test("skin and cut faces that continue each other have an edge between them", () => {
@@ -455,4 +483,79 @@ test("a ray meets the nearest skin that faces it, and passes cut faces", () => {
   assert.equal(body.shown(0.5).corners(0, out), true);
   near(out[2], 1.5 + 0.5 * (0.25 + 1));
   near(out[5], 1.5 + 0.5 * 1);
+});
+
+test("a patch beyond the last slot is drawn, and only its slots are uploaded", () => {
+  const body = new BodyMesh();
+  body.replace(2, 40, allocateCorners(2));
+  const one = allocateCorners(1);
+  one.positions.fill(1);
+  body.patch(Uint32Array.of(30), 31, one);
+  assert.equal(body.slots, 31);
+  assert.equal(body.drawnTriangles().length, 9);
+  const { geometry } = body.mesh;
+  assert.equal(geometry.drawRange.count, 3 * 31);
+  for (const [name, size] of [
+    ["position", 9],
+    ["aNormal", 12],
+    ["aFacts", 12],
+  ])
+    assert.deepEqual(geometry.getAttribute(name).updateRanges, [{ start: 30 * size, count: size }], name);
+  body.patch(Uint32Array.of(0), 1, one);
+  assert.equal(body.slots, 31); // the rest is still there
+});
+
+test("more pieces than a row of the texture holds get a larger one, and each is moved by its own entry", () => {
+  const body = new BodyMesh();
+  const corners = allocateCorners(1);
+  corners.positions.fill(1);
+  corners.facts.set([0, 0, 300 & 255, 300 >> 8]);
+  body.replace(1, 8, corners);
+  const before = body.uniforms.uPieces.value;
+  const pieces = new Float32Array(4 * 301);
+  pieces.set([2, 3, 4, 0], 4 * 300);
+  body.setOpening(new Float32Array(9), pieces);
+  const texture = body.uniforms.uPieces.value;
+  assert.notEqual(texture, before);
+  assert.deepEqual([texture.image.width, texture.image.height], [256, 2]);
+  assert.deepEqual([...texture.image.data.subarray(4 * 300, 4 * 300 + 4)], [2, 3, 4, 0]);
+  const out = new Float64Array(9);
+  body.shown(1).corners(0, out);
+  assert.deepEqual([...out.subarray(0, 3)], [3, 4, 5]);
+});
+
+test("the trail of a long stroke does not join its end to its beginning", () => {
+  const real = performance.now;
+  performance.now = () => 5000; // nothing of the trail has faded
+  try {
+    const blade = new BladeView(1, false);
+    for (let i = 0; i < 300; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
+    blade.update();
+    const { geometry } = blade.trail;
+    assert.equal(geometry.drawRange.count, 6 * 255); // between the 256 samples that are kept
+    const { array } = geometry.getAttribute("position");
+    for (let i = 0; i < 6 * 255; i += 6) {
+      const xs = [0, 1, 2, 3, 4, 5].map((k) => array[3 * (i + k)]);
+      assert.equal(Math.max(...xs) - Math.min(...xs), 1);
+    }
+  } finally {
+    performance.now = real;
+  }
+});
+
+test("a chart shows the last half minute, the newest value at its right", () => {
+  const points = [];
+  const context = new Proxy(
+    { lineTo: (x, y) => points.push([x, y]), beginPath: () => (points.length = 0) },
+    { get: (target, name) => target[name] ?? (() => {}), set: () => true },
+  );
+  globalThis.devicePixelRatio = 1;
+  globalThis.getComputedStyle = () => ({ getPropertyValue: () => "" });
+  const chart = new Chart({ clientWidth: 100, clientHeight: 40, getContext: () => context }, 10, 1);
+  for (let i = 0; i < 45; ++i) chart.push(i < 44 ? 0 : 20);
+  assert.equal(points.length, 30 + 2); // two more close the area below the line
+  const [x, y] = points[29];
+  assert.equal(x, 100);
+  assert.ok(y < 10, "the highest value is near the top");
+  assert.ok(points.slice(0, 29).every(([, other]) => other > 30));
 });

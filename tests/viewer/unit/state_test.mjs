@@ -310,4 +310,14 @@ test("elements are coloured by their smallest dihedral angle", () => {
   // Between the floor and the slanted face: tan = 0.2 / distance of the floor's hypotenuse from its corner.
   const angle = (Math.atan(0.2 * Math.SQRT2) * 180) / Math.PI;
   assert.equal(elements.quality[0], Math.round((255 * angle) / 45));
+  // Whichever of its vertices moves, a tetrahedron is measured again.
+  for (let v = 0; v < 4; ++v) {
+    elements.apply(delta([0, 1, 2, 3], regular));
+    assert.equal(elements.quality[0], 255);
+    const flat = [0, 1, 2].map(
+      (k) => (regular[k] + regular[3 + k] + regular[6 + k] + regular[9 + k] - regular[3 * v + k]) / 3,
+    );
+    elements.apply(delta([v], flat));
+    assert.equal(elements.quality[0], 0, `vertex ${v}`);
+  }
 });

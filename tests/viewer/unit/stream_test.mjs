@@ -19,15 +19,27 @@ import {
 import { fill, json, load, surfaceStream } from "./modules.mjs";
 
 const wire = (name) => `wire/incise/wire/${name}`;
-const { Viewer, PageFeed, Surface, Blade, Hello, PoseBatch, SurfaceDelta, BladeEdge } = await load(
-  "viewer",
-  "page_feed",
-  "surface",
-  "blade",
-  wire("hello"),
-  wire("surface-delta"),
-  wire("pose-batch"),
-  wire("blade-edge"),
+const { Viewer, PageFeed, Surface, Blade, ElementsLink, resetBody, Hello, PoseBatch, SurfaceDelta, BladeEdge } =
+  await load(
+    "viewer",
+    "page_feed",
+    "surface",
+    "blade",
+    "elements_link",
+    "reset",
+    wire("hello"),
+    wire("surface-delta"),
+    wire("pose-batch"),
+    wire("blade-edge"),
+  );
+const { Delta, ReplayAction, ReplayControl, Role, SnapshotBegin, SnapshotEnd, View } = await load(
+  wire("delta"),
+  wire("replay-action"),
+  wire("replay-control"),
+  wire("role"),
+  wire("snapshot-begin"),
+  wire("snapshot-end"),
+  wire("view"),
 );
 const { BladePose, MeshFacts, Stats, Vec3 } = await load(
   wire("blade-pose"),
@@ -263,6 +275,114 @@ test("a replay that was refused leaves the next new session a reset", () => {
   assert.equal(kinds().filter((kind) => kind === "was-reset").length, 1);
 });
 
+test("what is asked of a replay is sent as asked, and the bytes of all messages are counted", () => {
+  const { viewer, said } = view();
+  let bytes = 0;
+  for (const one of surfaceStream()) {
+    const type = Message.getRootAsMessage(new ByteBuffer(one)).bodyType();
+    if (type === Body.Bye) break;
+    if (type !== Body.Welcome) bytes += one.length;
+    sockets[0].receive(one);
+  }
+  viewer.feed.applied();
+  assert.equal(said.filter((m) => m.kind === "patch").at(-1).progress.bytes, bytes);
+  const asked = (wish) => {
+    viewer.controlReplay({ kind: "replay", ...wish });
+    const control = Message.getRootAsMessage(new ByteBuffer(sockets[0].sent.at(-1))).body(new ReplayControl());
+    return [control.action(), control.capture(), control.speed(), control.revision()];
+  };
+  const { Open, Play, Pause, Step, Seek, Close } = ReplayAction;
+  assert.deepEqual(asked({ action: "open", capture: "a.capture" }), [Open, "a.capture", 1, 0n]);
+  assert.deepEqual(asked({ action: "play", speed: 4 }), [Play, "", 4, 0n]);
+  assert.deepEqual(asked({ action: "pause" }), [Pause, "", 1, 0n]);
+  assert.deepEqual(asked({ action: "step" }), [Step, "", 1, 0n]);
+  assert.deepEqual(asked({ action: "seek", revision: 12 }), [Seek, "", 1, 12n]);
+  assert.deepEqual(asked({ action: "close" }), [Close, "", 1, 0n]);
+});
+
+// ---- The connections beside it ----
+
+test("a reset is asked for once, by an admin who leaves when it is done", () => {
+  forget();
+  const said = [];
+  resetBody("ws://here", "secret", (m) => said.push(m));
+  sockets[0].open();
+  assert.deepEqual([hello(sockets[0]).role(), hello(sockets[0]).token()], [Role.Admin, "secret"]);
+  sockets[0].receive(welcome(1n));
+  const resets = () => sentKinds(sockets[0]).filter((kind) => kind === Body.Reset).length;
+  assert.equal(resets(), 1);
+  sockets[0].receive(welcome(2n));
+  assert.equal(resets(), 1);
+  assert.equal(sentKinds(sockets[0]).at(-1), Body.Bye);
+  run(60_000);
+  assert.equal(sockets.length, 1);
+});
+
+test("a reset is not tried again on another connection", () => {
+  forget();
+  const said = [];
+  resetBody("ws://here", "", (m) => said.push(m));
+  sockets[0].onclose();
+  run(60_000);
+  assert.equal(sockets.length, 1);
+  assert.equal(said.at(-1).state.stage, "waiting"); // so that the page can say that nothing was reset
+});
+
+test("the tetrahedra follow their deltas; one that does not fit is asked for again, and no colours are shown meanwhile", () => {
+  forget();
+  const builder = { elements: null, touchByQuality: () => {} };
+  let changes = 0;
+  const link = new ElementsLink(
+    builder,
+    () => ++changes,
+    () => {},
+  );
+  link.follow(true, "ws://here", "secret");
+  sockets[0].open();
+  const greeting = hello(sockets[0]);
+  assert.deepEqual([greeting.role(), greeting.view(), greeting.maxRateHz()], [Role.Viewer, View.Volume, 20]);
+  sockets[0].receive(welcome());
+  const snapshot = (revision) => {
+    sockets[0].receive(
+      message(Body.SnapshotBegin, (b) => (SnapshotBegin.startSnapshotBegin(b), SnapshotBegin.endSnapshotBegin(b))),
+    );
+    assert.equal(builder.elements, null);
+    sockets[0].receive(
+      message(Body.SnapshotEnd, (b) => {
+        SnapshotEnd.startSnapshotEnd(b);
+        SnapshotEnd.addRevision(b, revision);
+        return SnapshotEnd.endSnapshotEnd(b);
+      }),
+    );
+    assert.ok(builder.elements);
+  };
+  const delta = (base, revision) =>
+    sockets[0].receive(
+      message(Body.Delta, (b) => {
+        Delta.startDelta(b);
+        Delta.addBaseRevision(b, base);
+        Delta.addRevision(b, revision);
+        return Delta.endDelta(b);
+      }),
+    );
+  const resyncs = () => sentKinds(sockets[0]).filter((kind) => kind === Body.Resync).length;
+  snapshot(3n);
+  delta(3n, 5n);
+  delta(5n, 6n);
+  assert.ok(builder.elements);
+  assert.equal(changes, 3);
+  for (const base of [5n, 7n]) {
+    delta(base, 8n); // before or after what is held
+    assert.equal(builder.elements, null);
+    delta(8n, 9n); // sent before the server knew
+    snapshot(6n);
+  }
+  assert.equal(resyncs(), 2);
+  link.follow(false, "", "");
+  assert.equal(builder.elements, null);
+  assert.equal(sentKinds(sockets[0]).at(-1), Body.Bye);
+});
+
 // ---- The feed ----
 
 const step = (n) => ({ source: 1, own: false, heel: [0, 0, 0], tip: [0, 0, n], ended: false, cutArea_m2: 0 });
@@ -334,6 +454,8 @@ test("how the body opens is sent after its changes, and not while another sessio
   pageFeed.restart();
   run(0);
   assert.equal(openings(), 1);
+  const { lips, pieces } = said.find((m) => m.kind === "opening");
+  assert.deepEqual([lips.length, pieces.length], [9, 4 * pageFeed.builder.rowCount]);
   pageFeed.addStep(step(1), 1);
   pageFeed.sendChanges();
   pageFeed.pause();
