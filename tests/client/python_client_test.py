@@ -14,8 +14,8 @@ import unittest
 import numpy as np
 
 import incise_client
-from incise.wire import (Body, Delta, ErrorCode, Force, Hello, Message, Recording, Role, SnapshotBegin, SnapshotChunk,
-                         SnapshotEnd, SurfaceDelta, View)
+from incise.wire import (Body, Delta, ErrorCode, Force, Hello, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
+                         SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -77,6 +77,11 @@ class Contact(unittest.TestCase):
         for _ in range(12):
             force = self.at(0.029, fresh=False)
         self.assertEqual(float(np.abs(force).max()), 0.0)
+        # It acted when it expired, so the next plane's force begins from nothing.
+        self.assertLess(self.at(0.029)[2], 0.02)
+        for _ in range(200):
+            force = self.at(0.029)
+        self.assertGreater(force[2], 0.7)
 
     def test_never_beyond_the_limits(self):
         last = np.zeros(3)
@@ -221,10 +226,84 @@ class Session(unittest.TestCase):
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
 
-    def test_an_operator_hears_what_is_recorded(self):
-        names = ("WelcomeRecording", "ErrorNotRecorded", "PoseReportRecorded")
+    def messages(self, *names):
         bodies = [(VECTORS / "messages" / f"{name}.bin").read_bytes() for name in names]
-        port = self.serve(b"".join(struct.pack("<I", len(body)) + body for body in bodies))
+        return b"".join(struct.pack("<I", len(body)) + body for body in bodies)
+
+    def sent(self, kind, module):
+        """The messages of that kind that the server has received."""
+        found = []
+        for data in self.received:
+            message = Message.Message.GetRootAs(data, 0)
+            if message.BodyType() == kind:
+                body = module()
+                body.Init(message.Body().Bytes, message.Body().Pos)
+                found.append(body)
+        return found
+
+    def test_the_greeting_has_all_that_was_asked_for(self):
+        port = self.serve(self.messages("Welcome"))
+        asked = {"role": Role.Role.Operator, "view": View.View.Surface, "token": "secret", "source_name": "left",
+                 "take_over": True, "blade": ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)), "max_rate_hz": 12.5}
+        with incise_client.connect("127.0.0.1", port, **asked):
+            pass
+        self.thread.join()
+        hello = parse(self.received[0])
+        self.assertEqual((hello.Role(), hello.View(), hello.Token()), (Role.Role.Operator, View.View.Surface, b"secret"))
+        self.assertEqual((hello.SourceName(), hello.TakeOver(), hello.MaxRateHz()), (b"left", True, 12.5))
+        self.assertEqual((hello.Blade().Heel().Y(), hello.Blade().Tip().X()), (2.0, 4.0))
+        self.assertEqual((hello.ResumeSession(), hello.ResumeRevision(), hello.ResumeHash(), hello.Box()), (0, 0, 0, None))
+
+    def test_answers_a_ping_with_its_number_and_time(self):
+        port = self.serve(self.messages("Welcome", "Ping"))
+        with incise_client.connect("127.0.0.1", port) as client:
+            while len(self.received) < 2:
+                client.poll(0.1)
+        self.thread.join()
+        ping = Ping.Ping()
+        message = Message.Message.GetRootAs((VECTORS / "messages" / "Ping.bin").read_bytes(), 0)
+        ping.Init(message.Body().Bytes, message.Body().Pos)
+        (pong,) = self.sent(Body.Body.Pong, Pong.Pong)
+        self.assertNotEqual(ping.Nonce(), ping.SentNs())
+        self.assertEqual((pong.Nonce(), pong.PingSentNs()), (ping.Nonce(), ping.SentNs()))
+
+    def test_many_poses_are_sent_in_several_messages_and_none_is_lost(self):
+        port = self.serve(self.messages("Welcome"))
+        poses = np.zeros(2 * incise_client.client.MAX_POSES_PER_BATCH + 100, incise_client.client.POSE_DTYPE)
+        poses["source_ns"] = np.arange(1, len(poses) + 1)
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Operator) as client:
+            self.assertEqual(client.send_pose_array(poses), 4)
+        self.thread.join()
+        batches = self.sent(Body.Body.PoseBatch, PoseBatch.PoseBatch)
+        most = incise_client.client.MAX_POSES_PER_BATCH
+        self.assertEqual([batch.PosesLength() for batch in batches], [most, most, 100])
+        times = [batch.Poses(i).SourceNs() for batch in batches for i in (0, batch.PosesLength() - 1)]
+        self.assertEqual(times, [1, most, most + 1, 2 * most, 2 * most + 1, len(poses)])
+
+    def test_positions_say_which_vertices_they_are_of(self):
+        port = self.serve(self.messages("Welcome"))
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+            client.send_positions(np.zeros((2, 3), np.float32), first=7, revision=5)
+            client.send_positions(np.ones((2, 3)), ids=[3, 9])
+        self.thread.join()
+        some, others = self.sent(Body.Body.Positions, Positions.Positions)
+        self.assertEqual((some.Frame(), some.First(), some.Revision()), (1, 7, 5))
+        self.assertEqual((some.F32Length(), some.F64Length(), some.IdsLength()), (6, 0, 0))
+        self.assertEqual((others.Frame(), others.First(), others.Revision()), (2, 0, 0))
+        self.assertEqual((others.F32Length(), others.F64Length()), (0, 6))
+        self.assertEqual(list(others.IdsAsNumpy()), [3, 9])
+
+    def test_a_length_that_no_message_has_ends_the_connection(self):
+        for size in (15, (64 << 20) + 1):
+            port = self.serve(self.messages("Welcome") + struct.pack("<I", size) + bytes(100))
+            with self.assertRaisesRegex(incise_client.ConnectError, f"a message of {size} bytes"):
+                with incise_client.connect("127.0.0.1", port) as client:
+                    for _ in range(100):
+                        client.poll(0.05)
+            self.thread.join()
+
+    def test_an_operator_hears_what_is_recorded(self):
+        port = self.serve(self.messages("WelcomeRecording", "ErrorNotRecorded", "PoseReportRecorded"))
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Operator) as client:
             self.assertEqual(client.welcome.Recording(), Recording.Recording.On)
             self.assertTrue(client.wait_for_report(17))
@@ -263,6 +342,8 @@ class Session(unittest.TestCase):
             hello = parse(self.received[0])
             self.assertEqual((hello.ResumeSession(), hello.ResumeRevision()), (first.welcome.Session(), 2))
             hashes.add(hello.ResumeHash())
+            if view == View.View.Volume:
+                self.assertEqual(hello.ResumeHash(), first.replica.state_hash, "of the last delta, not of the snapshot")
         self.assertEqual(len(hashes), 1, "the whole mesh's, in either view")
         self.assertNotEqual(hashes, {0})
 

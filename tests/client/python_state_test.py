@@ -11,7 +11,8 @@ import flatbuffers
 import numpy as np
 
 import incise_client
-from incise.wire import Box, Delta, SnapshotBegin, SnapshotChunk, SnapshotEnd, Step, Tets, Vec3
+from incise.wire import (Box, Delta, SnapshotBegin, SnapshotChunk, SnapshotEnd, Step, SurfaceDelta, SurfaceVertices, Tets,
+                         Triangles, Vec3)
 from incise_client.part import Rows
 from incise_client.replica import NO_ID
 
@@ -237,6 +238,27 @@ class Parts(unittest.TestCase):
         self.assertEqual((list(changed.ids), list(changed.x)), ([1, 2, 7], [10, 21, 70]))
         with self.assertRaises(incise_client.ApplyError):
             rows.changed(Rows([2], x=np.array([21])), u32([2]))
+
+    def test_a_triangle_of_vertices_that_are_not_there_is_refused(self):
+        positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+        hashes = incise_client.state_hash
+
+        def delta(vertices):
+            corners, flags = np.array([[1, 2, 3]], np.uint32), np.array([1], np.uint8)
+            value = hashes.xor_of(hashes.surface_vertex_hashes(u32(vertices), positions[:len(vertices)]))
+            value ^= hashes.xor_of(hashes.triangle_hashes(u32([8]), corners, flags))
+            return table(SurfaceDelta, {
+                "BaseRevision": 0, "Revision": 1, "SurfaceHash": value,
+                "Vertices": (SurfaceVertices, {"Ids": u32(vertices), "Positions": positions[:len(vertices)].reshape(-1)}),
+                "Triangles": (Triangles, {"Ids": u32([8]), "Vertices": corners.reshape(-1), "Flags": flags,
+                                          "Pieces": u32([0]), "Regions": np.array([0], np.int32)})})
+
+        surface = incise_client.Surface()
+        with self.assertRaises(incise_client.ApplyError):
+            surface.apply(delta([1, 2]))
+        self.assertEqual((surface.revision, len(surface.vertices), len(surface.elements)), (0, 0, 0))
+        surface.apply(delta([1, 2, 3]))
+        self.assertEqual((surface.revision, len(surface.vertices), len(surface.elements)), (1, 3, 1))
 
     def test_a_tetrahedron_that_changes_stays_in_its_piece(self):
         model = Model(3)
