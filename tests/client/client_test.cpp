@@ -83,18 +83,21 @@ TEST(Client, TheSurfaceIsThatOfTheVolume) {
 }
 
 TEST(Client, AnOperatorCutsAndKnowsWhatBecameOfItsPoses) {
-  TestServer test;
-  test.loop.start();
-  const auto client = connect(test, options(Role::Operator));
-  EXPECT_EQ(client->welcome().engage_button, 0);
-  const auto poses = stream::sweep(0.03, 20'000, 1, test.side);  // more than one message
-  const std::uint64_t sequence = client->send_poses(poses);
-  ASSERT_NE(sequence, 0u);
-  ASSERT_TRUE(client->wait_for_report(sequence, kPatience_s));
-  EXPECT_EQ(client->report().accepted, poses.size());
-  ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
-  EXPECT_GT(test.loop.revision(), 3u);
-  EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.state_hash(); }), test.loop.state_hash());
+  for (const TransportKind transport : {TransportKind::kTcp, TransportKind::kWebSocket}) {
+    TestServer test;
+    test.loop.start();
+    const auto client = connect(test, options(Role::Operator, transport));
+    EXPECT_EQ(client->welcome().engage_button, 0);
+    const auto poses = stream::sweep(0.03, 20'000, 1, test.side);  // more than one message
+    const std::uint64_t sequence = client->send_poses(poses);
+    ASSERT_NE(sequence, 0u);
+    ASSERT_TRUE(client->wait_for_report(sequence, kPatience_s));
+    EXPECT_EQ(client->report().accepted, poses.size());
+    ASSERT_TRUE(client->wait_for_revision(test.loop.revision(), kPatience_s));
+    EXPECT_GT(test.loop.revision(), 3u);
+    EXPECT_EQ(client->read([](const protocol::Replica& m) { return m.state_hash(); }),
+              test.loop.state_hash());
+  }
 }
 
 TEST(Client, EngagesWithoutAButton) {

@@ -3,14 +3,20 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <stdexcept>
 #include <thread>
+#include <vector>
 
+#include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
+#include "tests/client/recorded_session.hpp"
 #include "tests/stream/mini_loop.hpp"
 
 namespace incise::client {
@@ -235,6 +241,123 @@ TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
   EXPECT_NE(told.find("is gone; trying to connect again for 0.3 s"), std::string::npos) << told;
   EXPECT_NE(told.find("did not come back within 0.3 s"), std::string::npos) << told;
   EXPECT_TRUE(fs::exists(directory / "last")) << "what was held is saved all the same";
+}
+
+// A watcher of a server that does what a test says, and the lines that it prints.
+struct Watched {
+  explicit Watched(const std::function<void(const stream::Listener&)>& server) {
+    const stream::Listener listener;
+    std::thread thread([&] { server(listener); });
+    WatchCommand watch;
+    watch.server.address = "127.0.0.1:" + std::to_string(listener.port());
+    watch.until_revision = recording().steps.size();
+    watch.for_s = 20;
+    watch.give_up_after_s = 20;
+    watch.json = true;
+    ::testing::internal::CaptureStdout();
+    ::testing::internal::CaptureStderr();
+    status = run_watch(watch);
+    thread.join();
+    std::istringstream text(::testing::internal::GetCapturedStdout());
+    for (std::string line; std::getline(text, line);) lines.push_back(nlohmann::json::parse(line));
+    told = ::testing::internal::GetCapturedStderr();
+  }
+  static const Recording& recording() {
+    static const Recording made;
+    return made;
+  }
+  int status = -1;
+  std::vector<nlohmann::json> lines;
+  std::string told;
+};
+TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
+  ASSERT_GT(Watched::recording().steps.size(), 4u);
+  const Watched watched([](const stream::Listener& listener) {
+    const auto peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, Watched::recording().welcome);
+    play(*peer, Watched::recording().snapshot);
+    std::int64_t ms = 0;
+    for (const auto& step : Watched::recording().steps) {
+      auto delta = std::get<protocol::Delta>(step.message.body);
+      delta.steps[0].cut_ns = delta.steps[0].arrival_ns + ++ms * 1'000'000;
+      peer->send(delta);
+    }
+    peer->receive_until<protocol::Bye>();
+  });
+  EXPECT_EQ(watched.status, 0) << watched.told;
+  double p50 = 0, p99 = 0;
+  for (const auto& line : watched.lines) {
+    p50 = std::max(p50, line["pose_to_cut_ms"]["p50"].get<double>());
+    p99 = std::max(p99, line["pose_to_cut_ms"]["p99"].get<double>());
+  }
+  EXPECT_NEAR(p99, static_cast<double>(Watched::recording().steps.size()), 1e-6);
+  EXPECT_GT(p50, 1.5);
+}
+
+TEST(Watch, AServerThatComesBackIsSaidToOnce) {
+  const Watched watched([](const stream::Listener& listener) {
+    {
+      const auto peer = listener.accept();
+      if (!peer->receive_until<protocol::Hello>()) return;
+      play(*peer, Watched::recording().welcome);
+      peer->receive_until<protocol::Ping>();
+      std::this_thread::sleep_for(std::chrono::milliseconds(300));  // until connect() has returned
+    }
+    const auto peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, Watched::recording().welcome);
+    peer->receive_until<protocol::Ping>();
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));  // some looks of the watcher's
+    play(*peer, Watched::recording().snapshot);
+    play(*peer, Watched::recording().steps);
+    peer->receive_until<protocol::Bye>();
+  });
+  EXPECT_EQ(watched.status, 0) << watched.told;
+  const std::string text = "incise: connected again\n";
+  const std::size_t first = watched.told.find(text);
+  ASSERT_NE(first, std::string::npos) << watched.told;
+  EXPECT_EQ(watched.told.find(text, first + 1), std::string::npos) << watched.told;
+}
+
+TEST_F(CommandsTest, OfACaptureTheFirstSourceIsPlayed) {
+  const fs::path capture = directory / "two.capture";
+  {
+    protocol::FileSink sink(capture.string(), true);
+    protocol::CaptureHeader header;
+    header.config_json = "{}";
+    protocol::CaptureWriter writer(sink, header);
+    for (std::uint32_t i = 0; i < 30; ++i) {
+      protocol::PoseRecord record;
+      record.source = i % 3 == 0 ? 4 : 5;
+      record.pose.source_ns = (i + 1) * std::int64_t{1'000'000};
+      writer.append(record);
+    }
+    EXPECT_FALSE(writer.flush());
+  }
+  StreamCommand command;
+  command.poses = capture;
+  command.server.address = address();
+  command.speed = 0;
+  command.json = true;
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(run_stream(command), 0);
+  ::testing::internal::GetCapturedStderr();
+  const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  EXPECT_EQ(summary["poses_sent"], 10);
+  EXPECT_EQ(summary["accepted"], 10);
+}
+
+TEST_F(CommandsTest, AtATenthOfTheSpeedItTakesTenTimesAsLong) {
+  StreamCommand command;
+  command.poses = directory / "motion.csv";  // of 0.2 s
+  command.server.address = address();
+  command.speed = 0.1;
+  command.json = true;
+  ::testing::internal::CaptureStdout();
+  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_GE(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["seconds"], 1.99);
 }
 
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {

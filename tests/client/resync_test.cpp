@@ -11,45 +11,15 @@
 #include <vector>
 
 #include "client/client.hpp"
-#include "tests/stream/mini_loop.hpp"
-#include "tests/stream/viewer.hpp"
+#include "tests/client/recorded_session.hpp"
 
 namespace incise::client {
 namespace {
 
 using protocol::Delta;
 using stream::RawPeer;
-using stream::TestServer;
 
 constexpr double kPatience_s = 20;
-
-// What a server sent to a viewer: a Welcome, a snapshot of the mesh as loaded, and the steps of a stroke.
-struct Recording {
-  Recording() {
-    TestServer test(4);
-    RawPeer peer(test.server.tcp_port());
-    peer.send(stream::hello(protocol::Role::Viewer, protocol::View::Volume));
-    while (snapshot.empty() || !std::holds_alternative<protocol::SnapshotEnd>(snapshot.back().message.body)) {
-      auto received = peer.receive();
-      if (!received) return;
-      const bool is_welcome = std::holds_alternative<protocol::Welcome>(received->message.body);
-      (is_welcome ? welcome : snapshot).push_back(std::move(*received));
-    }
-    test.cut();
-    hash = test.loop.state_hash();
-    while (steps.size() < test.loop.revision()) {
-      auto received = peer.receive_until<Delta>();
-      if (!received) return;
-      steps.push_back(std::move(*received));
-    }
-  }
-  std::vector<RawPeer::Message> welcome, snapshot, steps;
-  std::uint64_t hash = 0;
-};
-
-void play(RawPeer& to, const std::vector<RawPeer::Message>& messages) {
-  for (const auto& one : messages) to.send(one.message.body, one.message.envelope.sequence);
-}
 
 TEST(Resync, AWrongHashIsAnsweredByAskingForTheWholeState) {
   const Recording recording;
@@ -97,6 +67,7 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
   ASSERT_GT(recording.steps.size(), 4u);
   const stream::Listener listener;
   std::vector<protocol::Hello> hellos;
+  bool ponged = false;
   std::promise<void> connected;  // connect() has returned: only from then on is a lost connection made again
   std::thread server([&] {
     const auto accept = [&] {
@@ -110,8 +81,10 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
       const auto peer = accept();
       play(*peer, recording.snapshot);
       peer->send(recording.steps[0].message.body);
-      peer->send(protocol::Ping{7, 0});
-      peer->receive_until<protocol::Pong>();  // so it has read the step
+      peer->send(protocol::Ping{7, 8});
+      const auto received = peer->receive_until<protocol::Pong>();  // so it has read the step
+      const auto* pong = received ? std::get_if<protocol::Pong>(&received->message.body) : nullptr;
+      ponged = pong && pong->nonce == 7 && pong->ping_sent_ns == 8;
       connected.get_future().wait();
     }
     {
@@ -136,12 +109,69 @@ TEST(Resync, AStateThatWasRefusedIsNotResumed) {
   EXPECT_EQ(client->counters().resyncs, 1u);
   client.reset();
   server.join();
+  EXPECT_TRUE(ponged);
   ASSERT_EQ(hellos.size(), 3u);
   EXPECT_EQ(hellos[0].resume_session, 0u);
   EXPECT_EQ(hellos[1].resume_revision, 1u) << "a whole state, of a connection that was lost";
   EXPECT_EQ(hellos[1].resume_hash, std::get<Delta>(recording.steps[0].message.body).state_hash);
   EXPECT_EQ(hellos[2].resume_session, 0u);
   EXPECT_EQ(hellos[2].resume_hash, 0u);
+}
+
+// A wrong snapshot is asked for again, but not for ever.
+TEST(Resync, AServerWhoseSnapshotsAreAllWrongIsGivenUp) {
+  const Recording recording;
+  const stream::Listener listener;
+  int asked = 0;
+  std::thread server([&] {
+    const std::unique_ptr<RawPeer> peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, recording.welcome);
+    do {
+      for (const auto& one : recording.snapshot) {
+        protocol::Body body = one.message.body;
+        if (auto* end = std::get_if<protocol::SnapshotEnd>(&body)) end->state_hash ^= 1;
+        peer->send(body);
+      }
+    } while (peer->receive_until<protocol::Resync>() && ++asked < 20);
+  });
+  std::string reason;
+  try {
+    const auto client = Client::connect("127.0.0.1", listener.port(), Options{});
+    EXPECT_TRUE(stream::eventually([&] { return client->status() == Status::kClosed; }));
+    reason = client->last_error();
+  } catch (const ConnectError& error) {
+    reason = error.what();
+  }
+  server.join();
+  EXPECT_EQ(asked, 5);
+  EXPECT_NE(reason.find("cannot hold the server's state"), std::string::npos) << reason;
+}
+
+TEST(Resync, OnlyFaultsInARowMakeAClientGiveUp) {
+  const Recording recording;
+  ASSERT_GT(recording.steps.size(), 4u);
+  const stream::Listener listener;
+  std::thread server([&] {
+    const std::unique_ptr<RawPeer> peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, recording.welcome);
+    for (int i = 0; i < 9; ++i) {
+      play(*peer, recording.snapshot);
+      Delta wrong = std::get<Delta>(recording.steps[0].message.body);
+      wrong.state_hash ^= 1;
+      peer->send(wrong);
+      if (!peer->receive_until<protocol::Resync>()) return;
+    }
+    play(*peer, recording.snapshot);
+    play(*peer, recording.steps);
+    peer->receive_until<protocol::Bye>();
+  });
+  auto client = Client::connect("127.0.0.1", listener.port(), Options{});
+  EXPECT_TRUE(client->wait_for_revision(recording.steps.size(), kPatience_s)) << client->last_error();
+  EXPECT_EQ(client->counters().resyncs, 9u);
+  client.reset();
+  server.join();
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "server/base/clock.hpp"
+#include "server/stream/guess_limiter.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"
@@ -148,6 +149,17 @@ TEST_F(AccessTest, ManyGuessesAtOnceAreNotLookedAtAndHoldNoSockets) {
   const auto& error = std::get<protocol::Error>(received->message.body);
   EXPECT_TRUE(error.fatal);
   EXPECT_EQ(error.in_reply_to, 9u);
+  // At the other door, too, with the time after which it is worth coming back.
+  std::string answer_text;
+  ASSERT_TRUE(eventually([&] {
+    answer_text = get("/stats", "Bearer a guessed token");
+    return answer_text.substr(9, 3) == "429";
+  }));
+  const std::size_t header = answer_text.find("\r\nRetry-After: ");
+  ASSERT_NE(header, std::string::npos) << answer_text;
+  const int retry_s = std::stoi(answer_text.substr(header + 15));
+  EXPECT_GE(retry_s, 1);
+  EXPECT_LE(retry_s, 1 + GuessLimiter::kMaxDelay_ns / 1'000'000'000);
   // What waits ends by itself, and the address is let in again.
   ASSERT_TRUE(eventually([&] {
     return std::holds_alternative<protocol::Welcome>(answer(Role::Viewer, "a viewer's token").body);
@@ -169,6 +181,11 @@ TEST_F(AccessTest, ResetsTakeoversAndHandOversAreCountedAndLogged) {
   second.send(protocol::StrokeControl{protocol::StrokeAction::HandOver, 0}, 2);
   ASSERT_TRUE(second.receive_until<protocol::Bye>());
   EXPECT_TRUE(told("blade \"blade\" handed over by", "at 127.0.0.1:"));
+  RawPeer third(test->server.tcp_port());
+  third.send(take);
+  ASSERT_TRUE(third.receive_until<protocol::Welcome>());
+  third.send(protocol::StrokeControl{protocol::StrokeAction::HandOver, 0}, 2);
+  ASSERT_TRUE(third.receive_until<protocol::Bye>());
   RawPeer admin(test->server.tcp_port());
   admin.send(with_token(Role::Admin, "an admin's token"));
   ASSERT_TRUE(admin.receive_until<protocol::Welcome>());
@@ -177,8 +194,12 @@ TEST_F(AccessTest, ResetsTakeoversAndHandOversAreCountedAndLogged) {
   EXPECT_TRUE(told("the mesh is reset by", "at 127.0.0.1:"));
   const StreamCounters c = test->server.counters();
   EXPECT_EQ(c.takeovers, 1u);
-  EXPECT_EQ(c.handovers, 1u);
+  EXPECT_EQ(c.handovers, 2u);
   EXPECT_EQ(c.resets, 1u);
+  const std::string metrics = get("/metrics", "Bearer a scraper's token");
+  EXPECT_NE(metrics.find("\nincise_stream_takeovers_total 1\n"), std::string::npos);
+  EXPECT_NE(metrics.find("\nincise_stream_handovers_total 2\n"), std::string::npos);
+  EXPECT_NE(metrics.find("\nincise_stream_resets_total 1\n"), std::string::npos);
   EXPECT_EQ(c.refused, 0u);
 }
 

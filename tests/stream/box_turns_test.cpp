@@ -5,10 +5,12 @@
 
 #include <gtest/gtest.h>
 
+#include <ctime>
 #include <memory>
 #include <vector>
 
 #include "protocol/volume_part.hpp"
+#include "server/stream/counters.hpp"
 #include "server/stream/mirror.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/viewer.hpp"
@@ -114,6 +116,45 @@ TEST(BoxTurns, BeyondTheirShareBoxesGetFewerDeltas) {
   EXPECT_LE(counters.box_turns_ns,
             last + static_cast<std::uint64_t>(config.box_share * static_cast<double>(monotonic_ns() - began +
                                                                                      TimeShare::kSaved_ns)));
+}
+
+// A box whose turn takes so long of the thread's time.
+struct BusyBox final : BoxHolder {
+  explicit BusyBox(std::int64_t ns) : turn_ns(ns) {}
+  bool wants_box_turn() const override { return !lost; }
+  void skip_box_turn() override {}
+  bool make_box_delta() override {
+    const std::int64_t until_ns = clock_ns(CLOCK_THREAD_CPUTIME_ID) + turn_ns;
+    while (clock_ns(CLOCK_THREAD_CPUTIME_ID) < until_ns) {
+    }
+    ++turns;
+    return true;
+  }
+  void lose_box() override { lost = true; }
+
+  const std::int64_t turn_ns;
+  int turns = 0;
+  bool lost = false;
+};
+
+TEST(BoxTurns, TheBoxThatTookLongestIsRefusedFirst) {
+  asio::io_context io{1};
+  SharedCounters counters;
+  BoxTurns turns(io, 0.01, counters);
+  const auto quick = std::make_shared<BusyBox>(100'000), slow = std::make_shared<BusyBox>(30'000'000);
+  const auto run_until = [&io](const auto& condition) {
+    for (; !condition(); io.restart()) io.run_one();
+  };
+  for (const auto& box : {quick, slow}) {
+    turns.ask(box);
+    run_until([&box] { return box->turns > 0; });
+  }
+  // The slow one's turn has used up the time of the next 3 s, and none may wait for more than 2.
+  turns.ask(quick);
+  turns.ask(slow);
+  run_until([&] { return quick->lost || slow->lost; });
+  EXPECT_TRUE(slow->lost);
+  EXPECT_FALSE(quick->lost);
 }
 
 // There is next to no time for boxes: each loses its own, is told so, and gets everything.

@@ -15,6 +15,8 @@
 #include <utility>
 #include <vector>
 
+#include "server/base/clock.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/stream/peers.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/viewer.hpp"
@@ -77,6 +79,7 @@ class SlowReader final : public Transport {
 class PeerTest : public ::testing::Test {
  protected:
   void start(std::uint32_t cells) {
+    cells_ = cells;
     loop_ = std::make_unique<MiniLoop>(box_mesh(cells));
     context_ = std::make_unique<PeerContext>(io_, config_, loop_->facts(), *loop_, providers_);
     peers_ = std::make_unique<Peers>(*context_);
@@ -89,6 +92,39 @@ class PeerTest : public ::testing::Test {
     peer_ = std::make_shared<Peer>(*context_, *peers_, std::make_unique<SlowReader>(io_, wire_),
                                    *admission.admit(none));
     asio::co_spawn(io_, run(peer_), [this](std::exception_ptr) { ended_ = true; });
+  }
+  // One stroke right through the mesh; its deltas go to all peers at the end.
+  void cut() {
+    if (!session_) {
+      core::CutConfig config;
+      config.blade = {{0, 0, 0}, {0, 0, -1}};
+      session_ = std::make_unique<core::CutSession>(box_mesh(cells_), config);
+    }
+    const double side = 0.01 * cells_, y = side * (0.2 + 0.1 * (strokes_++ % 7));
+    for (const protocol::PoseSample& p : sweep(y, 60, strokes_ * std::int64_t{1'000'000'000}, side)) {
+      session_->push(0, {p.source_ns, {p.position.x, p.position.y, p.position.z}, {1, 0, 0, 0}, p.buttons});
+    }
+    for (;;) {
+      core::WorkBudget budget = core::WorkBudget::unlimited();
+      auto published = std::make_shared<PublishedDelta>();
+      if (session_->advance(budget, published->delta) != core::CutSession::Progress::kCommitted) break;
+      peers_->apply(published);
+    }
+    peers_->advance_all();
+  }
+  // The peer reads what was being written. Returns the messages that it has read.
+  std::vector<SharedFrame> read_write() {
+    if (wire_.done) std::exchange(wire_.done, nullptr)({});
+    return std::exchange(wire_.reads, {});
+  }
+  template <class T>
+  static std::vector<T> all_of(const std::vector<SharedFrame>& frames) {
+    std::vector<T> found;
+    for (const SharedFrame& frame : frames) {
+      protocol::DecodeResult decoded = protocol::decode(frame->body());
+      if (const auto* body = std::get_if<T>(&decoded.message->body)) found.push_back(*body);
+    }
+    return found;
   }
   static asio::awaitable<void> run(std::shared_ptr<Peer> peer) { co_await peer->run(); }
   // Runs what is ready until `condition` holds.
@@ -112,8 +148,115 @@ class PeerTest : public ::testing::Test {
   std::unique_ptr<PeerContext> context_;
   std::unique_ptr<Peers> peers_;
   std::shared_ptr<Peer> peer_;
+  std::unique_ptr<core::CutSession> session_;
+  std::uint32_t cells_ = 0;
+  int strokes_ = 0;
   bool ended_ = false;
 };
+
+TEST_F(PeerTest, ASilentPeerIsPingedTwiceAndThenLetGo) {
+  start(2);
+  join(hello(Role::Viewer, View::None));
+  ASSERT_TRUE(run_until([&] { return peer_->open(); }));
+  const std::int64_t idle_ns = static_cast<std::int64_t>(config_.idle_timeout_s * 1e9);
+  const std::int64_t begin_ns = monotonic_ns();
+  std::size_t pings = 0, byes = 0;
+  for (std::int64_t passed_ns = 0; passed_ns < idle_ns + 1'000'000'000; passed_ns += 50'000'000) {
+    peer_->tick(begin_ns + passed_ns);
+    const auto read = read_write();
+    pings += all_of<protocol::Ping>(read).size();
+    byes += all_of<protocol::Bye>(read).size();
+    EXPECT_TRUE(pings == 0 || passed_ns > idle_ns / 4) << passed_ns;
+    ASSERT_TRUE(byes == 0 || passed_ns > idle_ns - 1'000'000'000) << passed_ns;
+  }
+  EXPECT_EQ(pings, 2u);
+  EXPECT_EQ(byes, 1u);
+}
+
+// While the answer to a wrong token is held back, the peer's time for its Hello stands still.
+TEST_F(PeerTest, TheDelayAfterAWrongTokenIsNotThePeersTime) {
+  config_.tokens = {{"the right token", {Role::Viewer}}};
+  start(2);
+  const auto guess = [&] {
+    return context_->access
+        .ask(
+            asio::ip::address(), "a guess", [](const AccessToken&) { return true; }, monotonic_ns())
+        .hold_ns;
+  };
+  while (guess() < 500'000'000) {
+  }
+  protocol::Hello greeting = hello(Role::Viewer, View::None);
+  greeting.token = "another guess";
+  const std::uint64_t before = context_->counters->wrong_tokens;
+  join(greeting);
+  ASSERT_TRUE(run_until([&] { return context_->counters->wrong_tokens > before; }));
+  const auto timeout_ns = static_cast<std::int64_t>(config_.handshake_timeout_s * 1e9);
+  peer_->tick(monotonic_ns() + timeout_ns + 500'000'000);  // of the second that it is held
+  std::vector<SharedFrame> read;
+  ASSERT_TRUE(run_until([&] {
+    const auto more = read_write();
+    read.insert(read.end(), more.begin(), more.end());
+    return !read.empty();
+  }));
+  ASSERT_EQ(all_of<protocol::Error>(read).size(), 1u);
+  EXPECT_EQ(all_of<protocol::Error>(read)[0].code, protocol::ErrorCode::Unauthorized);
+}
+
+// A peer that finds its state wrong while a snapshot is on its way gets another one behind it, however often it asks.
+TEST_F(PeerTest, AResyncDuringASnapshotBringsOneMore) {
+  config_.outbox_bytes = 1000;
+  start(12);
+  join(hello(Role::Viewer, View::Volume));
+  ASSERT_TRUE(run_until([&] { return wire_.done != nullptr && context_->counters->snapshots == 1; }));
+  std::vector<SharedFrame> read;
+  const auto read_more = [&] {
+    const auto more = read_write();
+    read.insert(read.end(), more.begin(), more.end());
+  };
+  ASSERT_TRUE(run_until([&] {
+    read_more();
+    return !all_of<protocol::SnapshotBegin>(read).empty();
+  }));
+  ASSERT_TRUE(all_of<protocol::SnapshotEnd>(read).empty());
+  for (int i = 0; i < 3; ++i) wire_.sends.push_back(protocol::encode(protocol::Resync{}, {2, 0}));
+  wire_.wake();
+  ASSERT_TRUE(run_until([&] { return wire_.sends.empty(); }));
+  ASSERT_TRUE(run_until([&] {
+    read_more();
+    return all_of<protocol::SnapshotEnd>(read).size() == 2;
+  }));
+  const auto begins = all_of<protocol::SnapshotBegin>(read);
+  ASSERT_EQ(begins.size(), 2u);
+  EXPECT_EQ(begins[0].cause, protocol::SnapshotCause::Join);
+  EXPECT_EQ(begins[1].cause, protocol::SnapshotCause::Resync);
+  EXPECT_EQ(context_->counters->snapshots, 2u);
+}
+
+// An outbox that was full is half empty before it gets more, so that what is missing by then is one delta.
+TEST_F(PeerTest, AFullOutboxGetsMoreWhenItIsHalfEmpty) {
+  start(4);
+  config_.outbox_bytes = 100 << 10;
+  join(hello(Role::Viewer, View::Volume));
+  ASSERT_TRUE(run_until([&] { return !all_of<protocol::SnapshotEnd>(read_write()).empty(); }));
+  while (wire_.done) read_write();
+  // Single steps until no more fit; then one delta for several, which is too much; then nothing.
+  const auto& coalesced = context_->counters->coalesced;
+  for (int i = 0; i < 60; ++i) cut();
+  EXPECT_EQ(coalesced, 1u);
+  std::size_t all = 0, written = 0, last = 0;  // bytes; written: when it got the rest as another delta
+  std::uint64_t revision = 0;
+  std::vector<SharedFrame> writing = std::exchange(wire_.reads, {});
+  while (!writing.empty()) {
+    for (const protocol::Delta& delta : all_of<protocol::Delta>(writing)) revision = delta.revision;
+    for (const SharedFrame& frame : writing) all += last = frame->tcp().size();
+    if (coalesced == 1) written = all;
+    writing = read_write();
+  }
+  EXPECT_EQ(coalesced, 2u);
+  EXPECT_EQ(revision, context_->counters->revision);
+  EXPECT_GT(all - last, config_.outbox_bytes);
+  EXPECT_LE(all - last - written, config_.outbox_bytes / 2) << "bytes still waited when it got more";
+}
 
 TEST_F(PeerTest, APeerThatPingsAndReadsNothingIsLetGo) {
   config_.max_messages_per_s = std::numeric_limits<std::uint32_t>::max();

@@ -77,5 +77,33 @@ TEST(Roles, EachMayWhatItIsForAndNothingElse) {
   }
 }
 
+// What a simulator may send positions of: vertices that exist, at a revision that exists.
+TEST(Roles, PositionsOfAnotherMeshOrATimeToComeAreRefused) {
+  TestServer test(2);
+  constexpr std::uint32_t kVertices = 27;
+  const auto positions = [](std::uint64_t revision, std::uint32_t first, const std::vector<float>& numbers,
+                            std::span<const std::uint32_t> ids = {}) {
+    protocol::Positions message;
+    message.revision = revision;
+    message.first = first;
+    message.f32 = numbers;
+    message.ids = ids;
+    return message;
+  };
+  const std::vector<float> one{0, 0, 0}, two(6), none;
+  const std::vector<std::uint32_t> last{kVertices - 1}, beyond{kVertices};
+  const auto code = [&](const protocol::Positions& message) {
+    return answer(test, Role::Simulator, message);
+  };
+  // This server's loop takes none: what is well formed is refused for that.
+  EXPECT_EQ(code(positions(0, 0, one)), ErrorCode::NotAvailable);
+  EXPECT_EQ(code(positions(0, kVertices - 2, two)), ErrorCode::NotAvailable);
+  EXPECT_EQ(code(positions(0, 0, one, last)), ErrorCode::NotAvailable);
+  EXPECT_EQ(code(positions(1, 0, one)), ErrorCode::BadRequest);
+  EXPECT_EQ(code(positions(0, 0, none)), ErrorCode::BadRequest);
+  EXPECT_EQ(code(positions(0, kVertices - 1, two)), ErrorCode::BadRequest);
+  EXPECT_EQ(code(positions(0, 0, one, beyond)), ErrorCode::BadRequest);
+}
+
 }  // namespace
 }  // namespace incise::stream

@@ -45,6 +45,14 @@ TEST(Server, WelcomesAndSendsTheState) {
   EXPECT_EQ(viewer.welcome.mesh.name, "box");
   EXPECT_EQ(viewer.welcome.revision, test.loop.revision());
   EXPECT_EQ(viewer.welcome.state_hash, test.loop.state_hash());
+  const ServerFacts facts = test.loop.facts();
+  EXPECT_EQ(viewer.welcome.blade_heel.z, facts.blade_heel.z);
+  EXPECT_EQ(viewer.welcome.blade_tip.z, facts.blade_tip.z);
+  EXPECT_NE(facts.blade_tip.z, facts.blade_heel.z);
+  EXPECT_EQ(viewer.welcome.max_speed_m_s, facts.max_speed_m_s);
+  EXPECT_EQ(viewer.welcome.frame_rate_hz, facts.frame_rate_hz);
+  EXPECT_EQ(viewer.welcome.policy, facts.policy);
+  EXPECT_EQ(viewer.welcome.max_message_bytes, protocol::kMaxClientBytes);
   EXPECT_EQ(viewer.replica.compute_state_hash(), test.loop.state_hash());
   EXPECT_EQ(viewer.deltas, 0u);
   const std::uint64_t joined = test.loop.revision();
@@ -262,6 +270,24 @@ TEST(Server, ASlowReaderIsCaughtUpAndHurtsNobody) {
   EXPECT_EQ(slow.causes.size(), 1u);
   EXPECT_EQ(slow.replica.canonical_bytes(), other.replica.canonical_bytes());
   EXPECT_GT(test.server.counters().coalesced, 0u);
+}
+
+// A peer that catches up each time may fall behind as often as it likes.
+TEST(Server, SlowSnapshotsCountOnlyInARow) {
+  StreamConfig config = test_config();
+  config.ring_bytes = 0;  // no step is kept, so each takes a snapshot
+  config.max_slow_snapshots = 40;
+  TestServer test(2, config);
+  Viewer viewer(test.server.tcp_port());
+  ASSERT_TRUE(viewer.follow(0));
+  const auto slow_snapshots = [&] { return test.server.counters().slow_snapshots; };
+  while (slow_snapshots() <= 2 * config.max_slow_snapshots) {
+    const std::uint64_t before = slow_snapshots();
+    test.cut();
+    ASSERT_TRUE(viewer.follow(test.loop.revision()));
+    ASSERT_GT(slow_snapshots(), before);
+  }
+  EXPECT_EQ(test.server.counters().slow_disconnects, 0u);
 }
 
 TEST(Server, WhoNeverReadsIsDisconnected) {
@@ -492,9 +518,9 @@ TEST(Server, PosesAreCountedAndReported) {
   peer.send(hello(Role::Operator, View::None));
   ASSERT_TRUE(peer.receive_until<protocol::Welcome>());
   auto poses = sweep(0.03, 50, 1, test.side);
-  poses[10].source_ns = 5;               // in the past
-  poses[20].orientation = {2, 0, 0, 0};  // no rotation
-  poses[30].position.x = 5e5;            // nowhere near
+  poses[10].source_ns = poses[11].source_ns = 5;                          // in the past
+  poses[20].orientation = {2, 0, 0, 0};                                   // no rotation
+  for (const std::size_t i : {30u, 31u, 32u}) poses[i].position.x = 5e5;  // nowhere near
   peer.send(protocol::PoseBatch{std::span(poses).first(25)}, 2);
   peer.send(protocol::PoseBatch{std::span(poses).subspan(25)}, 3);
   protocol::PoseReport report;
@@ -504,8 +530,10 @@ TEST(Server, PosesAreCountedAndReported) {
     report = std::get<protocol::PoseReport>(received->message.body);
   }
   EXPECT_EQ(report.accepted + report.not_finite + report.not_unit + report.time_not_rising, 50u);
-  EXPECT_EQ(report.time_not_rising, 1u);
-  EXPECT_EQ(report.not_unit + report.not_finite, 2u);
+  EXPECT_EQ(report.accepted, 44u);
+  EXPECT_EQ(report.time_not_rising, 2u);
+  EXPECT_EQ(report.not_unit, 1u);
+  EXPECT_EQ(report.not_finite, 3u);
   EXPECT_EQ(report.last_source_ns, poses.back().source_ns);
 }
 
@@ -586,6 +614,30 @@ TEST(Server, OperatorsAreToldWhatIsRecordedAndWhenRecordingStops) {
     const auto* statistics = std::get_if<protocol::Stats>(&received->message.body);
     if (statistics && statistics->recording == Recording::Stopped) break;
   }
+}
+
+TEST(Server, StatisticsHaveWhatTheStreamKnows) {
+  Providers providers;
+  providers.statistics = [] {
+    protocol::Stats stats;
+    stats.frames = 17;
+    return stats;
+  };
+  TestServer test(2, test_config(), std::move(providers));
+  test.cut();
+  RawPeer a(test.server.tcp_port()), b(test.server.tcp_port());
+  for (RawPeer* peer : {&a, &b}) {
+    peer->send(hello(Role::Viewer, View::None));
+    ASSERT_TRUE(peer->receive_until<protocol::Welcome>());
+  }
+  const auto received = a.receive_until<protocol::Stats>();
+  ASSERT_TRUE(received);
+  const auto& stats = std::get<protocol::Stats>(received->message.body);
+  EXPECT_EQ(stats.frames, 17u);
+  EXPECT_EQ(stats.revision, test.loop.revision());
+  EXPECT_EQ(stats.live_tets, test.loop.live_tets());
+  EXPECT_GT(stats.live_tets, 0u);
+  EXPECT_EQ(stats.sessions, 2u);
 }
 
 TEST(Server, ABladeIsEngagedByMessageWithoutAButton) {
