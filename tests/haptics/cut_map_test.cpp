@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 namespace incise::haptics {
 namespace {
 
@@ -46,6 +48,20 @@ TEST(CutMap, KeepsDirectionsApart) {
   EXPECT_EQ(map.at(p) & CutMap::along(along_z), 0);
   map.mark({0.41, 0.3, 0.4}, {0.41, 0.6, 0.4}, {0.41, 0.3, 0.9});
   EXPECT_NE(map.at(p) & CutMap::along(along_z), 0);
+}
+
+// An edge is within a cut that it meets at less than some 40 degrees, and crosses one that it meets at more.
+TEST(CutMap, AnEdgeIsWithinACutThatItMeetsAtASmallAngle) {
+  const Vec3 p{0.5, 0.5, 0.5}, edge{0, 0, 1};
+  for (const int degrees : {10, 20, 60, 75}) {
+    // A face through p that meets the edge at this angle.
+    const double a = degrees * 3.14159265358979 / 180;
+    const Vec3 u{0, 0.2, 0}, v{0.2 * std::sin(a), 0, 0.2 * std::cos(a)};
+    CutMap map(kLow, kHigh, kH);
+    map.mark(p - 0.3 * u - 0.3 * v, p + 0.7 * u - 0.3 * v, p - 0.3 * u + 0.7 * v);
+    ASSERT_NE(map.at(p), 0) << degrees;
+    EXPECT_EQ((map.at(p) & CutMap::along(edge)) != 0, degrees < 40) << degrees;
+  }
 }
 
 TEST(CutMap, ClearsAndTakesNothingFromOutside) {

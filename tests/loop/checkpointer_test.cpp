@@ -1,9 +1,11 @@
 #include "server/loop/checkpointer.hpp"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <chrono>
+#include <csignal>
 #include <cstddef>
 #include <filesystem>
 #include <fstream>
@@ -196,6 +198,47 @@ TEST_F(CheckpointerTest, AfterLostRecordsAResetMakesItFollowAgain) {
   ASSERT_TRUE(checkpoint) << error;
   EXPECT_EQ(checkpoint->session, 8u);
   EXPECT_GE(checkpoint->revision, 5u);
+}
+
+// Steps that were computed before a reset, and whose marks never came, are not compared with those after it.
+TEST_F(CheckpointerTest, AResetForgetsWhatWasComputedBefore) {
+  const auto records = stroke();
+  const auto checkpointer = make(1000);
+  for (core::Pose pose : tests::sweep_through(300, 1000, 0.3)) {
+    JournalRecord record;
+    record.pose = pose;
+    checkpointer->record(record);
+  }
+  JournalRecord reset;
+  reset.kind = Kind::kReset;
+  reset.session = 8;
+  checkpointer->record(reset);
+  for (const JournalRecord& record : records) checkpointer->record(record);
+  checkpointer->mark(5, 1, 2, true);
+  EXPECT_TRUE(
+      wait_for(*checkpointer, [&] { return checkpointer->written() == 1 || !checkpointer->following(); }));
+  EXPECT_TRUE(checkpointer->following()) << told();
+}
+
+// A disk that is full in the middle of it keeps no part, and what was there before.
+TEST_F(CheckpointerTest, APartThatCouldNotBeWrittenIsRemoved) {
+  Checkpoint checkpoint;
+  checkpoint.id = 1;
+  const std::string path = checkpoint_path(journal(), 0);
+  write_checkpoint(path, checkpoint);
+  checkpoint.id = 2;
+  checkpoint.state.assign(1u << 20, std::byte{42});
+  rlimit limit{};
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &limit), 0);
+  const rlimit small{64u << 10, limit.rlim_max};
+  const auto before = std::signal(SIGXFSZ, SIG_IGN);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &small), 0);
+  EXPECT_THROW(write_checkpoint(path, checkpoint), std::system_error);
+  ::setrlimit(RLIMIT_FSIZE, &limit);
+  std::signal(SIGXFSZ, before);
+  EXPECT_FALSE(fs::exists(path + ".part"));
+  std::string error;
+  EXPECT_EQ(read_checkpoint(path, error)->id, 1u) << error;
 }
 
 TEST_F(CheckpointerTest, MoreThanMayWaitEndsItAsWell) {

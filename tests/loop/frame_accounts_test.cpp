@@ -215,6 +215,15 @@ TEST(FrameAccounts, SkippedFramesAreCountedOnAfterAReset) {
   while (rig.resets == 0) rises();
   const std::uint64_t frames = rig.loop.stats().state.load().frames;
   while (rig.loop.stats().state.load().frames < frames + 10) rises();
+  // By hand, where nothing is skipped in between.
+  thread.request_stop();
+  thread.join();
+  const std::uint64_t before = skipped();
+  const auto resets = rig.resets.load();
+  ASSERT_TRUE(rig.loop.request_reset());
+  rig.loop.frame(monotonic_ns());
+  EXPECT_GT(rig.resets, resets);
+  EXPECT_EQ(skipped(), before);
 }
 
 }  // namespace

@@ -78,6 +78,27 @@ TEST(Journal, WithoutAPolicyItLeavesTheDiskToTheSystem) {
   EXPECT_EQ(disk.syncs, 0);
 }
 
+// In groups: the first records at once, others when the interval is over, and the rest at the end.
+TEST(Journal, SyncsNoOftenerThanItsInterval) {
+  Disk disk;
+  {
+    Journal::Options options;
+    options.policy = SyncPolicy::kGroup;
+    options.sync_interval_ms = 3'600'000;
+    Journal journal(std::make_unique<DiskSink>(disk), options, [](const std::string&) {});
+    for (std::uint64_t i = 1; i <= 5; ++i) {
+      EXPECT_TRUE(journal.record(pose(i)));
+      const auto written = [&] {
+        const std::scoped_lock lock(disk.mutex);
+        return disk.records.size();
+      };
+      while (written() < i || disk.syncs == 0) std::this_thread::yield();
+    }
+  }
+  EXPECT_EQ(disk.records.size(), 5u);
+  EXPECT_EQ(disk.syncs, 2);
+}
+
 // The queue of a slow disk overflows: the records that were lost are counted, and a gap of so many stands
 // where they were.
 TEST(Journal, ASlowDiskLeavesAnHonestGap) {

@@ -103,6 +103,30 @@ TEST(TetFiles, FilesOfOtherProgramsHoldTheSameCube) {
   EXPECT_EQ(files, 20u);
 }
 
+// Elements and vertices are numbered from 0 or from 1.
+TEST(TetFiles, VegaNumbersFromZeroOrOne) {
+  for (const int first : {0, 1}) {
+    std::string text = "*VERTICES\n5 3\n";
+    const char* const places[] = {"0 0 0", "1 0 0", "0 1 0", "0 0 1", "1 1 1"};
+    for (int i = 0; i < 5; ++i) text += std::to_string(first + i) + ' ' + places[i] + '\n';
+    const auto tet = [&](int number, std::array<int, 4> v) {
+      text += std::to_string(first + number);
+      for (const int corner : v) text += ' ' + std::to_string(first + corner);
+      text += '\n';
+    };
+    text += "*ELEMENTS\nTET\n2 4\n";
+    tet(0, {0, 1, 2, 3});
+    tet(1, {1, 2, 3, 4});
+    text += "*MATERIAL soft\nENU, 1000, 1e6, 0.4\n*MATERIAL hard\nENU, 1000, 1e9, 0.4\n*SET far\n" +
+            std::to_string(first + 1) + "\n*REGION\nallElements, soft\n*REGION\nfar, hard\n";
+    std::vector<std::string> warnings;
+    const core::MeshData mesh = parse_vega(text, "body.veg", warnings);
+    ASSERT_EQ(mesh.tets.size(), 2u) << first;
+    EXPECT_EQ(mesh.tets[1], (std::array<core::VertexId, 4>{1, 2, 3, 4}));
+    EXPECT_EQ(mesh.regions, (std::vector<std::int32_t>{0, 1}));
+  }
+}
+
 TEST(TetFiles, GmshNodesHaveGapsAndVolumesStandInForGroups) {
   const TestDirectory directory;
   const std::string nodes = "$NOD\n5\n9 0 0 0\n4 1 0 0\n70 0 1 0\n2 0 0 1\n5 1 1 1\n$ENDNOD\n";

@@ -124,7 +124,8 @@ TEST(VertexMover, WhatIsNoPlaceOrNoVertexChangesNothing) {
   deform(session, some(0, {8, 8, 2}, {near, {1, 1, 1}, {2, 2, 2}}));
   EXPECT_EQ(session.mesh().position(8), near);
   EXPECT_EQ(validate(session.mesh()), "");
-  deform(session, std::make_shared<VertexPositions>());
+  const Delta none = deform(session, std::make_shared<VertexPositions>());
+  EXPECT_EQ(none.deformation.passed_over, 0u) << "those of the step before do not count again";
   EXPECT_EQ(session.revision(), 3u);
 }
 
@@ -364,6 +365,10 @@ TEST(VertexMover, RestPositionsAreThoseOfTheMaterial) {
     ASSERT_EQ(delta.added_rest.size(), delta.added_positions.size());
     moved += delta.moved.size();
     added += delta.added_positions.size();
+    for (std::size_t i = 0; i < delta.moved.size(); ++i)
+      EXPECT_LT(distance(deformed(delta.moved_rest[i]), delta.moved_positions[i]), 1e-12);
+    for (std::size_t i = 0; i < delta.added_positions.size(); ++i)
+      EXPECT_LT(distance(deformed(delta.added_rest[i]), delta.added_positions[i]), 1e-12);
   }
   EXPECT_GT(moved, 30u);
   EXPECT_GT(added, 30u);

@@ -46,6 +46,8 @@ TEST(HaplyMessages, AStateOfAnInverse3AndItsGrip) {
   grip["buttons"] = {{"a", false}, {"b", true}, {"c", true}};
   state = good(message);
   EXPECT_EQ(state.buttons, 6u);
+  grip["buttons"] = {{"button_0", true}, {"button_3", true}};
+  EXPECT_EQ(good(message).buttons, 9u);
   EXPECT_NEAR(state.orientation.y, 0.8, 1e-12);
   // A wired grip has one button; none at all is no fault.
   message["verse_grip"] = {

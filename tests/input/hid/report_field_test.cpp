@@ -67,6 +67,11 @@ TEST(ReportField, WritesTheNearestThatFits) {
     field.write(bytes, value);
     EXPECT_EQ(field.raw(bytes), raw) << value;
   }
+  const ReportField positive{0, 8, 8, Kind::kUnsigned, false, 0.1, 0};
+  for (const auto& [value, raw] : {std::pair(1.26, 13.0), std::pair(1e9, 255.0), std::pair(-0.1, 0.0)}) {
+    positive.write(bytes, value);
+    EXPECT_EQ(positive.raw(bytes), raw) << value;
+  }
 }
 
 }  // namespace

@@ -178,6 +178,58 @@ TEST_F(OpenIgtLink, WhatIsWrongIsCountedAndLosesNothingElse) {
   EXPECT_EQ(count("messages"), 6u);
 }
 
+TEST_F(OpenIgtLink, EveryStatusButOkReleasesTheBlade) {
+  start();
+  LibraryPeer peer(input->port());
+  std::size_t events_so_far = 0;
+  std::int64_t t_ns = kStart_ns;
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, t_ns)));
+  for (const int code : {0, 2, 3}) {
+    ASSERT_TRUE(peer.send(tests::status("Scalpel", code)));
+    ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, t_ns += kStep_ns)));
+    ASSERT_TRUE(came(events_so_far + 5)) << code;  // opened, a pose, the end, opened, a pose
+    EXPECT_EQ(events[events_so_far + 2].kind, Kind::kEndStroke) << code;
+    events_so_far += 3;
+  }
+  ASSERT_TRUE(peer.send(tests::status("Scalpel", 1)));
+  ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, t_ns + kStep_ns)));
+  ASSERT_TRUE(came(events_so_far + 3));
+  EXPECT_EQ(events.back().kind, Kind::kPose);
+  EXPECT_EQ(events.size(), events_so_far + 3);
+}
+
+// A clock that goes back by less than a second was not set: those poses are late.
+TEST_F(OpenIgtLink, PosesOutOfOrderAreNoRestartOfTheClock) {
+  start();
+  LibraryPeer peer(input->port());
+  for (const std::int64_t t : {kStart_ns, kStart_ns - 500'000'000, kStart_ns + kStep_ns})
+    ASSERT_TRUE(peer.send(tests::transform({"Scalpel"}, t)));
+  ASSERT_TRUE(came(4));
+  EXPECT_LT(events[2].pose.pose.t_ns, events[1].pose.pose.t_ns);
+  EXPECT_GT(events[3].pose.pose.t_ns, events[1].pose.pose.t_ns);
+  EXPECT_EQ(count("clock_restarts"), 0u);
+}
+
+TEST_F(OpenIgtLink, AConnectionHasThirtyTwoToolsAtMost) {
+  start();
+  LibraryPeer peer(input->port());
+  std::vector<tests::PlacedTool> tools;
+  for (int i = 0; i < 35; ++i) tools.push_back({"Tool" + std::to_string(i)});
+  ASSERT_TRUE(peer.send(tests::tdata(tools, kStart_ns)));
+  EXPECT_TRUE(stream::eventually([&] { return count("refused") == 3; }));
+  EXPECT_EQ(count("poses"), std::uint64_t{core::kMaxSources});
+}
+
+TEST_F(OpenIgtLink, AMessageOfMoreThanAGigabyteEndsItsConnection) {
+  start();
+  stream::RawPeer peer(input->port());
+  Packed header = openigtlink::encode("IMAGE", "Camera", 0, {});
+  const std::uint64_t bytes = (std::uint64_t{1} << 30) + 1;
+  for (std::size_t i = 0; i < 8; ++i) header[42 + i] = static_cast<std::uint8_t>(bytes >> (56 - 8 * i));
+  ASSERT_TRUE(peer.send(std::as_bytes(std::span(header))));
+  EXPECT_TRUE(peer.closes());
+}
+
 TEST_F(OpenIgtLink, APeerOutOfStepIsLetGoAndOthersGoOn) {
   start();
   LibraryPeer good(input->port());
@@ -288,6 +340,48 @@ TEST_F(OpenIgtLink, TheSurfaceIsSentToWhoAsks) {
   std::this_thread::sleep_for(200ms);
   EXPECT_EQ(requests, 2);
   EXPECT_EQ(count("surfaces"), 4u);
+}
+
+TEST_F(OpenIgtLink, AStreamedSurfaceComesNoOftenerThanThePeerAskedFor) {
+  OpenIgtLinkOptions options;
+  options.surface_hz = 50;
+  start(options);
+  LibraryPeer seldom(input->port()), often(input->port());
+  const auto follow = [](LibraryPeer& peer, std::uint32_t interval_ms) {
+    Packed body;
+    for (int shift = 24; shift >= 0; shift -= 8)
+      body.push_back(static_cast<std::uint8_t>(interval_ms >> shift));
+    ASSERT_TRUE(peer.send(openigtlink::encode("STT_POLYDATA", "Viewer", 0, body)));
+    for (const char* type : {"RTS_POLYDATA", "POLYDATA"}) {
+      ASSERT_EQ(peer.receive_header(), type);
+      peer.skip_body();
+    }
+  };
+  follow(seldom, 60'000);
+  follow(often, 0);
+  for (int i = 0; i < 8; ++i) {
+    ++state;
+    ASSERT_EQ(often.receive_header(), "POLYDATA");
+    often.skip_body();
+  }
+  EXPECT_TRUE(stream::eventually([&] { return count("surfaces") >= 1 + 9; }));
+  EXPECT_EQ(count("surfaces"), 1u + 9u);
+}
+
+TEST_F(OpenIgtLink, NobodyGetsASurfaceThatIsNotOffered) {
+  OpenIgtLinkOptions options;
+  options.surface = "never";
+  options.surface_hz = 50;
+  start(options);
+  LibraryPeer peer(input->port());
+  ASSERT_TRUE(peer.send(tests::get_polydata()));
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_TRUE(peer.send(openigtlink::encode("STT_POLYDATA", "Viewer", 0, Packed(4))));
+    ASSERT_EQ(peer.receive_header(), "RTS_POLYDATA");
+    peer.skip_body();
+    std::this_thread::sleep_for(50ms);
+  }
+  EXPECT_EQ(requests, 0);
 }
 
 TEST_F(OpenIgtLink, TheSurfaceGoesToAllWhereThatIsConfiguredAndNotTooOften) {
