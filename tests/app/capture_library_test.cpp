@@ -121,6 +121,11 @@ TEST_F(CaptureLibraryTest, ScrubbedForthAndBackEachRevisionIsTheSame) {
   ask(viewer, ReplayAction::Seek, last_ + 100);
   follow(viewer, last_);
   EXPECT_EQ(viewer.replica.compute_state_hash(), hash_);
+  // A speed beyond the limits is the limit.
+  ask(viewer, ReplayAction::Seek, 0);
+  follow(viewer, 0);
+  ask(viewer, ReplayAction::Play, 0, 1e6F);
+  EXPECT_EQ(follow(viewer, last_).speed, 1000);
 }
 
 TEST_F(CaptureLibraryTest, PlaysToItsEndWhileTheLiveMeshIsCutForTheOthers) {

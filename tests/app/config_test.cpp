@@ -232,6 +232,9 @@ const Malformed kMalformed[] = {
     {"{\"openigtlink\": {\"connect\": [\"tracker\"]}}", {"openigtlink.connect", "tracker", "host:port"}},
     {"{\"openigtlink\": {\"connect\": [\"tracker:0\"]}}", {"openigtlink.connect", "tracker:0"}},
     {"{\"openigtlink\": {\"connect\": [\"tracker:18944x\"]}}", {"openigtlink.connect"}},
+    {"{\"openigtlink\": {\"connect\": [\"tracker:65536\"]}}", {"openigtlink.connect", "tracker:65536"}},
+    {"{\"openigtlink\": {\"rotation\": [0.9, 0, 0, 0]}}", {"openigtlink.rotation", "unit quaternion"}},
+    {"{\"mesh\": {\"path\": \"a.node\\u0000b\"}}", {"mesh.path"}},
     {"{\"openigtlink\": {\"engage\": \"button\"}}", {"openigtlink.engage", "string"}},
     {"{\"openigtlink\": {\"rotation\": [0, 0, 0, 0]}}", {"openigtlink.rotation", "unit quaternion"}},
     {"{\"openigtlink\": {\"scale\": 0}}", {"openigtlink.scale"}},
@@ -291,6 +294,14 @@ TEST(Config, CheckAsksForWhatAServerNeeds) {
       std::string::npos);
   EXPECT_EQ(error(R"({"mesh": {"phantom": "slab"}, "listen": {"address": "0.0.0.0", "insecure": true}})"),
             "");
+  // Beyond loopback tokens alone are not enough.
+  const std::filesystem::path tokens =
+      std::filesystem::path(::testing::TempDir()) / "config_test_tokens.json";
+  std::ofstream(tokens) << R"([{"token": "sixteen letters or more", "roles": ["viewer"]}])";
+  EXPECT_NE(error(R"({"mesh": {"phantom": "slab"}, "listen": {"address": "0.0.0.0", "token_file": ")" +
+                  tokens.string() + R"("}})")
+                .find("listen.insecure"),
+            std::string::npos);
   const std::string peers =
       R"({"mesh": {"phantom": "slab"}, "openigtlink": {"port": 18944, "address": "0.0.0.0"})";
 #ifdef INCISE_OPENIGTLINK

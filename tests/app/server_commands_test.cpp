@@ -132,11 +132,13 @@ TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
   // The rest: the start is refused at once, although the body would take minutes to make.
   write("tokens.json", R"([{"token": "short", "roles": ["viewer"]}])");
   write("roles.json", R"([{"token": "sixteen letters or more", "roles": ["metric"]}])");
+  write("rights.json", R"([{"token": "sixteen letters or more", "roles": []}])");
   write("server.pem", "no certificate");
   fs::create_directories(dir_ / "place");
   const std::vector<std::pair<std::string, std::string>> faults{
       {R"(, "listen": {"token_file": "tokens.json"})", "listen.token_file"},
       {R"(, "listen": {"token_file": "roles.json"})", "\"metrics\""},
+      {R"(, "listen": {"token_file": "rights.json"})", "no roles"},
       {R"(, "listen": {"token_file": "place"})", "listen.token_file"},
       {R"(, "listen": {"certificate_file": "server.pem", "private_key_file": "server.pem"})",
        "listen.certificate_file"},

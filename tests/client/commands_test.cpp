@@ -302,7 +302,7 @@ TEST(Watch, AServerThatComesBackIsSaidToOnce) {
       if (!peer->receive_until<protocol::Hello>()) return;
       play(*peer, Watched::recording().welcome);
       peer->receive_until<protocol::Ping>();
-      std::this_thread::sleep_for(std::chrono::milliseconds(300));  // until connect() has returned
+      std::this_thread::sleep_for(std::chrono::seconds(1));  // until connect() has returned
     }
     const auto peer = listener.accept();
     if (!peer->receive_until<protocol::Hello>()) return;

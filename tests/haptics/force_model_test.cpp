@@ -71,6 +71,11 @@ class Hand {
 
   const Feel& feel() const { return feel_; }
   const core::Pose& pose() const { return pose_; }
+  // The tool is elsewhere at its next pose, and did not move there.
+  void jump() {
+    model_.jump();
+    has_pose_ = false;
+  }
   double work() const { return work_; }
   void begin_account() { work_ = 0; }
   double largest_step() const { return largest_step_; }
@@ -295,6 +300,26 @@ TEST(ForceModel, FrictionEndsWithTheMotion) {
   ASSERT_GT(sliding, 0.01);
   for (int i = 0; i < 50; ++i) hand.wait();
   EXPECT_LT(length(hand.feel().force), 0.01 * sliding);
+}
+
+TEST(ForceModel, AJumpEndsTheMotionAndItsFriction) {
+  Hand hand(tests::long_blade(kSize));
+  hand.to({0.05, -0.01, 0.12});
+  EXPECT_GT(length(hand.slide({0.05, 0.05, 0.12}, 0.2).force), 0);
+  hand.jump();
+  EXPECT_EQ(length(hand.to({0.08, 0.05, 0.12}).force), 0);
+}
+
+// A blade that is far behind where it has cut feels what is there, not its front: the map of cuts knows the way by then.
+TEST(ForceModel, AFrontFarAheadIsForgotten) {
+  Hand hand(tests::long_blade(kSize), false);  // which no cut opens
+  hand.to({0.05, -0.01, 0.12});
+  hand.slide({0.05, 0.07, 0.12}, 0.05);
+  hand.slide({0.05, 0.055, 0.12}, 0.05);
+  const double near_front = length(hand.slide({0.05, 0.06, 0.12}, 0.05).force);
+  hand.slide({0.05, 0.02, 0.12}, 0.05);
+  const double far_behind = length(hand.slide({0.05, 0.025, 0.12}, 0.05).force);
+  EXPECT_GT(far_behind, 2 * near_front);
 }
 
 TEST(ForceModel, ASurfaceDoesNotPull) {

@@ -209,6 +209,8 @@ TEST_F(CheckpointerTest, AResetForgetsWhatWasComputedBefore) {
     record.pose = pose;
     checkpointer->record(record);
   }
+  checkpointer->mark(4, 1, 1, true);
+  EXPECT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->written() == 1; }));
   JournalRecord reset;
   reset.kind = Kind::kReset;
   reset.session = 8;
@@ -216,7 +218,7 @@ TEST_F(CheckpointerTest, AResetForgetsWhatWasComputedBefore) {
   for (const JournalRecord& record : records) checkpointer->record(record);
   checkpointer->mark(5, 1, 2, true);
   EXPECT_TRUE(
-      wait_for(*checkpointer, [&] { return checkpointer->written() == 1 || !checkpointer->following(); }));
+      wait_for(*checkpointer, [&] { return checkpointer->written() == 2 || !checkpointer->following(); }));
   EXPECT_TRUE(checkpointer->following()) << told();
 }
 

@@ -305,7 +305,15 @@ TEST(Capture, AGoodRecordIsFoundAtTheVeryEnd) {
   std::string wrong = record_bytes(1, std::string(10, 'x'));
   wrong.back() ^= 1;
   EXPECT_EQ(read_all(good + wrong).status, Status::Torn);
-  EXPECT_EQ(read_all(good + wrong + record_bytes(5, "")).status, Status::Corrupt) << "an empty note";
+  constexpr int kTypes = std::variant_size_v<CaptureRecord>;
+  for (int type = 1; type <= kTypes; ++type) {
+    EXPECT_EQ(read_all(good + wrong + record_bytes(static_cast<std::uint8_t>(type), "")).status,
+              Status::Corrupt)
+        << "of type " << type;
+  }
+  for (const int type : {0, kTypes + 1})
+    EXPECT_EQ(read_all(good + wrong + record_bytes(static_cast<std::uint8_t>(type), "")).status,
+              Status::Torn);
 }
 
 TEST(Capture, MutationsNeverCrashTheReader) {

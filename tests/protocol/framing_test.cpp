@@ -41,6 +41,21 @@ std::string error_of(const Body& body) {
   return result.error;
 }
 
+// A list that has grown must have its new last one read, too.
+TEST(Framing, EveryReasonCodeAndCauseComesBack) {
+  DecodeResult kept;
+  for (int reason = 0; reason <= static_cast<int>(ByeReason::Refused); ++reason)
+    EXPECT_EQ(static_cast<int>(round_trip(Bye{static_cast<ByeReason>(reason), ""}, kept).reason), reason);
+  for (int code = 0; code <= static_cast<int>(ErrorCode::NotRecorded); ++code)
+    EXPECT_EQ(static_cast<int>(round_trip(Error{static_cast<ErrorCode>(code), "", false, 0}, kept).code),
+              code);
+  for (int cause = 0; cause <= static_cast<int>(SnapshotCause::Subscribe); ++cause) {
+    SnapshotBegin begin;
+    begin.cause = static_cast<SnapshotCause>(cause);
+    EXPECT_EQ(static_cast<int>(round_trip(begin, kept).cause), cause);
+  }
+}
+
 TEST(Framing, EveryMessageComesBackTheSame) {
   ASSERT_EQ(samples::messages().size(), std::variant_size_v<Body>);
   std::size_t index = 0;

@@ -161,6 +161,38 @@ TEST(MeshChange, ItsBytesGrowWithWhatItHolds) {
   EXPECT_EQ(bytes(), before + 1600);
 }
 
+TEST(MeshChange, StepsInARowAddUp) {
+  MeshChange all, next;
+  all.base_revision = 3;
+  all.revision = 4;
+  all.tets = {1};
+  all.cut_moved = {5};
+  all.deformed = true;
+  all.travel_m = 0.5;
+  next.base_revision = 4;
+  next.revision = 5;
+  next.tets = {2, 3};
+  next.deformed = true;
+  next.travel_m = 0.25;
+  next.vertex_count = 8;
+  next.live_tets = 9;
+  next.state_hash = 10;
+  all.append(next);
+  next.deformed = false;
+  next.travel_m = 0;
+  next.revision = 6;
+  all.append(next);
+  EXPECT_EQ(all.base_revision, 3u);
+  EXPECT_EQ(all.revision, 6u);
+  EXPECT_EQ(all.tets, (std::vector<std::uint32_t>{1, 2, 3, 2, 3}));
+  EXPECT_EQ(all.cut_moved, (std::vector<std::uint32_t>{5}));
+  EXPECT_TRUE(all.deformed);
+  EXPECT_EQ(all.travel_m, 0.75) << "a vertex may move on in the same direction";
+  EXPECT_EQ(all.vertex_count, 8u);
+  EXPECT_EQ(all.live_tets, 9u);
+  EXPECT_EQ(all.state_hash, 10u);
+}
+
 TEST(VolumePart, ABadDeltaChangesNothing) {
   VolumeView view;
   view.load(samples::two_tets(0).replica());

@@ -140,7 +140,7 @@ struct BusyBox final : BoxHolder {
 TEST(BoxTurns, TheBoxThatTookLongestIsRefusedFirst) {
   asio::io_context io{1};
   SharedCounters counters;
-  BoxTurns turns(io, 0.01, counters);
+  BoxTurns turns(io, 0.001, counters);
   const auto quick = std::make_shared<BusyBox>(100'000), slow = std::make_shared<BusyBox>(30'000'000);
   const auto run_until = [&io](const auto& condition) {
     for (; !condition(); io.restart()) io.run_one();
@@ -149,7 +149,7 @@ TEST(BoxTurns, TheBoxThatTookLongestIsRefusedFirst) {
     turns.ask(box);
     run_until([&box] { return box->turns > 0; });
   }
-  // The slow one's turn has used up the time of the next 3 s, and none may wait for more than 2.
+  // The slow one's turn has used up the time of the next 30 s, and none may wait for more than 2.
   turns.ask(quick);
   turns.ask(slow);
   run_until([&] { return quick->lost || slow->lost; });
