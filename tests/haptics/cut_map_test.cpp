@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <utility>
 
 namespace incise::haptics {
 namespace {
@@ -50,17 +51,16 @@ TEST(CutMap, KeepsDirectionsApart) {
   EXPECT_NE(map.at(p) & CutMap::along(along_z), 0);
 }
 
-// An edge is within a cut that it meets at less than some 40 degrees, and crosses one that it meets at more.
-TEST(CutMap, AnEdgeIsWithinACutThatItMeetsAtASmallAngle) {
+// An edge is within a cut that it meets at 35 degrees, and crosses one that it meets at 58: two directions that the map keeps exactly.
+TEST(CutMap, FortyDegreesAreBetweenWithinAndAcross) {
+  const double g = 0.5 * (1 + std::sqrt(5.0));
   const Vec3 p{0.5, 0.5, 0.5}, edge{0, 0, 1};
-  for (const int degrees : {10, 20, 60, 75}) {
-    // A face through p that meets the edge at this angle.
-    const double a = degrees * 3.14159265358979 / 180;
-    const Vec3 u{0, 0.2, 0}, v{0.2 * std::sin(a), 0, 0.2 * std::cos(a)};
+  for (const auto& [normal, within] : {std::pair(Vec3{1, 1, 1}, true), std::pair(Vec3{0, 1, g}, false)}) {
+    const Vec3 u = 0.2 * normalized(cross(normal, Vec3{1, 0, 0})), v = 0.2 * normalized(cross(normal, u));
     CutMap map(kLow, kHigh, kH);
     map.mark(p - 0.3 * u - 0.3 * v, p + 0.7 * u - 0.3 * v, p - 0.3 * u + 0.7 * v);
-    ASSERT_NE(map.at(p), 0) << degrees;
-    EXPECT_EQ((map.at(p) & CutMap::along(edge)) != 0, degrees < 40) << degrees;
+    ASSERT_NE(map.at(p), 0);
+    EXPECT_EQ((map.at(p) & CutMap::along(edge)) != 0, within) << normal.z;
   }
 }
 

@@ -2,6 +2,7 @@
 
 // A TCP peer that may send anything, by plain sockets: what the client library would never do.
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -38,11 +39,13 @@ class RawPeer {
   };
   // The next message; nothing at the end of the stream or of the time.
   std::optional<Message> receive();
-  // Messages until one of type T comes.
+  // Messages until one of type T comes, for half a minute: a server may send others for ever.
   template <class T>
   std::optional<Message> receive_until() {
-    while (auto received = receive()) {
-      if (std::holds_alternative<T>(received->message.body)) return received;
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+    while (std::chrono::steady_clock::now() < end) {
+      auto received = receive();
+      if (!received || std::holds_alternative<T>(received->message.body)) return received;
     }
     return std::nullopt;
   }

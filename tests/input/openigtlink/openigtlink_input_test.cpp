@@ -228,6 +228,8 @@ TEST_F(OpenIgtLink, AMessageOfMoreThanAGigabyteEndsItsConnection) {
   for (std::size_t i = 0; i < 8; ++i) header[42 + i] = static_cast<std::uint8_t>(bytes >> (56 - 8 * i));
   ASSERT_TRUE(peer.send(std::as_bytes(std::span(header))));
   EXPECT_TRUE(peer.closes());
+  EXPECT_TRUE(stream::eventually([&] { return input->status().peers.empty(); }));
+  EXPECT_EQ(count("unfinished"), 0u) << "at once, not after the time that a message may take";
 }
 
 TEST_F(OpenIgtLink, APeerOutOfStepIsLetGoAndOthersGoOn) {
