@@ -1,0 +1,84 @@
+// What a capture's records become when they are read to be replayed.
+
+#include "server/app/offline/recorded_motion.hpp"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+
+#include "protocol/capture.hpp"
+
+namespace incise::app {
+namespace {
+
+namespace fs = std::filesystem;
+using protocol::Times;
+
+protocol::PoseRecord pose(std::int64_t t_ns, std::uint32_t source = 0) {
+  protocol::PoseRecord record;
+  record.source = source;
+  record.pose.source_ns = t_ns;
+  return record;
+}
+
+protocol::BatchMark mark(std::uint64_t revision) {
+  protocol::BatchMark record;
+  record.revision = revision;
+  return record;
+}
+
+class RecordedMotionTest : public ::testing::Test {
+ protected:
+  ~RecordedMotionTest() override { fs::remove(path_); }
+  RecordedMotion read(const std::vector<protocol::CaptureRecord>& records, Times times = Times::kSkip) {
+    protocol::FileSink sink(path_, true);
+    protocol::CaptureHeader header;
+    header.config_json = "{}";
+    header.session = 5;
+    protocol::CaptureWriter writer(sink, header);
+    for (const protocol::CaptureRecord& record : records) writer.append(record);
+    EXPECT_FALSE(writer.flush());
+    return read_recorded_motion(path_, times);
+  }
+  const std::string path_ =
+      (fs::temp_directory_path() / ("incise_motion_" + std::to_string(::getpid()) + ".capture")).string();
+};
+
+TEST_F(RecordedMotionTest, OnlyWhatCameAfterTheLastResetIsReplayed) {
+  const RecordedMotion motion =
+      read({pose(1), mark(1), protocol::CheckpointRecord{7}, protocol::GapRecord{3, 0, 0, 0, "full"}, pose(2),
+            protocol::ResetRecord{6, 0}, pose(3), pose(4), mark(1), mark(2)});
+  EXPECT_EQ(motion.resets, 1u);
+  EXPECT_EQ(motion.session, 6u);
+  EXPECT_FALSE(motion.gap);
+  EXPECT_TRUE(motion.checkpoints.empty());
+  ASSERT_EQ(motion.events.size(), 2u);
+  EXPECT_EQ(motion.events[0].pose.t_ns, 3);
+  ASSERT_EQ(motion.marks.size(), 2u);
+  EXPECT_EQ(motion.marks[1].revision, 2u);
+}
+
+TEST_F(RecordedMotionTest, NothingAfterAGapIsReplayed) {
+  const RecordedMotion motion =
+      read({pose(1), mark(1), protocol::GapRecord{3, 0, 0, 0, "full"}, pose(2), mark(2)});
+  ASSERT_TRUE(motion.gap);
+  EXPECT_NE(motion.gap->text.find("3 records are missing after record 2 (full)"), std::string::npos)
+      << motion.gap->text;
+  EXPECT_EQ(motion.events.size(), 1u);
+  EXPECT_EQ(motion.marks.size(), 1u);
+}
+
+// Times rise for each source, and begin again where it is opened again.
+TEST_F(RecordedMotionTest, EachSourceHasItsClockAndEachOwnerAnother) {
+  protocol::StrokeRecord hand_over;
+  hand_over.action = protocol::StrokeAction::HandOver;
+  EXPECT_EQ(read({pose(5), pose(3, 1), pose(6), pose(4, 1)}, Times::kRefuse).events.size(), 4u);
+  EXPECT_EQ(read({pose(5), protocol::BladeRecord{}, pose(1)}, Times::kRefuse).events.size(), 3u);
+  EXPECT_EQ(read({pose(5), hand_over, pose(1)}, Times::kRefuse).events.size(), 3u);
+  EXPECT_THROW(read({pose(5), pose(5)}, Times::kRefuse), std::runtime_error);
+  EXPECT_EQ(read({pose(5), pose(5)}).events.size(), 2u);
+}
+
+}  // namespace
+}  // namespace incise::app
