@@ -176,7 +176,7 @@ test("a stroke that begins beside the body comes in where the hand does", () => 
 });
 
 test("where one part is in front of another the blade does not jump", () => {
-  const { mouse, poses, draw, hand } = scene();
+  const { mouse, poses, hand } = scene();
   mouse.depth_m = 0.01;
   const steps = () => poses.slice(1).map((p, i) => Math.abs(p.tip.z - poses[i].tip.z));
   hand("pointerdown", 180, 200);

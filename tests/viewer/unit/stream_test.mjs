@@ -344,7 +344,10 @@ test("the tetrahedra follow their deltas; one that does not fit is asked for aga
   sockets[0].receive(welcome());
   const snapshot = (revision) => {
     sockets[0].receive(
-      message(Body.SnapshotBegin, (b) => (SnapshotBegin.startSnapshotBegin(b), SnapshotBegin.endSnapshotBegin(b))),
+      message(Body.SnapshotBegin, (b) => {
+        SnapshotBegin.startSnapshotBegin(b);
+        return SnapshotBegin.endSnapshotBegin(b);
+      }),
     );
     assert.equal(builder.elements, null);
     sockets[0].receive(
