@@ -291,7 +291,10 @@ TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
     p50 = std::max(p50, line["pose_to_cut_ms"]["p50"].get<double>());
     p99 = std::max(p99, line["pose_to_cut_ms"]["p99"].get<double>());
   }
-  EXPECT_NEAR(p99, static_cast<double>(Watched::recording().steps.size()), 1e-6);
+  // The watcher ends when it has seen the last step, which may not be counted yet.
+  const auto steps = static_cast<double>(Watched::recording().steps.size());
+  EXPECT_LT(p99, steps + 0.5);
+  EXPECT_GT(p99, steps - 1.5);
   EXPECT_GT(p50, 1.5);
 }
 
