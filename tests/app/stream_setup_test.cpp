@@ -188,8 +188,9 @@ TEST(Telemetry, EachFigureIsItsOwn) {
                                                           {"deltas_blocked", loop::kDeltasBlocked},
                                                           {"journal_blocked", loop::kJournalBlocked}};
   for (const auto& [name, flag] : limits) {
-    for (const auto& [key, value] : at(flag)["limits"].items())
-      EXPECT_EQ(value.get<bool>(), key == name) << key;
+    const nlohmann::json told = at(flag)["limits"];
+    EXPECT_EQ(told.size(), std::size(limits));
+    for (const auto& [key, value] : told.items()) EXPECT_EQ(value.get<bool>(), key == name) << key;
   }
   const protocol::Stats message = telemetry.message();
   EXPECT_EQ(message.live_tets, 2u);

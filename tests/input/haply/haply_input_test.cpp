@@ -46,6 +46,8 @@ TEST(HaplyMessages, AStateOfAnInverse3AndItsGrip) {
   grip["buttons"] = {{"a", false}, {"b", true}, {"c", true}};
   state = good(message);
   EXPECT_EQ(state.buttons, 6u);
+  message["inverse3"][0]["device_id"] = std::string(100, 'x') + "\n";
+  EXPECT_EQ(good(message).device, std::string(64, 'x'));
   grip["buttons"] = {{"button_0", true}, {"button_3", true}};
   EXPECT_EQ(good(message).buttons, 9u);
   EXPECT_NEAR(state.orientation.y, 0.8, 1e-12);
