@@ -366,7 +366,9 @@ TEST(Server, GarbageIsAnsweredAndTheRestLives) {
   EXPECT_EQ(answer_to(test, bytes(std::string_view("\xff\xff\xff\xff", 4))), ErrorCode::TooLong);
   // A stranger may send a few kilobytes, not the megabyte that a session may.
   EXPECT_EQ(answer_to(test, bytes(std::string_view("\0\0\x08\0", 4))), ErrorCode::TooLong);
-  EXPECT_EQ(answer_to(test, bytes(std::string("\x20\0\0\0", 4) + std::string(32, 'x'))), ErrorCode::BadFrame);
+  std::string no_message(36, 'x');
+  no_message.replace(0, 4, std::string_view("\x20\0\0\0", 4));
+  EXPECT_EQ(answer_to(test, bytes(no_message)), ErrorCode::BadFrame);
 
   // Every kind of damage to a good Hello: each an answer or a goodbye, never a silent hang, never a death.
   const protocol::Frame good = protocol::encode(hello(Role::Viewer, View::Volume), {1, 0});
