@@ -56,7 +56,9 @@ TetMesh::TetMesh(const MeshData& data) {
   log_.resize(tet_count);
   // Until the log begins its first step all is new to it, and nothing is recorded.
   build_adjacency();
+  find_boundary();
   split_initial_vertices();
+  if (initial_vertex_copies_ > 0) find_boundary();
   log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
 }
 
@@ -117,6 +119,15 @@ void TetMesh::build_adjacency() {
       if (end - it == 2) link(it->h, (it + 1)->h);
       it = end;
     }
+  }
+}
+
+void TetMesh::find_boundary() {
+  at_boundary_.reserve(room_for(vertices_.size()));
+  at_boundary_.assign(vertices_.size(), 0);
+  for (HalfFace h = 0; h < 4 * tet_slots(); ++h) {
+    if (!alive(tet_of(h)) || opposite(h) != kNone) continue;
+    for (const VertexId v : face_vertices(h)) at_boundary_[v] = 1;
   }
 }
 
@@ -196,6 +207,7 @@ void TetMesh::archive(Archive& io) {
   if (deformed()) grow_to(rest_, rest_.size());
   grow_to(tets_, tets_.size());
   grow_to(attributes_, tets_.size());
+  find_boundary();
   vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
   tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
   log_.reserve(room_for(tets_.size()));

@@ -12,6 +12,7 @@ void TetMesh::link(HalfFace a, HalfFace b) {
 VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance, float h) {
   const VertexId v = vertex_slots();
   vertices_.push_back({position, kNone, h});
+  at_boundary_.push_back(0);
   vertex_marks_.push_back();
   log_.add_vertex(provenance);
   if (deformed()) rest_.push_back(lerp(rest_[provenance.a], rest_[provenance.b], provenance.t));
@@ -68,6 +69,8 @@ VertexId TetMesh::split_edge(TetId from, VertexId a, VertexId b, double t) {
         const std::size_t next = r + 1 == n ? 0 : r + 1, previous = r == 0 ? n - 1 : r - 1;
         const std::size_t q = ring_scratch_[next] == other ? next : previous;
         tets_[far].opposite[k] = half_face(first_half + static_cast<TetId>(q), face_of(h_near));
+      } else if (k != j) {
+        at_boundary_[m] = 1;
       }
     }
     link(half_face(near, i), half_face(far, j));
@@ -213,6 +216,7 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
     vertices_[w].tet = t;
   }
   vertices_[v].tet = kNone;
+  at_boundary_[w] |= std::exchange(at_boundary_[v], std::uint8_t{0});
 }
 
 void TetMesh::begin_noting(std::size_t max_corners) {
@@ -241,6 +245,7 @@ void TetMesh::open_side(HalfFace side) {
   attributes_[t].cut_mask |= static_cast<std::uint8_t>(1u << face_of(side));
   for (const int i : kFaceVertices[face_of(side)])
     note_corner(tets_[t].vertices[i], 4 * t + static_cast<std::uint32_t>(i));
+  for (const VertexId v : face_vertices(side)) at_boundary_[v] = 1;
 }
 
 void TetMesh::split_noted_stars() {
@@ -256,6 +261,7 @@ void TetMesh::split_noted_stars() {
       component(v, t, mark, star_scratch_);
       const VertexId copy = add_vertex(vertices_[v].position, {v, v, 0}, vertices_[v].h);
       vertices_[copy].tet = t;
+      at_boundary_[copy] = at_boundary_[v];
       for (const Corner corner : star_scratch_) {
         log_.touch_tet(*this, tet_of(corner));
         tets_[tet_of(corner)].vertices[index_of(corner)] = copy;

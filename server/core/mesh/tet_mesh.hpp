@@ -83,6 +83,8 @@ class TetMesh {
   TetId vertex_tet(VertexId v) const { return vertices_[v].tet; }
   // Mean length of the edges at v when v came into being, m.
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
+  // Whether a face at v has nothing on its other side. O(1).
+  bool at_boundary(VertexId v) const { return at_boundary_[v] != 0; }
 
   // For what will be read soon.
   void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
@@ -252,6 +254,7 @@ class TetMesh {
   void measure_edges();
   void build_adjacency();
   void split_initial_vertices();
+  void find_boundary();
   void check_restored(Archive& io);
   // mesh_edit.cpp
   void link(HalfFace a, HalfFace b);
@@ -271,7 +274,8 @@ class TetMesh {
   void component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const;
 
   std::vector<Vertex> vertices_;
-  std::vector<Vec3> rest_;  // by vertex, once deformed
+  std::vector<std::uint8_t> at_boundary_;  // by vertex
+  std::vector<Vec3> rest_;                 // likewise, once deformed
   std::vector<Tet> tets_;
   std::vector<Attributes> attributes_;
   std::uint32_t live_tets_ = 0;

@@ -50,9 +50,13 @@ std::string check_tet(const TetMesh& mesh, TetId t, bool orientation) {
 std::string check_star(const TetMesh& mesh, VertexId v, std::vector<std::uint32_t>& star) {
   const TetId t = mesh.vertex_tet(v);
   if (t == kNone || !mesh.alive(t) || mesh.local_index(t, v) < 0) {
-    return "vertex " + std::to_string(v) + " names a tetrahedron that has it not";
+    return "vertex " + std::to_string(v) + " names a tetrahedron that does not have it";
   }
   mesh.star(v, star);
+  const bool at_boundary = std::ranges::any_of(
+      star, [&](Corner c) { return (mesh.boundary_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
+  if (mesh.at_boundary(v) != at_boundary)
+    return "vertex " + std::to_string(v) + (at_boundary ? " is" : " is not") + " at the boundary";
   return {};
 }
 
