@@ -121,7 +121,14 @@ class Judge {
     may.compare(piece_at_, off2_, deep2, deep2);
     find_joined(must);
     find_torn();
-    find_crumbs(must, may);
+    // What hangs together by a neck that is thinner than what is closed may come apart there.
+    std::vector<std::uint8_t> wide(body_.grid.size());
+    const double neck2 = kClosed_h * kClosed_h * h_ * h_ / 4;
+    for (std::size_t i = 0; i < wide.size(); ++i) wide[i] = body_.inside[i] && off2_[i] > neck2;
+    Parts apart;
+    apart.lay_out(body_.grid, may_close_, wide);
+    apart.compare(piece_at_, off2_, deep2, deep2);
+    find_crumbs(must, may, apart);
     measure_deviation();
     return verdict_;
   }
@@ -173,7 +180,6 @@ class Judge {
     std::uint32_t count = 0;
     labels_ = core::label_pieces(mesh_, &count);
     piece_tets_.assign(count, 0);
-    piece_points_.assign(count, 0);
     example_.assign(count, kNone);
     piece_at_.assign(body_.grid.size(), kNone);
     for_each_live_tet(mesh_, [&](TetId t, const Vec3(&p)[4]) {
@@ -183,7 +189,6 @@ class Judge {
     });
     for (std::size_t i = 0; i < piece_at_.size(); ++i) {
       if (!body_.inside[i]) piece_at_[i] = kNone;
-      if (piece_at_[i] != kNone) ++piece_points_[piece_at_[i]];
     }
   }
 
@@ -247,20 +252,23 @@ class Judge {
 
   // Pieces that are no part of the geometry: none that has half of its points there, and half of it, or of what is thick in it, in the
   // piece.
-  void find_crumbs(const Parts& must, const Parts& may) {
+  void find_crumbs(const Parts& must, const Parts& may, const Parts& apart) {
     std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
     const auto accept = [&](const Parts& parts, std::uint64_t least_thick) {
+      std::vector<std::uint64_t> points_of(piece_tets_.size(), 0);
+      for (const auto& [where, shared] : parts.in_piece) points_of[where.second] += shared.points;
       for (const auto& [where, shared] : parts.in_piece) {
         const auto [part, piece] = where;
         // The thin end of a wedge between two surfaces is one with them.
         const bool most_of_it =
             2 * shared.points >= parts.points[part] || 2 * shared.thick >= parts.thick[part];
-        if (parts.thick[part] >= least_thick && most_of_it && 2 * shared.points >= piece_points_[piece])
+        if (parts.thick[part] >= least_thick && most_of_it && 2 * shared.points >= points_of[piece])
           is_part[piece] = 1;
       }
     };
     accept(must, 1);
     accept(may, 16);
+    accept(apart, 16);
     // The largest is what is left of the body, wherever it was cut.
     is_part[static_cast<std::size_t>(std::max_element(piece_tets_.begin(), piece_tets_.end()) -
                                      piece_tets_.begin())] = 1;
@@ -331,7 +339,6 @@ class Judge {
   Walls closed_, may_close_;
   std::vector<float> off2_;  // by point: from the nearest surface, squared, where it is near
   std::vector<std::uint32_t> labels_, piece_tets_, piece_at_;
-  std::vector<std::uint64_t> piece_points_;
   std::vector<TetId> example_;  // a tetrahedron of each piece
   Verdict verdict_;
 };

@@ -160,7 +160,7 @@ class Maker {
   static Point turned(const Point& p, double angle) {
     return {p.x * std::cos(angle) - p.y * std::sin(angle), p.x * std::sin(angle) + p.y * std::cos(angle)};
   }
-  void go_to(Way& way, const Point& to) const {
+  void go_to(Way& way, Point to) const {
     const Point from = way.back();
     const int n =
         std::max(1, static_cast<int>(std::ceil(std::hypot(to.x - from.x, to.y - from.y) / meeting_.step_h)));
