@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "server/core/cut/sweep_ends.hpp"
 #include "server/core/mesh/boundary_grid.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/util/archive.hpp"
@@ -23,8 +24,7 @@ struct CutWorkspace {
     std::uint32_t crossings = 0;       // the collection that first_crossing belongs to
     std::uint32_t looked_at = 0;       // the scan that found out whether it is near the blade (ActiveSet)
     std::uint32_t tried = 0;           // the repairs in which moving it, as its star is now, was of no use
-    std::uint32_t at_boundary = 0;  // the scan that found it at the boundary, or that + 1: not (ClosingStage)
-    bool hot = false;               // looked_at: it is near
+    bool hot = false;                  // looked_at: it is near
   };
   struct TetMarks {
     std::uint32_t pass = 0;    // the last pass that has it (TetPass)
@@ -46,7 +46,7 @@ struct CutWorkspace {
       VertexMarks marks;
       if (mesh.is_new(v) && mesh.provenance(v).a == mesh.provenance(v).b) {
         marks = vertices[mesh.provenance(v).a];
-        marks.crossings = marks.looked_at = marks.at_boundary = 0;
+        marks.crossings = marks.looked_at = 0;
       }
       vertices.push_back(marks);
     }
@@ -56,6 +56,7 @@ struct CutWorkspace {
 
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
+    ends.archive(io);
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
@@ -73,6 +74,7 @@ struct CutWorkspace {
   }
 
   BoundaryGrid grid;
+  SweepEnds ends;
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

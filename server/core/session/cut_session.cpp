@@ -96,6 +96,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   committed_counts_ = {};
   describe(delta);
   mover_.commit(delta);
+  workspace_.ends.clear();
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE
   const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);

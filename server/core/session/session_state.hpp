@@ -16,7 +16,7 @@ namespace incise::core {
 // the ids and hashes that the saved one would have given. Little-endian. Each class's archive() lists its
 // members: one that lives from one batch to the next belongs there. Raise the version when such a list
 // changes: older bytes are then refused.
-inline constexpr std::uint32_t kSessionStateVersion = 6;
+inline constexpr std::uint32_t kSessionStateVersion = 7;
 
 // No batch may wait (advance() returns kIdle): a batch under way cannot be saved. O(mesh).
 std::vector<std::byte> save_session(const CutSession& session);

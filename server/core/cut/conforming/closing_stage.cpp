@@ -1,6 +1,7 @@
 #include "server/core/cut/conforming/closing_stage.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 #include "server/core/cut/conforming/islands.hpp"
@@ -10,13 +11,16 @@ namespace incise::core {
 using namespace tolerance;
 
 void ClosingStage::begin(std::span<const HalfFace> opened) {
-  opened_.assign(opened.begin(), opened.end());
+  around_.clear();
+  for (HalfFace h : opened) {
+    const auto face = mesh_.face_vertices(h);
+    around_.insert(around_.end(), face.begin(), face.end());
+  }
+  std::sort(around_.begin(), around_.end());
+  around_.erase(std::unique(around_.begin(), around_.end()), around_.end());
   gaps_.clear();
   faces_.clear();
   pass_.begin();
-  // Two numbers: at the boundary, and not.
-  scan_ = cut_.workspace.next_serial();
-  cut_.workspace.next_serial();
   go(Phase::kCollect);
 }
 
@@ -39,18 +43,12 @@ bool ClosingStage::advance(WorkBudget& budget) {
 
 // The faces around the vertices of what has opened, and those that have waited.
 bool ClosingStage::collect(WorkBudget& budget) {
-  for (; next_ < opened_.size(); ++next_) {
+  for (; next_ < around_.size(); ++next_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
-    for (VertexId v : mesh_.face_vertices(opened_[next_])) {
-      mesh_.star(v, star_);
-      cut_.work += cost::kLook;
-      for (Corner c : star_) {
-        if (!pass_.insert(tet_of(c))) continue;
-        cut_.work += cost::kLook;
-        for (int f = 0; f < 4; ++f) consider(half_face(tet_of(c), f));
-      }
-    }
+    mesh_.star(around_[next_], star_);
+    cut_.work.add(star_.size(), cost::kStarCornersAUnit);
+    for (Corner c : star_) consider_faces(tet_of(c));
   }
   waited_.swap(waiting_);
   for (const Waiting& w : waited_) {
@@ -59,21 +57,34 @@ bool ClosingStage::collect(WorkBudget& budget) {
       continue;
     }
     set_waits(w.face, false);
-    if (mesh_.alive(tet_of(w.face))) consider(w.face);
+    if (mesh_.alive(tet_of(w.face)) && all_at_boundary(w.face)) consider(w.face);
   }
   waited_.clear();
   return true;
 }
 
+// Only a tetrahedron with three vertices at the boundary has such a face: few have.
+void ClosingStage::consider_faces(TetId t) {
+  unsigned inside = 0;  // bit i: vertex i is
+  const auto& v = mesh_.vertices(t);
+  for (unsigned i = 0; i < 4; ++i) inside |= (mesh_.at_boundary(v[i]) ? 0u : 1u) << i;
+  if (std::popcount(inside) > 1 || !pass_.insert(t)) return;
+  cut_.work += cost::kLook;
+  for (int f = 0; f < 4; ++f) {
+    if ((inside & ~(1u << f)) == 0) consider(half_face(t, f));
+  }
+}
+
 // A face near the blade is listed once, however often its neighbours open.
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
-  if (o == kNone || waits(h) || cut_.is_pending(h) || !all_at_boundary(h) || has_to_wait(h)) return;
+  if (o == kNone || waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
   double off_m = 0;
-  if (!may_close(h, off_m)) return;
+  bool meets = false;
+  if (!may_close(h, off_m, meets)) return;
   cut_.set_pending(h);
   cut_.set_pending(o);
-  gaps_.push_back({off_m, h});
+  gaps_.push_back({off_m, h, meets});
 }
 
 // Before the blade all hangs together that it is about to part.
@@ -90,7 +101,7 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side. Where none of it lies at an
 // older cut it has to be nearer.
-bool ClosingStage::may_close(HalfFace h, double& off_m) {
+bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
   const auto v = mesh_.face_vertices(h);
   const Vec3 middle = (1.0 / 3.0) * (mesh_.position(v[0]) + mesh_.position(v[1]) + mesh_.position(v[2]));
   if (!is_near(middle, off_m)) return false;
@@ -98,13 +109,12 @@ bool ClosingStage::may_close(HalfFace h, double& off_m) {
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   if ((a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h) return false;
-  bool meets = false;
   for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
     if (!older && !is_near(mesh_.position(w), off_m)) return false;
   }
-  return meets || off_m <= kAtSkin_h * cut_.h;
+  return true;
 }
 
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {
@@ -116,19 +126,8 @@ bool ClosingStage::is_near(const Vec3& p, double& off_m) {
   return true;
 }
 
-bool ClosingStage::all_at_boundary(HalfFace h) {
-  return std::ranges::all_of(mesh_.face_vertices(h), [this](VertexId v) { return at_boundary(v); });
-}
-
-bool ClosingStage::at_boundary(VertexId v) {
-  std::uint32_t& mark = cut_.workspace.vertices[v].at_boundary;
-  if (mark == scan_ || mark == scan_ + 1) return mark == scan_;
-  cut_.work += cost::kLook;
-  mesh_.star(v, corners_);
-  const bool is = std::ranges::any_of(
-      corners_, [this](Corner c) { return (mesh_.boundary_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
-  mark = is ? scan_ : scan_ + 1;
-  return is;
+bool ClosingStage::all_at_boundary(HalfFace h) const {
+  return std::ranges::all_of(mesh_.face_vertices(h), [this](VertexId v) { return mesh_.at_boundary(v); });
 }
 
 bool ClosingStage::at_older_cut(VertexId v) {
@@ -141,9 +140,12 @@ bool ClosingStage::judge(WorkBudget& budget) {
   while (next_ < gaps_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
-    const auto [off_m, h] = gaps_[next_++];
+    const auto [off_m, h, meets] = gaps_[next_++];
     const HalfFace o = mesh_.opposite(h);
-    if (is_part(tet_of(h), tet_of(o), off_m) && is_part(tet_of(o), tet_of(h), off_m)) {
+    const Part one = part_of(tet_of(h), tet_of(o));
+    const Part other = one == Part::kNoPart ? one : part_of(tet_of(o), tet_of(h));
+    const bool sure = one == Part::kSmall || other == Part::kSmall;
+    if (other != Part::kNoPart && (sure || meets || off_m <= kAtSkin_h * cut_.h)) {
       faces_.push_back(h);
     } else {
       cut_.clear_pending(h);
@@ -153,26 +155,29 @@ bool ClosingStage::judge(WorkBudget& budget) {
   return true;
 }
 
-// Whether what hangs together with `from`, through faces that stay closed, is a part of the tissue without `other`: large, or at least
-// no crumb.
-bool ClosingStage::is_part(TetId from, TetId other, double off_m) {
+// What hangs together with `from`, through faces that stay closed: no part of the tissue that is apart from `other`, or a small
+// one, all of which was looked at, or a large one.
+ClosingStage::Part ClosingStage::part_of(TetId from, TetId other) {
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
   bool deep = false;
+  double volume_m3 = 0;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     const TetId t = queue_[i];
     cut_.work += cost::kLook;
     deep = deep || !is_shallow(cut_, t, kOne_h * cut_.h);
+    volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(t, f));
       if (o == kNone || cut_.is_pending(o)) continue;
-      if (tet_of(o) == other) return false;
+      if (tet_of(o) == other) return Part::kNoPart;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
-    if (queue_.size() > kMaxWay) return true;
+    if (queue_.size() > kMaxWay) return Part::kLarge;
   }
-  return deep && off_m <= kSure_h * cut_.h;
+  const double least_m3 = kLeastPart_h3 * cut_.h * cut_.h * cut_.h;
+  return deep && volume_m3 >= least_m3 ? Part::kSmall : Part::kNoPart;
 }
 
 bool ClosingStage::open(WorkBudget& budget) {

@@ -27,11 +27,13 @@ class ClosingStage {
 
  private:
   enum class Phase { kCollect, kJudge, kOpen };
+  enum class Part { kNoPart, kSmall, kLarge };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
   struct Gap {
     double off_m;
     HalfFace face;
+    bool meets;  // an older cut
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
@@ -50,6 +52,7 @@ class ClosingStage {
   bool collect(WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool open(WorkBudget& budget);
+  void consider_faces(TetId t);
   void consider(HalfFace h);
   bool has_to_wait(HalfFace h);
   // One of the two sides of a face waits for both.
@@ -66,12 +69,11 @@ class ClosingStage {
     const auto bit = static_cast<std::uint8_t>(1u << face_of(h));
     marks.waiting = static_cast<std::uint8_t>(waits ? marks.waiting | bit : marks.waiting & ~bit);
   }
-  bool all_at_boundary(HalfFace h);
-  bool may_close(HalfFace h, double& off_m);
+  bool all_at_boundary(HalfFace h) const;
+  bool may_close(HalfFace h, double& off_m, bool& meets);
   bool is_near(const Vec3& p, double& off_m);
-  bool at_boundary(VertexId v);
   bool at_older_cut(VertexId v);
-  bool is_part(TetId from, TetId other, double off_m);
+  Part part_of(TetId from, TetId other);
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -79,12 +81,11 @@ class ClosingStage {
 
   Phase phase_ = Phase::kCollect;
   std::size_t next_ = 0;          // how far the phase is, in its list
-  std::vector<HalfFace> opened_;  // by this batch, both sides
+  std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
   std::vector<HalfFace> faces_;         // to open
   TetPass pass_;                        // whose faces have been considered; then what is_part() has reached
-  std::uint32_t scan_ = 0;              // that finds out whether vertices are at the boundary
   std::uint32_t nearest_ = 0;           // the surface's triangle that is_near() has found
   std::vector<TetId> queue_;            // of is_part()
   std::vector<Waiting> waited_;         // scratch

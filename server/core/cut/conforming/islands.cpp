@@ -33,65 +33,89 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
 void Islands::spare(HalfFace side) {
   cut_.work += cost::kLook;
   if (!pending(tet_of(side), face_of(side)) || stands_clear(side)) return;
-  bool clean = true, thin = true, shallow = true;
-  const bool island = collect(tet_of(side), clean, thin, shallow);
-  if (island && (!clean || thin || shallow)) {
+  if (is_island(tet_of(side))) {
     join_larger_side();
   } else {
-    for (std::size_t i = 0; i < size_; ++i) inland_.add(members_[i]);
+    for (TetId t : members_) inland_.add(t);
   }
 }
 
-// The tetrahedra that hang together behind the faces that are about to open. Whether they are few enough for an island; `clean`:
-// none of its faces is off the surface; `thin`: all of it is near the surface.
-bool Islands::collect(TetId first, bool& clean, bool& thin, bool& shallow) {
-  std::size_t max_size = kMaxSheetIsland;
-  size_ = 1;
-  members_[0] = first;
-  bool island = !inland_.has(first);
-  for (std::size_t i = 0; i < size_ && island; ++i) {
+// Whether what hangs together behind the faces that are about to open is no part of the tissue: a few tetrahedra with a face that is
+// off the surface, a sheet near the surface, or a film all of whose vertices are at cuts and at the boundary.
+bool Islands::is_island(TetId first) {
+  seen_.begin();
+  members_.assign(1, first);
+  if (inland_.has(first)) return false;
+  seen_.add(first);
+  bool clean = true, thin = true, film = true;
+  double volume = 0, area = 0;
+  for (std::size_t i = 0; i < members_.size(); ++i) {
     const TetId t = members_[i];
     thin = thin && is_thin(t);
-    shallow = shallow && is_shallow(cut_, t, kShallow_h * cut_.h) && reaches_no_farther(t);
-    if (!thin && !shallow) max_size = kMaxRaggedIsland;
+    film = film && std::ranges::all_of(mesh_.vertices(t), [this](VertexId v) {
+             return mesh_.at_boundary(v) || cut_.on_surface(v);
+           });
+    volume += mesh_.volume(t);
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {
-      if (pending(t, f)) {
-        clean = clean && cut_.face_on_surface(half_face(t, f));
-        continue;
-      }
+      const HalfFace h = half_face(t, f);
       const TetId n = mesh_.neighbor(t, f);
-      if (n == kNone) {
-        clean = clean && !is_ragged(half_face(t, f));
-        continue;
+      const bool opens = pending(t, f);
+      if (opens || n == kNone) {
+        clean = clean && (opens ? cut_.face_on_surface(h) : !is_ragged(h));
+        area += 0.5 * length(mesh_.twice_area(h));
+      } else if (!seen_.has(n)) {
+        if (inland_.has(n)) return false;
+        seen_.add(n);
+        members_.push_back(n);
       }
-      if (std::find(members_, members_ + size_, n) != members_ + size_) continue;
-      island = size_ < max_size && !inland_.has(n);
-      if (!island) break;
-      members_[size_++] = n;
     }
-    island = island && size_ <= max_size;
+    if (members_.size() > (thin || film ? kMaxSheetIsland : kMaxRaggedIsland)) return false;
   }
-  return island;
+  const bool ragged = !clean && members_.size() <= kMaxRaggedIsland;
+  // The area has two sides.
+  return ragged || thin || (film && volume <= kFilm_h * cut_.h * 0.5 * area);
 }
 
-// Keeps the members together with those of their neighbours that are on one side of the surface: with both they would
-// be a bridge.
+// Keeps the members together with their neighbours on one side of the surface: with both they would be a bridge. Nor with two
+// that an older cut parts there: with those alone that hang together with one of them near by.
 void Islands::join_larger_side() {
   int above = 0, below = 0;
-  for (const bool decided : {false, true}) {
-    for (TetId t : std::span(members_, size_)) {
+  const auto visit = [this](auto look) {
+    for (TetId t : members_) {
       for (int f = 0; f < 4; ++f) {
-        if (!pending(t, f)) continue;
-        const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
-        const bool up = is_above(h);
-        if (!decided) {
-          ++(up ? above : below);
-        } else if (up == (above >= below)) {
-          cut_.clear_pending(h);
-          cut_.clear_pending(o);
-        }
+        if (pending(t, f)) look(half_face(t, f));
       }
+    }
+  };
+  visit([&](HalfFace h) { ++(is_above(h) ? above : below); });
+  TetId first = kNone;
+  double largest = 0;
+  visit([&](HalfFace h) {
+    const double area = squared_length(mesh_.twice_area(h));
+    if (is_above(h) != (above >= below) || area <= largest) return;
+    largest = area;
+    first = tet_of(mesh_.opposite(h));
+  });
+  if (first == kNone) return;
+  reach_around(first);
+  visit([&](HalfFace h) {
+    const HalfFace o = mesh_.opposite(h);
+    if (!seen_.has(tet_of(o)) || is_above(h) != (above >= below)) return;
+    cut_.clear_pending(h);
+    cut_.clear_pending(o);
+  });
+}
+
+// Marks what hangs together with a neighbour of the members, without them.
+void Islands::reach_around(TetId first) {
+  around_.assign(1, first);
+  seen_.add(first);
+  for (std::size_t i = 0; i < around_.size() && around_.size() < kMaxAround; ++i) {
+    cut_.work += cost::kLook;
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(around_[i], f);
+      if (n != kNone && !pending(around_[i], f) && seen_.insert(n)) around_.push_back(n);
     }
   }
 }
@@ -125,19 +149,6 @@ bool Islands::is_ragged(HalfFace h) const {
   if (!(mesh_.cut_mask(tet_of(h)) >> face_of(h) & 1)) return false;
   return !cut_.face_on_surface(h) &&
          std::ranges::any_of(mesh_.face_vertices(h), [this](VertexId v) { return cut_.failed(v); });
-}
-
-// Whether each vertex of a tetrahedron lies in a cut or near the surface.
-bool Islands::reaches_no_farther(TetId t) const {
-  const unsigned cut_faces = mesh_.cut_mask(t);
-  for (unsigned i = 0; i < 4; ++i) {
-    const VertexId v = mesh_.vertices(t)[i];
-    if (cut_.on_surface(v) || (cut_faces & ~(1u << i)) != 0) continue;
-    cut_.work += cost::kNearby;
-    if (!cut_.surface().is_within(mesh_.position(v), kCrumb_h * std::min(cut_.h, mesh_.local_h(v))))
-      return false;
-  }
-  return true;
 }
 
 // Whether all of a tetrahedron is near the surface.

@@ -19,29 +19,30 @@ bool is_shallow(const CutContext& cut, TetId t, double reach);
 // of those that are about to open (TetMarks::pending).
 class Islands {
  public:
-  explicit Islands(CutContext& cut) : cut_(cut), mesh_(cut.mesh), inland_(cut.workspace) {}
+  explicit Islands(CutContext& cut)
+      : cut_(cut), mesh_(cut.mesh), inland_(cut.workspace), seen_(cut.workspace) {
+    members_.reserve(tolerance::kMaxSheetIsland + 4);
+  }
 
   void begin() { inland_.begin(); }
   // Looks at what lies behind a face that is about to open.
   void spare(HalfFace side);
 
  private:
-  static constexpr std::size_t kMaxSize = tolerance::kMaxSheetIsland;
-
-  bool collect(TetId first, bool& clean, bool& thin, bool& shallow);
+  bool is_island(TetId first);
   void join_larger_side();
+  void reach_around(TetId first);
   bool is_above(HalfFace h) const;
   bool stands_clear(HalfFace h) const;
   bool is_ragged(HalfFace h) const;
-  bool reaches_no_farther(TetId t) const;
   bool is_thin(TetId t) const;
   bool pending(TetId t, int f) const { return cut_.is_pending(half_face(t, f)); }
 
   CutContext& cut_;
   const TetMesh& mesh_;
   TetPass inland_;  // looked at from another face, and found to be no island
-  TetId members_[kMaxSize];
-  std::size_t size_ = 0;
+  TetPass seen_;    // the members, then what is around them
+  std::vector<TetId> members_, around_;
 };
 
 }  // namespace incise::core

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace incise::core {
 
@@ -20,33 +21,163 @@ Vec3 direction_of(const BladeLine& from, const BladeLine& to) {
 
 }  // namespace
 
+void JoiningStage::clear() {
+  direction_ = {};
+  strip_.clear();
+  begins_ = false;
+}
+
 void JoiningStage::begin(const Batch& batch) {
   parts_.clear();
-  next_ = 0;
+  swept_.clear();
+  next_ = next_end_ = 0;
+  low_ = {INFINITY, INFINITY, INFINITY};
+  high_ = -low_;
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
-    const BladeLine& from = batch.lines[i];
-    const Vec3 direction = direction_of(from, batch.lines[i + 1]);
-    const bool ends = squared_length(direction_) > 0, begins = squared_length(direction) > 0;
-    if (ends && !begins) list(from, direction_);
-    if (begins && !ends) list(from, -direction);
+    const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
+    const Vec3 direction = direction_of(from, to);
+    const bool swept = squared_length(direction_) > 0, sweeps = squared_length(direction) > 0;
+    if (swept && !sweeps) {
+      list(from, direction_);
+      end_strip(from);
+    }
+    if (sweeps && !swept) {
+      list(from, -direction);
+      begin_strip(from);
+    }
+    if (sweeps) {
+      follow_strip(to);
+      swept_.push_back({from.heel, from.tip, to.tip});
+      swept_.push_back({from.heel, to.tip, to.heel});
+      for (const Vec3& p : {from.heel, from.tip, to.heel, to.tip}) core::extend(p, low_, high_);
+    }
     direction_ = direction;
   }
-  if (batch.ends_stroke && squared_length(direction_) > 0) list(batch.lines.back(), direction_);
+  if (batch.ends_stroke && squared_length(direction_) > 0) {
+    list(batch.lines.back(), direction_);
+    end_strip(batch.lines.back());
+  }
 }
 
 bool JoiningStage::advance(WorkBudget& budget) {
+  for (; next_end_ < cut_.workspace.ends.size(); ++next_end_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    take_up(cut_.workspace.ends[next_end_]);
+  }
   while (next_ < parts_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const Part& part = parts_[next_++];
     cut_.work += cost::kLook;
-    const double ahead_m =
-        std::max(wall_ahead(part.from, part.direction), wall_ahead(part.to, part.direction));
-    if (ahead_m < 0) continue;
-    const Vec3 by = (ahead_m + kJoinBeyond_h * cut_.h) * part.direction;
-    cut_.path.add_strip(part.from, part.to, part.to + by, part.from + by);
+    // A part begins where the one before it ends.
+    const bool follows =
+        next_ > 1 && parts_[next_ - 2].to == part.from && parts_[next_ - 2].direction == part.direction;
+    const double at_from = follows ? ahead_at_end_m_ : wall_ahead(part.from, part.direction);
+    ahead_at_end_m_ = wall_ahead(part.to, part.direction);
+    extend(part.from, part.to, part.direction, std::max(at_from, ahead_at_end_m_));
   }
   return true;
+}
+
+// Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.
+void JoiningStage::extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m) {
+  const double beyond_m = kJoinBeyond_h * cut_.h, by_m = ahead_m + beyond_m;
+  if (by_m < kLeastJoin * beyond_m) return;
+  const Vec3 by = by_m * direction;
+  cut_.path.add_strip(a, b, b + by, a + by);
+}
+
+// ------------------------------------------------------------------------------------------------ where sweeps end
+
+void JoiningStage::begin_strip(const BladeLine& line) {
+  strip_.assign(1, line);
+  begins_ = true;
+}
+
+// The sweep has come to this line.
+void JoiningStage::follow_strip(const BladeLine& line) {
+  if (strip_.empty() || travel(strip_.back(), line) < kStripStep_h * cut_.h) return;
+  strip_.push_back(line);
+  const double strip_m = kStrip_h * cut_.h;
+  if (begins_ && (strip_.size() == SweepEnd::kMaxLines || travel(strip_.front(), line) >= strip_m))
+    keep_beginning();
+  while (!begins_ && strip_.size() > 2 &&
+         (strip_.size() == SweepEnd::kMaxLines || travel(strip_[1], line) >= strip_m))
+    strip_.erase(strip_.begin());
+}
+
+void JoiningStage::keep_beginning() {
+  const Vec3 reach{cut_.h, cut_.h, cut_.h};
+  const BoundaryGrid& grid = cut_.workspace.grid;
+  cut_.workspace.ends.add(cut_.stroke, cut_.path.travel_m(), strip_.data(), strip_.size(),
+                          kJoinPart_h * cut_.h, grid.low() - reach, grid.high() + reach);
+  begins_ = false;
+}
+
+void JoiningStage::end_strip(const BladeLine& line) {
+  if (!strip_.empty() && strip_.back() != line) strip_.push_back(line);
+  if (strip_.size() < 2) return;
+  if (begins_) keep_beginning();
+  std::reverse(strip_.begin(), strip_.end());
+  keep_beginning();
+  strip_.clear();
+}
+
+// Where what is swept now comes near the end of an older sweep.
+void JoiningStage::take_up(SweepEnd& end) {
+  cut_.work += cost::kLook;
+  if (swept_.empty()) return;
+  if (end.stroke == cut_.stroke && cut_.path.travel_m() - end.travel_m < kFar_h * cut_.h) return;
+  const double reach = kJoinReach_h * cut_.h;
+  const auto apart = [reach](double low, double high, double other_low, double other_high) {
+    return low - reach > other_high || high + reach < other_low;
+  };
+  if (apart(end.low.x, end.high.x, low_.x, high_.x) || apart(end.low.y, end.high.y, low_.y, high_.y) ||
+      apart(end.low.z, end.high.z, low_.z, high_.z))
+    return;
+  for (std::uint32_t part = 0; part < end.part_count; ++part) {
+    if (!(end.taken >> part & 1)) take_up(end, part);
+  }
+}
+
+void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
+  const Vec3 a = end.at(0, part), b = end.at(0, part + 1);
+  const Vec3 direction = direction_of(end.lines[1], end.lines[0]);
+  double ahead_m = -std::numeric_limits<double>::infinity();
+  bool near = false;
+  for (const Vec3& p : {a, lerp(a, b, 0.5), b}) near = sweep_ahead(p, direction, ahead_m) || near;
+  if (!near) return;
+  end.taken |= std::uint64_t{1} << part;
+  for (std::uint32_t k = 0; k + 1 < end.line_count; ++k)
+    cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part));
+  extend(a, b, direction, ahead_m);
+}
+
+// Whether what is swept now comes near p, and how far ahead that is, at most.
+bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const {
+  const double reach = kJoinReach_h * cut_.h;
+  bool near = false;
+  for (const Triangle& t : swept_) {
+    cut_.work += cost::kLook;
+    const Vec3 q = closest_point(p, t.a, t.b, t.c);
+    if (squared_length(q - p) > reach * reach) continue;
+    near = true;
+    const Vec3 n = cross(t.b - t.a, t.c - t.a);
+    const double d = dot(q - p, direction);
+    if (std::abs(dot(n, direction)) >= kSinAlong * length(n) || d >= kLeastAhead_h * cut_.h)
+      ahead_m = std::max(ahead_m, d);
+  }
+  return near;
+}
+
+void JoiningStage::archive(Archive& io) {
+  io(direction_);
+  io(begins_);
+  io.list(strip_, 48, [&](BladeLine& line) {
+    io(line.heel);
+    io(line.tip);
+  });
 }
 
 // Lists the parts of a line at which the sweep ends, and would go on in that direction.
@@ -70,11 +201,12 @@ void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
 }
 
 // How far ahead of p an older cut is, or the body's own boundary where this faces a blade that moves in that direction: not where the
-// blade enters the body. Below 0 where there is none within reach. The stroke's own faces open farther behind the blade.
+// blade enters the body. Less than 0 where p is beyond it, -infinity where there is none within reach. The stroke's own faces open
+// farther behind the blade.
 double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
   const double reach = kJoinReach_h * cut_.h;
   const Vec3 r{reach, reach, reach};
-  double ahead = -1;
+  double ahead = -std::numeric_limits<double>::infinity();
   cut_.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
     if (!mesh_.alive(t)) return;
     const unsigned mask = mesh_.boundary_mask(t);
@@ -82,10 +214,15 @@ double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
     for (int f = 0; f < 4; ++f) {
       if (!(mask >> f & 1)) continue;
       const Vec3 n = mesh_.twice_area(half_face(t, f));
-      if (!(mesh_.cut_mask(t) >> f & 1) && std::abs(dot(n, direction)) < kCosFacing * length(n)) continue;
+      const double facing = std::abs(dot(n, direction)) / length(n);
+      const bool cut = (mesh_.cut_mask(t) >> f & 1) != 0;
+      if (!cut && facing < kCosFacing) continue;
       const auto v = mesh_.face_vertices(half_face(t, f));
       const Vec3 q = closest_point(p, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]));
-      if (squared_length(q - p) <= reach * reach) ahead = std::max(ahead, dot(q - p, direction));
+      const double d = dot(q - p, direction);
+      // A cut that the blade runs along counts where it begins ahead: the blade that goes into a slit again adds nothing at its end.
+      if (facing < kSinAlong && d < kLeastAhead_h * cut_.h) continue;
+      if (squared_length(q - p) <= reach * reach) ahead = std::max(ahead, d);
     }
   });
   return ahead;

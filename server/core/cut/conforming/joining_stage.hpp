@@ -8,32 +8,49 @@
 
 namespace incise::core {
 
-// Continues a sweep that begins or ends near an older cut, or before the body's boundary, until it is through: what is nearer
-// than a quarter of an element is one.
+// Continues sweeps so that they meet: what is nearer than a quarter of an element is one. A sweep that begins or ends near an older
+// cut, or before the body's boundary, goes on until it is through. Where an older one ended near what is swept now, its last
+// strip is part of what is swept, and goes on likewise.
 class JoiningStage {
  public:
   explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh) {}
 
-  void clear() { direction_ = {}; }  // a new stroke
+  void clear();  // a new stroke
   void begin(const Batch& batch);
   // True: done; false: the budget is spent.
   bool advance(WorkBudget& budget);
 
-  void archive(Archive& io) { io(direction_); }
+  void archive(Archive& io);
 
  private:
   // A part of a line at which the sweep begins or ends, and where it would go on from there.
   struct Part {
     Vec3 from, to, direction;
   };
+  struct Triangle {
+    Vec3 a, b, c;
+  };
   void list(const BladeLine& line, const Vec3& direction);
+  void begin_strip(const BladeLine& line);
+  void follow_strip(const BladeLine& line);
+  void end_strip(const BladeLine& line);
+  void keep_beginning();
+  void take_up(SweepEnd& end);
+  void take_up(SweepEnd& end, std::uint32_t part);
   double wall_ahead(const Vec3& p, const Vec3& direction) const;
+  bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
+  void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
 
   CutContext& cut_;
   const TetMesh& mesh_;
-  Vec3 direction_{};  // in which the sweep went last; 0: in none
+  Vec3 direction_{};              // in which the sweep went last; 0: in none
+  std::vector<BladeLine> strip_;  // the sweep's latest lines, or the first ones while it has just begun
+  bool begins_ = false;
   std::vector<Part> parts_;
-  std::size_t next_ = 0;
+  double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
+  std::vector<Triangle> swept_;  // by the batch
+  Vec3 low_, high_;              // a box around it
+  std::size_t next_ = 0, next_end_ = 0;
 };
 
 }  // namespace incise::core

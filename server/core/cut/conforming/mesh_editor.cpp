@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "server/core/cut/conforming/islands.hpp"
+
 namespace incise::core {
 
 using namespace tolerance;
@@ -121,16 +123,27 @@ void MeshEditor::remove_flat(TetId t) {
   ++cut_.counts.removed_tets;
   cut_.workspace.grow(mesh_);
   for (TetId n : neighbors) {
-    if (n == kNone) continue;
+    if (n == kNone || !mesh_.alive(n)) continue;
     enter(n);
-    // What hung by it alone, and is part of the surface like it, goes with it.
-    const auto on_surface = [this](VertexId v) { return cut_.on_surface(v); };
-    if (mesh_.boundary_mask(n) != 0xf || !std::ranges::all_of(mesh_.vertices(n), on_surface)) continue;
-    mesh_.remove_tet(n);
-    ++cut_.counts.removed_tets;
+    remove_crumb(n);
   }
   // What is poor may be at a copy now, of a vertex that was put on the surface before.
   for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
+}
+
+// What hung by a flat tetrahedron alone, and is near the surface like it, goes with it.
+void MeshEditor::remove_crumb(TetId t) {
+  crumb_.assign(1, t);
+  for (std::size_t i = 0; i < crumb_.size(); ++i) {
+    cut_.work += cost::kLook;
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(crumb_[i], f);
+      if (n != kNone && std::ranges::find(crumb_, n) == crumb_.end()) crumb_.push_back(n);
+    }
+    if (crumb_.size() > kMaxRaggedIsland || !is_shallow(cut_, crumb_[i], kShallow_h * cut_.h)) return;
+  }
+  for (TetId c : crumb_) mesh_.remove_tet(c);
+  cut_.counts.removed_tets += static_cast<std::uint32_t>(crumb_.size());
 }
 
 void MeshEditor::remove_film(TetId t) {

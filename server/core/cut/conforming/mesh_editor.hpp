@@ -77,14 +77,15 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
+  void remove_crumb(TetId t);
   void account(HalfFace h);
 
   TetMesh& mesh_;
   CutContext& cut_;
   ActiveSet& active_;
   std::vector<Changed> changed_;
-  std::vector<TetId> flat_, ring_, new_tets_;  // scratch
-  std::vector<std::uint32_t> star_;            // scratch
+  std::vector<TetId> flat_, crumb_, ring_, new_tets_;  // scratch
+  std::vector<std::uint32_t> star_;                    // scratch
 };
 
 }  // namespace incise::core

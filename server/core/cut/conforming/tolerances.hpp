@@ -66,8 +66,18 @@ inline constexpr double kJoinPart_h = 0.5, kMaxJoinParts = 4096;
 inline constexpr double kLeastAcross = 0.05;
 // A boundary faces a blade whose motion is off its normal by no more than this.
 inline constexpr double kCosFacing = 0.5;  // 60 degrees
-// How far a face that closes a gap may be off the surface where it lies at no older cut, and where it cuts off a small part.
-inline constexpr double kAtSkin_h = 0.1, kSure_h = 0.05;
+// A blade whose motion is off the plane of an older cut's face by less than this runs along it, and meets it only where it is ahead
+// by more than this.
+inline constexpr double kSinAlong = 0.17, kLeastAhead_h = 0.02;  // 10 degrees
+// What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart.
+inline constexpr double kStrip_h = 1, kStripStep_h = 0.1;
+// Strips narrower than this part of kJoinBeyond_h are not added.
+inline constexpr double kLeastJoin = 0.1;
+// How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
+// is known to be apart from the other.
+inline constexpr double kAtSkin_h = 0.1;
+// The least volume of a part.
+inline constexpr double kLeastPart_h3 = 0.25;
 // A tetrahedron this near to the surface may be on either side of it.
 inline constexpr double kBeside_h = 0.1;
 // A face nearer to the blade than this waits: what the blade is about to part hangs together before it.
@@ -149,11 +159,14 @@ inline constexpr int kMaxRounds = 3;
 inline constexpr double kPass = 0.25;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
-// Nor is a crumb: it has no vertex farther than this from the surface, or from an older cut that it lies at, and the middle of each
-// tetrahedron is nearer than kShallow_h.
-inline constexpr double kCrumb_h = 0.35, kShallow_h = 0.125;
-// Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a thin sheet.
-inline constexpr std::size_t kMaxRaggedIsland = 8, kMaxSheetIsland = 64;
+// Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean.
+inline constexpr double kFilm_h = 0.15;
+// What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
+inline constexpr double kShallow_h = 0.125;
+// Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
+inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 400;
+// How many tetrahedra around one of these neighbours are looked at for the others.
+inline constexpr std::size_t kMaxAround = 12;
 // How far from an opened face the surface is looked for: for its side, and for the deviation that is reported.
 inline constexpr double kSurfaceReach_h = 4;
 // Faces opened between two looks at the budget.
@@ -184,6 +197,7 @@ inline constexpr std::int64_t kLocate = 50;
 // Stars and crossings.
 inline constexpr std::int64_t kGather = 2;
 inline constexpr std::size_t kGatherCornersAUnit = 2;
+inline constexpr std::size_t kStarCornersAUnit = 6;  // only walked
 inline constexpr std::int64_t kWorstAt = 1;
 inline constexpr std::size_t kWorstAtCornersAUnit = 8;
 inline constexpr std::int64_t kSurfaceQuery = 1;

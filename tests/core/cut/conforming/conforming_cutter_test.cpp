@@ -4,11 +4,11 @@
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <numeric>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "server/core/cut/conforming/tolerances.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -30,6 +30,20 @@ CutConfig cutting_config(const Blade& blade) {
   config.gap_limit_s = 1e9;
   return config;
 }
+
+// Sets of vertices that hang together.
+class Components {
+ public:
+  explicit Components(std::size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0u); }
+  std::uint32_t find(std::uint32_t v) {
+    while (parent_[v] != v) v = parent_[v] = parent_[parent_[v]];
+    return v;
+  }
+  void join(std::uint32_t a, std::uint32_t b) { parent_[find(a)] = find(b); }
+
+ private:
+  std::vector<std::uint32_t> parent_;
+};
 
 // A session that is cut by blade lines as they stand: the tool's frame is the world's, each line becomes a pose that
 // takes a blade along z to it.
@@ -89,41 +103,45 @@ class Cut {
   // Of the cut faces from the surface swept.
   Deviation cut_deviation() const { return deviation(mesh(), swept()); }
   // How many pieces one through-cut makes of `uncut`, at least and at most: the components of its vertices on either side, joined by
-  // edges that stay on it. Those of one or two vertices, and those that nowhere reach far from the surface, may stay with a neighbour.
+  // edges that stay on it. Those of one or two vertices, and those that nowhere reach far from the surface, may stay with a neighbour;
+  // those that hang together only nearer to the surface than a cut is closed may come apart.
   std::pair<std::uint32_t, std::uint32_t> expected_pieces(const MeshData& uncut) const {
     const SweptSurface surface = swept();
-    std::vector<std::uint32_t> parent(uncut.positions.size()), size(uncut.positions.size(), 0);
-    std::vector<bool> above(uncut.positions.size()), reaches(uncut.positions.size(), false);
-    std::vector<double> off_m(uncut.positions.size());
-    for (std::uint32_t v = 0; v < parent.size(); ++v) {
-      parent[v] = v;
+    const double h = TetMesh(uncut).mean_edge_length();
+    const std::size_t n = uncut.positions.size();
+    std::vector<std::uint32_t> size(n, 0);
+    std::vector<bool> above(n), reaches(n, false), used(n, false);
+    std::vector<double> off_m(n);
+    Components all(n), far(n);
+    for (std::uint32_t v = 0; v < n; ++v) {
       Vec3 closest;
       std::uint32_t triangle = 0;
       surface.closest(uncut.positions[v], 1e9, closest, triangle);
       above[v] = surface[triangle].signed_distance(uncut.positions[v]) >= 0;
       off_m[v] = distance(uncut.positions[v], closest);
     }
-    const auto find = [&parent](std::uint32_t v) {
-      while (parent[v] != v) v = parent[v] = parent[parent[v]];
-      return v;
-    };
-    std::vector<bool> used(parent.size(), false);
+    const auto is_far = [&](VertexId v) { return off_m[v] > 0.25 * h; };
     for (const auto& tet : uncut.tets) {
       for (const auto& edge : kEdgeVertices) {
         const VertexId a = tet[edge[0]], b = tet[edge[1]];
         used[a] = used[b] = true;
-        if (above[a] == above[b]) parent[find(a)] = find(b);
+        if (above[a] != above[b]) continue;
+        all.join(a, b);
+        if (is_far(a) && is_far(b)) far.join(a, b);
       }
     }
-    const double crumb_m = tolerance::kCrumb_h * TetMesh(uncut).mean_edge_length();
-    for (std::uint32_t v = 0; v < parent.size(); ++v) {
-      size[find(v)] += used[v];
-      if (used[v] && off_m[v] > crumb_m) reaches[find(v)] = true;
+    for (std::uint32_t v = 0; v < n; ++v) {
+      size[all.find(v)] += used[v];
+      if (used[v] && off_m[v] > 0.35 * h) reaches[all.find(v)] = true;
     }
     std::pair<std::uint32_t, std::uint32_t> count{};
-    for (std::uint32_t v = 0; v < parent.size(); ++v) {
+    std::vector<std::uint32_t> far_parts(n, 0);
+    for (std::uint32_t v = 0; v < n; ++v) {
+      if (used[v] && is_far(v) && far.find(v) == v) ++far_parts[all.find(v)];
+    }
+    for (std::uint32_t v = 0; v < n; ++v) {
       count.first += size[v] >= 3 && reaches[v];
-      count.second += size[v] >= 1;
+      if (size[v] >= 1) count.second += std::max(1u, far_parts[v]);
     }
     return count;
   }

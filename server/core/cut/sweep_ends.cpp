@@ -1,0 +1,68 @@
+#include "server/core/cut/sweep_ends.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace incise::core {
+namespace {
+
+// What of the segment a b lies in a box, as a range of its length; false where nothing does.
+bool clip(const Vec3& a, const Vec3& b, const Vec3& low, const Vec3& high, double& first, double& last) {
+  first = 0;
+  last = 1;
+  const auto clip_axis = [&](double from, double to, double least, double most) {
+    const double way = to - from;
+    if (way == 0) return from >= least && from <= most;
+    const double s = (least - from) / way, t = (most - from) / way;
+    first = std::max(first, std::min(s, t));
+    last = std::min(last, std::max(s, t));
+    return first < last;
+  };
+  return clip_axis(a.x, b.x, low.x, high.x) && clip_axis(a.y, b.y, low.y, high.y) &&
+         clip_axis(a.z, b.z, low.z, high.z);
+}
+
+}  // namespace
+
+void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count,
+                    double part_m, const Vec3& low, const Vec3& high) {
+  SweepEnd end;
+  if (!clip(lines[0].heel, lines[0].tip, low, high, end.first_part, end.last_part)) return;
+  end.stroke = stroke;
+  end.travel_m = travel_m;
+  end.line_count = static_cast<std::uint32_t>(std::min(count, SweepEnd::kMaxLines));
+  std::copy_n(lines, end.line_count, end.lines.begin());
+  const double length_m = (end.last_part - end.first_part) * distance(lines[0].heel, lines[0].tip);
+  end.part_count = static_cast<std::uint32_t>(std::clamp(std::ceil(length_m / part_m), 1.0, 1.0 * kMaxParts));
+  end.low = end.high = end.at(0, 0);
+  extend(end.at(0, end.part_count), end.low, end.high);
+  if (ends_.size() == kMaxEnds) ends_.erase(ends_.begin());
+  ends_.push_back(end);
+}
+
+void SweepEnds::archive(Archive& io) {
+  io.list(ends_, 60, [&](SweepEnd& end) {
+    io(end.stroke);
+    io(end.travel_m);
+    io(end.line_count);
+    io.demand(end.line_count >= 2 && end.line_count <= SweepEnd::kMaxLines,
+              "the end of a sweep has too few or too many lines");
+    if (io.failed()) return;
+    for (std::size_t i = 0; i < end.line_count; ++i) {
+      io(end.lines[i].heel);
+      io(end.lines[i].tip);
+    }
+    io(end.first_part);
+    io(end.last_part);
+    io(end.part_count);
+    io(end.taken);
+    io(end.low);
+    io(end.high);
+    io.demand(end.part_count >= 1 && end.part_count <= kMaxParts && end.first_part >= 0 && end.last_part <= 1,
+              "the end of a sweep has no parts");
+  });
+  io.demand(ends_.size() <= kMaxEnds, "more ends of sweeps than are kept");
+  if (io.reads()) ends_.reserve(kMaxEnds);
+}
+
+}  // namespace incise::core
