@@ -22,6 +22,32 @@ core::CutConfig batch_per_pose() {
   return made;
 }
 
+// Both times are those of its delta; in the statistics each batch counts once.
+TEST(FrameAccounts, TheStatisticsOfABatchHaveTheTimesOfItsDelta) {
+  core::CutSession session(tests::cube(3), batch_per_pose());
+  input::PoseSources sources(tests::long_blade());
+  Kept kept;
+  LoopOptions options;
+  options.units_per_frame = 1;  // a batch is cut some frames after it was drained
+  FrameLoop loop(session, sources, kept, nullptr, options);
+  auto source = sources.open("blade");
+  source->enqueue(timed(tests::sweep_through(100, 1000, 2.0)));
+  while (kept.deltas.size() < 5) loop.frame(monotonic_ns());
+  loop.finish();
+  ASSERT_GT(kept.deltas.size(), 50u);
+  std::int64_t drain_ns = 0, cut_ns = 0;
+  for (const auto& delta : kept.deltas) {
+    drain_ns += delta->drain_ns - delta->arrival_ns;
+    cut_ns += delta->cut_ns - delta->arrival_ns;
+  }
+  EXPECT_LT(drain_ns, cut_ns);
+  const LoopStats& stats = loop.stats();
+  EXPECT_EQ(stats.pose_to_drain.count(), kept.deltas.size());
+  EXPECT_EQ(stats.pose_to_drain.sum_ns(), static_cast<std::uint64_t>(drain_ns));
+  EXPECT_EQ(stats.pose_to_cut.count(), kept.deltas.size());
+  EXPECT_EQ(stats.pose_to_cut.sum_ns(), static_cast<std::uint64_t>(cut_ns));
+}
+
 // However many batches wait, and wherever the oldest stands among them.
 TEST(FrameAccounts, ADeltaHasTheArrivalOfThePoseThatCompletedIt) {
   core::CutSession session(tests::cube(3), batch_per_pose());
@@ -224,6 +250,36 @@ TEST(FrameAccounts, SkippedFramesAreCountedOnAfterAReset) {
   rig.loop.frame(monotonic_ns());
   EXPECT_GT(rig.resets, resets);
   EXPECT_EQ(skipped(), before);
+}
+
+// Each frame takes one and a half periods, in a reset. So after each at least one is skipped, and what ran and was skipped
+// never exceeds the periods that have passed. A slow machine skips more and passes, too.
+TEST(FrameAccounts, SkippedFramesAreThePeriodsInWhichNoneBegan) {
+  constexpr std::uint64_t kFrames = 20;
+  constexpr std::int64_t kPeriod_ns = 2'000'000;
+  LoopOptions options;
+  options.rate_hz = 1e9 / kPeriod_ns;
+  Rig rig(Policy::kConforming, tests::cube(2), options);
+  std::stop_source stop;
+  std::uint64_t frames = 0;
+  rig.loop.offer_reset(
+      [&] {
+        const std::int64_t begin = monotonic_ns();
+        if (++frames == kFrames) stop.request_stop();
+        rig.loop.request_reset();
+        while (monotonic_ns() < begin + kPeriod_ns * 3 / 2) {
+        }
+        return std::make_unique<core::CutSession>(tests::cube(2), config(Policy::kConforming));
+      },
+      [](const core::CutSession&) { return 1; });
+  rig.loop.request_reset();
+  const std::int64_t begin = monotonic_ns();
+  rig.loop.run(stop.get_token());
+  const auto periods = static_cast<std::uint64_t>((monotonic_ns() - begin) / kPeriod_ns);
+  const LoopState state = rig.loop.stats().state.load();
+  ASSERT_EQ(state.frames, kFrames + 1) << "finish() accounts as a frame";
+  EXPECT_GE(state.skipped_frames, kFrames);
+  EXPECT_LE(kFrames + state.skipped_frames, periods);
 }
 
 }  // namespace
