@@ -1,11 +1,49 @@
 #include "server/app/capture_journal.hpp"
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <optional>
 #include <stdexcept>
+#include <utility>
+
+#include "server/loop/checkpoint_file.hpp"
+
+namespace {
+
+// A disk of 1000 blocks that the journal sees instead of the real one, and how often it has looked.
+struct SimulatedDisk {
+  fsblkcnt_t free_blocks;
+  unsigned long block_bytes = 512;
+  int looks = 0;
+};
+std::optional<SimulatedDisk> g_disk;
+
+}  // namespace
+
+// Takes the place of the C library's.
+extern "C" int statvfs(const char* path, struct statvfs* out) noexcept {
+  if (g_disk) {
+    ++g_disk->looks;
+    *out = {};
+    out->f_blocks = 1000;
+    out->f_bavail = g_disk->free_blocks;
+    out->f_bfree = g_disk->free_blocks + 50;  // those of root's own, too
+    out->f_frsize = g_disk->block_bytes;
+    out->f_bsize = 4096;
+    return 0;
+  }
+  const int fd = ::open(path, O_RDONLY | O_CLOEXEC);
+  const int status = ::fstatvfs(fd, out);
+  ::close(fd);
+  return status;
+}
 
 namespace incise::app {
 namespace {
@@ -14,7 +52,24 @@ namespace fs = std::filesystem;
 
 class CaptureJournalTest : public ::testing::Test {
  protected:
-  ~CaptureJournalTest() override { fs::remove(path_); }
+  ~CaptureJournalTest() override {
+    g_disk.reset();
+    for (int number = 0; number < loop::kCheckpointFiles; ++number)
+      fs::remove(loop::checkpoint_path(path_, number));
+    fs::remove(path_);
+  }
+  static protocol::CaptureHeader header() { return {"", "", 1, 2, "test", "{}"}; }
+  // Whether a pose can be written while that many blocks are free.
+  static bool writes(CaptureJournal& journal, fsblkcnt_t free_blocks) {
+    g_disk->free_blocks = free_blocks;
+    journal.write({});
+    try {
+      journal.flush();
+      return true;
+    } catch (const std::runtime_error&) {
+      return false;
+    }
+  }
   std::uint64_t poses() const {
     std::ifstream in(path_, std::ios::binary);
     protocol::CaptureReader reader(in);
@@ -30,7 +85,7 @@ class CaptureJournalTest : public ::testing::Test {
 
 // No file system that we can write to is completely free, so requiring 100 % always fails.
 TEST_F(CaptureJournalTest, WhatMustStayFreeIsNotWritten) {
-  CaptureJournal journal(path_, {"", "", 1, 2, "test", "{}"});
+  CaptureJournal journal(path_, header());
   journal.write({});
   journal.flush();
   journal.keep_free(1);
@@ -53,7 +108,7 @@ TEST_F(CaptureJournalTest, WhatMustStayFreeIsNotWritten) {
 
 // The free space is checked only after enough was written, and each time while there is no room.
 TEST_F(CaptureJournalTest, ItLooksAgainWhileItWrites) {
-  CaptureJournal journal(path_, {"", "", 1, 2, "test", "{}"});
+  CaptureJournal journal(path_, header());
   journal.keep_free(1e-9);
   journal.write({});
   journal.flush();
@@ -68,6 +123,48 @@ TEST_F(CaptureJournalTest, ItLooksAgainWhileItWrites) {
       },
       std::runtime_error);
   EXPECT_LE(journal.position().bytes, before + (2u << 20));
+}
+
+// Once the limit is reached it takes one percent more to go on.
+TEST_F(CaptureJournalTest, AFreeSpaceThatIsJustEnoughDoesNotLetItGoOn) {
+  g_disk = {.free_blocks = 1000};
+  CaptureJournal journal(path_, header());
+  journal.keep_free(0.1);
+  EXPECT_FALSE(writes(journal, 99));
+  EXPECT_FALSE(writes(journal, 101));
+  EXPECT_FALSE(writes(journal, 109));
+  EXPECT_TRUE(writes(journal, 111));
+  EXPECT_EQ(poses(), 1u);
+  EXPECT_EQ(g_disk->looks, 4);
+  for (int i = 0; i < 100; ++i) EXPECT_TRUE(writes(journal, 99));
+  EXPECT_EQ(g_disk->looks, 4) << "the next look is a megabyte later";
+  CaptureJournal other(path_, header());
+  other.keep_free(0.1);
+  EXPECT_TRUE(writes(other, 101)) << "this one has not stopped";
+}
+
+// After a gap only a checkpoint helps: the disk must have room for two of the larger size, and for some records.
+TEST_F(CaptureJournalTest, AfterAFailureItGoesOnOnlyWithRoomForTheCheckpoints) {
+  g_disk = {.free_blocks = 0};
+  CaptureJournal journal(path_, header());
+  EXPECT_TRUE(writes(journal, 0)) << "nothing has to stay free";
+  for (const auto& [number, bytes] : {std::pair{0, 30'000}, std::pair{1, 10'000}}) {
+    std::ofstream(loop::checkpoint_path(path_, number)).close();
+    fs::resize_file(loop::checkpoint_path(path_, number), static_cast<std::uintmax_t>(bytes));
+  }
+  rlimit limit{};
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &limit), 0);
+  const auto before = std::signal(SIGXFSZ, SIG_IGN);
+  const rlimit full{journal.position().bytes, limit.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &full), 0);
+  EXPECT_FALSE(writes(journal, 1000));
+  ::setrlimit(RLIMIT_FSIZE, &limit);
+  std::signal(SIGXFSZ, before);
+  EXPECT_FALSE(writes(journal, 0));
+  EXPECT_FALSE(writes(journal, ((64u << 10) + 60'000) / 512));
+  EXPECT_EQ(poses(), 1u);
+  EXPECT_TRUE(writes(journal, ((64u << 10) + 60'000) / 512 + 1));
+  EXPECT_EQ(poses(), 2u);
 }
 
 }  // namespace
