@@ -3,9 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <string>
 #include <thread>
+#include <utility>
 
 #include "tests/stream/mini_loop.hpp"
+#include "tests/stream/raw_peer.hpp"
 
 namespace incise::client {
 namespace {
@@ -240,6 +243,29 @@ TEST(Client, SaysWhyItCannotConnect) {
     EXPECT_NE(taken.find("held by another operator"), std::string::npos) << taken;
   }
   EXPECT_NE(problem("127.0.0.1", gone).find("127.0.0.1:" + std::to_string(gone)), std::string::npos);
+}
+
+// An IPv6 address in brackets, or the port could not be told from it (RFC 3986, section 3.2.2).
+TEST(Client, AWebSocketNamesItsHostAndPort) {
+  for (const auto& [host, named] : {std::pair<std::string, std::string>{"127.0.0.1", "127.0.0.1"},
+                                    {"::ffff:127.0.0.1", "[::ffff:127.0.0.1]"}}) {
+    const stream::Listener listener;
+    std::string request;
+    std::thread server([&] {
+      const auto peer = listener.accept();
+      while (request.find("\r\n\r\n") == std::string::npos) {
+        const std::string more = peer->read_all(1);
+        if (more.empty()) break;
+        request += more;
+      }
+    });
+    EXPECT_THROW(Client::connect(host, listener.port(), options(Role::Viewer, TransportKind::kWebSocket)),
+                 ConnectError);
+    server.join();
+    EXPECT_NE(request.find("\r\nHost: " + named + ":" + std::to_string(listener.port()) + "\r\n"),
+              std::string::npos)
+        << request;
+  }
 }
 
 TEST(Client, AReplicaThatMayNotGrowEndsTheSessionWithTheReason) {

@@ -363,6 +363,94 @@ TEST_F(CommandsTest, AtATenthOfTheSpeedItTakesTenTimesAsLong) {
   EXPECT_GE(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["seconds"], 1.99);
 }
 
+// A server that welcomes a player, and what the player sends it.
+struct PlayedTo {
+  // Poses, until there are `count`; none where the player ends first.
+  static std::vector<protocol::PoseSample> poses(stream::RawPeer& peer, std::size_t count) {
+    std::vector<protocol::PoseSample> all;
+    while (all.size() < count) {
+      const auto received = peer.receive_until<protocol::PoseBatch>();
+      if (!received) return {};
+      const auto& batch = std::get<protocol::PoseBatch>(received->message.body);
+      all.insert(all.end(), batch.poses.begin(), batch.poses.end());
+      sequence = received->message.envelope.sequence;
+    }
+    return all;
+  }
+  PlayedTo(const std::function<void(stream::RawPeer&)>& server, StreamCommand command) {
+    const stream::Listener listener;
+    std::thread thread([&] {
+      const auto peer = listener.accept();
+      if (!peer->receive_until<protocol::Hello>()) return;
+      peer->send(protocol::Welcome{});
+      server(*peer);
+    });
+    command.server.address = "127.0.0.1:" + std::to_string(listener.port());
+    ::testing::internal::CaptureStdout();
+    ::testing::internal::CaptureStderr();
+    try {
+      status = run_stream(command);
+    } catch (const std::runtime_error&) {
+      // It has gone.
+    }
+    thread.join();
+    printed = ::testing::internal::GetCapturedStdout();
+    ::testing::internal::GetCapturedStderr();
+  }
+  static inline std::uint64_t sequence = 0;  // of the last batch
+  int status = -1;
+  std::string printed;
+};
+
+// Between two rounds lies half a second of source time, at any speed: the server begins a new stroke there.
+TEST_F(CommandsTest, InALoopEachRoundBeginsHalfASecondAfterTheLast) {
+  StreamCommand command;
+  command.poses = directory / "motion.csv";
+  command.speed = 0;
+  command.loop = true;
+  command.json = true;
+  std::vector<protocol::PoseSample> poses;
+  const PlayedTo played([&](stream::RawPeer& peer) { poses = PlayedTo::poses(peer, 600); }, command);
+  ASSERT_GE(poses.size(), 600u);
+  for (std::size_t i = 1; i < poses.size(); ++i) {
+    EXPECT_EQ(poses[i].source_ns - poses[i - 1].source_ns, i % 200 == 0 ? 500'000'000 : 1'000'000) << i;
+    EXPECT_EQ(poses[i].position, poses[i % 200].position) << i;
+  }
+  EXPECT_GE(nlohmann::json::parse(played.printed)["rounds"], 3);
+}
+
+TEST_F(CommandsTest, EveryPoseThatTheServerRejectsIsCounted) {
+  StreamCommand command;
+  command.poses = directory / "motion.csv";
+  command.speed = 0;
+  const auto server = [](stream::RawPeer& peer) {
+    PlayedTo::poses(peer, 200);
+    protocol::PoseReport report;
+    report.through_sequence = PlayedTo::sequence;
+    report.accepted = 98765;
+    report.not_finite = 1;
+    report.not_unit = 20;
+    report.time_not_rising = 300;
+    report.queue_full = 4000;
+    report.too_fast = 7;
+    peer.send(report);
+    peer.receive_until<protocol::Bye>();
+  };
+  const PlayedTo text(server, command);
+  EXPECT_EQ(text.status, 0);
+  EXPECT_NE(text.printed.find(
+                ": 98765 accepted, 4321 rejected (1 not finite, 20 without a unit quaternion, 300 with a "
+                "time that does not rise, 4000 queue full); 7 new strokes"),
+            std::string::npos)
+      << text.printed;
+  command.json = true;
+  const auto summary = nlohmann::json::parse(PlayedTo(server, command).printed);
+  EXPECT_EQ(summary["accepted"], 98765);
+  EXPECT_EQ(
+      summary["rejected"],
+      (nlohmann::json{{"not_finite", 1}, {"not_unit", 20}, {"time_not_rising", 300}, {"queue_full", 4000}}));
+}
+
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
   std::ofstream(directory / "nonsense.csv") << "a,b\n1,2\n";
   StreamCommand command;
