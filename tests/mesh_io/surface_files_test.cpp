@@ -97,6 +97,14 @@ TEST(SurfaceFiles, BinaryStlThatBeginsWithSolid) {
   EXPECT_NE(warnings[0].find("3 bytes after the last of 12 triangles"), std::string::npos) << warnings[0];
 }
 
+template <class Number>
+void append_number(std::string& bytes, Number value, bool big) {
+  char raw[sizeof value];
+  std::memcpy(raw, &value, sizeof value);
+  if (big) std::reverse(raw, raw + sizeof value);
+  bytes.append(raw, sizeof value);
+}
+
 std::string ply_cube(bool big) {
   const Surface surface = cube();
   std::string bytes =
@@ -105,12 +113,7 @@ std::string ply_cube(bool big) {
       "short codes\nelement vertex 8\nproperty uchar flag\nproperty double z\nproperty double x\n"
       "property double y\nobj_info none\nelement face 12\nproperty list int uint vertex_index\n"
       "property float quality\nend_header\n";
-  const auto append = [&bytes, big](auto value) {
-    char raw[sizeof value];
-    std::memcpy(raw, &value, sizeof value);
-    if (big) std::reverse(raw, raw + sizeof value);
-    bytes.append(raw, sizeof value);
-  };
+  const auto append = [&bytes, big](auto value) { append_number(bytes, value, big); };
   for (const int codes : {0, 3}) {
     append(std::uint8_t{7});
     append(static_cast<std::uint8_t>(codes));
@@ -134,6 +137,37 @@ TEST(SurfaceFiles, PlyOfEitherByteOrderWithOtherElements) {
   const TestDirectory directory;
   expect_unit_cube(read(directory.write("l.ply", ply_cube(false))));
   expect_unit_cube(read(directory.write("b.ply", ply_cube(true))));
+}
+
+// Small integers of either sign for coordinates and for vertices.
+TEST(SurfaceFiles, PlyOfSmallIntegersInEitherByteOrder) {
+  const TestDirectory directory;
+  Surface cuboid = cube();
+  for (core::Vec3& p : cuboid.positions) p = {p.x + 40'000, p.y - 300, 127 * p.z - 7};
+  for (const bool big : {false, true}) {
+    for (const bool sign : {false, true}) {
+      const std::string type = sign ? "short" : "ushort";
+      std::string bytes =
+          std::string("ply\nformat binary_") + (big ? "big" : "little") +
+          "_endian 1.0\nelement vertex 8\nproperty ushort x\nproperty short y\nproperty char z\n"
+          "property uchar above\nelement face 12\nproperty list " +
+          type + " " + type + " vertex_indices\nend_header\n";
+      const auto append = [&](auto value) { append_number(bytes, value, big); };
+      for (const core::Vec3& p : cuboid.positions) {
+        append(static_cast<std::uint16_t>(p.x));
+        append(static_cast<std::int16_t>(p.y));
+        append(static_cast<std::int8_t>(p.z));
+        append(std::uint8_t{200});
+      }
+      for (const auto& t : cuboid.triangles) {
+        append(std::uint16_t{3});
+        for (const auto v : t) append(static_cast<std::uint16_t>(v));
+      }
+      const Surface surface = read(directory.write("a.ply", bytes));
+      EXPECT_EQ(surface.positions, cuboid.positions) << type << (big ? ", big" : ", little");
+      EXPECT_EQ(surface.triangles, cuboid.triangles) << type << (big ? ", big" : ", little");
+    }
+  }
 }
 
 TEST(SurfaceFiles, AsciiPlyWithQuads) {
@@ -165,11 +199,12 @@ TEST(SurfaceFiles, OffVariants) {
 
 TEST(SurfaceFiles, ObjPolygonsTextureIndicesNegativesAndContinuedLines) {
   const TestDirectory directory;
-  expect_unit_cube(read(directory.write(
-      "a.obj",
-      std::string("# a cube\nmtllib x.mtl\no cube\n") + kObjCube +
-          "vt 0 0\nvn 0 0 1\ns off\nusemtl m\nf 1/1/1 3/1/1 4/1/1 2/1/1\nf 5//1 6//1 8//1 7//1\n"
-          "f 1/1 2/1 6/1 5/1\nf -6 -2 -1 -5 # negative\nf 1 5 \\\n7 3\ng group\nf 2 4 8 6\nl 1 2\n")));
+  std::string text = "# a cube\nmtllib x.mtl\no cube\n";
+  text += kObjCube;
+  text +=
+      "vt 0 0\nvn 0 0 1\ns off\nusemtl m\nf 1/1/1 3/1/1 4/1/1 2/1/1\nf 5//1 6//1 8//1 7//1\n"
+      "f 1/1 2/1 6/1 5/1\nf -6 -2 -1 -5 # negative\nf 1 5 \\\n7 3\ng group\nf 2 4 8 6\nl 1 2\n";
+  expect_unit_cube(read(directory.write("a.obj", text)));
 }
 
 TEST(SurfaceFiles, VerticesAtOnePlaceAreWeldedAndUnusedOnesDropped) {
