@@ -454,6 +454,34 @@ TEST(TetMeshRemove, EachOneOfABoxInTurn) {
   }
 }
 
+// Each of these opens three sides. Two sides are a face, and a half counts as one until the next makes it whole: deltas
+// add up to what the mesh has.
+TEST(TetMeshRemove, OddSidesAddUp) {
+  TetMesh mesh(testing::box(4, 4, 4));
+  std::set<TetId> used;
+  std::uint32_t removed = 0, faces = 0;
+  for (TetId t = 0; t < mesh.tet_slots() && removed < 6; ++t) {
+    std::set<TetId> around{t};
+    for (int f = 0; f < 4; ++f) {
+      if (mesh.neighbor(t, f) != kNone) around.insert(mesh.neighbor(t, f));
+    }
+    const bool apart = std::none_of(around.begin(), around.end(), [&](TetId n) { return used.count(n) > 0; });
+    if (around.size() != 4 || !apart) continue;
+    used.insert(around.begin(), around.end());
+    mesh.remove_tet(t);
+    ++removed;
+    Delta delta;
+    mesh.commit(delta);
+    EXPECT_EQ(delta.cut_faces, removed % 2 == 1 ? 2u : 1u) << removed;
+    faces += delta.cut_faces;
+    const CutReport report = measure(mesh);
+    EXPECT_EQ(report.cut_sides, 3 * removed);
+    EXPECT_EQ(report.cut_faces, faces);
+  }
+  EXPECT_EQ(removed, 6u);
+  EXPECT_EQ(faces, 9u);
+}
+
 TEST(TetMeshRemove, OneMadeInTheSameStepNeverWasThere) {
   TetMesh mesh(testing::ring_of_tets(4));
   mesh.split_edge(0, 0, 1, 0.5);
@@ -635,6 +663,7 @@ TEST(TetMeshCollapse, OfEveryEdge) {
         ++collapsed;
         collapsed_at_boundary += at_boundary ? 1 : 0;
         ASSERT_EQ(mesh.vertex_tet(v), kNone);
+        ASSERT_FALSE(mesh.at_boundary(v)) << "no face is at it";
         ASSERT_EQ(mesh.live_tets(), whole.live_tets() - ring);
         ASSERT_EQ(validate(mesh, false), "") << v << " into " << w;
         const CutReport after = measure(mesh);

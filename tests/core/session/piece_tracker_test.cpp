@@ -235,5 +235,64 @@ TEST(PieceTracker, RandomCutsAgreeWithAWalkThroughTheMesh) {
   }
 }
 
+// ---- Clusters that are restored
+
+Archive archived(std::vector<std::uint32_t> listed) {
+  Archive out;
+  out.list(listed, 4, [&](std::uint32_t& entry) { out(entry); });
+  return out;
+}
+
+// Whether clusters of a mesh of six tetrahedra, 0 to 5, can be restored from such a list: sizes, each with its members.
+bool restores(const std::vector<std::uint32_t>& listed) {
+  const TetMesh mesh(box(1, 1, 1));
+  TetClusters clusters(mesh);
+  const auto bytes = archived(listed).take();
+  Archive in(bytes);
+  clusters.archive(in);
+  return !in.failed();
+}
+
+TEST(TetClusters, RestoredOnesAreTheLivingTetrahedraEachOnce) {
+  EXPECT_TRUE(restores({6, 0, 1, 2, 3, 4, 5}));
+  EXPECT_TRUE(restores({2, 4, 1, 4, 0, 5, 3, 2}));
+  EXPECT_FALSE(restores({})) << "none is in a cluster";
+  EXPECT_FALSE(restores({5, 0, 1, 2, 3, 4})) << "tetrahedron 5 is in none";
+  EXPECT_FALSE(restores({2, 4, 1, 3, 0, 5, 3})) << "tetrahedron 2 is in none";
+  EXPECT_FALSE(restores({2, 4, 1, 5, 0, 5, 3, 2, 4})) << "tetrahedron 4 is in both";
+  EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5, 6})) << "there is no tetrahedron 6";
+  EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5})) << "it ends too early";
+  EXPECT_FALSE(restores({0, 6, 0, 1, 2, 3, 4, 5})) << "a cluster of nothing";
+}
+
+TEST(TetClusters, RestoredOnesKnowTheirMembersAndNeighbours) {
+  const TetMesh mesh(box(3, 3, 3));
+  TetClusters before(mesh), after(mesh);
+  std::vector<TetId> loose;
+  before.dissolve(before.of(40), loose);
+  for (const TetId t : loose) {
+    if (before.of(t) == kNone) before.form(t);
+  }
+  Archive out;
+  before.archive(out);
+  const auto bytes = out.take();
+  Archive in(bytes);
+  after.archive(in);
+  ASSERT_FALSE(in.failed()) << in.error();
+  EXPECT_TRUE(in.at_end());
+  int linked = 0;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    const TetClusters::Cluster &was = before[before.of(t)], &is = after[after.of(t)];
+    EXPECT_EQ(is.first, was.first) << t;
+    EXPECT_EQ(is.size, was.size) << t;
+    EXPECT_EQ(is.links == kNone, was.links == kNone) << t;
+    EXPECT_EQ(is.links_end - is.links, was.links_end - was.links) << t;
+    EXPECT_EQ(after.next_member(t), before.next_member(t)) << t;
+    linked += is.links != kNone;
+  }
+  EXPECT_GT(linked, 0);
+  EXPECT_LT(linked, static_cast<int>(mesh.tet_slots())) << "the one that was formed again has no links";
+}
+
 }  // namespace
 }  // namespace incise::core

@@ -418,5 +418,37 @@ TEST(VertexMover, ABodyIsFoundWhereItWent) {
   EXPECT_EQ(measure(session.mesh()).pieces, 2u);
 }
 
+// A new grid has each vertex's anchor where the step takes it, whether it moves or not: the tetrahedra are entered there.
+TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
+  const TetMesh mesh(body());
+  CutWorkspace workspace(mesh);
+  GridFollower follower(mesh, workspace);
+  std::vector<VertexId> moved;
+  std::vector<Vec3> positions, targets;
+  for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
+    targets.push_back(mesh.position(v));
+    if (v % 3 == 0) continue;
+    targets.back() += Vec3{3 * kCell, -2 * kCell, kCell};
+    moved.push_back(v);
+    positions.push_back(targets.back());
+  }
+  const GridFollower::Step step{moved, positions, targets};
+  follower.begin();
+  for (const Vec3& target : positions) follower.look_at(target);
+  follower.settle(step);
+  WorkBudget budget{20};
+  EXPECT_FALSE(follower.advance(step, budget)) << "it is more work than that";
+  budget = WorkBudget::unlimited();
+  ASSERT_TRUE(follower.advance(step, budget));
+  EXPECT_FALSE(workspace.grid.anchored()) << "the old one stays in use until then";
+  follower.commit();
+  BoundaryGrid& grid = workspace.grid;
+  ASSERT_TRUE(grid.anchored());
+  for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
+    EXPECT_FALSE(grid.leaves_anchor(mesh, v, targets[v] + Vec3{0, 0.09 * grid.cell(), 0})) << v;
+    EXPECT_TRUE(grid.leaves_anchor(mesh, v, targets[v] + Vec3{0, 0.11 * grid.cell(), 0})) << v;
+  }
+}
+
 }  // namespace
 }  // namespace incise::core
