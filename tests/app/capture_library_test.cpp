@@ -181,12 +181,12 @@ TEST_F(CaptureLibraryTest, ALongSilenceIsShortened) {
   ASSERT_TRUE(viewer.follow(0));
   ask(viewer, ReplayAction::Open, 0, 1, "silent.capture");
   follow(viewer, 0);
-  // At this speed a month lasts two days.
+  // Poses for 0.2 s and the silence, however slow the machine is.
   const auto begin = std::chrono::steady_clock::now();
-  ask(viewer, ReplayAction::Play, 0, 10);
+  ask(viewer, ReplayAction::Play);
   follow(viewer, last_);
   EXPECT_EQ(viewer.replica.compute_state_hash(), hash_);
-  EXPECT_GE(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(50));
+  EXPECT_GE(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(650));
 }
 
 TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {

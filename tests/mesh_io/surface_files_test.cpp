@@ -150,16 +150,17 @@ TEST(SurfaceFiles, PlyOfSmallIntegersInEitherByteOrder) {
       std::string bytes =
           std::string("ply\nformat binary_") + (big ? "big" : "little") +
           "_endian 1.0\nelement vertex 8\nproperty ushort x\nproperty short y\nproperty char z\n"
-          "property uchar above\nelement face 12\nproperty list " +
+          "element face 12\nproperty list uchar char codes\nproperty list " +
           type + " " + type + " vertex_indices\nend_header\n";
       const auto append = [&](auto value) { append_number(bytes, value, big); };
       for (const core::Vec3& p : cuboid.positions) {
         append(static_cast<std::uint16_t>(p.x));
         append(static_cast<std::int16_t>(p.y));
         append(static_cast<std::int8_t>(p.z));
-        append(std::uint8_t{200});
       }
       for (const auto& t : cuboid.triangles) {
+        append(std::uint8_t{200});
+        bytes.append(200, 'c');
         append(std::uint16_t{3});
         for (const auto v : t) append(static_cast<std::uint16_t>(v));
       }
