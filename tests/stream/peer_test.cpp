@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <boost/asio/co_spawn.hpp>
+#include <boost/asio/detached.hpp>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
@@ -12,11 +13,13 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <span>
 #include <utility>
 #include <vector>
 
 #include "server/base/clock.hpp"
 #include "server/core/session/cut_session.hpp"
+#include "server/stream/operator_blade.hpp"
 #include "server/stream/peers.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/viewer.hpp"
@@ -352,6 +355,52 @@ TEST_F(PeerTest, AReplayClosedAtOnceLeavesThePeerWithTheLiveMesh) {
     control(protocol::ReplayAction::Close);
     ASSERT_TRUE(read_until(live_snapshot)) << i;
   }
+}
+
+// A blade whose poses become what the test says.
+class CountedInput final : public PoseInput {
+ public:
+  explicit CountedInput(const PoseTotals& totals) : totals_(totals) {}
+  std::uint32_t number() const override { return 0; }
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t) override {
+    return poses.size();
+  }
+  bool end_stroke(std::int64_t) override { return true; }
+  PoseTotals totals() const override { return totals_; }
+  protocol::Vec3 heel() const override { return {}; }
+  protocol::Vec3 tip() const override { return {}; }
+
+ private:
+  const PoseTotals& totals_;
+};
+
+// A message is settled when all its poses are, whatever became of them; each new count is reported once.
+TEST(OperatorBlade, EachFateOfAPoseIsReportedAndSettlesIt) {
+  PoseTotals totals;
+  OperatorBlade blade;
+  blade.hold(std::make_unique<CountedInput>(totals), "blade");
+  const std::vector<protocol::PoseSample> poses(6);
+  asio::io_context io;
+  asio::co_spawn(io, blade.enqueue(protocol::PoseBatch{poses}, 7, 0, -1), asio::detached);
+  io.run();
+  const auto report = [&] { return blade.next_report(protocol::Recording::Off); };
+  EXPECT_FALSE(report());
+  for (std::uint64_t PoseTotals::*fate :
+       {&PoseTotals::accepted, &PoseTotals::not_finite, &PoseTotals::not_unit, &PoseTotals::time_not_rising,
+        &PoseTotals::queue_full}) {
+    ++(totals.*fate);
+    const auto told = report();
+    ASSERT_TRUE(told);
+    EXPECT_EQ(told->through_sequence, 0u);
+    EXPECT_EQ(told->accepted + told->not_finite + told->not_unit + told->time_not_rising + told->queue_full,
+              totals.settled());
+    EXPECT_FALSE(report()) << "it is known";
+  }
+  ++totals.queue_full;
+  const auto told = report();
+  ASSERT_TRUE(told);
+  EXPECT_EQ(told->through_sequence, 7u);
+  EXPECT_EQ(told->queue_full, 2u);
 }
 
 }  // namespace
