@@ -157,6 +157,24 @@ TEST(TetMeshBuild, PinchedVerticesAreCopied) {
   EXPECT_EQ(validate(at_an_edge), "");
 }
 
+// A vertex inside four tetrahedra, which another one has as a corner: of the two that it becomes one lies at the boundary.
+TEST(TetMeshBuild, OfAPinchedVertexEachPartIsInsideOrAtTheBoundary) {
+  MeshData data;
+  data.positions = {{0, 0, 0},       {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
+                    {0.2, 0.2, 0.2}, {3, 0, 0}, {0, 3, 0}, {0, 0, 3}};
+  const std::vector<std::array<VertexId, 4>> around{{4, 1, 2, 3}, {0, 4, 2, 3}, {0, 1, 4, 3}, {0, 1, 2, 4}};
+  const std::array<VertexId, 4> beside{4, 5, 6, 7};
+  for (const bool inside_first : {true, false}) {
+    data.tets = around;
+    data.tets.insert(inside_first ? data.tets.end() : data.tets.begin(), beside);
+    const TetMesh mesh(data);
+    ASSERT_EQ(mesh.vertex_slots(), 9u);
+    EXPECT_EQ(mesh.at_boundary(4), !inside_first);
+    EXPECT_EQ(mesh.at_boundary(8), inside_first) << "the copy";
+    EXPECT_EQ(validate(mesh), "");
+  }
+}
+
 TEST(TetMeshBuild, AdjacencyAgreesWithBruteForce) {
   TetMesh mesh(testing::box(3, 4, 2));
   ASSERT_EQ(validate(mesh), "");

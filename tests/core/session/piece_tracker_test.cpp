@@ -260,6 +260,7 @@ TEST(TetClusters, RestoredOnesAreTheLivingTetrahedraEachOnce) {
   EXPECT_FALSE(restores({5, 0, 1, 2, 3, 4})) << "tetrahedron 5 is in none";
   EXPECT_FALSE(restores({2, 4, 1, 3, 0, 5, 3})) << "tetrahedron 2 is in none";
   EXPECT_FALSE(restores({2, 4, 1, 5, 0, 5, 3, 2, 4})) << "tetrahedron 4 is in both";
+  EXPECT_FALSE(restores({2, 4, 1, 4, 0, 5, 3, 4})) << "tetrahedron 4 is in both, and 2 in none";
   EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5, 6})) << "there is no tetrahedron 6";
   EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5})) << "it ends too early";
   EXPECT_FALSE(restores({0, 6, 0, 1, 2, 3, 4, 5})) << "a cluster of nothing";
