@@ -6,9 +6,10 @@ import { beforeEach, test } from "node:test";
 import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
 import { load } from "./modules.mjs";
 
-const { Keys, Figures, Replay, Operator, notice, Vector3, PerspectiveCamera } = await load(
+const { Keys, Figures, Look, Replay, Operator, notice, Vector3, PerspectiveCamera } = await load(
   "keys",
   "figures",
+  "look",
   "replay",
   "operator",
   "notices",
@@ -192,6 +193,8 @@ test("scrubbing asks for one revision at a time, and for the last one that the h
   at(7);
   assert.deepEqual(sent, ["seek 5", "seek 7"]);
   assert.equal(byId("scrub").valueAsNumber, 7);
+  at(8, { playing: true });
+  assert.deepEqual(sent, ["seek 5", "seek 7"], "what plays on is not called back");
 });
 
 test("what plays stands still under the hand, and goes on when it lets go", () => {
@@ -436,4 +439,37 @@ test("the same notice is shown once, and its button does what it says", () => {
   byId("notices").children[0].children[1].click();
   assert.equal(done, 1);
   assert.deepEqual(noticeTexts(), []);
+});
+
+// ---- The panel ----
+
+test("the panel's button says whether the panel is open, which it is at first in a wide window", () => {
+  Object.assign(globalThis, {
+    localStorage: { getItem: () => null, setItem: () => {} },
+    getComputedStyle: () => ({ getPropertyValue: () => "" }),
+    innerHeight: 800,
+  });
+  document.documentElement = { dataset: {} };
+  const stage = { setCover: () => {}, setInk: () => {} };
+  const button = byId("panel-toggle");
+  for (const [width, open] of [
+    [1400, true],
+    [800, false],
+  ]) {
+    globalThis.innerWidth = width;
+    new Look(
+      stage,
+      () => {},
+      () => {},
+    );
+    const shown = (now) => {
+      assert.equal(body.dataset.panel, now ? "open" : "closed");
+      assert.equal(button.attributes["aria-expanded"], String(now));
+    };
+    shown(open);
+    button.click();
+    shown(!open);
+    button.click();
+    shown(open);
+  }
 });

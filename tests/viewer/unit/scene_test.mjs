@@ -543,6 +543,32 @@ test("the trail of a long stroke does not join its end to its beginning", () => 
   }
 });
 
+test("the trails of two strokes are not joined", () => {
+  const real = performance.now;
+  performance.now = () => 5000;
+  try {
+    const blade = new BladeView(1, false);
+    for (const from of [0, 100]) {
+      for (let i = from; i < from + 3; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
+      blade.endStroke();
+    }
+    blade.update();
+    const { geometry } = blade.trail;
+    const { array } = geometry.getAttribute("position");
+    const xs = Array.from({ length: geometry.drawRange.count }, (_, i) => array[3 * i]);
+    assert.deepEqual(
+      [...new Set(xs)].sort((a, b) => a - b),
+      [0, 1, 2, 100, 101, 102],
+    );
+    for (let i = 0; i < xs.length; i += 6) {
+      const six = xs.slice(i, i + 6);
+      assert.equal(Math.max(...six) - Math.min(...six), 1);
+    }
+  } finally {
+    performance.now = real;
+  }
+});
+
 test("a chart shows the last half minute, the newest value at its right", () => {
   const points = [];
   const context = new Proxy(
