@@ -125,6 +125,29 @@ TEST_F(CaptureJournalTest, ItLooksAgainWhileItWrites) {
   EXPECT_LE(journal.position().bytes, before + (2u << 20));
 }
 
+// The end mark tells how many records the whole capture has, in however many runs it was written.
+TEST_F(CaptureJournalTest, AContinuedCaptureCountsOn) {
+  loop::JournalSink::Position at;
+  {
+    CaptureJournal journal(path_, header());
+    for (int i = 0; i < 3; ++i) journal.write({});
+    journal.flush();
+    at = journal.position();
+  }
+  EXPECT_EQ(at.records, 3u);
+  CaptureJournal journal(path_, at.bytes, at.records);
+  journal.write({});
+  journal.close();
+  EXPECT_EQ(poses(), 4u);
+  std::ifstream in(path_, std::ios::binary);
+  protocol::CaptureReader reader(in);
+  protocol::CaptureRecord record;
+  while (reader.next(record) == protocol::CaptureReader::Status::Record) {
+  }
+  ASSERT_TRUE(std::holds_alternative<protocol::EndRecord>(record));
+  EXPECT_EQ(std::get<protocol::EndRecord>(record).records, 4u);
+}
+
 // Once the limit is reached it takes one percent more to go on.
 TEST_F(CaptureJournalTest, AFreeSpaceThatIsJustEnoughDoesNotLetItGoOn) {
   g_disk = {.free_blocks = 1000};

@@ -164,6 +164,20 @@ TEST(VertexMover, TetrahedraNeverInvert) {
   }
 }
 
+// Towards a neighbour, the whole way but a ten thousandth would leave tetrahedra that stand the right way up, but flat.
+TEST(VertexMover, TetrahedraNeverGetFlat) {
+  const VertexId v = (4 * 9 + 4) * 9 + 4;
+  for (const bool flat : {false, true}) {
+    CutSession session(testing::box(8, 8, 8, kCell), config());
+    const Vec3 before = session.mesh().position(v);
+    const Vec3 wanted = before + Vec3{(flat ? 0.9999 : 0.99) * kCell, 0, 0};
+    const Delta delta = deform(session, some(0, {v}, {wanted}));
+    EXPECT_EQ(session.mesh().position(v), flat ? lerp(before, wanted, 0.5) : wanted);
+    EXPECT_EQ(delta.deformation.held.size(), flat ? 1u : 0u);
+    EXPECT_EQ(validate(session.mesh()), "");
+  }
+}
+
 // ---- Among cuts
 
 // A motion of the whole body that bends and sways it, up to a third of an edge a step.
