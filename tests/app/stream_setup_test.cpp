@@ -4,13 +4,16 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "server/app/stream_output.hpp"
 #include "server/app/telemetry.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/stream/viewer.hpp"
+#include "tests/support/bodies.hpp"
 
 namespace incise::app {
 namespace {
@@ -107,6 +110,36 @@ TEST(StreamSetup, ABodyThatDeformsBeginsWithItsRestPositions) {
   EXPECT_EQ(state.rest[26], at);
   EXPECT_EQ(state.positions[26], at + (core::Vec3{0.001, 0, 0}));
   EXPECT_EQ(state.tets.size(), 48u);
+}
+
+// What a cut has removed is not sent, and what it leaves comes with its piece.
+TEST(StreamSetup, ACutBodyBeginsWithItsLivingTetrahedra) {
+  core::CutConfig config;
+  config.blade = tests::long_blade();
+  core::CutSession session(tests::cube(4), config);
+  for (core::Pose pose : tests::sweep_through(200)) {
+    pose.position.x += 0.02 * std::sin(60 * pose.position.y);  // too bent to move vertices onto it
+    session.push(0, pose);
+  }
+  session.end_stroke(0);
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+  }
+  const core::TetMesh& mesh = session.mesh();
+  ASSERT_LT(mesh.live_tets(), mesh.tet_slots());
+  const stream::InitialState state = initial_state(session, 5);
+  ASSERT_EQ(state.tets.size(), mesh.live_tets());
+  ASSERT_EQ(state.pieces.size(), mesh.live_tets());
+  std::set<std::uint32_t> pieces;
+  for (std::size_t i = 0; i < state.tets.size(); ++i) {
+    const core::TetId t = state.tets[i].id;
+    ASSERT_TRUE(mesh.alive(t)) << t;
+    EXPECT_EQ(state.tets[i].vertices, mesh.vertices(t)) << t;
+    EXPECT_EQ(state.pieces[i], mesh.piece(t)) << t;
+    pieces.insert(state.pieces[i]);
+  }
+  EXPECT_GT(pieces.size(), 1u);
 }
 
 TEST(ForceOutput, AForceIsSentWithItsFlagsAndItsContactUnlessItIsOff) {
