@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstdlib>
+#include <optional>
+#include <string>
 
 #include "server/core/session/session_state.hpp"
 #include "server/mesh_io/mesh_io.hpp"
@@ -111,6 +114,43 @@ TEST(MeetingBlades, TwoCloseALoopTogether) {
     wrong += !v.right();
   }
   EXPECT_EQ(wrong, 0);
+}
+
+// A coarse body, INCISE_DATA's meshes/wound_1476, with elements several times as long as the mean.
+class MeetingInACoarseBody : public testing::Test {
+ protected:
+  void SetUp() override {
+    const char* folder = std::getenv("INCISE_DATA");
+    if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
+    mesh_ = mesh_io::load_mesh(std::string(folder) + "/meshes/wound_1476", {}).mesh;
+    body_.emplace(mesh_);
+  }
+  Verdict cut_and_judge(std::string_view kind, std::uint64_t seed) const {
+    const Meeting meeting = random_meeting(mesh_, body_->h, kind, seed);
+    core::CutSession session(mesh_, meeting_config(meeting));
+    cut(meeting, session);
+    return judge(*body_, strokes_of(meeting), session.mesh());
+  }
+
+ private:
+  core::MeshData mesh_;
+  std::optional<Body> body_;
+};
+
+// Where the sweep bends, a split was taken back by merging its vertex round the bend, so that the crossing stayed and faces
+// around it opened up to half an edge off the surface.
+TEST_F(MeetingInACoarseBody, CornersAreCutClean) {
+  for (const std::uint64_t seed : {701, 704, 705, 707, 708}) {
+    const Verdict v = cut_and_judge("polygon", seed);
+    EXPECT_TRUE(v.right()) << seed << ": " << to_string(v);
+    EXPECT_LE(v.alone_max_h, 0.2) << seed;
+  }
+}
+
+// The face that holds the last corner hung together with the rest by tissue that the fourth stroke cuts elsewhere.
+TEST_F(MeetingInACoarseBody, WhatWasHeldComesApartWithALaterStroke) {
+  const Verdict v = cut_and_judge("square", 704);
+  EXPECT_TRUE(v.right()) << to_string(v);
 }
 
 // A blade that goes through the same slit ten times, up to a tenth of an element beside it.

@@ -34,9 +34,19 @@ struct CutWorkspace {
     std::uint32_t waits_for = 0;
   };
 
+  // A face that may be the last one between two parts, but that had to stay closed: its sides still hung together near by.
+  static constexpr std::size_t kMaxHeld = 64;
+  struct HeldFace {
+    HalfFace face;
+    Vec3 middle;   // where it was: edits may have put another face in its place
+    double off_m;  // from the sweep that met it
+    bool meets;    // an older cut
+  };
+
   explicit CutWorkspace(const TetMesh& mesh) : grid(mesh) {
     vertices.reserve(room_for(mesh.vertex_slots()));
     tets.reserve(room_for(mesh.tet_slots()));
+    held.reserve(kMaxHeld);
     grow(mesh);
   }
 
@@ -57,6 +67,14 @@ struct CutWorkspace {
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
     ends.archive(io);
+    io.list(held, 37, [&](HeldFace& held_face) {
+      io(held_face.face);
+      io(held_face.middle);
+      io(held_face.off_m);
+      io(held_face.meets);
+      io.demand(tet_of(held_face.face) < mesh.tet_slots(), "a held face of no tetrahedron");
+    });
+    io.demand(held.size() <= kMaxHeld, "more held faces than are kept");
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
@@ -75,6 +93,7 @@ struct CutWorkspace {
 
   BoundaryGrid grid;
   SweepEnds ends;
+  std::vector<HeldFace> held;  // the newest last
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

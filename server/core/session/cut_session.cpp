@@ -97,6 +97,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   describe(delta);
   mover_.commit(delta);
   workspace_.ends.clear();
+  workspace_.held.clear();
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE
   const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);

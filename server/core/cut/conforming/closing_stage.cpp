@@ -28,6 +28,10 @@ bool ClosingStage::advance(WorkBudget& budget) {
   switch (phase_) {
     case Phase::kCollect:
       if (!collect(budget)) return false;
+      go(Phase::kCollectHeld);
+      return false;
+    case Phase::kCollectHeld:
+      if (!cut_.has_front && !collect_held(budget)) return false;
       std::sort(gaps_.begin(), gaps_.end());
       go(Phase::kJudge);
       return false;
@@ -63,6 +67,25 @@ bool ClosingStage::collect(WorkBudget& budget) {
   return true;
 }
 
+// The end of a stroke may have parted, elsewhere, what held these faces closed.
+bool ClosingStage::collect_held(WorkBudget& budget) {
+  std::vector<CutWorkspace::HeldFace>& held = cut_.workspace.held;
+  for (; next_ < held.size(); ++next_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const auto& [h, middle, off_m, meets] = held[next_];
+    cut_.work += cost::kLook;
+    if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone || cut_.is_pending(h) || !all_at_boundary(h) ||
+        distance(middle_of(h), middle) > kSameFace_h * cut_.h)
+      continue;
+    cut_.set_pending(h);
+    cut_.set_pending(mesh_.opposite(h));
+    gaps_.push_back({off_m, h, meets, true});
+  }
+  held.clear();
+  return true;
+}
+
 // Only a tetrahedron with three vertices at the boundary has such a face: few have.
 void ClosingStage::consider_faces(TetId t) {
   unsigned inside = 0;  // bit i: vertex i is
@@ -84,7 +107,7 @@ void ClosingStage::consider(HalfFace h) {
   if (!may_close(h, off_m, meets)) return;
   cut_.set_pending(h);
   cut_.set_pending(o);
-  gaps_.push_back({off_m, h, meets});
+  gaps_.push_back({off_m, h, meets, false});
 }
 
 // Before the blade all hangs together that it is about to part.
@@ -102,19 +125,22 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side. Where none of it lies at an
 // older cut it has to be nearer.
 bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
-  const auto v = mesh_.face_vertices(h);
-  const Vec3 middle = (1.0 / 3.0) * (mesh_.position(v[0]) + mesh_.position(v[1]) + mesh_.position(v[2]));
-  if (!is_near(middle, off_m)) return false;
+  if (!is_near(middle_of(h), off_m)) return false;
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   if ((a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h) return false;
-  for (VertexId w : v) {
+  for (VertexId w : mesh_.face_vertices(h)) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
     if (!older && !is_near(mesh_.position(w), off_m)) return false;
   }
   return true;
+}
+
+Vec3 ClosingStage::middle_of(HalfFace h) const {
+  const auto v = mesh_.face_vertices(h);
+  return (1.0 / 3.0) * (mesh_.position(v[0]) + mesh_.position(v[1]) + mesh_.position(v[2]));
 }
 
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {
@@ -140,29 +166,38 @@ bool ClosingStage::judge(WorkBudget& budget) {
   while (next_ < gaps_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
-    const auto [off_m, h, meets] = gaps_[next_++];
-    const HalfFace o = mesh_.opposite(h);
-    const Part one = part_of(tet_of(h), tet_of(o));
-    const Part other = one == Part::kNoPart ? one : part_of(tet_of(o), tet_of(h));
+    const Gap& gap = gaps_[next_++];
+    const HalfFace h = gap.face, o = mesh_.opposite(h);
+    const Part one = part_of(tet_of(h), tet_of(o), gap.was_held);
+    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap.was_held) : one;
     const bool sure = one == Part::kSmall || other == Part::kSmall;
-    if (other != Part::kNoPart && (sure || meets || off_m <= kAtSkin_h * cut_.h)) {
+    if (is_part(other) && (sure || gap.meets || gap.off_m <= kAtSkin_h * cut_.h)) {
       faces_.push_back(h);
-    } else {
-      cut_.clear_pending(h);
-      cut_.clear_pending(o);
+      continue;
     }
+    cut_.clear_pending(h);
+    cut_.clear_pending(o);
+    if (other != Part::kCrumb) hold(gap);
   }
   return true;
 }
 
-// What hangs together with `from`, through faces that stay closed: no part of the tissue that is apart from `other`, or a small
-// one, all of which was looked at, or a large one.
-ClosingStage::Part ClosingStage::part_of(TetId from, TetId other) {
+// The newest are kept.
+void ClosingStage::hold(const Gap& gap) {
+  std::vector<CutWorkspace::HeldFace>& held = cut_.workspace.held;
+  std::erase_if(held, [&](const CutWorkspace::HeldFace& other) { return other.face == gap.face; });
+  if (held.size() == CutWorkspace::kMaxHeld) held.erase(held.begin());
+  held.push_back({gap.face, middle_of(gap.face), gap.off_m, gap.meets});
+}
+
+// What hangs together with `from`, through faces that stay closed: `other`, too, or no more than a crumb, or a small part of the tissue, all
+// of which was looked at, or a large one.
+ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held) {
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
   bool deep = false;
-  double volume_m3 = 0;
+  double volume_m3 = 0, area_m2 = 0;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     const TetId t = queue_[i];
     cut_.work += cost::kLook;
@@ -170,14 +205,19 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other) {
     volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(t, f));
-      if (o == kNone || cut_.is_pending(o)) continue;
-      if (tet_of(o) == other) return Part::kNoPart;
+      if (o == kNone || cut_.is_pending(o)) {
+        area_m2 += 0.5 * length(mesh_.twice_area(half_face(t, f)));
+        continue;
+      }
+      if (tet_of(o) == other) return Part::kHangsTogether;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
   const double least_m3 = kLeastPart_h3 * cut_.h * cut_.h * cut_.h;
-  return deep && volume_m3 >= least_m3 ? Part::kSmall : Part::kNoPart;
+  // The area has two sides.
+  const bool thick = volume_m3 >= kOne_h * cut_.h * 0.5 * area_m2;
+  return deep && (thick || !was_held) && volume_m3 >= least_m3 ? Part::kSmall : Part::kCrumb;
 }
 
 bool ClosingStage::open(WorkBudget& budget) {

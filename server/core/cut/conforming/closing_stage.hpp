@@ -26,14 +26,15 @@ class ClosingStage {
   void archive(Archive& io);
 
  private:
-  enum class Phase { kCollect, kJudge, kOpen };
-  enum class Part { kNoPart, kSmall, kLarge };
+  enum class Phase { kCollect, kCollectHeld, kJudge, kOpen };
+  enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
   struct Gap {
     double off_m;
     HalfFace face;
-    bool meets;  // an older cut
+    bool meets;     // an older cut
+    bool was_held;  // judged before
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
@@ -50,6 +51,7 @@ class ClosingStage {
     next_ = 0;
   }
   bool collect(WorkBudget& budget);
+  bool collect_held(WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool open(WorkBudget& budget);
   void consider_faces(TetId t);
@@ -73,7 +75,10 @@ class ClosingStage {
   bool may_close(HalfFace h, double& off_m, bool& meets);
   bool is_near(const Vec3& p, double& off_m);
   bool at_older_cut(VertexId v);
-  Part part_of(TetId from, TetId other);
+  Part part_of(TetId from, TetId other, bool was_held);
+  static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
+  void hold(const Gap& gap);
+  Vec3 middle_of(HalfFace h) const;
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -85,9 +90,9 @@ class ClosingStage {
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
   std::vector<HalfFace> faces_;         // to open
-  TetPass pass_;                        // whose faces have been considered; then what is_part() has reached
+  TetPass pass_;                        // whose faces have been considered; then what part_of() has reached
   std::uint32_t nearest_ = 0;           // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;            // of is_part()
+  std::vector<TetId> queue_;            // of part_of()
   std::vector<Waiting> waited_;         // scratch
   std::vector<Corner> star_, corners_;  // scratch
 };

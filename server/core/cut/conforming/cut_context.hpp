@@ -39,7 +39,9 @@ struct CutContext {
   // Whether a crossing of an edge of this length, `part` of it from its end v, is as good as at v.
   bool meets_end(VertexId v, double part, double length_m) const {
     if (!on_surface(v)) return false;
-    return part < tolerance::kAtVertex_edge || (stands(v) && part * length_m < tolerance::kOne_h * h);
+    const bool near = part * length_m < tolerance::kOne_h * h,
+               near_for_the_edge = part < tolerance::kAtVertex_edge;
+    return stands(v) ? near || near_for_the_edge : near && near_for_the_edge;
   }
   // Whether a crossing at v could not be dealt with.
   bool failed(VertexId v) const { return workspace.vertices[v].failed == stroke; }

@@ -169,6 +169,26 @@ void RepairStage::merge_near(VertexId v) {
   }
 }
 
+// Whether merging v into w, both on the surface, would make an edge cross it: that bends between them.
+bool RepairStage::crosses_after(const VertexStar& star, VertexId v, VertexId w) const {
+  Vec3 closest;
+  std::uint32_t triangle = 0;
+  if (!cut_.on_surface(v)) return false;
+  const Vec3& target = mesh_.position(w);
+  cut_.work += cost::kNearby;
+  if (!cut_.surface().closest(star.position(), kOnSurface_h * cut_.h, closest, triangle)) return false;
+  if (std::abs(cut_.surface()[triangle].signed_distance(target)) <= kOnSurface_h * cut_.h) return false;
+  for (std::size_t i = 0; i < star.corners().size(); ++i) {
+    for (int k = 0; k < 3; ++k) {
+      const VertexId other = star.corners()[i].others[k];
+      double at = 0;
+      if (other == w || cut_.on_surface(other)) continue;
+      if (cut_.find_crossing(target, true, star.point(i, k), false, triangle, at)) return true;
+    }
+  }
+  return false;
+}
+
 // Merges v, whose star that is, into w where v is free to go there and its star stays good.
 bool RepairStage::try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w) {
   if (cut_.on_rim(v) || (cut_.on_surface(v) && !cut_.on_surface(w))) return false;
@@ -180,6 +200,7 @@ bool RepairStage::try_collapse(const VertexStar& star, TetId t, VertexId v, Vert
     cut_.work += cost::kLook;
     if (worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)) > kGood) return false;
   }
+  if (crosses_after(star, v, w)) return false;
   cut_.work += cost::kTryCollapse;
   if (!mesh_.may_collapse(t, v, w)) return false;
   editor_.collapse(star, t, v, w);

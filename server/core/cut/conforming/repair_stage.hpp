@@ -40,6 +40,7 @@ class RepairStage {
   bool is_film(TetId t) const;
   void merge_near(VertexId v);
   bool try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
+  bool crosses_after(const VertexStar& star, VertexId v, VertexId w) const;
 
   CutContext& cut_;
   const TetMesh& mesh_;

@@ -27,8 +27,16 @@ void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {
       continue;
     }
     if (stands_for(face[0], x) || stands_for(face[1], x) || stands_for(face[2], x)) continue;
-    list_.push_back({t, face, x, from, to, false, false});
+    const HalfFace side = half_face(t, f);
+    if (!is_listed(mesh_.opposite(side), from)) list_.push_back({side, face, x, from, to, false, false});
   }
+}
+
+// Whether the same piercing has been listed lately, from the face's other side.
+bool RimStage::is_listed(HalfFace other, const Vec3& from) const {
+  const auto lately = std::min<std::ptrdiff_t>(std::ssize(list_), kMaxLately);
+  return std::any_of(list_.end() - lately, list_.end(),
+                     [&](const Piercing& p) { return p.side == other && p.from == from && !p.done; });
 }
 
 bool RimStage::advance(WorkBudget& budget) {
@@ -40,8 +48,7 @@ bool RimStage::advance(WorkBudget& budget) {
     const Piercing piercing = list_[i];
     if (cut_.hot(piercing.face[0]) || cut_.hot(piercing.face[1]) || cut_.hot(piercing.face[2])) continue;
     list_[i].done = true;
-    handle(piercing);
-    if (piercing.again) continue;
+    if (!handle(piercing) || piercing.again) continue;
     // What was done here may have changed the faces that the rim pierces: look once more.
     const std::size_t first = list_.size();
     for (VertexId v : piercing.face) {
@@ -54,11 +61,13 @@ bool RimStage::advance(WorkBudget& budget) {
   return true;
 }
 
-// Puts a vertex of the pierced face on the rim, where it is pierced or nearer.
-void RimStage::handle(const Piercing& piercing) {
-  if (!mesh_.alive(piercing.tet)) return;
+// Puts a vertex of the pierced face on the rim, where it is pierced or nearer. Returns whether faces near by may have
+// changed.
+bool RimStage::handle(const Piercing& piercing) {
+  const TetId t = tet_of(piercing.side);
+  if (!mesh_.alive(t)) return true;
   for (VertexId v : piercing.face) {
-    if (mesh_.local_index(piercing.tet, v) < 0) return;
+    if (mesh_.local_index(t, v) < 0) return true;
   }
   std::array<VertexId, 3> nearest = piercing.face;
   std::sort(nearest.begin(), nearest.end(), [&](VertexId v, VertexId w) {
@@ -67,14 +76,14 @@ void RimStage::handle(const Piercing& piercing) {
     return dv != dw ? dv < dw : v < w;
   });
   for (VertexId v : nearest) {
-    if (stands_for(v, piercing.point)) return;
+    if (stands_for(v, piercing.point)) return false;
   }
   for (const double limit : {kGood, kSnapFloor}) {
     for (VertexId v : nearest) {
-      if (!cut_.on_rim(v) && put(v, piercing, limit)) return;
+      if (!cut_.on_rim(v) && put(v, piercing, limit)) return true;
     }
   }
-  if (cut_.config.prefer != Preference::kNoGrowth) split_for(piercing);
+  return cut_.config.prefer != Preference::kNoGrowth && split_for(piercing);
 }
 
 // Puts v on the rim near the place, if its star is not worse than `limit` there.
@@ -97,7 +106,7 @@ bool RimStage::put(VertexId v, const Piercing& piercing, double limit) {
 }
 
 // Makes a new vertex on the face's edge that is nearest to the rim, and puts that there.
-void RimStage::split_for(const Piercing& piercing) {
+bool RimStage::split_for(const Piercing& piercing) {
   VertexId a = kNone, b = kNone;
   double best = INFINITY, at = 0;
   for (int k = 0; k < 3; ++k) {
@@ -113,8 +122,10 @@ void RimStage::split_for(const Piercing& piercing) {
       b = to;
     }
   }
-  if (cut_.worst_after_split(piercing.tet, a, b, at, kSnapFloor) > kSnapFloor) return;
-  put(editor_.split(piercing.tet, a, b, at, MeshEditor::NewVertex::kNotYet), piercing, kSnapFloor);
+  const TetId t = tet_of(piercing.side);
+  if (cut_.worst_after_split(t, a, b, at, kSnapFloor) > kSnapFloor) return false;
+  put(editor_.split(t, a, b, at, MeshEditor::NewVertex::kNotYet), piercing, kSnapFloor);
+  return true;
 }
 
 void RimStage::clinging(std::vector<VertexId>& out) const {
@@ -123,13 +134,13 @@ void RimStage::clinging(std::vector<VertexId>& out) const {
 
 void RimStage::archive(Archive& io) {
   io.list(list_, 89, [&](Piercing& p) {
-    io(p.tet);
+    io(p.side);
     for (VertexId& v : p.face) io(v);
     io(p.point);
     io(p.from);
     io(p.to);
     io(p.again);
-    io.demand(p.tet < mesh_.tet_slots(), "a rim that pierces no tetrahedron");
+    io.demand(tet_of(p.side) < mesh_.tet_slots(), "a rim that pierces no tetrahedron");
     for (const VertexId v : p.face) io.demand(v < mesh_.vertex_slots(), "a rim that pierces no face");
     if (io.reads()) p.done = false;
   });

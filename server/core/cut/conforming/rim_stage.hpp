@@ -28,7 +28,7 @@ class RimStage {
  private:
   // The rim pierces a face.
   struct Piercing {
-    TetId tet;
+    HalfFace side;  // the face as it was then
     std::array<VertexId, 3> face;
     Vec3 point;     // where
     Vec3 from, to;  // the stretch of the rim
@@ -37,9 +37,10 @@ class RimStage {
   };
 
   bool stands_for(VertexId v, const Vec3& point) const;
-  void handle(const Piercing& piercing);
+  bool is_listed(HalfFace other, const Vec3& from) const;
+  bool handle(const Piercing& piercing);
   bool put(VertexId v, const Piercing& piercing, double limit);
-  void split_for(const Piercing& piercing);
+  bool split_for(const Piercing& piercing);
 
   CutContext& cut_;
   const TetMesh& mesh_;

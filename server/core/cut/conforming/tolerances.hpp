@@ -85,6 +85,8 @@ inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
+// A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
+inline constexpr double kSameFace_h = 0.1;
 
 // ---- Waiting for the blade.
 
@@ -101,6 +103,8 @@ inline constexpr double kRimReach_local = 0.75;
 inline constexpr double kRimShift_local = 0.15;
 // A new rim vertex splits an edge of the face no nearer to its ends than this.
 inline constexpr double kRimSplit_edge = 0.2;
+// A face that is pierced is found from both sides. It is listed once, if so many others have not come between.
+inline constexpr std::size_t kMaxLately = 64;
 
 // ---- Crossings (crossing_stage.cpp, placement.cpp).
 

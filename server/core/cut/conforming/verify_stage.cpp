@@ -70,6 +70,8 @@ bool VerifyStage::collect_from(TetId t) {
       if (cut_.meets_end(v[i], at, length_m) || cut_.meets_end(v[j], 1 - at, length_m)) {
         // What stands for the surface deals with it.
         if (cut_.stands(v[i]) || cut_.stands(v[j])) continue;
+        // So near to it that it is on this part, too.
+        if ((on[i] ? std::abs(d[i]) : std::abs(d[j])) <= kLiesAtCut_h * cut_.h) continue;
         // A vertex on another part of the surface is as near as can be had.
         editor_.fail(v[i]);
         editor_.fail(v[j]);
