@@ -9,6 +9,7 @@
 #include "protocol/motion.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
+#include "tests/oracle/hands.hpp"
 #include "tests/oracle/judge.hpp"
 #include "tests/oracle/meetings.hpp"
 
@@ -144,39 +145,6 @@ void run_meetings(const Options& options, const NamedMesh& mesh, const oracle::B
   }
 }
 
-// A recorded motion, turned, scaled and laid into the body.
-std::vector<core::Pose> place(const std::vector<protocol::PoseSample>& samples, const NamedMesh& mesh,
-                              oracle::Random& random, std::size_t most) {
-  const std::size_t first = samples.size() > most ? random.below(samples.size() - most) : 0;
-  const std::size_t n = std::min(most, samples.size());
-  const auto position = [&](std::size_t i) {
-    const auto& p = samples[first + i].position;
-    return core::Vec3{p.x, p.y, p.z};
-  };
-  core::Vec3 low = position(0), high = low;
-  for (std::size_t i = 0; i < n; ++i) extend(position(i), low, high);
-  const auto [from, to] = bounds(mesh.mesh);
-  const double scale =
-      random.uniform(0.3, 0.8) * core::distance(from, to) / std::max(core::distance(low, high), 1e-6);
-  const core::Vec3 to_middle =
-      0.5 * (from + to) + random.uniform(0, 0.15) * core::distance(from, to) * random.direction();
-  const core::Quat turn = oracle::pose_along({}, random.direction()).orientation;
-  std::vector<core::Pose> poses;
-  for (std::size_t i = 0; i < n; ++i) {
-    core::Pose pose;
-    pose.t_ns = samples[first + i].source_ns;
-    pose.position = to_middle + scale * core::rotate(turn, position(i) - 0.5 * (low + high));
-    const auto& q = samples[first + i].orientation;
-    const core::Quat b{q.w, q.x, q.y, q.z}, &a = turn;
-    pose.orientation = {
-        a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
-        a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
-    pose.buttons = 1;
-    poses.push_back(pose);
-  }
-  return poses;
-}
-
 void run_hands(const Options& options, const NamedMesh& mesh, const oracle::Body& body, Totals& totals) {
   std::vector<std::string> names;
   for (const auto& entry : std::filesystem::directory_iterator(data_folder() + "/motions"))
@@ -186,15 +154,11 @@ void run_hands(const Options& options, const NamedMesh& mesh, const oracle::Body
     const protocol::Motion motion = protocol::read_motion(name);
     for (int i = 0; i < options.count; ++i) {
       const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
-      oracle::Random random(seed);
-      const auto poses = place(motion.samples, mesh, random, static_cast<std::size_t>(options.poses));
-      core::CutConfig config = bench_config(core::Policy::kConforming);
-      config.gap_limit_s = core::CutConfig{}.gap_limit_s;
-      config.blade = {{0, 0, 0},
-                      random.uniform(0.15, 0.8) * core::distance(body.low, body.high) * random.direction()};
-      core::CutSession session(mesh.mesh, config);
-      run_timed(session, poses, totals);
-      const auto strokes = oracle::strokes_of(poses, config.blade, config);
+      const oracle::Hand hand =
+          oracle::place_hand(motion.samples, mesh.mesh, seed, static_cast<std::size_t>(options.poses));
+      core::CutSession session(mesh.mesh, hand.config);
+      run_timed(session, hand.poses, totals);
+      const auto strokes = oracle::strokes_of(hand.poses, hand.config.blade, hand.config);
       const Verdict v = oracle::judge(body, strokes, session.mesh());
       totals.add(v, body);
       char text[200];

@@ -7,8 +7,10 @@
 #include <optional>
 #include <string>
 
+#include "protocol/motion.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/mesh_io/mesh_io.hpp"
+#include "tests/oracle/hands.hpp"
 #include "tests/oracle/judge.hpp"
 #include "tests/oracle/meetings.hpp"
 #include "tests/support/bodies.hpp"
@@ -151,6 +153,38 @@ TEST_F(MeetingInACoarseBody, CornersAreCutClean) {
 TEST_F(MeetingInACoarseBody, WhatWasHeldComesApartWithALaterStroke) {
   const Verdict v = cut_and_judge("square", 704);
   EXPECT_TRUE(v.right()) << to_string(v);
+}
+
+// A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and
+// what is left of a vertex's star at the tip of a splinter is not drawn out of the body.
+TEST(MeetingHands, LeaveNoCrumbs) {
+  const char* folder = std::getenv("INCISE_DATA");
+  if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes and motions";
+  const auto load = [&](const char* name) {
+    return mesh_io::load_mesh(std::string(folder) + "/meshes/" + name, {}).mesh;
+  };
+  for (const char* name : {"seed_1720", "liver_6564"}) {
+    const core::MeshData real = load(name);
+    const Body loaded(real);
+    for (const char* motion : {"geomagic_liver", "tum_fr1_xyz", "touch_tracking_b1"}) {
+      const auto samples = protocol::read_motion(std::string(folder) + "/motions/" + motion + ".csv").samples;
+      for (const std::uint64_t seed : {1, 3}) {
+        const Hand hand = place_hand(samples, real, seed, 1000);
+        core::CutSession session(real, hand.config);
+        for (const core::Pose& pose : hand.poses) {
+          session.push(0, pose);
+          drain(session);
+        }
+        session.end_stroke(0);
+        drain(session);
+        const Verdict v =
+            judge(loaded, strokes_of(hand.poses, hand.config.blade, hand.config), session.mesh());
+        EXPECT_TRUE(v.right()) << name << ", " << motion << ", seed " << seed << ": " << to_string(v);
+        EXPECT_LE(v.merged_max_h, 0.7) << name << ", " << motion << ", seed " << seed;
+        EXPECT_LE(std::abs(v.volume_change), 1e-3) << name << ", " << motion << ", seed " << seed;
+      }
+    }
+  }
 }
 
 // A blade that goes through the same slit ten times, up to a tenth of an element beside it.

@@ -107,6 +107,7 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   flattenable_.clear();
   walls_.clear();
   wall_area_ = {};
+  volume_ = -1;
   worst_lanes_ = 0;
   lanes_.resize((corner_ids_.size() + 3) / 4);
 }
@@ -168,12 +169,26 @@ double VertexStar::worst_now() const {
   return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted, worst_lanes_);
 }
 
+double VertexStar::volume() const {
+  if (volume_ >= 0) return volume_;
+  volume_ = 0;
+  for (std::size_t i = 0; i < corners_.size(); ++i) {
+    const Vec3 a = point(i, 0);
+    volume_ += std::abs(dot(cross(point(i, 1) - a, point(i, 2) - a), position_ - a)) / 6;
+  }
+  return volume_;
+}
+
 bool VertexStar::keeps_boundary(const Vec3& p) const {
   constexpr double kDistance_h = 0.05;
   constexpr double kVolume_h3 = 0.001;
+  constexpr double kVolumePart = 0.01;
   const Vec3 d = p - position_;
   // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
-  if (std::abs(dot(wall_area_, d)) > 3 * kVolume_h3 * local_h_ * local_h_ * local_h_) return false;
+  const double won = std::abs(dot(wall_area_, d)) / 3;
+  if (won > kVolume_h3 * local_h_ * local_h_ * local_h_) return false;
+  // At the edge of a film or the tip of a splinter that is next to nothing, however far the vertex goes.
+  if (won > kVolumePart * volume()) return false;
   for (const Wall& wall : walls_) {
     if (std::abs(dot(wall.normal, d)) > kDistance_h * local_h_) return false;
   }

@@ -58,10 +58,11 @@ class VertexStar {
   // The worst measure as it stands.
   double worst_now() const;
   // Whether the boundary would stay where it is, to within a small part of the mesh width, with the vertex at p: the
-  // distance of its faces' planes, and the volume that is won or lost.
+  // distance of its faces' planes, and the volume that is won or lost, which is a small part of the star's, too.
   bool keeps_boundary(const Vec3& p) const;
 
  private:
+  double volume() const;
   // The points of four corners, side by side for vector instructions: rows are the coordinates of others[0], [1], [2].
   struct alignas(32) Lanes {
     double p[9][4];
@@ -82,6 +83,7 @@ class VertexStar {
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
   std::vector<Wall> walls_;
   Vec3 wall_area_;
+  mutable double volume_ = -1;  // below 0: not known yet
 };
 
 }  // namespace incise::core

@@ -97,6 +97,21 @@ TEST(VertexStar, KeepsTheBoundaryWhereItIs) {
 }
 
 // A face between two regions is as fixed as the boundary; one that a cut has opened says so.
+// Going on along its axis, a needle's tip stays near the planes of its faces and wins next to no volume: it could go on for ever.
+TEST(VertexStar, ATipIsNotDrawnOutOfTheBody) {
+  MeshData needle;
+  needle.positions = {{0, 0, 0}, {0.05, 0, 0}, {0, 0.05, 0}, {0, 0, 1}};
+  needle.tets = {{0, 1, 2, 3}};
+  const TetMesh mesh(needle);
+  VertexStar star;
+  star.gather(mesh, 3, kNoneOnSurface);
+  EXPECT_FALSE(star.keeps_boundary({0, 0, 1.3}));
+  EXPECT_FALSE(star.keeps_boundary({0, 0, 0.9}));
+  EXPECT_TRUE(star.keeps_boundary({0, 0, 1.005}));
+  // Sideways it wins nothing.
+  EXPECT_TRUE(star.keeps_boundary({0.01, 0.01, 1}));
+}
+
 TEST(VertexStar, RegionsAndCutsMakeWalls) {
   MeshData data = box(2, 2, 2);
   for (const auto& tet : data.tets) {

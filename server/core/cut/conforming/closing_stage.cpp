@@ -216,8 +216,8 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
   }
   const double least_m3 = kLeastPart_h3 * cut_.h * cut_.h * cut_.h;
   // The area has two sides.
-  const bool thick = volume_m3 >= kOne_h * cut_.h * 0.5 * area_m2;
-  return deep && (thick || !was_held) && volume_m3 >= least_m3 ? Part::kSmall : Part::kCrumb;
+  const bool thick = volume_m3 >= (was_held ? kOne_h : kFilm_h) * cut_.h * 0.5 * area_m2;
+  return deep && thick && volume_m3 >= least_m3 ? Part::kSmall : Part::kCrumb;
 }
 
 bool ClosingStage::open(WorkBudget& budget) {

@@ -33,11 +33,11 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
 void Islands::spare(HalfFace side) {
   cut_.work += cost::kLook;
   if (!pending(tet_of(side), face_of(side)) || stands_clear(side)) return;
-  if (is_island(tet_of(side))) {
-    join_larger_side();
-  } else {
-    for (TetId t : members_) inland_.add(t);
+  // What it stays with may be another one.
+  while (is_island(tet_of(side))) {
+    if (!join_larger_side()) return;
   }
+  for (TetId t : members_) inland_.add(t);
 }
 
 // Whether what hangs together behind the faces that are about to open is no part of the tissue: a few tetrahedra with a face that is
@@ -78,8 +78,8 @@ bool Islands::is_island(TetId first) {
 }
 
 // Keeps the members together with their neighbours on one side of the surface: with both they would be a bridge. Nor with two
-// that an older cut parts there: with those alone that hang together with one of them near by.
-void Islands::join_larger_side() {
+// that an older cut parts there: with those alone that hang together with one of them near by. False where there are none.
+bool Islands::join_larger_side() {
   int above = 0, below = 0;
   const auto visit = [this](auto look) {
     for (TetId t : members_) {
@@ -97,7 +97,7 @@ void Islands::join_larger_side() {
     largest = area;
     first = tet_of(mesh_.opposite(h));
   });
-  if (first == kNone) return;
+  if (first == kNone) return false;
   reach_around(first);
   visit([&](HalfFace h) {
     const HalfFace o = mesh_.opposite(h);
@@ -105,6 +105,7 @@ void Islands::join_larger_side() {
     cut_.clear_pending(h);
     cut_.clear_pending(o);
   });
+  return true;
 }
 
 // Marks what hangs together with a neighbour of the members, without them.

@@ -30,7 +30,7 @@ class Islands {
 
  private:
   bool is_island(TetId first);
-  void join_larger_side();
+  bool join_larger_side();
   void reach_around(TetId first);
   bool is_above(HalfFace h) const;
   bool stands_clear(HalfFace h) const;
