@@ -196,12 +196,10 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
-  bool deep = false;
   double volume_m3 = 0, area_m2 = 0;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     const TetId t = queue_[i];
     cut_.work += cost::kLook;
-    deep = deep || !is_shallow(cut_, t, kOne_h * cut_.h);
     volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(t, f));
@@ -214,10 +212,12 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
     }
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
-  const double least_m3 = kLeastPart_h3 * cut_.h * cut_.h * cut_.h;
   // The area has two sides.
-  const bool thick = volume_m3 >= (was_held ? kOne_h : kFilm_h) * cut_.h * 0.5 * area_m2;
-  return deep && thick && volume_m3 >= least_m3 ? Part::kSmall : Part::kCrumb;
+  const double least_m3 = std::max(kLeastPart_h3 * cut_.h * cut_.h * cut_.h,
+                                   (was_held ? kOne_h : kFilm_h) * cut_.h * 0.5 * area_m2);
+  if (volume_m3 < least_m3) return Part::kCrumb;
+  const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
+  return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
 }
 
 bool ClosingStage::open(WorkBudget& budget) {
