@@ -180,17 +180,17 @@ double VertexStar::volume() const {
 }
 
 bool VertexStar::keeps_boundary(const Vec3& p) const {
-  constexpr double kDistance_h = 0.05;
-  constexpr double kVolume_h3 = 0.001;
+  constexpr double kDistance_local = 0.05;
+  constexpr double kVolume_local3 = 0.001;
   constexpr double kVolumePart = 0.01;
   const Vec3 d = p - position_;
   // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
   const double won = std::abs(dot(wall_area_, d)) / 3;
-  if (won > kVolume_h3 * local_h_ * local_h_ * local_h_) return false;
+  if (won > kVolume_local3 * local_h_ * local_h_ * local_h_) return false;
   // At the edge of a film or the tip of a splinter that is next to nothing, however far the vertex goes.
   if (won > kVolumePart * volume()) return false;
   for (const Wall& wall : walls_) {
-    if (std::abs(dot(wall.normal, d)) > kDistance_h * local_h_) return false;
+    if (std::abs(dot(wall.normal, d)) > kDistance_local * local_h_) return false;
   }
   return true;
 }

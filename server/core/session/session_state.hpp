@@ -14,8 +14,9 @@ namespace incise::core {
 
 // A session as bytes: everything that later revisions depend on, including strokes in progress, so that a restored session gives
 // the ids and hashes that the saved one would have given. Little-endian. Each class's archive() lists its
-// members: one that lives from one batch to the next belongs there. Raise the version when such a list
-// changes: older bytes are then refused.
+// members: one that lives from one batch to the next belongs there. When such a list changes: raise the version (older
+// bytes are then refused), write the fuzzer's seeds again (INCISE_WRITE_CORPUS=tests/fuzz/corpus/session_state core_tests
+// --gtest_filter='SessionState.Small*'), and say so under "Checkpoints" in CHANGELOG.md.
 inline constexpr std::uint32_t kSessionStateVersion = 7;
 
 // No batch may wait (advance() returns kIdle): a batch under way cannot be saved. O(mesh).

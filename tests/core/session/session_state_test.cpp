@@ -3,8 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
 #include <functional>
+#include <iterator>
+#include <span>
+#include <string>
 
 #include "server/core/mesh/validate.hpp"
 #include "tests/core/test_meshes.hpp"
@@ -153,6 +157,23 @@ TEST(SessionState, SmallSessionsAreRestored) {
       }
     }
   }
+}
+
+// Seeds of an older version would be refused at once, and the fuzzer would try nothing.
+TEST(SessionState, TheFuzzersSeedsAreRestored) {
+  int seeds = 0;
+  for (const auto& seed :
+       std::filesystem::directory_iterator(INCISE_SOURCE_DIR "/tests/fuzz/corpus/session_state")) {
+    const std::string name = seed.path().filename().string();
+    std::ifstream in(seed.path(), std::ios::binary);
+    const std::string bytes{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+    const Policy policy = name.starts_with("croll") ? Policy::kCroll : Policy::kConforming;
+    std::string error;
+    EXPECT_TRUE(restore_session(std::as_bytes(std::span(bytes)), config(policy), error))
+        << name << ": " << error;
+    ++seeds;
+  }
+  EXPECT_GE(seeds, 6);
 }
 
 // Damaged bytes are refused, or give a session that can be cut.

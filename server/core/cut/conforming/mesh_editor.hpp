@@ -27,6 +27,7 @@ namespace incise::core {
 //   remove        -             -                            neighbours   film: its    copies of its vertices
 //                                                                         vertices
 //   open          -             -                            both sides   -            -
+//   fail          -             its star                     -            -            -
 //
 // Snaps and splits do not free vertices to be moved again, for they all come before the repairs of their round. Counts
 // what is done (CutContext::counts).

@@ -5,7 +5,8 @@
 
 #include "server/core/geometry/quality.hpp"
 
-// Every constant of the policy `conforming`. `_h`: in mean edge lengths of the mesh as loaded; `_local`: in mean edge lengths at
+// The constants of the policy `conforming`; those of rooms below stand beside their code: noise of the hand (stroke_builder.cpp), how far a move
+// may take the boundary (vertex_star.cpp). `_h`: in mean edge lengths of the mesh as loaded; `_local`: in mean edge lengths at
 // the vertex in question (TetMesh::local_h); `_edge`: a part of the edge's length; `kCos...`: the cosine of an angle. The rest
 // are counts or ratios. A change of any of them changes what cuts do, so all hashes in tests/replay.
 namespace incise::core::tolerance {
