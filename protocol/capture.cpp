@@ -382,7 +382,7 @@ void CaptureReader::read_header() {
   fill(kPreambleBytes);
   const std::size_t have = std::min(window_.size(), sizeof kMagic);
   if (have == 0 || std::memcmp(window_.data(), kMagic, have) != 0) {
-    stop(Status::Corrupt, "no capture: it does not begin with INCISCAP");
+    stop(Status::Corrupt, "does not begin with INCISCAP");
     return;
   }
   if (window_.size() < kPreambleBytes) {

@@ -240,78 +240,101 @@ class Watcher {
     cut_area_ = cut_area_of(held);
   }
 
-  void print_line() {
+  // What one line tells.
+  struct Figures {
+    std::uint64_t revision = 0;
+    double steps_s = 0, deltas_s = 0, bytes_s = 0;  // since the line before
+    Window window;
     std::uint32_t tets = 0;
     std::size_t pieces = 0;
-    measure(tets, pieces);
-    const Counters now = client_->counters();
+    double cut_area_m2 = 0;
+    Counters counters;
+    std::optional<protocol::Stats> stats;
+  };
+
+  Figures figures() {
+    Figures f;
+    measure(f.tets, f.pieces);
+    f.counters = client_->counters();
     const auto time = steady_clock::now();
     const double seconds = std::max(1e-3, std::chrono::duration<double>(time - printed_).count());
     printed_ = time;
     const auto rate = [&](std::uint64_t a, std::uint64_t b) { return static_cast<double>(a - b) / seconds; };
-    const double steps_s = rate(now.steps, before_.steps), deltas_s = rate(now.deltas, before_.deltas),
-                 bytes_s = rate(now.bytes_in, before_.bytes_in);
-    before_ = now;
-    Window w;
-    double area = 0;
-    std::optional<protocol::Stats> stats;
+    f.steps_s = rate(f.counters.steps, before_.steps);
+    f.deltas_s = rate(f.counters.deltas, before_.deltas);
+    f.bytes_s = rate(f.counters.bytes_in, before_.bytes_in);
+    before_ = f.counters;
     {
       const std::scoped_lock lock(mutex_);
-      w = std::exchange(window_, {});
-      area = cut_area_;
-      stats = stats_;
+      f.window = std::exchange(window_, {});
+      f.cut_area_m2 = cut_area_;
+      f.stats = stats_;
     }
-    if (stats && stats->pieces > 0) pieces = stats->pieces;
-    const std::uint64_t revision = client_->revision();
+    if (f.stats && f.stats->pieces > 0) f.pieces = f.stats->pieces;
+    f.revision = client_->revision();
+    return f;
+  }
+
+  void print_line() {
+    Figures f = figures();
     if (command_.json) {
-      nlohmann::ordered_json line{
-          {"revision", revision},
-          {"connected", client_->status() == Status::kConnected},
-          {"unheard_s", unheard_s()},
-          {"stalled_s", stalled_s()},
-          {"revisions_per_s", steps_s},
-          {"deltas_per_s", deltas_s},
-          {"bytes_per_s", bytes_s},
-          {"pose_to_cut_ms",
-           {{"p50", percentile(w.pose_to_cut_ms, 50)}, {"p99", percentile(w.pose_to_cut_ms, 99)}}},
-          {"cut_to_here_ms",
-           {{"p50", percentile(w.cut_to_here_ms, 50)}, {"p99", percentile(w.cut_to_here_ms, 99)}}},
-          {"pose_to_here_ms",
-           {{"p50", percentile(w.pose_to_here_ms, 50)}, {"p99", percentile(w.pose_to_here_ms, 99)}}},
-          {"tets", tets > 0 ? nlohmann::ordered_json(tets) : nlohmann::ordered_json()},
-          {"pieces", pieces},
-          {"cut_area_m2", area},
-          {"snapshots", now.snapshots},
-          {"resyncs", now.resyncs},
-          {"reconnects", now.reconnects}};
-      if (stats) {
-        line["server"] = {{"sessions", stats->sessions},
-                          {"backlog_segments", stats->backlog_segments},
-                          {"frames", stats->frames},
-                          {"late_frames", stats->late_frames},
-                          {"poses_accepted", stats->poses_accepted},
-                          {"poses_rejected", stats->poses_rejected},
-                          {"frame_work_p99_us", stats->frame_work_p99_us},
-                          {"pose_to_delta_p99_us", stats->pose_to_delta_p99_us}};
-      }
-      std::printf("%s\n", line.dump().c_str());
+      print_json(f);
     } else {
-      std::printf("%srevision %" PRIu64 "  ", terminal_ ? "\r\x1b[K" : "", revision);
-      if (client_->status() != Status::kConnected) {
-        std::printf("connecting again");
-      } else if (unheard_s() > kUnheard_s) {
-        std::printf("no word from the server for %.0f s", unheard_s());
-      } else if (stalled_s() > kUnheard_s) {
-        std::printf("the server's loop has stood for %.0f s", stalled_s());
-      } else {
-        std::printf(
-            "%.0f/s  pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2  %.1f kB/s",
-            steps_s, milliseconds(w.pose_to_cut_ms).c_str(), milliseconds(w.cut_to_here_ms).c_str(),
-            tets > 0 ? std::to_string(tets).c_str() : "-", pieces, 1e4 * area, 1e-3 * bytes_s);
-      }
-      if (!terminal_) std::printf("\n");
+      print_text(f);
     }
     std::fflush(stdout);
+  }
+
+  void print_json(Figures& f) const {
+    const auto percentiles = [](std::vector<double>& values) {
+      return nlohmann::ordered_json{{"p50", percentile(values, 50)}, {"p99", percentile(values, 99)}};
+    };
+    nlohmann::ordered_json line{{"revision", f.revision},
+                                {"connected", client_->status() == Status::kConnected},
+                                {"unheard_s", unheard_s()},
+                                {"stalled_s", stalled_s()},
+                                {"revisions_per_s", f.steps_s},
+                                {"deltas_per_s", f.deltas_s},
+                                {"bytes_per_s", f.bytes_s},
+                                {"pose_to_cut_ms", percentiles(f.window.pose_to_cut_ms)},
+                                {"cut_to_here_ms", percentiles(f.window.cut_to_here_ms)},
+                                {"pose_to_here_ms", percentiles(f.window.pose_to_here_ms)},
+                                {"tets", nullptr},
+                                {"pieces", f.pieces},
+                                {"cut_area_m2", f.cut_area_m2},
+                                {"snapshots", f.counters.snapshots},
+                                {"resyncs", f.counters.resyncs},
+                                {"reconnects", f.counters.reconnects}};
+    if (f.tets > 0) line["tets"] = f.tets;
+    if (f.stats) {
+      line["server"] = {{"sessions", f.stats->sessions},
+                        {"backlog_segments", f.stats->backlog_segments},
+                        {"frames", f.stats->frames},
+                        {"late_frames", f.stats->late_frames},
+                        {"poses_accepted", f.stats->poses_accepted},
+                        {"poses_rejected", f.stats->poses_rejected},
+                        {"frame_work_p99_us", f.stats->frame_work_p99_us},
+                        {"pose_to_delta_p99_us", f.stats->pose_to_delta_p99_us}};
+    }
+    std::printf("%s\n", line.dump().c_str());
+  }
+
+  void print_text(Figures& f) const {
+    std::printf("%srevision %" PRIu64 "  ", terminal_ ? "\r\x1b[K" : "", f.revision);
+    if (client_->status() != Status::kConnected) {
+      std::printf("connecting again");
+    } else if (unheard_s() > kUnheard_s) {
+      std::printf("no word from the server for %.0f s", unheard_s());
+    } else if (stalled_s() > kUnheard_s) {
+      std::printf("the server's loop has stood for %.0f s", stalled_s());
+    } else {
+      std::printf(
+          "%.0f/s  pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2  %.1f kB/s",
+          f.steps_s, milliseconds(f.window.pose_to_cut_ms).c_str(),
+          milliseconds(f.window.cut_to_here_ms).c_str(), f.tets > 0 ? std::to_string(f.tets).c_str() : "-",
+          f.pieces, 1e4 * f.cut_area_m2, 1e-3 * f.bytes_s);
+    }
+    if (!terminal_) std::printf("\n");
   }
 
   void save() const {

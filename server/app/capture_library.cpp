@@ -57,7 +57,9 @@ class Replay {
   void load(const fs::path& path, const Body& live) {
     {
       std::ifstream in(path, std::ios::binary);
-      if (!protocol::CaptureReader(in).header_ok()) throw std::runtime_error(name_ + ": not a capture");
+      const protocol::CaptureReader reader(in);
+      if (!reader.header_ok())
+        throw std::runtime_error(name_ + ": is not a capture of incised: " + reader.error());
     }
     motion_ = read_recorded_motion(path);
     config_ = config_of(*motion_.header, name_);
@@ -67,8 +69,8 @@ class Replay {
       if (!config_.mesh.path.empty()) config_.mesh.path = motion_.header->mesh_path;
       own_body_ = load_body(config_);
       if (own_body_.loaded.content_hash != motion_.header->mesh_content_hash) {
-        throw std::runtime_error(name_ + ": was recorded with another mesh than " + own_body_.name +
-                                 " is now");
+        throw std::runtime_error(name_ + ": " + own_body_.name +
+                                 " has changed since this was recorded; a replay needs the mesh as it was");
       }
       body_ = &own_body_;
     }

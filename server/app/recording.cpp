@@ -39,11 +39,10 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
                              body.loaded.content_hash);
   }
   if (!same_cut(config, config_of(header, path))) {
-    throw std::runtime_error(
-        path +
-        ": was recorded with other values of cut, blade or sources; a session goes on only "
-        "with those it began with (incise info " +
-        path + " and incised --config show both)");
+    throw std::runtime_error(path +
+                             ": was recorded with other values of cut, blade or sources; a session goes on "
+                             "only with those it began with (incise info " +
+                             path + " --json shows them)");
   }
 }
 

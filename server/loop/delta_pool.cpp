@@ -36,8 +36,8 @@ std::shared_ptr<PublishedDelta> DeltaPool::next_free() {
     ring_.insert(ring_.begin() + static_cast<std::ptrdiff_t>(next_), std::make_shared<PublishedDelta>());
     size_.store(ring_.size(), std::memory_order_relaxed);
   }
-  // use_count() alone orders nothing. This copy's end is a read-modify-write with acquire on the count that
-  // the last reader released: what that reader read lies before what the loop writes now.
+  // use_count() is a relaxed load. Destroying this copy is an acquire-release change of the count, so the last
+  // reader's reads happen before our writes.
   { const auto acquire = ring_[next_]; }
   return ring_[next_];
 }

@@ -2,6 +2,7 @@
 // on legacy formats (1 and 2).
 
 #include <algorithm>
+#include <cstdio>
 #include <map>
 #include <numeric>
 
@@ -130,7 +131,9 @@ class GmshReader {
     if (one == 0x01000000u) {
       order_ = std::endian::big;
     } else if (one != 1) {
-      in_.fail("the number 1, which shows the byte order, reads as 1 in neither order");
+      char found[16];
+      std::snprintf(found, sizeof found, "0x%08x", one);
+      in_.fail("the number after $MeshFormat must be 1, little- or big-endian; found " + std::string(found));
     }
   }
 

@@ -402,7 +402,7 @@ class VtkReader {
 
   std::int64_t to_region(double value) {
     if (!(value >= -2147483648.0 && value <= 2147483647.0))
-      in_.fail("the region " + to_text(value) + " is out of range");
+      in_.fail("the region " + to_text(value) + " is out of range; accepted are -2147483648 to 2147483647");
     return static_cast<std::int64_t>(value);
   }
 

@@ -85,7 +85,10 @@ class VtuReader {
       }
       corners[k] = static_cast<core::VertexId>(first_point + static_cast<std::size_t>(point));
     }
-    if (!(region >= -2147483648.0 && region <= 2147483647.0)) fail(cell + ": the region is out of range");
+    if (!(region >= -2147483648.0 && region <= 2147483647.0)) {
+      fail(cell + ": the region " + to_text(region) +
+           " is out of range; accepted are -2147483648 to 2147483647");
+    }
     out_.add_tet(corners, static_cast<std::int64_t>(region));
   }
 

@@ -61,7 +61,8 @@ core::VertexId TetCollector::vertex(std::int64_t number) const {
 std::int32_t TetCollector::checked_region(std::int64_t region) const {
   if (region < std::numeric_limits<std::int32_t>::min() ||
       region > std::numeric_limits<std::int32_t>::max()) {
-    in_.fail("the region " + std::to_string(region) + " is out of range");
+    in_.fail("the region " + std::to_string(region) +
+             " is out of range; accepted are -2147483648 to 2147483647");
   }
   return static_cast<std::int32_t>(region);
 }

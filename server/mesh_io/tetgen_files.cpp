@@ -30,6 +30,11 @@ void require_end(LineReader& in, std::size_t count, std::string_view what) {
   }
 }
 
+[[noreturn]] void fail_too_many(const LineReader& in, std::size_t count, std::string_view what) {
+  in.fail("declares " + std::to_string(count) + " " + std::string(what) + "; at most " +
+          std::to_string(kMaxTets) + " are accepted");
+}
+
 void read_nodes(const std::filesystem::path& path, core::MeshData& mesh, int& index_base) {
   const std::string text = read_whole_file(path);
   LineReader in(text, path.string());
@@ -41,7 +46,7 @@ void read_nodes(const std::filesystem::path& path, core::MeshData& mesh, int& in
             ": a flat mesh; accepted are tetrahedra, as TetGen writes them");
   }
   const std::size_t count = in.count_of_rest(0, "the number of points", kMinNodeLine);
-  if (count > kMaxTets) in.fail("more than " + std::to_string(kMaxTets) + " points");
+  if (count > kMaxTets) fail_too_many(in, count, "points");
   if (count < 4) in.fail("the number of points is " + std::to_string(count) + "; a tetrahedron needs four");
   mesh.positions.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -62,7 +67,7 @@ void read_elements(const std::filesystem::path& path, core::MeshData& mesh, int 
   LineReader in(text, path.string());
   in.require("the header 'tetrahedra nodes attributes'");
   const std::size_t count = in.count_of_rest(0, "the number of tetrahedra", kMinEleLine);
-  if (count > kMaxTets) in.fail("more than " + std::to_string(kMaxTets) + " tetrahedra");
+  if (count > kMaxTets) fail_too_many(in, count, "tetrahedra");
   if (count == 0) in.fail("the number of tetrahedra is 0: there is nothing to cut");
   const std::int64_t nodes = in.size() > 1 ? in.integer(1, "the number of nodes a tetrahedron") : 4;
   if (nodes != 4 && nodes != 10)
@@ -96,7 +101,7 @@ void read_elements(const std::filesystem::path& path, core::MeshData& mesh, int 
       const double value = in.number(1 + static_cast<std::size_t>(nodes), "the region attribute");
       const double region = std::nearbyint(value);
       if (std::abs(region) > std::numeric_limits<std::int32_t>::max())
-        in.fail("the region attribute is out of range");
+        in.fail("the region attribute is out of range; accepted are -2147483647 to 2147483647");
       if (region != value && rounded++ == 0) {
         warnings.push_back(path.string() + ":" + std::to_string(in.line()) + ": the attribute " +
                            to_text(value) + " is not an integer: regions are rounded to the nearest");

@@ -16,8 +16,9 @@ namespace incise::stream {
 // What became of one source's poses since it was opened: the sums in a PoseReport.
 struct PoseTotals {
   std::uint64_t accepted = 0;  // including those in too_fast
-  std::uint64_t not_finite = 0, not_unit = 0, time_not_rising = 0, queue_full = 0;
-  std::uint64_t too_fast = 0;  // accepted, but each began a new stroke
+  std::uint64_t not_finite = 0, not_unit = 0, time_not_rising = 0;
+  std::uint64_t queue_full = 0;  // always 0; kept for the wire
+  std::uint64_t too_fast = 0;    // accepted, but each began a new stroke
   std::int64_t last_source_ns = 0;
   std::uint32_t backlog_segments = 0;
   std::uint64_t recorded = 0;  // of the accepted ones

@@ -205,6 +205,8 @@ TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {
   ASSERT_TRUE(error);
   EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::NotAvailable);
   EXPECT_EQ(std::get<protocol::Error>(error->message.body).in_reply_to, 77u);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).text,
+            "broken.capture: is not a capture of incised: offset 0: does not begin with INCISCAP");
   // It still serves whole captures, and the live mesh.
   ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
   follow(viewer, 0);
@@ -213,6 +215,19 @@ TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {
   Viewer operating(port(), operate);
   ask(operating, ReplayAction::Open, 0, 1, "sweep.capture");
   EXPECT_EQ(answer(operating), ErrorCode::Forbidden);
+}
+
+TEST_F(CaptureLibraryTest, SaysThatTheMeshHasChanged) {
+  mesh_io::write_mesh(dir_ / "cube.node", tests::cube(5));
+  Viewer viewer(port());
+  ASSERT_TRUE(viewer.follow(0));
+  ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
+  const auto error = viewer.peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_NE(std::get<protocol::Error>(error->message.body)
+                .text.find(" has changed since this was recorded; a replay needs the mesh as it was"),
+            std::string::npos)
+      << std::get<protocol::Error>(error->message.body).text;
 }
 
 TEST_F(CaptureLibraryTest, ListsWhatLiesInItsFolderByWhateverName) {

@@ -241,6 +241,10 @@ TEST_F(Incised, ResumesAfterKill) {
   const RunResult refused = run({"--config", "c.json", "--resume"});
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_NE(refused.err.find("other values of cut"), std::string::npos) << refused.err;
+  // The command that it names shows what the session began with.
+  ASSERT_NE(refused.err.find("incise info session.capture --json"), std::string::npos) << refused.err;
+  const RunResult info = tests::run_program("incise", {"info", "session.capture", "--json"}, dir_);
+  EXPECT_EQ(json::parse(info.out)["config"]["cut"]["batch_h"], 0.25) << info.out;
 }
 
 TEST_F(Incised, APortInUseIsAnErrorThatNamesIt) {

@@ -238,6 +238,8 @@ class Parts(unittest.TestCase):
         self.assertEqual((list(changed.ids), list(changed.x)), ([1, 2, 7], [10, 21, 70]))
         with self.assertRaises(incise_client.ApplyError):
             rows.changed(Rows([2], x=np.array([21])), u32([2]))
+        with self.assertRaisesRegex(incise_client.ApplyError, "^y: 2 entries for 3 ids$"):
+            Rows([1, 2, 3], x=np.array([10, 20, 30]), y=np.array([1, 2]))
 
     def test_a_triangle_of_vertices_that_are_not_there_is_refused(self):
         positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)

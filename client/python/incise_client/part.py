@@ -20,8 +20,9 @@ class Rows:
         self.ids: Ids = np.asarray(ids, np.uint32)
         self.columns: dict[str, Any] = columns
         _check_ascending(self.ids, "elements")
-        if any(len(c) != len(self.ids) for c in columns.values()):
-            raise ApplyError("arrays of different lengths")
+        for name, column in columns.items():
+            if len(column) != len(self.ids):
+                raise ApplyError(f"{name}: {len(column)} entries for {len(self.ids)} ids")
 
     def __getattr__(self, name: str) -> Any:
         columns = self.__dict__.get("columns", {})

@@ -34,9 +34,9 @@ class _Tets:
         self.regions = _array(table.RegionsAsNumpy(), np.int32)
         self.cut_masks = _array(table.CutMasksAsNumpy(), np.uint8)
         self.boundary_masks = _array(table.BoundaryMasksAsNumpy(), np.uint8)
-        for other in (self.vertices, self.regions, self.cut_masks, self.boundary_masks):
-            if len(other) != len(self.ids):
-                raise ApplyError("tetrahedra: arrays of different lengths")
+        for name in ("vertices", "regions", "cut_masks", "boundary_masks"):
+            if len(getattr(self, name)) != len(self.ids):
+                raise ApplyError(f"tetrahedra: {name}: {len(getattr(self, name))} entries for {len(self.ids)} ids")
         _check_ascending(self.ids, "tetrahedra")
 
     def hashes(self) -> npt.NDArray[np.uint64]:
@@ -46,6 +46,24 @@ class _Tets:
 def _check_ascending(ids: npt.NDArray[np.uint32], what: str) -> None:
     if len(ids) > 1 and not (ids[1:] > ids[:-1]).all():
         raise ApplyError(f"{what}: ids that do not ascend")
+
+
+class _Delta:
+    """The arrays of a MeshDelta, not yet checked against a state."""
+
+    def __init__(self, message: Any) -> None:
+        self.message = message
+        self.moved = _array(message.MovedIdsAsNumpy(), np.uint32)
+        self.moved_to = _array(message.MovedPositionsAsNumpy(), np.float64).reshape(-1, 3)
+        self.added = _array(message.AddedPositionsAsNumpy(), np.float64).reshape(-1, 3)
+        self.rest = _array(message.RestIdsAsNumpy(), np.uint32)
+        self.rest_to = _array(message.RestPositionsAsNumpy(), np.float64).reshape(-1, 3)
+        self.tets = _Tets(message.Tets())
+        self.changed = self.tets.ids[self.tets.ids < message.FirstNewTet()]
+        self.removed = _array(message.RemovedTetsAsNumpy(), np.uint32)
+        self.piece_sizes = _array(message.PieceSizesAsNumpy(), np.uint32)
+        self.piece_ids = _array(message.PieceIdsAsNumpy(), np.uint32)
+        self.piece_tets = _array(message.PieceTetsAsNumpy(), np.uint32)
 
 
 class Replica:
@@ -163,73 +181,83 @@ class Replica:
         """
         if delta.BaseRevision() != self.revision or delta.Revision() <= self.revision:
             raise ApplyError(f"delta from {delta.BaseRevision()} to {delta.Revision()}, this state is at {self.revision}")
-        moved = _array(delta.MovedIdsAsNumpy(), np.uint32)
-        moved_to = _array(delta.MovedPositionsAsNumpy(), np.float64).reshape(-1, 3)
-        added = _array(delta.AddedPositionsAsNumpy(), np.float64).reshape(-1, 3)
-        tets = _Tets(delta.Tets())
-        removed = _array(delta.RemovedTetsAsNumpy(), np.uint32)
-        piece_sizes = _array(delta.PieceSizesAsNumpy(), np.uint32)
-        piece_ids = _array(delta.PieceIdsAsNumpy(), np.uint32)
-        piece_tets = _array(delta.PieceTetsAsNumpy(), np.uint32)
-        rest_ids = _array(delta.RestIdsAsNumpy(), np.uint32)
-        rest_positions = _array(delta.RestPositionsAsNumpy(), np.float64).reshape(-1, 3)
-        old_vertices, old_slots = len(self.positions), len(self.tets)
-        vertices = old_vertices + len(added)
-        _check_ascending(moved, "moved vertices")
-        _check_ascending(removed, "removed tetrahedra")
-        _check_ascending(rest_ids, "rest vertices")
-        if len(rest_ids) != len(rest_positions) or (len(rest_ids) and int(rest_ids[-1]) >= vertices):
-            raise ApplyError("rest positions of vertices that do not exist")
-        if len(moved) != len(moved_to) or (len(moved) and int(moved[-1]) >= old_vertices):
-            raise ApplyError("moved vertices that do not exist")
-        if (len(added) and delta.FirstAdded() != old_vertices) or delta.VertexCount() != vertices:
-            raise ApplyError("added vertices do not follow the last vertex")
-        if len(tets.ids) and int(tets.vertices.max()) >= vertices:
-            raise ApplyError("a tetrahedron of vertices that do not exist")
-        if len(removed) and (int(removed[-1]) >= old_slots or not self.alive[removed].all()):
-            raise ApplyError("removed tetrahedra that do not exist")
-        if np.intersect1d(removed, tets.ids, assume_unique=True).size:
-            raise ApplyError("tetrahedra both changed and removed")
-        is_new = tets.ids >= delta.FirstNewTet()
-        changed = tets.ids[~is_new]
-        if delta.FirstNewTet() < old_slots or (
-                len(changed) and (int(changed[-1]) >= old_slots or not self.alive[changed].all())):
-            raise ApplyError("changed tetrahedra that do not exist")
-        live = self.live_tets + int(is_new.sum()) - len(removed)
-        if live != delta.LiveTets() or int(piece_sizes.sum()) != len(piece_tets) or len(piece_sizes) != len(piece_ids):
-            raise ApplyError("delta whose counts differ from its contents")
-
-        gone = np.concatenate([changed, removed])
-        new_ids = np.arange(old_vertices, vertices, dtype=np.uint32)
-        state_hash = self.state_hash
-        for part in (vertex_hashes(moved, self.positions[moved]), vertex_hashes(moved, moved_to),
-                     vertex_hashes(new_ids, added),
-                     tet_hashes(gone, self.tets[gone], self.regions[gone], self.cut_masks[gone]), tets.hashes()):
-            state_hash ^= xor_of(part)
-        if state_hash != delta.StateHash():
-            raise ApplyError(f"revision {delta.Revision()} has hash {state_hash:016x}, announced was {delta.StateHash():016x}")
-
-        slots = max(old_slots, int(tets.ids[-1]) + 1 if len(tets.ids) else 0)
-        if len(piece_tets) and int(piece_tets.max()) >= slots:
-            raise ApplyError("a piece of tetrahedra that do not exist")
+        new = _Delta(delta)
+        self._check_vertices(new)
+        live = self._check_tets(new)
+        state_hash = self._hash_after(new)
         deforms = any(delta.Steps(i).Stroke() == 0 for i in range(delta.StepsLength()))
-        if deforms or self._rest is not None or len(rest_ids):
-            self._rest = self._rest_after(delta, vertices)
-            self._rest[rest_ids] = rest_positions
-        if len(added):
-            self.positions = np.concatenate([self.positions, added])
-        elif not self.positions.flags.writeable:
-            self.positions = self.positions.copy()
-        self.positions[moved] = moved_to
-        self._grow(slots)
-        self.tets[removed] = NO_ID
-        for array in (self.regions, self.cut_masks, self.boundary_masks, self.pieces):
-            array[removed] = 0
-        self._put(tets)
-        self.pieces[piece_tets] = np.repeat(piece_ids, piece_sizes)
+        if deforms or self._rest is not None or len(new.rest):
+            self._rest = self._rest_after(delta, len(self.positions) + len(new.added))
+            self._rest[new.rest] = new.rest_to
+        self._change(new)
         self.live_tets = live
         self.state_hash = state_hash
         self.revision = delta.Revision()
+
+    def _check_vertices(self, new: _Delta) -> None:
+        old = len(self.positions)
+        vertices = old + len(new.added)
+        _check_ascending(new.moved, "moved vertices")
+        _check_ascending(new.rest, "rest vertices")
+        if len(new.rest) != len(new.rest_to) or (len(new.rest) and int(new.rest[-1]) >= vertices):
+            raise ApplyError("rest positions of vertices that do not exist")
+        if len(new.moved) != len(new.moved_to) or (len(new.moved) and int(new.moved[-1]) >= old):
+            raise ApplyError("moved vertices that do not exist")
+        if (len(new.added) and new.message.FirstAdded() != old) or new.message.VertexCount() != vertices:
+            raise ApplyError("added vertices do not follow the last vertex")
+        if len(new.tets.ids) and int(new.tets.vertices.max()) >= vertices:
+            raise ApplyError("a tetrahedron of vertices that do not exist")
+
+    def _check_tets(self, new: _Delta) -> int:
+        """How many tetrahedra there will be."""
+        slots = len(self.tets)
+        removed, changed = new.removed, new.changed
+        _check_ascending(removed, "removed tetrahedra")
+        if len(removed) and (int(removed[-1]) >= slots or not self.alive[removed].all()):
+            raise ApplyError("removed tetrahedra that do not exist")
+        if np.intersect1d(removed, new.tets.ids, assume_unique=True).size:
+            raise ApplyError("tetrahedra both changed and removed")
+        if new.message.FirstNewTet() < slots or (
+                len(changed) and (int(changed[-1]) >= slots or not self.alive[changed].all())):
+            raise ApplyError("changed tetrahedra that do not exist")
+        live = self.live_tets + len(new.tets.ids) - len(changed) - len(removed)
+        if live != new.message.LiveTets() or int(new.piece_sizes.sum()) != len(new.piece_tets) or len(
+                new.piece_sizes) != len(new.piece_ids):
+            raise ApplyError("delta whose counts differ from its contents")
+        if len(new.piece_tets) and int(new.piece_tets.max()) >= self._slots_after(new):
+            raise ApplyError("a piece of tetrahedra that do not exist")
+        return live
+
+    def _hash_after(self, new: _Delta) -> int:
+        gone = np.concatenate([new.changed, new.removed])
+        old = len(self.positions)
+        new_ids = np.arange(old, old + len(new.added), dtype=np.uint32)
+        state_hash = self.state_hash
+        for part in (vertex_hashes(new.moved, self.positions[new.moved]), vertex_hashes(new.moved, new.moved_to),
+                     vertex_hashes(new_ids, new.added),
+                     tet_hashes(gone, self.tets[gone], self.regions[gone], self.cut_masks[gone]), new.tets.hashes()):
+            state_hash ^= xor_of(part)
+        announced = new.message.StateHash()
+        if state_hash != announced:
+            raise ApplyError(
+                f"revision {new.message.Revision()} has hash {state_hash:016x}, announced was {announced:016x}")
+        return state_hash
+
+    def _slots_after(self, new: _Delta) -> int:
+        return max(len(self.tets), int(new.tets.ids[-1]) + 1 if len(new.tets.ids) else 0)
+
+    def _change(self, new: _Delta) -> None:
+        if len(new.added):
+            self.positions = np.concatenate([self.positions, new.added])
+        elif not self.positions.flags.writeable:
+            self.positions = self.positions.copy()
+        self.positions[new.moved] = new.moved_to
+        self._grow(self._slots_after(new))
+        self.tets[new.removed] = NO_ID
+        for array in (self.regions, self.cut_masks, self.boundary_masks, self.pieces):
+            array[new.removed] = 0
+        self._put(new.tets)
+        self.pieces[new.piece_tets] = np.repeat(new.piece_ids, new.piece_sizes)
 
     def _rest_after(self, delta: Any, vertices: int) -> npt.NDArray[np.float64]:
         """Rest positions with those of added vertices between their parents, which may be added ones too."""

@@ -81,6 +81,7 @@ Json describe_motion(const RecordedMotion& motion) {
     facts["software"] = motion.header->software;
     facts["mesh"] = motion.header->mesh_path;
     facts["mesh_content_hash"] = motion.header->mesh_content_hash;
+    facts["config"] = Json::parse(motion.header->config_json);
     facts["records"] = motion.records;
     facts["batch_marks"] = motion.marks.size();
     facts["last_revision"] = motion.marks.empty() ? 0 : motion.marks.back().revision;
@@ -188,6 +189,8 @@ void print(const Json& facts) {
         }
         print_row("source " + source["source"].dump(), line);
       }
+    } else if (name == "config") {
+      print_row(name, "shown with --json");
     } else if (value.is_object() && value.contains("min")) {
       std::string line;
       for (const char* end : {"min", "max"}) {

@@ -56,8 +56,8 @@ struct Deviation {
   double mean_h = 0;
   double max_m = 0;
 };
-// O(cut faces log triangles) beyond one pass over the mesh. No samples where there are no cut faces or no
-// triangles.
+// One pass over the mesh, then O(F log T) for F cut faces and T triangles. No samples where there are no cut
+// faces or no triangles.
 Deviation deviation(const TetMesh& mesh, const SweptSurface& surface);
 
 }  // namespace incise::core

@@ -151,7 +151,7 @@ void TetMesh::split_initial_vertices() {
       if (pinched[tets_[t].vertices[i]]) note_corner(tets_[t].vertices[i], 4 * t + i);
     }
   }
-  // The part that the file lists first keeps the vertex.
+  // The component of the star that comes first in the file keeps the vertex; the others get copies.
   for (const Noted::Star& noted : noted_.stars)
     vertices_[noted.vertex].tet = tet_of(noted_.corners[noted.first].corner);
   const std::uint32_t slots = vertex_slots();

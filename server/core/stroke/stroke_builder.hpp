@@ -108,7 +108,7 @@ class StrokeBuilder {
   bool in_stroke_ = false;
   Pose last_pose_;
   std::uint32_t stroke_ = 0, batch_ = 0;
-  std::vector<TimedLine> buffer_;    // since the last batch's last line, which is the first here
+  std::vector<TimedLine> buffer_;    // the lines after the last batch; [0] is that batch's last line
   std::vector<std::uint32_t> kept_;  // indices into buffer_ that the simplification keeps
   std::vector<std::pair<std::uint32_t, std::uint32_t>> spans_;  // its stack
   Batch made_;                                                  // scratch

@@ -109,7 +109,7 @@ SweptSurface::Axes SweptSurface::axes_of(std::size_t from) const {
   return {cross(motion, normal), motion, normal};
 }
 
-// Of the triangles from `from` on.
+// Builds the tree over triangles_[from] and all after it.
 template <class BoxOf>
 void SweptSurface::build(Tree& tree, std::size_t from, BoxOf box_of) {
   const auto first = static_cast<std::uint32_t>(from);

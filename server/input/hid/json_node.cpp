@@ -84,8 +84,7 @@ const JsonNode& JsonNode::only(std::initializer_list<const char*> keys) const {
 
 JsonNode JsonNode::at(const char* key) const {
   const std::string place = key_.empty() ? key : key_ + "." + key;
-  if (!has(key))
-    throw ProfileError(*file_ + ": " + place + ": found nothing; accepted is a value: it must be given");
+  if (!has(key)) throw ProfileError(*file_ + ": " + place + " is missing; it has no default");
   return {(*json_)[key], place, *file_};
 }
 

@@ -81,26 +81,19 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
       {"\"rate_hz\": 500", "\"rate\": 500", "\"rate\"", "means nothing here", "rate_hz"},
       {"\"rate_hz\": 500", "\"rate_hz\": 0", "rate_hz", "0", "from 1 to 8000"},
       {"\"rate_hz\": 500", "\"name\": \"B\"", "\"name\"", "twice", "once"},
-      {"\"name\": \"Test\", ", "", "name", "nothing", "must be given"},
       {"\"12ab\"", "12", "vendor", "12", "hexadecimal"},
       {"\"12ab\"", "\"12abc\"", "vendor", "12abc", "hexadecimal"},
-      {"\"vendor\": \"12ab\",", "", "vendor", "nothing", "must be given"},
-      {"\"vendor\": \"12ab\", \"product\": \"0x0002\"", "\"usage_page\": \"ff00\"", "usage", "nothing",
-       "must be given"},
       {"\"u16\"", "\"u33\"", "counter.type", "u33", "u32"},
       {"\"u16\"", "\"f32\"", "counter.type", "f32", "integer"},
       {"\"at\": 3", "\"at\": -3", "clock.at", "-3", "from 0 to"},
       {"\"at\": 3", "\"at\": 0", "clock.at", "0", "1 or more"},
-      {"\"at\": 3, ", "", "clock.at", "nothing", "must be given"},
       {"\"tick_s\": 1e-6", "\"tick_s\": 0", "clock.tick_s", "0", "1e-09"},
       {"\"scale\": 0.01", "\"scale\": 0", "tools[0].position.x.scale", "0", "not 0"},
       {"\"mode\": \"rate\"", "\"mode\": \"speed\"", "tools[0].position.mode", "speed",
        "\"absolute\", \"rate\" or \"relative\""},
       {"\"mode\": \"rate\"", "\"mode\": \"absolute\"", "tools[0].position.full_m_s", "0.2", "only if mode"},
-      {"\"full_m_s\": 0.2, ", "", "tools[0].position.full_m_s", "nothing", "must be given"},
       {"\"curve\": 1.5", "\"curve\": 50", "tools[0].position.curve", "50", "0.2 to 5"},
       {"\"quaternion\"", "\"euler\"", "tools[0].rotation.w", "9", "only if mode"},
-      {"\"w\": {\"at\": 9, \"type\": \"f32\"}, ", "", "tools[0].rotation.w", "nothing", "must be given"},
       {"\"name\": \"right\"", "\"name\": \"left\"", "tools[1].name", "left", "no other tool"},
       {"\"name\": \"right\"", "\"name\": \"Right Hand\"", "tools[1].name", "Right Hand", "a-z"},
       {"\"position\": {\"z\"",
@@ -134,6 +127,25 @@ TEST(DeviceProfile, SaysWhatIsWrongAndWhatIsAccepted) {
   }
   EXPECT_NE(error_of("{").find("folder/test.json: not JSON"), std::string::npos);
   EXPECT_NE(error_of("[]").find("folder/test.json: the file: found []"), std::string::npos);
+}
+
+TEST(DeviceProfile, NamesTheKeyThatIsMissing) {
+  struct Case {
+    const char *from, *to, *key;
+  };
+  const Case cases[] = {
+      {"\"name\": \"Test\", ", "", "name"},
+      {"\"vendor\": \"12ab\",", "", "vendor"},
+      {"\"vendor\": \"12ab\", \"product\": \"0x0002\"", "\"usage_page\": \"ff00\"", "usage"},
+      {"\"at\": 3, ", "", "clock.at"},
+      {"\"full_m_s\": 0.2, ", "", "tools[0].position.full_m_s"},
+      {"\"w\": {\"at\": 9, \"type\": \"f32\"}, ", "", "tools[0].rotation.w"},
+  };
+  for (const Case& c : cases) {
+    const std::string text = with(c.from, c.to);
+    ASSERT_NE(text, with("", "")) << c.from;
+    EXPECT_EQ(error_of(text), "folder/test.json: " + std::string(c.key) + " is missing; it has no default");
+  }
 }
 
 TEST(DeviceProfile, TheShippedOnesAreGood) {
