@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 
 #include "server/core/geometry/vec3.hpp"
@@ -12,24 +13,17 @@ namespace incise::core {
 struct FourPoints {
   double x[4], y[4], z[4];
 
-  template <class PositionOf>
-  explicit FourPoints(PositionOf position_of) {
+  explicit FourPoints(const std::array<Vec3, 4>& points) {
     for (std::size_t i = 0; i < 4; ++i) {
-      const Vec3& p = position_of(i);
-      x[i] = p.x;
-      y[i] = p.y;
-      z[i] = p.z;
+      x[i] = points[i].x;
+      y[i] = points[i].y;
+      z[i] = points[i].z;
     }
   }
 
   // out[i] = axis . point[i] - offset
   void along(const Vec3& axis, double offset, double (&out)[4]) const {
     for (int i = 0; i < 4; ++i) out[i] = axis.x * x[i] + axis.y * y[i] + axis.z * z[i] - offset;
-  }
-  // The box around them.
-  void bounds(Vec3& low, Vec3& high) const {
-    low = {least(x), least(y), least(z)};
-    high = {most(x), most(y), most(z)};
   }
   static double least(const double (&v)[4]) { return std::min(std::min(v[0], v[1]), std::min(v[2], v[3])); }
   static double most(const double (&v)[4]) { return std::max(std::max(v[0], v[1]), std::max(v[2], v[3])); }

@@ -4,12 +4,6 @@
 #include <cmath>
 
 namespace incise::core {
-namespace {
-
-// By this part of itself a coordinate is rounded outwards: a float is off by 2^-24 of itself at most.
-constexpr double kRounded = 0x1p-22;
-
-}  // namespace
 
 void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns,
                             std::uint32_t batch, bool first, const Vec3& low, const Vec3& high) {
@@ -66,115 +60,22 @@ void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const 
 }
 
 void SweptSurface::build(std::size_t latest) {
-  build(all_, 0, [](const SweptTriangle& triangle, Vec3& low, Vec3& high) {
-    low = triangle.low;
-    high = triangle.high;
-  });
+  all_.build(triangles_, 0, built_);
+  built_ = triangles_.size();
   const std::size_t from = std::min(latest, triangles_.size());
-  latest_axes_ = axes_of(from);
-  latest_low_ = {INFINITY, INFINITY, INFINITY};
-  latest_high_ = {-INFINITY, -INFINITY, -INFINITY};
-  build(latest_, from, [this](const SweptTriangle& triangle, Vec3& low, Vec3& high) {
-    low = {INFINITY, INFINITY, INFINITY};
-    high = {-INFINITY, -INFINITY, -INFINITY};
-    double farthest = 0;
-    for (const Vec3& corner : triangle.corners) {
-      const Vec3 p{dot(latest_axes_.blade, corner), dot(latest_axes_.motion, corner),
-                   dot(latest_axes_.normal, corner)};
-      extend(p, low, high);
-      farthest = std::max({farthest, std::abs(corner.x), std::abs(corner.y), std::abs(corner.z)});
-    }
-    // What turning the coordinates may round.
-    const double off = kRounded * farthest;
-    low = low - Vec3{off, off, off};
-    high += {off, off, off};
-    extend(low, latest_low_, latest_high_);
-    extend(high, latest_low_, latest_high_);
-  });
-}
-
-// Those of the triangles from `from` on.
-SweptSurface::Axes SweptSurface::axes_of(std::size_t from) const {
-  if (from == triangles_.size()) return {};
-  // A blade that goes back and forth turns the normals over.
-  Vec3 sum{};
-  for (std::size_t i = from; i < triangles_.size(); ++i) {
-    const Vec3& n = triangles_[i].normal;
-    sum += dot(n, triangles_[from].normal) < 0 ? -n : n;
-  }
-  const Vec3 normal = normalized(sum);
-  const auto& corners = triangles_[from].corners;
-  const Vec3 motion = normalized(cross(normal, corners[1] - corners[0]));
-  if (squared_length(motion) == 0) return {};
-  return {cross(motion, normal), motion, normal};
-}
-
-// Builds the tree over triangles_[from] and all after it.
-template <class BoxOf>
-void SweptSurface::build(Tree& tree, std::size_t from, BoxOf box_of) {
-  const auto first = static_cast<std::uint32_t>(from);
-  auto& nodes = tree.nodes;
-  nodes.clear();
-  const auto count = static_cast<std::uint32_t>(triangles_.size());
-  tree.empty = first == count;
-  if (tree.empty) return;
-  const auto box = [](Node& node, std::uint32_t k, const Vec3& low, const Vec3& high) {
-    const auto below = [](double x) { return static_cast<float>(x - kRounded * std::abs(x)); };
-    const auto above = [](double x) { return static_cast<float>(x + kRounded * std::abs(x)); };
-    node.low[0][k] = below(low.x);
-    node.low[1][k] = below(low.y);
-    node.low[2][k] = below(low.z);
-    node.high[0][k] = above(high.x);
-    node.high[1][k] = above(high.y);
-    node.high[2][k] = above(high.z);
-  };
-  const auto empty = [](std::uint32_t child) {
-    Node node;
-    for (auto& lanes : node.low) lanes = lane(INFINITY);
-    for (auto& lanes : node.high) lanes = lane(-INFINITY);
-    node.first = child;
-    return node;
-  };
-  for (std::uint32_t i = first; i < count; i += kChildren) {
-    Node node = empty(i | kLeaf);
-    for (std::uint32_t k = 0; k < kChildren && i + k < count; ++k) {
-      Vec3 low, high;
-      box_of(triangles_[i + k], low, high);
-      box(node, k, low, high);
-    }
-    nodes.push_back(node);
-  }
-  std::uint32_t begin = 0;
-  while (nodes.size() - begin > 1) {
-    const auto end = static_cast<std::uint32_t>(nodes.size());
-    for (std::uint32_t i = begin; i < end; i += kChildren) {
-      Node node = empty(i);
-      for (std::uint32_t k = 0; k < kChildren && i + k < end; ++k) {
-        const Node& child = nodes[i + k];
-        for (int axis = 0; axis < 3; ++axis) {
-          const auto least = [](const Lane& l) {
-            return std::min(std::min(l[0], l[1]), std::min(l[2], l[3]));
-          };
-          const auto most = [](const Lane& l) {
-            return std::max(std::max(l[0], l[1]), std::max(l[2], l[3]));
-          };
-          node.low[axis][k] = least(child.low[axis]);
-          node.high[axis][k] = most(child.high[axis]);
-        }
-      }
-      nodes.push_back(node);
-    }
-    begin = end;
-  }
-  tree.root = static_cast<std::uint32_t>(nodes.size() - 1);
+  latest_.build(triangles_, from, from);
 }
 
 std::size_t SweptSurface::drop_before(std::uint32_t oldest) {
-  return std::erase_if(triangles_, [oldest](const SweptTriangle& t) { return t.batch < oldest; });
+  const std::size_t dropped =
+      std::erase_if(triangles_, [oldest](const SweptTriangle& t) { return t.batch < oldest; });
+  if (dropped > 0) built_ = 0;
+  return dropped;
 }
 
 void SweptSurface::clear() {
   triangles_.clear();
+  built_ = 0;
   build();
 }
 
@@ -195,43 +96,23 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
 bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
   double best = reach * reach;
   bool found = false;
-  if (all_.empty) return false;
-  const Lane x = lane(p.x), y = lane(p.y), z = lane(p.z), none{};
-  const auto beyond = [none](const Lane& at, const Lane& low, const Lane& high) {
-    const Lane under = low - at, over = at - high;
-    const Lane gap = under > over ? under : over;
-    return gap > none ? gap : none;
-  };
-  std::uint32_t stack[kDepth];
-  int depth = 0;
-  stack[depth++] = all_.root;
-  while (depth > 0) {
-    const std::uint32_t at = stack[--depth];
-    if (!(at & kLeaf)) {
-      const Node& node = all_.nodes[at];
-      const Lane dx = beyond(x, node.low[0], node.high[0]), dy = beyond(y, node.low[1], node.high[1]),
-                 dz = beyond(z, node.low[2], node.high[2]);
-      // The boxes are large enough for what was rounded in p; this is for the squares.
-      constexpr double kSquares = 1 + 0x1p-20;
-      push_children(node, dx * dx + dy * dy + dz * dz <= lane(kSquares * best), stack, depth);
-      continue;
-    }
-    const SweptTriangle& s = triangles_[at & ~kLeaf];
+  all_.each_near(p, best, [&](std::uint32_t i) {
+    const SweptTriangle& s = triangles_[i];
     const double plane = s.signed_distance(p);
-    if (plane * plane >= best) continue;
+    if (plane * plane >= best) return;
     const Vec3 q = closest_point(p, s);
     const double d2 = squared_length(q - p);
-    if (d2 < best) {
-      best = d2;
-      point = q;
-      triangle = at & ~kLeaf;
-      found = true;
-    }
-  }
+    if (d2 >= best) return;
+    best = d2;
+    point = q;
+    triangle = i;
+    found = true;
+  });
   return found;
 }
 
 void SweptSurface::archive(Archive& io) {
+  if (io.reads()) built_ = 0;
   io.list(triangles_, 253, [&](SweptTriangle& t) {
     for (Vec3& corner : t.corners) io(corner);
     io(t.normal);

@@ -36,9 +36,7 @@ double CutContext::worst_at(const VertexStar& star, const Vec3& p, double limit,
 bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                                double& t) const {
   work += cost::kFindCrossing;
-  const Vec3 low{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
-  const Vec3 high{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
-  return surface().any_overlapping(low, high, [&](std::uint32_t i) {
+  return surface().any_between(std::array{a, b}, clear_m, [&](std::uint32_t i) {
     const SweptTriangle& s = surface()[i];
     const double da = s.signed_distance(a), db = s.signed_distance(b);
     // An end on the surface is where the edge meets it.

@@ -122,10 +122,12 @@ void SearchStage::enqueue(TetId t) {
 // that passes close by a corner of a triangle. Adds the crossings of its edges.
 bool SearchStage::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
-  const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
+  const std::array<Vec3, 4> corners{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]),
+                                    mesh_.position(v[3])};
+  const FourPoints p(corners);
   bool meets = false;
   const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
-  cut_.surface().any_latest_overlapping(p, slack_m, [&](std::uint32_t index) {
+  cut_.surface().any_latest_between(corners, slack_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     for (int k = 0; k < 3; ++k) {
       if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);

@@ -6,6 +6,7 @@
 #include "server/core/cut/conforming/active_set.hpp"
 #include "server/core/cut/conforming/crossings.hpp"
 #include "server/core/cut/conforming/rim_stage.hpp"
+#include "server/core/geometry/four_points.hpp"
 
 namespace incise::core {
 

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "server/core/geometry/four_points.hpp"
+
 namespace incise::core {
 
 using namespace tolerance;
@@ -42,12 +44,12 @@ bool VerifyStage::collect_from(TetId t) {
   bool clear = true;
   const double clear_m = cut_.clear_m;
   const auto& v = mesh_.vertices(t);
-  const FourPoints p([&](std::size_t i) { return mesh_.position(v[i]); });
   bool on[4];
   for (int i = 0; i < 4; ++i) on[i] = cut_.on_surface(v[i]);
-  Vec3 low, high;
-  p.bounds(low, high);
-  cut_.surface().any_overlapping(low, high, [&](std::uint32_t index) {
+  const std::array<Vec3, 4> corners{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]),
+                                    mesh_.position(v[3])};
+  const FourPoints p(corners);
+  cut_.surface().any_between(corners, clear_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     double d[4];
     p.along(triangle.normal, triangle.offset, d);
@@ -58,6 +60,12 @@ bool VerifyStage::collect_from(TetId t) {
       below += d[i] < -clear_m || (d[i] <= clear_m && !on[i]);
     }
     if (above == 0 || below == 0) return false;
+    // What lies beside the triangle as a whole crosses it nowhere.
+    for (int k = 0; k < 3; ++k) {
+      double inside[4];
+      p.along(triangle.inward[k], triangle.inward_offset[k], inside);
+      if (FourPoints::most(inside) < -clear_m) return false;
+    }
     for (const auto& edge : kEdgeVertices) {
       const int i = edge[0], j = edge[1];
       if (on[i] && on[j]) continue;
