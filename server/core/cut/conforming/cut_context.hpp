@@ -22,6 +22,11 @@ struct CutContext {
   CutContext(const CutContext&) = delete;
 
   const SweptSurface& surface() const { return path.surface(); }
+  // The closest point of the surface to one that lies in it as a rule; looks farther only where nothing is near.
+  bool closest_on_surface(const Vec3& p, Vec3& point, std::uint32_t& triangle) const {
+    return surface().closest(p, tolerance::kSurfaceNear_h * h, point, triangle) ||
+           surface().closest(p, tolerance::kSurfaceReach_h * h, point, triangle);
+  }
   // Whether v was put on what is kept of the swept surface. Where the blade comes across its own cut later in the stroke, that
   // is an old cut like any other.
   bool on_surface(VertexId v) const {

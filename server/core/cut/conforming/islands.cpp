@@ -128,7 +128,7 @@ bool Islands::is_above(HalfFace h) const {
       (1.0 / 3.0) * (mesh_.position(face[0]) + mesh_.position(face[1]) + mesh_.position(face[2]));
   Vec3 closest;
   std::uint32_t triangle = 0;
-  return cut_.surface().closest(middle, kSurfaceReach_h * cut_.h, closest, triangle) &&
+  return cut_.closest_on_surface(middle, closest, triangle) &&
          cut_.surface()[triangle].signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h)))) >= 0;
 }
 

@@ -162,7 +162,7 @@ void MeshEditor::account(HalfFace h) {
     std::uint32_t triangle;
     Vec3 closest = mesh_.position(v);
     cut_.work += cost::kDeviation;
-    cut_.surface().closest(mesh_.position(v), kSurfaceReach_h * cut_.h, closest, triangle);
+    cut_.closest_on_surface(mesh_.position(v), closest, triangle);
     cut_.counts.max_deviation_h =
         std::max(cut_.counts.max_deviation_h, distance(closest, mesh_.position(v)) / cut_.h);
   }

@@ -172,8 +172,9 @@ inline constexpr double kShallow_h = 0.125;
 inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 400;
 // How many tetrahedra around one of these neighbours are looked at for the others.
 inline constexpr std::size_t kMaxAround = 12;
-// How far from an opened face the surface is looked for: for its side, and for the deviation that is reported.
-inline constexpr double kSurfaceReach_h = 4;
+// How far from an opened face the surface is looked for: for its side, and for the deviation that is reported. First nearer, where it is
+// as a rule.
+inline constexpr double kSurfaceReach_h = 4, kSurfaceNear_h = 0.125;
 // Faces opened between two looks at the budget.
 inline constexpr std::size_t kOpenChunk = 16;
 
