@@ -8,13 +8,13 @@
 
 namespace incise::core {
 
-// The corners of a tetrahedron, side by side: operations on all four compile to vector instructions and give the same
-// bits as one at a time.
-struct FourPoints {
-  double x[4], y[4], z[4];
+// Some points, side by side: operations on all of them compile to vector instructions and give the same bits as one at a time.
+template <std::size_t N>
+struct Points {
+  double x[N], y[N], z[N];
 
-  explicit FourPoints(const std::array<Vec3, 4>& points) {
-    for (std::size_t i = 0; i < 4; ++i) {
+  explicit Points(const std::array<Vec3, N>& points) {
+    for (std::size_t i = 0; i < N; ++i) {
       x[i] = points[i].x;
       y[i] = points[i].y;
       z[i] = points[i].z;
@@ -22,11 +22,25 @@ struct FourPoints {
   }
 
   // out[i] = axis . point[i] - offset
-  void along(const Vec3& axis, double offset, double (&out)[4]) const {
-    for (int i = 0; i < 4; ++i) out[i] = axis.x * x[i] + axis.y * y[i] + axis.z * z[i] - offset;
+  void along(const Vec3& axis, double offset, double (&out)[N]) const {
+    for (std::size_t i = 0; i < N; ++i) out[i] = axis.x * x[i] + axis.y * y[i] + axis.z * z[i] - offset;
   }
-  static double least(const double (&v)[4]) { return std::min(std::min(v[0], v[1]), std::min(v[2], v[3])); }
-  static double most(const double (&v)[4]) { return std::max(std::max(v[0], v[1]), std::max(v[2], v[3])); }
+  // The box around them.
+  void bounds(Vec3& low, Vec3& high) const {
+    low = {least(x), least(y), least(z)};
+    high = {most(x), most(y), most(z)};
+  }
+  static double least(const double (&v)[N]) {
+    if constexpr (N == 4) return std::min(std::min(v[0], v[1]), std::min(v[2], v[3]));
+    return *std::min_element(v, v + N);
+  }
+  static double most(const double (&v)[N]) {
+    if constexpr (N == 4) return std::max(std::max(v[0], v[1]), std::max(v[2], v[3]));
+    return *std::max_element(v, v + N);
+  }
 };
+
+// The corners of a tetrahedron.
+using FourPoints = Points<4>;
 
 }  // namespace incise::core

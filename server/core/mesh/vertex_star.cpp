@@ -183,12 +183,13 @@ bool VertexStar::keeps_boundary(const Vec3& p) const {
   constexpr double kDistance_local = 0.05;
   constexpr double kVolume_local3 = 0.001;
   constexpr double kVolumePart = 0.01;
+  constexpr double kNoVolume_local3 = 1e-9;
   const Vec3 d = p - position_;
   // A pyramid over each boundary face; what lies between interior faces adds up to nothing.
   const double won = std::abs(dot(wall_area_, d)) / 3;
   if (won > kVolume_local3 * local_h_ * local_h_ * local_h_) return false;
   // At the edge of a film or the tip of a splinter that is next to nothing, however far the vertex goes.
-  if (won > kVolumePart * volume()) return false;
+  if (won > kNoVolume_local3 * local_h_ * local_h_ * local_h_ && won > kVolumePart * volume()) return false;
   for (const Wall& wall : walls_) {
     if (std::abs(dot(wall.normal, d)) > kDistance_local * local_h_) return false;
   }

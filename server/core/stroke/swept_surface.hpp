@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -43,12 +44,19 @@ class SweptSurface {
   // The same for the box around two or four points, larger by `slack_m` on all sides, but not for all triangles on one side of
   // whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
-  bool any_between(const std::array<Vec3, N>& points, double slack_m, Visit visit) const {
+  bool any_between(const Points<N>& points, double slack_m, Visit visit) const {
     return all_.any_between(points, slack_m, visit);
   }
   // The same for the triangles of the last batch alone.
   template <std::size_t N, class Visit>
-  bool any_latest_between(const std::array<Vec3, N>& points, double slack_m, Visit visit) const {
+  bool any_latest_between(const Points<N>& points, double slack_m, Visit visit) const {
+    // Most that is asked for lies beside all of it.
+    for (const Span& span : latest_spans_) {
+      double at[N];
+      points.along(span.axis, 0, at);
+      if (Points<N>::least(at) - slack_m > span.high || Points<N>::most(at) + slack_m < span.low)
+        return false;
+    }
     return latest_.any_between(points, slack_m, visit);
   }
 
@@ -72,6 +80,12 @@ class SweptSurface {
   std::vector<SweptTriangle> triangles_;
   std::size_t built_ = 0;  // so many of them are in all_ as they are
   SweptTree all_, latest_;
+  // Where the last batch's triangles lie along their motion, and along the first one's normal.
+  struct Span {
+    Vec3 axis;
+    double low, high;
+  };
+  std::array<Span, 2> latest_spans_{};
 };
 
 }  // namespace incise::core

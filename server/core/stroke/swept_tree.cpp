@@ -53,7 +53,7 @@ void SweptTree::set_child(Node& node, std::uint32_t k, std::size_t level, std::s
       node.high[axis][k] = std::max(std::max(h[0], h[1]), std::max(h[2], h[3]));
     }
   }
-  if (level >= kLevelsWithSlabs) return;
+  if (level == 0 || level >= kLevelsWithSlabs) return;
   const std::size_t holds = std::size_t{1} << 2 * level, begin = from_ + child * holds;
   set_slabs(node, k, begin, std::min(begin + holds, triangles_.size()));
 }

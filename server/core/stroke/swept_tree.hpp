@@ -8,6 +8,7 @@
 #include <span>
 #include <vector>
 
+#include "server/core/geometry/four_points.hpp"
 #include "server/core/stroke/swept_triangle.hpp"
 
 namespace incise::core {
@@ -32,7 +33,7 @@ class SweptTree {
   // The same for the box around two or four points, larger by `slack_m` on all sides, but not for all triangles on one side of
   // whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
-  bool any_between(const std::array<Vec3, N>& points, double slack_m, Visit visit) const;
+  bool any_between(const Points<N>& points, double slack_m, Visit visit) const;
   // Calls visit(index) for each triangle that may be nearer to p than sqrt(squared_reach), which visit() may lessen.
   template <class Visit>
   void each_near(const Vec3& p, double& squared_reach, Visit visit) const;
@@ -51,8 +52,11 @@ class SweptTree {
   // What a stack holds: a node of a level, or a triangle: level 0.
   static constexpr int kLevelShift = 28;
   static constexpr std::uint32_t kIndexMask = (1u << kLevelShift) - 1;
-  // The planes of so many levels are as near to each other as can be; those above have none.
+  // The planes of so many levels are as near to each other as can be; those above have none, nor has the lowest, whose children are
+  // single triangles: visit() looks at their own plane.
   static constexpr std::size_t kLevelsWithSlabs = 4;
+  // In a tree of so few levels boxes are enough, and planes cost more than they save.
+  static constexpr std::size_t kLevelsWithoutSlabs = 4;
 
   // What lies between two parallel planes.
   struct Slab {
@@ -91,6 +95,7 @@ class SweptTree {
   template <class Meets, class Visit>
   bool walk(Meets meets, Visit visit) const {
     if (empty()) return false;
+    const bool slabs_help = levels_.size() > kLevelsWithoutSlabs;
     std::uint32_t stack[kDepth];
     int depth = 0;
     stack[depth++] = static_cast<std::uint32_t>(levels_.size()) << kLevelShift;
@@ -102,7 +107,7 @@ class SweptTree {
       }
       // So that the first comes off the stack first.
       const std::uint32_t first = (level - 1) << kLevelShift | ((level == 1 ? from_ : 0) + kChildren * index);
-      for (std::uint32_t bits = meets(levels_[level - 1][index]); bits != 0;) {
+      for (std::uint32_t bits = meets(levels_[level - 1][index], slabs_help && level > 1); bits != 0;) {
         const auto k = static_cast<std::uint32_t>(std::bit_width(bits)) - 1;
         stack[depth++] = first + k;
         bits ^= 1u << k;
@@ -114,10 +119,11 @@ class SweptTree {
   bool overlapping(const Vec3& low, const Vec3& high, Slabs slabs, Visit visit) const {
     const Lane low_x = lane(low.x), low_y = lane(low.y), low_z = lane(low.z);
     const Lane high_x = lane(high.x), high_y = lane(high.y), high_z = lane(high.z);
-    const auto meets = [&](const Node& node) {
+    const auto meets = [&](const Node& node, bool has_slabs) {
       const Lanes boxes = (low_x <= node.high[0]) & (high_x >= node.low[0]) & (low_y <= node.high[1]) &
                           (high_y >= node.low[1]) & (low_z <= node.high[2]) & (high_z >= node.low[2]);
-      return lanes_set(boxes) == 0 ? 0 : lanes_set(slabs(node, boxes));
+      const std::uint32_t hit = lanes_set(boxes);
+      return hit == 0 || !has_slabs ? hit : lanes_set(slabs(node, boxes));
     };
     return walk(meets, visit);
   }
@@ -128,14 +134,16 @@ class SweptTree {
 };
 
 template <std::size_t N, class Visit>
-bool SweptTree::any_between(const std::array<Vec3, N>& points, double slack_m, Visit visit) const {
-  Vec3 low = points[0], high = points[0];
+bool SweptTree::any_between(const Points<N>& points, double slack_m, Visit visit) const {
+  Vec3 low, high;
+  points.bounds(low, high);
+  const Vec3 by{slack_m, slack_m, slack_m};
+  if (levels_.size() <= kLevelsWithoutSlabs) return any_overlapping(low - by, high + by, visit);
   Lane x[N], y[N], z[N];
   for (std::size_t i = 0; i < N; ++i) {
-    extend(points[i], low, high);
-    x[i] = lane(points[i].x);
-    y[i] = lane(points[i].y);
-    z[i] = lane(points[i].z);
+    x[i] = lane(points.x[i]);
+    y[i] = lane(points.y[i]);
+    z[i] = lane(points.z[i]);
   }
   const double rounded_m = kRoundedSum * std::max(farthest(low), farthest(high));
   const Lane slack = lane((slack_m + rounded_m) * (1 + kRounded));
@@ -152,7 +160,6 @@ bool SweptTree::any_between(const std::array<Vec3, N>& points, double slack_m, V
     }
     return meet;
   };
-  const Vec3 by{slack_m, slack_m, slack_m};
   return overlapping(low - by, high + by, slabs, visit);
 }
 
@@ -164,14 +171,15 @@ void SweptTree::each_near(const Vec3& p, double& squared_reach, Visit visit) con
     const Lane gap = under > over ? under : over;
     return gap > none ? gap : none;
   };
-  const auto meets = [&](const Node& node) {
+  const auto meets = [&](const Node& node, bool has_slabs) {
     const Lane dx = beyond(x, node.low[0], node.high[0]), dy = beyond(y, node.low[1], node.high[1]),
                dz = beyond(z, node.low[2], node.high[2]);
     // The bounds are large enough for what was rounded in p; this is for the squares.
     constexpr double kSquares = 1 + 0x1p-20;
     const Lane limit = lane(kSquares * squared_reach);
     const Lanes boxes = dx * dx + dy * dy + dz * dz <= limit;
-    if (lanes_set(boxes) == 0) return 0u;
+    const std::uint32_t hit = lanes_set(boxes);
+    if (hit == 0 || !has_slabs) return hit;
     Lane off2{};
     for (const Slab& slab : node.slabs) {
       const Lane off = beyond(slab.along(x, y, z), slab.below - slack, slab.above + slack);

@@ -46,7 +46,7 @@ void sweep(SweptSurface& surface, Wandering& hand, BladeLine& last, std::uint32_
 
 std::vector<std::uint32_t> visited(const SweptTree& tree, const std::array<Vec3, 4>& points, double slack) {
   std::vector<std::uint32_t> found;
-  tree.any_between(points, slack, [&](std::uint32_t i) {
+  tree.any_between(FourPoints(points), slack, [&](std::uint32_t i) {
     found.push_back(i);
     return false;
   });
@@ -154,7 +154,7 @@ TEST(SweptSurface, FindsWhatIsLeftAfterDropping) {
       ASSERT_TRUE(surface.closest(p, 100, point, triangle));
       EXPECT_DOUBLE_EQ(distance(point, p), least);
       std::uint32_t first = UINT32_MAX;
-      surface.any_latest_between(std::array{p, p}, 100, [&](std::uint32_t i) {
+      surface.any_latest_between(Points<2>({p, p}), 100, [&](std::uint32_t i) {
         first = std::min(first, i);
         return false;
       });

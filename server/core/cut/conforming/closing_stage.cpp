@@ -61,7 +61,8 @@ bool ClosingStage::collect(WorkBudget& budget) {
       continue;
     }
     set_waits(w.face, false);
-    if (mesh_.alive(tet_of(w.face)) && all_at_boundary(w.face)) consider(w.face);
+    if (mesh_.alive(tet_of(w.face)) && mesh_.opposite(w.face) != kNone && all_at_boundary(w.face))
+      consider(w.face);
   }
   waited_.clear();
   return true;
@@ -93,15 +94,16 @@ void ClosingStage::consider_faces(TetId t) {
   for (unsigned i = 0; i < 4; ++i) inside |= (mesh_.at_boundary(v[i]) ? 0u : 1u) << i;
   if (std::popcount(inside) > 1 || !pass_.insert(t)) return;
   cut_.work += cost::kLook;
+  const unsigned open = mesh_.boundary_mask(t);
   for (int f = 0; f < 4; ++f) {
-    if ((inside & ~(1u << f)) == 0) consider(half_face(t, f));
+    if ((inside & ~(1u << f)) == 0 && !(open >> f & 1)) consider(half_face(t, f));
   }
 }
 
 // A face near the blade is listed once, however often its neighbours open.
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
-  if (o == kNone || waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
+  if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
   double off_m = 0;
   bool meets = false;
   if (!may_close(h, off_m, meets)) return;

@@ -122,12 +122,11 @@ void SearchStage::enqueue(TetId t) {
 // that passes close by a corner of a triangle. Adds the crossings of its edges.
 bool SearchStage::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
-  const std::array<Vec3, 4> corners{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]),
-                                    mesh_.position(v[3])};
-  const FourPoints p(corners);
+  const FourPoints p(
+      {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3])});
   bool meets = false;
   const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
-  cut_.surface().any_latest_between(corners, slack_m, [&](std::uint32_t index) {
+  cut_.surface().any_latest_between(p, slack_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     for (int k = 0; k < 3; ++k) {
       if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
@@ -143,9 +142,10 @@ bool SearchStage::probe(TetId t) {
 void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4]) {
   const auto& v = mesh_.vertices(t);
   const unsigned cut_faces = mesh_.cut_mask(t);
+  const double reach_m = (cut_faces != 0 ? kOne_h : kLies_h) * cut_.h;
   for (int i = 0; i < 4; ++i) {
     const double off_m = std::abs(d[i]);
-    if (off_m > kOne_h * cut_.h || cut_.on_surface(v[i])) continue;
+    if (off_m > reach_m || cut_.on_surface(v[i])) continue;
     const Vec3& p = mesh_.position(v[i]);
     bool over = true;
     for (int k = 0; k < 3; ++k)

@@ -46,10 +46,9 @@ bool VerifyStage::collect_from(TetId t) {
   const auto& v = mesh_.vertices(t);
   bool on[4];
   for (int i = 0; i < 4; ++i) on[i] = cut_.on_surface(v[i]);
-  const std::array<Vec3, 4> corners{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]),
-                                    mesh_.position(v[3])};
-  const FourPoints p(corners);
-  cut_.surface().any_between(corners, clear_m, [&](std::uint32_t index) {
+  const FourPoints p(
+      {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3])});
+  cut_.surface().any_between(p, clear_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     double d[4];
     p.along(triangle.normal, triangle.offset, d);
