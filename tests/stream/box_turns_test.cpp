@@ -87,7 +87,7 @@ TEST(TimeShare, WorkGetsItsShareAndWhatWasSaved) {
 // share. A session without a box gets each delta.
 TEST(BoxTurns, BeyondTheirShareBoxesGetFewerDeltas) {
   StreamConfig config = test_config();
-  config.box_share = 0.005;
+  config.box_share = 0.02;  // the third waits for a tenth of the time after which a box is refused
   const std::int64_t began = monotonic_ns();
   TestServer test(6, config);
   std::vector<std::unique_ptr<BoxViewer>> viewers;
