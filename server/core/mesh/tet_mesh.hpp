@@ -143,6 +143,10 @@ class TetMesh {
     const auto& v = tets_[t].vertices;
     return core::worst_dihedral(position(v[0]), position(v[1]), position(v[2]), position(v[3]));
   }
+  Vec3 face_middle(HalfFace h) const {
+    const auto v = face_vertices(h);
+    return (1.0 / 3.0) * (position(v[0]) + position(v[1]) + position(v[2]));
+  }
   Vec3 barycentre(TetId t) const {
     const auto& v = tets_[t].vertices;
     return 0.25 * ((position(v[0]) + position(v[1])) + (position(v[2]) + position(v[3])));

@@ -5,9 +5,12 @@ namespace incise::core {
 void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same) {
   triangles_ = triangles;
   from_ = static_cast<std::uint32_t>(from);
-  std::size_t children = triangles.size() - from, same_children = same - from, level = 0;
-  for (; children > (level == 0 ? 0u : 1u); ++level) {
-    if (levels_.size() == level) levels_.emplace_back();
+  std::size_t children = triangles.size() - from, same_children = same - from, levels = 0;
+  for (std::size_t n = children; n > (levels == 0 ? 0u : 1u); ++levels) n = (n + kChildren - 1) / kChildren;
+  const bool had_slabs = has_slabs();
+  levels_.resize(levels);
+  if (has_slabs() != had_slabs) same_children = 0;
+  for (std::size_t level = 0; level < levels; ++level) {
     std::vector<Node>& nodes = levels_[level];
     nodes.resize((children + kChildren - 1) / kChildren);
     for (std::size_t i = same_children / kChildren; i < nodes.size(); ++i) {
@@ -18,7 +21,6 @@ void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from
     children = nodes.size();
     same_children /= kChildren;
   }
-  levels_.resize(level);
   triangles_ = {};
 }
 
@@ -53,7 +55,7 @@ void SweptTree::set_child(Node& node, std::uint32_t k, std::size_t level, std::s
       node.high[axis][k] = std::max(std::max(h[0], h[1]), std::max(h[2], h[3]));
     }
   }
-  if (level == 0 || level >= kLevelsWithSlabs) return;
+  if (!has_slabs() || level == 0 || level >= kLevelsWithSlabs) return;
   const std::size_t holds = std::size_t{1} << 2 * level, begin = from_ + child * holds;
   set_slabs(node, k, begin, std::min(begin + holds, triangles_.size()));
 }

@@ -55,8 +55,8 @@ class SweptTree {
   // The planes of so many levels are as near to each other as can be; those above have none, nor has the lowest, whose children are
   // single triangles: visit() looks at their own plane.
   static constexpr std::size_t kLevelsWithSlabs = 4;
-  // In a tree of so few levels boxes are enough, and planes cost more than they save.
-  static constexpr std::size_t kLevelsWithoutSlabs = 4;
+  // In a tree of so few levels boxes are enough, and planes cost more than they save: it has none.
+  static constexpr std::size_t kLevelsOfBoxes = 4;
 
   // What lies between two parallel planes.
   struct Slab {
@@ -87,6 +87,9 @@ class SweptTree {
     return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
   }
 
+  bool has_slabs() const {
+    return levels_.size() > kLevelsOfBoxes;
+  }
   static Node empty_node();
   void set_child(Node& node, std::uint32_t k, std::size_t level, std::size_t child) const;
   void set_slabs(Node& node, std::uint32_t k, std::size_t begin, std::size_t end) const;
@@ -95,7 +98,6 @@ class SweptTree {
   template <class Meets, class Visit>
   bool walk(Meets meets, Visit visit) const {
     if (empty()) return false;
-    const bool slabs_help = levels_.size() > kLevelsWithoutSlabs;
     std::uint32_t stack[kDepth];
     int depth = 0;
     stack[depth++] = static_cast<std::uint32_t>(levels_.size()) << kLevelShift;
@@ -107,7 +109,7 @@ class SweptTree {
       }
       // So that the first comes off the stack first.
       const std::uint32_t first = (level - 1) << kLevelShift | ((level == 1 ? from_ : 0) + kChildren * index);
-      for (std::uint32_t bits = meets(levels_[level - 1][index], slabs_help && level > 1); bits != 0;) {
+      for (std::uint32_t bits = meets(levels_[level - 1][index], has_slabs() && level > 1); bits != 0;) {
         const auto k = static_cast<std::uint32_t>(std::bit_width(bits)) - 1;
         stack[depth++] = first + k;
         bits ^= 1u << k;
@@ -138,7 +140,7 @@ bool SweptTree::any_between(const Points<N>& points, double slack_m, Visit visit
   Vec3 low, high;
   points.bounds(low, high);
   const Vec3 by{slack_m, slack_m, slack_m};
-  if (levels_.size() <= kLevelsWithoutSlabs) return any_overlapping(low - by, high + by, visit);
+  if (!has_slabs()) return any_overlapping(low - by, high + by, visit);
   Lane x[N], y[N], z[N];
   for (std::size_t i = 0; i < N; ++i) {
     x[i] = lane(points.x[i]);

@@ -77,7 +77,7 @@ bool ClosingStage::collect_held(WorkBudget& budget) {
     const auto& [h, middle, off_m, meets] = held[next_];
     cut_.work += cost::kLook;
     if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone || cut_.is_pending(h) || !all_at_boundary(h) ||
-        distance(middle_of(h), middle) > kSameFace_h * cut_.h)
+        distance(mesh_.face_middle(h), middle) > kSameFace_h * cut_.h)
       continue;
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
@@ -127,7 +127,7 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side. Where none of it lies at an
 // older cut it has to be nearer.
 bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
-  if (!is_near(middle_of(h), off_m)) return false;
+  if (!is_near(mesh_.face_middle(h), off_m)) return false;
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
@@ -138,11 +138,6 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
     if (!older && !is_near(mesh_.position(w), off_m)) return false;
   }
   return true;
-}
-
-Vec3 ClosingStage::middle_of(HalfFace h) const {
-  const auto v = mesh_.face_vertices(h);
-  return (1.0 / 3.0) * (mesh_.position(v[0]) + mesh_.position(v[1]) + mesh_.position(v[2]));
 }
 
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {
@@ -189,11 +184,11 @@ void ClosingStage::hold(const Gap& gap) {
   std::vector<CutWorkspace::HeldFace>& held = cut_.workspace.held;
   std::erase_if(held, [&](const CutWorkspace::HeldFace& other) { return other.face == gap.face; });
   if (held.size() == CutWorkspace::kMaxHeld) held.erase(held.begin());
-  held.push_back({gap.face, middle_of(gap.face), gap.off_m, gap.meets});
+  held.push_back({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
 }
 
-// What hangs together with `from`, through faces that stay closed: `other`, too, or no more than a crumb, or a small part of the tissue, all
-// of which was looked at, or a large one.
+// Follows the faces that stay closed from `from`: whether they lead to `other`, and if not, what they hold together: a crumb, a small part
+// of the tissue (seen to its end), or a large one.
 ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held) {
   pass_.begin();
   pass_.add(from);

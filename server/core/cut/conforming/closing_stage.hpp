@@ -78,7 +78,6 @@ class ClosingStage {
   Part part_of(TetId from, TetId other, bool was_held);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
-  Vec3 middle_of(HalfFace h) const;
 
   CutContext& cut_;
   const TetMesh& mesh_;

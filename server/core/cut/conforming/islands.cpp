@@ -123,12 +123,9 @@ void Islands::reach_around(TetId first) {
 
 // Whether what is behind a face lies above the surface.
 bool Islands::is_above(HalfFace h) const {
-  const auto face = mesh_.face_vertices(h);
-  const Vec3 middle =
-      (1.0 / 3.0) * (mesh_.position(face[0]) + mesh_.position(face[1]) + mesh_.position(face[2]));
   Vec3 closest;
   std::uint32_t triangle = 0;
-  return cut_.closest_on_surface(middle, closest, triangle) &&
+  return cut_.closest_on_surface(mesh_.face_middle(h), closest, triangle) &&
          cut_.surface()[triangle].signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h)))) >= 0;
 }
 
