@@ -321,8 +321,7 @@ class Judge {
 
   // Whether something within `reach` was swept by another stroke, or at quite another time of this one.
   bool has_other(const Vec3& p, double reach, std::uint32_t stroke, double travel) const {
-    const Vec3 r{reach, reach, reach};
-    return tree_.any_overlapping(p - r, p + r, [&](std::uint32_t i) {
+    return tree_.any_between(core::Points<1>({p}), reach, [&](std::uint32_t i) {
       const SweptPart& other = surface_[tree_[i].batch];
       if (other.stroke == stroke && std::abs(other.travel - travel) < 4 * h_) return false;
       return core::distance(core::closest_point(p, tree_[i]), p) <= reach;

@@ -22,9 +22,9 @@ struct CutWorkspace {
     std::uint32_t stands = 0;   // the stroke for whose swept surface it stands where it is, near to that
     std::uint32_t first_crossing = 0;  // of the edges whose lower vertex it is, in Crossings
     std::uint32_t crossings = 0;       // the collection that first_crossing belongs to
-    std::uint32_t looked_at = 0;       // the scan that found out whether it is near the blade (ActiveSet)
+    std::uint32_t looked_at = 0;       // the last scan that came by (ActiveSet, ClosingStage)
     std::uint32_t tried = 0;           // the repairs in which moving it, as its star is now, was of no use
-    bool hot = false;                  // looked_at: it is near
+    bool hot = false;                  // in ActiveSet's scan: it is near the blade
   };
   struct TetMarks {
     std::uint32_t pass = 0;    // the last pass that has it (TetPass)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 
 #include "server/core/geometry/vec3.hpp"
@@ -37,6 +38,12 @@ struct Points {
   static double most(const double (&v)[N]) {
     if constexpr (N == 4) return std::max(std::max(v[0], v[1]), std::max(v[2], v[3]));
     return *std::max_element(v, v + N);
+  }
+  // The least absolute value.
+  static double nearest(const double (&v)[N]) {
+    double to_zero[N];
+    for (std::size_t i = 0; i < N; ++i) to_zero[i] = std::abs(v[i]);
+    return least(to_zero);
   }
 };
 

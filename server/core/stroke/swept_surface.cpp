@@ -64,24 +64,6 @@ void SweptSurface::build(std::size_t latest) {
   built_ = triangles_.size();
   const std::size_t from = std::min(latest, triangles_.size());
   latest_.build(triangles_, from, from);
-  if (from == triangles_.size()) return;
-  const SweptTriangle& first = triangles_[from];
-  // Moved outwards by more than is rounded.
-  constexpr double kRounded = 1e-12;
-  for (std::size_t k = 0; k < latest_spans_.size(); ++k) {
-    const Vec3 axis =
-        k == 0 ? normalized(cross(first.normal, first.corners[1] - first.corners[0])) : first.normal;
-    Span& span = latest_spans_[k];
-    span = {axis, INFINITY, -INFINITY};
-    for (std::size_t i = from; i < triangles_.size(); ++i) {
-      for (const Vec3& corner : triangles_[i].corners) {
-        const double at = dot(axis, corner),
-                     off = kRounded * (std::abs(corner.x) + std::abs(corner.y) + std::abs(corner.z));
-        span.low = std::min(span.low, at - off);
-        span.high = std::max(span.high, at + off);
-      }
-    }
-  }
 }
 
 std::size_t SweptSurface::drop_before(std::uint32_t oldest) {

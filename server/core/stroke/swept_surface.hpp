@@ -35,14 +35,8 @@ class SweptSurface {
   const SweptTriangle& operator[](std::size_t i) const { return triangles_[i]; }
   std::span<const SweptTriangle> triangles() const { return triangles_; }
 
-  // Calls visit(index) for each triangle whose bounding box overlaps the given one, in order, until it returns true;
-  // returns whether one did.
-  template <class Visit>
-  bool any_overlapping(const Vec3& low, const Vec3& high, Visit visit) const {
-    return all_.any_overlapping(low, high, visit);
-  }
-  // The same for the box around two or four points, larger by `slack_m` on all sides, but not for all triangles on one side of
-  // whose plane all the points lie, farther off than that.
+  // Calls visit(index) for each triangle whose box comes nearer than `slack_m` to that around two or four points, in order, until it returns
+  // true; returns whether one did. Leaves some of those out on one side of whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
   bool any_between(const Points<N>& points, double slack_m, Visit visit) const {
     return all_.any_between(points, slack_m, visit);
@@ -50,13 +44,6 @@ class SweptSurface {
   // The same for the triangles of the last batch alone.
   template <std::size_t N, class Visit>
   bool any_latest_between(const Points<N>& points, double slack_m, Visit visit) const {
-    // Most that is asked for lies beside all of it.
-    for (const Span& span : latest_spans_) {
-      double at[N];
-      points.along(span.axis, 0, at);
-      if (Points<N>::least(at) - slack_m > span.high || Points<N>::most(at) + slack_m < span.low)
-        return false;
-    }
     return latest_.any_between(points, slack_m, visit);
   }
 
@@ -80,12 +67,6 @@ class SweptSurface {
   std::vector<SweptTriangle> triangles_;
   std::size_t built_ = 0;  // so many of them are in all_ as they are
   SweptTree all_, latest_;
-  // Where the last batch's triangles lie along their motion, and along the first one's normal.
-  struct Span {
-    Vec3 axis;
-    double low, high;
-  };
-  std::array<Span, 2> latest_spans_{};
 };
 
 }  // namespace incise::core

@@ -1,5 +1,7 @@
 #include "server/core/stroke/swept_tree.hpp"
 
+#include <utility>
+
 namespace incise::core {
 
 void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same) {
@@ -7,9 +9,15 @@ void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from
   from_ = static_cast<std::uint32_t>(from);
   std::size_t children = triangles.size() - from, same_children = same - from, levels = 0;
   for (std::size_t n = children; n > (levels == 0 ? 0u : 1u); ++levels) n = (n + kChildren - 1) / kChildren;
-  const bool had_slabs = has_slabs();
   levels_.resize(levels);
-  if (has_slabs() != had_slabs) same_children = 0;
+  const bool had_slabs = std::exchange(has_slabs_, levels > kLevelsOfBoxes);
+  if (has_slabs_ != had_slabs) same_children = 0;
+  if (levels == 0) return;
+  if (same == from) {
+    const SweptTriangle& first = triangles[from];
+    const Vec3 motion = normalized(cross(first.normal, first.corners[1] - first.corners[0]));
+    axes_ = {motion, first.normal, cross(motion, first.normal)};
+  }
   for (std::size_t level = 0; level < levels; ++level) {
     std::vector<Node>& nodes = levels_[level];
     nodes.resize((children + kChildren - 1) / kChildren);
@@ -22,6 +30,11 @@ void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from
     same_children /= kChildren;
   }
   triangles_ = {};
+  const Node& root = levels_.back().front();
+  for (std::size_t axis = 0; axis < axes_.size(); ++axis) {
+    low_[axis] = least(root.low[axis]);
+    high_[axis] = most(root.high[axis]);
+  }
 }
 
 // Nothing overlaps it, and nothing is near.
@@ -41,21 +54,23 @@ SweptTree::Node SweptTree::empty_node() {
 void SweptTree::set_child(Node& node, std::uint32_t k, std::size_t level, std::size_t child) const {
   if (level == 0) {
     const SweptTriangle& triangle = triangles_[from_ + child];
-    const double low[3] = {triangle.low.x, triangle.low.y, triangle.low.z};
-    const double high[3] = {triangle.high.x, triangle.high.y, triangle.high.z};
-    for (int axis = 0; axis < 3; ++axis) {
-      node.low[axis][k] = static_cast<float>(low[axis] - kRounded * std::abs(low[axis]));
-      node.high[axis][k] = static_cast<float>(high[axis] + kRounded * std::abs(high[axis]));
+    double rounded_m = 0;
+    for (const Vec3& corner : triangle.corners)
+      rounded_m = std::max(rounded_m, kRoundedSum * farthest(corner));
+    for (std::size_t axis = 0; axis < axes_.size(); ++axis) {
+      double at[3];
+      for (std::size_t i = 0; i < 3; ++i) at[i] = dot(axes_[axis], triangle.corners[i]);
+      node.low[axis][k] = static_cast<float>(std::min({at[0], at[1], at[2]}) - rounded_m);
+      node.high[axis][k] = static_cast<float>(std::max({at[0], at[1], at[2]}) + rounded_m);
     }
   } else {
     const Node& below = levels_[level - 1][child];
-    for (int axis = 0; axis < 3; ++axis) {
-      const Lane &l = below.low[axis], &h = below.high[axis];
-      node.low[axis][k] = std::min(std::min(l[0], l[1]), std::min(l[2], l[3]));
-      node.high[axis][k] = std::max(std::max(h[0], h[1]), std::max(h[2], h[3]));
+    for (std::size_t axis = 0; axis < axes_.size(); ++axis) {
+      node.low[axis][k] = least(below.low[axis]);
+      node.high[axis][k] = most(below.high[axis]);
     }
   }
-  if (!has_slabs() || level == 0 || level >= kLevelsWithSlabs) return;
+  if (!has_slabs_ || level == 0 || level >= kLevelsWithSlabs) return;
   const std::size_t holds = std::size_t{1} << 2 * level, begin = from_ + child * holds;
   set_slabs(node, k, begin, std::min(begin + holds, triangles_.size()));
 }
@@ -84,9 +99,8 @@ void SweptTree::set_slabs(Node& node, std::uint32_t k, std::size_t begin, std::s
   }
   for (int a = 0; a < 2; ++a) {
     Slab& slab = node.slabs[a];
-    slab.normal[0][k] = static_cast<float>(axes[a].x);
-    slab.normal[1][k] = static_cast<float>(axes[a].y);
-    slab.normal[2][k] = static_cast<float>(axes[a].z);
+    for (std::size_t axis = 0; axis < axes_.size(); ++axis)
+      slab.normal[axis][k] = static_cast<float>(dot(axes_[axis], axes[a]));
     slab.below[k] = static_cast<float>(below[a] - kRoundedSum * largest);
     slab.above[k] = static_cast<float>(above[a] + kRoundedSum * largest);
   }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 #include "server/core/cut/conforming/islands.hpp"
 
@@ -12,12 +13,12 @@ using namespace tolerance;
 
 void ClosingStage::begin(std::span<const HalfFace> opened) {
   around_.clear();
+  const std::uint32_t scan = cut_.workspace.next_serial();
   for (HalfFace h : opened) {
-    const auto face = mesh_.face_vertices(h);
-    around_.insert(around_.end(), face.begin(), face.end());
+    for (VertexId v : mesh_.face_vertices(h)) {
+      if (std::exchange(cut_.workspace.vertices[v].looked_at, scan) != scan) around_.push_back(v);
+    }
   }
-  std::sort(around_.begin(), around_.end());
-  around_.erase(std::unique(around_.begin(), around_.end()), around_.end());
   gaps_.clear();
   faces_.clear();
   pass_.begin();
@@ -89,14 +90,17 @@ bool ClosingStage::collect_held(WorkBudget& budget) {
 
 // Only a tetrahedron with three vertices at the boundary has such a face: few have.
 void ClosingStage::consider_faces(TetId t) {
+  if (!pass_.insert(t)) return;
   unsigned inside = 0;  // bit i: vertex i is
   const auto& v = mesh_.vertices(t);
   for (unsigned i = 0; i < 4; ++i) inside |= (mesh_.at_boundary(v[i]) ? 0u : 1u) << i;
-  if (std::popcount(inside) > 1 || !pass_.insert(t)) return;
+  if (std::popcount(inside) > 1) return;
   cut_.work += cost::kLook;
   const unsigned open = mesh_.boundary_mask(t);
   for (int f = 0; f < 4; ++f) {
-    if ((inside & ~(1u << f)) == 0 && !(open >> f & 1)) consider(half_face(t, f));
+    if ((inside & ~(1u << f)) != 0 || (open >> f & 1) != 0) continue;
+    // From the other side it looks the same.
+    if (const HalfFace h = half_face(t, f); !pass_.has(tet_of(mesh_.opposite(h)))) consider(h);
   }
 }
 

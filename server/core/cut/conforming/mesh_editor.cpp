@@ -136,11 +136,12 @@ void MeshEditor::remove_crumb(TetId t) {
   crumb_.assign(1, t);
   for (std::size_t i = 0; i < crumb_.size(); ++i) {
     cut_.work += cost::kLook;
+    if (!is_shallow(cut_, crumb_[i], kShallow_h * cut_.h)) return;
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(crumb_[i], f);
       if (n != kNone && std::ranges::find(crumb_, n) == crumb_.end()) crumb_.push_back(n);
     }
-    if (crumb_.size() > kMaxRaggedIsland || !is_shallow(cut_, crumb_[i], kShallow_h * cut_.h)) return;
+    if (crumb_.size() > kMaxRaggedIsland) return;
   }
   for (TetId c : crumb_) mesh_.remove_tet(c);
   cut_.counts.removed_tets += static_cast<std::uint32_t>(crumb_.size());

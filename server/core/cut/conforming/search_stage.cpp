@@ -131,7 +131,7 @@ bool SearchStage::probe(TetId t) {
     for (int k = 0; k < 3; ++k) {
       if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
     }
-    meets = probe_triangle(t, p, index) || meets;
+    meets = probe_triangle(t, p, slack_m, index) || meets;
     return false;
   });
   return meets;
@@ -139,10 +139,10 @@ bool SearchStage::probe(TetId t) {
 
 // Vertices that lie in the sweep already, since no edge crosses there, and those of an older cut's faces that run along it so near
 // that they are one with it.
-void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4]) {
+void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4],
+                                double reach_m) {
   const auto& v = mesh_.vertices(t);
   const unsigned cut_faces = mesh_.cut_mask(t);
-  const double reach_m = (cut_faces != 0 ? kOne_h : kLies_h) * cut_.h;
   for (int i = 0; i < 4; ++i) {
     const double off_m = std::abs(d[i]);
     if (off_m > reach_m || cut_.on_surface(v[i])) continue;
@@ -164,13 +164,13 @@ void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const do
   }
 }
 
-bool SearchStage::probe_triangle(TetId t, const FourPoints& p, std::uint32_t index) {
+bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, std::uint32_t index) {
   const auto& v = mesh_.vertices(t);
   const SweptTriangle& triangle = cut_.surface()[index];
   const double clear = cut_.clear_m;
   double d[4];
   p.along(triangle.normal, triangle.offset, d);
-  note_standing(t, triangle, d);
+  if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
   if (FourPoints::least(d) >= 0 || FourPoints::most(d) < 0) return false;
   // How far inside each of the triangle's edges; outside one with all corners is outside.
   double inside[3][4];

@@ -47,8 +47,8 @@ class SearchStage {
   bool end_of_rim(WorkBudget& budget);
   void enqueue(TetId t);
   bool probe(TetId t);
-  void note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4]);
-  bool probe_triangle(TetId t, const FourPoints& p, std::uint32_t index);
+  void note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4], double reach_m);
+  bool probe_triangle(TetId t, const FourPoints& p, double slack_m, std::uint32_t index);
 
   CutContext& cut_;
   const TetMesh& mesh_;
