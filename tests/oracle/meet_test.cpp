@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <optional>
+#include <span>
 #include <string>
 
 #include "protocol/motion.hpp"
@@ -34,6 +35,17 @@ void drain(core::CutSession& session, std::int64_t budget_units = INT64_MAX) {
   for (;;) {
     core::WorkBudget budget{budget_units};
     if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
+  }
+}
+
+void cut_bit_by_bit(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
+  for (const auto& stroke : meeting.strokes) {
+    for (const core::Pose& pose : stroke) {
+      session.push(0, pose);
+      drain(session, budget_units);
+    }
+    session.end_stroke(0);
+    drain(session, budget_units);
   }
 }
 
@@ -84,14 +96,7 @@ TEST_P(Meet, DoesNotDependOnTheBudget) {
   const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), 2);
   core::CutSession at_once(mesh(), meeting_config(meeting)), bit_by_bit(mesh(), meeting_config(meeting));
   cut(meeting, at_once);
-  for (const auto& stroke : meeting.strokes) {
-    for (const core::Pose& pose : stroke) {
-      bit_by_bit.push(0, pose);
-      drain(bit_by_bit, 50);
-    }
-    bit_by_bit.end_stroke(0);
-    drain(bit_by_bit, 50);
-  }
+  cut_bit_by_bit(meeting, bit_by_bit, 50);
   EXPECT_EQ(bit_by_bit.mesh().state_hash(), at_once.mesh().state_hash());
 }
 
@@ -153,6 +158,45 @@ TEST_F(MeetingInACoarseBody, CornersAreCutClean) {
 TEST_F(MeetingInACoarseBody, WhatWasHeldComesApartWithALaterStroke) {
   const Verdict v = cut_and_judge("square", 704);
   EXPECT_TRUE(v.right()) << to_string(v);
+}
+
+struct OnceWrong {
+  const char* mesh;
+  const char* kind;
+  std::uint64_t seed;
+};
+void come_apart(std::span<const OnceWrong> meetings) {
+  const char* folder = std::getenv("INCISE_DATA");
+  if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
+  for (const OnceWrong& once : meetings) {
+    const core::MeshData real = mesh_io::load_mesh(std::string(folder) + "/meshes/" + once.mesh, {}).mesh;
+    const Body loaded(real);
+    const Meeting meeting = random_meeting(real, loaded.h, once.kind, once.seed);
+    core::CutSession session(real, meeting_config(meeting)), bit_by_bit(real, meeting_config(meeting));
+    cut(meeting, session);
+    cut_bit_by_bit(meeting, bit_by_bit, 1000);
+    EXPECT_EQ(bit_by_bit.mesh().state_hash(), session.mesh().state_hash());
+    const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << once.mesh << ", " << once.kind << ", seed " << once.seed << ": "
+                           << to_string(v);
+  }
+}
+
+// The sweep was continued to the wall's nearest point, which is not straight ahead where the wall is slanted, and not as far as an edge of
+// the body between the points that were looked at.
+TEST(MeetingTheSkin, SweepsThatBeginUnderASlantedWallReachIt) {
+  const OnceWrong meetings[] = {{"seed_1720", "lasso", 5006}, {"wound_1476", "square", 5002}};
+  come_apart(meetings);
+}
+
+// A rib of tissue was left between the skin and a sweep that begins just under it. Both parts are larger than what is looked at while the
+// stroke goes on.
+TEST(MeetingTheSkin, NoRibHoldsLargePartsTogether) {
+  const OnceWrong meetings[] = {{"seed_1720", "polygon", 1019},
+                                {"seed_1720", "spiral", 1013},
+                                {"seed_3234", "lasso", 1014},
+                                {"seed_3234", "spiral", 1011}};
+  come_apart(meetings);
 }
 
 // A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and

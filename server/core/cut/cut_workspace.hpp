@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "server/core/cut/sweep_ends.hpp"
@@ -115,6 +116,8 @@ class TetPass {
     return true;
   }
   std::uint32_t serial() const { return serial_; }
+  // Both are of the same workspace.
+  void swap(TetPass& other) { std::swap(serial_, other.serial_); }
 
  private:
   CutWorkspace& workspace_;

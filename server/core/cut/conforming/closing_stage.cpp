@@ -21,6 +21,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   }
   gaps_.clear();
   faces_.clear();
+  doubtful_.clear();
   pass_.begin();
   go(Phase::kCollect);
 }
@@ -38,6 +39,12 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kJudge:
       if (!judge(budget)) return false;
+      pass_.begin();
+      queue_.clear();
+      go(Phase::kLookFar);
+      return false;
+    case Phase::kLookFar:
+      if (!look_far(budget)) return false;
       go(Phase::kOpen);
       return false;
     case Phase::kOpen:
@@ -135,13 +142,25 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
-  if ((a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h) return false;
+  const bool beside = (a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h;
+  if (beside && !is_at_end(mesh_.face_middle(h))) return false;
   for (VertexId w : mesh_.face_vertices(h)) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
     if (!older && !is_near(mesh_.position(w), off_m)) return false;
   }
   return true;
+}
+
+// Whether a sweep begins or ends near p.
+bool ClosingStage::is_at_end(const Vec3& p) {
+  const double reach = kJoinReach_h * cut_.h;
+  for (std::size_t i = 0; i < cut_.workspace.ends.size(); ++i) {
+    const BladeLine& line = cut_.workspace.ends[i].lines[0];
+    cut_.work += cost::kLook;
+    if (squared_distance_to_segment(p, line.heel, line.tip) <= reach * reach) return true;
+  }
+  return false;
 }
 
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {
@@ -176,11 +195,86 @@ bool ClosingStage::judge(WorkBudget& budget) {
       faces_.push_back(h);
       continue;
     }
-    cut_.clear_pending(h);
-    cut_.clear_pending(o);
+    if (other == Part::kLarge && !cut_.has_front) {
+      doubtful_.push_back(gap);
+      continue;
+    }
+    keep_closed(gap);
     if (other != Part::kCrumb) hold(gap);
   }
   return true;
+}
+
+void ClosingStage::keep_closed(const Gap& gap) {
+  cut_.clear_pending(gap.face);
+  cut_.clear_pending(mesh_.opposite(gap.face));
+}
+
+// Two large parts are apart where one has been seen to its end. Both are followed by turns, so this takes no longer than the smaller one
+// is large; what is too large stays closed.
+bool ClosingStage::look_far(WorkBudget& budget) {
+  while (next_ < doubtful_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const Gap& gap = doubtful_[next_];
+    const TetId one = tet_of(gap.face), other = tet_of(mesh_.opposite(gap.face));
+    if (queue_.empty()) {
+      // What was seen to its end last, for another face.
+      if (pass_.has(one) != pass_.has(other)) {
+        faces_.push_back(gap.face);
+        ++next_;
+        continue;
+      }
+      start_far(one, other);
+    }
+    switch (follow_far()) {
+      case Far::kGoesOn:
+        continue;
+      case Far::kApart:
+        faces_.push_back(gap.face);
+        break;
+      case Far::kTogether:
+        keep_closed(gap);
+        hold(gap);
+        pass_.begin();
+        break;
+    }
+    queue_.clear();
+    ++next_;
+  }
+  return true;
+}
+
+void ClosingStage::start_far(TetId one, TetId other) {
+  pass_.begin();
+  pass_.add(one);
+  queue_.assign(1, one);
+  other_pass_.begin();
+  other_pass_.add(other);
+  other_queue_.assign(1, other);
+  seen_ = other_seen_ = 0;
+}
+
+// Follows the side of which less has been seen, a little. What is apart has all been seen by pass_ then.
+ClosingStage::Far ClosingStage::follow_far() {
+  if (queue_.size() > other_queue_.size()) {
+    pass_.swap(other_pass_);
+    queue_.swap(other_queue_);
+    std::swap(seen_, other_seen_);
+  }
+  for (const std::size_t end = seen_ + kFarChunk; seen_ < end; ++seen_) {
+    if (seen_ == queue_.size()) return Far::kApart;
+    cut_.work += cost::kLook;
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace o = mesh_.opposite(half_face(queue_[seen_], f));
+      if (o == kNone || cut_.is_pending(o)) continue;
+      if (other_pass_.has(tet_of(o))) return Far::kTogether;
+      if (!pass_.insert(tet_of(o))) continue;
+      mesh_.prefetch(tet_of(o));
+      queue_.push_back(tet_of(o));
+    }
+  }
+  return queue_.size() + other_queue_.size() > kMaxFarWay ? Far::kTogether : Far::kGoesOn;
 }
 
 // The newest are kept.
@@ -197,15 +291,16 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
-  double volume_m3 = 0, area_m2 = 0;
+  Extent extent;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     const TetId t = queue_[i];
     cut_.work += cost::kLook;
-    volume_m3 += mesh_.volume(t);
+    extent.volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(t, f));
       if (o == kNone || cut_.is_pending(o)) {
-        area_m2 += 0.5 * length(mesh_.twice_area(half_face(t, f)));
+        extent.add_face(0.5 * length(mesh_.twice_area(half_face(t, f))),
+                        o != kNone || (mesh_.cut_mask(t) >> f & 1) != 0);
         continue;
       }
       if (tet_of(o) == other) return Part::kHangsTogether;
@@ -213,10 +308,8 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
     }
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
-  // The area has two sides.
-  const double least_m3 = std::max(kLeastPart_h3 * cut_.h * cut_.h * cut_.h,
-                                   (was_held ? kOne_h : kFilm_h) * cut_.h * 0.5 * area_m2);
-  if (volume_m3 < least_m3) return Part::kCrumb;
+  const double film_m3 = was_held ? kOne_h * cut_.h * 0.5 * extent.area_m2 : extent.film_m3(cut_.h);
+  if (extent.volume_m3 < std::max(kLeastPart_h3 * cut_.h * cut_.h * cut_.h, film_m3)) return Part::kCrumb;
   const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
 }

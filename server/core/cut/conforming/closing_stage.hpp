@@ -15,7 +15,7 @@ namespace incise::core {
 class ClosingStage {
  public:
   ClosingStage(CutContext& cut, MeshEditor& editor)
-      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace) {}
+      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace), other_pass_(cut.workspace) {}
 
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
@@ -26,8 +26,9 @@ class ClosingStage {
   void archive(Archive& io);
 
  private:
-  enum class Phase { kCollect, kCollectHeld, kJudge, kOpen };
+  enum class Phase { kCollect, kCollectHeld, kJudge, kLookFar, kOpen };
   enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
+  enum class Far { kGoesOn, kApart, kTogether };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
   struct Gap {
@@ -53,6 +54,7 @@ class ClosingStage {
   bool collect(WorkBudget& budget);
   bool collect_held(WorkBudget& budget);
   bool judge(WorkBudget& budget);
+  bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
   void consider_faces(TetId t);
   void consider(HalfFace h);
@@ -74,10 +76,14 @@ class ClosingStage {
   bool all_at_boundary(HalfFace h) const;
   bool may_close(HalfFace h, double& off_m, bool& meets);
   bool is_near(const Vec3& p, double& off_m);
+  bool is_at_end(const Vec3& p);
   bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, bool was_held);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
+  void keep_closed(const Gap& gap);
+  void start_far(TetId one, TetId other);
+  Far follow_far();
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -88,12 +94,16 @@ class ClosingStage {
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
-  std::vector<HalfFace> faces_;         // to open
-  TetPass pass_;                        // whose faces have been considered; then what part_of() has reached
-  std::uint32_t nearest_ = 0;           // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;            // of part_of()
-  std::vector<Waiting> waited_;         // scratch
-  std::vector<Corner> star_, corners_;  // scratch
+  std::vector<HalfFace> faces_;  // to open
+  std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
+  TetPass pass_;                 // whose faces have been considered; then what part_of() has reached
+  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
+  std::vector<TetId> queue_;     // of part_of(), and of one side in look_far()
+  TetPass other_pass_;           // the other side's
+  std::vector<TetId> other_queue_;
+  std::size_t seen_ = 0, other_seen_ = 0;  // of the two queues
+  std::vector<Waiting> waited_;            // scratch
+  std::vector<Corner> star_, corners_;     // scratch
 };
 
 }  // namespace incise::core

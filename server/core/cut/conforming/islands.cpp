@@ -48,14 +48,14 @@ bool Islands::is_island(TetId first) {
   if (inland_.has(first)) return false;
   seen_.add(first);
   bool clean = true, thin = true, film = true;
-  double volume = 0, area = 0;
+  Extent extent;
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const TetId t = members_[i];
     thin = thin && is_thin(t);
     film = film && std::ranges::all_of(mesh_.vertices(t), [this](VertexId v) {
              return mesh_.at_boundary(v) || cut_.on_surface(v);
            });
-    volume += mesh_.volume(t);
+    extent.volume_m3 += mesh_.volume(t);
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {
       const HalfFace h = half_face(t, f);
@@ -63,7 +63,7 @@ bool Islands::is_island(TetId first) {
       const bool opens = pending(t, f);
       if (opens || n == kNone) {
         clean = clean && (opens ? cut_.face_on_surface(h) : !is_ragged(h));
-        area += 0.5 * length(mesh_.twice_area(h));
+        extent.add_face(0.5 * length(mesh_.twice_area(h)), opens || (mesh_.cut_mask(t) >> f & 1) != 0);
       } else if (!seen_.has(n)) {
         if (inland_.has(n)) return false;
         seen_.add(n);
@@ -73,8 +73,7 @@ bool Islands::is_island(TetId first) {
     if (members_.size() > (thin || film ? kMaxSheetIsland : kMaxRaggedIsland)) return false;
   }
   const bool ragged = !clean && members_.size() <= kMaxRaggedIsland;
-  // The area has two sides.
-  return ragged || thin || (film && volume <= kFilm_h * cut_.h * 0.5 * area);
+  return ragged || thin || (film && extent.volume_m3 <= extent.film_m3(cut_.h));
 }
 
 // Keeps the members together with their neighbours on one side of the surface: with both they would be a bridge. Nor with two

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <span>
 #include <vector>
@@ -13,6 +14,23 @@ Vec3 reference_point(const CutContext& cut, TetId t);
 
 // Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
 bool is_shallow(const CutContext& cut, TetId t, double reach);
+
+// The size of some tetrahedra that hang together, by which a film is told from a part of the tissue.
+struct Extent {
+  double volume_m3 = 0, area_m2 = 0, cut_area_m2 = 0;
+
+  // A face of its surface.
+  void add_face(double face_m2, bool is_cut) {
+    area_m2 += face_m2;
+    if (is_cut) cut_area_m2 += face_m2;
+  }
+  // The largest volume that a film with that surface has. A film has two sides, and one of them at least is a cut: what sticks out of the
+  // body may be as thin.
+  double film_m3(double h) const {
+    const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
+    return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
+  }
+};
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out

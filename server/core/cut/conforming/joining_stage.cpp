@@ -75,7 +75,9 @@ bool JoiningStage::advance(WorkBudget& budget) {
         next_ > 1 && parts_[next_ - 2].to == part.from && parts_[next_ - 2].direction == part.direction;
     const double at_from = follows ? ahead_at_end_m_ : wall_ahead(part.from, part.direction);
     ahead_at_end_m_ = wall_ahead(part.to, part.direction);
-    extend(part.from, part.to, part.direction, std::max(at_from, ahead_at_end_m_));
+    // An edge of the body may be farther ahead than both.
+    const double amid = wall_ahead(lerp(part.from, part.to, 0.5), part.direction);
+    extend(part.from, part.to, part.direction, std::max({at_from, amid, ahead_at_end_m_}));
   }
   return true;
 }
@@ -222,7 +224,15 @@ double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
       const double d = dot(q - p, direction);
       // A cut that the blade runs along counts where it begins ahead: the blade that goes into a slit again adds nothing at its end.
       if (facing < kSinAlong && d < kLeastAhead_h * cut_.h) continue;
-      if (squared_length(q - p) <= reach * reach) ahead = std::max(ahead, d);
+      if (squared_length(q - p) > reach * reach) continue;
+      ahead = std::max(ahead, d);
+      // The nearest point of a slanted wall is not the one straight ahead.
+      const double straight = dot(n, q - p) / dot(n, direction);
+      const Vec3 x = p + straight * direction;
+      if (straight > ahead && straight <= kOne_h / kCosFacing * cut_.h &&
+          squared_length(closest_point(x, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])) -
+                         x) <= kBeside_h * kBeside_h * cut_.h * cut_.h)
+        ahead = straight;
     }
   });
   return ahead;

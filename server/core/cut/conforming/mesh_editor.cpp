@@ -117,6 +117,11 @@ void MeshEditor::remove_flat(TetId t) {
   if (!mesh_.alive(t)) return;  // it went with another one
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
+  if (mesh_.worst_dihedral(t) <= kFloor) {
+    for (TetId n : neighbors) {
+      if (n != kNone && film_hangs_by(t, n)) return;
+    }
+  }
   const VertexId first_copy = mesh_.vertex_slots();
   mesh_.remove_tet(t);
   cut_.work += cost::kRemoveFlat;
@@ -129,6 +134,32 @@ void MeshEditor::remove_flat(TetId t) {
   }
   // What is poor may be at a copy now, of a vertex that was put on the surface before.
   for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
+}
+
+// Whether a film hangs together with the rest by t alone, which is behind the face to n. Nearly always n reaches into the tissue, which is seen at once.
+bool MeshEditor::film_hangs_by(TetId t, TetId n) {
+  film_.assign(1, n);
+  film_pass_.begin();
+  film_pass_.add(t);
+  film_pass_.add(n);
+  Extent extent;
+  for (std::size_t i = 0; i < film_.size(); ++i) {
+    cut_.work += cost::kLook;
+    const auto& v = mesh_.vertices(film_[i]);
+    if (!std::ranges::all_of(v, [this](VertexId w) { return mesh_.at_boundary(w) || cut_.on_surface(w); }))
+      return false;
+    extent.volume_m3 += mesh_.volume(film_[i]);
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace h = half_face(film_[i], f), o = mesh_.opposite(h);
+      if (o == kNone) {
+        extent.add_face(0.5 * length(mesh_.twice_area(h)), (mesh_.cut_mask(film_[i]) >> f & 1) != 0);
+      } else if (film_pass_.insert(tet_of(o))) {
+        film_.push_back(tet_of(o));
+      }
+    }
+    if (film_.size() > kMaxSheetIsland) return false;
+  }
+  return film_.size() > kMaxRaggedIsland && extent.volume_m3 <= extent.film_m3(cut_.h);
 }
 
 // What hung by a flat tetrahedron alone, and is near the surface like it, goes with it.

@@ -33,7 +33,8 @@ namespace incise::core {
 // what is done (CutContext::counts).
 class MeshEditor {
  public:
-  MeshEditor(TetMesh& mesh, CutContext& cut, ActiveSet& active) : mesh_(mesh), cut_(cut), active_(active) {}
+  MeshEditor(TetMesh& mesh, CutContext& cut, ActiveSet& active)
+      : mesh_(mesh), cut_(cut), active_(active), film_pass_(cut.workspace) {}
 
   // A vertex that was put on the surface by this batch, or made by that, whose star may not be good.
   struct Changed {
@@ -78,6 +79,7 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
+  bool film_hangs_by(TetId t, TetId n);
   void remove_crumb(TetId t);
   void account(HalfFace h);
 
@@ -85,8 +87,9 @@ class MeshEditor {
   CutContext& cut_;
   ActiveSet& active_;
   std::vector<Changed> changed_;
-  std::vector<TetId> flat_, crumb_, ring_, new_tets_;  // scratch
-  std::vector<std::uint32_t> star_;                    // scratch
+  TetPass film_pass_;
+  std::vector<TetId> flat_, crumb_, film_, ring_, new_tets_;  // scratch
+  std::vector<std::uint32_t> star_;                           // scratch
 };
 
 }  // namespace incise::core

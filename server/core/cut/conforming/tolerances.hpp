@@ -86,6 +86,8 @@ inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
+// When a stroke ends, so many are looked at besides, both sides together; and so many of one side before the other's turn.
+inline constexpr std::size_t kMaxFarWay = 20000, kFarChunk = 32;
 // A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
 inline constexpr double kSameFace_h = 0.1;
 
@@ -164,8 +166,9 @@ inline constexpr int kMaxRounds = 3;
 inline constexpr double kPass = 0.25;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
-// Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean.
-inline constexpr double kFilm_h = 0.15;
+// Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean; kOne_h where this part of its
+// surface is cut.
+inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
 inline constexpr double kShallow_h = 0.125;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
