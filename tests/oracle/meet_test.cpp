@@ -195,7 +195,14 @@ TEST(MeetingTheSkin, NoRibHoldsLargePartsTogether) {
   const OnceWrong meetings[] = {{"seed_1720", "polygon", 1019},
                                 {"seed_1720", "spiral", 1013},
                                 {"seed_3234", "lasso", 1014},
-                                {"seed_3234", "spiral", 1011}};
+                                {"seed_3234", "spiral", 1011},
+                                {"liver_80298", "lasso", 3}};
+  come_apart(meetings);
+}
+
+// A face of the second stroke's surface was left in the corner between that, the skin and the third stroke, too far off the third's.
+TEST(MeetingTheSkin, NoFaceOfAnOlderCutIsLeftWhereItEnds) {
+  const OnceWrong meetings[] = {{"liver_80298", "square", 2}};
   come_apart(meetings);
 }
 

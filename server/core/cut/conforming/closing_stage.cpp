@@ -138,7 +138,7 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side. Where none of it lies at an
 // older cut it has to be nearer.
 bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
-  if (!is_near(mesh_.face_middle(h), off_m)) return false;
+  if (!is_near(mesh_.face_middle(h), off_m)) return meets = is_hole(h);
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
@@ -150,6 +150,42 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
     if (!older && !is_near(mesh_.position(w), off_m)) return false;
   }
   return true;
+}
+
+// Whether all of a face's edges are at the boundary, and an older cut continues it beyond one of them: what that cut has left where it ends
+// at another one.
+bool ClosingStage::is_hole(HalfFace h) {
+  const auto v = mesh_.face_vertices(h);
+  if (!std::ranges::all_of(v, [this](VertexId w) { return cut_.workspace.vertices[w].surface != 0; }))
+    return false;
+  bool continues = false;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const VertexId a = v[k], b = v[(k + 1) % 3];
+    mesh_.ring(tet_of(h), a, b, ring_);
+    cut_.work += cost::kNearby;
+    bool is_at_boundary = false;
+    for (TetId t : {ring_.front(), ring_.back()}) {
+      for (int f = 0; f < 4; ++f) {
+        const HalfFace other = half_face(t, f);
+        if (mesh_.opposite(other) != kNone || mesh_.vertices(t)[f] == a || mesh_.vertices(t)[f] == b)
+          continue;
+        is_at_boundary = true;
+        continues = continues || ((mesh_.cut_mask(t) >> f & 1) != 0 && lies_beyond(other, h, a, b));
+      }
+    }
+    if (!is_at_boundary) return false;
+  }
+  return continues;
+}
+
+// Whether a face goes on in the plane of another one beyond their edge, and is not folded back over it.
+bool ClosingStage::lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const {
+  const Vec3 n = mesh_.twice_area(h), m = mesh_.twice_area(other);
+  const double along = dot(n, m);
+  if (along * along < kCosAlong * kCosAlong * squared_length(n) * squared_length(m)) return false;
+  const Vec3 out = cross(mesh_.position(b) - mesh_.position(a), n);
+  return (dot(out, mesh_.face_middle(h) - mesh_.position(a)) > 0) !=
+         (dot(out, mesh_.face_middle(other) - mesh_.position(a)) > 0);
 }
 
 // Whether a sweep begins or ends near p.

@@ -77,6 +77,8 @@ class ClosingStage {
   bool may_close(HalfFace h, double& off_m, bool& meets);
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
+  bool is_hole(HalfFace h);
+  bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, bool was_held);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
@@ -103,6 +105,7 @@ class ClosingStage {
   std::vector<TetId> other_queue_;
   std::size_t seen_ = 0, other_seen_ = 0;  // of the two queues
   std::vector<Waiting> waited_;            // scratch
+  std::vector<TetId> ring_;                // scratch
   std::vector<Corner> star_, corners_;     // scratch
 };
 

@@ -87,7 +87,7 @@ inline constexpr double kFar_h = 4;
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
 // When a stroke ends, so many are looked at besides, both sides together; and so many of one side before the other's turn.
-inline constexpr std::size_t kMaxFarWay = 20000, kFarChunk = 32;
+inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32;
 // A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
 inline constexpr double kSameFace_h = 0.1;
 
