@@ -39,8 +39,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kJudge:
       if (!judge(budget)) return false;
-      pass_.begin();
-      queue_.clear();
+      sides_.begin();
       go(Phase::kLookFar);
       return false;
     case Phase::kLookFar:
@@ -246,71 +245,25 @@ void ClosingStage::keep_closed(const Gap& gap) {
   cut_.clear_pending(mesh_.opposite(gap.face));
 }
 
-// Two large parts are apart where one has been seen to its end. Both are followed by turns, so this takes no longer than the smaller one
-// is large; what is too large stays closed.
 bool ClosingStage::look_far(WorkBudget& budget) {
   while (next_ < doubtful_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const Gap& gap = doubtful_[next_];
-    const TetId one = tet_of(gap.face), other = tet_of(mesh_.opposite(gap.face));
-    if (queue_.empty()) {
-      // What was seen to its end last, for another face.
-      if (pass_.has(one) != pass_.has(other)) {
-        faces_.push_back(gap.face);
-        ++next_;
+    switch (sides_.follow(tet_of(gap.face), tet_of(mesh_.opposite(gap.face)))) {
+      case TwoSides::Outcome::kGoesOn:
         continue;
-      }
-      start_far(one, other);
-    }
-    switch (follow_far()) {
-      case Far::kGoesOn:
-        continue;
-      case Far::kApart:
+      case TwoSides::Outcome::kApart:
         faces_.push_back(gap.face);
         break;
-      case Far::kTogether:
+      case TwoSides::Outcome::kTogether:
         keep_closed(gap);
         hold(gap);
-        pass_.begin();
         break;
     }
-    queue_.clear();
     ++next_;
   }
   return true;
-}
-
-void ClosingStage::start_far(TetId one, TetId other) {
-  pass_.begin();
-  pass_.add(one);
-  queue_.assign(1, one);
-  other_pass_.begin();
-  other_pass_.add(other);
-  other_queue_.assign(1, other);
-  seen_ = other_seen_ = 0;
-}
-
-// Follows the side of which less has been seen, a little. What is apart has all been seen by pass_ then.
-ClosingStage::Far ClosingStage::follow_far() {
-  if (queue_.size() > other_queue_.size()) {
-    pass_.swap(other_pass_);
-    queue_.swap(other_queue_);
-    std::swap(seen_, other_seen_);
-  }
-  for (const std::size_t end = seen_ + kFarChunk; seen_ < end; ++seen_) {
-    if (seen_ == queue_.size()) return Far::kApart;
-    cut_.work += cost::kLook;
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(queue_[seen_], f));
-      if (o == kNone || cut_.is_pending(o)) continue;
-      if (other_pass_.has(tet_of(o))) return Far::kTogether;
-      if (!pass_.insert(tet_of(o))) continue;
-      mesh_.prefetch(tet_of(o));
-      queue_.push_back(tet_of(o));
-    }
-  }
-  return queue_.size() + other_queue_.size() > kMaxFarWay ? Far::kTogether : Far::kGoesOn;
 }
 
 // The newest are kept.

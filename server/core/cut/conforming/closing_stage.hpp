@@ -6,6 +6,7 @@
 
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
+#include "server/core/cut/conforming/two_sides.hpp"
 
 namespace incise::core {
 
@@ -15,7 +16,7 @@ namespace incise::core {
 class ClosingStage {
  public:
   ClosingStage(CutContext& cut, MeshEditor& editor)
-      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace), other_pass_(cut.workspace) {}
+      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace), sides_(cut) {}
 
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
@@ -28,7 +29,6 @@ class ClosingStage {
  private:
   enum class Phase { kCollect, kCollectHeld, kJudge, kLookFar, kOpen };
   enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
-  enum class Far { kGoesOn, kApart, kTogether };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
   struct Gap {
@@ -84,8 +84,6 @@ class ClosingStage {
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
-  void start_far(TetId one, TetId other);
-  Far follow_far();
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -100,13 +98,11 @@ class ClosingStage {
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered; then what part_of() has reached
   std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;     // of part_of(), and of one side in look_far()
-  TetPass other_pass_;           // the other side's
-  std::vector<TetId> other_queue_;
-  std::size_t seen_ = 0, other_seen_ = 0;  // of the two queues
-  std::vector<Waiting> waited_;            // scratch
-  std::vector<TetId> ring_;                // scratch
-  std::vector<Corner> star_, corners_;     // scratch
+  std::vector<TetId> queue_;     // of part_of()
+  TwoSides sides_;
+  std::vector<Waiting> waited_;         // scratch
+  std::vector<TetId> ring_;             // scratch
+  std::vector<Corner> star_, corners_;  // scratch
 };
 
 }  // namespace incise::core
