@@ -2,6 +2,7 @@
 #   incise         the command line, and incise-tetgen
 #   incised        the server: service, configuration, device profiles, the page for browsers
 #   libincise-dev  headers and static libraries of incise::core, incise::protocol and incise::client
+#   python3-incise the Python packages incise and incise_client
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 set(INCISE_SHARE ${CMAKE_INSTALL_DATADIR}/incise)
@@ -18,7 +19,7 @@ foreach(program incise incised)
   install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${program} COMPONENT ${program})
 endforeach()
 # In their folders, so that the links between them hold.
-foreach(page README.md CHANGELOG.md CONTRIBUTING.md client/CLIENTS.md client/viewer/PAGE.md config/devices/DEVICES.md protocol/PROTOCOL.md
+foreach(page README.md CHANGELOG.md CONTRIBUTING.md client/CLIENTS.md client/ROS2.md client/SOFA.md client/unity/README.md client/viewer/PAGE.md config/devices/DEVICES.md protocol/PROTOCOL.md
     server/ARCHITECTURE.md server/OPERATING.md server/core/CUTTING.md server/haptics/FORCES.md server/input/PEERS.md
     server/mesh_io/FORMATS.md)
   cmake_path(GET page PARENT_PATH folder)
@@ -76,13 +77,26 @@ endforeach()
 install(FILES protocol/incise.fbs DESTINATION ${INCISE_SHARE} COMPONENT dev)
 install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/libincise-dev COMPONENT dev)
 
+# --- Python. Debian's folder for packages does not depend on the version, so the module says which Python it is for.
+if(TARGET incise_module)
+  set(INCISE_PYTHON_PACKAGES lib/python3/dist-packages)
+  install(TARGETS incise_module LIBRARY DESTINATION ${INCISE_PYTHON_PACKAGES}/incise COMPONENT python)
+  install(DIRECTORY client/python/incise client/python/incise_client DESTINATION ${INCISE_PYTHON_PACKAGES} COMPONENT python
+    FILES_MATCHING PATTERN "*.py" PATTERN "*.pyi" PATTERN "py.typed" PATTERN "__pycache__" EXCLUDE)
+  install(DIRECTORY ${CMAKE_BINARY_DIR}/generated/python/incise/wire DESTINATION ${INCISE_PYTHON_PACKAGES}/incise COMPONENT python
+    FILES_MATCHING PATTERN "*.py")
+  install(DIRECTORY client/python/examples DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/python3-incise COMPONENT python
+    FILES_MATCHING PATTERN "*.py")
+  install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/python3-incise COMPONENT python)
+endif()
+
 # --- Debian packages
 set(CPACK_GENERATOR DEB)
 set(CPACK_PACKAGE_NAME incise)
 set(CPACK_PACKAGE_CONTACT "Incise maintainers <maintainers@incise.invalid>")
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
-set(CPACK_COMPONENTS_ALL incise incised dev)
+set(CPACK_COMPONENTS_ALL incise incised dev python)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
@@ -105,4 +119,12 @@ set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS "libssl-dev")
 set(CPACK_DEBIAN_DEV_DESCRIPTION "Libraries for clients of the Incise cut server
 Headers and static libraries: the cut core, the protocol and the client.")
+set(CPACK_DEBIAN_PYTHON_PACKAGE_NAME python3-incise)
+set(CPACK_DEBIAN_PYTHON_PACKAGE_SECTION python)
+set(CPACK_DEBIAN_PYTHON_PACKAGE_DEPENDS "python3 (>= 3.11), python3 (<< 3.12), python3-numpy, python3-flatbuffers")
+set(CPACK_DEBIAN_PYTHON_PACKAGE_RECOMMENDS "incise (= ${PROJECT_VERSION}), python3-h5py") # incise-tetgen: phantoms, surfaces; data sets
+set(CPACK_DEBIAN_PYTHON_PACKAGE_SUGGESTS "python3-distributed")
+set(CPACK_DEBIAN_PYTHON_DESCRIPTION "Cut tetrahedral meshes in Python
+The cut core of Incise in process (import incise) and a client of the cut server
+(import incise_client).")
 include(CPack)

@@ -108,7 +108,7 @@ MeshChange::MeshChange(const Replica& before, const Delta& d)
       vertex_count(d.vertex_count),
       live_tets(d.live_tets),
       state_hash(d.state_hash) {
-  for (const auto ids : {d.tets.ids, d.removed_tets, d.piece_tets}) protocol::append(tets, ids);
+  for (const auto ids : {d.tets.ids, d.removed_tets}) protocol::append(tets, ids);
   const auto cuts = [](const Step& step) { return step.stroke != 0; };
   deformed = !std::all_of(steps.begin(), steps.end(), cuts);
   if (!deformed || std::any_of(steps.begin(), steps.end(), cuts)) protocol::append(cut_moved, d.moved_ids);

@@ -51,7 +51,7 @@ struct MeshChange {
   std::uint64_t state_hash = 0;
 
   MeshChange() = default;
-  // `before` has not applied `delta` yet. O(delta).
+  // `before` has not applied `delta` yet. What Replica::follow_pieces() finds then is to be added to `tets`. O(delta).
   MeshChange(const Replica& before, const Delta& delta);
   // `next` follows on this. O(next).
   void append(const MeshChange& next);

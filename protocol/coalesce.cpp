@@ -88,6 +88,7 @@ Delta OwnedDelta::view() const {
   d.piece_ids = piece_ids;
   d.piece_sizes = piece_sizes;
   d.piece_tets = piece_tets;
+  d.piece_names = piece_names;
   d.vertex_count = vertex_count;
   d.live_tets = live_tets;
   d.state_hash = state_hash;
@@ -128,7 +129,10 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
 
   join_rest(deltas, out);
   Places moved, tets, faces;
-  std::map<std::uint32_t, std::uint32_t> piece_of;
+  struct Piece {
+    std::uint32_t tet, tets;
+  };
+  std::map<std::uint32_t, Piece> pieces;  // by id, as the last one named it
   for (std::size_t k = 0; k < deltas.size(); ++k) {
     const Delta& d = deltas[k];
     out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
@@ -141,10 +145,8 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
     note(tets, d.removed_tets, k, true);
     note(faces, d.boundary_upserted, k, false);
     note(faces, d.boundary_removed, k, true);
-    std::size_t next = 0;
-    for (std::size_t p = 0; p < d.piece_ids.size(); ++p) {
-      for (std::uint32_t n = 0; n < d.piece_sizes[p]; ++n) piece_of[d.piece_tets[next++]] = d.piece_ids[p];
-    }
+    for (std::size_t p = 0; p < d.piece_ids.size(); ++p)
+      pieces[d.piece_ids[p]] = {d.piece_names[p], d.piece_sizes[p]};
   }
 
   for (const auto& [id, place] : moved) {
@@ -175,15 +177,13 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
       out.boundary_removed.push_back(half_face);
     }
   }
-  std::map<std::uint32_t, std::vector<std::uint32_t>> pieces;
-  for (const auto& [tet, piece] : piece_of) {
-    const auto place = tets.find(tet);
-    if (place == tets.end() || !place->second.removed) pieces[piece].push_back(tet);
-  }
-  for (const auto& [piece, members] : pieces) {
-    out.piece_ids.push_back(piece);
-    out.piece_sizes.push_back(static_cast<std::uint32_t>(members.size()));
-    append<std::uint32_t>(out.piece_tets, members);
+  for (const auto& [id, piece] : pieces) {
+    // A piece that loses its tetrahedron and gets no other is gone.
+    const auto place = tets.find(piece.tet);
+    if (place != tets.end() && place->second.removed) continue;
+    out.piece_ids.push_back(id);
+    out.piece_names.push_back(piece.tet);
+    out.piece_sizes.push_back(piece.tets);
   }
   return out;
 }

@@ -26,7 +26,7 @@ struct OwnedDelta {
   std::vector<std::uint8_t> tet_cut_masks, tet_boundary_masks;
   std::vector<std::uint32_t> removed_tets;
   std::vector<std::uint32_t> boundary_upserted, boundary_removed;
-  std::vector<std::uint32_t> piece_ids, piece_sizes, piece_tets;
+  std::vector<std::uint32_t> piece_ids, piece_sizes, piece_tets, piece_names;
   std::uint32_t vertex_count = 0;
   std::uint32_t live_tets = 0;
   std::uint64_t state_hash = 0;

@@ -150,9 +150,14 @@ class MessageReader : public FieldReader {
     out.piece_ids = array<std::uint32_t>("piece_ids", m.piece_ids());
     out.piece_sizes = array("piece_sizes", m.piece_sizes(), out.piece_ids.size(), 1);
     out.piece_tets = array<std::uint32_t>("piece_tets", m.piece_tets());
+    out.piece_names = array<std::uint32_t>("piece_names", m.piece_names());
+    if (!out.piece_names.empty()) {
+      require(out.piece_names.size() == out.piece_ids.size(), "piece_names", "as many as piece_ids, or none");
+      require(out.piece_tets.empty(), "piece_tets", "none with piece_names");
+    }
     std::uint64_t listed = 0;
     for (const std::uint32_t n : out.piece_sizes) listed += n;
-    if (listed != out.piece_tets.size()) {
+    if (out.piece_names.empty() && listed != out.piece_tets.size()) {
       fail("piece_tets", std::to_string(out.piece_tets.size()) + " entries, piece_sizes add up to " +
                              std::to_string(listed));
     }
@@ -200,6 +205,8 @@ class MessageReader : public FieldReader {
     out.triangle_count = m.triangle_count();
     require(out.triangle_count <= 4 * kMaxTets, "triangle_count", "above the limit");
     out.box = box("box", m.box());
+    out.piece_ids = ids("piece_ids", m.piece_ids(), kNoId);
+    out.piece_names = array("piece_names", m.piece_names(), out.piece_ids.size(), 1);
     return out;
   }
   Body read(const wire::SnapshotChunk& m) {
@@ -209,7 +216,9 @@ class MessageReader : public FieldReader {
     const std::size_t numbers = m.positions() == nullptr ? 0 : m.positions()->size();
     out.positions = positions("positions", m.positions(), numbers / 3);
     out.tets = tets(m.tets());
-    out.tet_pieces = array("tet_pieces", m.tet_pieces(), out.tets.ids.size(), 1);
+    out.tet_pieces = array<std::uint32_t>("tet_pieces", m.tet_pieces());
+    require(out.tet_pieces.empty() || out.tet_pieces.size() == out.tets.ids.size(), "tet_pieces",
+            "one for each of tets, or none");
     out.surface_vertices =
         surface_vertices("surface_vertices.ids", "surface_vertices.positions", m.surface_vertices());
     out.triangles = triangles(m.triangles());

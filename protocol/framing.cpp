@@ -175,11 +175,12 @@ struct Encoder {
     const auto added_ids = array(b, m.added_ids), removed_vertices = array(b, m.removed_vertices);
     const auto rest_ids = array(b, m.rest_ids);
     const auto rest_positions = array(b, m.rest_positions);
+    const auto piece_names = array(b, m.piece_names);
     return wire::CreateDelta(b, m.base_revision, m.revision, step_list, moved_ids, moved_positions,
                              m.first_added, added_positions, provenance_a, provenance_b, provenance_t,
                              tet_table, removed, upserted_faces, removed_faces, piece_ids, piece_sizes,
                              piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet,
-                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions)
+                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions, piece_names)
         .Union();
   }
   auto operator()(const SurfaceDelta& m) {
@@ -194,8 +195,10 @@ struct Encoder {
   }
   auto operator()(const SnapshotBegin& m) {
     const auto interest = box(b, m.box);
+    const auto piece_ids = array(b, m.piece_ids), piece_names = array(b, m.piece_names);
     return wire::CreateSnapshotBegin(b, wire::View(m.view), m.revision, wire::SnapshotCause(m.cause),
-                                     m.chunks, m.vertex_count, m.tet_count, m.triangle_count, interest)
+                                     m.chunks, m.vertex_count, m.tet_count, m.triangle_count, interest,
+                                     piece_ids, piece_names)
         .Union();
   }
   auto operator()(const SnapshotChunk& m) {
@@ -276,13 +279,14 @@ std::size_t expected_bytes(const Body& body) {
                  m.provenance_t.size_bytes() + bytes_of(m.tets) + m.removed_tets.size_bytes() +
                  m.boundary_upserted.size_bytes() + m.boundary_removed.size_bytes() +
                  m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes() +
-                 m.added_ids.size_bytes() + m.removed_vertices.size_bytes() + m.rest_ids.size_bytes() +
-                 m.rest_positions.size_bytes();
+                 m.piece_names.size_bytes() + m.added_ids.size_bytes() + m.removed_vertices.size_bytes() +
+                 m.rest_ids.size_bytes() + m.rest_positions.size_bytes();
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +
                  bytes_of(m.triangles) + m.removed_triangles.size_bytes();
         }
+        if constexpr (std::is_same_v<T, SnapshotBegin>) return kSmall + 2 * m.piece_ids.size_bytes();
         if constexpr (std::is_same_v<T, SnapshotChunk>) {
           return kSmall + m.positions.size_bytes() + bytes_of(m.tets) + m.tet_pieces.size_bytes() +
                  bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes() +

@@ -16,7 +16,9 @@
 
 namespace incise::protocol {
 
-inline constexpr std::uint32_t kProtocolVersion = 1;
+inline constexpr std::uint32_t kProtocolVersion = 2;
+// Says pieces in another way, and only in view Volume: a server speaks it with clients that do not want that.
+inline constexpr std::uint32_t kOldProtocolVersion = 1;
 inline constexpr std::uint32_t kNoId = 0xffffffffu;
 
 struct Vec3 {
@@ -258,7 +260,7 @@ struct Delta {
   TetArrays tets;
   std::span<const std::uint32_t> removed_tets;
   std::span<const std::uint32_t> boundary_upserted, boundary_removed;
-  std::span<const std::uint32_t> piece_ids, piece_sizes, piece_tets;
+  std::span<const std::uint32_t> piece_ids, piece_sizes, piece_tets, piece_names;
   std::uint32_t vertex_count = 0;
   std::uint32_t live_tets = 0;
   std::uint64_t state_hash = 0;
@@ -290,6 +292,7 @@ struct SnapshotBegin {
   std::uint32_t chunks = 0;
   std::uint32_t vertex_count = 0, tet_count = 0, triangle_count = 0;
   std::optional<Box> box;
+  std::span<const std::uint32_t> piece_ids, piece_names;
 };
 
 struct SnapshotChunk {

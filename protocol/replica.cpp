@@ -61,7 +61,6 @@ void Replica::State::resize_tets(std::size_t slots) {
   regions.resize(slots);
   cut_masks.resize(slots);
   boundary_masks.resize(slots);
-  pieces.resize(slots);
 }
 
 void Replica::State::set_tet(const TetArrays& t, std::size_t i) {
@@ -90,8 +89,8 @@ std::uint64_t Replica::compute_state_hash() const {
 // ---- Whole states ----
 
 ApplyResult Replica::add(State& state, std::uint32_t& next_tet, std::uint32_t vertex_limit,
-                         const TetArrays& tets, std::span<const std::uint32_t> pieces) const {
-  if (!fits(tets) || (!pieces.empty() && pieces.size() != tets.ids.size())) {
+                         const TetArrays& tets) const {
+  if (!fits(tets)) {
     return refuse(ApplyError::BadShape, "tetrahedra: arrays of different lengths");
   }
   if (tets.ids.empty()) return {};
@@ -110,7 +109,6 @@ ApplyResult Replica::add(State& state, std::uint32_t& next_tet, std::uint32_t ve
   state.resize_tets(tets.ids.back() + std::size_t{1});
   for (std::size_t i = 0; i < tets.ids.size(); ++i) {
     state.set_tet(tets, i);
-    if (!pieces.empty()) state.pieces[tets.ids[i]] = pieces[i];
     state.hash ^= hash_entry(tets, i);
   }
   state.live_tets += static_cast<std::uint32_t>(tets.ids.size());
@@ -131,7 +129,7 @@ ApplyResult Replica::load(std::span<const double> positions, const TetArrays& te
   const auto vertices = static_cast<std::uint32_t>(count);
   for (std::uint32_t v = 0; v < vertices; ++v) state.hash ^= hash_vertex(v, &positions[3 * std::size_t{v}]);
   std::uint32_t next_tet = 0;
-  if (ApplyResult r = add(state, next_tet, vertices, tets, {}); !r) return r;
+  if (ApplyResult r = add(state, next_tet, vertices, tets); !r) return r;
   state_ = std::move(state);
   staged_.reset();
   return {};
@@ -151,7 +149,12 @@ ApplyResult Replica::begin(const SnapshotBegin& part) {
                                                 number(max_vertices_) + " and " + number(max_tets_));
   }
   staged_ = std::make_unique<Staged>();
+  if (part.piece_names.size() != part.piece_ids.size())
+    return abandon(refuse(ApplyError::BadShape, "snapshot: pieces and their tetrahedra differ in number"));
+  for (std::size_t i = 0; i < part.piece_ids.size(); ++i)
+    staged_->state.names[part.piece_ids[i]] = part.piece_names[i];
   staged_->begin = part;
+  staged_->begin.piece_ids = staged_->begin.piece_names = {};
   staged_->state.revision = part.revision;
   return {};
 }
@@ -176,15 +179,12 @@ ApplyResult Replica::chunk(const SnapshotChunk& part) {
     return abandon(
         refuse(ApplyError::BadShape, "snapshot chunk with rest positions of some of its vertices"));
   }
-  if (part.tet_pieces.size() != part.tets.ids.size()) {
-    return abandon(refuse(ApplyError::BadShape, "snapshot chunk: tetrahedra without pieces"));
-  }
   state.positions.insert(state.positions.end(), part.positions.begin(), part.positions.end());
   state.rest.insert(state.rest.end(), part.rest_positions.begin(), part.rest_positions.end());
   for (std::size_t v = have; v < state.positions.size() / 3; ++v) {
     state.hash ^= hash_vertex(static_cast<std::uint32_t>(v), &state.positions[3 * v]);
   }
-  if (ApplyResult r = add(state, s.next_tet, s.begin.vertex_count, part.tets, part.tet_pieces); !r) {
+  if (ApplyResult r = add(state, s.next_tet, s.begin.vertex_count, part.tets); !r) {
     return abandon(std::move(r));
   }
   if (state.live_tets > s.begin.tet_count) {
@@ -210,6 +210,11 @@ ApplyResult Replica::end(const SnapshotEnd& part) {
                                                         " has hash " + hex(s.state.hash) +
                                                         ", announced was " + hex(part.state_hash)));
   }
+  for (const auto& [id, tet] : s.state.names) {
+    if (tet < s.state.tets.size() && s.state.tets[tet][0] != kNoId) continue;
+    return abandon(refuse(ApplyError::BadIndex, "snapshot: piece " + number(id) + " with tetrahedron " +
+                                                    number(tet) + ", which does not exist"));
+  }
   state_ = std::move(staged_->state);
   staged_.reset();
   return {};
@@ -226,7 +231,7 @@ ApplyResult Replica::check(const Delta& d) const {
   const std::size_t added = d.provenance_t.size();
   if (d.moved_positions.size() != 3 * d.moved_ids.size() || d.added_positions.size() != 3 * added ||
       d.provenance_a.size() != added || d.provenance_b.size() != added || !fits(d.tets) ||
-      d.piece_sizes.size() != d.piece_ids.size()) {
+      d.piece_names.size() != d.piece_ids.size()) {
     return refuse(ApplyError::BadShape, "delta: arrays of different lengths");
   }
   const std::uint32_t vertices = vertex_count();
@@ -313,10 +318,7 @@ ApplyResult Replica::check(const Delta& d) const {
       return refuse(ApplyError::BadIndex, "removed boundary face " + number(h) + " is on the boundary");
     }
   }
-  std::uint64_t listed = 0;
-  for (const std::uint32_t n : d.piece_sizes) listed += n;
-  if (listed != d.piece_tets.size()) return refuse(ApplyError::BadShape, "delta: pieces that do not add up");
-  for (const std::uint32_t t : d.piece_tets) {
+  for (const std::uint32_t t : d.piece_names) {
     const bool removed = std::binary_search(d.removed_tets.begin(), d.removed_tets.end(), t);
     if (removed || (!alive(t) && !std::binary_search(d.tets.ids.begin(), d.tets.ids.end(), t))) {
       return refuse(ApplyError::BadIndex, "piece with tetrahedron " + number(t) + ", which does not exist");
@@ -391,16 +393,13 @@ ApplyResult Replica::apply(const Delta& d) {
     s.tets[t].fill(kNoId);
     s.regions[t] = 0;
     s.cut_masks[t] = s.boundary_masks[t] = 0;
-    s.pieces[t] = 0;
   }
   for (std::size_t i = 0; i < d.tets.ids.size(); ++i) {
     s.boundary_faces -= static_cast<std::uint32_t>(std::popcount(s.boundary_masks[d.tets.ids[i]]));
     s.set_tet(d.tets, i);
   }
-  std::size_t next = 0;
-  for (std::size_t p = 0; p < d.piece_ids.size(); ++p) {
-    for (std::uint32_t n = 0; n < d.piece_sizes[p]; ++n) s.pieces[d.piece_tets[next++]] = d.piece_ids[p];
-  }
+  for (std::size_t p = 0; p < d.piece_ids.size(); ++p) s.names[d.piece_ids[p]] = d.piece_names[p];
+  if (!d.tets.ids.empty() || !d.removed_tets.empty() || !d.piece_ids.empty()) s.pieces_known = false;
   s.live_tets = d.live_tets;
   s.hash = hash;
   s.revision = d.revision;
@@ -440,6 +439,13 @@ SnapshotWriter::SnapshotWriter(const Replica& replica, SnapshotCause cause, std:
   begin_.vertex_count = replica.vertex_count();
   begin_.tet_count = replica.live_tets();
   begin_.triangle_count = replica.boundary_faces();
+  for (const auto& [id, tet] : replica.piece_names()) {
+    if (!replica.alive(tet)) continue;
+    piece_ids_.push_back(id);
+    piece_names_.push_back(tet);
+  }
+  begin_.piece_ids = piece_ids_;
+  begin_.piece_names = piece_names_;
   begin_.chunks =
       static_cast<std::uint32_t>(chunks_of(replica.vertex_count()) + chunks_of(replica.live_tets()));
 }
@@ -462,7 +468,6 @@ bool SnapshotWriter::next() {
   regions_.clear();
   cut_masks_.clear();
   boundary_masks_.clear();
-  pieces_.clear();
   for (; next_tet_ < replica_.tet_slots() && ids_.size() < chunk_elements_; ++next_tet_) {
     if (!replica_.alive(next_tet_)) continue;
     ids_.push_back(next_tet_);
@@ -471,10 +476,8 @@ bool SnapshotWriter::next() {
     regions_.push_back(replica_.region(next_tet_));
     cut_masks_.push_back(replica_.cut_mask(next_tet_));
     boundary_masks_.push_back(replica_.boundary_mask(next_tet_));
-    pieces_.push_back(replica_.piece(next_tet_));
   }
   chunk_.tets = {ids_, vertices_, regions_, cut_masks_, boundary_masks_};
-  chunk_.tet_pieces = pieces_;
   return true;
 }
 

@@ -6,6 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <span>
 #include <string>
@@ -35,15 +36,24 @@ struct ApplyResult {
   explicit operator bool() const { return error == ApplyError::None; }
 };
 
-// Thread: one, at a time. Owns: the arrays.
+class TetIndex;
+
+// Thread: one, at a time, for reading as well: what hangs together is found when somebody asks. Owns: the arrays.
 class Replica {
  public:
   explicit Replica(std::uint32_t max_vertices = kDefaultReplicaVertices,
                    std::uint32_t max_tets = kDefaultReplicaTets)
       : max_vertices_(max_vertices), max_tets_(max_tets) {}
 
-  // Replaces the state by a whole mesh, all in piece 0: how the server's mirror begins. `positions`: x y z
-  // for each vertex. O(mesh).
+  // A copy has the state, and no snapshot that has begun. O(mesh).
+  Replica(const Replica& other)
+      : max_vertices_(other.max_vertices_), max_tets_(other.max_tets_), state_(other.state_) {}
+  Replica& operator=(const Replica& other) { return *this = Replica(other); }
+  Replica(Replica&&) noexcept = default;
+  Replica& operator=(Replica&&) noexcept = default;
+  ~Replica() = default;
+
+  // Replaces the state by a whole mesh, all in piece 0. `positions`: x y z for each vertex. O(mesh).
   ApplyResult load(std::span<const double> positions, const TetArrays& tets, std::uint64_t revision);
 
   // A snapshot: begin, its chunks in order, end. The old state stays in force until end() has checked
@@ -86,7 +96,14 @@ class Replica {
   std::int32_t region(std::uint32_t tet) const { return state_.regions[tet]; }
   std::uint8_t cut_mask(std::uint32_t tet) const { return state_.cut_masks[tet]; }
   std::uint8_t boundary_mask(std::uint32_t tet) const { return state_.boundary_masks[tet]; }
-  std::uint32_t piece(std::uint32_t tet) const { return state_.pieces[tet]; }
+  // The piece of each tetrahedron slot: 0 where there is none. O(mesh) if the mesh has changed since the last call.
+  std::span<const std::uint32_t> pieces() const {
+    if (!state_.pieces_known) find_pieces();
+    return state_.pieces;
+  }
+  std::uint32_t piece(std::uint32_t tet) const { return pieces()[tet]; }
+  // The pieces there are but 0, each with one of its tetrahedra: it is what hangs together with that.
+  const std::map<std::uint32_t, std::uint32_t>& piece_names() const { return state_.names; }
   // The vertices of face `face` of a live tetrahedron, counter-clockwise from outside.
   std::array<std::uint32_t, 3> face_vertices(std::uint32_t tet, int face) const;
 
@@ -111,6 +128,12 @@ class Replica {
   // "Canonical bytes", is the format. O(mesh).
   std::vector<std::byte> canonical_bytes() const;
 
+  // ---- The server's side ----
+
+  // After each apply(), of a replica whose pieces are known: keeps them known, and appends to `changed` the tetrahedra that were in
+  // another piece before; new ones are left out. O(delta + what is cut off).
+  void follow_pieces(const TetIndex& index, const Delta& delta, std::vector<std::uint32_t>& changed);
+
  private:
   struct State {
     std::uint64_t revision = 0;
@@ -122,7 +145,10 @@ class Replica {
     std::vector<std::array<std::uint32_t, 4>> tets;  // [0] == kNoId: no such tetrahedron
     std::vector<std::int32_t> regions;
     std::vector<std::uint8_t> cut_masks, boundary_masks;
-    std::vector<std::uint32_t> pieces;
+    std::map<std::uint32_t, std::uint32_t>
+        names;                                  // a tetrahedron by piece; one that is gone where the piece is
+    mutable std::vector<std::uint32_t> pieces;  // by tetrahedron
+    mutable bool pieces_known = false;
 
     void resize_tets(std::size_t slots);
     void set_tet(const TetArrays& tets, std::size_t i);
@@ -134,12 +160,13 @@ class Replica {
     State state;
   };
 
-  ApplyResult add(State& state, std::uint32_t& next_tet, std::uint32_t vertex_limit, const TetArrays& tets,
-                  std::span<const std::uint32_t> pieces) const;
+  ApplyResult add(State& state, std::uint32_t& next_tet, std::uint32_t vertex_limit,
+                  const TetArrays& tets) const;
   ApplyResult check(const Delta& delta) const;
   ApplyResult abandon(ApplyResult why);
   std::uint64_t hash_after(const Delta& delta) const;
   void apply_rest(const Delta& delta);
+  void find_pieces() const;
 
   std::uint32_t max_vertices_;
   std::uint32_t max_tets_;
@@ -159,7 +186,7 @@ class SnapshotWriter {
   // `replica` must stay as it is while the writer is used.
   SnapshotWriter(const Replica& replica, SnapshotCause cause, std::size_t chunk_elements = kChunkElements);
 
-  SnapshotBegin begin() const { return begin_; }
+  const SnapshotBegin& begin() const { return begin_; }
   // Moves on to the next chunk; false after the last. O(chunk).
   bool next();
   const SnapshotChunk& chunk() const { return chunk_; }
@@ -173,7 +200,7 @@ class SnapshotWriter {
   std::uint32_t chunks_made_ = 0;
   std::uint32_t next_vertex_ = 0;
   std::uint32_t next_tet_ = 0;
-  std::vector<std::uint32_t> ids_, vertices_, pieces_;
+  std::vector<std::uint32_t> ids_, vertices_, piece_ids_, piece_names_;
   std::vector<std::int32_t> regions_;
   std::vector<std::uint8_t> cut_masks_, boundary_masks_;
 };

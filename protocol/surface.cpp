@@ -306,10 +306,11 @@ void SurfaceReplica::load(const Replica& mesh) {
   state_.revision = mesh.revision();
 }
 
-SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta) {
+SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta,
+                                     std::span<const std::uint32_t> in_other_pieces) {
   std::vector<std::uint32_t> tets(delta.tets.ids.begin(), delta.tets.ids.end());
   tets.insert(tets.end(), delta.removed_tets.begin(), delta.removed_tets.end());
-  tets.insert(tets.end(), delta.piece_tets.begin(), delta.piece_tets.end());
+  tets.insert(tets.end(), in_other_pieces.begin(), in_other_pieces.end());
   sort_unique(tets);
   return follow_tets(mesh, tets, delta.moved_ids);
 }

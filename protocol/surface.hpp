@@ -49,6 +49,14 @@ class SurfaceReplica {
     std::uint32_t uses = 0;  // triangles at it
   };
 
+  SurfaceReplica() = default;
+  // As in Replica. O(surface).
+  SurfaceReplica(const SurfaceReplica& other) : state_(other.state_) {}
+  SurfaceReplica& operator=(const SurfaceReplica& other) { return *this = SurfaceReplica(other); }
+  SurfaceReplica(SurfaceReplica&&) noexcept = default;
+  SurfaceReplica& operator=(SurfaceReplica&&) noexcept = default;
+  ~SurfaceReplica() = default;
+
   // As in Replica: the old state stays in force until end() has checked the whole new one.
   ApplyResult begin(const SnapshotBegin& part);
   ApplyResult chunk(const SnapshotChunk& part);
@@ -79,9 +87,10 @@ class SurfaceReplica {
 
   // Makes this the whole surface of `mesh`. O(mesh).
   void load(const Replica& mesh);
-  // What `delta`, which `mesh` has just applied, changes on the surface; makes the change here too. The ids
-  // come ascending; hash and revision are this replica's after it. O(delta).
-  SurfaceChange follow(const Replica& mesh, const Delta& delta);
+  // What `delta`, which `mesh` has just applied, changes on the surface; makes the change here too. `in_other_pieces`: see
+  // Replica::follow_pieces(). The ids come ascending; hash and revision are this replica's after it. O(delta).
+  SurfaceChange follow(const Replica& mesh, const Delta& delta,
+                       std::span<const std::uint32_t> in_other_pieces);
 
   // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
   // O(surface).

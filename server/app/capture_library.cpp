@@ -16,6 +16,7 @@
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/stream_setup.hpp"
 #include "server/base/clock.hpp"
+#include "server/replay/replay.hpp"
 
 namespace incise::app {
 namespace {
@@ -24,9 +25,7 @@ namespace fs = std::filesystem;
 using protocol::ReplayAction;
 using std::chrono::steady_clock;
 
-constexpr std::size_t kMostPlaying = 4;              // each holds a mesh and three replicas of it
-constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a recording is shortened to this
-constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
+constexpr std::size_t kMostPlaying = 4;               // each holds a mesh and three replicas of it
 constexpr std::chrono::milliseconds kStateEvery{50};  // while it plays
 
 // Whether clients can show a name: UTF-8 without control characters.
@@ -61,52 +60,42 @@ class Replay {
       if (!reader.header_ok())
         throw std::runtime_error(name_ + ": is not a capture of incised: " + reader.error());
     }
-    motion_ = read_recorded_motion(path);
-    config_ = config_of(*motion_.header, name_);
-    if (motion_.header->mesh_content_hash == live.loaded.content_hash) {
+    RecordedMotion motion = read_recorded_motion(path);
+    config_ = config_of(*motion.header, name_);
+    if (motion.header->mesh_content_hash == live.loaded.content_hash) {
       body_ = &live;
     } else {
-      if (!config_.mesh.path.empty()) config_.mesh.path = motion_.header->mesh_path;
+      if (!config_.mesh.path.empty()) config_.mesh.path = motion.header->mesh_path;
       own_body_ = load_body(config_);
-      if (own_body_.loaded.content_hash != motion_.header->mesh_content_hash) {
+      if (own_body_.loaded.content_hash != motion.header->mesh_content_hash) {
         throw std::runtime_error(name_ + ": " + own_body_.name +
                                  " has changed since this was recorded; a replay needs the mesh as it was");
       }
       body_ = &own_body_;
     }
-    for (const protocol::BatchMark& mark : motion_.marks)
-      last_revision_ = std::max(last_revision_, mark.revision);
-    begin();
+    std::vector<core::Blade> blades;
+    for (const Config::Source& source : config_.sources) blades.push_back(source.blade);
+    replay_.emplace(body_->loaded.mesh, config_.cut, std::move(blades), std::move(motion));
     show();
   }
 
-  std::uint64_t revision() const { return session_->revision(); }
-  std::uint64_t last_revision() const { return last_revision_; }
-  bool at_end() const { return next_ == motion_.events.size() && session_->backlog_batches() == 0; }
-  // When the next event arrived, on the recording's clock with long silences left out; ns.
-  std::int64_t due_ns() const { return next_ < motion_.events.size() ? clock_ns_ + pause_ns() : clock_ns_; }
-  std::int64_t clock_ns() const { return clock_ns_; }
+  std::uint64_t revision() const { return replay_->revision(); }
+  bool at_end() const { return replay_->at_end(); }
+  std::int64_t due_ns() const { return replay_->due_ns(); }
+  std::int64_t clock_ns() const { return replay_->clock_ns(); }
 
-  // Commits a batch that waits, or applies the next event. Whether a batch was committed.
+  // As replay::Replay does; `tell`: viewers get the batch.
   bool advance(bool tell) {
     auto delta = std::make_shared<stream::PublishedDelta>();
-    core::WorkBudget budget = core::WorkBudget::unlimited();
-    if (session_->advance(budget, delta->delta) == core::CutSession::Progress::kCommitted) {
-      delta->arrival_ns = delta->drain_ns = delta->cut_ns = monotonic_ns();
-      last_revision_ = std::max(last_revision_, session_->revision());
-      if (tell) events_.delta(std::move(delta));
-      return true;
-    }
-    if (next_ < motion_.events.size()) {
-      clock_ns_ += pause_ns();
-      apply(*session_, motion_.events[next_++], config_);
-    }
-    return false;
+    if (!replay_->advance(delta->delta)) return false;
+    delta->arrival_ns = delta->drain_ns = delta->cut_ns = monotonic_ns();
+    if (tell) events_.delta(std::move(delta));
+    return true;
   }
 
   void seek(std::uint64_t revision, const std::atomic<bool>& stop) {
     const bool back = revision < this->revision();
-    if (back) begin();
+    if (back) replay_->restart();
     while (this->revision() < revision && !at_end() && !stop) advance(!back);
     if (back) show();
   }
@@ -117,38 +106,24 @@ class Replay {
     state.playing = playing;
     state.speed = speed;
     state.revision = revision();
-    state.last_revision = last_revision_;
+    state.last_revision = replay_->last_revision();
     events_.state(std::move(state));
   }
   void fail(const std::string& why) const { events_.failed(why); }
 
  private:
-  std::int64_t pause_ns() const {
-    if (next_ == 0) return 0;
-    return std::clamp<std::int64_t>(motion_.events[next_].arrival_ns - motion_.events[next_ - 1].arrival_ns,
-                                    0, kMostPause_ns);
-  }
-  void begin() {
-    session_.emplace(body_->loaded.mesh, config_.cut);
-    next_ = 0;
-    clock_ns_ = 0;
-  }
   void show() {
     events_.restarted(
-        server_facts(config_, *body_, session_->mesh()).mesh,
-        std::make_shared<const stream::InitialState>(initial_state(*session_, fresh_session_id())));
+        server_facts(config_, *body_, replay_->session().mesh()).mesh,
+        std::make_shared<const stream::InitialState>(initial_state(replay_->session(), fresh_session_id())));
   }
 
   const std::string name_;
   const stream::ReplayEvents events_;
-  RecordedMotion motion_;
   Config config_;
   Body own_body_;
   const Body* body_ = nullptr;
-  std::optional<core::CutSession> session_;
-  std::size_t next_ = 0;
-  std::int64_t clock_ns_ = 0;
-  std::uint64_t last_revision_ = 0;
+  std::optional<replay::Replay> replay_;
 };
 
 }  // namespace
@@ -220,7 +195,7 @@ struct CaptureLibrary::Playing {
         // From the end it starts again.
         if (replay.at_end()) replay.seek(0, stop);
         tempo.playing = true;
-        tempo.speed = std::clamp(wish.speed, kLeastSpeed, kMostSpeed);
+        tempo.speed = std::clamp(wish.speed, replay::kLeastSpeed, replay::kMostSpeed);
         break;
       case ReplayAction::Pause:
         tempo.playing = false;

@@ -91,7 +91,8 @@ std::string exit_statuses(int section) {
   return std::string(
              "0: success. 1: it failed; one line on the standard error says why. 2: the command "
              "line is wrong.") +
-         (section == 1 ? " 3: incise cut wrote its results, but the blade cut nothing." : "");
+         (section == 1 ? " 3: incise cut or feel wrote its results, but the blade cut or touched nothing."
+                       : "");
 }
 
 std::string man_page(const CLI::App& app, int section) {

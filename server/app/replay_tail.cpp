@@ -12,8 +12,8 @@ namespace {
 std::size_t bytes_of(const core::Delta& d) {
   std::size_t bytes = sizeof d + 28 * d.moved.size() + 40 * d.added_positions.size() +
                       24 * (d.moved_rest.size() + d.added_rest.size()) + 28 * d.upserted.size() +
-                      4 * (d.removed.size() + d.boundary_upserted.size() + d.boundary_removed.size());
-  for (const core::Delta::Piece& piece : d.pieces) bytes += 8 + 4 * piece.tets.size();
+                      4 * (d.removed.size() + d.boundary_upserted.size() + d.boundary_removed.size()) +
+                      12 * d.pieces.size();
   return bytes;
 }
 

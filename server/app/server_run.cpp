@@ -18,6 +18,7 @@
 #include "server/app/network_sources.hpp"
 #include "server/app/recording.hpp"
 #include "server/app/session_journal.hpp"
+#include "server/app/spare_session.hpp"
 #include "server/app/stream_input.hpp"
 #include "server/app/stream_output.hpp"
 #include "server/app/stream_setup.hpp"
@@ -119,6 +120,7 @@ class RunningServer {
   std::optional<LoopWatch> watch_;
   AuditLog audit_;
   CaptureLibrary library_;
+  SpareSession spare_;
   stream::Server server_;
   StreamOutput output_;
   loop::FrameLoop frames_;
@@ -144,6 +146,7 @@ RunningServer::RunningServer(const Config& config, bool resume)
                             })),
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
+      spare_(body_.loaded.mesh, config.cut),
       server_(stream_config(config), server_facts(config, body_, session().mesh()), recording_.shown.before,
               stream_input_, providers()),
       output_(server_),
@@ -174,13 +177,15 @@ void RunningServer::join_loop() {
   if (config_.haptics.forces)
     frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_);
   stream_input_.join(frames_);
-  frames_.offer_reset(
-      [this] { return std::make_unique<core::CutSession>(body_.loaded.mesh, config_.cut); },
-      [this](const core::CutSession& fresh) {
-        const std::uint64_t id = fresh_session_id();
-        server_.publish_reset(std::make_shared<const stream::InitialState>(initial_state(fresh, id)));
-        return id;
-      });
+  frames_.offer_reset([this] { return spare_.take(); },
+                      [this](std::unique_ptr<core::CutSession> used) {
+                        spare_.give_back(used ? std::move(used) : std::move(recording_.session));
+                        auto as_loaded = std::make_shared<stream::InitialState>();
+                        as_loaded->epoch = fresh_session_id();
+                        as_loaded->mirror = spare_.mirror();
+                        server_.publish_reset(as_loaded);
+                        return as_loaded->epoch;
+                      });
 }
 
 void RunningServer::open_inputs() {
@@ -203,6 +208,7 @@ void RunningServer::start() {
   if (config_.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server_.start();
   loop_thread_ = std::jthread([this](const std::stop_token& stop) { run_loop(stop); });
+  spare_.start();
   print_places();
   if (journal_ && recording_.lost == 0)
     spdlog::info("recording to {}", config_.resolve(config_.capture.path).string());

@@ -2,17 +2,12 @@
 
 #include <sys/random.h>
 
-#include <bit>
-
 #include "server/app/token_file.hpp"
 #include "server/base/clock.hpp"
+#include "server/replay/session_view.hpp"
 
 namespace incise::app {
 namespace {
-
-protocol::Vec3 to_protocol(const core::Vec3& p) {
-  return {p.x, p.y, p.z};
-}
 
 // The viewer that ./dev build puts beside the programs; empty where it was not built.
 std::string built_viewer() {
@@ -53,48 +48,14 @@ stream::StreamConfig stream_config(const Config& config) {
 
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh) {
   stream::ServerFacts facts;
-  facts.mesh.name = body.name.substr(0, 200);
-  facts.mesh.content_hash = body.loaded.content_hash;
-  facts.mesh.vertices = static_cast<std::uint32_t>(body.loaded.mesh.positions.size());
-  facts.mesh.tets = static_cast<std::uint32_t>(body.loaded.mesh.tets.size());
-  core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
-  for (const core::Vec3& p : body.loaded.mesh.positions) {
-    extend(p, low, high);
-  }
-  facts.mesh.box = {to_protocol(low), to_protocol(high)};
-  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
-    if (mesh.alive(t))
-      facts.mesh.boundary_faces += static_cast<std::uint32_t>(std::popcount(mesh.boundary_mask(t)));
-  }
-  facts.mesh.mean_edge_length_m = mesh.mean_edge_length();
-  facts.blade_heel = to_protocol(config.cut.blade.heel);
-  facts.blade_tip = to_protocol(config.cut.blade.tip);
-  facts.engage_button = config.cut.always_engaged ? -1 : std::countr_zero(config.cut.engage_buttons);
+  facts.mesh = replay::mesh_facts(body.name, body.loaded.content_hash, body.loaded.mesh, mesh);
+  facts.blade_heel = replay::to_protocol(config.cut.blade.heel);
+  facts.blade_tip = replay::to_protocol(config.cut.blade.tip);
+  facts.engage_button = replay::engage_button(config.cut);
   facts.max_speed_m_s = config.cut.speed_limit_m_s;
   facts.frame_rate_hz = config.loop.rate_hz;
-  facts.policy = config.cut.policy == core::Policy::kCroll ? "croll" : "conforming";
+  facts.policy = replay::policy_name(config.cut);
   return facts;
-}
-
-stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id) {
-  const core::TetMesh& mesh = session.mesh();
-  stream::InitialState state;
-  state.epoch = session_id;
-  state.revision = session.revision();
-  state.positions.reserve(mesh.vertex_slots());
-  for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.positions.push_back(mesh.position(v));
-  if (mesh.deformed()) {
-    state.rest.reserve(mesh.vertex_slots());
-    for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) state.rest.push_back(mesh.rest_position(v));
-  }
-  state.tets.reserve(mesh.live_tets());
-  state.pieces.reserve(mesh.live_tets());
-  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
-    if (!mesh.alive(t)) continue;
-    state.tets.push_back(mesh.state(t));
-    state.pieces.push_back(mesh.piece(t));
-  }
-  return state;
 }
 
 std::uint64_t fresh_session_id() {

@@ -5,6 +5,7 @@
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/core/session/cut_session.hpp"
+#include "server/replay/session_view.hpp"
 #include "server/stream/server.hpp"
 
 namespace incise::app {
@@ -15,8 +16,7 @@ namespace incise::app {
 stream::StreamConfig stream_config(const Config& config);
 // What the server says about itself in Welcome.
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh);
-// The state that clients start from. O(mesh).
-stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id);
+using replay::initial_state;
 // A random number that names a run of ids. Never 0.
 std::uint64_t fresh_session_id();
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 namespace incise::haptics {
 namespace {
@@ -53,10 +54,15 @@ CutMap::CutMap(const Vec3& low, const Vec3& high, double h) : origin_(low), asid
   }
   inverse_ = 1 / cell_;
   cells_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), 0);
+  marked_.assign((cells_.size() + kStretch - 1) / kStretch, 0);
 }
 
 void CutMap::clear() noexcept {
-  std::fill(cells_.begin(), cells_.end(), Directions{0});
+  for (std::size_t i = 0; i < marked_.size(); ++i) {
+    if (!std::exchange(marked_[i], std::uint8_t{0})) continue;
+    const std::size_t begin = i * kStretch;
+    std::fill_n(&cells_[begin], std::min(kStretch, cells_.size() - begin), Directions{0});
+  }
   any_ = false;
 }
 
@@ -79,8 +85,10 @@ void CutMap::mark(const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
   const double longest = std::max({distance(a, b), distance(b, c), distance(c, a)});
   const int rows = static_cast<int>(std::clamp(std::ceil(2 * longest / cell_), 1.0, double{kMostRows}));
   const auto set = [&](const Vec3& p) {
-    if (const std::size_t i = index(p); i < cells_.size())
-      cells_[i] = static_cast<Directions>(cells_[i] | bit);
+    const std::size_t i = index(p);
+    if (i >= cells_.size()) return;
+    cells_[i] = static_cast<Directions>(cells_[i] | bit);
+    marked_[i / kStretch] = 1;
   };
   for (int i = 0; i <= rows; ++i) {
     for (int j = 0; i + j <= rows; ++j) {

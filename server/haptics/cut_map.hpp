@@ -22,6 +22,7 @@ class CutMap {
 
   // Marks what a cut face covers, and 0.1 h on both sides. O(cells that it covers), at most some 6,000.
   void mark(const core::Vec3& a, const core::Vec3& b, const core::Vec3& c) noexcept;
+  // O(what was marked).
   void clear() noexcept;
   bool empty() const { return !any_; }
 
@@ -41,6 +42,9 @@ class CutMap {
   double cell_ = 1, inverse_ = 1, aside_ = 0;
   std::int64_t count_[3] = {0, 0, 0};
   std::vector<Directions> cells_;
+  // Stretches of kStretch cells that have been marked: clear() passes over the others.
+  static constexpr std::size_t kStretch = 4096;
+  std::vector<std::uint8_t> marked_;
   bool any_ = false;
 };
 

@@ -85,6 +85,8 @@ void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
 
 BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_ns,
                             std::int64_t late_ns) noexcept {
+  BladeForce force;
+  force.jumped = hand.jumped;
   if (hand.jumped) hand.model.jump();
   hand.jumped = false;
   BladeMotion motion;
@@ -97,7 +99,6 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   }
   hand.last_frame_ns = now_ns;
 
-  BladeForce force;
   force.source = source;
   force.pose_t_ns = hand.pose.t_ns;
   force.pose_arrival_ns = hand.arrival_ns;

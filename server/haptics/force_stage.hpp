@@ -23,6 +23,7 @@ struct BladeForce {
   core::Vec3 newtons;                // on the hand at the tool's origin, world frame
   std::uint32_t flags = 0;           // ForceFlag
   std::uint32_t faults = 0;          // SafetyFault: since the source was opened
+  bool jumped = false;               // the blade was elsewhere before: it did not move here
   Feel feel;                         // what the safety chain was given, and the tissue at the blade
 };
 

@@ -123,7 +123,8 @@ Vec3 SafetyChain::clamp(const Vec3& f, double most) const noexcept {
 }
 
 Vec3 SafetyChain::slew(const Vec3& f, double dt_s) noexcept {
-  const double most = (limits_.slew_n_s - limits_.most_n / limits_.ramp_s) * dt_s;
+  const double of_ramp = limits_.ramp_s > 0 ? limits_.most_n / limits_.ramp_s : 0;
+  const double most = (limits_.slew_n_s - of_ramp) * dt_s;
   const Vec3 change = f - slewed_;
   const double size = length(change);
   slewed_ = size > most ? slewed_ + (most / size) * change : f;
@@ -131,7 +132,11 @@ Vec3 SafetyChain::slew(const Vec3& f, double dt_s) noexcept {
 }
 
 Vec3 SafetyChain::ramp(const Vec3& f, double dt_s, bool contact) noexcept {
-  if (touched_) ramp_ = std::min(1.0, ramp_ + dt_s / limits_.ramp_s);
+  if (limits_.ramp_s == 0) {
+    ramp_ = 1;
+  } else if (touched_) {
+    ramp_ = std::min(1.0, ramp_ + dt_s / limits_.ramp_s);
+  }
   touched_ = touched_ || contact;
   return ramp_ * f;
 }

@@ -10,7 +10,7 @@ namespace incise::haptics {
 struct SafetyLimits {
   double most_n = 3.3;      // magnitude
   double slew_n_s = 500;    // change of the force vector in a second; at least most_n / decay_s
-  double ramp_s = 2;        // from nothing to full, at the first contact and after a fault
+  double ramp_s = 2;        // from nothing to full, at the first contact and after a fault; 0: at once
   double silence_s = 0.02;  // without a pose: the source is silent
   double late_s = 0.005;    // a frame that begins so late counts as a fault
   double frozen_s = 0.25;   // poses that repeat each other to the bit while a force acts: the device is stuck

@@ -20,6 +20,7 @@ PoseSource::~PoseSource() {
   PoseSources::Slot& slot = *sources_->slots_[number_];
   slot.closed_ns.store(monotonic_ns(), std::memory_order_relaxed);
   slot.state.store(PoseSources::State::kClosing, std::memory_order_release);
+  sources_->doorbell_.ring();
 }
 
 std::size_t PoseSource::enqueue(std::span<const TimedPose> poses) {
@@ -30,13 +31,16 @@ std::size_t PoseSource::enqueue(std::span<const TimedPose> poses) {
     if (!queue.push(InputEvent{InputEvent::Kind::kPose, pose, {}, 0})) break;
     ++taken;
   }
+  if (taken > 0) sources_->doorbell_.ring();
   return taken;
 }
 
 bool PoseSource::end_stroke(std::int64_t arrival_ns) {
   if (sources_->closed_.load(std::memory_order_acquire)) return false;
-  return sources_->slots_[number_]->queue.push(
+  const bool taken = sources_->slots_[number_]->queue.push(
       InputEvent{InputEvent::Kind::kEndStroke, {{}, arrival_ns}, {}, 0});
+  if (taken) sources_->doorbell_.ring();
+  return taken;
 }
 
 SourceCounts PoseSource::counts() const {

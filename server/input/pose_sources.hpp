@@ -15,6 +15,7 @@
 #include "server/core/cut/cut_config.hpp"
 #include "server/core/stroke/blade.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
+#include "server/input/doorbell.hpp"
 #include "server/input/spsc_queue.hpp"
 
 namespace incise::input {
@@ -107,6 +108,8 @@ class PoseSources {
   // From here on open() and enqueue() refuse. Call before the last drain.
   void close() { closed_.store(true, std::memory_order_release); }
 
+  // Rung for the loop by whatever a source queues, and when one closes.
+  Doorbell& doorbell() { return doorbell_; }
   // For the loop: calls handle(source, event) for each queued event, source by source in order of number, each source's in
   // order, until the queues are empty or handle() returns false (that event counts as handled). Events that arrive
   // meanwhile may wait for the next call.
@@ -149,6 +152,7 @@ class PoseSources {
 
   const core::Blade blade_;
   const std::vector<Declared> declared_;
+  Doorbell doorbell_;
   std::atomic<bool> closed_{false};
   mutable std::mutex mutex_;  // for open(); the loop never locks it
   std::array<std::unique_ptr<Slot>, core::kMaxSources> slots_;

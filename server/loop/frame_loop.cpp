@@ -1,5 +1,7 @@
 #include "server/loop/frame_loop.hpp"
 
+#include <sys/prctl.h>
+
 #include <algorithm>
 #include <cerrno>
 #include <ctime>
@@ -14,9 +16,13 @@ namespace {
 // The clock is read after this many poses (some 100 ns each), and after a slice of cutting of this length.
 constexpr std::uint32_t kPosesPerLook = 64;
 constexpr std::int64_t kSlice_ns = 20'000;
-// A sleep ends up to some 50 us late without real-time priority; the last stretch is spent looking at the
-// clock.
+// A sleep ends some 10 us late; the last stretch is spent looking at the clock.
 constexpr std::int64_t kSpin_ns = 20'000;
+// Poses begin no frame earlier than this after the last one began, so that a flood of them leaves time to others.
+constexpr std::int64_t kShortest_ns = 100'000;
+// After a frame that poses began, the next ones may be so much later than a period before a frame begins without them, as
+// part of it: so a source's jitter makes no additional frames.
+constexpr std::int64_t kJitterPart = 4;
 // No slice begins that would, judging by the last ones, end after this part of the frame.
 constexpr double kLatest = 0.95;
 // The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
@@ -53,6 +59,7 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
       options_(options),
       period_ns_(static_cast<std::int64_t>(1e9 / options.rate_hz)),
       budget_ns_(static_cast<std::int64_t>(options.budget_fraction * 1e9 / options.rate_hz)),
+      credit_ns_(budget_ns_),
       pool_(64, options.most_unread_deltas),
       stamps_(64) {
   ready_.reserve(1024);
@@ -64,10 +71,15 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
 }
 
 void FrameLoop::run(const std::stop_token& stop) noexcept {
+  prctl(PR_SET_TIMERSLACK, 1);  // the kernel may otherwise end a sleep 50 us late, to save power
   std::int64_t deadline = monotonic_ns() + period_ns_;
   while (!stop.stop_requested()) {
-    if (deadline - monotonic_ns() > kSpin_ns) sleep_until(deadline - kSpin_ns);
-    while (monotonic_ns() < deadline) {
+    if (wait(deadline)) {
+      const std::int64_t now = monotonic_ns();
+      frame(std::min(now, deadline));
+      const bool idle = state_.backlog_batches == 0 && state_.backlog_events == 0;
+      deadline = now + period_ns_ + (idle ? period_ns_ / kJitterPart : 0);
+      continue;
     }
     frame(deadline);
     deadline += period_ns_;
@@ -80,19 +92,35 @@ void FrameLoop::run(const std::stop_token& stop) noexcept {
   finish();
 }
 
+// Until the deadline, or until poses have arrived: true.
+bool FrameLoop::wait(std::int64_t deadline_ns) noexcept {
+  input::Doorbell& bell = input_.doorbell();
+  bool rung = bell.wait_until(deadline_ns - kSpin_ns);
+  while (!rung && monotonic_ns() < deadline_ns) rung = bell.rung();
+  if (!rung) return false;
+  if (monotonic_ns() < last_start_ns_ + kShortest_ns) sleep_until(last_start_ns_ + kShortest_ns);
+  return true;
+}
+
 void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   const std::int64_t start = monotonic_ns();
+  if (last_start_ns_ != 0) {
+    const double more = options_.budget_fraction * static_cast<double>(start - last_start_ns_);
+    credit_ns_ = std::min(budget_ns_, credit_ns_ + static_cast<std::int64_t>(more));
+  }
+  input_.doorbell().forget();
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
-  drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(budget_ns_)));
+  drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(credit_ns_)));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
   // A long frame makes the next one late, even if that one meets the deadline that it got after the skipped ones.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
-  cut(start + budget_ns_, start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
+  cut(start + credit_ns_, start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
   const std::int64_t cut_done = monotonic_ns();
+  credit_ns_ = std::max<std::int64_t>(0, credit_ns_ - (cut_done - start));
   publish();
   account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
 }
@@ -246,10 +274,15 @@ bool FrameLoop::request_reset() {
 }
 
 void FrameLoop::reset() {
+  // Before, so that one who asks from here on gets another.
   reset_wanted_.store(false, std::memory_order_relaxed);
   auto fresh = restart_();
-  own_session_ = std::move(fresh);
-  session_ = own_session_.get();
+  if (!fresh) {
+    reset_wanted_.store(true, std::memory_order_relaxed);
+    return;
+  }
+  session_ = fresh.get();
+  std::swap(own_session_, fresh);
   if (forces_) forces_->restart();
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   stamp_count_ = 0;
@@ -264,7 +297,7 @@ void FrameLoop::reset() {
   state_ = as_loaded;
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
-  record.session = reset_done_(*session_);
+  record.session = reset_done_(std::move(fresh));
   record.arrival_ns = monotonic_ns();
   write(record);
   record.kind = JournalRecord::Kind::kOpened;
@@ -311,7 +344,9 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
       pool_.published();
       ready_.push_back(std::exchange(out, nullptr));
     }
-    if (now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {
+    // Poses that have arrived meanwhile are felt first.
+    const bool poses = input_.doorbell().rung() && now >= last_start_ns_ + kShortest_ns;
+    if (poses || now >= until_ns || now > latest_ns - cost_.longest_ns() || units_left <= 0) {
       if (session_->backlog_batches() > 0) state_.flags |= kBudgetSpent;
       return;
     }

@@ -32,7 +32,7 @@ struct LoopOptions {
   std::int64_t longest_finish_ns = INT64_MAX;
 };
 
-// The real-time loop. Each frame, in this order: drains the queued poses, checks and batches them, updates the
+// The real-time loop. A frame begins when poses arrive, and one period after the last one where none do. Each frame, in this order: drains the queued poses, checks and batches them, updates the
 // forces, cuts until the budget is spent, publishes the deltas of finished batches, accounts. What does not fit is carried
 // over to the next frame; poses stay in their queues until the loop gets to them, and none is dropped.
 //
@@ -46,13 +46,13 @@ class FrameLoop {
   FrameLoop(core::CutSession& session, input::PoseSources& input, DeltaSink& sink, Journal* journal,
             const LoopOptions& options);
 
-  // Makes resets possible; before the first frame. `restart` gives a session as it was loaded; `done` gets it before its
-  // first pose, informs the other parts, and returns the new session's id. Both run on the loop's thread and may take as
-  // long as loading did: the frame is late.
+  // Makes resets possible; before the first frame. `restart` gives a session as it was loaded, or null where there is none yet:
+  // it is asked again in the next frame. `done` informs the other parts before the first pose, gets the session that was replaced (null:
+  // the one that the loop was made with), and returns the new session's id. Both run on the loop's thread, in a frame.
   using Restart = std::function<std::unique_ptr<core::CutSession>()>;
-  using ResetDone = std::function<std::uint64_t(const core::CutSession& fresh)>;
+  using ResetDone = std::function<std::uint64_t(std::unique_ptr<core::CutSession> used)>;
   void offer_reset(Restart restart, ResetDone done);
-  // Asks for one, at the start of the next frame: revision 0, strokes gone, blades with their owners as before. False
+  // Asks for one, at the start of a frame soon: revision 0, strokes gone, blades with their owners as before. False
   // where it was not offered. From any thread.
   bool request_reset();
 
@@ -65,9 +65,9 @@ class FrameLoop {
   // before the first frame; `positions` must outlive this.
   void offer_deformation(input::PositionsSlot& positions) { positions_ = &positions; }
 
-  // Frames at their deadlines (absolute, so they do not drift) until a stop is asked for; then finish(). A
-  // frame that could not begin before the next one's time is skipped and counted: late work does not pile up
-  // as frames.
+  // Frames until a stop is asked for; then finish(). Without poses they keep to deadlines (absolute, so they do not drift), and one
+  // that could not begin before the next one's time is skipped and counted: late work does not pile up as frames. With poses
+  // they follow their arrival, at most ten in a millisecond, whatever the rate and phase of the sources.
   void run(const std::stop_token& stop) noexcept;
   // One frame that should have begun at `deadline_ns` (CLOCK_MONOTONIC).
   void frame(std::int64_t deadline_ns) noexcept;
@@ -86,6 +86,7 @@ class FrameLoop {
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
   void cut(std::int64_t until_ns, std::int64_t latest_ns);
+  bool wait(std::int64_t deadline_ns) noexcept;
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
@@ -111,6 +112,9 @@ class FrameLoop {
   Journal* const journal_;
   const LoopOptions options_;
   const std::int64_t period_ns_, budget_ns_;
+  // What is left of the time for input and cutting; it comes back as time goes by, so that many short frames get no more than
+  // one long one.
+  std::int64_t credit_ns_;
 
   CostModel cost_;
   double ns_per_segment_ = 20'000;  // of whole batches, measured: for the estimate of the backlog

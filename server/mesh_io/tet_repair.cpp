@@ -42,11 +42,17 @@ class TetRepair {
     check_tets();
     topology_.match_faces();
     topology_.list_stars();
-    orient();
-    fix_bad_tets();
-    note_loose_vertices();
+    removed_.assign(mesh_.tets.size(), 0);
+    // Most meshes are sound, and looking takes a fraction of the repair.
+    if (topology_.turned() > 0 || !bad_tets().empty()) {
+      orient();
+      fix_bad_tets();
+    }
+    const bool loose = note_loose_vertices();
     drop_unused_vertices();
     note_coincident_vertices();
+    mesh_.opposite.clear();
+    if (!loose) mesh_.opposite = topology_.opposites();
   }
 
  private:
@@ -86,6 +92,9 @@ class TetRepair {
 
   void check_tets() {
     if (mesh_.tets.empty()) names_.fail("there is no tetrahedron");
+    if (mesh_.tets.size() >= kNone / 16)
+      names_.fail(std::to_string(mesh_.tets.size()) + " tetrahedra: at most " +
+                  std::to_string(kNone / 16 - 1) + " fit");
     for (TetId t = 0; t < mesh_.tets.size(); ++t) {
       const auto& v = mesh_.tets[t];
       for (std::size_t i = 0; i < 4; ++i) {
@@ -163,7 +172,6 @@ class TetRepair {
   }
 
   void fix_bad_tets() {
-    removed_.assign(mesh_.tets.size(), 0);
     std::vector<TetId> bad = bad_tets();
     if (bad.empty()) return;
     const auto limit = std::max(
@@ -305,8 +313,8 @@ class TetRepair {
     topology_.list_stars();
   }
 
-  // Vertices where parts of the body touch in a point or along an edge only.
-  void note_loose_vertices() {
+  // Vertices where parts of the body touch in a point or along an edge only. Whether there are any.
+  bool note_loose_vertices() {
     std::vector<std::uint32_t> mark(mesh_.tets.size(), kNone);
     std::vector<TetId> reached;
     std::size_t count = 0;
@@ -326,11 +334,12 @@ class TetRepair {
       if (reached.size() == topology_.star(v).size()) continue;
       if (count++ == 0) first = v;
     }
-    if (count == 0) return;
+    if (count == 0) return false;
     warn((count == 1 ? "1 vertex is non-manifold: its"
                      : std::to_string(count) + " vertices are non-manifold: their") +
          " tetrahedra are not connected through faces (the first: " + names_.place(first) +
          "); each connected part gets a copy of its own");
+    return true;
   }
 
   void drop_unused_vertices() {

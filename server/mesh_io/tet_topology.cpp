@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <numeric>
-#include <tuple>
 #include <utility>
 
+#include "server/core/mesh/face_matching.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 
 namespace incise::mesh_io {
@@ -33,9 +33,7 @@ std::string TetNames::place(const std::array<VertexId, 4>& v) const {
 // ------------------------------------------------------------------------------------------------ TetTopology
 
 TetTopology::SortedFace TetTopology::sorted_face(HalfFace h) const {
-  const auto& tet = mesh_.tets[core::tet_of(h)];
-  const auto& f = core::kFaceVertices[core::face_of(h)];
-  SortedFace face{{tet[f[0]], tet[f[1]], tet[f[2]]}, false};
+  SortedFace face{this->face(h), false};
   const auto order = [&face](std::size_t i, std::size_t j) {
     if (face.v[i] > face.v[j]) {
       std::swap(face.v[i], face.v[j]);
@@ -48,41 +46,19 @@ TetTopology::SortedFace TetTopology::sorted_face(HalfFace h) const {
   return face;
 }
 
-// Sorts the faces into buckets by their lowest vertex, then sorts each small bucket.
 void TetTopology::match_faces() {
   const auto half_faces = static_cast<HalfFace>(4 * mesh_.tets.size());
   opposite_.assign(half_faces, kNone);
-  std::vector<std::uint32_t> begin(mesh_.positions.size() + 1, 0);
-  for (HalfFace h = 0; h < half_faces; ++h) ++begin[sorted_face(h).v[0] + 1];
-  std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  struct Entry {
-    VertexId mid, high;
-    HalfFace h;
-  };
-  std::vector<Entry> entries(half_faces);
-  std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-  for (HalfFace h = 0; h < half_faces; ++h) {
-    const auto face = sorted_face(h);
-    entries[next[face.v[0]]++] = {face.v[1], face.v[2], h};
-  }
-  for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
-    const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
-    std::sort(first, last, [](const Entry& a, const Entry& b) {
-      return std::tie(a.mid, a.high, a.h) < std::tie(b.mid, b.high, b.h);
-    });
-    for (auto it = first; it != last;) {
-      auto end = it + 1;
-      while (end != last && end->mid == it->mid && end->high == it->high) ++end;
-      if (end - it > 2) refuse_shared_face(it->h, (it + 1)->h, (it + 2)->h, end - it);
-      if (end - it == 2) {
-        const HalfFace a = it->h, b = (it + 1)->h;
+  turned_ = 0;
+  core::match_faces(
+      half_faces, mesh_.positions.size(), [this](HalfFace h) { return face(h); },
+      [this](HalfFace a, HalfFace b, bool turned) {
         if (apex(a) == apex(b)) refuse_twins(a, b);
         opposite_[a] = b;
         opposite_[b] = a;
-      }
-      it = end;
-    }
-  }
+        turned_ += turned;
+      },
+      [this](std::span<const HalfFace> same) { refuse_shared_face(same); });
 }
 
 void TetTopology::refuse_twins(HalfFace a, HalfFace b) const {
@@ -90,14 +66,15 @@ void TetTopology::refuse_twins(HalfFace a, HalfFace b) const {
               names_.place(mesh_.tets[core::tet_of(a)]) + ": remove one of them");
 }
 
-void TetTopology::refuse_shared_face(HalfFace a, HalfFace b, HalfFace c, std::ptrdiff_t count) const {
+void TetTopology::refuse_shared_face(std::span<const HalfFace> same) const {
+  const HalfFace a = same[0], b = same[1], c = same[2];
   if (apex(a) == apex(b)) refuse_twins(a, b);
   if (apex(b) == apex(c)) refuse_twins(b, c);
   if (apex(a) == apex(c)) refuse_twins(a, c);
   const auto f = sorted_face(a).v;
   const auto tet = [this](HalfFace h) { return names_.number(core::tet_of(h)); };
-  names_.fail(std::to_string(count) + " tetrahedra (" + tet(a) + ", " + tet(b) + ", " + tet(c) +
-              (count > 3 ? ", ..." : "") + ") share the face with " + names_.place(f[0]) + ", " +
+  names_.fail(std::to_string(same.size()) + " tetrahedra (" + tet(a) + ", " + tet(b) + ", " + tet(c) +
+              (same.size() > 3 ? ", ..." : "") + ") share the face with " + names_.place(f[0]) + ", " +
               names_.place(f[1]) + " and " + names_.place(f[2]) +
               "; a face has one or two: remove those that overlap");
 }

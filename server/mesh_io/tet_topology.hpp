@@ -39,10 +39,13 @@ class TetTopology {
  public:
   TetTopology(const core::MeshData& mesh, const TetNames& names) : mesh_(mesh), names_(names) {}
 
-  // Throws MeshError if more than two tetrahedra share a face, or two have the same vertices. O(n log n).
+  // Throws MeshError if more than two tetrahedra share a face, or two have the same vertices. O(n).
   void match_faces();
+  // How many shared faces are seen from the same side by both.
+  std::size_t turned() const { return turned_; }
   // The same face seen from the other side; kNone on the boundary.
   core::HalfFace opposite(core::HalfFace h) const { return opposite_[h]; }
+  const std::vector<core::HalfFace>& opposites() const { return opposite_; }
   bool on_boundary(core::TetId t) const;
   // A removed tetrahedron's neighbours have no neighbour there.
   void detach(core::TetId t);
@@ -62,14 +65,19 @@ class TetTopology {
   SortedFace sorted_face(core::HalfFace h) const;
 
  private:
+  std::array<core::VertexId, 3> face(core::HalfFace h) const {
+    const auto& tet = mesh_.tets[core::tet_of(h)];
+    const auto& f = core::kFaceVertices[core::face_of(h)];
+    return {tet[f[0]], tet[f[1]], tet[f[2]]};
+  }
   core::VertexId apex(core::HalfFace h) const { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; }
   [[noreturn]] void refuse_twins(core::HalfFace a, core::HalfFace b) const;
-  [[noreturn]] void refuse_shared_face(core::HalfFace a, core::HalfFace b, core::HalfFace c,
-                                       std::ptrdiff_t count) const;
+  [[noreturn]] void refuse_shared_face(std::span<const core::HalfFace> same) const;
 
   const core::MeshData& mesh_;
   const TetNames& names_;
   std::vector<core::HalfFace> opposite_;
+  std::size_t turned_ = 0;
   std::vector<std::uint32_t> star_begin_;
   std::vector<core::TetId> star_;
 };

@@ -197,7 +197,7 @@ MeshData run_tetgen(const ClosedSurface& closed, const std::string& file, const 
   const auto input = directory.path() / "surface", output = directory.path() / "tets";
   write_whole_file(input, encode_input(closed));
   const auto seconds = std::chrono::ceil<std::chrono::seconds>(options.time_limit).count();
-  const std::string program = tetgen_program();
+  const std::string program = tetgen_program(options.tetgen_directory);
   const ChildResult result =
       run_child(program,
                 {"--switches", switches, "--memory-mb", std::to_string(options.memory_limit_mb), "--cpu-s",

@@ -28,6 +28,8 @@ struct FillOptions {
   // written.
   std::filesystem::path cache_dir;
   bool use_cache = true;
+  // Where incise-tetgen is looked for first: a library's own directory, since the running program is then another one.
+  std::filesystem::path tetgen_directory;
   // Called as TetGen enters a stage ("recovering boundaries") and twice a second: seconds since the start.
   std::function<void(std::string_view stage, double seconds)> progress;
 };
@@ -38,7 +40,7 @@ struct Fill {
 };
 
 // Fills a closed surface with tetrahedra by TetGen, in the program incise-tetgen: the one that the
-// environment variable INCISE_TETGEN names, else the one beside the running program, else the one on the
+// environment variable INCISE_TETGEN names, else the one in options.tetgen_directory, beside the running program, or on the
 // PATH. The result is checked against the surface's volume. `file` names the surface in messages;
 // `warnings` gets a line if the count is not within a quarter of the target. Throws MeshError if TetGen
 // fails, dies, exceeds a limit or gives no or wrong tetrahedra. Thread: any.

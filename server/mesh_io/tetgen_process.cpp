@@ -139,13 +139,13 @@ ChildResult run_child(const std::string& program, const std::vector<std::string>
   return result;
 }
 
-std::string tetgen_program() {
+std::string tetgen_program(const std::filesystem::path& first) {
   if (const char* given = std::getenv("INCISE_TETGEN"); given && *given) return given;
   std::error_code error;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
-  if (!error) {
-    const auto beside = self.parent_path() / "incise-tetgen";
-    if (std::filesystem::exists(beside, error)) return beside;
+  for (const auto& directory : {first, self.parent_path()}) {
+    const auto program = directory / "incise-tetgen";
+    if (!directory.empty() && std::filesystem::exists(program, error)) return program;
   }
   return "incise-tetgen";
 }

@@ -24,7 +24,7 @@ ChildResult run_child(const std::string& program, const std::vector<std::string>
                       const std::function<void(std::string_view, double)>& on_stage);
 
 // The incise-tetgen to start; see fill_surface.
-std::string tetgen_program();
+std::string tetgen_program(const std::filesystem::path& first = {});
 
 // A new directory that only this user can enter; removed at the end with its contents.
 class TemporaryDirectory {

@@ -75,11 +75,11 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
   }
   piece_ids_.clear();
   piece_sizes_.clear();
-  piece_tets_.clear();
+  piece_names_.clear();
   for (const core::Delta::Piece& piece : d.pieces) {
     piece_ids_.push_back(piece.id);
-    piece_sizes_.push_back(static_cast<std::uint32_t>(piece.tets.size()));
-    piece_tets_.insert(piece_tets_.end(), piece.tets.begin(), piece.tets.end());
+    piece_sizes_.push_back(piece.tets);
+    piece_names_.push_back(piece.tet);
   }
 
   rest_ids_.clear();
@@ -108,7 +108,7 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
   m.boundary_removed = d.boundary_removed;
   m.piece_ids = piece_ids_;
   m.piece_sizes = piece_sizes_;
-  m.piece_tets = piece_tets_;
+  m.piece_names = piece_names_;
   m.vertex_count = before.vertex_count() + static_cast<std::uint32_t>(d.added_positions.size());
   m.live_tets = before.live_tets() + created - static_cast<std::uint32_t>(d.removed.size());
   m.state_hash = d.state_hash;
@@ -137,7 +137,7 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
     hash ^= protocol::tet_hash(t.id, t.vertices.data(), t.region, t.cut_mask);
   }
   const protocol::TetArrays tets{ids, vertices, regions, cut_masks, boundary_masks};
-  if (initial.pieces.empty() && initial.rest.empty())
+  if (initial.piece_ids.empty() && initial.rest.empty())
     return replica.load(flat(initial.positions), tets, initial.revision).text;
 
   for (std::uint32_t v = 0; v < initial.positions.size(); ++v) {
@@ -146,6 +146,8 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
   }
   // Only a snapshot carries pieces and rest positions.
   protocol::SnapshotBegin begin;
+  begin.piece_ids = initial.piece_ids;
+  begin.piece_names = initial.piece_names;
   begin.revision = initial.revision;
   begin.chunks = 1;
   begin.vertex_count = static_cast<std::uint32_t>(initial.positions.size());
@@ -155,8 +157,6 @@ std::string load_initial(const InitialState& initial, protocol::Replica& replica
   protocol::SnapshotChunk chunk;
   chunk.positions = flat(initial.positions);
   chunk.tets = tets;
-  const std::vector<std::uint32_t> one_piece(initial.pieces.empty() ? ids.size() : 0, 0);
-  chunk.tet_pieces = initial.pieces.empty() ? one_piece : initial.pieces;
   chunk.rest_positions = flat(initial.rest);
   if (auto r = replica.begin(begin); !r) return r.text;
   if (auto r = replica.chunk(chunk); !r) return r.text;

@@ -25,7 +25,7 @@ class DeltaArrays {
   std::vector<std::uint32_t> tet_ids_, tet_vertices_;
   std::vector<std::int32_t> regions_;
   std::vector<std::uint8_t> cut_masks_, boundary_masks_;
-  std::vector<std::uint32_t> piece_ids_, piece_sizes_, piece_tets_;
+  std::vector<std::uint32_t> piece_ids_, piece_sizes_, piece_names_;
   std::vector<std::uint32_t> rest_ids_;
   std::vector<core::Vec3> rest_;
 };

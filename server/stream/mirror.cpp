@@ -12,9 +12,15 @@ SharedFrame make_frame(const protocol::Body& body, std::uint64_t sequence) {
 }
 
 void Mirror::reset(const InitialState& initial) {
+  if (initial.mirror) {
+    *this = *initial.mirror;
+    epoch_ = initial.epoch;
+    return;
+  }
   if (std::string problem = load_initial(initial, volume_); !problem.empty()) {
     throw std::runtime_error("initial state: " + problem);
   }
+  static_cast<void>(volume_.pieces());  // from then on they are followed
   surface_.load(volume_);
   tets_at_.load(volume_);
   epoch_ = initial.epoch;
@@ -49,7 +55,10 @@ Mirror::Applied Mirror::apply(const PublishedDelta& published) {
   tets_at_.follow(volume_, delta);
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
-  const protocol::SurfaceChange change = surface_.follow(volume_, delta);
+  in_other_pieces_.clear();
+  volume_.follow_pieces(tets_at_, delta, in_other_pieces_);
+  out.change.tets.insert(out.change.tets.end(), in_other_pieces_.begin(), in_other_pieces_.end());
+  const protocol::SurfaceChange change = surface_.follow(volume_, delta, in_other_pieces_);
   try {
     out.step = EncodedStep{delta.revision, base_hash, make_frame(delta),
                            make_frame(surface_delta(delta, change, surface_.surface_hash()))};

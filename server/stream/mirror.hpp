@@ -54,7 +54,7 @@ class Mirror {
     protocol::MeshChange change;  // for peers with a box of interest
   };
   // Applies a delta and encodes it for both views. A delta that does not fit is a bug of ours and ends the process.
-  // O(delta log surface).
+  // O(delta log surface), and what is cut off, whose triangles get another piece.
   Applied apply(const PublishedDelta& published);
 
   // Names this run of ids.
@@ -72,6 +72,7 @@ class Mirror {
   protocol::SurfaceReplica surface_;
   protocol::TetIndex tets_at_;
   DeltaArrays arrays_;
+  std::vector<std::uint32_t> in_other_pieces_;  // scratch
 };
 
 // A message as it goes to one peer or many.

@@ -119,7 +119,11 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
   } else if (std::holds_alternative<protocol::Pong>(body)) {
     // It has moved last_received_ns_, which is all it is for.
   } else if (const auto* subscribe = std::get_if<protocol::Subscribe>(&body)) {
-    follower_.resubscribe({subscribe->view, subscribe->box, subscribe->max_rate_hz});
+    if (speaks(subscribe->view)) {
+      follower_.resubscribe({subscribe->view, subscribe->box, subscribe->max_rate_hz});
+    } else {
+      outbox_.complain(ErrorCode::NotAvailable, "view Volume needs protocol version 2", sequence);
+    }
   } else if (std::holds_alternative<protocol::Resync>(body)) {
     follower_.resync();
   } else if (std::holds_alternative<protocol::Reset>(body)) {

@@ -114,6 +114,8 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   std::size_t accepted_bytes() const;
   // Ends the connection with an Error.
   void refuse(const Refusal& refusal, std::uint64_t sequence = 0);
+  // Whether the peer's version of the protocol has that view as we send it.
+  bool speaks(protocol::View view) const;
   void release_parts();
   std::string described() const;  // in the log
 
@@ -125,6 +127,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   const std::string address_;
   std::string client_name_;
   protocol::Role role_ = protocol::Role::Viewer;
+  std::uint32_t protocol_version_ = 0;
 
   MessageRate rate_;
   Outbox outbox_;

@@ -34,9 +34,12 @@ std::optional<Refusal> check_blade(const protocol::BladeEdge& blade, const proto
 }  // namespace
 
 asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t sequence) {
-  if (hello.protocol_version != protocol::kProtocolVersion) {
-    refuse({ErrorCode::BadVersion, "protocol version " + std::to_string(hello.protocol_version) +
-                                       ", accepted is " + std::to_string(protocol::kProtocolVersion)},
+  protocol_version_ = hello.protocol_version;
+  if (!speaks(hello.view)) {
+    const bool old = protocol_version_ == protocol::kOldProtocolVersion;
+    refuse({ErrorCode::BadVersion, "protocol version " + std::to_string(protocol_version_) +
+                                       (old ? " with view Volume" : "") + ", accepted is " +
+                                       std::to_string(protocol::kProtocolVersion)},
            sequence);
     co_return;
   }
@@ -65,6 +68,11 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   } else {
     follower_.send_snapshot(returns ? SnapshotCause::ResumeGone : SnapshotCause::Join);
   }
+}
+
+bool Peer::speaks(protocol::View view) const {
+  return protocol_version_ == protocol::kProtocolVersion ||
+         (protocol_version_ == protocol::kOldProtocolVersion && view != protocol::View::Volume);
 }
 
 // A right token is never delayed; the answer to a wrong one may be.
@@ -134,6 +142,7 @@ void Peer::send_welcome(bool resumed) {
   const Mirror& mirror = follower_.feed().mirror();
   const PoseInput* blade = blade_.input();
   protocol::Welcome welcome;
+  welcome.protocol_version = protocol_version_;
   welcome.session = follower_.epoch_name();
   welcome.role = role_;
   welcome.view = follower_.view();

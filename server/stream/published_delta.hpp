@@ -17,15 +17,17 @@ struct PublishedDelta {
   std::int64_t cut_ns = 0;      // when the batch was done
 };
 
-// A whole state: what the stream starts from, and again after a reset. All tetrahedra are in piece 0 unless `pieces`
-// says otherwise.
+class Mirror;
+
+// A whole state: what the stream starts from, and again after a reset.
 struct InitialState {
   std::uint64_t epoch = 0;  // names this run of ids; another after each reset. Never 0
   std::uint64_t revision = 0;
-  std::vector<core::Vec3> positions;  // of all vertex slots
-  std::vector<core::Vec3> rest;       // likewise, or empty: the body has not deformed
-  std::vector<core::TetState> tets;   // live ones, ascending by id
-  std::vector<std::uint32_t> pieces;  // one for each of tets, or empty
+  std::vector<core::Vec3> positions;                  // of all vertex slots
+  std::vector<core::Vec3> rest;                       // likewise, or empty: the body has not deformed
+  std::vector<core::TetState> tets;                   // live ones, ascending by id
+  std::vector<std::uint32_t> piece_ids, piece_names;  // the pieces but 0, ascending; a tetrahedron of each
+  std::shared_ptr<const Mirror> mirror;  // not null: the state is this one's, and the rest is empty
 };
 
 }  // namespace incise::stream

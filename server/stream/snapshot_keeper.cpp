@@ -5,6 +5,7 @@
 
 #include "protocol/surface.hpp"
 #include "server/base/check.hpp"
+#include "server/stream/mirror.hpp"
 
 namespace incise::stream {
 
@@ -49,15 +50,11 @@ void SnapshotKeeper::run() {
     }
     for (Task& task : tasks) {
       if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
-        const std::string problem = load_initial(**initial, replica_);
-        INCISE_CHECK(problem.empty(), problem);
-        epoch_ = (*initial)->epoch;
-        surface_.reset();
+        reset_to(**initial);
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
         const protocol::Delta& change = arrays_.assign(**delta, replica_);
         const protocol::ApplyResult result = replica_.apply(change);
         INCISE_CHECK(result, result.text);
-        if (surface_) surface_->follow(replica_, change);
       } else {
         const Request& request = std::get<Request>(task);
         request.ready(encode(request.view, request.box));
@@ -65,6 +62,18 @@ void SnapshotKeeper::run() {
       task = Task{};  // releases the delta at once
     }
   }
+}
+
+void SnapshotKeeper::reset_to(const InitialState& initial) {
+  epoch_ = initial.epoch;
+  if (initial.mirror) {
+    replica_ = initial.mirror->volume();
+    surface_ = initial.mirror->surface();
+    surface_epoch_ = epoch_;
+    return;
+  }
+  const std::string problem = load_initial(initial, replica_);
+  INCISE_CHECK(problem.empty(), problem);
 }
 
 std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
@@ -81,21 +90,26 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
     snapshot->bytes += snapshot->chunks.back()->tcp().size();
   };
   const auto encode_all = [&](auto writer, auto&&... hash) {
-    snapshot->begin = writer.begin();
+    protocol::SnapshotBegin& begin = snapshot->begin = writer.begin();
+    snapshot->piece_ids.assign(begin.piece_ids.begin(), begin.piece_ids.end());
+    snapshot->piece_names.assign(begin.piece_names.begin(), begin.piece_names.end());
+    begin.piece_ids = snapshot->piece_ids;
+    begin.piece_names = snapshot->piece_names;
     while (writer.next()) add(writer.chunk());
     snapshot->end = make_frame(writer.end(hash...));
   };
   constexpr auto kCause = protocol::SnapshotCause::Join;
   if (view == protocol::View::Surface) {
-    if (!surface_) surface_.emplace().load(replica_);
+    if (surface_.revision() != replica_.revision() || surface_epoch_ != epoch_) surface_.load(replica_);
+    surface_epoch_ = epoch_;
     if (box) {
       snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::SurfaceReplica()});
       auto& part = std::get<protocol::SurfaceReplica>(snapshot->part->held);
-      part.load_part(*surface_, *box);
+      part.load_part(surface_, *box);
       encode_all(protocol::SurfaceSnapshotWriter(part, kCause), replica_.state_hash());
       snapshot->begin.box = box;
     } else {
-      encode_all(protocol::SurfaceSnapshotWriter(*surface_, kCause), replica_.state_hash());
+      encode_all(protocol::SurfaceSnapshotWriter(surface_, kCause), replica_.state_hash());
     }
   } else if (box) {
     snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::VolumePart()});

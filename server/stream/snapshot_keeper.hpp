@@ -18,7 +18,8 @@ namespace incise::stream {
 // A whole state, encoded, for any number of peers at once. `begin` lacks the cause, which differs from peer to peer.
 struct Snapshot {
   std::uint64_t epoch = 0;
-  protocol::SnapshotBegin begin;
+  protocol::SnapshotBegin begin;                      // points to the next two
+  std::vector<std::uint32_t> piece_ids, piece_names;  // of the whole volume
   std::vector<SharedFrame> chunks;
   SharedFrame end;
   std::size_t bytes = 0;
@@ -54,12 +55,13 @@ class SnapshotKeeper {
       std::variant<std::shared_ptr<const InitialState>, std::shared_ptr<const PublishedDelta>, Request>;
   void enqueue(Task task);
   void run();
+  void reset_to(const InitialState& initial);
   std::shared_ptr<const Snapshot> encode(protocol::View view, const std::optional<protocol::Box>& box);
 
   // The keeper's thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
-  std::optional<protocol::SurfaceReplica> surface_;  // of replica_, from the first request for that view on
-  std::uint64_t epoch_ = 0;
+  protocol::SurfaceReplica surface_;  // of replica_ as it was at the last request for that view
+  std::uint64_t epoch_ = 0, surface_epoch_ = 0;
   DeltaArrays arrays_;
   // The last snapshot of each view while a peer is still sent it: many that join at once share it.
   std::weak_ptr<const Snapshot> last_[3];

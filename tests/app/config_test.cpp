@@ -66,6 +66,11 @@ TEST(Config, EveryPrintedKeyHasAComment) {
   EXPECT_GE(keys, 45);
 }
 
+// `incise convert` suits the limit to bodies that are given in millimetres, and a replay reads it from the capture.
+TEST(Config, ABladeMayBeFastInABodyOfMillimetres) {
+  EXPECT_EQ(parse_config(R"({"cut": {"speed_limit_m_s": 1224.7}})", "test.json").cut.speed_limit_m_s, 1224.7);
+}
+
 TEST(Config, PathsAreRelativeToTheFile) {
   Config config;
   config.directory = "/etc/incise";

@@ -6,10 +6,10 @@
 
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "server/app/stream_output.hpp"
 #include "server/app/telemetry.hpp"
+#include "server/stream/delta_arrays.hpp"
 #include "tests/stream/mini_loop.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/stream/viewer.hpp"
@@ -130,16 +130,17 @@ TEST(StreamSetup, ACutBodyBeginsWithItsLivingTetrahedra) {
   ASSERT_LT(mesh.live_tets(), mesh.tet_slots());
   const stream::InitialState state = initial_state(session, 5);
   ASSERT_EQ(state.tets.size(), mesh.live_tets());
-  ASSERT_EQ(state.pieces.size(), mesh.live_tets());
-  std::set<std::uint32_t> pieces;
   for (std::size_t i = 0; i < state.tets.size(); ++i) {
     const core::TetId t = state.tets[i].id;
     ASSERT_TRUE(mesh.alive(t)) << t;
     EXPECT_EQ(state.tets[i].vertices, mesh.vertices(t)) << t;
-    EXPECT_EQ(state.pieces[i], mesh.piece(t)) << t;
-    pieces.insert(state.pieces[i]);
   }
-  EXPECT_GT(pieces.size(), 1u);
+  ASSERT_FALSE(state.piece_ids.empty());
+  ASSERT_EQ(state.piece_names.size(), state.piece_ids.size());
+  protocol::Replica replica;
+  ASSERT_EQ(stream::load_initial(state, replica), "");
+  for (const core::TetState& tet : state.tets)
+    EXPECT_EQ(replica.piece(tet.id), session.piece(tet.id)) << tet.id;
 }
 
 TEST(ForceOutput, AForceIsSentWithItsFlagsAndItsContactUnlessItIsOff) {

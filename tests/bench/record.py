@@ -31,6 +31,7 @@ SET = {
     "cut": ["cut", "--cuts", "20"],
     "live": ["live", "--seconds", "20"],
     "stream": ["stream", "--rounds", "1"],
+    "meet": ["meet", "--count", "23"],  # 23 of 15 kinds in three bodies
 }
 PAIRED = {
     "paper": ["paper", "--phantom", "--repetitions", "50"],

@@ -221,7 +221,7 @@ class Session(unittest.TestCase):
             client.send_poses([incise_client.Pose(5, (1.0, 2.0, 3.0), buttons=1), incise_client.Pose(6, (4.0, 5.0, 6.0))])
         self.thread.join()
         hello = parse(self.received[0])
-        self.assertEqual((hello.ProtocolVersion(), hello.Role(), hello.SourceName()), (1, Role.Role.Operator, b"left"))
+        self.assertEqual((hello.ProtocolVersion(), hello.Role(), hello.SourceName()), (2, Role.Role.Operator, b"left"))
         self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)

@@ -60,6 +60,7 @@ class Model:
         self.rest = None
         self.tets = {t: self.tet(6) for t in range(4)}
         self.slots = 4
+        self.names = {}
 
     def place(self):
         return [self.random.uniform(-1, 1) for _ in range(3)]
@@ -67,7 +68,20 @@ class Model:
     def tet(self, vertices):
         r = self.random
         return {"v": r.sample(range(vertices), 4), "region": r.randrange(-3, 4), "cut": r.randrange(16),
-                "boundary": r.randrange(16), "piece": r.randrange(3)}
+                "boundary": r.randrange(16)}
+
+    def pieces(self):
+        """By tetrahedron: the last piece of which what it hangs together with has the tetrahedron."""
+        piece_of = {}
+        for first in self.tets:
+            part, vertices, grows = {first}, set(self.tets[first]["v"]), True
+            while grows:
+                more = {t for t in self.tets if vertices & set(self.tets[t]["v"])} - part
+                part |= more
+                vertices.update(v for t in more for v in self.tets[t]["v"])
+                grows = bool(more)
+            piece_of[first] = max((piece for piece, tet in self.names.items() if tet in part), default=0)
+        return piece_of
 
     def hash(self):
         ids = sorted(self.tets)
@@ -88,12 +102,12 @@ class Model:
 
     def snapshot(self, rest=None):
         ids = sorted(self.tets)
-        chunk = {"Positions": np.array(self.positions).reshape(-1), "Tets": self.arrays(ids),
-                 "TetPieces": u32(self.tets[t]["piece"] for t in ids)}
+        names = {piece: tet for piece, tet in self.names.items() if tet in self.tets}
+        chunk = {"Positions": np.array(self.positions).reshape(-1), "Tets": self.arrays(ids)}
         if rest is not None:
             chunk["RestPositions"] = np.array(rest).reshape(-1)
         return (table(SnapshotBegin, {"Revision": self.revision, "Chunks": 1, "VertexCount": len(self.positions),
-                                      "TetCount": len(ids)}),
+                                      "TetCount": len(ids), "PieceIds": u32(names), "PieceNames": u32(names.values())}),
                 [table(SnapshotChunk, chunk)],
                 table(SnapshotEnd, {"Revision": self.revision, "StateHash": self.hash()}))
 
@@ -118,15 +132,13 @@ class Model:
             del self.tets[t]
         changed = sorted(r.sample(sorted(self.tets), r.randrange(1 + min(3, len(self.tets)))))
         for t in changed:
-            self.tets[t] = {**self.tet(len(self.positions)), "piece": self.tets[t]["piece"]}
+            self.tets[t] = self.tet(len(self.positions))
         new = sorted(r.sample(range(first_new, first_new + 6), r.randrange(4)))
         for t in new:
-            self.tets[t] = {**self.tet(len(self.positions)), "piece": 0}
+            self.tets[t] = self.tet(len(self.positions))
         self.slots = max([self.slots] + [t + 1 for t in new])
-        listed = sorted(r.sample(sorted(self.tets), r.randrange(1 + min(4, len(self.tets)))))
-        piece = r.randrange(1, 9)
-        for t in listed:
-            self.tets[t]["piece"] = piece
+        named = {r.randrange(1, 9): r.choice(sorted(self.tets))} if self.tets else {}
+        self.names.update(named)
         rest_ids = []
         if deforms or self.rest is not None:
             self.rest = before if self.rest is None else self.rest
@@ -142,8 +154,8 @@ class Model:
                   "FirstAdded": old, "AddedPositions": np.array(self.positions[old:]).reshape(-1),
                   "ProvenanceA": u32(p[0] for p in parents), "ProvenanceB": u32(p[1] for p in parents),
                   "ProvenanceT": np.array([p[2] for p in parents], np.float64), "Tets": self.arrays(sorted(changed + new)),
-                  "RemovedTets": u32(gone), "PieceIds": u32([piece]), "PieceSizes": u32([len(listed)]),
-                  "PieceTets": u32(listed), "VertexCount": len(self.positions), "LiveTets": len(self.tets),
+                  "RemovedTets": u32(gone), "PieceIds": u32(named), "PieceSizes": u32([1] * len(named)),
+                  "PieceNames": u32(named.values()), "VertexCount": len(self.positions), "LiveTets": len(self.tets),
                   "StateHash": self.hash(), "FirstNewTet": first_new, "RestIds": u32(rest_ids)}
         if rest_ids:
             fields["RestPositions"] = np.array([self.rest[v] for v in rest_ids]).reshape(-1)
@@ -155,9 +167,10 @@ class Walk(unittest.TestCase):
         np.testing.assert_array_equal(replica.positions, model.positions)
         np.testing.assert_array_equal(replica.rest_positions, model.positions if model.rest is None else model.rest)
         self.assertEqual(list(np.flatnonzero(replica.alive)), sorted(model.tets))
+        pieces = model.pieces()
         for t, tet in model.tets.items():
             self.assertEqual((list(replica.tets[t]), replica.regions[t], replica.cut_masks[t], replica.boundary_masks[t],
-                              replica.pieces[t]), (tet["v"], tet["region"], tet["cut"], tet["boundary"], tet["piece"]))
+                              replica.pieces[t]), (tet["v"], tet["region"], tet["cut"], tet["boundary"], pieces[t]))
         gone = ~replica.alive
         self.assertTrue((replica.tets[gone] == NO_ID).all())
         for array in (replica.regions, replica.cut_masks, replica.boundary_masks, replica.pieces):
@@ -199,7 +212,7 @@ class Walk(unittest.TestCase):
                      "too many tetrahedra": lambda f: {**f, "LiveTets": f["LiveTets"] + 1},
                      "a rest position too many": longer("RestIds", 10**6),
                      "another hash": lambda f: {**f, "StateHash": f["StateHash"] ^ 1},
-                     "a piece of nothing": lambda f: {**f, "PieceTets": u32([10**6]), "PieceSizes": u32([1])},
+                     "a piece of nothing": lambda f: {**f, "PieceIds": u32([1]), "PieceNames": u32([10**6])},
                      "new among the old": lambda f: {**f, "FirstNewTet": 0}}
             if dead:
                 cases["goes twice"] = lambda f: {**f, "RemovedTets": u32(dead[-1:])}
@@ -222,7 +235,7 @@ class Walk(unittest.TestCase):
     def test_faces_are_seen_from_outside(self):
         model = Model(1)
         model.positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        model.tets = {0: {"v": [0, 1, 2, 3], "region": 0, "cut": 0, "boundary": 15, "piece": 0}}
+        model.tets = {0: {"v": [0, 1, 2, 3], "region": 0, "cut": 0, "boundary": 15}}
         replica = model.replica()
         triangles = replica.positions[replica.boundary_triangles()]
         self.assertEqual(len(triangles), 4)
@@ -264,12 +277,11 @@ class Parts(unittest.TestCase):
 
     def test_a_tetrahedron_that_changes_stays_in_its_piece(self):
         model = Model(3)
-        model.tets[2]["piece"] = 7
         ids = sorted(model.tets)
         vertices = u32(range(len(model.positions)))
         begin = self.begin(model)
         chunk = table(SnapshotChunk, {"VertexIds": vertices, "Positions": np.array(model.positions).reshape(-1),
-                                      "Tets": model.arrays(ids), "TetPieces": u32(model.tets[t]["piece"] for t in ids)})
+                                      "Tets": model.arrays(ids), "TetPieces": u32(7 if t == 2 else 0 for t in ids)})
         end = table(SnapshotEnd, {"Revision": 1, "StateHash": 5, "PartHash": model.hash()})
         part = incise_client.VolumePart.from_snapshot(begin, [chunk], end)
         model.tets[2]["region"] = 3

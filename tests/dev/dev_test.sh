@@ -68,6 +68,8 @@ expect 2 "build takes one preset" build debug asan
 expect 2 "--minutes takes a whole number from 1; found '0.5'" fuzz --minutes 0.5
 expect 2 "unknown argument '--twice' of demo" demo --twice
 expect 2 "demo takes one of --once and --still" demo --once --still
+expect 2 "demo --static takes a port from 1 to 65535; found '70000'" demo --static 70000
+expect 2 'demo --static takes one port' demo --static 8080 8081
 expect 2 "lint takes no argument" lint server
 
 # Presets and ctest's arguments go through; a passed test prints nothing of its own, ctest's last line stays.
@@ -190,6 +192,11 @@ begin_demo() { # ARGUMENTS...
   failures=$((failures + 1))
 }
 
+stand_in python3 'echo "python3 $*" >> "$CALLS"'
+expect 0 "http://127.0.0.1:$http_port/" demo --static "$http_port"
+expect_call '--target incise_static'
+expect_call "python3 -m http.server $http_port --bind 127.0.0.1 --directory build/release/static"
+rm "$work/stand_ins/python3"
 expect 0 "http://127.0.0.1:$http_port/" demo --once
 expect_call "incise stream config/demo_motion.csv --to 127.0.0.1:$tcp_port"
 expect_server_gone 'after --once'

@@ -17,7 +17,7 @@ import sys
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 README_LINES = 200
-BLOCK = re.compile(r"(<!-- ([\w./-]+\.\w+) -->\n```\w*\n)(.*?)(```\n)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- ([\w./~-]+\.\w+) -->\n```\w*\n)(.*?)(```\n)", re.DOTALL)
 FIGURES = re.compile(r"(<!-- figures -->\n)(.*?)(<!-- /figures -->\n)", re.DOTALL)
 PACKAGE = re.compile(r"(find_package\(incise )([\d.]+)")
 CONSUMER = ROOT / "tests/install/consumer/CMakeLists.txt"

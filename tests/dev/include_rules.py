@@ -18,6 +18,8 @@ STATE_HASH = "protocol/state_hash.hpp"
 TET_FACES = "protocol/tet_faces.hpp"
 NET = "protocol/net"  # connections; the only part of protocol that needs Asio
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
+MIRROR = "server/stream/mirror.hpp"  # the clients' state, without their connections
+DELTA_ARRAYS = "server/stream/delta_arrays.hpp"
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
@@ -28,6 +30,8 @@ RULES = {
     "server/haptics": [BASE, "server/core"],
     "server/loop": [BASE, "server/core", "server/input", "server/haptics", "protocol", PUBLISHED_DELTA],
     "server/stream": [BASE, "protocol", NET] + DELTA,
+    "server/replay": [BASE, "server/core", "protocol", PUBLISHED_DELTA],
+    "server/wasm": [BASE, "server/core", "server/replay", "protocol", MIRROR, DELTA_ARRAYS, PUBLISHED_DELTA],
     "server/app": ["server", "client", "protocol"],
     "protocol": [BASE],
     NET: [],
@@ -52,6 +56,7 @@ ONLY_IN = {
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
     "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
     "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
+    "pybind11/": ["server/app/python"],
     "gtest/": ["tests"],
     "benchmark/": ["tests"],
     "flatbuffers/": ["protocol", "tests"],

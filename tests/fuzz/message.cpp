@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <span>
 #include <variant>
+#include <vector>
 
 #include "protocol/framing.hpp"
 #include "protocol/replica.hpp"
@@ -46,8 +47,17 @@ class Follower {
   void snapshot(const Replica& volume, F&& change) {
     if (change(behind_)) reload(volume);
   }
+  // The tetrahedra that are in another piece than before the last delta. A message may join pieces, which no cut does.
+  std::vector<std::uint32_t> in_other_pieces(const Replica& volume) const {
+    std::vector<std::uint32_t> out;
+    behind_.for_each_tet([&](std::uint32_t t) {
+      if (behind_.piece(t) != volume.piece(t)) out.push_back(t);
+    });
+    return out;
+  }
   void delta(const Replica& volume, const Delta& delta) {
-    const MeshChange change(behind_, delta);
+    MeshChange change(behind_, delta);
+    for (const std::uint32_t t : in_other_pieces(volume)) change.tets.push_back(t);
     index_.follow(behind_, delta);
     FUZZ_CHECK(behind_.apply(delta));
     part_.follow_part(volume, index_, change, kBox);
@@ -106,7 +116,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       follower.snapshot(volume, [&](auto& r) { return static_cast<bool>(r.end(*end)); });
     } else if (const auto* delta = std::get_if<Delta>(&body)) {
       if (try_it(volume, [&](auto& r) { return r.apply(*delta); })) {
-        server.follow(volume, *delta);
+        server.follow(volume, *delta, follower.in_other_pieces(volume));
         FUZZ_CHECK(server.surface_hash() == server.compute_surface_hash());
         follower.delta(volume, *delta);
       }

@@ -62,6 +62,21 @@ class Loop {
 
 const Vec3 kPush{0, 0, 2};
 
+TEST(SafetyChain, WithoutARampTheForceComesAsFastAsItMayChange) {
+  SafetyLimits limits;
+  limits.ramp_s = 0;
+  Loop loop(limits);
+  loop.frame({0, 0, 2});
+  EXPECT_NEAR(loop.frame({0, 0, 2}).z, limits.slew_n_s * 1e-3, 1e-9);
+  EXPECT_EQ(loop.frames(3, {0, 0, 2}), (Vec3{0, 0, 2}));
+  EXPECT_FALSE(loop.chain.ramping());
+  loop.silent = true;  // after a fault, too
+  loop.frames(40, {0, 0, 2});
+  EXPECT_EQ(loop.last, Vec3{});
+  loop.silent = false;
+  EXPECT_EQ(loop.frames(6, {0, 0, 2}), (Vec3{0, 0, 2}));
+}
+
 TEST(SafetyChain, TheFirstContactGrowsOverTwoSeconds) {
   Loop loop;
   loop.frame({});

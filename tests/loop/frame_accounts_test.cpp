@@ -185,7 +185,7 @@ struct Resettable : Soft {
   explicit Resettable(const LoopOptions& options = {}) : Soft(options) {
     loop.offer_reset(
         [] { return std::make_unique<core::CutSession>(tests::cube(3), config(Policy::kConforming)); },
-        [this](const core::CutSession&) { return ++resets; });
+        [this](const auto&) { return ++resets; });
   }
   std::atomic<std::uint64_t> resets{0};
 };
@@ -271,7 +271,7 @@ TEST(FrameAccounts, SkippedFramesAreThePeriodsInWhichNoneBegan) {
         }
         return std::make_unique<core::CutSession>(tests::cube(2), config(Policy::kConforming));
       },
-      [](const core::CutSession&) { return 1; });
+      [](const auto&) { return 1; });
   rig.loop.request_reset();
   const std::int64_t begin = monotonic_ns();
   rig.loop.run(stop.get_token());

@@ -174,6 +174,34 @@ TEST(FrameLoop, RunsAtItsDeadlinesInAThreadAndEndsCleanly) {
   EXPECT_EQ(rig.loop.stats().frame_work.count(), rig.loop.stats().state.load().frames);
 }
 
+// With an hour between frames none would begin within this test.
+TEST(FrameLoop, AFrameBeginsWhenPosesArrive) {
+  const core::MeshData mesh = tests::cube(3);
+  const auto poses = tests::sweep_through(50);
+  const Hashes wanted = without_loop(Policy::kCroll, mesh, poses);
+  LoopOptions options;
+  options.rate_hz = 1.0 / 3600;
+  Rig rig(Policy::kCroll, mesh, options);
+  std::jthread thread([&](const std::stop_token& stop) { rig.loop.run(stop); });
+  auto one = rig.sources.open("one"), other = rig.sources.open("other");
+  std::uint64_t frames = 0;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    ASSERT_EQ(one->enqueue(timed({poses[i]})), 1u);
+    while (one->counts().drained <= i) std::this_thread::yield();
+    const std::uint64_t now = rig.loop.stats().frame_work.count();
+    EXPECT_LE(now, frames + 3) << "a frame for the pose, and what ends the one before";
+    frames = now;
+  }
+  ASSERT_TRUE(one->end_stroke(monotonic_ns()));
+  ASSERT_EQ(other->enqueue(timed({poses[0]})), 1u);
+  while (other->counts().drained == 0) std::this_thread::yield();
+  thread.request_stop();
+  other.reset();
+  thread.join();
+  rig.read();
+  EXPECT_EQ(rig.hashes, wanted);
+}
+
 // Poses that are still queued when the server stops are cut all the same, and the stroke is ended.
 TEST(FrameLoop, FinishTakesWhatWaitsAndEndsStrokes) {
   const core::MeshData mesh = tests::cube(5);
@@ -308,20 +336,29 @@ TEST(FrameLoop, AResetStartsAgainFromTheMeshAsLoaded) {
   Rig rig(Policy::kConforming, mesh);
   EXPECT_FALSE(rig.loop.request_reset()) << "not offered";
   std::uint64_t resets = 0;
-  rig.loop.offer_reset([&] { return std::make_unique<core::CutSession>(mesh, config(Policy::kConforming)); },
-                       [&](const core::CutSession& fresh) {
-                         EXPECT_EQ(fresh.revision(), 0u);
-                         rig.read();  // what was published before the reset came before it
-                         rig.hashes.clear();
-                         rig.revision = 0;
-                         return ++resets;
-                       });
+  bool is_ready = false;
+  rig.loop.offer_reset(
+      [&] {
+        return is_ready ? std::make_unique<core::CutSession>(mesh, config(Policy::kConforming)) : nullptr;
+      },
+      [&](std::unique_ptr<core::CutSession> used) {
+        EXPECT_EQ(used, nullptr) << "the first is the rig's own";
+        rig.read();  // what was published before the reset came before it
+        rig.hashes.clear();
+        rig.revision = 0;
+        return ++resets;
+      });
   auto source = rig.sources.open("blade");
   const auto all = timed(poses);
   for (std::size_t i = 0; i < all.size(); ++i) {
-    if (i == half) {
-      EXPECT_GT(rig.loop.stats().state.load().revision, 0u);
+    // What comes until the session is ready is cut in the old one.
+    if (i == half - 5) {
       EXPECT_TRUE(rig.loop.request_reset());
+    }
+    if (i == half) {
+      EXPECT_EQ(resets, 0u);
+      EXPECT_GT(rig.loop.stats().state.load().revision, 0u);
+      is_ready = true;
     }
     source->enqueue(std::span(&all[i], 1));
     rig.loop.frame(monotonic_ns());

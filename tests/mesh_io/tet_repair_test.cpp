@@ -156,12 +156,31 @@ TEST(TetRepair, UnusedVerticesAreDropped) {
   EXPECT_TRUE(repaired.warns("1 vertex has no tetrahedron (the first: vertex 1 at (9, 9, 9)): dropped"));
 }
 
+TEST(TetRepair, LeavesWhatLiesBehindEachFace) {
+  MeshData mesh = cube_mesh(3);
+  const core::TetMesh found(mesh);
+  mesh.positions.insert(mesh.positions.begin(), {9, 9, 9});  // is dropped, and the others are renumbered
+  for (auto& tet : mesh.tets) {
+    for (core::VertexId& v : tet) ++v;
+  }
+  mesh.opposite = {7};  // of another mesh
+  const Repaired repaired = repair(mesh);
+  ASSERT_EQ(repaired.mesh.opposite.size(), 4 * mesh.tets.size());
+  for (core::HalfFace h = 0; h < repaired.mesh.opposite.size(); ++h)
+    EXPECT_EQ(repaired.mesh.opposite[h], found.opposite(h)) << h;
+  const core::TetMesh taken(repaired.mesh);
+  EXPECT_EQ(core::validate(taken), "");
+  EXPECT_EQ(taken.state_hash(), found.state_hash());
+  EXPECT_EQ(taken.vertex_slots(), found.vertex_slots());
+}
+
 TEST(TetRepair, NonManifoldVertexIsToleratedAndNamed) {
   MeshData mesh;
   mesh.positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {-1, 0, 0}, {0, -1, 0}, {0, 0, -1}};
   mesh.tets = {{0, 1, 2, 3}, {0, 5, 4, 6}};
   const Repaired repaired = repair(mesh);
   EXPECT_TRUE(repaired.warns("1 vertex is non-manifold")) << repaired.warnings.size();
+  EXPECT_TRUE(repaired.mesh.opposite.empty()) << "the core parts it";
   EXPECT_TRUE(repaired.warns("vertex 0 at (0, 0, 0)"));
 }
 

@@ -38,17 +38,6 @@ void drain(core::CutSession& session, std::int64_t budget_units = INT64_MAX) {
   }
 }
 
-void cut_bit_by_bit(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
-  for (const auto& stroke : meeting.strokes) {
-    for (const core::Pose& pose : stroke) {
-      session.push(0, pose);
-      drain(session, budget_units);
-    }
-    session.end_stroke(0);
-    drain(session, budget_units);
-  }
-}
-
 class Meet : public testing::TestWithParam<std::string_view> {};
 INSTANTIATE_TEST_SUITE_P(Kinds, Meet, testing::ValuesIn(kMeetingKinds),
                          [](const auto& kind) { return std::string(kind.param); });
@@ -96,8 +85,108 @@ TEST_P(Meet, DoesNotDependOnTheBudget) {
   const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), 2);
   core::CutSession at_once(mesh(), meeting_config(meeting)), bit_by_bit(mesh(), meeting_config(meeting));
   cut(meeting, at_once);
-  cut_bit_by_bit(meeting, bit_by_bit, 50);
+  cut(meeting, bit_by_bit, 50);
   EXPECT_EQ(bit_by_bit.mesh().state_hash(), at_once.mesh().state_hash());
+}
+
+// ---- Bodies that move
+
+Vec3 bent(const Vec3& p, double size) {
+  return {p.x + 0.1 * p.z * p.z / size, p.y + 0.05 * size * std::sin(3 * p.x / size), p.z + 0.1 * p.y};
+}
+
+// Where a body that turns and drifts has its material `turn` radians later.
+struct Turned {
+  Vec3 middle;
+  double turn = 0;
+  core::Quat rotation() const {
+    return {std::cos(turn / 2), 0, 0.6 * std::sin(turn / 2), 0.8 * std::sin(turn / 2)};
+  }
+  Vec3 operator()(const Vec3& p) const {
+    return middle + core::rotate(rotation(), p - middle) + (turn * distance(middle, {})) * Vec3{0.5, 0.3, 0};
+  }
+  core::Pose operator()(core::Pose pose) const {
+    const core::Quat a = rotation(), b = pose.orientation;
+    pose.position = (*this)(pose.position);
+    pose.orientation = {
+        a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+        a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
+    return pose;
+  }
+};
+
+template <class Where>
+void deform(core::CutSession& session, const Where& where) {
+  auto positions = std::make_shared<core::VertexPositions>();
+  for (core::VertexId v = 0; v < session.mesh().vertex_slots(); ++v)
+    positions->positions.push_back(where(session.mesh().rest_position(v)));
+  positions->revision = session.revision();
+  session.deform(std::move(positions));
+  drain(session);
+}
+
+// Cut in a shape that is not the body's own: the parts are those of that shape.
+TEST_P(Meet, InABodyThatIsBent) {
+  const double size = distance(body().low, body().high);
+  core::MeshData shape = mesh();
+  for (Vec3& p : shape.positions) p = bent(p, size);
+  const Body loaded(shape);
+  for (const std::uint64_t seed : {11, 13, 14}) {
+    const Meeting meeting = random_meeting(shape, loaded.h, GetParam(), seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    deform(session, [&](const Vec3& p) { return bent(p, size); });
+    cut(meeting, session);
+    const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
+// The body turns and drifts between the strokes, and the hand goes with it.
+TEST_P(Meet, InABodyThatMovesBetweenStrokes) {
+  for (const std::uint64_t seed : {21, 22, 23}) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    Turned turned{0.5 * (body().low + body().high), 0};
+    for (const auto& stroke : meeting.strokes) {
+      turned.turn += 0.3;
+      deform(session, turned);
+      for (const core::Pose& pose : stroke) {
+        session.push(0, turned(pose));
+        drain(session);
+      }
+      session.end_stroke(0);
+      drain(session);
+    }
+    deform(session, [](const Vec3& p) { return p; });
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
+TEST_P(Meet, InABodyThatMovesAllTheTime) {
+  for (const std::uint64_t seed : {31, 32, 33}) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    Turned turned{0.5 * (body().low + body().high), 0};
+    std::size_t poses = 0, done = 0;
+    for (const auto& stroke : meeting.strokes) poses += stroke.size();
+    for (const auto& stroke : meeting.strokes) {
+      for (const core::Pose& pose : stroke) {
+        turned.turn = 0.2 * static_cast<double>(++done) / static_cast<double>(poses);
+        deform(session, turned);
+        session.push(0, turned(pose));
+        drain(session);
+      }
+      session.end_stroke(0);
+      drain(session);
+    }
+    for (int left = 99; left >= 0; --left) {
+      turned.turn = 0.002 * left;
+      deform(session, turned);
+    }
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
 }
 
 // Each half of a loop by a blade of its own, at the same time.
@@ -174,7 +263,7 @@ void come_apart(std::span<const OnceWrong> meetings) {
     const Meeting meeting = random_meeting(real, loaded.h, once.kind, once.seed);
     core::CutSession session(real, meeting_config(meeting)), bit_by_bit(real, meeting_config(meeting));
     cut(meeting, session);
-    cut_bit_by_bit(meeting, bit_by_bit, 1000);
+    cut(meeting, bit_by_bit, 1000);
     EXPECT_EQ(bit_by_bit.mesh().state_hash(), session.mesh().state_hash());
     const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
     EXPECT_TRUE(v.right()) << once.mesh << ", " << once.kind << ", seed " << once.seed << ": "

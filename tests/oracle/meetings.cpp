@@ -10,9 +10,7 @@
 namespace incise::oracle {
 namespace {
 
-using core::BladeLine;
 using core::cross;
-using core::dot;
 using core::length;
 using core::normalized;
 constexpr double kTurn = 2 * std::numbers::pi;
@@ -322,18 +320,21 @@ core::CutConfig meeting_config(const Meeting& meeting) {
   return config;
 }
 
-void cut(const Meeting& meeting, core::CutSession& session) {
-  core::WorkBudget budget = core::WorkBudget::unlimited();
+void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
   core::Delta delta;
+  const auto drain = [&] {
+    for (;;) {
+      core::WorkBudget budget{budget_units};
+      if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
+    }
+  };
   for (const auto& stroke : meeting.strokes) {
     for (const core::Pose& pose : stroke) {
       INCISE_CHECK(core::accepted(session.push(0, pose)));
-      while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-      }
+      drain();
     }
     session.end_stroke(0);
-    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
-    }
+    drain();
   }
 }
 

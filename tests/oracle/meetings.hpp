@@ -48,8 +48,8 @@ Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view ki
 
 // A configuration whose stroke rules nothing runs into.
 core::CutConfig meeting_config(const Meeting& meeting);
-// Cuts it, stroke by stroke, into a session that has meeting_config().
-void cut(const Meeting& meeting, core::CutSession& session);
+// Cuts it, stroke by stroke, into a session that has meeting_config(), so much work at a time.
+void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
 // What the judge is told.
 std::vector<Stroke> strokes_of(const Meeting& meeting);
 

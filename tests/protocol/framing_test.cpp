@@ -139,7 +139,7 @@ TEST(Framing, DeltaKeepsItsArraysAndSteps) {
   EXPECT_TRUE(std::ranges::equal(got.provenance_b, std::vector<std::uint32_t>{1, 2, 3, 1}));
   EXPECT_TRUE(std::ranges::equal(got.tets.ids, std::vector<std::uint32_t>{0, 1, 2}));
   EXPECT_TRUE(std::ranges::equal(got.tets.regions, std::vector<std::int32_t>{7, -2, 7}));
-  EXPECT_TRUE(std::ranges::equal(got.piece_tets, std::vector<std::uint32_t>{1}));
+  EXPECT_TRUE(std::ranges::equal(got.piece_names, std::vector<std::uint32_t>{1}));
   EXPECT_EQ(got.first_new_tet, 2u);
   EXPECT_EQ(got.state_hash, samples::two_tets(2).hash());
 }
@@ -232,6 +232,9 @@ TEST(Framing, SemanticErrorsNameTheField) {
   delta("Delta.boundary_upserted", [&](Delta& d) { d.boundary_upserted = descending; });
   delta("Delta.piece_sizes", [&](Delta& d) { d.piece_ids = one; });
   delta("Delta.piece_tets", [&](Delta& d) { d.piece_ids = one, d.piece_sizes = one, d.piece_tets = two; });
+  delta("Delta.piece_tets",
+        [&](Delta& d) { d.piece_ids = one, d.piece_sizes = one, d.piece_tets = one, d.piece_names = one; });
+  delta("Delta.piece_names", [&](Delta& d) { d.piece_ids = one, d.piece_sizes = one, d.piece_names = two; });
   delta("Delta.vertex_count", [&](Delta& d) { d.vertex_count = kNoId; });
   delta("Delta.steps.revision", [&](Delta& d) { d.steps.resize(1), d.steps[0].revision = 2; });
   delta("Delta.steps.revision", [&](Delta& d) { d.steps.resize(2); });
@@ -299,16 +302,22 @@ TEST(Framing, SemanticErrorsNameTheField) {
   force.contact = LocalContact{};
   force.contact->stiffness_n_per_m = std::numeric_limits<double>::infinity();
   cases.push_back({"Force.contact.stiffness_n_per_m", force});
-  cases.push_back({"SnapshotBegin.view", SnapshotBegin{View::None, 0, SnapshotCause::Join, 0, 0, 0, 0, {}}});
-  cases.push_back({"SnapshotBegin.chunks",
-                   SnapshotBegin{View::Volume, 0, SnapshotCause::Join, kMaxSnapshotChunks + 1, 0, 0, 0, {}}});
+  SnapshotBegin begin;
+  begin.piece_ids = one;
+  cases.push_back({"SnapshotBegin.piece_names", begin});
   cases.push_back(
-      {"SnapshotBegin.tet_count", SnapshotBegin{View::Volume, 0, SnapshotCause::Join, 1, 0, kNoId, 0, {}}});
+      {"SnapshotBegin.view", SnapshotBegin{View::None, 0, SnapshotCause::Join, 0, 0, 0, 0, {}, {}, {}}});
+  cases.push_back(
+      {"SnapshotBegin.chunks",
+       SnapshotBegin{View::Volume, 0, SnapshotCause::Join, kMaxSnapshotChunks + 1, 0, 0, 0, {}, {}, {}}});
+  cases.push_back({"SnapshotBegin.tet_count",
+                   SnapshotBegin{View::Volume, 0, SnapshotCause::Join, 1, 0, kNoId, 0, {}, {}, {}}});
   SnapshotChunk chunk;
   chunk.positions = four;
   cases.push_back({"SnapshotChunk.positions", chunk});
   chunk = {};
   chunk.tets = {one, vertices, region, mask, mask};
+  chunk.tet_pieces = two;
   cases.push_back({"SnapshotChunk.tet_pieces", chunk});
   Positions positions;
   positions.ids = one;

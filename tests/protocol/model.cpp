@@ -16,6 +16,33 @@ std::uint64_t Model::hash() const {
   return hash;
 }
 
+void Model::find_pieces() {
+  std::vector<std::uint32_t> part(positions.size());
+  for (std::uint32_t v = 0; v < part.size(); ++v) part[v] = v;
+  for (bool changed = true; changed;) {
+    changed = false;
+    for (const auto& [id, tet] : tets) {
+      std::uint32_t least = kNoId;
+      for (const std::uint32_t v : tet.vertices) least = std::min(least, part[v]);
+      for (const std::uint32_t v : tet.vertices) {
+        changed = changed || part[v] != least;
+        part[v] = least;
+      }
+    }
+  }
+  std::map<std::uint32_t, std::uint32_t> piece_of;
+  std::erase_if(names, [&](const auto& name) { return !tets.contains(name.second); });
+  for (const auto& [piece, id] : names) piece_of[part[tets.at(id).vertices[0]]] = piece;
+  for (auto& [id, tet] : tets) {
+    const auto [entry, is_new] = piece_of.try_emplace(part[tet.vertices[0]], tet.piece);
+    if (is_new) {
+      if (names.contains(tet.piece)) entry->second = next_piece++;
+      names[entry->second] = id;
+    }
+    tet.piece = entry->second;
+  }
+}
+
 namespace {
 
 void put_tet(OwnedDelta& d, std::uint32_t id, const Model::Tet& tet) {
@@ -68,14 +95,11 @@ OwnedDelta difference(const Model& a, const Model& b) {
   std::set<std::uint32_t> ids;
   for (const auto& [id, tet] : a.tets) ids.insert(id);
   for (const auto& [id, tet] : b.tets) ids.insert(id);
-  std::map<std::uint32_t, std::vector<std::uint32_t>> pieces;
   for (const std::uint32_t id : ids) {
     const auto before = a.tets.find(id), after = b.tets.find(id);
     const bool was = before != a.tets.end(), is = after != b.tets.end();
     if (is && (!was || !same_but_piece(before->second, after->second))) put_tet(d, id, after->second);
     if (was && !is) d.removed_tets.push_back(id);
-    if (is && after->second.piece != (was ? before->second.piece : 0))
-      pieces[after->second.piece].push_back(id);
     for (std::uint32_t f = 0; f < 4; ++f) {
       const bool face_was = was && (before->second.boundary_mask >> f & 1);
       const bool face_is = is && (after->second.boundary_mask >> f & 1);
@@ -85,10 +109,13 @@ OwnedDelta difference(const Model& a, const Model& b) {
       if (face_was && !face_is) d.boundary_removed.push_back(4 * id + f);
     }
   }
-  for (const auto& [piece, members] : pieces) {
+  for (const auto& [piece, name] : b.names) {
+    const auto before = a.names.find(piece);
+    if (piece == 0 || (before != a.names.end() && before->second == name)) continue;
     d.piece_ids.push_back(piece);
-    d.piece_sizes.push_back(static_cast<std::uint32_t>(members.size()));
-    d.piece_tets.insert(d.piece_tets.end(), members.begin(), members.end());
+    d.piece_names.push_back(name);
+    d.piece_sizes.push_back(static_cast<std::uint32_t>(std::count_if(
+        b.tets.begin(), b.tets.end(), [id = piece](const auto& entry) { return entry.second.piece == id; })));
   }
   d.vertex_count = static_cast<std::uint32_t>(b.positions.size());
   d.live_tets = static_cast<std::uint32_t>(b.tets.size());
@@ -103,11 +130,22 @@ Replica Model::replica() const {
   all.revision = 1;
   for (std::uint32_t v = 0; v < positions.size(); ++v) all.origins[v] = {};
   const OwnedDelta d = difference(none, all);
+  SnapshotBegin begin;
+  begin.view = View::Volume;
+  begin.revision = revision;
+  begin.chunks = 1;
+  begin.vertex_count = d.vertex_count;
+  begin.tet_count = d.live_tets;
+  begin.piece_ids = d.piece_ids;
+  begin.piece_names = d.piece_names;
+  SnapshotChunk chunk;
+  chunk.positions = d.added_positions;
+  chunk.tets = d.view().tets;
   Replica replica;
-  std::vector<double> flat = d.added_positions;
-  const ApplyResult loaded = replica.load(
-      flat, {d.tet_ids, d.tet_vertices, d.tet_regions, d.tet_cut_masks, d.tet_boundary_masks}, revision);
-  EXPECT_TRUE(loaded) << loaded.text;
+  EXPECT_TRUE(replica.begin(begin));
+  EXPECT_TRUE(replica.chunk(chunk));
+  const ApplyResult done = replica.end({revision, d.state_hash, 0});
+  EXPECT_TRUE(done) << done.text;
   return replica;
 }
 
@@ -172,9 +210,18 @@ void mutate(Model& model, std::mt19937_64& random) {
     model.positions.push_back({coordinate(random), coordinate(random), coordinate(random)});
   }
   const auto some_tet = [&] { return std::next(model.tets.begin(), pick(random, model.tets.size())); };
+  // Pieces never grow together, so a tetrahedron takes vertices of its own piece, or such as none has.
+  std::vector<std::uint32_t> piece_at(model.positions.size(), kNoId);
+  for (const auto& [id, tet] : model.tets) {
+    for (const std::uint32_t v : tet.vertices) piece_at[v] = tet.piece;
+  }
   const auto randomise = [&](Model::Tet& tet) {
     std::set<std::uint32_t> vertices;
-    while (vertices.size() < 4) vertices.insert(pick(random, model.positions.size()));
+    while (vertices.size() < 4) {
+      const std::uint32_t v = pick(random, model.positions.size());
+      if (piece_at[v] == kNoId || piece_at[v] == tet.piece) vertices.insert(v);
+    }
+    for (const std::uint32_t v : vertices) piece_at[v] = tet.piece;
     std::copy(vertices.begin(), vertices.end(), tet.vertices.begin());
     std::shuffle(tet.vertices.begin(), tet.vertices.end(), random);
     tet.boundary_mask = static_cast<std::uint8_t>(random() & 15);
@@ -183,13 +230,23 @@ void mutate(Model& model, std::mt19937_64& random) {
   for (std::uint32_t n = pick(random, 5); n > 0 && !model.tets.empty(); --n) randomise(some_tet()->second);
   for (std::uint32_t n = pick(random, 4); n > 0; --n) {
     Model::Tet tet;
+    tet.piece = some_tet()->second.piece;
     randomise(tet);
     tet.region = static_cast<std::int32_t>(pick(random, 7)) - 3;
     model.next_tet += pick(random, 3);  // ids of tetrahedra that came and went within the step
     model.tets[model.next_tet++] = tet;
   }
   for (std::uint32_t n = pick(random, 3); n > 0 && model.tets.size() > 4; --n) model.tets.erase(some_tet());
-  for (std::uint32_t n = pick(random, 3); n > 0; --n) some_tet()->second.piece = pick(random, 5);
+  if (pick(random, 4) == 0) {
+    // One comes off, alone.
+    for (std::uint32_t& v : some_tet()->second.vertices) {
+      const auto copy = static_cast<std::uint32_t>(model.positions.size());
+      model.origins[copy] = {v, v, 0};
+      model.positions.push_back(model.positions[v]);
+      v = copy;
+    }
+  }
+  model.find_pieces();
 }
 
 ::testing::AssertionResult holds(const Replica& replica, const Model& model) {

@@ -33,10 +33,15 @@ struct Model {
   std::vector<std::array<double, 3>> positions;
   std::map<std::uint32_t, Origin> origins;  // of added vertices
   std::map<std::uint32_t, Tet> tets;
-  std::uint32_t next_tet = 0;  // ids below it have been used
+  std::uint32_t next_tet = 0;                            // ids below it have been used
+  std::map<std::uint32_t, std::uint32_t> names{{0, 0}};  // the pieces, with a tetrahedron of each
+  std::uint32_t next_piece = 1;
 
   std::uint64_t hash() const;
-  // The replica that holds this, by way of load() and for the pieces one delta.
+  // Puts each tetrahedron into the piece of what it shares vertices with. A part of a piece that has not got the piece's
+  // tetrahedron becomes a new piece, or takes the id over where that tetrahedron is gone.
+  void find_pieces();
+  // The replica that holds this, by way of a snapshot.
   Replica replica() const;
 };
 

@@ -54,6 +54,7 @@ TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
     ASSERT_TRUE(holds(replica, walk.model)) << "revision " << walk.model.revision;
     ASSERT_EQ(replica.state_hash(), replica.compute_state_hash());
   }
+  EXPECT_GT(replica.piece_names().size(), 1u);
 }
 
 TEST(Replica, ASnapshotInAnyChunksPlusTheRestIsTheSameBytes) {
@@ -145,8 +146,8 @@ TEST(Replica, ABadDeltaChangesNothing) {
        [](OwnedDelta& d) { d.boundary_upserted = {400}; }},
       {"removed boundary face that is there", ApplyError::BadIndex,
        [](OwnedDelta& d) { d.boundary_removed = {1}; }},
-      {"piece of nothing", ApplyError::BadIndex, [](OwnedDelta& d) { d.piece_tets[0] = 2; }},
-      {"piece sizes that do not add up", ApplyError::BadShape, [](OwnedDelta& d) { d.piece_sizes[0] = 2; }},
+      {"piece of nothing", ApplyError::BadIndex, [](OwnedDelta& d) { d.piece_names[0] = 2; }},
+      {"piece without a tetrahedron", ApplyError::BadShape, [](OwnedDelta& d) { d.piece_names.clear(); }},
       {"another hash", ApplyError::HashMismatch, [](OwnedDelta& d) { d.state_hash ^= 1; }},
       {"another position", ApplyError::HashMismatch, [](OwnedDelta& d) { d.added_positions[3] += 1e-17; }},
       {"another region", ApplyError::HashMismatch, [](OwnedDelta& d) { d.tet_regions[0] = 8; }},
@@ -253,7 +254,8 @@ TEST(Replica, ABadSnapshotLeavesTheStateBefore) {
           [](auto& b, auto&, auto&) { b.tet_count = 4; });
   attempt("more tetrahedra than announced", ApplyError::BadShape,
           [](auto& b, auto&, auto&) { b.tet_count = 2; });
-  attempt("without pieces", ApplyError::BadShape, [](auto&, auto& c, auto&) { c[1].tet_pieces = {}; });
+  attempt("piece without a tetrahedron", ApplyError::BadShape,
+          [](auto& b, auto&, auto&) { b.piece_names = {}; });
   attempt("too large", ApplyError::LimitReached,
           [](auto& b, auto&, auto&) { b.tet_count = kDefaultReplicaTets + 1; });
   attempt("another hash", ApplyError::HashMismatch, [](auto&, auto&, auto& e) { e.state_hash ^= 1; });

@@ -2,6 +2,7 @@
 
 #include "protocol/surface.hpp"
 #include "protocol/volume_part.hpp"
+#include "tests/protocol/walk.hpp"
 
 namespace incise::protocol::samples {
 namespace {
@@ -110,7 +111,8 @@ SurfaceDelta surface_delta(SurfaceReplica& surface, std::uint64_t revision) {
   d.base_revision = revision - 1;
   d.revision = revision;
   d.steps = {step(revision)};
-  d.change = surface.follow(replica_at(revision), delta_to(revision).view());
+  const std::vector<std::uint32_t> cut_off(revision == 1, 1);  // the second tetrahedron
+  d.change = surface.follow(replica_at(revision), delta_to(revision).view(), cut_off);
   d.surface_hash = surface.surface_hash();
   d.state_hash = replica_at(revision).state_hash();
   d.live_tets = replica_at(revision).live_tets();
@@ -207,7 +209,8 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Force", force},
       {"Delta", coalesced_delta()},
       {"SurfaceDelta", surface_delta(surface, 1)},
-      {"SnapshotBegin", SnapshotBegin{View::Surface, 2, SnapshotCause::Resync, 4, 8, 3, 12, box}},
+      {"SnapshotBegin", SnapshotBegin{View::Surface, 2, SnapshotCause::Resync, 4, 8, 3, 12, box,
+                                      array<std::uint32_t>({1, 4}), array<std::uint32_t>({1, 2})}},
       {"SnapshotChunk", whole_chunk()},
       {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef, 0xfedcba9876543210}},
       {"Positions", positions},
@@ -236,6 +239,8 @@ Model two_tets(std::uint64_t revision) {
     }
     m.tets[0] = {{0, 1, 2, 3}, 7, 0b0001, 0b1111, 0};
     m.tets[1] = {{5, 6, 7, 4}, -2, 0b1000, 0b1111, 1};
+    m.names[1] = 1;
+    m.next_piece = 2;
   }
   if (revision >= 2) {
     m.revision = 2;
@@ -356,9 +361,8 @@ std::vector<Body> volume_part_stream() {
   out.push_back(writer.end(two_tets(0).hash()));
   for (std::uint64_t r = 1; r <= 2; ++r) {
     const Delta delta = delta_to(r).view();
-    const MeshChange change(whole, delta);
-    index.follow(whole, delta);
-    EXPECT_TRUE(whole.apply(delta));
+    MeshChange change(whole, delta);
+    for (const std::uint32_t t : apply_at_server(whole, index, delta)) change.tets.push_back(t);
     out.push_back(keep(part.follow_part(whole, index, change, box)).view());
   }
   out.push_back(Bye{ByeReason::ServerStops, "the server stops"});

@@ -15,12 +15,12 @@
 namespace incise::protocol {
 namespace {
 
-OwnedSurfaceDelta follow(SurfaceReplica& surface, const Replica& mesh, const Delta& delta) {
+OwnedSurfaceDelta follow(SurfaceReplica& surface, Replica& mesh, TetIndex& index, const Delta& delta) {
   OwnedSurfaceDelta d;
   d.base_revision = delta.base_revision;
   d.revision = delta.revision;
   d.steps = delta.steps;
-  d.change = surface.follow(mesh, delta);
+  d.change = surface.follow(mesh, delta, apply_at_server(mesh, index, delta));
   d.surface_hash = surface.surface_hash();
   d.state_hash = delta.state_hash;
   d.live_tets = delta.live_tets;
@@ -34,6 +34,8 @@ ApplyResult send(const SurfaceReplica& from, SurfaceReplica& to, std::size_t ele
 TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
   Walk walk(3, 2, 2);
   Replica mesh = walk.model.replica();
+  TetIndex index;
+  index.load(mesh);
   SurfaceReplica server, client, late;
   server.load(mesh);
   ApplyResult result = send(server, client, 5);
@@ -43,8 +45,7 @@ TEST(Surface, FollowingDeltasIsTheSameAsLoadingAnew) {
   std::vector<OwnedSurfaceDelta> owned;
   for (int i = 0; i < 300; ++i) {
     const OwnedDelta delta = walk.step();
-    ASSERT_TRUE(mesh.apply(delta.view()));
-    owned.push_back(follow(server, mesh, delta.view()));
+    owned.push_back(follow(server, mesh, index, delta.view()));
     if (i == 100) {
       ASSERT_TRUE(send(server, late, 1000));
     } else if (i > 100) {
@@ -107,10 +108,12 @@ struct SurfaceView {
     whole.load(mesh);
     index.load(mesh);
   }
-  void step(const Delta& delta) {
-    index.follow(mesh, delta);
-    EXPECT_TRUE(mesh.apply(delta));
-    whole.follow(mesh, delta);
+  MeshChange step(const Delta& delta) {
+    MeshChange change(mesh, delta);
+    const std::vector<std::uint32_t> in_other_pieces = apply_at_server(mesh, index, delta);
+    change.tets.insert(change.tets.end(), in_other_pieces.begin(), in_other_pieces.end());
+    whole.follow(mesh, delta, in_other_pieces);
+    return change;
   }
   void load_part(Part& part, const Box& box) const { part.load_part(whole, box); }
   SurfaceSnapshotWriter writer(const Part& part, const Box&) const { return {part, SnapshotCause::Join, 7}; }
@@ -146,8 +149,9 @@ TEST(Surface, HasTheCutFaceOfBothSides) {
   EXPECT_EQ(surface.triangles().size(), 6u);
   EXPECT_EQ(surface.vertices().size(), 5u);
   const OwnedDelta cut = difference(samples::two_tets(0), samples::two_tets(1));
-  ASSERT_TRUE(mesh.apply(cut.view()));
-  const SurfaceChange change = surface.follow(mesh, cut.view());
+  TetIndex index;
+  index.load(mesh);
+  const SurfaceChange change = follow(surface, mesh, index, cut.view()).change;
   EXPECT_EQ(surface.triangles().size(), 8u);
   EXPECT_EQ(surface.vertices().size(), 8u);
   // Face 0 of tetrahedron 0 and face 3 of tetrahedron 1 are new; the rest of tetrahedron 1 has other
@@ -167,8 +171,9 @@ TEST(Surface, ABadDeltaChangesNothing) {
   server.load(mesh);
   ASSERT_TRUE(send(server, client, 1000));
   const OwnedDelta cut = difference(samples::two_tets(0), samples::two_tets(1));
-  ASSERT_TRUE(mesh.apply(cut.view()));
-  const OwnedSurfaceDelta good = follow(server, mesh, cut.view());
+  TetIndex index;
+  index.load(mesh);
+  const OwnedSurfaceDelta good = follow(server, mesh, index, cut.view());
   const std::vector<std::byte> before = client.canonical_bytes();
 
   struct Case {

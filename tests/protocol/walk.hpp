@@ -52,6 +52,16 @@ struct Walk {
   const ::testing::ScopedTrace trace{__FILE__, __LINE__, "seed " + std::to_string(seed)};
 };
 
+// What a server's mirror does with a delta. Returns the tetrahedra that are in another piece than before.
+inline std::vector<std::uint32_t> apply_at_server(Replica& mesh, TetIndex& index, const Delta& delta) {
+  static_cast<void>(mesh.pieces());
+  index.follow(mesh, delta);
+  EXPECT_TRUE(mesh.apply(delta));
+  std::vector<std::uint32_t> in_other_pieces;
+  mesh.follow_pieces(index, delta, in_other_pieces);
+  return in_other_pieces;
+}
+
 // The message as a receiver gets it. Its arrays live as long as `kept`.
 template <class T>
 const T& through_bytes(const T& body, Message& kept) {
@@ -95,7 +105,7 @@ inline std::vector<Box> random_boxes(const Replica& mesh, std::size_t count, std
 
 // Follows a walk in many boxes at once, each of which gets a delta over a number of steps of its own, and has the view say
 // whether what a client holds is what the box holds of the whole. A view has the type Part and
-//   mesh, load(mesh), step(delta): the whole; step() applies the delta to the mesh
+//   mesh, load(mesh), step(delta) -> change: the whole; step() applies the delta to the mesh
 //   load_part(part, box), writer(part, box), follow_part(part, change of the whole, box) -> owned
 //   expect_part(part, box), tets_set(owned): the tetrahedra of the elements that it sets
 template <class View>
@@ -121,8 +131,7 @@ void follow_boxes(View view) {
   for (std::size_t i = 0; i < 400; ++i) {
     // Deformations that a box's shell covers and such as it does not, with cuts between.
     const OwnedDelta delta = i % 37 == 36 ? walk.step() : i % 4 == 3 ? walk.cut() : walk.sway(1e-3);
-    const MeshChange change(view.mesh, delta.view());
-    view.step(delta.view());
+    const MeshChange change = view.step(delta.view());
     for (Follower& f : followers) {
       if (f.since) {
         f.since->append(change);

@@ -343,6 +343,27 @@ TEST(Server, RefusesWhatIsNoHello) {
     EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BadVersion);
   }
   {
+    // An old viewer gets what has not changed since.
+    RawPeer peer(test.server.tcp_port());
+    protocol::Hello old = hello(Role::Viewer, View::Volume);
+    old.protocol_version = 1;
+    peer.send(old);
+    const auto error = peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BadVersion);
+    RawPeer surface(test.server.tcp_port());
+    old.view = View::Surface;
+    surface.send(old);
+    const auto welcome = surface.receive_until<protocol::Welcome>();
+    ASSERT_TRUE(welcome);
+    EXPECT_EQ(std::get<protocol::Welcome>(welcome->message.body).protocol_version, 1u);
+    surface.send(protocol::Subscribe{View::Volume, 0, {}}, 8);
+    const auto refused = surface.receive_until<protocol::Error>();
+    ASSERT_TRUE(refused);
+    EXPECT_EQ(std::get<protocol::Error>(refused->message.body).code, ErrorCode::NotAvailable);
+    EXPECT_FALSE(std::get<protocol::Error>(refused->message.body).fatal);
+  }
+  {
     // Two Hellos: the second is out of place, but not fatal.
     Viewer viewer(test.server.tcp_port());
     ASSERT_TRUE(viewer.follow(0));

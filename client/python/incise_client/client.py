@@ -299,7 +299,7 @@ class Client:
                 BladeEdge.AddHeel(b, Vec3.CreateVec3(b, *blade[0]))
                 BladeEdge.AddTip(b, Vec3.CreateVec3(b, *blade[1]))
                 optional.append(("Blade", BladeEdge.End(b)))
-            return _table(b, Hello, optional + [("ProtocolVersion", 1), ("Role", role), ("View", view), ("ClientName", name),
+            return _table(b, Hello, optional + [("ProtocolVersion", 2), ("Role", role), ("View", view), ("ClientName", name),
                                      ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
                                      ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
                                      ("ResumeRevision", self.replica.revision if session else 0),

@@ -61,16 +61,32 @@ class _Delta:
         self.tets = _Tets(message.Tets())
         self.changed = self.tets.ids[self.tets.ids < message.FirstNewTet()]
         self.removed = _array(message.RemovedTetsAsNumpy(), np.uint32)
-        self.piece_sizes = _array(message.PieceSizesAsNumpy(), np.uint32)
         self.piece_ids = _array(message.PieceIdsAsNumpy(), np.uint32)
-        self.piece_tets = _array(message.PieceTetsAsNumpy(), np.uint32)
+        self.piece_names = _array(message.PieceNamesAsNumpy(), np.uint32)
+
+
+def _parts(tets: npt.NDArray[np.uint32], vertices: int) -> npt.NDArray[np.int64]:
+    """For each vertex, the least vertex that it hangs together with. Each round joins what the tetrahedra that still span two
+    parts join, so there are about log(tetrahedra) of them."""
+    part = np.arange(vertices)
+    while True:
+        seen = part[tets]
+        least = seen.min(axis=1)
+        spans = (seen != least[:, None]).any(axis=1)
+        if not spans.any():
+            return part
+        tets, seen, least = tets[spans], seen[spans], np.repeat(least[spans], 4)
+        order = np.argsort(-least)  # of assignments to the same place the last stays: the least
+        part[seen.ravel()[order]] = least[order]
+        while not np.array_equal(further := part[part], part):
+            part = further
 
 
 class Replica:
     """Arrays by id. ``tets[t]`` is all NO_ID where there is no tetrahedron t; ``alive`` says the same.
 
     positions (n, 3) float64, metres; tets (m, 4) uint32; regions int32; cut_masks and boundary_masks uint8, bit f for the
-    face opposite to vertex f; pieces uint32. In a body that a simulator deforms, rest_positions says where the material of each
+    face opposite to vertex f. In a body that a simulator deforms, rest_positions says where the material of each
     vertex is at rest; otherwise it equals positions. The arrays are replaced or changed by apply(): copy what you keep.
     """
 
@@ -80,6 +96,9 @@ class Replica:
         self.live_tets = 0
         self.positions = np.empty((0, 3))
         self._rest: Optional[npt.NDArray[np.float64]] = None  # None before the first deformation
+        self.piece_names: dict[int, int] = {}
+        """A tetrahedron of each piece but 0, by piece. One that is gone: so is the piece."""
+        self._pieces: Optional[npt.NDArray[np.uint32]] = None  # None until somebody asks
         self._set_slots(0)
 
     def _set_slots(self, n: int) -> None:
@@ -87,14 +106,13 @@ class Replica:
         self.regions = np.zeros(n, np.int32)
         self.cut_masks = np.zeros(n, np.uint8)
         self.boundary_masks = np.zeros(n, np.uint8)
-        self.pieces = np.zeros(n, np.uint32)
 
     def _grow(self, n: int) -> None:
         more = n - len(self.tets)
         if more <= 0:
             return
         self.tets = np.concatenate([self.tets, np.full((more, 4), NO_ID, np.uint32)])
-        for name in ("regions", "cut_masks", "boundary_masks", "pieces"):
+        for name in ("regions", "cut_masks", "boundary_masks"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, np.zeros(more, old.dtype)]))
 
@@ -107,6 +125,20 @@ class Replica:
     def alive(self) -> npt.NDArray[np.bool_]:
         """For each id, whether that tetrahedron exists."""
         return self.tets[:, 0] != NO_ID
+
+    @property
+    def pieces(self) -> npt.NDArray[np.uint32]:
+        """For each id, the piece of that tetrahedron; 0 where there is none. O(mesh) after each change; do not change it."""
+        if self._pieces is None:
+            tets = self.tets[self.alive]
+            part = _parts(tets, len(self.positions))
+            piece_of = np.zeros(len(self.positions), np.uint32)
+            for piece, tet in sorted(self.piece_names.items()):
+                if tet < len(self.tets) and self.tets[tet, 0] != NO_ID:
+                    piece_of[part[self.tets[tet, 0]]] = piece
+            self._pieces = np.zeros(len(self.tets), np.uint32)
+            self._pieces[self.alive] = piece_of[part[tets[:, 0]]]
+        return self._pieces
 
     def boundary_triangles(self) -> npt.NDArray[np.uint32]:
         """Vertices of all boundary faces, (n, 3), counter-clockwise seen from outside."""
@@ -148,18 +180,19 @@ class Replica:
             if new._rest.shape != new.positions.shape:
                 raise ApplyError("snapshot with rest positions of some of its vertices")
         tets = [_Tets(c.Tets()) for c in chunks]
-        pieces = [_array(c.TetPiecesAsNumpy(), np.uint32) for c in chunks]
         last = max((int(t.ids[-1]) for t in tets if len(t.ids)), default=-1)
         new._set_slots(last + 1)
-        for t, p in zip(tets, pieces):
+        for t in tets:
             new._put(t)
-            if len(p):
-                new.pieces[t.ids] = p
             new.live_tets += len(t.ids)
         if len(new.positions) != begin.VertexCount() or new.live_tets != begin.TetCount():
             raise ApplyError("snapshot whose counts differ from its contents")
         if last >= 0 and int(new.tets[new.alive].max(initial=0)) >= len(new.positions):
             raise ApplyError("snapshot: a tetrahedron of vertices that do not exist")
+        ids, names = _array(begin.PieceIdsAsNumpy(), np.uint32), _array(begin.PieceNamesAsNumpy(), np.uint32)
+        if len(ids) != len(names) or (len(names) and (int(names.max()) > last or not new.alive[names].all())):
+            raise ApplyError("snapshot: a piece without a tetrahedron")
+        new.piece_names = dict(zip(ids.tolist(), names.tolist()))
         new.revision = begin.Revision()
         new.state_hash = new.compute_state_hash()
         if new.state_hash != end.StateHash():
@@ -221,11 +254,11 @@ class Replica:
                 len(changed) and (int(changed[-1]) >= slots or not self.alive[changed].all())):
             raise ApplyError("changed tetrahedra that do not exist")
         live = self.live_tets + len(new.tets.ids) - len(changed) - len(removed)
-        if live != new.message.LiveTets() or int(new.piece_sizes.sum()) != len(new.piece_tets) or len(
-                new.piece_sizes) != len(new.piece_ids):
+        if live != new.message.LiveTets() or len(new.piece_names) != len(new.piece_ids):
             raise ApplyError("delta whose counts differ from its contents")
-        if len(new.piece_tets) and int(new.piece_tets.max()) >= self._slots_after(new):
-            raise ApplyError("a piece of tetrahedra that do not exist")
+        old = new.piece_names[~np.isin(new.piece_names, new.tets.ids)]
+        if len(old) and (int(old.max()) >= slots or not self.alive[old].all() or np.isin(old, removed).any()):
+            raise ApplyError("a piece with a tetrahedron that does not exist")
         return live
 
     def _hash_after(self, new: _Delta) -> int:
@@ -254,10 +287,11 @@ class Replica:
         self.positions[new.moved] = new.moved_to
         self._grow(self._slots_after(new))
         self.tets[new.removed] = NO_ID
-        for array in (self.regions, self.cut_masks, self.boundary_masks, self.pieces):
+        for array in (self.regions, self.cut_masks, self.boundary_masks):
             array[new.removed] = 0
         self._put(new.tets)
-        self.pieces[new.piece_tets] = np.repeat(new.piece_ids, new.piece_sizes)
+        self.piece_names.update(zip(new.piece_ids.tolist(), new.piece_names.tolist()))
+        self._pieces = None
 
     def _rest_after(self, delta: Any, vertices: int) -> npt.NDArray[np.float64]:
         """Rest positions with those of added vertices between their parents, which may be added ones too."""

@@ -2,6 +2,7 @@ import * as THREE from "three";
 import type { Corners } from "./corner_buffers";
 import type { ShownTriangles } from "./section_lines";
 import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
+import { kNone } from "./surface";
 
 const kPieceColumns = 256;
 const kMostRanges = 24; // uploads a buffer; more and larger gaps between slots are uploaded as well
@@ -25,6 +26,8 @@ export function rangesOf(slots: Uint32Array): [number, number][] {
 export class BodyMesh {
   readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>;
   readonly positions: () => Float32Array;
+  /** The half-face of each slot, or kNone. */
+  ids = new Uint32Array(0);
   /** Slots that hold a triangle or have held one. */
   slots = 0;
   /** Grows with each change of what is drawn. */
@@ -83,12 +86,15 @@ export class BodyMesh {
     this.mesh.geometry.dispose();
     this.mesh.geometry = geometry;
     this.mesh.visible = slots > 0;
+    this.ids = new Uint32Array(capacity).fill(kNone);
+    this.ids.set(corners.ids);
     this.slots = slots;
     ++this.version;
   }
 
   patch(slots: Uint32Array, highest: number, corners: Corners): void {
     const ranges = rangesOf(slots);
+    for (let i = 0; i < slots.length; ++i) this.ids[slots[i]] = corners.ids[i];
     this.write("position", 9, corners.positions, slots, ranges);
     this.write("aNormal", 12, corners.normals, slots, ranges);
     this.write("aFacts", 12, corners.facts, slots, ranges);

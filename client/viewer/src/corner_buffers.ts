@@ -4,6 +4,7 @@ import { faceNormal } from "./triangle";
 
 /** What the graphics card gets for each corner of a triangle; the three corners of a slot are adjacent. */
 export interface Corners {
+  ids: Uint32Array; // 1 a slot: its half-face, or kNone
   positions: Float32Array; // 3 a corner, metres
   normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
   facts: Uint8Array; // 4 a corner: cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
@@ -11,6 +12,7 @@ export interface Corners {
 
 export function allocateCorners(slots: number): Corners {
   return {
+    ids: new Uint32Array(slots),
     positions: new Float32Array(9 * slots),
     normals: new Int16Array(12 * slots),
     facts: new Uint8Array(12 * slots),
@@ -141,6 +143,7 @@ export class CornerBuilder {
   /** Writes the corners of `slot` at place `at` of `out`. A free slot gets a triangle of size 0. */
   write(slot: number, out: Corners, at: number): void {
     const { surface, faceNormals } = this;
+    out.ids[at] = surface.ids[slot];
     if (surface.ids[slot] === kNone) {
       out.positions.fill(0, 9 * at, 9 * at + 9);
       return;

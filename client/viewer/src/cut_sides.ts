@@ -146,6 +146,19 @@ interface Sheet {
   known: number; // area of faces with a twin
 }
 
+/** The area of one side of the cut at this slot: the cut faces that go on smoothly from there. */
+export function sideArea(surface: Surface, faces: Faces, slot: number): number {
+  const side = new Set([slot]);
+  let area = 0;
+  for (const s of side) {
+    area += faces.areas[s];
+    forNeighbours(surface, s, (t) => {
+      if (cosine(faces, s, t) > kSmooth) side.add(t);
+    });
+  }
+  return area;
+}
+
 function cosine({ normals: n, areas }: Faces, s: number, t: number): number {
   const dot = n[3 * s] * n[3 * t] + n[3 * s + 1] * n[3 * t + 1] + n[3 * s + 2] * n[3 * t + 2];
   return dot / (areas[s] * areas[t] || 1);

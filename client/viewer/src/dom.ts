@@ -21,3 +21,12 @@ export function ask(id: string, closed: (confirmed: boolean) => void): void {
   dialog.returnValue = "";
   dialog.showModal();
 }
+
+/** Gives the user a file. */
+export function save(content: BlobPart, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([content]));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}

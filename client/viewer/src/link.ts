@@ -1,4 +1,5 @@
 import * as flatbuffers from "flatbuffers";
+import { openSocket, type Socket } from "./local_session";
 import type { Vec3 } from "./messages";
 import { BladeEdge } from "./wire/incise/wire/blade-edge";
 import { Body } from "./wire/incise/wire/body";
@@ -51,6 +52,7 @@ export interface LinkEvents {
   unreadable(): void;
 }
 
+const kSocketOpen = 1; // WebSocket.OPEN
 const kFirstPause_ms = 250;
 const kLongestPause_ms = 8000;
 const kCheckEvery_ms = 400;
@@ -69,7 +71,7 @@ export function now_ns(): bigint {
 
 /** One connection to the server that comes back by itself. Thread: the worker's. */
 export class Link {
-  private socket: WebSocket | null = null;
+  private socket: Socket | null = null;
   private sequence = 0n;
   private pause_ms = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -121,7 +123,7 @@ export class Link {
     this.ended = true;
     clearTimeout(this.timer);
     clearInterval(this.checker);
-    if (this.socket?.readyState === WebSocket.OPEN) {
+    if (this.socket?.readyState === kSocketOpen) {
       this.send(Body.Bye, (b) => Bye.createBye(b, ByeReason.Done, 0));
     }
     this.socket?.close();
@@ -130,7 +132,7 @@ export class Link {
   }
 
   send(type: Body, make: (builder: flatbuffers.Builder) => flatbuffers.Offset): bigint {
-    if (this.socket?.readyState !== WebSocket.OPEN) return 0n;
+    if (this.socket?.readyState !== kSocketOpen) return 0n;
     const builder = new flatbuffers.Builder(1024);
     const body = make(builder);
     const sequence = ++this.sequence;
@@ -148,7 +150,7 @@ export class Link {
     clearTimeout(this.timer);
     this.timer = undefined;
     this.events.state({ stage: "connecting", text: "Connecting to the server…" });
-    const socket = (this.socket = new WebSocket(this.url));
+    const socket = (this.socket = openSocket(this.url));
     socket.binaryType = "arraybuffer";
     this.sequence = 0n;
     this.lost = "";
@@ -160,7 +162,10 @@ export class Link {
       this.send(Body.Hello, (b) => makeHello(b, fields));
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.onMessage(event.data);
-    socket.onclose = () => this.onClosed("The server does not answer.");
+    socket.onclose = (event) => {
+      this.lost ||= event?.reason ?? "";
+      this.onClosed("The server does not answer.");
+    };
     clearInterval(this.checker);
     this.checker = setInterval(() => this.check(), kCheckEvery_ms);
   }
@@ -310,7 +315,7 @@ function makeHello(builder: flatbuffers.Builder, fields: HelloFields): flatbuffe
   const source = fields.sourceName ? builder.createString(fields.sourceName) : 0;
   const edge = fields.blade ? makeEdge(builder, fields.blade) : 0;
   Hello.startHello(builder);
-  Hello.addProtocolVersion(builder, 1);
+  Hello.addProtocolVersion(builder, 2);
   Hello.addRole(builder, fields.role);
   Hello.addView(builder, fields.view);
   Hello.addClientName(builder, name);

@@ -2,6 +2,7 @@ import type { Colouring } from "./body_mesh";
 import { choose, element, input, onChoice } from "./dom";
 import { axisFacing, mirrored, sideFacing } from "./section";
 import type { Stage } from "./stage";
+import type { ViewState } from "./view_link";
 
 const kNarrow_px = 760; // as in style.css
 const kPanelOpen_px = 1000; // a window at least this wide starts with the panel open
@@ -10,27 +11,22 @@ const kPanelOpen_px = 1000; // a window at least this wide starts with the panel
 export class Look {
   private axis = 0;
   private side = 1;
+  private colouring: Colouring = "tissue";
 
   /** redraw: called when the charts' size or colours have changed. */
   constructor(
     private readonly stage: Stage,
-    colourByQuality: (on: boolean) => void,
+    private readonly colourByQuality: (on: boolean) => void,
     private readonly redraw: () => void,
   ) {
-    onChoice("colouring", (value) => {
-      stage.body.setColouring(value as Colouring);
-      element("quality-scale").hidden = value !== "quality";
-      colourByQuality(value === "quality");
-      stage.draw();
-    });
+    onChoice("colouring", (value) => this.setColouring(value as Colouring));
     input("wire").addEventListener("change", () => {
       stage.body.setWire(input("wire").checked);
       stage.draw();
     });
     this.bindSection();
     element("panel-toggle").onclick = () => this.togglePanel();
-    element("theme").onclick = () =>
-      this.setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+    element("theme").onclick = () => this.setTheme(this.theme === "light" ? "dark" : "light");
     matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.setTheme(this.storedTheme));
     addEventListener("resize", () => this.measureCover());
     this.setTheme(this.storedTheme);
@@ -41,6 +37,31 @@ export class Look {
     return innerWidth <= kNarrow_px;
   }
 
+  /** What a link keeps of it. */
+  get state(): ViewState {
+    const section = input("section").checked
+      ? { axis: this.axis, side: this.side, share: input("section-at").valueAsNumber }
+      : undefined;
+    return { section, colours: this.colouring, theme: this.theme };
+  }
+
+  /** Shows what a link has kept; a theme that comes so is not the user's choice and is not stored. */
+  showState({ section, colours, theme }: ViewState): void {
+    if (theme) this.showTheme(theme === "light");
+    if (colours) {
+      choose("colouring", colours);
+      this.setColouring(colours);
+    }
+    input("section").checked = section !== undefined;
+    if (section) {
+      this.axis = section.axis;
+      this.side = section.side;
+      choose("section-axis", "xyz"[section.axis]);
+      input("section-at").valueAsNumber = section.share;
+    }
+    this.showSection();
+  }
+
   togglePanel(open = document.body.dataset.panel === "closed"): void {
     document.body.dataset.panel = open ? "open" : "closed";
     element("panel-toggle").setAttribute("aria-expanded", String(open));
@@ -48,12 +69,22 @@ export class Look {
     this.redraw();
   }
 
+  private setColouring(colouring: Colouring): void {
+    this.colouring = colouring;
+    this.stage.body.setColouring(colouring);
+    element("quality-scale").hidden = colouring !== "quality";
+    this.colourByQuality(colouring === "quality");
+    this.stage.draw();
+  }
+
+  private showSection(): void {
+    const { section } = this.state;
+    element("section-rows").hidden = !section;
+    this.stage.setSection(section ?? null);
+  }
+
   private bindSection(): void {
-    const show = () => {
-      const on = input("section").checked;
-      element("section-rows").hidden = !on;
-      this.stage.setSection(on ? { axis: this.axis, side: this.side, share: input("section-at").valueAsNumber } : null);
-    };
+    const show = () => this.showSection();
     const face = (axis: number) => {
       this.axis = axis;
       this.side = sideFacing(this.stage.toEye, axis);
@@ -90,9 +121,16 @@ export class Look {
     return localStorage.getItem("incise-theme") ?? "auto";
   }
 
+  private get theme(): "light" | "dark" {
+    return document.documentElement.dataset.theme === "light" ? "light" : "dark";
+  }
+
   private setTheme(theme: string): void {
     if (theme !== "auto") localStorage.setItem("incise-theme", theme);
-    const light = theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches);
+    this.showTheme(theme === "light" || (theme === "auto" && matchMedia("(prefers-color-scheme: light)").matches));
+  }
+
+  private showTheme(light: boolean): void {
     document.documentElement.dataset.theme = light ? "light" : "dark";
     const colour = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
     this.stage.setInk(light ? 0x7c8b9a : 0xb8c6d4, light ? 0.26 : 0.55, light ? 1.25 : 1, [

@@ -60,12 +60,15 @@ export interface ReplayFacts {
 export type Post = (message: FromWorker, transfer?: Transferable[]) => void;
 
 export type ToWorker =
-  | { kind: "connect"; url: string; token: string }
+  /** local: the URL is that of a session's files, which runs in this browser. */
+  | { kind: "connect"; url: string; token: string; local: boolean }
   | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
   | { kind: "reset" }
+  /** Asks for the area of the cut that this half-face is a face of. */
+  | { kind: "cut-area"; halfFace: number }
   | { kind: "colour-by-quality"; on: boolean }
   | {
       kind: "replay";
@@ -74,6 +77,9 @@ export type ToWorker =
       speed?: number;
       revision?: number;
     }
+  /** Of a session in this browser. */
+  | { kind: "save-recording" }
+  | { kind: "open-recording"; name: string; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "applied" } // the page has applied the last patch or geometry
   | { kind: "wake" }
   | { kind: "drop" } // for tests: as if the network were lost
@@ -102,6 +108,7 @@ export type FromWorker =
    * metres.
    */
   | { kind: "opening"; lips: Float32Array; pieces: Float32Array; cutArea_m2: number }
+  | { kind: "cut-area"; halfFace: number; area_m2: number }
   /** Where another blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number; tets: number }
@@ -113,4 +120,6 @@ export type FromWorker =
   /** The live body was reset. */
   | { kind: "was-reset" }
   | { kind: "notice"; text: string }
+  /** Of a session in this browser: what was asked for, or what was saved of a session that failed. */
+  | { kind: "recording"; bytes: Uint8Array<ArrayBuffer>; after: "asked" | "failure" }
   | { kind: "dump"; triangles: Float32Array };

@@ -26,6 +26,8 @@ export interface MouseBladeEvents {
   /** A stroke was tried while the blade is disabled. */
   refused(): void;
   strokeBegan(): void;
+  /** The pointer moved over the picture, or left it, without a stroke. */
+  hovered(): void;
   /** sent: the server was sent poses of it. */
   strokeEnded(sent: boolean): void;
 }
@@ -51,6 +53,7 @@ export class MouseBlade {
   private lastSent_ms = 0;
   private lastEvent: Sample | null = null;
   private batch: number[] = [];
+  private hover: Sample | null = null; // a pointer with no button pressed
   private readonly ray = new THREE.Raycaster();
 
   constructor(
@@ -63,6 +66,7 @@ export class MouseBlade {
     canvas.addEventListener("pointerup", (e) => this.onUp(e));
     canvas.addEventListener("pointercancel", (e) => this.onUp(e));
     canvas.addEventListener("lostpointercapture", (e) => this.onUp(e));
+    canvas.addEventListener("pointerleave", () => this.setHover(null));
   }
 
   get cutting(): boolean {
@@ -90,6 +94,7 @@ export class MouseBlade {
     if (!this.enabled || !this.facts) return this.events.refused();
     if (this.pointer >= 0) return this.cancel(); // a second finger: this is a turn
     if (event.pointerType === "touch" && !event.isPrimary) return;
+    this.setHover(null);
     this.pointer = event.pointerId;
     this.canvas.setPointerCapture(event.pointerId);
     this.down = this.sample(event);
@@ -99,7 +104,33 @@ export class MouseBlade {
     this.last = null;
   }
 
+  /** The blade as it would enter under the pointer, and the place on the skin; null: there is none. */
+  preview(): { heel: THREE.Vector3; entry: THREE.Vector3; tip: THREE.Vector3 } | null {
+    if (!this.hover || !this.enabled || !this.facts || this.engaged) return null;
+    this.ray.setFromCamera(new THREE.Vector2(this.hover.x, this.hover.y), this.stage.camera);
+    const { body, bodySize_m } = this.stage;
+    const { origin, direction } = this.ray.ray;
+    const reach = body.raycast(origin, direction);
+    if (Number.isNaN(reach)) return null;
+    const { heel, tip } = this.poseAt(this.hover, reach);
+    // A tilted blade enters beside the pointer.
+    const along = tip.clone().sub(heel).normalize();
+    const before = tip.clone().addScaledVector(along, -3 * bodySize_m);
+    const way = this.tilt_rad === 0 ? NaN : body.raycast(before, along);
+    const entry = Number.isNaN(way)
+      ? origin.clone().addScaledVector(direction, reach)
+      : before.addScaledVector(along, way);
+    return { heel, entry, tip };
+  }
+
+  private setHover(event: PointerEvent | null): void {
+    const was = this.hover !== null;
+    this.hover = event && event.buttons === 0 && event.pointerType !== "touch" ? this.sample(event) : null;
+    if (was || this.hover) this.events.hovered();
+  }
+
   private onMove(event: PointerEvent): void {
+    if (!this.down) this.setHover(event);
     if (event.pointerId !== this.pointer || !this.down) return;
     const all = event.getCoalescedEvents?.() ?? [];
     const samples = (all.length > 0 ? all : [event]).map((e) => this.sample(e));
@@ -202,14 +233,14 @@ export class MouseBlade {
     return this.engaged && button >= 0 ? 1 << button : 0;
   }
 
-  private poseAt(sample: Sample): Pose {
+  private poseAt(sample: Sample, reach = this.reach): Pose {
     const facts = this.facts!;
     const camera = this.stage.camera;
     this.ray.setFromCamera(new THREE.Vector2(sample.x, sample.y), camera);
     const { origin, direction } = this.ray.ray;
     const length = new THREE.Vector3(...facts.tip).distanceTo(new THREE.Vector3(...facts.heel));
     const middle = this.stage.centre.clone().sub(origin).dot(direction);
-    const skin = Number.isNaN(this.reach) ? middle : this.reach;
+    const skin = Number.isNaN(reach) ? middle : reach;
     const along = direction.clone();
     if (this.tilt_rad !== 0)
       along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);

@@ -2,6 +2,7 @@ import { bold, notice, showHint } from "./notices";
 import { choose, element, input, number, onChoice } from "./dom";
 import type { LinkState } from "./link";
 import type { BladeFacts, BladeStep, ToWorker } from "./messages";
+import type { Marks } from "./marks";
 import { MouseBlade } from "./mouse_blade";
 import type { Stage, Tool } from "./stage";
 
@@ -9,6 +10,7 @@ const kOpenAfterStroke_ms = 300;
 const kLongestBlade = 1.5; // times the body's size: it reaches through from any side
 const kNewBladeAfter_ms = 250; // after the last change of its length
 const kReachesThrough = 0.75; // times the body's size
+const kPreviewOutside = 0.1; // of the blade outside the body, times the body's size: a long one would cross the page
 
 type Send = (message: ToWorker, transfer?: Transferable[]) => void;
 
@@ -18,6 +20,7 @@ export class Operator {
   readonly mouse: MouseBlade;
   bodyName = ""; // empty until the server has described the body
   askToken: (why: string) => void = () => {};
+  onTool: (tool: Tool) => void = () => {};
   private viewStage: LinkState["stage"] = "connecting";
   private replaying = false;
   private openTimer: ReturnType<typeof setTimeout> | undefined;
@@ -41,8 +44,10 @@ export class Operator {
       },
       refused: () => this.sayWhyNot(),
       strokeBegan: () => this.beginStroke(),
+      hovered: () => stage.marks.draw(),
       strokeEnded: (sent) => this.endStroke(sent),
     });
+    stage.marks.layers.push((marks) => this.drawPreview(marks));
     onChoice("tool", (tool) => this.setTool(tool as Tool));
     this.bindSliders();
     document.addEventListener("visibilitychange", () => {
@@ -159,6 +164,7 @@ export class Operator {
     document.body.dataset.tool = tool;
     choose("tool", tool);
     this.stage.setTool(tool);
+    this.onTool(tool);
     this.enableMouse();
     this.hint();
   }
@@ -173,6 +179,7 @@ export class Operator {
   private enableMouse(): void {
     const before = this.mouse.cutting;
     this.mouse.enabled = this.tool === "cut" && this.bladeStage === "open" && this.viewStage === "open";
+    this.stage.marks.draw(); // the preview
     if (this.mouse.enabled) return;
     this.mouse.cancel();
     if (before && this.tool === "cut" && !this.replaying) {
@@ -204,6 +211,19 @@ export class Operator {
     if (!sent && this.mouse.enabled) this.sayMissed();
   }
 
+  /** How the blade would enter under the pointer, before the button is pressed. */
+  private drawPreview(marks: Marks): void {
+    const preview = this.mouse.preview();
+    if (!preview) return;
+    const { heel, entry, tip } = preview;
+    const outside = heel.clone().sub(entry);
+    marks.line(entry.clone().add(outside.clampLength(0, kPreviewOutside * this.stage.bodySize_m)), entry, 1);
+    marks.line(entry, tip, 3);
+    marks.dot(entry, 7, false);
+    marks.dot(tip, 3);
+    marks.label(entry, element("depth-text").textContent ?? "");
+  }
+
   private sayMissed(): void {
     notice(`That stroke cut nothing. Draw across the ${this.bodyName}.`);
     this.strokesTried = 0;
@@ -212,6 +232,9 @@ export class Operator {
 
   /** Says what to do next, until the user has done it once. */
   private hint(): void {
+    if (this.tool === "measure") {
+      return showHint([bold("Click on the surface"), ": two points give a length, a cut gives its area. Esc ends."]);
+    }
     const hand = this.touch.matches ? "Two fingers turn and zoom." : "Right-drag turns, the wheel zooms.";
     if (this.tool !== "cut" || this.bladeStage !== "open" || this.strokesTried > 1) showHint([]);
     else if (this.strokesTried === 0)
@@ -235,6 +258,7 @@ export class Operator {
     const through = share >= 1 && reaches;
     this.mouse.depth_m = through ? null : share * most;
     element("depth-text").textContent = through ? "through" : `${number(share * most * 1000)} mm`;
+    this.stage.marks.draw(); // the preview
   }
 
   private bindSliders(): void {
@@ -250,6 +274,7 @@ export class Operator {
     on("tilt", () => {
       this.mouse.tilt_rad = (input("tilt").valueAsNumber * Math.PI) / 180;
       element("tilt-text").textContent = `${input("tilt").value}°`;
+      this.stage.marks.draw();
     });
     on("open", () => {
       this.openIsChosen = true;

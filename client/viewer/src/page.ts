@@ -1,31 +1,43 @@
-import { ask, element, input } from "./dom";
+import { Vector3 } from "three";
+import { ask, element, input, save } from "./dom";
 import { Figures } from "./figures";
 import { type Key, Keys } from "./keys";
 import type { LinkState } from "./link";
 import { Look } from "./look";
 import type { BladeStep, Facts, FromWorker, Patch, Progress, ReplayFacts, ToWorker } from "./messages";
+import { Measure } from "./measure";
+import { More } from "./more";
 import { notice } from "./notices";
 import { Operator } from "./operator";
 import { bearer, Replay } from "./replay";
 import { Stage, type Tool } from "./stage";
+import { fromFragment, toFragment } from "./view_link";
 
+// The folder with a session's files, in a page without a server (static.cmake).
+const kLocalSession = document.documentElement.dataset.session;
 const kPosesStale_ms = 1500;
 const kOwnReset_ms = 5000; // a reset within this time of asking is the user's own
+
+const kOpenText = kLocalSession === undefined ? "Live" : "In this page";
 
 const now_ms = () => performance.timeOrigin + performance.now();
 
 /** The page: passes the worker's messages to the parts that show them. */
 export class Page {
   readonly worker = new Worker(new URL("./worker.ts", import.meta.url), { type: "module" });
-  readonly stage = new Stage(element<HTMLCanvasElement>("picture"));
+  readonly stage = new Stage(element<HTMLCanvasElement>("picture"), element<HTMLCanvasElement>("marks"));
+  readonly measure = new Measure(element("picture"), this.stage, (halfFace) =>
+    this.send({ kind: "cut-area", halfFace }),
+  );
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
-  readonly replay = new Replay((message) => this.send(message));
+  readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
   readonly look = new Look(
     this.stage,
     (on) => this.send({ kind: "colour-by-quality", on }),
     () => this.figures.draw(),
   );
+  readonly more = new More(this.stage, () => `${this.facts?.meshName || "body"}_r${this.progress?.revision ?? 0}`);
   facts: Facts | null = null;
 
   private token = sessionStorage.getItem("incise-token") ?? "";
@@ -47,8 +59,15 @@ export class Page {
       const shown = this.figures.latency.drawn();
       if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
     };
+    this.stage.marks.layers.push((marks) => this.measure.draw(marks));
+    this.operator.onTool = (tool) => {
+      this.measure.active = tool === "measure";
+      element("measure").setAttribute("aria-pressed", String(this.measure.active));
+    };
     new Keys(this.keys());
     this.bindButtons();
+    this.stage.onRest = () => this.keepView();
+    addEventListener("hashchange", () => this.showLink());
     addEventListener("online", () => this.send({ kind: "wake" }));
     document.addEventListener("visibilitychange", () => {
       if (document.visibilityState !== "visible") return;
@@ -56,6 +75,7 @@ export class Page {
       this.send({ kind: "wake" });
     });
     this.connect();
+    this.showLink();
   }
 
   get mouse() {
@@ -73,9 +93,9 @@ export class Page {
   }
 
   private connect(): void {
-    const url = new URL("ws", document.baseURI);
-    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-    this.send({ kind: "connect", url: url.href, token: this.token });
+    const url = new URL(kLocalSession ?? "ws", document.baseURI);
+    if (kLocalSession === undefined) url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    this.send({ kind: "connect", url: url.href, token: this.token, local: kLocalSession !== undefined });
     this.operator.setTool("cut");
     void this.replay.list(this.token);
   }
@@ -95,6 +115,8 @@ export class Page {
         this.stage.body.setOpening(message.lips, message.pieces);
         this.figures.showCutArea(message.cutArea_m2);
         return this.stage.draw();
+      case "cut-area":
+        return this.measure.onArea(message.halfFace, message.area_m2);
       case "link":
         return this.onLink(message.which, message.state);
       case "blade":
@@ -119,6 +141,10 @@ export class Page {
       case "notice":
         notice(message.text);
         return;
+      case "recording":
+        if (message.after === "asked") return save(message.bytes, "incise.capture");
+        notice("What was cut until then was recorded.", "Save it", () => save(message.bytes, "incise_failed.capture"));
+        return;
       case "dump":
         return this.onDump?.(message.triangles);
     }
@@ -135,15 +161,40 @@ export class Page {
       this.fitted = place;
       this.stage.setBody(facts.min, facts.max);
       this.stage.fit(true);
+      this.showLinkedCamera();
       this.operator.showOpen();
     }
-    if (another) this.operator.abandonStroke();
+    if (another) {
+      this.operator.abandonStroke();
+      this.measure.clear();
+    }
     this.operator.meet(facts.meshName);
+  }
+
+  /** The address keeps the view; no entry in the history. */
+  private keepView(): void {
+    if (!this.facts) return;
+    const camera = { body: this.facts.meshName, ...this.stage.cameraPlace };
+    const fragment = `#${toFragment({ camera, ...this.look.state })}`;
+    if (fragment !== location.hash) history.replaceState(history.state, "", fragment);
+  }
+
+  private showLink(): void {
+    this.look.showState(fromFragment(location.hash));
+    this.showLinkedCamera();
+  }
+
+  /** Puts the camera where the address says, if it is about this body. */
+  private showLinkedCamera(): void {
+    const { camera } = fromFragment(location.hash);
+    if (!camera || camera.body !== this.facts?.meshName) return;
+    this.stage.placeCamera(new Vector3(...camera.position), new Vector3(...camera.target));
   }
 
   private onGeometry(message: FromWorker & { kind: "geometry" }): void {
     this.stage.body.replace(message.slots, message.capacity, message.corners);
     this.patch = null;
+    this.measure.follow();
     this.show(message.progress);
     this.figures.showTrust(message.progress.hashAgrees);
     if (message.progress.revision === 0) this.stage.body.setOpening(new Float32Array(0), new Float32Array(0));
@@ -157,6 +208,7 @@ export class Page {
     if (!patch) return false;
     this.patch = null;
     this.stage.body.patch(patch.slots, patch.highest, patch.corners);
+    this.measure.follow();
     for (const step of patch.steps) this.follow(step);
     this.show(patch.progress);
     this.figures.latency.expect(patch.posed_ms);
@@ -224,13 +276,14 @@ export class Page {
     const { stage, text } = this.viewState;
     const replaying = this.replay.facts !== null && stage === "open";
     element("connection").dataset.stage = replaying ? "replay" : stage;
-    element("connection-text").textContent = replaying ? "Replay (a copy)" : stage === "open" ? "Live" : text;
+    element("connection-text").textContent = replaying ? "Replay (a copy)" : stage === "open" ? kOpenText : text;
   }
 
   // ---- From the user ----
 
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
+    this.more.bind("measure", () => this.toggleMeasure());
     element("reset").onclick = () =>
       ask("reset-dialog", (confirmed) => {
         if (!confirmed) return;
@@ -238,9 +291,19 @@ export class Page {
         this.send({ kind: "reset" });
       });
     element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
+    element("save-recording").onclick = () => this.send({ kind: "save-recording" });
+    input("open-recording").onchange = () => void this.openRecording(input("open-recording"));
     element("token-cancel").onclick = () => element<HTMLDialogElement>("token-dialog").close();
     for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a"))
       link.onclick = (event) => void this.openWithToken(event, link.href);
+  }
+
+  private async openRecording(chooser: HTMLInputElement): Promise<void> {
+    const file = chooser.files?.[0];
+    if (!file) return;
+    const bytes = new Uint8Array(await file.arrayBuffer());
+    chooser.value = ""; // so that the same file can be chosen again
+    this.send({ kind: "open-recording", name: file.name, bytes }, [bytes.buffer]);
   }
 
   /** A link cannot carry the token: its page is fetched with the token and shown in a tab of its own. */
@@ -252,7 +315,7 @@ export class Page {
   }
 
   private keys(): Key[] {
-    const { operator, stage, look } = this;
+    const { operator, stage, look, more } = this;
     const press = (id: string) => () => element(id).click();
     const nudge = (id: string, less: string, by: number) => (key: string) =>
       operator.nudge(id, key === less ? -by : by);
@@ -273,6 +336,7 @@ export class Page {
         act: (key) => stage.zoom(key === "-" ? 1.14 : 0.88),
       },
       { keys: ["f"], shown: "F", does: "Whole body in view", act: () => stage.fit() },
+      ...more.keys(),
       { keys: ["[", "]"], shown: "[ ]", does: "Depth of the blade", act: nudge("depth", "[", 0.05) },
       { keys: ["{", "}"], shown: "{ }", does: "Length of the blade", act: nudge("length", "{", 0.05) },
       { keys: [",", "."], shown: ", .", does: "Angle of the blade", act: nudge("tilt", ",", 5) },
@@ -289,8 +353,25 @@ export class Page {
       { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
       { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },
-      { keys: ["Escape"], shown: "Esc", does: "End the stroke", act: () => operator.abandonStroke() },
+      { keys: ["m"], shown: "M", does: "Measure", act: press("measure") },
+      { keys: ["Escape"], shown: "Esc", does: "End the stroke, or measuring", act: () => this.escape() },
     ];
+  }
+
+  private escape(): void {
+    if (this.more.close()) return;
+    if (!this.mouse.cutting && (this.measure.active || this.measure.shown)) return this.endMeasuring();
+    this.operator.abandonStroke();
+  }
+
+  private endMeasuring(): void {
+    this.measure.clear();
+    if (this.measure.active) this.operator.setTool("turn");
+  }
+
+  private toggleMeasure(): void {
+    if (this.measure.active) this.endMeasuring();
+    else this.operator.setTool("measure");
   }
 
   private askTokenToSee(): void {

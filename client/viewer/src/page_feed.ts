@@ -7,7 +7,7 @@ const kOpeningPause_ms = 120; // between two computations of how the body opens
 const kMostSteps = 256; // kept for a page that is hidden
 
 function transferable(c: Corners): Transferable[] {
-  return [c.positions.buffer, c.normals.buffer, c.facts.buffer];
+  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer];
 }
 
 /** Sends the surface to the page: first all of it, then changes, one patch at a time. Thread: the worker's. */

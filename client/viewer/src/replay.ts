@@ -12,7 +12,11 @@ export class Replay {
   private asked: number | null = null; // a revision that was asked for, until the server has answered
   private wanted: number | null = null; // the next one to ask for
 
-  constructor(private readonly send: (message: ToWorker) => void) {
+  /** listUrl: where the names of the recordings are, as JSON. */
+  constructor(
+    private readonly send: (message: ToWorker) => void,
+    private readonly listUrl = "captures",
+  ) {
     const speed = () => Number(element<HTMLSelectElement>("speed").value);
     const scrub = input("scrub");
     element("play").onclick = () =>
@@ -39,10 +43,10 @@ export class Replay {
     };
   }
 
-  /** Asks the server what recordings it offers. */
+  /** Asks what recordings there are. */
   async list(token: string): Promise<void> {
     try {
-      const answer = await fetch("captures", { cache: "no-store", headers: bearer(token) });
+      const answer = await fetch(this.listUrl, { cache: "no-store", headers: bearer(token) });
       if (!answer.ok) return;
       const names: string[] = await answer.json();
       element("recordings").hidden = names.length === 0;

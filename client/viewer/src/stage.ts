@@ -2,10 +2,13 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { BladeView } from "./blade_view";
 import { BodyMesh } from "./body_mesh";
+import { Marks } from "./marks";
 import type { Vec3 } from "./messages";
 import { Resolution } from "./resolution";
+import { type Hit, pick } from "./pick";
 import { planeOf, type Section } from "./section";
 import { SectionLines } from "./section_lines";
+import { Flight, fromSpherical, toSpherical } from "./views";
 
 const kSettle_ms = 220; // after the last motion the picture is drawn again at full resolution
 const kFine_ms = 900; // and then above it, where the renderer does not smooth edges
@@ -21,7 +24,7 @@ function drawnInSoftware(): boolean {
 
 /** quick: as many pixels as the machine can draw in time; full: as many as the screen has; fine: more. */
 type Quality = "quick" | "full" | "fine";
-export type Tool = "cut" | "turn";
+export type Tool = "cut" | "turn" | "measure";
 
 /** The picture: camera, lights, body, blades. Draws only when something has changed. */
 export class Stage {
@@ -29,12 +32,15 @@ export class Stage {
   readonly camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
   readonly controls: OrbitControls;
   readonly body = new BodyMesh();
+  readonly marks: Marks;
   readonly centre = new THREE.Vector3();
   bodySize_m = 0.3;
   /** Called before each frame; true: something moves, draw again. */
   beforeDraw: (now_ms: number) => boolean = () => false;
   /** Called after each frame is drawn. */
   afterDraw: () => void = () => {};
+  /** Called when nothing moves any more. */
+  onRest: () => void = () => {};
   framesDrawn = 0;
   readonly software: boolean;
 
@@ -50,16 +56,20 @@ export class Stage {
   private lastFrame_ms = 0;
   private lastDraw_ms = 0;
   private alarm: ReturnType<typeof setTimeout> | undefined; // when a resting blade vanishes
-  private openNow = 0;
+  openNow = 0;
   private openGoal = 0;
   private section: Section | null = null;
   private plane: readonly number[] | null = null; // of the section
   private readonly sectionLines = new SectionLines();
   private linesShown = ""; // what the lines were made of
-  private flight: { from: THREE.Vector3; to: THREE.Vector3; targetFrom: THREE.Vector3; began_ms: number } | null = null;
+  private flight: Flight | null = null;
   readonly calm = matchMedia("(prefers-reduced-motion: reduce)");
 
-  constructor(private readonly canvas: HTMLCanvasElement) {
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    marks: HTMLCanvasElement,
+  ) {
+    this.marks = new Marks(marks, this.camera);
     // Without a graphics card: fewer pixels, no blur behind panels.
     this.software = drawnInSoftware();
     document.body.classList.toggle("software", this.software);
@@ -201,19 +211,19 @@ export class Stage {
       .normalize()
       .multiplyScalar((0.4 * this.bodySize_m) / half)
       .add(this.centre);
-    if (at_once || this.calm.matches) {
-      this.camera.position.copy(to);
-      this.controls.target.copy(this.centre);
-      this.controls.update();
-      this.draw();
-      return;
-    }
-    this.flight = {
-      from: this.camera.position.clone(),
-      to,
-      targetFrom: this.controls.target.clone(),
-      began_ms: performance.now(),
-    };
+    if (at_once || this.calm.matches) return this.placeCamera(to, this.centre);
+    const { target } = this.controls;
+    const from = { position: this.camera.position, target };
+    this.flight = new Flight(from, { position: to, target: this.centre }, performance.now());
+    this.draw();
+  }
+
+  /** Puts the camera there at once. */
+  placeCamera(position: THREE.Vector3, target: THREE.Vector3): void {
+    this.flight = null;
+    this.camera.position.copy(position);
+    this.controls.target.copy(target);
+    this.controls.update();
     this.draw();
   }
 
@@ -226,11 +236,10 @@ export class Stage {
   turn(right: number, up: number): void {
     const step = Math.PI / 30;
     const arm = this.camera.position.clone().sub(this.controls.target);
-    const at = new THREE.Spherical().setFromVector3(new THREE.Vector3(arm.x, arm.z, -arm.y));
+    const at = toSpherical(arm);
     at.theta += right * step;
     at.phi = Math.min(Math.PI - 0.05, Math.max(0.05, at.phi - up * step));
-    const turned = new THREE.Vector3().setFromSpherical(at);
-    this.camera.position.set(turned.x, -turned.z, turned.y).add(this.controls.target);
+    this.camera.position.copy(fromSpherical(at)).add(this.controls.target);
     this.controls.update();
     this.draw();
   }
@@ -269,6 +278,19 @@ export class Stage {
     return this.camera.position.clone().sub(this.controls.target).toArray();
   }
 
+  /** What is seen at (x, y), normalised device coordinates. */
+  pick(x: number, y: number): Hit | null {
+    const ray = new THREE.Raycaster();
+    this.camera.updateMatrixWorld(); // it may have moved since the last frame
+    ray.setFromCamera(new THREE.Vector2(x, y), this.camera);
+    return pick(this.body, this.openNow, this.plane, ray.ray);
+  }
+
+  /** What a link keeps of the camera; z is always up. */
+  get cameraPlace(): { position: Vec3; target: Vec3 } {
+    return { position: this.camera.position.toArray(), target: this.controls.target.toArray() };
+  }
+
   /** backdrop: its colours in the middle and at the edge, as #rrggbb. */
   setInk(ink: THREE.ColorRepresentation, shade: number, ambient: number, backdrop: [string, string]): void {
     // Not converted: the shader mixes them as they are.
@@ -278,6 +300,22 @@ export class Stage {
     this.ground.material.uniforms.uShade.value = shade;
     this.body.uniforms.uAmbient.value = ambient;
     this.draw();
+  }
+
+  /** What is seen with the marks over it, with at least as many pixels as the screen has. */
+  picture(): Promise<Blob> {
+    this.setQuality(this.best);
+    this.render();
+    // Now: WebGL does not keep a frame.
+    const sheet = document.createElement("canvas");
+    sheet.width = this.canvas.width;
+    sheet.height = this.canvas.height;
+    const pen = sheet.getContext("2d")!;
+    pen.drawImage(this.canvas, 0, 0);
+    if (this.marks.canvas.width > 0) pen.drawImage(this.marks.canvas, 0, 0, sheet.width, sheet.height);
+    return new Promise((resolve, reject) =>
+      sheet.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no memory for the picture"))), "image/png"),
+    );
   }
 
   /** Sets how many pixels at each side are covered by panels. */
@@ -336,6 +374,10 @@ export class Stage {
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 
+  private get best(): Quality {
+    return this.software ? "fine" : "full";
+  }
+
   private setQuality(quality: Quality): void {
     if (this.quality === quality) return;
     this.quality = quality;
@@ -347,7 +389,7 @@ export class Stage {
     this.paced = false;
     this.lastFrame_ms = now_ms;
     const rested_ms = now_ms - this.lastDraw_ms;
-    const best = this.software ? "fine" : "full";
+    const { best } = this;
     if (this.advance(now_ms) || this.wanted) {
       this.wanted = false;
       this.lastDraw_ms = now_ms;
@@ -359,6 +401,7 @@ export class Stage {
       this.render();
     }
     if (this.lastDraw_ms === now_ms || this.quality !== best) this.awaitFrame();
+    else this.onRest();
   }
 
   /** Advances everything that moves by itself. True: the picture has changed. */
@@ -393,17 +436,15 @@ export class Stage {
     u.uLight.value.copy(back).addScaledVector(up, 0.9).addScaledVector(right, -0.55).normalize();
     u.uFill.value.copy(back).multiplyScalar(0.4).addScaledVector(right, 1).addScaledVector(up, -0.1).normalize();
     this.renderer.render(this.scene, this.camera);
+    this.marks.draw();
     ++this.framesDrawn;
     this.afterDraw();
   }
 
   private fly(now_ms: number): boolean {
     if (!this.flight) return false;
-    const t = Math.min(1, (now_ms - this.flight.began_ms) / 380);
-    const s = t * t * (3 - 2 * t);
-    this.camera.position.lerpVectors(this.flight.from, this.flight.to, s);
-    this.controls.target.lerpVectors(this.flight.targetFrom, this.centre, s);
-    if (t === 1) this.flight = null;
+    const camera = { position: this.camera.position, target: this.controls.target };
+    if (this.flight.move(now_ms, camera)) this.flight = null;
     return true;
   }
 }

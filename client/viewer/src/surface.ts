@@ -73,6 +73,11 @@ export class Surface {
     this.touchedVertices.clear();
   }
 
+  /** Where a half-face is; -1: it is not on the surface. */
+  slotFor(halfFace: number): number {
+    return this.slotOf.get(halfFace);
+  }
+
   /** New and moved vertices. False if the arrays do not fit each other. */
   setVertices(vertices: SurfaceVertices | null): boolean {
     const ids = vertices?.idsArray();

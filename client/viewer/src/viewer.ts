@@ -1,6 +1,8 @@
 import type { Blade } from "./blade";
+import { sideArea } from "./cut_sides";
 import { Link, type HelloFields } from "./link";
 import type { Post, Progress, ReplayFacts, ToWorker } from "./messages";
+import { measureFaces } from "./opening";
 import { PageFeed } from "./page_feed";
 import { Replica } from "./replica";
 import { hex } from "./state_hash";
@@ -96,6 +98,13 @@ export class Viewer {
         BigInt(wish.revision ?? 0),
       ),
     );
+  }
+
+  measureCut(halfFace: number): void {
+    const { surface } = this.replica;
+    const slot = surface.slotFor(halfFace);
+    if (slot < 0) return;
+    this.post({ kind: "cut-area", halfFace, area_m2: sideArea(surface, measureFaces(surface), slot) });
   }
 
   /** All triangles, 9 numbers each. */

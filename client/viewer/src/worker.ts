@@ -2,6 +2,7 @@
 
 import { Blade } from "./blade";
 import { ElementsLink } from "./elements_link";
+import { type LocalSession, localSession } from "./local_session";
 import type { Post, ToWorker } from "./messages";
 import { resetBody } from "./reset";
 import { Viewer } from "./viewer";
@@ -12,6 +13,7 @@ const post: Post = (message, transfer = []) => postMessage(message, { transfer }
 class Dispatch {
   private url = "";
   private token = "";
+  private session: LocalSession | null = null; // in this browser
   private colourByQuality = false;
   private readonly blade = new Blade(post);
   private readonly viewer = new Viewer(this.blade, post);
@@ -30,6 +32,7 @@ class Dispatch {
       case "connect":
         this.url = message.url;
         this.token = message.token;
+        this.session = message.local ? this.follow(localSession(this.url)) : null;
         return this.viewer.connect(this.url, this.token);
       case "take-blade":
         return this.blade.take(this.url, this.token, message.takeOver, message.length_m);
@@ -39,11 +42,19 @@ class Dispatch {
         return this.blade.send(message.poses);
       case "reset":
         return resetBody(this.url, this.token, post);
+      case "cut-area":
+        return this.viewer.measureCut(message.halfFace);
       case "colour-by-quality":
         this.colourByQuality = message.on;
         return this.followElements();
       case "replay":
         return this.viewer.controlReplay(message);
+      case "save-recording":
+        void this.session?.capture().then((bytes) => this.postRecording(bytes, "asked"));
+        return;
+      case "open-recording":
+        this.session?.addRecording(message.name, message.bytes);
+        return this.viewer.controlReplay({ kind: "replay", action: "open", capture: message.name });
       case "applied":
         return this.viewer.feed.applied();
       case "wake":
@@ -54,6 +65,18 @@ class Dispatch {
       case "dump":
         return post({ kind: "dump", triangles: this.viewer.dump() });
     }
+  }
+
+  private follow(session: LocalSession): LocalSession {
+    session.onFailed = (why, recording) => {
+      post({ kind: "notice", text: `The session failed: ${why}. It begins again with the uncut body.` });
+      if (recording) this.postRecording(recording, "failure");
+    };
+    return session;
+  }
+
+  private postRecording(bytes: Uint8Array<ArrayBuffer>, after: "asked" | "failure"): void {
+    post({ kind: "recording", bytes, after }, [bytes.buffer]);
   }
 
   private followElements(): void {

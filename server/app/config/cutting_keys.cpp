@@ -57,7 +57,7 @@ ConfigKeys cut_keys() {
       number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
              "How far the cut surface may deviate from the poses, in mean edge lengths. Where the blade "
              "moves less than a third of one, up to 0.08 counts as the device's noise."),
-      number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e3,
+      number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e6,
              "A faster motion is a jump: it ends the stroke and begins another, and does not cut."),
       number("cut.gap_limit_s", INCISE_FIELD(cut.gap_limit_s), 1e-3, 3600,
              "A longer gap between two poses also ends the stroke and begins another."),
@@ -66,7 +66,8 @@ ConfigKeys cut_keys() {
 
 ConfigKeys loop_keys() {
   return {
-      number("loop.rate_hz", INCISE_FIELD(loop.rate_hz), 250, 4000, "Frames a second."),
+      number("loop.rate_hz", INCISE_FIELD(loop.rate_hz), 250, 4000,
+             "Frames a second without poses. With poses a frame begins when they arrive."),
       number(
           "loop.budget_fraction", INCISE_FIELD(loop.budget_fraction), 0.01, 0.95,
           "The part of a frame that input and cutting may use; what does not fit waits for the next frame."),

@@ -30,6 +30,18 @@ inline constexpr int kNothingCut = 3;
 // Cuts a mesh by a motion, the blade always engaged; writes the mesh and a report, or compares the policies.
 int run_cut(const CutCommand& command);
 
+struct FeelCommand {
+  std::filesystem::path motion, mesh, out, svg;
+  std::string blade;             // as CutCommand's
+  std::filesystem::path config;  // as CutCommand's
+  protocol::Times times = protocol::Times::kSkip;
+  bool json = false;
+};
+// Exit status of `incise feel` if it wrote its results but the blade touched nothing.
+inline constexpr int kNothingTouched = 3;
+// The force on the hand that moves a blade through a mesh and cuts it: as a table, as CSV, as a plot.
+int run_feel(const FeelCommand& command);
+
 struct ReplayCommand {
   std::filesystem::path capture;
   std::filesystem::path mesh;  // instead of the one that the capture names
@@ -72,6 +84,15 @@ struct ConvertCommand {
 // Turns a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with
 // it, with batch marks.
 int run_convert(const ConvertCommand& command);
+
+struct SweepCommand {
+  std::filesystem::path spec, out;
+  std::optional<std::uint64_t> workers, sample;
+  std::string dask;
+  bool json = false;
+};
+// Cuts a data set: becomes the Python program incise.sweep, and returns only by an exception.
+int run_sweep(const SweepCommand& command);
 
 struct DoctorCommand {
   std::filesystem::path config;  // of the server; empty: the defaults

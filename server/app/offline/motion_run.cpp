@@ -124,14 +124,16 @@ void MotionRun::run(const Options& options, Progress& progress) {
 }
 
 void MotionRun::handle(const MotionEvent& event, const Options& options) {
+  auto verdict = PoseVerdict::kAccepted;
   if (event.kind == MotionEvent::Kind::kPose) {
-    ++verdicts_[static_cast<std::size_t>(session_.push(event.source, event.pose))];
+    verdict = session_.push(event.source, event.pose);
+    ++verdicts_[static_cast<std::size_t>(verdict)];
     engaged_ = engaged_ || engaged(config_.cut, event.pose);
     tool_.add(event.pose.position);
   } else {
     apply(session_, event, config_);
   }
-  if (options.event) options.event(event);
+  if (options.event) options.event(event, verdict);
   commit_all(options);
 }
 
@@ -154,7 +156,7 @@ void MotionRun::commit_all(const Options& options) {
   }
 }
 
-std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box& body) const {
+std::vector<std::string> MotionRun::pose_warnings() const {
   std::vector<std::string> all;
   for (std::size_t i = 0; i < verdicts_.size(); ++i) {
     const auto verdict = static_cast<PoseVerdict>(i);
@@ -167,6 +169,11 @@ std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box&
                   "cut.speed_limit_m_s = " + short_number(config_.cut.speed_limit_m_s) +
                   " or after more than cut.gap_limit_s = " + short_number(config_.cut.gap_limit_s));
   }
+  return all;
+}
+
+std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box& body) const {
+  std::vector<std::string> all = pose_warnings();
   if (cut_faces == 0) all.push_back("nothing was cut: " + why_nothing_was_cut(body));
   if (const std::string hint = units_hint(cut_faces == 0, body); !hint.empty()) all.push_back(hint);
   return all;
@@ -185,13 +192,13 @@ std::string MotionRun::why_nothing_was_cut(const Box& body) const {
          " (metres); check the blade, units and frames";
 }
 
-std::string MotionRun::units_hint(bool nothing_was_cut, const Box& body) const {
+std::string MotionRun::units_hint(bool nothing_met, const Box& body) const {
   const double times = tool_.diagonal() / std::max(body.diagonal(), 1e-300);
   const std::string spans = name_ + ": the tool's way spans " + short_number(tool_.diagonal()) +
                             " m, the body " + short_number(body.diagonal()) + " m: ";
   if (times > kMinUnitError && times < kMaxUnitError)
     return spans + "these poses look like millimetres; divide x, y and z by 1000";
-  if (nothing_was_cut && 1 / times > kMinUnitError && 1 / times < kMaxUnitError) {
+  if (nothing_met && 1 / times > kMinUnitError && 1 / times < kMaxUnitError) {
     return spans +
            "this mesh looks like millimetres; give --config a file with {\"mesh\": {\"scale_to_metres\": "
            "0.001}}";

@@ -13,7 +13,7 @@
 
 namespace incise::app {
 
-// Cutting a mesh by a recorded motion, without a server: common to `incise cut` and `incise convert`, with the same
+// Cutting a mesh by a recorded motion, without a server: common to `incise cut`, `incise feel` and `incise convert`, with the same
 // warnings.
 
 struct Box {
@@ -43,7 +43,8 @@ class MotionRun {
 
   struct Options {
     bool deformations = true;  // false: skip them, because they name another mesh's vertices
-    std::function<void(const MotionEvent&)> event;              // the session has handled it
+    // The session has handled it; `verdict` is a pose's.
+    std::function<void(const MotionEvent&, core::PoseVerdict verdict)> event;
     std::function<void(const core::Delta&, double us)> commit;  // a batch, and how long it took
   };
   // Applies every event, then ends the open strokes; commits all batches after each.
@@ -52,6 +53,10 @@ class MotionRun {
   std::uint64_t poses_taken() const { return count(core::PoseVerdict::kAccepted) + jumps(); }
   // Poses rejected, jumps, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut.
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
+  // Of these, poses rejected and jumps.
+  std::vector<std::string> pose_warnings() const;
+  // That poses or the mesh look like millimetres; else empty. `nothing_met`: the blade met nothing.
+  std::string units_hint(bool nothing_met, const Box& body) const;
 
  private:
   void handle(const MotionEvent& event, const Options& options);
@@ -61,7 +66,6 @@ class MotionRun {
   }
   std::uint64_t jumps() const { return count(core::PoseVerdict::kNewStroke); }
   std::string why_nothing_was_cut(const Box& body) const;
-  std::string units_hint(bool nothing_was_cut, const Box& body) const;
 
   core::CutSession& session_;
   const RecordedMotion& motion_;

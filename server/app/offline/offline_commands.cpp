@@ -40,6 +40,27 @@ void add_cut(CLI::App& app, int& exit_code) {
   sub->callback([command, &exit_code] { exit_code = run_cut(*command); });
 }
 
+void add_feel(CLI::App& app, int& exit_code) {
+  auto command = std::make_shared<FeelCommand>();
+  CLI::App* sub = app.add_subcommand(
+      "feel",
+      "Compute the force on the hand of a recorded motion, without a device; exits with 3 without contact");
+  sub->add_option("motion", command->motion, "The motion: a capture, TUM or CSV")->required();
+  sub->add_option("--mesh", command->mesh,
+                  "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
+      ->required();
+  sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres")
+      ->check(client::blade_edge());
+  sub->add_option("--config", command->config,
+                  "A configuration: its sections haptics, materials, cut, blade and mesh are used; without "
+                  "one the blade is always engaged");
+  sub->add_option("--out", command->out, "Where to write the force at each pose: CSV");
+  sub->add_option("--svg", command->svg, "Where to plot the force over time: SVG");
+  add_strict(*sub, command->times);
+  sub->add_flag("--json", command->json, "Print the figures as JSON");
+  sub->callback([command, &exit_code] { exit_code = run_feel(*command); });
+}
+
 void add_replay(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<ReplayCommand>();
   CLI::App* sub = app.add_subcommand("replay", "Replay a capture and compare the hash of every batch");
@@ -102,6 +123,22 @@ void add_convert(CLI::App& app, int& exit_code) {
   sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
 }
 
+void add_sweep(CLI::App& app, int& exit_code) {
+  auto command = std::make_shared<SweepCommand>();
+  CLI::App* sub = app.add_subcommand(
+      "sweep", "Cut a data set, bodies x motions x parameters, into HDF5 files; started again, it goes on");
+  sub->add_option("spec", command->spec, "What to cut: JSON (client/CLIENTS.md)")->required();
+  sub->add_option("--out", command->out,
+                  "The data set's directory; with --sample a file, where the cut mesh is written");
+  sub->add_option("--workers", command->workers, "Local processes; one for each processor if not given")
+      ->check(client::whole_number(1, 1024));
+  sub->add_option("--dask", command->dask, "The scheduler of a Dask cluster to run on: tcp://HOST:PORT");
+  sub->add_option("--sample", command->sample, "Make this sample alone and print its state hash")
+      ->check(client::whole_number());
+  sub->add_flag("--json", command->json, "Print the result as JSON");
+  sub->callback([command, &exit_code] { exit_code = run_sweep(*command); });
+}
+
 void add_doctor(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<DoctorCommand>();
   CLI::App* sub =
@@ -129,8 +166,8 @@ void add_devices(CLI::App& app, int& exit_code) {
 }  // namespace
 
 void add_offline_commands(CLI::App& app, int& exit_code) {
-  for (const auto add :
-       {add_cut, add_replay, add_info, add_phantom, add_export, add_convert, add_doctor, add_devices})
+  for (const auto add : {add_cut, add_feel, add_replay, add_info, add_phantom, add_export, add_convert,
+                         add_sweep, add_doctor, add_devices})
     add(app, exit_code);
 }
 

@@ -10,6 +10,7 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
+#include "server/app/offline/open_capture.hpp"
 #include "server/app/version.hpp"
 #include "server/base/hex.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -18,45 +19,6 @@ namespace incise::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-bool mesh_is_there(const std::filesystem::path& path) {
-  std::filesystem::path node = path;
-  node += ".node";
-  std::error_code error;
-  return std::filesystem::exists(path, error) || std::filesystem::exists(node, error);
-}
-
-// A capture and what its replay needs.
-struct Replayable {
-  RecordedMotion motion;
-  Config config;
-  Body body;
-};
-
-Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh) {
-  Replayable opened;
-  opened.motion = read_whole_capture(capture);
-  const protocol::CaptureHeader& header = *opened.motion.header;
-  opened.config = config_of(header, capture.string());
-  if (!mesh.empty()) {
-    opened.config.mesh.phantom.clear();
-    opened.config.mesh.path = std::filesystem::absolute(mesh).string();
-  } else if (!opened.config.mesh.path.empty()) {
-    // First the path given to the server, relative to its configuration; then beside the capture.
-    opened.config.mesh.path = header.mesh_path;
-    const std::filesystem::path beside =
-        capture.parent_path() / std::filesystem::path(header.mesh_path).filename();
-    if (!mesh_is_there(header.mesh_path) && mesh_is_there(beside)) opened.config.mesh.path = beside.string();
-  }
-  Progress filling("loading the mesh");
-  opened.body = load_body(opened.config, [&](std::string_view stage, double) { filling.show(-1, stage); });
-  if (opened.body.loaded.content_hash != header.mesh_content_hash) {
-    throw std::runtime_error(capture.string() + ": was recorded with another mesh: its hash is " +
-                             header.mesh_content_hash + ", that of " + opened.body.name + " is " +
-                             opened.body.loaded.content_hash + "; give the right one with --mesh");
-  }
-  return opened;
-}
 
 // Replays the events, and calls `committed` after each batch until it returns false.
 void replay(core::CutSession& session, const Replayable& opened,
@@ -254,7 +216,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
   std::uint64_t written = 0;
   run.run({.deformations = command.mesh.empty(),
            .event =
-               [&](const MotionEvent& event) {
+               [&](const MotionEvent& event, core::PoseVerdict) {
                  capture.write(record_of(event, config));
                  if (++written % 64 == 0) capture.flush();
                },

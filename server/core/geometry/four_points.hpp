@@ -26,11 +26,6 @@ struct Points {
   void along(const Vec3& axis, double offset, double (&out)[N]) const {
     for (std::size_t i = 0; i < N; ++i) out[i] = axis.x * x[i] + axis.y * y[i] + axis.z * z[i] - offset;
   }
-  // The box around them.
-  void bounds(Vec3& low, Vec3& high) const {
-    low = {least(x), least(y), least(z)};
-    high = {most(x), most(y), most(z)};
-  }
   static double least(const double (&v)[N]) {
     if constexpr (N == 4) return std::min(std::min(v[0], v[1]), std::min(v[2], v[3]));
     return *std::min_element(v, v + N);

@@ -18,6 +18,7 @@ void ChangeLog::forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t has
   touched_tets_.clear();
   before_.clear();
   provenance_.clear();
+  elder_.clear();
   begin_step(vertex_slots, tet_slots);
   hash_ = hash;
 }

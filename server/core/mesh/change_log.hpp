@@ -31,9 +31,10 @@ class ChangeLog {
   void touch_tet(const TetMesh& mesh, TetId t) {
     if (!is_new_tet(t) && tets_in_order_.insert(t)) note_tet(mesh, t);
   }
-  // The next vertex and tetrahedron are new.
+  // The next vertex and tetrahedron are new. `parent`: a tetrahedron of the same piece.
   void add_vertex(const Provenance& provenance) { provenance_.push_back(provenance); }
-  void add_tet(TetId t) {
+  void add_tet(TetId t, TetId parent) {
+    elder_.push_back(is_new_tet(parent) ? elder(parent) : parent);
     record_.push_back(0);
     record(t, {});
   }
@@ -50,6 +51,7 @@ class ChangeLog {
   const Provenance& provenance(VertexId v) const { return provenance_[v - first_new_vertex_]; }
   bool is_new(VertexId v) const { return v >= first_new_vertex_; }
   bool is_new_tet(TetId t) const { return t >= first_new_tet_; }
+  TetId elder(TetId t) const { return elder_[t - first_new_tet_]; }
   std::span<const TetId> touched_tets() const { return touched_tets_; }
   std::span<const VertexId> touched_vertices() const { return touched_vertices_; }
   std::uint64_t state_hash() const { return hash_; }
@@ -81,6 +83,7 @@ class ChangeLog {
   VertexId first_new_vertex_ = 0;
   TetId first_new_tet_ = 0;
   std::vector<Provenance> provenance_;       // of new vertices
+  std::vector<TetId> elder_;                 // of new tetrahedra
   IdSet vertices_in_order_, tets_in_order_;  // that existed before the step and are touched
   std::uint64_t hash_ = 0;
   std::int64_t cut_sides_ = 0;  // sides of faces that cuts have opened, since load

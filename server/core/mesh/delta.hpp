@@ -62,11 +62,14 @@ struct Delta {
   // Boundary faces that appeared or whose vertices changed, and those that went, as half-faces: ascending.
   std::vector<HalfFace> boundary_upserted;
   std::vector<HalfFace> boundary_removed;
-  // Tetrahedra that are in another piece than before, and new ones in another piece than 0: piece ids ascending, the
-  // tetrahedra of each ascending. All begin in piece 0; what is cut off, the smaller side, gets a new id.
+  // What is cut off, the smaller side, gets a new id; all begin in piece 0. A piece is named by one of its tetrahedra: it is what
+  // hangs together with that through faces, or, the same, through vertices. Here are the pieces that are new and those whose
+  // tetrahedron is gone, ids ascending; piece 0 is what no other is, and not named.
   struct Piece {
     std::uint32_t id = 0;
-    std::vector<TetId> tets;
+    TetId tet = kNone;
+    std::uint32_t tets = 0;  // how many it has
+    friend bool operator==(const Piece&, const Piece&) = default;
   };
   std::vector<Piece> pieces;
 

@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <string>
 
+#include "server/core/mesh/face_matching.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/core/util/room.hpp"
@@ -44,7 +44,7 @@ TetMesh::TetMesh(const MeshData& data) {
     check_tet(t, v, vertex_count);
     for (const VertexId corner : v) vertices_[corner].tet = static_cast<TetId>(t);
     tets_.push_back({v, {kNone, kNone, kNone, kNone}});
-    attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0, 0});
+    attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0});
   }
   live_tets_ = static_cast<std::uint32_t>(tet_count);
   for (const std::int32_t region : data.regions) has_regions_ = has_regions_ || region != data.regions[0];
@@ -55,9 +55,13 @@ TetMesh::TetMesh(const MeshData& data) {
   log_.reserve(room_for(tet_count));
   log_.resize(tet_count);
   // Until the log begins its first step all is new to it, and nothing is recorded.
-  build_adjacency();
+  if (data.opposite.empty()) {
+    build_adjacency();
+  } else {
+    take_adjacency(data.opposite);
+  }
   find_boundary();
-  split_initial_vertices();
+  if (data.opposite.empty()) split_initial_vertices();
   if (initial_vertex_copies_ > 0) find_boundary();
   log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
 }
@@ -84,42 +88,30 @@ void TetMesh::measure_edges() {
   mean_edge_length_ = tets_.empty() ? 0 : sum / (6.0 * static_cast<double>(tets_.size()));
 }
 
-// Buckets the faces by their lowest vertex, then matches within the bucket: linear in the mesh.
+void TetMesh::take_adjacency(std::span<const HalfFace> opposite) {
+  if (opposite.size() != 4 * tets_.size()) {
+    throw MeshError("opposite half-faces given for " + std::to_string(opposite.size() / 4) + " of " +
+                    std::to_string(tets_.size()) + " tetrahedra");
+  }
+  for (HalfFace h = 0; h < opposite.size(); ++h) {
+    const HalfFace o = opposite[h];
+    if (o != kNone && (o >= opposite.size() || opposite[o] != h))
+      throw MeshError("half-face " + std::to_string(h) + " is not behind what it names");
+    tets_[tet_of(h)].opposite[face_of(h)] = o;
+  }
+}
+
 void TetMesh::build_adjacency() {
-  std::vector<std::uint32_t> begin(vertices_.size() + 1, 0);
-  const HalfFace half_faces = 4 * tet_slots();
-  for (HalfFace h = 0; h < half_faces; ++h) ++begin[ascending(face_vertices(h))[0] + 1];
-  std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  struct Entry {
-    VertexId mid, max;
-    HalfFace h;
-  };
-  std::vector<Entry> entries(half_faces);
-  {
-    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-    for (HalfFace h = 0; h < half_faces; ++h) {
-      const auto f = ascending(face_vertices(h));
-      entries[next[f[0]]++] = {f[1], f[2], h};
-    }
-  }
-  for (std::size_t v = 0; v < vertices_.size(); ++v) {
-    const auto first = entries.begin() + begin[v], last = entries.begin() + begin[v + 1];
-    std::sort(first, last, [](const Entry& a, const Entry& b) {
-      return a.mid != b.mid ? a.mid < b.mid : a.max != b.max ? a.max < b.max : a.h < b.h;
-    });
-    for (auto it = first; it != last;) {
-      auto end = it + 1;
-      while (end != last && end->mid == it->mid && end->max == it->max) ++end;
-      if (end - it > 2) {
-        throw MeshError("tetrahedra " + std::to_string(tet_of(it->h)) + ", " +
-                        std::to_string(tet_of((it + 1)->h)) + " and " + std::to_string(tet_of((it + 2)->h)) +
-                        " share the face (" + std::to_string(v) + ", " + std::to_string(it->mid) + ", " +
-                        std::to_string(it->max) + ")");
-      }
-      if (end - it == 2) link(it->h, (it + 1)->h);
-      it = end;
-    }
-  }
+  match_faces(
+      4 * tet_slots(), vertices_.size(), [this](HalfFace h) { return face_vertices(h); },
+      [this](HalfFace a, HalfFace b, bool) { link(a, b); },
+      [this](std::span<const HalfFace> same) {
+        const auto f = ascending(face_vertices(same[0]));
+        throw MeshError("tetrahedra " + std::to_string(tet_of(same[0])) + ", " +
+                        std::to_string(tet_of(same[1])) + " and " + std::to_string(tet_of(same[2])) +
+                        " share the face (" + std::to_string(f[0]) + ", " + std::to_string(f[1]) + ", " +
+                        std::to_string(f[2]) + ")");
+      });
 }
 
 void TetMesh::find_boundary() {
@@ -195,9 +187,8 @@ void TetMesh::archive(Archive& io) {
     for (VertexId& v : t.vertices) io(v);
     for (HalfFace& o : t.opposite) io(o);
   });
-  io.list(attributes_, 9, [&](Attributes& a) {
+  io.list(attributes_, 5, [&](Attributes& a) {
     io(a.region);
-    io(a.piece);
     io(a.cut_mask);
   });
   if (!io.reads()) return;

@@ -22,9 +22,9 @@ VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance,
 TetId TetMesh::add_tet(const std::array<VertexId, 4>& vertices, TetId parent) {
   const TetId t = tet_slots();
   tets_.push_back({vertices, {kNone, kNone, kNone, kNone}});
-  attributes_.push_back({attributes_[parent].region, attributes_[parent].piece, 0});
+  attributes_.push_back({attributes_[parent].region, 0});
   tet_marks_.push_back();
-  log_.add_tet(t);
+  log_.add_tet(t, parent);
   ++live_tets_;
   return t;
 }

@@ -103,9 +103,6 @@ class TetMesh {
   std::int32_t region(TetId t) const { return attributes_[t].region; }
   // Whether there is more than one.
   bool has_regions() const { return has_regions_; }
-  // Which piece of the body it is in (server/core/session/piece_tracker.hpp). Not part of the state that the hash names.
-  std::uint32_t piece(TetId t) const { return attributes_[t].piece; }
-  void set_piece(TetId t, std::uint32_t piece) { attributes_[t].piece = piece; }
   std::uint8_t cut_mask(TetId t) const { return attributes_[t].cut_mask; }
   std::uint8_t boundary_mask(TetId t) const {
     unsigned mask = 0;
@@ -210,6 +207,8 @@ class TetMesh {
   const Provenance& provenance(VertexId v) const { return log_.provenance(v); }
   bool is_new(VertexId v) const { return log_.is_new(v); }
   bool is_new_tet(TetId t) const { return log_.is_new_tet(t); }
+  // Of a tetrahedron that is new since then: one that was there, in whose place it is.
+  TetId elder(TetId t) const { return log_.elder(t); }
   // Tetrahedra touched since the last commit (new and changed ones that are alive).
   std::span<const TetId> touched_tets() const { return log_.touched_tets(); }
   // Vertices moved since the last commit that existed then.
@@ -232,7 +231,6 @@ class TetMesh {
   };
   struct Attributes {
     std::int32_t region = 0;
-    std::uint32_t piece = 0;
     std::uint8_t cut_mask = 0;
   };
   // Where vertices may belong to more than one component of their star: they are noted with corners, then each gets one copy for
@@ -257,13 +255,14 @@ class TetMesh {
   // mesh_build.cpp
   void measure_edges();
   void build_adjacency();
+  void take_adjacency(std::span<const HalfFace> opposite);
   void split_initial_vertices();
   void find_boundary();
   void check_restored(Archive& io);
   // mesh_edit.cpp
   void link(HalfFace a, HalfFace b);
   VertexId add_vertex(const Vec3& position, const Provenance& provenance, float h);
-  // Region and piece are those of `parent`.
+  // Of the region of `parent`, and in its place.
   TetId add_tet(const std::array<VertexId, 4>& vertices, TetId parent);
   void kill_tet(TetId t);
   void mark_link_of(VertexId w, const LinkMarks& marks) const;

@@ -54,6 +54,10 @@ class CutSession {
   const TetMesh& mesh() const { return mesh_; }
   // Where the mesh's boundary is, cut faces included, as of the last operation.
   const BoundaryGrid& boundary() const { return workspace_.grid; }
+  // Which piece of the body a living tetrahedron is in (Delta::pieces), as of revision().
+  std::uint32_t piece(TetId t) const { return pieces_.piece(t); }
+  // All pieces that there are but 0, as a delta names them. O(pieces there have been).
+  std::vector<Delta::Piece> pieces() const { return pieces_.named(); }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
   // Batches and deformations that wait, including the current one, and their segments.

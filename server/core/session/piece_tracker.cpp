@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "server/base/check.hpp"
+
 namespace incise::core {
 namespace {
 
@@ -11,28 +13,32 @@ constexpr std::int32_t kFirstTurn = 4, kMaxTurn = 256;
 
 }  // namespace
 
-PieceTracker::PieceTracker(TetMesh& mesh) : mesh_(mesh), clusters_(mesh), piece_tets_{mesh.live_tets()} {}
+PieceTracker::PieceTracker(const TetMesh& mesh)
+    : mesh_(mesh), clusters_(mesh), piece_tets_{mesh.live_tets()}, names_{kNone} {}
 
 void PieceTracker::archive(Archive& io) {
   io(next_piece_);
-  if (io.reads()) {
-    io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");
-    for (TetId t = 0; t < mesh_.tet_slots() && !io.failed(); ++t)
-      io.demand(mesh_.piece(t) < next_piece_, "a tetrahedron is in a piece that does not exist");
-    if (io.failed()) return;
-    piece_tets_.assign(next_piece_, 0);
-    for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
-      if (mesh_.alive(t)) ++piece_tets_[mesh_.piece(t)];
-    }
+  io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");
+  if (io.failed()) return;
+  clusters_.archive(io, next_piece_);
+  io.list(names_, 4, [&](TetId& tet) { io(tet); });
+  io.demand(names_.size() == next_piece_, "pieces and their names differ in number");
+  if (!io.reads() || io.failed()) return;
+  piece_tets_.assign(next_piece_, 0);
+  for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
+    if (mesh_.alive(t)) ++piece_tets_[piece(t)];
   }
-  clusters_.archive(io);
+  for (std::uint32_t p = 1; p < next_piece_; ++p) {
+    const TetId t = names_[p];
+    io.demand(piece_tets_[p] == 0 || (t < mesh_.tet_slots() && mesh_.alive(t) && piece(t) == p),
+              "a piece is named by a tetrahedron of another");
+  }
 }
 
 // ------------------------------------------------------------------------------------------------ the search
 
 void PieceTracker::begin() {
   clusters_.grow();
-  changed_.grow(mesh_.tet_slots());
   ++search_;
   visited_.clear();
   loose_.clear();
@@ -40,10 +46,12 @@ void PieceTracker::begin() {
   rounds_ = 0;
   ring_.clear();
   groups_.clear();
-  searches_.assign(next_piece_, {});
-  pieces_before_ = next_piece_;
+  searches_.resize(next_piece_);
+  searched_.clear();
+  nameless_.clear();
+  named_.clear();
   undecided_ = 0;
-  phase_ = Phase::kLoosen;
+  phase_ = Phase::kCount;
 }
 
 bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
@@ -51,8 +59,11 @@ bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
     phase_ = next;
     next_ = 0;
   };
+  if (phase_ == Phase::kCount) {
+    if (!count(budget)) return false;
+    then(Phase::kLoosen);
+  }
   if (phase_ == Phase::kLoosen) {
-    delta.pieces.clear();
     if (!loosen(budget)) return false;
     then(Phase::kForm);
   }
@@ -66,17 +77,15 @@ bool PieceTracker::advance(WorkBudget& budget, Delta& delta) {
   }
   if (phase_ == Phase::kSearch) {
     if (!search(budget)) return false;
-    then(next_piece_ == pieces_before_ ? Phase::kNew : Phase::kRelabel);
+    then(named_.empty() ? Phase::kFindNames : Phase::kRelabel);
   }
   if (phase_ == Phase::kRelabel) {
     if (!relabel(budget)) return false;
-    then(Phase::kNew);
+    then(Phase::kFindNames);
   }
-  if (phase_ == Phase::kNew) {
-    if (!list_new(budget)) return false;
-    then(Phase::kList);
-  }
-  return list(budget, delta);
+  if (!nameless_.empty() && !find_names(budget)) return false;
+  name(delta);
+  return true;
 }
 
 // Whether the neighbours of a tetrahedron may have changed in this step, and not only the ids of its vertices.
@@ -89,8 +98,8 @@ bool PieceTracker::has_other_neighbors(TetId t) const {
   return false;
 }
 
-// Dissolves the clusters of all tetrahedra that this step has touched, before any is formed again.
-bool PieceTracker::loosen(WorkBudget& budget) {
+// Counts what the step has made and taken, while all clusters are as they were before it.
+bool PieceTracker::count(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
   for (; next_ < touched.size(); ++next_) {
     if (budget.spent()) return false;
@@ -98,14 +107,26 @@ bool PieceTracker::loosen(WorkBudget& budget) {
     const TetId t = touched[next_];
     if (mesh_.is_new_tet(t)) {
       if (!mesh_.alive(t)) continue;
-      ++piece_tets_[mesh_.piece(t)];
-      loose_.push_back(t);
-    } else {
-      if (!mesh_.alive(t)) --piece_tets_[mesh_.piece(t)];
-      if (clusters_.of(t) == kNone || !has_other_neighbors(t)) continue;
-      clusters_.dissolve(clusters_.of(t), loose_);
-      budget.charge(4);
+      const std::uint32_t piece = clusters_.piece(mesh_.elder(t));
+      ++piece_tets_[piece];
+      loose_.push_back({t, piece});
+    } else if (!mesh_.alive(t)) {
+      const std::uint32_t piece = clusters_.piece(t);
+      --piece_tets_[piece];
+      if (names_[piece] == t) nameless_.push_back(piece);
     }
+  }
+  return true;
+}
+
+// Dissolves the clusters of all tetrahedra that this step has touched, before any is formed again.
+bool PieceTracker::loosen(WorkBudget& budget) {
+  const auto touched = mesh_.touched_tets();
+  for (; next_ < touched.size(); ++next_) {
+    if (budget.spent()) return false;
+    const TetId t = touched[next_];
+    if (!mesh_.is_new_tet(t) && clusters_.has(t) && has_other_neighbors(t))
+      budget.charge(clusters_.dissolve(t, loose_));
   }
   return true;
 }
@@ -113,48 +134,56 @@ bool PieceTracker::loosen(WorkBudget& budget) {
 bool PieceTracker::form(WorkBudget& budget) {
   for (; next_ < loose_.size(); ++next_) {
     if (budget.spent()) return false;
-    const TetId t = loose_[next_];
-    if (clusters_.of(t) != kNone) continue;
-    clusters_.form(t);
-    budget.charge(1 + clusters_[clusters_.of(t)].size / 3);
+    if (!clusters_.has(loose_[next_].tet)) budget.charge(clusters_.form(loose_[next_]));
   }
   return true;
 }
 
-// Starts a group at each cluster with a tetrahedron that has a new cut face, or had one and was changed.
+// Starts a group at each node with a tetrahedron that has a new cut face, or had one and was changed.
 bool PieceTracker::seed(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
   for (; next_ < touched.size(); ++next_) {
     if (budget.spent()) return false;
     budget.charge(1);
     const TetId t = touched[next_];
-    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0 || clusters_[clusters_.of(t)].search == search_) continue;
+    if (!mesh_.alive(t) || mesh_.cut_mask(t) == 0) continue;
+    const NodeId node = clusters_.node_of(t);
+    if (clusters_[node].search == search_) continue;
     const auto group = static_cast<std::uint32_t>(groups_.size());
-    const std::uint32_t piece = mesh_.piece(t);
-    groups_.push_back({group, kNone, kNone, piece, 0, 0, 0});
+    const std::uint32_t piece = clusters_[node].piece;
+    groups_.push_back({group, kNone, kNone, piece, t, 0, 0, 0});
     ring_.push_back(group);
-    claim(clusters_.of(t), group);
-    if (++searches_[piece].groups == 2) ++undecided_;
+    claim(node, group);
+    if (++search_of(piece).groups == 2) ++undecided_;
   }
   return true;
 }
 
-void PieceTracker::claim(std::uint32_t cluster, std::uint32_t group) {
-  clusters_[cluster].search = search_;
-  clusters_[cluster].group = group;
+PieceTracker::Search& PieceTracker::search_of(std::uint32_t piece) {
+  if (searches_[piece].serial != search_) {
+    searches_[piece] = {};
+    searches_[piece].serial = search_;
+    searched_.push_back(piece);
+  }
+  return searches_[piece];
+}
+
+void PieceTracker::claim(NodeId node, std::uint32_t group) {
+  clusters_[node].search = search_;
+  clusters_[node].group = group;
   Group& g = groups_[group];
   const auto at = static_cast<std::uint32_t>(visited_.size());
   (g.first == kNone ? g.first : visited_[g.last].next) = at;
   g.last = at;
-  g.tets += clusters_[cluster].size;
-  visited_.push_back({cluster, kNone});
+  g.tets += clusters_[node].tets;
+  visited_.push_back({node, kNone});
 }
 
-// The group reaches a cluster: it claims it, or merges with the group that has it.
-void PieceTracker::meet(std::uint32_t cluster, std::uint32_t group) {
-  const TetClusters::Cluster& known = clusters_[cluster];
+// The group reaches a node: it claims it, or merges with the group that has it.
+void PieceTracker::meet(NodeId node, std::uint32_t group) {
+  const TetClusters::Node& known = clusters_[node];
   if (known.search != search_) {
-    claim(cluster, group);
+    claim(node, group);
     return;
   }
   if (known.group == group) return;
@@ -205,27 +234,32 @@ bool PieceTracker::search(WorkBudget& budget) {
     while (groups_[group].credit > 0 && groups_[group].first != kNone) {
       const Visited taken = visited_[groups_[group].first];
       groups_[group].first = taken.next;
-      groups_[group].credit -= static_cast<std::int32_t>(clusters_[taken.cluster].size);
-      budget.charge(clusters_.visit_beside(taken.cluster,
-                                           [this, group](std::uint32_t beside) { meet(beside, group); }));
+      groups_[group].credit -= static_cast<std::int32_t>(clusters_[taken.node].tets);
+      budget.charge(
+          clusters_.visit_beside(taken.node, [this, group](NodeId beside) { meet(beside, group); }));
     }
     budget.charge(1);
     if (groups_[group].first == kNone) end_group(group);
     ++turn_;
   }
-  for (std::uint32_t piece = 0; piece < pieces_before_; ++piece)
+  for (const std::uint32_t piece : searched_) {
+    if (searches_[piece].cut_off == 0) continue;
     piece_tets_[piece] -= searches_[piece].cut_off;
+    // Its tetrahedron may lie in what is cut off.
+    if (piece != 0) nameless_.push_back(piece);
+  }
   return true;
 }
 
 // The group has no cluster left to visit.
 void PieceTracker::end_group(std::uint32_t group) {
-  Search& of_piece = searches_[groups_[group].piece];
-  const std::uint32_t tets = groups_[group].tets;
+  const std::uint32_t piece = groups_[group].piece, tets = groups_[group].tets;
+  Search& of_piece = searches_[piece];
   if (of_piece.finishing) {
     Group& largest = groups_[of_piece.largest];
     std::swap(groups_[group].fresh, largest.fresh);
     piece_tets_[groups_[group].fresh] = tets;
+    names_[groups_[group].fresh] = groups_[group].tet;
     of_piece.cut_off += tets - largest.tets;
     of_piece.finishing = false;
     --undecided_;
@@ -233,58 +267,64 @@ void PieceTracker::end_group(std::uint32_t group) {
     // Another group of the piece still goes on: this one is a separate piece.
     groups_[group].fresh = next_piece_++;
     piece_tets_.push_back(tets);
+    names_.push_back(groups_[group].tet);
+    named_.push_back(groups_[group].fresh);
     of_piece.cut_off += tets;
     if (of_piece.largest == kNone || groups_[of_piece.largest].tets < tets) of_piece.largest = group;
     if (--of_piece.groups == 1) settle(groups_[group].piece);
   }
 }
 
-// ------------------------------------------------------------------------------------------------ the labels
+// ------------------------------------------------------------------------------------------------ labels and names
 
 bool PieceTracker::relabel(WorkBudget& budget) {
   for (; next_ < visited_.size(); ++next_) {
     if (budget.spent()) return false;
-    const TetClusters::Cluster& cluster = clusters_[visited_[next_].cluster];
-    const std::uint32_t fresh = groups_[find(cluster.group)].fresh;
+    TetClusters::Node& node = clusters_[visited_[next_].node];
+    const std::uint32_t fresh = groups_[find(node.group)].fresh;
     budget.charge(1);
-    if (fresh == 0) continue;
-    budget.charge(cluster.size / 4);
-    for (TetId t = cluster.first; t != kNone; t = clusters_.next_member(t)) {
-      mesh_.set_piece(t, fresh);
-      changed_.insert(t);
-    }
+    if (fresh != 0) node.piece = fresh;
   }
   return true;
 }
 
-bool PieceTracker::list_new(WorkBudget& budget) {
+// A tetrahedron of each nameless piece that has not kept its own: among those that the step has touched, there are some of each part.
+bool PieceTracker::find_names(WorkBudget& budget) {
   const auto touched = mesh_.touched_tets();
-  for (; next_ < touched.size(); ++next_) {
+  if (next_ == 0) {
+    std::erase_if(nameless_, [this](std::uint32_t p) {
+      return piece_tets_[p] == 0 || (mesh_.alive(names_[p]) && piece(names_[p]) == p);
+    });
+    std::sort(nameless_.begin(), nameless_.end());
+    nameless_.erase(std::unique(nameless_.begin(), nameless_.end()), nameless_.end());
+  }
+  for (; next_ < touched.size() && !nameless_.empty(); ++next_) {
     if (budget.spent()) return false;
-    if (next_ % 4 == 0) budget.charge(1);
+    budget.charge(1);
     const TetId t = touched[next_];
-    if (mesh_.is_new_tet(t) && mesh_.alive(t) && mesh_.piece(t) != 0) changed_.insert(t);
+    if (!mesh_.alive(t)) continue;
+    const auto at = std::lower_bound(nameless_.begin(), nameless_.end(), piece(t));
+    if (at == nameless_.end() || *at != piece(t)) continue;
+    names_[*at] = t;
+    named_.push_back(*at);
+    nameless_.erase(at);
   }
+  INCISE_CHECK(nameless_.empty(), nameless_.size());
   return true;
 }
 
-bool PieceTracker::list(WorkBudget& budget, Delta& delta) {
-  for (std::size_t i = 0; !changed_.empty(); ++i) {
-    if (i % 4 == 0) {
-      if (budget.spent()) return false;
-      budget.charge(1);
-    }
-    const TetId t = changed_.take();
-    append(delta, mesh_.piece(t), t);
+std::vector<Delta::Piece> PieceTracker::named() const {
+  std::vector<Delta::Piece> all;
+  for (std::uint32_t p = 1; p < next_piece_; ++p) {
+    if (piece_tets_[p] > 0) all.push_back({p, names_[p], piece_tets_[p]});
   }
-  return true;
+  return all;
 }
 
-void PieceTracker::append(Delta& delta, std::uint32_t piece, TetId t) {
-  auto at = delta.pieces.end();
-  while (at != delta.pieces.begin() && (at - 1)->id > piece) --at;
-  if (at == delta.pieces.begin() || (at - 1)->id != piece) at = delta.pieces.insert(at, {piece, {}}) + 1;
-  (at - 1)->tets.push_back(t);
+void PieceTracker::name(Delta& delta) {
+  std::sort(named_.begin(), named_.end());
+  delta.pieces.clear();
+  for (const std::uint32_t piece : named_) delta.pieces.push_back({piece, names_[piece], piece_tets_[piece]});
 }
 
 }  // namespace incise::core

@@ -7,25 +7,24 @@
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/tet_clusters.hpp"
 #include "server/core/util/archive.hpp"
-#include "server/core/util/id_set.hpp"
 
 namespace incise::core {
 
 // Finds out what a step has cut off. From the tetrahedra at the new cut faces, searches spread through the mesh at the
 // same pace; searches that meet merge into a group. A group that has nothing left to visit, while another of the
-// same piece goes on, is a separate piece. Of the parts of a piece, the largest keeps its id. So the cost is that of
-// the smaller side (times two), and next to nothing if the two sides of a cut are still connected around its
-// front. The searches visit clusters (TetClusters), not single tetrahedra.
+// same piece goes on, is a separate piece. Of the parts of a piece, the largest keeps its id. The searches visit clusters and
+// blocks of them (TetClusters), which also hold which piece they are in. So the cost is that of the step, of what earlier steps have left around it
+// and a thousandth of the tetrahedra of the smaller side; it is next to nothing if the two sides of a cut are still connected
+// around its front.
 class PieceTracker {
  public:
   // O(mesh). Later steps only add the elements that are new.
-  explicit PieceTracker(TetMesh& mesh);
+  explicit PieceTracker(const TetMesh& mesh);
 
   // Begins with the tetrahedra that the running step has touched.
   void begin();
-  // Goes on until done (true) or the budget is spent (false). Lists in delta.pieces (the same delta each time), by piece,
-  // the tetrahedra that this step has put into another piece than before, and the new ones whose piece is not 0. The
-  // mesh's step must still run.
+  // Goes on until done (true) or the budget is spent (false). Names in delta.pieces (the same delta each time) the pieces that this
+  // step has made, and those whose tetrahedron it has taken. The mesh's step must still run.
   bool advance(WorkBudget& budget, Delta& delta);
 
   // Its members that do not follow from the mesh, and the clusters, which decide in which order parts end.
@@ -33,6 +32,10 @@ class PieceTracker {
 
   // Pieces there have been so far; ids run below it.
   std::uint32_t pieces() const { return next_piece_; }
+  // Which piece a living tetrahedron is in, between two steps. Not part of the state that the hash names.
+  std::uint32_t piece(TetId t) const { return clusters_.piece(t); }
+  // Those that there are but 0. O(pieces()).
+  std::vector<Delta::Piece> named() const;
 
  private:
   std::uint32_t find(std::uint32_t group) {
@@ -42,30 +45,33 @@ class PieceTracker {
     }
     return group;
   }
-  void claim(std::uint32_t cluster, std::uint32_t group);
-  void meet(std::uint32_t cluster, std::uint32_t group);
+  using NodeId = TetClusters::NodeId;
+  struct Search;
+  void claim(NodeId node, std::uint32_t group);
+  void meet(NodeId node, std::uint32_t group);
   void settle(std::uint32_t piece);
   bool has_other_neighbors(TetId t) const;
+  Search& search_of(std::uint32_t piece);
+  bool count(WorkBudget& budget);
   bool loosen(WorkBudget& budget);
   bool form(WorkBudget& budget);
   bool seed(WorkBudget& budget);
   bool search(WorkBudget& budget);
   bool relabel(WorkBudget& budget);
-  bool list_new(WorkBudget& budget);
-  bool list(WorkBudget& budget, Delta& delta);
-  static void append(Delta& delta, std::uint32_t piece, TetId t);
+  bool find_names(WorkBudget& budget);
+  void name(Delta& delta);
 
-  TetMesh& mesh_;
+  const TetMesh& mesh_;
   std::uint32_t next_piece_ = 1;
 
   TetClusters clusters_;
-  std::vector<TetId> loose_;  // without a cluster: this step has dissolved theirs, or they are new
+  std::vector<TetClusters::Loose> loose_;  // this step has dissolved their clusters, or they are new
 
   std::uint32_t search_ = 0;  // serial of the running search
-  enum class Phase { kLoosen, kForm, kSeed, kSearch, kRelabel, kNew, kList };
-  Phase phase_ = Phase::kLoosen;
+  enum class Phase { kCount, kLoosen, kForm, kSeed, kSearch, kRelabel, kFindNames };
+  Phase phase_ = Phase::kCount;
   struct Visited {
-    std::uint32_t cluster;
+    NodeId node;
     std::uint32_t next;  // that waits in the same group, into visited_
   };
   std::vector<Visited> visited_;
@@ -74,6 +80,7 @@ class PieceTracker {
     std::uint32_t parent;
     std::uint32_t first, last;  // that wait, breadth first, into visited_
     std::uint32_t piece;        // that it began in
+    TetId tet;                  // with which it began
     std::uint32_t fresh;        // the new piece that it turned out to be; 0: none
     std::uint32_t tets;         // that it has claimed
     std::int32_t credit;        // tetrahedra that it may visit in its turn
@@ -84,16 +91,19 @@ class PieceTracker {
   std::size_t turn_ = 0;
   std::int32_t rounds_ = 0;
   std::vector<std::uint32_t> piece_tets_;  // by piece: how many it has
+  std::vector<TetId> names_;               // by piece: one of them; kNone for piece 0
   struct Search {
+    std::uint32_t serial = 0;       // of the search that began this
     std::uint32_t groups = 0;       // that still have something to visit
     std::uint32_t largest = kNone;  // of the groups that are pieces of their own
     std::uint32_t cut_off = 0;      // tetrahedra of all of these
     bool finishing = false;  // what is left may be less than the largest of them: it is visited to its end
   };
-  std::vector<Search> searches_;  // by piece
-  std::uint32_t undecided_ = 0;   // pieces with more than one group, or finishing
-  std::uint32_t pieces_before_ = 1;
-  IdSet changed_;  // tetrahedra to list
+  std::vector<Search> searches_;         // by piece
+  std::vector<std::uint32_t> searched_;  // pieces
+  std::uint32_t undecided_ = 0;          // pieces with more than one group, or finishing
+  std::vector<std::uint32_t> nameless_;  // pieces that need another name
+  std::vector<std::uint32_t> named_;     // pieces to be told of
 };
 
 }  // namespace incise::core

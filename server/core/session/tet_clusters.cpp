@@ -12,9 +12,12 @@ TetClusters::TetClusters(const TetMesh& mesh) : mesh_(mesh) {
   next_member_.reserve(room_for(mesh.tet_slots()));
   next_member_.resize(mesh.tet_slots(), kNone);
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
-    if (mesh.alive(t) && cluster_of_[t] == kNone) form(t);
+    if (mesh.alive(t) && !has(t)) form({t, 0});
   }
-  for (std::uint32_t c = 0; c < clusters_.size(); ++c) find_links(c);
+  for (std::uint32_t c = 0; c < clusters_.size(); ++c) {
+    if (clusters_[c].first != kNone) find_links(c);
+  }
+  form_blocks();
 }
 
 void TetClusters::grow() {
@@ -22,8 +25,10 @@ void TetClusters::grow() {
   next_member_.resize(mesh_.tet_slots(), kNone);
 }
 
+// ------------------------------------------------------------------------------------------------ clusters
+
 // Breadth first through tetrahedra that have no cluster.
-void TetClusters::form(TetId first) {
+std::int64_t TetClusters::form(const Loose& loose) {
   std::uint32_t c;
   if (free_.empty()) {
     c = static_cast<std::uint32_t>(clusters_.size());
@@ -33,14 +38,15 @@ void TetClusters::form(TetId first) {
     free_.pop_back();
     clusters_[c] = {};
   }
+  const TetId first = loose.tet;
   cluster_of_[first] = c;
   next_member_[first] = kNone;
   TetId last = first;
   std::uint32_t size = 1;
-  for (TetId t = first; t != kNone && size < kMaxSize; t = next_member_[t]) {
-    for (int f = 0; f < 4 && size < kMaxSize; ++f) {
+  for (TetId t = first; t != kNone && size < kFull; t = next_member_[t]) {
+    for (int f = 0; f < 4 && size < kFull; ++f) {
       const TetId n = mesh_.neighbor(t, f);
-      if (n == kNone || cluster_of_[n] != kNone) continue;
+      if (n == kNone || has(n)) continue;
       cluster_of_[n] = c;
       next_member_[n] = kNone;
       next_member_[last] = n;
@@ -49,7 +55,34 @@ void TetClusters::form(TetId first) {
     }
   }
   clusters_[c].first = first;
-  clusters_[c].size = size;
+  // What hangs together now did so before the step.
+  clusters_[c].node = {size, loose.piece, 0, 0};
+  if (size < kFew && join_cluster(c, last)) {
+    clusters_[c] = {};
+    free_.push_back(c);
+  }
+  return 1 + size / 3;
+}
+
+// Puts the members of a cluster before those of the smallest one beside it that has room and that a step has touched, too.
+bool TetClusters::join_cluster(std::uint32_t cluster, TetId last) {
+  const Cluster& few = clusters_[cluster];
+  std::uint32_t into = kNone;
+  for (TetId t = few.first; t != kNone; t = next_member_[t]) {
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      const std::uint32_t beside = n == kNone ? kNone : cluster_of_[n];
+      if (beside == kNone || beside == cluster || clusters_[beside].links != kNone) continue;
+      if (clusters_[beside].node.tets + few.node.tets > kMax) continue;
+      if (into == kNone || clusters_[beside].node.tets < clusters_[into].node.tets) into = beside;
+    }
+  }
+  if (into == kNone) return false;
+  for (TetId t = few.first; t != kNone; t = next_member_[t]) cluster_of_[t] = into;
+  next_member_[last] = clusters_[into].first;
+  clusters_[into].first = few.first;
+  clusters_[into].node.tets += few.node.tets;
+  return true;
 }
 
 void TetClusters::find_links(std::uint32_t cluster) {
@@ -66,66 +99,192 @@ void TetClusters::find_links(std::uint32_t cluster) {
   clusters_[cluster].links_end = static_cast<std::uint32_t>(links_.size());
 }
 
-void TetClusters::dissolve(std::uint32_t cluster, std::vector<TetId>& loose) {
+std::int64_t TetClusters::dissolve(TetId tet, std::vector<Loose>& loose) {
+  const std::uint32_t cluster = cluster_of_[tet];
+  std::int64_t units = 4;
+  if (const std::uint32_t block = clusters_[cluster].block; block != kNone) {
+    for (std::uint32_t c = blocks_[block].first; c != kNone; c = clusters_[c].next_in_block) {
+      clusters_[c].block = kNone;
+      clusters_[c].node.piece = blocks_[block].node.piece;
+    }
+    blocks_[block].first = kNone;
+    units += 4;
+  }
+  const std::uint32_t piece = clusters_[cluster].node.piece;
   for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
     cluster_of_[t] = kNone;
-    if (mesh_.alive(t)) loose.push_back(t);
+    if (mesh_.alive(t)) loose.push_back({t, piece});
   }
   clusters_[cluster] = {};
   free_.push_back(cluster);
+  return units;
 }
 
-void TetClusters::archive(Archive& io) {
+// ------------------------------------------------------------------------------------------------ blocks
+
+// All clusters are in blocks then.
+void TetClusters::form_blocks() {
+  for (std::uint32_t seed = 0; seed < clusters_.size(); ++seed) {
+    if (clusters_[seed].first == kNone || clusters_[seed].block != kNone) continue;
+    const std::uint32_t block = begin_block(seed);
+    std::uint32_t last = seed, size = 1;
+    for (std::uint32_t c = seed; c != kNone && size < kFull; c = clusters_[c].next_in_block) {
+      for (std::uint32_t l = clusters_[c].links; l != clusters_[c].links_end && size < kFull; ++l) {
+        Cluster& beside = clusters_[links_[l]];
+        if (beside.block != kNone) continue;
+        beside.block = block;
+        blocks_[block].node.tets += beside.node.tets;
+        clusters_[last].next_in_block = links_[l];
+        last = links_[l];
+        ++size;
+      }
+    }
+    if (size < kFew && join_block(block, last)) blocks_.pop_back();
+  }
+  for (std::uint32_t block = 0; block < blocks_.size(); ++block) find_block_links(block);
+}
+
+// Puts the clusters of a block before those of the smallest one beside it that has room.
+bool TetClusters::join_block(std::uint32_t block, std::uint32_t last) {
+  const Block& few = blocks_[block];
+  std::uint32_t into = kNone;
+  for (std::uint32_t c = few.first; c != kNone; c = clusters_[c].next_in_block) {
+    for (std::uint32_t l = clusters_[c].links; l != clusters_[c].links_end; ++l) {
+      const std::uint32_t beside = clusters_[links_[l]].block;
+      if (beside == kNone || beside == block) continue;
+      if (blocks_[beside].node.tets + few.node.tets > kMax * kFull) continue;
+      if (into == kNone || blocks_[beside].node.tets < blocks_[into].node.tets) into = beside;
+    }
+  }
+  if (into == kNone) return false;
+  for (std::uint32_t c = few.first; c != kNone; c = clusters_[c].next_in_block) clusters_[c].block = into;
+  clusters_[last].next_in_block = blocks_[into].first;
+  blocks_[into].first = few.first;
+  blocks_[into].node.tets += few.node.tets;
+  return true;
+}
+
+std::uint32_t TetClusters::begin_block(std::uint32_t cluster) {
+  const auto block = static_cast<std::uint32_t>(blocks_.size());
+  blocks_.emplace_back();
+  blocks_[block].first = cluster;
+  blocks_[block].node = {clusters_[cluster].node.tets, clusters_[cluster].node.piece, 0, 0};
+  clusters_[cluster].block = block;
+  return block;
+}
+
+void TetClusters::find_block_links(std::uint32_t block) {
+  const auto begin = static_cast<std::ptrdiff_t>(block_links_.size());
+  blocks_[block].all_linked = true;
+  for (std::uint32_t c = blocks_[block].first; c != kNone; c = clusters_[c].next_in_block) {
+    for (std::uint32_t l = clusters_[c].links; l != clusters_[c].links_end; ++l) {
+      const std::uint32_t other = clusters_[links_[l]].block;
+      if (other == block) continue;
+      if (other == kNone) {
+        blocks_[block].all_linked = false;
+      } else if (std::find(block_links_.begin() + begin, block_links_.end(), other) == block_links_.end()) {
+        block_links_.push_back(other);
+      }
+    }
+  }
+  blocks_[block].links = static_cast<std::uint32_t>(begin);
+  blocks_[block].links_end = static_cast<std::uint32_t>(block_links_.size());
+}
+
+// ------------------------------------------------------------------------------------------------ saving
+
+void TetClusters::archive(Archive& io, std::uint32_t pieces) {
   std::vector<std::uint32_t> listed;
   if (!io.reads()) listed = list();
   io.list(listed, 4, [&](std::uint32_t& entry) { io(entry); });
   if (!io.reads() || io.failed()) return;
-  io.demand(restore(listed), "clusters that are not the tetrahedra, each once");
+  io.demand(restore(listed, pieces), "clusters that are not the tetrahedra, each once");
   grow_to(cluster_of_, mesh_.tet_slots());
   grow_to(next_member_, mesh_.tet_slots());
 }
 
+// How many clusters there are; each: size and whether it is linked, piece, members; then each block: how many clusters, which.
 std::vector<std::uint32_t> TetClusters::list() const {
-  std::vector<std::uint32_t> listed;
-  listed.reserve(mesh_.live_tets() + clusters_.size());
+  std::vector<std::uint32_t> listed(1, 0), place(clusters_.size(), kNone);
+  listed.reserve(mesh_.live_tets() + 3 * clusters_.size());
   // In the order of their first members: a restored session assigns other slots.
   for (TetId first = 0; first < cluster_of_.size(); ++first) {
-    if (cluster_of_[first] == kNone || clusters_[cluster_of_[first]].first != first) continue;
+    if (!has(first) || clusters_[cluster_of_[first]].first != first) continue;
     const Cluster& c = clusters_[cluster_of_[first]];
-    listed.push_back(c.size | (c.links != kNone ? kLinked : 0));
+    place[cluster_of_[first]] = listed[0]++;
+    listed.push_back(c.node.tets | (c.links != kNone ? kLinked : 0));
+    listed.push_back(piece(first));
     for (TetId t = c.first; t != kNone; t = next_member_[t]) listed.push_back(t);
+  }
+  for (const Block& block : blocks_) {
+    if (block.first == kNone) continue;
+    const std::size_t size_at = listed.size();
+    listed.push_back(0);
+    for (std::uint32_t c = block.first; c != kNone; c = clusters_[c].next_in_block) {
+      listed.push_back(place[c]);
+      ++listed[size_at];
+    }
   }
   return listed;
 }
 
-bool TetClusters::restore(std::span<const std::uint32_t> listed) {
+bool TetClusters::restore(std::span<const std::uint32_t> listed, std::uint32_t pieces) {
   clusters_.clear();
   free_.clear();
+  blocks_.clear();
   links_.clear();
+  block_links_.clear();
   cluster_of_.assign(mesh_.tet_slots(), kNone);
   next_member_.assign(mesh_.tet_slots(), kNone);
+  if (listed.empty()) return false;
+  const std::uint32_t count = listed[0];
+  listed = listed.subspan(1);
   std::vector<std::uint32_t> linked;
   std::size_t members = 0;
-  while (!listed.empty()) {
-    const std::uint32_t size = listed[0] & ~kLinked;
-    if (size == 0 || size > kMaxSize || size >= listed.size()) return false;
-    const auto c = static_cast<std::uint32_t>(clusters_.size());
+  for (std::uint32_t c = 0; c < count; ++c) {
+    if (listed.size() < 2) return false;
+    const std::uint32_t size = listed[0] & ~kLinked, piece = listed[1];
     if (listed[0] & kLinked) linked.push_back(c);
-    for (std::uint32_t i = 1; i <= size; ++i) {
+    listed = listed.subspan(2);
+    if (size == 0 || size > kMax || size > listed.size() || piece >= pieces) return false;
+    for (std::uint32_t i = 0; i < size; ++i) {
       const TetId t = listed[i];
-      if (t >= mesh_.tet_slots() || !mesh_.alive(t) || cluster_of_[t] != kNone) return false;
+      if (t >= mesh_.tet_slots() || !mesh_.alive(t) || has(t)) return false;
       cluster_of_[t] = c;
-      next_member_[t] = i < size ? listed[i + 1] : kNone;
+      next_member_[t] = i + 1 < size ? listed[i + 1] : kNone;
     }
     clusters_.emplace_back();
-    clusters_[c].first = listed[1];
-    clusters_[c].size = size;
+    clusters_[c].first = listed[0];
+    clusters_[c].node = {size, piece, 0, 0};
     members += size;
-    listed = listed.subspan(size + 1);
+    listed = listed.subspan(size);
   }
+  if (members != mesh_.live_tets()) return false;
   // Links to clusters without links are kept as they were: they make searches use the faces.
   for (const std::uint32_t c : linked) find_links(c);
-  return members == mesh_.live_tets();
+  while (!listed.empty()) {
+    const std::uint32_t size = listed[0];
+    listed = listed.subspan(1);
+    if (size == 0 || size > listed.size()) return false;
+    std::uint32_t last = kNone;
+    for (std::uint32_t i = 0; i < size; ++i) {
+      const std::uint32_t c = listed[i];
+      if (c >= count || clusters_[c].block != kNone || clusters_[c].links == kNone) return false;
+      if (last == kNone) {
+        begin_block(c);
+      } else {
+        Block& block = blocks_.back();
+        if (clusters_[c].node.piece != block.node.piece) return false;
+        clusters_[c].block = clusters_[last].block;
+        clusters_[last].next_in_block = c;
+        block.node.tets += clusters_[c].node.tets;
+      }
+      last = c;
+    }
+    listed = listed.subspan(size);
+  }
+  for (std::uint32_t block = 0; block < blocks_.size(); ++block) find_block_links(block);
+  return true;
 }
 
 }  // namespace incise::core

@@ -12,6 +12,8 @@ namespace {
 
 // Six times the volume below which a tetrahedron is flat, in cubes of the local edge length. A regular one has 0.7.
 constexpr double kThinnest = 1e-3;
+// A flat one that keeps this much of its volume gets no thinner: it turns with the body, and the rest is rounding.
+constexpr double kAsThick = 1 - 1e-6;
 // A tetrahedron that would be thick enough where edges are this many times the mean length is thick enough anywhere: then the
 // local length is not looked up.
 constexpr double kLocallyAtMost = 4;
@@ -167,7 +169,7 @@ void VertexMover::check_tet(TetId t) {
   // Thicker than before is good enough; the local length takes a walk around the vertex.
   const double now =
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-  if (then >= now && orient3d(a, b, c, d) > 0) return;
+  if (then >= kAsThick * now && orient3d(a, b, c, d) > 0) return;
   const double h = mesh_.local_h(v[0]);
   if (then >= kThinnest * h * h * h) return;
   for (const VertexId w : v) {

@@ -4,6 +4,15 @@
 
 namespace incise::core {
 
+namespace {
+
+// Which way the blade went that swept the triangle, across this normal.
+Vec3 motion_of(const SweptTriangle& triangle, const Vec3& normal) {
+  return normalized(cross(normal, triangle.corners[1] - triangle.corners[0]));
+}
+
+}  // namespace
+
 void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same) {
   triangles_ = triangles;
   from_ = static_cast<std::uint32_t>(from);
@@ -15,7 +24,7 @@ void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from
   if (levels == 0) return;
   if (same == from) {
     const SweptTriangle& first = triangles[from];
-    const Vec3 motion = normalized(cross(first.normal, first.corners[1] - first.corners[0]));
+    const Vec3 motion = motion_of(first, first.normal);
     axes_ = {motion, first.normal, cross(motion, first.normal)};
   }
   for (std::size_t level = 0; level < levels; ++level) {
@@ -85,7 +94,7 @@ void SweptTree::set_slabs(Node& node, std::uint32_t k, std::size_t begin, std::s
     sum += dot(n, first.normal) < 0 ? -n : n;
   }
   const Vec3 normal = normalized(sum);
-  const Vec3 axes[2] = {normal, normalized(cross(normal, first.corners[1] - first.corners[0]))};
+  const Vec3 axes[2] = {normal, motion_of(first, normal)};
   double below[2] = {INFINITY, INFINITY}, above[2] = {-INFINITY, -INFINITY}, largest = 0;
   for (std::size_t i = begin; i < end; ++i) {
     for (const Vec3& corner : triangles_[i].corners) {

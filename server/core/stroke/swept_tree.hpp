@@ -38,8 +38,8 @@ class SweptTree {
   static constexpr std::uint32_t kChildren = 4;
   using Lane [[gnu::vector_size(16)]] = float;
   using Lanes = int __attribute__((vector_size(16)));  // what compares lanes gives: -1 where it holds, else 0
-  // A float is off by 2^-24 of itself at most: by this part of itself a coordinate is rounded outwards, and a sum of products of
-  // three by this part of the largest.
+  // A float is off by 2^-24 of itself at most: by this part of itself a slack is made larger, and by this part of the largest of three
+  // coordinates a sum of their products is rounded outwards.
   static constexpr double kRounded = 0x1p-22, kRoundedSum = 0x1p-20;
   static constexpr std::size_t kMaxLevels = 14;
   static constexpr int kDepth = 4 * kMaxLevels;

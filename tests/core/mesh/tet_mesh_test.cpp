@@ -83,6 +83,14 @@ TEST(TetMeshBuild, ErrorsNameTheTetrahedronAndTheVertex) {
   data = testing::two_tets();
   data.regions = {7};
   EXPECT_EQ(build_error(data), "regions given for 1 of 2 tetrahedra");
+  data = testing::two_tets();
+  data.opposite.assign(4, kNone);
+  EXPECT_EQ(build_error(data), "opposite half-faces given for 1 of 2 tetrahedra");
+  data.opposite.assign(8, kNone);
+  data.opposite[0] = 8;
+  EXPECT_EQ(build_error(data), "half-face 0 is not behind what it names");
+  data.opposite[0] = 7;
+  EXPECT_EQ(build_error(data), "half-face 0 is not behind what it names") << "that names nothing";
 }
 
 TEST(TetMeshBuild, EmptyMesh) {

@@ -17,7 +17,7 @@ namespace {
 using namespace incise::core::testing;
 
 // A body and what cuts it off, step by step, each judged by a walk through the mesh: of the parts of a piece the largest keeps the
-// id, and the delta lists what has another one.
+// id, and the deltas name each piece but 0 by a tetrahedron that it has.
 class Body {
  public:
   explicit Body(const MeshData& data, std::int64_t budget = INT64_MAX)
@@ -59,10 +59,10 @@ class Body {
     mesh_.commit(delta);
     labels_.assign(mesh_.tet_slots(), kNone);
     for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
-      if (mesh_.alive(t)) labels_[t] = mesh_.piece(t);
+      if (mesh_.alive(t)) labels_[t] = tracker_.piece(t);
     }
     expect_parts(before, pieces_before);
-    expect_listed(before, delta);
+    expect_named(pieces_before, delta);
   }
 
   const TetMesh& mesh() const { return mesh_; }
@@ -111,26 +111,36 @@ class Body {
     EXPECT_EQ(tracker_.pieces(), pieces_before + fresh);
   }
 
-  void expect_listed(const std::vector<std::uint32_t>& before, const Delta& delta) const {
-    std::map<std::uint32_t, std::vector<TetId>> expected;
-    for (TetId t = 0; t < mesh_.tet_slots(); ++t) {
-      if (labels_[t] != kNone && labels_[t] != (t < before.size() ? before[t] : 0))
-        expected[labels_[t]].push_back(t);
-    }
-    std::map<std::uint32_t, std::vector<TetId>> listed;
+  // New pieces are named, others when they have lost their tetrahedron, and only then.
+  void expect_named(std::uint32_t pieces_before, const Delta& delta) {
+    const auto sizes = this->sizes();
     std::uint32_t last = 0;
     for (const Delta::Piece& piece : delta.pieces) {
-      EXPECT_TRUE(listed.empty() || piece.id > last) << "pieces ascend";
+      EXPECT_GT(piece.id, last) << "ids ascend, and 0 has no name";
       last = piece.id;
-      listed[piece.id] = piece.tets;
+      ASSERT_TRUE(mesh_.alive(piece.tet));
+      EXPECT_EQ(labels_[piece.tet], piece.id);
+      EXPECT_EQ(piece.tets, sizes.at(piece.id));
+      const auto known = names_.find(piece.id);
+      EXPECT_EQ(known == names_.end(), piece.id >= pieces_before);
+      if (known != names_.end()) {
+        EXPECT_TRUE(!mesh_.alive(known->second) || labels_[known->second] != piece.id)
+            << "named without need";
+      }
+      names_[piece.id] = piece.tet;
     }
-    EXPECT_TRUE(listed == expected) << listed.size() << " pieces listed, " << expected.size() << " expected";
+    for (const auto& [id, tets] : sizes) {
+      if (id == 0) continue;
+      ASSERT_TRUE(names_.contains(id)) << id;
+      EXPECT_TRUE(mesh_.alive(names_.at(id)) && labels_[names_.at(id)] == id) << id;
+    }
   }
 
   TetMesh mesh_;
   PieceTracker tracker_;
   std::int64_t budget_;
   std::vector<std::uint32_t> labels_ = std::vector<std::uint32_t>(mesh_.tet_slots(), 0);
+  std::map<std::uint32_t, TetId> names_;  // by piece
 };
 
 TEST(PieceTracker, TheSmallerSideGetsANewId) {
@@ -243,56 +253,108 @@ Archive archived(std::vector<std::uint32_t> listed) {
   return out;
 }
 
-// Whether clusters of a mesh of six tetrahedra, 0 to 5, can be restored from such a list: sizes, each with its members.
+// Whether clusters of a mesh of six tetrahedra, 0 to 5, in pieces 0 and 1 can be restored from such a list: how many clusters; each:
+// size, piece, members; blocks, each: size, clusters.
 bool restores(const std::vector<std::uint32_t>& listed) {
   const TetMesh mesh(box(1, 1, 1));
   TetClusters clusters(mesh);
   const auto bytes = archived(listed).take();
   Archive in(bytes);
-  clusters.archive(in);
+  clusters.archive(in, 2);
   return !in.failed();
 }
 
 TEST(TetClusters, RestoredOnesAreTheLivingTetrahedraEachOnce) {
-  EXPECT_TRUE(restores({6, 0, 1, 2, 3, 4, 5}));
-  EXPECT_TRUE(restores({2, 4, 1, 4, 0, 5, 3, 2}));
-  EXPECT_FALSE(restores({})) << "none is in a cluster";
-  EXPECT_FALSE(restores({5, 0, 1, 2, 3, 4})) << "tetrahedron 5 is in none";
-  EXPECT_FALSE(restores({2, 4, 1, 3, 0, 5, 3})) << "tetrahedron 2 is in none";
-  EXPECT_FALSE(restores({2, 4, 1, 5, 0, 5, 3, 2, 4})) << "tetrahedron 4 is in both";
-  EXPECT_FALSE(restores({2, 4, 1, 4, 0, 5, 3, 4})) << "tetrahedron 4 is in both, and 2 in none";
-  EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5, 6})) << "there is no tetrahedron 6";
-  EXPECT_FALSE(restores({7, 0, 1, 2, 3, 4, 5})) << "it ends too early";
-  EXPECT_FALSE(restores({0, 6, 0, 1, 2, 3, 4, 5})) << "a cluster of nothing";
+  constexpr std::uint32_t kLinked = 1u << 31;
+  EXPECT_TRUE(restores({1, 6, 0, 0, 1, 2, 3, 4, 5}));
+  EXPECT_TRUE(restores({2, 2, 1, 4, 1, 4, 0, 0, 5, 3, 2}));
+  EXPECT_FALSE(restores({})) << "not even their number";
+  EXPECT_FALSE(restores({0})) << "none is in a cluster";
+  EXPECT_FALSE(restores({1, 5, 0, 0, 1, 2, 3, 4})) << "tetrahedron 5 is in none";
+  EXPECT_FALSE(restores({2, 2, 0, 4, 1, 3, 0, 0, 5, 3})) << "tetrahedron 2 is in none";
+  EXPECT_FALSE(restores({2, 2, 0, 4, 1, 5, 0, 0, 5, 3, 2, 4})) << "tetrahedron 4 is in both";
+  EXPECT_FALSE(restores({2, 2, 0, 4, 1, 4, 0, 0, 5, 3, 4})) << "tetrahedron 4 is in both, and 2 in none";
+  EXPECT_FALSE(restores({1, 7, 0, 0, 1, 2, 3, 4, 5, 6})) << "there is no tetrahedron 6";
+  EXPECT_FALSE(restores({1, 7, 0, 0, 1, 2, 3, 4, 5})) << "it ends too early";
+  EXPECT_FALSE(restores({2, 0, 0, 6, 0, 0, 1, 2, 3, 4, 5})) << "a cluster of nothing";
+  EXPECT_FALSE(restores({1, 6, 2, 0, 1, 2, 3, 4, 5})) << "there is no piece 2";
+  const std::vector<std::uint32_t> two{2, 2 | kLinked, 1, 4, 1, 4 | kLinked, 0, 0, 5, 3, 2};
+  const auto with_blocks = [&](std::vector<std::uint32_t> blocks) {
+    blocks.insert(blocks.begin(), two.begin(), two.end());
+    return restores(blocks);
+  };
+  EXPECT_TRUE(with_blocks({1, 0, 1, 1}));
+  EXPECT_FALSE(with_blocks({1, 0, 1, 0})) << "a cluster in two blocks";
+  EXPECT_FALSE(with_blocks({1, 2})) << "there is no cluster 2";
+  EXPECT_FALSE(with_blocks({2, 0, 1})) << "a block in two pieces";
+  EXPECT_FALSE(with_blocks({2, 0})) << "it ends too early";
+  EXPECT_FALSE(with_blocks({0})) << "a block of nothing";
+  EXPECT_FALSE(restores({2, 2, 0, 4, 1, 4 | kLinked, 0, 0, 5, 3, 2, 1, 0}))
+      << "a block of what steps have touched";
 }
 
 TEST(TetClusters, RestoredOnesKnowTheirMembersAndNeighbours) {
-  const TetMesh mesh(box(3, 3, 3));
+  const TetMesh mesh(box(20, 12, 10));
   TetClusters before(mesh), after(mesh);
-  std::vector<TetId> loose;
-  before.dissolve(before.of(40), loose);
-  for (const TetId t : loose) {
-    if (before.of(t) == kNone) before.form(t);
+  std::vector<TetClusters::Loose> loose;
+  for (const TetId t : {400, 6000}) before.dissolve(t, loose);
+  EXPECT_LE(loose.size(), 128u);
+  for (const auto& tet : loose) {
+    if (!before.has(tet.tet)) before.form(tet);
   }
   Archive out;
-  before.archive(out);
+  before.archive(out, 1);
   const auto bytes = out.take();
   Archive in(bytes);
-  after.archive(in);
+  after.archive(in, 1);
   ASSERT_FALSE(in.failed()) << in.error();
   EXPECT_TRUE(in.at_end());
-  int linked = 0;
+  Archive once_more;
+  after.archive(once_more, 1);
+  EXPECT_EQ(once_more.take(), bytes);
+  // Neighbours, each by a number of its tetrahedra: node ids are others.
+  const auto beside = [](const TetClusters& clusters, TetId t) {
+    std::vector<std::uint32_t> sizes;
+    clusters.visit_beside(clusters.node_of(t),
+                          [&](TetClusters::NodeId node) { sizes.push_back(clusters[node].tets); });
+    return sizes;
+  };
+  std::set<std::uint32_t> sizes;
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
-    const TetClusters::Cluster &was = before[before.of(t)], &is = after[after.of(t)];
-    EXPECT_EQ(is.first, was.first) << t;
-    EXPECT_EQ(is.size, was.size) << t;
-    EXPECT_EQ(is.links == kNone, was.links == kNone) << t;
-    EXPECT_EQ(is.links_end - is.links, was.links_end - was.links) << t;
-    EXPECT_EQ(after.next_member(t), before.next_member(t)) << t;
-    linked += is.links != kNone;
+    ASSERT_EQ(after[after.node_of(t)].tets, before[before.node_of(t)].tets) << t;
+    ASSERT_EQ(beside(after, t), beside(before, t)) << t;
+    sizes.insert(before[before.node_of(t)].tets);
   }
-  EXPECT_GT(linked, 0);
-  EXPECT_LT(linked, static_cast<int>(mesh.tet_slots())) << "the one that was formed again has no links";
+  EXPECT_GT(*sizes.rbegin(), 500u) << "blocks that nothing has touched";
+  EXPECT_LE(*sizes.begin(), 32u) << "clusters whose block was given up";
+}
+
+// Work units of finding out, by cut faces.
+double work_of_halving(int n) {
+  TetMesh mesh(box(n, n, n));
+  PieceTracker tracker(mesh);
+  std::vector<HalfFace> faces;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace h = half_face(t, f);
+      if (mesh.opposite(h) == kNone || mesh.opposite(h) < h) continue;
+      bool on = true;
+      for (const VertexId v : mesh.face_vertices(h)) on = on && mesh.position(v).x == n / 2;
+      if (on) faces.push_back(h);
+    }
+  }
+  mesh.open_faces(faces);
+  Delta delta;
+  WorkBudget budget{INT64_MAX};
+  tracker.begin();
+  EXPECT_TRUE(tracker.advance(budget, delta));
+  EXPECT_EQ(delta.pieces.size(), 1u);
+  return static_cast<double>(INT64_MAX - budget.left) / static_cast<double>(faces.size());
+}
+
+TEST(PieceTracker, CuttingABodyInHalfCostsTheCutAndNotTheHalf) {
+  // 8 times the tetrahedra, 4 times the cut.
+  EXPECT_LE(work_of_halving(40), 1.15 * work_of_halving(20));
 }
 
 }  // namespace

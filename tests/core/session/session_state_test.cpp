@@ -70,7 +70,7 @@ void commit_all(CutSession& session, std::vector<std::uint64_t>& hashes) {
     // Pieces and opened faces are not in the hash.
     hashes.back() ^= 0x9e3779b97f4a7c15u * delta.cut_faces;
     for (const Delta::Piece& piece : delta.pieces)
-      hashes.back() ^= 0x9e3779b97f4a7c15u * piece.id + piece.tets.size();
+      hashes.back() ^= 0x9e3779b97f4a7c15u * piece.id + piece.tet + piece.tets;
   }
 }
 

@@ -6,12 +6,27 @@ import { beforeEach, test } from "node:test";
 import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
 import { load } from "./modules.mjs";
 
-const { Keys, Figures, Look, Replay, Operator, notice, Vector3, PerspectiveCamera } = await load(
+const {
+  Keys,
+  Figures,
+  Look,
+  Replay,
+  Operator,
+  Measure,
+  BodyMesh,
+  allocateCorners,
+  notice,
+  Vector3,
+  PerspectiveCamera,
+} = await load(
   "keys",
   "figures",
   "look",
   "replay",
   "operator",
+  "measure",
+  "body_mesh",
+  "corner_buffers",
   "notices",
   "../node_modules/three",
 );
@@ -264,6 +279,7 @@ function operator() {
     centre: new Vector3(),
     bodySize_m: 0.2,
     blade: () => blade,
+    marks: { layers: [], draw: () => {} },
     draw: () => {},
     setOpen: () => {},
     setTool: () => {},
@@ -472,4 +488,87 @@ test("the panel's button says whether the panel is open, which it is at first in
     button.click();
     shown(open);
   }
+});
+
+// ---- Measuring ----
+
+/** A square of 0.1 m in two triangles, the second a cut face; a click at (x, y) meets the surface there, in metres. */
+function measuring() {
+  const body = new BodyMesh();
+  const corners = allocateCorners(2);
+  corners.positions.set([0, 0, 1, 0.1, 0, 1, 0.1, 0.1, 1, 0, 0, 1, 0.1, 0.1, 1, 0, 0.1, 1]);
+  corners.ids.set([4, 8]);
+  corners.facts[12] = 1;
+  body.replace(2, 8, corners);
+  const canvas = byId("measured");
+  canvas.listeners = {};
+  canvas.getBoundingClientRect = () => ({ left: 0, top: 0, width: 200, height: 200 });
+  const asked = [];
+  const pick = (x, y) => {
+    const [u, v] = [(x + 1) / 2, (1 - y) / 2]; // of the square
+    if (u > 0.9) return null;
+    const weights = u > v ? [1 - u, u - v, v] : [1 - v, u, v - u];
+    return { slot: Number(u <= v), halfFace: u > v ? 4 : 8, weights, distance: 1, isCut: u <= v };
+  };
+  const stage = { body, openNow: 0, pick, draw: () => {} };
+  const measure = new Measure(canvas, stage, (halfFace) => asked.push(halfFace));
+  const hand = (type, x, y) =>
+    canvas.dispatchEvent({ type, button: 0, isPrimary: true, clientX: 2000 * x, clientY: 2000 * y });
+  const click = (x, y, [dx, dy] = [0, 0]) => {
+    hand("pointerdown", x, y);
+    hand("pointerup", x + dx, y + dy);
+  };
+  return { body, corners, measure, click, asked };
+}
+
+test("two clicks give a length, further ones the total; a drag and a click beside the body none", () => {
+  const { measure, click } = measuring();
+  click(0.02, 0.01);
+  assert.equal(measure.shown, false); // the mode is off
+  measure.active = true;
+  click(0.02, 0.01);
+  assert.deepEqual(measure.labels, []);
+  click(0.06, 0.04);
+  assert.deepEqual(measure.labels, ["50.0 mm"]);
+  click(0.08, 0.04);
+  assert.deepEqual(measure.labels, ["70.0 mm"]);
+  click(0.02, 0.01, [0.01, 0]); // 20 pixels
+  click(0.095, 0.01);
+  assert.deepEqual(measure.labels, ["70.0 mm"]);
+  measure.clear();
+  assert.deepEqual(measure.labels, []);
+});
+
+test("measured points move with the body, and go with their triangle", () => {
+  const { body, corners, measure, click } = measuring();
+  measure.active = true;
+  click(0.02, 0.01);
+  click(0.06, 0.04);
+  for (let i = 0; i < 9; ++i) corners.positions[i] *= 2;
+  body.patch(Uint32Array.of(0), 2, corners);
+  measure.follow();
+  assert.deepEqual(measure.labels, ["100.0 mm"]);
+  assert.deepEqual(noticeTexts(), []);
+  corners.ids[0] = 12;
+  body.patch(Uint32Array.of(0), 2, corners);
+  measure.follow();
+  assert.deepEqual(measure.labels, []);
+  assert.equal(measure.shown, false);
+  assert.match(noticeTexts()[0], /its triangle was cut or removed/);
+});
+
+test("a click on a cut face asks for its area, which follows the body", () => {
+  const { measure, click, asked } = measuring();
+  measure.active = true;
+  click(0.01, 0.02);
+  assert.deepEqual(asked, [8]);
+  measure.onArea(4, 9); // of a face that is not asked for any more
+  assert.deepEqual(measure.labels, []);
+  measure.onArea(8, 12.5e-4);
+  assert.deepEqual(measure.labels, ["12.50 cm²"]);
+  measure.follow();
+  assert.deepEqual(asked, [8, 8]);
+  measure.onArea(8, 13e-4);
+  click(0.06, 0.04);
+  assert.deepEqual(measure.labels, ["53.9 mm"]); // the last click was on skin
 });

@@ -56,12 +56,13 @@ function scene() {
     said = [];
   const mouse = new MouseBlade(
     canvas,
-    { camera, body, centre: new Vector3() },
+    { camera, body, centre: new Vector3(), bodySize_m: 0.3 },
     {
       poses: (numbers) => {
         for (let i = 0; i < numbers.length; i += 9) poses.push(poseOf(numbers.subarray(i, i + 9)));
       },
       moved: () => {},
+      hovered: () => said.push("hovered"),
       refused: () => said.push("refused"),
       strokeBegan: () => said.push("began"),
       strokeEnded: (sent) => said.push(sent ? "sent" : "nothing"),
@@ -261,4 +262,45 @@ test("a picture without a pose, and one of what was cut while the page was hidde
   latency.expect(5001);
   latency.drawn()(5011);
   assert.equal(latency.takeMedian(), 10);
+});
+
+test("the blade is shown where it would enter, while no button is pressed and it can cut", () => {
+  const { mouse, said, hand, poses } = scene();
+  const moveTo = (x, y, more) => hand("pointermove", x, y, 8, { buttons: 0, ...more });
+  mouse.depth_m = 0.03;
+  assert.equal(mouse.preview(), null);
+  moveTo(210, 190);
+  assert.deepEqual(said, ["hovered"]);
+  const { heel, entry, tip } = mouse.preview();
+  near(entry.z, kSkin_m, 1e-9);
+  near(tip.distanceTo(entry), 0.03, 1e-6);
+  near(tip.distanceTo(heel), kLength_m, 1e-6);
+  // Right through: the blade's middle is in the body's; a tilted blade enters beside the pointer.
+  mouse.depth_m = null;
+  mouse.tilt_rad = 0.5;
+  const tilted = mouse.preview();
+  near(tilted.tip.z + tilted.heel.z, 0, 0.03);
+  near(tilted.entry.z, kSkin_m, 1e-6);
+  assert.ok(tilted.entry.distanceTo(entry) > 0.005);
+  const along = tilted.tip.clone().sub(tilted.heel).normalize();
+  near(tilted.entry.clone().sub(tilted.heel).cross(along).length(), 0, 1e-6);
+  // Not beside the body, for a finger, a turning hand, a pointer that has left, or where nothing can be cut.
+  for (const [x, y, more] of [
+    [1, 1, {}],
+    [210, 190, { pointerType: "touch" }],
+    [210, 190, { buttons: 2 }],
+  ]) {
+    moveTo(x, y, more);
+    assert.equal(mouse.preview(), null);
+  }
+  moveTo(210, 190);
+  mouse.enabled = false;
+  assert.equal(mouse.preview(), null);
+  mouse.enabled = true;
+  hand("pointerleave", 0, 0);
+  assert.equal(mouse.preview(), null);
+  moveTo(210, 190);
+  hand("pointerdown", 210, 190);
+  assert.equal(mouse.preview(), null);
+  assert.equal(poses.length, 0);
 });

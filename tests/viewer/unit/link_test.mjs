@@ -62,7 +62,7 @@ test("a greeting has all that was asked for, and a number of its own", () => {
   const sent = (i) => Message.getRootAsMessage(new ByteBuffer(sockets[0].sent[i]));
   assert.equal(sent(0).sequence(), 1n);
   const hello = sent(0).body(new Hello());
-  assert.deepEqual([hello.protocolVersion(), hello.role(), hello.view()], [1, Role.Operator, View.None]);
+  assert.deepEqual([hello.protocolVersion(), hello.role(), hello.view()], [2, Role.Operator, View.None]);
   assert.deepEqual([hello.token(), hello.sourceName(), hello.takeOver()], ["secret", "mouse", true]);
   assert.deepEqual([hello.bladeRateHz(), hello.maxRateHz()], [60, 20]);
   assert.deepEqual([hello.resumeSession(), hello.resumeRevision(), hello.resumeHash()], [7n, 8n, 9n]);

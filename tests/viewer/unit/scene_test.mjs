@@ -23,6 +23,14 @@ const {
   rangesOf,
   BladeView,
   Chart,
+  Flight,
+  pick,
+  follow,
+  placeOn,
+  sideArea,
+  Ray,
+  toFragment,
+  fromFragment,
   Vector3,
 } = await load(
   "surface",
@@ -34,6 +42,9 @@ const {
   "body_mesh",
   "blade_view",
   "chart",
+  "views",
+  "pick",
+  "view_link",
   "../node_modules/three",
 );
 
@@ -584,4 +595,96 @@ test("a chart shows the last half minute, the newest value at its right", () => 
   assert.equal(x, 100);
   assert.ok(y < 10, "the highest value is near the top");
   assert.ok(points.slice(0, 29).every(([, other]) => other > 30));
+});
+
+test("the camera flies around the body, the shorter way, and arrives where it should", () => {
+  const place = (position) => ({ position: new Vector3(...position), target: new Vector3(1, 0, 0) });
+  const to = place([1, 2, 0]);
+  const flight = new Flight(place([1, -2, 0]), to, 1000);
+  const now = place([0, 0, 0]);
+  for (const ms of [1000, 1100, 1190, 1300]) {
+    assert.equal(flight.move(ms, now), false);
+    near(now.position.distanceTo(now.target), 2);
+  }
+  assert.equal(flight.move(1380, now), true);
+  near(now.position.distanceTo(to.position), 0);
+  // Over the place where the angle jumps it is 20 degrees, not 340.
+  const at = (degrees) => {
+    const a = (degrees * Math.PI) / 180;
+    return place([1 + Math.cos(a), Math.sin(a), 0]);
+  };
+  new Flight(at(80), at(100), 0).move(190, now);
+  near(now.position.y, 1);
+});
+
+test("a link gives back the view that it was made of, and nothing for what makes no sense", () => {
+  const view = {
+    camera: { body: "liver & more.vtu", position: [0.25, -1.5, 1e-5], target: [0, 0.125, 0] },
+    section: { axis: 1, side: -1, share: 0.305 },
+    colours: "quality",
+    theme: "light",
+  };
+  assert.deepEqual(fromFragment(`#${toFragment(view)}`), view);
+  assert.deepEqual(fromFragment(""), {});
+  for (const bad of [
+    "#from=1,2,3",
+    "#from=1,2,3&to=1,2,3", // it looks nowhere
+    "#from=1,2,3&to=1,2",
+    "#from=1,2,Infinity&to=0,0,0",
+    "#from=1,2,&to=0,0,0",
+    "#from=1e9,0,0&to=0,0,0",
+    "#section=w,1,0.5",
+    "#section=x,2,0.5",
+    "#section=x,1,1.5",
+    "#section=xy,1,0.5",
+    "#colours=toString&theme=blue",
+    "#%E0%A4%A&&==",
+    `#theme=light&${"x".repeat(5000)}`,
+  ])
+    assert.deepEqual(fromFragment(bad), {}, bad);
+});
+
+test("one side of a cut is measured, not the other, nor the skin", () => {
+  const surface = filled(slitBox());
+  const faces = measureFaces(surface);
+  near(sideArea(surface, faces, faces.cut[0]), 12); // a wall of the slit
+  near(sideArea(surface, faces, faces.cut.at(-1)), 24); // the end that another cut left, where the slit meets it
+  near(faces.cutArea, 48);
+});
+
+test("a place is picked on what is drawn, stays on its triangle, and is lost with it", () => {
+  const body = new BodyMesh();
+  const corners = allocateCorners(3);
+  const triangle = (z, flip) => (flip ? [0, 0, z, 0, 4, z, 4, 0, z] : [0, 0, z, 4, 0, z, 0, 4, z]);
+  corners.positions.set([...triangle(1, false), ...triangle(2, false), ...triangle(0, true)]);
+  corners.ids.set([40, 41, 42]);
+  for (let k = 0; k < 3; ++k) corners.facts[12 + 4 * k] = 1; // the upper one is a cut face
+  body.replace(3, 8, corners);
+  const down = new Ray(new Vector3(1, 2, 9), new Vector3(0, 0, -1));
+  const hit = pick(body, 0, null, down);
+  assert.deepEqual([hit.halfFace, hit.slot, hit.isCut, hit.distance], [41, 1, true, 7]);
+  assert.deepEqual(hit.weights, [0.25, 0.25, 0.5]);
+  // A section takes the upper one away, and then both: what one sees then is the inside.
+  assert.equal(pick(body, 0, [0, 0, 1, 1.5], down).halfFace, 40);
+  assert.equal(pick(body, 0, [0, 0, 1, 0.5], down), null);
+  assert.equal(pick(body, 0, null, new Ray(new Vector3(9, 9, 9), new Vector3(0, 0, -1))), null);
+  // Opened, the surface is elsewhere; the place is so, too.
+  body.setOpening(new Float32Array(27), Float32Array.from([0, 0, 10, 0]));
+  assert.equal(pick(body, 0.1, null, down).distance, 6);
+  assert.deepEqual(placeOn(body, hit, 0.1).toArray(), [1, 2, 3]);
+  assert.deepEqual(placeOn(body, hit, 0).toArray(), [1, 2, 2]);
+  // Its corner moves; then the whole surface comes again in other slots; then the triangle goes.
+  const moved = allocateCorners(1);
+  moved.positions.set([0, 0, 2, 4, 0, 2, 0, 4, 4]);
+  moved.ids[0] = 41;
+  body.patch(Uint32Array.of(1), 3, moved);
+  assert.equal(follow(body, hit), true);
+  assert.deepEqual(placeOn(body, hit, 0).toArray(), [1, 2, 3]);
+  corners.ids.set([42, 40, 41]);
+  body.replace(3, 8, corners);
+  assert.equal(follow(body, hit), true);
+  assert.equal(hit.slot, 2);
+  moved.ids[0] = 43;
+  body.patch(Uint32Array.of(2), 3, moved);
+  assert.equal(follow(body, hit), false);
 });

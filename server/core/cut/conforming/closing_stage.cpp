@@ -102,11 +102,11 @@ void ClosingStage::consider_faces(TetId t) {
   for (unsigned i = 0; i < 4; ++i) inside |= (mesh_.at_boundary(v[i]) ? 0u : 1u) << i;
   if (std::popcount(inside) > 1) return;
   cut_.work += cost::kLook;
-  const unsigned open = mesh_.boundary_mask(t);
   for (int f = 0; f < 4; ++f) {
-    if ((inside & ~(1u << f)) != 0 || (open >> f & 1) != 0) continue;
+    if ((inside & ~(1u << f)) != 0) continue;
+    const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
     // From the other side it looks the same.
-    if (const HalfFace h = half_face(t, f); !pass_.has(tet_of(mesh_.opposite(h)))) consider(h);
+    if (o != kNone && !pass_.has(tet_of(o))) consider(h);
   }
 }
 
@@ -134,15 +134,19 @@ bool ClosingStage::has_to_wait(HalfFace h) {
   return true;
 }
 
-// Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side. Where none of it lies at an
-// older cut it has to be nearer.
+// Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side, or it is part of a rib where
+// a sweep begins or ends; or it is what an older cut has left.
 bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
-  if (!is_near(mesh_.face_middle(h), off_m)) return meets = is_hole(h);
+  const Vec3 middle = mesh_.face_middle(h);
+  if (!is_near(middle, off_m)) {
+    meets = is_hole(h);
+    return meets;
+  }
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   const bool beside = (a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h;
-  if (beside && !is_at_end(mesh_.face_middle(h))) return false;
+  if (beside && !is_at_end(middle)) return false;
   for (VertexId w : mesh_.face_vertices(h)) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
@@ -286,10 +290,9 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
     cut_.work += cost::kLook;
     extent.volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(t, f));
+      const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
       if (o == kNone || cut_.is_pending(o)) {
-        extent.add_face(0.5 * length(mesh_.twice_area(half_face(t, f))),
-                        o != kNone || (mesh_.cut_mask(t) >> f & 1) != 0);
+        extent.add_face(mesh_, h);
         continue;
       }
       if (tet_of(o) == other) return Part::kHangsTogether;

@@ -30,6 +30,11 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
   return cut.surface().is_within(mesh.barycentre(t), reach);
 }
 
+bool may_be_film(const CutContext& cut, TetId t) {
+  return std::ranges::all_of(cut.mesh.vertices(t),
+                             [&](VertexId v) { return cut.mesh.at_boundary(v) || cut.on_surface(v); });
+}
+
 void Islands::spare(HalfFace side) {
   cut_.work += cost::kLook;
   if (!pending(tet_of(side), face_of(side)) || stands_clear(side)) return;
@@ -52,9 +57,7 @@ bool Islands::is_island(TetId first) {
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const TetId t = members_[i];
     thin = thin && is_thin(t);
-    film = film && std::ranges::all_of(mesh_.vertices(t), [this](VertexId v) {
-             return mesh_.at_boundary(v) || cut_.on_surface(v);
-           });
+    film = film && may_be_film(cut_, t);
     extent.volume_m3 += mesh_.volume(t);
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {
@@ -63,7 +66,7 @@ bool Islands::is_island(TetId first) {
       const bool opens = pending(t, f);
       if (opens || n == kNone) {
         clean = clean && (opens ? cut_.face_on_surface(h) : !is_ragged(h));
-        extent.add_face(0.5 * length(mesh_.twice_area(h)), opens || (mesh_.cut_mask(t) >> f & 1) != 0);
+        extent.add_face(mesh_, h);
       } else if (!seen_.has(n)) {
         if (inland_.has(n)) return false;
         seen_.add(n);

@@ -15,14 +15,19 @@ Vec3 reference_point(const CutContext& cut, TetId t);
 // Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
 bool is_shallow(const CutContext& cut, TetId t, double reach);
 
+// Whether it may be part of a film: none of it is inside the tissue.
+bool may_be_film(const CutContext& cut, TetId t);
+
 // The size of some tetrahedra that hang together, by which a film is told from a part of the tissue.
 struct Extent {
   double volume_m3 = 0, area_m2 = 0, cut_area_m2 = 0;
 
-  // A face of its surface.
-  void add_face(double face_m2, bool is_cut) {
+  // A face of its surface, at the boundary or about to open.
+  void add_face(const TetMesh& mesh, HalfFace h) {
+    const double face_m2 = 0.5 * length(mesh.twice_area(h));
     area_m2 += face_m2;
-    if (is_cut) cut_area_m2 += face_m2;
+    const bool opens = mesh.opposite(h) != kNone;
+    if (opens || (mesh.cut_mask(tet_of(h)) >> face_of(h) & 1) != 0) cut_area_m2 += face_m2;
   }
   // The largest volume that a film with that surface has. A film has two sides, and one of them at least is a cut: what sticks out of the
   // body may be as thin.

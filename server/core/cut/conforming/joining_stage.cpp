@@ -231,7 +231,7 @@ double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
       const Vec3 x = p + straight * direction;
       if (straight > ahead && straight <= kOne_h / kCosFacing * cut_.h &&
           squared_length(closest_point(x, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])) -
-                         x) <= kBeside_h * kBeside_h * cut_.h * cut_.h)
+                         x) <= kAimOff_h * kAimOff_h * cut_.h * cut_.h)
         ahead = straight;
     }
   });

@@ -145,14 +145,12 @@ bool MeshEditor::film_hangs_by(TetId t, TetId n) {
   Extent extent;
   for (std::size_t i = 0; i < film_.size(); ++i) {
     cut_.work += cost::kLook;
-    const auto& v = mesh_.vertices(film_[i]);
-    if (!std::ranges::all_of(v, [this](VertexId w) { return mesh_.at_boundary(w) || cut_.on_surface(w); }))
-      return false;
+    if (!may_be_film(cut_, film_[i])) return false;
     extent.volume_m3 += mesh_.volume(film_[i]);
     for (int f = 0; f < 4; ++f) {
       const HalfFace h = half_face(film_[i], f), o = mesh_.opposite(h);
       if (o == kNone) {
-        extent.add_face(0.5 * length(mesh_.twice_area(h)), (mesh_.cut_mask(film_[i]) >> f & 1) != 0);
+        extent.add_face(mesh_, h);
       } else if (film_pass_.insert(tet_of(o))) {
         film_.push_back(tet_of(o));
       }

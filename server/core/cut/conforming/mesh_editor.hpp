@@ -60,7 +60,7 @@ class MeshEditor {
   // TetMesh::replace(). The new tetrahedra; none where the two sets do not match.
   std::span<const TetId> replace(std::span<const TetId> removed,
                                  std::span<const std::array<VertexId, 4>> added);
-  // Takes out a tetrahedron that is part of the surface.
+  // Takes out a tetrahedron that is part of the surface, unless a film hangs by it alone.
   void remove_flat(TetId t);
   // The same, as a repair.
   void remove_film(TetId t);

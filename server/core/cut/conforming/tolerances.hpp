@@ -62,7 +62,7 @@ inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
 // an older cut may end somewhat before its own rim.
 inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
 // The parts of a line that are looked at one by one: how long each is, and how many there are at most.
-inline constexpr double kJoinPart_h = 0.5, kMaxJoinParts = 4096;
+inline constexpr double kJoinPart_h = 0.25, kMaxJoinParts = 4096;
 // A sweep begins and ends, too, where the blade moves along itself, but for this part of its way.
 inline constexpr double kLeastAcross = 0.05;
 // A boundary faces a blade whose motion is off its normal by no more than this.
@@ -70,6 +70,8 @@ inline constexpr double kCosFacing = 0.5;  // 60 degrees
 // A blade whose motion is off the plane of an older cut's face by less than this runs along it, and meets it only where it is ahead
 // by more than this.
 inline constexpr double kSinAlong = 0.17, kLeastAhead_h = 0.02;  // 10 degrees
+// Straight ahead is a slanted wall's face where the blade meets its plane no farther beside the face than this.
+inline constexpr double kAimOff_h = 0.1;
 // What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart.
 inline constexpr double kStrip_h = 1, kStripStep_h = 0.1;
 // Strips narrower than this part of kJoinBeyond_h are not added.

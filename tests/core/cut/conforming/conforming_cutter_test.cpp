@@ -79,6 +79,7 @@ class Cut {
   }
 
   const TetMesh& mesh() const { return session_.mesh(); }
+  std::uint32_t piece(TetId t) const { return session_.piece(t); }
   const CutCounts& totals() const { return totals_; }
   const std::vector<std::uint64_t>& hashes() const { return hashes_; }
   // The most units that one call went beyond its budget.
@@ -212,8 +213,8 @@ TEST(ConformingCutter, through_cut_makes_two_pieces_and_says_so) {
   const auto label = cut.last_pieces()[0];
   std::uint32_t labelled = 0;
   for (TetId t = 0; t < cut.mesh().tet_slots(); ++t)
-    labelled += cut.mesh().alive(t) && cut.mesh().piece(t) == label.id;
-  EXPECT_EQ(labelled, label.tets.size());
+    labelled += cut.mesh().alive(t) && cut.piece(t) == label.id;
+  EXPECT_EQ(labelled, label.tets);
   EXPECT_LT(labelled, cut.mesh().live_tets());
   EXPECT_LE(cut.cut_deviation().max_h, 0.1);
   EXPECT_NEAR(cut.totals().cut_area, 64, 1.5);
@@ -262,7 +263,7 @@ TEST(ConformingCutter, the_same_corner_costs_the_same_in_a_larger_mesh) {
     cut.lift();
     EXPECT_EQ(pieces(cut), 2u) << n;
     ASSERT_EQ(cut.last_pieces().size(), 1u) << n;
-    EXPECT_LT(cut.last_pieces()[0].tets.size(), cut.mesh().live_tets() / 4) << n;
+    EXPECT_LT(cut.last_pieces()[0].tets, cut.mesh().live_tets() / 4) << n;
     work.push_back(static_cast<double>(cut.work()));
   }
   EXPECT_NEAR(work[1] / work[0], 1.0, 0.25) << work[0] << " and " << work[1] << " units";
@@ -282,8 +283,8 @@ TEST(ConformingCutter, labels_are_those_of_the_components) {
       std::vector<std::uint32_t> label(count, kNone);
       for (TetId t = 0; t < cut.mesh().tet_slots(); ++t) {
         if (!cut.mesh().alive(t)) continue;
-        if (label[components[t]] == kNone) label[components[t]] = cut.mesh().piece(t);
-        ASSERT_EQ(label[components[t]], cut.mesh().piece(t)) << "tetrahedron " << t << ", cut at " << at;
+        if (label[components[t]] == kNone) label[components[t]] = cut.piece(t);
+        ASSERT_EQ(label[components[t]], cut.piece(t)) << "tetrahedron " << t << ", cut at " << at;
       }
       std::vector<std::uint32_t> sorted = label;
       std::sort(sorted.begin(), sorted.end());

@@ -1,0 +1,105 @@
+import type * as THREE from "three";
+
+const kFont = '600 13px ui-sans-serif, system-ui, "Segoe UI", Arial, sans-serif';
+const kPad_px = 7;
+const kHeight_px = 22;
+
+/** Lines, dots and labels over the picture, in the colours of the page. Drawn without drawing the body again. */
+export class Marks {
+  /** What draws, each time the camera or the body has moved. */
+  readonly layers: ((marks: Marks) => void)[] = [];
+  private readonly pen: CanvasRenderingContext2D;
+  private colours = { accent: "", ground: "", ink: "" };
+  private used = false;
+
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    private readonly camera: THREE.Camera,
+  ) {
+    this.pen = canvas.getContext("2d")!;
+  }
+
+  draw(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const scale = Math.min(devicePixelRatio, 2);
+    if (this.canvas.width !== width * scale || this.canvas.height !== height * scale) {
+      this.canvas.width = width * scale;
+      this.canvas.height = height * scale;
+    } else if (this.used) {
+      this.pen.resetTransform();
+      this.pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    }
+    this.used = false;
+    this.pen.setTransform(scale, 0, 0, scale, 0, 0);
+    for (const layer of this.layers) layer(this);
+  }
+
+  line(from: THREE.Vector3, to: THREE.Vector3, width = 2): void {
+    const a = this.onScreen(from),
+      b = this.onScreen(to);
+    if (!a || !b) return;
+    for (const [colour, more] of [
+      [this.begin().ground, 2],
+      [this.colours.accent, 0],
+    ] as const) {
+      this.pen.beginPath();
+      this.pen.moveTo(...a);
+      this.pen.lineTo(...b);
+      this.pen.lineCap = "round";
+      this.pen.lineWidth = width + more;
+      this.pen.strokeStyle = colour;
+      this.pen.stroke();
+    }
+  }
+
+  dot(at: THREE.Vector3, radius = 4, filled = true): void {
+    const place = this.onScreen(at);
+    if (!place) return;
+    const { accent, ground } = this.begin();
+    this.pen.beginPath();
+    this.pen.arc(...place, radius, 0, 2 * Math.PI);
+    this.pen.lineWidth = filled ? 1.5 : 2;
+    this.pen.fillStyle = accent;
+    this.pen.strokeStyle = filled ? ground : accent;
+    if (filled) this.pen.fill();
+    this.pen.stroke();
+  }
+
+  /** A label beside this place, inside the picture. */
+  label(at: THREE.Vector3, text: string): void {
+    const place = this.onScreen(at);
+    if (!place) return;
+    const { ground, ink, accent } = this.begin();
+    this.pen.font = kFont;
+    const width = this.pen.measureText(text).width + 2 * kPad_px;
+    const x = Math.max(4, Math.min(place[0] + 12, this.canvas.clientWidth - width - 4));
+    const y = Math.max(4, Math.min(place[1] - kHeight_px - 8, this.canvas.clientHeight - kHeight_px - 4));
+    this.pen.beginPath();
+    this.pen.roundRect(x, y, width, kHeight_px, 6);
+    this.pen.fillStyle = ground;
+    this.pen.fill();
+    this.pen.lineWidth = 1;
+    this.pen.strokeStyle = accent;
+    this.pen.stroke();
+    this.pen.fillStyle = ink;
+    this.pen.textBaseline = "middle";
+    this.pen.fillText(text, x + kPad_px, y + kHeight_px / 2 + 0.5);
+  }
+
+  private begin(): { accent: string; ground: string; ink: string } {
+    if (!this.used) {
+      const style = getComputedStyle(document.documentElement);
+      const colour = (name: string) => style.getPropertyValue(name).trim();
+      this.colours = { accent: colour("--accent"), ground: colour("--solid"), ink: colour("--ink") };
+    }
+    this.used = true;
+    return this.colours;
+  }
+
+  /** In pixels of the page; null: it is not in front of the camera. */
+  private onScreen(at: THREE.Vector3): [number, number] | null {
+    const { x, y, z } = at.clone().project(this.camera);
+    if (Math.abs(z) > 1) return null;
+    return [((x + 1) / 2) * this.canvas.clientWidth, ((1 - y) / 2) * this.canvas.clientHeight];
+  }
+}

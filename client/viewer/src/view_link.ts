@@ -1,0 +1,65 @@
+import type { Colouring } from "./body_mesh";
+import type { Vec3 } from "./messages";
+import type { Section } from "./section";
+
+/** What the address keeps of a view, after its "#". Parts that are missing or make no sense are left out. */
+export interface ViewState {
+  camera?: { body: string; position: Vec3; target: Vec3 }; // metres; of the body with this name
+  section?: Section;
+  colours?: Colouring;
+  theme?: "light" | "dark";
+}
+
+const kColours: readonly string[] = ["tissue", "pieces", "quality"] satisfies Colouring[];
+const kLongest = 1000; // characters
+
+const written = (place: Vec3) => place.map((x) => Number(x.toPrecision(6))).join();
+
+export function toFragment({ camera, section, colours, theme }: ViewState): string {
+  const parts: string[] = [];
+  if (camera) {
+    parts.push(`body=${encodeURIComponent(camera.body)}`);
+    parts.push(`from=${written(camera.position)}`, `to=${written(camera.target)}`);
+  }
+  if (section) parts.push(`section=${"xyz"[section.axis]},${section.side},${section.share}`);
+  if (colours) parts.push(`colours=${colours}`);
+  if (theme) parts.push(`theme=${theme}`);
+  return parts.join("&");
+}
+
+export function fromFragment(fragment: string): ViewState {
+  const state: ViewState = {};
+  if (fragment.length > kLongest) return state;
+  const fields = new URLSearchParams(fragment.replace(/^#/, ""));
+  const position = place(fields.get("from")),
+    target = place(fields.get("to"));
+  if (position && target && position.some((x, i) => x !== target[i]))
+    state.camera = { body: fields.get("body") ?? "", position, target };
+  const section = sectionOf(fields.get("section"));
+  if (section) state.section = section;
+  const colours = fields.get("colours") ?? "";
+  if (kColours.includes(colours)) state.colours = colours as Colouring;
+  const theme = fields.get("theme");
+  if (theme === "light" || theme === "dark") state.theme = theme;
+  return state;
+}
+
+/** The numbers of a list with commas; null: not all are finite numbers. */
+function numbers(text: string): number[] | null {
+  const parts = text.split(",");
+  const values = parts.map(Number);
+  return parts.every((part, i) => part.trim() !== "" && Number.isFinite(values[i])) ? values : null;
+}
+
+function place(text: string | null): Vec3 | null {
+  const values = numbers(text ?? "");
+  return values?.length === 3 && values.every((x) => Math.abs(x) < 1e6) ? [values[0], values[1], values[2]] : null;
+}
+
+function sectionOf(text: string | null): Section | null {
+  const [axis = "", ...rest] = (text ?? "").split(",");
+  const values = numbers(rest.join());
+  if (!/^[xyz]$/.test(axis) || values?.length !== 2) return null;
+  const [side, share] = values;
+  return Math.abs(side) === 1 && share >= 0 && share <= 1 ? { axis: "xyz".indexOf(axis), side, share } : null;
+}

@@ -1,0 +1,155 @@
+#include "server/app/offline/cut_run.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "server/base/hex.hpp"
+#include "server/core/mesh/measure.hpp"
+
+namespace incise::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// What a session did with a motion, batch by batch.
+struct Tally {
+  const double tolerance_m;  // of the swept surface that the cut is compared with
+  core::CutCounts sum;
+  std::uint64_t batches = 0;
+  std::vector<double> batch_us;
+  core::SweptSurface swept;
+
+  void add(const core::Batch& batch, const core::CutCounts& counts, double us) {
+    ++batches;
+    batch_us.push_back(us);
+    sum.events += counts.events;
+    sum.snaps += counts.snaps;
+    sum.splits += counts.splits;
+    sum.failed += counts.failed;
+    sum.removed_tets += counts.removed_tets;
+    core::add_sweep(swept, batch.lines, tolerance_m);
+  }
+  double sum_us() const { return std::accumulate(batch_us.begin(), batch_us.end(), 0.0); }
+  double quantile_us(double q) const {
+    if (batch_us.empty()) return 0;
+    std::vector<double> sorted = batch_us;
+    const auto k = static_cast<std::size_t>(std::llround(q * static_cast<double>(sorted.size() - 1)));
+    std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(k), sorted.end());
+    return sorted[k];
+  }
+};
+
+// The result for the mesh; `tally` is complete.
+Json report_of(const CutInput& in, const Config& config, const core::TetMesh& mesh,
+               const core::CutReport& before, Tally& tally) {
+  const core::CutReport after = core::measure(mesh);
+  tally.swept.build();
+  const core::Deviation deviation = core::deviation(mesh, tally.swept);
+  const bool croll = config.cut.policy == core::Policy::kCroll;
+  Json report;
+  report["mesh"] = in.mesh_name;
+  report["poses"] = in.poses_name;
+  report["policy"] = croll ? "croll" : "conforming";
+  if (!croll) report["prefer"] = name_of(config.cut.prefer);
+  report["h"] = mesh.mean_edge_length();
+  report["vertices_before"] = before.vertices;
+  report["tets_before"] = before.tets;
+  report["vertices"] = after.vertices;
+  report["tets"] = after.tets;
+  report["pieces_before"] = before.pieces;
+  report["pieces"] = after.pieces;
+  report["islands"] = after.islands;
+  report["cut_faces"] = after.cut_faces;
+  report["cut_area"] = after.cut_area;
+  report["events"] = tally.sum.events;
+  report["snaps"] = tally.sum.snaps;
+  report["splits"] = tally.sum.splits;
+  report["failed_events"] = tally.sum.failed;
+  report["removed_tets"] = tally.sum.removed_tets;
+  report["inverted"] = after.inverted;
+  report["volume_before"] = before.volume;
+  report["volume_after"] = after.volume;
+  report["min_dihedral_deg_before"] = before.min_dihedral_deg;
+  report["min_dihedral_deg_after"] = after.min_dihedral_deg;
+  report["dihedral_histogram"] = {{"bin_deg", core::kHistogramBin_deg}, {"tets", after.dihedral_histogram}};
+  report["deviation_max_h"] = deviation.max_h;
+  report["deviation_mean_h"] = deviation.mean_h;
+  report["speed_limit_m_s"] = config.cut.speed_limit_m_s;
+  report["gap_limit_s"] = config.cut.gap_limit_s;
+  if (!in.raised_limits.empty()) report["raised_limits"] = in.raised_limits;
+  report["batches"] = tally.batches;
+  report["cut_time_us"] = {{"all", tally.sum_us()},
+                           {"p50", tally.quantile_us(0.5)},
+                           {"p99", tally.quantile_us(0.99)},
+                           {"max", tally.quantile_us(1)}};
+  report["state_hash"] = hex(mesh.state_hash());
+  return report;
+}
+
+}  // namespace
+
+const char* name_of(core::Preference prefer) {
+  constexpr const char* kNames[] = {"no-growth", "balanced", "exact"};
+  return kNames[static_cast<std::size_t>(prefer)];
+}
+
+void set_blade(const core::Blade& blade, Config& config, RecordedMotion& motion) {
+  config.cut.blade = blade;
+  config.sources.clear();
+  for (MotionEvent& event : motion.events) event.blade.reset();
+}
+
+CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion motion, Config config,
+                   std::shared_ptr<const mesh_io::LoadedMesh> loaded, Engage engage) {
+  CutInput in{std::move(mesh_name),
+              std::move(poses_name),
+              std::move(motion),
+              std::move(config),
+              std::move(loaded),
+              {},
+              {},
+              {}};
+  if (engage == Engage::kAlways) in.config.cut.always_engaged = true;
+  hold_button(in.motion, in.config);
+  in.warnings = in.motion.warnings;
+  in.warnings.insert(in.warnings.end(), in.loaded->warnings.begin(), in.loaded->warnings.end());
+  in.body = box_of(in.loaded->mesh);
+  in.raised_limits = suit_limits(in.config, in.motion, in.body.diagonal());
+  return in;
+}
+
+CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, const CutHooks& hooks) {
+  progress.stage("preparing");
+  CutOutcome out{std::make_unique<core::CutSession>(in.loaded->mesh, config.cut), {}};
+  core::CutSession& session = *out.session;
+  const core::CutReport before = core::measure(session.mesh());
+  std::vector<std::string> warnings = in.warnings;
+  if (const auto copies = session.mesh().initial_vertex_copies(); copies > 0) {
+    warnings.push_back(in.mesh_name + ": " + counted(copies, "vertex", "vertices") +
+                       " joined parts that only touch there; now each part has its own");
+  }
+  Tally tally{0.001 * session.mesh().mean_edge_length(), {}, 0, {}, {}};
+  progress.stage("cutting");
+  MotionRun run(session, in.motion, config, in.poses_name);
+  run.run({.deformations = false,  // they name vertices of another mesh
+           .event =
+               [&](const MotionEvent& event, core::PoseVerdict) {
+                 if (hooks.event) hooks.event(session, event);
+               },
+           .commit =
+               [&](const core::Delta& delta, double us) {
+                 tally.add(session.committed_batch(), session.committed_counts(), us);
+                 if (hooks.commit) hooks.commit(session, delta);
+               }},
+          progress);
+  progress.stage("measuring");
+  out.report = report_of(in, config, session.mesh(), before, tally);
+  out.report["poses_taken"] = run.poses_taken();
+  for (std::string& warning : run.warnings(out.report["cut_faces"].get<std::uint32_t>(), in.body))
+    warnings.push_back(std::move(warning));
+  out.report["warnings"] = warnings;
+  return out;
+}
+
+}  // namespace incise::app

@@ -1,0 +1,28 @@
+#include "server/app/offline/motion_input.hpp"
+
+#include <memory>
+#include <utility>
+
+#include "server/app/body.hpp"
+
+namespace incise::app {
+
+CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& progress) {
+  RecordedMotion motion = read_recorded_motion(files.motion, files.times);
+  Config config;
+  if (!files.config.empty()) {
+    config = load_config(files.config);
+  } else if (motion.header) {
+    config = config_of(*motion.header, files.motion.string());
+  } else {
+    engage = Engage::kAlways;
+  }
+  if (!files.blade.empty()) set_blade(to_core(protocol::parse_blade("--blade", files.blade)), config, motion);
+  progress.stage("loading " + files.mesh.filename().string());
+  auto loaded = mesh_io::load_mesh(
+      files.mesh, load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); }));
+  return cut_input(files.mesh.string(), files.motion.string(), std::move(motion), std::move(config),
+                   std::make_shared<const mesh_io::LoadedMesh>(std::move(loaded)), engage);
+}
+
+}  // namespace incise::app

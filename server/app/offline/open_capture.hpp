@@ -1,0 +1,22 @@
+#pragma once
+
+#include <filesystem>
+
+#include "server/app/body.hpp"
+#include "server/app/config.hpp"
+#include "server/app/offline/recorded_motion.hpp"
+
+namespace incise::app {
+
+// A capture and what its replay needs.
+struct Replayable {
+  RecordedMotion motion;
+  Config config;
+  Body body;
+};
+
+// Reads a capture, and the mesh that it was recorded with: `mesh`, or where the capture says, or beside it. Throws std::runtime_error, also
+// where that is another mesh.
+Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh);
+
+}  // namespace incise::app

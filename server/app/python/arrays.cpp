@@ -1,0 +1,115 @@
+#include "server/app/python/arrays.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include "server/mesh_io/mesh_error.hpp"
+
+namespace incise::python {
+namespace {
+
+std::string type_text(py::handle value) {
+  return py::str(py::type::handle_of(value).attr("__name__"));
+}
+
+// Any array of the kinds of numbers in `kinds` (NumPy's letters).
+py::array array_of(py::handle value, const std::string& name, const char* kinds, const char* accepted) {
+  auto array = py::array::ensure(value);
+  if (!array)
+    throw py::type_error(name + ": found " + type_text(value) + "; accepted is an array of " + accepted);
+  // An empty list is of float64 whatever was meant.
+  if (std::string(kinds).find(array.dtype().kind()) == std::string::npos && array.size() > 0) {
+    throw py::type_error(name + ": found an array of " + std::string(py::str(array.dtype())) +
+                         "; accepted are " + accepted);
+  }
+  return array;
+}
+
+void check_shape(const py::array& array, const std::string& name, const std::vector<py::ssize_t>& shape) {
+  bool same = array.ndim() == static_cast<py::ssize_t>(shape.size());
+  for (std::size_t i = 0; same && i < shape.size(); ++i) {
+    same = shape[i] < 0 || array.shape(static_cast<py::ssize_t>(i)) == shape[i];
+  }
+  if (same) return;
+  const std::vector<py::ssize_t> found(array.shape(), array.shape() + array.ndim());
+  throw py::value_error(name + ": found shape " + shape_text(found) + "; accepted is " + shape_text(shape));
+}
+
+// Where a number lies: "points[7, 2]".
+std::string place(const py::array& array, const std::string& name, py::ssize_t index) {
+  std::string text;
+  for (py::ssize_t axis = array.ndim(); axis-- > 0;) {
+    text = std::to_string(index % array.shape(axis)) + (text.empty() ? "" : ", " + text);
+    index /= array.shape(axis);
+  }
+  return name + "[" + text + "]";
+}
+
+}  // namespace
+
+std::string shape_text(const std::vector<py::ssize_t>& shape) {
+  std::string text;
+  for (const py::ssize_t length : shape) {
+    text += (text.empty() ? "" : ", ") + (length < 0 ? std::string("n") : std::to_string(length));
+  }
+  return "(" + text + (shape.size() == 1 ? ",)" : ")");
+}
+
+Doubles doubles(py::handle value, const std::string& name, const std::vector<py::ssize_t>& shape) {
+  const py::array given = array_of(value, name, "fiu", "real numbers");
+  check_shape(given, name, shape);
+  auto array = Doubles::ensure(given);
+  if (!array) throw py::type_error(name + ": cannot be read as float64");
+  for (py::ssize_t i = 0; i < array.size(); ++i) {
+    if (!std::isfinite(array.data()[i])) {
+      throw py::value_error(place(array, name, i) + " is " + mesh_io::to_text(array.data()[i]) +
+                            "; accepted are finite numbers");
+    }
+  }
+  return array;
+}
+
+Integers integers(py::handle value, const std::string& name, const std::vector<py::ssize_t>& shape,
+                  std::int64_t least, std::int64_t most) {
+  const py::array given = array_of(value, name, "iu", "whole numbers");
+  check_shape(given, name, shape);
+  auto array = py::array_t<std::int64_t, py::array::c_style | py::array::forcecast>::ensure(given);
+  if (!array) throw py::type_error(name + ": cannot be read as int64");
+  for (py::ssize_t i = 0; i < array.size(); ++i) {
+    if (array.data()[i] < least || array.data()[i] > most) {
+      throw py::value_error(place(array, name, i) + " is " + std::to_string(array.data()[i]) +
+                            "; accepted is " + std::to_string(least) + " to " + std::to_string(most));
+    }
+  }
+  return array;
+}
+
+std::vector<core::Vec3> points(py::handle value, const std::string& name) {
+  const Doubles array = doubles(value, name, {-1, 3});
+  const double* const data = array.data();
+  std::vector<core::Vec3> out(static_cast<std::size_t>(array.shape(0)));
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] = {data[3 * i], data[3 * i + 1], data[3 * i + 2]};
+  return out;
+}
+
+core::Vec3 point(py::handle value, const std::string& name) {
+  const Doubles array = doubles(value, name, {3});
+  return {array.data()[0], array.data()[1], array.data()[2]};
+}
+
+py::array view(std::span<const core::Vec3> points, const py::object& owner) {
+  static_assert(sizeof(core::Vec3) == 3 * sizeof(double));
+  py::array array(py::dtype::of<double>(), {points.size(), std::size_t{3}},
+                  {sizeof(core::Vec3), sizeof(double)}, points.data(), owner);
+  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
+  return array;
+}
+
+py::array owned(std::vector<core::Vec3> points) {
+  auto* const kept = new std::vector<core::Vec3>(std::move(points));
+  const py::capsule owner(kept, [](void* p) { delete static_cast<std::vector<core::Vec3>*>(p); });
+  return py::array(py::dtype::of<double>(), {kept->size(), std::size_t{3}},
+                   {sizeof(core::Vec3), sizeof(double)}, kept->data(), owner);
+}
+
+}  // namespace incise::python

@@ -1,0 +1,111 @@
+// incise.Delta: one committed step.
+#include <pybind11/stl.h>
+
+#include "server/app/python/arrays.hpp"
+#include "server/app/python/module.hpp"
+
+namespace incise::python {
+namespace {
+
+using core::Delta;
+
+// A property that is a read-only view of an array of the delta.
+template <class Class, class T>
+void def_view(Class& type, const char* name, std::vector<T> Delta::*member, const char* doc) {
+  type.def_property_readonly(
+      name,
+      [member](const py::object& self) {
+        return view(std::span<const T>(self.cast<const Delta&>().*member), self);
+      },
+      doc);
+}
+
+py::tuple line_of(const core::BladeLine& line) {
+  return py::make_tuple(py::make_tuple(line.heel.x, line.heel.y, line.heel.z),
+                        py::make_tuple(line.tip.x, line.tip.y, line.tip.z));
+}
+
+void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
+  def_view(type, "moved", &Delta::moved,
+           "(n,) uint32: ids of vertices that were there and now lie elsewhere, ascending.");
+  def_view(type, "moved_positions", &Delta::moved_positions, "(n, 3) float64, metres: where they are now.");
+  def_view(type, "added_positions", &Delta::added_positions,
+           "(n, 3) float64, metres: of the new vertices, whose ids are first_added, first_added + 1, ...");
+  def_view(type, "provenance", &Delta::provenance,
+           "(n,) of (a uint32, b uint32, t float64): the fields of each new vertex are (1 - t) of vertex a + "
+           "t of vertex b; these are older, or new with lower ids.");
+  def_view(
+      type, "moved_rest", &Delta::moved_rest,
+      "(n, 3) or empty: rest positions of `moved`, if a cut moved them in a body that is deformed, metres.");
+  def_view(type, "added_rest", &Delta::added_rest, "(n, 3) or empty: likewise of the new vertices.");
+  def_view(type, "upserted", &Delta::upserted,
+           "(n,) of (id, vertices[4], region, cut_mask, boundary_mask): new and changed tetrahedra, ids "
+           "ascending. Bit f of a mask "
+           "is the face opposite to vertex f: opened by a cut; on the boundary.");
+  def_view(type, "removed", &Delta::removed, "(n,) uint32: ids of tetrahedra that are gone, ascending.");
+  def_view(type, "boundary_upserted", &Delta::boundary_upserted,
+           "(n,) uint32: boundary faces that are new or changed, as 4 * tetrahedron + face.");
+  def_view(type, "boundary_removed", &Delta::boundary_removed, "(n,) uint32: boundary faces that are gone.");
+  def_view(type, "pieces", &Delta::pieces,
+           "(n,) of (id, tet, tets) uint32: pieces that came off or changed their name: the id, one of the "
+           "tetrahedra, and how many "
+           "hang together with that. The largest part keeps its id; what was never cut off is piece 0.");
+}
+
+}  // namespace
+
+void add_delta(py::module_& module) {
+  PYBIND11_NUMPY_DTYPE(core::Provenance, a, b, t);
+  PYBIND11_NUMPY_DTYPE(core::TetState, id, vertices, region, cut_mask, boundary_mask);
+  PYBIND11_NUMPY_DTYPE(Delta::Piece, id, tet, tets);
+  py::class_<Delta, std::shared_ptr<Delta>> type(module, "Delta",
+                                                 R"(One committed step: it takes revision - 1 to revision.
+
+Its arrays are read-only views: nothing is copied, and they stay valid after the session is gone. Ids of vertices and
+tetrahedra are never used again. A step is a batch of a stroke, or a deformation (stroke 0).)");
+  add_arrays(type);
+  const auto number = [&type](const char* name, auto member, const char* doc) {
+    type.def_readonly(name, member, doc);
+  };
+  number("revision", &Delta::revision,
+         "int: the number of steps since the body was loaded, this one included.");
+  number("source", &Delta::source, "int: which blade.");
+  number("stroke", &Delta::stroke, "int: counts the strokes of all blades from 1; 0: the body deformed.");
+  number("batch", &Delta::batch, "int: within the stroke, from 1.");
+  number("stroke_ended", &Delta::stroke_ended, "bool: nothing more of this stroke will come.");
+  number("first_added", &Delta::first_added, "int: the id of the first new vertex.");
+  number("cut_faces", &Delta::cut_faces, "int: faces laid open, one side of them.");
+  number("cut_area", &Delta::cut_area, "float: their area, m^2.");
+  number("snaps", &Delta::snaps, "int: vertices that moved onto the cut.");
+  number("splits", &Delta::splits, "int: edges that were split.");
+  number("min_dihedral_deg", &Delta::min_dihedral_deg,
+         "float: the smallest dihedral angle at what changed, degrees.");
+  number("max_deviation_h", &Delta::max_deviation_h,
+         "float: the largest distance of the new cut faces' vertices from the swept surface, in mean edge "
+         "lengths.");
+  number("state_hash", &Delta::state_hash,
+         "int: of the whole mesh after this step; what incise_client's replicas and captures have for this "
+         "revision.");
+  type.def_property_readonly(
+          "from_line", [](const Delta& delta) { return line_of(delta.from); },
+          "((x, y, z), (x, y, z)): heel and tip of the blade where the batch begins, metres.")
+      .def_property_readonly(
+          "to_line", [](const Delta& delta) { return line_of(delta.to); },
+          "((x, y, z), (x, y, z)): where it ends.")
+      .def_readonly("from_t_ns", &Delta::from_t_ns, "int: the motion's time there, ns.")
+      .def_readonly("to_t_ns", &Delta::to_t_ns, "int: likewise where it ends.")
+      .def_property_readonly(
+          "held",
+          [](const py::object& self) {
+            return view(std::span<const core::VertexId>(self.cast<const Delta&>().deformation.held), self);
+          },
+          "(n,) uint32: of a deformation: vertices that stayed or went half the way, since a tetrahedron "
+          "would have inverted "
+          "or a blade is at work there.")
+      .def("__repr__", [](const Delta& delta) {
+        return "<incise.Delta revision " + std::to_string(delta.revision) + ": " +
+               std::to_string(delta.cut_faces) + " cut faces>";
+      });
+}
+
+}  // namespace incise::python

@@ -1,0 +1,40 @@
+#include "server/app/spare_session.hpp"
+
+#include "server/app/stream_setup.hpp"
+
+namespace incise::app {
+
+SpareSession::~SpareSession() {
+  thread_.request_stop();
+  give_back(nullptr);
+  if (thread_.joinable()) thread_.join();
+  take();
+  delete used_.load();
+}
+
+void SpareSession::start() {
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+void SpareSession::give_back(std::unique_ptr<core::CutSession> used) noexcept {
+  // The last one was destroyed before the session that this follows was built.
+  delete used_.exchange(used.release());
+  ++turns_;
+  turns_.notify_one();
+}
+
+void SpareSession::run(const std::stop_token& stop) {
+  for (std::uint32_t turn = 0; !stop.stop_requested(); turns_.wait(turn), turn = turns_.load()) {
+    delete used_.exchange(nullptr);
+    if (spare_.load() != nullptr) continue;
+    auto session = std::make_unique<core::CutSession>(mesh_, config_);
+    if (!mirror_) {
+      auto mirror = std::make_shared<stream::Mirror>();
+      mirror->reset(initial_state(*session, fresh_session_id()));
+      mirror_ = std::move(mirror);
+    }
+    spare_.store(session.release());
+  }
+}
+
+}  // namespace incise::app

@@ -1,0 +1,162 @@
+#include "server/replay/recorded_motion.hpp"
+
+#include <algorithm>
+#include <istream>
+#include <stdexcept>
+
+namespace incise::replay {
+namespace {
+
+struct RecordReader {
+  RecordedMotion& motion;
+  const std::string& name;
+
+  void operator()(const protocol::PoseRecord& record) {
+    check_source(record.source);
+    if (motion.gap) return;
+    motion.events.push_back(
+        {MotionEvent::Kind::kPose, record.source, to_core(record.pose), record.arrival_ns});
+  }
+  void operator()(const protocol::StrokeRecord& record) {
+    check_source(record.source);
+    if (motion.gap) return;
+    // HandOver: the blade has a new owner from here on. Other actions do not matter: the poses carry the buttons.
+    if (record.action == protocol::StrokeAction::End) {
+      motion.events.push_back({MotionEvent::Kind::kEndStroke, record.source, {}, record.arrival_ns});
+    } else if (record.action == protocol::StrokeAction::HandOver) {
+      motion.events.push_back({MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns});
+    }
+  }
+  void operator()(const protocol::BladeRecord& record) {
+    check_source(record.source);
+    if (motion.gap) return;
+    motion.events.push_back(
+        {MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, to_core(record.blade)});
+  }
+  void operator()(const protocol::BatchMark& record) {
+    if (!motion.gap) motion.marks.push_back(record);
+  }
+  void operator()(const protocol::NoteRecord&) {}
+  void operator()(const protocol::GapRecord& record) {
+    if (motion.gap) return;
+    motion.gap.emplace();
+    motion.gap->text = std::to_string(record.records) + " records are missing after record " +
+                       std::to_string(motion.records - 1) + " (" + record.reason + ")";
+  }
+  void operator()(const protocol::CheckpointRecord& record) { motion.checkpoints.push_back(record); }
+  void operator()(const protocol::PositionsRecord& record) {
+    if (motion.gap) return;
+    motion.events.push_back({MotionEvent::Kind::kDeform, 0, {}, record.arrival_ns, {}, positions_of(record)});
+  }
+  // A replay is of one session: the one after the last reset.
+  void operator()(const protocol::ResetRecord& record) {
+    motion.events.clear();
+    motion.marks.clear();
+    motion.checkpoints.clear();
+    motion.gap.reset();
+    motion.session = record.session;
+    ++motion.resets;
+  }
+  void operator()(const protocol::EndRecord&) {}
+
+  void check_source(std::uint32_t source) const {
+    if (source < core::kMaxSources) return;
+    throw std::runtime_error(name + ": record " + std::to_string(motion.records) + ": source " +
+                             std::to_string(source) + "; accepted are 0 to " +
+                             std::to_string(core::kMaxSources - 1));
+  }
+};
+
+}  // namespace
+
+RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start) {
+  RecordedMotion motion;
+  motion.format = "capture";
+  protocol::CaptureReader reader(in);
+  protocol::CaptureRecord record;
+  RecordReader read{motion, name};
+  motion.session = reader.header().session;
+  if (reader.good_bytes() > 0) motion.header = reader.header();
+  using Status = protocol::CaptureReader::Status;
+  Status status = Status::Record;
+  if (start != nullptr) {
+    reader.skip_to(start->offset, start->records);
+    status = reader.next(record);
+    const auto* checkpoint = std::get_if<protocol::CheckpointRecord>(&record);
+    if (status != Status::Record || checkpoint == nullptr || checkpoint->id != start->checkpoint) {
+      motion.header.reset();
+      return motion;
+    }
+    motion.session = start->session;
+  }
+  while ((status = reader.next(record)) == Status::Record) {
+    motion.records = reader.records();
+    std::visit(read, record);
+  }
+  if (status == Status::Corrupt || !motion.header) throw std::runtime_error(name + ": " + reader.error());
+  if (status == Status::Torn) {
+    motion.end_error = reader.error();
+    motion.warnings.push_back(name + ": cut off at its end (" + reader.error() +
+                              "); all before that is used");
+  }
+  if (motion.gap) motion.warnings.push_back(name + ": " + motion.gap->text + "; all before that is used");
+  if (motion.resets > 0) {
+    motion.warnings.push_back(name + ": the mesh was reset " +
+                              (motion.resets == 1 ? "once" : std::to_string(motion.resets) + " times") +
+                              "; what came after the last reset is used");
+  }
+  motion.records = reader.records();
+  motion.good_bytes = reader.good_bytes();
+  motion.closed = reader.closed();
+  return motion;
+}
+
+std::size_t RecordedMotion::count(MotionEvent::Kind kind) const {
+  return static_cast<std::size_t>(
+      std::count_if(events.begin(), events.end(), [kind](const MotionEvent& e) { return e.kind == kind; }));
+}
+
+core::Pose to_core(const protocol::PoseSample& sample) {
+  const protocol::Vec3& p = sample.position;
+  const protocol::Quat& q = sample.orientation;
+  return {sample.source_ns, {p.x, p.y, p.z}, {q.w, q.x, q.y, q.z}, sample.buttons};
+}
+
+core::Blade to_core(const protocol::BladeEdge& blade) {
+  const auto& [heel, tip] = blade;
+  return {{heel.x, heel.y, heel.z}, {tip.x, tip.y, tip.z}};
+}
+
+std::shared_ptr<const core::VertexPositions> positions_of(const protocol::PositionsRecord& record) {
+  auto positions = std::make_shared<core::VertexPositions>();
+  positions->frame = record.frame;
+  positions->revision = record.revision;
+  positions->source_ns = record.source_ns;
+  positions->arrival_ns = record.arrival_ns;
+  positions->ids = record.ids;
+  positions->first = record.first;
+  positions->single = record.single;
+  positions->positions.reserve(record.positions.size() / 3);
+  for (std::size_t i = 0; i + 2 < record.positions.size(); i += 3)
+    positions->positions.push_back({record.positions[i], record.positions[i + 1], record.positions[i + 2]});
+  return positions;
+}
+
+void apply(core::CutSession& session, const MotionEvent& event, const core::Blade& blade) {
+  switch (event.kind) {
+    case MotionEvent::Kind::kPose:
+      session.push(event.source, event.pose);
+      break;
+    case MotionEvent::Kind::kEndStroke:
+      session.end_stroke(event.source);
+      break;
+    case MotionEvent::Kind::kOpened:
+      session.set_blade(event.source, event.blade ? *event.blade : blade);
+      break;
+    case MotionEvent::Kind::kDeform:
+      session.deform(event.positions);
+      break;
+  }
+}
+
+}  // namespace incise::replay

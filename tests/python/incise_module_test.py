@@ -1,0 +1,451 @@
+"""The module incise against the command line, a server and bad input: incise_module_test.py BUILD.
+
+INCISE_DATA names a folder of real meshes and motions for a further test.
+"""
+
+import ast
+import copy
+import ctypes
+import gc
+import json
+import os
+import pathlib
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+
+import numpy as np
+
+import incise
+from incise_client.state_hash import tet_hashes, vertex_hashes, xor_of
+
+BUILD = pathlib.Path(sys.argv.pop(1)).resolve()
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+BLADE = ((0, 0, 0), (0, 0, -0.12))
+BLADE_TEXT = "0,0,0:0,0,-0.12"
+THROUGH_SLOWLY = np.column_stack([np.linspace(0, 1, 50), np.full(50, 0.03), np.linspace(-0.1, 0.1, 50), np.full(50, 0.07)])
+THROUGH = [(0, 0.03, -0.1, 0.07), (1, 0.03, 0.1, 0.07)]
+
+
+class ProcessHeap(ctypes.Structure):
+    """glibc's struct mallinfo2."""
+    _fields_ = [(name, ctypes.c_size_t) for name in
+                ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")]
+
+
+def allocated_bytes():
+    """What malloc has handed out and not got back, large blocks included."""
+    gc.collect()
+    heap = ctypes.CDLL(None).mallinfo2
+    heap.restype = ProcessHeap
+    now = heap()
+    return now.uordblks + now.hblkhd
+
+
+def run_incise(*arguments):
+    return subprocess.run([BUILD / "bin/incise", *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120)
+
+
+class Folder(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+
+    def cut_by_command(self, mesh, poses, *options):
+        report = self.folder / "report.json"
+        done = run_incise("cut", "--mesh", mesh, "--poses", poses, "--out", self.folder / "out.node", "--report", report, *options)
+        self.assertIn(done.returncode, (0, 3), done.stderr)
+        return json.loads(report.read_text())
+
+    def motion_file(self, rows):
+        path = self.folder / "motion.tum"
+        np.savetxt(path, rows, fmt="%.17g")
+        return path
+
+
+class SameAsTheCommand(Folder):
+    def check(self, mesh, poses, options=(), **named):
+        expected = self.cut_by_command(mesh, poses, *options)
+        cut = incise.cut(mesh, poses, **named)
+        for report in (expected, cut.report):
+            del report["cut_time_us"]
+        self.assertEqual(cut.report, expected)
+        self.assertEqual(cut.warnings, expected["warnings"])
+        self.assertEqual(format(cut.session.state_hash, "016x"), expected["state_hash"])
+        return expected
+
+    def test_report_for_each_policy_and_preference(self):
+        mesh = self.folder / "liver.node"
+        incise.Body.phantom("liver", 3_000).save(mesh)
+        poses = self.motion_file([(t, x, y, 0.07, 0, 0, 0, 1) for t, x, y in ((0, 0.03, -0.1), (1, 0.03, 0.1))])
+        states = set()
+        for policy, prefer in (("conforming", "no-growth"), ("conforming", "balanced"), ("conforming", "exact"), ("croll", "exact")):
+            expected = self.check(mesh, poses, ("--blade", BLADE_TEXT, "--policy", policy, "--prefer", prefer), blade=BLADE,
+                                  policy=policy, prefer=prefer)
+            self.assertGreater(expected["cut_faces"], 0)
+            states.add(expected["state_hash"])
+        self.assertEqual(len(states), 4)
+
+    def test_configuration_file_and_dict(self):
+        mesh, file = self.folder / "slab.vtu", self.folder / "config.json"
+        incise.Body.phantom("slab", 1_000).save(mesh)
+        config = {"blade": {"heel": [0, 0, 0.5], "tip": [0, 0, -0.5]}, "cut": {"prefer": "exact"}, "mesh": {"scale_to_metres": 2}}
+        file.write_text(json.dumps(config))
+        poses = self.motion_file([(t, 0.05, y, 0, 0, 0, 0, 1) for t, y in ((0, -0.1), (1, 0.3))])
+        expected = self.check(mesh, poses, ("--config", file), config=file)
+        self.assertEqual(expected["pieces"], 2)
+        self.assertEqual(incise.cut(mesh, poses, config=config).report["state_hash"], expected["state_hash"])
+
+    def test_capture_with_its_configuration(self):
+        capture = SOURCE / "tests/replay/crossing_conforming.capture"
+        self.assertGreater(self.check(SOURCE / "tests/replay/body", capture)["cut_faces"], 0)
+
+    def test_arrays_of_what_the_files_hold(self):
+        body = incise.Body.load(SOURCE / "tests/replay/body")
+        again = incise.Body(body.points, body.tets, body.regions)
+        self.assertEqual(again.content_hash, body.content_hash)
+        left = incise.Body(np.asfortranarray(body.points), body.tets[:, [1, 0, 2, 3]].astype(np.int16))
+        self.assertIn("left-handed", " ".join(left.warnings))
+        random = np.random.default_rng(1)
+        low, high = body.points.min(axis=0), body.points.max(axis=0)
+        path = np.cumsum(random.normal(size=(40, 3)), axis=0)
+        rows = np.zeros((40, 8))
+        rows[:, 0] = np.arange(40) * 0.05
+        rows[:, 1:4] = low + (path - path.min(axis=0)) / np.ptp(path, axis=0) * (high - low)
+        rows[:, 4:] = [0.5, 0.5, -0.5, 0.5]
+        expected = self.cut_by_command(SOURCE / "tests/replay/body", self.motion_file(rows))
+        self.assertGreater(expected["cut_faces"], 0)
+        for poses in (rows, np.asfortranarray(rows), np.repeat(rows, 2, axis=1)[:, ::2], rows.tolist(), incise.Motion(rows).poses):
+            self.assertEqual(incise.cut(again, poses).report["state_hash"], expected["state_hash"])
+
+    @unittest.skipUnless(os.environ.get("INCISE_DATA"), "INCISE_DATA is not set")
+    def test_real_motions_in_a_real_mesh(self):
+        data = pathlib.Path(os.environ["INCISE_DATA"])
+        mesh = data / "meshes/sofa_liver2.msh"
+        points = incise.Body.load(mesh).points
+        for motion in sorted(data.glob("motions/*.csv")):
+            with self.subTest(motion.name):
+                poses = incise.Motion.load(motion)
+                rows = poses.poses[:1500]
+                rows[:, 1:4] = (rows[:, 1:4] - rows[:, 1:4].mean(axis=0)) / np.ptp(rows[:, 1:4]) * np.ptp(points) + points.mean(axis=0)
+                size = float(np.ptp(points)) / 4
+                expected = self.cut_by_command(mesh, self.motion_file(rows), "--blade", f"0,0,0:0,0,-{size!r}")
+                found = incise.cut(mesh, rows, blade=((0, 0, 0), (0, 0, -size))).report
+                self.assertEqual(found["state_hash"], expected["state_hash"])
+                self.assertGreater(found["cut_faces"], 0)
+
+    def test_errors_have_the_text_of_the_command(self):
+        mesh = SOURCE / "tests/replay/body"
+        bad_mesh, bad_motion, bad_config = (self.folder / name for name in ("bad.msh", "bad.csv", "bad.json"))
+        bad_mesh.write_text("$MeshFormat\n9 0 8\n")
+        bad_motion.write_text("t_s,x_m\n1,2\n")
+        bad_config.write_text('{"cut": {"prefer": "fast"}}')
+        good = self.motion_file([(0, 0, 0, 0, 0, 0, 0, 1), (1, 0, 0, 1, 0, 0, 0, 1)])
+        for error, body, poses, config in ((incise.MeshError, bad_mesh, good, None), (incise.MeshError, "no.vtu", good, None),
+                                           (incise.MotionError, mesh, bad_motion, None), (incise.Error, mesh, "no.csv", None),
+                                           (incise.ConfigError, mesh, good, bad_config)):
+            done = run_incise("cut", "--mesh", body, "--poses", poses, "--out", self.folder / "out.node",
+                              *(("--config", config) if config else ()))
+            with self.assertRaises(error) as caught:
+                incise.cut(body, poses, config=config)
+            self.assertEqual(f"incise: {caught.exception}\n", done.stderr)
+
+
+class SameAsAServer(Folder):
+    def test_states_of_recorded_sessions(self):
+        for capture in sorted(SOURCE.glob("tests/replay/c*.capture")):
+            with self.subTest(capture.name):
+                facts = json.loads(run_incise("replay", capture, "--json").stdout)
+                config = json.loads(run_incise("info", capture, "--json").stdout)["config"]
+                session = incise.Session(SOURCE / "tests/replay/body", config)
+                deltas = session.cut(capture).deltas
+                self.assertEqual(len(deltas), facts["batches"])
+                self.assertEqual(format(session.state_hash, "016x"), facts["state_hash"])
+
+    def test_buttons_engage_the_blade_as_configured(self):
+        body, file, capture = self.folder / "slab.vtu", self.folder / "config.json", self.folder / "session.capture"
+        incise.Body.phantom("slab", 1_000).save(body)
+        config = {"blade": {"heel": [0, 0, 0], "tip": [0, 0, -0.12]}, "cut": {"engage_buttons": 2}}
+        file.write_text(json.dumps(config))
+        y = np.linspace(-0.02, 0.08, 100)
+        button = 2 * (y > 0.03)
+        motion = self.folder / "motion.csv"
+        motion.write_text("t_s,x_m,y_m,z_m,button\n" + "".join(f"{i * 0.01},0.05,{y[i]!r},0.1,{button[i]}\n" for i in range(100)))
+        done = run_incise("convert", motion, "--mesh", body, "--config", file, "--out", capture)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        facts = json.loads(run_incise("replay", capture, "--json").stdout)
+        rows = np.column_stack([np.arange(100) * 0.01, np.full(100, 0.05), y, np.full(100, 0.1)])
+        states = set()
+        for poses in (motion, incise.Motion(rows, buttons=button)):
+            session = incise.Session(body, config)
+            self.assertGreater(sum(delta.cut_faces for delta in session.cut(poses).deltas), 0)
+            states.add(format(session.state_hash, "016x"))
+        self.assertEqual(states, {facts["state_hash"]})
+        always = incise.cut(body, motion, config=config).report
+        self.assertGreater(always["cut_faces"], session.measure()["cut_faces"])
+
+    def test_poses_one_by_one(self):
+        body = incise.Body.phantom("slab", 1_000)
+        rows = np.zeros((60, 8))
+        rows[:, 0] = np.arange(60) * 0.01
+        rows[:, 1:4] = np.linspace((0.05, -0.02, 0.1), (0.06, 0.08, 0.1), 60)
+        rows[:, 7] = 1
+        whole, single = incise.Session(body, blade=BLADE), incise.Session(body, blade=BLADE)
+        deltas = whole.cut(rows).deltas
+        steps = []
+        for row in rows:
+            self.assertEqual(single.push(row), "accepted")
+            while delta := single.advance():
+                steps.append(delta)
+        single.end_stroke()
+        while delta := single.advance():
+            steps.append(delta)
+        self.assertEqual([delta.state_hash for delta in steps], [delta.state_hash for delta in deltas])
+        self.assertTrue(steps[-1].stroke_ended)
+        self.assertEqual(single.push(rows[0]), "time not increasing")
+        self.assertEqual(single.state_hash, whole.state_hash)
+
+
+class Deltas(unittest.TestCase):
+    def test_they_lead_from_the_body_to_the_state(self):
+        body = incise.Body.phantom("liver", 2_000)
+        session = incise.Session(body, blade=BLADE)
+        points, tets = dict(enumerate(body.points)), {row["id"]: row for row in session.tets()}
+        deltas = session.cut(THROUGH_SLOWLY).deltas
+        moved = session.positions() * 1.01
+        deltas += session.deform(moved) + session.cut(THROUGH_SLOWLY + (0, 0.02, 0, 0)).deltas
+        self.assertGreater(len(deltas), 10)
+        for number, delta in enumerate(deltas):
+            self.assertEqual(delta.revision, number + 1)
+            self.assertEqual(len(delta.provenance), len(delta.added_positions))
+            for new, row in enumerate(delta.provenance, delta.first_added):
+                self.assertLess(max(row["a"], row["b"]), new)
+                self.assertTrue(0 <= row["t"] <= 1)
+            points |= dict(zip(delta.moved.tolist(), delta.moved_positions))
+            points |= dict(enumerate(delta.added_positions, delta.first_added))
+            for tet in delta.removed:
+                del tets[tet]
+            tets |= {row["id"]: row for row in delta.upserted}
+        self.assertTrue(sorted(points) == list(range(len(points))))
+        np.testing.assert_array_equal(np.array([points[i] for i in range(len(points))]), session.positions())
+        state = session.tets()
+        self.assertTrue({int(i): str(row.tolist()) for i, row in tets.items()} == {int(row["id"]): str(row.tolist()) for row in state})
+        self.assertEqual(xor_of(vertex_hashes(np.arange(len(points), dtype=np.uint32), session.positions())) ^
+                         xor_of(tet_hashes(state["id"], state["vertices"], state["region"], state["cut_mask"])),
+                         session.state_hash)
+        self.assertEqual(deltas[-1].state_hash, session.state_hash)
+        self.assertGreater(len({delta.stroke for delta in deltas}), 2)
+
+    def test_pieces_and_faces(self):
+        session = incise.Session(incise.Body.phantom("slab", 1_000), blade=BLADE)
+        cut = session.cut(incise.Motion.lines([((0.03, y, 0.05), (0.03, y, -0.05)) for y in (-0.1, 0.1)]))
+        numbers, counts = np.unique(session.pieces(), return_counts=True)
+        self.assertEqual(session.measure()["pieces"], 2)
+        named = {int(row["id"]): int(row["tets"]) for delta in cut.deltas for row in delta.pieces}
+        self.assertEqual({int(n): int(c) for n, c in zip(numbers, counts) if n}, named)
+        faces = session.faces()
+        self.assertEqual(len(faces), session.measure()["boundary_faces"])
+        self.assertEqual(int(faces["cut"].sum()), 2 * session.measure()["cut_faces"])
+        corners = session.positions()[faces["vertices"]]
+        volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6  # outward
+        self.assertAlmostEqual(volume, session.measure()["volume"], 12)
+
+    def test_views_cannot_be_written_and_outlive_their_owners(self):
+        body = incise.Body.phantom("slab", 600)
+        cut = incise.cut(body, THROUGH, blade=BLADE, deltas=True)
+        delta = next(delta for delta in cut.deltas if delta.cut_faces)
+        arrays = [delta.upserted, delta.moved_positions, delta.provenance, delta.boundary_upserted, body.points, body.tets]
+        for array in arrays:
+            self.assertFalse(array.flags.owndata)
+            with self.assertRaises(ValueError):
+                array.flags.writeable = True
+        self.assertTrue(np.shares_memory(delta.upserted, delta.upserted))
+        copies = [array.copy() for array in arrays]
+        del body, cut, delta
+        gc.collect()
+        [bytearray(1 << 20) for _ in range(20)]
+        for array, copy in zip(arrays, copies):
+            np.testing.assert_array_equal(array, copy)
+
+    def test_deformation_holds_what_would_invert(self):
+        session = incise.Session(incise.Body.phantom("slab", 600))
+        positions = session.positions()
+        tet = session.tets()["vertices"][100]
+        positions[tet[0]] += 3 * (positions[tet[1:]].mean(axis=0) - positions[tet[0]])
+        delta, = session.deform(positions)
+        self.assertEqual(delta.stroke, 0)
+        self.assertEqual(delta.held.tolist(), [tet[0]])
+        self.assertEqual(session.measure()["inverted"], 0)
+        np.testing.assert_array_equal(session.rest_positions(), incise.Body.phantom("slab", 600).points)
+        delta, = session.deform([[0, 0, -1e-4]] + session.positions()[5], ids=[5])
+        self.assertEqual(delta.moved.tolist(), [5])
+
+    def test_forces_of_the_contact_model(self):
+        body = incise.Body.phantom("slab", 1_000)
+        z = np.concatenate([np.linspace(0.13, 0.11, 100), np.linspace(0.11, 0.13, 100)])
+        rows = np.column_stack([np.arange(200) * 0.002, np.full(200, 0.05), np.full(200, 0.03), z])
+        cut = incise.cut(body, rows, blade=((-0.01, 0, -0.1), (0.01, 0, -0.1)), forces=True)
+        self.assertEqual(cut.forces.shape, (200, 3))
+        outside = z > 0.1201  # the slab's upper face is at 0.02, the edge 0.1 below the tool
+        self.assertEqual(np.abs(cut.forces[:100][outside[:100]]).max(), 0)
+        self.assertGreater(cut.forces[:100, 2].max(), 0.5)  # it resists
+        stiffer = incise.cut(body, rows, blade=((-0.01, 0, -0.1), (0.01, 0, -0.1)), forces=True,
+                             config={"haptics": {"toughness_j_m2": 1000}})
+        self.assertGreater(stiffer.forces[:, 2].max(), 1.5 * cut.forces[:, 2].max())
+        self.assertIsNone(incise.cut(body, rows).forces)
+
+
+class BadInput(unittest.TestCase):
+    def test_arrays(self):
+        tet, one = np.eye(4)[:, :3], [[0, 1, 2, 3]]
+        np.seterr(invalid="ignore")
+        poses = np.zeros((2, 8))
+        poses[:, 0], poses[:, 7] = (0, 1), 1
+        wrong_poses = [poses[::-1], poses[:, :5], poses[0], np.where(poses == 1, np.nan, poses), poses * np.inf, poses.astype(str),
+                       poses + 1j, np.zeros((2, 8)), "no file", None, 3, poses.astype(object), [[1], [2, 3]], np.ma.masked, poses == 1]
+        session = incise.Session(incise.Body(tet, one))
+        cases = [
+            *((incise.Body, (points, one)) for points in
+              (tet[:3], tet[:, :2], tet.ravel(), tet * np.nan, tet * np.inf, tet + 1j, tet.astype(str), tet == 1, None, "points", [],
+               np.zeros((4, 3)), tet * 1e200, tet.astype(object), np.zeros((0, 3)))),
+            *((incise.Body, (tet, tets)) for tets in
+              ([[0, 1, 2, 4]], [[-1, 0, 1, 2]], [[0, 1, 2, 2]], [[0, 1, 2]], [0, 1, 2, 3], [[0, 1, 2, 3.0]], [[True, False, True, True]],
+               [], [[2**63, 0, 1, 2]], [[2**32, 1, 2, 3]], None, "tets", [[0, 1, 2, 3]] * 2)),
+            *((incise.Body, (tet, one, regions)) for regions in ([], [1, 2], [1.5], [2**40], "a", [[1]])),
+            *((incise.Motion, (rows,)) for rows in wrong_poses if not isinstance(rows, str)),
+            *((session.cut, (rows,)) for rows in wrong_poses),
+            *((incise.cut, (session.body, rows)) for rows in wrong_poses),
+            *((incise.Motion.lines, (lines,)) for lines in
+              (np.zeros((2, 2, 3)), np.zeros((2, 3)), [[[0, 0, 0], [0, 0, 1]], [[0, 0, 0], [0, 0, 2]]], [[[0, 0, np.nan], [0, 0, 1]]])),
+            (incise.Motion.lines, ([[[0, 0, 0], [0, 0, 1]]] * 2, [1, 1])),
+            (incise.Motion.lines, ([[[0, 0, 0], [0, 0, 1]]] * 2, [1])),
+            *((session.push, (row,)) for row in (poses, poses[0, :7], poses[0] * np.nan, "x", [1e300] + [0] * 6 + [1])),
+            (session.push, (poses[0], 1, 8)), (session.push, (poses[0], 1, -1)), (session.push, (poses[0], -1)),
+            *((session.deform, (rows,)) for rows in (tet[:2], tet * np.nan, "x", None, np.zeros((9, 3)))),
+            *((session.deform, (tet[:2], ids)) for ids in ([1, 0], [0, 0], [0, 4], [-1, 0], [0.0, 1.0], [0], [[0], [1]])),
+        ]
+        for call, arguments in cases:
+            with self.subTest(f"{call.__name__}{arguments}"), self.assertRaises((TypeError, ValueError, incise.Error)) as caught:
+                call(*arguments)
+            self.assertNotIn("\n", str(caught.exception)) if isinstance(caught.exception, incise.Error) else None
+        self.assertEqual(session.revision, 0)
+        self.assertEqual(len(session.deform(tet * 2)), 1)
+
+    def test_poses_that_are_rejected(self):
+        session = incise.Session(incise.Body.phantom("slab", 600))
+        self.assertEqual(session.push((0, 2e4, 0, 0, 0, 0, 0, 1)), "not finite")
+        self.assertEqual(session.push((0, 0, 0, 0, 0, 0, 0, 2)), "quaternion not of unit length")
+        self.assertIsNone(session.advance())
+
+    def test_names(self):
+        body = incise.Body.phantom("slab", 600)
+        for call in (lambda: incise.Body.phantom("heart"), lambda: incise.Body.phantom("slab", 499), lambda: incise.Body.load(3),
+                     lambda: incise.Body.load("x.vtu", config=3), lambda: incise.Session(body, {"cut": 1}), lambda: body.save("x.foo"),
+                     lambda: incise.Session(body, blade=((0, 0, 0), (0, 0, 0))), lambda: incise.Session(body, blade=((0, 0), (1, 1))),
+                     lambda: incise.Session(body, policy="best"), lambda: incise.Session(body, prefer=3), lambda: incise.Session(3),
+                     lambda: incise.Session(body, {"cut": {"speed_limit_m_s": float("nan")}}), lambda: body.save("/no/such/x.vtu"),
+                     lambda: incise.cut(body, incise.Motion.lines([((0, 0, 0), (0, 0, 1))]), blade=BLADE),
+                     lambda: copy.copy(incise.Session(body)), lambda: pickle.dumps(body), lambda: incise.Delta(), lambda: incise.Cut()):
+            with self.assertRaises((TypeError, ValueError, incise.Error, RuntimeError)):
+                call()
+
+
+class Threads(unittest.TestCase):
+    def long_cut(self, session):
+        """A hand that wanders in the body: hundreds of batches."""
+        random = np.random.default_rng(1)
+        rows = np.zeros((400, 8))
+        rows[:, 0] = np.arange(len(rows)) * 0.01
+        rows[:, 1:4] = np.cumsum(random.normal(scale=0.002, size=(len(rows), 3)), axis=0) % (0.1, 0.06, 0.02) + (0, 0, 0.1)
+        rows[:, 7] = 1
+        while True:
+            try:
+                return session.cut(rows, deltas=False)
+            except incise.Error:
+                pass  # the other thread is looking whether the session is in use
+
+    def wait_until_busy(self, session, thread):
+        while thread.is_alive():
+            try:
+                session.revision
+            except incise.Error as error:
+                return str(error)
+        return ""
+
+    def test_a_second_thread_gets_an_error_and_others_run_meanwhile(self):
+        session = incise.Session(incise.Body.phantom("slab", 2_000), {"cut": {"speed_limit_m_s": 100}}, blade=((0, 0, 0), (0, 0, -0.1)))
+        thread = threading.Thread(target=self.long_cut, args=(session,))
+        thread.start()
+        # This thread could not see that the session is busy if the other one kept the GIL.
+        self.assertIn("in use by another thread", self.wait_until_busy(session, thread))
+        other = incise.cut(incise.Body.phantom("slab", 600), THROUGH, blade=BLADE)
+        self.assertEqual(other.report["pieces"], 2)
+        thread.join()
+        self.assertEqual(session.measure()["inverted"], 0)
+
+    def test_ctrl_c_ends_a_cut_between_two_batches(self):
+        session = incise.Session(incise.Body.phantom("slab", 2_000), {"cut": {"speed_limit_m_s": 100}}, blade=((0, 0, 0), (0, 0, -0.1)))
+
+        def interrupt():
+            self.wait_until_busy(session, threading.main_thread())
+            os.kill(os.getpid(), signal.SIGINT)
+
+        watcher = threading.Thread(target=interrupt)
+        watcher.start()
+        with self.assertRaises(KeyboardInterrupt):
+            self.long_cut(session)
+        watcher.join()
+        before = session.revision
+        session.cut([(0, 0.05, -0.1, 0.05), (0.1, 0.05, 0.1, 0.05)])
+        self.assertGreater(session.revision, before)
+        self.assertEqual(session.measure()["inverted"], 0)
+
+
+class Leaks(unittest.TestCase):
+    def test_two_thousand_cuts(self):
+        body = incise.Body.phantom("slab", 600)
+
+        def cuts(number):
+            for i in range(number):
+                x = 0.01 + 0.08 * i / number
+                cut = incise.cut(body, [(0, x, -0.1, 0.07), (1, x, 0.1, 0.07)], blade=BLADE, deltas=True, forces=i % 10 == 0)
+                cut.deltas[0].upserted.sum
+                if i % 10 == 0:
+                    incise.Body(body.points, body.tets).warnings
+                    with self.assertRaises(ValueError):
+                        incise.Body(body.points, [[0, 1, 2, 3], [0, 1, 2, 1 << 30]])
+                    with self.assertRaises(incise.Error):
+                        cut.session.cut("no such file")
+
+        cuts(200)  # what is kept once: tables, pools, caches
+        before = allocated_bytes()
+        cuts(2_000)
+        self.assertLess(allocated_bytes() - before, 200_000)  # 100 bytes a cut; a delta alone is some 10,000
+
+
+class Documented(unittest.TestCase):
+    def test_every_name_is_documented_and_in_the_stubs(self):
+        stubs = {node.name: node for node in ast.parse((SOURCE / "client/python/incise/_core.pyi").read_text()).body
+                 if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
+        for name in incise.__all__:
+            there = getattr(incise, name)
+            self.assertIn(name, stubs)
+            if isinstance(there, type) and issubclass(there, Exception):
+                continue
+            self.assertTrue(there.__doc__, name)
+            if not isinstance(there, type):
+                continue
+            members = {member for member in vars(there) if not member.startswith("_")}
+            stubbed = {node.name if isinstance(node, ast.FunctionDef) else node.target.id for node in stubs[name].body}
+            self.assertEqual({member for member in stubbed if not member.startswith("_")}, members, name)
+            for member in members:
+                self.assertTrue(getattr(there, member).__doc__, f"{name}.{member}")
+
+
+if __name__ == "__main__":
+    unittest.main()

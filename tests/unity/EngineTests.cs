@@ -1,0 +1,202 @@
+using System;
+using System.Collections.Generic;
+using System.Runtime.InteropServices;
+using System.Threading;
+using Incise;
+using InciseUnity;
+using UnityEngine;
+
+/// <summary>The MonoBehaviours in tests/unity/stub, which stands for Unity: the sample, against the built incised.</summary>
+public static class EngineTests
+{
+    /// <summary>The sample's blade cuts the body, and the mesh's buffers hold what the client holds.</summary>
+    public static void TheSampleCutsABody()
+    {
+        using (var server = new Server())
+        {
+            UnityEngine.Debug.Lines.Clear();
+            var sample = new GameObject("Sample").AddComponent<FirstCut>();
+            sample.port = server.Port;
+            sample.secondsPerSweep = 2;
+            InciseBody body = null;
+            DateTime end = DateTime.UtcNow.AddSeconds(120);
+            for (int frames = 0; body == null || frames < 300 || body.GetComponent<MeshFilter>().sharedMesh.SubMeshes[1].indexCount < 300; ++frames)
+            {
+                Check.That(DateTime.UtcNow < end, "nothing is cut");
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+                if (body == null || !body.HasBody) frames = 0;
+                body = Find<InciseBody>();
+            }
+            UnityEngine.Mesh mesh = body.GetComponent<MeshFilter>().sharedMesh;
+            Client client = Find<InciseConnection>().Client;
+            Check.That(UnityEngine.Debug.Lines.Contains("log: Incise: connected to 127.0.0.1:" + server.Port), string.Join(", ", UnityEngine.Debug.Lines));
+            Find<InciseBlade>().connection = null; // from here on nothing is sent
+            CheckHolds(mesh, client, Hands.Settled(server));
+            Check.That(mesh.UploadedVertices < 50L * mesh.VertexBytes.Length / mesh.Stride, "uploaded vertices: " + mesh.UploadedVertices);
+            server.Kill();
+            for (int i = 0; i < 400 && UnityEngine.Debug.Lines.Count < 2; ++i)
+            {
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Check.That(UnityEngine.Debug.Lines[1].StartsWith("warning: Incise: ") && UnityEngine.Debug.Lines[1].EndsWith("; connecting again"), UnityEngine.Debug.Lines[1]);
+            Player.Quit();
+            Check.Equal(client.Status, ClientStatus.Closed, "after the end");
+        }
+    }
+
+    private static T Find<T>() where T : MonoBehaviour
+    {
+        return Player.Find<T>();
+    }
+
+    private static void CheckHolds(UnityEngine.Mesh mesh, Client client, Welcome server)
+    {
+        Check.That(client.WaitForRevision(server.Revision, 60), client.LastError);
+        for (int i = 0; i < 20; ++i) Player.Frame(0.02f);
+        var fresh = new SurfaceMesh();
+        List<string> expected;
+        lock (client.Lock)
+        {
+            Check.Equal(client.State.StateHash, server.StateHash, "state hash");
+            fresh.Update(client.State);
+            expected = Hands.Drawn(fresh.Vertices, fresh.Indices, fresh.SkinCount, fresh.InsideStart, fresh.InsideCount);
+        }
+        var vertices = new MeshVertex[mesh.VertexBytes.Length / mesh.Stride];
+        GCHandle pinned = GCHandle.Alloc(vertices, GCHandleType.Pinned);
+        Marshal.Copy(mesh.VertexBytes, 0, pinned.AddrOfPinnedObject(), mesh.VertexBytes.Length);
+        pinned.Free();
+        List<string> drawn = Hands.Drawn(vertices, mesh.IndexBuffer, mesh.SubMeshes[0].indexCount, mesh.SubMeshes[1].indexStart, mesh.SubMeshes[1].indexCount);
+        Check.Equal(drawn.Count, expected.Count, "triangles drawn");
+        for (int i = 0; i < drawn.Count; ++i) Check.Equal(drawn[i], expected[i], "drawn triangle");
+    }
+
+    /// <summary>A device's thread drives the blade in a magnified body: its Transform follows, and the force is the tissue's.</summary>
+    public static void ADeviceDrivesTheBlade()
+    {
+        using (var server = new Server())
+        {
+            UnityEngine.Debug.Lines.Clear();
+            var root = new GameObject("Incise", typeof(MeshFilter), typeof(MeshRenderer));
+            root.SetActive(false);
+            var connection = root.AddComponent<InciseConnection>();
+            connection.port = server.Port;
+            connection.bringsBlade = true;
+            var body = new GameObject("Body", typeof(MeshFilter), typeof(MeshRenderer));
+            body.transform.SetParent(root.transform);
+            body.transform.localScale = new Vector3(10, 10, 10);
+            body.transform.position = new Vector3(0, 3, 0);
+            body.AddComponent<InciseBody>().connection = connection;
+            var blade = new GameObject("Blade").AddComponent<InciseBlade>();
+            blade.transform.SetParent(root.transform);
+            blade.connection = connection;
+            blade.body = body.GetComponent<InciseBody>();
+            var device = new GameObject("Device").AddComponent<BreakableDevice>();
+            device.transform.SetParent(root.transform);
+            device.transform.position = body.transform.position;
+            // A half turn about the vertical: the device looks the other way.
+            device.transform.rotation = new Quaternion(0, 1, 0, 0);
+            device.top = new Vector3(-0.02f, 0.1f, 0);
+            device.scale = 10;
+            device.blade = blade;
+            root.SetActive(true);
+            DateTime end = DateTime.UtcNow.AddSeconds(60);
+            while (device.Largest.magnitude < 0.0003f)
+            {
+                Check.That(DateTime.UtcNow < end, "no force: " + device.Largest.magnitude);
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Vector3 at = blade.transform.position;
+            Check.That(Math.Abs(at.x - 0.2f) < 1e-5 && at.y < 4 && at.y > 3.6f, "the Transform follows: " + at.x + " " + at.y);
+            Check.That(blade.LastReport != null && blade.LastReport.SourceNs > 0, "the server's report");
+            // A plugin that fails: no force stays on the hand, and the console says why.
+            device.Breaks = true;
+            while (UnityEngine.Debug.Lines.Count < 2)
+            {
+                Check.That(DateTime.UtcNow < end, "nothing is said");
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Check.Equal(UnityEngine.Debug.Lines[1], "error: Incise: the device's thread has ended: unplugged", "what is said");
+            Check.Equal(device.Last.magnitude, 0f, "the last force");
+            Player.Quit();
+        }
+    }
+
+    private sealed class BreakableDevice : InciseDevice
+    {
+        public Vector3 top, Largest, Last;
+        public volatile bool Breaks;
+        private long begun;
+
+        protected override void Read(out Vector3 position, out Quaternion rotation, out bool cuts)
+        {
+            if (Breaks) throw new InvalidOperationException("unplugged");
+            if (begun == 0) begun = Clock.NowNs;
+            float way = (float)(0.02 * (Clock.NowNs - begun) * 1e-9 % 0.08);
+            position = top + new Vector3(0, way < 0.04f ? -way : way - 0.08f, 0);
+            rotation = Quaternion.identity;
+            cuts = false;
+        }
+
+        protected override void Apply(Vector3 force)
+        {
+            Last = force;
+            if (force.magnitude > Largest.magnitude) Largest = force;
+        }
+    }
+
+    /// <summary>What the server says beside the state, a full disk for one, is said in Unity's console.</summary>
+    public static void TheConsoleHasTheServersWarnings()
+    {
+        List<byte[]> messages = Vectors.Stream("surface");
+        messages.Insert(1, System.IO.File.ReadAllBytes(Vectors.PathOf("messages/ErrorNotRecorded.bin")));
+        using (var server = new PlayedServer(messages, 1))
+        {
+            UnityEngine.Debug.Lines.Clear();
+            var connection = new GameObject("Incise").AddComponent<InciseConnection>();
+            connection.port = server.Port;
+            DateTime end = DateTime.UtcNow.AddSeconds(60);
+            while (!UnityEngine.Debug.Lines.Exists(line => line.StartsWith("warning: Incise: NotRecorded: ")))
+            {
+                Check.That(DateTime.UtcNow < end, "nothing is said: " + string.Join(", ", UnityEngine.Debug.Lines));
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Player.Quit();
+        }
+    }
+
+    /// <summary>The sample's device feels the body, too.</summary>
+    public static void TheSampleDeviceFeelsTheBody()
+    {
+        using (var server = new Server())
+        {
+            var root = new GameObject("Incise");
+            root.SetActive(false);
+            var connection = root.AddComponent<InciseConnection>();
+            connection.port = server.Port;
+            connection.view = View.None;
+            connection.bringsBlade = true;
+            var blade = root.AddComponent<InciseBlade>();
+            blade.connection = connection;
+            var wrong = root.AddComponent<SimulatedDevice>();
+            wrong.blade = blade;
+            Check.Throws<System.Reflection.TargetInvocationException>(() => Player.Call(wrong, "OnEnable"), "a device on its blade");
+            UnityEngine.Object.Destroy(wrong);
+            var device = new GameObject("Device").AddComponent<SimulatedDevice>();
+            device.blade = blade;
+            root.SetActive(true);
+            DateTime end = DateTime.UtcNow.AddSeconds(60);
+            while (device.LargestForce < 0.002f)
+            {
+                Check.That(DateTime.UtcNow < end, "no force: " + device.LargestForce);
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Player.Quit();
+        }
+    }
+}

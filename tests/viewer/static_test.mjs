@@ -1,0 +1,139 @@
+// The page without a server: the session runs in the browser.
+
+import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
+import { cpSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { test } from "node:test";
+import { atRevision, bladeIsReady, drag, look, notices, shot, strokeIsOver, theBrowser } from "./page.mjs";
+import { bin, progress, until } from "./server.mjs";
+import { serveFiles, staticFolder } from "./static_server.mjs";
+
+function replayed(capture) {
+  const done = spawnSync(join(bin, "incise"), ["replay", capture, "--verify", "--json"], { encoding: "utf8" });
+  assert.equal(done.status, 0, done.stderr);
+  return JSON.parse(done.stdout);
+}
+
+/** What the button Save gives, as a file. */
+async function saved(page) {
+  const download = page.waitForEvent("download");
+  await page.evaluate(() => document.getElementById("save-recording").click());
+  return (await download).path();
+}
+
+const openPanel = (page) => page.evaluate(() => window.incise.look.togglePanel(true));
+const quiet = (page) =>
+  page.evaluate(async () => {
+    let revision = -1;
+    while (revision !== window.incise.progress.revision) {
+      revision = window.incise.progress.revision;
+      await new Promise((resolve) => setTimeout(resolve, 700));
+    }
+  });
+
+test("the mouse cuts the liver in two, and incise replay of the saved recording gives the same hash", async (t) => {
+  const { page, faults } = await look(t, await serveFiles(t), { acceptDownloads: true });
+  await bladeIsReady(page);
+  assert.equal(await page.textContent("#connection-text"), "In this page");
+  await drag(page, [0.52, 0.02], [0.46, 0.98], 10);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await page.locator("#depth").fill("0.2");
+  await drag(page, [0.66, 0.05], [0.68, 0.92], 10);
+  await strokeIsOver(page);
+  await quiet(page);
+  const shown = await progress(page);
+  assert.equal(shown.hashAgrees, true);
+  await page.locator("#open").fill("0.5");
+  await openPanel(page);
+  await shot(page, "static_cut");
+
+  const report = replayed(await saved(page));
+  assert.deepEqual([report.state_hash, report.batches], [shown.hash, shown.revision]);
+
+  // After a reset the recording is that of what follows.
+  await page.locator("#depth").fill("1");
+  await page.evaluate(() => window.incise.look.togglePanel(false));
+  await page.locator("#reset").click();
+  await page.locator("#reset-dialog").getByRole("button", { name: "Reset" }).click();
+  await atRevision(page, 0);
+  assert.equal((await progress(page)).pieces, 1);
+  await drag(page, [0.56, 0.02], [0.5, 0.98], 8);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await quiet(page);
+  const again = await progress(page);
+  assert.equal(replayed(await saved(page)).state_hash, again.hash);
+  assert.notEqual(again.hash, shown.hash);
+  assert.deepEqual(faults, []);
+});
+
+test("a recording of the folder and one from a file are played, and the session goes on", async (t) => {
+  const { page, faults } = await look(t, await serveFiles(t), { acceptDownloads: true });
+  await bladeIsReady(page);
+  await drag(page, [0.52, 0.02], [0.46, 0.98], 8);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await strokeIsOver(page);
+  await quiet(page);
+  const own = await progress(page);
+  const file = await saved(page);
+
+  await openPanel(page);
+  await page.getByRole("button", { name: "demo", exact: true }).click();
+  await until(page, () => window.incise.replay.facts !== null && window.incise.progress.revision === 0);
+  const demo = replayed(join(staticFolder, "session/demo.capture"));
+  await page.locator("#speed").selectOption("16");
+  await page.getByRole("button", { name: "Play" }).click();
+  await atRevision(page, demo.batches);
+  const played = await progress(page);
+  assert.deepEqual([played.hash, played.hashAgrees], [demo.state_hash, true]);
+  await shot(page, "static_replay");
+  const seek = (revision) =>
+    page.locator("#scrub").evaluate((e, r) => {
+      e.valueAsNumber = r;
+      e.dispatchEvent(new Event("change"));
+    }, revision);
+  await seek(3);
+  await atRevision(page, 3);
+  await page.getByRole("button", { name: "Back to live" }).click();
+  await until(page, (hash) => window.incise.progress.hash === hash, own.hash);
+
+  await page.locator("#open-recording").setInputFiles(file);
+  await until(page, () => window.incise.replay.facts !== null);
+  await seek(own.revision);
+  await until(page, (hash) => window.incise.progress.hash === hash, own.hash);
+  await page.getByRole("button", { name: "Back to live" }).click();
+  await until(page, () => window.incise.replay.facts === null);
+  assert.equal((await progress(page)).hash, own.hash);
+  assert.deepEqual(await notices(page), []);
+  assert.deepEqual(faults, []);
+});
+
+test("what is no recording of this body gets one clear line, and changes nothing", async (t) => {
+  const { page, faults } = await look(t, await serveFiles(t));
+  await bladeIsReady(page);
+  const refused = async (name, buffer, text) => {
+    await page.locator("#open-recording").setInputFiles({ name, mimeType: "application/octet-stream", buffer });
+    await page.getByText(text).waitFor();
+  };
+  await refused("photo.capture", Buffer.alloc(5000, 7), "photo.capture:");
+  await refused("empty.capture", Buffer.alloc(0), "empty.capture");
+  const replays = new URL("../replay/", import.meta.url).pathname;
+  await page.locator("#open-recording").setInputFiles(join(replays, "planar_conforming.capture"));
+  await page.getByText("was recorded with another body").waitFor();
+  assert.equal((await progress(page)).revision, 0);
+  await drag(page, [0.52, 0.02], [0.46, 0.98], 8);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  assert.deepEqual(faults, []);
+});
+
+test("a folder with a damaged session says what is wrong", async (t) => {
+  const folder = mkdtempSync(join(tmpdir(), "incise_static_"));
+  t.after(() => rmSync(folder, { recursive: true, force: true }));
+  cpSync(staticFolder, folder, { recursive: true });
+  writeFileSync(join(folder, "session/body.bin"), Buffer.alloc(300, 1));
+  const page = await theBrowser().newPage();
+  t.after(() => page.close());
+  await page.goto(await serveFiles(t, folder));
+  await page.getByText("The session failed: the body's file:").first().waitFor();
+});

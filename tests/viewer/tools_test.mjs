@@ -1,0 +1,272 @@
+// What a user does beside cutting: saves what is seen, looks from elsewhere, measures, sees where the blade would enter.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { until } from "./server.mjs";
+
+/** The file that a click on this button saves: [name, bytes]. */
+async function savedBy(page, id) {
+  const download = page.waitForEvent("download");
+  await page.evaluate((id) => document.getElementById(id).click(), id);
+  const file = await download;
+  return [file.suggestedFilename(), readFileSync(await file.path())];
+}
+
+const atRest = (page) => until(page, () => window.incise.stage.atRest);
+
+test("a saved picture is what is seen, at the screen's resolution also while something moves", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await atRest(page);
+  server.stream([0.03]);
+  const { revision } = await server.stats();
+  await atRevision(page, revision);
+  const [name, png] = await savedBy(page, "save-picture");
+  assert.equal(name, `liver_r${revision}.png`);
+  assert.equal(png.subarray(1, 4).toString(), "PNG");
+  assert.ok(png.readUInt32BE(16) >= 1280 && png.readUInt32BE(20) >= 720);
+  const [glbName, glb] = await savedBy(page, "save-glb");
+  assert.deepEqual([glbName, glb.subarray(0, 4).toString()], [`liver_r${revision}.glb`, "glTF"]);
+  // While the body turns fewer pixels are drawn.
+  const moving = await page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        const { stage } = window.incise;
+        const turn = async () => {
+          stage.turn(0.5, 0);
+          if (stage.renderer.getPixelRatio() >= 1) return requestAnimationFrame(turn);
+          const shown = stage.colourAt(0.5, 0.5);
+          const bitmap = await createImageBitmap(await stage.picture());
+          const pen = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+          pen.drawImage(bitmap, 0, 0);
+          const saved = [...pen.getImageData(bitmap.width / 2, bitmap.height / 2, 1, 1).data];
+          resolve({ width: bitmap.width, height: bitmap.height, shown, saved });
+        };
+        turn();
+      }),
+  );
+  assert.ok(moving.width >= 1280 && moving.height >= 720, `${moving.width} x ${moving.height}`);
+  for (const k of [0, 1, 2]) assert.ok(Math.abs(moving.saved[k] - moving.shown[k]) < 40, JSON.stringify(moving));
+  assert.ok(moving.saved[0] > 1.5 * moving.saved[2], "the body is in it");
+  assert.deepEqual(faults, []);
+});
+
+test("number keys and the menu look at the whole body from the standard sides", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await atRest(page);
+  const direction = () =>
+    page.evaluate(() => {
+      const arm = window.incise.stage.toEye;
+      return arm.map((x) => Math.round((100 * x) / Math.hypot(...arm)) / 100 + 0);
+    });
+  const sides = [
+    [0, -1, 0],
+    [0, 1, 0],
+    [-1, 0, 0],
+    [1, 0, 0],
+    [0, 0, 1],
+    [0, 0, -1],
+    [0.58, -0.58, 0.58],
+  ];
+  for (const [i, side] of sides.entries()) {
+    await page.keyboard.press(String(i + 1));
+    assert.deepEqual(await direction(), side, `key ${i + 1}`);
+    assert.ok(await page.evaluate(() => window.incise.stage.colourAt(0.39, 0.47)[0] > 40), `key ${i + 1}: the body`);
+  }
+  await shot(page, "view_isometric");
+  await page.keyboard.press("f");
+  assert.deepEqual(await direction(), [-0.18, -0.62, 0.76]);
+  await page.locator("#more summary").click();
+  await shot(page, "more_menu");
+  await page.locator("#views").getByText("Left").click();
+  assert.deepEqual(await direction(), sides[2]);
+  await page.keyboard.press("Escape");
+  assert.equal(await page.locator("#more > div").isVisible(), false);
+  await page.setViewportSize({ width: 390, height: 844 });
+  await page.keyboard.press("p"); // the panel would cover the tools
+  await page.locator("#more summary").click();
+  await shot(page, "more_menu_phone");
+  const box = await page.locator("#more > div").boundingBox();
+  assert.ok(box.x >= 0 && box.y >= 0 && box.x + box.width <= 390 && box.y + box.height <= 844, JSON.stringify(box));
+  await page.mouse.click(195, 150);
+  assert.equal(await page.locator("#more > div").isVisible(), false);
+  assert.deepEqual(faults, []);
+});
+
+test("the address keeps the view when it comes to rest, and a link shows it again", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await atRest(page);
+  const entries = await page.evaluate(() => history.length);
+  await page.keyboard.press("3");
+  await page.keyboard.press("+");
+  await page.locator("#colouring").getByText("Pieces").click();
+  await page.locator("#theme").click();
+  await page.keyboard.press("s");
+  await page.locator("#section-at").fill("0.4");
+  await until(
+    page,
+    () => window.incise.stage.atRest && /section=x,-1,0.4&colours=pieces&theme=light$/.test(location.hash),
+  );
+  assert.equal(await page.evaluate(() => history.length), entries);
+  const view = (of) =>
+    of.evaluate(() => {
+      const { stage, look } = window.incise;
+      const { position, target } = stage.cameraPlace;
+      return { at: [...position, ...target].map((x) => Math.round(x * 1e4)), ...look.state };
+    });
+  const kept = await view(page);
+  const url = page.url();
+  const other = await look(t, url, { width: 1280, height: 720 });
+  await atRest(other.page);
+  assert.deepEqual(await view(other.page), kept);
+  assert.equal(await other.page.isChecked("#section"), true);
+  assert.equal(
+    await other.page.evaluate(() => localStorage.getItem("incise-theme")),
+    null,
+    "not the user's own choice",
+  );
+  await shot(other.page, "linked_view");
+  // Another link in the same page; then one that makes no sense, and one of another body.
+  await other.page.evaluate(() => (location.hash = "#body=liver&from=0,-1,0&to=0,0,0&theme=dark"));
+  await until(other.page, () => Math.abs(window.incise.stage.cameraPlace.position[1] + 1) < 1e-6);
+  assert.equal(await other.page.isChecked("#section"), false);
+  const before = await view(other.page);
+  for (const bad of ["#%%%&from=1,2&to=x", "#body=heart&from=0,9,0&to=0,0,0", "#from=NaN,0,0&to=0,0,0&section=w,1,2"]) {
+    await other.page.evaluate((bad) => (location.hash = bad), bad);
+    await until(other.page, (bad) => window.incise.stage.atRest && location.hash !== bad, bad);
+    assert.deepEqual(await view(other.page), before, bad);
+  }
+  assert.deepEqual([...faults, ...other.faults], []);
+});
+
+test("clicks measure lengths and areas of cuts, on the surface that is seen", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await atRest(page);
+  await page.keyboard.press("5"); // from above
+  await page.keyboard.press("m");
+  const spots = [
+    [360, 240],
+    [430, 260],
+    [410, 290],
+  ];
+  /** The length of the line through the body's skin below these spots of the page. */
+  const lengthOf = (spots) =>
+    page.evaluate((spots) => {
+      const { stage } = window.incise;
+      const Vector3 = stage.centre.constructor;
+      const at = spots.map(([x, y]) => {
+        const far = new Vector3((2 * x) / innerWidth - 1, 1 - (2 * y) / innerHeight, 0.5).unproject(stage.camera);
+        const way = far.sub(stage.camera.position).normalize();
+        return stage.camera.position.clone().addScaledVector(way, stage.body.raycast(stage.camera.position, way));
+      });
+      return 1000 * at.slice(1).reduce((sum, p, i) => sum + p.distanceTo(at[i]), 0);
+    }, spots);
+  const labels = () => page.evaluate(() => window.incise.measure.labels);
+  const clicks = async (spots) => {
+    for (const spot of spots) await page.mouse.click(...spot);
+  };
+  await clicks(spots.slice(0, 2));
+  const straight = await lengthOf(spots.slice(0, 2));
+  assert.ok(straight > 5);
+  const [first] = await labels();
+  assert.match(first, /^[\d.]+ mm$/);
+  assert.ok(Math.abs(parseFloat(first) - straight) < 0.2, `${first}, wanted ${straight}`);
+  await clicks(spots.slice(2));
+  const total = await lengthOf(spots);
+  assert.ok(Math.abs(parseFloat((await labels())[0]) - total) < 0.2, `${await labels()}, wanted ${total}`);
+  await page.mouse.click(20, 400); // beside the body
+  assert.ok(Math.abs(parseFloat((await labels())[0]) - total) < 0.2);
+  await shot(page, "measure_dark");
+  await page.keyboard.press("l");
+  await shot(page, "measure_light");
+  // A drag turns, and measures nothing.
+  await page.mouse.move(450, 350);
+  await page.mouse.down();
+  await page.mouse.move(500, 300, { steps: 4 });
+  await page.mouse.up();
+  assert.ok(Math.abs(parseFloat((await labels())[0]) - total) < 0.2);
+  await page.keyboard.press("Escape");
+  assert.deepEqual(await labels(), []);
+  assert.equal(await page.evaluate(() => window.incise.tool), "turn");
+
+  // The side of a cut that is clicked has the area of the cut.
+  server.stream([0.03]);
+  await atRevision(page, (await server.stats()).revision);
+  await page.locator("#open").fill("1");
+  await page.keyboard.press("7");
+  await page.keyboard.press("m");
+  const cut = await page.evaluate(() => {
+    const { stage } = window.incise;
+    stage.colourAt(0.5, 0.5); // draws: the camera has moved
+    const { slots, corners, isCut } = stage.body.shown(stage.openNow);
+    const p = new Float64Array(9);
+    for (let slot = 0; slot < slots; ++slot) {
+      if (!corners(slot, p) || !isCut(slot)) continue;
+      const middle = stage.centre.clone().set(...[0, 1, 2].map((k) => (p[k] + p[k + 3] + p[k + 6]) / 3));
+      const { x, y } = middle.project(stage.camera);
+      if (stage.pick(x, y)?.slot === slot) return [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+    }
+    return null;
+  });
+  assert.ok(cut, "no cut face is seen");
+  await page.mouse.click(...cut);
+  await until(page, () => /cm²$/.test(window.incise.measure.labels.at(-1)));
+  await shot(page, "measure_cut");
+  const area = parseFloat((await labels()).at(-1));
+  const all = parseFloat(await page.textContent("#cut-area"));
+  assert.ok(Math.abs(area - all) < 0.06, `${area}, and all cuts ${all} cm²`);
+  assert.deepEqual(faults, []);
+});
+
+test("the blade is shown where it would enter, before the button is pressed", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await bladeIsReady(page);
+  await atRest(page);
+  const frames = await page.evaluate(() => window.incise.stage.framesDrawn);
+  const preview = () =>
+    page.evaluate(() => {
+      const { stage, mouse } = window.incise;
+      const shown = mouse.preview();
+      if (!shown) return null;
+      const { entry, tip } = shown;
+      const { canvas } = stage.marks;
+      const at = entry.clone().project(stage.camera);
+      const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+      copy.drawImage(canvas, 0, 0);
+      const pixels = copy.getImageData(0, 0, canvas.width, canvas.height).data;
+      const x = ((at.x + 1) / 2) * innerWidth,
+        y = ((1 - at.y) / 2) * innerHeight;
+      return { x, y, below_mm: 1000 * tip.distanceTo(entry), drawn: pixels.filter((p) => p > 0).length };
+    });
+  await page.locator("#depth").fill("0.3");
+  const depth_mm = parseFloat(await page.textContent("#depth-text"));
+  await page.mouse.move(520, 330);
+  const straight = await preview();
+  assert.ok(Math.hypot(straight.x - 520, straight.y - 330) < 1, JSON.stringify(straight));
+  assert.ok(Math.abs(straight.below_mm - depth_mm) < 1, JSON.stringify(straight));
+  assert.ok(straight.drawn > 100);
+  assert.equal(
+    await page.evaluate(() => window.incise.stage.framesDrawn),
+    frames,
+    "the body is not drawn again for it",
+  );
+  await page.locator("#tilt").fill("40");
+  await shot(page, "blade_preview");
+  assert.ok(Math.abs((await preview()).below_mm - depth_mm) < 1);
+  await page.mouse.move(20, 400); // beside the body
+  assert.equal(await preview(), null);
+  await page.mouse.move(520, 330);
+  await page.mouse.down();
+  assert.equal(await preview(), null);
+  await page.mouse.up();
+  await page.keyboard.press("t");
+  await page.mouse.move(521, 330);
+  assert.equal(await preview(), null, "it cannot cut now");
+  assert.deepEqual(faults, []);
+});
