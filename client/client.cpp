@@ -118,6 +118,10 @@ bool Client::reset() {
   return impl_->send(protocol::Reset{}) != 0;
 }
 
+bool Client::undo() {
+  return impl_->send(protocol::Undo{}) != 0;
+}
+
 Status Client::status() const {
   const std::scoped_lock lock(impl_->mutex);
   return impl_->current_status;

@@ -121,6 +121,9 @@ class Client {
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: restores the mesh as it was loaded, for everyone.
   bool reset();
+  // Operators with a blade, and administrators: goes back to the state before the last stroke that cut something, for everyone. A
+  // refusal comes as an error.
+  bool undo();
 
   Status status() const;
   // Why it is not connected; empty while connected.

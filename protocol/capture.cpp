@@ -159,6 +159,13 @@ void fields(Io& io, R& r) {
   } else if constexpr (std::is_same_v<T, ResetRecord>) {
     io(r.session);
     io(r.arrival_ns);
+  } else if constexpr (std::is_same_v<T, UndoRecord>) {
+    io(r.session);
+    io(r.arrival_ns);
+    io(r.source);
+    io(r.pose_source_ns);
+    io(r.pose_arrival_ns);
+    io(r.revision);
   } else if constexpr (std::is_same_v<T, EndRecord>) {
     io(r.records);
   } else {

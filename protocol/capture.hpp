@@ -103,6 +103,16 @@ struct ResetRecord {
   friend bool operator==(const ResetRecord&, const ResetRecord&) = default;
 };
 
+// The last stroke was undone: back to the state before this pose, which began it.
+struct UndoRecord {
+  std::uint64_t session = 0;  // from here on
+  std::int64_t arrival_ns = 0;
+  std::uint32_t source = 0;
+  std::int64_t pose_source_ns = 0, pose_arrival_ns = 0;
+  std::uint64_t revision = 0;  // of that state
+  friend bool operator==(const UndoRecord&, const UndoRecord&) = default;
+};
+
 // The capture was closed, not cut off.
 struct EndRecord {
   std::uint64_t records = 0;  // before this one
@@ -110,8 +120,9 @@ struct EndRecord {
 };
 
 // index() + 1 is the type on disk. A reader passes over types that it does not know.
-using CaptureRecord = std::variant<PoseRecord, StrokeRecord, BatchMark, NoteRecord, GapRecord,
-                                   CheckpointRecord, PositionsRecord, ResetRecord, EndRecord, BladeRecord>;
+using CaptureRecord =
+    std::variant<PoseRecord, StrokeRecord, BatchMark, NoteRecord, GapRecord, CheckpointRecord,
+                 PositionsRecord, ResetRecord, EndRecord, BladeRecord, UndoRecord>;
 
 // Where a capture is written to. Errors come back as codes: a full disk is no reason to stop cutting.
 class CaptureSink {

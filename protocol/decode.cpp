@@ -265,9 +265,11 @@ class MessageReader : public FieldReader {
     out.frame_work_p99_us = finite("frame_work_p99_us", m.frame_work_p99_us());
     out.pose_to_delta_p99_us = finite("pose_to_delta_p99_us", m.pose_to_delta_p99_us());
     out.recording = enumeration<Recording>("recording", m.recording());
+    out.undoable = m.undoable();
     return out;
   }
   Body read(const wire::Reset&) { return Reset{}; }
+  Body read(const wire::Undo&) { return Undo{}; }
   Body read(const wire::ReplayControl& m) {
     const float speed = finite("speed", m.speed());
     require(speed > 0, "speed", "accepted are numbers above 0");
@@ -329,6 +331,7 @@ Body read_body(MessageReader& reader, const wire::Message& message) {
     INCISE_MESSAGE(Positions);
     INCISE_MESSAGE(Stats);
     INCISE_MESSAGE(Reset);
+    INCISE_MESSAGE(Undo);
     INCISE_MESSAGE(ReplayControl);
     INCISE_MESSAGE(ReplayState);
     INCISE_MESSAGE(BladePose);

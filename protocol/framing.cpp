@@ -226,9 +226,10 @@ struct Encoder {
     const auto json = text(b, m.json);
     return wire::CreateStats(b, json, m.revision, m.live_tets, m.pieces, m.sessions, m.backlog_segments,
                              m.frames, m.late_frames, m.poses_accepted, m.poses_rejected, m.frame_work_p99_us,
-                             m.pose_to_delta_p99_us, wire::Recording(m.recording))
+                             m.pose_to_delta_p99_us, wire::Recording(m.recording), m.undoable)
         .Union();
   }
+  auto operator()(const Undo&) { return wire::CreateUndo(b).Union(); }
   auto operator()(const Reset&) { return wire::CreateReset(b).Union(); }
   auto operator()(const ReplayControl& m) {
     const auto capture = text(b, m.capture);

@@ -331,9 +331,13 @@ struct Stats {
   std::uint64_t frames = 0, late_frames = 0, poses_accepted = 0, poses_rejected = 0;
   float frame_work_p99_us = 0, pose_to_delta_p99_us = 0;
   Recording recording = Recording::Off;
+  std::uint32_t undoable = 0;
 };
 
 struct Reset {};
+
+// An operator's or admin's: back to the state before the last stroke that cut something.
+struct Undo {};
 
 enum class ReplayAction : std::uint8_t { Open, Play, Pause, Step, Seek, Close };
 
@@ -370,7 +374,7 @@ struct PositionsReport {
 using Body =
     std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
                  StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk, SnapshotEnd,
-                 Positions, Stats, Reset, ReplayControl, ReplayState, BladePose, PositionsReport>;
+                 Positions, Stats, Reset, ReplayControl, ReplayState, BladePose, PositionsReport, Undo>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

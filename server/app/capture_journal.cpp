@@ -50,6 +50,9 @@ protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
                                  record.batch,    record.stroke_ended, record.frame};
     case Kind::kReset:
       return protocol::ResetRecord{record.session, record.arrival_ns};
+    case Kind::kUndo:
+      return protocol::UndoRecord{record.session,   record.arrival_ns, record.source,
+                                  record.pose.t_ns, record.posed_ns,   record.revision};
     case Kind::kGap:
       return protocol::GapRecord{record.lost, 0, record.arrival_ns, record.arrival_ns,
                                  "the disk was full or too slow"};
@@ -58,6 +61,7 @@ protocol::CaptureRecord to_capture(const loop::JournalRecord& record) {
     case Kind::kDeform:
       return to_capture(*record.positions);
     case Kind::kPose:
+    case Kind::kUndoWanted:  // never comes here
       break;
   }
   const core::Pose& pose = record.pose;

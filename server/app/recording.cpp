@@ -86,6 +86,7 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
           "{}: belongs to another capture, or to a part of this one that was lost; it is passed over", name);
       continue;
     }
+    if (rest->undone_before_start) continue;
     start.rest = std::move(*rest);
     std::string error;
     start.session = core::restore_session(checkpoint.state, config.cut, error);

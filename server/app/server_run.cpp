@@ -23,6 +23,7 @@
 #include "server/app/stream_output.hpp"
 #include "server/app/stream_setup.hpp"
 #include "server/app/telemetry.hpp"
+#include "server/app/undone_slot.hpp"
 #include "server/base/clock.hpp"
 #include "server/loop/realtime.hpp"
 
@@ -112,6 +113,7 @@ class RunningServer {
   SavedState saved_;
   std::future<std::unique_ptr<haptics::Tissue>> tissue_;
   input::PoseSources sources_;
+  UndoneSlot undone_;                       // the journal's thread writes it
   std::unique_ptr<loop::Journal> journal_;  // null: nothing is recorded
   input::PositionsSlot positions_;
   StreamInput stream_input_;
@@ -138,12 +140,14 @@ RunningServer::RunningServer(const Config& config, bool resume)
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
       sources_(config.cut.blade, declared_sources(config)),
-      journal_(make_journal(config, body_, recording_, saved_,
-                            [this](const loop::JournalRecord& pose, bool recorded) {
-                              if (recorded && core::accepted(pose.verdict))
-                                sources_.acknowledge_recorded(pose.source, pose.owner, pose.pose.t_ns);
-                              sources_.acknowledge(pose.source, pose.verdict, pose.pose.t_ns);
-                            })),
+      journal_(make_journal(
+          config, body_, recording_, saved_,
+          [this](const loop::JournalRecord& pose, bool recorded) {
+            if (recorded && core::accepted(pose.verdict))
+              sources_.acknowledge_recorded(pose.source, pose.owner, pose.pose.t_ns);
+            sources_.acknowledge(pose.source, pose.verdict, pose.pose.t_ns);
+          },
+          [this](loop::Undone undone) { undone_.offer(std::move(undone)); })),
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
       spare_(body_.loaded.mesh, config.cut),
@@ -186,6 +190,15 @@ void RunningServer::join_loop() {
                         server_.publish_reset(as_loaded);
                         return as_loaded->epoch;
                       });
+  if (!journal_ || !journal_->checkpointer()) return;
+  stream_input_.join(journal_->checkpointer());
+  frames_.offer_undo([this] { return undone_.take(); },
+                     [this](std::unique_ptr<core::CutSession> used) {
+                       spare_.give_back(used ? std::move(used) : std::move(recording_.session));
+                       const auto shown = undone_.shown();
+                       server_.publish_reset(shown);
+                       return shown->epoch;
+                     });
 }
 
 void RunningServer::open_inputs() {

@@ -12,7 +12,8 @@ namespace incise::app {
 namespace {
 
 std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, const Body& body,
-                                                      const Recording& recording, const SavedState& saved) {
+                                                      const Recording& recording, const SavedState& saved,
+                                                      std::function<void(loop::Undone)> on_undone) {
   if (config.capture.checkpoint_replay_s == 0) return nullptr;
   loop::Checkpointer::Options options;
   options.journal = config.resolve(config.capture.path).string();
@@ -21,6 +22,7 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
   };
+  options.undone = std::move(on_undone);
   auto first = options.fresh;
   if (saved.valid()) {
     first = [&config, saved] {
@@ -61,16 +63,17 @@ SavedState save_for_checkpoints(const Config& config, const core::CutSession& se
 }
 
 std::unique_ptr<loop::Journal> make_journal(const Config& config, const Body& body, Recording& recording,
-                                            const SavedState& saved, loop::Journal::OnPose on_pose) {
+                                            const SavedState& saved, loop::Journal::OnPose on_pose,
+                                            std::function<void(loop::Undone)> on_undone) {
   if (!recording.journal) return nullptr;
   loop::Journal::Options options;
   options.policy = sync_policy(config.capture.sync);
   options.lost = recording.lost;
   options.realtime_priority = static_cast<int>(config.loop.realtime_priority) / 2;
   options.sync_interval_ms = static_cast<std::int64_t>(config.capture.sync_interval_ms);
-  return std::make_unique<loop::Journal>(std::move(recording.journal), options, log_trouble,
-                                         make_checkpointer(config, body, recording, saved),
-                                         std::move(on_pose));
+  return std::make_unique<loop::Journal>(
+      std::move(recording.journal), options, log_trouble,
+      make_checkpointer(config, body, recording, saved, std::move(on_undone)), std::move(on_pose));
 }
 
 }  // namespace incise::app

@@ -21,8 +21,9 @@ using SavedState = std::shared_future<std::shared_ptr<std::vector<std::byte>>>;
 SavedState save_for_checkpoints(const Config& config, const core::CutSession& session);
 
 // The journal of a session, with its checkpoints, both logging their trouble; null if nothing is to be recorded.
-// `on_pose` is called for each pose from the journal's thread. Config and body must outlive the journal.
+// `on_pose` is called for each pose from the journal's thread, `on_undone` for what a stroke is undone with from the checkpoints'. Config and body must outlive the journal.
 std::unique_ptr<loop::Journal> make_journal(const Config& config, const Body& body, Recording& recording,
-                                            const SavedState& saved, loop::Journal::OnPose on_pose);
+                                            const SavedState& saved, loop::Journal::OnPose on_pose,
+                                            std::function<void(loop::Undone)> on_undone);
 
 }  // namespace incise::app

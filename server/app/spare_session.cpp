@@ -17,7 +17,7 @@ void SpareSession::start() {
 }
 
 void SpareSession::give_back(std::unique_ptr<core::CutSession> used) noexcept {
-  // The last one was destroyed before the session that this follows was built.
+  // The last one was destroyed long ago: the session that this one has made way for took longer to build.
   delete used_.exchange(used.release());
   ++turns_;
   turns_.notify_one();

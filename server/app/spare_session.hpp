@@ -31,7 +31,7 @@ class SpareSession {
   std::unique_ptr<core::CutSession> take() noexcept {
     return std::unique_ptr<core::CutSession>(spare_.exchange(nullptr));
   }
-  // After each take(): has the session that it replaces destroyed, and another one built.
+  // Has a session that the loop no longer uses destroyed, and after a take() another one built.
   void give_back(std::unique_ptr<core::CutSession> used) noexcept;
   // What viewers are shown of each fresh session. After a take() that gave one.
   std::shared_ptr<const stream::Mirror> mirror() const { return mirror_; }

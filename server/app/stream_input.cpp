@@ -80,6 +80,17 @@ std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_nam
   return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
+std::string StreamInput::undo(std::optional<std::uint32_t> source) {
+  if (!loop_ || !checkpointer_)
+    return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
+  if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";
+  const loop::Checkpointer::Undoable undoable = checkpointer_->undoable();
+  if (undoable.strokes == 0) return "there is no stroke to undo";
+  if (source && undoable.source != *source)
+    return "the last stroke is that of another blade: its operator or an admin may undo it";
+  return loop_->request_undo() ? "" : "this server does not offer it";
+}
+
 std::unique_ptr<stream::PositionsInput> StreamInput::open_positions() {
   return positions_open_ ? nullptr : std::make_unique<StreamPositionsInput>(positions_, positions_open_);
 }

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include "server/app/config.hpp"
@@ -59,10 +60,13 @@ class StreamInput final : public stream::PeerInput {
       : sources_(sources), positions_(positions), config_(config) {}
   // The loop that uses the poses, for its backlog and for resets; call before the first session.
   void join(loop::FrameLoop& loop) { loop_ = &loop; }
+  // What can be undone; call before the first session. Null: nothing ever.
+  void join(const loop::Checkpointer* checkpointer) { checkpointer_ = checkpointer; }
 
   std::unique_ptr<stream::PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& own_edge) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
+  std::string undo(std::optional<std::uint32_t> source) override;
   bool reset() override { return loop_ && loop_->request_reset(); }
 
  private:
@@ -71,6 +75,7 @@ class StreamInput final : public stream::PeerInput {
   bool positions_open_ = false;  // the stream thread's
   const Config& config_;
   loop::FrameLoop* loop_ = nullptr;
+  const loop::Checkpointer* checkpointer_ = nullptr;
 };
 
 }  // namespace incise::app

@@ -171,6 +171,7 @@ std::string Telemetry::json() const {
                       {"wrong_tokens", c.wrong_tokens},
                       {"tokens_not_looked_at", c.tokens_not_looked_at},
                       {"resets", c.resets},
+                      {"undos", c.undos},
                       {"takeovers", c.takeovers},
                       {"handovers", c.handovers}};
     root["stream"] = stream_json(c);
@@ -297,6 +298,7 @@ protocol::Stats Telemetry::message() const {
         count;
   }
   stats.frame_work_p99_us = static_cast<float>(us(stats_.frame_work.quantile_ns(0.99)));
+  if (journal_ && journal_->checkpointer()) stats.undoable = journal_->checkpointer()->undoable().strokes;
   stats.pose_to_delta_p99_us = static_cast<float>(us(stats_.pose_to_cut.quantile_ns(0.99)));
   return stats;
 }

@@ -50,6 +50,10 @@ void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexce
   tissue_->note_cuts(mesh, delta.boundary_upserted);
 }
 
+void ForceStage::note_cuts(const core::TetMesh& mesh, std::span<const core::HalfFace> faces) noexcept {
+  tissue_->note_cuts(mesh, faces);
+}
+
 void ForceStage::restart() noexcept {
   tissue_->heal();
   for (auto& hand : hands_) hand->model.jump();

@@ -51,6 +51,8 @@ class ForceStage {
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
   // Adds the cuts of a delta, which `mesh` has already. O(delta's boundary).
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
+  // Adds cuts that a mesh has which was cut elsewhere: those of the faces that are cut faces. O(faces).
+  void note_cuts(const core::TetMesh& mesh, std::span<const core::HalfFace> faces) noexcept;
   // The body is whole again.
   void restart() noexcept;
 

@@ -104,6 +104,8 @@ void Checkpointer::give_up(const std::string& why) {
   if (!session_) return;
   session_.reset();
   computed_.clear();
+  history_.clear();
+  tell_undoable();
   dirty_ = true;
   following_.store(false, std::memory_order_relaxed);
   report_(true, "no more checkpoints until the mesh is reset or the server restarted: " + why);
@@ -178,12 +180,18 @@ void Checkpointer::handle(const Item& item) {
     session_ = options_.fresh();
     session_id_ = record.session;
     computed_.clear();
+    history_.clear();
+    tell_undoable();
     // A resume begins here at the latest, with the mesh as loaded.
     began_s_ = thread_cpu_s();
     owed_ = false;
     dirty_ = true;
     place_.reset();
     following_.store(true, std::memory_order_relaxed);
+    return;
+  }
+  if (!item.mark && record.kind == Kind::kUndoWanted) {
+    find_undone(record.request);
     return;
   }
   if (!session_) return;
@@ -196,36 +204,69 @@ void Checkpointer::handle(const Item& item) {
   }
   place_.reset();
   dirty_ = true;
-  switch (record.kind) {
-    case Kind::kOpened:
-      session_->set_blade(record.source, record.blade);
-      break;
-    case Kind::kPose:
-      session_->push(record.source, record.pose);
-      break;
-    case Kind::kEndStroke:
-      session_->end_stroke(record.source);
-      break;
-    case Kind::kDeform:
-      session_->deform(record.positions);
-      break;
-    case Kind::kCommit:
-      compare(record);
-      return;
-    case Kind::kGap:
-      give_up("the journal lost records before they were read");
-      return;
-    case Kind::kCheckpoint:
-    case Kind::kReset:
-      return;
+  if (record.kind == Kind::kCommit) {
+    compare(record);
+  } else if (record.kind == Kind::kGap) {
+    give_up("the journal lost records before they were read");
+  } else if (record.kind == Kind::kUndo) {
+    go_back(record);
+  } else {
+    if (options_.undone) history_.note(record, *session_);
+    apply(*session_, record);
+    commit_all();
+    tell_undoable();
   }
-  commit_all();
+}
+
+// All that came before is applied: the journal keeps the order.
+void Checkpointer::find_undone(std::uint64_t request) {
+  if (!options_.undone) return;
+  Undone undone;
+  undone.request = request;
+  const BeforeStroke* const last = session_ ? history_.last() : nullptr;
+  if (last) undone.session = history_.before(*last, session_->config());
+  if (undone.session) {
+    undone.before = *last;
+    const core::TetMesh& mesh = undone.session->mesh();
+    for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+      if (!mesh.alive(t)) continue;
+      for (int face = 0; face < 4; ++face)
+        if ((mesh.cut_mask(t) >> face & 1) != 0) undone.cuts.push_back(core::half_face(t, face));
+    }
+  }
+  options_.undone(std::move(undone));
+}
+
+void Checkpointer::go_back(const JournalRecord& undo) {
+  BeforeStroke stroke;
+  stroke.source = undo.source;
+  stroke.t_ns = undo.pose.t_ns;
+  stroke.arrival_ns = undo.posed_ns;
+  auto session = history_.before(stroke, session_->config());
+  if (!session) {
+    give_up("the state before a stroke that was undone is no longer there");
+    return;
+  }
+  session_ = std::move(session);
+  history_.went_back(stroke);
+  tell_undoable();
+  session_id_ = undo.session;
+  computed_.clear();
+  owed_ = true;  // a resume would have to begin before the stroke
+}
+
+void Checkpointer::tell_undoable() {
+  const BeforeStroke* const last = history_.last();
+  undoable_.store({static_cast<std::uint32_t>(history_.size()), last ? last->source : 0},
+                  std::memory_order_relaxed);
 }
 
 void Checkpointer::commit_all() {
   core::WorkBudget budget = core::WorkBudget::unlimited();
-  while (session_->advance(budget, delta_) == core::CutSession::Progress::kCommitted)
+  while (session_->advance(budget, delta_) == core::CutSession::Progress::kCommitted) {
     computed_.push_back({delta_.revision, delta_.state_hash});
+    history_.note(delta_);
+  }
 }
 
 void Checkpointer::compare(const JournalRecord& commit) {

@@ -15,6 +15,7 @@
 
 #include "server/core/session/cut_session.hpp"
 #include "server/loop/journal_record.hpp"
+#include "server/loop/undo_history.hpp"
 
 namespace incise::loop {
 
@@ -28,12 +29,16 @@ namespace incise::loop {
 // the newest checkpoint would have to repeat, in this run of the server or an earlier one. When nothing happens for a
 // while, a smaller debt is enough, and at the end any.
 //
-// It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH).
+// It also knows how to go back to the state before a stroke (UndoHistory), and prepares that off the loop: a record kUndoWanted asks for it, and one
+// of kUndo says that the loop has gone there.
+//
+// It costs as much memory as the loop's session and as much computing, as a batch job (SCHED_BATCH), and up to kUndo_bytes for undoing.
 //
 // Thread: record() and mark() from the journal's; figures from any. Owns: the second session, its thread, the
 // checkpoint files.
 class Checkpointer {
  public:
+  static constexpr std::size_t kUndo_bytes = 256u << 20;
   struct Options {
     std::string journal;  // the path that the checkpoints' names begin with
     // A checkpoint is written when the debt is this large; less often if writing one takes more than a fifth of that.
@@ -44,6 +49,8 @@ class Checkpointer {
     std::chrono::milliseconds rest{2000};
     std::size_t capacity = 1u << 20;                           // records that may wait
     std::function<std::unique_ptr<core::CutSession>()> fresh;  // the session as loaded; on the thread
+    // Given what a record kUndoWanted has asked for, without a session where nothing can be undone; on the thread. May be empty.
+    std::function<void(Undone)> undone;
   };
   // Called on its thread, and from record(): a line for the log. `bad`: there will be no checkpoints for now.
   using Report = std::function<void(bool bad, const std::string& text)>;
@@ -76,6 +83,11 @@ class Checkpointer {
   std::size_t behind() const { return behind_.load(std::memory_order_relaxed); }
   // Whether the run began with work that a resume would have to do again.
   bool in_debt() const { return options_.debt_s > 0; }
+  // Strokes that can be undone, and the source of the first of them.
+  struct Undoable {
+    std::uint32_t strokes = 0, source = 0;
+  };
+  Undoable undoable() const { return undoable_.load(std::memory_order_relaxed); }
   bool following() const { return following_.load(std::memory_order_relaxed); }
 
  private:
@@ -91,10 +103,13 @@ class Checkpointer {
   double debt_s() const;
   bool can_write_at_rest() const;
   void handle(const Item& item);
+  void find_undone(std::uint64_t request);
+  void go_back(const JournalRecord& undo);
   void give_up(const std::string& why);
   void commit_all();
   void compare(const JournalRecord& commit);
   void write(const Item& mark);
+  void tell_undoable();
 
   const Options options_;
   const Report report_;
@@ -109,6 +124,7 @@ class Checkpointer {
   std::atomic<bool> following_{true};
   std::atomic<std::uint64_t> written_{0}, last_revision_{0}, last_offset_{0};
   std::atomic<std::size_t> behind_{0};
+  std::atomic<Undoable> undoable_{};
 
   // The thread's.
   std::unique_ptr<core::CutSession> session_;  // null: it cannot follow
@@ -125,6 +141,7 @@ class Checkpointer {
     std::uint64_t revision, hash;
   };
   std::deque<Computed> computed_;  // whose marks have not come by
+  UndoHistory history_{kUndo_bytes};
   core::Delta delta_;
   std::thread thread_;
 };

@@ -6,6 +6,7 @@
 #include <cerrno>
 #include <ctime>
 #include <limits>
+#include <span>
 #include <utility>
 
 #include "server/base/clock.hpp"
@@ -27,6 +28,11 @@ constexpr std::int64_t kJitterPart = 4;
 constexpr double kLatest = 0.95;
 // The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
+// An undo that could not be done for so long, since blades cut all the time, is given up.
+constexpr std::int64_t kUndoPatience_ns = 10'000'000'000;
+constexpr std::uint32_t kMostUndos = 100;  // that may wait
+// After an undo so many cuts a frame are entered for the forces.
+constexpr std::size_t kCutsNoted = 512;
 
 void sleep_until(std::int64_t ns) {
   const timespec at{ns / 1'000'000'000, ns % 1'000'000'000};
@@ -111,6 +117,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   input_.doorbell().forget();
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
+  if (undo_wanted_.load(std::memory_order_relaxed) > 0) undo(start);
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(credit_ns_)));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
@@ -191,8 +198,12 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
                                core::blade_line(blade, event.pose.pose)};
         blades_moved_ = true;
       }
-      if (verdict == core::PoseVerdict::kNewStroke || (!stroking && session_->in_stroke(source)))
+      record.begins_stroke =
+          session_->in_stroke(source) && (!stroking || verdict == core::PoseVerdict::kNewStroke);
+      if (record.begins_stroke) {
         ++state_.strokes;
+        ++strokes_begun_;
+      }
       record.verdict = verdict;
       input_.count(source, verdict);
       if (forces_ && accepted(verdict)) {
@@ -253,6 +264,11 @@ void FrameLoop::offer_forces(const haptics::ForceConfig& config, std::unique_ptr
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   if (!forces_) return now_ns;
+  if (!cuts_to_note_.empty()) {
+    const std::size_t count = std::min(kCutsNoted, cuts_to_note_.size());
+    forces_->note_cuts(session_->mesh(), std::span(cuts_to_note_).last(count));
+    cuts_to_note_.resize(cuts_to_note_.size() - count);
+  }
   forces_->frame(now_ns, late_ns);
   const std::int64_t done_ns = monotonic_ns();
   for (const std::int64_t arrival_ns : forces_->felt_ns()) stats_.pose_to_force.record(done_ns - arrival_ns);
@@ -260,7 +276,7 @@ std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
   return done_ns;
 }
 
-// ------------------------------------------------------------------------------------------------ reset
+// ------------------------------------------------------------------------------------------------ reset, undo
 
 void FrameLoop::offer_reset(Restart restart, ResetDone done) {
   restart_ = std::move(restart);
@@ -281,30 +297,95 @@ void FrameLoop::reset() {
     reset_wanted_.store(true, std::memory_order_relaxed);
     return;
   }
-  session_ = fresh.get();
-  std::swap(own_session_, fresh);
+  undo_wanted_.store(0, std::memory_order_relaxed);  // what it was to undo is gone
+  undo_until_ns_ = 0;
+  undo_asked_ = false;
+  cuts_to_note_.clear();
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kReset;
+  replace(std::move(fresh), {}, record, reset_done_);
+}
+
+void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
+  take_undone_ = std::move(take);
+  undo_done_ = std::move(done);
+}
+
+bool FrameLoop::request_undo() {
+  if (!take_undone_) return false;
+  if (undo_wanted_.load(std::memory_order_relaxed) < kMostUndos)
+    undo_wanted_.fetch_add(1, std::memory_order_relaxed);
+  return true;
+}
+
+bool FrameLoop::in_stroke() const {
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
+    if (session_->in_stroke(source)) return true;
+  return false;
+}
+
+void FrameLoop::undo(std::int64_t now_ns) {
+  if (undo_until_ns_ == 0) undo_until_ns_ = now_ns + kUndoPatience_ns;
+  if (now_ns > undo_until_ns_) {
+    undo_wanted_.store(0, std::memory_order_relaxed);
+    undo_until_ns_ = 0;
+    undo_asked_ = false;
+    return;
+  }
+  if (in_stroke() || session_->backlog_batches() > 0) return;
+  if (!undo_asked_ || undo_strokes_ != strokes_begun_) {
+    undo_asked_ = journal_->want_undo(++undo_request_);
+    undo_strokes_ = strokes_begun_;
+    return;
+  }
+  auto undone = take_undone_();
+  if (!undone || undone->request != undo_request_) return;  // an older one is from before the last stroke
+  undo_wanted_.fetch_sub(1, std::memory_order_relaxed);
+  undo_until_ns_ = 0;
+  undo_asked_ = false;
+  if (!undone->session) return;
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kUndo;
+  record.source = undone->before.source;
+  record.pose.t_ns = undone->before.t_ns;
+  record.posed_ns = undone->before.arrival_ns;
+  record.revision = undone->before.revision;
+  LoopState state;
+  state.revision = undone->before.revision;
+  state.strokes = undone->before.strokes;
+  state.cut_faces = undone->before.cut_faces;
+  state.cut_area_m2 = undone->before.cut_area_m2;
+  cuts_to_note_ = std::move(undone->cuts);
+  replace(std::move(undone->session), state, record, undo_done_);
+}
+
+void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
+                        const ResetDone& done) {
+  session_ = other.get();
+  std::swap(own_session_, other);
   if (forces_) forces_->restart();
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   stamp_count_ = 0;
   batch_work_ns_ = 0;
-  LoopState as_loaded;
-  as_loaded.frames = state_.frames;
-  as_loaded.skipped_frames = state_.skipped_frames;
-  as_loaded.forces_cut_short = state_.forces_cut_short;
-  as_loaded.state_hash = session_->mesh().state_hash();
-  as_loaded.live_tets = session_->mesh().live_tets();
-  as_loaded.vertices = session_->mesh().vertex_slots();
-  state_ = as_loaded;
-  JournalRecord record;
-  record.kind = JournalRecord::Kind::kReset;
-  record.session = reset_done_(std::move(fresh));
+  const LoopState before = std::exchange(state_, state);
+  state_.frames = before.frames;
+  state_.skipped_frames = before.skipped_frames;
+  state_.forces_cut_short = before.forces_cut_short;
+  state_.state_hash = session_->mesh().state_hash();
+  state_.live_tets = session_->mesh().live_tets();
+  state_.vertices = session_->mesh().vertex_slots();
+  record.session = done(std::move(other));
   record.arrival_ns = monotonic_ns();
   write(record);
   record.kind = JournalRecord::Kind::kOpened;
   for (record.source = 0; record.source < core::kMaxSources; ++record.source) {
     if (!blades_[record.source]) continue;
     record.blade = *blades_[record.source];
-    session_->set_blade(record.source, record.blade);
+    const std::size_t batches = session_->backlog_batches();
+    session_->set_blade(record.source,
+                        record.blade);  // ends a stroke that was under way before the one that was undone
+    for (std::size_t i = batches; i < session_->backlog_batches(); ++i)
+      stamp(record.arrival_ns, record.arrival_ns);
     write(record);
   }
 }

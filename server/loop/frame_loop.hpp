@@ -17,6 +17,7 @@
 #include "server/loop/delta_pool.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
+#include "server/loop/undo_history.hpp"
 
 namespace incise::loop {
 
@@ -55,6 +56,15 @@ class FrameLoop {
   // Asks for one, at the start of a frame soon: revision 0, strokes gone, blades with their owners as before. False
   // where it was not offered. From any thread.
   bool request_reset();
+
+  // Makes it possible to undo strokes; before the first frame, and only with a journal that has a checkpointer, which is asked for the
+  // state before the last stroke. `take` gives what that has found, if there is something; `done` is as for resets. Both run on the loop's thread.
+  using TakeUndone = std::function<std::unique_ptr<Undone>()>;
+  using UndoDone = ResetDone;
+  void offer_undo(TakeUndone take, UndoDone done);
+  // Asks for it: all is as it was before the last stroke that cut something began, at a new session id. Done between strokes, so it waits while a blade
+  // cuts, for ten seconds at most. Several that are asked for are done one after the other. False where it was not offered. From any thread.
+  bool request_undo();
 
   // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
   // cuts so far. `sink` and `slots` may be null; otherwise they must outlive this.
@@ -96,12 +106,26 @@ class FrameLoop {
   // Whether the journal has it.
   bool write(const JournalRecord& record);
   void reset();
+  void undo(std::int64_t now_ns);
+  // Goes on with another session. `done` gives its id.
+  void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
+               const ResetDone& done);
+  bool in_stroke() const;
 
   core::CutSession* session_;
   std::unique_ptr<core::CutSession> own_session_;  // since the last reset
   Restart restart_;
   ResetDone reset_done_;
   std::atomic<bool> reset_wanted_{false};
+  std::atomic<std::uint32_t> undo_wanted_{0};
+  TakeUndone take_undone_;
+  UndoDone undo_done_;
+  std::uint64_t undo_request_ = 0,
+                undo_strokes_ = 0;  // the number of the last one; strokes begun when it was made
+  bool undo_asked_ = false;         // it was made, and is not answered
+  std::int64_t undo_until_ns_ = 0;
+  std::uint64_t strokes_begun_ = 0;  // whatever was undone
+  std::vector<core::HalfFace> cuts_to_note_;
   std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened

@@ -92,6 +92,13 @@ bool Journal::record(const JournalRecord& record) noexcept {
   return false;
 }
 
+bool Journal::want_undo(std::uint64_t request) noexcept {
+  JournalRecord record;
+  record.kind = JournalRecord::Kind::kUndoWanted;
+  record.request = request;
+  return gap_ == 0 && queue_.push(record);
+}
+
 bool Journal::write_waiting() {
   gap_waits_ = reset_waits_ = false;
   if (failing() && unflushed_ > 0) {
@@ -101,6 +108,10 @@ bool Journal::write_waiting() {
   JournalRecord record;
   bool any = failing();
   while (queue_.pop(record)) {
+    if (record.kind == JournalRecord::Kind::kUndoWanted) {
+      if (checkpointer_) checkpointer_->record(record);
+      continue;
+    }
     const std::uint64_t gap = record.kind == JournalRecord::Kind::kGap ? record.lost : 0;
     unflushed_ += gap > 0 ? gap : 1;
     unflushed_gaps_ += gap;

@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "server/core/mesh/delta.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/core/session/vertex_positions.hpp"
 #include "server/core/stroke/blade.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
@@ -14,12 +15,14 @@ namespace incise::loop {
 // by.
 struct JournalRecord {
   enum class Kind : std::uint8_t {
-    kOpened,      // source, arrival_ns, blade: the source has another owner
-    kPose,        // source, owner, arrival_ns, pose, verdict
-    kEndStroke,   // source, arrival_ns
-    kDeform,      // arrival_ns, positions
-    kCommit,      // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
-    kReset,       // session, arrival_ns: the mesh is as loaded again
+    kOpened,     // source, arrival_ns, blade: the source has another owner
+    kPose,       // source, owner, arrival_ns, pose, verdict
+    kEndStroke,  // source, arrival_ns
+    kDeform,     // arrival_ns, positions
+    kCommit,     // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
+    kReset,      // session, arrival_ns: the mesh is as loaded again
+    kUndo,  // session, arrival_ns, source, pose.t_ns, posed_ns, revision: all is as before this pose, which began a stroke
+    kUndoWanted,  // request: asks the checkpointer for the state before the last stroke; not in the capture
     kGap,         // lost: so many records are missing here
     kCheckpoint,  // checkpoint: the one of this id has the state that all before leads to
   };
@@ -30,16 +33,28 @@ struct JournalRecord {
   core::Pose pose;
   core::Blade blade;
   core::PoseVerdict verdict = core::PoseVerdict::kAccepted;
+  bool begins_stroke = false;
   std::uint32_t stroke = 0, batch = 0;
   bool stroke_ended = false;
   std::uint64_t revision = 0;
   std::uint64_t state_hash = 0;
   std::uint64_t frame = 0;  // of the loop, since it started
   std::uint64_t session = 0;
+  std::int64_t posed_ns = 0;
+  std::uint64_t request = 0;
   std::uint64_t lost = 0;
   std::uint64_t checkpoint = 0;
   std::shared_ptr<const core::VertexPositions> positions;
 };
+
+// Does to a session what the loop did to its own. No effect: records that say nothing of the session's inputs.
+inline void apply(core::CutSession& session, const JournalRecord& record) {
+  using Kind = JournalRecord::Kind;
+  if (record.kind == Kind::kOpened) session.set_blade(record.source, record.blade);
+  if (record.kind == Kind::kPose) session.push(record.source, record.pose);
+  if (record.kind == Kind::kEndStroke) session.end_stroke(record.source);
+  if (record.kind == Kind::kDeform) session.deform(record.positions);
+}
 
 // The mark of a finished batch.
 inline JournalRecord commit_record(const core::Delta& delta) {

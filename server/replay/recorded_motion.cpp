@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <istream>
+#include <iterator>
 #include <stdexcept>
 
 namespace incise::replay {
@@ -10,6 +11,7 @@ namespace {
 struct RecordReader {
   RecordedMotion& motion;
   const std::string& name;
+  const bool from_the_midst;
 
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
@@ -56,6 +58,32 @@ struct RecordReader {
     motion.gap.reset();
     motion.session = record.session;
     ++motion.resets;
+    motion.undos = 0;
+    motion.undone_before_start = false;
+  }
+  // As if what was undone had never been.
+  void operator()(const protocol::UndoRecord& record) {
+    check_source(record.source);
+    const auto began =
+        std::find_if(motion.events.rbegin(), motion.events.rend(), [&](const MotionEvent& event) {
+          return event.kind == MotionEvent::Kind::kPose && event.source == record.source &&
+                 event.pose.t_ns == record.pose_source_ns && event.arrival_ns == record.pose_arrival_ns;
+        });
+    motion.session = record.session;
+    ++motion.undos;
+    if (began == motion.events.rend()) {
+      if (motion.gap) return;
+      if (!from_the_midst) {
+        throw std::runtime_error(name + ": record " + std::to_string(motion.records) +
+                                 ": an undo to before a stroke that the capture does not have");
+      }
+      motion.undone_before_start = true;
+      return;
+    }
+    motion.events.erase(std::next(began).base(), motion.events.end());
+    const auto later = [&](const protocol::BatchMark& mark) { return mark.revision > record.revision; };
+    motion.marks.erase(std::remove_if(motion.marks.begin(), motion.marks.end(), later), motion.marks.end());
+    motion.gap.reset();
   }
   void operator()(const protocol::EndRecord&) {}
 
@@ -74,7 +102,7 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, const Cap
   motion.format = "capture";
   protocol::CaptureReader reader(in);
   protocol::CaptureRecord record;
-  RecordReader read{motion, name};
+  RecordReader read{motion, name, start != nullptr};
   motion.session = reader.header().session;
   if (reader.good_bytes() > 0) motion.header = reader.header();
   using Status = protocol::CaptureReader::Status;
@@ -104,6 +132,11 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, const Cap
     motion.warnings.push_back(name + ": the mesh was reset " +
                               (motion.resets == 1 ? "once" : std::to_string(motion.resets) + " times") +
                               "; what came after the last reset is used");
+  }
+  if (motion.undos > 0) {
+    motion.warnings.push_back(
+        name + ": " + (motion.undos == 1 ? "a stroke was" : std::to_string(motion.undos) + " strokes were") +
+        " undone; the others are used");
   }
   motion.records = reader.records();
   motion.good_bytes = reader.good_bytes();

@@ -37,6 +37,9 @@ struct RecordedMotion {
   std::vector<protocol::CheckpointRecord> checkpoints;
   std::uint64_t session = 0;  // its id, after the last reset
   std::uint64_t resets = 0;
+  std::uint64_t undos = 0;  // since then: what was undone is not among events and marks
+  // It was read from a place in the midst, and an undo led back to before that: nothing of this is of use.
+  bool undone_before_start = false;
   bool closed = false;           // it was ended properly, not cut off
   std::uint64_t records = 0;     // all kinds
   std::uint64_t good_bytes = 0;  // up to the end of these

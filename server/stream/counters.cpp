@@ -13,6 +13,7 @@ StreamCounters SharedCounters::read() const {
   out.wrong_tokens = wrong_tokens;
   out.tokens_not_looked_at = tokens_not_looked_at;
   out.resets = resets;
+  out.undos = undos;
   out.takeovers = takeovers;
   out.handovers = handovers;
   out.deltas = deltas;

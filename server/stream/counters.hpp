@@ -17,6 +17,7 @@ struct StreamCounters {
   std::uint64_t wrong_tokens = 0,
                 tokens_not_looked_at = 0;      // among the refused; the latter from addresses that guess
   std::uint64_t resets = 0;                    // of the mesh
+  std::uint64_t undos = 0;                     // that were asked for
   std::uint64_t takeovers = 0, handovers = 0;  // of blades
   std::uint64_t deltas = 0;                    // applied to the mirror
   std::uint64_t queued = 0;                    // published, not yet applied
@@ -38,7 +39,7 @@ struct SharedCounters {
       bytes_in{0}, messages_in{0}, bad_messages{0}, coalesced{0}, snapshots{0}, slow_snapshots{0},
       slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0},
       box_turns{0}, box_turns_ns{0}, box_coalesced{0}, boxes_refused{0}, wrong_tokens{0},
-      tokens_not_looked_at{0}, resets{0}, takeovers{0}, handovers{0};
+      tokens_not_looked_at{0}, resets{0}, undos{0}, takeovers{0}, handovers{0};
   std::atomic<std::uint32_t> peers{0}, connections{0};
 
   // All but `queued`.

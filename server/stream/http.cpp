@@ -69,6 +69,7 @@ std::string stream_metrics(const SharedCounters& c) {
   metric(out, "tokens_not_looked_at_total", "counter",
          "Tokens not looked at, from addresses that had guessed too often.", c.tokens_not_looked_at);
   metric(out, "resets_total", "counter", "Resets by an admin.", c.resets);
+  metric(out, "undos_total", "counter", "Strokes that operators and admins asked to undo.", c.undos);
   metric(out, "takeovers_total", "counter", "Blades that an operator took from another.", c.takeovers);
   metric(out, "handovers_total", "counter", "Blades that their operators handed over.", c.handovers);
   metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);

@@ -128,6 +128,8 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
     follower_.resync();
   } else if (std::holds_alternative<protocol::Reset>(body)) {
     on_reset(sequence);
+  } else if (std::holds_alternative<protocol::Undo>(body)) {
+    on_undo(sequence);
   } else if (std::holds_alternative<protocol::Bye>(body)) {
     finish(ByeReason::Done, "");
   } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
@@ -195,6 +197,21 @@ void Peer::on_reset(std::uint64_t sequence) {
   } else {
     ++context_.counters->resets;
     context_.audit(Audit::kReset, ticket_.address().address(), "the mesh is reset by " + described());
+  }
+}
+
+void Peer::on_undo(std::uint64_t sequence) {
+  if (role_ != Role::Admin && !blade_.held()) {
+    outbox_.complain(ErrorCode::Forbidden, "Undo: only operators and admins may", sequence);
+    return;
+  }
+  std::optional<std::uint32_t> source;
+  if (role_ != Role::Admin) source = blade_.input()->number();
+  if (const std::string refusal = context_.input.undo(source); !refusal.empty()) {
+    outbox_.complain(ErrorCode::NotAvailable, "Undo: " + refusal, sequence);
+  } else {
+    ++context_.counters->undos;
+    context_.audit(Audit::kReset, ticket_.address().address(), "the last stroke is undone by " + described());
   }
 }
 

@@ -90,6 +90,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
   void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
+  void on_undo(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
 
   // peer_handshake.cpp: Hello to Welcome

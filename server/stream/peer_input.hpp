@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
 #include <string_view>
 
 #include "protocol/messages.hpp"
@@ -71,6 +72,12 @@ class PeerInput {
   // Asks for the mesh as loaded. False where the server does not offer that. Server::publish_reset() follows when it
   // is done.
   virtual bool reset() { return false; }
+  // Asks for the state before the last stroke: for the blade of `source`, whose stroke it has to be, or without one for an admin. Server::
+  // publish_reset() follows when it is done. Empty, or why it cannot be.
+  virtual std::string undo(std::optional<std::uint32_t> source) {
+    static_cast<void>(source);
+    return "this server does not offer it";
+  }
 };
 
 }  // namespace incise::stream

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <sstream>
 #include <variant>
 
@@ -179,6 +180,10 @@ void LocalServer::dispatch(std::uint32_t number, Peer& peer, const protocol::Mes
     if (peer.role != Role::Admin)
       return complain(number, ErrorCode::Forbidden, "Reset: only an admin may", sequence);
     reset();
+  } else if (std::holds_alternative<protocol::Undo>(body)) {
+    if (peer.role != Role::Admin && !peer.source)
+      return complain(number, ErrorCode::Forbidden, "Undo: only operators and admins may", sequence);
+    undo(number, sequence);
   } else if (std::holds_alternative<protocol::Bye>(body)) {
     finish(number, ByeReason::Done, "");
   } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
@@ -263,7 +268,12 @@ void LocalServer::on_poses(Peer& peer, const protocol::PoseBatch& batch) {
   for (protocol::PoseSample sample : batch.poses) {
     if (peer.engaged && engage >= 0) sample.buttons |= 1u << engage;
     record(protocol::PoseRecord{source, sample, arrival_ns});
-    const bool taken = core::accepted(session_->push(source, replay::to_core(sample)));
+    const bool stroking = session_->in_stroke(source);
+    const std::uint64_t revision = session_->revision() + session_->backlog_batches();
+    const core::PoseVerdict verdict = session_->push(source, replay::to_core(sample));
+    const bool taken = core::accepted(verdict);
+    if (session_->in_stroke(source) && (!stroking || verdict == core::PoseVerdict::kNewStroke))
+      strokes_.push_back({{0, 0, source, sample.source_ns, arrival_ns, revision}});
     ++(taken ? poses_accepted_ : poses_rejected_);
     if (!taken) continue;
     arrivals_[source].emplace_back(sample.source_ns, arrival_ns);
@@ -286,8 +296,45 @@ void LocalServer::on_stroke(std::uint32_t number, Peer& peer, const protocol::St
 
 void LocalServer::reset() {
   begin_session();
+  strokes_.clear();
+  record(protocol::ResetRecord{epoch_, host_.now_ns()});
+  welcome_again();
+}
+
+// Cuts again what came before the stroke, as the recording has it.
+void LocalServer::undo(std::uint32_t number, std::uint64_t sequence) {
+  for (const auto& [other, peer] : peers_) {
+    if (!peer.source || !session_->in_stroke(*peer.source)) continue;
+    session_->end_stroke(*peer.source);
+    record(protocol::StrokeRecord{*peer.source, protocol::StrokeAction::End, 0, host_.now_ns()});
+  }
+  commit_all();
+  const auto last =
+      std::find_if(strokes_.rbegin(), strokes_.rend(), [](const Stroke& s) { return s.has_cut; });
+  if (last == strokes_.rend())
+    return complain(number, ErrorCode::NotAvailable, "Undo: there is no stroke to undo", sequence);
+  if (recording_->state() != protocol::Recording::On)
+    return complain(number, ErrorCode::NotAvailable, "Undo: the recording has no more room", sequence);
+  protocol::UndoRecord undo = last->undo;
+  strokes_.erase(std::next(last).base(), strokes_.end());
+  begin_session();
+  undo.session = epoch_;
+  undo.arrival_ns = host_.now_ns();
+  record(undo);
+  const std::vector<std::byte> bytes = recording_->capture();
+  std::istringstream in(std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size()));
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  for (const replay::MotionEvent& event : replay::read_capture(in, "the recording").events) {
+    replay::apply(*session_, event, config_.cut.blade);
+    while (session_->advance(budget, delta_.delta) == core::CutSession::Progress::kCommitted) {
+    }
+  }
+  mirror_.reset(replay::initial_state(*session_, epoch_));
+  welcome_again();
+}
+
+void LocalServer::welcome_again() {
   const std::int64_t now_ns = host_.now_ns();
-  record(protocol::ResetRecord{epoch_, now_ns});
   for (const auto& [number, peer] : peers_) {
     if (!peer.source) continue;
     session_->set_blade(*peer.source, peer.blade);
@@ -407,11 +454,19 @@ std::optional<std::int64_t> LocalServer::work(std::int64_t until_ns) {
   return due_ns;
 }
 
+void LocalServer::commit_all() {
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  while (session_->advance(budget, delta_.delta) == core::CutSession::Progress::kCommitted) commit();
+}
+
 void LocalServer::commit() {
   const core::Delta& d = delta_.delta;
   delta_.cut_ns = host_.now_ns();
   delta_.arrival_ns = delta_.drain_ns = arrival_of_batch();
   record(protocol::BatchMark{d.revision, d.state_hash, d.source, d.stroke, d.batch, d.stroke_ended, 0});
+  if (d.stroke > 0 && d.stroke <= strokes_.size() &&
+      !(d.upserted.empty() && d.removed.empty() && d.moved.empty()))
+    strokes_[d.stroke - 1].has_cut = true;
   const stream::Mirror::Applied step = mirror_.apply(delta_);
   for (const auto& [number, peer] : peers_) send_step(number, peer, step, mirror_);
 }
@@ -437,6 +492,8 @@ void LocalServer::tick() {
   stats.poses_accepted = poses_accepted_;
   stats.poses_rejected = poses_rejected_;
   stats.recording = recording_->state();
+  stats.undoable = static_cast<std::uint32_t>(
+      std::count_if(strokes_.begin(), strokes_.end(), [](const Stroke& s) { return s.has_cut; }));
   stats.json =
       "{\"stages_us\":{\"frame_work\":{\"sum\":" + std::to_string(busy_ns_ / 1000) +
       ",\"count\":" + std::to_string(frames) +

@@ -85,6 +85,10 @@ class LocalServer {
                     std::span<const std::byte> bytes);
   void end_replay(std::uint32_t number, Peer& peer);
   void reset();
+  void undo(std::uint32_t number, std::uint64_t sequence);
+  void commit_all();
+  // After the session was replaced: the blades in it, and everybody's picture.
+  void welcome_again();
 
   void send(std::uint32_t peer, const protocol::Body& body);
   void complain(std::uint32_t peer, protocol::ErrorCode code, const std::string& text,
@@ -113,6 +117,12 @@ class LocalServer {
   std::array<std::deque<std::pair<std::int64_t, std::int64_t>>, core::kMaxSources>
       arrivals_;  // of poses: source time, ours
   std::optional<Recording> recording_;
+  // The session's strokes, in their order.
+  struct Stroke {
+    protocol::UndoRecord undo;  // that undoes it; without session and arrival
+    bool has_cut = false;
+  };
+  std::vector<Stroke> strokes_;
   // Figures.
   std::int64_t began_ns_, busy_ns_ = 0;
   std::uint64_t poses_accepted_ = 0, poses_rejected_ = 0;

@@ -59,6 +59,46 @@ TEST_F(RecordedMotionTest, OnlyWhatCameAfterTheLastResetIsReplayed) {
   EXPECT_EQ(motion.marks[1].revision, 2u);
 }
 
+protocol::UndoRecord undo(std::int64_t t_ns, std::uint64_t revision) {
+  protocol::UndoRecord record;
+  record.session = 9;
+  record.pose_source_ns = t_ns;
+  record.revision = revision;
+  return record;
+}
+
+TEST_F(RecordedMotionTest, WhatWasUndoneIsNotReplayed) {
+  const RecordedMotion motion =
+      read({pose(1), mark(1), pose(2), mark(2), mark(3), pose(3), undo(2, 1), pose(4), mark(2)});
+  EXPECT_EQ(motion.undos, 1u);
+  EXPECT_EQ(motion.session, 9u);
+  ASSERT_EQ(motion.events.size(), 2u);
+  EXPECT_EQ(motion.events[1].pose.t_ns, 4);
+  ASSERT_EQ(motion.marks.size(), 2u);
+  EXPECT_EQ(motion.marks[0].revision, 1u);
+  EXPECT_EQ(motion.marks[1].revision, 2u);
+  ASSERT_EQ(motion.warnings.size(), 1u);
+  EXPECT_NE(motion.warnings[0].find("a stroke was undone"), std::string::npos) << motion.warnings[0];
+}
+
+// The last pose of that time: a source's times begin again where it is opened again. Twice, and past a gap.
+TEST_F(RecordedMotionTest, UndosGoBackOneAfterTheOtherAndPastAGap) {
+  EXPECT_EQ(read({pose(1), pose(2), protocol::BladeRecord{}, pose(2), pose(3), undo(2, 0)}).events.size(),
+            3u);
+  EXPECT_EQ(read({pose(1), pose(2), pose(3), undo(3, 0), undo(2, 0)}).events.size(), 1u);
+  const RecordedMotion motion =
+      read({pose(1), pose(2), protocol::GapRecord{3, 0, 0, 0, "full"}, pose(3), undo(2, 0), pose(4)});
+  EXPECT_FALSE(motion.gap);
+  EXPECT_EQ(motion.events.size(), 2u);
+  EXPECT_TRUE(read({pose(1), protocol::GapRecord{3, 0, 0, 0, "full"}, pose(3), undo(3, 0), pose(4)}).gap);
+  EXPECT_EQ(read({pose(1), undo(1, 0), protocol::ResetRecord{6, 0}, pose(2)}).undos, 0u);
+}
+
+TEST_F(RecordedMotionTest, AnUndoOfAStrokeThatIsNotThereIsRefused) {
+  EXPECT_THROW(read({pose(1), undo(5, 0)}), std::runtime_error);
+  EXPECT_THROW(read({pose(1, 3), undo(1, 0)}), std::runtime_error) << "another source's";
+}
+
 TEST_F(RecordedMotionTest, NothingAfterAGapIsReplayed) {
   const RecordedMotion motion =
       read({pose(1), mark(1), protocol::GapRecord{3, 0, 0, 0, "full"}, pose(2), mark(2)});

@@ -237,6 +237,8 @@ void CaptureFollower::operator()(const protocol::CaptureRecord& record, std::str
   } else if (std::holds_alternative<protocol::ResetRecord>(record)) {
     session_ = std::make_unique<core::CutSession>(served_.body().loaded.mesh, served_.config().cut);
     hashes_.clear();
+  } else if (std::holds_alternative<protocol::UndoRecord>(record)) {
+    problem = "an undo, which this follower does not know";
   } else if (std::holds_alternative<protocol::GapRecord>(record)) {
     ++gaps_;
   }

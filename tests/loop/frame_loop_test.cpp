@@ -416,6 +416,8 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
         break;
       case JournalRecord::Kind::kDeform:
       case JournalRecord::Kind::kReset:
+      case JournalRecord::Kind::kUndo:
+      case JournalRecord::Kind::kUndoWanted:
       case JournalRecord::Kind::kGap:
       case JournalRecord::Kind::kCheckpoint:
         FAIL() << "none of these happened";

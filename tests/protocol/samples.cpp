@@ -220,6 +220,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
+      {"Undo", Undo{}},
   };
 }
 
@@ -385,7 +386,8 @@ std::vector<CaptureRecord> capture_records() {
       PositionsRecord{900, 1, 5, 77'004'000'000, 0, {0, 4}, {0, 0, -0.001, 0.01, 0.01, 0.009}},
       ResetRecord{0x99aabbccddeeff00, 77'005'000'000},
       BladeRecord{2, 77'006'000'000, {{0, 0, 0.01}, {0.001, 0, -0.05}}},
-      EndRecord{9},
+      UndoRecord{0x8899aabbccddeeff, 77'007'000'000, 2, 1'000'000'000, 77'000'000'001, 3},
+      EndRecord{10},
   };
 }
 

@@ -58,6 +58,7 @@ TEST(Roles, EachMayWhatItIsForAndNothingElse) {
       {"StrokeControl", protocol::StrokeControl{protocol::StrokeAction::Engage, 0}, {Role::Operator}},
       {"Positions", deformation, {Role::Simulator}},
       {"Reset", protocol::Reset{}, {Role::Admin}},
+      {"Undo", protocol::Undo{}, {Role::Operator, Role::Admin}},
       {"ReplayControl", protocol::ReplayControl{}, {Role::Viewer, Role::Admin}},
       {"Subscribe", protocol::Subscribe{}, all},
       {"Resync", protocol::Resync{}, all},

@@ -203,6 +203,33 @@ test("reset gives everybody a fresh body", async (t) => {
   assert.deepEqual(faults, []);
 });
 
+test("undo goes back one stroke at a time, with the button and with the key", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  const undo = page.getByRole("button", { name: "Undo" });
+  await bladeIsReady(page);
+  assert.equal(await undo.isDisabled(), true);
+  const hashes = [(await progress(page)).hash];
+  for (const x of [0.4, 0.55]) {
+    await drag(page, [x, 0.02], [x + 0.04, 0.98]);
+    await until(page, (h) => window.incise.progress.hash !== h && !document.body.dataset.stroke, hashes.at(-1));
+    await atRevision(page, (await server.stats()).revision);
+    hashes.push((await progress(page)).hash);
+  }
+  await undo.click();
+  await until(page, (h) => window.incise.progress.hash === h, hashes[1]);
+  await shot(page, "undone");
+  await page.keyboard.press("Control+z");
+  await until(page, (h) => window.incise.progress.hash === h, hashes[0]);
+  await until(page, () => document.getElementById("undo").disabled);
+  assert.deepEqual(await notices(page), []);
+  // The blade is still in hand.
+  await bladeIsReady(page);
+  await drag(page, [0.42, 0.02], [0.46, 0.98]);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  assert.deepEqual(faults, []);
+});
+
 test("a server with tokens asks for one", async (t) => {
   const server = new Server();
   t.after(() => server.end());

@@ -14,7 +14,7 @@ import numpy as np
 
 from incise.wire import (BladeEdge, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
                          Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
-                         StrokeAction, StrokeControl, SurfaceDelta, Vec3, View, Welcome)
+                         StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
 from .part import Surface, VolumePart
 from .replica import ApplyError, Replica
@@ -288,6 +288,11 @@ class Client:
     def end_stroke(self) -> None:
         """Ends the running stroke after the poses sent so far."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
+
+    def undo(self) -> None:
+        """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
+        A refusal comes as an error; a new snapshot when it is done."""
+        self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
     def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,
                     max_rate_hz: float, box: Any, session: int) -> None:

@@ -4,6 +4,7 @@ import { Body } from "./wire/incise/wire/body";
 import { PoseBatch } from "./wire/incise/wire/pose-batch";
 import { PoseSample } from "./wire/incise/wire/pose-sample";
 import { Role } from "./wire/incise/wire/role";
+import { Undo } from "./wire/incise/wire/undo";
 import { View } from "./wire/incise/wire/view";
 import type { Welcome } from "./wire/incise/wire/welcome";
 import { vec } from "./wire_vec";
@@ -54,6 +55,11 @@ export class Blade {
 
   wake(): void {
     this.link?.wake();
+  }
+
+  /** Asks for the state before the last stroke. False: there is no connection. */
+  undo(): boolean {
+    return (this.link?.send(Body.Undo, (b) => Undo.createUndo(b)) ?? 0n) > 0n;
   }
 
   /** 9 numbers a pose: time in ms, position, quaternion w x y z, buttons. */

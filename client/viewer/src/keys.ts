@@ -11,6 +11,7 @@ export interface Key {
 /** The key for the page, or null if the focused control uses it. */
 function wantedKey(e: KeyboardEvent): string | null {
   const target = e.target as HTMLElement;
+  if ((e.ctrlKey || e.metaKey) && !e.altKey && !e.shiftKey && e.key.toLowerCase() === "z") return "z";
   if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
     return null;
   if (target.matches("input[type=range], input[type=radio]") && e.key.startsWith("Arrow")) return null;

@@ -67,6 +67,8 @@ export type ToWorker =
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
   | { kind: "reset" }
+  /** Back to before the last stroke. */
+  | { kind: "undo" }
   /** Asks for the area of the cut that this half-face is a face of. */
   | { kind: "cut-area"; halfFace: number }
   | { kind: "colour-by-quality"; on: boolean }
@@ -111,14 +113,14 @@ export type FromWorker =
   | { kind: "cut-area"; halfFace: number; area_m2: number }
   /** Where another blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
-  | { kind: "stats"; json: string; roundTrip_ms: number; tets: number }
+  | { kind: "stats"; json: string; roundTrip_ms: number; tets: number; undoable: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */
   | { kind: "differs" }
-  /** The live body was reset. */
-  | { kind: "was-reset" }
+  /** The live body was reset, or a stroke was undone. */
+  | { kind: "was-reset"; revision: number }
   | { kind: "notice"; text: string }
   /** Of a session in this browser: what was asked for, or what was saved of a session that failed. */
   | { kind: "recording"; bytes: Uint8Array<ArrayBuffer>; after: "asked" | "failure" }

@@ -46,6 +46,7 @@ export class Page {
   private patch: Patch | null = null;
   private readonly livePoses_ms = new Map<number, number>(); // when the last one came, by source
   private resetAsked_ms = -Infinity;
+  private undoable = false; // as the server said last
 
   constructor() {
     this.worker.onerror = (event) => notice(`The page failed (${event.message}). Reload it.`);
@@ -127,6 +128,8 @@ export class Page {
         return this.stage.draw();
       case "stats":
         this.figures.showStats(message.json);
+        this.undoable = message.undoable > 0;
+        this.enableUndo();
         this.figures.showTets(message.tets); // a page opened later gets the count from here
         element("connection").title = `Round trip ${message.roundTrip_ms.toFixed(1)} ms`;
         return;
@@ -137,7 +140,7 @@ export class Page {
       case "differs":
         return this.figures.showTrust(false);
       case "was-reset":
-        return this.onReset();
+        return this.onReset(message.revision);
       case "notice":
         notice(message.text);
         return;
@@ -218,6 +221,10 @@ export class Page {
 
   /** A blade without live poses, as in a replay, is shown where its batches end. */
   private follow(step: BladeStep): void {
+    if (step.cutArea_m2 > 0 && !this.undoable) {
+      this.undoable = true; // the server says so only once a second
+      this.enableUndo();
+    }
     if (step.own) return this.operator.onOwnStep(step);
     if (performance.now() - (this.livePoses_ms.get(step.source) ?? -Infinity) < kPosesStale_ms) return;
     const blade = this.stage.blade(step.source, false);
@@ -246,12 +253,20 @@ export class Page {
     }
   }
 
-  private onReset(): void {
+  private onReset(revision: number): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
+    if (revision > 0) {
+      notice("The last stroke was undone, by its operator or an administrator.");
+      return;
+    }
     notice(
       "The body was reset for everybody, by an administrator or by the demo, which begins each pass with an " +
         "uncut body. All cuts are gone.",
     );
+  }
+
+  private enableUndo(): void {
+    element<HTMLButtonElement>("undo").disabled = !this.undoable || this.replay.facts !== null;
   }
 
   private onReplay(facts: ReplayFacts | null): void {
@@ -260,6 +275,7 @@ export class Page {
     const is = this.replay.facts !== null;
     document.body.dataset.replay = is ? "on" : "off";
     element<HTMLButtonElement>("reset").disabled = is;
+    this.enableUndo();
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
     if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
@@ -284,6 +300,10 @@ export class Page {
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
     this.more.bind("measure", () => this.toggleMeasure());
+    element("undo").onclick = () => {
+      this.resetAsked_ms = performance.now();
+      this.send({ kind: "undo" });
+    };
     element("reset").onclick = () =>
       ask("reset-dialog", (confirmed) => {
         if (!confirmed) return;
@@ -350,6 +370,7 @@ export class Page {
         act: press("step"),
         needs: () => this.replay.facts !== null,
       },
+      { keys: ["z"], shown: "Z", does: "Undo the last stroke", act: press("undo") },
       { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
       { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },

@@ -3,12 +3,13 @@ import type { Post } from "./messages";
 import { Body } from "./wire/incise/wire/body";
 import { Reset } from "./wire/incise/wire/reset";
 import { Role } from "./wire/incise/wire/role";
+import { Undo } from "./wire/incise/wire/undo";
 import { View } from "./wire/incise/wire/view";
 
-const kPatience_ms = 5000; // a server that does not offer Reset has said so by then
+const kPatience_ms = 5000; // a server that does not do it has said so by then
 
-/** Connects as an administrator, resets the body, and leaves. */
-export function resetBody(url: string, token: string, post: Post): void {
+/** Connects as an administrator, resets the body or undoes the last stroke, and leaves. */
+export function askAdmin(url: string, token: string, what: "reset" | "undo", post: Post): void {
   let asked = false;
   const admin: Link = new Link(url, {
     hello: () => ({ role: Role.Admin, view: View.None, token }),
@@ -16,7 +17,8 @@ export function resetBody(url: string, token: string, post: Post): void {
       // The second Welcome is the reset's.
       if (asked) return admin.end();
       asked = true;
-      admin.send(Body.Reset, (b) => Reset.createReset(b));
+      if (what === "reset") admin.send(Body.Reset, (b) => Reset.createReset(b));
+      else admin.send(Body.Undo, (b) => Undo.createUndo(b));
       setTimeout(() => admin.end(), kPatience_ms);
     },
     message: () => {},

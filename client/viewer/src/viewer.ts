@@ -161,7 +161,9 @@ export class Viewer {
     this.figures.tets = welcome.revision() === 0n ? (mesh?.tets() ?? 0) : 0;
     const { session } = this.replica;
     if (!this.replayAsked) {
-      if (!this.justConnected && session !== this.liveSession) this.post({ kind: "was-reset" });
+      if (!this.justConnected && session !== this.liveSession) {
+        this.post({ kind: "was-reset", revision: Number(welcome.revision()) });
+      }
       this.liveSession = session;
     }
     this.justConnected = false;
@@ -258,6 +260,7 @@ export class Viewer {
       json: stats.json() ?? "{}",
       roundTrip_ms: this.link?.roundTrip_ms ?? 0,
       tets: this.figures.tets,
+      undoable: stats.undoable(),
     });
   }
 

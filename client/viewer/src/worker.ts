@@ -4,7 +4,7 @@ import { Blade } from "./blade";
 import { ElementsLink } from "./elements_link";
 import { type LocalSession, localSession } from "./local_session";
 import type { Post, ToWorker } from "./messages";
-import { resetBody } from "./reset";
+import { askAdmin } from "./reset";
 import { Viewer } from "./viewer";
 
 const post: Post = (message, transfer = []) => postMessage(message, { transfer });
@@ -41,7 +41,10 @@ class Dispatch {
       case "poses":
         return this.blade.send(message.poses);
       case "reset":
-        return resetBody(this.url, this.token, post);
+        return askAdmin(this.url, this.token, "reset", post);
+      case "undo":
+        if (!this.blade.undo()) askAdmin(this.url, this.token, "undo", post);
+        return;
       case "cut-area":
         return this.viewer.measureCut(message.halfFace);
       case "colour-by-quality":

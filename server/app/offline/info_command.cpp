@@ -86,6 +86,7 @@ Json describe_motion(const RecordedMotion& motion) {
     facts["batch_marks"] = motion.marks.size();
     facts["last_revision"] = motion.marks.empty() ? 0 : motion.marks.back().revision;
     facts["checkpoints"] = motion.checkpoints.size();
+    if (motion.undos > 0) facts["undone_strokes"] = motion.undos;
     facts["closed"] = motion.closed;
   }
   facts["poses"] = motion.poses();

@@ -121,6 +121,12 @@ namespace Incise
             return Send(new Reset()) > 0;
         }
 
+        /// <summary>An operator who holds a blade, or role Admin: back to the state before the last stroke that cut something, for everybody.</summary>
+        public bool Undo()
+        {
+            return Send(new Undo()) > 0;
+        }
+
         private ulong Send(object body)
         {
             lock (gate)

@@ -190,7 +190,7 @@ namespace Incise
                 Json = t.Text(0, JsonBytes), Revision = t.ULong(1), LiveTets = t.UInt(2), Pieces = t.UInt(3), Sessions = t.UInt(4),
                 BacklogSegments = t.UInt(5), Frames = t.ULong(6), LateFrames = t.ULong(7), PosesAccepted = t.ULong(8),
                 PosesRejected = t.ULong(9), FrameWorkP99Us = t.Float(10), PoseToDeltaP99Us = t.Float(11),
-                Recording = (Recording)Enumeration(t, 12, 2)
+                Recording = (Recording)Enumeration(t, 12, 2), Undoable = t.UInt(13)
             };
         }
 

@@ -236,9 +236,13 @@ namespace Incise
         public uint LiveTets, Pieces, Sessions, BacklogSegments;
         public float FrameWorkP99Us, PoseToDeltaP99Us;
         public Recording Recording;
+        public uint Undoable;
     }
 
     public sealed class Reset { }
+
+    /// <summary>Operators and admins: back to the state before the last stroke that cut something.</summary>
+    public sealed class Undo { }
 
     /// <summary>Where a blade's edge is between the deltas, Incise's frame.</summary>
     public sealed class BladePose

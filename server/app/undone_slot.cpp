@@ -1,0 +1,28 @@
+#include "server/app/undone_slot.hpp"
+
+#include "server/app/stream_setup.hpp"
+#include "server/stream/mirror.hpp"
+
+namespace incise::app {
+
+void UndoneSlot::offer(loop::Undone undone) {
+  auto waiting = std::make_unique<Waiting>();
+  if (undone.session) {
+    waiting->shown = std::make_shared<stream::InitialState>();
+    waiting->shown->epoch = fresh_session_id();
+    auto mirror = std::make_shared<stream::Mirror>();
+    mirror->reset(initial_state(*undone.session, waiting->shown->epoch));
+    waiting->shown->mirror = std::move(mirror);
+  }
+  waiting->undone = std::move(undone);
+  delete waiting_.exchange(waiting.release());
+}
+
+std::unique_ptr<loop::Undone> UndoneSlot::take() {
+  const std::unique_ptr<Waiting> taken(waiting_.exchange(nullptr));
+  if (!taken) return nullptr;
+  shown_ = std::move(taken->shown);
+  return std::make_unique<loop::Undone>(std::move(taken->undone));
+}
+
+}  // namespace incise::app

@@ -1,0 +1,167 @@
+#include "server/loop/undo_history.hpp"
+
+#include <algorithm>
+#include <string>
+
+#include "server/base/clock.hpp"
+#include "server/core/session/session_state.hpp"
+
+namespace incise::loop {
+namespace {
+
+// A state is saved after so much of the thread's processor time, or five times what saving one takes.
+constexpr double kLongWay_s = 0.05;
+// Records after the last stroke's beginning matter only if another one begins: so many bytes of them are kept for that.
+constexpr std::size_t kTail_bytes = 32u << 20;
+
+std::size_t bytes_of(const JournalRecord& record) {
+  const auto* positions = record.positions.get();
+  return sizeof record + (positions ? 24 * positions->positions.size() + 4 * positions->ids.size() : 0);
+}
+
+bool is_input(const JournalRecord& record) {
+  using Kind = JournalRecord::Kind;
+  return record.kind == Kind::kOpened || record.kind == Kind::kPose || record.kind == Kind::kEndStroke ||
+         record.kind == Kind::kDeform;
+}
+
+bool same(const BeforeStroke& a, const BeforeStroke& b) {
+  return a.source == b.source && a.t_ns == b.t_ns && a.arrival_ns == b.arrival_ns;
+}
+
+}  // namespace
+
+void UndoHistory::note(const JournalRecord& record, const core::CutSession& session) {
+  if (!is_input(record)) return;
+  if (record.begins_stroke) {
+    // A pose that ends one stroke and begins the next commits the rest of the first one only now.
+    const bool ended_before = record.verdict != core::PoseVerdict::kNewStroke;
+    if (!changed_ && ended_before && strokes_ > 0) drop_last_point();
+    const double way_s = spans_.empty() ? 0 : thread_cpu_s() - spans_.back().saved_cpu_s;
+    if (spans_.empty() || !spans_.back().whole || way_s > std::max(kLongWay_s, 5 * save_s_))
+      begin_span(session);
+    now_.source = record.source;
+    now_.t_ns = record.pose.t_ns;
+    now_.arrival_ns = record.arrival_ns;
+    now_.revision = session.revision();
+    spans_.back().points.push_back({spans_.back().records.size(), now_});
+    ++strokes_;
+    ++now_.strokes;
+    changed_ = false;
+  }
+  if (spans_.empty() || !spans_.back().whole) return;
+  Span& span = spans_.back();
+  span.records.push_back(record);
+  span.bytes += bytes_of(record);
+  if (span.bytes > span.state.size() + kTail_bytes) end_span();
+}
+
+void UndoHistory::note(const core::Delta& delta) {
+  now_.cut_faces += delta.cut_faces;
+  now_.cut_area_m2 += delta.cut_area;
+  if (delta.stroke != 0 && !(delta.upserted.empty() && delta.removed.empty() && delta.moved.empty()))
+    changed_ = true;
+}
+
+void UndoHistory::clear() {
+  spans_.clear();
+  strokes_ = 0;
+  changed_ = false;
+  now_ = {};
+}
+
+void UndoHistory::begin_span(const core::CutSession& session) {
+  if (!spans_.empty()) end_span();
+  const double before_s = thread_cpu_s();
+  Span span;
+  span.state = core::save_session(session);
+  span.bytes = span.state.size();
+  span.saved_cpu_s = thread_cpu_s();
+  save_s_ = span.saved_cpu_s - before_s;
+  spans_.push_back(std::move(span));
+  std::size_t bytes = 0;
+  for (const Span& s : spans_) bytes += s.bytes;
+  while (bytes > max_bytes_ && spans_.size() > 1) {
+    bytes -= spans_.front().bytes;
+    strokes_ -= spans_.front().points.size();
+    spans_.pop_front();
+  }
+}
+
+// Leaves out what comes after its last point.
+void UndoHistory::end_span() {
+  Span& span = spans_.back();
+  span.whole = false;
+  const std::size_t kept = span.points.empty() ? 0 : span.points.back().records;
+  for (std::size_t i = kept; i < span.records.size(); ++i) span.bytes -= bytes_of(span.records[i]);
+  span.records.resize(kept);
+  span.records.shrink_to_fit();
+}
+
+void UndoHistory::drop_last_point() {
+  spans_.back().points.pop_back();
+  --strokes_;
+  if (spans_.back().points.empty() && !spans_.back().whole) spans_.pop_back();
+}
+
+const BeforeStroke* UndoHistory::last() const {
+  bool passed = changed_;  // what the newest point's stroke changed
+  for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
+    for (auto point = span->points.rbegin(); point != span->points.rend(); ++point) {
+      if (passed) return &point->before;
+      passed = true;
+    }
+  }
+  return nullptr;
+}
+
+const UndoHistory::Span* UndoHistory::span_of(const BeforeStroke& stroke, std::size_t& point) const {
+  for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
+    for (point = span->points.size(); point-- > 0;) {
+      if (same(span->points[point].before, stroke)) return &*span;
+    }
+  }
+  return nullptr;
+}
+
+std::unique_ptr<core::CutSession> UndoHistory::before(const BeforeStroke& stroke,
+                                                      const core::CutConfig& config) const {
+  std::size_t point = 0;
+  const Span* const span = span_of(stroke, point);
+  if (!span) return nullptr;
+  std::string error;
+  auto session = core::restore_session(span->state, config, error);
+  if (!session) return nullptr;
+  core::Delta delta;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  for (std::size_t i = 0; i < span->points[point].records; ++i) {
+    apply(*session, span->records[i]);
+    while (session->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+    }
+  }
+  return session;
+}
+
+void UndoHistory::went_back(const BeforeStroke& stroke) {
+  std::size_t point = 0;
+  const Span* const found = span_of(stroke, point);
+  if (!found) {
+    clear();
+    return;
+  }
+  while (&spans_.back() != found) {
+    strokes_ -= spans_.back().points.size();
+    spans_.pop_back();
+  }
+  Span& span = spans_.back();
+  now_ = span.points[point].before;
+  strokes_ -= span.points.size() - point;
+  const std::size_t kept = span.points[point].records;
+  for (std::size_t i = kept; i < span.records.size(); ++i) span.bytes -= bytes_of(span.records[i]);
+  span.records.resize(kept);
+  span.points.resize(point);
+  span.whole = true;
+  changed_ = strokes_ > 0;  // or the point before would have been dropped for this one
+}
+
+}  // namespace incise::loop

@@ -1,0 +1,86 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <vector>
+
+#include "server/core/mesh/delta.hpp"
+#include "server/core/session/cut_session.hpp"
+#include "server/loop/journal_record.hpp"
+
+namespace incise::loop {
+
+// What a session had come to just before a stroke.
+struct BeforeStroke {
+  // The pose that began the stroke.
+  std::uint32_t source = 0;
+  std::int64_t t_ns = 0, arrival_ns = 0;
+  std::uint64_t revision = 0;
+  std::uint64_t strokes = 0, cut_faces = 0;  // so far; as LoopState's
+  double cut_area_m2 = 0;
+};
+
+// A session that has gone back to where a stroke began; null where there was no stroke to undo.
+struct Undone {
+  std::uint64_t request = 0;
+  BeforeStroke before;
+  std::unique_ptr<core::CutSession> session;
+  std::vector<core::HalfFace> cuts;  // all cut faces of its mesh
+};
+
+// The strokes that can be undone: saved states of a session, and the records that lead from these to where strokes begin. A state is
+// saved where a stroke begins and the way there from the last one has become long, so that saving takes a fifth of the processor time at most, and going
+// back some 50 ms more than reading a state. The oldest states are dropped when all takes more than `max_bytes`, but never the last one.
+//
+// Strokes that changed nothing are passed over.
+//
+// Thread: one, at a time: the one that runs the session.
+class UndoHistory {
+ public:
+  explicit UndoHistory(std::size_t max_bytes) : max_bytes_(max_bytes) {}
+
+  // Before a record is applied to the session, for which no batch waits. O(1), and O(mesh) where a state is saved.
+  void note(const JournalRecord& record, const core::CutSession& session);
+  // After a step.
+  void note(const core::Delta& delta);
+  // The mesh is as loaded again (or the session cannot be followed any longer).
+  void clear();
+
+  // How many strokes can be undone, one after the other.
+  std::size_t size() const { return changed_ || strokes_ == 0 ? strokes_ : strokes_ - 1; }
+  // The one that is undone first. Null: none.
+  const BeforeStroke* last() const;
+  // The session as it was before that stroke; null: there is none. O(mesh).
+  std::unique_ptr<core::CutSession> before(const BeforeStroke& stroke, const core::CutConfig& config) const;
+  // The session has gone back there.
+  void went_back(const BeforeStroke& stroke);
+
+ private:
+  struct Point {
+    std::size_t records = 0;  // that lead there from the state
+    BeforeStroke before;
+  };
+  struct Span {
+    std::vector<std::byte> state;
+    std::vector<JournalRecord> records;
+    std::vector<Point> points;
+    std::size_t bytes = 0;   // of all this
+    bool whole = true;       // nothing after the records was left out
+    double saved_cpu_s = 0;  // the thread's processor time when it began
+  };
+  void begin_span(const core::CutSession& session);
+  void end_span();
+  void drop_last_point();
+  const Span* span_of(const BeforeStroke& stroke, std::size_t& point) const;
+
+  const std::size_t max_bytes_;
+  std::deque<Span> spans_;
+  std::size_t strokes_ = 0;  // points in all spans
+  bool changed_ = false;     // something was cut since the last point
+  double save_s_ = 0;        // what the last state took
+  BeforeStroke now_;         // the sums so far
+};
+
+}  // namespace incise::loop
