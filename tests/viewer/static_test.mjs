@@ -40,6 +40,8 @@ test("the mouse cuts the liver in two, and incise replay of the saved recording 
   await drag(page, [0.52, 0.02], [0.46, 0.98], 10);
   await until(page, () => window.incise.progress.pieces >= 2);
   await page.locator("#depth").fill("0.2");
+  await quiet(page);
+  const first = await progress(page);
   await drag(page, [0.66, 0.05], [0.68, 0.92], 10);
   await strokeIsOver(page);
   await quiet(page);
@@ -51,6 +53,11 @@ test("the mouse cuts the liver in two, and incise replay of the saved recording 
 
   const report = replayed(await saved(page));
   assert.deepEqual([report.state_hash, report.batches], [shown.hash, shown.revision]);
+
+  // What is undone is not replayed.
+  await page.locator("#undo").click();
+  await until(page, (hash) => window.incise.progress.hash === hash, first.hash);
+  assert.deepEqual([replayed(await saved(page)).state_hash, (await progress(page)).revision], [first.hash, first.revision]);
 
   // After a reset the recording is that of what follows.
   await page.locator("#depth").fill("1");
