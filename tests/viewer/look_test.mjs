@@ -1,8 +1,11 @@
 // How the page looks and is reached, in a real browser against a real server.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { test } from "node:test";
+import { deflateSync } from "node:zlib";
 import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
 import { launch, until } from "./server.mjs";
 
@@ -335,5 +338,99 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   await shot(page, "phone");
   await page.locator("#panel-toggle").click();
   await shot(page, "phone_panel");
+  assert.deepEqual(faults, []);
+});
+
+/** A PNG of these pixels, rows from above: [[r, g, b], ...] each. */
+function png(rows) {
+  const chunk = (type, data) => {
+    const body = Buffer.concat([Buffer.from(type), data]);
+    const frame = Buffer.alloc(body.length + 8);
+    frame.writeUInt32BE(data.length);
+    body.copy(frame, 4);
+    frame.writeUInt32BE(crc32(body), body.length + 4);
+    return frame;
+  };
+  const head = Buffer.from([0, 0, 0, rows[0].length, 0, 0, 0, rows.length, 8, 2, 0, 0, 0]);
+  const data = deflateSync(Buffer.from(rows.flatMap((row) => [0, ...row.flat()])));
+  return Buffer.concat([
+    Buffer.from([137, 80, 78, 71, 13, 10, 26, 10]),
+    chunk("IHDR", head),
+    chunk("IDAT", data),
+    chunk("IEND", Buffer.alloc(0)),
+  ]);
+}
+
+function crc32(bytes) {
+  let crc = ~0;
+  for (const byte of bytes) {
+    crc ^= byte;
+    for (let k = 0; k < 8; ++k) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
+  }
+  return ~crc >>> 0;
+}
+
+/** A cube of 10 cm whose sides are green below and blue above, in the image, so everywhere half way up. */
+function paintedCube() {
+  const n = 6;
+  let text = "mtllib cube.mtl\nusemtl painted\nvt 0 0\n";
+  for (let i = 0; i <= n; ++i) text += `vt 0.5 ${i / n}\n`;
+  let corner = 0;
+  for (let side = 0; side < 6; ++side) {
+    const axis = side >> 1;
+    const at = (i, j) => {
+      const p = [0, 0, 0];
+      p[axis] = side % 2 ? 0.1 : 0;
+      p[(axis + 1) % 3] = 0.1 * (i / n);
+      p[(axis + 2) % 3] = 0.1 * (j / n);
+      text += `v ${p.join(" ")}\n`;
+      return `${++corner}/${2 + Math.round((p[2] / 0.1) * n)}`;
+    };
+    for (let i = 0; i < n; ++i) {
+      for (let j = 0; j < n; ++j) {
+        const c = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        text += `f ${(side % 2 ? c : c.reverse()).join(" ")}\n`;
+      }
+    }
+  }
+  return text;
+}
+
+test("a body that was filled from a surface shows that surface's texture, cut or not", async (t) => {
+  const files = mkdtempSync(join(tmpdir(), "incise_painted_"));
+  t.after(() => rmSync(files, { recursive: true }));
+  const green = [30, 200, 40],
+    blue = [30, 60, 220];
+  writeFileSync(join(files, "cube.obj"), paintedCube());
+  writeFileSync(join(files, "cube.mtl"), "newmtl painted\nmap_Kd paint.png\n");
+  writeFileSync(join(files, "paint.png"), png([0, 1, 2, 3].map((row) => Array(4).fill(row < 2 ? blue : green))));
+  const server = await serve(t, { mesh: { path: join(files, "cube.obj"), target_tets: 4000 } });
+  const { page, faults } = await look(t, server.url);
+  await until(page, () => window.incise.stage.body.mesh.material.defines.TEXTURE === 1 && window.incise.stage.atRest);
+  /** The picture's colour where this point of the body is seen. */
+  const colourAt = (point) =>
+    page.evaluate(async (p) => {
+      const { stage } = window.incise;
+      stage.lookFrom([0, -1, 0.2]);
+      await new Promise((done) => setTimeout(done, 600));
+      const v = stage.camera.position.clone().set(...p).project(stage.camera);
+      const gl = stage.renderer.getContext();
+      stage.renderer.render(stage.scene, stage.camera);
+      const pixel = new Uint8Array(4);
+      const x = ((v.x + 1) / 2) * gl.drawingBufferWidth,
+        y = ((v.y + 1) / 2) * gl.drawingBufferHeight;
+      gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+      return [...pixel];
+    }, point);
+  const isPainted = async () => {
+    const [low, high] = [await colourAt([0.03, 0, 0.025]), await colourAt([0.03, 0, 0.075])];
+    assert.ok(low[1] > 1.5 * low[0] && low[1] > 1.5 * low[2], `green: ${low}`);
+    assert.ok(high[2] > 1.5 * high[0] && high[2] > 1.5 * high[1], `blue: ${high}`);
+  };
+  await isPainted();
+  server.stream([0.06], { depth_m: 0.12 });
+  await until(page, () => window.incise.progress.pieces > 1 && window.incise.stage.atRest);
+  await isPainted();
+  await shot(page, "painted");
   assert.deepEqual(faults, []);
 });
