@@ -1,12 +1,12 @@
 // How the page looks and is reached, in a real browser against a real server.
 
 import assert from "node:assert/strict";
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
-import { deflateSync } from "node:zlib";
 import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { paintedCube } from "./painted.mjs";
 import { launch, until } from "./server.mjs";
 
 test("a picture at rest is not drawn again, a moving one is", async (t) => {
@@ -341,69 +341,10 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   assert.deepEqual(faults, []);
 });
 
-/** A PNG of these pixels, rows from above: [[r, g, b], ...] each. */
-function png(rows) {
-  const chunk = (type, data) => {
-    const body = Buffer.concat([Buffer.from(type), data]);
-    const frame = Buffer.alloc(body.length + 8);
-    frame.writeUInt32BE(data.length);
-    body.copy(frame, 4);
-    frame.writeUInt32BE(crc32(body), body.length + 4);
-    return frame;
-  };
-  const head = Buffer.from([0, 0, 0, rows[0].length, 0, 0, 0, rows.length, 8, 2, 0, 0, 0]);
-  const data = deflateSync(Buffer.from(rows.flatMap((row) => [0, ...row.flat()])));
-  return Buffer.concat([
-    Buffer.from([137, 80, 78, 71, 13, 10, 26, 10]),
-    chunk("IHDR", head),
-    chunk("IDAT", data),
-    chunk("IEND", Buffer.alloc(0)),
-  ]);
-}
-
-function crc32(bytes) {
-  let crc = ~0;
-  for (const byte of bytes) {
-    crc ^= byte;
-    for (let k = 0; k < 8; ++k) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
-  }
-  return ~crc >>> 0;
-}
-
-/** A cube of 10 cm whose sides are green below and blue above, in the image, so everywhere half way up. */
-function paintedCube() {
-  const n = 6;
-  let text = "mtllib cube.mtl\nusemtl painted\nvt 0 0\n";
-  for (let i = 0; i <= n; ++i) text += `vt 0.5 ${i / n}\n`;
-  let corner = 0;
-  for (let side = 0; side < 6; ++side) {
-    const axis = side >> 1;
-    const at = (i, j) => {
-      const p = [0, 0, 0];
-      p[axis] = side % 2 ? 0.1 : 0;
-      p[(axis + 1) % 3] = 0.1 * (i / n);
-      p[(axis + 2) % 3] = 0.1 * (j / n);
-      text += `v ${p.join(" ")}\n`;
-      return `${++corner}/${2 + Math.round((p[2] / 0.1) * n)}`;
-    };
-    for (let i = 0; i < n; ++i) {
-      for (let j = 0; j < n; ++j) {
-        const c = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
-        text += `f ${(side % 2 ? c : c.reverse()).join(" ")}\n`;
-      }
-    }
-  }
-  return text;
-}
-
 test("a body that was filled from a surface shows that surface's texture, cut or not", async (t) => {
   const files = mkdtempSync(join(tmpdir(), "incise_painted_"));
   t.after(() => rmSync(files, { recursive: true }));
-  const green = [30, 200, 40],
-    blue = [30, 60, 220];
-  writeFileSync(join(files, "cube.obj"), paintedCube());
-  writeFileSync(join(files, "cube.mtl"), "newmtl painted\nmap_Kd paint.png\n");
-  writeFileSync(join(files, "paint.png"), png([0, 1, 2, 3].map((row) => Array(4).fill(row < 2 ? blue : green))));
+  paintedCube(files);
   const server = await serve(t, { mesh: { path: join(files, "cube.obj"), target_tets: 4000 } });
   const { page, faults } = await look(t, server.url);
   await until(page, () => window.incise.stage.body.mesh.material.defines.TEXTURE === 1 && window.incise.stage.atRest);

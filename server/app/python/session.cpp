@@ -176,7 +176,9 @@ py::dict measure(Session& session) {
 void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
-  with_core(session, [&](const core::CutSession& core) { app::write_cut_mesh(path, core.mesh()); });
+  with_core(session, [&](const core::CutSession& core) {
+    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get());
+  });
 }
 
 Body current_body(Session& session) {
