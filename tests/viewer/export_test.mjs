@@ -10,7 +10,10 @@ import { paintedCube, uOf } from "./painted.mjs";
 import { bin } from "./server.mjs";
 import { load } from "./unit/modules.mjs";
 
-const { GLTFLoader, Vector3, Mesh } = await load("../node_modules/three", "../node_modules/three/examples/jsm/loaders/GLTFLoader.js");
+const { GLTFLoader, Vector3, Mesh } = await load(
+  "../node_modules/three",
+  "../node_modules/three/examples/jsm/loaders/GLTFLoader.js",
+);
 
 // What a browser has and Node has not. An image is its bytes.
 globalThis.self = globalThis;
@@ -27,15 +30,22 @@ function run(...args) {
   return done;
 }
 
-const cut = (mesh, out) => run("cut", "--mesh", mesh, "--poses", file("poses.csv"), "--blade", "0,0,0.05:0,0,-0.2", "--out", out);
+const cut = (mesh, out) =>
+  run("cut", "--mesh", mesh, "--poses", file("poses.csv"), "--blade", "0,0,0.05:0,0,-0.2", "--out", out);
 
 before(() => {
   paintedCube(folder);
   // Two strokes right through, which meet at a slant.
   const rows = ["t_s,x_m,y_m,z_m,qw,qx,qy,qz"];
   for (const [stroke, [from, to]] of [
-    [[0.06, -0.02], [0.05, 0.12]],
-    [[-0.02, 0.03], [0.12, 0.05]],
+    [
+      [0.06, -0.02],
+      [0.05, 0.12],
+    ],
+    [
+      [-0.02, 0.03],
+      [0.12, 0.05],
+    ],
   ].entries()) {
     for (let i = 0; i <= 60; ++i) {
       const at = [0, 1].map((k) => from[k] + ((to[k] - from[k]) * i) / 60);
@@ -56,8 +66,12 @@ function forTriangles(mesh, visit) {
   const turn = (v) => new Vector3(v.x, -v.z, v.y);
   for (let i = 0; i < index.count; i += 3) {
     const corners = [0, 1, 2].map((k) => index.getX(i + k));
-    const places = corners.map((c) => turn(new Vector3().fromBufferAttribute(attributes.position, c).applyMatrix4(mesh.matrixWorld)));
-    const normals = corners.map((c) => turn(new Vector3().fromBufferAttribute(attributes.normal, c).transformDirection(mesh.matrixWorld)));
+    const places = corners.map((c) =>
+      turn(new Vector3().fromBufferAttribute(attributes.position, c).applyMatrix4(mesh.matrixWorld)),
+    );
+    const normals = corners.map((c) =>
+      turn(new Vector3().fromBufferAttribute(attributes.normal, c).transformDirection(mesh.matrixWorld)),
+    );
     const uvs = attributes.uv && corners.map((c) => [attributes.uv.getX(c), 1 - attributes.uv.getY(c)]);
     visit(places, normals, uvs);
   }
@@ -82,7 +96,8 @@ test("a .glb has the pieces as nodes, the materials by name, the texture with it
       const { name, map, color } = mesh.material;
       assert.equal(map !== null, name === "painted", name);
       if (map) images.add(Buffer.from(map.image.bytes).toString("base64"));
-      if (name === "lid") for (const [k, x] of [0.9, 0.8, 0.1].entries()) assert.ok(Math.abs(color.toArray()[k] - x) < 1e-6);
+      if (name === "lid")
+        for (const [k, x] of [0.9, 0.8, 0.1].entries()) assert.ok(Math.abs(color.toArray()[k] - x) < 1e-6);
       forTriangles(mesh, ([a, b, c], normals, uvs) => {
         own += a.dot(b.clone().cross(c)) / 6;
         const face = b.clone().sub(a).cross(c.clone().sub(a)).normalize();
@@ -115,8 +130,13 @@ test("a .glb of a body without a surface has an outside and an inside", async ()
   run("phantom", "slab", "--size", "2000", "--out", file("slab.vtu"));
   run("phantom", "slab", "--size", "2000", "--out", file("slab.glb"));
   const whole = await read("slab.glb");
-  assert.deepEqual(whole.scene.children[0].children.map((m) => [m.name, m.material.name]), [["piece_1", "outside"]]);
-  const refused = spawnSync(join(bin, "incise"), ["phantom", "slab", "--out", join(folder, "none", "a.glb")], { encoding: "utf8" });
+  assert.deepEqual(
+    whole.scene.children[0].children.map((m) => [m.name, m.material.name]),
+    [["piece_1", "outside"]],
+  );
+  const refused = spawnSync(join(bin, "incise"), ["phantom", "slab", "--out", join(folder, "none", "a.glb")], {
+    encoding: "utf8",
+  });
   assert.equal(refused.status !== 0 && refused.stderr.trim().split("\n").length, 1, refused.stderr);
   assert.match(refused.stderr, /make it first \(mkdir -p/);
   const other = spawnSync(join(bin, "incise"), ["phantom", "slab", "--out", file("a.gltf")], { encoding: "utf8" });

@@ -354,7 +354,10 @@ test("a body that was filled from a surface shows that surface's texture, cut or
       const { stage } = window.incise;
       stage.lookFrom([0, -1, 0.2]);
       await new Promise((done) => setTimeout(done, 600));
-      const v = stage.camera.position.clone().set(...p).project(stage.camera);
+      const v = stage.camera.position
+        .clone()
+        .set(...p)
+        .project(stage.camera);
       const gl = stage.renderer.getContext();
       stage.renderer.render(stage.scene, stage.camera);
       const pixel = new Uint8Array(4);

@@ -31,7 +31,7 @@ class SurfaceAsset:
     ``texture``, a name below the asset's path.
 
         asset = SurfaceAsset.fetch("http://127.0.0.1:7480", client.welcome)
-        uvs = asset.corner_uvs(client.surface)  # (m, 3, 2): of each triangle's corners; NaN where it has none, as cut faces
+        uvs = asset.corner_uvs(client.replica)  # of view Surface: (m, 3, 2): of each triangle's corners; NaN where it has none, as cut faces
     """
 
     def __init__(self, positions: Any, triangles: Any, uvs: Any = None, normals: Any = None, colours: Any = None,

@@ -44,7 +44,8 @@ export class SurfaceAsset {
   /** Of the bytes that the server's HTTP port answers. Throws an Error. */
   constructor(bytes: Uint8Array) {
     const buffer = new flatbuffers.ByteBuffer(bytes);
-    if (bytes.length < 16 || !Message.bufferHasIdentifier(buffer)) throw new Error("bytes that are no message of incise");
+    if (bytes.length < 16 || !Message.bufferHasIdentifier(buffer))
+      throw new Error("bytes that are no message of incise");
     const message = Message.getRootAsMessage(buffer);
     if (message.bodyType() !== Body.SurfaceAsset) throw new Error("a message of another kind");
     const wire: WireAsset = message.body(new WireAsset());

@@ -199,7 +199,10 @@ export class Viewer {
       this.feed.setTexture(found.asset);
     } catch (error) {
       this.assetHash = ""; // asked for again with the next Welcome
-      this.post({ kind: "notice", text: `The body's texture is not shown: ${error instanceof Error ? error.message : error}` });
+      this.post({
+        kind: "notice",
+        text: `The body's texture is not shown: ${error instanceof Error ? error.message : error}`,
+      });
     }
   }
 

@@ -1,6 +1,8 @@
 #include "server/app/offline/cut_surface.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "protocol/surface_asset.hpp"
 #include "server/app/surface_asset.hpp"
@@ -103,6 +105,27 @@ std::vector<std::array<std::uint32_t, 4>> face_origins(const core::TetMesh& mesh
       const bool outside = (mesh.boundary_mask(t) >> f & 1) != 0 && !is_cut(mesh, 4 * t + f);
       origins[f] = outside ? tree->origin_of(rest_corners(mesh, 4 * t + f)) : core::kNone;
     }
+  }
+  return out;
+}
+
+std::vector<std::array<std::array<float, 2>, 3>> face_uvs(const core::TetMesh& mesh,
+                                                          const mesh_io::Surface& from) {
+  constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+  const protocol::SurfaceAsset asset = asset_of(from);
+  const protocol::SurfaceLookup lookup(asset);
+  std::vector<std::array<std::array<float, 2>, 3>> out;
+  std::size_t row = 0;
+  const auto origins = face_origins(mesh, from);
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    for (std::uint32_t f = 0; f < 4; ++f) {
+      if ((mesh.boundary_mask(t) >> f & 1) == 0) continue;
+      const auto uvs = lookup.uvs(origins[row][f], rest_corners(mesh, 4 * t + f));
+      out.push_back(uvs.value_or(
+          std::array<std::array<float, 2>, 3>{{{kNone, kNone}, {kNone, kNone}, {kNone, kNone}}}));
+    }
+    ++row;
   }
   return out;
 }

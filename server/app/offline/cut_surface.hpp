@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <vector>
@@ -26,6 +27,10 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from);
 // cut face. O(mesh log surface).
 std::vector<std::array<std::uint32_t, 4>> face_origins(const core::TetMesh& mesh,
                                                        const mesh_io::Surface& from);
+
+// Texture coordinates of the corners of each boundary face, ascending by half-face: NaN for a cut face, and where the surface has none. O(mesh log surface).
+std::vector<std::array<std::array<float, 2>, 3>> face_uvs(const core::TetMesh& mesh,
+                                                          const mesh_io::Surface& from);
 
 // Writes it as binary glTF 2.0: a node for each piece with a primitive for each material, images embedded, normals smooth but for creases and the rims of
 // cuts, texture coordinates. Metres; the root turns z upwards to y. Throws MeshError.

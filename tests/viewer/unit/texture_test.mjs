@@ -40,7 +40,10 @@ test("corners have the texture of where their material is at rest", () => {
   ]);
   const table = { idsArray: () => Uint32Array.of(0, 1, 2), positionsArray: () => Float32Array.from(rest.flat()) };
   assert.equal(surface.setRest(table), true);
-  assert.equal(surface.setRest({ idsArray: () => Uint32Array.of(7), positionsArray: () => new Float32Array(3) }), false);
+  assert.equal(
+    surface.setRest({ idsArray: () => Uint32Array.of(7), positionsArray: () => new Float32Array(3) }),
+    false,
+  );
   const builder = new CornerBuilder(surface);
   builder.restart();
   builder.measureAll();
