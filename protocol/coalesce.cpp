@@ -111,7 +111,8 @@ SurfaceDelta OwnedSurfaceDelta::view() const {
           change.removed_triangles,
           surface_hash,
           state_hash,
-          live_tets};
+          live_tets,
+          change.rest()};
 }
 
 OwnedDelta coalesce(std::span<const Delta> deltas) {
@@ -198,7 +199,7 @@ OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
   out.state_hash = last.state_hash;
   out.live_tets = last.live_tets;
 
-  Places vertices, triangles;
+  Places vertices, triangles, rest;
   for (std::size_t k = 0; k < deltas.size(); ++k) {
     const SurfaceDelta& d = deltas[k];
     out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
@@ -206,6 +207,8 @@ OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
     note(vertices, d.removed_vertices, k, true);
     note(triangles, d.triangles.ids, k, false);
     note(triangles, d.removed_triangles, k, true);
+    note(rest, d.rest.ids, k, false);
+    note(rest, d.removed_vertices, k, true);
   }
   SurfaceChange& c = out.change;
   for (const auto& [id, place] : vertices) {
@@ -227,6 +230,16 @@ OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
     c.triangle_flags.push_back(t.flags[place.index]);
     c.triangle_pieces.push_back(t.pieces[place.index]);
     c.triangle_regions.push_back(t.regions[place.index]);
+    c.triangle_origins.push_back(t.origins.empty() ? kNoId : t.origins[place.index]);
+  }
+  if (std::all_of(c.triangle_origins.begin(), c.triangle_origins.end(),
+                  [](std::uint32_t origin) { return origin == kNoId; })) {
+    c.triangle_origins.clear();
+  }
+  for (const auto& [id, place] : rest) {
+    if (place.removed) continue;
+    c.rest_ids.push_back(id);
+    append(c.rest_positions, deltas[place.delta].rest.positions.subspan(3 * place.index, 3));
   }
   return out;
 }

@@ -1,5 +1,6 @@
 // The receiving half of framing.hpp: bytes from a stranger to a checked message.
 
+#include <algorithm>
 #include <cstring>
 #include <memory>
 #include <type_traits>
@@ -67,6 +68,10 @@ class MessageReader : public FieldReader {
     out.server_unix_ns = m.server_unix_ns();
     out.policy = text("policy", m.policy());
     out.recording = enumeration<Recording>("recording", m.recording());
+    if (const wire::SurfaceFacts* surface = m.surface()) {
+      out.surface = SurfaceFacts{surface->triangles(), text("surface.path", surface->path()),
+                                 text("surface.content_hash", surface->content_hash())};
+    }
     return out;
   }
   Body read(const wire::Subscribe& m) {
@@ -187,6 +192,7 @@ class MessageReader : public FieldReader {
     out.surface_hash = m.surface_hash();
     out.state_hash = m.state_hash();
     out.live_tets = m.live_tets();
+    out.rest = surface_vertices("rest.ids", "rest.positions", m.rest());
     return out;
   }
   Body read(const wire::SnapshotBegin& m) {
@@ -227,6 +233,7 @@ class MessageReader : public FieldReader {
             "one for each of positions, or none");
     const bool rest = m.rest_positions() != nullptr && m.rest_positions()->size() > 0;
     out.rest_positions = positions("rest_positions", m.rest_positions(), rest ? numbers / 3 : 0);
+    out.surface_rest = surface_vertices("surface_rest.ids", "surface_rest.positions", m.surface_rest());
     return out;
   }
   Body read(const wire::SnapshotEnd& m) {
@@ -296,6 +303,38 @@ class MessageReader : public FieldReader {
     out.arrival_ns = m.arrival_ns();
     return out;
   }
+  Body read(const wire::SurfaceAsset& m) {
+    SurfaceAsset out;
+    const std::size_t vertices = m.positions() == nullptr ? 0 : m.positions()->size() / 3;
+    out.positions = positions("positions", m.positions(), vertices);
+    const std::size_t triangles = m.triangles() == nullptr ? 0 : m.triangles()->size() / 3;
+    out.triangles = array("triangles", m.triangles(), triangles, 3);
+    for (const std::uint32_t v : out.triangles) {
+      if (v < vertices) continue;
+      fail("triangles", "vertex " + std::to_string(v) + " of " + std::to_string(vertices));
+      break;
+    }
+    out.uvs = by_element("uvs", m.uvs(), 3 * triangles, 2);
+    out.normals = by_element("normals", m.normals(), 3 * triangles, 3);
+    out.colours = by_element("colours", m.colours(), 3 * triangles, 4);
+    out.material_indices = by_element("material_indices", m.material_indices(), triangles, 1);
+    for (const float x : out.uvs) finite("uvs", x);
+    for (const float x : out.normals) finite("normals", x);
+    if (m.materials() != nullptr) {
+      require(m.materials()->size() <= kMaxMaterials, "materials", "above the limit of 4096");
+      for (const wire::Material* from : *m.materials()) {
+        Material material{
+            text("materials.name", from->name()), {}, text("materials.texture", from->texture())};
+        const auto diffuse = array("materials.diffuse", from->diffuse(), 1, 3);
+        if (diffuse.size() == 3) std::copy_n(diffuse.begin(), 3, material.diffuse.begin());
+        for (const float x : material.diffuse) finite("materials.diffuse", x);
+        out.materials.push_back(std::move(material));
+      }
+    }
+    for (const std::uint32_t i : out.material_indices)
+      require(i < out.materials.size(), "material_indices", "a material that does not exist");
+    return out;
+  }
   Body read(const wire::ReplayState& m) {
     return ReplayState{text("capture", m.capture()),
                        m.playing(),
@@ -336,6 +375,7 @@ Body read_body(MessageReader& reader, const wire::Message& message) {
     INCISE_MESSAGE(ReplayState);
     INCISE_MESSAGE(BladePose);
     INCISE_MESSAGE(PositionsReport);
+    INCISE_MESSAGE(SurfaceAsset);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

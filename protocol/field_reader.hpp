@@ -64,6 +64,12 @@ class FieldReader {
     return values;
   }
 
+  // The same, or nothing at all.
+  template <class T>
+  std::span<const T> by_element(const char* field, const Vec<T>* value, std::size_t count, std::size_t each) {
+    return value == nullptr || value->size() == 0 ? std::span<const T>() : array(field, value, count, each);
+  }
+
   // Ids, strictly ascending and below `limit`.
   std::span<const std::uint32_t> ids(const char* field, const Vec<std::uint32_t>* value,
                                      std::uint32_t limit) {
@@ -169,6 +175,7 @@ class FieldReader {
     out.flags = array("triangles.flags", t->flags(), n, 1);
     out.pieces = array("triangles.pieces", t->pieces(), n, 1);
     out.regions = array("triangles.regions", t->regions(), n, 1);
+    out.origins = by_element("triangles.origins", t->origins(), n, 1);
     return out;
   }
 

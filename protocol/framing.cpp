@@ -61,7 +61,7 @@ Offset<wire::Tets> tets(FlatBufferBuilder& b, const TetArrays& t) {
 Offset<wire::Triangles> triangles(FlatBufferBuilder& b, const TriangleArrays& t) {
   if (t.ids.empty()) return {};
   return wire::CreateTriangles(b, array(b, t.ids), array(b, t.vertices), array(b, t.flags),
-                               array(b, t.pieces), array(b, t.regions));
+                               array(b, t.pieces), array(b, t.regions), array(b, t.origins));
 }
 
 Offset<wire::SurfaceVertices> surface_vertices(FlatBufferBuilder& b, const SurfaceVertexArrays& v) {
@@ -104,11 +104,16 @@ struct Encoder {
                                             m.mesh.boundary_faces, m.mesh.mean_edge_length_m, mesh_box);
     const auto name = text(b, m.server_name), version = text(b, m.server_version), policy = text(b, m.policy);
     const wire::Vec3 heel = to_wire(m.blade_heel), tip = to_wire(m.blade_tip);
+    Offset<wire::SurfaceFacts> surface;
+    if (m.surface) {
+      const auto path = text(b, m.surface->path), hash = text(b, m.surface->content_hash);
+      surface = wire::CreateSurfaceFacts(b, m.surface->triangles, path, hash);
+    }
     return wire::CreateWelcome(b, m.protocol_version, m.session, wire::Role(m.role), wire::View(m.view),
                                m.resumed, m.revision, m.state_hash, mesh, &heel, &tip, m.source,
                                m.engage_button, m.max_speed_m_s, m.frame_rate_hz, m.max_message_bytes, name,
                                version, m.server_monotonic_ns, m.server_unix_ns, policy,
-                               wire::Recording(m.recording))
+                               wire::Recording(m.recording), surface)
         .Union();
   }
   auto operator()(const Subscribe& m) {
@@ -189,8 +194,9 @@ struct Encoder {
     const auto removed_vertices = array(b, m.removed_vertices);
     const auto triangle_table = triangles(b, m.triangles);
     const auto removed = array(b, m.removed_triangles);
+    const auto rest = surface_vertices(b, m.rest);
     return wire::CreateSurfaceDelta(b, m.base_revision, m.revision, step_list, vertices, removed_vertices,
-                                    triangle_table, removed, m.surface_hash, m.state_hash, m.live_tets)
+                                    triangle_table, removed, m.surface_hash, m.state_hash, m.live_tets, rest)
         .Union();
   }
   auto operator()(const SnapshotBegin& m) {
@@ -209,8 +215,9 @@ struct Encoder {
     const auto triangle_table = triangles(b, m.triangles);
     const auto vertex_ids = array(b, m.vertex_ids);
     const auto rest_positions = array(b, m.rest_positions);
+    const auto surface_rest = surface_vertices(b, m.surface_rest);
     return wire::CreateSnapshotChunk(b, m.index, m.first_vertex, positions, tet_table, pieces, vertices,
-                                     triangle_table, vertex_ids, rest_positions)
+                                     triangle_table, vertex_ids, rest_positions, surface_rest)
         .Union();
   }
   auto operator()(const SnapshotEnd& m) {
@@ -245,6 +252,24 @@ struct Encoder {
                                        m.skipped)
         .Union();
   }
+  auto operator()(const SurfaceAsset& m) {
+    std::vector<Offset<wire::Material>> materials;
+    for (const Material& material : m.materials) {
+      const auto name = text(b, material.name);
+      const auto diffuse = array(b, std::span<const float>(material.diffuse));
+      const auto texture = text(b, material.texture);
+      materials.push_back(wire::CreateMaterial(b, name, diffuse, texture));
+    }
+    const auto material_list =
+        materials.empty() ? Offset<Vec<Offset<wire::Material>>>() : b.CreateVector(materials);
+    const auto positions = array(b, m.positions);
+    const auto triangles = array(b, m.triangles);
+    const auto uvs = array(b, m.uvs), normals = array(b, m.normals);
+    const auto colours = array(b, m.colours);
+    const auto indices = array(b, m.material_indices);
+    return wire::CreateSurfaceAsset(b, positions, triangles, uvs, normals, colours, indices, material_list)
+        .Union();
+  }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
     return wire::CreateReplayState(b, capture, m.playing, m.speed, m.revision, m.last_revision, what).Union();
@@ -255,7 +280,7 @@ std::size_t bytes_of(const TetArrays& t) {
   return t.ids.size() * (4 + 16 + 4 + 1 + 1);
 }
 std::size_t bytes_of(const TriangleArrays& t) {
-  return t.ids.size() * (4 + 12 + 1 + 4 + 4);
+  return t.ids.size() * (4 + 12 + 1 + 4 + 4) + t.origins.size_bytes();
 }
 std::size_t bytes_of(const SurfaceVertexArrays& v) {
   return v.ids.size() * (4 + 12);
@@ -285,13 +310,17 @@ std::size_t expected_bytes(const Body& body) {
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +
-                 bytes_of(m.triangles) + m.removed_triangles.size_bytes();
+                 bytes_of(m.triangles) + m.removed_triangles.size_bytes() + bytes_of(m.rest);
         }
         if constexpr (std::is_same_v<T, SnapshotBegin>) return kSmall + 2 * m.piece_ids.size_bytes();
         if constexpr (std::is_same_v<T, SnapshotChunk>) {
           return kSmall + m.positions.size_bytes() + bytes_of(m.tets) + m.tet_pieces.size_bytes() +
                  bytes_of(m.surface_vertices) + bytes_of(m.triangles) + m.vertex_ids.size_bytes() +
-                 m.rest_positions.size_bytes();
+                 m.rest_positions.size_bytes() + bytes_of(m.surface_rest);
+        }
+        if constexpr (std::is_same_v<T, SurfaceAsset>) {
+          return kSmall + m.positions.size_bytes() + m.triangles.size_bytes() + m.uvs.size_bytes() +
+                 m.normals.size_bytes() + m.colours.size_bytes() + m.material_indices.size_bytes();
         }
         if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
         return kSmall;

@@ -52,6 +52,9 @@ inline constexpr std::size_t kMaxPositionsVertices = 2u << 20;
 inline constexpr std::uint32_t kDefaultReplicaTets = 32u << 20;
 inline constexpr std::uint32_t kDefaultReplicaVertices = 16u << 20;
 
+// Materials of a surface asset.
+inline constexpr std::size_t kMaxMaterials = 4096;
+
 // Nesting: Message -> Delta -> Step or Tets. FlatBuffers' verifier counts tables and vectors as levels.
 inline constexpr unsigned kMaxDepth = 8;
 inline constexpr unsigned kMaxTables = kMaxStepsPerDelta + 64;

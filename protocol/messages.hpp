@@ -6,6 +6,7 @@
 //
 // Flat arrays: positions hold x y z for each vertex, tetrahedra four ids, triangles three.
 
+#include <array>
 #include <cstdint>
 #include <limits>
 #include <optional>
@@ -81,6 +82,11 @@ struct MeshFacts {
   Box box;
 };
 
+struct SurfaceFacts {
+  std::uint32_t triangles = 0;
+  std::string path, content_hash;
+};
+
 struct Welcome {
   std::uint32_t protocol_version = kProtocolVersion;
   std::uint64_t session = 0;
@@ -101,6 +107,7 @@ struct Welcome {
   std::int64_t server_unix_ns = 0;
   std::string policy;
   Recording recording = Recording::Off;
+  std::optional<SurfaceFacts> surface;
 };
 
 struct Subscribe {
@@ -224,6 +231,7 @@ struct TriangleArrays {
   std::span<const std::uint8_t> flags;
   std::span<const std::uint32_t> pieces;
   std::span<const std::int32_t> regions;
+  std::span<const std::uint32_t> origins = {};  // empty: none has one
 };
 inline constexpr std::uint8_t kTriangleCut = 1;  // TriangleArrays::flags: a cut face
 
@@ -281,6 +289,7 @@ struct SurfaceDelta {
   std::uint64_t surface_hash = 0;
   std::uint64_t state_hash = 0;
   std::uint32_t live_tets = 0;
+  SurfaceVertexArrays rest = {};
 };
 
 enum class SnapshotCause : std::uint8_t { Join, ResumeGone, Resync, TooSlow, Reset, Subscribe };
@@ -305,6 +314,7 @@ struct SnapshotChunk {
   TriangleArrays triangles;
   std::span<const std::uint32_t> vertex_ids;
   std::span<const double> rest_positions;
+  SurfaceVertexArrays surface_rest;
 };
 
 struct SnapshotEnd {
@@ -370,11 +380,27 @@ struct PositionsReport {
   std::uint64_t taken = 0, skipped = 0;
 };
 
+struct Material {
+  std::string name;
+  std::array<float, 3> diffuse{0.8f, 0.8f, 0.8f};
+  std::string texture;
+  friend bool operator==(const Material&, const Material&) = default;
+};
+
+struct SurfaceAsset {
+  std::span<const double> positions;
+  std::span<const std::uint32_t> triangles;
+  std::span<const float> uvs, normals;
+  std::span<const std::uint8_t> colours;
+  std::span<const std::uint32_t> material_indices;
+  std::vector<Material> materials;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
-using Body =
-    std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
-                 StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk, SnapshotEnd,
-                 Positions, Stats, Reset, ReplayControl, ReplayState, BladePose, PositionsReport, Undo>;
+using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
+                          StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
+                          SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose,
+                          PositionsReport, SurfaceAsset, Undo>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

@@ -15,7 +15,8 @@ SurfaceReplica::Triangle entry(const TriangleArrays& t, std::size_t i) {
   return {{t.vertices[3 * i], t.vertices[3 * i + 1], t.vertices[3 * i + 2]},
           t.flags[i],
           t.pieces[i],
-          t.regions[i]};
+          t.regions[i],
+          t.origins.empty() ? kNoId : t.origins[i]};
 }
 
 std::uint64_t hash_of(std::uint32_t id, const SurfaceReplica::Triangle& t) {
@@ -33,6 +34,11 @@ void append(SurfaceChange& out, std::uint32_t id, const SurfaceReplica::Triangle
   out.triangle_flags.push_back(t.flags);
   out.triangle_pieces.push_back(t.piece);
   out.triangle_regions.push_back(t.region);
+  // All have one entry, or none: the array begins with the first origin.
+  if (t.origin != kNoId || !out.triangle_origins.empty()) {
+    out.triangle_origins.resize(out.triangle_ids.size() - 1, kNoId);
+    out.triangle_origins.push_back(t.origin);
+  }
 }
 
 void append(SurfaceChange& out, std::uint32_t id, const std::array<float, 3>& position) {
@@ -40,9 +46,9 @@ void append(SurfaceChange& out, std::uint32_t id, const std::array<float, 3>& po
   out.vertex_positions.insert(out.vertex_positions.end(), position.begin(), position.end());
 }
 
-SurfaceReplica::Triangle triangle_of(const Replica& mesh, std::uint32_t tet, int face) {
-  const std::uint8_t flags = mesh.cut_mask(tet) >> face & 1 ? kTriangleCut : std::uint8_t{0};
-  return {mesh.face_vertices(tet, face), flags, mesh.piece(tet), mesh.region(tet)};
+void append_rest(SurfaceChange& out, std::uint32_t id, const std::array<float, 3>& rest) {
+  out.rest_ids.push_back(id);
+  out.rest_positions.insert(out.rest_positions.end(), rest.begin(), rest.end());
 }
 
 std::array<float, 3> position_of(const Replica& mesh, std::uint32_t v) {
@@ -50,22 +56,30 @@ std::array<float, 3> position_of(const Replica& mesh, std::uint32_t v) {
   return {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
 }
 
+Vec3 exact_rest_of(const Replica& mesh, std::uint32_t v) {
+  const double* p = &mesh.rest_positions()[3 * std::size_t{v}];
+  return {p[0], p[1], p[2]};
+}
+
+std::array<float, 3> rest_of(const Replica& mesh, std::uint32_t v) {
+  const Vec3 p = exact_rest_of(mesh, v);
+  return {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
+}
+
 }  // namespace
 
 // ---- Receiving ----
 
-ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
-                                         std::span<const std::uint32_t> removed_vertices,
-                                         const TriangleArrays& t,
-                                         std::span<const std::uint32_t> removed_triangles,
-                                         std::uint64_t& hash_after) const {
+ApplyResult SurfaceReplica::State::check(const Parts& parts, std::uint64_t& hash_after) const {
+  const auto& [v, removed_vertices, t, removed_triangles, rest] = parts;
   const std::size_t n = t.ids.size();
   if (v.positions.size() != 3 * v.ids.size() || t.vertices.size() != 3 * n || t.flags.size() != n ||
-      t.pieces.size() != n || t.regions.size() != n) {
+      t.pieces.size() != n || t.regions.size() != n || (!t.origins.empty() && t.origins.size() != n) ||
+      rest.positions.size() != 3 * rest.ids.size()) {
     return refuse(ApplyError::BadShape, "surface: arrays of different lengths");
   }
   if (!ascending(v.ids) || !ascending(removed_vertices) || !ascending(t.ids) ||
-      !ascending(removed_triangles)) {
+      !ascending(removed_triangles) || !ascending(rest.ids)) {
     return refuse(ApplyError::BadIndex, "surface: ids that do not ascend");
   }
   hash_after = hash;
@@ -76,6 +90,11 @@ ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
     if (const Vertex* old = vertices.find(v.ids[i]))
       hash_after ^= surface_vertex_hash(v.ids[i], old->position.data());
     hash_after ^= surface_vertex_hash(v.ids[i], &v.positions[3 * i]);
+  }
+  for (const std::uint32_t id : rest.ids) {
+    if ((!contains(v.ids, id) && !vertices.contains(id)) || contains(removed_vertices, id))
+      return refuse(ApplyError::BadIndex,
+                    "rest position of vertex " + number(id) + ", which is not on the surface");
   }
   MoreUses more_uses;
   for (const std::uint32_t id : removed_triangles) {
@@ -119,16 +138,19 @@ ApplyResult SurfaceReplica::State::check(const SurfaceVertexArrays& v,
   return {};
 }
 
-void SurfaceReplica::State::apply(const SurfaceVertexArrays& v,
-                                  std::span<const std::uint32_t> removed_vertices, const TriangleArrays& t,
-                                  std::span<const std::uint32_t> removed_triangles,
-                                  std::uint64_t hash_after) {
+void SurfaceReplica::State::apply(const Parts& parts, std::uint64_t hash_after) {
+  const auto& [v, removed_vertices, t, removed_triangles, rest] = parts;
   const auto use = [&](const Triangle& triangle, std::uint32_t sign) {
     for (const std::uint32_t vertex : triangle.vertices) vertices[vertex].uses += sign;
   };
   constexpr auto kLess = static_cast<std::uint32_t>(-1);
   for (std::size_t i = 0; i < v.ids.size(); ++i)
     std::copy_n(&v.positions[3 * i], 3, vertices[v.ids[i]].position.begin());
+  for (std::size_t i = 0; i < rest.ids.size(); ++i) {
+    Vertex& vertex = vertices[rest.ids[i]];
+    vertex.has_rest = true;
+    std::copy_n(&rest.positions[3 * i], 3, vertex.rest_at.begin());
+  }
   for (std::size_t i = 0; i < t.ids.size(); ++i) {
     if (const Triangle* old = triangles.find(t.ids[i])) use(*old, kLess);
     const Triangle now = entry(t, i);
@@ -152,15 +174,13 @@ ApplyResult SurfaceReplica::apply(const SurfaceDelta& d) {
                                              number(state_.revision));
   }
   std::uint64_t hash = 0;
-  if (ApplyResult r = state_.check(d.vertices, d.removed_vertices, d.triangles, d.removed_triangles, hash);
-      !r) {
-    return r;
-  }
+  const Parts parts{d.vertices, d.removed_vertices, d.triangles, d.removed_triangles, d.rest};
+  if (ApplyResult r = state_.check(parts, hash); !r) return r;
   if (hash != d.surface_hash) {
     return refuse(ApplyError::HashMismatch,
                   "surface of revision " + number(d.revision) + " has another hash");
   }
-  state_.apply(d.vertices, d.removed_vertices, d.triangles, d.removed_triangles, hash);
+  state_.apply(parts, hash);
   state_.revision = d.revision;
   return {};
 }
@@ -185,9 +205,9 @@ ApplyResult SurfaceReplica::chunk(const SnapshotChunk& part) {
   Staged& s = *staged_;
   if (ApplyResult r = check_turn(s.begin, s.chunks_done, part); !r) return abandon(std::move(r));
   std::uint64_t hash = 0;
-  if (ApplyResult r = s.state.check(part.surface_vertices, {}, part.triangles, {}, hash); !r)
-    return abandon(r);
-  s.state.apply(part.surface_vertices, {}, part.triangles, {}, hash);
+  const Parts parts{part.surface_vertices, {}, part.triangles, {}, part.surface_rest};
+  if (ApplyResult r = s.state.check(parts, hash); !r) return abandon(r);
+  s.state.apply(parts, hash);
   ++s.chunks_done;
   return {};
 }
@@ -243,7 +263,34 @@ std::vector<std::byte> SurfaceReplica::canonical_bytes() const {
   return out;
 }
 
+Corners SurfaceReplica::rest_corners(const Triangle& triangle) const {
+  Corners out;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const auto& p = state_.vertices.at(triangle.vertices[i]).rest();
+    out[i] = {double{p[0]}, double{p[1]}, double{p[2]}};
+  }
+  return out;
+}
+
 // ---- The server's side ----
+
+SurfaceReplica::Parts SurfaceReplica::parts_of(const SurfaceChange& change) {
+  return {change.vertices(), change.removed_vertices, change.triangles(), change.removed_triangles,
+          change.rest()};
+}
+
+SurfaceReplica::Triangle SurfaceReplica::triangle_of(const Replica& mesh, std::uint32_t tet, int face,
+                                                     std::uint32_t origin_near) const {
+  const bool cut = mesh.cut_mask(tet) >> face & 1;
+  const auto vertices = mesh.face_vertices(tet, face);
+  std::uint32_t origin = kNoId;
+  if (origins_ && !cut) {
+    origin = origins_->origin_of({exact_rest_of(mesh, vertices[0]), exact_rest_of(mesh, vertices[1]),
+                                  exact_rest_of(mesh, vertices[2])},
+                                 origin_near);
+  }
+  return {vertices, cut ? kTriangleCut : std::uint8_t{0}, mesh.piece(tet), mesh.region(tet), origin};
+}
 
 SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                                           std::span<const std::uint32_t> moved) {
@@ -259,7 +306,7 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
         out.removed_triangles.push_back(id);
         continue;
       }
-      const Triangle now = triangle_of(mesh, t, face);
+      const Triangle now = triangle_of(mesh, t, face, old == nullptr ? kNoId : old->origin);
       if (old != nullptr) {
         if (*old == now) continue;
         more_uses.add(old->vertices, -1);
@@ -277,10 +324,15 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
     }
     const std::array<float, 3> position = position_of(mesh, v);
     if (old == nullptr || !same_bits(old->position, position)) append(out, v, position);
+    if (!mesh.deformed()) continue;
+    // Named where the receiver would not know it; where it is new, in any case, since one that coalesced may know an older one.
+    const std::array<float, 3> rest = rest_of(mesh, v);
+    if (old == nullptr || !same_bits(old->has_rest ? old->rest_at : position, rest))
+      append_rest(out, v, rest);
   }
   std::uint64_t hash = 0;
-  state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
-  state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.check(parts_of(out), hash);
+  state_.apply(parts_of(out), hash);
   state_.revision = mesh.revision();
   return out;
 }
@@ -288,17 +340,23 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
 void SurfaceReplica::load(const Replica& mesh) {
   state_ = {};
   staged_.reset();
+  std::uint32_t near = kNoId;  // neighbours tend to have ids close together
   mesh.for_each_tet([&](std::uint32_t t) {
     for (int face = 0; face < 4; ++face) {
       if (!(mesh.boundary_mask(t) >> face & 1)) continue;
       const std::uint32_t id = 4 * t + static_cast<std::uint32_t>(face);
-      const Triangle triangle = triangle_of(mesh, t, face);
+      const Triangle triangle = triangle_of(mesh, t, face, near);
+      if (triangle.origin != kNoId) near = triangle.origin;
       state_.hash ^= hash_of(id, triangle);
       state_.triangles[id] = triangle;
       for (const std::uint32_t v : triangle.vertices) {
         Vertex& vertex = state_.vertices[v];
         if (vertex.uses++ > 0) continue;
         vertex.position = position_of(mesh, v);
+        if (mesh.deformed()) {
+          vertex.has_rest = true;
+          vertex.rest_at = rest_of(mesh, v);
+        }
         state_.hash ^= surface_vertex_hash(v, vertex.position.data());
       }
     }
@@ -307,10 +365,10 @@ void SurfaceReplica::load(const Replica& mesh) {
 }
 
 SurfaceChange SurfaceReplica::follow(const Replica& mesh, const Delta& delta,
-                                     std::span<const std::uint32_t> in_other_pieces) {
+                                     std::span<const std::uint32_t> look_at) {
   std::vector<std::uint32_t> tets(delta.tets.ids.begin(), delta.tets.ids.end());
   tets.insert(tets.end(), delta.removed_tets.begin(), delta.removed_tets.end());
-  tets.insert(tets.end(), in_other_pieces.begin(), in_other_pieces.end());
+  tets.insert(tets.end(), look_at.begin(), look_at.end());
   sort_unique(tets);
   return follow_tets(mesh, tets, delta.moved_ids);
 }
@@ -355,7 +413,10 @@ SurfaceChange SurfaceReplica::follow_part(const SurfaceReplica& whole, const Tet
   std::vector<std::uint32_t> moved;
   for (const auto& [v, vertex] : vertices()) {
     const Vertex* now = whole.state_.vertices.find(v);
-    if (now != nullptr && !same_bits(vertex.position, now->position)) moved.push_back(v);
+    if (now != nullptr &&
+        (!same_bits(vertex.position, now->position) || !same_bits(vertex.rest(), now->rest()))) {
+      moved.push_back(v);
+    }
   }
   return take_part(whole, box, triangles, moved);
 }
@@ -383,12 +444,14 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
       if (old != nullptr) out.removed_vertices.push_back(v);
       continue;
     }
-    const std::array<float, 3>& position = whole.state_.vertices.at(v).position;
-    if (old == nullptr || !same_bits(old->position, position)) append(out, v, position);
+    const Vertex& now = whole.state_.vertices.at(v);
+    if (old == nullptr || !same_bits(old->position, now.position)) append(out, v, now.position);
+    if (now.has_rest && (old == nullptr || !old->has_rest || !same_bits(old->rest_at, now.rest_at)))
+      append_rest(out, v, now.rest_at);
   }
   std::uint64_t hash = 0;
-  state_.check(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
-  state_.apply(out.vertices(), out.removed_vertices, out.triangles(), out.removed_triangles, hash);
+  state_.check(parts_of(out), hash);
+  state_.apply(parts_of(out), hash);
   state_.revision = whole.revision();
   return out;
 }
@@ -427,6 +490,7 @@ bool SurfaceSnapshotWriter::next() {
          ++next_vertex_) {
       const auto [id, vertex] = *next_vertex_;
       append(arrays_, id, vertex.position);
+      if (vertex.has_rest) append_rest(arrays_, id, vertex.rest_at);
     }
   } else {
     const auto end = surface_.triangles().end();
@@ -437,6 +501,7 @@ bool SurfaceSnapshotWriter::next() {
   }
   chunk_.surface_vertices = arrays_.vertices();
   chunk_.triangles = arrays_.triangles();
+  chunk_.surface_rest = arrays_.rest();
   return true;
 }
 

@@ -14,6 +14,7 @@
 #include "protocol/id_map.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
+#include "protocol/surface_asset.hpp"
 
 namespace incise::protocol {
 
@@ -26,12 +27,17 @@ struct SurfaceChange {
   std::vector<std::uint8_t> triangle_flags;
   std::vector<std::uint32_t> triangle_pieces;
   std::vector<std::int32_t> triangle_regions;
+  std::vector<std::uint32_t> triangle_origins;  // empty: none has one
   std::vector<std::uint32_t> removed_triangles;
+  std::vector<std::uint32_t> rest_ids;
+  std::vector<float> rest_positions;
 
   SurfaceVertexArrays vertices() const { return {vertex_ids, vertex_positions}; }
   TriangleArrays triangles() const {
-    return {triangle_ids, triangle_vertices, triangle_flags, triangle_pieces, triangle_regions};
+    return {triangle_ids,    triangle_vertices, triangle_flags,
+            triangle_pieces, triangle_regions,  triangle_origins};
   }
+  SurfaceVertexArrays rest() const { return {rest_ids, rest_positions}; }
 };
 
 // Thread: one, at a time. Owns: the arrays. Memory in proportion to what it was sent and, whatever the ids, 64 MB at most.
@@ -42,16 +48,23 @@ class SurfaceReplica {
     std::uint8_t flags = 0;
     std::uint32_t piece = 0;
     std::int32_t region = 0;
+    std::uint32_t origin =
+        kNoId;  // the triangle of the surface that the body was filled from; cut faces have none
     friend bool operator==(const Triangle&, const Triangle&) = default;
   };
   struct Vertex {
     std::array<float, 3> position{};
     std::uint32_t uses = 0;  // triangles at it
+    bool has_rest = false;   // else it rests at `position`
+    std::array<float, 3> rest_at{};
+
+    // Where its material is in the body at rest.
+    const std::array<float, 3>& rest() const { return has_rest ? rest_at : position; }
   };
 
   SurfaceReplica() = default;
   // As in Replica. O(surface).
-  SurfaceReplica(const SurfaceReplica& other) : state_(other.state_) {}
+  SurfaceReplica(const SurfaceReplica& other) : state_(other.state_), origins_(other.origins_) {}
   SurfaceReplica& operator=(const SurfaceReplica& other) { return *this = SurfaceReplica(other); }
   SurfaceReplica(SurfaceReplica&&) noexcept = default;
   SurfaceReplica& operator=(SurfaceReplica&&) noexcept = default;
@@ -75,6 +88,8 @@ class SurfaceReplica {
   // By half-face and by vertex id, ascending.
   const IdMap<Triangle>& triangles() const { return state_.triangles; }
   const IdMap<Vertex>& vertices() const { return state_.vertices; }
+  // Where the corners of one of its triangles are in the body at rest: with its origin, what SurfaceLookup asks for.
+  Corners rest_corners(const Triangle& triangle) const;
   // About how much memory it takes.
   std::size_t bytes() const {
     return state_.triangles.size() * (sizeof(Triangle) + 48) + state_.vertices.size() * (sizeof(Vertex) + 48);
@@ -85,12 +100,15 @@ class SurfaceReplica {
 
   // ---- The server's side ----
 
+  // Finds origins with this tree from the next load() on; null: triangles have none.
+  void set_origins(std::shared_ptr<const OriginTree> origins) { origins_ = std::move(origins); }
+  bool finds_origins() const { return origins_ != nullptr; }
   // Makes this the whole surface of `mesh`. O(mesh).
   void load(const Replica& mesh);
-  // What `delta`, which `mesh` has just applied, changes on the surface; makes the change here too. `in_other_pieces`: see
-  // Replica::follow_pieces(). The ids come ascending; hash and revision are this replica's after it. O(delta).
-  SurfaceChange follow(const Replica& mesh, const Delta& delta,
-                       std::span<const std::uint32_t> in_other_pieces);
+  // What `delta`, which `mesh` has just applied, changes on the surface; makes the change here too. `look_at`: further tetrahedra whose
+  // triangles may have changed: those in other pieces (Replica::follow_pieces()), and, for their origins, those at vertices that a cut has
+  // moved. The ids come ascending; hash and revision are this replica's after it. O(delta).
+  SurfaceChange follow(const Replica& mesh, const Delta& delta, std::span<const std::uint32_t> look_at);
 
   // Makes this the part of `whole` that touches `box`: the triangles whose own bounding box meets it, bounds included.
   // O(surface).
@@ -102,6 +120,15 @@ class SurfaceReplica {
                             const Box& box);
 
  private:
+  // What a delta or a chunk changes.
+  struct Parts {
+    SurfaceVertexArrays vertices;
+    std::span<const std::uint32_t> removed_vertices;
+    TriangleArrays triangles;
+    std::span<const std::uint32_t> removed_triangles;
+    SurfaceVertexArrays rest;
+  };
+  static Parts parts_of(const SurfaceChange& change);
   struct State {
     std::uint64_t revision = 0;
     std::uint64_t hash = 0;
@@ -109,13 +136,9 @@ class SurfaceReplica {
     IdMap<Vertex> vertices;
 
     // Why the change must be refused, or no error; `hash_after`: the hash after it.
-    ApplyResult check(const SurfaceVertexArrays& vertices, std::span<const std::uint32_t> removed_vertices,
-                      const TriangleArrays& triangles, std::span<const std::uint32_t> removed_triangles,
-                      std::uint64_t& hash_after) const;
+    ApplyResult check(const Parts& parts, std::uint64_t& hash_after) const;
     // Makes a change that check() has accepted.
-    void apply(const SurfaceVertexArrays& vertices, std::span<const std::uint32_t> removed_vertices,
-               const TriangleArrays& triangles, std::span<const std::uint32_t> removed_triangles,
-               std::uint64_t hash_after);
+    void apply(const Parts& parts, std::uint64_t hash_after);
   };
   struct Staged {
     SnapshotBegin begin;
@@ -130,9 +153,12 @@ class SurfaceReplica {
   SurfaceChange follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                             std::span<const std::uint32_t> moved);
 
+  Triangle triangle_of(const Replica& mesh, std::uint32_t tet, int face, std::uint32_t origin_near) const;
+
   State state_;
   std::unique_ptr<Staged> staged_;
   BoxShell shell_;  // of a part that the server keeps
+  std::shared_ptr<const OriginTree> origins_;
 };
 
 // The parts of a surface snapshot, as SnapshotWriter makes those of a volume.

@@ -2,6 +2,7 @@
 
 #include <exception>
 
+#include "server/app/surface_asset.hpp"
 #include "server/mesh_io/phantom.hpp"
 
 namespace incise::app {
@@ -45,6 +46,7 @@ Body load_body(const Config& config, FillProgress progress) {
   const std::filesystem::path path = config.resolve(config.mesh.path);
   body.name = path.filename().string();
   body.loaded = mesh_io::load_mesh(path, options);
+  body.origins = origin_tree(body.loaded.surface.get());
   return body;
 }
 

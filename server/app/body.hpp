@@ -1,9 +1,11 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <string>
 #include <string_view>
 
+#include "protocol/surface_asset.hpp"
 #include "server/app/config.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
@@ -13,6 +15,7 @@ namespace incise::app {
 struct Body {
   mesh_io::LoadedMesh loaded;
   std::string name;
+  std::shared_ptr<const protocol::OriginTree> origins = {};  // of loaded.surface; null without it
 };
 
 using FillProgress = std::function<void(std::string_view stage, double seconds)>;

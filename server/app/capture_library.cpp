@@ -113,9 +113,11 @@ class Replay {
 
  private:
   void show() {
-    events_.restarted(
-        server_facts(config_, *body_, replay_->session().mesh()).mesh,
-        std::make_shared<const stream::InitialState>(initial_state(replay_->session(), fresh_session_id())));
+    auto state =
+        std::make_shared<stream::InitialState>(initial_state(replay_->session(), fresh_session_id()));
+    // Clients have the live body's surface only.
+    if (body_ != &own_body_) state->origins = body_->origins;
+    events_.restarted(server_facts(config_, *body_, replay_->session().mesh()).mesh, std::move(state));
   }
 
   const std::string name_;

@@ -22,6 +22,7 @@
 #include "server/app/stream_input.hpp"
 #include "server/app/stream_output.hpp"
 #include "server/app/stream_setup.hpp"
+#include "server/app/surface_asset.hpp"
 #include "server/app/telemetry.hpp"
 #include "server/app/undone_slot.hpp"
 #include "server/base/clock.hpp"
@@ -44,8 +45,16 @@ Body load_and_log(const Config& config) {
   return body;
 }
 
+ServedSurface serve_surface(const Body& body) {
+  std::vector<std::string> warnings;
+  ServedSurface served = served_surface(body.loaded.surface.get(), warnings);
+  for (const std::string& warning : warnings) spdlog::warn("{}", warning);
+  return served;
+}
+
 Recording open_recording(const Config& config, const Body& body, bool resume, std::int64_t started_ns) {
   Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body);
+  recording.shown.before.origins = body.origins;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
                recording.session->mesh().mean_edge_length(),
@@ -96,6 +105,7 @@ class RunningServer {
 
  private:
   stream::Providers providers();
+  stream::ServerFacts facts();
   void join_loop();
   void open_inputs();
   void print_places() const;
@@ -108,6 +118,7 @@ class RunningServer {
   const Config& config_;
   const std::int64_t started_ns_ = monotonic_ns();
   const Body body_;
+  ServedSurface surface_;
   Recording recording_;
   // A session that has been cut a lot takes seconds to prepare: these two run side by side.
   SavedState saved_;
@@ -136,6 +147,7 @@ class RunningServer {
 RunningServer::RunningServer(const Config& config, bool resume)
     : config_(config),
       body_(load_and_log(config)),
+      surface_(serve_surface(body_)),
       recording_(open_recording(config, body_, resume, started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
@@ -150,9 +162,8 @@ RunningServer::RunningServer(const Config& config, bool resume)
           [this](loop::Undone undone) { undone_.offer(std::move(undone)); })),
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
-      spare_(body_.loaded.mesh, config.cut),
-      server_(stream_config(config), server_facts(config, body_, session().mesh()), recording_.shown.before,
-              stream_input_, providers()),
+      spare_(body_.loaded.mesh, config.cut, body_.origins),
+      server_(stream_config(config), facts(), recording_.shown.before, stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
       force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6)) {
@@ -170,7 +181,14 @@ stream::Providers RunningServer::providers() {
           &library_,
           [this] { return watch_->trouble(); },
           [this](auto kind, auto& address, auto& line) { audit_.write(kind, address, line); },
-          [this] { return recording_now(journal_.get()); }};
+          [this] { return recording_now(journal_.get()); },
+          std::move(surface_.documents)};
+}
+
+stream::ServerFacts RunningServer::facts() {
+  stream::ServerFacts facts = server_facts(config_, body_, session().mesh());
+  facts.surface = std::move(surface_.facts);
+  return facts;
 }
 
 void RunningServer::join_loop() {

@@ -30,7 +30,9 @@ void SpareSession::run(const std::stop_token& stop) {
     auto session = std::make_unique<core::CutSession>(mesh_, config_);
     if (!mirror_) {
       auto mirror = std::make_shared<stream::Mirror>();
-      mirror->reset(initial_state(*session, fresh_session_id()));
+      stream::InitialState initial = initial_state(*session, fresh_session_id());
+      initial.origins = origins_;
+      mirror->reset(initial);
       mirror_ = std::move(mirror);
     }
     spare_.store(session.release());

@@ -19,8 +19,10 @@ namespace incise::app {
 // and the mirror.
 class SpareSession {
  public:
-  // Mesh and configuration must outlive this.
-  SpareSession(const core::MeshData& mesh, const core::CutConfig& config) : mesh_(mesh), config_(config) {}
+  // Mesh and configuration must outlive this. `origins`: InitialState::origins.
+  SpareSession(const core::MeshData& mesh, const core::CutConfig& config,
+               std::shared_ptr<const protocol::OriginTree> origins = nullptr)
+      : mesh_(mesh), config_(config), origins_(std::move(origins)) {}
   SpareSession(const SpareSession&) = delete;
   SpareSession& operator=(const SpareSession&) = delete;
   ~SpareSession();
@@ -41,6 +43,7 @@ class SpareSession {
 
   const core::MeshData& mesh_;
   const core::CutConfig& config_;
+  const std::shared_ptr<const protocol::OriginTree> origins_;
   std::shared_ptr<const stream::Mirror> mirror_;  // set before the first session is there, and not changed
   std::atomic<core::CutSession*> spare_{nullptr}, used_{nullptr};
   std::atomic<std::uint32_t> turns_{0};

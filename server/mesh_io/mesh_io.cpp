@@ -117,8 +117,9 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
   int index_base = 0;
   const std::string ending = lowercase_ending(path);
   if (is_surface_input(ending)) {
-    const ClosedSurface closed = read_closed_surface(path, options, loaded.warnings);
+    ClosedSurface closed = read_closed_surface(path, options, loaded.warnings);
     Fill fill = fill_surface(closed, file, options.fill, loaded.warnings);
+    loaded.surface = std::make_shared<const Surface>(std::move(closed.surface));
     loaded.mesh = std::move(fill.mesh);
     loaded.filled = true;
     loaded.from_cache = fill.from_cache;
@@ -149,9 +150,9 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
 Surface read_surface(const std::filesystem::path& path, std::vector<std::string>& warnings) {
   const std::string ending = lowercase_ending(path);
   if (ending == ".stl") return read_stl(path, warnings);
-  if (ending == ".ply") return read_ply(path);
+  if (ending == ".ply") return read_ply(path, warnings);
   if (ending == ".off") return read_off(path);
-  if (ending == ".obj") return read_obj(path);
+  if (ending == ".obj") return read_obj(path, warnings);
   throw MeshError(path.string() + ": cannot read a surface from " + (ending.empty() ? "it" : ending) +
                   "; save it as .stl, .ply, .off or .obj");
 }

@@ -3,6 +3,7 @@
 // Mesh files in and out: what server/app and the tests use. A file's ending says what it is.
 
 #include <filesystem>
+#include <memory>
 #include <span>
 #include <string>
 #include <string_view>
@@ -25,7 +26,9 @@ struct LoadedMesh {
   std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and the first place
   std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash)
   bool filled = false;                // from a surface
-  bool from_cache = false;            // and the fill came from the cache
+  // That surface, where a file has it: scaled, its triangles turned outwards, else as in the file.
+  std::shared_ptr<const Surface> surface;
+  bool from_cache = false;  // and the fill came from the cache
 };
 
 // Reads a tetrahedral mesh (.node, .ele, or the base name of both; Gmsh .msh, VTK .vtk and .vtu, Medit .mesh, VegaFEM

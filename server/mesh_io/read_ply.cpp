@@ -6,6 +6,7 @@
 #include <string>
 
 #include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/read_materials.hpp"
 #include "server/mesh_io/surface_reading.hpp"
 
 namespace incise::mesh_io {
@@ -133,8 +134,8 @@ class PlyBody {
   std::string where_;
 };
 
-// Reads the header up to end_header; leaves `in` there.
-std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format) {
+// Reads the header up to end_header; leaves `in` there. `texture`: what the comment TextureFile names.
+std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format, std::string& texture) {
   in.require("'ply'");
   if (in.size() != 1 || in.field(0) != "ply") in.fail("a PLY file starts with the line 'ply'");
   in.require("'format'");
@@ -153,6 +154,8 @@ std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format)
     in.require("'end_header'");
     const std::string_view word = in.field(0);
     if (word == "end_header") return elements;
+    if (word == "comment" && in.size() > 2 && in.field(1) == "TextureFile" && texture.empty())
+      texture = rest_of_line(in, 2);
     if (word == "comment" || word == "obj_info") continue;
     if (word == "element") {
       if (in.size() < 3) in.fail("'element NAME COUNT' expected");
@@ -181,43 +184,119 @@ std::vector<PlyElement> read_ply_header(LineReader& in, PlyBody::Format& format)
   }
 }
 
-void read_ply_vertex(const PlyElement& element, PlyBody& body, Surface& surface) {
+// What a property of a vertex is besides a coordinate: place i of texture coordinates, normal or colour.
+enum class PlyLook { kNone, kUv, kNormal, kColour };
+
+std::pair<PlyLook, std::size_t> ply_look(std::string_view name) {
+  constexpr std::pair<std::string_view, std::pair<PlyLook, std::size_t>> kNames[] = {
+      {"u", {PlyLook::kUv, 0}},         {"v", {PlyLook::kUv, 1}},         {"s", {PlyLook::kUv, 0}},
+      {"t", {PlyLook::kUv, 1}},         {"texture_u", {PlyLook::kUv, 0}}, {"texture_v", {PlyLook::kUv, 1}},
+      {"nx", {PlyLook::kNormal, 0}},    {"ny", {PlyLook::kNormal, 1}},    {"nz", {PlyLook::kNormal, 2}},
+      {"red", {PlyLook::kColour, 0}},   {"green", {PlyLook::kColour, 1}}, {"blue", {PlyLook::kColour, 2}},
+      {"alpha", {PlyLook::kColour, 3}},
+  };
+  for (const auto& [known, place] : kNames) {
+    if (known == name) return place;
+  }
+  return {PlyLook::kNone, 0};
+}
+
+// The look by vertex, of a file that has it so; as the file's own corners have it beside the triangles.
+struct PlyVertices {
+  std::vector<std::array<float, 2>> uvs;
+  std::vector<std::array<float, 3>> normals;
+  std::vector<std::array<std::uint8_t, 4>> colours;
+};
+
+std::uint8_t ply_colour(double value, PlyType type) {
+  if (type == PlyType::kFloat || type == PlyType::kDouble) value *= 255;  // 0 to 1
+  return static_cast<std::uint8_t>(std::lround(std::clamp(value, 0.0, 255.0)));
+}
+
+void read_ply_vertex(const PlyElement& element, PlyBody& body, Surface& surface, PlyVertices& vertices) {
   Vec3 p;
+  std::array<float, 2> uv{};
+  std::array<float, 3> normal{};
+  std::array<std::uint8_t, 4> colour{255, 255, 255, 255};
+  bool has[4] = {};
   for (const PlyProperty& property : element.properties) {
     const double value = body.read(property.type);
     if (property.name == "x") p.x = value;
     if (property.name == "y") p.y = value;
     if (property.name == "z") p.z = value;
+    const auto [look, i] = ply_look(property.name);
+    if (look == PlyLook::kNone) continue;
+    if (!std::isfinite(value)) body.fail(property.name + " is not finite");
+    has[static_cast<std::size_t>(look)] = true;
+    if (look == PlyLook::kUv) uv[i] = static_cast<float>(value);
+    if (look == PlyLook::kNormal) normal[i] = static_cast<float>(value);
+    if (look == PlyLook::kColour) colour[i] = ply_colour(value, property.type);
   }
   if (!core::is_finite(p)) body.fail("a coordinate is not finite");
   surface.positions.push_back(p);
+  if (has[static_cast<std::size_t>(PlyLook::kUv)]) vertices.uvs.push_back(uv);
+  if (has[static_cast<std::size_t>(PlyLook::kNormal)]) vertices.normals.push_back(normal);
+  if (has[static_cast<std::size_t>(PlyLook::kColour)]) vertices.colours.push_back(colour);
+}
+
+// The values of one face's list.
+void read_ply_list(const PlyProperty& property, PlyBody& body, std::vector<double>& values) {
+  values.clear();
+  const double count = body.read(*property.count_type);
+  const bool is_corners = property.name == "vertex_indices" || property.name == "vertex_index";
+  if (count < 0 || count > static_cast<double>(2 * kMaxPolygonCorners) ||
+      (is_corners && (count < 3 || count > static_cast<double>(kMaxPolygonCorners)))) {
+    body.fail("a list of " + to_text(count) + " values; 3 to " + std::to_string(kMaxPolygonCorners) +
+              " are accepted");
+  }
+  for (int i = 0; i < static_cast<int>(count); ++i) values.push_back(body.read(property.type));
 }
 
 void read_ply_face(const PlyElement& element, PlyBody& body, std::size_t vertices,
                    std::vector<VertexId>& corners, Surface& surface) {
+  std::vector<double> values;
+  std::vector<std::array<float, 2>> uvs;
+  corners.clear();
   for (const PlyProperty& property : element.properties) {
     if (!property.count_type) {
       body.read(property.type);
       continue;
     }
-    const double count = body.read(*property.count_type);
-    const bool is_corners = property.name == "vertex_indices" || property.name == "vertex_index";
-    if (count < 0 || count > static_cast<double>(kMaxPolygonCorners) || (is_corners && count < 3)) {
-      body.fail("a list of " + to_text(count) + " values; 3 to " + std::to_string(kMaxPolygonCorners) +
-                " are accepted");
-    }
-    if (is_corners) corners.clear();
-    for (int i = 0; i < static_cast<int>(count); ++i) {
-      const double index = body.read(property.type);
-      if (!is_corners) continue;
-      if (!(index >= 0 && index < static_cast<double>(vertices)) || index != std::floor(index)) {
-        body.fail("vertex " + to_text(index) + " does not exist; there are " + std::to_string(vertices) +
-                  ", counted from 0");
+    read_ply_list(property, body, values);
+    if (property.name == "vertex_indices" || property.name == "vertex_index") {
+      for (const double index : values) {
+        if (!(index >= 0 && index < static_cast<double>(vertices)) || index != std::floor(index)) {
+          body.fail("vertex " + to_text(index) + " does not exist; there are " + std::to_string(vertices) +
+                    ", counted from 0");
+        }
+        corners.push_back(static_cast<VertexId>(index));
       }
-      corners.push_back(static_cast<VertexId>(index));
+    } else if (property.name == "texcoord") {
+      for (std::size_t i = 0; i + 1 < values.size(); i += 2) {
+        if (!std::isfinite(values[i]) || !std::isfinite(values[i + 1]))
+          body.fail("a texture coordinate is not finite");
+        uvs.push_back({static_cast<float>(values[i]), static_cast<float>(values[i + 1])});
+      }
     }
-    if (is_corners) add_polygon(surface, corners);
   }
+  const std::size_t before = 3 * surface.triangles.size();
+  add_polygon(surface, corners);
+  if (uvs.empty() && surface.look.uvs.empty()) return;
+  if (!uvs.empty() && uvs.size() != corners.size()) {
+    body.fail("a list texcoord for " + std::to_string(uvs.size()) + " corners; the face has " +
+              std::to_string(corners.size()));
+  }
+  uvs.resize(corners.size());
+  surface.look.uvs.resize(before);
+  SurfaceLook::add_fan(surface.look.uvs, uvs);
+}
+
+// Each corner gets what its vertex has.
+template <class T>
+void spread(const std::vector<T>& by_vertex, const Surface& surface, std::vector<T>& by_corner) {
+  if (by_vertex.empty() || !by_corner.empty()) return;
+  for (const auto& triangle : surface.triangles)
+    for (const VertexId v : triangle) by_corner.push_back(by_vertex[v]);
 }
 
 void check_ply_elements(const std::vector<PlyElement>& elements, const std::string& file) {
@@ -259,11 +338,12 @@ void skip_ply_element(const PlyElement& element, PlyBody& body) {
 
 }  // namespace
 
-Surface read_ply(const std::filesystem::path& path) {
+Surface read_ply(const std::filesystem::path& path, std::vector<std::string>& warnings) {
   const std::string bytes = read_whole_file(path);
   LineReader in(bytes, path.string(), '\0');
   PlyBody::Format format = PlyBody::Format::kAscii;
-  const auto elements = read_ply_header(in, format);
+  std::string texture;
+  const auto elements = read_ply_header(in, format, texture);
   check_ply_elements(elements, path.string());
   PlyBody body(in, bytes, path.string(), format);
   std::size_t vertices = 0;
@@ -271,6 +351,7 @@ Surface read_ply(const std::filesystem::path& path) {
     if (element.name == "vertex") vertices = element.count;
   }
   Surface surface;
+  PlyVertices looks;
   std::vector<VertexId> corners;
   for (const PlyElement& element : elements) {
     const std::size_t least = body.least_size(element);
@@ -284,13 +365,20 @@ Surface read_ply(const std::filesystem::path& path) {
     for (std::size_t i = 0; i < element.count; ++i) {
       body.begin_element(element.name, i);
       if (element.name == "vertex") {
-        read_ply_vertex(element, body, surface);
+        read_ply_vertex(element, body, surface, looks);
       } else if (element.name == "face") {
         read_ply_face(element, body, vertices, corners, surface);
       } else {
         skip_ply_element(element, body);
       }
     }
+  }
+  spread(looks.uvs, surface, surface.look.uvs);
+  spread(looks.normals, surface, surface.look.normals);
+  spread(looks.colours, surface, surface.look.colours);
+  if (!texture.empty()) {
+    surface.look.material_of.assign(surface.triangles.size(), 0);
+    read_texture(path, texture, surface.look.materials.emplace_back(), warnings);
   }
   return finish(std::move(surface), path);
 }

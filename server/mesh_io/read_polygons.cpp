@@ -1,7 +1,10 @@
 // The text formats of polygons, OFF and OBJ.
+#include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <string>
 
+#include "server/mesh_io/read_materials.hpp"
 #include "server/mesh_io/surface_reading.hpp"
 
 namespace incise::mesh_io {
@@ -9,21 +12,131 @@ namespace {
 
 using core::VertexId;
 
-// The vertex in "v", "v/vt", "v/vt/vn" or "v//vn": counted from 1, or backwards from the end if
-// negative.
-VertexId obj_vertex(const LineReader& in, std::string_view field, std::size_t vertices) {
-  const std::string text(field.substr(0, field.find('/')));
+// An index of OBJ: counted from 1, or backwards from the end if negative. `what`: "vertex".
+std::uint32_t obj_index(const LineReader& in, std::string_view field, const char* what, std::size_t count) {
+  const std::string text(field);
   char* end = nullptr;
   const long long index = std::strtoll(text.c_str(), &end, 10);
-  const auto count = static_cast<long long>(vertices);
+  const auto last = static_cast<long long>(count);
   if (text.empty() || *end != '\0')
-    in.fail("the vertex '" + std::string(field.substr(0, 40)) + "' is not an integer");
-  if (index == 0 || index > count || index < -count) {
-    in.fail("vertex " + std::to_string(index) + " does not exist; there are " + std::to_string(count) +
-            " so far, counted from 1");
+    in.fail(std::string("the ") + what + " " + in_quotes(field) + " is not an integer");
+  if (index == 0 || index > last || index < -last) {
+    in.fail(std::string(what) + " " + std::to_string(index) + " does not exist; there are " +
+            std::to_string(last) + " so far, counted from 1");
   }
-  return static_cast<VertexId>(index > 0 ? index - 1 : count + index);
+  return static_cast<std::uint32_t>(index > 0 ? index - 1 : last + index);
 }
+
+// The lines of an OBJ file. All corners of a file have texture coordinates as soon as one has; likewise normals.
+class ObjReader {
+ public:
+  ObjReader(std::string_view text, const std::filesystem::path& path) : in_(text, path.string()) {}
+
+  Surface read() {
+    while (in_.next()) {
+      const std::string_view word = in_.field(0);
+      if (word == "v") {
+        add_vertex();
+      } else if (word == "vt") {
+        uvs_.push_back({number(1, "u"), in_.size() > 2 ? number(2, "v") : 0.0f});
+      } else if (word == "vn") {
+        normals_.push_back({number(1, "x"), number(2, "y"), number(3, "z")});
+      } else if (word == "f") {
+        add_face();
+      } else if (word == "usemtl") {
+        use_material(rest_of_line(in_, 1));
+      } else if (word == "mtllib") {
+        libraries_.push_back(rest_of_line(in_, 1));
+      }
+    }
+    if (!colours_.empty()) {
+      colours_.resize(surface_.positions.size(), {255, 255, 255, 255});
+      for (const auto& triangle : surface_.triangles)
+        for (const VertexId v : triangle) surface_.look.colours.push_back(colours_[v]);
+    }
+    return std::move(surface_);
+  }
+  const std::vector<std::string>& libraries() const { return libraries_; }
+
+ private:
+  float number(std::size_t field, const char* what) const {
+    return static_cast<float>(in_.number(field, what));
+  }
+
+  void add_vertex() {
+    surface_.positions.push_back(read_point(in_, 1));
+    if (surface_.positions.size() > kMaxSurfaceVertices)
+      in_.fail("more than " + std::to_string(kMaxSurfaceVertices) + " vertices");
+    if (in_.size() < 7) return;
+    colours_.resize(surface_.positions.size(), {255, 255, 255, 255});
+    for (std::size_t i = 0; i < 3; ++i) {
+      const double x = std::clamp(in_.number(4 + i, "a component of the colour"), 0.0, 1.0);
+      colours_.back()[i] = static_cast<std::uint8_t>(std::lround(255 * x));
+    }
+  }
+
+  void add_face() {
+    if (in_.size() < 4)
+      in_.fail("a face of " + std::to_string(in_.size() - 1) + " corners; it has three or more");
+    if (in_.size() > kMaxPolygonCorners + 1)
+      in_.fail("a face of more than " + std::to_string(kMaxPolygonCorners) + " corners");
+    corners_.clear();
+    corner_uvs_.clear();
+    corner_normals_.clear();
+    bool has_uv = false, has_normal = false;
+    for (std::size_t i = 1; i < in_.size(); ++i) {
+      const std::string_view field = in_.field(i);
+      const std::size_t first = std::min(field.find('/'), field.size());
+      const std::size_t second = std::min(field.find('/', first + 1), field.size());
+      corners_.push_back(obj_index(in_, field.substr(0, first), "vertex", surface_.positions.size()));
+      const std::string_view uv = first < field.size() ? field.substr(first + 1, second - first - 1) : "";
+      const std::string_view normal = second < field.size() ? field.substr(second + 1) : "";
+      has_uv = has_uv || !uv.empty();
+      has_normal = has_normal || !normal.empty();
+      corner_uvs_.push_back(uv.empty() ? std::array<float, 2>{}
+                                       : uvs_[obj_index(in_, uv, "texture coordinate", uvs_.size())]);
+      corner_normals_.push_back(normal.empty() ? std::array<float, 3>{}
+                                               : normals_[obj_index(in_, normal, "normal", normals_.size())]);
+    }
+    SurfaceLook& look = surface_.look;
+    const std::size_t before = 3 * surface_.triangles.size();
+    add_polygon(surface_, corners_);
+    if (has_uv || !look.uvs.empty()) {
+      look.uvs.resize(before);
+      SurfaceLook::add_fan(look.uvs, corner_uvs_);
+    }
+    if (has_normal || !look.normals.empty()) {
+      look.normals.resize(before);
+      SurfaceLook::add_fan(look.normals, corner_normals_);
+    }
+    if (!look.materials.empty()) look.material_of.resize(surface_.triangles.size(), material_);
+  }
+
+  void use_material(const std::string& name) {
+    std::vector<Material>& materials = surface_.look.materials;
+    // Triangles before the first material have one without a name.
+    if (materials.empty() && !surface_.triangles.empty()) {
+      materials.emplace_back();
+      surface_.look.material_of.resize(surface_.triangles.size(), 0);
+    }
+    const auto known =
+        std::find_if(materials.begin(), materials.end(), [&](const Material& m) { return m.name == name; });
+    material_ = static_cast<std::uint32_t>(known - materials.begin());
+    if (known != materials.end()) return;
+    if (materials.size() == kMaxMaterials)
+      in_.fail("more than " + std::to_string(kMaxMaterials) + " materials");
+    materials.emplace_back().name = name;
+  }
+
+  LineReader in_;
+  Surface surface_;
+  std::vector<std::array<float, 2>> uvs_, corner_uvs_;
+  std::vector<std::array<float, 3>> normals_, corner_normals_;
+  std::vector<std::array<std::uint8_t, 4>> colours_;  // by vertex
+  std::vector<VertexId> corners_;
+  std::vector<std::string> libraries_;
+  std::uint32_t material_ = 0;
+};
 
 }  // namespace
 
@@ -76,31 +189,15 @@ Surface read_off(const std::filesystem::path& path) {
   return finish(std::move(surface), path);
 }
 
-Surface read_obj(const std::filesystem::path& path) {
+Surface read_obj(const std::filesystem::path& path, std::vector<std::string>& warnings) {
   std::string text = read_whole_file(path);
   // A backslash before the end of a line joins it with the next.
   for (auto i = text.find("\\\n"); i != text.npos; i = text.find("\\\n", i)) text.replace(i, 2, "  ");
-  LineReader in(text, path.string());
-  Surface surface;
-  std::vector<VertexId> corners;
-  while (in.next()) {
-    if (in.field(0) == "v") {
-      surface.positions.push_back(read_point(in, 1));
-      if (surface.positions.size() > kMaxSurfaceVertices)
-        in.fail("more than " + std::to_string(kMaxSurfaceVertices) + " vertices");
-    } else if (in.field(0) == "f") {
-      if (in.size() < 4)
-        in.fail("a face of " + std::to_string(in.size() - 1) + " corners; it has three or more");
-      if (in.size() > kMaxPolygonCorners + 1)
-        in.fail("a face of more than " + std::to_string(kMaxPolygonCorners) + " corners");
-      corners.clear();
-      for (std::size_t i = 1; i < in.size(); ++i) {
-        corners.push_back(obj_vertex(in, in.field(i), surface.positions.size()));
-      }
-      add_polygon(surface, corners);
-    }
-  }
-  return finish(std::move(surface), path);
+  ObjReader reader(text, path);
+  Surface surface = finish(reader.read(), path);
+  for (const std::string& name : reader.libraries())
+    read_material_library(path, name, surface.look.materials, warnings);
+  return surface;
 }
 
 }  // namespace incise::mesh_io

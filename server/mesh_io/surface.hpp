@@ -1,7 +1,9 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <span>
 #include <string>
 #include <variant>
@@ -11,10 +13,35 @@
 
 namespace incise::mesh_io {
 
+struct Material {
+  std::string name;
+  std::array<float, 3> diffuse{0.8f, 0.8f, 0.8f};  // red, green, blue, 0 to 1
+  std::shared_ptr<const std::string> image;        // the bytes of its texture; null: none
+  std::string image_type;                          // as in HTTP: "image/png"
+};
+
+// What a surface looks like. Arrays by corner have three entries a triangle, in the order of its vertices, so they may differ on both sides of
+// an edge: seams. What the file does not have is empty.
+struct SurfaceLook {
+  std::vector<std::array<float, 2>> uvs;  // texture coordinates, v upwards
+  std::vector<std::array<float, 3>> normals;
+  std::vector<std::array<std::uint8_t, 4>> colours;  // red, green, blue, alpha
+  std::vector<std::uint32_t> material_of;            // by triangle: into materials
+  std::vector<Material> materials;
+
+  // Adds an entry for each corner of the fan that add_polygon() makes of a polygon with these values at its corners.
+  template <class T>
+  static void add_fan(std::vector<T>& values, const std::vector<T>& corners) {
+    for (std::size_t i = 2; i < corners.size(); ++i)
+      values.insert(values.end(), {corners[0], corners[i - 1], corners[i]});
+  }
+};
+
 // A triangulated surface; triangles are counter-clockwise seen from outside.
 struct Surface {
   std::vector<core::Vec3> positions;  // metres
   std::vector<std::array<core::VertexId, 3>> triangles;
+  SurfaceLook look = {};
 };
 
 // A named value for each cell (tetrahedron or triangle) that is written.

@@ -189,7 +189,15 @@ class SurfaceCheck {
     }
   }
 
-  void turn_over(std::uint32_t t) { std::swap(surface_.triangles[t][1], surface_.triangles[t][2]); }
+  void turn_over(std::uint32_t t) {
+    std::swap(surface_.triangles[t][1], surface_.triangles[t][2]);
+    const auto corners = [i = 3 * std::size_t{t}](auto& values) {
+      if (!values.empty()) std::swap(values[i + 1], values[i + 2]);
+    };
+    corners(surface_.look.uvs);
+    corners(surface_.look.normals);
+    corners(surface_.look.colours);
+  }
 
   // The middle of the intersection of two triangles' boxes.
   Vec3 common_middle(std::size_t s, std::size_t t) const {

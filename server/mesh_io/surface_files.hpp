@@ -15,13 +15,14 @@ namespace incise::mesh_io {
 
 // ASCII or binary, decided by the file's size; several solids become one surface. Normals are ignored.
 Surface read_stl(const std::filesystem::path& path, std::vector<std::string>& warnings);
-// PLY 1.0, ASCII or binary of either byte order: elements `vertex` (x, y, z) and `face` (vertex_indices or
-// vertex_index); all else is skipped.
-Surface read_ply(const std::filesystem::path& path);
+// PLY 1.0, ASCII or binary of either byte order: elements `vertex` (x, y, z; nx, ny, nz; red, green, blue, alpha; texture coordinates as u, v or
+// s, t or texture_u, texture_v) and `face` (vertex_indices or vertex_index; texcoord), and the comment TextureFile; all else is skipped.
+Surface read_ply(const std::filesystem::path& path, std::vector<std::string>& warnings);
 // OFF and its variants with colours, normals and texture coordinates (which are skipped); ASCII.
 Surface read_off(const std::filesystem::path& path);
-// Wavefront OBJ: v and f (v, v/vt, v/vt/vn, v//vn, negative indices); all else is skipped.
-Surface read_obj(const std::filesystem::path& path);
+// Wavefront OBJ: v (with colours or not), vt, vn, f (v, v/vt, v/vt/vn, v//vn, negative indices), usemtl and mtllib (Kd, map_Kd); all else is
+// skipped. A corner without vt or vn, where others have one, has zeros.
+Surface read_obj(const std::filesystem::path& path, std::vector<std::string>& warnings);
 
 // Writers; see write_surface in mesh_io.hpp.
 void write_stl(const std::filesystem::path& path, const Surface& surface);

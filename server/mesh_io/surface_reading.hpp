@@ -16,6 +16,9 @@ inline constexpr std::size_t kMaxSurfaceVertices = std::size_t{1} << 30;
 // A polygon with more corners than this is a mistake, not a face.
 inline constexpr std::size_t kMaxPolygonCorners = 10'000;
 
+// What a client accepts (protocol/limits.hpp).
+inline constexpr std::size_t kMaxMaterials = 4096;
+
 // Adds a polygon as a fan around its first corner. That is right for convex polygons; later checks find the others.
 void add_polygon(Surface& surface, const std::vector<core::VertexId>& corners);
 

@@ -1,4 +1,5 @@
 #include <cstring>
+#include <map>
 
 #include "server/base/check.hpp"
 #include "server/mesh_io/surface_files.hpp"
@@ -56,10 +57,11 @@ void write_stl(const std::filesystem::path& path, const Surface& surface) {
 
 void write_ply(const std::filesystem::path& path, const Surface& surface,
                std::span<const CellArray> cell_data) {
-  std::string bytes = "ply\nformat binary_little_endian 1.0\nelement vertex " +
-                      std::to_string(surface.positions.size()) +
-                      "\nproperty double x\nproperty double y\nproperty double z\nelement face " +
-                      std::to_string(surface.triangles.size()) + "\nproperty list uchar int vertex_indices\n";
+  std::string bytes =
+      "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(surface.positions.size()) +
+      "\nproperty double x\nproperty double y\nproperty double z\nelement face " +
+      std::to_string(surface.triangles.size()) + "\nproperty list uchar int vertex_indices\n" +
+      (surface.look.uvs.empty() ? "" : "property list uchar float texcoord\n");
   for (const CellArray& array : cell_data) {
     std::visit(
         [&](const auto& values) {
@@ -74,6 +76,10 @@ void write_ply(const std::filesystem::path& path, const Surface& surface,
   for (std::size_t i = 0; i < surface.triangles.size(); ++i) {
     append_bytes(bytes, std::uint8_t{3});
     for (const core::VertexId v : surface.triangles[i]) append_bytes(bytes, static_cast<std::int32_t>(v));
+    if (!surface.look.uvs.empty()) {
+      append_bytes(bytes, std::uint8_t{6});
+      for (std::size_t k = 0; k < 3; ++k) append_bytes(bytes, surface.look.uvs[3 * i + k]);
+    }
     for (const CellArray& array : cell_data) {
       std::visit([&](const auto& values) { append_bytes(bytes, values[i]); }, array.values);
     }
@@ -92,14 +98,36 @@ void write_off(const std::filesystem::path& path, const Surface& surface) {
 }
 
 void write_obj(const std::filesystem::path& path, const Surface& surface) {
+  const SurfaceLook& look = surface.look;
   std::string text = "# metres\n";
   for (const core::Vec3& p : surface.positions) {
     text += "v ";
     append_point(text, p);
   }
-  for (const auto& t : surface.triangles) {
-    text += "f " + std::to_string(t[0] + 1) + " " + std::to_string(t[1] + 1) + " " +
-            std::to_string(t[2] + 1) + "\n";
+  std::vector<std::size_t> uv_of;  // by corner, counted from 1
+  std::map<std::array<float, 2>, std::size_t> known;
+  for (const auto& uv : look.uvs) {
+    const auto [place, is_new] = known.try_emplace(uv, known.size() + 1);
+    uv_of.push_back(place->second);
+    if (!is_new) continue;
+    text += "vt ";
+    append_number(text, static_cast<double>(uv[0]));
+    text += ' ';
+    append_number(text, static_cast<double>(uv[1]));
+    text += '\n';
+  }
+  std::uint32_t material = core::kNone;
+  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+    if (!look.material_of.empty() && look.material_of[t] != material) {
+      material = look.material_of[t];
+      text += "usemtl " + look.materials[material].name + "\n";
+    }
+    text += "f";
+    for (std::size_t k = 0; k < 3; ++k) {
+      text += " " + std::to_string(surface.triangles[t][k] + 1);
+      if (!uv_of.empty()) text += "/" + std::to_string(uv_of[3 * t + k]);
+    }
+    text += "\n";
   }
   write_whole_file(path, text);
 }

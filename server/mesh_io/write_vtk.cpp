@@ -2,6 +2,7 @@
 
 #include <bit>
 #include <cstring>
+#include <map>
 
 #include "server/base/check.hpp"
 #include "server/mesh_io/text_file.hpp"
@@ -130,16 +131,55 @@ void write_vtu(const std::filesystem::path& path, std::span<const core::Vec3> po
   file.write(path);
 }
 
+namespace {
+
+// The surface with a point for each pair of a vertex and its texture coordinates, which VTK keeps by point.
+struct SplitAtSeams {
+  std::vector<core::Vec3> positions;
+  std::vector<std::array<float, 2>> uvs;
+  std::vector<std::array<core::VertexId, 3>> triangles;
+};
+
+SplitAtSeams split_at_seams(const Surface& surface) {
+  SplitAtSeams out;
+  std::map<std::pair<core::VertexId, std::array<float, 2>>, core::VertexId> known;
+  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+    auto& corners = out.triangles.emplace_back();
+    for (std::size_t k = 0; k < 3; ++k) {
+      const core::VertexId v = surface.triangles[t][k];
+      const auto& uv = surface.look.uvs[3 * t + k];
+      const auto [place, is_new] = known.try_emplace({v, uv}, static_cast<core::VertexId>(known.size()));
+      corners[k] = place->second;
+      if (!is_new) continue;
+      out.positions.push_back(surface.positions[v]);
+      out.uvs.push_back(uv);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
 void write_vtp(const std::filesystem::path& path, const Surface& surface,
                std::span<const CellArray> cell_data) {
+  SplitAtSeams split;
+  const bool textured = !surface.look.uvs.empty();
+  if (textured) split = split_at_seams(surface);
+  const auto& positions = textured ? split.positions : surface.positions;
+  const auto& triangles = textured ? split.triangles : surface.triangles;
   VtkXmlFile file("PolyData");
-  file.add("<Piece NumberOfPoints=\"" + std::to_string(surface.positions.size()) +
+  file.add("<Piece NumberOfPoints=\"" + std::to_string(positions.size()) +
            "\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"" +
-           std::to_string(surface.triangles.size()) + "\">\n");
-  file.add_cell_data(cell_data, surface.triangles.size());
-  add_points(file, surface.positions);
+           std::to_string(triangles.size()) + "\">\n");
+  if (textured) {
+    file.add("<PointData TCoords=\"TextureCoordinates\">\n");
+    file.add_array("TextureCoordinates", split.uvs.front().data(), 2 * split.uvs.size(), 2);
+    file.add("</PointData>\n");
+  }
+  file.add_cell_data(cell_data, triangles.size());
+  add_points(file, positions);
   file.add("<Polys>\n");
-  add_cells(file, std::span<const std::array<core::VertexId, 3>>(surface.triangles));
+  add_cells(file, std::span<const std::array<core::VertexId, 3>>(triangles));
   file.add("</Polys>\n");
   file.write(path);
 }

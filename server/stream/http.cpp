@@ -143,8 +143,10 @@ std::string bearer_token(const HttpRequest& request) {
 }
 
 // Which tokens open a path; null where it needs none.
-std::function<bool(const AccessToken&)> opening(std::string_view path) {
+std::function<bool(const AccessToken&)> opening(const PeerContext& context, std::string_view path) {
   if (path == "/stats" || path == "/metrics") return [](const AccessToken&) { return true; };
+  if (context.providers.documents.contains(path))
+    return [](const AccessToken& token) { return !token.roles.empty(); };
   if (path != "/captures") return nullptr;
   return [](const AccessToken& token) {
     return std::any_of(token.roles.begin(), token.roles.end(), [](protocol::Role role) {
@@ -203,6 +205,18 @@ asio::awaitable<bool> send_text(NetStream& stream, const HttpRequest& request, h
 asio::awaitable<bool> send_refusal(NetStream& stream, const HttpRequest& request,
                                    const Access::Answer& access) {
   return send_answer(stream, request, refusal(access));
+}
+
+asio::awaitable<bool> send_document(NetStream& stream, const HttpRequest& request, const Document& document) {
+  http::response<http::span_body<const char>> response(http::status::ok, request.version());
+  set_common(response, request);
+  response.set(http::field::content_type, document.type);
+  response.set(http::field::cache_control, "no-store");
+  response.body() = {document.body->data(), document.body->size()};
+  response.prepare_payload();
+  if (request.method() == http::verb::head) response.body() = {};
+  const auto [ec, n] = co_await http::async_write(stream, response, kTuple);
+  co_return !ec && response.keep_alive();
 }
 
 asio::awaitable<bool> send_file(NetStream& stream, const HttpRequest& request,
@@ -265,7 +279,7 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
 // Whether the request may be answered. A refusal is counted and logged.
 Access::Answer check_token(PeerContext& context, const HttpRequest& request, std::string_view path,
                            const asio::ip::tcp::endpoint& peer) {
-  const std::function<bool(const AccessToken&)> opens = opening(path);
+  const std::function<bool(const AccessToken&)> opens = opening(context, path);
   if (!opens) return {};
   const Access::Answer access =
       context.access.ask(peer.address(), bearer_token(request), opens, monotonic_ns());
@@ -294,6 +308,10 @@ asio::awaitable<bool> serve_request(PeerContext& context, const StaticFiles& fil
   }
   if (std::optional<Answer> own = answer(context, path)) {
     co_return co_await send_answer(stream, request, std::move(*own));
+  }
+  const auto& documents = context.providers.documents;
+  if (const auto document = documents.find(path); document != documents.end()) {
+    co_return co_await send_document(stream, request, document->second);
   }
   if (const std::optional<StaticFiles::File> file = files.find(target)) {
     co_return co_await send_file(stream, request, *file);

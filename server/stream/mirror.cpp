@@ -21,6 +21,7 @@ void Mirror::reset(const InitialState& initial) {
     throw std::runtime_error("initial state: " + problem);
   }
   static_cast<void>(volume_.pieces());  // from then on they are followed
+  surface_.set_origins(initial.origins);
   surface_.load(volume_);
   tets_at_.load(volume_);
   epoch_ = initial.epoch;
@@ -43,6 +44,7 @@ protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChang
   out.surface_hash = surface_hash;
   out.state_hash = from.state_hash;
   out.live_tets = from.live_tets;
+  out.rest = change.rest();
   return out;
 }
 
@@ -55,10 +57,14 @@ Mirror::Applied Mirror::apply(const PublishedDelta& published) {
   tets_at_.follow(volume_, delta);
   const protocol::ApplyResult result = volume_.apply(delta);
   INCISE_CHECK(result, result.text);
-  in_other_pieces_.clear();
-  volume_.follow_pieces(tets_at_, delta, in_other_pieces_);
-  out.change.tets.insert(out.change.tets.end(), in_other_pieces_.begin(), in_other_pieces_.end());
-  const protocol::SurfaceChange change = surface_.follow(volume_, delta, in_other_pieces_);
+  look_at_.clear();
+  volume_.follow_pieces(tets_at_, delta, look_at_);
+  out.change.tets.insert(out.change.tets.end(), look_at_.begin(), look_at_.end());
+  if (surface_.finds_origins()) {
+    // A triangle whose corner a cut has moved may have another origin.
+    for (const std::uint32_t v : out.change.cut_moved) tets_at_.append_tets(v, look_at_);
+  }
+  const protocol::SurfaceChange change = surface_.follow(volume_, delta, look_at_);
   try {
     out.step = EncodedStep{delta.revision, base_hash, make_frame(delta),
                            make_frame(surface_delta(delta, change, surface_.surface_hash()))};

@@ -72,7 +72,7 @@ class Mirror {
   protocol::SurfaceReplica surface_;
   protocol::TetIndex tets_at_;
   DeltaArrays arrays_;
-  std::vector<std::uint32_t> in_other_pieces_;  // scratch
+  std::vector<std::uint32_t> look_at_;  // scratch
 };
 
 // A message as it goes to one peer or many.

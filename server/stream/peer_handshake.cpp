@@ -163,6 +163,8 @@ void Peer::send_welcome(bool resumed) {
   welcome.server_unix_ns = unix_ns();
   welcome.policy = facts.policy;
   welcome.recording = context_.recording.state;
+  // A replay may be of another body.
+  if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
   outbox_.send(make_frame(std::move(welcome)));
 }
 

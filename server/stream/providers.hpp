@@ -5,6 +5,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,6 +15,13 @@
 #include "server/stream/replay_library.hpp"
 
 namespace incise::stream {
+
+// What the HTTP port answers to a GET of a path, "/surface/0.png", for holders of a token of any role (where the server has tokens).
+struct Document {
+  std::string type;
+  std::shared_ptr<const std::string> body;
+};
+using Documents = std::map<std::string, Document, std::less<>>;
 
 // What Welcome says and the stream does not know itself.
 struct ServerFacts {
@@ -21,6 +31,7 @@ struct ServerFacts {
   double max_speed_m_s = 0;
   double frame_rate_hz = 0;
   std::string policy;
+  std::optional<protocol::SurfaceFacts> surface;
 };
 
 // Kinds of audit lines. A log limits each apart, so that many of one kind do not hide another.
@@ -50,6 +61,7 @@ struct Providers {
   std::function<void(Audit, const std::string& address, const std::string& line)> audit;
   // Asked at every tick. Absent: nothing is recorded.
   std::function<RecordingNow()> recording;
+  Documents documents = {};
 };
 
 }  // namespace incise::stream

@@ -72,6 +72,7 @@ void SnapshotKeeper::reset_to(const InitialState& initial) {
     surface_epoch_ = epoch_;
     return;
   }
+  surface_.set_origins(initial.origins);
   const std::string problem = load_initial(initial, replica_);
   INCISE_CHECK(problem.empty(), problem);
 }

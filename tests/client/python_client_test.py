@@ -182,6 +182,39 @@ class Parts(unittest.TestCase):
         self.follow("volume_part", incise_client.VolumePart)
 
 
+class Textures(unittest.TestCase):
+    """The surface that a body was filled from."""
+
+    def setUp(self):
+        self.asset = incise_client.SurfaceAsset.from_bytes((VECTORS / "messages" / "SurfaceAsset.bin").read_bytes())
+
+    def test_what_it_holds(self):
+        self.assertEqual(self.asset.uvs.shape, (3, 3, 2))
+        self.assertEqual(self.asset.colours.dtype, np.uint8)
+        self.assertEqual([m.Name() for m in self.asset.materials], [b"capsule", b"liver"])
+        self.assertEqual(self.asset.material_of.tolist(), [1, 1, 0])
+        for bad in (b"", b"x" * 100, (VECTORS / "messages" / "Ping.bin").read_bytes()):
+            self.assertRaises(ValueError, incise_client.SurfaceAsset.from_bytes, bad)
+        self.assertRaises(ValueError, incise_client.SurfaceAsset, np.zeros((3, 3)), [[0, 1, 3]])
+
+    def test_texture_coordinates_of_faces(self):
+        faces = json.loads((VECTORS / "surface_lookup.json").read_text())
+        surface = incise_client.Surface()
+        n = len(faces)
+        rest = np.array([f["rest"] for f in faces], np.float32).reshape(-1, 3)
+        surface.vertices = incise_client.Rows(np.arange(3 * n), positions=rest + 1, rest=rest)
+        surface.elements = incise_client.Rows(np.arange(n), corners=np.arange(3 * n, dtype=np.uint32).reshape(-1, 3),
+                                              origins=np.array([f["origin"] for f in faces], np.uint32))
+        uvs = self.asset.corner_uvs(surface)
+        for face, found in zip(faces, uvs):
+            if face["uvs"] is None:
+                self.assertTrue(np.isnan(found).all(), face["what"])
+            else:
+                np.testing.assert_allclose(found, face["uvs"], atol=1e-5, err_msg=face["what"])
+        self.assertEqual(self.asset.at_corners(self.asset.colours, surface).shape, (n, 3, 4))
+        self.assertRaises(ValueError, incise_client.SurfaceAsset(self.asset.positions, self.asset.triangles).corner_uvs, surface)
+
+
 class Session(unittest.TestCase):
     """A client against a server that says what the vectors say."""
 

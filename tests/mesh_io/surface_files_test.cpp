@@ -6,6 +6,7 @@
 #include <bit>
 #include <cstring>
 
+#include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
@@ -200,6 +201,7 @@ TEST(SurfaceFiles, OffVariants) {
 
 TEST(SurfaceFiles, ObjPolygonsTextureIndicesNegativesAndContinuedLines) {
   const TestDirectory directory;
+  directory.write("x.mtl", "newmtl m\n");
   std::string text = "# a cube\nmtllib x.mtl\no cube\n";
   text += kObjCube;
   text +=
@@ -234,6 +236,150 @@ TEST(SurfaceFiles, BoundaryOfAMeshFacesOutward) {
   std::vector<std::string> warnings;
   check_surface(surface, "FILE", warnings);
   EXPECT_TRUE(warnings.empty());
+}
+
+// ------------------------------------------------------------------------------------- what a surface looks like
+
+const std::string kPng = std::string("\x89PNG\r\n\x1a\n", 8) + "a picture";
+
+// The texture coordinates of a triangle's corners, as text.
+std::string uvs_of(const Surface& surface, std::size_t triangle) {
+  std::string text;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto& uv = surface.look.uvs.at(3 * triangle + k);
+    text += to_text(static_cast<double>(uv[0])) + "," + to_text(static_cast<double>(uv[1])) + " ";
+  }
+  return text;
+}
+
+TEST(SurfaceLook, ObjHasTextureCoordinatesNormalsAndMaterialsByCorner) {
+  const TestDirectory directory;
+  directory.write("a.png", kPng);
+  std::filesystem::create_directory(directory / "pictures");
+  directory.write("pictures/b c.jpg", "\xff\xd8\xff\xe0");
+  directory.write("a.mtl",
+                  "newmtl unused\nmap_Kd nowhere.png\nnewmtl liver\nKd 0.5 0.25 2\nmap_Kd -s 1 1 1 a.png\n"
+                  "newmtl the capsule\nmap_Kd pictures\\b c.jpg\n");
+  directory.write("a.obj", std::string("mtllib a.mtl\n") + kObjCube +
+                               "vt 0 0\nvt 0.5 0\nvt 0.5 1\nvt 0.25 1\nvn 0 0 1\n"
+                               "f 1 2 3\n"
+                               "usemtl liver\nf 5/1/1 6/2/1 8/3/-1 7/4/1\n"
+                               "usemtl the capsule\nf 1//1 2//1 3//1\nusemtl liver\nf 1/-1 2/-2 3/-3\n");
+  const Surface surface = read(directory / "a.obj");
+  ASSERT_EQ(surface.triangles.size(), 5u);
+  ASSERT_EQ(surface.look.uvs.size(), 15u);
+  EXPECT_EQ(uvs_of(surface, 0), "0,0 0,0 0,0 ");
+  EXPECT_EQ(uvs_of(surface, 1), "0,0 0.5,0 0.5,1 ") << "a polygon is a fan";
+  EXPECT_EQ(uvs_of(surface, 2), "0,0 0.5,1 0.25,1 ");
+  EXPECT_EQ(uvs_of(surface, 4), "0.25,1 0.5,1 0.5,0 ");
+  ASSERT_EQ(surface.look.normals.size(), 15u);
+  EXPECT_EQ(surface.look.normals[3], (std::array<float, 3>{0, 0, 1}));
+  EXPECT_EQ(surface.look.normals[14], (std::array<float, 3>{0, 0, 0}));
+  EXPECT_EQ(surface.look.material_of, (std::vector<std::uint32_t>{0, 1, 1, 2, 1}));
+  ASSERT_EQ(surface.look.materials.size(), 3u);
+  EXPECT_EQ(surface.look.materials[0].name, "");
+  EXPECT_EQ(surface.look.materials[1].name, "liver");
+  EXPECT_EQ(surface.look.materials[1].diffuse, (std::array<float, 3>{0.5f, 0.25f, 1}));
+  EXPECT_EQ(*surface.look.materials[1].image, kPng);
+  EXPECT_EQ(surface.look.materials[2].name, "the capsule");
+  EXPECT_EQ(surface.look.materials[2].image_type, "image/jpeg");
+}
+
+TEST(SurfaceLook, ObjWithBadIndicesSaysWhichAndHowManyThereAre) {
+  const TestDirectory directory;
+  const auto error = [&](const std::string& face) {
+    directory.write("a.obj", std::string(kObjCube) + "vt 0 0\nvt 1 0\nvn 0 0 1\n" + face);
+    return error_of([&] { read(directory / "a.obj"); });
+  };
+  EXPECT_NE(error("f 1/1 2/3 3/1\n").find("a.obj:12: texture coordinate 3 does not exist; there are 2"),
+            std::string::npos);
+  EXPECT_NE(error("f 1/1 2/-3 3/1\n").find("texture coordinate -3 does not exist"), std::string::npos);
+  EXPECT_NE(error("f 1/0 2/1 3/1\n").find("texture coordinate 0"), std::string::npos);
+  EXPECT_NE(error("f 1/1/1 2/1/2 3/1/1\n").find("normal 2 does not exist; there are 1"), std::string::npos);
+  EXPECT_NE(error("f 1/x 2/1 3/1\n").find("the texture coordinate 'x' is not an integer"), std::string::npos);
+  EXPECT_NE(error("f 1/1/1/1 2/1 3/1\n").find("the normal '1/1' is not an integer"), std::string::npos);
+  EXPECT_NE(error("vt nan 0\nf 1/1 2/1 3/1\n").find("a.obj:12"), std::string::npos);
+}
+
+// A file that somebody else made may name anything.
+TEST(SurfaceLook, OnlyFilesBesideTheSurfaceAreReadAndOnlyImages) {
+  const TestDirectory directory;
+  std::filesystem::create_directory(directory / "body");
+  directory.write("secret.png", kPng);
+  directory.write("secret.mtl", "newmtl m\nKd 1 0 0\n");
+  directory.write("body/notes.png", "a diary, not a picture");
+  directory.write("body/a.png", kPng);
+  std::filesystem::create_symlink(directory / "secret.png", directory / "body/link.png");
+  std::filesystem::create_directory_symlink(directory / ".", directory / "body/up");
+  std::filesystem::create_symlink("a.png", directory / "body/inside.png");
+  std::filesystem::create_directory(directory / "body/folder.png");
+  const auto read_with = [&](const std::string& library, std::vector<std::string>& warnings) {
+    directory.write("body/a.obj", "mtllib " + library + "\n" + kObjCube + "usemtl m\nf 1 2 3\n");
+    return read_surface(directory / "body/a.obj", warnings).look.materials.at(0);
+  };
+  const std::string outside = (directory / "secret.png").string();
+  for (const std::string& name :
+       {std::string("../secret.png"), std::string("up/secret.png"), std::string("link.png"), outside,
+        std::string("notes.png"), std::string("folder.png"), std::string("missing.png"),
+        std::string("..\\secret.png"), std::string("C:\\secret.png"), std::string("file:///etc/passwd")}) {
+    directory.write("body/a.mtl", "newmtl m\nmap_Kd " + name + "\n");
+    std::vector<std::string> warnings;
+    EXPECT_EQ(read_with("a.mtl", warnings).image, nullptr) << name;
+    ASSERT_EQ(warnings.size(), 1u) << name;
+    EXPECT_NE(warnings[0].find("the texture of material 'm' is not shown: "), std::string::npos)
+        << warnings[0];
+    EXPECT_EQ(warnings[0].find('\n'), std::string::npos);
+  }
+  for (const char* library : {"../secret.mtl", "up/secret.mtl", "missing.mtl"}) {
+    std::vector<std::string> warnings;
+    EXPECT_EQ(read_with(library, warnings).diffuse[1], 0.8f) << library;
+    EXPECT_EQ(warnings.size(), 1u) << library;
+  }
+  directory.write("body/a.mtl", "newmtl m\nmap_Kd inside.png\n");
+  std::vector<std::string> warnings;
+  EXPECT_NE(read_with("a.mtl", warnings).image, nullptr);
+  EXPECT_TRUE(warnings.empty()) << warnings[0];
+}
+
+TEST(SurfaceLook, PlyHasColoursAndTextureCoordinatesByVertexOrByCorner) {
+  const TestDirectory directory;
+  directory.write("a.png", kPng);
+  directory.write(
+      "a.ply",
+      "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 4\nproperty float x\nproperty float "
+      "y\n"
+      "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nproperty float s\n"
+      "property float t\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+      "0 0 0 255 0 0 0 0\n1 0 0 0 255 0 1 0\n1 1 0 0 0 255 1 1\n0 1 0 7 8 9 0 1\n4 0 1 2 3\n");
+  const Surface by_vertex = read(directory / "a.ply");
+  ASSERT_EQ(by_vertex.triangles.size(), 2u);
+  EXPECT_EQ(uvs_of(by_vertex, 1), "0,0 1,1 0,1 ");
+  EXPECT_EQ(by_vertex.look.colours.at(5), (std::array<std::uint8_t, 4>{7, 8, 9, 255}));
+  EXPECT_EQ(*by_vertex.look.materials.at(0).image, kPng);
+  const std::string head =
+      "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+      "element face 1\nproperty list uchar int vertex_indices\nproperty list uchar float "
+      "texcoord\nend_header\n"
+      "0 0 0\n1 0 0\n1 1 0\n3 0 1 2 ";
+  directory.write("b.ply", head + "6 0 0 0.5 0 0.5 1\n");
+  EXPECT_EQ(uvs_of(read(directory / "b.ply"), 0), "0,0 0.5,0 0.5,1 ");
+  directory.write("b.ply", head + "4 0 0 0.5 0\n");
+  EXPECT_NE(
+      error_of([&] { read(directory / "b.ply"); }).find("a list texcoord for 2 corners; the face has 3"),
+      std::string::npos);
+}
+
+TEST(SurfaceLook, ATriangleThatIsTurnedOverKeepsItsCorners) {
+  const TestDirectory directory;
+  Surface inside_out = cube();
+  for (auto& t : inside_out.triangles) std::swap(t[0], t[1]);
+  for (const auto& t : inside_out.triangles)
+    for (const core::VertexId v : t) inside_out.look.uvs.push_back({static_cast<float>(v), 0});
+  std::vector<std::string> warnings;
+  const ClosedSurface closed = check_surface(inside_out, "FILE", warnings);
+  EXPECT_EQ(warnings.size(), 1u);
+  for (std::size_t c = 0; c < closed.surface.look.uvs.size(); ++c)
+    EXPECT_EQ(closed.surface.look.uvs[c][0], static_cast<float>(closed.surface.triangles[c / 3][c % 3]));
 }
 
 }  // namespace

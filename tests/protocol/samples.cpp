@@ -144,6 +144,22 @@ SnapshotChunk whole_chunk() {
   return m;
 }
 
+// A square of two triangles, which the texture covers unevenly, and a third beyond a seam, of another material.
+SurfaceAsset surface_asset() {
+  SurfaceAsset m;
+  m.positions = array<double>({0, 0, 0, 0.01, 0, 0, 0.01, 0.01, 0, 0, 0.01, 0, 0.02, 0, -0.005});
+  m.triangles = array<std::uint32_t>({0, 1, 2, 3, 0, 2, 1, 4, 2});
+  m.uvs = array<float>({0, 0, 0.5f, 0, 0.5f, 0.5f, 0, 0.25f, 0, 0, 0.5f, 0.5f, 0.75f, 0, 1, 0, 0.75f, 1});
+  m.normals = array<float>(
+      {0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 1, 0.5f, 0, 0.5f, 0.5f, 0, 0.5f, 0.5f, 0, 0.5f});
+  m.colours =
+      array<std::uint8_t>({255, 0,   0, 255, 0,   255, 0, 255, 0, 0, 255, 255, 1,  2,  3,  4,  255, 0,
+                           0,   255, 0, 0,   255, 255, 5, 6,   7, 8, 9,   10,  11, 12, 13, 14, 15,  16});
+  m.material_indices = array<std::uint32_t>({1, 1, 0});
+  m.materials = {{"capsule", {0.5f, 0.25f, 0.125f}, ""}, {"liver", {1, 1, 1}, "1.png"}};
+  return m;
+}
+
 std::vector<std::pair<std::string, Body>> make_messages() {
   const Box box{{-1, -2, -3}, {1, 2, 3.5}};
   Hello hello;
@@ -220,6 +236,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
+      {"SurfaceAsset", surface_asset()},
       {"Undo", Undo{}},
   };
 }
@@ -269,6 +286,20 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     Stats stats;
     stats.json = "{}";
     stats.recording = Recording::Stopped;
+    Welcome filled = hail;
+    filled.surface = SurfaceFacts{3600, "/surface", std::string(64, 'c')};
+    SurfaceReplica surface;
+    surface.load(replica_at(0));
+    SurfaceDelta delta = surface_delta(surface, 1);
+    std::vector<std::uint32_t> origins;
+    for (std::size_t i = 0; i < delta.triangles.ids.size(); ++i)
+      origins.push_back(delta.triangles.flags[i] == kTriangleCut ? kNoId
+                                                                 : static_cast<std::uint32_t>(100 + i));
+    delta.triangles.origins = keep(std::move(origins));
+    delta.rest = {array<std::uint32_t>({1, 5}), array<float>({0.01f, 0, 0.001f, 0.01f, 0.002f, 0})};
+    SnapshotChunk chunk = whole_chunk();
+    chunk.triangles.origins = array<std::uint32_t>({kNoId, 3599});
+    chunk.surface_rest = {array<std::uint32_t>({2}), array<float>({0.25f, 0.5f, 0.75f})};
     return std::vector<std::pair<std::string, Body>>{
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
@@ -277,6 +308,9 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
          Error{ErrorCode::NotRecorded, "poses are cut, but not recorded: No space left on device", false, 0}},
         {"StatsRecording", stats},
         {"HelloResumeHash", back},
+        {"WelcomeSurface", filled},
+        {"SurfaceDeltaOrigins", delta},
+        {"SnapshotChunkOrigins", chunk},
     };
   }();
   return all;

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <bit>
 #include <cstdlib>
 #include <filesystem>
@@ -61,9 +62,11 @@ std::string hex(std::span<const std::byte> bytes) {
 }
 
 std::vector<std::pair<std::string, Body>> all_messages() {
+  constexpr std::ptrdiff_t kFirstKinds =
+      24;  // what came later follows, so that the numbers of the older ones stay
   auto all = samples::messages();
   const auto& extended = samples::extended_messages();
-  all.insert(all.end(), extended.begin(), extended.end());
+  all.insert(all.begin() + kFirstKinds, extended.begin(), extended.end());
   return all;
 }
 
@@ -73,6 +76,37 @@ TEST(Vectors, Messages) {
     const Frame frame = encode(body, samples::envelope(index++));
     expect_file(kVectors / "messages" / (name + ".bin"), text(frame.body()));
   }
+}
+
+// Texture coordinates of faces, on the surface of messages/SurfaceAsset.bin.
+TEST(Vectors, SurfaceLookup) {
+  const auto& all = samples::messages();
+  const auto& asset = std::get<SurfaceAsset>(
+      std::find_if(all.begin(), all.end(), [](const auto& m) { return m.first == "SurfaceAsset"; })->second);
+  const SurfaceLookup lookup(asset);
+  struct Face {
+    const char* what;
+    std::uint32_t origin;
+    Corners rest;
+  };
+  const Face faces[] = {
+      {"within its origin", 0, {{{0.004, 0.001, 0}, {0.009, 0.002, 0}, {0.008, 0.007, 0}}}},
+      {"reaches into the next triangle", 0, {{{0.004, 0.002, 0}, {0.009, 0.004, 0}, {0.002, 0.008, 0}}}},
+      {"over a seam", 0, {{{0.008, 0.002, 0}, {0.012, 0.003, -0.001}, {0.008, 0.006, 0}}}},
+      {"beyond the seam", 2, {{{0.008, 0.002, 0}, {0.012, 0.003, -0.001}, {0.008, 0.006, 0}}}},
+      {"above the surface", 1, {{{0.001, 0.009, 0.001}, {0.001, 0.002, 0.001}, {0.005, 0.006, 0.001}}}},
+      {"a cut face", kNoId, {{{0.001, 0.009, 0.001}, {0.001, 0.002, 0.001}, {0.005, 0.006, 0.001}}}},
+  };
+  json out = json::array();
+  for (const Face& face : faces) {
+    json rest = json::array(), uvs;
+    for (const Vec3& p : face.rest) rest.push_back({p.x, p.y, p.z});
+    if (const auto found = lookup.uvs(face.origin, face.rest)) uvs = *found;
+    out.push_back({{"what", face.what}, {"origin", face.origin}, {"rest", rest}, {"uvs", uvs}});
+  }
+  EXPECT_EQ(out[1]["uvs"][2][1], lookup.uvs(1, faces[1].rest)->at(2)[1]) << "neighbours agree";
+  EXPECT_TRUE(out[5]["uvs"].is_null());
+  expect_file(kVectors / "surface_lookup.json", out.dump(1) + "\n");
 }
 
 // flatc's own reading of the bytes: numbers have up to 12 digits.

@@ -255,6 +255,33 @@ class Deltas(unittest.TestCase):
         volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6  # outward
         self.assertAlmostEqual(volume, session.measure()["volume"], 12)
 
+    def test_the_texture_of_a_surface_stays_on_the_outside(self):
+        # A tetrahedron of 10 cm whose texture is its place: u is x, v is y, but for the slanted side.
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "body.obj"
+            path.write_text("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nvt 0 0\nvt 0.1 0\nvt 0 0.1\nvt 5 5\nvt 6 5\nvt 5 6\n"
+                            "f 1/1 3/3 2/2\nf 1/1 2/2 4/1\nf 1/1 4/1 3/3\nf 2/4 3/5 4/6\n")
+            body = incise.Body.load(path, {"mesh": {"target_tets": 400}})
+            session = incise.Session(body, blade=((0, 0, 0), (0, 0, -0.3)))
+            session.cut(incise.Motion.lines([((0.03, y, 0.2), (0.03, y, -0.1)) for y in (-0.1, 0.2)]))
+            self.assertGreater(session.measure()["cut_faces"], 0)
+            session.save(pathlib.Path(folder) / "cut.glb")
+            self.assertEqual((pathlib.Path(folder) / "cut.glb").read_bytes()[:4], b"glTF")
+            body.save(pathlib.Path(folder) / "body.glb")
+        faces, uvs, origins = session.faces(), session.corner_uvs(), session.origins()
+        self.assertEqual(uvs.shape, (len(faces), 3, 2))
+        self.assertEqual(origins.shape, (len(session.tets()), 4))
+        cut = faces["cut"].astype(bool)
+        self.assertEqual(int((origins != 0xFFFFFFFF).sum()), int((~cut).sum()))
+        self.assertEqual(set(origins[origins != 0xFFFFFFFF].tolist()), {0, 1, 2, 3})
+        self.assertTrue(np.isnan(uvs[cut]).all())
+        places = session.positions()[faces["vertices"]]
+        straight = ~cut & (uvs < 1).all(axis=(1, 2))
+        self.assertGreater(int(straight.sum()), 50)
+        np.testing.assert_allclose(uvs[straight], places[straight][:, :, :2], atol=1e-6)
+        plain = incise.Session(incise.Body.phantom("slab", 600))
+        self.assertRaisesRegex(ValueError, "not filled from a surface", plain.corner_uvs)
+
     def test_views_cannot_be_written_and_outlive_their_owners(self):
         body = incise.Body.phantom("slab", 600)
         cut = incise.cut(body, THROUGH, blade=BLADE, deltas=True)

@@ -34,6 +34,7 @@ class AccessTest : public ::testing::Test {
       const std::scoped_lock lock(mutex);
       lines.push_back(line);
     };
+    providers.documents["/surface"] = {"text/plain", std::make_shared<std::string>("a body")};
     test = std::make_unique<TestServer>(2, config, providers);
     test->loop.start();
   }
@@ -77,7 +78,7 @@ TEST_F(AccessTest, FiguresAndCapturesWantATokenHealthAndThePageDoNot) {
   EXPECT_EQ(refused.substr(9, 3), "401");
   EXPECT_NE(refused.find("WWW-Authenticate: Bearer"), std::string::npos);
   EXPECT_EQ(refused.find("incise_stream_"), std::string::npos);
-  for (const char* target : {"/stats", "/stats?x=1", "/metrics", "/captures"}) {
+  for (const char* target : {"/stats", "/stats?x=1", "/metrics", "/captures", "/surface", "/surface?x"}) {
     EXPECT_EQ(status(target), "401") << target;
     EXPECT_EQ(status(target, "Basic YTpi"), "401") << target;
     EXPECT_EQ(status(target, "Bearer"), "401") << target;
@@ -85,12 +86,12 @@ TEST_F(AccessTest, FiguresAndCapturesWantATokenHealthAndThePageDoNot) {
   }
   const auto statuses = [&](const std::string& token) {
     return status("/stats", "Bearer " + token) + status("/metrics", "bearer  " + token) +
-           status("/captures", "BEARER " + token);
+           status("/captures", "BEARER " + token) + status("/surface", "Bearer " + token);
   };
-  EXPECT_EQ(statuses("a viewer's token"), "200200200");
-  EXPECT_EQ(statuses("an admin's token"), "200200200");
-  EXPECT_EQ(statuses("an operator's token"), "200200403");
-  EXPECT_EQ(statuses("a scraper's token"), "200200403");
+  EXPECT_EQ(statuses("a viewer's token"), "200200200200");
+  EXPECT_EQ(statuses("an admin's token"), "200200200200");
+  EXPECT_EQ(statuses("an operator's token"), "200200403200");
+  EXPECT_EQ(statuses("a scraper's token"), "200200403403");
   // That one opens no session.
   const protocol::Message message = answer(Role::Viewer, "a scraper's token");
   ASSERT_TRUE(std::holds_alternative<protocol::Error>(message.body));

@@ -34,6 +34,9 @@ class HttpTest : public ::testing::Test {
     providers.stats_json = [] { return std::string("{\"frames\":1}"); };
     providers.trouble = [this] { return std::string(stands ? "the loop has not advanced for 4 s" : ""); };
     providers.metrics_text = [] { return std::string("incise_frames_total 1\n"); };
+    providers.documents["/surface"] = {"application/octet-stream",
+                                       std::make_shared<std::string>(std::string("a\0b", 3))};
+    providers.documents["/surface/0.png"] = {"image/png", std::make_shared<std::string>("picture")};
     test = std::make_unique<TestServer>(2, config, providers);
   }
   ~HttpTest() override {
@@ -46,6 +49,21 @@ class HttpTest : public ::testing::Test {
   std::unique_ptr<TestServer> test;
   std::atomic<bool> stands{false};
 };
+
+// What is in memory under these paths, letter by letter: a request names no file.
+TEST_F(HttpTest, ServesTheSurfaceAndNothingBesideIt) {
+  const std::string surface = http(port(), "/surface");
+  EXPECT_EQ(status_of(surface), "HTTP/1.1 200 OK");
+  EXPECT_NE(surface.find("application/octet-stream"), std::string::npos);
+  EXPECT_EQ(body_of(surface), std::string("a\0b", 3));
+  EXPECT_EQ(body_of(http(port(), "/surface/0.png?v=1")), "picture");
+  for (const char* path :
+       {"/surface/", "/surface/1.png", "/surface/0.PNG", "/surface/./0.png", "/surface/../surface",
+        "/surface/../../secret.txt", "/surface/%2e%2e/secret.txt", "/surface//0.png", "/surface/0.png/",
+        "/surface/%30.png", "/surface/0.png%00", "//surface"}) {
+    EXPECT_EQ(status_of(http(port(), path)), "HTTP/1.1 404 Not Found") << path;
+  }
+}
 
 TEST_F(HttpTest, TellsHowItIs) {
   test->cut();

@@ -41,6 +41,9 @@ public sealed class Json
             case 'f':
                 at += 5;
                 return false;
+            case 'n':
+                at += 4;
+                return null;
             default:
                 int from = at;
                 while (at < text.Length && "+-.eE0123456789".IndexOf(text[at]) >= 0) ++at;

@@ -29,6 +29,40 @@ public static class VectorTests
         Check.That(read >= 15, "vectors were read");
     }
 
+    /// <summary>Texture coordinates of faces, as every client finds them.</summary>
+    public static void TexturesLieWhereTheyBelong()
+    {
+        byte[] bytes = File.ReadAllBytes(Vectors.PathOf("messages/SurfaceAsset.bin"));
+        var lookup = new SurfaceLookup((SurfaceAsset)MessageReader.Read(bytes, bytes.Length).Body);
+        int found = 0;
+        foreach (object entry in (List<object>)Json.Parse(File.ReadAllText(Vectors.PathOf("surface_lookup.json"))))
+        {
+            var face = Vectors.Map(entry);
+            var rest = new List<Vec3>();
+            foreach (object corner in (List<object>)face["rest"])
+            {
+                var x = (List<object>)corner;
+                rest.Add(new Vec3(NumberOf(x[0]), NumberOf(x[1]), NumberOf(x[2])));
+            }
+            var uvs = new float[6];
+            bool has = lookup.CornerUvs((uint)NumberOf(face["origin"]), rest[0], rest[1], rest[2], uvs, 0);
+            Check.Equal(has, face["uvs"] != null, (string)face["what"]);
+            if (!has) continue;
+            for (int i = 0; i < 6; ++i)
+            {
+                double expected = NumberOf(((List<object>)((List<object>)face["uvs"])[i / 2])[i % 2]);
+                Check.That(Math.Abs(uvs[i] - expected) < 1e-6, (string)face["what"] + ": " + uvs[i] + " instead of " + expected);
+            }
+            ++found;
+        }
+        Check.That(found >= 5, "faces were found");
+    }
+
+    private static double NumberOf(object number)
+    {
+        return double.Parse(((Json.Number)number).Text, System.Globalization.CultureInfo.InvariantCulture);
+    }
+
     /// <summary>What we write, as flatc reads it, is what the vector has.</summary>
     public static void EveryFieldIsWritten()
     {

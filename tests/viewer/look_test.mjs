@@ -1,9 +1,12 @@
 // How the page looks and is reached, in a real browser against a real server.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { paintedCube } from "./painted.mjs";
 import { launch, until } from "./server.mjs";
 
 test("a picture at rest is not drawn again, a moving one is", async (t) => {
@@ -335,5 +338,43 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   await shot(page, "phone");
   await page.locator("#panel-toggle").click();
   await shot(page, "phone_panel");
+  assert.deepEqual(faults, []);
+});
+
+test("a body that was filled from a surface shows that surface's texture, cut or not", async (t) => {
+  const files = mkdtempSync(join(tmpdir(), "incise_painted_"));
+  t.after(() => rmSync(files, { recursive: true }));
+  paintedCube(files);
+  const server = await serve(t, { mesh: { path: join(files, "cube.obj"), target_tets: 4000 } });
+  const { page, faults } = await look(t, server.url);
+  await until(page, () => window.incise.stage.body.mesh.material.defines.TEXTURE === 1 && window.incise.stage.atRest);
+  /** The picture's colour where this point of the body is seen. */
+  const colourAt = (point) =>
+    page.evaluate(async (p) => {
+      const { stage } = window.incise;
+      stage.lookFrom([0, -1, 0.2]);
+      await new Promise((done) => setTimeout(done, 600));
+      const v = stage.camera.position
+        .clone()
+        .set(...p)
+        .project(stage.camera);
+      const gl = stage.renderer.getContext();
+      stage.renderer.render(stage.scene, stage.camera);
+      const pixel = new Uint8Array(4);
+      const x = ((v.x + 1) / 2) * gl.drawingBufferWidth,
+        y = ((v.y + 1) / 2) * gl.drawingBufferHeight;
+      gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+      return [...pixel];
+    }, point);
+  const isPainted = async () => {
+    const [low, high] = [await colourAt([0.03, 0, 0.025]), await colourAt([0.03, 0, 0.075])];
+    assert.ok(low[1] > 1.5 * low[0] && low[1] > 1.5 * low[2], `green: ${low}`);
+    assert.ok(high[2] > 1.5 * high[0] && high[2] > 1.5 * high[1], `blue: ${high}`);
+  };
+  await isPainted();
+  server.stream([0.06], { depth_m: 0.12 });
+  await until(page, () => window.incise.progress.pieces > 1 && window.incise.stage.atRest);
+  await isPainted();
+  await shot(page, "painted");
   assert.deepEqual(faults, []);
 });

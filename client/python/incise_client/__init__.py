@@ -16,8 +16,9 @@ from .contact import ContactRenderer
 from .part import Rows, Surface, VolumePart
 from .replica import ApplyError, Replica
 from .state_hash import element_hashes, surface_vertex_hashes, tet_hashes, triangle_hashes, vertex_hashes, xor_of
+from .surface_asset import SurfaceAsset
 
 __all__ = [
-    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "Rows", "Surface", "VolumePart",
+    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "Rows", "Surface", "SurfaceAsset", "VolumePart",
     "connect", "element_hashes", "surface_vertex_hashes", "tet_hashes", "triangle_hashes", "vertex_hashes", "xor_of",
 ]

@@ -7,7 +7,7 @@ from typing import Any, Callable
 import numpy as np
 import numpy.typing as npt
 
-from .replica import ApplyError, _array, _check_ascending, _Tets
+from .replica import NO_ID, ApplyError, _array, _check_ascending, _Tets
 from .state_hash import surface_vertex_hashes, tet_hashes, triangle_hashes, vertex_hashes, xor_of
 
 Ids = npt.NDArray[np.uint32]
@@ -80,7 +80,8 @@ class _Held:
         return xor_of(self._vertex_hashes(self.vertices)) ^ xor_of(self._element_hashes(self.elements))
 
     def _change(self, revision: int, hash_after: int, vertices: Rows, gone_vertices: Ids, elements: Rows, gone: Ids,
-                finish: Callable[[Rows], Rows] = lambda rows: rows) -> None:
+                finish: Callable[[Rows], Rows] = lambda rows: rows,
+                finish_vertices: Callable[[Rows], Rows] = lambda rows: rows) -> None:
         """Makes a change completely or not at all. Hashing costs what changes; the rest copies the arrays."""
         value = self.hash
         for rows, ids, hashes in ((self.vertices, np.concatenate([vertices.ids, gone_vertices]), self._vertex_hashes),
@@ -89,7 +90,7 @@ class _Held:
         value ^= xor_of(self._vertex_hashes(vertices)) ^ xor_of(self._element_hashes(elements))
         if value != hash_after:
             raise ApplyError(f"revision {revision} has hash {value:016x}, announced was {hash_after:016x}")
-        new_vertices = self.vertices.changed(vertices, gone_vertices)
+        new_vertices = finish_vertices(self.vertices.changed(vertices, gone_vertices))
         new_elements = finish(self.elements.changed(elements, gone))
         _rows_of(new_vertices, np.unique(elements.corners), "vertices of an element")
         self.vertices, self.elements, self.hash, self.revision = new_vertices, new_elements, value, revision
@@ -130,8 +131,9 @@ def _joined(parts: list[Rows], empty: Rows) -> Rows:
 class Surface(_Held):
     """View Surface, or the part of it that touches a box.
 
-    ``vertices``: ids, positions (n, 3) float32, metres. ``elements``: ids (half-faces), corners (m, 3) uint32, counter-clockwise
-    seen from outside, flags (bit 0: cut face), pieces, regions.
+    ``vertices``: ids, positions (n, 3) float32, metres, rest (n, 3) float32: where the material is in the body at rest, NaN where that is the
+    position. ``elements``: ids (half-faces), corners (m, 3) uint32, counter-clockwise seen from outside, flags (bit 0: cut face), pieces,
+    regions, origins (NO_ID: none): the triangle of the surface that the body was filled from (SurfaceAsset).
     """
 
     def __init__(self) -> None:
@@ -143,16 +145,35 @@ class Surface(_Held):
     def _vertices(table: Any) -> Rows:
         ids = _array(table.IdsAsNumpy(), np.uint32) if table else np.empty(0, np.uint32)
         positions = _array(table.PositionsAsNumpy(), np.float32) if table else np.empty(0, np.float32)
-        return Rows(ids, positions=positions.reshape(-1, 3))
+        return Rows(ids, positions=positions.reshape(-1, 3), rest=np.full((len(ids), 3), np.nan, np.float32))
+
+    @staticmethod
+    def _rested(vertices: Rows, table: Any) -> Rows:
+        """The vertices with these rest positions."""
+        if not table or table.IdsLength() == 0:
+            return vertices
+        at = _rows_of(vertices, _array(table.IdsAsNumpy(), np.uint32), "rest positions of vertices")
+        vertices.columns["rest"] = vertices.rest.copy()
+        vertices.columns["rest"][at] = _array(table.PositionsAsNumpy(), np.float32).reshape(-1, 3)
+        return vertices
+
+    @property
+    def rest_corners(self) -> npt.NDArray[np.float32]:
+        """Where the corners of each element are in the body at rest: (m, 3, 3), metres."""
+        v = self.vertices
+        at_rest = np.where(np.isnan(v.rest), v.positions, v.rest)
+        return at_rest[np.searchsorted(v.ids, self.elements.corners)]
 
     @staticmethod
     def _triangles(t: Any) -> Rows:
         if not t:
             return Rows([], corners=np.empty((0, 3), np.uint32), flags=np.empty(0, np.uint8), pieces=np.empty(0, np.uint32),
-                        regions=np.empty(0, np.int32))
+                        regions=np.empty(0, np.int32), origins=np.empty(0, np.uint32))
+        origins = _array(t.OriginsAsNumpy(), np.uint32)
         return Rows(_array(t.IdsAsNumpy(), np.uint32), corners=_array(t.VerticesAsNumpy(), np.uint32).reshape(-1, 3),
                     flags=_array(t.FlagsAsNumpy(), np.uint8), pieces=_array(t.PiecesAsNumpy(), np.uint32),
-                    regions=_array(t.RegionsAsNumpy(), np.int32))
+                    regions=_array(t.RegionsAsNumpy(), np.int32),
+                    origins=origins if len(origins) else np.full(t.IdsLength(), NO_ID, np.uint32))
 
     def _element_hashes(self, rows: Rows) -> npt.NDArray[np.uint64]:
         return triangle_hashes(rows.ids, rows.corners, rows.flags)
@@ -169,7 +190,7 @@ class Surface(_Held):
     def from_snapshot(begin: Any, chunks: list[Any], end: Any) -> "Surface":
         """Built from SnapshotBegin, every SnapshotChunk and SnapshotEnd. Raises ApplyError."""
         new = Surface()
-        new.vertices = _joined([Surface._vertices(c.SurfaceVertices()) for c in chunks], new.vertices)
+        new.vertices = _joined([Surface._rested(Surface._vertices(c.SurfaceVertices()), c.SurfaceRest()) for c in chunks], new.vertices)
         new.elements = _joined([Surface._triangles(c.Triangles()) for c in chunks], new.elements)
         new._finish_snapshot(begin, chunks, end, len(new.elements), begin.TriangleCount(), end.SurfaceHash())
         return new
@@ -177,9 +198,13 @@ class Surface(_Held):
     def apply(self, delta: Any) -> None:
         """Takes the state from the SurfaceDelta's base revision to its revision, or raises ApplyError."""
         self._base(delta)
-        self._change(delta.Revision(), delta.SurfaceHash(), self._vertices(delta.Vertices()),
+        put = self._vertices(delta.Vertices())
+        held = self.vertices.take(self.vertices.among(put.ids))
+        put.columns["rest"][np.isin(put.ids, held.ids)] = held.rest  # a vertex that moves keeps what it had
+        self._change(delta.Revision(), delta.SurfaceHash(), put,
                      _array(delta.RemovedVerticesAsNumpy(), np.uint32), self._triangles(delta.Triangles()),
-                     _array(delta.RemovedTrianglesAsNumpy(), np.uint32))
+                     _array(delta.RemovedTrianglesAsNumpy(), np.uint32),
+                     finish_vertices=lambda rows: self._rested(rows, delta.Rest()))
 
 
 class VolumePart(_Held):

@@ -40,7 +40,7 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
-      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1 },
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1, TEXTURE: 0 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
@@ -50,6 +50,7 @@ export class BodyMesh {
         uLight: { value: new THREE.Vector3(0, 0, 1) },
         uFill: { value: new THREE.Vector3(0, 0, 1) },
         uAmbient: { value: 1 },
+        uTexture: { value: null },
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
@@ -82,6 +83,9 @@ export class BodyMesh {
     add("aNormal", Int16Array, 4, true, corners.normals);
     add("aFacts", Uint8Array, 4, false, corners.facts);
     add("aLips", Float32Array, 3, false);
+    const textured = corners.texture.length > 0 && this.uniforms.uTexture.value !== null;
+    if (textured) add("aTexture", Float32Array, 3, false, corners.texture);
+    this.define("TEXTURE", Number(textured));
     geometry.setDrawRange(0, 3 * slots);
     this.mesh.geometry.dispose();
     this.mesh.geometry = geometry;
@@ -98,9 +102,24 @@ export class BodyMesh {
     this.write("position", 9, corners.positions, slots, ranges);
     this.write("aNormal", 12, corners.normals, slots, ranges);
     this.write("aFacts", 12, corners.facts, slots, ranges);
+    if (this.mesh.material.defines.TEXTURE) this.write("aTexture", 9, corners.texture, slots, ranges);
     this.slots = Math.max(this.slots, highest);
     this.mesh.geometry.setDrawRange(0, 3 * this.slots);
     ++this.version;
+  }
+
+  /** The layers that corners of the next geometry refer to; sRGB, 4 bytes a pixel, the lowest row first. */
+  setTexture(size: number, layers: number, pixels: Uint8Array<ArrayBuffer>): void {
+    const texture = new THREE.DataArrayTexture(pixels, size, size, layers);
+    texture.colorSpace = THREE.SRGBColorSpace;
+    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+    texture.minFilter = THREE.LinearMipmapLinearFilter;
+    texture.magFilter = THREE.LinearFilter;
+    texture.generateMipmaps = true;
+    texture.anisotropy = 4;
+    texture.needsUpdate = true;
+    this.uniforms.uTexture.value?.dispose();
+    this.uniforms.uTexture.value = texture;
   }
 
   /** lips: 3 numbers a corner, from slot 0 on; pieces: 4 numbers a row. */

@@ -1,5 +1,5 @@
 // One pass, few instructions: without a graphics card the processor runs it. What a picture does not need is left out
-// when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL: body_mesh.ts), since a software renderer runs
+// when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL, TEXTURE: body_mesh.ts), since a software renderer runs
 // every branch of an `if` for every pixel: half of a frame's time went into colours that were not shown. Wet tissue is
 // three things here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain
 // in its colour.
@@ -19,6 +19,10 @@ export const bodyVertexShader = /* glsl */ `
   out vec3 vEdge;
 #endif
   flat out vec3 vFacts;  // cut face, quality, row
+#if TEXTURE
+  in vec3 aTexture;  // u, v, layer
+  out vec3 vTexture;
+#endif
 
   void main() {
     int row = int(aFacts.z + 256.0 * aFacts.w + 0.5);
@@ -29,6 +33,9 @@ export const bodyVertexShader = /* glsl */ `
     vEdge = vec3(corner == 0, corner == 1, corner == 2);
 #endif
     vFacts = vec3(aFacts.x, aFacts.y / 255.0, float(row));
+#if TEXTURE
+    vTexture = aTexture;
+#endif
     vNormal = aNormal.xyz;
     vRest = position;
     vCoarse = aNormal.w;
@@ -47,6 +54,11 @@ export const bodyFragmentShader = /* glsl */ `
   in vec3 vEdge;
 #endif
   flat in vec3 vFacts;
+#if TEXTURE
+  precision highp sampler2DArray;
+  in vec3 vTexture;
+  uniform sampler2DArray uTexture;
+#endif
   uniform float uGrain;     // cells of the grain in a metre
   uniform vec4 uSection;    // what lies beyond this plane is left out
   uniform vec3 uLight;      // towards the lights, unit
@@ -114,6 +126,11 @@ export const bodyFragmentShader = /* glsl */ `
     vec3 skin = mix(vec3(0.098, 0.0155, 0.012), vec3(0.178, 0.033, 0.023), 0.6 * coarse + 0.4 * fine);
     vec3 flesh = mix(vec3(0.36, 0.075, 0.055), vec3(0.50, 0.150, 0.110), 0.45 * coarse + 0.55 * fine);
     flesh = mix(flesh, vec3(0.20, 0.025, 0.022), smoothstep(0.64, 0.80, fine) * 0.6);
+#if TEXTURE
+    // Images are painted as they are to look in even light; the lights here are brighter.
+    vec3 painted = 0.40 * texture(uTexture, vTexture).rgb;
+    if (vTexture.z > -0.5) skin = painted;
+#endif
     vec3 base = cut ? flesh : skin;
 #endif
 

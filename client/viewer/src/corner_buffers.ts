@@ -1,5 +1,6 @@
 import type { Elements } from "./elements";
 import { kNone, type Surface, withRoom } from "./surface";
+import type { SurfaceAsset } from "./surface_asset";
 import { faceNormal } from "./triangle";
 
 /** What the graphics card gets for each corner of a triangle; the three corners of a slot are adjacent. */
@@ -8,14 +9,16 @@ export interface Corners {
   positions: Float32Array; // 3 a corner, metres
   normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
   facts: Uint8Array; // 4 a corner: cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
+  texture: Float32Array; // 3 a corner: u, v and layer of the texture, which is -1 where there is none; empty: the body has no texture
 }
 
-export function allocateCorners(slots: number): Corners {
+export function allocateCorners(slots: number, textured = false): Corners {
   return {
     ids: new Uint32Array(slots),
     positions: new Float32Array(9 * slots),
     normals: new Int16Array(12 * slots),
     facts: new Uint8Array(12 * slots),
+    texture: new Float32Array(textured ? 9 * slots : 0),
   };
 }
 
@@ -74,6 +77,10 @@ export class CornerBuilder {
 
   /** The tetrahedra behind the triangles, whose quality is shown. Null: the triangles' own quality is shown. */
   elements: Elements | null = null;
+
+  /** The surface whose texture is shown. Null: none. */
+  asset: SurfaceAsset | null = null;
+  private readonly rest = new Float32Array(9);
 
   /** Marks the triangles whose quality has changed. */
   touchByQuality(): void {
@@ -160,6 +167,16 @@ export class CornerBuilder {
       out.facts[fact + 2] = row & 255;
       out.facts[fact + 3] = row >> 8;
     }
+    if (out.texture.length > 0) this.writeTexture(slot, out.texture, 9 * at);
+  }
+
+  private writeTexture(slot: number, out: Float32Array, at: number): void {
+    const { asset, surface, rest } = this;
+    const origin = surface.origins[slot];
+    surface.restCorners(slot, rest);
+    const has = asset !== null && origin !== kNone && asset.cornerUvs(origin, rest, out, at, 3);
+    const layer = has ? (asset.materialOf[origin] ?? 0) : -1;
+    for (let k = 0; k < 3; ++k) out[at + 3 * k + 2] = layer;
   }
 
   private writeNormal(slot: number, v: number, n: Float32Array, out: Int16Array, at: number): void {

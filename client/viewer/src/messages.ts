@@ -115,6 +115,8 @@ export type FromWorker =
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   | { kind: "stats"; json: string; roundTrip_ms: number; tets: number; undoable: number }
   | { kind: "replay"; facts: ReplayFacts | null }
+  /** What the layers of Corners.texture are: sRGB, 4 bytes a pixel, the lowest row first. Before the first geometry with such corners. */
+  | { kind: "texture"; size: number; layers: number; pixels: Uint8Array<ArrayBuffer> }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */

@@ -107,6 +107,8 @@ export class Page {
     switch (message.kind) {
       case "facts":
         return this.onFacts(message.facts);
+      case "texture":
+        return this.stage.body.setTexture(message.size, message.layers, message.pixels);
       case "geometry":
         return this.onGeometry(message);
       case "patch":

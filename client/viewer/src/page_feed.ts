@@ -2,12 +2,13 @@ import { allocateCorners, CornerBuilder, type Corners } from "./corner_buffers";
 import type { BladeStep, Post, Progress } from "./messages";
 import { computeOpening, type Opening } from "./opening";
 import { kNone, type Surface } from "./surface";
+import type { SurfaceAsset } from "./surface_asset";
 
 const kOpeningPause_ms = 120; // between two computations of how the body opens
 const kMostSteps = 256; // kept for a page that is hidden
 
 function transferable(c: Corners): Transferable[] {
-  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer];
+  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer, c.texture.buffer];
 }
 
 /** Sends the surface to the page: first all of it, then changes, one patch at a time. Thread: the worker's. */
@@ -36,6 +37,13 @@ export class PageFeed {
     this.builder.restart();
     this.numberPieces();
     this.sendAll();
+  }
+
+  /** The body's texture, or none from here on. */
+  setTexture(asset: SurfaceAsset | null): void {
+    if (this.builder.asset === asset) return;
+    this.builder.asset = asset;
+    if (this.ready) this.sendAll();
   }
 
   /** Sends nothing until restart(): the surface belongs to another session. */
@@ -94,7 +102,7 @@ export class PageFeed {
   }
 
   private cornersOf(slots: Uint32Array | null, count: number): Corners {
-    const out = allocateCorners(count);
+    const out = allocateCorners(count, this.builder.asset !== null);
     for (let i = 0; i < count; ++i) this.builder.write(slots ? slots[i] : i, out, i);
     return out;
   }

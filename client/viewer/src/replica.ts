@@ -50,7 +50,11 @@ export class Replica {
     this.surface.clear();
     let good = true;
     for (const chunk of this.staged) {
-      good = this.surface.setVertices(chunk.surfaceVertices()) && this.surface.setTriangles(chunk.triangles()) && good;
+      good =
+        this.surface.setVertices(chunk.surfaceVertices()) &&
+        this.surface.setRest(chunk.surfaceRest()) &&
+        this.surface.setTriangles(chunk.triangles()) &&
+        good;
     }
     this.staged = null;
     this.resyncing = false;
@@ -67,7 +71,10 @@ export class Replica {
       this.resync("the delta does not follow on the state");
       return false;
     }
-    const good = this.surface.setVertices(delta.vertices()) && this.surface.setTriangles(delta.triangles());
+    const good =
+      this.surface.setVertices(delta.vertices()) &&
+      this.surface.setRest(delta.rest()) &&
+      this.surface.setTriangles(delta.triangles());
     this.surface.removeTriangles(delta.removedTrianglesArray());
     this.surface.removeVertices(delta.removedVerticesArray());
     this.revision = delta.revision();

@@ -24,6 +24,9 @@ export function withRoom<T extends Float32Array | Float64Array | Uint32Array | U
  */
 export class Surface {
   positions = new Float32Array(0); // 3 a vertex
+  /** Where the material of a vertex is in the body at rest, where hasRest says so; else that is its position. */
+  restAt = new Float32Array(0);
+  hasRest = new Uint8Array(0);
   private present = new Uint8Array(0);
   head = new Uint32Array(0); // first corner of a vertex, or kNone
   vertexCount = 0;
@@ -32,6 +35,7 @@ export class Surface {
   corners = new Uint32Array(0); // 3 vertices a slot
   flags = new Uint8Array(0);
   pieces = new Uint32Array(0);
+  origins = new Uint32Array(0); // triangle of the surface that the body was filled from, or kNone
   next = new Uint32Array(0);
   slots = 0; // used so far
   private free: number[] = [];
@@ -58,6 +62,7 @@ export class Surface {
 
   clear(): void {
     this.present.fill(0);
+    this.hasRest.fill(0);
     this.head.fill(kNone);
     this.ids.fill(kNone);
     this.vertexCount = this.slots = 0;
@@ -97,11 +102,36 @@ export class Surface {
     return true;
   }
 
+  /** Rest positions of vertices that are present. */
+  setRest(rest: SurfaceVertices | null): boolean {
+    const ids = rest?.idsArray();
+    const positions = rest?.positionsArray();
+    if (!ids || ids.length === 0) return true;
+    if (positions?.length !== 3 * ids.length) return false;
+    for (let i = 0; i < ids.length; ++i) {
+      const v = ids[i];
+      if (v >= this.present.length || !this.present[v]) return false;
+      this.hasRest[v] = 1;
+      this.restAt.set(positions.subarray(3 * i, 3 * i + 3), 3 * v);
+      this.touchedVertices.add(v);
+    }
+    return true;
+  }
+
+  /** Writes where the corners of a slot are in the body at rest: 9 numbers. */
+  restCorners(slot: number, out: Float32Array): void {
+    for (let k = 0; k < 3; ++k) {
+      const v = this.corners[3 * slot + k];
+      const from = this.hasRest[v] ? this.restAt : this.positions;
+      for (let i = 0; i < 3; ++i) out[3 * k + i] = from[3 * v + i];
+    }
+  }
+
   removeVertices(ids: Uint32Array | null): void {
     for (const v of ids ?? []) {
       if (v >= this.present.length || !this.present[v]) continue;
       this.toggleVertex(v);
-      this.present[v] = 0;
+      this.present[v] = this.hasRest[v] = 0;
       --this.vertexCount;
     }
   }
@@ -113,6 +143,8 @@ export class Surface {
     const vertices = triangles.verticesArray();
     const flags = triangles.flagsArray();
     const pieces = triangles.piecesArray();
+    const origins = triangles.originsArray(); // null: none has one
+    if (origins && origins.length !== ids.length && origins.length > 0) return false;
     if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length)
       return false;
     for (const v of vertices) {
@@ -125,6 +157,7 @@ export class Surface {
       this.corners.set(vertices.subarray(3 * i, 3 * i + 3), 3 * slot);
       this.flags[slot] = flags[i];
       this.pieces[slot] = pieces[i];
+      this.origins[slot] = origins?.[i] ?? kNone;
       this.hang(slot);
     }
     return true;
@@ -148,6 +181,8 @@ export class Surface {
     this.positions = withRoom(this.positions, 3 * count);
     this.floatBits = new Uint32Array(this.positions.buffer);
     this.present = withRoom(this.present, this.positions.length / 3);
+    this.restAt = withRoom(this.restAt, this.positions.length);
+    this.hasRest = withRoom(this.hasRest, this.present.length);
     this.head = withRoom(this.head, this.present.length);
     this.head.fill(kNone, before);
   }
@@ -158,6 +193,7 @@ export class Surface {
     this.corners = withRoom(this.corners, 3 * slot + 3);
     this.flags = withRoom(this.flags, slot + 1);
     this.pieces = withRoom(this.pieces, slot + 1);
+    this.origins = withRoom(this.origins, slot + 1);
     this.next = withRoom(this.next, 3 * slot + 3);
     this.ids[slot] = id;
     this.slotOf.add(id, slot);

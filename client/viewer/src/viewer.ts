@@ -7,6 +7,7 @@ import { PageFeed } from "./page_feed";
 import { Replica } from "./replica";
 import { hex } from "./state_hash";
 import { kNone } from "./surface";
+import { fetchTexture, httpAddress } from "./texture_source";
 import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
 import type { Message } from "./wire/incise/wire/message";
@@ -47,6 +48,8 @@ export class Viewer {
     this.link?.send(Body.Resync, (b) => Resync.createResync(b, revision, hash, b.createString(reason)));
   });
   readonly feed: PageFeed;
+  private url = "";
+  private assetHash = ""; // of the surface whose texture is shown, or asked for
   private readonly figures = { tets: 0, deltas: 0, bytes: 0 };
   private justConnected = false; // no Welcome yet on this connection
   private liveSession = 0n;
@@ -65,6 +68,7 @@ export class Viewer {
 
   connect(url: string, token: string): void {
     this.link?.end();
+    this.url = url;
     this.token = token;
     this.link = new Link(url, {
       hello: () => this.hello(),
@@ -157,6 +161,7 @@ export class Viewer {
     this.feed.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
     this.feed.builder.grainCells = 55 / this.feed.bodySize_m;
     this.replica.welcome(welcome);
+    void this.showTexture(welcome.surface()?.path() ?? "", welcome.surface()?.contentHash() ?? "");
     if (!this.replica.holding) this.feed.pause();
     this.figures.tets = welcome.revision() === 0n ? (mesh?.tets() ?? 0) : 0;
     const { session } = this.replica;
@@ -182,6 +187,25 @@ export class Viewer {
         frameRate_hz: welcome.frameRateHz(),
       },
     });
+  }
+
+  private async showTexture(path: string, hash: string): Promise<void> {
+    if (hash === this.assetHash) return;
+    this.assetHash = hash;
+    this.feed.setTexture(null);
+    if (!path || !/^wss?:/.test(this.url)) return;
+    try {
+      const found = await fetchTexture(httpAddress(this.url), path, this.token);
+      if (!found || hash !== this.assetHash) return;
+      this.post({ kind: "texture", ...found.texture }, [found.texture.pixels.buffer]);
+      this.feed.setTexture(found.asset);
+    } catch (error) {
+      this.assetHash = ""; // asked for again with the next Welcome
+      this.post({
+        kind: "notice",
+        text: `The body's texture is not shown: ${error instanceof Error ? error.message : error}`,
+      });
+    }
   }
 
   private onMessage(type: Body, message: Message, bytes: number): void {

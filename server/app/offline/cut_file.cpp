@@ -6,11 +6,21 @@
 #include <system_error>
 
 #include "client/cli/usage.hpp"
+#include "server/app/offline/cut_surface.hpp"
 #include "server/core/geometry/quality.hpp"
 
 namespace incise::app {
 
 namespace fs = std::filesystem;
+
+namespace {
+
+bool is_glb_file(const fs::path& path) {
+  const std::string ending = path.extension().string();
+  return ending == ".glb" || ending == ".GLB";
+}
+
+}  // namespace
 
 void require_writable(const fs::path& path, const std::string& option) {
   std::error_code error;
@@ -43,16 +53,31 @@ void require_not_read(const fs::path& out, std::initializer_list<fs::path> read,
 }
 
 void require_mesh_output(const fs::path& path, const std::string& option) {
-  if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path)) {
-    throw client::UsageError(option + " " + path.string() + ": cannot write \"" + path.extension().string() +
-                             "\"; choose " + std::string(mesh_io::mesh_file_endings()) + " for tetrahedra, " +
-                             std::string(mesh_io::surface_file_endings()) +
-                             " for the surface, or no ending for TetGen's pair");
+  if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path) &&
+      !is_glb_file(path)) {
+    throw client::UsageError(
+        option + " " + path.string() + ": cannot write \"" + path.extension().string() + "\"; choose " +
+        std::string(mesh_io::mesh_file_endings()) + " for tetrahedra, " +
+        std::string(mesh_io::surface_file_endings()) +
+        " for the surface, .glb for the surface with its textures, or no ending for TetGen's pair");
   }
   require_writable(path, option);
 }
 
-void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {
+void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from) {
+  if (is_glb_file(path)) {
+    write_glb(path, cut_surface(mesh, from));
+    return;
+  }
+  if (from != nullptr && mesh_io::is_surface_file(path)) {
+    CutSurface cut = cut_surface(mesh, from);
+    const mesh_io::CellArray arrays[] = {{"origin", std::move(cut.origins)},
+                                         {"cut", std::move(cut.cut)},
+                                         {"piece", std::move(cut.pieces)},
+                                         {"material", cut.surface.look.material_of}};
+    mesh_io::write_surface(path, cut.surface, arrays);
+    return;
+  }
   const core::MeshData data = mesh.export_data();
   if (mesh_io::is_surface_file(path)) {
     mesh_io::write_surface(path, mesh_io::boundary_surface(data.positions, data.tets));
@@ -77,11 +102,19 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {
     dihedral.push_back(core::measure_to_degrees(mesh.worst_dihedral(t)));
     volume.push_back(mesh.volume(t));
   }
-  const mesh_io::CellArray arrays[] = {
+  std::vector<mesh_io::CellArray> arrays = {
       {"tet_id", std::move(ids)},      {"region", data.regions},
       {"piece", std::move(piece)},     {"cut_mask", std::move(mask)},
       {"cut_faces", std::move(faces)}, {"min_dihedral_deg", std::move(dihedral)},
       {"volume", std::move(volume)}};
+  if (from != nullptr) {
+    const auto origins = face_origins(mesh, *from);
+    for (std::size_t f = 0; f < 4; ++f) {
+      std::vector<std::uint32_t> of_face;
+      for (const auto& four : origins) of_face.push_back(four[f]);
+      arrays.push_back({"origin_" + std::to_string(f), std::move(of_face)});
+    }
+  }
   mesh_io::write_mesh(path, data.positions, data.tets, arrays);
 }
 

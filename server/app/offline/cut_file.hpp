@@ -24,8 +24,10 @@ void require_mesh_output(const std::filesystem::path& path, const std::string& o
 // Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
-// boundary as a surface (.stl .ply .off .obj .vtp). Throws MeshError.
-void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh);
+// boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
+// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. Throws MeshError.
+void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
+                    const mesh_io::Surface* from = nullptr);
 
 // Writes a text file. Throws std::runtime_error.
 void write_text(const std::filesystem::path& path, const std::string& text);

@@ -31,9 +31,10 @@ void add_cut(CLI::App& app, int& exit_code) {
       ->check(CLI::IsMember({"conforming", "croll", "compare"}));
   sub->add_option("--prefer", command->prefer, "no-growth, balanced or exact")
       ->check(CLI::IsMember({"no-growth", "balanced", "exact"}));
-  sub->add_option("--out", command->out,
-                  "Where to write the cut mesh: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending "
-                  "(required, but for --policy compare)");
+  sub->add_option(
+      "--out", command->out,
+      "Where to write the cut mesh: .vtu, .vtk, .msh, .msh2, .mesh, .node, a surface's ending, or .glb "
+      "(required, but for --policy compare)");
   sub->add_option("--report", command->report, "Where to write the report: JSON");
   add_strict(*sub, command->times);
   sub->add_flag("--json", command->json, "Print the report as JSON");
@@ -88,9 +89,9 @@ void add_phantom(CLI::App& app, int& exit_code) {
   sub->add_option("--size", command->size, "Tetrahedra, about")
       ->check(client::whole_number(mesh_io::kMinPhantomTets, mesh_io::kMaxPhantomTets))
       ->capture_default_str();
-  sub->add_option(
-         "--out", command->out,
-         "Where to write it: .node, .vtu, .vtk, .msh, .msh2, .mesh, or a surface's ending for its surface")
+  sub->add_option("--out", command->out,
+                  "Where to write it: .node, .vtu, .vtk, .msh, .msh2, .mesh, or a surface's ending or .glb "
+                  "for its surface")
       ->required();
   sub->add_flag("--json", command->json, "Print the facts as JSON");
   sub->callback([command, &exit_code] { exit_code = run_phantom(*command); });
@@ -104,7 +105,7 @@ void add_export(CLI::App& app, int& exit_code) {
   sub->add_option("--revision", command->revision, "The revision; the last one if not given")
       ->check(client::whole_number());
   sub->add_option("--out", command->out,
-                  "Where to write it: .vtu, .vtk, .msh, .msh2, .mesh, .node, or a surface's ending")
+                  "Where to write it: .vtu, .vtk, .msh, .msh2, .mesh, .node, a surface's ending, or .glb")
       ->required();
   sub->add_flag("--json", command->json, "Print the facts as JSON");
   sub->callback([command, &exit_code] { exit_code = run_export(*command); });

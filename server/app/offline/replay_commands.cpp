@@ -122,7 +122,7 @@ int run_export(const ExportCommand& command) {
                              "; accepted are 0 to " + std::to_string(session.revision()) +
                              ", which is where " + command.capture.string() + " ends");
   }
-  write_cut_mesh(command.out, session.mesh());
+  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get());
   print_warnings(opened.motion.warnings);
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},

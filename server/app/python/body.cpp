@@ -89,6 +89,8 @@ void save(const Body& body, const py::object& given) {
   const py::gil_scoped_release release;
   if (mesh_io::is_surface_file(path)) {
     mesh_io::write_surface(path, mesh_io::boundary_surface(mesh.positions, mesh.tets));
+  } else if (path.has_extension() && !mesh_io::is_mesh_file(path)) {
+    app::write_cut_mesh(path, core::TetMesh(mesh), body.loaded->surface.get());
   } else {
     mesh_io::write_mesh(path.has_extension() ? path : std::filesystem::path(path.string() + ".node"), mesh);
   }

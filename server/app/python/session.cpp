@@ -7,6 +7,7 @@
 #include <array>
 
 #include "server/app/offline/cut_file.hpp"
+#include "server/app/offline/cut_surface.hpp"
 #include "server/app/python/arrays.hpp"
 #include "server/core/mesh/measure.hpp"
 
@@ -155,6 +156,35 @@ py::array faces_of(Session& session) {
   }));
 }
 
+const mesh_io::Surface& surface_of(const Session& session) {
+  const auto& surface = session.body->loaded->surface;
+  if (!surface) throw py::value_error(session.body->name + ": was not filled from a surface");
+  return *surface;
+}
+
+py::array origins_of(Session& session) {
+  const mesh_io::Surface& from = surface_of(session);
+  auto origins =
+      with_core(session, [&](const core::CutSession& core) { return app::face_origins(core.mesh(), from); });
+  py::array_t<std::uint32_t> out({origins.size(), std::size_t{4}});
+  for (std::size_t i = 0; i < origins.size(); ++i)
+    std::copy(origins[i].begin(), origins[i].end(), out.mutable_data(static_cast<py::ssize_t>(i), 0));
+  return out;
+}
+
+py::array corner_uvs_of(Session& session) {
+  const mesh_io::Surface& from = surface_of(session);
+  auto uvs =
+      with_core(session, [&](const core::CutSession& core) { return app::face_uvs(core.mesh(), from); });
+  py::array_t<float> out({uvs.size(), std::size_t{3}, std::size_t{2}});
+  for (std::size_t i = 0; i < uvs.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k)
+      std::copy(uvs[i][k].begin(), uvs[i][k].end(),
+                out.mutable_data(static_cast<py::ssize_t>(i), static_cast<py::ssize_t>(k), 0));
+  }
+  return out;
+}
+
 py::dict measure(Session& session) {
   const core::CutReport report =
       with_core(session, [](const core::CutSession& core) { return core::measure(core.mesh()); });
@@ -176,7 +206,9 @@ py::dict measure(Session& session) {
 void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
-  with_core(session, [&](const core::CutSession& core) { app::write_cut_mesh(path, core.mesh()); });
+  with_core(session, [&](const core::CutSession& core) {
+    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get());
+  });
 }
 
 Body current_body(Session& session) {
@@ -240,6 +272,16 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
            "pieces() -> (m,) uint32: the piece of each row of tets(); 0 is what was never cut off.")
       .def("faces", &faces_of,
            "faces() -> (k,) of (tet, vertices[3], cut): the boundary, outward; cut: a cut opened the face.")
+      .def("origins", &origins_of,
+           "origins() -> (m, 4) uint32: for each row of tets(), the triangle of the surface that the body "
+           "was filled from "
+           "(as in its file, from 0) in which the face opposite to vertex f lies; 4294967295: none, as a cut "
+           "face. Raises "
+           "ValueError where the body was not filled from a surface. O(mesh log surface).")
+      .def("corner_uvs", &corner_uvs_of,
+           "corner_uvs() -> (k, 3, 2) float32: texture coordinates of the corners of each row of faces(), "
+           "from that surface; NaN "
+           "for cut faces. Raises ValueError as origins(). O(mesh log surface).")
       .def("measure", &measure,
            "measure() -> dict: vertices, tets, pieces, islands, largest_piece, boundary_faces, cut_faces, "
            "cut_area (m^2, one side), "

@@ -158,8 +158,9 @@ test("arrays that do not belong together are refused", () => {
     verticesArray: () => Uint32Array.of(0, 1, 2),
     flagsArray: () => Uint8Array.of(0),
     piecesArray: () => Uint32Array.of(0),
+    originsArray: () => null,
   };
-  for (const name of ["verticesArray", "flagsArray", "piecesArray"])
+  for (const name of ["verticesArray", "flagsArray", "piecesArray", "originsArray"])
     assert.equal(surface.setTriangles({ ...triangle, [name]: () => new Uint32Array(9) }), false, name);
   assert.equal(surface.setTriangles(triangle), true);
   const removed = fill(new Surface(), square, []);
@@ -280,7 +281,8 @@ test("a chunk whose arrays do not fit spoils the snapshot, whatever comes after 
   const end = messages.findIndex((bytes) => kindOf(bytes) === "SnapshotEnd");
   const { replica, asked } = follow(messages.slice(0, end));
   const chunks = [{ surfaceVertices: () => ({ idsArray: () => Uint32Array.of(0), positionsArray: () => null }) }, {}];
-  for (const chunk of chunks) replica.addChunk({ surfaceVertices: () => null, triangles: () => null, ...chunk });
+  for (const chunk of chunks)
+    replica.addChunk({ surfaceVertices: () => null, surfaceRest: () => null, triangles: () => null, ...chunk });
   const message = Message.getRootAsMessage(new ByteBuffer(messages[end]));
   replica.endSnapshot(message.body(new SnapshotEnd()));
   assert.deepEqual(asked, ["the arrays do not fit the state"]);

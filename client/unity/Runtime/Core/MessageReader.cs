@@ -10,7 +10,7 @@ namespace Incise
         internal const uint NoId = 0xffffffff;
         private const uint IdLimit = 0x3fffffff;
         private const double MaxCoordinate = 1e6;
-        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536;
+        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536, MaxMaterials = 4096;
 
         /// <summary>The message in the first bytes of an array. Throws WireException.</summary>
         public static Message Read(byte[] data, int length)
@@ -42,6 +42,7 @@ namespace Incise
                 case 19: return ReadStats(t);
                 case 23:
                     return new BladePose { Source = t.UInt(0), Cutting = t.Bool(1), Heel = Needed(t, 2), Tip = Needed(t, 3), ArrivalNs = t.Long(4) };
+                case 25: return ReadSurfaceAsset(t);
                 default: return null;
             }
         }
@@ -57,6 +58,9 @@ namespace Incise
                 ServerMonotonicNs = t.Long(17), ServerUnixNs = t.Long(18), Policy = t.Text(19, NameBytes),
                 Recording = (Recording)Enumeration(t, 20, 2)
             };
+            FlatTable surface;
+            if (t.Table(21, out surface))
+                m.Surface = new SurfaceFacts { Triangles = surface.UInt(0), Path = surface.Text(1, NameBytes), ContentHash = surface.Text(2, NameBytes) };
             Require(m.EngageButton >= -1 && m.EngageButton < 32, "engage_button: accepted are -1 to 31");
             FlatTable facts;
             if (!t.Table(7, out facts)) return m;
@@ -147,8 +151,35 @@ namespace Incise
             {
                 BaseRevision = t.ULong(0), Revision = t.ULong(1), Steps = ReadSteps(t, 2), Vertices = ReadSurfaceVertices(t, 3),
                 RemovedVertices = Ids(t, 4, IdLimit), Triangles = ReadTriangles(t, 5), RemovedTriangles = Ids(t, 6, 4 * IdLimit),
-                SurfaceHash = t.ULong(7), StateHash = t.ULong(8), LiveTets = t.UInt(9)
+                SurfaceHash = t.ULong(7), StateHash = t.ULong(8), LiveTets = t.UInt(9), Rest = ReadSurfaceVertices(t, 10)
             };
+        }
+
+        private static SurfaceAsset ReadSurfaceAsset(FlatTable t)
+        {
+            var m = new SurfaceAsset { Positions = t.Array<double>(0, 8), Triangles = t.Array<uint>(1, 4) };
+            Check(m.Positions);
+            Require(m.Positions.Length % 3 == 0 && m.Triangles.Length % 3 == 0, "positions, triangles: three for each");
+            foreach (uint v in m.Triangles) Require(v < m.Positions.Length / 3, "triangles: a vertex that does not exist");
+            int corners = m.Triangles.Length;
+            m.Uvs = ByElement<float>(t, 2, 4, 2 * corners, "uvs");
+            m.Normals = ByElement<float>(t, 3, 4, 3 * corners, "normals");
+            m.Colours = ByElement<byte>(t, 4, 1, 4 * corners, "colours");
+            m.MaterialIndices = ByElement<uint>(t, 5, 4, corners / 3, "material_indices");
+            foreach (float x in m.Uvs) Finite(x);
+            foreach (float x in m.Normals) Finite(x);
+            FlatTable[] materials = t.Tables(6, MaxMaterials);
+            m.Materials = new SurfaceMaterial[materials.Length];
+            for (int i = 0; i < materials.Length; ++i)
+            {
+                m.Materials[i] = new SurfaceMaterial
+                {
+                    Name = materials[i].Text(0, NameBytes), Diffuse = Matching<float>(materials[i], 1, 4, 3, "materials.diffuse"),
+                    Texture = materials[i].Text(2, NameBytes)
+                };
+            }
+            foreach (uint i in m.MaterialIndices) Require(i < materials.Length, "material_indices: a material that does not exist");
+            return m;
         }
 
         private static SnapshotBegin ReadBegin(FlatTable t)
@@ -173,7 +204,7 @@ namespace Incise
             {
                 Index = t.UInt(0), FirstVertex = t.UInt(1), Positions = t.Array<double>(2, 8), Tets = ReadTets(t, 3),
                 TetPieces = t.Array<uint>(4, 4), SurfaceVertices = ReadSurfaceVertices(t, 5), Triangles = ReadTriangles(t, 6),
-                VertexIds = Ids(t, 7, IdLimit), RestPositions = t.Array<double>(8, 8)
+                VertexIds = Ids(t, 7, IdLimit), RestPositions = t.Array<double>(8, 8), SurfaceRest = ReadSurfaceVertices(t, 9)
             };
             Require(m.Positions.Length % 3 == 0, "positions: three for each vertex");
             Require(m.RestPositions.Length == 0 || m.RestPositions.Length == m.Positions.Length, "rest_positions: as many as positions, or none");
@@ -235,7 +266,7 @@ namespace Incise
             {
                 Ids = ids, Vertices = Matching<uint>(t, 1, 4, 3 * ids.Length, "triangles.vertices"),
                 Flags = Matching<byte>(t, 2, 1, ids.Length, "triangles.flags"), Pieces = Matching<uint>(t, 3, 4, ids.Length, "triangles.pieces"),
-                Regions = Matching<int>(t, 4, 4, ids.Length, "triangles.regions")
+                Regions = Matching<int>(t, 4, 4, ids.Length, "triangles.regions"), Origins = ByElement<uint>(t, 5, 4, ids.Length, "triangles.origins")
             };
         }
 
@@ -247,6 +278,14 @@ namespace Incise
             float[] positions = Matching<float>(t, 1, 4, 3 * ids.Length, "vertices.positions");
             foreach (float x in positions) Require(Math.Abs(x) <= MaxCoordinate, "vertices.positions: beyond 1e6 m");
             return new SurfaceVertices { Ids = ids, Positions = positions };
+        }
+
+        /// <summary>As many, or none.</summary>
+        private static T[] ByElement<T>(FlatTable t, int field, int bytesEach, int count, string name) where T : struct
+        {
+            T[] values = t.Array<T>(field, bytesEach);
+            Require(values.Length == 0 || values.Length == count, name + ": " + values.Length + " entries instead of " + count + ", or none");
+            return values;
         }
 
         private static T[] Matching<T>(FlatTable t, int field, int bytesEach, int count, string name) where T : struct

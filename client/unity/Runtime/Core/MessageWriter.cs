@@ -35,7 +35,7 @@ namespace Incise
             if (body is StrokeControl stroke) return draft.Byte(0, (int)stroke.Action).Long(1, stroke.SourceNs);
             kind = 20;
             if (body is Reset) return draft;
-            kind = 25;
+            kind = 26;
             if (body is Undo) return draft;
             throw new ArgumentException("a client does not send " + body.GetType().Name);
         }

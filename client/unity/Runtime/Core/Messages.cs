@@ -65,6 +65,8 @@ namespace Incise
         public string ServerName = "", ServerVersion = "", Policy = "";
         public long ServerMonotonicNs, ServerUnixNs;
         public Recording Recording;
+        /// <summary>Null: the body was not filled from a surface.</summary>
+        public SurfaceFacts Surface;
     }
 
     public sealed class Resync
@@ -159,6 +161,32 @@ namespace Incise
         public uint[] Ids = { }, Vertices = { }, Pieces = { };
         public byte[] Flags = { };
         public int[] Regions = { };
+        public uint[] Origins = { };
+    }
+
+    /// <summary>The surface that the body was filled from.</summary>
+    public sealed class SurfaceFacts
+    {
+        public uint Triangles;
+        public string Path, ContentHash;
+    }
+
+    public sealed class SurfaceMaterial
+    {
+        public string Name;
+        public float[] Diffuse = { };
+        public string Texture;
+    }
+
+    /// <summary>That surface, as the server's HTTP port answers it: see SurfaceLookup.</summary>
+    public sealed class SurfaceAsset
+    {
+        public double[] Positions = { };
+        public uint[] Triangles = { };
+        public float[] Uvs = { }, Normals = { };
+        public byte[] Colours = { };
+        public uint[] MaterialIndices = { };
+        public SurfaceMaterial[] Materials = { };
     }
 
     public sealed class SurfaceVertices
@@ -201,6 +229,7 @@ namespace Incise
         public SurfaceVertices Vertices = new SurfaceVertices();
         public Triangles Triangles = new Triangles();
         public uint[] RemovedVertices = { }, RemovedTriangles = { };
+        public SurfaceVertices Rest = new SurfaceVertices();
         public uint LiveTets;
     }
 
@@ -221,6 +250,7 @@ namespace Incise
         public Tets Tets = new Tets();
         public uint[] TetPieces = { }, VertexIds = { };
         public SurfaceVertices SurfaceVertices = new SurfaceVertices();
+        public SurfaceVertices SurfaceRest = new SurfaceVertices();
         public Triangles Triangles = new Triangles();
     }
 

@@ -10,6 +10,8 @@ namespace Incise
         private readonly Stack<int> freeVertices = new Stack<int>();
         private float[] positions = { }; // three for each place
         private uint[] bits = { }; // of the same floats, for hashes
+        private float[] rests = { }; // likewise: where the material is in the body at rest, where hasRest says so
+        private bool[] hasRest = { };
         private int[] uses = { }; // corners of triangles at a vertex
         private readonly Dictionary<uint, int> trianglePlaces = new Dictionary<uint, int>();
         private readonly Stack<int> freeTriangles = new Stack<int>();
@@ -17,6 +19,7 @@ namespace Incise
         private byte[] flags = { };
         private uint[] pieces = { };
         private int[] regions = { };
+        private uint[] origins = { };
         private ulong hash;
 
         public int VertexCount { get { return vertexPlaces.Count; } }
@@ -44,6 +47,12 @@ namespace Incise
             return pieces[trianglePlaces[id]];
         }
 
+        /// <summary>The triangle of the surface that the body was filled from, of a triangle that exists; SurfaceLookup.None: it has none.</summary>
+        public uint OriginOf(uint id)
+        {
+            return origins[trianglePlaces[id]];
+        }
+
         /// <summary>All bits of a triangle's flags, for comparing states.</summary>
         public byte FlagsOf(uint id)
         {
@@ -56,6 +65,7 @@ namespace Incise
             int at;
             if (!vertexPlaces.TryGetValue(id, out at)) return false;
             position = rest = new Vec3(positions[3 * at], positions[3 * at + 1], positions[3 * at + 2]);
+            if (hasRest[at]) rest = new Vec3(rests[3 * at], rests[3 * at + 1], rests[3 * at + 2]);
             return true;
         }
 
@@ -78,6 +88,8 @@ namespace Incise
             foreach (uint id in chunk.Triangles.Ids) Require(!trianglePlaces.ContainsKey(id), "a triangle that comes twice");
             CheckLimits(chunk.SurfaceVertices.Ids.Length, chunk.Triangles.Ids.Length);
             PutVertices(chunk.SurfaceVertices, Bits(chunk.SurfaceVertices));
+            foreach (uint v in chunk.SurfaceRest.Ids) Require(vertexPlaces.ContainsKey(v), "a rest position of a vertex that does not exist");
+            PutRest(chunk.SurfaceRest);
             foreach (uint v in chunk.Triangles.Vertices) Require(vertexPlaces.ContainsKey(v), "a triangle of vertices that do not exist");
             PutTriangles(chunk.Triangles);
         }
@@ -103,6 +115,7 @@ namespace Incise
             CheckHash(d.Revision, after, d.SurfaceHash);
             CheckUses(d);
             PutVertices(d.Vertices, newBits);
+            PutRest(d.Rest);
             foreach (uint id in d.RemovedTriangles) RemoveTriangle(id);
             PutTriangles(d.Triangles);
             foreach (uint id in d.RemovedVertices) RemoveVertex(id);
@@ -156,6 +169,11 @@ namespace Incise
                 bool there = vertexPlaces.ContainsKey(v) || Array.BinarySearch(d.Vertices.Ids, v) >= 0;
                 Require(there && Array.BinarySearch(d.RemovedVertices, v) < 0, "a triangle of vertices that do not exist");
             }
+            foreach (uint v in d.Rest.Ids)
+            {
+                bool there = vertexPlaces.ContainsKey(v) || Array.BinarySearch(d.Vertices.Ids, v) >= 0;
+                Require(there && Array.BinarySearch(d.RemovedVertices, v) < 0, "a rest position of a vertex that does not exist");
+            }
             var fewer = new Dictionary<uint, int>(); // uses that go
             foreach (uint id in d.RemovedTriangles) CountCorners(id, fewer);
             foreach (uint id in d.Triangles.Ids) CountCorners(id, fewer);
@@ -190,12 +208,25 @@ namespace Incise
                     at = freeVertices.Count > 0 ? freeVertices.Pop() : vertexPlaces.Count;
                     Grow(ref positions, 3 * (at + 1));
                     Grow(ref bits, 3 * (at + 1));
+                    Grow(ref rests, 3 * (at + 1));
+                    Grow(ref hasRest, at + 1);
                     Grow(ref uses, at + 1);
                     vertexPlaces.Add(from.Ids[i], at);
                     uses[at] = 0;
+                    hasRest[at] = false;
                 }
                 Array.Copy(from.Positions, 3 * i, positions, 3 * at, 3);
                 Array.Copy(newBits, 3 * i, bits, 3 * at, 3);
+            }
+        }
+
+        private void PutRest(SurfaceVertices from)
+        {
+            for (int i = 0; i < from.Ids.Length; ++i)
+            {
+                int at = vertexPlaces[from.Ids[i]];
+                hasRest[at] = true;
+                Array.Copy(from.Positions, 3 * i, rests, 3 * at, 3);
             }
         }
 
@@ -209,6 +240,8 @@ namespace Incise
                 Grow(ref flags, at + 1);
                 Grow(ref pieces, at + 1);
                 Grow(ref regions, at + 1);
+                Grow(ref origins, at + 1);
+                origins[at] = from.Origins.Length > 0 ? from.Origins[i] : SurfaceLookup.None;
                 Array.Copy(from.Vertices, 3 * i, corners, 3 * at, 3);
                 flags[at] = from.Flags[i];
                 pieces[at] = from.Pieces[i];
@@ -241,6 +274,7 @@ namespace Incise
             ChangedTriangles.UnionWith(d.Triangles.Ids);
             ChangedTriangles.UnionWith(d.RemovedTriangles);
             MovedVertices.UnionWith(d.Vertices.Ids);
+            MovedVertices.UnionWith(d.Rest.Ids);
         }
     }
 }

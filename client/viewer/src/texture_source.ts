@@ -1,0 +1,61 @@
+import { type Material, SurfaceAsset } from "./surface_asset";
+
+const kLargest = 4096; // pixels a side, of one texture; of several, which are as large as each other, the next
+const kLargestOfMany = 1024;
+const kMostLayers = 64;
+
+export interface Texture {
+  size: number;
+  layers: number;
+  pixels: Uint8Array<ArrayBuffer>;
+}
+
+/** Where the HTTP port answers, by the address of its WebSocket. */
+export function httpAddress(socketUrl: string): string {
+  const url = new URL(socketUrl);
+  return `${url.protocol === "wss:" ? "https:" : "http:"}//${url.host}`;
+}
+
+async function get(url: string, token: string): Promise<Response> {
+  const answer = await fetch(url, token ? { headers: { Authorization: `Bearer ${token}` } } : {});
+  if (!answer.ok) throw new Error(`${url}: ${answer.status}`);
+  return answer;
+}
+
+/** The asset and its texture; null where none of its materials has an image, or it has no texture coordinates. Throws. */
+export async function fetchTexture(
+  address: string,
+  path: string,
+  token: string,
+): Promise<{ asset: SurfaceAsset; texture: Texture } | null> {
+  const asset = new SurfaceAsset(new Uint8Array(await (await get(address + path, token)).arrayBuffer()));
+  if (asset.uvs.length === 0 || !asset.materials.some((m) => m.texture)) return null;
+  const images = await Promise.all(
+    asset.materials.map(async (m) =>
+      m.texture ? createImageBitmap(await (await get(`${address}${path}/${m.texture}`, token)).blob()) : null,
+    ),
+  );
+  return { asset, texture: layersOf(asset.materials, images) };
+}
+
+/** All layers are squares of one size: a texture array has no other. */
+function layersOf(materials: Material[], images: (ImageBitmap | null)[]): Texture {
+  const layers = Math.min(materials.length, kMostLayers);
+  const largest = Math.max(...images.map((i) => (i ? Math.max(i.width, i.height) : 1)));
+  const size = Math.min(largest, layers === 1 ? kLargest : kLargestOfMany);
+  const pixels = new Uint8Array(4 * size * size * layers);
+  const context = new OffscreenCanvas(size, size).getContext("2d", { willReadFrequently: true })!;
+  for (let i = 0; i < layers; ++i) {
+    const image = images[i];
+    context.setTransform(1, 0, 0, -1, 0, size); // v is upwards
+    if (image) {
+      context.drawImage(image, 0, 0, size, size);
+      image.close();
+    } else {
+      context.fillStyle = `rgb(${materials[i].diffuse.map((x) => Math.round(255 * x)).join()})`;
+      context.fillRect(0, 0, size, size);
+    }
+    pixels.set(context.getImageData(0, 0, size, size).data, 4 * size * size * i);
+  }
+  return { size, layers, pixels };
+}
