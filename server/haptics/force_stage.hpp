@@ -53,6 +53,8 @@ class ForceStage {
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
   // The body is whole again.
   void restart() noexcept;
+  // The mesh that is cut, for where the tissue is now, if it deforms; it must outlive this or the next call.
+  void follow(const core::TetMesh& mesh) noexcept { tissue_->follow(mesh); }
 
   void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
 

@@ -249,6 +249,7 @@ bool FrameLoop::write(const JournalRecord& record) {
 void FrameLoop::offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
                              haptics::ForceSink* sink, haptics::ForceSlots* slots) {
   forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), std::move(tissue), sink, slots);
+  forces_->follow(session_->mesh());
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
@@ -283,7 +284,10 @@ void FrameLoop::reset() {
   }
   session_ = fresh.get();
   std::swap(own_session_, fresh);
-  if (forces_) forces_->restart();
+  if (forces_) {
+    forces_->restart();
+    forces_->follow(session_->mesh());
+  }
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   stamp_count_ = 0;
   batch_work_ns_ = 0;
