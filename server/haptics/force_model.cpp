@@ -27,11 +27,12 @@ ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double d
 void ForceModel::jump() noexcept {
   phase_ = Phase::kFree;
   has_last_ = false;
-  velocity_ = {};
+  velocity_ = tool_velocity_ = {};
   depth_ = depth_at_rest_ = 0;
 }
 
-Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied) noexcept {
+Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied,
+                        const LocalModel* own) noexcept {
   Feel feel;
   line_ = tissue.rest().line(motion.line, feel.work);
   feel.engagement = probe(tissue, materials_, line_, feel.work);
@@ -51,6 +52,8 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
     if (phase_ == Phase::kContact) elastic = press(motion, engagement, feel);
     if (phase_ == Phase::kInside) elastic = cut(motion, engagement, tissue.h(), feel);
   }
+  if (own) elastic = render(*own, motion, feel);
+  own_acts_ = own != nullptr;
   has_last_ = true;
   last_line_ = motion.line;
   last_tool_ = motion.tool;
@@ -82,7 +85,7 @@ double ForceModel::moved_at_rest() const noexcept {
 // What acted on the hand since the last call did work there; where the tissue moved, a part of it was the tissue's.
 void ForceModel::book(const BladeMotion& motion, double at, const Vec3& applied) noexcept {
   account_ -= dot(applied, motion.tool - last_tool_);
-  if (!line_.deformed) return;
+  if (!line_.deformed || own_acts_) return;
   const double given = dot(applied, step(motion, at) - relative_step(at));
   const double got = std::min(given, tissue_account_);
   account_ += got;
@@ -94,6 +97,12 @@ void ForceModel::book(const BladeMotion& motion, double at, const Vec3& applied)
 // The velocity of the edge's parameter `at`, relative to the tissue.
 void ForceModel::find_velocity(const BladeMotion& motion, double at) noexcept {
   const Vec3 way = relative_step(at);
+  if (motion.dt_s > 0) {
+    tool_velocity_ += motion.dt_s / (kSmoothing_s + motion.dt_s) *
+                      ((1 / motion.dt_s) * (motion.tool - last_tool_) - tool_velocity_);
+  } else {
+    tool_velocity_ = kSmoothing_s / (kSmoothing_s + motion.elapsed_s) * tool_velocity_;
+  }
   // Between two poses the tissue may move, too.
   const double dt = motion.dt_s > 0 ? motion.dt_s : squared_length(way) > 0 ? motion.elapsed_s : 0;
   if (!(dt > 0)) {
@@ -181,6 +190,39 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
       ContactPlane{motion.tool + depth_ * normal_, normal_, stiffness, damping_, motion.engaged ? holds : 0,
                    engagement.friction_n_s_m,      false};
   return {spring * normal_, 0.5 * stiffness * depth_ * depth_};
+}
+
+// A spring in all directions that gives way at its resistance, and a damper that does not pull.
+ForceModel::Elastic ForceModel::render(const LocalModel& own, const BladeMotion& motion,
+                                       Feel& feel) noexcept {
+  feel.force = {};
+  feel.contact.reset();
+  if (own.number != own_number_) own_point_ = own.point;
+  own_number_ = own.number;
+  Vec3 stretch = own_point_ - motion.tool;
+  if (dot(own.normal, stretch) <= 0) return {};
+  // Not stiffer than a device can render: the trace is no smaller than the largest eigenvalue.
+  const Mat3& k = own.stiffness;
+  const double trace = k.x.x + k.y.y + k.z.z;
+  const double softer = trace > stiffest_ ? stiffest_ / trace : 1;
+  Vec3 spring = softer * (k * stretch);
+  if (const double size = length(spring); own.resistance_n > 0 && size > own.resistance_n) {
+    const double share = own.resistance_n / size;
+    own_point_ = motion.tool + share * stretch;
+    stretch = share * stretch;
+    spring = share * spring;
+  }
+  const double damping = std::min(own.damping_n_s_m, damping_);
+  feel.force = std::max(-damping * dot(own.normal, tool_velocity_), -std::max(0.0, dot(spring, own.normal))) *
+               own.normal;
+  feel.contact = ContactPlane{own_point_,
+                              own.normal,
+                              softer * dot(own.normal, k * own.normal),
+                              damping,
+                              own.resistance_n,
+                              0,
+                              feel.engagement.length_m > 0 && phase_ == Phase::kInside};
+  return {spring, 0.5 * dot(stretch, spring)};
 }
 
 ForceModel::Elastic ForceModel::cut(const BladeMotion& motion, const Engagement& engagement, double h,

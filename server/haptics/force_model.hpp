@@ -6,6 +6,7 @@
 #include "server/core/stroke/blade.hpp"
 #include "server/haptics/blade_probe.hpp"
 #include "server/haptics/material.hpp"
+#include "server/haptics/simulation_link.hpp"
 #include "server/haptics/tissue.hpp"
 
 namespace incise::haptics {
@@ -86,8 +87,12 @@ class ForceModel {
   // The blade is somewhere else, not moved there: everything but the account is forgotten.
   void jump() noexcept;
 
-  // The force from here on. `applied`: what acted on the hand since the last call, N.
-  Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied) noexcept;
+  // The force from here on. `applied`: what acted on the hand since the last call, N. `own`: the simulation's model of the tissue,
+  // which then makes the force; its work counts as the tissue's, so it gives back what it got, and nothing that it did not.
+  Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied,
+              const LocalModel* own = nullptr) noexcept;
+  // The edge of the last update at rest.
+  const RestLine& line() const { return line_; }
 
  private:
   enum class Phase : std::uint8_t { kFree, kContact, kInside };
@@ -104,6 +109,7 @@ class ForceModel {
   void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
   Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
+  Elastic render(const LocalModel& own, const BladeMotion& motion, Feel& feel) noexcept;
   void get_in(const core::Vec3& along, const Engagement& engagement) noexcept;
 
   const Materials& materials_;
@@ -117,6 +123,11 @@ class ForceModel {
   // The edge at rest: now, and in the call before.
   RestLine line_, before_;
   LocalMap map_;  // of the tissue at the middle of the edge inside
+  // The simulation's model.
+  std::uint64_t own_number_ = 0;
+  bool own_acts_ = false;
+  core::Vec3 own_point_;      // which gives way
+  core::Vec3 tool_velocity_;  // m/s
   // Contact.
   double depth_ = 0, depth_at_rest_ = 0;  // m: now, and in the body at rest
   core::Vec3 normal_;                     // unit, out of the tissue

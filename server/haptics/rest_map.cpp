@@ -179,6 +179,34 @@ RestLine::Place RestMap::find(const Vec3& p, TetId from, ProbeWork& work) const 
   return place;
 }
 
+RestMap::Hold RestMap::hold(const Vec3& p, TetId from, ProbeWork& work) const noexcept {
+  Hold best;
+  best.most = INFINITY;
+  if (!now_ || anchors_.empty()) return best;
+  const TetId loaded = find(p, from == core::kNone ? nearest_anchor(p) : from, work).tet;
+  // What a cut has left of this tetrahedron may be on the other side; its neighbours lead to this one.
+  TetId starts[5] = {loaded};
+  for (int f = 0; f < 4; ++f) starts[f + 1] = loaded_.neighbor(loaded, f);
+  for (const TetId start : starts) {
+    if (start == core::kNone || !now_->alive(start)) continue;
+    bool left = false;
+    const TetId t = walk_to(*now_, start, now_->barycentre(start), p, left, work);
+    const auto& v = now_->vertices(t);
+    const Vec3 &a = now_->position(v[0]), &b = now_->position(v[1]), &c = now_->position(v[2]),
+               &d = now_->position(v[3]);
+    const double volume = core::signed_volume(a, b, c, d);
+    if (!(std::abs(volume) > 0)) continue;
+    Hold hold{t, loaded, {}, 0};
+    hold.weights = {core::signed_volume(p, b, c, d) / volume, core::signed_volume(a, p, c, d) / volume,
+                    core::signed_volume(a, b, p, d) / volume, 0};
+    hold.weights[3] = 1 - hold.weights[0] - hold.weights[1] - hold.weights[2];
+    for (const double weight : hold.weights) hold.most = std::max(hold.most, std::abs(weight));
+    if (hold.most < best.most) best = hold;
+    if (!left) break;
+  }
+  return best;
+}
+
 RestLine RestMap::line(const BladeLine& line, ProbeWork& work) const noexcept {
   RestLine found;
   found.length_m = distance(line.heel, line.tip);

@@ -77,6 +77,16 @@ class RestMap {
   bool deformed() const { return now_ != nullptr && now_->deformed(); }
 
   RestLine line(const core::BladeLine& line, ProbeWork& work) const noexcept;
+  // Which tetrahedron of the mesh as it is now holds a place.
+  struct Hold {
+    core::TetId tet = core::kNone, loaded = core::kNone;  // the latter of the body as loaded
+    std::array<double, 4> weights{};                      // barycentric coordinates of the place in `tet`
+    double most = 0;  // the largest of them without sign: above 1 it is beside it
+  };
+  // `from`: a tetrahedron of the body as loaded near the place, or kNone.
+  Hold hold(const core::Vec3& p, core::TetId from, ProbeWork& work) const noexcept;
+  // Null before follow().
+  const core::TetMesh* now() const { return now_; }
   // The map of a tetrahedron of the body as loaded, whatever a cut has made of it since.
   LocalMap map(core::TetId loaded) const noexcept;
 
