@@ -34,6 +34,7 @@ class MessageReader : public FieldReader {
     out.blade_rate_hz = rate("blade_rate_hz", m.blade_rate_hz());
     out.blade = edge("blade", m.blade());
     out.resume_hash = m.resume_hash();
+    out.load_rate_hz = rate("load_rate_hz", m.load_rate_hz());
     return out;
   }
   Body read(const wire::Welcome& m) {
@@ -127,11 +128,13 @@ class MessageReader : public FieldReader {
       contact.friction_n_s_per_m = finite("contact.friction_n_s_per_m", c->friction_n_s_per_m());
       contact.valid_for_ns = c->valid_for_ns();
       contact.penetrated = c->penetrated();
+      if (c->arm()) contact.arm = vector("contact.arm", c->arm());
       out.contact = contact;
     }
     out.saturated = m.saturated();
     out.ramping = m.ramping();
     out.latched_off = m.latched_off();
+    if (m.torque_n_m()) out.torque_n_m = vector("torque_n_m", m.torque_n_m());
     return out;
   }
   Body read(const wire::Delta& m) {
@@ -294,6 +297,40 @@ class MessageReader : public FieldReader {
     out.skipped = m.skipped();
     return out;
   }
+  Body read(const wire::BladeLoad& m) {
+    BladeLoad out;
+    out.source = m.source();
+    out.revision = m.revision();
+    out.source_ns = m.source_ns();
+    out.server_ns = m.server_ns();
+    out.contact = enumeration<BladeContact>("contact", m.contact());
+    out.engaged = m.engaged();
+    out.heel = vector("heel", m.heel());
+    out.tip = vector("tip", m.tip());
+    out.tool = vector("tool", m.tool());
+    out.force_n = vector("force_n", m.force_n());
+    out.torque_n_m = vector("torque_n_m", m.torque_n_m());
+    out.center = vector("center", m.center());
+    out.engaged_length_m = finite("engaged_length_m", m.engaged_length_m());
+    out.ids = ids("ids", m.ids(), kMaxVertices);
+    out.forces = positions("forces", m.forces(), out.ids.size());
+    out.number = m.number();
+    out.skipped = m.skipped();
+    return out;
+  }
+  Body read(const wire::BladeModel& m) {
+    // Numbers as they come: the server refuses a bad model with a reason, and goes on.
+    BladeModel out;
+    out.source = m.source();
+    out.server_ns = m.server_ns();
+    out.point = {m.point()->x(), m.point()->y(), m.point()->z()};
+    out.normal = {m.normal()->x(), m.normal()->y(), m.normal()->z()};
+    out.stiffness = array<double>("stiffness", m.stiffness());
+    out.damping_n_s_per_m = m.damping_n_s_per_m();
+    out.resistance_n = m.resistance_n();
+    out.valid_for_ns = m.valid_for_ns();
+    return out;
+  }
   Body read(const wire::BladePose& m) {
     BladePose out;
     out.source = m.source();
@@ -376,6 +413,8 @@ Body read_body(MessageReader& reader, const wire::Message& message) {
     INCISE_MESSAGE(BladePose);
     INCISE_MESSAGE(PositionsReport);
     INCISE_MESSAGE(SurfaceAsset);
+    INCISE_MESSAGE(BladeLoad);
+    INCISE_MESSAGE(BladeModel);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

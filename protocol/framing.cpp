@@ -94,7 +94,7 @@ struct Encoder {
     const auto blade = edge(b, m.blade);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over, m.blade_rate_hz, blade, m.resume_hash)
+                             m.take_over, m.blade_rate_hz, blade, m.resume_hash, m.load_rate_hz)
         .Union();
   }
   auto operator()(const Welcome& m) {
@@ -155,14 +155,15 @@ struct Encoder {
     Offset<wire::LocalContact> contact;
     if (m.contact) {
       const wire::Vec3 point = to_wire(m.contact->point), normal = to_wire(m.contact->normal);
+      const wire::Vec3 arm = to_wire(m.contact->arm.value_or(Vec3{}));
       contact = wire::CreateLocalContact(b, &point, &normal, m.contact->stiffness_n_per_m,
                                          m.contact->damping_n_s_per_m, m.contact->cutting_resistance_n,
                                          m.contact->friction_n_s_per_m, m.contact->valid_for_ns,
-                                         m.contact->penetrated);
+                                         m.contact->penetrated, m.contact->arm ? &arm : nullptr);
     }
-    const wire::Vec3 force = to_wire(m.force_n);
+    const wire::Vec3 force = to_wire(m.force_n), torque = to_wire(m.torque_n_m.value_or(Vec3{}));
     return wire::CreateForce(b, m.source, m.source_ns, &force, m.engaged_length_m, contact, m.saturated,
-                             m.ramping, m.latched_off)
+                             m.ramping, m.latched_off, m.torque_n_m ? &torque : nullptr)
         .Union();
   }
   auto operator()(const Delta& m) {
@@ -270,6 +271,23 @@ struct Encoder {
     return wire::CreateSurfaceAsset(b, positions, triangles, uvs, normals, colours, indices, material_list)
         .Union();
   }
+  auto operator()(const BladeLoad& m) {
+    const auto ids = array(b, m.ids);
+    const auto forces = array(b, m.forces);
+    const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip), tool = to_wire(m.tool);
+    const wire::Vec3 force = to_wire(m.force_n), torque = to_wire(m.torque_n_m), center = to_wire(m.center);
+    return wire::CreateBladeLoad(b, m.source, m.revision, m.source_ns, m.server_ns,
+                                 wire::BladeContact(m.contact), m.engaged, &heel, &tip, &tool, &force,
+                                 &torque, &center, m.engaged_length_m, ids, forces, m.number, m.skipped)
+        .Union();
+  }
+  auto operator()(const BladeModel& m) {
+    const auto stiffness = array(b, m.stiffness);
+    const wire::Vec3 point = to_wire(m.point), normal = to_wire(m.normal);
+    return wire::CreateBladeModel(b, m.source, m.server_ns, &point, &normal, stiffness, m.damping_n_s_per_m,
+                                  m.resistance_n, m.valid_for_ns)
+        .Union();
+  }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
     return wire::CreateReplayState(b, capture, m.playing, m.speed, m.revision, m.last_revision, what).Union();
@@ -323,6 +341,8 @@ std::size_t expected_bytes(const Body& body) {
                  m.normals.size_bytes() + m.colours.size_bytes() + m.material_indices.size_bytes();
         }
         if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
+        if constexpr (std::is_same_v<T, BladeLoad>)
+          return kSmall + m.ids.size_bytes() + m.forces.size_bytes();
         return kSmall;
       },
       body);

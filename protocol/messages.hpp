@@ -73,6 +73,7 @@ struct Hello {
   float blade_rate_hz = 0;
   std::optional<BladeEdge> blade;
   std::uint64_t resume_hash = 0;  // Welcome's or a delta's state_hash at resume_revision; 0: not known
+  float load_rate_hz = 0;
 };
 
 struct MeshFacts {
@@ -204,6 +205,7 @@ struct LocalContact {
   double friction_n_s_per_m = 0;
   std::int64_t valid_for_ns = 0;
   bool penetrated = false;
+  std::optional<Vec3> arm;
 };
 
 struct Force {
@@ -215,6 +217,7 @@ struct Force {
   bool saturated = false;
   bool ramping = false;
   bool latched_off = false;
+  std::optional<Vec3> torque_n_m;
 };
 
 struct TetArrays {
@@ -396,11 +399,36 @@ struct SurfaceAsset {
   std::vector<Material> materials;
 };
 
+enum class BladeContact : std::uint8_t { None, Presses, Inside };
+
+struct BladeLoad {
+  std::uint32_t source = 0;
+  std::uint64_t revision = 0;
+  std::int64_t source_ns = 0, server_ns = 0;
+  BladeContact contact = BladeContact::None;
+  bool engaged = false;
+  Vec3 heel, tip, tool;
+  Vec3 force_n, torque_n_m, center;
+  double engaged_length_m = 0;
+  std::span<const std::uint32_t> ids;
+  std::span<const double> forces;
+  std::uint64_t number = 0, skipped = 0;
+};
+
+struct BladeModel {
+  std::uint32_t source = 0;
+  std::int64_t server_ns = 0;
+  Vec3 point, normal{0, 0, 1};  // as they came: not checked
+  std::span<const double> stiffness;
+  double damping_n_s_per_m = 0, resistance_n = 0;
+  std::int64_t valid_for_ns = 0;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
 using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
                           StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
                           SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose,
-                          PositionsReport, SurfaceAsset, Undo>;
+                          PositionsReport, SurfaceAsset, Undo, BladeLoad, BladeModel>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

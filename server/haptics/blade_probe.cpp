@@ -19,6 +19,7 @@ constexpr double kSame = 1e-7;  // parameters that differ by less are one crossi
 // Which parts of a line run through tissue that is cut already, in samples.
 class CutStretches {
  public:
+  CutStretches() = default;
   CutStretches(const CutMap& cuts, const BladeLine& line) noexcept {
     if (cuts.empty()) return;
     const double length = distance(line.heel, line.tip);
@@ -45,18 +46,54 @@ class CutStretches {
   std::bitset<kMost> cut_;
 };
 
-// Sums over the tetrahedra that the edge passes.
+// Sums over the tetrahedra that the edge passes, piece by piece. Each piece is straight in the body at rest.
 class Sum {
  public:
-  Sum(const Tissue& tissue, const Materials& materials, const BladeLine& line, ProbeWork& work) noexcept
-      : mesh_(tissue.body()),
-        materials_(materials),
-        cuts_(tissue.cuts(), line),
-        work_(work),
-        line_(line),
-        length_(distance(line.heel, line.tip)) {}
+  Sum(const Tissue& tissue, const Materials& materials, double length_m, ProbeWork& work) noexcept
+      : tissue_(tissue), mesh_(tissue.body()), materials_(materials), work_(work), length_(length_m) {}
 
-  // Walks from parameter a inside `tet`, or on its face, to b. Returns where it left the tissue; b where it did not.
+  void piece(const RestLine::Place& a, const RestLine::Place& b) noexcept {
+    if (a.gap || b.gap) return;
+    line_ = {a.rest, b.rest};
+    begin_ = a.at;
+    share_ = b.at - a.at;
+    cuts_ = CutStretches(tissue_.cuts(), line_);
+    std::array<Crossing, kMostCrossings> found;
+    const std::size_t count = tissue_.surface().crossings(line_, found, work_);
+    if (count == 0) {  // wholly inside or wholly outside
+      const TetId t = !a.known               ? locate(mesh_, tissue_.surface(), line_.heel, work_)
+                      : a.inside && b.inside ? a.tet
+                                             : core::kNone;
+      if (t != core::kNone) walk(t, 0, 1);
+      return;
+    }
+    double done = -1;  // the piece has been processed up to here
+    for (const Crossing& crossing : std::span(found).first(count)) {
+      if (crossing.entering) {
+        if (crossing.at < done - kSame) continue;
+        done = std::max(done, walk(core::tet_of(crossing.face), crossing.at, 1));
+      } else if (done < 0) {
+        // The first crossing leads out: the heel is inside.
+        walk(core::tet_of(crossing.face), crossing.at, 0);
+        done = crossing.at;
+      }
+    }
+  }
+
+  Engagement result() noexcept {
+    if (sum_.length_m > 0) {
+      sum_.middle /= sum_.length_m;
+      sum_.stiffness_n_m += point_stiffness_ / sum_.length_m;
+    }
+    return sum_;
+  }
+
+ private:
+  Vec3 at(double t) const noexcept { return lerp(line_.heel, line_.tip, t); }
+  // A parameter of the edge.
+  double edge(double t) const noexcept { return begin_ + t * share_; }
+
+  // Walks from parameter a of the piece inside `tet`, or on its face, to b. Returns where it left the tissue; b where it did not.
   double walk(TetId tet, double a, double b) noexcept {
     double reached = a;
     const std::uint32_t room = ProbeWork::kMostTets - work_.tets;
@@ -69,7 +106,7 @@ class Sum {
     core::walk(mesh_, tet, at(a), at(b), visit, room);
     work_.tets += passed;
     work_.cut_short = work_.cut_short || passed == room;
-    const double from = std::min(a, reached), to = std::max(a, reached);
+    const double from = edge(std::min(a, reached)), to = edge(std::max(a, reached));
     // A stretch that begins where the last one ended, on the other side of a slit, continues it.
     if (from - stretch_to_ < 1e-6 && stretch_to_ > stretch_from_) {
       stretch_to_ = std::max(stretch_to_, to);
@@ -84,18 +121,8 @@ class Sum {
     return reached;
   }
 
-  Engagement result() noexcept {
-    if (sum_.length_m > 0) {
-      sum_.middle /= sum_.length_m;
-      sum_.stiffness_n_m += point_stiffness_ / sum_.length_m;
-    }
-    return sum_;
-  }
-
- private:
-  Vec3 at(double t) const noexcept { return lerp(line_.heel, line_.tip, t); }
-
-  void add(TetId t, double in, double out) noexcept {
+  void add(TetId t, double first, double last) noexcept {
+    double in = edge(first), out = edge(last);
     if (in <= out) {  // only forward: nothing is counted twice, even if inverted tetrahedra overlap
       in = std::max(in, counted_to_);
       counted_to_ = std::max(counted_to_, out);
@@ -112,68 +139,33 @@ class Sum {
     sum_.stiffness_n_m += piece * material.stiffness_pa;
     sum_.friction_n_s_m += piece * material.friction_n_s_m2;
     sum_.puncture_n = std::max(sum_.puncture_n, material.puncture_n);
-    const double uncut = piece * cuts_.uncut(std::min(in, out), std::max(in, out));
+    const double uncut =
+        piece * cuts_.uncut((std::min(in, out) - begin_) / share_, (std::max(in, out) - begin_) / share_);
     sum_.uncut_m += uncut;
     sum_.fracture_n += uncut * material.toughness_j_m2;
   }
 
+  const Tissue& tissue_;
   const core::TetMesh& mesh_;
   const Materials& materials_;
-  const CutStretches cuts_;
   ProbeWork& work_;
-  const BladeLine line_;
-  const double length_;
+  const double length_;  // of the edge now, m
+  // Of the piece.
+  BladeLine line_;
+  CutStretches cuts_;
+  double begin_ = 0, share_ = 1;  // where it begins on the edge, and how much of it it is
   double stretch_from_ = -1, stretch_to_ = -1, counted_to_ = 0;
   double point_stiffness_ = 0;  // times length
   Engagement sum_;
 };
 
-// The tetrahedron that contains p: a ray from p finds the surface, and a walk leads back from there to
-// p. A ray that grazes an edge can mislead; hardly all three.
-TetId locate(const Tissue& tissue, const Vec3& p, ProbeWork& work) noexcept {
-  const Vec3 low = tissue.surface().low(), high = tissue.surface().high();
-  if (!(p.x >= low.x && p.y >= low.y && p.z >= low.z && p.x <= high.x && p.y <= high.y && p.z <= high.z))
-    return core::kNone;
-  const double far = 2 * distance(low, high);
-  for (const Vec3& way : {Vec3{0.48, 0.6, 0.64}, Vec3{-0.6, 0.48, -0.64}, Vec3{0.64, -0.6, -0.48}}) {
-    const BladeLine ray{p, p + far * way};
-    const auto crossing = tissue.surface().first_crossing(ray, work);
-    if (!crossing) continue;
-    if (crossing->entering) return core::kNone;
-    const std::uint32_t room = ProbeWork::kMostTets - work.tets;
-    std::uint32_t passed = 0;
-    const TetId found = core::walk(
-        tissue.body(), core::tet_of(crossing->face), lerp(ray.heel, ray.tip, crossing->at), p,
-        [&](TetId, double, double) { ++passed; }, room);
-    work.tets += passed;
-    if (found != core::kNone) return found;
-  }
-  return core::kNone;
-}
-
 }  // namespace
 
-Engagement probe(const Tissue& tissue, const Materials& materials, const BladeLine& line,
+Engagement probe(const Tissue& tissue, const Materials& materials, const RestLine& line,
                  ProbeWork& work) noexcept {
-  std::array<Crossing, kMostCrossings> found;
-  const std::size_t count = tissue.surface().crossings(line, found, work);
-  Sum sum(tissue, materials, line, work);
-  if (count == 0) {  // wholly inside or wholly outside
-    const TetId t = locate(tissue, line.heel, work);
-    if (t != core::kNone) sum.walk(t, 0, 1);
-    return sum.result();
-  }
-  double done = -1;  // the line has been processed up to here
-  for (const Crossing& crossing : std::span(found).first(count)) {
-    if (crossing.entering) {
-      if (crossing.at < done - kSame) continue;
-      done = std::max(done, sum.walk(core::tet_of(crossing.face), crossing.at, 1));
-    } else if (done < 0) {
-      // The first crossing leads out: the heel is inside.
-      sum.walk(core::tet_of(crossing.face), crossing.at, 0);
-      done = crossing.at;
-    }
-  }
+  Sum sum(tissue, materials, line.length_m, work);
+  const auto places = line.all();
+  for (std::size_t i = 1; i < places.size(); ++i) sum.piece(places[i - 1], places[i]);
   return sum.result();
 }
 

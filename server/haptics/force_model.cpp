@@ -27,32 +27,37 @@ ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double d
 void ForceModel::jump() noexcept {
   phase_ = Phase::kFree;
   has_last_ = false;
-  velocity_ = {};
-  depth_ = 0;
+  velocity_ = tool_velocity_ = {};
+  depth_ = depth_at_rest_ = 0;
 }
 
-Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied) noexcept {
-  if (has_last_) account_ -= dot(applied, motion.tool - last_tool_);
-  account_ += kLeak_w * motion.elapsed_s;
-
+Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied,
+                        const LocalModel* own) noexcept {
   Feel feel;
-  feel.engagement = probe(tissue, materials_, motion.line, feel.work);
+  line_ = tissue.rest().line(motion.line, feel.work);
+  feel.engagement = probe(tissue, materials_, line_, feel.work);
   feel.engagement.stiffness_n_m = std::min(feel.engagement.stiffness_n_m, stiffest_);
   const Engagement& engagement = feel.engagement;
-  const double moved = has_last_ ? travel(motion.line, last_line_) : 0;
-  find_velocity(motion, engagement);
+  const double at = engagement.length_m > 0 ? engagement.middle : 0.5;
+  map_ = line_.deformed ? tissue.rest().map(line_.tet(at)) : LocalMap{};
+  if (has_last_) book(motion, at, applied);
+  account_ += kLeak_w * motion.elapsed_s;
+  if (has_last_) find_velocity(motion, at);
   Elastic elastic;
   if (engagement.length_m == 0) {
     phase_ = Phase::kFree;
-    depth_ = 0;
+    depth_ = depth_at_rest_ = 0;
   } else {
-    if (phase_ != Phase::kInside) find_depth(tissue, motion, moved, feel);
+    if (phase_ != Phase::kInside) find_depth(tissue, motion, has_last_ ? moved_at_rest() : 0, feel);
     if (phase_ == Phase::kContact) elastic = press(motion, engagement, feel);
     if (phase_ == Phase::kInside) elastic = cut(motion, engagement, tissue.h(), feel);
   }
+  if (own) elastic = render(*own, motion, feel);
+  own_acts_ = own != nullptr;
   has_last_ = true;
   last_line_ = motion.line;
   last_tool_ = motion.tool;
+  before_ = line_;
 
   account_ = std::min(account_, elastic.energy + kReserve_j);
   const double held = std::max(account_, 0.0);
@@ -62,16 +67,49 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   return feel;
 }
 
-// The velocity of the tool at the middle of the edge inside.
-void ForceModel::find_velocity(const BladeMotion& motion, const Engagement& engagement) noexcept {
-  if (!has_last_) return;
-  if (!(motion.dt_s > 0)) {
+Vec3 ForceModel::step(const BladeMotion& motion, double at) const noexcept {
+  return lerp(motion.line.heel, motion.line.tip, at) - lerp(last_line_.heel, last_line_.tip, at);
+}
+
+Vec3 ForceModel::relative_step(double at) const noexcept {
+  return map_.now_from_rest * (line_.rest(at) - before_.rest(at));
+}
+
+// The farthest that a point of the edge has come in the body at rest, m.
+double ForceModel::moved_at_rest() const noexcept {
+  double moved = 0;
+  for (const double at : {0.0, 0.5, 1.0}) moved = std::max(moved, distance(line_.rest(at), before_.rest(at)));
+  return moved;
+}
+
+// What acted on the hand since the last call did work there; where the tissue moved, a part of it was the tissue's.
+void ForceModel::book(const BladeMotion& motion, double at, const Vec3& applied) noexcept {
+  account_ -= dot(applied, motion.tool - last_tool_);
+  if (!line_.deformed || own_acts_) return;
+  const double given = dot(applied, step(motion, at) - relative_step(at));
+  const double got = std::min(given, tissue_account_);
+  account_ += got;
+  tissue_account_ -= got;
+  if (tissue_account_ < kTissueReserve_j)
+    tissue_account_ = std::min(kTissueReserve_j, tissue_account_ + kTissueLeak_w * motion.elapsed_s);
+}
+
+// The velocity of the edge's parameter `at`, relative to the tissue.
+void ForceModel::find_velocity(const BladeMotion& motion, double at) noexcept {
+  const Vec3 way = relative_step(at);
+  if (motion.dt_s > 0) {
+    tool_velocity_ += motion.dt_s / (kSmoothing_s + motion.dt_s) *
+                      ((1 / motion.dt_s) * (motion.tool - last_tool_) - tool_velocity_);
+  } else {
+    tool_velocity_ = kSmoothing_s / (kSmoothing_s + motion.elapsed_s) * tool_velocity_;
+  }
+  // Between two poses the tissue may move, too.
+  const double dt = motion.dt_s > 0 ? motion.dt_s : squared_length(way) > 0 ? motion.elapsed_s : 0;
+  if (!(dt > 0)) {
     velocity_ = kSmoothing_s / (kSmoothing_s + motion.elapsed_s) * velocity_;
     return;
   }
-  const double at = engagement.length_m > 0 ? engagement.middle : 0.5;
-  const Vec3 step = lerp(motion.line.heel, motion.line.tip, at) - lerp(last_line_.heel, last_line_.tip, at);
-  velocity_ += motion.dt_s / (kSmoothing_s + motion.dt_s) * ((1 / motion.dt_s) * step - velocity_);
+  velocity_ += dt / (kSmoothing_s + dt) * ((1 / dt) * way - velocity_);
 }
 
 // Free or in contact, with part of the edge inside: finds how deep it is, and which way is out.
@@ -82,43 +120,54 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   const double h = tissue.h();
   if (first && !has_last_) {  // it did not move there: the way out is unknown
     phase_ = Phase::kInside;
-    front_ = lerp(motion.line.heel, motion.line.tip, engagement.middle);
+    front_ = line_.rest(engagement.middle);
     front_heading_ = {};
     return;
   }
   // The depth of a point changes by no more than it moves, so the surface is not farther off than this.
-  const double radius = std::min(depth_ + moved + kFaceSlack_h * h, kDeepest_h * h);
-  std::optional<SurfacePoint> deepest;
-  Vec3 deepest_point;
+  const double radius = std::min(depth_at_rest_ + moved + kFaceSlack_h * h, kDeepest_h * h);
+  bool found = false;
+  double deepest = 0, deepest_at_rest = 0;
   for (const double at : {engagement.from, 0.5 * (engagement.from + engagement.to), engagement.to}) {
+    const Vec3 rest = line_.rest(at);
+    const auto surface = tissue.surface().nearest(rest, radius, feel.work);
+    if (!surface) continue;
+    // Forward again: the boundary's nearest point with its own tetrahedron.
+    const LocalMap map = line_.deformed ? tissue.rest().map(core::tet_of(surface->face)) : LocalMap{};
     const Vec3 p = lerp(motion.line.heel, motion.line.tip, at);
-    const auto surface = tissue.surface().nearest(p, radius, feel.work);
-    if (!surface || (deepest && surface->distance_m <= deepest->distance_m)) continue;
-    deepest = surface;
-    deepest_point = p;
+    const Vec3 out_at_rest = normalized(surface->point - rest);
+    const bool under = surface->distance_m > 1e-3 * h && dot(out_at_rest, surface->normal) > 0;
+    const Vec3 way = line_.deformed ? map.now(surface->point) - p : surface->point - p;
+    const Vec3 normal = line_.deformed ? map.normal_now(under ? out_at_rest : surface->normal)
+                        : under        ? out_at_rest
+                                       : surface->normal;
+    const double depth = line_.deformed ? std::max(0.0, dot(way, normal)) : surface->distance_m;
+    if (found && depth <= deepest) continue;
+    found = true;
+    deepest = depth;
+    deepest_at_rest = surface->distance_m;
+    normal_ = normal;
   }
   phase_ = Phase::kContact;
-  if (deepest) {
-    depth_ = deepest->distance_m;
-    const Vec3 out = normalized(deepest->point - deepest_point);
-    normal_ = depth_ > 1e-3 * h && dot(out, deepest->normal) > 0 ? out : deepest->normal;
+  if (found) {
+    depth_ = deepest;
+    depth_at_rest_ = deepest_at_rest;
   } else if (!first) {
     // Deeper than the search reaches: follow its motion.
-    const double at = engagement.middle;
-    depth_ -=
-        dot(lerp(motion.line.heel, motion.line.tip, at) - lerp(last_line_.heel, last_line_.tip, at), normal_);
-    depth_ = std::max(depth_, 0.0);
+    const double deeper = -dot(relative_step(engagement.middle), normal_);
+    depth_ = std::max(depth_ + deeper, 0.0);
+    depth_at_rest_ = std::max(depth_at_rest_ + deeper, 0.0);
   } else {
-    get_in(lerp(motion.line.heel, motion.line.tip, engagement.middle), {}, engagement);
+    get_in({}, engagement);
   }
 }
 
-// The blade enters, from the surface or without a contact before: the front starts where the spring just holds.
-void ForceModel::get_in(const Vec3& middle, const Vec3& along, const Engagement& engagement) noexcept {
+// The blade enters, from the surface or without a contact before: the front starts where the spring just holds. `along`: unit.
+void ForceModel::get_in(const Vec3& along, const Engagement& engagement) noexcept {
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
-  front_ = middle - std::min(depth_, hold) * along;
-  front_heading_ = along;
+  front_heading_ = map_.rest_from_now * along;
+  front_ = line_.rest(engagement.middle) - std::min(depth_, hold) * front_heading_;
 }
 
 ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagement& engagement,
@@ -129,8 +178,7 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
   const bool open = engagement.uncut_m < 0.5 * engagement.length_m;
   if (open || (motion.engaged && stiffness * depth_ > holds)) {
     const Vec3 edge = normalized(motion.line.tip - motion.line.heel);
-    get_in(lerp(motion.line.heel, motion.line.tip, engagement.middle), -normalized(across(normal_, edge)),
-           engagement);
+    get_in(-normalized(across(normal_, edge)), engagement);
     return {};
   }
   const double into = dot(velocity_, normal_);
@@ -144,18 +192,53 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
   return {spring * normal_, 0.5 * stiffness * depth_ * depth_};
 }
 
+// A spring in all directions that gives way at its resistance, and a damper that does not pull.
+ForceModel::Elastic ForceModel::render(const LocalModel& own, const BladeMotion& motion,
+                                       Feel& feel) noexcept {
+  feel.force = {};
+  feel.contact.reset();
+  if (own.number != own_number_) own_point_ = own.point;
+  own_number_ = own.number;
+  Vec3 stretch = own_point_ - motion.tool;
+  if (dot(own.normal, stretch) <= 0) return {};
+  // Not stiffer than a device can render: the trace is no smaller than the largest eigenvalue.
+  const Mat3& k = own.stiffness;
+  const double trace = k.x.x + k.y.y + k.z.z;
+  const double softer = trace > stiffest_ ? stiffest_ / trace : 1;
+  Vec3 spring = softer * (k * stretch);
+  if (const double size = length(spring); own.resistance_n > 0 && size > own.resistance_n) {
+    const double share = own.resistance_n / size;
+    own_point_ = motion.tool + share * stretch;
+    stretch = share * stretch;
+    spring = share * spring;
+  }
+  const double damping = std::min(own.damping_n_s_m, damping_);
+  feel.force = std::max(-damping * dot(own.normal, tool_velocity_), -std::max(0.0, dot(spring, own.normal))) *
+               own.normal;
+  feel.contact = ContactPlane{own_point_,
+                              own.normal,
+                              softer * dot(own.normal, k * own.normal),
+                              damping,
+                              own.resistance_n,
+                              0,
+                              feel.engagement.length_m > 0 && phase_ == Phase::kInside};
+  return {spring, 0.5 * dot(stretch, spring)};
+}
+
 ForceModel::Elastic ForceModel::cut(const BladeMotion& motion, const Engagement& engagement, double h,
                                     Feel& feel) noexcept {
-  const Vec3 middle = lerp(motion.line.heel, motion.line.tip, engagement.middle);
+  // Steps from the front as they are now.
+  const Vec3 middle = line_.rest(engagement.middle);
   const Vec3 edge = normalized(motion.line.tip - motion.line.heel);
+  const Vec3 heading = normalized(map_.now_from_rest * front_heading_);
   const double stiffness = engagement.stiffness_n_m;
-  Vec3 ahead = across(middle - front_, edge);
+  Vec3 ahead = across(map_.now_from_rest * (middle - front_), edge);
   double behind = 0;  // how far the blade is behind the front, m
   if (!motion.engaged) {
     front_ = middle;
     front_heading_ = ahead = {};
-  } else if (const double along = dot(ahead, front_heading_); along < 0) {
-    if (-along > kForget_h * h || length(ahead - along * front_heading_) > kAside_h * h) {
+  } else if (const double along = dot(ahead, heading); along < 0) {
+    if (-along > kForget_h * h || length(ahead - along * heading) > kAside_h * h) {
       front_ = middle;
       front_heading_ = {};
     } else {
@@ -165,14 +248,14 @@ ForceModel::Elastic ForceModel::cut(const BladeMotion& motion, const Engagement&
   }
   const double holds = engagement.fracture_n / stiffness;
   if (const double stretch = length(ahead); stretch > holds) {
-    front_ += (1 - holds / stretch) * ahead;
-    if (engagement.fracture_n > 0) front_heading_ = (1 / stretch) * ahead;
+    front_ += map_.rest_from_now * ((1 - holds / stretch) * ahead);
+    if (engagement.fracture_n > 0) front_heading_ = map_.rest_from_now * ((1 / stretch) * ahead);
     ahead = (holds / stretch) * ahead;
   }
   feel.force = -engagement.friction_n_s_m * velocity_;
   // The contact plane: square to the stretch of the spring, or to the last motion of the front.
   const double stretch = length(ahead);
-  const Vec3 way = stretch > 0 ? (1 / stretch) * ahead : front_heading_;
+  const Vec3 way = stretch > 0 ? (1 / stretch) * ahead : normalized(map_.now_from_rest * front_heading_);
   const bool plane = motion.engaged && engagement.fracture_n > 0 && squared_length(way) > 0;
   feel.contact = ContactPlane{plane ? motion.tool - (stretch - behind) * way : motion.tool,
                               plane ? -way : Vec3{0, 0, 1},

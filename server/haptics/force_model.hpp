@@ -6,6 +6,7 @@
 #include "server/core/stroke/blade.hpp"
 #include "server/haptics/blade_probe.hpp"
 #include "server/haptics/material.hpp"
+#include "server/haptics/simulation_link.hpp"
 #include "server/haptics/tissue.hpp"
 
 namespace incise::haptics {
@@ -51,6 +52,11 @@ struct Feel {
 //             and feels friction alone, as it does where the mesh is cut already. A motion along the edge sweeps no
 //             area and feels friction alone, too.
 //
+// Deformed tissue. The edge is taken back to the body at rest (RestMap), where penetration, cuts and the front are
+// what they are in tissue that does not move; depths, normals and steps come forward again with the deformation gradient F.
+// The blade's velocity is relative to the tissue: F times that of the material that the edge's middle passes, so tissue that moves
+// drags the hand along, and a body that moves with the blade is felt as one at rest.
+//
 // Passivity. Sampling makes even a spring give back more than it took (Colgate and Schenkel 1997, "Passivity of a
 // class of sampled-data systems"), and turning the tool stretches it without any work on a device that does not feel
 // torques. So what the model gives is bounded by an account of what it got through the tool's origin (after Hannaford
@@ -60,13 +66,19 @@ struct Feel {
 // own, so that tissue entered by turning is felt after a moment; hand and device damp more than that.
 // Whatever the motion, the energy that comes out in t seconds, less what went in, is at most
 // kReserve_j + kLeak_w t + the work of a single step.
+// Tissue that gives way takes a part of that energy along, and gives it back when it returns. What it took is booked in
+// a second account, and tissue that moves by itself (a heart) has kTissueReserve_j there, which comes back at kTissueLeak_w. So in
+// tissue that deforms, with a simulation that may be late or wrong, the bound is kReserve_j + kTissueReserve_j +
+// (kLeak_w + kTissueLeak_w) t.
 //
-// Thread: one. update() costs the probe and, in contact, up to three searches for the surface, all within the bounds of
+// Thread: one. update() costs the way back to rest, the probe and, in contact, up to three searches for the surface, all within the bounds of
 // ProbeWork; it allocates nothing.
 class ForceModel {
  public:
   static constexpr double kReserve_j = 5e-4;
   static constexpr double kLeak_w = 0.01;
+  static constexpr double kTissueReserve_j = 5e-3;
+  static constexpr double kTissueLeak_w = 0.02;
 
   // The spring is never stiffer than `stiffest`, N/m, nor damped by more than `damping` along the normal, N s/m: what a
   // device can render without trembling. `materials` must outlive this.
@@ -75,8 +87,12 @@ class ForceModel {
   // The blade is somewhere else, not moved there: everything but the account is forgotten.
   void jump() noexcept;
 
-  // The force from here on. `applied`: what acted on the hand since the last call, N.
-  Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied) noexcept;
+  // The force from here on. `applied`: what acted on the hand since the last call, N. `own`: the simulation's model of the tissue,
+  // which then makes the force; its work counts as the tissue's, so it gives back what it got, and nothing that it did not.
+  Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied,
+              const LocalModel* own = nullptr) noexcept;
+  // The edge of the last update at rest.
+  const RestLine& line() const { return line_; }
 
  private:
   enum class Phase : std::uint8_t { kFree, kContact, kInside };
@@ -84,11 +100,17 @@ class ForceModel {
     core::Vec3 force;
     double energy = 0;  // that the spring can give back
   };
-  void find_velocity(const BladeMotion& motion, const Engagement& engagement) noexcept;
+  // Of the edge's parameter `at`, since the last call, m: of the blade, and of it relative to the tissue.
+  core::Vec3 step(const BladeMotion& motion, double at) const noexcept;
+  core::Vec3 relative_step(double at) const noexcept;
+  double moved_at_rest() const noexcept;
+  void book(const BladeMotion& motion, double at, const core::Vec3& applied) noexcept;
+  void find_velocity(const BladeMotion& motion, double at) noexcept;
   void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
   Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
-  void get_in(const core::Vec3& middle, const core::Vec3& along, const Engagement& engagement) noexcept;
+  Elastic render(const LocalModel& own, const BladeMotion& motion, Feel& feel) noexcept;
+  void get_in(const core::Vec3& along, const Engagement& engagement) noexcept;
 
   const Materials& materials_;
   const double stiffest_, damping_;
@@ -96,14 +118,22 @@ class ForceModel {
   bool has_last_ = false;
   core::BladeLine last_line_;
   core::Vec3 last_tool_;
-  core::Vec3 velocity_;  // of the edge where it is inside, m/s
-  double account_ = kReserve_j;
+  core::Vec3 velocity_;  // of the edge where it is inside, relative to the tissue, m/s
+  double account_ = kReserve_j, tissue_account_ = kTissueReserve_j;
+  // The edge at rest: now, and in the call before.
+  RestLine line_, before_;
+  LocalMap map_;  // of the tissue at the middle of the edge inside
+  // The simulation's model.
+  std::uint64_t own_number_ = 0;
+  bool own_acts_ = false;
+  core::Vec3 own_point_;      // which gives way
+  core::Vec3 tool_velocity_;  // m/s
   // Contact.
-  double depth_ = 0;   // m
-  core::Vec3 normal_;  // unit, out of the tissue
+  double depth_ = 0, depth_at_rest_ = 0;  // m: now, and in the body at rest
+  core::Vec3 normal_;                     // unit, out of the tissue
   // Inside.
-  core::Vec3 front_;          // a point of the front's line
-  core::Vec3 front_heading_;  // where it last moved to, unit; zero: it has not
+  core::Vec3 front_;          // a point of the front's line, in the body at rest
+  core::Vec3 front_heading_;  // where it last moved to, in the body at rest; zero: it has not
 };
 
 }  // namespace incise::haptics

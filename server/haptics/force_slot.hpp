@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "server/core/cut/cut_config.hpp"
+#include "server/haptics/latest.hpp"
 
 namespace incise::haptics {
 
@@ -26,28 +27,12 @@ enum ForceFlag : std::uint32_t {
   kForceLatchedOff = 8  // off until armed again
 };
 
-// The newest force for one source, from the loop to the thread that writes to the source's device; and, the other
-// way, what the loop must know of that device. Nobody ever waits: a triple buffer, in which the two sides swap their
-// own buffer for the one in the middle. A command that was not read before the next is written is lost, by intent.
+// The newest force for one source, from the loop to the thread that writes to the source's device (Latest); and, the
+// other way, what the loop must know of that device.
 //
-// Thread: one writer and one reader at a time; a device's thread that takes over from another must come after it
-// (joined). Each function says whose it is.
-class ForceSlot {
+// Thread: as Latest, the loop writes and the device's thread reads; each function says whose it is.
+class ForceSlot : public Latest<ForceCommand> {
  public:
-  // The loop's: makes `command` the newest.
-  void write(const ForceCommand& command) noexcept {
-    buffers_[back_].command = command;
-    back_ = middle_.exchange(static_cast<std::uint8_t>(back_ | kFresh), std::memory_order_acq_rel) & kIndex;
-  }
-  // The device's: sets `newest` to the newest command. False, and `newest` is as it was, where nothing was written
-  // since the last call.
-  bool read(ForceCommand& newest) noexcept {
-    if ((middle_.load(std::memory_order_relaxed) & kFresh) == 0) return false;
-    front_ = middle_.exchange(front_, std::memory_order_acq_rel) & kIndex;
-    newest = buffers_[front_].command;
-    return true;
-  }
-
   // The device's: it is there, and can make this force at most (newtons, > 0).
   void device_came(double max_newtons) noexcept { limit_.store(max_newtons, std::memory_order_release); }
   // The device's: it was unplugged, or its thread has ended.
@@ -65,17 +50,7 @@ class ForceSlot {
   std::uint32_t failed_writes() const noexcept { return failed_writes_.load(std::memory_order_acquire); }
 
  private:
-  static constexpr std::uint8_t kIndex = 3, kFresh = 4;
-  static constexpr std::size_t kCacheLine = 64;
   static_assert(std::atomic<double>::is_always_lock_free);
-
-  struct alignas(kCacheLine) Buffer {
-    ForceCommand command;
-  };
-  std::array<Buffer, 3> buffers_;
-  alignas(kCacheLine) std::uint8_t back_ = 0;                // the writer's buffer
-  alignas(kCacheLine) std::uint8_t front_ = 1;               // the reader's
-  alignas(kCacheLine) std::atomic<std::uint8_t> middle_{2};  // the buffer between them, | kFresh when unread
   std::atomic<double> limit_{0};
   std::atomic<std::uint32_t> losses_{0}, failed_writes_{0};
 };

@@ -21,6 +21,7 @@ void ForceStage::opened(std::uint32_t source, const core::Blade& blade) noexcept
   hand.blade = blade;
   hand.opened = true;
   hand.has_pose = hand.has_felt = hand.pressed_again = false;
+  hand.own = {};
   hand.model.jump();
   hand.chain.arm(slots_ ? (*slots_)[source].losses() : 0, slots_ ? (*slots_)[source].failed_writes() : 0);
 }
@@ -48,6 +49,7 @@ bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
 
 void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept {
   tissue_->note_cuts(mesh, delta.boundary_upserted);
+  revision_ = delta.revision;
 }
 
 void ForceStage::note_cuts(const core::TetMesh& mesh, std::span<const core::HalfFace> faces) noexcept {
@@ -56,7 +58,10 @@ void ForceStage::note_cuts(const core::TetMesh& mesh, std::span<const core::Half
 
 void ForceStage::restart() noexcept {
   tissue_->heal();
-  for (auto& hand : hands_) hand->model.jump();
+  for (auto& hand : hands_) {
+    hand->model.jump();
+    hand->own = {};
+  }
 }
 
 void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
@@ -80,11 +85,38 @@ void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
       (*slots_)[source].write(
           {{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags, hand.arrival_ns});
     }
+    if (link_) tell_simulation(hand, force, now_ns);
     const bool worth = force.feel.contact || squared_length(force.newtons) > 0;
     const bool changed = fresh || hand.chain.faults() != 0;
     if (sink_ && ((worth && changed) || (hand.told && !worth))) sink_->feel(force);
     hand.told = worth;
   }
+}
+
+// What the hand gets, the body gets with the other sign. Once more, with nothing, when that ends.
+void ForceStage::tell_simulation(Hand& hand, const BladeForce& force, std::int64_t now_ns) noexcept {
+  const bool acts = force.feel.contact || squared_length(force.newtons) > 0;
+  const bool due = acts || hand.loaded;
+  hand.loaded = acts;
+  if (!due || now_ns >= link_->wanted_until_ns.load(std::memory_order_relaxed)) return;
+  BladeLoad load;
+  load.number = ++hand.loads;
+  load.revision = revision_;
+  load.pose_t_ns = force.pose_t_ns;
+  load.now_ns = now_ns;
+  if (force.feel.engagement.length_m > 0)
+    load.contact = force.feel.contact && !force.feel.contact->penetrated ? ContactState::kPresses
+                                                                         : ContactState::kInside;
+  load.engaged = engaged(hand.pose);
+  load.line = core::blade_line(hand.blade, hand.pose);
+  load.tool = hand.pose.position;
+  load.force = force.newtons;
+  load.engaged_m = force.feel.engagement.length_m;
+  ProbeWork work;
+  load.loads = spread(*tissue_, hand.model.line(), load.line, force.feel.engagement, force.newtons, work);
+  cut_short_ += work.cut_short;
+  load.torque = cross(load.loads.center - load.tool, load.force);
+  link_->loads[force.source].write(load);
 }
 
 BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_ns,
@@ -106,7 +138,9 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   force.source = source;
   force.pose_t_ns = hand.pose.t_ns;
   force.pose_arrival_ns = hand.arrival_ns;
-  force.feel = hand.model.update(*tissue_, motion, hand.acting);
+  if (link_) link_->models[source].read(hand.own);
+  const bool own = now_ns < hand.own.expires_ns;
+  force.feel = hand.model.update(*tissue_, motion, hand.acting, own ? &hand.own : nullptr);
   cut_short_ += force.feel.work.cut_short;
 
   if (hand.pressed_again && !force.feel.contact) hand.chain.rearm_after_faults();

@@ -55,6 +55,13 @@ class ForceStage {
   void note_cuts(const core::TetMesh& mesh, std::span<const core::HalfFace> faces) noexcept;
   // The body is whole again.
   void restart() noexcept;
+  // The mesh that is cut, for where the tissue is now, if it deforms; it must outlive this or the next call.
+  void follow(const core::TetMesh& mesh, std::uint64_t revision) noexcept {
+    tissue_->follow(mesh);
+    revision_ = revision;
+  }
+  // Tells a host simulation what blades do to the body, and takes its own models of it; it must outlive this.
+  void join(SimulationLink& link) noexcept { link_ = &link; }
 
   void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
@@ -76,11 +83,15 @@ class ForceStage {
     bool pressed_again = false;  // the engage button, since the last frame
     bool told = false;           // the sink knows of a force or of tissue
     core::Vec3 acting;           // N
+    LocalModel own;              // the simulation's, until it expires
+    std::uint64_t loads = 0;     // told to the simulation
+    bool loaded = false;         // the last of them was not nothing
   };
   bool engaged(const core::Pose& pose) const noexcept {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
   }
   bool too_far(const core::Blade& blade, const core::Pose& from, const core::Pose& to) const noexcept;
+  void tell_simulation(Hand& hand, const BladeForce& force, std::int64_t now_ns) noexcept;
   BladeForce feel(std::uint32_t source, Hand& hand, std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
   const ForceConfig config_;
@@ -88,6 +99,8 @@ class ForceStage {
   ForceSink* const sink_;
   ForceSlots* const slots_;
   std::unique_ptr<Tissue> tissue_;
+  SimulationLink* link_ = nullptr;
+  std::uint64_t revision_ = 0;
   std::uint64_t cut_short_ = 0;
   std::array<std::int64_t, core::kMaxSources> felt_ns_{};
   std::size_t felt_count_ = 0;

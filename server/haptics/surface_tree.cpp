@@ -176,7 +176,7 @@ std::optional<SurfacePoint> SurfaceTree::nearest(const Vec3& p, double radius,
       const double distance2 = squared_length(p - point);
       if (distance2 >= nearest2) continue;
       nearest2 = distance2;
-      found = SurfacePoint{point, cross(t.b - t.a, t.c - t.a), 0};
+      found = SurfacePoint{point, cross(t.b - t.a, t.c - t.a), 0, t.face};
     }
   }
   if (!found) return found;

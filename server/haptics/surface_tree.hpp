@@ -23,6 +23,7 @@ struct SurfacePoint {
   core::Vec3 point;   // m
   core::Vec3 normal;  // unit, out of the tissue
   double distance_m;
+  core::HalfFace face;  // that it lies on
 };
 
 // The boundary of a body as it is now, as triangles in a tree of boxes. Built in O(n log n) for n triangles; 140 bytes
@@ -39,6 +40,10 @@ class SurfaceTree {
   std::optional<Crossing> first_crossing(const core::BladeLine& line, ProbeWork& work) const noexcept;
   // The point of the surface nearest to p within `radius`, m.
   std::optional<SurfacePoint> nearest(const core::Vec3& p, double radius, ProbeWork& work) const noexcept;
+
+  // How many boundary faces there are, and each in the tree's order: those near each other have near numbers.
+  std::size_t faces() const { return triangles_.size(); }
+  core::HalfFace face(std::size_t i) const { return triangles_[i].face; }
 
   // A box that holds all of it; all zero where there is nothing.
   core::Vec3 low() const { return nodes_.empty() ? core::Vec3{} : nodes_[0].low; }

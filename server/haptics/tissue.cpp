@@ -3,14 +3,17 @@
 namespace incise::haptics {
 
 Tissue::Tissue(const core::MeshData& loaded)
-    : body_(loaded), surface_(body_), cuts_(surface_.low(), surface_.high(), body_.mean_edge_length()) {}
+    : body_(loaded),
+      surface_(body_),
+      cuts_(surface_.low(), surface_.high(), body_.mean_edge_length()),
+      rest_(body_, surface_) {}
 
 void Tissue::note_cuts(const core::TetMesh& now, std::span<const core::HalfFace> faces) noexcept {
   for (const core::HalfFace face : faces) {
     const core::TetId t = core::tet_of(face);
     if (!now.alive(t) || (now.cut_mask(t) >> core::face_of(face) & 1) == 0) continue;
     const auto v = now.face_vertices(face);
-    cuts_.mark(now.position(v[0]), now.position(v[1]), now.position(v[2]));
+    cuts_.mark(now.rest_position(v[0]), now.rest_position(v[1]), now.rest_position(v[2]));
   }
 }
 

@@ -5,6 +5,7 @@
 #include "server/core/mesh/mesh_data.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/haptics/cut_map.hpp"
+#include "server/haptics/rest_map.hpp"
 #include "server/haptics/surface_tree.hpp"
 
 namespace incise::haptics {
@@ -12,7 +13,7 @@ namespace incise::haptics {
 // What forces need to know of a body: how it was loaded, and where it has been cut since. Cutting takes nothing away and
 // bends nothing (but flat tetrahedra, and vertices that slide within their surface by hundredths of h), so which part of a
 // blade is inside does not depend on the cuts: it is found in the body as loaded, at a cost that no cut changes. A
-// separate map says where the body is cut.
+// separate map says where the body is cut. In a body that deforms, the edge is first taken back to the body at rest.
 //
 // Thread: one, at a time. Owns a mesh: 69 bytes a tetrahedron and 64 a vertex, 140 a boundary triangle, and the map.
 class Tissue {
@@ -22,7 +23,11 @@ class Tissue {
   const core::TetMesh& body() const { return body_; }
   const SurfaceTree& surface() const { return surface_; }
   const CutMap& cuts() const { return cuts_; }
+  const RestMap& rest() const { return rest_; }
   double h() const { return body_.mean_edge_length(); }
+
+  // The mesh that is cut, for where it is now; it must outlive this or the next call. Without: the body stays as loaded.
+  void follow(const core::TetMesh& now) { rest_.follow(now); }
 
   // Takes note of those of the faces that are cut faces of the mesh as it is now; O(faces).
   void note_cuts(const core::TetMesh& now, std::span<const core::HalfFace> faces) noexcept;
@@ -34,7 +39,8 @@ class Tissue {
  private:
   const core::TetMesh body_;
   const SurfaceTree surface_;
-  CutMap cuts_;
+  CutMap cuts_;  // at rest
+  RestMap rest_;
 };
 
 }  // namespace incise::haptics

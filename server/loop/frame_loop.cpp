@@ -258,8 +258,11 @@ bool FrameLoop::write(const JournalRecord& record) {
 // ------------------------------------------------------------------------------------------------ forces
 
 void FrameLoop::offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
-                             haptics::ForceSink* sink, haptics::ForceSlots* slots) {
+                             haptics::ForceSink* sink, haptics::ForceSlots* slots,
+                             haptics::SimulationLink* link) {
   forces_ = std::make_unique<haptics::ForceStage>(config, session_->config(), std::move(tissue), sink, slots);
+  forces_->follow(session_->mesh(), session_->revision());
+  if (link) forces_->join(*link);
 }
 
 std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
@@ -363,7 +366,10 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
                         const ResetDone& done) {
   session_ = other.get();
   std::swap(own_session_, other);
-  if (forces_) forces_->restart();
+  if (forces_) {
+    forces_->restart();
+    forces_->follow(session_->mesh(), session_->revision());
+  }
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   stamp_count_ = 0;
   batch_work_ns_ = 0;

@@ -67,9 +67,10 @@ class FrameLoop {
   bool request_undo();
 
   // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
-  // cuts so far. `sink` and `slots` may be null; otherwise they must outlive this.
+  // cuts so far. `sink`, `slots` and `link` may be null; otherwise they must outlive this.
   void offer_forces(const haptics::ForceConfig& config, std::unique_ptr<haptics::Tissue> tissue,
-                    haptics::ForceSink* sink, haptics::ForceSlots* slots);
+                    haptics::ForceSink* sink, haptics::ForceSlots* slots,
+                    haptics::SimulationLink* link = nullptr);
 
   // Deforms the body to a host simulation's newest positions, in each frame after drain, once the last ones are done. Call
   // before the first frame; `positions` must outlive this.

@@ -138,9 +138,21 @@ void build(benchmark::State& state) {
 }
 
 // One frame's force on a blade that is drawn to and fro: `on_surface` presses without cutting, else it lies across the
-// whole body.
-void force(benchmark::State& state, bool on_surface) {
-  const haptics::Tissue tissue(core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005));
+// whole body, which may be `bent`.
+void force(benchmark::State& state, bool on_surface, bool bent = false) {
+  const core::MeshData data = core::testing::shaken_box(24, 24, 24, 1, 0.1, 0.005);
+  haptics::Tissue tissue(data);
+  core::CutSession session(data, {});
+  if (bent) {
+    auto positions = std::make_shared<core::VertexPositions>();
+    for (const Vec3& p : data.positions) positions->positions.push_back(p + Vec3{0, 0, -p.x * p.x});
+    session.deform(positions);
+    core::Delta delta;
+    auto budget = core::WorkBudget::unlimited();
+    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+    }
+    tissue.follow(session.mesh());
+  }
   haptics::Materials materials;
   haptics::ForceModel model(materials, 2000, 0.5);
   haptics::BladeMotion motion;
@@ -207,6 +219,8 @@ int run(const std::string& filter, double min_time_s, bool json) {
   benchmark::RegisterBenchmark("build", build)->Unit(benchmark::kMillisecond);
   benchmark::RegisterBenchmark("force/pressing", [](benchmark::State& s) { force(s, true); });
   benchmark::RegisterBenchmark("force/cutting_120_mm", [](benchmark::State& s) { force(s, false); });
+  benchmark::RegisterBenchmark("force/cutting_120_mm_bent",
+                               [](benchmark::State& s) { force(s, false, true); });
   for (const bool stream_part : {false, true}) {
     benchmark::RegisterBenchmark(stream_part ? "deform/stream" : "deform/loop",
                                  [stream_part](benchmark::State& s) { deform(s, stream_part); })

@@ -23,7 +23,7 @@ constexpr double kSize = 0.1;
 
 Engagement probe_line(const Tissue& tissue, const Materials& materials, const BladeLine& line) {
   ProbeWork work;
-  const Engagement engagement = probe(tissue, materials, line, work);
+  const Engagement engagement = probe(tissue, materials, tissue.rest().line(line, work), work);
   EXPECT_FALSE(work.cut_short);
   return engagement;
 }
@@ -164,9 +164,9 @@ TEST(BladeProbe, ABodyCutToSlicesCostsWhatAFreshOneDoes) {
     BladeLine line{random.in_box(low, high), random.in_box(low, high)};
     if (i % 3 == 0) line.tip = line.heel + 0.1 * (line.tip - line.heel);
     ProbeWork before, after;
-    const Engagement a = probe(fresh, materials, line, before);
+    const Engagement a = probe(fresh, materials, fresh.rest().line(line, before), before);
     fresh.surface().nearest(line.tip, 0.03, before);
-    const Engagement b = probe(cut, materials, line, after);
+    const Engagement b = probe(cut, materials, cut.rest().line(line, after), after);
     cut.surface().nearest(line.tip, 0.03, after);
     ASSERT_EQ(a.length_m, b.length_m);
     ASSERT_EQ(before.boxes, after.boxes);
@@ -213,7 +213,8 @@ TEST(BladeProbe, CutsAreFoundAgainInTheMesh) {
 TEST(BladeProbe, BoundsHoldForAHostileBody) {
   const Tissue tissue(tests::comb(3000));
   ProbeWork work;
-  const Engagement e = probe(tissue, {}, {{-0.1, 0.01, 0.01}, {0.4, 0.01, 0.01}}, work);
+  const Engagement e =
+      probe(tissue, {}, tissue.rest().line({{-0.1, 0.01, 0.01}, {0.4, 0.01, 0.01}}, work), work);
   EXPECT_TRUE(work.cut_short);
   EXPECT_LE(work.boxes, ProbeWork::kMostBoxes);
   EXPECT_LE(work.triangles, ProbeWork::kMostTriangles);
@@ -263,7 +264,7 @@ TEST(BladeProbe, TheNearestSurfaceIsTheCubesSide) {
 TEST(BladeProbe, AnEmptyMeshIsAir) {
   const Tissue tissue{core::MeshData{}};
   ProbeWork work;
-  EXPECT_EQ(probe(tissue, {}, {{0, 0, 0}, {1, 0, 0}}, work).length_m, 0);
+  EXPECT_EQ(probe(tissue, {}, tissue.rest().line({{0, 0, 0}, {1, 0, 0}}, work), work).length_m, 0);
   EXPECT_FALSE(tissue.surface().nearest({0, 0, 0}, 1, work).has_value());
 }
 
@@ -285,7 +286,7 @@ TEST(BladeProbe, AWalkThroughTooManyTetrahedraIsCutShort) {
   }
   const Tissue tissue(bar);
   ProbeWork work;
-  probe(tissue, {}, {{-0.01, 0.01, 0.02}, {1e-4 * cells + 0.01, 0.02, 0.04}}, work);
+  probe(tissue, {}, tissue.rest().line({{-0.01, 0.01, 0.02}, {1e-4 * cells + 0.01, 0.02, 0.04}}, work), work);
   EXPECT_LT(work.boxes, ProbeWork::kMostBoxes);
   EXPECT_TRUE(work.cut_short);
   EXPECT_LE(work.tets, ProbeWork::kMostTets);

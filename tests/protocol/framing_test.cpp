@@ -302,6 +302,15 @@ TEST(Framing, SemanticErrorsNameTheField) {
   force.contact = LocalContact{};
   force.contact->stiffness_n_per_m = std::numeric_limits<double>::infinity();
   cases.push_back({"Force.contact.stiffness_n_per_m", force});
+  force = {};
+  force.torque_n_m = Vec3{std::numeric_limits<double>::quiet_NaN(), 0, 0};
+  cases.push_back({"Force.torque_n_m", force});
+  BladeLoad load;
+  load.contact = static_cast<BladeContact>(3);
+  cases.push_back({"BladeLoad.contact", load});
+  load = {};
+  load.ids = one;
+  cases.push_back({"BladeLoad.forces", load});
   SnapshotBegin begin;
   begin.piece_ids = one;
   cases.push_back({"SnapshotBegin.piece_names", begin});

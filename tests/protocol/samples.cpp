@@ -180,6 +180,35 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
   force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
 
+  BladeLoad load;
+  load.source = 2;
+  load.revision = 2;
+  load.source_ns = 1'004'000'000;
+  load.server_ns = 77'002'000'000;
+  load.contact = BladeContact::Inside;
+  load.engaged = true;
+  load.heel = {0.01, 0.02, 0.11};
+  load.tip = {0.01, 0.02, -0.01};
+  load.tool = {0.01, 0.02, 0.12};
+  load.force_n = {0.5, -0.25, 3};
+  load.torque_n_m = {-0.015, -0.03, 0};
+  load.center = {0.01, 0.02, 0.0};
+  load.engaged_length_m = 0.0125;
+  load.ids = array<std::uint32_t>({0, 4});
+  load.forces = array<double>({-0.25, 0.125, -1, -0.25, 0.125, -2});
+  load.number = 12;
+  load.skipped = 3;
+
+  BladeModel model;
+  model.source = 2;
+  model.server_ns = 77'002'000'000;
+  model.point = {0.01, 0.02, 0.125};
+  model.normal = {0, 0, 1};
+  model.stiffness = array<double>({100, 0, 0, 0, 100, 0, 0, 0, 400});
+  model.damping_n_s_per_m = 0.5;
+  model.resistance_n = 2;
+  model.valid_for_ns = 50'000'000;
+
   SurfaceReplica surface;
   surface.load(replica_at(0));
 
@@ -238,6 +267,8 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
       {"SurfaceAsset", surface_asset()},
       {"Undo", Undo{}},
+      {"BladeLoad", load},
+      {"BladeModel", model},
   };
 }
 
@@ -285,6 +316,12 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     back.resume_hash = 0x8877665544332211;
     Stats stats;
     stats.json = "{}";
+    Force torque = std::get<Force>(messages()[11].second);
+    torque.torque_n_m = Vec3{0.01, -0.02, 0.03};
+    torque.contact->arm = Vec3{0.001, 0.002, -0.05};
+    Hello loads = std::get<Hello>(messages()[0].second);
+    loads.role = Role::Simulator;
+    loads.load_rate_hz = 250;
     stats.recording = Recording::Stopped;
     Welcome filled = hail;
     filled.surface = SurfaceFacts{3600, "/surface", std::string(64, 'c')};
@@ -311,6 +348,8 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"WelcomeSurface", filled},
         {"SurfaceDeltaOrigins", delta},
         {"SnapshotChunkOrigins", chunk},
+        {"ForceTorque", torque},
+        {"HelloLoadRate", loads},
     };
   }();
   return all;
