@@ -268,6 +268,14 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     Stats stats;
     stats.json = "{}";
     stats.recording = Recording::Stopped;
+    Delta blended = coalesced_delta();
+    blended.blend_ids = array<std::uint32_t>({2, 7, 1, 8});
+    blended.blend_vertices = array<std::uint32_t>({2, 0, 1, 3, 4, 1, 2, 3, 1, 0, 2, 3, 5, 4, 6, 7});
+    blended.blend_weights = array<double>(
+        {0.5, 0.25, 0.125, 0.125, 1.25, -0.125, 0, -0.125, 0.75, 0.25, 0, 0, 0.5, 0.5, 0.25, -0.25});
+    blended.round_added = array<std::uint32_t>({3, 1});
+    blended.round_blends = array<std::uint32_t>({2, 2});
+    blended.tet_elders = array<std::uint32_t>({0});
     return std::vector<std::pair<std::string, Body>>{
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
@@ -276,6 +284,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
          Error{ErrorCode::NotRecorded, "poses are cut, but not recorded: No space left on device", false, 0}},
         {"StatsRecording", stats},
         {"HelloResumeHash", back},
+        {"DeltaBlends", blended},
     };
   }();
   return all;
