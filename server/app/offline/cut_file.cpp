@@ -52,7 +52,13 @@ void require_mesh_output(const fs::path& path, const std::string& option) {
   require_writable(path, option);
 }
 
-void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {
+bool keeps_fields(const fs::path& path) {
+  std::string ending = path.extension().string();
+  for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return ending == ".vtu";
+}
+
+void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const CarriedFields* fields) {
   const core::MeshData data = mesh.export_data();
   if (mesh_io::is_surface_file(path)) {
     mesh_io::write_surface(path, mesh_io::boundary_surface(data.positions, data.tets));
@@ -82,7 +88,8 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh) {
       {"piece", std::move(piece)},     {"cut_mask", std::move(mask)},
       {"cut_faces", std::move(faces)}, {"min_dihedral_deg", std::move(dihedral)},
       {"volume", std::move(volume)}};
-  mesh_io::write_mesh(path, data.positions, data.tets, arrays);
+  mesh_io::write_mesh(path, data.positions, data.tets, arrays,
+                      fields != nullptr ? fields->exported(mesh) : std::vector<mesh_io::Field>{});
 }
 
 void write_text(const fs::path& path, const std::string& text) {

@@ -16,7 +16,8 @@ class TetMesh;
 
 // Finds which material a vertex stands for after a step, in the mesh as it was before: the tetrahedron that held its rest
 // position. The search begins in stars and goes on through stars, so it stays on the vertex's side of older cuts. Of a place
-// outside (a vertex slides along a curved boundary) the weights of the tetrahedron that it is least far out of go on linearly.
+// outside (a vertex slides along a curved boundary), or hardly outside the star, the weights of the tetrahedron that it is least far out of
+// go on linearly.
 //
 // A ChangeLog notes here what a step changes: before that, a vertex; when the step is done, the tetrahedra as they were. What
 // is not noted is as it was. The cost is that of what is noted and of the stars that are searched, mostly one for each vertex.
