@@ -5,6 +5,8 @@
 #include <map>
 #include <stdexcept>
 
+#include "protocol/carry.hpp"
+
 namespace incise::protocol {
 namespace {
 
@@ -67,6 +69,39 @@ void join_rest(std::span<const Delta> deltas, OwnedDelta& out) {
   }
 }
 
+// The rounds of the deltas, one after the other. One without blends only adds vertices, which its predecessor may do as well: so
+// it does not matter how deltas are put together.
+void join_rounds(std::span<const Delta> deltas, OwnedDelta& out) {
+  for (const Delta& d : deltas) {
+    append(out.blend_ids, d.blend_ids);
+    append(out.blend_vertices, d.blend_vertices);
+    append(out.blend_weights, d.blend_weights);
+    for (BlendRounds round(d); round.next();) {
+      if (out.round_added.empty() || round.blends() > 0) {
+        out.round_added.push_back(0);
+        out.round_blends.push_back(static_cast<std::uint32_t>(round.blends()));
+      }
+      out.round_added.back() += static_cast<std::uint32_t>(round.added());
+    }
+  }
+  if (out.round_added.size() > 1) return;
+  out.round_added.clear();
+  out.round_blends.clear();
+}
+
+// Of each tetrahedron that one of the deltas makes: which one from before all of them is its elder.
+std::map<std::uint32_t, std::uint32_t> elders_of(std::span<const Delta> deltas) {
+  std::map<std::uint32_t, std::uint32_t> elders;
+  for (const Delta& d : deltas) {
+    const std::size_t first = d.tets.ids.size() - d.tet_elders.size();
+    for (std::size_t i = 0; i < d.tet_elders.size(); ++i) {
+      const auto older = elders.find(d.tet_elders[i]);
+      elders[d.tets.ids[first + i]] = older == elders.end() ? d.tet_elders[i] : older->second;
+    }
+  }
+  return elders;
+}
+
 }  // namespace
 
 Delta OwnedDelta::view() const {
@@ -98,6 +133,12 @@ Delta OwnedDelta::view() const {
   d.part_hash = part_hash;
   d.rest_ids = rest_ids;
   d.rest_positions = rest_positions;
+  d.blend_ids = blend_ids;
+  d.blend_vertices = blend_vertices;
+  d.blend_weights = blend_weights;
+  d.round_added = round_added;
+  d.round_blends = round_blends;
+  d.tet_elders = tet_elders;
   return d;
 }
 
@@ -129,6 +170,8 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
   out.first_added = first.vertex_count - static_cast<std::uint32_t>(first.provenance_t.size());
 
   join_rest(deltas, out);
+  join_rounds(deltas, out);
+  const std::map<std::uint32_t, std::uint32_t> elders = elders_of(deltas);
   Places moved, tets, faces;
   struct Piece {
     std::uint32_t tet, tets;
@@ -166,11 +209,15 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
     }
     const TetArrays& t = deltas[place.delta].tets;
     out.tet_ids.push_back(id);
+    if (const auto elder = elders.find(id); elder != elders.end()) out.tet_elders.push_back(elder->second);
     append(out.tet_vertices, t.vertices.subspan(4 * place.index, 4));
     out.tet_regions.push_back(t.regions[place.index]);
     out.tet_cut_masks.push_back(t.cut_masks[place.index]);
     out.tet_boundary_masks.push_back(t.boundary_masks[place.index]);
   }
+  const auto first_new = std::lower_bound(out.tet_ids.begin(), out.tet_ids.end(), out.first_new_tet);
+  if (static_cast<std::ptrdiff_t>(out.tet_elders.size()) != out.tet_ids.end() - first_new)
+    out.tet_elders.clear();  // some of the deltas have none
   for (const auto& [half_face, place] : faces) {
     if (!place.removed) {
       out.boundary_upserted.push_back(half_face);

@@ -35,6 +35,10 @@ struct OwnedDelta {
   std::uint64_t part_hash = 0;
   std::vector<std::uint32_t> rest_ids;
   std::vector<double> rest_positions;
+  std::vector<std::uint32_t> blend_ids, blend_vertices;
+  std::vector<double> blend_weights;
+  std::vector<std::uint32_t> round_added, round_blends;
+  std::vector<std::uint32_t> tet_elders;
 
   // Spans into this object; the steps are copied.
   Delta view() const;
@@ -54,7 +58,7 @@ struct OwnedSurfaceDelta {
 
 // One delta with the same effect as `deltas` one after the other: it takes a state at the first one's base
 // revision to the same state, hash, pieces and steps included. Vertices keep the provenance of the delta that
-// added them. There must be at least one delta, and each must start where the one before ends (else
+// added them, and the blends of each delta are a round of their own: fields come out as step by step. There must be at least one delta, and each must start where the one before ends (else
 // std::invalid_argument). Not for deltas of a part of the volume (VolumePart), which are made from those of the
 // whole. O(n log n) in their size.
 OwnedDelta coalesce(std::span<const Delta> deltas);

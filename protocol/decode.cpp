@@ -1,6 +1,7 @@
 // The receiving half of framing.hpp: bytes from a stranger to a checked message.
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <memory>
 #include <type_traits>
@@ -181,6 +182,13 @@ class MessageReader : public FieldReader {
     out.part_hash = m.part_hash();
     out.rest_ids = ids("rest_ids", m.rest_ids(), kMaxVertices);
     out.rest_positions = positions("rest_positions", m.rest_positions(), out.rest_ids.size());
+    out.blend_ids = array<std::uint32_t>("blend_ids", m.blend_ids());
+    out.blend_vertices = array("blend_vertices", m.blend_vertices(), out.blend_ids.size(), 4);
+    out.blend_weights = array("blend_weights", m.blend_weights(), out.blend_ids.size(), 4);
+    for (const double w : out.blend_weights) require(std::isfinite(w), "blend_weights", "not finite");
+    out.round_added = array<std::uint32_t>("round_added", m.round_added());
+    out.round_blends = array("round_blends", m.round_blends(), out.round_added.size(), 1);
+    out.tet_elders = array<std::uint32_t>("tet_elders", m.tet_elders());
     return out;
   }
   Body read(const wire::SurfaceDelta& m) {

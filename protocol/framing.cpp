@@ -182,11 +182,16 @@ struct Encoder {
     const auto rest_ids = array(b, m.rest_ids);
     const auto rest_positions = array(b, m.rest_positions);
     const auto piece_names = array(b, m.piece_names);
+    const auto blend_ids = array(b, m.blend_ids), blend_vertices = array(b, m.blend_vertices);
+    const auto blend_weights = array(b, m.blend_weights);
+    const auto round_added = array(b, m.round_added), round_blends = array(b, m.round_blends);
+    const auto tet_elders = array(b, m.tet_elders);
     return wire::CreateDelta(b, m.base_revision, m.revision, step_list, moved_ids, moved_positions,
                              m.first_added, added_positions, provenance_a, provenance_b, provenance_t,
                              tet_table, removed, upserted_faces, removed_faces, piece_ids, piece_sizes,
                              piece_tets, m.vertex_count, m.live_tets, m.state_hash, m.first_new_tet,
-                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions, piece_names)
+                             added_ids, removed_vertices, m.part_hash, rest_ids, rest_positions, piece_names,
+                             blend_ids, blend_vertices, blend_weights, round_added, round_blends, tet_elders)
         .Union();
   }
   auto operator()(const SurfaceDelta& m) {
@@ -324,7 +329,9 @@ std::size_t expected_bytes(const Body& body) {
                  m.boundary_upserted.size_bytes() + m.boundary_removed.size_bytes() +
                  m.piece_ids.size_bytes() + m.piece_sizes.size_bytes() + m.piece_tets.size_bytes() +
                  m.piece_names.size_bytes() + m.added_ids.size_bytes() + m.removed_vertices.size_bytes() +
-                 m.rest_ids.size_bytes() + m.rest_positions.size_bytes();
+                 m.rest_ids.size_bytes() + m.rest_positions.size_bytes() + m.blend_ids.size_bytes() +
+                 m.blend_vertices.size_bytes() + m.blend_weights.size_bytes() +
+                 2 * m.round_added.size_bytes() + m.tet_elders.size_bytes();
         }
         if constexpr (std::is_same_v<T, SurfaceDelta>) {
           return kSmall + m.steps.size() * 320 + bytes_of(m.vertices) + m.removed_vertices.size_bytes() +

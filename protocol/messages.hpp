@@ -280,6 +280,10 @@ struct Delta {
   std::uint64_t part_hash = 0;
   std::span<const std::uint32_t> rest_ids;
   std::span<const double> rest_positions;
+  std::span<const std::uint32_t> blend_ids, blend_vertices;
+  std::span<const double> blend_weights;
+  std::span<const std::uint32_t> round_added, round_blends;
+  std::span<const std::uint32_t> tet_elders;
 };
 
 struct SurfaceDelta {

@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "protocol/apply_checks.hpp"
+#include "protocol/carry.hpp"
 #include "protocol/state_hash.hpp"
 #include "server/base/hex.hpp"
 
@@ -231,6 +232,7 @@ ApplyResult Replica::check(const Delta& d) const {
   const std::size_t added = d.provenance_t.size();
   if (d.moved_positions.size() != 3 * d.moved_ids.size() || d.added_positions.size() != 3 * added ||
       d.provenance_a.size() != added || d.provenance_b.size() != added || !fits(d.tets) ||
+      d.blend_vertices.size() != 4 * d.blend_ids.size() || d.blend_weights.size() != 4 * d.blend_ids.size() ||
       d.piece_names.size() != d.piece_ids.size()) {
     return refuse(ApplyError::BadShape, "delta: arrays of different lengths");
   }
@@ -251,14 +253,8 @@ ApplyResult Replica::check(const Delta& d) const {
     return refuse(ApplyError::BadIndex, "moved vertex " + number(d.moved_ids.back()) +
                                             ", accepted are those below " + number(vertices));
   }
-  for (std::size_t i = 0; i < added; ++i) {
-    // Made from an older vertex, or from one added earlier in this delta.
-    if (d.provenance_a[i] >= vertices + i || d.provenance_b[i] >= vertices + i) {
-      return refuse(ApplyError::BadIndex, "vertex " + number(vertices + i) + " made of " +
-                                              number(d.provenance_a[i]) + " and " +
-                                              number(d.provenance_b[i]));
-    }
-  }
+  if (const std::string error = provenance_error(d, vertices); !error.empty())
+    return refuse(ApplyError::BadIndex, "delta: " + error);
 
   if (d.rest_positions.size() != 3 * d.rest_ids.size()) {
     return refuse(ApplyError::BadShape, "delta: rest positions, not three for each vertex");
@@ -286,6 +282,12 @@ ApplyResult Replica::check(const Delta& d) const {
       return refuse(ApplyError::BadIndex, "changed tetrahedron " + number(d.tets.ids[i]) + " does not exist");
     }
     if (ApplyResult r = check_tet(d.tets, i, vertices_after); !r) return r;
+  }
+  if (!d.tet_elders.empty() && d.tet_elders.size() != created)
+    return refuse(ApplyError::BadShape, "delta with elders of " + number(d.tet_elders.size()) +
+                                            " tetrahedra, of " + number(created) + " new ones");
+  for (const std::uint32_t t : d.tet_elders) {
+    if (!alive(t)) return refuse(ApplyError::BadIndex, "elder " + number(t) + " does not exist");
   }
   if (ApplyResult r = check_ascending("removed tetrahedron", d.removed_tets); !r) return r;
   for (const std::uint32_t t : d.removed_tets) {

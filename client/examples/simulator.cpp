@@ -10,8 +10,8 @@ int main(int argc, char** argv) {
   const auto port = static_cast<std::uint16_t>(argc > 1 ? std::atoi(argv[1]) : 7450);
   client::Callbacks callbacks;
   callbacks.on_delta = [](const protocol::Replica&, const protocol::Delta& delta, const client::Arrival&) {
-    // Update the solver here. Elements: delta.removed_tets, delta.tets. New vertices: their provenance. Vertices in
-    // delta.rest_ids stand for other material than before: mesh.rest_positions() says which.
+    // Update the solver here. Elements: delta.removed_tets, delta.tets. Its fields on the vertices: protocol::carry().
+    // Vertices in delta.rest_ids stand for other material than before: mesh.rest_positions() says which.
     std::printf("revision %llu: %zu vertices moved\n", static_cast<unsigned long long>(delta.revision),
                 delta.moved_ids.size());
   };

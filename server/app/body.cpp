@@ -29,8 +29,9 @@ void check_body(const Config& config, const std::string& file) {
   }
 }
 
-Body load_body(const Config& config, FillProgress progress) {
-  const mesh_io::LoadOptions options = load_options(config, std::move(progress));
+Body load_body(const Config& config, FillProgress progress, bool fields) {
+  mesh_io::LoadOptions options = load_options(config, std::move(progress));
+  options.fields = fields;
   Body body;
   if (!config.mesh.phantom.empty()) {
     body.name = config.mesh.phantom;

@@ -28,6 +28,7 @@ mesh_io::LoadOptions load_options(const Config& config, FillProgress progress = 
 void check_body(const Config& config, const std::string& file);
 
 // Throws ConfigError if neither mesh.path nor mesh.phantom is given, MeshError if the mesh cannot be read or made.
-Body load_body(const Config& config, FillProgress progress = {});
+// `fields`: read the file's fields, too.
+Body load_body(const Config& config, FillProgress progress = {}, bool fields = false);
 
 }  // namespace incise::app

@@ -10,10 +10,11 @@ namespace {
 
 // About its size on the wire.
 std::size_t bytes_of(const core::Delta& d) {
-  std::size_t bytes = sizeof d + 28 * d.moved.size() + 40 * d.added_positions.size() +
-                      24 * (d.moved_rest.size() + d.added_rest.size()) + 28 * d.upserted.size() +
-                      4 * (d.removed.size() + d.boundary_upserted.size() + d.boundary_removed.size()) +
-                      12 * d.pieces.size();
+  std::size_t bytes =
+      sizeof d + 28 * d.moved.size() + 40 * d.added_positions.size() + 52 * d.blends.size() +
+      24 * (d.moved_rest.size() + d.added_rest.size()) + 28 * d.upserted.size() +
+      4 * (d.removed.size() + d.elders.size() + d.boundary_upserted.size() + d.boundary_removed.size()) +
+      12 * d.pieces.size();
   return bytes;
 }
 

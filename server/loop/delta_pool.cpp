@@ -15,8 +15,10 @@ std::shared_ptr<PublishedDelta> make_roomy() {
   delta.moved_positions.reserve(kRoom);
   delta.added_positions.reserve(kRoom);
   delta.provenance.reserve(kRoom);
+  delta.blends.reserve(kRoom);
   delta.upserted.reserve(4 * kRoom);
   delta.removed.reserve(kRoom);
+  delta.elders.reserve(4 * kRoom);
   delta.boundary_upserted.reserve(kRoom);
   delta.boundary_removed.reserve(kRoom);
   return made;

@@ -32,7 +32,8 @@ bool is_there(const std::filesystem::path& path) {
   return std::filesystem::exists(path, error);
 }
 
-using Parser = core::MeshData (*)(std::string_view, const std::string&, std::vector<std::string>&);
+using Parser = core::MeshData (*)(std::string_view, const std::string&, std::vector<std::string>&,
+                                  std::vector<Field>*);
 
 // The parser for files of tetrahedra, except TetGen's pair. Null: not one of these endings.
 Parser parser_of(std::string_view ending) {
@@ -125,7 +126,8 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
     loaded.from_cache = fill.from_cache;
     file += " (filled)";
   } else if (const Parser parse = parser_of(ending)) {
-    loaded.mesh = parse(read_whole_file(path), file, loaded.warnings);
+    loaded.mesh =
+        parse(read_whole_file(path), file, loaded.warnings, options.fields ? &loaded.fields : nullptr);
     scale(loaded.mesh.positions, options.scale_to_metres);
   } else if (is_one_of(ending, {".node", ".ele"}) || is_there(tetgen_paths(path).node)) {
     loaded.mesh = read_tetgen(path, index_base, loaded.warnings);
@@ -142,7 +144,14 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
         "; tetrahedra can be .node and .ele (or their common name), .msh, .vtk, .vtu, .mesh or .veg, "
         "a surface to fill .stl, .ply, .off or .obj");
   }
-  repair_tets(loaded.mesh, file, index_base, loaded.warnings);
+  const std::size_t vertices = loaded.mesh.positions.size(), tets = loaded.mesh.tets.size();
+  KeptElements kept;
+  repair_tets(loaded.mesh, file, index_base, loaded.warnings, loaded.fields.empty() ? nullptr : &kept);
+  for (Field& field : loaded.fields) {
+    const bool of_vertices = field.on == Field::On::kVertices;
+    const auto& rows = of_vertices ? kept.vertices : kept.tets;
+    if (rows.size() != (of_vertices ? vertices : tets)) field = rows_of(field, rows);
+  }
   loaded.content_hash = mesh_hash(loaded.mesh);
   return loaded;
 }
@@ -166,10 +175,11 @@ std::string mesh_hash(const core::MeshData& mesh) {
 }
 
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
-                std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data) {
+                std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data,
+                std::span<const Field> fields) {
   const std::string ending = lowercase_ending(path);
   if (ending == ".vtu") {
-    write_vtu(path, positions, tets, cell_data);
+    write_vtu(path, positions, tets, cell_data, fields);
   } else if (ending == ".vtk") {
     write_vtk_legacy(path, positions, tets, cell_data);
   } else if (is_one_of(ending, {".msh", ".msh2"})) {
@@ -184,10 +194,11 @@ void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> p
   }
 }
 
-void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh) {
+void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
+                std::span<const Field> fields) {
   std::vector<CellArray> cell_data;
   if (!mesh.regions.empty()) cell_data.push_back({"region", mesh.regions});
-  write_mesh(path, mesh.positions, mesh.tets, cell_data);
+  write_mesh(path, mesh.positions, mesh.tets, cell_data, fields);
 }
 
 void write_surface(const std::filesystem::path& path, const Surface& surface,

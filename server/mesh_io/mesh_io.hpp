@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "server/core/mesh/mesh_data.hpp"
+#include "server/mesh_io/field.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/surface.hpp"
 #include "server/mesh_io/tetgen_fill.hpp"
@@ -19,10 +20,12 @@ namespace incise::mesh_io {
 struct LoadOptions {
   double scale_to_metres = 1;  // the file's coordinates times this are metres; > 0 and finite
   FillOptions fill;            // how a surface is filled with tetrahedra; unused for a tetrahedral mesh
+  bool fields = false;         // read the fields of a tetrahedral mesh, too
 };
 
 struct LoadedMesh {
   core::MeshData mesh;                // valid for core::TetMesh: every tetrahedron positive
+  std::vector<Field> fields;          // one row for each vertex or tetrahedron of `mesh`
   std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and the first place
   std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash)
   bool filled = false;                // from a surface
@@ -57,14 +60,15 @@ bool is_surface_file(const std::filesystem::path& path);
 std::string_view mesh_file_endings();
 std::string_view surface_file_endings();
 
-// Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data`; with the array named
+// Writes a tetrahedral mesh by the ending of `path`: .vtu with all of `fields`, .vtu and .vtk with all of `cell_data`; with the array named
 // "region" .node and .ele (as the attribute), .msh (Gmsh 4.1) and .msh2 (Gmsh 2.2; as the physical group), .mesh (as
 // the reference). Each array has one value a tetrahedron. Throws MeshError.
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                 std::span<const std::array<core::VertexId, 4>> tets,
-                std::span<const CellArray> cell_data = {});
+                std::span<const CellArray> cell_data = {}, std::span<const Field> fields = {});
 // The same for a mesh as loaded: positions, tetrahedra, regions.
-void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh);
+void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
+                std::span<const Field> fields = {});
 
 // Writes a surface by the ending of `path`: .vtp and .ply with all of `cell_data`, one value a triangle; .stl
 // (binary, float32), .off and .obj without. Throws MeshError.

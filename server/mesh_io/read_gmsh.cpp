@@ -54,8 +54,13 @@ ElementType element_type(std::int64_t type) {
 
 class GmshReader {
  public:
-  GmshReader(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings)
-      : in_(bytes, file), out_(in_), warnings_(warnings) {}
+  GmshReader(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+             std::vector<Field>* fields)
+      : in_(bytes, file),
+        out_(in_),
+        warnings_(warnings),
+        fields_(fields, file, warnings),
+        kept_fields_(fields) {}
 
   core::MeshData read() {
     if (!in_.peek().starts_with('$')) {
@@ -64,6 +69,9 @@ class GmshReader {
     }
     while (!in_.at_end()) read_section();
     choose_regions();
+    for (auto& [on, array] : arrays_)
+      fields_.add(on, std::move(array),
+                  on == Field::On::kVertices ? out_.node_count() : out_.mesh().tets.size());
     drop_repeated();
     return out_.finish(warnings_,
                        skipped_ == 0 ? "" : " (" + std::to_string(skipped_) + " points, lines or faces)");
@@ -97,6 +105,8 @@ class GmshReader {
     } else if (name == "$Entities" && version_ == 4) {
       start_data();
       read_entities();
+    } else if (fields_.wanted() && (name == "$NodeData" || name == "$ElementData")) {
+      read_data(name == "$NodeData" ? Field::On::kVertices : Field::On::kTets);
     } else {
       const std::string end = "$End" + name.substr(1);
       if (!in_.skip_past(end)) in_.fail("the section " + in_quotes(name) + " has no end");
@@ -160,7 +170,7 @@ class GmshReader {
   void read_elements_1() {
     const std::size_t count = count_line("the number of elements", 10);
     for (std::size_t i = 0; i < count; ++i) {
-      in_.integer("the number of an element");
+      number_ = in_.integer("the number of an element");
       const ElementType type = known_type(in_.integer("the type of an element"));
       const std::int64_t physical = in_.integer("the physical group of an element");
       const std::int64_t volume = in_.integer("the elementary region of an element");
@@ -178,7 +188,7 @@ class GmshReader {
     start_data();
     for (std::size_t i = 0; i < count;) {
       if (!binary_) {
-        in_.integer("the number of an element");
+        number_ = in_.integer("the number of an element");
         const ElementType type = known_type(in_.integer("the type of an element"));
         read_tagged(type, in_.integer("the number of tags of an element"));
         ++i;
@@ -192,7 +202,7 @@ class GmshReader {
                  " are left");
       }
       for (std::int32_t k = 0; k < block; ++k, ++i) {
-        in_.value<std::int32_t>("the number of an element");
+        number_ = in_.value<std::int32_t>("the number of an element");
         read_tagged(type, tags);
       }
     }
@@ -277,7 +287,7 @@ class GmshReader {
       const auto group = group_of_volume_.find(volume);
       const std::int64_t physical = group == group_of_volume_.end() ? 0 : group->second;
       for (std::size_t k = 0; k < count; ++k) {
-        in_.value<std::int64_t>("the number of an element");
+        number_ = in_.value<std::int64_t>("the number of an element");
         read_element<std::int64_t>(type, physical, volume);
       }
       read += count;
@@ -286,6 +296,73 @@ class GmshReader {
       in_.fail("there are " + std::to_string(read) + " elements in the blocks; the section declares " +
                std::to_string(elements));
     }
+  }
+
+  // --- Data: versions 2 and 4.1
+
+  // Text tags (the name first), real tags, integer tags (time step, components, entities), then for each entity its
+  // number and its values.
+  void read_data(Field::On on) {
+    RawArray array;
+    const std::size_t texts = count_line("the number of text tags", 1);
+    for (std::size_t i = 0; i < texts; ++i) {
+      std::string_view text = in_.line();
+      if (text.size() >= 2 && text.starts_with('"') && text.ends_with('"'))
+        text = text.substr(1, text.size() - 2);
+      if (i == 0) array.name = text;
+    }
+    const std::size_t reals = in_.count("the number of real tags", 1);
+    for (std::size_t i = 0; i < reals; ++i) in_.any_number("a real tag");
+    const std::size_t integers = in_.count("the number of integer tags", 1);
+    std::int64_t components = 0, entities = -1;
+    for (std::size_t i = 0; i < integers; ++i) {
+      const std::int64_t tag = in_.integer("an integer tag");
+      if (i == 1) components = tag;
+      if (i == 2) entities = tag;
+    }
+    in_.line();
+    const std::size_t least = binary_ ? 12 : 4;
+    if (components < 1 || components > 1'000'000 || entities < 0 ||
+        static_cast<std::size_t>(entities) > in_.remaining() / least + 1) {
+      in_.fail("the data " + in_quotes(array.name) + " declare " + std::to_string(components) +
+               " components for " + std::to_string(entities) +
+               " entities: more than the rest of the file can hold, or none");
+    }
+    array.components = static_cast<std::size_t>(components);
+    start_data();
+    const bool keep = array.components <= kMaxFieldComponents;
+    const std::size_t rows = on == Field::On::kVertices ? out_.node_count() : numbers_.size();
+    if (keep) array.values.assign(rows * array.components, 0);
+    if (keep && on == Field::On::kTets) sort_numbers();
+    std::vector<bool> given(rows, false);
+    for (std::int64_t i = 0; i < entities; ++i) {
+      const auto number = in_.value<std::int32_t>("the number of a node or element");
+      const std::size_t row = on == Field::On::kVertices ? out_.vertex(number) : row_of(number);
+      for (std::size_t c = 0; c < array.components; ++c) {
+        const double value = binary_ ? in_.value<double>("a value") : in_.any_number("a value");
+        if (keep && row < rows) array.values[row * array.components + c] = value;
+      }
+      if (row < rows) given[row] = true;
+    }
+    const auto missing = static_cast<std::size_t>(std::count(given.begin(), given.end(), false));
+    if (missing > 0) {
+      fields_.leave_out(on, array.name,
+                        std::to_string(missing) + " of " + std::to_string(rows) + " have no value");
+    } else {
+      arrays_.emplace_back(on, std::move(array));
+    }
+  }
+
+  void sort_numbers() {
+    sorted_numbers_.clear();
+    for (std::size_t t = 0; t < numbers_.size(); ++t) sorted_numbers_.emplace_back(numbers_[t], t);
+    std::sort(sorted_numbers_.begin(), sorted_numbers_.end());
+  }
+  // Which tetrahedron an element is; SIZE_MAX: none.
+  std::size_t row_of(std::int64_t number) const {
+    const auto found =
+        std::lower_bound(sorted_numbers_.begin(), sorted_numbers_.end(), std::pair{number, std::size_t{0}});
+    return found == sorted_numbers_.end() || found->first != number ? SIZE_MAX : found->second;
   }
 
   // --- All versions
@@ -315,6 +392,7 @@ class GmshReader {
     if (type.nodes > 4) out_.note_higher_order();
     out_.add_tet(corners, physical);
     volumes_.push_back(out_.checked_region(volume));
+    if (fields_.wanted()) numbers_.push_back(number_);
   }
 
   void choose_regions() {
@@ -342,13 +420,19 @@ class GmshReader {
     }
     if (count == 0) return;
     std::size_t kept = 0;
+    std::vector<std::uint32_t> rows;
     for (std::size_t t = 0; t < mesh.tets.size(); ++t) {
       if (repeats[t]) continue;
+      rows.push_back(static_cast<std::uint32_t>(t));
       mesh.tets[kept] = mesh.tets[t];
       mesh.regions[kept++] = mesh.regions[t];
     }
     mesh.tets.resize(kept);
     mesh.regions.resize(kept);
+    for (std::size_t f = 0; fields_.wanted() && f < kept_fields_->size(); ++f) {
+      Field& field = (*kept_fields_)[f];
+      if (field.on == Field::On::kTets) field = rows_of(field, rows);
+    }
     warnings_.push_back(in_.file_name() + ": " + std::to_string(count) +
                         " tetrahedra are there again, for other physical groups; the first group counts");
   }
@@ -362,13 +446,19 @@ class GmshReader {
   std::map<std::int32_t, std::int32_t> group_of_volume_;
   std::vector<std::int32_t> volumes_;  // of each tetrahedron
   std::size_t skipped_ = 0;
+  FieldCollector fields_;
+  std::vector<Field>* kept_fields_;  // what it collects
+  std::vector<std::pair<Field::On, RawArray>> arrays_;
+  std::int64_t number_ = 0;            // of the element that is read
+  std::vector<std::int64_t> numbers_;  // of each tetrahedron, with fields
+  std::vector<std::pair<std::int64_t, std::size_t>> sorted_numbers_;
 };
 
 }  // namespace
 
-core::MeshData parse_gmsh(std::string_view bytes, const std::string& file,
-                          std::vector<std::string>& warnings) {
-  return GmshReader(bytes, file, warnings).read();
+core::MeshData parse_gmsh(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                          std::vector<Field>* fields) {
+  return GmshReader(bytes, file, warnings, fields).read();
 }
 
 }  // namespace incise::mesh_io

@@ -1,6 +1,9 @@
 // Medit's ASCII mesh files. Source of the layout: P. Frey, "MEDIT: an interactive mesh visualization software" (INRIA
 // RT-0253, 2001), the appendix on file formats.
 
+#include <algorithm>
+#include <utility>
+
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
@@ -29,7 +32,9 @@ void read_tetrahedra(TokenReader& in, TetCollector& out) {
 }  // namespace
 
 core::MeshData parse_medit(std::string_view bytes, const std::string& file,
-                           std::vector<std::string>& warnings) {
+                           std::vector<std::string>& warnings, std::vector<Field>* fields) {
+  FieldCollector collected(fields, file, warnings);
+  RawArray references{"medit:ref", 1, true, {}};
   TokenReader in(bytes, file, '#');
   TetCollector out(in);
   if (in.token("'MeshVersionFormatted'") != "MeshVersionFormatted") {
@@ -46,7 +51,8 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
       out.mesh().positions.reserve(count);
       for (std::size_t i = 0; i < count; ++i) {
         out.add_node(static_cast<std::int64_t>(out.node_count()) + 1, out.read_position());
-        in.number("the reference of a vertex");
+        const double reference = in.number("the reference of a vertex");
+        if (collected.wanted()) references.values.push_back(reference);
       }
       out.end_nodes();
     } else if (word == "Tetrahedra") {
@@ -64,6 +70,8 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
               ": the section before it has more than it declares");
     }
   }
+  if (std::any_of(references.values.begin(), references.values.end(), [](double r) { return r != 0; }))
+    collected.add(Field::On::kVertices, std::move(references), out.node_count());
   return out.finish(warnings, "");
 }
 

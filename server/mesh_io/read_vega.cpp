@@ -117,8 +117,8 @@ class VegaReader {
 
 }  // namespace
 
-core::MeshData parse_vega(std::string_view bytes, const std::string& file,
-                          std::vector<std::string>& warnings) {
+core::MeshData parse_vega(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                          std::vector<Field>*) {
   // Replaces the commas in lists; lines keep their numbers, for messages.
   std::string text(bytes);
   std::replace(text.begin(), text.end(), ',', ' ');

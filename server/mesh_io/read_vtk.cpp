@@ -65,12 +65,15 @@ std::size_t size_of(Number type) {
 
 class VtkReader {
  public:
-  VtkReader(std::string_view bytes, const std::string& file) : in_(bytes, file), out_(in_) {}
+  VtkReader(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+            std::vector<Field>* fields)
+      : in_(bytes, file), out_(in_), fields_(fields, file, warnings) {}
 
   core::MeshData read(std::vector<std::string>& warnings) {
     read_header();
     while (!in_.at_end()) read_section();
     add_tets();
+    add_fields();
     return out_.finish(warnings,
                        skipped_ == 0 ? "" : " (" + std::to_string(skipped_) + " points, lines or faces)");
   }
@@ -107,6 +110,7 @@ class VtkReader {
     } else if (word == "cell_data" || word == "point_data") {
       attributes_ = in_.count("the number of values", 1);
       of_cells_ = word == "cell_data";
+      of_points_ = !of_cells_;
       if (of_cells_ && attributes_ != types_.size()) {
         in_.fail("data of " + std::to_string(attributes_) + " cells; there are " +
                  std::to_string(types_.size()));
@@ -348,8 +352,17 @@ class VtkReader {
       in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
     const bool keep =
         of_cells_ && components == 1 && tuples == types_.size() && find_region_array({&name, 1}) >= 0;
+    const bool is_field = !keep && fields_.wanted() && (of_cells_ || of_points_) && !name.empty();
     if (binary_) in_.set_binary(std::endian::big);
-    if (!keep) {
+    if (is_field) {
+      RawArray array{name, components, *type != Number::kFloat && *type != Number::kDouble, {}};
+      array.values.reserve(count);
+      const std::string what = "a value of the array " + in_quotes(name);
+      for (std::size_t i = 0; i < count; ++i) {
+        array.values.push_back(binary_ ? read_number(*type, what) : in_.any_number(what));
+      }
+      (of_cells_ ? of_tets_ : of_vertices_).push_back(std::move(array));
+    } else if (!keep) {
       if (binary_) {
         in_.take(count * size_of(*type), "the values of an array");
       } else {
@@ -363,6 +376,17 @@ class VtkReader {
         values.push_back(read_number(*type, "a value of the array " + in_quotes(name)));
     }
     in_.set_text();
+  }
+
+  void add_fields() {
+    std::vector<std::uint32_t> tet_cells;
+    for (std::size_t i = 0; i < types_.size(); ++i) {
+      if (vtk_tet_nodes(types_[i]) > 0) tet_cells.push_back(static_cast<std::uint32_t>(i));
+    }
+    for (RawArray& array : of_vertices_)
+      fields_.add(Field::On::kVertices, std::move(array), out_.node_count());
+    for (RawArray& array : of_tets_)
+      fields_.add(Field::On::kTets, std::move(array), types_.size(), &tet_cells);
   }
 
   // Skips to an empty line.
@@ -413,10 +437,12 @@ class VtkReader {
   std::vector<std::int64_t> points_;
   std::vector<std::int64_t> types_;
   std::size_t attributes_ = 0;  // values of each array that follows
-  bool of_cells_ = false;
+  bool of_cells_ = false, of_points_ = false;
   std::vector<std::string> names_;
   std::vector<std::vector<double>> arrays_;
   std::size_t skipped_ = 0;
+  FieldCollector fields_;
+  std::vector<RawArray> of_vertices_, of_tets_;
 };
 
 }  // namespace
@@ -450,9 +476,9 @@ int find_region_array(std::span<const std::string> names) {
   return -1;
 }
 
-core::MeshData parse_vtk(std::string_view bytes, const std::string& file,
-                         std::vector<std::string>& warnings) {
-  return VtkReader(bytes, file).read(warnings);
+core::MeshData parse_vtk(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                         std::vector<Field>* fields) {
+  return VtkReader(bytes, file, warnings, fields).read(warnings);
 }
 
 }  // namespace incise::mesh_io

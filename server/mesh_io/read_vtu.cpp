@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 
 #include "server/mesh_io/mesh_error.hpp"
@@ -10,20 +11,63 @@ namespace {
 
 class VtuReader {
  public:
-  explicit VtuReader(const std::string& file) : file_(file), in_({}, file), out_(in_) {}
+  VtuReader(const std::string& file, std::vector<std::string>& warnings, std::vector<Field>* fields)
+      : file_(file), in_({}, file), out_(in_), warnings_(warnings), fields_(fields, file, warnings) {}
 
   void add(const VtkXmlPiece& piece) {
     const std::size_t first = out_.node_count();
     add_points(piece);
     add_cells(piece, first);
+    if (!fields_.wanted()) return;
+    join(point_data_, piece.point_data, pieces_);
+    std::vector<VtkXmlArray> cell_data = piece.cell_data;
+    if (const VtkXmlArray* regions = region_array(piece))
+      std::erase_if(cell_data, [regions](const VtkXmlArray& array) { return array.name == regions->name; });
+    join(cell_data_, cell_data, pieces_);
+    cells_ += piece.cells;
+    ++pieces_;
   }
-  core::MeshData finish(std::vector<std::string>& warnings) {
-    return out_.finish(warnings,
+  core::MeshData finish() {
+    add_fields(Field::On::kVertices, point_data_, out_.node_count(), nullptr);
+    add_fields(Field::On::kTets, cell_data_, cells_, &tet_cells_);
+    return out_.finish(warnings_,
                        skipped_ == 0 ? "" : " (" + std::to_string(skipped_) + " points, lines or faces)");
   }
 
  private:
   [[noreturn]] void fail(const std::string& message) const { throw MeshError(file_ + ": " + message); }
+
+  // An array of all pieces; `pieces` have come so far.
+  struct Joined {
+    RawArray array;
+    std::size_t pieces = 0;
+  };
+  // The arrays of the next piece behind those of the same names.
+  static void join(std::vector<Joined>& all, const std::vector<VtkXmlArray>& arrays, std::size_t pieces) {
+    for (const VtkXmlArray& array : arrays) {
+      auto known = std::find_if(all.begin(), all.end(), [&](const Joined& j) {
+        return j.array.name == array.name && j.pieces == pieces && pieces > 0;
+      });
+      if (known == all.end()) {
+        all.push_back({{array.name, array.components, array.whole, {}}, 0});
+        known = all.end() - 1;
+      }
+      known->array.whole = known->array.whole && array.whole;
+      if (known->array.components != array.components) continue;  // then it is not there in all pieces
+      known->array.values.insert(known->array.values.end(), array.values.begin(), array.values.end());
+      ++known->pieces;
+    }
+  }
+  void add_fields(Field::On on, std::vector<Joined>& all, std::size_t rows,
+                  const std::vector<std::uint32_t>* pick) {
+    for (Joined& joined : all) {
+      if (joined.pieces == pieces_) {
+        fields_.add(on, std::move(joined.array), rows, pick);
+      } else {
+        fields_.leave_out(on, joined.array.name, "not all pieces of the file have it");
+      }
+    }
+  }
 
   void add_points(const VtkXmlPiece& piece) {
     if (piece.points == 0 && piece.point_arrays.empty()) return;
@@ -90,6 +134,7 @@ class VtuReader {
            " is out of range; accepted are -2147483648 to 2147483647");
     }
     out_.add_tet(corners, static_cast<std::int64_t>(region));
+    if (fields_.wanted()) tet_cells_.push_back(static_cast<std::uint32_t>(cells_ + index));
   }
 
   const VtkXmlArray& find(const VtkXmlPiece& piece, std::string_view name) const {
@@ -119,15 +164,20 @@ class VtuReader {
   TokenReader in_;  // for messages of out_
   TetCollector out_;
   std::size_t skipped_ = 0;
+  std::vector<std::string>& warnings_;
+  FieldCollector fields_;
+  std::vector<Joined> point_data_, cell_data_;
+  std::size_t pieces_ = 0, cells_ = 0;
+  std::vector<std::uint32_t> tet_cells_;  // which cell of the file each tetrahedron is
 };
 
 }  // namespace
 
-core::MeshData parse_vtu(std::string_view bytes, const std::string& file,
-                         std::vector<std::string>& warnings) {
-  VtuReader reader(file);
-  for (const VtkXmlPiece& piece : read_vtk_xml(bytes, file)) reader.add(piece);
-  return reader.finish(warnings);
+core::MeshData parse_vtu(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                         std::vector<Field>* fields) {
+  VtuReader reader(file, warnings, fields);
+  for (const VtkXmlPiece& piece : read_vtk_xml(bytes, file, fields != nullptr)) reader.add(piece);
+  return reader.finish();
 }
 
 }  // namespace incise::mesh_io

@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include "server/mesh_io/field.hpp"
 #include "server/mesh_io/surface.hpp"
 
 namespace incise::mesh_io {
@@ -19,24 +20,27 @@ inline constexpr std::size_t kMaxTets = (std::size_t{1} << 28) - 2;
 // and the tetrahedra; cells of fewer dimensions are skipped, tetrahedra of higher order keep their corners (a warning
 // says so), other cells of three dimensions are an error: leaving them out would leave holes. Coordinates are finite and
 // indices exist; repair_tets decides whether the mesh can be cut. `regions` is empty if the file has none. They
-// throw MeshError.
+// throw MeshError. `fields`, if given, gets the file's fields, a row for each vertex and tetrahedron.
 
 // Gmsh MSH 1, 2.x (ASCII, binary) and 4.1 (ASCII, binary). The region is the physical group of the volume; if the
 // file has several volumes and no such group, the volume's number. A tetrahedron that the file repeats for each of its
-// groups (MSH 2) is read once, with its first group.
-core::MeshData parse_gmsh(std::string_view bytes, const std::string& file,
-                          std::vector<std::string>& warnings);
+// groups (MSH 2) is read once, with its first group. Fields: $NodeData and $ElementData.
+core::MeshData parse_gmsh(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                          std::vector<Field>* fields = nullptr);
 // Legacy VTK (2.0 to 5.1), ASCII or binary, UNSTRUCTURED_GRID. The region is the cell data that find_region_array finds.
-core::MeshData parse_vtk(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings);
+core::MeshData parse_vtk(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                         std::vector<Field>* fields = nullptr);
 // VTK XML UnstructuredGrid: arrays as text, base64, or appended (raw or base64), of either byte order, plain or
 // compressed with zlib. Several pieces become one mesh. The region as for parse_vtk.
-core::MeshData parse_vtu(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings);
-// Medit .mesh, ASCII. The region is the tetrahedron's reference.
+core::MeshData parse_vtu(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                         std::vector<Field>* fields = nullptr);
+// Medit .mesh, ASCII. The region is the tetrahedron's reference; the vertices' references, where any is not 0, are the field
+// "medit:ref".
 core::MeshData parse_medit(std::string_view bytes, const std::string& file,
-                           std::vector<std::string>& warnings);
-// VegaFEM .veg. The region is the number, from 0, of the material that the last *REGION assigns.
-core::MeshData parse_vega(std::string_view bytes, const std::string& file,
-                          std::vector<std::string>& warnings);
+                           std::vector<std::string>& warnings, std::vector<Field>* fields = nullptr);
+// VegaFEM .veg, which has no fields. The region is the number, from 0, of the material that the last *REGION assigns.
+core::MeshData parse_vega(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
+                          std::vector<Field>* fields = nullptr);
 
 // The index of the cell array with the regions: the first that exists of region, regions, gmsh:physical,
 // PhysicalIds, MaterialIds, material, medit:ref, CellEntityIds, attribute; upper or lower case. -1: none.

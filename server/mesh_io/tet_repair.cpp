@@ -37,7 +37,14 @@ class TetRepair {
         topology_(mesh, names_),
         warnings_(warnings) {}
 
+  // What is left of the original ones.
+  KeptElements kept() && { return std::move(kept_); }
+
   void run() {
+    kept_.vertices.resize(mesh_.positions.size());
+    std::iota(kept_.vertices.begin(), kept_.vertices.end(), 0u);
+    kept_.tets.resize(mesh_.tets.size());
+    std::iota(kept_.tets.begin(), kept_.tets.end(), 0u);
     check_positions();
     check_tets();
     topology_.match_faces();
@@ -301,6 +308,7 @@ class TetRepair {
     TetId kept = 0;
     for (TetId t = 0; t < mesh_.tets.size(); ++t) {
       if (removed_[t]) continue;
+      kept_.tets[kept] = t;
       mesh_.tets[kept] = mesh_.tets[t];
       if (!mesh_.regions.empty()) mesh_.regions[kept] = mesh_.regions[t];
       ++kept;
@@ -308,6 +316,7 @@ class TetRepair {
     if (kept == mesh_.tets.size()) return;
     if (kept == 0) names_.fail("no tetrahedron of positive volume is left");
     mesh_.tets.resize(kept);
+    kept_.tets.resize(kept);
     if (!mesh_.regions.empty()) mesh_.regions.resize(kept);
     topology_.match_faces();
     topology_.list_stars();
@@ -357,9 +366,12 @@ class TetRepair {
     warn((unused == 1 ? std::string("1 vertex has") : std::to_string(unused) + " vertices have") +
          " no tetrahedron (the first: " + names_.place(first) + "): dropped");
     for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
-      if (renumbered[v] != kNone) mesh_.positions[renumbered[v]] = mesh_.positions[v];
+      if (renumbered[v] == kNone) continue;
+      mesh_.positions[renumbered[v]] = mesh_.positions[v];
+      kept_.vertices[renumbered[v]] = v;
     }
     mesh_.positions.resize(kept);
+    kept_.vertices.resize(kept);
     for (auto& tet : mesh_.tets) {
       for (VertexId& v : tet) v = renumbered[v];
     }
@@ -389,13 +401,16 @@ class TetRepair {
   std::vector<std::string>& warnings_;
   std::vector<std::uint8_t> boundary_;
   std::vector<std::uint8_t> removed_;
+  KeptElements kept_;
 };
 
 }  // namespace
 
 void repair_tets(core::MeshData& mesh, const std::string& file, int index_base,
-                 std::vector<std::string>& warnings) {
-  TetRepair(mesh, file, index_base, warnings).run();
+                 std::vector<std::string>& warnings, KeptElements* kept) {
+  TetRepair repair(mesh, file, index_base, warnings);
+  repair.run();
+  if (kept != nullptr) *kept = std::move(repair).kept();
 }
 
 }  // namespace incise::mesh_io

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -19,7 +20,12 @@ namespace incise::mesh_io {
 // Throws MeshError, in the file's own indices (`index_base` added), if an index is out of range, a coordinate is not finite
 // or too large for exact predicates, a tetrahedron repeats a vertex, two have the same vertices, more than two share a
 // face, or an inverted one can be neither fixed nor removed. O(n log n).
+//
+// `kept`, if given: which of the vertices and tetrahedra of before are left, in their order.
+struct KeptElements {
+  std::vector<std::uint32_t> vertices, tets;
+};
 void repair_tets(core::MeshData& mesh, const std::string& file, int index_base,
-                 std::vector<std::string>& warnings);
+                 std::vector<std::string>& warnings, KeptElements* kept = nullptr);
 
 }  // namespace incise::mesh_io

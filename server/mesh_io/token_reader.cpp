@@ -61,6 +61,14 @@ std::string_view TokenReader::line() {
 }
 
 double TokenReader::number(std::string_view what) {
+  const double value = any_number(what);
+  if (!std::isfinite(value))
+    fail(std::string(what) + " is " + in_quotes(bytes_.substr(last_, position_ - last_)) +
+         ", not a finite number");
+  return value;
+}
+
+double TokenReader::any_number(std::string_view what) {
   const std::string_view all = token(what);
   const std::string_view field = all.starts_with('+') ? all.substr(1) : all;
   double value = 0;
@@ -71,7 +79,6 @@ double TokenReader::number(std::string_view what) {
   } else if (error != std::errc() || end != field.data() + field.size()) {
     fail(std::string(what) + " is " + in_quotes(all) + ", not a number");
   }
-  if (!std::isfinite(value)) fail(std::string(what) + " is " + in_quotes(all) + ", not a finite number");
   return value;
 }
 

@@ -36,6 +36,8 @@ class TokenReader {
   std::string_view line();
   // The next field as a number, which is finite and fills it.
   double number(std::string_view what);
+  // The same, also "nan" and "inf".
+  double any_number(std::string_view what);
   std::int64_t integer(std::string_view what);
 
   // A number of T's size from binary data, or a field of text that fits T.

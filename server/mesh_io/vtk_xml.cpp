@@ -236,8 +236,8 @@ Convert converter(std::string_view type) {
 
 class VtkXmlReader {
  public:
-  VtkXmlReader(std::string_view bytes, const std::string& file)
-      : file_(file), bytes_(bytes), xml_(bytes, file) {}
+  VtkXmlReader(std::string_view bytes, const std::string& file, bool fields)
+      : file_(file), bytes_(bytes), xml_(bytes, file), fields_(fields) {}
 
   std::vector<VtkXmlPiece> read() {
     find_appended();
@@ -296,10 +296,10 @@ class VtkXmlReader {
       if (parent == "Points") piece.point_arrays.push_back(read_array(tag));
       if (parent == "Cells") piece.cell_arrays.push_back(read_array(tag));
       const std::string name(tag.get("Name"));
-      if (parent == "CellData" && tag.get("NumberOfComponents", "1") == "1" &&
-          find_region_array({&name, 1}) >= 0) {
-        piece.cell_data.push_back(read_array(tag));
-      }
+      const bool region = tag.get("NumberOfComponents", "1") == "1" && find_region_array({&name, 1}) >= 0;
+      const bool field = fields_ && converter(tag.get("type")) != nullptr;
+      if (parent == "CellData" && (region || field)) piece.cell_data.push_back(read_array(tag, !region));
+      if (parent == "PointData" && field) piece.point_data.push_back(read_array(tag, true));
     }
   }
 
@@ -341,18 +341,20 @@ class VtkXmlReader {
     }
   }
 
-  VtkXmlArray read_array(const Tag& tag) {
+  // `any`: numbers may be NaN or infinite as text, too; packed ones may always.
+  VtkXmlArray read_array(const Tag& tag, bool any = false) {
     VtkXmlArray array;
     array.name = tag.get("Name");
     array.components = std::max<std::size_t>(
         1, tag.attributes.contains("NumberOfComponents") ? count(tag, "NumberOfComponents") : 1);
     const std::string what = xml_.where() + ": the array " + in_quotes(array.name);
     const Convert convert_bytes = converter(tag.get("type"));
+    array.whole = !tag.get("type").starts_with("Float");
     if (!convert_bytes)
       throw MeshError(what + " is of type " + in_quotes(tag.get("type")) + ", which is not known");
     const std::string_view format = tag.get("format", "ascii");
     if (format == "ascii") {
-      if (!tag.empty) read_ascii(what, array.values);
+      if (!tag.empty) read_ascii(what, any, array.values);
     } else if (format == "binary") {
       ByteSource source(tag.empty ? std::string_view{} : xml_.text(), true, what);
       convert_bytes(read_bytes(source, what), swap_, array.values);
@@ -370,13 +372,14 @@ class VtkXmlReader {
     return array;
   }
 
-  void read_ascii(const std::string& what, std::vector<double>& values) {
+  void read_ascii(const std::string& what, bool any, std::vector<double>& values) {
     const std::string_view text = xml_.text();
     // Lines are counted from the start of the file, in messages.
     TokenReader in(bytes_.substr(0, static_cast<std::size_t>(text.data() - bytes_.data()) + text.size()),
                    file_);
     in.take(static_cast<std::size_t>(text.data() - bytes_.data()), what);
-    while (!in.at_end()) values.push_back(in.number("a value of an array"));
+    while (!in.at_end())
+      values.push_back(any ? in.any_number("a value of an array") : in.number("a value of an array"));
   }
 
   std::uint64_t header_number(ByteSource& source) const {
@@ -416,6 +419,7 @@ class VtkXmlReader {
   std::string file_;
   std::string_view bytes_;
   XmlScanner xml_;
+  bool fields_;
   std::vector<VtkXmlPiece> pieces_;
   std::string_view appended_;
   bool has_appended_ = false, appended_base64_ = false, has_file_tag_ = false;
@@ -425,8 +429,8 @@ class VtkXmlReader {
 
 }  // namespace
 
-std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file) {
-  return VtkXmlReader(bytes, file).read();
+std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields) {
+  return VtkXmlReader(bytes, file, fields).read();
 }
 
 }  // namespace incise::mesh_io

@@ -11,6 +11,7 @@ namespace incise::mesh_io {
 struct VtkXmlArray {
   std::string name;
   std::size_t components = 1;
+  bool whole = false;  // its type is an integer
   std::vector<double> values;
 };
 
@@ -19,11 +20,12 @@ struct VtkXmlPiece {
   std::size_t points = 0, cells = 0;
   std::vector<VtkXmlArray> point_arrays;  // of <Points>
   std::vector<VtkXmlArray> cell_arrays;   // of <Cells>: connectivity, offsets, types
-  std::vector<VtkXmlArray> cell_data;     // those that may be the region
+  std::vector<VtkXmlArray> cell_data;     // those that may be the region; with fields, all
+  std::vector<VtkXmlArray> point_data;    // with fields
 };
 
 // Reads a VTK XML file of an unstructured grid (see parse_vtu in tet_files.hpp). Every array is checked against what its
-// bytes can hold before anything is allocated. Throws MeshError with the file and the line, or the array's name.
-std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file);
+// bytes can hold before anything is allocated. `fields`: all data of points and cells that are numbers are wanted. Throws MeshError with the file and the line, or the array's name.
+std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields = false);
 
 }  // namespace incise::mesh_io

@@ -48,7 +48,20 @@ class VtkXmlFile {
     append(values, bytes);
   }
 
-  void add_cell_data(std::span<const CellArray> arrays, std::size_t cells) {
+  void add_fields(std::span<const Field> fields, Field::On on, std::size_t rows) {
+    for (const Field& field : fields) {
+      if (field.on != on) continue;
+      INCISE_CHECK(field.rows() == rows, field.name, field.rows(), rows);
+      std::visit(
+          [&](const auto& values) {
+            add_array(field.name, values.data(), values.size(), static_cast<int>(field.components));
+          },
+          field.values);
+    }
+  }
+
+  void add_cell_data(std::span<const CellArray> arrays, std::size_t cells,
+                     std::span<const Field> fields = {}) {
     xml_ += "<CellData>\n";
     for (const CellArray& array : arrays) {
       std::visit(
@@ -58,6 +71,7 @@ class VtkXmlFile {
           },
           array.values);
     }
+    add_fields(fields, Field::On::kTets, cells);
     xml_ += "</CellData>\n";
   }
 
@@ -117,11 +131,15 @@ void add_points(VtkXmlFile& file, std::span<const core::Vec3> positions) {
 }  // namespace
 
 void write_vtu(const std::filesystem::path& path, std::span<const core::Vec3> positions,
-               std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data) {
+               std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data,
+               std::span<const Field> fields) {
   VtkXmlFile file("UnstructuredGrid");
   file.add("<Piece NumberOfPoints=\"" + std::to_string(positions.size()) + "\" NumberOfCells=\"" +
            std::to_string(tets.size()) + "\">\n");
-  file.add_cell_data(cell_data, tets.size());
+  file.add("<PointData>\n");
+  file.add_fields(fields, Field::On::kVertices, positions.size());
+  file.add("</PointData>\n");
+  file.add_cell_data(cell_data, tets.size(), fields);
   add_points(file, positions);
   file.add("<Cells>\n");
   add_cells(file, tets);

@@ -91,6 +91,15 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
     rest_.insert(rest_.end(), d.added_rest.begin(), d.added_rest.end());
   }
 
+  blend_ids_.clear();
+  blend_vertices_.clear();
+  blend_weights_.clear();
+  for (const core::Blend& blend : d.blends) {
+    blend_ids_.push_back(blend.vertex);
+    blend_vertices_.insert(blend_vertices_.end(), blend.from.begin(), blend.from.end());
+    blend_weights_.insert(blend_weights_.end(), blend.weights.begin(), blend.weights.end());
+  }
+
   protocol::Delta& m = message_;
   m.base_revision = d.revision - 1;
   m.revision = d.revision;
@@ -115,6 +124,10 @@ const protocol::Delta& DeltaArrays::assign(const PublishedDelta& published, cons
   m.first_new_tet = before.tet_slots();
   m.rest_ids = rest_ids_;
   m.rest_positions = flat(rest_);
+  m.tet_elders = d.elders;
+  m.blend_ids = blend_ids_;
+  m.blend_vertices = blend_vertices_;
+  m.blend_weights = blend_weights_;
   return m;
 }
 

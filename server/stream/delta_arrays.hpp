@@ -28,6 +28,8 @@ class DeltaArrays {
   std::vector<std::uint32_t> piece_ids_, piece_sizes_, piece_names_;
   std::vector<std::uint32_t> rest_ids_;
   std::vector<core::Vec3> rest_;
+  std::vector<std::uint32_t> blend_ids_, blend_vertices_;
+  std::vector<double> blend_weights_;
 };
 
 // Loads the state into `replica`. Returns what is wrong with it, or an empty text. O(state).

@@ -119,6 +119,7 @@ class Model:
         r = self.random
         old = len(self.positions)
         before = [list(p) for p in self.positions]
+        tets_before = sorted(self.tets)
         moved = sorted(r.sample(range(old), r.randrange(min(4, old))))
         for v in moved:
             self.positions[v] = self.place()
@@ -157,9 +158,97 @@ class Model:
                   "RemovedTets": u32(gone), "PieceIds": u32(named), "PieceSizes": u32([1] * len(named)),
                   "PieceNames": u32(named.values()), "VertexCount": len(self.positions), "LiveTets": len(self.tets),
                   "StateHash": self.hash(), "FirstNewTet": first_new, "RestIds": u32(rest_ids)}
+        blended = sorted(r.sample(range(len(self.positions)), r.randrange(4)))
+        weights = [[r.uniform(-0.5, 1) for _ in range(3)] for _ in blended]
+        fields |= {"BlendIds": u32(blended), "BlendVertices": u32(r.randrange(old) for _ in range(4 * len(blended))),
+                   "BlendWeights": np.array([w + [1 - sum(w)] for w in weights], np.float64).reshape(-1),
+                   "TetElders": u32(r.choice(tets_before) for _ in new) if tets_before else u32([])}
         if rest_ids:
             fields["RestPositions"] = np.array([self.rest[v] for v in rest_ids]).reshape(-1)
         return {name: value for name, value in fields.items() if not isinstance(value, np.ndarray) or len(value)}
+
+
+def carried(step, field, tets):
+    """A field on the vertices and one on the tetrahedra after a step, told in the plainest way."""
+    blends = list(zip(step.get("BlendIds", []), step.get("BlendVertices", u32([])).reshape(-1, 4),
+                      step.get("BlendWeights", np.empty(0)).reshape(-1, 4)))
+    after = np.concatenate([field, np.zeros((len(step.get("ProvenanceT", [])),) + field.shape[1:])])
+    for v, vertices, weights in blends:
+        after[v] = sum(w * field[u] for u, w in zip(vertices, weights))
+    for i, t in enumerate(step.get("ProvenanceT", [])):
+        v = step["FirstAdded"] + i
+        if v not in step.get("BlendIds", []):
+            after[v] = (1 - t) * after[step["ProvenanceA"][i]] + t * after[step["ProvenanceB"][i]]
+    ids = step["Tets"][1]["Ids"]
+    new = ids[ids >= step["FirstNewTet"]]
+    return after, tets | {int(t): tets[int(e)] for t, e in zip(new, step.get("TetElders", []))}
+
+
+class Carry(unittest.TestCase):
+    def test_fields_follow_the_material(self):
+        for seed in range(6):
+            model = Model(seed)
+            r = np.random.default_rng(seed)
+            field, tets = r.random((6, 2)), {t: float(t) for t in model.tets}
+            got, got_tets, single = field, np.arange(float(model.slots)), field.astype(np.float32)
+            for _ in range(30):
+                step = model.step()
+                delta = table(Delta, step)
+                field, tets = carried(step, field, tets)
+                got, got_tets = incise_client.carry(delta, got), incise_client.carry_tets(delta, got_tets)
+                np.testing.assert_allclose(got, field, rtol=0, atol=1e-12 * np.abs(field).max())
+                self.assertEqual([got_tets[t] for t in model.tets], [tets[t] for t in model.tets])
+                single = incise_client.carry(delta, single)
+                self.assertEqual((single.dtype, single.shape), (np.float32, field.shape))
+
+    def test_rounds_come_one_after_the_other(self):
+        for seed in range(20):
+            model = Model(seed)
+            r = np.random.default_rng(seed)
+            field, labels = r.random(6), np.arange(6)
+            steps = [model.step() for _ in range(3)]
+            joined = {"FirstAdded": 6, "VertexCount": len(model.positions)}
+            for name in ("AddedPositions", "ProvenanceA", "ProvenanceB", "ProvenanceT", "BlendIds", "BlendVertices", "BlendWeights"):
+                parts = [step[name] for step in steps if name in step]
+                joined |= {name: np.concatenate(parts)} if parts else {}
+            joined["RoundAdded"] = u32(len(step.get("ProvenanceT", [])) for step in steps)
+            joined["RoundBlends"] = u32(len(step.get("BlendIds", [])) for step in steps)
+            delta = table(Delta, joined)
+            at_once, labels_at_once = incise_client.carry(delta, field), incise_client.carry(delta, labels)
+            for step in steps:
+                field, labels = incise_client.carry(table(Delta, step), field), incise_client.carry(table(Delta, step), labels)
+            np.testing.assert_array_equal(at_once, field)
+            np.testing.assert_array_equal(labels_at_once, labels)
+            self.assertTrue(set(labels.tolist()) <= set(range(6)), "labels are not interpolated")
+
+    def test_what_does_not_fit_is_refused(self):
+        good = {"FirstAdded": 4, "VertexCount": 6, "AddedPositions": np.zeros(6), "ProvenanceA": u32([0, 4]),
+                "ProvenanceB": u32([1, 1]), "ProvenanceT": np.array([0.5, 0.5]), "BlendIds": u32([1, 4]),
+                "BlendVertices": u32([0, 1, 2, 3] * 2), "BlendWeights": np.full(8, 0.25)}
+        incise_client.carry(table(Delta, good), np.zeros(4))
+        for wrong in ({"ProvenanceA": u32([0, 5])}, {"BlendIds": u32([1, 6])}, {"BlendIds": u32([4, 1])},
+                      {"BlendVertices": u32([0, 1, 2, 4] * 2)}, {"BlendWeights": np.full(7, 0.25)},
+                      {"RoundAdded": u32([1, 1])}, {"RoundAdded": u32([0, 2]), "RoundBlends": u32([2, 0])},
+                      {"RoundAdded": u32([1, 0]), "RoundBlends": u32([1, 1])}):
+            with self.subTest(wrong=wrong), self.assertRaises(ValueError):
+                incise_client.carry(table(Delta, good | wrong), np.zeros(4))
+        for values in (np.zeros(5), np.zeros(()), np.array(["a"] * 4)):
+            with self.assertRaises(ValueError):
+                incise_client.carry(table(Delta, good), values)
+        tets = (Tets, {"Ids": u32([5])})
+        for elders in ([5], [0, 1]):
+            with self.assertRaises(ValueError):
+                incise_client.carry_tets(table(Delta, {"Tets": tets, "TetElders": u32(elders)}), np.zeros(4))
+
+    def test_a_delta_with_blends_that_do_not_fit_is_refused(self):
+        model = Model(3)
+        replica = model.replica()
+        step = model.step()
+        for wrong in ({"BlendIds": u32([99]), "BlendVertices": u32([0] * 4), "BlendWeights": np.full(4, 0.25)},
+                      {"TetElders": u32([77])}):
+            with self.assertRaises(incise_client.ApplyError):
+                replica.apply(table(Delta, step | wrong))
+        replica.apply(table(Delta, step))
 
 
 class Walk(unittest.TestCase):

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -136,10 +137,14 @@ inline MeshData real_mesh(const std::string& name) {
 class PlainModel {
  public:
   explicit PlainModel(const TetMesh& mesh) {
-    for (VertexId v = 0; v < mesh.vertex_slots(); ++v) positions_.push_back(mesh.position(v));
+    for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
+      positions_.push_back(mesh.position(v));
+      rest_.push_back(mesh.rest_position(v));
+    }
     for (TetId t = 0; t < mesh.tet_slots(); ++t) {
       if (!mesh.alive(t)) continue;
       tets_[t] = mesh.state(t);
+      regions_[t] = mesh.region(t);
       for (int f = 0; f < 4; ++f) {
         if (mesh.opposite(half_face(t, f)) == kNone) boundary_[half_face(t, f)] = face(tets_[t], f);
       }
@@ -157,8 +162,19 @@ class PlainModel {
       EXPECT_LT(from.b, delta.first_added + i);
       positions_.push_back(delta.added_positions[i]);
     }
+    carry(delta);
     for (TetId t : delta.removed) EXPECT_EQ(tets_.erase(t), 1u) << "removed " << t << " that was not there";
-    for (const TetState& tet : delta.upserted) tets_[tet.id] = tet;
+    ASSERT_LE(delta.elders.size(), delta.upserted.size());
+    for (std::size_t i = 0; i < delta.upserted.size(); ++i) {
+      const TetState& tet = delta.upserted[i];
+      const std::size_t old = delta.upserted.size() - delta.elders.size();
+      EXPECT_EQ(i < old, tets_.contains(tet.id));
+      EXPECT_TRUE(i < old || regions_.at(delta.elders[i - old]) == tet.region) << "tetrahedron " << tet.id;
+    }
+    for (const TetState& tet : delta.upserted) {
+      tets_[tet.id] = tet;
+      regions_[tet.id] = tet.region;
+    }
     for (HalfFace h : delta.boundary_removed) EXPECT_EQ(boundary_.erase(h), 1u) << "boundary face " << h;
     for (HalfFace h : delta.boundary_upserted) {
       const auto tet = tets_.find(tet_of(h));
@@ -180,6 +196,10 @@ class PlainModel {
     ASSERT_EQ(positions_.size(), mesh.vertex_slots());
     for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
       ASSERT_EQ(positions_[v], mesh.position(v)) << "vertex " << v;
+    for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
+      ASSERT_LT(length(rest_[v] - mesh.rest_position(v)), 1e-6 * mesh.mean_edge_length())
+          << "the material of vertex " << v;
+    }
     ASSERT_EQ(tets_.size(), mesh.live_tets());
     std::size_t boundary = 0;
     for (const auto& [id, t] : tets_) {
@@ -200,12 +220,33 @@ class PlainModel {
   const std::map<TetId, TetState>& tets() const { return tets_; }
 
  private:
+  // A field that is linear in the rest positions: they themselves. From provenance and blends alone.
+  void carry(const Delta& delta) {
+    const std::vector<Vec3> before = rest_;
+    const auto& blends = delta.blends;
+    rest_.resize(before.size() + delta.provenance.size());
+    std::set<VertexId> blended;
+    for (std::size_t i = 0; i < blends.size(); ++i) {
+      ASSERT_LT(blends[i].vertex, rest_.size());
+      ASSERT_TRUE(i == 0 || blends[i - 1].vertex < blends[i].vertex);
+      rest_[blends[i].vertex] = {};
+      for (std::size_t k = 0; k < 4; ++k)
+        rest_[blends[i].vertex] += blends[i].weights[k] * before.at(blends[i].from[k]);
+      blended.insert(blends[i].vertex);
+    }
+    for (std::size_t i = 0; i < delta.provenance.size(); ++i) {
+      const Provenance& p = delta.provenance[i];
+      if (!blended.contains(delta.first_added + static_cast<VertexId>(i)))
+        rest_[before.size() + i] = (1 - p.t) * rest_[p.a] + p.t * rest_[p.b];
+    }
+  }
   static std::array<VertexId, 3> face(const TetState& t, int f) {
     return {t.vertices[kFaceVertices[f][0]], t.vertices[kFaceVertices[f][1]],
             t.vertices[kFaceVertices[f][2]]};
   }
-  std::vector<Vec3> positions_;
+  std::vector<Vec3> positions_, rest_;
   std::map<TetId, TetState> tets_;
+  std::map<TetId, std::int32_t> regions_;  // of those that are gone, too
   std::map<HalfFace, std::array<VertexId, 3>> boundary_;
 };
 

@@ -43,11 +43,11 @@ class Directory {
 };
 
 core::MeshData read_tets(const std::string& ending, const std::string& bytes,
-                         std::vector<std::string>& warnings) {
-  if (ending == "msh") return parse_gmsh(bytes, "mesh", warnings);
-  if (ending == "vtk") return parse_vtk(bytes, "mesh", warnings);
-  if (ending == "vtu") return parse_vtu(bytes, "mesh", warnings);
-  if (ending == "mesh") return parse_medit(bytes, "mesh", warnings);
+                         std::vector<std::string>& warnings, std::vector<Field>& fields) {
+  if (ending == "msh") return parse_gmsh(bytes, "mesh", warnings, &fields);
+  if (ending == "vtk") return parse_vtk(bytes, "mesh", warnings, &fields);
+  if (ending == "vtu") return parse_vtu(bytes, "mesh", warnings, &fields);
+  if (ending == "mesh") return parse_medit(bytes, "mesh", warnings, &fields);
   if (ending == "veg") return parse_vega(bytes, "mesh", warnings);
   static const Directory directory;
   const bool nodes = ending == "node";
@@ -66,7 +66,11 @@ void check_surface_file(const std::string& ending, const std::string& bytes) {
   check_surface(std::move(surface), "mesh", warnings);
 }
 
-void check_tets(core::MeshData mesh, std::vector<std::string>& warnings) {
+void check_tets(core::MeshData mesh, std::vector<std::string>& warnings, const std::vector<Field>& fields) {
+  for (const Field& field : fields) {
+    FUZZ_CHECK(field.components >= 1 && field.components <= kMaxFieldComponents);
+    FUZZ_CHECK(field.rows() == (field.on == Field::On::kVertices ? mesh.positions.size() : mesh.tets.size()));
+  }
   FUZZ_CHECK(mesh.regions.empty() || mesh.regions.size() == mesh.tets.size());
   for (const core::Vec3& p : mesh.positions) FUZZ_CHECK(core::is_finite(p));
   for (const auto& tet : mesh.tets) {
@@ -88,7 +92,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       check_surface_file(ending, bytes);
     } else {
       std::vector<std::string> warnings;
-      check_tets(read_tets(ending, bytes, warnings), warnings);
+      std::vector<Field> fields;
+      core::MeshData mesh = read_tets(ending, bytes, warnings, fields);
+      check_tets(std::move(mesh), warnings, fields);
     }
   } catch (const MeshError& error) {
     const std::string text = error.what();

@@ -235,6 +235,12 @@ TEST(Framing, SemanticErrorsNameTheField) {
   delta("Delta.piece_tets",
         [&](Delta& d) { d.piece_ids = one, d.piece_sizes = one, d.piece_tets = one, d.piece_names = one; });
   delta("Delta.piece_names", [&](Delta& d) { d.piece_ids = one, d.piece_sizes = one, d.piece_names = two; });
+  delta("Delta.blend_vertices", [&](Delta& d) { d.blend_ids = one, d.blend_vertices = two; });
+  delta("Delta.blend_weights", [&](Delta& d) { d.blend_ids = one, d.blend_vertices = vertices; });
+  const std::vector<double> weights{0.5, 0.5, 0, std::numeric_limits<double>::infinity()};
+  delta("Delta.blend_weights",
+        [&](Delta& d) { d.blend_ids = one, d.blend_vertices = vertices, d.blend_weights = weights; });
+  delta("Delta.round_blends", [&](Delta& d) { d.round_added = one; });
   delta("Delta.vertex_count", [&](Delta& d) { d.vertex_count = kNoId; });
   delta("Delta.steps.revision", [&](Delta& d) { d.steps.resize(1), d.steps[0].revision = 2; });
   delta("Delta.steps.revision", [&](Delta& d) { d.steps.resize(2); });

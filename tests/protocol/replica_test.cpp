@@ -2,9 +2,13 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <functional>
 #include <random>
+#include <set>
 
+#include "protocol/carry.hpp"
 #include "protocol/coalesce.hpp"
 #include "tests/protocol/samples.hpp"
 #include "tests/protocol/walk.hpp"
@@ -112,6 +116,28 @@ TEST(Replica, ABadDeltaChangesNothing) {
       {"rest position of a vertex that does not exist", ApplyError::BadIndex,
        [](OwnedDelta& d) {
          d.rest_ids = {d.vertex_count}, d.rest_positions = {0, 0, 0};
+       }},
+      {"blend of a vertex that does not exist", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.blend_ids = {d.vertex_count}, d.blend_vertices.assign(4, 0), d.blend_weights.assign(4, 0.25);
+       }},
+      {"blend of a vertex that was not there before", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.blend_ids = {0}, d.blend_vertices = {0, 1, 2, d.first_added}, d.blend_weights.assign(4, 0.25);
+       }},
+      {"elders of too many", ApplyError::BadShape,
+       [](OwnedDelta& d) { d.tet_elders.assign(d.tet_ids.size() + 1, 0); }},
+      {"blend of too few", ApplyError::BadShape,
+       [](OwnedDelta& d) {
+         d.blend_ids = {0}, d.blend_vertices = {0, 1, 2}, d.blend_weights.assign(4, 0.25);
+       }},
+      {"blend without weights", ApplyError::BadShape,
+       [](OwnedDelta& d) {
+         d.blend_ids = {0}, d.blend_vertices = {0, 1, 2, 3};
+       }},
+      {"rounds that do not add up", ApplyError::BadIndex,
+       [](OwnedDelta& d) {
+         d.round_added = {1, 0}, d.round_blends = {0, 0};
        }},
       {"provenance shorter", ApplyError::BadShape, [](OwnedDelta& d) { d.provenance_b.pop_back(); }},
       {"tetrahedron with a vertex that does not exist", ApplyError::BadIndex,
@@ -334,6 +360,156 @@ TEST(Replica, LoadRefusesWhatIsNoMesh) {
   EXPECT_EQ(replica.canonical_bytes(), before);
 }
 
+// ---- Fields ----
+
+// Gives some vertices of the step, old ones and added ones, other material.
+void add_blends(OwnedDelta& step, std::mt19937_64& random) {
+  const std::uint32_t before = step.first_added;
+  for (std::uint32_t v = 0; v < step.vertex_count; ++v) {
+    if (random() % 4 != 0) continue;
+    step.blend_ids.push_back(v);
+    double rest = 1;
+    for (int k = 0; k < 4; ++k) {
+      const double weight = k == 3 ? rest : static_cast<double>(random() % 1025) / 1024 - 0.25;
+      rest -= weight;
+      step.blend_vertices.push_back(static_cast<std::uint32_t>(random() % before));
+      step.blend_weights.push_back(weight);
+    }
+  }
+}
+
+// Gives each new tetrahedron an elder, one of those that `before` has.
+void add_elders(OwnedDelta& step, const Model& before, std::mt19937_64& random) {
+  for (const std::uint32_t t : step.tet_ids) {
+    if (t < step.first_new_tet) continue;
+    step.tet_elders.push_back(
+        std::next(before.tets.begin(), static_cast<long>(random() % before.tets.size()))->first);
+  }
+}
+
+// The rule of PROTOCOL.md for a delta of one step, written plainly.
+std::vector<double> carried(const OwnedDelta& d, const std::vector<double>& before) {
+  std::vector<double> after = before;
+  after.resize(d.vertex_count);
+  std::set<std::uint32_t> blended(d.blend_ids.begin(), d.blend_ids.end());
+  for (std::size_t i = 0; i < d.blend_ids.size(); ++i) {
+    after[d.blend_ids[i]] = 0;
+    for (std::size_t k = 4 * i; k < 4 * i + 4; ++k)
+      after[d.blend_ids[i]] += d.blend_weights[k] * before[d.blend_vertices[k]];
+  }
+  for (std::uint32_t i = 0; i < d.provenance_t.size(); ++i) {
+    const double t = d.provenance_t[i];
+    if (!blended.contains(d.first_added + i))
+      after[d.first_added + i] = (1 - t) * after[d.provenance_a[i]] + t * after[d.provenance_b[i]];
+  }
+  return after;
+}
+
+TEST(Carry, EveryVertexGetsTheFieldOfItsMaterial) {
+  for (int trial = 0; trial < 40; ++trial) {
+    Walk walk(2, 2, 1);
+    std::vector<double> field(walk.model.positions.size());
+    for (double& x : field) x = static_cast<double>(walk.random() % 1000);
+    std::vector<float> pairs;
+    for (const double x : field) pairs.insert(pairs.end(), {static_cast<float>(x), 7});
+    double largest = 1000;
+    for (int i = 0; i < 5; ++i) {
+      OwnedDelta step = walk.step();
+      add_blends(step, walk.random);
+      const std::vector<double> expected = carried(step, field);
+      carry(step.view(), 1, field);
+      ASSERT_EQ(field, expected);
+      carry(step.view(), 2, pairs);
+      for (const double x : field) largest = std::max(largest, std::abs(x));
+      for (std::size_t v = 0; v < field.size(); ++v) {
+        ASSERT_NEAR(pairs[2 * v], field[v], 1e-5 * largest);
+        ASSERT_NEAR(pairs[2 * v + 1], 7, 1e-2);
+      }
+    }
+  }
+}
+
+TEST(Carry, AnIntegerIsThatOfTheNearestVertex) {
+  Walk walk(1, 1, 1);
+  OwnedDelta step;
+  step.first_added = 4, step.vertex_count = 7;
+  step.added_positions.assign(9, 0);
+  step.provenance_a = {0, 1, 4}, step.provenance_b = {1, 2, 5}, step.provenance_t = {0.5, 0.75, 0.25};
+  step.blend_ids = {0}, step.blend_vertices = {0, 1, 2, 3}, step.blend_weights = {0.2, 0.3, -0.1, 0.6};
+  std::vector<std::int32_t> labels{10, 11, 12, 13};
+  carry(step.view(), 1, labels);
+  EXPECT_EQ(labels, (std::vector<std::int32_t>{13, 11, 12, 13, 13, 12, 13}));
+}
+
+TEST(Carry, ANewTetrahedronHasWhatItsElderHas) {
+  const OwnedDelta good = [] {
+    OwnedDelta d = difference(samples::two_tets(1), samples::two_tets(2));  // adds tetrahedron 2
+    d.tet_elders = {1};
+    return d;
+  }();
+  std::vector<float> pairs{1, 2, 3, 4};
+  carry_tets(good.view(), 2, pairs);
+  EXPECT_EQ(pairs, (std::vector<float>{1, 2, 3, 4, 3, 4}));
+  EXPECT_TRUE(samples::two_tets(1).replica().apply(good.view()));
+  for (const std::vector<std::uint32_t>& elders : {std::vector<std::uint32_t>{2}, {7}, {0, 1}}) {
+    OwnedDelta bad = good;
+    bad.tet_elders = elders;
+    std::vector<float> values{1, 2};
+    EXPECT_THROW(carry_tets(bad.view(), 1, values), std::invalid_argument);
+    EXPECT_EQ(values, (std::vector<float>{1, 2}));
+    EXPECT_EQ(samples::two_tets(1).replica().apply(bad.view()).error,
+              elders.size() == 1 ? ApplyError::BadIndex : ApplyError::BadShape);
+  }
+  std::vector<float> odd{1, 2, 3};
+  EXPECT_THROW(carry_tets(good.view(), 2, odd), std::invalid_argument);
+}
+
+TEST(Carry, RefusesWhatDoesNotFitAndChangesNothing) {
+  OwnedDelta good;
+  good.first_added = 4, good.vertex_count = 6;
+  good.added_positions.assign(6, 0);
+  good.provenance_a = {0, 4}, good.provenance_b = {1, 1}, good.provenance_t = {0.5, 0.5};
+  good.blend_ids = {1, 4}, good.blend_vertices = {0, 1, 2, 3, 0, 1, 2, 3}, good.blend_weights.assign(8, 0.25);
+  std::vector<double> values{1, 2, 3, 4};
+  carry(good.view(), 1, values);
+  const std::vector<std::function<void(OwnedDelta&)>> faults{
+      [](OwnedDelta& d) { d.provenance_a[1] = 5; },
+      [](OwnedDelta& d) { d.provenance_b.pop_back(); },
+      [](OwnedDelta& d) { d.blend_ids[1] = 6; },
+      [](OwnedDelta& d) { d.blend_ids[1] = 1; },
+      [](OwnedDelta& d) { d.blend_ids.pop_back(); },
+      [](OwnedDelta& d) { d.blend_vertices[7] = 4; },
+      [](OwnedDelta& d) { d.blend_weights.pop_back(); },
+      [](OwnedDelta& d) {
+        d.round_added = {1, 1};
+      },
+      [](OwnedDelta& d) {
+        d.round_added = {1, 1}, d.round_blends = {1, 2};
+      },
+      [](OwnedDelta& d) {
+        d.round_added = {1, 0}, d.round_blends = {1, 1};
+      },
+      [](OwnedDelta& d) {
+        d.round_added = {0, 2}, d.round_blends = {2, 0};
+      },
+      [](OwnedDelta& d) {
+        d.round_added = {0xffffffff, 3}, d.round_blends = {1, 1};
+      },
+      [](OwnedDelta& d) { d.vertex_count = 7; },
+      [](OwnedDelta& d) { d.vertex_count = 1; },
+  };
+  for (std::size_t i = 0; i < faults.size(); ++i) {
+    OwnedDelta bad = good;
+    faults[i](bad);
+    std::vector<double> field{1, 2, 3, 4};
+    EXPECT_THROW(carry(bad.view(), 1, field), std::invalid_argument) << i;
+    EXPECT_EQ(field, (std::vector<double>{1, 2, 3, 4}));
+  }
+  std::vector<double> few{1, 2, 3};
+  EXPECT_THROW(carry(good.view(), 1, few), std::invalid_argument);
+  EXPECT_THROW(carry(good.view(), 0, few), std::invalid_argument);
+}
+
 // ---- Coalescing ----
 
 TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
@@ -341,9 +517,15 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
     Walk walk(2, 2, 1);
     std::mt19937_64& random = walk.random;
     Replica one_by_one = walk.model.replica(), at_once = walk.model.replica();
+    const bool with_elders = trial % 4 != 0;
+    std::vector<double> of_tets(one_by_one.tet_slots());
+    for (double& x : of_tets) x = static_cast<double>(random() % 1000);
     std::vector<OwnedDelta> owned;
     for (std::uint64_t n = 1 + random() % 12; n > 0; --n) {
+      const Model before = walk.model;
       owned.push_back(walk.step());
+      if (random() % 2 == 0) add_blends(owned.back(), random);
+      if (with_elders) add_elders(owned.back(), before, random);
       ASSERT_TRUE(one_by_one.apply(owned.back().view()));
     }
     std::vector<Delta> deltas;
@@ -358,6 +540,27 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
     // What came and went in between is not spoken of.
     for (const std::uint32_t t : sum.removed_tets) EXPECT_LT(t, sum.first_new_tet);
     for (const std::uint32_t h : sum.boundary_removed) EXPECT_LT(h / 4, sum.first_new_tet);
+
+    // So do fields.
+    std::vector<double> stepwise(one_by_one.vertex_count() - sum.provenance_t.size()), direct;
+    for (double& x : stepwise) x = static_cast<double>(random() % 1000);
+    std::vector<std::int32_t> labels(stepwise.begin(), stepwise.end()), direct_labels = labels;
+    direct = stepwise;
+    for (const Delta& d : deltas) {
+      carry(d, 1, stepwise);
+      carry(d, 1, labels);
+    }
+    carry(sum.view(), 1, direct);
+    carry(sum.view(), 1, direct_labels);
+    EXPECT_EQ(direct, stepwise);
+    EXPECT_EQ(direct_labels, labels);
+    std::vector<double> of_tets_direct = of_tets;
+    for (const Delta& d : deltas) carry_tets(d, 1, of_tets);
+    carry_tets(sum.view(), 1, of_tets_direct);
+    EXPECT_EQ(sum.tet_elders.empty(),
+              !with_elders || sum.tet_ids.empty() || sum.tet_ids.back() < sum.first_new_tet);
+    one_by_one.for_each_tet(
+        [&](std::uint32_t t) { EXPECT_TRUE(!with_elders || of_tets_direct.at(t) == of_tets.at(t)) << t; });
 
     // It does not matter how they are put together.
     if (deltas.size() >= 2) {

@@ -337,6 +337,14 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     SnapshotChunk chunk = whole_chunk();
     chunk.triangles.origins = array<std::uint32_t>({kNoId, 3599});
     chunk.surface_rest = {array<std::uint32_t>({2}), array<float>({0.25f, 0.5f, 0.75f})};
+    Delta blended = coalesced_delta();
+    blended.blend_ids = array<std::uint32_t>({2, 7, 1, 8});
+    blended.blend_vertices = array<std::uint32_t>({2, 0, 1, 3, 4, 1, 2, 3, 1, 0, 2, 3, 5, 4, 6, 7});
+    blended.blend_weights = array<double>(
+        {0.5, 0.25, 0.125, 0.125, 1.25, -0.125, 0, -0.125, 0.75, 0.25, 0, 0, 0.5, 0.5, 0.25, -0.25});
+    blended.round_added = array<std::uint32_t>({3, 1});
+    blended.round_blends = array<std::uint32_t>({2, 2});
+    blended.tet_elders = array<std::uint32_t>({0});
     return std::vector<std::pair<std::string, Body>>{
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
@@ -350,6 +358,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"SnapshotChunkOrigins", chunk},
         {"ForceTorque", torque},
         {"HelloLoadRate", loads},
+        {"DeltaBlends", blended},
     };
   }();
   return all;

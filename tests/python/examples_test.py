@@ -35,6 +35,13 @@ class Examples(unittest.TestCase):
     def test_finite_element_step(self):
         self.assertRegex(self.run_example("finite_element_step.py"), r"^[1-9]\d* cut faces; the end hangs \d+\.\d mm, then \d+\.\d mm\n$")
 
+    def test_carry_a_field(self):
+        printed = self.run_example("carry_a_field.py").splitlines()
+        self.assertEqual(printed[0], "temperature 1 float32, fibre (3,) float32, label 1 int32")
+        self.assertRegex(printed[1], r"^[1-9]\d+ new vertices$")
+        self.assertLess(float(re.search(r"by (\S+) K", printed[2])[1]), 1e-11)
+        self.assertLess(float(re.search(r"by (\S+) K", printed[3])[1]), 1e-3)
+
     def test_random_cuts(self):
         printed = self.run_example("random_cuts.py")
         self.assertRegex(printed, r"^100 cuts, \d+ leave two pieces, \d+ states\n$")

@@ -211,6 +211,88 @@ class SameAsAServer(Folder):
         self.assertEqual(single.state_hash, whole.state_hash)
 
 
+class Fields(Folder):
+    def body(self, **fields):
+        plain = incise.Body.phantom("liver", 3_000)
+        return plain, incise.Body(plain.points, plain.tets, np.arange(len(plain.tets)) % 3, **fields)
+
+    def test_they_go_with_a_cut_body_by_every_way(self):
+        plain, body = self.body()
+        heat = (300 + 10 * plain.points[:, 0]).astype(np.float32)
+        side = np.where(plain.points[:, 1] > 0, 5, -5).astype(np.int32)
+        fibre = np.cross(plain.points, (0, 1, 0)).astype(np.float32)
+        stress = np.random.default_rng(1).random((len(plain.tets), 9)).astype(np.float32)
+        copy_of_region = body.regions.copy()
+        _, body = self.body(vertex_fields={"heat": heat, "side": side, "fibre": fibre},
+                            tet_fields={"stress": stress, "same as region": copy_of_region})
+        self.assertEqual(sorted(body.vertex_fields), ["fibre", "heat", "side"])
+        np.testing.assert_array_equal(body.tet_fields["stress"], stress)
+        body.save(self.folder / "body.vtu")
+        listed = json.loads(run_incise("info", "--json", self.folder / "body.vtu").stdout)["fields"]
+        self.assertEqual([(f["name"], f["on"], f["components"], f["type"]) for f in listed],
+                         [("heat", "vertices", 1, "float32"), ("side", "vertices", 1, "int32"), ("fibre", "vertices", 3, "float32"),
+                          ("stress", "tetrahedra", 9, "float32"), ("same as region", "tetrahedra", 1, "int32")])
+        self.assertIn("fibre, on vertices, 3 float32", run_incise("info", self.folder / "body.vtu").stdout)
+        poses = self.folder / "poses.csv"
+        poses.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{t},{x},{y},{z}\n" for t, x, y, z in THROUGH))
+        done = run_incise("cut", "--mesh", self.folder / "body.vtu", "--poses", poses, "--blade", BLADE_TEXT,
+                          "--out", self.folder / "cut.vtu")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertNotIn("left out", done.stderr)
+        from_file = incise.Body.load(self.folder / "cut.vtu")
+        cut = incise.cut(body, THROUGH, blade=BLADE, deltas=True)
+        in_process = cut.session.current_body()
+        np.testing.assert_array_equal(from_file.points, in_process.points)
+        for one, other in ((from_file.vertex_fields, in_process.vertex_fields), (from_file.tet_fields, in_process.tet_fields)):
+            self.assertEqual(sorted(one), sorted(other))
+            for name, values in one.items():
+                self.assertEqual(values.dtype, other[name].dtype)
+                np.testing.assert_array_equal(values, other[name])
+        np.testing.assert_allclose(from_file.vertex_fields["heat"], 300 + 10 * from_file.points[:, 0], rtol=0, atol=1e-3)
+        self.assertEqual(set(from_file.vertex_fields["side"].tolist()), {5, -5})
+        np.testing.assert_array_equal(from_file.tet_fields["same as region"], from_file.regions)
+        # Step by step, and beside the ids.
+        session = incise.Session(body, blade=BLADE)
+        single = heat
+        for delta in session.cut(THROUGH).deltas:
+            single = delta.carry(single)
+        np.testing.assert_array_equal(session.vertex_fields()["heat"], single)
+        self.assertEqual(len(session.tet_fields()["stress"]), len(session.tets()))
+        np.testing.assert_array_equal(session.tet_fields()["same as region"], session.tets()["region"])
+        self.assertEqual((incise.Body.phantom("slab", 600).vertex_fields, incise.Session(plain).tet_fields()), ({}, {}))
+
+    def test_an_export_has_them(self):
+        plain, _ = self.body()
+        _, body = self.body(vertex_fields={"heat": plain.points[:, 0]})
+        body.save(self.folder / "body.vtu")
+        poses = self.folder / "poses.csv"
+        poses.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{t},{x},{y},{z}\n" for t, x, y, z in THROUGH))
+        config = self.folder / "config.json"
+        config.write_text(json.dumps({"blade": {"heel": BLADE[0], "tip": BLADE[1]}, "cut": {"engage": "always"}}))
+        done = run_incise("convert", poses, "--mesh", self.folder / "body.vtu", "--config", config, "--out", self.folder / "a.capture")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        done = run_incise("export", self.folder / "a.capture", "--out", self.folder / "end.vtu")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        end = incise.Body.load(self.folder / "end.vtu")
+        self.assertGreater(len(end.points), len(plain.points))
+        np.testing.assert_allclose(end.vertex_fields["heat"], end.points[:, 0], rtol=0, atol=1e-6)
+
+    def test_bad_ones_are_refused(self):
+        points, tets = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]]
+        good = incise.Body(points, tets, vertex_fields={"x": [1, 2, 3, float("nan")]}, tet_fields={"n": np.array([7], np.uint8)})
+        self.assertTrue(np.isnan(good.vertex_fields["x"][3]))
+        self.assertEqual(good.tet_fields["n"].tolist(), [7])
+        for fields, error, text in (
+                ({"x": [1, 2, 3]}, ValueError, r"vertex_fields\['x'\]: found shape \(3,\); accepted is \(4,\)"),
+                ({"x": np.zeros((4, 10))}, ValueError, "1 to 9 components"), ({"x": np.zeros((4, 0))}, ValueError, "1 to 9"),
+                ({"x": np.zeros((4, 3, 3))}, ValueError, "found shape"), ({"x": ["a"] * 4}, TypeError, "real numbers"),
+                ({"": [1] * 4}, ValueError, "a name of 0 bytes"), ({"n" * 257: [1] * 4}, ValueError, "a name of 257 bytes"),
+                ({"x": [2**31] * 4}, ValueError, "accepted is -2147483648 to 2147483647"), ({3: [1] * 4}, TypeError, "accepted is str"),
+                ([("x", [1] * 4)], TypeError, "accepted is a dict")):
+            with self.subTest(fields=str(fields)[:40]), self.assertRaisesRegex(error, text):
+                incise.Body(points, tets, vertex_fields=fields)
+
+
 class Deltas(unittest.TestCase):
     def test_they_lead_from_the_body_to_the_state(self):
         body = incise.Body.phantom("liver", 2_000)
@@ -240,6 +322,37 @@ class Deltas(unittest.TestCase):
                          session.state_hash)
         self.assertEqual(deltas[-1].state_hash, session.state_hash)
         self.assertGreater(len({delta.stroke for delta in deltas}), 2)
+
+    def test_carry_follows_the_material_in_a_body_that_deforms(self):
+        session = incise.Session(incise.Body.phantom("liver", 3_000), blade=BLADE)
+        rest, constant = session.rest_positions(), np.full(len(session.positions()), 7, np.float32)
+        volume_rows = session.tets()
+        ids = volume_rows["id"].astype(np.int64)
+        deltas = session.cut(THROUGH_SLOWLY).deltas + session.deform(session.positions() * (1, 1.05, 0.97))
+        deltas += session.cut(THROUGH_SLOWLY + (0, 0.02, 0, 0)).deltas
+        for delta in deltas:
+            np.testing.assert_allclose(delta.blends["weights"].sum(axis=1), 1, rtol=0, atol=1e-9)
+            self.assertEqual(len(delta.elders), int((delta.upserted["id"] >= len(ids)).sum()))
+            rest, constant, ids = delta.carry(rest), delta.carry(constant), delta.carry_tets(ids)
+        self.assertGreater(sum(len(delta.blends) for delta in deltas), 50)
+        np.testing.assert_allclose(rest, session.rest_positions(), rtol=0, atol=1e-9)
+        self.assertEqual((constant.dtype, len(constant)), (np.float32, len(rest)))
+        np.testing.assert_allclose(constant, 7, rtol=1e-6)
+        # A new tetrahedron is in the place of its elder.
+        body, now = session.body, session.tets()
+        inside = session.rest_positions()[now["vertices"]].mean(axis=1)
+        corners = body.points[body.tets[ids[now["id"]]]]
+        size = np.linalg.norm(corners.max(axis=1) - corners.min(axis=1), axis=1)
+        away = np.maximum(corners.min(axis=1) - inside, inside - corners.max(axis=1)).max(axis=1)
+        self.assertLess((away / size).max(), 1)
+        self.assertGreater((away <= 0).mean(), 0.95)
+        for wrong, error in ((rest[:-1], ValueError), (np.zeros(()), ValueError), (["a"] * len(rest), TypeError),
+                             (np.zeros((deltas[0].first_added, 0)), ValueError)):
+            with self.assertRaises(error):
+                deltas[0].carry(wrong)
+        grows = next(delta for delta in deltas if len(delta.elders))
+        with self.assertRaises(ValueError):
+            grows.carry_tets(np.zeros(3))
 
     def test_pieces_and_faces(self):
         session = incise.Session(incise.Body.phantom("slab", 1_000), blade=BLADE)

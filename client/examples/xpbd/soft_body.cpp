@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "protocol/carry.hpp"
 
 namespace incise::xpbd {
 namespace {
@@ -118,7 +122,12 @@ void SoftBody::load(const Replica& mesh) {
 void SoftBody::apply(const Replica& mesh, const Delta& delta) {
   if (delta.tets.ids.empty() && delta.removed_tets.empty() && delta.rest_ids.empty()) return;
   const std::uint32_t first_added = vertices(), n = mesh.vertex_count();
+  // Velocities go with the material.
+  std::vector<float> velocities(4 * v_.size());
+  std::memcpy(velocities.data(), v_.data(), 4 * velocities.size());
+  protocol::carry(delta, 4, velocities);
   for (auto* vectors : {&x_, &before_, &v_, &rest_}) vectors->resize(n);
+  std::memcpy(v_.data(), velocities.data(), 4 * velocities.size());
   mass_.resize(n, 0);
   weight_.resize(n, 0);
   held_.resize(n, 0);
@@ -135,10 +144,6 @@ void SoftBody::apply(const Replica& mesh, const Delta& delta) {
   };
   for (const std::uint32_t id : mesh.deformed() ? delta.rest_ids : delta.moved_ids) take(id);
   for (std::uint32_t id = first_added; id < n; ++id) take(id);
-  for (std::size_t i = 0; i < delta.provenance_t.size(); ++i) {
-    const auto t = static_cast<float>(delta.provenance_t[i]);
-    v_[first_added + i] = (1 - t) * v_[delta.provenance_a[i]] + t * v_[delta.provenance_b[i]];
-  }
   for (const std::uint32_t id : delta.removed_tets) remove_tet(id);
   for (const std::uint32_t id : delta.tets.ids) set_tet(mesh, id);
   for (std::uint32_t id = 0; id < tets_.size(); ++id) {

@@ -53,8 +53,8 @@ MAX_ATTEMPTS = 5  # of a shard, before whatever kills its workers is given up on
 STORES = ("states", "deltas", "forces")
 SECTIONS = ("cut", "blade", "haptics")
 # Of a delta, what is kept.
-DELTA_ARRAYS = ("moved", "moved_positions", "added_positions", "provenance", "upserted", "removed", "boundary_upserted",
-                "boundary_removed", "pieces")
+DELTA_ARRAYS = ("moved", "moved_positions", "added_positions", "provenance", "blends", "upserted", "elders", "removed",
+                "boundary_upserted", "boundary_removed", "pieces")
 
 Plan = dict[str, Any]
 

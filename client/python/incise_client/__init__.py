@@ -11,6 +11,7 @@ build makes from ``protocol/incise.fbs``::
         print(client.replica.live_tets, client.replica.positions.mean(axis=0))
 """
 
+from .carry import carry, carry_tets
 from .client import Client, ConnectError, Pose, connect
 from .contact import ContactRenderer
 from .part import Rows, Surface, VolumePart
@@ -20,5 +21,5 @@ from .surface_asset import SurfaceAsset
 
 __all__ = [
     "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "Rows", "Surface", "SurfaceAsset", "VolumePart",
-    "connect", "element_hashes", "surface_vertex_hashes", "tet_hashes", "triangle_hashes", "vertex_hashes", "xor_of",
+    "carry", "carry_tets", "connect", "element_hashes", "surface_vertex_hashes", "tet_hashes", "triangle_hashes", "vertex_hashes", "xor_of",
 ]

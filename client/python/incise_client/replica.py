@@ -7,6 +7,7 @@ from typing import Any, Optional
 import numpy as np
 import numpy.typing as npt
 
+from .carry import Provenance
 from .state_hash import tet_hashes, vertex_hashes, xor_of
 
 NO_ID = 0xFFFFFFFF
@@ -238,6 +239,10 @@ class Replica:
             raise ApplyError("moved vertices that do not exist")
         if (len(new.added) and new.message.FirstAdded() != old) or new.message.VertexCount() != vertices:
             raise ApplyError("added vertices do not follow the last vertex")
+        try:
+            Provenance(new.message, old)
+        except ValueError as error:
+            raise ApplyError(str(error)) from None
         if len(new.tets.ids) and int(new.tets.vertices.max()) >= vertices:
             raise ApplyError("a tetrahedron of vertices that do not exist")
 
@@ -253,6 +258,10 @@ class Replica:
         if new.message.FirstNewTet() < slots or (
                 len(changed) and (int(changed[-1]) >= slots or not self.alive[changed].all())):
             raise ApplyError("changed tetrahedra that do not exist")
+        elders = _array(new.message.TetEldersAsNumpy(), np.uint32)
+        if len(elders) and (len(elders) != len(new.tets.ids) - len(changed) or int(elders.max()) >= slots
+                            or not self.alive[elders].all()):
+            raise ApplyError("elders that do not exist, or not one for each new tetrahedron")
         live = self.live_tets + len(new.tets.ids) - len(changed) - len(removed)
         if live != new.message.LiveTets() or len(new.piece_names) != len(new.piece_ids):
             raise ApplyError("delta whose counts differ from its contents")

@@ -147,9 +147,9 @@ int run_cut(const CutCommand& command) {
   std::vector<Json> reports;
   {
     Progress progress("reading " + command.poses.filename().string());
-    CutInput in =
-        read_motion_input({command.poses, command.mesh, command.config, command.blade, command.times},
-                          Engage::kAlways, progress);
+    CutInput in = read_motion_input({command.poses, command.mesh, command.config, command.blade,
+                                     command.times, !compares && keeps_fields(command.out)},
+                                    Engage::kAlways, progress);
     if (!command.policy.empty())
       in.config.cut.policy = command.policy == "croll" ? core::Policy::kCroll : core::Policy::kConforming;
     for (const auto prefer :
@@ -161,7 +161,7 @@ int run_cut(const CutCommand& command) {
     } else {
       const CutOutcome out = cut(in, in.config, progress);
       progress.stage("writing " + command.out.filename().string());
-      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get());
+      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.fields);
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
       reports.push_back(out.report);
     }

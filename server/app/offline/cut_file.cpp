@@ -64,7 +64,14 @@ void require_mesh_output(const fs::path& path, const std::string& option) {
   require_writable(path, option);
 }
 
-void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from) {
+bool keeps_fields(const fs::path& path) {
+  std::string ending = path.extension().string();
+  for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return ending == ".vtu";
+}
+
+void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from,
+                    const CarriedFields* fields) {
   if (is_glb_file(path)) {
     write_glb(path, cut_surface(mesh, from));
     return;
@@ -115,7 +122,8 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_
       arrays.push_back({"origin_" + std::to_string(f), std::move(of_face)});
     }
   }
-  mesh_io::write_mesh(path, data.positions, data.tets, arrays);
+  mesh_io::write_mesh(path, data.positions, data.tets, arrays,
+                      fields != nullptr ? fields->exported(mesh) : std::vector<mesh_io::Field>{});
 }
 
 void write_text(const fs::path& path, const std::string& text) {

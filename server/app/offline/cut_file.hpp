@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "server/app/offline/carried_fields.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_io.hpp"
@@ -21,13 +22,17 @@ void require_not_read(const std::filesystem::path& out, std::initializer_list<st
 // As require_writable; also throws UsageError if write_cut_mesh cannot write this ending: a mesh's, a surface's or none (TetGen).
 void require_mesh_output(const std::filesystem::path& path, const std::string& option);
 
+// Whether write_cut_mesh() writes fields to a file of this name.
+bool keeps_fields(const std::filesystem::path& path);
+
 // Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
-// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. Throws MeshError.
+// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu. Either may
+// be null. Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
-                    const mesh_io::Surface* from = nullptr);
+                    const mesh_io::Surface* from = nullptr, const CarriedFields* fields = nullptr);
 
 // Writes a text file. Throws std::runtime_error.
 void write_text(const std::filesystem::path& path, const std::string& text);

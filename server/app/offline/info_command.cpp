@@ -49,6 +49,12 @@ Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
   facts["inverted"] = report.inverted;
   facts["box_m"] = corners(box_of(loaded.mesh));
   facts["content_hash"] = loaded.content_hash;
+  for (const mesh_io::Field& field : loaded.fields) {
+    facts["fields"].push_back({{"name", field.name},
+                               {"on", field.on == mesh_io::Field::On::kVertices ? "vertices" : "tetrahedra"},
+                               {"components", field.components},
+                               {"type", field.values.index() == 0 ? "float32" : "int32"}});
+  }
   facts["warnings"] = loaded.warnings;
   return facts;
 }
@@ -190,6 +196,11 @@ void print(const Json& facts) {
         }
         print_row("source " + source["source"].dump(), line);
       }
+    } else if (name == "fields") {
+      for (const Json& field : value) {
+        print_row("field", field["name"].get<std::string>() + ", on " + field["on"].get<std::string>() +
+                               ", " + field["components"].dump() + " " + field["type"].get<std::string>());
+      }
     } else if (name == "config") {
       print_row(name, "shown with --json");
     } else if (value.is_object() && value.contains("min")) {
@@ -221,7 +232,9 @@ int run_info(const InfoCommand& command) {
   if (mesh_io::is_surface_file(file)) {
     facts = describe_surface(file);
   } else if (mesh_io::is_mesh_input(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
-    facts = describe_mesh(mesh_io::load_mesh(file, load_options(config)));
+    mesh_io::LoadOptions options = load_options(config);
+    options.fields = true;
+    facts = describe_mesh(mesh_io::load_mesh(file, options));
   } else if (!fs::exists(file, error)) {
     throw std::runtime_error(file.string() + ": no such file; accepted is " + known_files());
   } else {

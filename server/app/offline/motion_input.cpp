@@ -19,8 +19,10 @@ CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& pr
   }
   if (!files.blade.empty()) set_blade(to_core(protocol::parse_blade("--blade", files.blade)), config, motion);
   progress.stage("loading " + files.mesh.filename().string());
-  auto loaded = mesh_io::load_mesh(
-      files.mesh, load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); }));
+  mesh_io::LoadOptions options =
+      load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
+  options.fields = files.fields;
+  auto loaded = mesh_io::load_mesh(files.mesh, options);
   return cut_input(files.mesh.string(), files.motion.string(), std::move(motion), std::move(config),
                    std::make_shared<const mesh_io::LoadedMesh>(std::move(loaded)), engage);
 }

@@ -16,7 +16,8 @@ bool mesh_is_there(const std::filesystem::path& path) {
 
 }  // namespace
 
-Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh) {
+Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
+                        bool fields) {
   Replayable opened;
   opened.motion = read_whole_capture(capture);
   const protocol::CaptureHeader& header = *opened.motion.header;
@@ -32,7 +33,8 @@ Replayable open_capture(const std::filesystem::path& capture, const std::filesys
     if (!mesh_is_there(header.mesh_path) && mesh_is_there(beside)) opened.config.mesh.path = beside.string();
   }
   Progress filling("loading the mesh");
-  opened.body = load_body(opened.config, [&](std::string_view stage, double) { filling.show(-1, stage); });
+  opened.body = load_body(
+      opened.config, [&](std::string_view stage, double) { filling.show(-1, stage); }, fields);
   if (opened.body.loaded.content_hash != header.mesh_content_hash) {
     throw std::runtime_error(capture.string() + ": was recorded with another mesh: its hash is " +
                              header.mesh_content_hash + ", that of " + opened.body.name + " is " +

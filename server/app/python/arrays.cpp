@@ -84,6 +84,57 @@ Integers integers(py::handle value, const std::string& name, const std::vector<p
   return array;
 }
 
+void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on, std::size_t rows,
+                std::vector<mesh_io::Field>& fields) {
+  if (given.is_none()) return;
+  if (!py::isinstance<py::dict>(given))
+    throw py::type_error(name + ": found " + type_text(given) + "; accepted is a dict of arrays by name");
+  for (const auto& [key, value] : given.cast<py::dict>()) {
+    if (!py::isinstance<py::str>(key))
+      throw py::type_error(name + ": found a key of the type " + type_text(key) + "; accepted is str");
+    mesh_io::Field field{key.cast<std::string>(), on, 1, {}};
+    const std::string what = name + "[" + std::string(py::repr(key)) + "]";
+    if (field.name.empty() || field.name.size() > mesh_io::kMaxFieldName)
+      throw py::value_error(what + ": found a name of " + std::to_string(field.name.size()) +
+                            " bytes; accepted are 1 to " + std::to_string(mesh_io::kMaxFieldName));
+    const py::array array = array_of(value, what, "fiu", "real numbers");
+    const bool shaped = array.ndim() == 1 || array.ndim() == 2;
+    const py::ssize_t components = array.ndim() == 2 ? array.shape(1) : 1;
+    if (!shaped || array.shape(0) != static_cast<py::ssize_t>(rows) || components < 1 ||
+        components > static_cast<py::ssize_t>(mesh_io::kMaxFieldComponents)) {
+      throw py::value_error(
+          what + ": found shape " +
+          shape_text(std::vector<py::ssize_t>(array.shape(), array.shape() + array.ndim())) +
+          "; accepted is (" + std::to_string(rows) + ",) or (" + std::to_string(rows) + ", k) with 1 to " +
+          std::to_string(mesh_io::kMaxFieldComponents) + " components");
+    }
+    field.components = static_cast<std::size_t>(components);
+    if (array.dtype().kind() == 'f') {
+      const py::array_t<float, py::array::c_style | py::array::forcecast> numbers(array);
+      field.values = std::vector<float>(numbers.data(), numbers.data() + numbers.size());
+    } else {
+      using Limits = std::numeric_limits<std::int32_t>;
+      const std::vector<py::ssize_t> shape(array.shape(), array.shape() + array.ndim());
+      const Integers numbers = integers(array, what, shape, Limits::min(), Limits::max());
+      auto& values = field.values.emplace<std::vector<std::int32_t>>();
+      for (py::ssize_t i = 0; i < numbers.size(); ++i)
+        values.push_back(static_cast<std::int32_t>(numbers.data()[i]));
+    }
+    fields.push_back(std::move(field));
+  }
+}
+
+py::dict dict_of(std::span<const mesh_io::Field> fields, mesh_io::Field::On on) {
+  py::dict out;
+  for (const mesh_io::Field& field : fields) {
+    if (field.on != on) continue;
+    py::object values = std::visit([](const auto& v) -> py::object { return owned(v); }, field.values);
+    if (field.components > 1) values = values.attr("reshape")(field.rows(), field.components);
+    out[py::str(field.name)] = values;
+  }
+  return out;
+}
+
 std::vector<core::Vec3> points(py::handle value, const std::string& name) {
   const Doubles array = doubles(value, name, {-1, 3});
   const double* const data = array.data();

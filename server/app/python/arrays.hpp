@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "server/core/geometry/vec3.hpp"
+#include "server/mesh_io/field.hpp"
 
 namespace incise::python {
 
@@ -28,6 +29,13 @@ Integers integers(py::handle value, const std::string& name, const std::vector<p
 std::vector<core::Vec3> points(py::handle value, const std::string& name);
 // One point of three numbers.
 core::Vec3 point(py::handle value, const std::string& name);
+
+// A field for each name of a dict, or of None: (rows,) or (rows, components) numbers. Whole numbers become int32, others float32, which
+// may be NaN. Throws TypeError or ValueError.
+void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on, std::size_t rows,
+                std::vector<mesh_io::Field>& fields);
+// The fields on one of the two, by name: new arrays.
+py::dict dict_of(std::span<const mesh_io::Field> fields, mesh_io::Field::On on);
 
 // "(3, 2)"
 std::string shape_text(const std::vector<py::ssize_t>& shape);

@@ -21,12 +21,14 @@ using mesh_io::LoadedMesh;
 mesh_io::LoadOptions options_of(const app::Config& config) {
   mesh_io::LoadOptions options = app::load_options(config);
   const py::object file = py::module_::import("incise._core").attr("__file__");
+  options.fields = true;
   options.fill.tetgen_directory = std::filesystem::path(file.cast<std::string>()).parent_path();
   return options;
 }
 
 Body from_arrays(const py::object& given_points, const py::object& given_tets,
-                 const py::object& given_regions, const std::string& name) {
+                 const py::object& given_regions, const std::string& name, const py::object& vertex_fields,
+                 const py::object& tet_fields) {
   auto loaded = std::make_shared<LoadedMesh>();
   MeshData& mesh = loaded->mesh;
   mesh.positions = points(given_points, "points");
@@ -48,9 +50,15 @@ Body from_arrays(const py::object& given_points, const py::object& given_tets,
     for (py::ssize_t t = 0; t < regions.size(); ++t)
       mesh.regions.push_back(static_cast<std::int32_t>(regions.data()[t]));
   }
+  using mesh_io::Field;
+  add_fields(vertex_fields, "vertex_fields", Field::On::kVertices, mesh.positions.size(), loaded->fields);
+  add_fields(tet_fields, "tet_fields", Field::On::kTets, mesh.tets.size(), loaded->fields);
   {
     const py::gil_scoped_release release;
-    mesh_io::repair_tets(mesh, name, 0, loaded->warnings);
+    mesh_io::KeptElements kept;
+    mesh_io::repair_tets(mesh, name, 0, loaded->warnings, &kept);
+    for (Field& field : loaded->fields)
+      field = mesh_io::rows_of(field, field.on == Field::On::kVertices ? kept.vertices : kept.tets);
     loaded->content_hash = mesh_io::mesh_hash(mesh);
   }
   return {name, std::move(loaded)};
@@ -92,7 +100,8 @@ void save(const Body& body, const py::object& given) {
   } else if (path.has_extension() && !mesh_io::is_mesh_file(path)) {
     app::write_cut_mesh(path, core::TetMesh(mesh), body.loaded->surface.get());
   } else {
-    mesh_io::write_mesh(path.has_extension() ? path : std::filesystem::path(path.string() + ".node"), mesh);
+    mesh_io::write_mesh(path.has_extension() ? path : std::filesystem::path(path.string() + ".node"), mesh,
+                        body.loaded->fields);
   }
 }
 
@@ -122,13 +131,15 @@ std::shared_ptr<const Body> body_from(const py::object& value, const app::Config
 }
 
 void add_body(py::module_& module) {
-  py::class_<Body, std::shared_ptr<Body>>(module, "Body",
-                                          R"(Body(points, tets, regions=None, *, name="arrays")
+  py::class_<Body, std::shared_ptr<Body>>(
+      module, "Body",
+      R"(Body(points, tets, regions=None, *, name="arrays", vertex_fields=None, tet_fields=None)
 
 A tetrahedral mesh that can be cut. Immutable: a Session works on a copy.
 
 points: (n, 3) real numbers, metres. tets: (m, 4) indices into points, from 0. regions: (m,) whole numbers, the material of
-each tetrahedron (default: all 0). The arrays are copied.
+each tetrahedron (default: all 0). vertex_fields, tet_fields: dicts of (n,) or (n, k) and (m,) or (m, k) numbers, k 1 to 9,
+that go with the material when it is cut; whole numbers become int32, others float32. The arrays are copied.
 
 The mesh is checked and repaired as a file's is: left-handed tetrahedra are turned over, flat ones fixed or removed, points
 without a tetrahedron dropped (so `points` may have fewer rows than were given); `warnings` says what was done.
@@ -136,7 +147,8 @@ without a tetrahedron dropped (so `points` may have fewer rows than were given);
 Raises TypeError or ValueError for arrays of another type or shape, NaN, infinities and indices out of range; MeshError for a
 mesh that cannot be cut, such as a face of three tetrahedra.)")
       .def(py::init(&from_arrays), py::arg("points"), py::arg("tets"), py::arg("regions") = py::none(),
-           py::kw_only(), py::arg("name") = "arrays")
+           py::kw_only(), py::arg("name") = "arrays", py::arg("vertex_fields") = py::none(),
+           py::arg("tet_fields") = py::none())
       .def_static(
           "load",
           [](const py::object& path, const py::object& config) {
@@ -164,6 +176,14 @@ along z) or "slab" (100 x 60 x 20 mm). The same arguments give the same bits. Ne
       .def_property_readonly(
           "tets", &tets_of, "(m, 4) uint32, right-handed: (p1-p0) x (p2-p0) . (p3-p0) > 0; a read-only view.")
       .def_property_readonly("regions", &regions_of, "(m,) int32: the material of each tetrahedron.")
+      .def_property_readonly(
+          "vertex_fields",
+          [](const Body& body) { return dict_of(body.loaded->fields, mesh_io::Field::On::kVertices); },
+          "dict of str to (n,) or (n, components) float32 or int32: fields on the points; copies.")
+      .def_property_readonly(
+          "tet_fields",
+          [](const Body& body) { return dict_of(body.loaded->fields, mesh_io::Field::On::kTets); },
+          "dict likewise: fields on the tetrahedra.")
       .def_property_readonly(
           "content_hash", [](const Body& body) { return body.loaded->content_hash; },
           "str: SHA-256 of points, tetrahedra and regions, 64 hexadecimal digits.")

@@ -66,6 +66,7 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
              .commit =
                  [&](const core::Delta& delta, double) {
                    cut_faces += delta.cut_faces;
+                   session->fields.apply(delta);
                    recorder.commit(use.core(), delta);
                  }},
             progress);
@@ -106,6 +107,7 @@ Cut cut_body(const py::object& given_body, const py::object& poses, const py::ob
                   .commit = [&](const core::CutSession& core,
                                 const core::Delta& delta) { recorder.commit(core, delta); }});
     session->core = std::move(out.session);
+    session->fields = std::move(out.fields);
     cut.warnings = out.report["warnings"].get<std::vector<std::string>>();
     const std::string text = out.report.dump();
     const py::gil_scoped_acquire acquire;

@@ -1,6 +1,8 @@
 // incise.Delta: one committed step.
 #include <pybind11/stl.h>
 
+#include "protocol/carry.hpp"
+#include "server/app/offline/carried_fields.hpp"
 #include "server/app/python/arrays.hpp"
 #include "server/app/python/module.hpp"
 
@@ -25,6 +27,44 @@ py::tuple line_of(const core::BladeLine& line) {
                         py::make_tuple(line.tip.x, line.tip.y, line.tip.z));
 }
 
+// The values of a field after a delta, in C order.
+template <class T>
+py::array carried(const Delta& delta, const py::array& values, bool of_tets) {
+  const py::array_t<T, py::array::c_style | py::array::forcecast> given(values);
+  std::vector<T> numbers(given.data(), given.data() + given.size());
+  std::vector<py::ssize_t> shape(values.shape(), values.shape() + values.ndim());
+  std::size_t columns = 1;
+  for (std::size_t k = 1; k < shape.size(); ++k) columns *= static_cast<std::size_t>(shape[k]);
+  if (columns == 0) throw py::value_error("values: found rows of no numbers; accepted is one or more");
+  const app::DeltaOrigins origins(delta);
+  if (of_tets) {
+    protocol::carry_tets(origins.message(), columns, numbers);
+  } else {
+    protocol::carry(origins.message(), columns, numbers);
+  }
+  shape[0] = static_cast<py::ssize_t>(numbers.size() / columns);
+  return owned(std::move(numbers)).attr("reshape")(shape).attr("astype")(values.dtype());
+}
+
+py::array carry(const Delta& delta, const py::handle value, bool of_tets) {
+  const py::array values = py::array::ensure(value);
+  const char kind = values ? values.dtype().kind() : '?';
+  const bool whole = kind == 'i' || kind == 'u' || kind == 'b';
+  if (!whole && kind != 'f')
+    throw py::type_error("values: accepted is an array of integers or floating-point numbers");
+  const bool fits =
+      values.ndim() >= 1 && (of_tets || values.shape(0) == static_cast<py::ssize_t>(delta.first_added));
+  if (!fits) {
+    throw py::value_error(
+        "values: found shape " +
+        shape_text(std::vector<py::ssize_t>(values.shape(), values.shape() + values.ndim())) +
+        ", accepted is one row for each " +
+        (of_tets ? "id of a tetrahedron"
+                 : "of the " + std::to_string(delta.first_added) + " vertices before"));
+  }
+  return whole ? carried<std::int64_t>(delta, values, of_tets) : carried<double>(delta, values, of_tets);
+}
+
 void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
   def_view(type, "moved", &Delta::moved,
            "(n,) uint32: ids of vertices that were there and now lie elsewhere, ascending.");
@@ -34,6 +74,11 @@ void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
   def_view(type, "provenance", &Delta::provenance,
            "(n,) of (a uint32, b uint32, t float64): the fields of each new vertex are (1 - t) of vertex a + "
            "t of vertex b; these are older, or new with lower ids.");
+  def_view(type, "blends", &Delta::blends,
+           "(n,) of (vertex uint32, from[4] uint32, weights[4] float64): vertices that stand for other "
+           "material now: their "
+           "fields are the sum of the weights times those that the vertices `from` had before; ascending. "
+           "carry() applies them.");
   def_view(
       type, "moved_rest", &Delta::moved_rest,
       "(n, 3) or empty: rest positions of `moved`, if a cut moved them in a body that is deformed, metres.");
@@ -43,6 +88,10 @@ void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
            "ascending. Bit f of a mask "
            "is the face opposite to vertex f: opened by a cut; on the boundary.");
   def_view(type, "removed", &Delta::removed, "(n,) uint32: ids of tetrahedra that are gone, ascending.");
+  def_view(
+      type, "elders", &Delta::elders,
+      "(n,) uint32: of each new tetrahedron (they are the last of `upserted`) one from before the step, in "
+      "whose place it is: it has its region, and its fields.");
   def_view(type, "boundary_upserted", &Delta::boundary_upserted,
            "(n,) uint32: boundary faces that are new or changed, as 4 * tetrahedron + face.");
   def_view(type, "boundary_removed", &Delta::boundary_removed, "(n,) uint32: boundary faces that are gone.");
@@ -56,6 +105,7 @@ void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
 
 void add_delta(py::module_& module) {
   PYBIND11_NUMPY_DTYPE(core::Provenance, a, b, t);
+  PYBIND11_NUMPY_DTYPE(core::Blend, vertex, from, weights);
   PYBIND11_NUMPY_DTYPE(core::TetState, id, vertices, region, cut_mask, boundary_mask);
   PYBIND11_NUMPY_DTYPE(Delta::Piece, id, tet, tets);
   py::class_<Delta, std::shared_ptr<Delta>> type(module, "Delta",
@@ -102,6 +152,21 @@ tetrahedra are never used again. A step is a batch of a stroke, or a deformation
           "(n,) uint32: of a deformation: vertices that stayed or went half the way, since a tetrahedron "
           "would have inverted "
           "or a blade is at work there.")
+      .def(
+          "carry", [](const Delta& delta, const py::object& values) { return carry(delta, values, false); },
+          py::arg("values"), R"(The values of a field on the vertices after this step.
+
+values: (first_added,) or (first_added, ...), the field before it: a row for each vertex, of any number type. Returns an array of the same
+type with rows for the new vertices, too. Numbers with a fraction are interpolated, in double precision; a whole number is
+that of the vertex with the largest weight. Raises TypeError for what is no array of numbers, ValueError for another number of rows. O(vertices), for the
+copy.)")
+      .def(
+          "carry_tets",
+          [](const Delta& delta, const py::object& values) { return carry(delta, values, true); },
+          py::arg("values"), R"(The same for a field on the tetrahedra.
+
+values: a row for each id up to the largest before this step. Returns an array with rows for the new ids: what is new has the values
+of its elder. Rows of ids without a tetrahedron are meaningless. Raises TypeError, ValueError. O(ids), for the copy.)")
       .def("__repr__", [](const Delta& delta) {
         return "<incise.Delta revision " + std::to_string(delta.revision) + ": " +
                std::to_string(delta.cut_faces) + " cut faces>";

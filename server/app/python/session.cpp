@@ -14,6 +14,8 @@
 namespace incise::python {
 namespace {
 
+using mesh_io::Field;
+
 // A face of the boundary.
 struct Face {
   core::TetId tet;
@@ -30,6 +32,7 @@ std::shared_ptr<Session> make_session(const py::object& body, const py::object& 
   const py::gil_scoped_release release;
   const core::MeshData& mesh = session->body->loaded->mesh;
   session->core = std::make_unique<core::CutSession>(mesh, session->config.cut);
+  session->fields = app::CarriedFields(*session->body->loaded, session->core->mesh());
   if (forces) session->forces = std::make_unique<ForceTrace>(session->config, mesh);
   return session;
 }
@@ -68,6 +71,7 @@ std::shared_ptr<core::Delta> advance(Session& session) {
     auto delta = std::make_shared<core::Delta>();
     core::WorkBudget budget = core::WorkBudget::unlimited();
     if (core.advance(budget, *delta) != core::CutSession::Progress::kCommitted) return nullptr;
+    session.fields.apply(*delta);
     if (session.forces) session.forces->commit(core, *delta);
     return delta;
   });
@@ -131,6 +135,20 @@ py::array tets_of(Session& session) {
     });
     return all;
   }));
+}
+
+// Copies, a row for each id of a vertex, or for each row of tets().
+py::dict fields_of(Session& session, Field::On on) {
+  std::vector<Field> fields;
+  with_core(session, [&](const core::CutSession& core) {
+    std::vector<std::uint32_t> living;
+    for_each_tet(core.mesh(), [&](core::TetId t) { living.push_back(t); });
+    for (const Field& field : session.fields.all()) {
+      if (field.on == on)
+        fields.push_back(on == Field::On::kVertices ? field : mesh_io::rows_of(field, living));
+    }
+  });
+  return dict_of(fields, on);
 }
 
 py::array pieces_of(Session& session) {
@@ -207,7 +225,7 @@ void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
   with_core(session, [&](const core::CutSession& core) {
-    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get());
+    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get(), &session.fields);
   });
 }
 
@@ -215,6 +233,7 @@ Body current_body(Session& session) {
   auto loaded = std::make_shared<mesh_io::LoadedMesh>();
   with_core(session, [&](const core::CutSession& core) {
     loaded->mesh = core.mesh().export_data();
+    loaded->fields = session.fields.exported(core.mesh());
     loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
   });
   return {session.body->name + " (cut)", std::move(loaded)};
@@ -264,6 +283,14 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
       .def(
           "rest_positions", [](Session& self) { return positions_of(self, true); },
           "rest_positions() -> (n, 3) float64, metres: where the material is in the body at rest.")
+      .def(
+          "vertex_fields", [](Session& self) { return fields_of(self, Field::On::kVertices); },
+          "vertex_fields() -> dict of str to (n,) or (n, components) float32 or int32: the body's vertex "
+          "fields in "
+          "the material as it is cut; row i is vertex id i. Copies.")
+      .def(
+          "tet_fields", [](Session& self) { return fields_of(self, Field::On::kTets); },
+          "tet_fields() -> dict likewise: the tetrahedron fields, a row for each row of tets(). Copies.")
       .def("tets", &tets_of,
            "tets() -> (m,) of (id, vertices[4], region, cut_mask, boundary_mask), as Delta.upserted: all "
            "tetrahedra by id. "
@@ -288,7 +315,8 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
            "volume (m^3), inverted, min_dihedral_deg. O(mesh).")
       .def("save", &save, py::arg("path"), R"(save(path)
 
-Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece, cut faces, angles and more.)")
+Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece, cut faces, angles and more, .vtu the
+fields, too.)")
       .def("current_body", &current_body,
            "current_body() -> Body: the mesh as it is now, renumbered without gaps in the order of ids.")
       .def_property_readonly(

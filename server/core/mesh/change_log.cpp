@@ -11,6 +11,7 @@ void ChangeLog::begin_step(VertexId vertex_slots, TetId tet_slots) {
   first_new_tet_ = tet_slots;
   vertices_in_order_.grow(vertex_slots);
   tets_in_order_.grow(tet_slots);
+  finder_.grow(vertex_slots);
 }
 
 void ChangeLog::forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t hash) {
@@ -19,12 +20,14 @@ void ChangeLog::forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t has
   before_.clear();
   provenance_.clear();
   elder_.clear();
+  finder_.clear();
   begin_step(vertex_slots, tet_slots);
   hash_ = hash;
 }
 
 void ChangeLog::note_vertex(const TetMesh& mesh, VertexId v) {
   touched_vertices_.push_back(v);
+  finder_.note_vertex(v, mesh.rest_position(v));
   hash_ ^= mesh.hash_of_vertex(v);
 }
 
@@ -38,10 +41,12 @@ void ChangeLog::clear_mesh(Delta& delta) {
   delta.moved_positions.clear();
   delta.added_positions.clear();
   delta.provenance.clear();
+  delta.blends.clear();
   delta.moved_rest.clear();
   delta.added_rest.clear();
   delta.upserted.clear();
   delta.removed.clear();
+  delta.elders.clear();
   delta.boundary_upserted.clear();
   delta.boundary_removed.clear();
 }
@@ -61,6 +66,11 @@ bool ChangeLog::commit(const TetMesh& mesh, Delta& delta, WorkBudget& budget) {
   }
   if (committing_ == Committing::kAdded) {
     if (!commit_added(mesh, delta, budget)) return false;
+    next_ = 0;
+    committing_ = Committing::kBefore;
+  }
+  if (committing_ < Committing::kTets) {
+    if (!find_blends(mesh, delta, budget)) return false;
     committing_ = Committing::kTets;
   }
   if (committing_ == Committing::kTets) {
@@ -99,6 +109,63 @@ bool ChangeLog::commit_added(const TetMesh& mesh, Delta& delta, WorkBudget& budg
   return true;
 }
 
+// Which material the step's vertices stand for now.
+bool ChangeLog::find_blends(const TetMesh& mesh, Delta& delta, WorkBudget& budget) {
+  if (delta.moved.empty() && provenance_.empty()) return true;
+  if (committing_ == Committing::kBefore) {
+    if (!note_tets_before(mesh, budget)) return false;
+    next_ = 0;
+    committing_ = Committing::kBlendMoved;
+  }
+  if (committing_ == Committing::kBlendMoved) {
+    if (!blend_moved(mesh, delta, budget)) return false;
+    next_ = 0;
+    committing_ = Committing::kBlendAdded;
+  }
+  return blend_added(mesh, delta, budget);
+}
+
+bool ChangeLog::note_tets_before(const TetMesh& mesh, WorkBudget& budget) {
+  for (; next_ < before_.size(); ++next_) {
+    if (budget.spent()) return false;
+    if (before_[next_].id == kNone) continue;
+    budget.charge(1);
+    finder_.note_tet(mesh, before_[next_], static_cast<std::uint32_t>(next_));
+  }
+  return true;
+}
+
+bool ChangeLog::blend_moved(const TetMesh& mesh, Delta& delta, WorkBudget& budget) {
+  for (; next_ < delta.moved.size(); ++next_) {
+    if (budget.spent()) return false;
+    const VertexId v = delta.moved[next_];
+    if (finder_.rest_before(v) == mesh.rest_position(v)) continue;
+    delta.blends.push_back(finder_.find(mesh, *this, v, {&v, 1}));
+    budget.charge(1 + static_cast<std::int64_t>(finder_.take_work() / 2));
+  }
+  return true;
+}
+
+// A vertex that lies between its parents as they are now needs none: with their fields it gets its own.
+bool ChangeLog::blend_added(const TetMesh& mesh, Delta& delta, WorkBudget& budget) {
+  for (; next_ < provenance_.size(); ++next_) {
+    if (budget.spent()) return false;
+    const VertexId v = first_new_vertex_ + static_cast<VertexId>(next_);
+    const Provenance& p = provenance_[next_];
+    if (lerp(mesh.rest_position(p.a), mesh.rest_position(p.b), p.t) == mesh.rest_position(v)) continue;
+    const VertexId near[2] = {ancestor(p.a), ancestor(p.b)};
+    delta.blends.push_back(finder_.find(mesh, *this, v, near));
+    budget.charge(1 + static_cast<std::int64_t>(finder_.take_work() / 2));
+  }
+  return true;
+}
+
+// A vertex from before the step, near v.
+VertexId ChangeLog::ancestor(VertexId v) const {
+  while (is_new(v)) v = provenance(v).t < 0.5 ? provenance(v).a : provenance(v).b;
+  return v;
+}
+
 bool ChangeLog::commit_tets(const TetMesh& mesh, Delta& delta, WorkBudget& budget) {
   while (!tets_in_order_.empty()) {
     if (budget.spent()) return false;
@@ -124,6 +191,7 @@ void ChangeLog::commit_tet(const TetMesh& mesh, TetId t, Delta& delta) {
   const bool lives = mesh.alive(t);
   if (lives) {
     delta.upserted.push_back(mesh.state(t));
+    if (!existed) delta.elders.push_back(elder(t));
     hash_ ^= mesh.hash_of_tet(t);
   } else if (existed) {
     delta.removed.push_back(t);

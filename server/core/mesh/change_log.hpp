@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "server/core/mesh/blend_finder.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/util/archive.hpp"
 #include "server/core/util/id_set.hpp"
@@ -20,7 +21,10 @@ class ChangeLog {
  public:
   // Ids below these exist; the rest of the step's ids are new.
   void begin_step(VertexId vertex_slots, TetId tet_slots);
-  void reserve(std::size_t tets) { record_.reserve(tets); }
+  void reserve(std::size_t vertices, std::size_t tets) {
+    finder_.reserve(vertices);
+    record_.reserve(tets);
+  }
   void resize(std::size_t tets) { record_.resize(tets, 0); }
 
   // Before a vertex is moved.
@@ -49,6 +53,10 @@ class ChangeLog {
   void forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t hash);
 
   const Provenance& provenance(VertexId v) const { return provenance_[v - first_new_vertex_]; }
+  // Whether the step has changed or made it; as which record.
+  bool touched(TetId t) const { return record_[t] < touched_tets_.size() && touched_tets_[record_[t]] == t; }
+  // A tetrahedron as it was before the step; kNone as its id where it did not exist.
+  const TetState& before(std::uint32_t record) const { return before_[record]; }
   bool is_new(VertexId v) const { return v >= first_new_vertex_; }
   bool is_new_tet(TetId t) const { return t >= first_new_tet_; }
   TetId elder(TetId t) const { return elder_[t - first_new_tet_]; }
@@ -69,6 +77,11 @@ class ChangeLog {
   }
   bool commit_moved(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
   bool commit_added(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool find_blends(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool note_tets_before(const TetMesh& mesh, WorkBudget& budget);
+  bool blend_moved(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  bool blend_added(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
+  VertexId ancestor(VertexId v) const;
   bool commit_tets(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
   bool commit_new_tets(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
   void commit_tet(const TetMesh& mesh, TetId t, Delta& delta);
@@ -85,11 +98,12 @@ class ChangeLog {
   std::vector<Provenance> provenance_;       // of new vertices
   std::vector<TetId> elder_;                 // of new tetrahedra
   IdSet vertices_in_order_, tets_in_order_;  // that existed before the step and are touched
+  BlendFinder finder_;
   std::uint64_t hash_ = 0;
   std::int64_t cut_sides_ = 0;  // sides of faces that cuts have opened, since load
 
   // How far commit() is.
-  enum class Committing { kNothing, kMoved, kAdded, kTets, kNewTets };
+  enum class Committing { kNothing, kMoved, kAdded, kBefore, kBlendMoved, kBlendAdded, kTets, kNewTets };
   Committing committing_ = Committing::kNothing;
   std::size_t next_ = 0;
   int step_sides_ = 0;

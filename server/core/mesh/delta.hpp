@@ -21,6 +21,16 @@ struct Provenance {
   friend bool operator==(const Provenance&, const Provenance&) = default;
 };
 
+// The material that a vertex stands for after a step: its fields are the sum of weights[k] times those that vertex from[k] had
+// before. The weights add up to 1; of a place outside the body, beyond a curved boundary, some are negative.
+struct Blend {
+  VertexId vertex = kNone;
+  std::array<VertexId, 4> from{};
+  std::array<double, 4> weights{};
+
+  friend bool operator==(const Blend&, const Blend&) = default;
+};
+
 // A tetrahedron as clients see it.
 struct TetState {
   TetId id = kNone;
@@ -57,8 +67,13 @@ struct Delta {
   // Rest positions of `moved` and of the added vertices, where a cut has moved them in a body that is deformed; else empty.
   std::vector<Vec3> moved_rest, added_rest;
   std::vector<Provenance> provenance;
+  // Of vertices that existed and to which a cut gave other material, and of added ones that no longer lie between their parents
+  // as these are after the step: ascending. Fields follow from all blends at once, then from the provenance of the other
+  // added vertices, in order.
+  std::vector<Blend> blends;
   std::vector<TetState> upserted;  // new or changed tetrahedra, ascending by id
   std::vector<TetId> removed;      // ascending
+  std::vector<TetId> elders;       // of the new ones, which come last: one from before the step, in whose place it is
   // Boundary faces that appeared or whose vertices changed, and those that went, as half-faces: ascending.
   std::vector<HalfFace> boundary_upserted;
   std::vector<HalfFace> boundary_removed;

@@ -52,7 +52,7 @@ TetMesh::TetMesh(const MeshData& data) {
   measure_edges();
   vertex_marks_.grow_to(room_for(vertex_count), vertex_count);
   tet_marks_.grow_to(room_for(tet_count), tet_count);
-  log_.reserve(room_for(tet_count));
+  log_.reserve(room_for(vertex_count), room_for(tet_count));
   log_.resize(tet_count);
   // Until the log begins its first step all is new to it, and nothing is recorded.
   if (data.opposite.empty()) {
@@ -201,7 +201,7 @@ void TetMesh::archive(Archive& io) {
   find_boundary();
   vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
   tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
-  log_.reserve(room_for(tets_.size()));
+  log_.reserve(room_for(vertices_.size()), room_for(tets_.size()));
   log_.resize(tets_.size());
   log_.begin_step(vertex_slots(), tet_slots());
   const std::string problem = validate(*this, false);

@@ -130,7 +130,8 @@ namespace Incise
                 BoundaryUpserted = Ids(t, 12, 4 * IdLimit), BoundaryRemoved = Ids(t, 13, 4 * IdLimit), PieceIds = t.Array<uint>(14, 4),
                 PieceTets = t.Array<uint>(16, 4), VertexCount = t.UInt(17), LiveTets = t.UInt(18), StateHash = t.ULong(19),
                 FirstNewTet = t.UInt(20), AddedIds = Ids(t, 21, IdLimit), RemovedVertices = Ids(t, 22, IdLimit), PartHash = t.ULong(23),
-                RestIds = Ids(t, 24, IdLimit), PieceNames = t.Array<uint>(26, 4)
+                RestIds = Ids(t, 24, IdLimit), PieceNames = t.Array<uint>(26, 4), BlendIds = t.Array<uint>(27, 4),
+                RoundAdded = t.Array<uint>(30, 4), TetElders = t.Array<uint>(32, 4)
             };
             int added = m.ProvenanceT.Length;
             m.MovedPositions = Positions(t, 4, m.MovedIds.Length, "moved_positions");
@@ -139,6 +140,10 @@ namespace Incise
             m.ProvenanceB = Matching<uint>(t, 8, 4, added, "provenance_b");
             m.PieceSizes = Matching<uint>(t, 15, 4, m.PieceIds.Length, "piece_sizes");
             m.RestPositions = Positions(t, 25, m.RestIds.Length, "rest_positions");
+            m.BlendVertices = Matching<uint>(t, 28, 4, 4 * m.BlendIds.Length, "blend_vertices");
+            m.BlendWeights = Matching<double>(t, 29, 8, 4 * m.BlendIds.Length, "blend_weights");
+            m.RoundBlends = Matching<uint>(t, 31, 4, m.RoundAdded.Length, "round_blends");
+            foreach (double weight in m.BlendWeights) Finite(weight);
             foreach (double share in m.ProvenanceT) Require(share >= 0 && share <= 1, "provenance_t: accepted are 0 to 1");
             Require(m.PieceNames.Length == 0 || m.PieceNames.Length == m.PieceIds.Length, "piece_names: as many as piece_ids, or none");
             Require(m.AddedIds.Length == 0 || m.AddedIds.Length == added, "added_ids: as many as provenance_t, or none");

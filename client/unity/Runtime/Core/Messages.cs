@@ -1,3 +1,5 @@
+using System;
+
 namespace Incise
 {
     // The messages of protocol/incise.fbs that a client of this package sends or receives, field by field as there. An
@@ -220,6 +222,69 @@ namespace Incise
         public uint[] PieceIds = { }, PieceSizes = { }, PieceTets = { }, PieceNames = { };
         public uint[] AddedIds = { }, RemovedVertices = { }, RestIds = { };
         public double[] RestPositions = { };
+        public uint[] BlendIds = { }, BlendVertices = { }, RoundAdded = { }, RoundBlends = { }, TetElders = { };
+        public double[] BlendWeights = { };
+
+        /// <summary>
+        /// Carries a field on the vertices, so many numbers for each, from the state before this delta to that after it: the values with which
+        /// each vertex has what its material has. For fields of your own, in Client.DeltaApplied; not for a delta of a box. Throws
+        /// ArgumentException, and changes nothing, where values or lists do not fit.
+        /// </summary>
+        public void Carry(ref double[] values, int components)
+        {
+            int added = ProvenanceT.Length, before = (int)VertexCount - added;
+            if (components < 1 || before < 0 || values.Length != components * before)
+                throw new ArgumentException("a field with " + values.Length + " values for " + before + " vertices of " + components + " each");
+            string error = ProvenanceError(before);
+            if (error != null) throw new ArgumentException(error);
+            var next = new double[components * (before + added)];
+            Array.Copy(values, next, values.Length);
+            int rounds = RoundAdded.Length == 0 ? 1 : RoundAdded.Length, firstAdded = 0, blend = 0;
+            for (int round = 0; round < rounds; ++round)
+            {
+                int endAdded = firstAdded + (RoundAdded.Length == 0 ? added : (int)RoundAdded[round]);
+                int endBlend = blend + (RoundBlends.Length == 0 ? BlendIds.Length : (int)RoundBlends[round]);
+                // All blends of a round read the values before it.
+                var blended = new double[components * (endBlend - blend)];
+                for (int i = 0; i < blended.Length; ++i)
+                    for (int k = 4 * (blend + i / components), end = k + 4; k < end; ++k)
+                        blended[i] += BlendWeights[k] * next[components * BlendVertices[k] + i % components];
+                for (int i = 0; i < blended.Length; ++i) next[components * BlendIds[blend + i / components] + i % components] = blended[i];
+                for (; firstAdded < endAdded; ++firstAdded)
+                {
+                    if (Array.BinarySearch(BlendIds, blend, endBlend - blend, (uint)(before + firstAdded)) >= 0) continue;
+                    double t = ProvenanceT[firstAdded];
+                    for (int c = 0; c < components; ++c)
+                        next[components * (before + firstAdded) + c] = (1 - t) * next[components * ProvenanceA[firstAdded] + c]
+                            + t * next[components * ProvenanceB[firstAdded] + c];
+                }
+                blend = endBlend;
+            }
+            values = next;
+        }
+
+        /// <summary>What is wrong with provenance or blends for a state of so many vertices; null: nothing.</summary>
+        internal string ProvenanceError(int vertices)
+        {
+            for (int i = 0; i < ProvenanceT.Length; ++i)
+                if (ProvenanceA[i] >= vertices + i || ProvenanceB[i] >= vertices + i) return "a vertex made of later ones";
+            long added = 0, blends = 0;
+            for (int round = 0; round < Math.Max(1, RoundAdded.Length); ++round)
+            {
+                long before = vertices + added, first = blends;
+                added += RoundAdded.Length == 0 ? ProvenanceT.Length : RoundAdded[round];
+                blends += RoundBlends.Length == 0 ? BlendIds.Length : RoundBlends[round];
+                if (added > ProvenanceT.Length || blends > BlendIds.Length) break;
+                for (long i = first; i < blends; ++i)
+                {
+                    bool fits = BlendIds[i] < vertices + added && (i == first || BlendIds[i] > BlendIds[i - 1]);
+                    for (long k = 4 * i; k < 4 * i + 4; ++k) fits &= BlendVertices[k] < before;
+                    if (!fits) return "blends of vertices that do not exist, or out of order";
+                }
+            }
+            bool whole = added == ProvenanceT.Length && blends == BlendIds.Length;
+            return whole ? null : "rounds that do not add up to the added vertices and blends";
+        }
     }
 
     public sealed class SurfaceDelta

@@ -230,8 +230,8 @@ namespace Incise
             if (vertices > MaxVertices) throw new LimitException("more vertices than MaxVertices, " + MaxVertices);
             Require(Below(d.MovedIds, VertexCount), "moved vertices that do not exist");
             Require(Below(d.RestIds, vertices), "rest positions of vertices that do not exist");
-            for (int i = 0; i < d.ProvenanceT.Length; ++i)
-                Require(d.ProvenanceA[i] < VertexCount + i && d.ProvenanceB[i] < VertexCount + i, "a vertex made of later ones");
+            string error = d.ProvenanceError(VertexCount);
+            Require(error == null, error);
             foreach (uint v in d.Tets.Vertices) Require(v < vertices, "a tetrahedron of vertices that do not exist");
         }
 
@@ -252,6 +252,8 @@ namespace Incise
             Require(!Overlap(d.RemovedTets, ids), "tetrahedra both changed and removed");
             int live = LiveTets + ids.Length - changed - d.RemovedTets.Length;
             Require(live == d.LiveTets, "a delta whose counts differ from its contents");
+            Require(d.TetElders.Length == 0 || d.TetElders.Length == ids.Length - changed, "elders of some new tetrahedra only");
+            foreach (uint t in d.TetElders) Require(IsAlive(t), "an elder that does not exist");
             Require(d.PieceNames.Length == d.PieceIds.Length, "pieces without their tetrahedra");
             foreach (uint t in d.PieceNames)
             {

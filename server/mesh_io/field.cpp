@@ -1,0 +1,89 @@
+#include "server/mesh_io/field.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <utility>
+
+#include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/text_file.hpp"
+
+namespace incise::mesh_io {
+namespace {
+
+// What write_cut_mesh() adds for each tetrahedron.
+constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece", "cut_mask",
+                                     "cut_faces", "min_dihedral_deg", "volume"};
+
+std::string title(Field::On on, std::string_view name) {
+  return (on == Field::On::kVertices ? "the vertex field " : "the tetrahedron field ") + in_quotes(name);
+}
+
+}  // namespace
+
+std::string title(const Field& field) {
+  return title(field.on, field.name);
+}
+
+Field rows_of(const Field& field, std::span<const std::uint32_t> rows) {
+  Field out{field.name, field.on, field.components, {}};
+  std::visit(
+      [&](const auto& values) {
+        auto& picked = out.values.emplace<std::decay_t<decltype(values)>>();
+        picked.reserve(rows.size() * field.components);
+        for (const std::uint32_t row : rows) {
+          const auto first = values.begin() + static_cast<std::ptrdiff_t>(row * field.components);
+          picked.insert(picked.end(), first, first + static_cast<std::ptrdiff_t>(field.components));
+        }
+      },
+      field.values);
+  return out;
+}
+
+void FieldCollector::leave_out(Field::On on, std::string_view name, const std::string& why) {
+  warnings_.push_back(file_ + ": " + title(on, name.substr(0, kMaxFieldName)) + " is left out: " + why);
+}
+
+void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
+                         const std::vector<std::uint32_t>* pick) {
+  if (!wanted()) return;
+  if (on == Field::On::kTets && std::find(std::begin(kOwn), std::end(kOwn), array.name) != std::end(kOwn))
+    return;
+  const auto refuse = [&](const std::string& why) { leave_out(on, array.name, why); };
+  if (array.name.empty() || array.name.size() > kMaxFieldName)
+    return refuse("its name has " + std::to_string(array.name.size()) + " bytes; accepted are 1 to " +
+                  std::to_string(kMaxFieldName));
+  if (std::any_of(fields_->begin(), fields_->end(),
+                  [&](const Field& f) { return f.on == on && f.name == array.name; }))
+    return refuse("there is another one of this name before it");
+  if (array.components < 1 || array.components > kMaxFieldComponents)
+    return refuse("it has " + std::to_string(array.components) + " components; accepted are 1 to " +
+                  std::to_string(kMaxFieldComponents));
+  if (array.values.size() != rows * array.components)
+    return refuse("it has " + std::to_string(array.values.size()) + " numbers; " + std::to_string(rows) +
+                  " times " + std::to_string(array.components) + " are expected");
+  Field field{array.name, on, array.components, {}};
+  if (array.whole) {
+    const auto beyond = std::find_if(array.values.begin(), array.values.end(),
+                                     [](double x) { return !(x >= -2147483648.0 && x <= 2147483647.0); });
+    if (beyond != array.values.end())
+      return refuse("the whole number " + to_text(*beyond) + " in it is beyond 32 bits");
+    auto& values = field.values.emplace<std::vector<std::int32_t>>();
+    values.reserve(array.values.size());
+    for (const double x : array.values) values.push_back(static_cast<std::int32_t>(x));
+  } else {
+    auto& values = field.values.emplace<std::vector<float>>();
+    values.reserve(array.values.size());
+    // Beyond what a float holds: infinite.
+    for (const double x : array.values) {
+      constexpr double kMost = std::numeric_limits<float>::max();
+      values.push_back(std::abs(x) > kMost ? std::copysign(std::numeric_limits<float>::infinity(),
+                                                           static_cast<float>(x > 0 ? 1 : -1))
+                                           : static_cast<float>(x));
+    }
+  }
+  fields_->push_back(pick == nullptr ? std::move(field) : rows_of(field, *pick));
+}
+
+}  // namespace incise::mesh_io

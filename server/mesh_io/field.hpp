@@ -1,0 +1,65 @@
+#pragma once
+
+// Values that a mesh file gives on its vertices or tetrahedra, by name: temperatures, fibre directions, labels.
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+namespace incise::mesh_io {
+
+inline constexpr std::size_t kMaxFieldComponents = 9;
+inline constexpr std::size_t kMaxFieldName = 256;  // bytes
+
+struct Field {
+  enum class On { kVertices, kTets };
+
+  std::string name;  // one of those on vertices, or on tetrahedra
+  On on = On::kVertices;
+  std::size_t components = 1;  // 1 to kMaxFieldComponents
+  std::variant<std::vector<float>, std::vector<std::int32_t>>
+      values;  // `components` for each; floats may be NaN
+
+  std::size_t rows() const {
+    return std::visit([this](const auto& v) { return v.size() / components; }, values);
+  }
+};
+
+// Only these rows of a field, in this order.
+Field rows_of(const Field& field, std::span<const std::uint32_t> rows);
+// "the vertex field 'temperature'", for messages.
+std::string title(const Field& field);
+
+// What a reader has found, on its way to become fields: an array of a file, in double precision.
+struct RawArray {
+  std::string name;
+  std::size_t components = 1;
+  bool whole = false;  // its type is an integer
+  std::vector<double> values;
+};
+
+// Turns arrays of a file into fields. What cannot be one is left out, and a warning says why: a name that is empty, longer than
+// kMaxFieldName or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
+// bits. Numbers with a fraction become floats. Arrays on tetrahedra that Incise itself writes (tet_id, region, ...) are no fields.
+class FieldCollector {
+ public:
+  // Null: nothing is kept.
+  FieldCollector(std::vector<Field>* fields, const std::string& file, std::vector<std::string>& warnings)
+      : fields_(fields), file_(file), warnings_(warnings) {}
+
+  bool wanted() const { return fields_ != nullptr; }
+  // `pick`: the rows that become the field's, where the file has others, too.
+  void add(Field::On on, RawArray array, std::size_t rows, const std::vector<std::uint32_t>* pick = nullptr);
+  // That an array was left out.
+  void leave_out(Field::On on, std::string_view name, const std::string& why);
+
+ private:
+  std::vector<Field>* fields_;
+  std::string file_;
+  std::vector<std::string>& warnings_;
+};
+
+}  // namespace incise::mesh_io
