@@ -152,6 +152,7 @@ RunningServer::RunningServer(const Config& config, bool resume)
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
       sources_(config.cut.blade, declared_sources(config)),
+      undone_(body_.origins),
       journal_(make_journal(
           config, body_, recording_, saved_,
           [this](const loop::JournalRecord& pose, bool recorded) {

@@ -11,7 +11,9 @@ void UndoneSlot::offer(loop::Undone undone) {
     waiting->shown = std::make_shared<stream::InitialState>();
     waiting->shown->epoch = fresh_session_id();
     auto mirror = std::make_shared<stream::Mirror>();
-    mirror->reset(initial_state(*undone.session, waiting->shown->epoch));
+    stream::InitialState initial = initial_state(*undone.session, waiting->shown->epoch);
+    initial.origins = origins_;
+    mirror->reset(initial);
     waiting->shown->mirror = std::move(mirror);
   }
   waiting->undone = std::move(undone);

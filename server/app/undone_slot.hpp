@@ -14,7 +14,9 @@ namespace incise::app {
 // Thread: offer() from one, the rest from the loop's.
 class UndoneSlot {
  public:
-  UndoneSlot() = default;
+  // `origins`: InitialState::origins.
+  explicit UndoneSlot(std::shared_ptr<const protocol::OriginTree> origins = nullptr)
+      : origins_(std::move(origins)) {}
   UndoneSlot(const UndoneSlot&) = delete;
   UndoneSlot& operator=(const UndoneSlot&) = delete;
   ~UndoneSlot() { delete waiting_.load(); }
@@ -31,6 +33,7 @@ class UndoneSlot {
     loop::Undone undone;
     std::shared_ptr<stream::InitialState> shown;
   };
+  const std::shared_ptr<const protocol::OriginTree> origins_;
   std::atomic<Waiting*> waiting_{nullptr};
   std::shared_ptr<stream::InitialState> shown_;
 };

@@ -15,6 +15,8 @@
 #include "protocol/coalesce.hpp"
 #include "server/app/body.hpp"
 #include "server/app/surface_asset.hpp"
+#include "server/app/undone_slot.hpp"
+#include "server/core/session/session_state.hpp"
 #include "server/replay/session_view.hpp"
 #include "server/stream/mirror.hpp"
 
@@ -381,6 +383,25 @@ TEST_F(SurfaceOrigins, AResetBringsThoseAsLoadedBack) {
   waiting_.clear();
   cut(random);
   expect_origins("cut after a reset");
+}
+
+TEST_F(SurfaceOrigins, AnUndoneStrokeLeavesThemOnTheBody) {
+  load_cube();
+  std::mt19937 random(5);
+  cut(random);
+  const std::vector<std::byte> before = core::save_session(*session_);
+  const stream::Mirror shown = mirror_;
+  cut(random);
+  loop::Undone undone;
+  std::string error;
+  undone.session = core::restore_session(before, config_.cut, error);
+  ASSERT_TRUE(undone.session) << error;
+  UndoneSlot slot(body_.origins);
+  slot.offer(std::move(undone));
+  session_ = std::move(slot.take()->session);
+  mirror_.reset(*slot.shown());
+  expect_same(mirror_.surface(), shown.surface(), "undone");
+  EXPECT_EQ(slot.take(), nullptr);
 }
 
 TEST_F(SurfaceOrigins, CutsMeetAndTheTextureStays) {

@@ -19,7 +19,8 @@ constexpr const char* kPython = "/usr/bin/python3";  // the one that Debian's py
 std::string python(const std::string& script, const std::string& argument) {
   const TestDirectory directory;
   const auto path = directory.write("script.py", script);
-  const std::string command = std::string(kPython) + " " + path.string() + " '" + argument + "' 2>&1";
+  std::string command(kPython);
+  command.append(" ").append(path.string()).append(" '").append(argument).append("' 2>&1");
   FILE* pipe = popen(command.c_str(), "r");
   if (!pipe) return "popen failed";
   std::string output;
