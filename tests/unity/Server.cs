@@ -13,8 +13,10 @@ public sealed class Server : IDisposable
     private readonly string folder = Path.Combine(Path.GetTempPath(), "incise_unity_" + Guid.NewGuid().ToString("N"));
     private Process process;
     public readonly int Port;
+    public int HttpPort;
 
-    public Server(bool capture = false, int tets = 4000, bool tls = false)
+    /// <summary>surface: the text of an .obj to fill; null: the phantom.</summary>
+    public Server(bool capture = false, int tets = 4000, bool tls = false, string surface = null)
     {
         var probe = new TcpListener(IPAddress.Loopback, 0);
         probe.Start();
@@ -22,8 +24,10 @@ public sealed class Server : IDisposable
         probe.Stop();
         Directory.CreateDirectory(folder);
         string secret = tls ? MakeCertificate() : "";
+        if (surface != null) File.WriteAllText(Path.Combine(folder, "body.obj"), surface);
+        string body = surface != null ? @"""path"": ""body.obj""" : @"""phantom"": ""liver""";
         File.WriteAllText(Path.Combine(folder, "session.json"), @"{
-  ""mesh"": {""phantom"": ""liver"", ""target_tets"": " + tets + @"},
+  ""mesh"": {" + body + @", ""target_tets"": " + tets + @"},
   ""blade"": {""heel"": [0, 0, 0], ""tip"": [0, 0, -0.12]},
   ""capture"": {""path"": """ + (capture ? "session.capture" : "") + @"""},
   ""listen"": {""tcp_port"": " + Port + @", ""http_port"": 0" + secret + @"},
@@ -54,6 +58,8 @@ public sealed class Server : IDisposable
         while ((line = process.StandardOutput.ReadLine()) != null)
         {
             if (!line.StartsWith("listening ")) continue;
+            foreach (string word in line.Split(' '))
+                if (word.StartsWith("http=")) int.TryParse(word.Substring(word.LastIndexOf(':') + 1), out HttpPort);
             // What it prints later is read, so that it never waits for us.
             StreamReader output = process.StandardOutput;
             new Thread(() => Drain(output)) { IsBackground = true }.Start();

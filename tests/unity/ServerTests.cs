@@ -60,6 +60,99 @@ public static class ServerTests
         }
     }
 
+    /// <summary>A box whose sides are charts of their own: u says which side, v the height.</summary>
+    private static string Box()
+    {
+        const int N = 5;
+        var text = new System.Text.StringBuilder();
+        int corner = 0;
+        for (int side = 0; side < 6; ++side)
+        {
+            int axis = side / 2;
+            for (int i = 0; i < N; ++i)
+            {
+                for (int j = 0; j < N; ++j)
+                {
+                    int[][] corners = { new[] { i, j }, new[] { i + 1, j }, new[] { i + 1, j + 1 }, new[] { i, j + 1 } };
+                    if (side % 2 == 0) Array.Reverse(corners);
+                    string face = "f";
+                    foreach (int[] at in corners)
+                    {
+                        var p = new double[3];
+                        p[axis] = side % 2;
+                        p[(axis + 1) % 3] = (double)at[0] / N;
+                        p[(axis + 2) % 3] = (double)at[1] / N;
+                        text.AppendFormat(System.Globalization.CultureInfo.InvariantCulture, "v {0:r} {1:r} {2:r}\nvt {3:r} {4:r}\n", 0.1 * p[0] - 0.1,
+                            0.1 * p[1] - 0.05, 0.1 * p[2] - 0.04, (side + 0.5) / 6, p[2]);
+                        ++corner;
+                        face += " " + corner + "/" + corner;
+                    }
+                    text.Append(face + "\n");
+                }
+            }
+        }
+        return text.ToString();
+    }
+
+    /// <summary>A mesh has its surface's texture coordinates, split at the seams, before and after a cut, by range or from scratch.</summary>
+    public static void ATextureStaysWithItsSeams()
+    {
+        using (var server = new Server(false, 3000, false, Box()))
+        using (Client hand = Hands.Connect(server, View.None, Role.Operator))
+        using (Client client = Hands.Connect(server, View.Surface))
+        {
+            var mesh = new Follower(client);
+            mesh.FollowTo(Hands.Settled(server));
+            Check.That(Array.TrueForAll(mesh.Mesh.Vertices, v => v.S == 0 && v.T == 0), "no texture yet");
+            byte[] bytes;
+            using (var web = new System.Net.WebClient())
+                bytes = web.DownloadData("http://127.0.0.1:" + server.HttpPort + client.Welcome.Surface.Path);
+            var asset = (SurfaceAsset)MessageReader.Read(bytes, bytes.Length).Body;
+            Check.Equal((uint)asset.Triangles.Length / 3, client.Welcome.Surface.Triangles, "triangles of the surface");
+            mesh.Mesh.Texture = new SurfaceLookup(asset);
+            mesh.FollowTo(Hands.Settled(server));
+            CheckTexture(mesh.Mesh);
+            PoseSample[] sweep = Hands.Sweep(-0.06, 200, false);
+            for (int at = 0; at < sweep.Length; at += 10)
+            {
+                var part = new PoseSample[10];
+                Array.Copy(sweep, at, part, 0, part.Length);
+                Hands.Send(hand, part);
+                mesh.Follow(hand.Welcome);
+            }
+            mesh.FollowTo(Hands.Settled(server));
+            Check.That(mesh.Patches > 3 && mesh.Mesh.InsideCount > 100, mesh.Patches + " patches, " + mesh.Mesh.InsideCount / 3 + " triangles inside");
+            CheckTexture(mesh.Mesh);
+            mesh.CheckDrawn();
+        }
+    }
+
+    private static void CheckTexture(SurfaceMesh mesh)
+    {
+        var sides = new Dictionary<string, HashSet<int>>(); // at each place
+        for (int at = 0; at < mesh.SkinCount; at += 3)
+        {
+            var found = new HashSet<int>();
+            for (int k = 0; k < 3; ++k)
+            {
+                MeshVertex v = mesh.Vertices[mesh.Indices[at + k]];
+                Check.That(Math.Abs(v.T - (v.Y + 0.04) / 0.1) < 1e-3, "height " + v.Y + " has v " + v.T);
+                int side = (int)Math.Round(6 * v.S - 0.5);
+                Check.That(Math.Abs(6 * v.S - 0.5 - side) < 1e-3, "u " + v.S + " is of no side");
+                found.Add(side);
+                string place = v.X + " " + v.Y + " " + v.Z;
+                if (!sides.ContainsKey(place)) sides.Add(place, new HashSet<int>());
+                sides[place].Add(side);
+            }
+            Check.Equal(found.Count, 1, "a triangle reaches over a seam");
+        }
+        int seams = 0;
+        foreach (HashSet<int> there in sides.Values) seams += there.Count > 1 ? 1 : 0;
+        Check.That(seams >= 12 * 4, "vertices at seams: " + seams);
+        for (int at = mesh.InsideStart; at < mesh.InsideStart + mesh.InsideCount; ++at)
+            Check.That(mesh.Vertices[mesh.Indices[at]].S == 0, "the inside has no texture");
+    }
+
     private static void CheckSameBoundary(VolumeState volume, SurfaceState surface)
     {
         Check.Equal(volume.TriangleCount, surface.TriangleCount, "triangles");

@@ -40,7 +40,7 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
-      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1, TEXTURE: 0 },
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1, TEXTURE: 0, REST: 0 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
@@ -86,6 +86,8 @@ export class BodyMesh {
     const textured = corners.texture.length > 0 && this.uniforms.uTexture.value !== null;
     if (textured) add("aTexture", Float32Array, 3, false, corners.texture);
     this.define("TEXTURE", Number(textured));
+    if (corners.rest.length > 0) add("aRest", Float32Array, 3, false, corners.rest);
+    this.define("REST", Number(corners.rest.length > 0));
     geometry.setDrawRange(0, 3 * slots);
     this.mesh.geometry.dispose();
     this.mesh.geometry = geometry;
@@ -102,6 +104,7 @@ export class BodyMesh {
     this.write("position", 9, corners.positions, slots, ranges);
     this.write("aNormal", 12, corners.normals, slots, ranges);
     this.write("aFacts", 12, corners.facts, slots, ranges);
+    if (this.mesh.material.defines.REST) this.write("aRest", 9, corners.rest, slots, ranges);
     if (this.mesh.material.defines.TEXTURE) this.write("aTexture", 9, corners.texture, slots, ranges);
     this.slots = Math.max(this.slots, highest);
     this.mesh.geometry.setDrawRange(0, 3 * this.slots);

@@ -1,5 +1,5 @@
 // One pass, few instructions: without a graphics card the processor runs it. What a picture does not need is left out
-// when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL, TEXTURE: body_mesh.ts), since a software renderer runs
+// when the shader is compiled (COLOURING, WIRE, INSIDE, SECTION, DETAIL, TEXTURE, REST: body_mesh.ts), since a software renderer runs
 // every branch of an `if` for every pixel: half of a frame's time went into colours that were not shown. Wet tissue is
 // three things here: light that wraps around (it scatters below the skin), a broad and a sharp highlight, and a grain
 // in its colour.
@@ -19,6 +19,10 @@ export const bodyVertexShader = /* glsl */ `
   out vec3 vEdge;
 #endif
   flat out vec3 vFacts;  // cut face, quality, row
+  out float vDepth;  // below the skin, on a cut face: 0 to 1
+#if REST
+  in vec3 aRest;
+#endif
 #if TEXTURE
   in vec3 aTexture;  // u, v, layer
   out vec3 vTexture;
@@ -33,11 +37,16 @@ export const bodyVertexShader = /* glsl */ `
     vEdge = vec3(corner == 0, corner == 1, corner == 2);
 #endif
     vFacts = vec3(aFacts.x, aFacts.y / 255.0, float(row));
+    vDepth = (aFacts.x - 1.0) / 254.0;
 #if TEXTURE
     vTexture = aTexture;
 #endif
     vNormal = aNormal.xyz;
+#if REST
+    vRest = aRest;
+#else
     vRest = position;
+#endif
     vCoarse = aNormal.w;
     vWorld = shown;
     gl_Position = projectionMatrix * viewMatrix * vec4(shown, 1.0);
@@ -54,6 +63,7 @@ export const bodyFragmentShader = /* glsl */ `
   in vec3 vEdge;
 #endif
   flat in vec3 vFacts;
+  in float vDepth;
 #if TEXTURE
   precision highp sampler2DArray;
   in vec3 vTexture;
@@ -124,8 +134,27 @@ export const bodyFragmentShader = /* glsl */ `
     vec3 base = pieceColour(vFacts.z) * (0.8 + 0.2 * coarse) * (cut ? 1.5 : 1.0);
 #else
     vec3 skin = mix(vec3(0.098, 0.0155, 0.012), vec3(0.178, 0.033, 0.023), 0.6 * coarse + 0.4 * fine);
-    vec3 flesh = mix(vec3(0.36, 0.075, 0.055), vec3(0.50, 0.150, 0.110), 0.45 * coarse + 0.55 * fine);
-    flesh = mix(flesh, vec3(0.20, 0.025, 0.022), smoothstep(0.64, 0.80, fine) * 0.6);
+    // The inside, by where it is in the body at rest: lobules between pale strands, dark vessels with pale walls, and under the skin's
+    // thin capsule a rim of fat.
+    float depth = inside ? 1.0 : vDepth;
+    vec3 q = place * uGrain;
+    float strands = noise(vec3(q.x, q.y + 2.0 * coarse, 2.4 * q.z) * 0.9);
+#if DETAIL
+    float lobules = noise(q * 9.0 + 3.0 * strands);
+#else
+    const float lobules = 0.2;
+#endif
+    float net = 1.0 - smoothstep(0.02, 0.13, abs(lobules - 0.5));
+    vec3 flesh = mix(vec3(0.125, 0.014, 0.012), vec3(0.250, 0.038, 0.028), 0.5 * fine + 0.5 * coarse);
+    flesh = mix(flesh, vec3(0.33, 0.075, 0.056), 0.28 * net);
+    float vessel = smoothstep(0.815, 0.84, strands);
+    flesh = mix(flesh, vec3(0.38, 0.120, 0.090), smoothstep(0.775, 0.80, strands));
+    flesh = mix(flesh, vec3(0.045, 0.003, 0.005), vessel);
+    float fatDepth = 0.14 + 0.34 * coarse * (0.6 + 0.8 * fine);
+    float fat = 1.0 - smoothstep(0.7 * fatDepth, fatDepth, depth);
+    vec3 fatty = mix(vec3(0.38, 0.190, 0.082), vec3(0.50, 0.300, 0.145), 0.35 * fine + 0.65 * (1.0 - net));
+    flesh = mix(flesh, fatty, fat);
+    flesh = mix(flesh, vec3(0.50, 0.340, 0.290), 1.0 - smoothstep(0.05, 0.085, depth));
 #if TEXTURE
     // Images are painted as they are to look in even light; the lights here are brighter.
     vec3 painted = 0.40 * texture(uTexture, vTexture).rgb;
@@ -156,7 +185,7 @@ export const bodyFragmentShader = /* glsl */ `
       float nh = max(dot(n, h), 0.0);
       float rim = fourth(1.0 - max(dot(n, toEye), 0.0));
       float broad = fourth(fourth(nh));
-      float wet = cut ? 0.55 : 1.0;
+      float wet = cut ? 0.85 : 1.0;
       lit += wet * (0.13 * broad + 0.42 * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
       lit += wet * rim * vec3(0.10, 0.11, 0.13);
       vec3 h2 = normalize(uFill + toEye);

@@ -1,4 +1,5 @@
 import type { Elements } from "./elements";
+import type { SkinDepth } from "./skin_depth";
 import { kNone, type Surface, withRoom } from "./surface";
 import type { SurfaceAsset } from "./surface_asset";
 import { faceNormal } from "./triangle";
@@ -8,16 +9,18 @@ export interface Corners {
   ids: Uint32Array; // 1 a slot: its half-face, or kNone
   positions: Float32Array; // 3 a corner, metres
   normals: Int16Array; // 4 a corner, normalised; the fourth is the grain of the tissue, 0 to 1
-  facts: Uint8Array; // 4 a corner: cut face (0 or 1), quality (0 to 255), row of its piece (low byte, high byte)
+  facts: Uint8Array; // 4 a corner: 0, or on a cut face its depth below the skin (1: at it, 255: kRim or more), quality (0 to 255), row of its piece (low byte, high byte)
+  rest: Float32Array; // 3 a corner: where its material is in the body at rest; empty: at its position
   texture: Float32Array; // 3 a corner: u, v and layer of the texture, which is -1 where there is none; empty: the body has no texture
 }
 
-export function allocateCorners(slots: number, textured = false): Corners {
+export function allocateCorners(slots: number, textured = false, deformed = false): Corners {
   return {
     ids: new Uint32Array(slots),
     positions: new Float32Array(9 * slots),
     normals: new Int16Array(12 * slots),
     facts: new Uint8Array(12 * slots),
+    rest: new Float32Array(deformed ? 9 * slots : 0),
     texture: new Float32Array(textured ? 9 * slots : 0),
   };
 }
@@ -25,6 +28,8 @@ export function allocateCorners(slots: number, textured = false): Corners {
 // Faces that meet at less than this are shaded as one smooth surface.
 const kCreaseCosine = Math.cos((42 * Math.PI) / 180);
 const kCut = 1;
+/** How deep below the skin tissue looks other than farther in, as a part of the body's size. */
+export const kRim = 0.035;
 
 function hash(x: number, y: number, z: number): number {
   let h = Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d);
@@ -82,6 +87,10 @@ export class CornerBuilder {
   asset: SurfaceAsset | null = null;
   private readonly rest = new Float32Array(9);
 
+  /** Where the skin is. Null: all tissue looks as if it were deep inside. */
+  skin: SkinDepth | null = null;
+  private depths = new Float32Array(0); // 4 a vertex: where it rested when its depth was computed, and the depth
+
   /** Marks the triangles whose quality has changed. */
   touchByQuality(): void {
     const { surface } = this;
@@ -96,6 +105,7 @@ export class CornerBuilder {
   restart(): void {
     this.rows.clear();
     this.rowOf(0);
+    this.depths.fill(NaN);
   }
 
   /** The slots to draw again, ascending: those that changed and those around their vertices. */
@@ -160,14 +170,31 @@ export class CornerBuilder {
       const v = surface.corners[3 * slot + k];
       for (let i = 0; i < 3; ++i) out.positions[9 * at + 3 * k + i] = surface.positions[3 * v + i];
       this.writeNormal(slot, v, faceNormals, out.normals, 12 * at + 4 * k);
-      out.normals[12 * at + 4 * k + 3] = 32767 * grain(surface.positions, 3 * v, this.grainCells);
+      out.normals[12 * at + 4 * k + 3] = 32767 * grain(surface.restOf(v), 3 * v, this.grainCells);
       const fact = 12 * at + 4 * k;
-      out.facts[fact] = surface.flags[slot] & kCut;
+      out.facts[fact] = surface.flags[slot] & kCut ? this.depthOf(v) : 0;
       out.facts[fact + 1] = this.quality[slot];
       out.facts[fact + 2] = row & 255;
       out.facts[fact + 3] = row >> 8;
     }
+    if (out.rest.length > 0) surface.restCorners(slot, out.rest, 9 * at);
     if (out.texture.length > 0) this.writeTexture(slot, out.texture, 9 * at);
+  }
+
+  private depthOf(v: number): number {
+    if (!this.skin) return 255;
+    if (this.depths.length < 4 * v + 4) {
+      const before = this.depths.length;
+      this.depths = withRoom(this.depths, 4 * v + 4);
+      this.depths.fill(NaN, before);
+    }
+    const { depths } = this;
+    const at = this.surface.restOf(v);
+    if (depths[4 * v] !== at[3 * v] || depths[4 * v + 1] !== at[3 * v + 1] || depths[4 * v + 2] !== at[3 * v + 2]) {
+      for (let i = 0; i < 3; ++i) depths[4 * v + i] = at[3 * v + i];
+      depths[4 * v + 3] = this.skin.at(at[3 * v], at[3 * v + 1], at[3 * v + 2]) / this.skin.reach;
+    }
+    return 1 + Math.round(254 * depths[4 * v + 3]);
   }
 
   private writeTexture(slot: number, out: Float32Array, at: number): void {

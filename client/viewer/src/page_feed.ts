@@ -1,6 +1,7 @@
-import { allocateCorners, CornerBuilder, type Corners } from "./corner_buffers";
+import { allocateCorners, CornerBuilder, type Corners, kRim } from "./corner_buffers";
 import type { BladeStep, Post, Progress } from "./messages";
 import { computeOpening, type Opening } from "./opening";
+import { SkinDepth } from "./skin_depth";
 import { kNone, type Surface } from "./surface";
 import type { SurfaceAsset } from "./surface_asset";
 
@@ -8,7 +9,7 @@ const kOpeningPause_ms = 120; // between two computations of how the body opens
 const kMostSteps = 256; // kept for a page that is hidden
 
 function transferable(c: Corners): Transferable[] {
-  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer, c.texture.buffer];
+  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer, c.rest.buffer, c.texture.buffer];
 }
 
 /** Sends the surface to the page: first all of it, then changes, one patch at a time. Thread: the worker's. */
@@ -16,6 +17,7 @@ export class PageFeed {
   readonly builder: CornerBuilder;
   bodySize_m = 1;
   private capacity = 0; // slots that the page has room for
+  private sentDeformed = false; // the page has rest positions
   private ready = false; // the page has the whole surface
   private waiting = false; // the page has not applied the last patch yet
   private steps: BladeStep[] = [];
@@ -35,6 +37,7 @@ export class PageFeed {
   /** The whole surface was replaced: sends everything. */
   restart(): void {
     this.builder.restart();
+    this.builder.skin = new SkinDepth(this.surface, kRim * this.bodySize_m);
     this.numberPieces();
     this.sendAll();
   }
@@ -68,7 +71,7 @@ export class PageFeed {
   sendChanges(): void {
     const { surface, builder } = this;
     if (!this.ready || this.waiting) return;
-    if (surface.slots > this.capacity) return this.sendAll();
+    if (surface.slots > this.capacity || surface.deformed !== this.sentDeformed) return this.sendAll();
     if (surface.touchedSlots.size === 0 && surface.touchedVertices.size === 0 && this.steps.length === 0) return;
     const slots = builder.touched();
     const corners = this.cornersOf(slots, slots.length);
@@ -84,6 +87,7 @@ export class PageFeed {
   private sendAll(): void {
     const { surface } = this;
     this.ready = true;
+    this.sentDeformed = surface.deformed;
     this.builder.measureAll();
     this.capacity = Math.ceil(surface.slots * 1.4) + 4096;
     const all = this.cornersOf(null, surface.slots);
@@ -102,7 +106,7 @@ export class PageFeed {
   }
 
   private cornersOf(slots: Uint32Array | null, count: number): Corners {
-    const out = allocateCorners(count, this.builder.asset !== null);
+    const out = allocateCorners(count, this.builder.asset !== null, this.surface.deformed);
     for (let i = 0; i < count; ++i) this.builder.write(slots ? slots[i] : i, out, i);
     return out;
   }

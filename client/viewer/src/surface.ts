@@ -27,6 +27,8 @@ export class Surface {
   /** Where the material of a vertex is in the body at rest, where hasRest says so; else that is its position. */
   restAt = new Float32Array(0);
   hasRest = new Uint8Array(0);
+  /** Some vertex rests elsewhere than it is. */
+  deformed = false;
   private present = new Uint8Array(0);
   head = new Uint32Array(0); // first corner of a vertex, or kNone
   vertexCount = 0;
@@ -66,6 +68,7 @@ export class Surface {
     this.head.fill(kNone);
     this.ids.fill(kNone);
     this.vertexCount = this.slots = 0;
+    this.deformed = false;
     this.free.length = 0;
     this.slotOf.clear();
     this.trianglesOf.clear();
@@ -112,18 +115,24 @@ export class Surface {
       const v = ids[i];
       if (v >= this.present.length || !this.present[v]) return false;
       this.hasRest[v] = 1;
+      this.deformed = true;
       this.restAt.set(positions.subarray(3 * i, 3 * i + 3), 3 * v);
       this.touchedVertices.add(v);
     }
     return true;
   }
 
-  /** Writes where the corners of a slot are in the body at rest: 9 numbers. */
-  restCorners(slot: number, out: Float32Array): void {
+  /** Where vertex v is in the body at rest: three numbers from 3 v on. */
+  restOf(v: number): Float32Array {
+    return this.hasRest[v] ? this.restAt : this.positions;
+  }
+
+  /** Writes where the corners of a slot are in the body at rest: 9 numbers from out[at] on. */
+  restCorners(slot: number, out: Float32Array, at = 0): void {
     for (let k = 0; k < 3; ++k) {
       const v = this.corners[3 * slot + k];
-      const from = this.hasRest[v] ? this.restAt : this.positions;
-      for (let i = 0; i < 3; ++i) out[3 * k + i] = from[3 * v + i];
+      const from = this.restOf(v);
+      for (let i = 0; i < 3; ++i) out[at + 3 * k + i] = from[3 * v + i];
     }
   }
 

@@ -344,7 +344,7 @@ namespace UnityEngine.Rendering
 {
     public enum IndexFormat { UInt16 = 0, UInt32 = 1 }
 
-    public enum VertexAttribute { Position = 0, Normal = 1, TexCoord0 = 4 }
+    public enum VertexAttribute { Position = 0, Normal = 1, TexCoord0 = 4, TexCoord1 = 5 }
 
     public enum VertexAttributeFormat { Float32 = 0 }
 

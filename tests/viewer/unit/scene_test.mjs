@@ -8,6 +8,7 @@ const {
   Surface,
   CornerBuilder,
   allocateCorners,
+  SkinDepth,
   computeOpening,
   measureFaces,
   sidesOf,
@@ -35,6 +36,7 @@ const {
 } = await load(
   "surface",
   "corner_buffers",
+  "skin_depth",
   "opening",
   "cut_sides",
   "section",
@@ -350,7 +352,7 @@ test("quality without tetrahedra is that of the triangle; rows are given to piec
   builder.write(0, out, 0);
   builder.write(1, out, 1);
   assert.deepEqual([...out.facts.subarray(0, 4)], [0, 255, 1, 0]);
-  assert.equal(out.facts[12], 1);
+  assert.equal(out.facts[12], 255); // a cut face, deep inside as far as is known
   assert.ok(out.facts[13] < 20);
   assert.deepEqual([builder.rowOf(0), builder.rowOf(9), builder.rowOf(4), builder.rowCount], [0, 1, 2, 3]);
   for (let piece = 1000; builder.rowCount < 300; ++piece) builder.rowOf(piece);
@@ -687,4 +689,52 @@ test("a place is picked on what is drawn, stays on its triangle, and is lost wit
   moved.ids[0] = 43;
   body.patch(Uint32Array.of(2), 3, moved);
   assert.equal(follow(body, hit), false);
+});
+
+test("depth below the skin is the distance to its triangles, and stays with the tissue when the body deforms", () => {
+  // The unit cube's top and bottom, and a cut face that hangs from the top.
+  const square = [
+    [0, 0, 0],
+    [1, 0, 0],
+    [1, 1, 0],
+    [0, 1, 0],
+  ];
+  const top = square.map(([x, y]) => [x, y, 1]);
+  const inside = [
+    [0.5, 0.5, 1],
+    [0.5, 0.6, 0.9],
+    [0.5, 0.4, 0.5],
+  ];
+  const surface = fill(
+    new Surface(),
+    [...square, ...top, ...inside],
+    [{ v: [0, 2, 1] }, { v: [0, 3, 2] }, { v: [4, 5, 6] }, { v: [4, 6, 7] }, { v: [8, 9, 10], cut: true }],
+  );
+  const skin = new SkinDepth(surface, 0.2);
+  near(skin.at(0.3, 0.4, 0.95), 0.05, 1e-6);
+  near(skin.at(0.3, 0.4, 0.1), 0.1, 1e-6);
+  near(skin.at(0.3, 0.4, 0.5), 0.2, 1e-6); // no deeper than it looks
+  near(skin.at(1.05, 1.05, 1.05), Math.sqrt(3) * 0.05, 1e-6); // to a corner
+  near(skin.at(0.5, 1.1, 1), 0.1, 1e-6); // to an edge
+  const builder = new CornerBuilder(surface);
+  builder.restart();
+  builder.measureAll();
+  builder.skin = skin;
+  const out = allocateCorners(1);
+  const depths = () => {
+    builder.write(4, out, 0);
+    return [0, 1, 2].map((k) => out.facts[4 * k]);
+  };
+  assert.deepEqual(depths(), [1, 128, 255]);
+  // As a simulation moves it.
+  const ids = Uint32Array.of(8, 9, 10);
+  surface.setVertices({ idsArray: () => ids, positionsArray: () => Float32Array.from(inside.flat(), (x) => x + 3) });
+  surface.setRest({ idsArray: () => ids, positionsArray: () => Float32Array.from(inside.flat()) });
+  assert.ok(surface.deformed);
+  assert.deepEqual(depths(), [1, 128, 255]);
+  const moved = allocateCorners(1, false, true);
+  builder.write(4, moved, 0);
+  assert.deepEqual([...moved.rest], [...Float32Array.from(inside.flat())]);
+  builder.write(0, out, 0);
+  assert.equal(out.facts[0], 0);
 });

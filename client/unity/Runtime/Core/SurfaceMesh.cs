@@ -12,6 +12,8 @@ namespace Incise
         public float NormalX, NormalY, NormalZ;
         /// <summary>Where its material is in the body at rest: textures that are placed by it stay on the tissue.</summary>
         public float U, V, W;
+        /// <summary>Texture coordinates of the surface that the body was filled from; 0 without one, and inside.</summary>
+        public float S, T;
     }
 
     /// <summary>Entries Start, Start + 1, ... of a buffer.</summary>
@@ -31,7 +33,9 @@ namespace Incise
         private const int None = -1;
 
         // A corner is 3 * triangle + k. The corners at a vertex are a list: first[vertex], next[corner].
+        // At a seam of the texture a vertex of the state has several here: the first, twins[first], ...
         private readonly Dictionary<ulong, int> vertexOf = new Dictionary<ulong, int>(); // by 2 * id + submesh
+        private int[] twins = { };
         private readonly Stack<int> freeVertices = new Stack<int>();
         private ulong[] keys = { };
         private int[] first = { };
@@ -42,7 +46,11 @@ namespace Incise
         private int[] next = { };
         private int[] places = { }; // of a triangle in its submesh
         private bool[] inside = { };
+        private uint[] ids = { };
         private int usedTriangles;
+        private SurfaceLookup texture;
+        private readonly float[] uvs = new float[6];
+        private readonly HashSet<uint> laidAnew = new HashSet<uint>();
         private readonly List<int>[] order = { new List<int>(), new List<int>() }; // triangles by place
         private readonly HashSet<int> dirtyVertices = new HashSet<int>();
         private readonly HashSet<int>[] dirtyPlaces = { new HashSet<int>(), new HashSet<int>() };
@@ -71,6 +79,17 @@ namespace Incise
             IndexRanges = new List<BufferRange>();
         }
 
+        /// <summary>Where the skin's texture coordinates come from, in view Surface. Null: they are 0.</summary>
+        public SurfaceLookup Texture
+        {
+            get { return texture; }
+            set
+            {
+                texture = value;
+                Forget();
+            }
+        }
+
         /// <summary>Brings the buffers to the state's revision. Returns whether anything has changed.</summary>
         public bool Update(BodyState state)
         {
@@ -84,7 +103,13 @@ namespace Incise
                 Remove(id);
                 Add(id);
             }
+            laidAnew.Clear();
             foreach (uint id in state.MovedVertices) Move(id);
+            foreach (uint id in laidAnew)
+            {
+                Remove(id);
+                Add(id);
+            }
             state.ChangedTriangles.Clear();
             state.MovedVertices.Clear();
             foreach (int vertex in dirtyVertices) SetNormal(vertex);
@@ -135,14 +160,18 @@ namespace Incise
                 Array.Resize(ref next, 3 * room);
                 Array.Resize(ref places, room);
                 Array.Resize(ref inside, room);
+                Array.Resize(ref ids, room);
             }
             triangleOf.Add(id, triangle);
+            ids[triangle] = id;
             inside[triangle] = t.IsCut;
             int submesh = t.IsCut ? 1 : 0;
+            var surface = shown as SurfaceState;
+            if (texture == null || surface == null || !texture.CornerUvs(surface, id, uvs, 0)) Array.Clear(uvs, 0, 6);
             // Clockwise, as Unity wants it.
-            Attach(3 * triangle, VertexFor(t.A, submesh));
-            Attach(3 * triangle + 1, VertexFor(t.C, submesh));
-            Attach(3 * triangle + 2, VertexFor(t.B, submesh));
+            Attach(3 * triangle, VertexFor(t.A, submesh, uvs[0], uvs[1]));
+            Attach(3 * triangle + 1, VertexFor(t.C, submesh, uvs[4], uvs[5]));
+            Attach(3 * triangle + 2, VertexFor(t.B, submesh, uvs[2], uvs[3]));
             places[triangle] = order[submesh].Count;
             dirtyPlaces[submesh].Add(places[triangle]);
             order[submesh].Add(triangle);
@@ -153,7 +182,13 @@ namespace Incise
             corners[corner] = vertex;
             next[corner] = first[vertex];
             first[vertex] = corner;
-            dirtyVertices.Add(vertex);
+            Touch(vertex);
+        }
+
+        /// <summary>The normal of a vertex and its twins has changed.</summary>
+        private void Touch(int vertex)
+        {
+            for (int twin = vertexOf[keys[vertex]]; twin != None; twin = twins[twin]) dirtyVertices.Add(twin);
         }
 
         private void Remove(uint id)
@@ -186,19 +221,35 @@ namespace Incise
                 while (next[before] != corner) before = next[before];
                 next[before] = next[corner];
             }
-            dirtyVertices.Add(vertex);
+            Touch(vertex);
             if (first[vertex] != None) return;
-            vertexOf.Remove(keys[vertex]);
+            int head = vertexOf[keys[vertex]];
+            if (head != vertex)
+            {
+                while (twins[head] != vertex) head = twins[head];
+                twins[head] = twins[vertex];
+            }
+            else if (twins[vertex] != None)
+            {
+                vertexOf[keys[vertex]] = twins[vertex];
+            }
+            else
+            {
+                vertexOf.Remove(keys[vertex]);
+            }
             freeVertices.Push(vertex);
         }
 
         // ---- Vertices ----
 
-        private int VertexFor(uint id, int submesh)
+        private int VertexFor(uint id, int submesh, float s, float t)
         {
+            const float Same = 1e-4f; // of the texture: rounding is less, and a seam much more
             ulong key = 2UL * id + (uint)submesh;
-            int vertex;
-            if (vertexOf.TryGetValue(key, out vertex)) return vertex;
+            int head, vertex;
+            if (!vertexOf.TryGetValue(key, out head)) head = None;
+            for (int twin = head; twin != None; twin = twins[twin])
+                if (Math.Abs(Vertices[twin].S - s) <= Same && Math.Abs(Vertices[twin].T - t) <= Same) return twin;
             vertex = freeVertices.Count > 0 ? freeVertices.Pop() : usedVertices++;
             if (vertex >= keys.Length)
             {
@@ -208,16 +259,18 @@ namespace Incise
                 Vertices = vertices;
                 Array.Resize(ref keys, room);
                 Array.Resize(ref first, room);
+                Array.Resize(ref twins, room);
                 Replaced = true;
             }
-            vertexOf.Add(key, vertex);
+            vertexOf[key] = vertex;
+            twins[vertex] = head;
             keys[vertex] = key;
             first[vertex] = None;
-            Place(vertex, id);
+            Place(vertex, id, s, t);
             return vertex;
         }
 
-        private void Place(int vertex, uint id)
+        private void Place(int vertex, uint id, float s, float t)
         {
             Vec3 position, rest;
             shown.TryVertex(id, out position, out rest);
@@ -225,37 +278,46 @@ namespace Incise
             rest = UnityFrame.Convert(rest);
             Vertices[vertex] = new MeshVertex
             {
-                X = (float)position.X, Y = (float)position.Y, Z = (float)position.Z, U = (float)rest.X, V = (float)rest.Y, W = (float)rest.Z
+                X = (float)position.X, Y = (float)position.Y, Z = (float)position.Z, U = (float)rest.X, V = (float)rest.Y, W = (float)rest.Z, S = s, T = t
             };
             Min = new Vec3(Math.Min(Min.X, position.X), Math.Min(Min.Y, position.Y), Math.Min(Min.Z, position.Z));
             Max = new Vec3(Math.Max(Max.X, position.X), Math.Max(Max.Y, position.Y), Math.Max(Max.Z, position.Z));
         }
 
-        /// <summary>A vertex that has moved changes the normals around it.</summary>
+        /// <summary>A vertex that has moved changes the normals around it; one that rests elsewhere, the texture there, too.</summary>
         private void Move(uint id)
         {
             for (uint submesh = 0; submesh < 2; ++submesh)
             {
                 int vertex;
                 if (!vertexOf.TryGetValue(2UL * id + submesh, out vertex)) continue;
-                Place(vertex, id);
-                for (int c = first[vertex]; c != None; c = next[c])
+                for (; vertex != None; vertex = twins[vertex])
                 {
-                    for (int k = 0; k < 3; ++k) dirtyVertices.Add(corners[c / 3 * 3 + k]);
+                    MeshVertex before = Vertices[vertex];
+                    Place(vertex, id, before.S, before.T);
+                    bool rests = before.U == Vertices[vertex].U && before.V == Vertices[vertex].V && before.W == Vertices[vertex].W;
+                    for (int c = first[vertex]; c != None; c = next[c])
+                    {
+                        for (int k = 0; k < 3; ++k) Touch(corners[c / 3 * 3 + k]);
+                        if (texture != null && submesh == 0 && !rests) laidAnew.Add(ids[c / 3]);
+                    }
                 }
             }
         }
 
-        /// <summary>The mean of the triangles' normals, weighted by area.</summary>
+        /// <summary>The mean of the triangles' normals at it and its twins, weighted by area.</summary>
         private void SetNormal(int vertex)
         {
             var sum = new Vec3();
             if (vertexOf.Count == 0 || first[vertex] == None) return;
-            for (int c = first[vertex]; c != None; c = next[c])
+            for (int twin = vertexOf[keys[vertex]]; twin != None; twin = twins[twin])
             {
-                int at = c / 3 * 3;
-                Vec3 a = PositionOf(corners[at]);
-                sum += Vec3.Cross(PositionOf(corners[at + 1]) - a, PositionOf(corners[at + 2]) - a);
+                for (int c = first[twin]; c != None; c = next[c])
+                {
+                    int at = c / 3 * 3;
+                    Vec3 a = PositionOf(corners[at]);
+                    sum += Vec3.Cross(PositionOf(corners[at + 1]) - a, PositionOf(corners[at + 2]) - a);
+                }
             }
             double size = sum.Length;
             if (size > 0) sum = (1 / size) * sum;

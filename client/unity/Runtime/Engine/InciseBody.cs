@@ -21,6 +21,13 @@ namespace InciseUnity
         private readonly SurfaceMesh surface = new SurfaceMesh();
         private Mesh mesh;
 
+        /// <summary>The surface that the body was filled from: its texture coordinates go to TEXCOORD1, in view Surface.</summary>
+        public SurfaceLookup Texture
+        {
+            get { return surface.Texture; }
+            set { surface.Texture = value; }
+        }
+
         /// <summary>The revision that is drawn, and whether there is one.</summary>
         public ulong Revision { get; private set; }
         public bool HasBody { get; private set; }
@@ -66,7 +73,8 @@ namespace InciseUnity
             {
                 mesh.Clear();
                 mesh.SetVertexBufferParams(surface.Vertices.Length, new VertexAttributeDescriptor(VertexAttribute.Position),
-                    new VertexAttributeDescriptor(VertexAttribute.Normal), new VertexAttributeDescriptor(VertexAttribute.TexCoord0));
+                    new VertexAttributeDescriptor(VertexAttribute.Normal), new VertexAttributeDescriptor(VertexAttribute.TexCoord0),
+                    new VertexAttributeDescriptor(VertexAttribute.TexCoord1, VertexAttributeFormat.Float32, 2));
                 mesh.SetIndexBufferParams(surface.Indices.Length, IndexFormat.UInt32);
                 mesh.SetVertexBufferData(surface.Vertices, 0, 0, surface.Vertices.Length, 0, Unchecked);
                 mesh.SetIndexBufferData(surface.Indices, 0, 0, surface.Indices.Length, Unchecked);
