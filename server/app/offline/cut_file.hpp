@@ -28,7 +28,7 @@ bool keeps_fields(const std::filesystem::path& path);
 // Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
-// boundary as a surface (.stl .ply .off .obj .vtp). `fields`, if given, go into .vtu. Throws MeshError.
+// boundary as a surface (.stl .ply .off .obj .vtp). `fields`, if given, go into .vtu and .vtk. Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
                     const CarriedFields* fields = nullptr);
 
