@@ -181,7 +181,7 @@ void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> p
   if (ending == ".vtu") {
     write_vtu(path, positions, tets, cell_data, fields);
   } else if (ending == ".vtk") {
-    write_vtk_legacy(path, positions, tets, cell_data);
+    write_vtk_legacy(path, positions, tets, cell_data, fields);
   } else if (is_one_of(ending, {".msh", ".msh2"})) {
     write_gmsh(path, positions, tets, regions_in(cell_data), ending == ".msh");
   } else if (ending == ".mesh") {

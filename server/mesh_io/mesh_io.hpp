@@ -60,7 +60,7 @@ bool is_surface_file(const std::filesystem::path& path);
 std::string_view mesh_file_endings();
 std::string_view surface_file_endings();
 
-// Writes a tetrahedral mesh by the ending of `path`: .vtu with all of `fields`, .vtu and .vtk with all of `cell_data`; with the array named
+// Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data` and `fields`; with the array named
 // "region" .node and .ele (as the attribute), .msh (Gmsh 4.1) and .msh2 (Gmsh 2.2; as the physical group), .mesh (as
 // the reference). Each array has one value a tetrahedron. Throws MeshError.
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,

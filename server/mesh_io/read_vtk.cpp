@@ -63,6 +63,24 @@ std::size_t size_of(Number type) {
   return 8;
 }
 
+// What VTK makes of blanks and others in names: %20.
+std::string decoded(std::string_view name) {
+  const auto digit = [](char c) {
+    return c >= '0' && c <= '9'   ? c - '0'
+           : c >= 'A' && c <= 'F' ? c - 'A' + 10
+           : c >= 'a' && c <= 'f' ? c - 'a' + 10
+                                  : -1;
+  };
+  std::string text;
+  for (std::size_t i = 0; i < name.size(); ++i) {
+    const bool is_code =
+        name[i] == '%' && i + 2 < name.size() && digit(name[i + 1]) >= 0 && digit(name[i + 2]) >= 0;
+    text += is_code ? static_cast<char>(16 * digit(name[i + 1]) + digit(name[i + 2])) : name[i];
+    i += is_code ? 2 : 0;
+  }
+  return text;
+}
+
 class VtkReader {
  public:
   VtkReader(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
@@ -355,7 +373,7 @@ class VtkReader {
     const bool is_field = !keep && fields_.wanted() && (of_cells_ || of_points_) && !name.empty();
     if (binary_) in_.set_binary(std::endian::big);
     if (is_field) {
-      RawArray array{name, components, *type != Number::kFloat && *type != Number::kDouble, {}};
+      RawArray array{decoded(name), components, *type != Number::kFloat && *type != Number::kDouble, {}};
       array.values.reserve(count);
       const std::string what = "a value of the array " + in_quotes(name);
       for (std::size_t i = 0; i < count; ++i) {

@@ -52,11 +52,11 @@ constexpr const char* kVtkName<float> = "float";
 template <>
 constexpr const char* kVtkName<double> = "double";
 
-// Blanks end a name in a legacy file; VTK decodes %20.
+// Blanks end a name in a legacy file; VTK writes and reads %20, and so on for all but visible ASCII.
 std::string vtk_name(const std::string& name) {
   std::string text;
   for (const char c : name) {
-    if (c == ' ' || c == '%' || c == '"') {
+    if (c <= ' ' || c >= '~' || c == '%' || c == '"') {
       static constexpr char kHex[] = "0123456789ABCDEF";
       text += '%';
       text += kHex[static_cast<unsigned char>(c) >> 4];
@@ -164,8 +164,32 @@ std::string gmsh_4(std::span<const core::Vec3> positions, Tets tets, const std::
 
 }  // namespace
 
+namespace {
+
+// Those on vertices or on tetrahedra, `rows` values each. Empty where there are none.
+std::string vtk_fields(std::span<const Field> fields, Field::On on, std::size_t rows) {
+  std::string bytes;
+  std::size_t count = 0;
+  for (const Field& field : fields) {
+    if (field.on != on) continue;
+    ++count;
+    INCISE_CHECK(field.rows() == rows, field.name, field.rows(), rows);
+    std::visit(
+        [&](const auto& values) {
+          using T = typename std::decay_t<decltype(values)>::value_type;
+          bytes += "\n" + vtk_name(field.name) + " " + std::to_string(field.components) + " " +
+                   std::to_string(rows) + " " + kVtkName<T> + "\n";
+          for (const T value : values) append_big(bytes, value);
+        },
+        field.values);
+  }
+  return count == 0 ? "" : "\nFIELD fields " + std::to_string(count) + bytes;
+}
+
+}  // namespace
+
 void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::Vec3> positions, Tets tets,
-                      std::span<const CellArray> cell_data) {
+                      std::span<const CellArray> cell_data, std::span<const Field> fields) {
   const std::string cells = std::to_string(tets.size());
   std::string bytes =
       "# vtk DataFile Version 3.0\nincise, metres\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS " +
@@ -180,7 +204,9 @@ void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::V
   }
   bytes += "\nCELL_TYPES " + cells + "\n";
   for (std::size_t t = 0; t < tets.size(); ++t) append_big(bytes, std::int32_t{10});  // VTK_TETRA
-  if (!cell_data.empty()) bytes += "\nCELL_DATA " + cells;
+  const std::string of_tets = vtk_fields(fields, Field::On::kTets, tets.size()),
+                    of_vertices = vtk_fields(fields, Field::On::kVertices, positions.size());
+  if (!cell_data.empty() || !of_tets.empty()) bytes += "\nCELL_DATA " + cells;
   for (const CellArray& array : cell_data) {
     std::visit(
         [&](const auto& values) {
@@ -191,6 +217,8 @@ void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::V
         },
         array.values);
   }
+  bytes += of_tets;
+  if (!of_vertices.empty()) bytes += "\nPOINT_DATA " + std::to_string(positions.size()) + of_vertices;
   write_whole_file(path, bytes + "\n");
 }
 

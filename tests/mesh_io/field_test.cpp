@@ -53,29 +53,32 @@ bool warns(const LoadedMesh& loaded, const std::string& text) {
                      [&](const std::string& w) { return w.find(text) != w.npos; });
 }
 
-TEST(Fields, WhatVtuIsWrittenIsReadBackToTheLastBit) {
+TEST(Fields, WhatIsWrittenIsReadBackToTheLastBit) {
   const TestDirectory directory;
   core::MeshData mesh = cube_mesh(2);
   const std::size_t v = mesh.positions.size(), t = mesh.tets.size();
   for (std::size_t i = 0; i < t; ++i) mesh.regions.push_back(static_cast<std::int32_t>(i % 2));
-  std::vector<Field> fields{{"temperature <K>", On::kVertices, 1, Floats(v, 0.1f)},
+  std::vector<Field> fields{{"temperature <K> in % \u00b5\"\n", On::kVertices, 1, Floats(v, 0.1f)},
                             {"stress", On::kTets, 9, Floats(9 * t, -1e30f)},
                             {"label", On::kVertices, 1, Ints(v, INT32_MIN)},
                             {"label", On::kTets, 2, Ints(2 * t, 7)}};
   std::get<Floats>(fields[0].values)[3] = std::numeric_limits<float>::infinity();
   std::get<Ints>(fields[2].values)[1] = INT32_MAX;
-  write_mesh(directory / "a.vtu", mesh, fields);
-  const LoadedMesh loaded = load_mesh(directory / "a.vtu", with_fields());
-  ASSERT_EQ(loaded.fields.size(), 4u) << "the region is none";
-  for (const Field& field : fields) {
-    const Field& read = named(loaded, field.on, field.name);
-    EXPECT_EQ(read.components, field.components);
-    EXPECT_EQ(read.values, field.values) << field.name;
+  for (const char* name : {"a.vtu", "a.vtk"}) {
+    SCOPED_TRACE(name);
+    write_mesh(directory / name, mesh, fields);
+    const LoadedMesh loaded = load_mesh(directory / name, with_fields());
+    ASSERT_EQ(loaded.fields.size(), 4u) << "the region is none";
+    for (const Field& field : fields) {
+      const Field& read = named(loaded, field.on, field.name);
+      EXPECT_EQ(read.components, field.components);
+      EXPECT_EQ(read.values, field.values) << field.name;
+    }
+    EXPECT_EQ(loaded.mesh.regions, mesh.regions);
+    EXPECT_TRUE(loaded.warnings.empty());
+    EXPECT_EQ(loaded.content_hash, load_mesh(directory / name).content_hash);
+    EXPECT_TRUE(load_mesh(directory / name).fields.empty()) << "nobody asked";
   }
-  EXPECT_EQ(loaded.mesh.regions, mesh.regions);
-  EXPECT_TRUE(loaded.warnings.empty());
-  EXPECT_EQ(loaded.content_hash, load_mesh(directory / "a.vtu").content_hash);
-  EXPECT_TRUE(load_mesh(directory / "a.vtu").fields.empty()) << "nobody asked";
 }
 
 constexpr const char* kVtkMesh =

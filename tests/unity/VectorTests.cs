@@ -103,6 +103,40 @@ public static class VectorTests
         }
     }
 
+    /// <summary>Fields over a delta of two rounds: blends from the values before, then added vertices in order.</summary>
+    public static void FieldsFollowTheMaterial()
+    {
+        var delta = new Delta
+        {
+            VertexCount = 7, ProvenanceA = new uint[] { 0, 4, 1 }, ProvenanceB = new uint[] { 1, 2, 5 }, ProvenanceT = new[] { 0.5, 0.25, 0.5 },
+            BlendIds = new uint[] { 0, 5, 4 }, BlendVertices = new uint[] { 0, 1, 2, 3, 3, 2, 1, 0, 4, 5, 0, 1 },
+            BlendWeights = new[] { 0.5, 0.5, 0.25, -0.25, 1.0, 0, 0, 0, 0.5, 0.25, 0.25, 0 },
+            RoundAdded = new uint[] { 2, 1 }, RoundBlends = new uint[] { 2, 1 }
+        };
+        double[] field = { 8, 16, 32, 64, -8, -16, -32, -64 };
+        var pairs = new double[8];
+        for (int v = 0; v < 4; ++v)
+        {
+            pairs[2 * v] = field[v];
+            pairs[2 * v + 1] = -field[v];
+        }
+        delta.Carry(ref pairs, 2);
+        // Vertex 0: 4 + 8 + 8 - 16; 4: between that and 1; 5: that of 3. Then 4: half of itself, a quarter of 5 and of 0; 6: between 1 and 5.
+        double[] expected = { 4, 16, 32, 64, 22, 64, 40 };
+        Check.Equal(pairs.Length, 14, "values");
+        for (int v = 0; v < 7; ++v)
+        {
+            Check.Near(pairs[2 * v], expected[v], 1e-12, "vertex " + v);
+            Check.Near(pairs[2 * v + 1], -expected[v], 1e-12, "vertex " + v);
+        }
+        double[] few = { 1, 2, 3 };
+        Check.Throws<ArgumentException>(() => delta.Carry(ref few, 1), "values of three vertices");
+        delta.BlendVertices[11] = 6;
+        double[] four = { 1, 2, 3, 4 };
+        Check.Throws<ArgumentException>(() => delta.Carry(ref four, 1), "a blend of a vertex that was not there");
+        Check.Equal(four.Length, 4, "unchanged");
+    }
+
     public static void HashesOfElements()
     {
         var hashes = Vectors.Map(Json.Parse(File.ReadAllText(Vectors.PathOf("hashes.json"))));

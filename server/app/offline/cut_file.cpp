@@ -67,7 +67,7 @@ void require_mesh_output(const fs::path& path, const std::string& option) {
 bool keeps_fields(const fs::path& path) {
   std::string ending = path.extension().string();
   for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
-  return ending == ".vtu";
+  return ending == ".vtu" || ending == ".vtk";
 }
 
 void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from,

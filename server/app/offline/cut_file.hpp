@@ -29,7 +29,7 @@ bool keeps_fields(const std::filesystem::path& path);
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
-// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu. Either may
+// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu and .vtk. Either may
 // be null. Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
                     const mesh_io::Surface* from = nullptr, const CarriedFields* fields = nullptr);

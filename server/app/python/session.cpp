@@ -315,8 +315,8 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
            "volume (m^3), inverted, min_dihedral_deg. O(mesh).")
       .def("save", &save, py::arg("path"), R"(save(path)
 
-Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece, cut faces, angles and more, .vtu the
-fields, too.)")
+Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece, cut faces, angles and
+more, and the fields.)")
       .def("current_body", &current_body,
            "current_body() -> Body: the mesh as it is now, renumbered without gaps in the order of ids.")
       .def_property_readonly(

@@ -150,10 +150,10 @@ INSTANTIATE_TEST_SUITE_P(
                       Case{"", Policy::kCroll, false, 100},
                       Case{"liver_6564.node", Policy::kConforming, false, 200},
                       Case{"bunny_27226.node", Policy::kConforming, true, 60}),
-    [](const auto& info) {
-      return (info.param.mesh.empty() ? "box" : info.param.mesh.substr(0, info.param.mesh.find('_'))) +
-             std::string(info.param.policy == Policy::kCroll ? "_croll" : "") +
-             (info.param.deforms ? "_deforming" : "");
+    [](const auto& test) {
+      return (test.param.mesh.empty() ? "box" : test.param.mesh.substr(0, test.param.mesh.find('_'))) +
+             std::string(test.param.policy == Policy::kCroll ? "_croll" : "") +
+             (test.param.deforms ? "_deforming" : "");
     });
 
 // A field that differs on the two sides of an older cut is not mixed by later ones that meet it.
