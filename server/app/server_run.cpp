@@ -121,6 +121,7 @@ class RunningServer {
   AuditLog audit_;
   CaptureLibrary library_;
   SpareSession spare_;
+  SimulationOutput simulation_;
   stream::Server server_;
   StreamOutput output_;
   loop::FrameLoop frames_;
@@ -166,7 +167,9 @@ stream::Providers RunningServer::providers() {
           &library_,
           [this] { return watch_->trouble(); },
           [this](auto kind, auto& address, auto& line) { audit_.write(kind, address, line); },
-          [this] { return recording_now(journal_.get()); }};
+          [this] { return recording_now(journal_.get()); },
+          [this] { return simulation_.loads(); },
+          [this](const protocol::BladeModel& model) { return simulation_.use(model); }};
 }
 
 void RunningServer::join_loop() {
@@ -175,7 +178,7 @@ void RunningServer::join_loop() {
   telemetry_->join_stream([this] { return server_.counters(); });
   frames_.offer_deformation(positions_);
   if (config_.haptics.forces)
-    frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_);
+    frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_, &simulation_.link());
   stream_input_.join(frames_);
   frames_.offer_reset([this] { return spare_.take(); },
                       [this](std::unique_ptr<core::CutSession> used) {

@@ -20,7 +20,7 @@ constexpr std::int64_t kMs = 1'000'000;
 // The top of a table at z = 0.
 protocol::Force table(double stiffness = 800) {
   protocol::Force force;
-  force.contact = LocalContact{{0, 0, 0}, {0, 0, 1}, stiffness, 0, 0, 0, 50 * kMs, false};
+  force.contact = LocalContact{{0, 0, 0}, {0, 0, 1}, stiffness, 0, 0, 0, 50 * kMs, false, {}};
   return force;
 }
 

@@ -162,7 +162,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
   hello.blade = BladeEdge{{0, 0, 0.01}, {0.001, 0, -0.05}};
 
   Force force{2, 1'004'000'000, {0.5, -0.25, 3.125}, 0.0125, {}, true, true, true};
-  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true};
+  force.contact = LocalContact{{0.01, 0.02, 0.03}, {0, 0, 1}, 800, 2.5, 0.75, 0.125, 20'000'000, true, {}};
 
   BladeLoad load;
   load.source = 2;
