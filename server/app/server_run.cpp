@@ -152,7 +152,8 @@ RunningServer::RunningServer(const Config& config, bool resume)
               stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
-      force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6)) {
+      force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6),
+                    config.haptics.force.most_torque_n_m > 0) {
   for (auto& delta : recording_.shown.deltas) server_.publish(std::move(delta));
   recording_.shown = {};
   join_loop();

@@ -33,18 +33,14 @@ void ForceOutput::feel(const haptics::BladeForce& force) noexcept {
   message.saturated = (force.flags & haptics::kForceLimited) != 0;
   message.ramping = (force.flags & haptics::kForceRamping) != 0;
   message.latched_off = (force.flags & haptics::kForceLatchedOff) != 0;
+  if (torques_) message.torque_n_m = to_protocol(force.newton_metres);
   // A latched-off force is off at the operator, too.
   if (force.feel.contact && !message.latched_off) {
     const haptics::ContactPlane& plane = *force.feel.contact;
-    message.contact = protocol::LocalContact{to_protocol(plane.point),
-                                             to_protocol(plane.normal),
-                                             plane.stiffness_n_m,
-                                             plane.damping_n_s_m,
-                                             plane.resistance_n,
-                                             plane.friction_n_s_m,
-                                             valid_ns_,
-                                             plane.penetrated,
-                                             {}};
+    message.contact = protocol::LocalContact{
+        to_protocol(plane.point),   to_protocol(plane.normal), plane.stiffness_n_m, plane.damping_n_s_m,
+        plane.resistance_n,         plane.friction_n_s_m,      valid_ns_,           plane.penetrated,
+        to_protocol(force.feel.arm)};
   }
   server_.publish_force(message);
 }

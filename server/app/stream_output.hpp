@@ -29,13 +29,15 @@ class StreamOutput final : public loop::DeltaSink {
 // Sends the loop's forces to the operators who hold the blades.
 class ForceOutput final : public haptics::ForceSink {
  public:
-  // `valid_ns`: how long a contact may be rendered after it was received.
-  ForceOutput(stream::Server& server, std::int64_t valid_ns) : server_(server), valid_ns_(valid_ns) {}
+  // `valid_ns`: how long a contact may be rendered after it was received. `torques`: whether any are made.
+  ForceOutput(stream::Server& server, std::int64_t valid_ns, bool torques)
+      : server_(server), valid_ns_(valid_ns), torques_(torques) {}
   void feel(const haptics::BladeForce& force) noexcept override;
 
  private:
   stream::Server& server_;
   const std::int64_t valid_ns_;
+  const bool torques_;
 };
 
 // Joins simulators on the network to the loop: what blades do to the body, and their own models of it. Thread: the stream's.
