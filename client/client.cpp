@@ -102,6 +102,9 @@ bool Client::engage(std::int64_t source_ns) {
   return impl_->send(protocol::StrokeControl{protocol::StrokeAction::Engage, source_ns}) != 0;
 }
 
+std::uint64_t Client::send_model(const protocol::BladeModel& model) {
+  return impl_->send_model(model);
+}
 std::uint64_t Client::send_positions(const protocol::Positions& positions) {
   return impl_->send_positions(positions);
 }

@@ -42,6 +42,7 @@ struct Options {
   std::string source_name = "blade";         // operator: which blade
   bool take_over = false;                    // operator: take it from the operator who holds it
   std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
+  float load_rate_hz = 0;  // simulator: BladeLoad at most so often for each blade, 60 to 1000; 0: none
   std::optional<protocol::Box> box;  // of either view only what touches it; for Volume use read_part()
   float max_rate_hz = 0;             // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
@@ -77,6 +78,7 @@ struct Callbacks {
   std::function<void(const protocol::Force&)> on_force;  // for ContactRenderer::take
   std::function<void(const protocol::PoseReport&)> on_report;
   std::function<void(const protocol::PositionsReport&)> on_positions_report;
+  std::function<void(const protocol::BladeLoad&)> on_blade_load;
   std::function<void(const protocol::Stats&)> on_stats;
   std::function<void(const protocol::Error&)> on_error;
   std::function<void(const std::string& reason)>
@@ -117,6 +119,9 @@ class Client {
   // Simulators: where vertices are, computed for revision `positions.revision`. Returns the message's sequence. 0
   // without a connection or while older ones still wait for the network: nothing is queued, send the next ones.
   std::uint64_t send_positions(const protocol::Positions& positions);
+  // Simulators: their own model of the tissue at a blade, in answer to a BladeLoad. One that cannot be used comes back as an Error
+  // that is not fatal. Returns the message's sequence; 0 without a connection.
+  std::uint64_t send_model(const protocol::BladeModel& model);
   // Changes view and rate.
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: restores the mesh as it was loaded, for everyone.

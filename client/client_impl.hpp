@@ -50,6 +50,7 @@ struct Client::Impl {
   std::uint64_t send(const protocol::Body& body);
   std::uint64_t send_poses(std::span<const protocol::PoseSample> poses);
   std::uint64_t send_positions(const protocol::Positions& positions);
+  std::uint64_t send_model(const protocol::BladeModel& model);
   // With `mutex` held.
   std::uint64_t append(const protocol::Body& body);
   void wake_writer();
@@ -87,6 +88,7 @@ struct Client::Impl {
   bool on(const protocol::Bye& bye, const Arrival&);
   bool on(const protocol::PoseReport& report, const Arrival&);
   bool on(const protocol::PositionsReport& report, const Arrival&);
+  bool on(const protocol::BladeLoad& load, const Arrival&);
   bool on(const protocol::Force& force, const Arrival&);
   bool on(const protocol::Stats& stats, const Arrival&);
   // Of a later version, or not for this client.

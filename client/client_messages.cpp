@@ -159,6 +159,11 @@ bool Client::Impl::on(const protocol::PositionsReport& report, const Arrival&) {
   return true;
 }
 
+bool Client::Impl::on(const protocol::BladeLoad& load, const Arrival&) {
+  call(callbacks.on_blade_load, load);
+  return true;
+}
+
 bool Client::Impl::on(const protocol::Force& force, const Arrival&) {
   call(callbacks.on_force, force);
   return true;

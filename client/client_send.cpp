@@ -57,4 +57,15 @@ std::uint64_t Client::Impl::send_positions(const protocol::Positions& positions)
   return sent;
 }
 
+std::uint64_t Client::Impl::send_model(const protocol::BladeModel& model) {
+  std::uint64_t sent = 0;
+  {
+    const std::scoped_lock lock(mutex);
+    if (current_status != Status::kConnected || closing) return 0;
+    sent = append(model);
+  }
+  wake_writer();
+  return sent;
+}
+
 }  // namespace incise::client

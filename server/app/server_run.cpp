@@ -134,6 +134,7 @@ class RunningServer {
   AuditLog audit_;
   CaptureLibrary library_;
   SpareSession spare_;
+  SimulationOutput simulation_;
   stream::Server server_;
   StreamOutput output_;
   loop::FrameLoop frames_;
@@ -167,7 +168,8 @@ RunningServer::RunningServer(const Config& config, bool resume)
       server_(stream_config(config), facts(), recording_.shown.before, stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
-      force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6)) {
+      force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6),
+                    config.haptics.force.most_torque_n_m > 0) {
   for (auto& delta : recording_.shown.deltas) server_.publish(std::move(delta));
   recording_.shown = {};
   join_loop();
@@ -183,6 +185,8 @@ stream::Providers RunningServer::providers() {
           [this] { return watch_->trouble(); },
           [this](auto kind, auto& address, auto& line) { audit_.write(kind, address, line); },
           [this] { return recording_now(journal_.get()); },
+          [this] { return simulation_.loads(); },
+          [this](const protocol::BladeModel& model) { return simulation_.use(model); },
           std::move(surface_.documents)};
 }
 
@@ -198,7 +202,7 @@ void RunningServer::join_loop() {
   telemetry_->join_stream([this] { return server_.counters(); });
   frames_.offer_deformation(positions_);
   if (config_.haptics.forces)
-    frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_);
+    frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_, &simulation_.link());
   stream_input_.join(frames_);
   frames_.offer_reset([this] { return spare_.take(); },
                       [this](std::unique_ptr<core::CutSession> used) {

@@ -19,6 +19,17 @@ Vec3 across(const Vec3& v, const Vec3& unit) {
   return v - dot(v, unit) * unit;
 }
 
+// The rotation from a to b as a vector: its axis times its angle, world frame.
+Vec3 turn(const core::Quat& a, const core::Quat& b) {
+  // b a*, by the shorter way.
+  const double w = b.w * a.w + b.x * a.x + b.y * a.y + b.z * a.z;
+  const Vec3 va{a.x, a.y, a.z}, vb{b.x, b.y, b.z};
+  const Vec3 v = a.w * vb - b.w * va - cross(vb, va);
+  const double sine = length(v);
+  if (!(sine > 0)) return {};
+  return ((w < 0 ? -2 : 2) * std::atan2(sine, std::abs(w)) / sine) * v;
+}
+
 }  // namespace
 
 ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m)
@@ -57,6 +68,7 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   has_last_ = true;
   last_line_ = motion.line;
   last_tool_ = motion.tool;
+  last_orientation_ = motion.orientation;
   before_ = line_;
 
   account_ = std::min(account_, elastic.energy + kReserve_j);
@@ -64,6 +76,8 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   const double elastic_share = elastic.energy > held ? held / elastic.energy : 1;
   const double friction_share = std::min(1.0, held / kReserve_j);
   feel.force = elastic_share * elastic.force + friction_share * feel.force;
+  const double middle = engagement.length_m > 0 ? 0.5 * (engagement.from + engagement.to) : 0.5;
+  feel.arm = lerp(motion.line.heel, motion.line.tip, middle) - motion.tool;
   return feel;
 }
 
@@ -84,7 +98,8 @@ double ForceModel::moved_at_rest() const noexcept {
 
 // What acted on the hand since the last call did work there; where the tissue moved, a part of it was the tissue's.
 void ForceModel::book(const BladeMotion& motion, double at, const Vec3& applied) noexcept {
-  account_ -= dot(applied, motion.tool - last_tool_);
+  account_ -= dot(applied, motion.tool - last_tool_) +
+              dot(motion.torque, turn(last_orientation_, motion.orientation));
   if (!line_.deformed || own_acts_) return;
   const double given = dot(applied, step(motion, at) - relative_step(at));
   const double got = std::min(given, tissue_account_);

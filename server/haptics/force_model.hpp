@@ -17,7 +17,10 @@ struct BladeMotion {
   core::Vec3 tool;       // the tool's origin, where a device applies the force, m
   bool engaged = false;  // it cuts
   double dt_s = 0;  // since the pose before, by the source's clock; 0: this pose is the one of the last call
-  double elapsed_s = 0;  // since the last call, by ours
+  double elapsed_s = 0;    // since the last call, by ours
+  core::Quat orientation;  // of the tool
+  core::Vec3
+      torque;  // that acted on the hand since the last call, about the tool's origin, N m; zero: its device makes none
 };
 
 // The tissue near the blade as a plane, for clients that render at their own rate (protocol::LocalContact).
@@ -33,6 +36,8 @@ struct ContactPlane {
 
 struct Feel {
   core::Vec3 force;  // on the hand, at the tool's origin, N
+  core::Vec3
+      arm;  // from the tool's origin to the middle of the edge's longest stretch inside, m: torque = arm x force
   Engagement engagement;
   std::optional<ContactPlane> contact;  // absent: no tissue at the blade
   ProbeWork work;                       // that it took
@@ -59,7 +64,7 @@ struct Feel {
 //
 // Passivity. Sampling makes even a spring give back more than it took (Colgate and Schenkel 1997, "Passivity of a
 // class of sampled-data systems"), and turning the tool stretches it without any work on a device that does not feel
-// torques. So what the model gives is bounded by an account of what it got through the tool's origin (after Hannaford
+// torques; where a device makes them, torque times turn is booked, too. So what the model gives is bounded by an account of what it got through the tool's origin (after Hannaford
 // and Ryu 2002, "Time-domain passivity control of haptic interfaces"): the elastic force is scaled so that it can
 // return no more than the account holds, and friction stops with the account. The account never holds more than
 // the spring does at full force and kReserve_j: work spent on cutting does not come back. It grows by kLeak_w on its
@@ -118,6 +123,7 @@ class ForceModel {
   bool has_last_ = false;
   core::BladeLine last_line_;
   core::Vec3 last_tool_;
+  core::Quat last_orientation_;
   core::Vec3 velocity_;  // of the edge where it is inside, relative to the tissue, m/s
   double account_ = kReserve_j, tissue_account_ = kTissueReserve_j;
   // The edge at rest: now, and in the call before.

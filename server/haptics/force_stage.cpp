@@ -23,7 +23,10 @@ void ForceStage::opened(std::uint32_t source, const core::Blade& blade) noexcept
   hand.has_pose = hand.has_felt = hand.pressed_again = false;
   hand.own = {};
   hand.model.jump();
-  hand.chain.arm(slots_ ? (*slots_)[source].losses() : 0, slots_ ? (*slots_)[source].failed_writes() : 0);
+  const std::uint32_t losses = slots_ ? (*slots_)[source].losses() : 0;
+  const std::uint32_t failed_writes = slots_ ? (*slots_)[source].failed_writes() : 0;
+  hand.chain.arm(losses, failed_writes);
+  hand.torque_chain.arm(losses, failed_writes);
 }
 
 void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns,
@@ -81,9 +84,13 @@ void ForceStage::frame(std::int64_t now_ns, std::int64_t late_ns) noexcept {
     hand.felt = hand.pose;
     hand.has_felt = true;
     hand.acting = force.newtons;
+    hand.turning = force.newton_metres;
     if (slots_) {
-      (*slots_)[source].write(
-          {{force.newtons.x, force.newtons.y, force.newtons.z}, now_ns, force.flags, hand.arrival_ns});
+      (*slots_)[source].write({{force.newtons.x, force.newtons.y, force.newtons.z},
+                               now_ns,
+                               force.flags,
+                               hand.arrival_ns,
+                               {force.newton_metres.x, force.newton_metres.y, force.newton_metres.z}});
     }
     if (link_) tell_simulation(hand, force, now_ns);
     const bool worth = force.feel.contact || squared_length(force.newtons) > 0;
@@ -129,6 +136,10 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   motion.line = core::blade_line(hand.blade, hand.pose);
   motion.tool = hand.pose.position;
   motion.engaged = engaged(hand.pose);
+  motion.orientation = hand.pose.orientation;
+  // Work is done only by what a device makes.
+  const double device_torque = slots_ ? (*slots_)[source].torque_limit() : 0;
+  if (device_torque > 0) motion.torque = hand.turning;
   if (hand.has_felt) {
     motion.dt_s = static_cast<double>(hand.pose.t_ns - hand.felt.t_ns) * 1e-9;
     motion.elapsed_s = static_cast<double>(now_ns - hand.last_frame_ns) * 1e-9;
@@ -143,7 +154,10 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   force.feel = hand.model.update(*tissue_, motion, hand.acting, own ? &hand.own : nullptr);
   cut_short_ += force.feel.work.cut_short;
 
-  if (hand.pressed_again && !force.feel.contact) hand.chain.rearm_after_faults();
+  if (hand.pressed_again && !force.feel.contact) {
+    hand.chain.rearm_after_faults();
+    hand.torque_chain.rearm_after_faults();
+  }
   hand.pressed_again = false;
   SafetyInput in;
   in.now_ns = now_ns;
@@ -159,6 +173,14 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
     in.failed_writes = slot.failed_writes();
   }
   force.newtons = hand.chain.update(in);
+  if (config_.most_torque_n_m > 0) {
+    // By the same frames and faults; whatever ends the force ends the torque.
+    SafetyInput turn = in;
+    turn.wanted = cross(force.feel.arm, force.feel.force);
+    turn.device_most_n = device_torque;
+    force.newton_metres = hand.torque_chain.update(turn);
+    if (squared_length(force.newtons) == 0) force.newton_metres = {};
+  }
   force.faults = hand.chain.faults();
   const auto flag = [&](bool set, ForceFlag bit) { force.flags |= set ? std::uint32_t{bit} : 0u; };
   flag(in.contact, kForceContact);

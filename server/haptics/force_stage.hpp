@@ -21,6 +21,7 @@ struct BladeForce {
   std::int64_t pose_t_ns = 0;        // source time of the pose that it belongs to
   std::int64_t pose_arrival_ns = 0;  // CLOCK_MONOTONIC
   core::Vec3 newtons;                // on the hand at the tool's origin, world frame
+  core::Vec3 newton_metres;          // likewise, about the tool's origin
   std::uint32_t flags = 0;           // ForceFlag
   std::uint32_t faults = 0;          // SafetyFault: since the source was opened
   bool jumped = false;               // the blade was elsewhere before: it did not move here
@@ -73,9 +74,11 @@ class ForceStage {
  private:
   struct Hand {
     Hand(const Materials& materials, const ForceConfig& config)
-        : model(materials, config.stiffest_n_m, config.damping_n_s_m), chain(config.limits) {}
+        : model(materials, config.stiffest_n_m, config.damping_n_s_m),
+          chain(config.limits),
+          torque_chain(config.torque_limits()) {}
     ForceModel model;
-    SafetyChain chain;
+    SafetyChain chain, torque_chain;
     core::Blade blade;
     core::Pose pose, felt;  // the newest; the one that the last frame took
     std::int64_t arrival_ns = 0, moved_ns = 0, last_frame_ns = 0;
@@ -83,6 +86,7 @@ class ForceStage {
     bool pressed_again = false;  // the engage button, since the last frame
     bool told = false;           // the sink knows of a force or of tissue
     core::Vec3 acting;           // N
+    core::Vec3 turning;          // N m
     LocalModel own;              // the simulation's, until it expires
     std::uint64_t loads = 0;     // told to the simulation
     bool loaded = false;         // the last of them was not nothing

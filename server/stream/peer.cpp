@@ -1,5 +1,6 @@
 #include "server/stream/peer.hpp"
 
+#include <algorithm>
 #include <utility>
 #include <variant>
 
@@ -15,7 +16,8 @@ using protocol::ErrorCode;
 using protocol::Role;
 
 constexpr std::size_t kMaxWaitingBladeBytes = 4096;  // older poses are of no use
-constexpr std::int64_t kLinger_ns = 1'000'000'000;   // for the peer to close after Bye
+constexpr std::size_t kMaxWaitingLoadBytes = 16384;
+constexpr std::int64_t kLinger_ns = 1'000'000'000;  // for the peer to close after Bye
 // For a peer that has not been reading, so that it still finds Bye behind the message that is on its way.
 constexpr std::int64_t kLongLinger_ns = 60'000'000'000;
 
@@ -89,7 +91,8 @@ asio::awaitable<bool> Peer::receive() {
     co_return true;
   }
   const bool poses = std::holds_alternative<protocol::PoseBatch>(decoded.message->body);
-  if (!poses && !rate_.allow(last_received_ns_)) {
+  const bool model = load_rate_hz_ > 0 && std::holds_alternative<protocol::BladeModel>(decoded.message->body);
+  if (!poses && !(model ? model_rate_ : rate_).allow(last_received_ns_)) {
     refuse({ErrorCode::RateExceeded,
             "more than " + std::to_string(context_.config.max_messages_per_s) + " messages a second"},
            decoded.message->envelope.sequence);
@@ -136,6 +139,8 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
     on_replay(*replay, sequence);
   } else if (const auto* positions = std::get_if<protocol::Positions>(&body)) {
     on_positions(*positions, sequence);
+  } else if (const auto* model = std::get_if<protocol::BladeModel>(&body)) {
+    on_model(*model, sequence);
   } else {
     outbox_.complain(ErrorCode::BadState, std::string(name_of(body)) + " is not for a client to send now",
                      sequence);
@@ -187,6 +192,23 @@ void Peer::on_positions(const protocol::Positions& positions, std::uint64_t sequ
   }
   const auto refusal = positions_.offer(positions, context_.live.mirror(), context_.input, last_received_ns_);
   if (refusal) outbox_.complain(refusal->code, refusal->text, sequence);
+}
+
+void Peer::on_model(const protocol::BladeModel& model, std::uint64_t sequence) {
+  if (role_ != Role::Simulator) {
+    outbox_.complain(ErrorCode::Forbidden, "BladeModel: only simulators send them", sequence);
+    return;
+  }
+  const std::string blade = "BladeModel of blade " + std::to_string(model.source);
+  const bool known = std::any_of(sent_loads_.begin(), sent_loads_.end(),
+                                 [&](const SentLoad& sent) { return sent.source == model.source; });
+  if (!known || !context_.providers.use_model) {
+    outbox_.complain(ErrorCode::BadRequest,
+                     blade + ": no BladeLoad of it was sent to you; accepted are answers to these", sequence);
+    return;
+  }
+  const std::string trouble = context_.providers.use_model(model);
+  if (!trouble.empty()) outbox_.complain(ErrorCode::BadRequest, blade + ": " + trouble, sequence);
 }
 
 void Peer::on_reset(std::uint64_t sequence) {
@@ -253,6 +275,24 @@ void Peer::send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_
   if (!wants_blades() || now_ns < blades_due_ns_ || outbox_.control_bytes() > kMaxWaitingBladeBytes) return;
   blades_due_ns_ = now_ns + to_ns(0.9 / static_cast<double>(blade_rate_hz_));
   for (const SharedFrame& frame : frames) outbox_.send(frame);
+}
+
+void Peer::send_loads(std::span<const protocol::BladeLoad> loads, std::int64_t now_ns) {
+  if (!wants_loads() || now_ns < loads_due_ns_ || outbox_.control_bytes() > kMaxWaitingLoadBytes) return;
+  bool any = false;
+  for (const protocol::BladeLoad& newest : loads) {
+    auto sent = std::find_if(sent_loads_.begin(), sent_loads_.end(),
+                             [&](const SentLoad& other) { return other.source == newest.source; });
+    if (sent == sent_loads_.end()) sent = sent_loads_.insert(sent, {newest.source, newest.number - 1, 0});
+    if (newest.number == sent->number) continue;
+    sent->skipped += newest.number - sent->number - 1;
+    sent->number = newest.number;
+    protocol::BladeLoad load = newest;
+    load.skipped = sent->skipped;
+    outbox_.send(make_frame(load));
+    any = true;
+  }
+  if (any) loads_due_ns_ = now_ns + to_ns(0.9 / static_cast<double>(load_rate_hz_));
 }
 
 void Peer::warn_not_recorded() {

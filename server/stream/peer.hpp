@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -68,6 +69,10 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   bool wants_blades() const { return open() && blade_rate_hz_ > 0 && !replay_.feed(); }
   // Skips them while other messages wait, or where the last ones went out too recently.
   void send_blades(const std::vector<SharedFrame>& frames, std::int64_t now_ns);
+  // Whether it is a simulator that asked for what blades do to the body.
+  bool wants_loads() const { return open() && load_rate_hz_ > 0; }
+  // Of each blade the newest, if it was not sent yet and the peer's time has come; none while much is unread.
+  void send_loads(std::span<const protocol::BladeLoad> loads, std::int64_t now_ns);
   // Says goodbye and ends the connection once that is written.
   void finish(protocol::ByeReason reason, const std::string& text);
   void close();
@@ -89,6 +94,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
   void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
+  void on_model(const protocol::BladeModel& model, std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
   void on_undo(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
@@ -139,6 +145,14 @@ class Peer final : public std::enable_shared_from_this<Peer>,
 
   float blade_rate_hz_ = 0;  // of BladePose messages
   std::int64_t blades_due_ns_ = 0;
+  float load_rate_hz_ = 0;  // of BladeLoad messages
+  std::int64_t loads_due_ns_ = 0;
+  MessageRate model_rate_{8 * 1000};  // every blade's at the highest rate
+  struct SentLoad {
+    std::uint32_t source;
+    std::uint64_t number, skipped;
+  };
+  std::vector<SentLoad> sent_loads_;
   std::int64_t opened_ns_, last_received_ns_, last_ping_ns_ = 0, last_report_ns_ = 0, closing_since_ns_ = 0;
 };
 

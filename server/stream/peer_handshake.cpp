@@ -49,12 +49,19 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
     refusal = Refusal{ErrorCode::TooManySessions,
                       "there are " + std::to_string(context_.config.max_sessions) + " sessions already"};
   }
+  if (!refusal && hello.load_rate_hz != 0 &&
+      (hello.role != protocol::Role::Simulator ||
+       !(hello.load_rate_hz >= 60 && hello.load_rate_hz <= 1000))) {
+    refusal = Refusal{ErrorCode::BadRequest, "load_rate_hz " + std::to_string(hello.load_rate_hz) +
+                                                 "; accepted are 60 to 1000, from simulators"};
+  }
   if (!refusal && hello.role == protocol::Role::Operator) refusal = co_await take_blade(hello);
   if (refusal) refuse(*refusal, sequence);
   if (stage_ != Stage::kHandshake) co_return;
 
   role_ = hello.role;
   blade_rate_hz_ = hello.blade_rate_hz;
+  load_rate_hz_ = hello.load_rate_hz;
   stage_ = Stage::kOpen;
   transport_->set_max_bytes(accepted_bytes());
   follower_.start({hello.view, hello.box, hello.max_rate_hz});

@@ -12,12 +12,14 @@ namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
 constexpr std::chrono::milliseconds kBladeTick{16};  // a screen's
+constexpr std::chrono::milliseconds kLoadTick{1};
 constexpr std::uint64_t kTicksPerStatistics = 20;
 constexpr std::size_t kMaxLingering = 64;
 
 }  // namespace
 
-Peers::Peers(PeerContext& context) : context_(context), clock_(context.io), blade_clock_(context.io) {}
+Peers::Peers(PeerContext& context)
+    : context_(context), clock_(context.io), blade_clock_(context.io), load_clock_(context.io) {}
 
 void Peers::reset(std::shared_ptr<const InitialState> initial) {
   Feed& live = context_.live;
@@ -71,6 +73,7 @@ void Peers::linger(const std::shared_ptr<Peer>& peer) {
 void Peers::start_clock() {
   tick();
   if (context_.providers.blades) tick_blades();
+  if (context_.providers.loads) tick_loads();
 }
 
 void Peers::tick() {
@@ -136,6 +139,20 @@ void Peers::send_blades() {
   for (const auto& peer : peers_) peer->send_blades(frames, now);
 }
 
+void Peers::tick_loads() {
+  const bool wanted =
+      std::any_of(peers_.begin(), peers_.end(), [](const auto& peer) { return peer->wants_loads(); });
+  if (wanted) {
+    const std::span<const protocol::BladeLoad> loads = context_.providers.loads();
+    const std::int64_t now = monotonic_ns();
+    for (const auto& peer : peers_) peer->send_loads(loads, now);
+  }
+  load_clock_.expires_after(wanted ? kLoadTick : kTick);
+  load_clock_.async_wait([this](boost::system::error_code error) {
+    if (!error) tick_loads();
+  });
+}
+
 void Peers::finish_all() {
   const auto peers = peers_;
   for (const auto& peer : peers) peer->finish(protocol::ByeReason::ServerStops, "the server stops");
@@ -144,6 +161,7 @@ void Peers::finish_all() {
 void Peers::close_all() {
   clock_.cancel();
   blade_clock_.cancel();
+  load_clock_.cancel();
   context_.box_turns.cancel();
   const auto peers = peers_;
   for (const auto& peer : peers) peer->close();

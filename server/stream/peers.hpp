@@ -50,11 +50,12 @@ class Peers final : public PeerDirectory {
   void send_statistics();
   void tick_blades();
   void send_blades();
+  void tick_loads();
 
   PeerContext& context_;
   std::set<std::shared_ptr<Peer>> peers_;
   std::deque<std::weak_ptr<Peer>> lingering_;
-  asio::steady_timer clock_, blade_clock_;
+  asio::steady_timer clock_, blade_clock_, load_clock_;
   std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
   std::uint64_t ticks_ = 0;
 };

@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -61,6 +62,11 @@ struct Providers {
   std::function<void(Audit, const std::string& address, const std::string& line)> audit;
   // Asked at every tick. Absent: nothing is recorded.
   std::function<RecordingNow()> recording;
+  // The newest load of each blade that ever had one, for simulators that asked; asked every millisecond while one does. The arrays
+  // live until the next call.
+  std::function<std::span<const protocol::BladeLoad>()> loads = {};
+  // Passes a simulator's own model of a blade's tissue on to the loop; "", or why it cannot be used.
+  std::function<std::string(const protocol::BladeModel&)> use_model = {};
   Documents documents = {};
 };
 

@@ -7,6 +7,7 @@
 #include <limits>
 #include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "client/client.hpp"
@@ -113,6 +114,100 @@ struct Held {
 
 Held held(const client::Client& viewer) {
   return viewer.read([](const protocol::Replica& m) { return Held{m.revision(), m.compute_state_hash()}; });
+}
+
+// A simulator gets what a blade does to the body, may answer with a model of its own, and is told why a bad one is not used.
+TEST(SimulatorTest, GetsTheBladesLoadsAndMayAnswerWithAModel) {
+  ServedSession session("loads", 3000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  std::mutex mutex;
+  protocol::BladeLoad last;
+  std::uint64_t pressing = 0;
+  double largest_error = 0;
+  std::vector<std::string> errors;
+  client::Callbacks callbacks;
+  callbacks.on_blade_load = [&](const protocol::BladeLoad& load) {
+    const std::scoped_lock lock(mutex);
+    protocol::Vec3 sum = load.force_n;
+    for (std::size_t i = 0; i < load.ids.size(); ++i) {
+      sum.x += load.forces[3 * i];
+      sum.y += load.forces[3 * i + 1];
+      sum.z += load.forces[3 * i + 2];
+    }
+    if (!load.ids.empty()) {
+      ++pressing;
+      largest_error = std::max({largest_error, std::abs(sum.x), std::abs(sum.y), std::abs(sum.z)});
+    }
+    last = load;
+    last.ids = {};
+    last.forces = {};
+  };
+  callbacks.on_error = [&](const protocol::Error& error) {
+    const std::scoped_lock lock(mutex);
+    errors.push_back(error.text);
+  };
+  client::Options options;
+  options.role = protocol::Role::Simulator;
+  options.load_rate_hz = 500;
+  const auto simulator = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
+  options = {};
+  options.role = protocol::Role::Operator;
+  options.view = protocol::View::None;
+  options.blade = protocol::BladeEdge{{0, 0, 0}, {0, 0, -0.05}};
+  const auto hand = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+  const protocol::Box box = simulator->welcome().mesh.box;
+  const auto begun = std::chrono::steady_clock::now();
+  double down = 0;
+  const auto step = [&](double by) {
+    down += by;
+    const auto now = std::chrono::steady_clock::now() - begun;
+    const protocol::PoseSample pose{
+        1 + std::chrono::duration_cast<std::chrono::nanoseconds>(now).count(),
+        {0.5 * (box.min.x + box.max.x), 0.5 * (box.min.y + box.max.y), box.max.z + 0.055 - down},
+        {},
+        0,
+        0};
+    hand->send_poses({&pose, 1});
+    std::this_thread::sleep_for(milliseconds(1));
+    const std::scoped_lock lock(mutex);
+    return pressing;
+  };
+  // Down until it presses, then to and fro, until enough has come however slow the machine is.
+  for (int i = 0; i < 20'000 && step(2e-5) == 0; ++i) {
+  }
+  for (int i = 0; i < 20'000 && step(i / 50 % 2 == 0 ? 1e-5 : -1e-5) < 20; ++i) {
+  }
+  {
+    const std::scoped_lock lock(mutex);
+    ASSERT_GE(pressing, 20u);
+    EXPECT_LT(largest_error, 1e-6);
+  }
+  const auto answer = [&](std::vector<double> stiffness, std::uint32_t source) {
+    protocol::BladeModel model;
+    {
+      const std::scoped_lock lock(mutex);
+      model.server_ns = last.server_ns;
+      model.point = last.tool;
+    }
+    model.source = source;
+    model.stiffness = stiffness;
+    model.valid_for_ns = 900'000'000;
+    simulator->send_model(model);
+    for (int i = 0; i < 300; ++i) step(0);
+    const std::scoped_lock lock(mutex);
+    return errors.empty() ? std::string() : std::exchange(errors, {})[0];
+  };
+  EXPECT_EQ(answer({0, 0, 0, 0, 0, 0, 0, 0, 100}, last.source), "");
+  EXPECT_NE(answer({0, 0, 0, 0, 0, 0, 0, 0, -100}, last.source).find("semidefinite"), std::string::npos);
+  EXPECT_NE(answer({1, 2, 3}, last.source).find("accepted are 9"), std::string::npos);
+  EXPECT_NE(answer({0, 0, 0, 0, 0, 0, 0, 0, 100}, 7).find("no BladeLoad"), std::string::npos);
+  EXPECT_EQ(simulator->status(), client::Status::kConnected);
+  // Up again: the last word is that nothing acts.
+  for (int i = 0; i < 20'000 && down > -0.005; ++i) step(-1e-4);
+  EXPECT_TRUE(wait_for([&] {
+    const std::scoped_lock lock(mutex);
+    return last.contact == protocol::BladeContact::None && last.force_n == protocol::Vec3{};
+  }));
 }
 
 // A body that sways while a blade goes to and fro in it: a viewer, a second computation of the capture, checkpoints and a

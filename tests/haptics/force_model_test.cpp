@@ -281,6 +281,60 @@ TEST(ForceModel, WorkSpentOnACutIsNotStored) {
 }
 
 // A velocity is smoothed, so the friction on a trembling blade pushes it on: only as long as the account lasts.
+// A device that makes torques, too: what comes out by pushing and by turning is bounded together, and a hand that turns the
+// blade in the tissue feels it at once, since its turning is work.
+TEST(ForceModel, IsPassiveWithTorques) {
+  const std::uint64_t seed = 31;
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  const Tissue tissue(tests::cube(8, kSize));
+  Materials materials;
+  ForceModel model(materials, 2000, 0.5);
+  const core::Blade blade = short_blade();
+  Vec3 at{0.05, 0.05, 0.14}, heading, axis;
+  core::Quat orientation;
+  Feel feel;
+  Vec3 torque;
+  double work = 0, most = 0, largest = 0, turned = 0;
+  for (int i = 0; i < 20'000; ++i) {
+    if (i % 60 == 0) {
+      heading = random.in_box({-1, -1, -1}, {1, 1, 1});
+      axis = random.in_box({-1, -1, -1}, {1, 1, 1});
+    }
+    const Vec3 step = 1.5e-4 * heading + 0.01 * (Vec3{0.05, 0.05, 0.135} - at);
+    // A small turn as a quaternion, of unit length again.
+    const Vec3 half = 2e-3 * axis;
+    const core::Quat q = orientation;
+    core::Quat next{
+        q.w - half.x * q.x - half.y * q.y - half.z * q.z, q.x + half.x * q.w + half.y * q.z - half.z * q.y,
+        q.y + half.y * q.w + half.z * q.x - half.x * q.z, q.z + half.z * q.w + half.x * q.y - half.y * q.x};
+    const double norm = std::sqrt(next.w * next.w + next.x * next.x + next.y * next.y + next.z * next.z);
+    next = {next.w / norm, next.x / norm, next.y / norm, next.z / norm};
+    const double angle = 2 * std::atan(length(half));
+    const Vec3 turn = angle * normalized(half);
+    if (i > 0) work -= dot(feel.force, step) + dot(torque, turn);
+    turned += std::abs(dot(torque, turn));
+    largest = std::max(largest, length(feel.force) * length(step) + length(torque) * length(turn));
+    at += step;
+    orientation = next;
+    core::Pose pose;
+    pose.position = at;
+    pose.orientation = orientation;
+    BladeMotion motion;
+    motion.line = core::blade_line(blade, pose);
+    motion.tool = at;
+    motion.orientation = orientation;
+    motion.torque = torque;
+    motion.engaged = i / 3000 % 2 == 1;
+    motion.dt_s = motion.elapsed_s = i > 0 ? kStep_s : 0;
+    feel = model.update(tissue, motion, feel.force);
+    torque = cross(feel.arm, feel.force);
+    most = std::max(most, -work - i * kStep_s * ForceModel::kLeak_w);
+  }
+  EXPECT_GT(turned, 0.05) << "turning is a part of it";
+  EXPECT_LT(most, ForceModel::kReserve_j + largest);
+}
+
 TEST(ForceModel, ATremblingBladeGetsNoEnergyOut) {
   Hand hand(tests::long_blade(kSize), false);
   hand.to({0.05, 0.05, 0.12}, false);

@@ -108,6 +108,73 @@ TEST(ForceStage, TellsOfTissueAndOfItsEnd) {
   EXPECT_LT(rig.told.forces.size(), 115u) << "and then nothing";
 }
 
+// A tilted tip that presses: the torque about the tool's origin is that of the force at the edge, within limits of its own, and it
+// ends with the force.
+TEST(ForceStage, TheTorqueIsThatOfTheForceAtTheEdge) {
+  for (const double limit : {0.05, 0.005}) {
+    SCOPED_TRACE(limit);
+    Rig rig;
+    rig.slots[0].device_came(3, limit);
+    rig.height = 0.18;
+    rig.frames(100);
+    rig.pose.orientation = {std::cos(0.25), 0, std::sin(0.25), 0};  // 0.5 rad about y
+    rig.height = kSize + 0.05 * std::cos(0.5) - 0.004;
+    const double slew = rig.config.torque_limits().slew_n_s;
+    Vec3 last;
+    const auto frame = [&] {
+      rig.frame();
+      const BladeForce& force = rig.told.forces.back();
+      EXPECT_LE(length(force.newton_metres), limit + 1e-12);
+      EXPECT_LE(distance(force.newton_metres, last), slew * 1e-3 + 1e-12);
+      last = force.newton_metres;
+      return force;
+    };
+    for (int i = 0; i < 2500; ++i) frame();
+    const BladeForce steady = frame();
+    EXPECT_GT(length(steady.newtons), 0.5);
+    EXPECT_NEAR(distance(steady.feel.arm, core::rotate(rig.pose.orientation, {0, 0, -0.05})), 0, 0.003);
+    const Vec3 expected = cross(steady.feel.arm, steady.newtons);
+    EXPECT_GT(length(expected), 0.01);
+    if (limit > 0.01) {
+      EXPECT_NEAR(distance(steady.newton_metres, expected), 0, 0.02 * length(expected));
+    } else {
+      EXPECT_NEAR(length(steady.newton_metres), limit, 1e-9);
+      EXPECT_GT(dot(steady.newton_metres, expected), 0.99 * limit * length(expected));
+    }
+    // Silence: both are gone within 10 ms of the fault, and grow again together.
+    rig.silent = true;
+    for (int i = 0; i < 35; ++i) rig.frame();
+    rig.silent = false;
+    EXPECT_EQ(rig.last, Vec3{});
+    EXPECT_EQ(rig.told.forces.back().newton_metres, Vec3{});
+    last = {};
+    frame();
+    for (int i = 0; i < 200; ++i) {
+      const BladeForce again = frame();
+      EXPECT_LE(length(again.newton_metres), length(again.feel.arm) * length(again.newtons) + 1e-4);
+    }
+  }
+}
+
+TEST(ForceStage, NoTorqueWhereNoneIsWanted) {
+  ForceConfig config;
+  config.most_torque_n_m = 0;
+  Told told;
+  ForceStage stage{config, cut_config(), std::make_unique<Tissue>(tests::cube(8, kSize)), &told, nullptr};
+  stage.opened(0, cut_config().blade);
+  core::Pose pose;
+  pose.orientation = {std::cos(0.25), 0, std::sin(0.25), 0};
+  for (int i = 0; i < 500; ++i) {
+    pose.t_ns = (i + 1) * kMs;
+    pose.position = {0.05, 0.05, 0.147 - 2e-5 * i};
+    stage.posed(0, pose, pose.t_ns, false);
+    stage.frame(pose.t_ns, 0);
+  }
+  ASSERT_FALSE(told.forces.empty());
+  EXPECT_GT(length(told.forces.back().newtons), 0);
+  for (const BladeForce& force : told.forces) ASSERT_EQ(force.newton_metres, Vec3{});
+}
+
 TEST(ForceStage, ThreeFaultsEndItUntilTheButtonIsPressedInAir) {
   Rig rig;
   for (int fault = 0; fault < 3; ++fault) {

@@ -27,6 +27,19 @@ TEST(ForceGuard, AStrongerForceKeepsItsDirection) {
   EXPECT_EQ(guard.pass(command(1, -2, 2), kNow_ns), (core::Vec3{0.5, -1, 1}));
 }
 
+TEST(ForceGuard, ATorqueHasALimitOfItsOwnAndEndsWithTheForce) {
+  haptics::ForceCommand newest = command(1, 0, 0);
+  newest.newton_metres = {0, 0.3, 0.4};
+  EXPECT_EQ(ForceGuard(3).pass_torque(newest, kNow_ns), core::Vec3{}) << "a device that makes none";
+  ForceGuard guard(3, 0.25);
+  EXPECT_EQ(guard.pass_torque(newest, kNow_ns), (core::Vec3{0, 0.15, 0.2}));
+  EXPECT_EQ(guard.pass_torque(newest, kNow_ns + kForceLife_ns + 1), core::Vec3{});
+  guard.failed();
+  EXPECT_EQ(guard.pass_torque(newest, kNow_ns), core::Vec3{});
+  newest.newton_metres[1] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(ForceGuard(3, 0.25).pass_torque(newest, kNow_ns), core::Vec3{});
+}
+
 TEST(ForceGuard, WhatIsNotFiniteIsNoForce) {
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   constexpr double kInfinity = std::numeric_limits<double>::infinity();

@@ -862,6 +862,83 @@ TEST(Server, ForcesGoToWhoHoldsTheBlade) {
   }
 }
 
+// A simulator gets the newest load of each blade, each once, those in between counted; others none.
+TEST(Server, LoadsGoToSimulatorsThatAskedTheNewestOnly) {
+  std::atomic<std::uint64_t> number{0};
+  std::atomic<int> models{0};
+  const std::vector<std::uint32_t> ids{2, 5};
+  const std::vector<double> forces{0, 0, -1, 0, 0.5, -2};
+  protocol::BladeLoad load;
+  Providers providers;
+  providers.loads = [&]() -> std::span<const protocol::BladeLoad> {
+    load.source = 3;
+    load.force_n = {0, -0.5, 3};
+    load.ids = ids;
+    load.forces = forces;
+    load.number = number;
+    return {&load, load.number > 0 ? 1u : 0u};
+  };
+  providers.use_model = [&](const protocol::BladeModel& model) {
+    ++models;
+    return model.damping_n_s_per_m < 0 ? std::string("damping below 0") : std::string();
+  };
+  TestServer test(4, test_config(), std::move(providers));
+  protocol::Hello asks = hello(Role::Simulator, View::Volume);
+  asks.load_rate_hz = 100;
+  Viewer simulator(test.server.tcp_port(), asks),
+      other(test.server.tcp_port(), hello(Role::Simulator, View::Volume));
+  const auto error_on = [](Viewer& viewer, const protocol::BladeModel& model) {
+    viewer.peer.send(model);
+    const auto received = viewer.peer.receive_until<protocol::Error>();
+    return received ? std::get<protocol::Error>(received->message.body).text : std::string();
+  };
+  protocol::BladeModel model;
+  model.source = 3;
+  EXPECT_NE(error_on(simulator, model).find("blade 3: no BladeLoad"), std::string::npos);
+  number = 7;
+  const auto next = [&] {
+    const auto received = simulator.peer.receive_until<protocol::BladeLoad>();
+    if (!received) return std::pair<std::uint64_t, std::uint64_t>{};
+    const auto& got = std::get<protocol::BladeLoad>(received->message.body);
+    EXPECT_EQ(got.source, 3u);
+    EXPECT_EQ(got.force_n.z, 3);
+    EXPECT_TRUE(std::ranges::equal(got.ids, ids));
+    EXPECT_TRUE(std::ranges::equal(got.forces, forces));
+    return std::pair{got.number, got.skipped};
+  };
+  EXPECT_EQ(next(), (std::pair<std::uint64_t, std::uint64_t>{7, 0}));
+  number = 12;
+  EXPECT_EQ(next(), (std::pair<std::uint64_t, std::uint64_t>{12, 4}));
+  number = 13;
+  EXPECT_EQ(next(), (std::pair<std::uint64_t, std::uint64_t>{13, 4}));
+  // Its own model: used, or refused with a reason, and the connection stays.
+  model.damping_n_s_per_m = -1;
+  EXPECT_NE(error_on(simulator, model).find("blade 3: damping below 0"), std::string::npos);
+  model.source = 4;
+  EXPECT_NE(error_on(simulator, model).find("blade 4: no BladeLoad"), std::string::npos);
+  model = {};
+  model.source = 3;
+  simulator.peer.send(model);
+  number = 20;
+  EXPECT_EQ(next().first, 20u);
+  EXPECT_EQ(models, 2);
+  EXPECT_NE(error_on(other, model).find("no BladeLoad"), std::string::npos) << "it has not asked";
+}
+
+TEST(Server, RefusesLoadRatesThatItDoesNotOffer) {
+  TestServer test(4);
+  for (const auto& [role, rate] :
+       {std::pair{Role::Simulator, 59.0F}, {Role::Simulator, 1001.0F}, {Role::Viewer, 100.0F}}) {
+    protocol::Hello asks = hello(role, View::None);
+    asks.load_rate_hz = rate;
+    RawPeer peer(test.server.tcp_port());
+    peer.send(asks);
+    const auto received = peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(received);
+    EXPECT_NE(std::get<protocol::Error>(received->message.body).text.find("60 to 1000"), std::string::npos);
+  }
+}
+
 TEST(Server, BladesAreShownToWhoAskedEachPoseOnceAndNoOftenerThanAsked) {
   std::atomic<std::int64_t> arrival_ns{1};
   std::atomic<bool> moving{false};

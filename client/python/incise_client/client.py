@@ -12,7 +12,7 @@ from typing import Any, Callable, Iterable, Optional, Sequence
 import flatbuffers
 import numpy as np
 
-from incise.wire import (BladeEdge, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
+from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
                          Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
                          StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
@@ -47,6 +47,7 @@ _MODULES = {
     Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
     Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Force: Force.Force,
     Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta, Body.Body.PositionsReport: PositionsReport.PositionsReport,
+    Body.Body.BladeLoad: BladeLoad.BladeLoad,
 }
 
 
@@ -63,7 +64,7 @@ class Client:
                  blade: Optional[tuple[Sequence[float], Sequence[float]]] = None, max_rate_hz: float = 0.0,
                  box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
-                 ssl_context: Optional[tls.SSLContext] = None) -> None:
+                 ssl_context: Optional[tls.SSLContext] = None, load_rate_hz: float = 0.0) -> None:
         held = resume if resume and not resume._awaiting_snapshot else None
         self.replica: Any = held.replica if held else Replica()
         self.welcome: Any = None
@@ -75,6 +76,8 @@ class Client:
         self.on_delta: Optional[Callable[["Client", Any], None]] = None
         self.positions_report: Any = None  # the last wire.PositionsReport: what became of a simulator's positions
         self.on_positions_report: Optional[Callable[["Client", Any], None]] = None
+        # A wire.BladeLoad: what a blade does to the body, for a simulator that asked with load_rate_hz.
+        self.on_blade_load: Optional[Callable[["Client", Any], None]] = None
         self.on_force: Optional[Callable[["Client", Any], None]] = None  # a wire.Force; for ContactRenderer.take
         self._sequence = 0
         self._frame = 0
@@ -90,7 +93,7 @@ class Client:
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
         session = held.welcome.Session() if held else 0
-        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session)
+        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz)
         end = time.monotonic() + timeout_s
         try:
             while self.welcome is None:
@@ -198,6 +201,9 @@ class Client:
             self.positions_report = body
             if self.on_positions_report:
                 self.on_positions_report(self, body)
+        elif kind == Body.Body.BladeLoad:
+            if self.on_blade_load:
+                self.on_blade_load(self, body)
         elif kind == Body.Body.Force:
             if self.on_force:
                 self.on_force(self, body)
@@ -281,6 +287,33 @@ class Client:
         self._send(Body.Body.Positions, build, flat.nbytes + (0 if ids is None else 4 * len(ids)))
         return self._frame
 
+    def send_model(self, load: Any, point: Sequence[float], normal: Sequence[float], stiffness: Any, *, damping: float = 0.0,
+                   resistance: float = 0.0, valid_s: float = 0.05) -> int:
+        """For role Simulator: its own model of the tissue at a blade, in answer to the wire.BladeLoad ``load``. From ``point``, a place
+        of the tool's origin, inwards the force is stiffness (point - tool): (3, 3), N/m, symmetric, positive semidefinite. ``normal`` is
+        unit, out of the tissue; ``damping`` N s/m along it; at ``resistance`` N the tissue gives way (0: it holds). It is rendered for
+        ``valid_s`` seconds from the load on. A bad one comes back as ``error``. Returns the message's sequence.
+        """
+        flat = np.ascontiguousarray(stiffness, "<f8").reshape(-1)
+        if flat.size != 9:
+            raise ValueError(f"stiffness of {flat.size} numbers; accepted are 3 x 3")
+
+        def build(b: Any) -> int:
+            matrix = b.CreateNumpyVector(flat)
+            BladeModel.Start(b)
+            BladeModel.AddSource(b, load.Source())
+            BladeModel.AddServerNs(b, load.ServerNs())
+            BladeModel.AddPoint(b, Vec3.CreateVec3(b, *point))
+            BladeModel.AddNormal(b, Vec3.CreateVec3(b, *normal))
+            BladeModel.AddStiffness(b, matrix)
+            BladeModel.AddDampingNSPerM(b, damping)
+            BladeModel.AddResistanceN(b, resistance)
+            BladeModel.AddValidForNs(b, int(valid_s * 1e9))
+            return int(BladeModel.End(b))
+
+        self._send(Body.Body.BladeModel, build)
+        return self._sequence
+
     def engage(self) -> None:
         """For a tool without a button: engages the blade for all poses sent from here on, until end_stroke()."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.Engage)]))
@@ -295,7 +328,7 @@ class Client:
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
     def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,
-                    max_rate_hz: float, box: Any, session: int) -> None:
+                    max_rate_hz: float, box: Any, session: int, load_rate_hz: float) -> None:
         def build(b: Any) -> int:
             name, source, secret = b.CreateString("incise_client.py"), b.CreateString(source_name), b.CreateString(token)
             optional = [("Box", _box(b, box))] if box else []
@@ -306,7 +339,7 @@ class Client:
                 optional.append(("Blade", BladeEdge.End(b)))
             return _table(b, Hello, optional + [("ProtocolVersion", 2), ("Role", role), ("View", view), ("ClientName", name),
                                      ("Token", secret), ("SourceName", source), ("TakeOver", take_over),
-                                     ("MaxRateHz", max_rate_hz), ("ResumeSession", session),
+                                     ("MaxRateHz", max_rate_hz), ("LoadRateHz", load_rate_hz), ("ResumeSession", session),
                                      ("ResumeRevision", self.replica.revision if session else 0),
                                      ("ResumeHash", self._state_hash if session else 0)])
 

@@ -86,6 +86,10 @@ ConfigKeys haptics_keys() {
               "Compute the force on each blade, in each frame, for devices and operators."),
       number("haptics.max_force_n", INCISE_FIELD(haptics.force.limits.most_n), 0.01, 100,
              "The largest force; a device's own limit may be smaller."),
+      number("haptics.max_torque_n_m", INCISE_FIELD(haptics.force.most_torque_n_m), 0, 10,
+             "The largest torque about the tool's origin, for devices that make one; a device's own limit "
+             "may be smaller. "
+             "It changes as fast as the force, in proportion to the two limits. 0: none is made."),
       number("haptics.slew_n_s", INCISE_FIELD(haptics.force.limits.slew_n_s), 1, 1e5,
              "The fastest change of a force; at least a hundred times haptics.max_force_n, so that a fault "
              "ends it in 10 ms."),

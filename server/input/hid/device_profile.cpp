@@ -277,7 +277,7 @@ std::vector<FixedReport> read_fixed(const JsonNode& node) {
 }
 
 ForceProfile read_force(const JsonNode& node) {
-  node.only({"max_newtons", "rate_hz", "bytes", "x", "y", "z", "magnitude"});
+  node.only({"max_newtons", "rate_hz", "bytes", "x", "y", "z", "magnitude", "torque"});
   ForceProfile force;
   force.max_newtons = node.at("max_newtons").number(1e-3, 1000);
   if (node.has("rate_hz")) force.rate_hz = node.at("rate_hz").number(1, 8000);
@@ -289,11 +289,21 @@ ForceProfile read_force(const JsonNode& node) {
     }
   };
   constexpr const char* kNames[] = {"x", "y", "z"};
-  for (std::size_t i = 0; i < 3; ++i) {
-    if (!node.has(kNames[i])) continue;
-    const JsonNode axis = node.at(kNames[i]).only({"at", "bit", "type", "scale", "zero"});
-    force.components[i] = read_field(axis, force.bytes[0]);
-    inside(axis.at("at"), *force.components[i]);
+  const auto read_axes = [&](const JsonNode& from, std::array<std::optional<ReportField>, 3>& axes) {
+    for (std::size_t i = 0; i < 3; ++i) {
+      if (!from.has(kNames[i])) continue;
+      const JsonNode axis = from.at(kNames[i]).only({"at", "bit", "type", "scale", "zero"});
+      axes[i] = read_field(axis, force.bytes[0]);
+      inside(axis.at("at"), *axes[i]);
+    }
+  };
+  read_axes(node, force.components);
+  if (node.has("torque")) {
+    const JsonNode torque = node.at("torque").only({"max_newton_metres", "x", "y", "z"});
+    force.max_newton_metres = torque.at("max_newton_metres").number(1e-4, 100);
+    read_axes(torque, force.torque);
+    if (!force.torque[0] && !force.torque[1] && !force.torque[2])
+      torque.refuse("no place for the torque", "x, y or z");
   }
   if (node.has("magnitude")) {
     for (const JsonNode& entry : node.at("magnitude").list(1, 8)) {

@@ -86,6 +86,8 @@ struct ForceProfile {
   std::vector<std::uint8_t> bytes;                       // of an output report, its number first
   std::array<std::optional<ReportField>, 3> components;  // newtons, device frame; fields of `bytes`
   std::vector<ReportField> magnitudes;                   // newtons: for rumble motors
+  double max_newton_metres = 0;                          // 0: it makes no torque
+  std::array<std::optional<ReportField>, 3> torque;      // newton metres, device frame
 
   friend bool operator==(const ForceProfile&, const ForceProfile&) = default;
 };

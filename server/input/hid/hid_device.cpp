@@ -29,7 +29,8 @@ std::unique_ptr<HidDevice> HidDevice::open(Setup setup, const std::vector<HidInt
   if (!device->open_handles(all, error) || !device->open_sources(error)) return nullptr;
   if (device->setup_.profile.force) {
     device->slot_ = &surroundings.forces[device->sources_.front().number()];
-    device->slot_->device_came(device->setup_.profile.force->max_newtons);
+    device->slot_->device_came(device->setup_.profile.force->max_newtons,
+                               device->setup_.profile.force->max_newton_metres);
     device->writer_ = std::jthread([d = device.get()](const std::stop_token& stop) { d->write_loop(stop); });
   }
   device->reader_ = std::jthread([d = device.get()](const std::stop_token& stop) { d->read_loop(stop); });
@@ -193,7 +194,10 @@ void HidDevice::write_loop(const std::stop_token& stop) {
 }
 
 ForceReport::ForceReport(const ForceProfile& profile, const PoseDecoder& axes)
-    : profile_(profile), axes_(axes), bytes_(profile.bytes), guard_(profile.max_newtons) {}
+    : profile_(profile),
+      axes_(axes),
+      bytes_(profile.bytes),
+      guard_(profile.max_newtons, profile.max_newton_metres) {}
 
 std::span<const std::uint8_t> ForceReport::zero() noexcept {
   return make({}, 0);
@@ -206,6 +210,11 @@ std::span<const std::uint8_t> ForceReport::make(const haptics::ForceCommand& new
   const double components[3]{device.x, device.y, device.z};
   for (std::size_t i = 0; i < 3; ++i) {
     if (profile_.components[i]) profile_.components[i]->write(bytes_, components[i]);
+  }
+  const core::Vec3 turn = axes_.device_torque_from_world(guard_.pass_torque(newest, now_ns));
+  const double turns[3]{turn.x, turn.y, turn.z};
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (profile_.torque[i]) profile_.torque[i]->write(bytes_, turns[i]);
   }
   for (const ReportField& field : profile_.magnitudes) field.write(bytes_, core::length(force));
   return bytes_;

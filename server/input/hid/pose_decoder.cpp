@@ -273,4 +273,11 @@ Vec3 PoseDecoder::device_from_world(const Vec3& force) const noexcept {
   return {device[0], device[1], device[2]};
 }
 
+Vec3 PoseDecoder::device_torque_from_world(const Vec3& torque) const noexcept {
+  // The determinant of the map of axes: an even permutation has the same order around the circle.
+  const bool even = (profile_.axes[0] + 1) % 3 == profile_.axes[1];
+  const double mirrored = (even ? 1 : -1) * profile_.signs[0] * profile_.signs[1] * profile_.signs[2];
+  return mirrored * device_from_world(torque);
+}
+
 }  // namespace incise::input

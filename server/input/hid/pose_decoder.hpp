@@ -46,6 +46,8 @@ class PoseDecoder {
   double drift_ppm() const noexcept { return clock_ ? clock_->drift_ppm() : 0; }
   // A force in the world, in the device's own axes.
   core::Vec3 device_from_world(const core::Vec3& force) const noexcept;
+  // A torque likewise: in mirrored axes it turns the other way.
+  core::Vec3 device_torque_from_world(const core::Vec3& torque) const noexcept;
   // The values of a tool's fields in the last report that had them, before integration: for displays.
   struct Axes {
     std::array<double, 3> position{};

@@ -61,6 +61,9 @@ TEST(PoseDecoder, MapsLeftHandedAxesWithTheirRotations) {
   EXPECT_NEAR(core::distance(core::rotate(pose.orientation, {0, 0, 1}), {0, 1, 0}), 0, 1e-12);
   // A force along the world's y is along the device's z.
   EXPECT_NEAR(core::distance(decoder.device_from_world({0, 2, 0}), {0, 0, 2}), 0, 1e-12);
+  // A torque about x turns the world's y towards its z, so the device's z towards its y: the other way about x.
+  EXPECT_NEAR(core::distance(decoder.device_torque_from_world({2, 0, 0}), {-2, 0, 0}), 0, 1e-12);
+  EXPECT_NEAR(core::distance(decoder.device_torque_from_world({0, 2, 0}), {0, 0, -2}), 0, 1e-12);
 }
 
 TEST(PoseDecoder, EulerAnglesTurnAboutTheToolsAxesInTheirOrder) {

@@ -2,12 +2,16 @@
 
 #include <gtest/gtest.h>
 
+#include <cstring>
+
 #include "protocol/hid/incise_stylus.h"
 #include "server/input/hid/device_profile.hpp"
 
 extern "C" {
 extern const unsigned char kStylusDescriptor[];
 extern const unsigned kStylusDescriptorSize;
+extern const unsigned char kStylus6Descriptor[];
+extern const unsigned kStylus6DescriptorSize;
 }
 
 namespace incise::input {
@@ -72,6 +76,41 @@ TEST(StylusLayout, TheShippedProfileFitsAndReadsTheHeadersFields) {
   EXPECT_EQ(tool.valid->field.value(bytes), 1);
   EXPECT_EQ(profile.force->bytes.size(), sizeof(incise_stylus_output));
   EXPECT_EQ(profile.start[0].bytes.size(), sizeof(incise_stylus_settings));
+}
+
+// Whoever makes torques as well has one report more; all others are as they were.
+TEST(StylusLayout, TheSixAxisStylusHasOneReportMore) {
+  std::string error;
+  const auto six = parse_report_descriptor({kStylus6Descriptor, kStylus6DescriptorSize}, error);
+  ASSERT_TRUE(six) << error;
+  using Kind = DescribedField::Kind;
+  EXPECT_EQ(six->bytes_of(Kind::kOutput, INCISE_STYLUS_6_OUTPUT), sizeof(incise_stylus_6_output));
+  EXPECT_EQ(six->reports.size(), 4u);
+  EXPECT_EQ(six->applications,
+            std::vector<std::uint32_t>{INCISE_STYLUS_USAGE_PAGE << 16 | INCISE_STYLUS_6_USAGE});
+  const ReportDescriptor plain = described();
+  ASSERT_GT(six->fields.size(), plain.fields.size());
+  for (std::size_t i = 0; i < plain.fields.size(); ++i) {
+    EXPECT_EQ(six->fields[i].bit, plain.fields[i].bit) << i;
+    EXPECT_EQ(six->fields[i].usage, plain.fields[i].usage) << i;
+  }
+  const std::string folder = std::string(INCISE_SOURCE_DIR) + "/config/devices/";
+  const DeviceProfile profile = load_profile(folder + "incise_stylus_6.json");
+  EXPECT_EQ(mismatch(profile, *six), "");
+  EXPECT_EQ(profile.usage, INCISE_STYLUS_6_USAGE);
+  ASSERT_TRUE(profile.force);
+  EXPECT_EQ(profile.force->bytes.size(), sizeof(incise_stylus_6_output));
+  EXPECT_EQ(profile.force->bytes[0], INCISE_STYLUS_6_OUTPUT);
+  std::vector<std::uint8_t> bytes = profile.force->bytes;
+  profile.force->torque[2]->write(bytes, -0.05);
+  incise_stylus_6_output report{};
+  std::memcpy(&report, bytes.data(), sizeof report);
+  EXPECT_EQ(report.torque[2], -50'000);
+  EXPECT_EQ(report.force[2], 0);
+  // And otherwise it is the same device.
+  DeviceProfile same = load_profile(folder + "incise_stylus.json");
+  EXPECT_EQ(profile.tools, same.tools);
+  EXPECT_EQ(profile.force->components[0]->bit, same.force->components[0]->bit);
 }
 
 }  // namespace
