@@ -12,6 +12,9 @@ struct ForceConfig {
   SafetyLimits limits;
   double most_torque_n_m = 0.2;  // magnitude of the torque; 0: none is made
 
+  // An engaged blade does not cut before the tissue yields, and again once it is withdrawn.
+  bool resists = false;
+
   // The torque's: the same but for magnitude, and change in proportion.
   SafetyLimits torque_limits() const {
     SafetyLimits torque = limits;

@@ -32,8 +32,8 @@ Vec3 turn(const core::Quat& a, const core::Quat& b) {
 
 }  // namespace
 
-ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m)
-    : materials_(materials), stiffest_(stiffest_n_m), damping_(damping_n_s_m) {}
+ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m, bool resists)
+    : materials_(materials), stiffest_(stiffest_n_m), damping_(damping_n_s_m), resists_(resists) {}
 
 void ForceModel::jump() noexcept {
   phase_ = Phase::kFree;
@@ -59,6 +59,10 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
     phase_ = Phase::kFree;
     depth_ = depth_at_rest_ = 0;
   } else {
+    if (resists_ && phase_ == Phase::kInside && withdrawn(tissue, engagement, feel.work)) {
+      phase_ = Phase::kContact;
+      depth_ = depth_at_rest_ = 0.5 * yielded_at_;
+    }
     if (phase_ != Phase::kInside) find_depth(tissue, motion, has_last_ ? moved_at_rest() : 0, feel);
     if (phase_ == Phase::kContact) elastic = press(motion, engagement, feel);
     if (phase_ == Phase::kInside) elastic = cut(motion, engagement, tissue.h(), feel);
@@ -135,6 +139,7 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   const double h = tissue.h();
   if (first && !has_last_) {  // it did not move there: the way out is unknown
     phase_ = Phase::kInside;
+    yielded_at_ = 0;
     front_ = line_.rest(engagement.middle);
     front_heading_ = {};
     return;
@@ -177,10 +182,21 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   }
 }
 
+// Whether the edge is less than half as deep as when the surface gave way.
+bool ForceModel::withdrawn(const Tissue& tissue, const Engagement& engagement,
+                           ProbeWork& work) const noexcept {
+  if (yielded_at_ == 0) return false;
+  for (const double at : {engagement.from, 0.5 * (engagement.from + engagement.to), engagement.to}) {
+    if (!tissue.surface().nearest(line_.rest(at), 0.5 * yielded_at_, work)) return false;
+  }
+  return true;
+}
+
 // The blade enters, from the surface or without a contact before: the front starts where the spring just holds. `along`: unit.
 void ForceModel::get_in(const Vec3& along, const Engagement& engagement) noexcept {
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
+  yielded_at_ = depth_at_rest_;
   front_heading_ = map_.rest_from_now * along;
   front_ = line_.rest(engagement.middle) - std::min(depth_, hold) * front_heading_;
 }

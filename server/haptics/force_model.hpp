@@ -87,7 +87,8 @@ class ForceModel {
 
   // The spring is never stiffer than `stiffest`, N/m, nor damped by more than `damping` along the normal, N s/m: what a
   // device can render without trembling. `materials` must outlive this.
-  ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m);
+  // `resists`: a blade that has been withdrawn to half the depth at which the surface gave way presses on it again.
+  ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m, bool resists = false);
 
   // The blade is somewhere else, not moved there: everything but the account is forgotten.
   void jump() noexcept;
@@ -96,6 +97,8 @@ class ForceModel {
   // which then makes the force; its work counts as the tissue's, so it gives back what it got, and nothing that it did not.
   Feel update(const Tissue& tissue, const BladeMotion& motion, const core::Vec3& applied,
               const LocalModel* own = nullptr) noexcept;
+  // Whether the tissue has yielded to the blade: it is inside, and not held by the surface.
+  bool inside() const { return phase_ == Phase::kInside; }
   // The edge of the last update at rest.
   const RestLine& line() const { return line_; }
 
@@ -114,11 +117,13 @@ class ForceModel {
   void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
   Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
+  bool withdrawn(const Tissue& tissue, const Engagement& engagement, ProbeWork& work) const noexcept;
   Elastic render(const LocalModel& own, const BladeMotion& motion, Feel& feel) noexcept;
   void get_in(const core::Vec3& along, const Engagement& engagement) noexcept;
 
   const Materials& materials_;
   const double stiffest_, damping_;
+  const bool resists_;
   Phase phase_ = Phase::kFree;
   bool has_last_ = false;
   core::BladeLine last_line_;
@@ -138,6 +143,7 @@ class ForceModel {
   double depth_ = 0, depth_at_rest_ = 0;  // m: now, and in the body at rest
   core::Vec3 normal_;                     // unit, out of the tissue
   // Inside.
+  double yielded_at_ = 0;     // depth at which the surface gave way, in the body at rest, m; 0: it did not
   core::Vec3 front_;          // a point of the front's line, in the body at rest
   core::Vec3 front_heading_;  // where it last moved to, in the body at rest; zero: it has not
 };

@@ -20,7 +20,7 @@ void ForceStage::opened(std::uint32_t source, const core::Blade& blade) noexcept
   Hand& hand = *hands_[source];
   hand.blade = blade;
   hand.opened = true;
-  hand.has_pose = hand.has_felt = hand.pressed_again = false;
+  hand.has_pose = hand.has_felt = hand.pressed_again = hand.yielded = false;
   hand.own = {};
   hand.model.jump();
   const std::uint32_t losses = slots_ ? (*slots_)[source].losses() : 0;
@@ -64,6 +64,7 @@ void ForceStage::restart() noexcept {
   for (auto& hand : hands_) {
     hand->model.jump();
     hand->own = {};
+    hand->yielded = false;
   }
 }
 
@@ -153,6 +154,7 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   const bool own = now_ns < hand.own.expires_ns;
   force.feel = hand.model.update(*tissue_, motion, hand.acting, own ? &hand.own : nullptr);
   cut_short_ += force.feel.work.cut_short;
+  hand.yielded = motion.engaged && hand.model.inside();
 
   if (hand.pressed_again && !force.feel.contact) {
     hand.chain.rearm_after_faults();

@@ -50,6 +50,10 @@ class ForceStage {
   // What the loop took: a source opened (its force is armed), a pose that was accepted.
   void opened(std::uint32_t source, const core::Blade& blade) noexcept;
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
+  // Whether the tissue holds this blade's edge back, though it is engaged (ForceConfig::resists): by the forces of the last frame.
+  bool holds_back(std::uint32_t source, const core::Pose& pose) const noexcept {
+    return config_.resists && engaged(pose) && !hands_[source]->yielded;
+  }
   // Adds the cuts of a delta, which `mesh` has already. O(delta's boundary).
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
   // Adds cuts that a mesh has which was cut elsewhere: those of the faces that are cut faces. O(faces).
@@ -74,7 +78,7 @@ class ForceStage {
  private:
   struct Hand {
     Hand(const Materials& materials, const ForceConfig& config)
-        : model(materials, config.stiffest_n_m, config.damping_n_s_m),
+        : model(materials, config.stiffest_n_m, config.damping_n_s_m, config.resists),
           chain(config.limits),
           torque_chain(config.torque_limits()) {}
     ForceModel model;
@@ -83,6 +87,7 @@ class ForceStage {
     core::Pose pose, felt;  // the newest; the one that the last frame took
     std::int64_t arrival_ns = 0, moved_ns = 0, last_frame_ns = 0;
     bool opened = false, has_pose = false, has_felt = false, jumped = false;
+    bool yielded = false;        // the tissue, to the engaged blade
     bool pressed_again = false;  // the engage button, since the last frame
     bool told = false;           // the sink knows of a force or of tissue
     core::Vec3 acting;           // N

@@ -189,9 +189,12 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
     case Kind::kPose: {
       record.kind = JournalRecord::Kind::kPose;
       record.pose = event.pose.pose;
+      // Whether tissue yields is decided here and recorded as released buttons, so a replay needs no forces.
+      if (forces_ && forces_->holds_back(source, event.pose.pose))
+        record.pose.buttons &= ~session_->config().engage_buttons;
       record.owner = owners_[source];
       const bool stroking = session_->in_stroke(source);
-      const core::PoseVerdict verdict = session_->push(source, event.pose.pose);
+      const core::PoseVerdict verdict = session_->push(source, record.pose);
       if (core::accepted(verdict)) {
         const core::Blade& blade = blades_[source] ? *blades_[source] : session_->config().blade;
         blades_now_[source] = {event.pose.arrival_ns, session_->in_stroke(source) ? 1 : 0,

@@ -51,7 +51,7 @@ void read_cut(const Json& json, core::CutConfig& cut) {
     else if (key == "prefer")
       cut.prefer = choice<core::Preference>(value, {"no-growth", "balanced", "exact"});
     else if (key == "engage")
-      cut.always_engaged = choice<int>(value, {"buttons", "always"}) == 1;
+      cut.always_engaged = choice<int>(value, {"buttons", "always", "resistance"}) == 1;
     else if (key == "engage_buttons")
       cut.engage_buttons = buttons(value);
     else if (key == "batch_h")

@@ -48,6 +48,93 @@ TEST(FrameLoop, ForcesChangeNoCut) {
   }
 }
 
+// An engaged blade presses until the tissue yields at the stated force, and cuts from there on; withdrawn it presses again. What was
+// decided is in the poses that are recorded: a replay without forces has the same hashes.
+TEST(FrameLoop, TissueResistsThenYieldsAndAReplayNeedsNoForces) {
+  const core::MeshData mesh = tests::cube(6);
+  core::CutConfig cut = config(Policy::kConforming);
+  cut.blade = {{0, 0, 0}, {0, 0, -0.05}};
+  std::vector<JournalRecord> records;
+  Hashes hashes;
+  double largest = 0;  // force while it was held
+  {
+    core::CutSession session(mesh, cut);
+    PoseSources sources(cut.blade);
+    Kept kept;
+    Journal journal(std::make_unique<Memory>(records), {}, [](const std::string&) {});
+    FrameLoop loop(session, sources, kept, &journal, {});
+    struct : haptics::ForceSink {
+      void feel(const haptics::BladeForce& force) noexcept override { last = force; }
+      haptics::BladeForce last;
+    } sink;
+    haptics::ForceConfig forces;
+    forces.resists = true;
+    forces.limits.ramp_s = 0;
+    forces.limits.slew_n_s = 1e9;
+    forces.limits.late_s = forces.limits.silence_s = 1e6;
+    loop.offer_forces(forces, std::make_unique<haptics::Tissue>(mesh), &sink, nullptr);
+    auto source = sources.open("blade");
+    core::Pose pose;
+    pose.buttons = 1;
+    bool cutting = false;
+    const auto to = [&](double x, double tip_z) {
+      pose.t_ns += 1'000'000;
+      pose.position = {x, 0.0512, tip_z + 0.05};
+      const input::TimedPose made{pose, monotonic_ns()};
+      EXPECT_EQ(source->enqueue(std::span(&made, 1)), 1u);
+      loop.frame(monotonic_ns());
+      cutting = session.in_stroke(0);
+      if (!cutting && sink.last.feel.contact && !sink.last.feel.contact->penetrated)
+        largest = std::max(largest, sink.last.feel.force.z);
+    };
+    // Down until it yields: 0.8 N on 300 N/m and 40 kPa for each metre of edge.
+    double z = 0.101;
+    for (; z > 0.095 && !cutting; z -= 1e-5) to(0.03, z);
+    EXPECT_TRUE(cutting);
+    EXPECT_NEAR(largest, forces.materials.tissue.puncture_n, 0.05 * forces.materials.tissue.puncture_n);
+    EXPECT_NEAR((300 + 40e3 * (0.1 - z)) * (0.1 - z), 0.8, 0.08) << "where that force is reached";
+    for (; z > 0.06; z -= 1e-4) to(0.03, z);
+    for (double x = 0.03; x < 0.07; x += 1e-4) to(x, z);
+    EXPECT_TRUE(cutting);
+    // Out; beside the slit it has to press again.
+    for (; z < 0.11; z += 1e-4) to(0.07, z);
+    EXPECT_FALSE(cutting);
+    for (int i = 0; i < 100; ++i) to(0.07 + 2e-4 * i, z);
+    for (; z > 0.0995; z -= 1e-5) to(0.09, z);
+    EXPECT_FALSE(cutting);
+    EXPECT_GT(sink.last.feel.force.z, 0.05);
+    for (; z > 0.09; z -= 1e-5) to(0.09, z);
+    EXPECT_TRUE(cutting);
+    source.reset();
+    loop.finish();
+    EXPECT_EQ(journal.close(std::chrono::milliseconds(1000)), "");
+    std::uint64_t cut_faces = 0;
+    for (const auto& delta : kept.deltas) {
+      hashes[delta->delta.revision] = delta->delta.state_hash;
+      cut_faces += delta->delta.cut_faces;
+    }
+    EXPECT_GT(cut_faces, 4u);
+  }
+  EXPECT_GT(hashes.size(), 3u);
+  core::CutSession again(mesh, cut);
+  Hashes replayed;
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  int held = 0, cut_poses = 0;
+  for (const JournalRecord& record : records) {
+    if (record.kind == JournalRecord::Kind::kPose) {
+      EXPECT_EQ(again.push(record.source, record.pose), record.verdict);
+      (record.pose.buttons == 0 ? held : cut_poses)++;
+    }
+    if (record.kind == JournalRecord::Kind::kEndStroke) again.end_stroke(record.source);
+    while (again.advance(budget, delta) == core::CutSession::Progress::kCommitted)
+      replayed[delta.revision] = delta.state_hash;
+  }
+  EXPECT_EQ(replayed, hashes);
+  EXPECT_GT(held, 200);
+  EXPECT_GT(cut_poses, 500);
+}
+
 // A frame that hangs ends the force of the next one, whatever deadline that one was given.
 TEST(FrameLoop, AFrameThatHangsEndsTheForce) {
   const auto pressing = press_until_felt();
@@ -393,6 +480,7 @@ TEST(FrameLoop, TheJournalOfTwoBladesReplaysToTheSameHashes) {
       if (i % 3 == 0) loop.frame(monotonic_ns());
     }
     loop.finish();
+    EXPECT_EQ(journal.close(std::chrono::milliseconds(1000)), "");
     for (const auto& delta : kept.deltas) hashes[delta->delta.revision] = delta->delta.state_hash;
   }
   ASSERT_GE(hashes.size(), 10u);

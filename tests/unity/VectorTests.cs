@@ -9,7 +9,7 @@ public static class VectorTests
 {
     private static readonly string[] Sent = { "Hello", "HelloResumeHash", "Resync", "Ping", "Pong", "Bye", "PoseBatch", "StrokeControl", "Reset" };
     private static readonly string[] PassedOver = { "Hello", "HelloResumeHash", "Subscribe", "Resync", "PoseBatch", "StrokeControl", "Positions", "Reset",
-        "ReplayControl", "ReplayState", "PositionsReport" };
+        "ReplayControl", "ReplayState", "PositionsReport", "HelloLoadRate", "BladeLoad", "BladeModel" };
 
     public static void EveryFieldIsRead()
     {

@@ -109,6 +109,9 @@ void check_together(const Config& config, const std::string& file) {
     refuse(file, "haptics.slew_n_s", text_of(limits.slew_n_s),
            "a number from " + text_of(limits.most_n / limits.decay_s) + ", 100 times haptics.max_force_n");
   }
+  if (config.haptics.force.resists && !config.haptics.forces)
+    refuse(file, "cut.engage", "\"resistance\" while haptics.forces is false",
+           "\"resistance\" with forces, which decide when tissue yields, or \"buttons\" or \"always\"");
   if (config.listen.certificate_file.empty() != config.listen.private_key_file.empty()) {
     const bool key = config.listen.private_key_file.empty();
     refuse(file, key ? "listen.private_key_file" : "listen.certificate_file", "\"\"",

@@ -46,8 +46,18 @@ ConfigKeys cut_keys() {
              "\"no-growth\" never adds one, and leaves the cut ragged where no vertex can be moved; "
              "\"balanced\" splits an edge where it must; \"exact\" splits nearly all, so that parts thinner "
              "than an element stay as they are."),
-      choice("cut.engage", {"buttons", "always"}, INCISE_FIELD(cut.always_engaged),
-             "When the blade cuts: while one of cut.engage_buttons is held, or always."),
+      choice_key(
+          "cut.engage", {"buttons", "always", "resistance"},
+          "When the blade cuts: while one of cut.engage_buttons is held, or always. With \"resistance\" a "
+          "blade whose "
+          "button is held presses until the force model says that the tissue yields, and cuts from there on.",
+          [](const Config& c) -> std::size_t {
+            return c.haptics.force.resists ? 2 : c.cut.always_engaged ? 1 : 0;
+          },
+          [](Config& c, std::size_t i) {
+            c.cut.always_engaged = i == 1;
+            c.haptics.force.resists = i == 2;
+          }),
       integer(
           "cut.engage_buttons", INCISE_FIELD(cut.engage_buttons), 1, 0xffffffff,
           "The buttons that engage the blade, as a sum: 1 for button 0, 2 for button 1, 4 for button 2, ..."),

@@ -108,7 +108,7 @@ namespace Incise
             var m = new Force
             {
                 Source = t.UInt(0), SourceNs = t.Long(1), ForceN = Needed(t, 2), EngagedLengthM = Finite(t.Double(3)),
-                Saturated = t.Bool(5), Ramping = t.Bool(6), LatchedOff = t.Bool(7)
+                Saturated = t.Bool(5), Ramping = t.Bool(6), LatchedOff = t.Bool(7), TorqueNM = Vector(t, 8)
             };
             FlatTable c;
             if (!t.Table(4, out c)) return m;
@@ -116,7 +116,7 @@ namespace Incise
             {
                 Point = Needed(c, 0), Normal = Needed(c, 1), StiffnessNPerM = Finite(c.Double(2)), DampingNSPerM = Finite(c.Double(3)),
                 CuttingResistanceN = Finite(c.Double(4)), FrictionNSPerM = Finite(c.Double(5)), ValidForNs = c.Long(6),
-                Penetrated = c.Bool(7)
+                Penetrated = c.Bool(7), Arm = Vector(c, 8)
             };
             return m;
         }

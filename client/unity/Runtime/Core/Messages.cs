@@ -138,6 +138,8 @@ namespace Incise
         public double StiffnessNPerM, DampingNSPerM, CuttingResistanceN, FrictionNSPerM;
         public long ValidForNs;
         public bool Penetrated;
+        /// <summary>From the tool's origin to where the tissue presses on the blade: torque = arm x force. Zero: an older server.</summary>
+        public Vec3 Arm;
     }
 
     public sealed class Force
@@ -149,6 +151,8 @@ namespace Incise
         /// <summary>Null: no tissue at the blade.</summary>
         public LocalContact Contact;
         public bool Saturated, Ramping, LatchedOff;
+        /// <summary>On the hand, about the tool's origin.</summary>
+        public Vec3 TorqueNM;
     }
 
     public sealed class Tets
