@@ -57,8 +57,8 @@ double squared_distance(const Corners& t, const Vec3& p) {
 }
 
 double squared_distance(const Vec3& low, const Vec3& high, const Vec3& p) {
-  const auto outside = [](double low_, double high_, double x) {
-    return x < low_ ? low_ - x : x > high_ ? x - high_ : 0;
+  const auto outside = [](double from, double to, double x) {
+    return x < from ? from - x : x > to ? x - to : 0;
   };
   const Vec3 d{outside(low.x, high.x, p.x), outside(low.y, high.y, p.y), outside(low.z, high.z, p.z)};
   return dot(d, d);

@@ -33,7 +33,7 @@ fs::path file_beside(const fs::path& of, std::string name, std::uintmax_t max_by
     throw MeshError(said + " is not a name relative to the folder of " + of.filename().string());
   std::error_code error;
   const fs::path folder = fs::canonical(of.has_parent_path() ? of.parent_path() : fs::path("."), error);
-  const fs::path path = error ? fs::path() : fs::canonical(folder / relative, error);
+  fs::path path = error ? fs::path() : fs::canonical(folder / relative, error);
   if (error) throw MeshError(said + ": " + error.message());
   // The resolved path counts, after every ".." and every link.
   if (std::mismatch(folder.begin(), folder.end(), path.begin(), path.end()).first != folder.end())

@@ -6,6 +6,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <tuple>
 
 #include "server/app/offline/cut_surface.hpp"
 #include "server/app/version.hpp"
@@ -145,7 +146,9 @@ class GlbFile {
       std::array<float, 3> normal;
       std::array<float, 2> uv;
       std::array<std::uint8_t, 4> colour;
-      auto operator<=>(const Corner&) const = default;
+      bool operator<(const Corner& o) const {
+        return std::tie(vertex, normal, uv, colour) < std::tie(o.vertex, o.normal, o.uv, o.colour);
+      }
     };
     const bool has_uvs = !look().uvs.empty() && cut_.cut[triangles[0]] == 0;
     const bool has_colours = !look().colours.empty() && cut_.cut[triangles[0]] == 0;
