@@ -28,10 +28,22 @@ bool finite(const Vec3& a) {
   return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
 }
 
+Vec3 cross(const Vec3& a, const Vec3& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+// The rotation from a to b as its axis times its angle, by the shorter way.
+Vec3 turn(const protocol::Quat& a, const protocol::Quat& b) {
+  const double w = b.w * a.w + b.x * a.x + b.y * a.y + b.z * a.z;
+  const Vec3 va{a.x, a.y, a.z}, vb{b.x, b.y, b.z};
+  const Vec3 v = add(add(scale(a.w, vb), va, -b.w), cross(vb, va), -1);
+  const double sine = length(v);
+  return sine > 0 ? scale((w < 0 ? -2 : 2) * std::atan2(sine, std::abs(w)) / sine, v) : Vec3{};
+}
+
 bool sound(const protocol::LocalContact& c) {
-  return finite(c.point) && finite(c.normal) && length(c.normal) > 0.5 && length(c.normal) < 2 &&
-         c.stiffness_n_per_m >= 0 && c.damping_n_s_per_m >= 0 && c.cutting_resistance_n >= 0 &&
-         c.friction_n_s_per_m >= 0 && c.valid_for_ns > 0;
+  return finite(c.arm.value_or(Vec3{})) && finite(c.point) && finite(c.normal) && length(c.normal) > 0.5 &&
+         length(c.normal) < 2 && c.stiffness_n_per_m >= 0 && c.damping_n_s_per_m >= 0 &&
+         c.cutting_resistance_n >= 0 && c.friction_n_s_per_m >= 0 && c.valid_for_ns > 0;
 }
 
 }  // namespace
@@ -48,6 +60,24 @@ void ContactRenderer::take(const protocol::Force& force, std::int64_t now_ns) {
   c.stiffness_n_per_m = std::min(c.stiffness_n_per_m, limits_.stiffest_n_m);
   newest_.over = false;
   newest_.until_ns = now_ns + std::min(c.valid_for_ns, kLongest_ns);
+}
+
+Wrench ContactRenderer::wrench(const Vec3& tool, const protocol::Quat& orientation, std::int64_t now_ns) {
+  const bool usable = std::isfinite(orientation.w) && finite({orientation.x, orientation.y, orientation.z});
+  const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - last_ns_) * 1e-9) : 0;
+  if (begun_ && usable) account_ -= dot(torque_, turn(last_orientation_, orientation));
+  if (usable) last_orientation_ = orientation;
+  Wrench made{force(tool, now_ns), {}};
+  Vec3 wanted = cross(plane_.contact.arm.value_or(Vec3{}), made.force_n);
+  if (const double size = length(wanted); size > limits_.most_torque_n_m)
+    wanted = scale(limits_.most_torque_n_m / size, wanted);
+  const double most =
+      limits_.slew_n_s * limits_.most_torque_n_m / limits_.most_n * std::min(dt, kLongestStep_s);
+  const Vec3 change = add(wanted, torque_, -1);
+  const double size = length(change);
+  torque_ = size > most ? add(torque_, change, most / size) : wanted;
+  made.torque_n_m = torque_;
+  return made;
 }
 
 Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {

@@ -14,6 +14,12 @@ struct ContactLimits {
   double ramp_s =
       2;  // from nothing to full force at the first contact, and after a contact that expired in use
   double stiffest_n_m = 2000;
+  double most_torque_n_m = 0.2;  // its change is limited in the same proportion to slew_n_s
+};
+
+// What acts on the hand, world frame: N, and N m about the tool's origin.
+struct Wrench {
+  protocol::Vec3 force_n, torque_n_m;
 };
 
 // Renders the tissue near the blade at the device's own rate, from the planes that the server sends (Force.contact,
@@ -40,6 +46,9 @@ class ContactRenderer {
   // The force on the hand, N, world frame, for the tool's origin at `tool_m` now. Apply it until the next call.
   // `now_ns` is of the same clock and must rise. Allocates nothing; waits at most while take() copies a plane.
   protocol::Vec3 force(const protocol::Vec3& tool_m, std::int64_t now_ns);
+  // The same for a device that makes torques: the force acts where the tissue presses on the blade (LocalContact::arm), and turning
+  // the tool is work that is booked, too. Use one of the two throughout.
+  Wrench wrench(const protocol::Vec3& tool_m, const protocol::Quat& orientation, std::int64_t now_ns);
 
  private:
   struct Plane {
@@ -56,6 +65,8 @@ class ContactRenderer {
   bool begun_ = false;
   std::int64_t last_ns_ = 0;
   protocol::Vec3 last_tool_, velocity_, applied_, slewed_;
+  protocol::Quat last_orientation_;
+  protocol::Vec3 torque_;
   double account_ = kReserve_j;
   double ramp_ = 0;
 };

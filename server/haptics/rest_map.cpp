@@ -92,7 +92,7 @@ Vec3 RestLine::rest(double at) const noexcept {
 }
 
 TetId RestLine::tet(double at) const noexcept {
-  const Place* nearest = &places[0];
+  const Place* nearest = places.data();
   for (const Place& place : all()) {
     if (std::abs(place.at - at) < std::abs(nearest->at - at)) nearest = &place;
   }

@@ -150,10 +150,12 @@ TEST(ForceOutput, AForceIsSentWithItsFlagsAndItsContactUnlessItIsOff) {
   peer.send(stream::hello(protocol::Role::Operator, protocol::View::None));
   const auto welcome = peer.receive_until<protocol::Welcome>();
   ASSERT_TRUE(welcome);
-  ForceOutput output(test.server, 20'000'000);
+  ForceOutput output(test.server, 20'000'000, true), no_torques(test.server, 20'000'000, false);
   haptics::BladeForce force;
   force.source = std::get<protocol::Welcome>(welcome->message.body).source;
   force.newtons = {1, 2, 3};
+  force.newton_metres = {0.1, 0.2, 0.3};
+  force.feel.arm = {0.01, 0, -0.05};
   force.feel.engagement.length_m = 0.25;
   force.feel.contact = haptics::ContactPlane{{4, 5, 6}, {0, 0, 1}, 100, 2, 3, 5, true};
   const auto sent = [&](std::int64_t pose_t_ns, std::uint32_t flags) {
@@ -178,6 +180,13 @@ TEST(ForceOutput, AForceIsSentWithItsFlagsAndItsContactUnlessItIsOff) {
   EXPECT_EQ(plain.contact->friction_n_s_per_m, 5);
   EXPECT_EQ(plain.contact->valid_for_ns, 20'000'000);
   EXPECT_TRUE(plain.contact->penetrated);
+  ASSERT_TRUE(plain.torque_n_m && plain.contact->arm);
+  EXPECT_EQ(plain.torque_n_m->z, 0.3);
+  EXPECT_EQ(plain.contact->arm->z, -0.05);
+  no_torques.feel(force);
+  const auto without = peer.receive_until<protocol::Force>();
+  ASSERT_TRUE(without);
+  EXPECT_FALSE(std::get<protocol::Force>(without->message.body).torque_n_m);
   const protocol::Force limited = sent(8, haptics::kForceLimited);
   EXPECT_TRUE(limited.saturated && !limited.ramping && !limited.latched_off);
   const protocol::Force ramping = sent(9, haptics::kForceRamping);

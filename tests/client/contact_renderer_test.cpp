@@ -56,6 +56,74 @@ struct Device {
   double work = 0;
 };
 
+// The torque is that of the force at the arm's end, within its limit; it fades with the force.
+TEST(ContactRenderer, MakesTheTorqueOfTheForceAtTheBlade) {
+  for (const double limit : {0.2, 0.01}) {
+    ContactLimits limits;
+    limits.most_torque_n_m = limit;
+    ContactRenderer renderer(limits);
+    std::int64_t now = kMs;
+    protocol::Force plane = table();
+    plane.contact->arm = Vec3{0.05, 0, -0.02};
+    Wrench felt;
+    Vec3 last;
+    const auto step = [&](bool planes, double depth) {
+      now += kMs;
+      if (planes) renderer.take(plane, now);
+      felt = renderer.wrench({0, 0, -depth}, {}, now);
+      EXPECT_LE(size(felt.torque_n_m), limit + 1e-12);
+      const Vec3& t = felt.torque_n_m;
+      EXPECT_LE(size({t.x - last.x, t.y - last.y, t.z - last.z}), 500 * limit / 3.3 * 1e-3 + 1e-12);
+      last = t;
+    };
+    for (int i = 0; i < 3000; ++i) step(true, 0.002 * std::min(1.0, i / 200.0));
+    EXPECT_NEAR(felt.force_n.z, 1.6, 1e-3);
+    EXPECT_NEAR(felt.torque_n_m.y, -std::min(limit, 0.05 * 1.6), 1e-3);
+    for (int i = 0; i < 70; ++i) step(false, 0.002);
+    EXPECT_EQ(size(felt.force_n), 0);
+    EXPECT_EQ(size(felt.torque_n_m), 0);
+  }
+}
+
+// Pushing and turning together, with planes that jump: what comes out is bounded.
+TEST(ContactRenderer, IsPassiveWithTorques) {
+  const std::uint64_t seed = 41;
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  Random random(seed);
+  ContactRenderer renderer;
+  std::int64_t now = kMs;
+  Vec3 tool, heading, torque, force;
+  double angle = 0, rate = 0, work = 0, most = 0, turned = 0, largest = 0;
+  for (int i = 0; i < 20'000; ++i) {
+    if (i % 70 == 0) {
+      heading = {random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)};
+      rate = random.uniform(-3, 3);
+    }
+    if (i % 20 == 0) {
+      protocol::Force plane = table(random.uniform(100, 1500));
+      plane.contact->point = {tool.x, tool.y, random.uniform(-0.002, 0.004)};
+      plane.contact->arm = Vec3{random.uniform(-0.05, 0.05), random.uniform(-0.05, 0.05), -0.05};
+      renderer.take(plane, now);
+    }
+    const Vec3 step{1e-4 * heading.x - 0.01 * tool.x, 1e-4 * heading.y - 0.01 * tool.y,
+                    1e-4 * heading.z - 0.01 * tool.z};
+    const double turns = 1e-3 * rate;  // about y
+    work -= force.x * step.x + force.y * step.y + force.z * step.z + torque.y * turns;
+    turned += std::abs(torque.y * turns);
+    largest = std::max(largest, size(force) * size(step) + size(torque) * std::abs(turns));
+    tool = {tool.x + step.x, tool.y + step.y, tool.z + step.z};
+    angle += turns;
+    now += kMs;
+    const Wrench felt = renderer.wrench(tool, {std::cos(angle / 2), 0, std::sin(angle / 2), 0}, now);
+    force = felt.force_n;
+    torque = felt.torque_n_m;
+    most = std::max(most, -work - i * 1e-3 * ContactRenderer::kLeak_w);
+  }
+  EXPECT_GT(turned, 0.05);
+  // What the slew limit still lets act for 6.6 ms once the account is empty: 3.3 N at 0.1 m/s, 0.2 N m at 3 rad/s.
+  EXPECT_LT(most, ContactRenderer::kReserve_j + 2 * largest + 0.0066 * (3.3 * 0.1 + 0.2 * 3));
+}
+
 TEST(ContactRenderer, IsASpringAfterTheRamp) {
   Device device;
   EXPECT_NEAR(device.press(0.002, 1000).z, 0.8, 0.05) << "half way up the ramp";
