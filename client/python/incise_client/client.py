@@ -324,7 +324,7 @@ class Client:
 
     def undo(self) -> None:
         """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
-        A refusal comes as an error; a new snapshot when it is done."""
+        A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why."""
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
     def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,

@@ -49,6 +49,8 @@ export class Keys {
   }
 
   private help(): void {
-    element<HTMLDialogElement>("help-dialog").showModal();
+    const dialog = element<HTMLDialogElement>("help-dialog");
+    dialog.showModal();
+    dialog.scrollTop = 0; // the focus is on the button at its end
   }
 }

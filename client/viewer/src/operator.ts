@@ -67,7 +67,7 @@ export class Operator {
 
   /** The server has described the body. */
   meet(bodyName: string): void {
-    this.bodyName = bodyName || "body";
+    this.bodyName = bodyName === "" || bodyName.includes(".") ? "body" : bodyName; // not a file's name
     this.showDepth();
     if (this.tool === "cut" && this.bladeStage !== "open") this.takeBlade(this.held); // its length depends on the body
     this.hint();

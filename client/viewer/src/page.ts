@@ -268,7 +268,18 @@ export class Page {
   }
 
   private enableUndo(): void {
-    element<HTMLButtonElement>("undo").disabled = !this.undoable || this.replay.facts !== null;
+    const button = element<HTMLButtonElement>("undo");
+    button.disabled = !this.undoable || this.replay.facts !== null;
+    button.title = this.undoable
+      ? "Back to before the last stroke, for everybody (Z)"
+      : "There is no stroke to undo (Z says why)";
+  }
+
+  /** Where that cannot be, the server says why. */
+  private undo(): void {
+    if (this.replay.facts !== null) return;
+    this.resetAsked_ms = performance.now();
+    this.send({ kind: "undo" });
   }
 
   private onReplay(facts: ReplayFacts | null): void {
@@ -302,10 +313,7 @@ export class Page {
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
     this.more.bind("measure", () => this.toggleMeasure());
-    element("undo").onclick = () => {
-      this.resetAsked_ms = performance.now();
-      this.send({ kind: "undo" });
-    };
+    element("undo").onclick = () => this.undo();
     element("reset").onclick = () =>
       ask("reset-dialog", (confirmed) => {
         if (!confirmed) return;
@@ -372,7 +380,7 @@ export class Page {
         act: press("step"),
         needs: () => this.replay.facts !== null,
       },
-      { keys: ["z"], shown: "Z", does: "Undo the last stroke", act: press("undo") },
+      { keys: ["z"], shown: "Z", does: "Undo the last stroke", act: () => this.undo() },
       { keys: ["r"], shown: "R", does: "Reset", act: press("reset") },
       { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },

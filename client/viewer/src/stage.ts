@@ -34,6 +34,7 @@ export class Stage {
   readonly body = new BodyMesh();
   readonly marks: Marks;
   readonly centre = new THREE.Vector3();
+  private readonly halfSize = new THREE.Vector3(); // of the body's box
   bodySize_m = 0.3;
   /** Called before each frame; true: something moves, draw again. */
   beforeDraw: (now_ms: number) => boolean = () => false;
@@ -167,6 +168,7 @@ export class Stage {
 
   setBody(min: Vec3, max: Vec3): void {
     this.centre.set((min[0] + max[0]) / 2, (min[1] + max[1]) / 2, (min[2] + max[2]) / 2);
+    this.halfSize.set((max[0] - min[0]) / 2, (max[1] - min[1]) / 2, (max[2] - min[2]) / 2);
     this.bodySize_m = Math.hypot(max[0] - min[0], max[1] - min[1], max[2] - min[2]) || 1;
     this.min = min;
     this.max = max;
@@ -207,15 +209,27 @@ export class Stage {
     // The share of the picture's height that the body may fill.
     const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
-    const to = direction
-      .normalize()
-      .multiplyScalar((0.4 * this.bodySize_m) / half)
-      .add(this.centre);
+    const distance = Math.max((0.4 * this.bodySize_m) / half, this.wholeFrom(direction.normalize(), half));
+    const to = direction.multiplyScalar(distance).add(this.centre);
     if (at_once || this.calm.matches) return this.placeCamera(to, this.centre);
     const { target } = this.controls;
     const from = { position: this.camera.position, target };
     this.flight = new Flight(from, { position: to, target: this.centre }, performance.now());
     this.draw();
+  }
+
+  /** From how far away in this direction all of the body's box is seen. half: tangent of half the angle that it may fill upwards. */
+  private wholeFrom(direction: THREE.Vector3, half: number): number {
+    const right = new THREE.Vector3().crossVectors(this.camera.up, direction).normalize();
+    const up = new THREE.Vector3().crossVectors(direction, right);
+    const corner = new THREE.Vector3();
+    let distance = 0;
+    for (let k = 0; k < 8; ++k) {
+      const sign = (bit: number) => ((k >> bit) & 1) * 2 - 1;
+      corner.set(sign(0) * this.halfSize.x, sign(1) * this.halfSize.y, sign(2) * this.halfSize.z);
+      distance = Math.max(distance, Math.abs(corner.dot(up)) / half + corner.dot(direction));
+    }
+    return distance;
   }
 
   /** Puts the camera there at once. */

@@ -73,7 +73,8 @@ struct Delta {
   std::vector<Blend> blends;
   std::vector<TetState> upserted;  // new or changed tetrahedra, ascending by id
   std::vector<TetId> removed;      // ascending
-  std::vector<TetId> elders;       // of the new ones, which come last: one from before the step, in whose place it is
+  std::vector<TetId>
+      elders;  // of the new ones, which come last: one from before the step, in whose place it is
   // Boundary faces that appeared or whose vertices changed, and those that went, as half-faces: ascending.
   std::vector<HalfFace> boundary_upserted;
   std::vector<HalfFace> boundary_removed;

@@ -152,8 +152,9 @@ TEST(DeviceProfile, TheShippedOnesAreGood) {
   std::vector<std::string> ids;
   for (const DeviceProfile& p : load_profiles(std::string(INCISE_SOURCE_DIR) + "/config/devices"))
     ids.push_back(p.id);
-  EXPECT_EQ(ids, (std::vector<std::string>{"3dconnexion_spacemouse_wireless", "3dconnexion_spacenavigator",
-                                           "incise_stylus", "incise_stylus_6", "razer_hydra", "sony_dualsense"}));
+  EXPECT_EQ(ids,
+            (std::vector<std::string>{"3dconnexion_spacemouse_wireless", "3dconnexion_spacenavigator",
+                                      "incise_stylus", "incise_stylus_6", "razer_hydra", "sony_dualsense"}));
 }
 
 // The part of config/devices/DEVICES.md for those who write a profile.

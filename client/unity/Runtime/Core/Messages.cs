@@ -276,8 +276,8 @@ namespace Incise
             for (int round = 0; round < Math.Max(1, RoundAdded.Length); ++round)
             {
                 long before = vertices + added, first = blends;
-                added += RoundAdded.Length == 0 ? ProvenanceT.Length : RoundAdded[round];
-                blends += RoundBlends.Length == 0 ? BlendIds.Length : RoundBlends[round];
+                added += RoundAdded.Length == 0 ? ProvenanceT.Length : (long)RoundAdded[round];
+                blends += RoundBlends.Length == 0 ? BlendIds.Length : (long)RoundBlends[round];
                 if (added > ProvenanceT.Length || blends > BlendIds.Length) break;
                 for (long i = first; i < blends; ++i)
                 {
