@@ -104,10 +104,11 @@ public static class EngineTests
             root.SetActive(true);
             DateTime end = DateTime.UtcNow.AddSeconds(60);
             // The spring alone would give newtons. Where the machine pauses the device's thread for 20 ms the server fades the force,
-            // and its ramp begins again: then only some hundredths are reached, and outward they are all the same.
-            while (device.Largest.magnitude < 0.005f)
+            // and its ramp begins again: then only some hundredths are reached, and outward they are all the same. On the way up friction
+            // holds the blade back.
+            while (device.Largest.y < 0.005f)
             {
-                Check.That(DateTime.UtcNow < end, "no force: " + device.Largest.magnitude);
+                Check.That(DateTime.UtcNow < end, "no force outward: " + device.Largest.y);
                 Player.Frame(0.02f);
                 Thread.Sleep(5);
             }
@@ -149,7 +150,7 @@ public static class EngineTests
         protected override void Apply(Vector3 force)
         {
             Last = force;
-            if (force.magnitude > Largest.magnitude) Largest = force;
+            if (force.y > Largest.y) Largest = force;
         }
     }
 
