@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { load } from "../viewer/unit/modules.mjs";
 import { directory, incise, root, sessionFiles, wasmDirectory } from "./session.mjs";
 
-const { Blade, SessionHost, Viewer, localSession, resetBody } = await load(
+const { Blade, SessionHost, Viewer, localSession, askAdmin } = await load(
   "blade",
   "session_host",
   "viewer",
@@ -130,12 +130,37 @@ test("what is cut is shown, checked and recorded", async (t) => {
   assert.deepEqual(page.seen.notices, []);
 });
 
+test("strokes are undone one after the other, and the recording replays without them", async (t) => {
+  const page = await open(t);
+  const hashes = [page.seen.progress.hash];
+  for (const aside of [0, 0.4]) {
+    cut(page, middle(page) + aside * (page.seen.facts[0].max[0] - middle(page)));
+    await until(() => page.seen.progress.hash !== hashes.at(-1), "a cut");
+    await quiet(page);
+    hashes.push(page.seen.progress.hash);
+  }
+  for (const wanted of [hashes[1], hashes[0]]) {
+    assert.equal(page.blade.undo(), true);
+    await until(() => page.seen.progress.hash === wanted, "the state before the stroke");
+    assert.equal(page.seen.progress.hashAgrees, true);
+  }
+  assert.deepEqual(page.seen.notices, []);
+  page.blade.undo();
+  await until(() => page.seen.notices.length > 0, "a refusal");
+  assert.match(page.seen.notices[0], /there is no stroke to undo/);
+  cut(page, middle(page));
+  await until(() => page.seen.progress.revision > 0, "a cut");
+  await quiet(page);
+  assert.equal(page.seen.progress.hash, hashes[1]);
+  assert.equal(replayed(await page.session.capture()).state_hash, hashes[1]);
+});
+
 test("a reset gives the uncut body, and the recording goes on behind it with the blades that are held", async (t) => {
   const page = await open(t);
   const uncut = page.seen.progress.hash;
   cut(page, middle(page));
   await quiet(page);
-  resetBody(page.url, "", () => {});
+  askAdmin(page.url, "", "reset", () => {});
   await until(() => page.seen.progress.revision === 0, "the uncut body");
   assert.equal(page.seen.progress.hash, uncut);
   cut(page, middle(page) + 0.001);

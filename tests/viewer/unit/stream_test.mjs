@@ -19,7 +19,7 @@ import {
 import { fill, json, load, surfaceStream } from "./modules.mjs";
 
 const wire = (name) => `wire/incise/wire/${name}`;
-const { Viewer, PageFeed, Surface, Blade, ElementsLink, resetBody, Hello, PoseBatch, SurfaceDelta, BladeEdge } =
+const { Viewer, PageFeed, Surface, Blade, ElementsLink, askAdmin, Hello, PoseBatch, SurfaceDelta, BladeEdge } =
   await load(
     "viewer",
     "page_feed",
@@ -305,7 +305,7 @@ test("what is asked of a replay is sent as asked, and the bytes of all messages 
 test("a reset is asked for once, by an admin who leaves when it is done", () => {
   forget();
   const said = [];
-  resetBody("ws://here", "secret", (m) => said.push(m));
+  askAdmin("ws://here", "secret", "reset", (m) => said.push(m));
   sockets[0].open();
   assert.deepEqual([hello(sockets[0]).role(), hello(sockets[0]).token()], [Role.Admin, "secret"]);
   sockets[0].receive(welcome(1n));
@@ -318,10 +318,20 @@ test("a reset is asked for once, by an admin who leaves when it is done", () => 
   assert.equal(sockets.length, 1);
 });
 
+test("without a blade of one's own an admin undoes", () => {
+  forget();
+  askAdmin("ws://here", "", "undo", () => {});
+  sockets[0].open();
+  sockets[0].receive(welcome(1n));
+  const asked = sentKinds(sockets[0]);
+  assert.equal(asked.filter((kind) => kind === Body.Undo).length, 1);
+  assert.ok(!asked.includes(Body.Reset));
+});
+
 test("a reset is not tried again on another connection", () => {
   forget();
   const said = [];
-  resetBody("ws://here", "", (m) => said.push(m));
+  askAdmin("ws://here", "", "reset", (m) => said.push(m));
   sockets[0].onclose();
   run(60_000);
   assert.equal(sockets.length, 1);
