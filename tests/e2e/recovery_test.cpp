@@ -373,7 +373,7 @@ struct Hand {
       const std::scoped_lock lock(mutex);
       refusal = error.text;
     };
-    operator_ = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
+    link = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
   }
   // Lifts the blade at the end.
   void cut(double x) {
@@ -387,12 +387,12 @@ struct Hand {
            i < 200 ? 1u : 0u,
            0});
     }
-    EXPECT_TRUE(operator_->wait_for_report(operator_->send_poses(poses), 60));
+    EXPECT_TRUE(link->wait_for_report(link->send_poses(poses), 60));
   }
   // What it says to Undo; empty: it is done.
   std::string undo(const client::Client& viewer) {
     const std::uint64_t epoch = viewer.welcome().session;
-    operator_->undo();
+    link->undo();
     std::string said;
     EXPECT_TRUE(wait_for([&] {
       const std::scoped_lock lock(mutex);
@@ -406,7 +406,7 @@ struct Hand {
   std::int64_t clock_ns = 1'000'000'000;
   std::mutex mutex;
   std::string refusal;
-  std::unique_ptr<client::Client> operator_;
+  std::unique_ptr<client::Client> link;
 };
 
 Held settled(const ServedSession& session, const client::Client& viewer) {
@@ -458,7 +458,7 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
       EXPECT_EQ(settled(session, *viewer), before[1]);
       // What is left was cut before the start. The server may not have counted the last undo yet: then this one does nothing.
       EXPECT_TRUE(wait_for([&] {
-        hand.operator_->undo();
+        hand.link->undo();
         const std::scoped_lock lock(hand.mutex);
         return hand.refusal == "Undo: there is no stroke to undo";
       }));
