@@ -15,7 +15,7 @@ SPEC is JSON; paths in it are relative to it::
 - config: what all samples have in common. store: what is kept beside poses, report and hash (default: states).
 
 Samples are numbered from 0: the last parameter changes fastest, then the motions, then the bodies. A shard holds up to 20 samples, each a
-group named by its number: ``poses`` (n, 8), ``forces`` (n, 3), ``state/positions``, ``state/tets``, ``state/pieces``,
+group named by its number, eight digits: ``poses`` (n, 8), ``forces`` (n, 3), ``state/positions``, ``state/tets``, ``state/pieces``,
 ``deltas/REVISION/...`` as in incise.Delta, and the attributes body, motion, parameters, report (JSON), state_hash (16 hexadecimal
 digits) and line, the command that makes this sample again. manifest.json lists shards and hashes.
 

@@ -3,7 +3,7 @@
 Needs NumPy and the flatbuffers package (Debian: python3-numpy, python3-flatbuffers), and the module ``incise.wire`` that the
 build makes from ``protocol/incise.fbs``::
 
-    PYTHONPATH=client/python:build/release/python python3 my_program.py
+    PYTHONPATH=build/release/python /usr/bin/python3 my_program.py
 
     import incise_client
     with incise_client.connect("127.0.0.1", 7450) as client:
