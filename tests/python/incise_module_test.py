@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import unittest
 
 import numpy as np
@@ -515,6 +516,7 @@ class Threads(unittest.TestCase):
                 session.revision
             except incise.Error as error:
                 return str(error)
+            time.sleep(0.001)  # or the other thread would find the session in use by this one, again and again
         return ""
 
     def test_a_second_thread_gets_an_error_and_others_run_meanwhile(self):
