@@ -114,7 +114,7 @@ class Replay {
  private:
   void show() {
     auto state =
-        std::make_shared<stream::InitialState>(initial_state(replay_->session(), fresh_session_id()));
+        std::make_shared<stream::InitialState>(replay::initial_state(replay_->session(), fresh_session_id()));
     // Clients have the live body's surface only.
     if (body_ != &own_body_) state->origins = body_->origins;
     events_.restarted(server_facts(config_, *body_, replay_->session().mesh()).mesh, std::move(state));

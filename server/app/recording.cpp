@@ -217,7 +217,7 @@ Recording begin_recording(const Config& config, const Body& body) {
   Recording recording;
   recording.session_id = fresh_session_id();
   recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
-  recording.shown.before = initial_state(*recording.session, recording.session_id);
+  recording.shown.before = replay::initial_state(*recording.session, recording.session_id);
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;

@@ -27,7 +27,7 @@ ReplayTail::ReplayTail(const core::CutSession& session, std::uint64_t session_id
 }
 
 ReplayTail::Run ReplayTail::run_from(const core::CutSession& session) const {
-  return {std::make_shared<stream::InitialState>(initial_state(session, session_id_)), {}, 0};
+  return {std::make_shared<stream::InitialState>(replay::initial_state(session, session_id_)), {}, 0};
 }
 
 void ReplayTail::note(const core::CutSession& session, const core::Delta& delta) {

@@ -204,23 +204,21 @@ void RunningServer::join_loop() {
   if (config_.haptics.forces)
     frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_, &simulation_.link());
   stream_input_.join(frames_);
+  const auto go_on = [this](std::unique_ptr<core::CutSession> used,
+                            const std::shared_ptr<stream::InitialState>& shown) {
+    spare_.give_back(used ? std::move(used) : std::move(recording_.session));
+    server_.publish_reset(shown);
+    return shown->epoch;
+  };
   frames_.offer_reset([this] { return spare_.take(); },
-                      [this](std::unique_ptr<core::CutSession> used) {
-                        spare_.give_back(used ? std::move(used) : std::move(recording_.session));
-                        auto as_loaded = std::make_shared<stream::InitialState>();
-                        as_loaded->epoch = fresh_session_id();
-                        as_loaded->mirror = spare_.mirror();
-                        server_.publish_reset(as_loaded);
-                        return as_loaded->epoch;
+                      [this, go_on](std::unique_ptr<core::CutSession> used) {
+                        return go_on(std::move(used), shown_again(spare_.mirror()));
                       });
   if (!journal_ || !journal_->checkpointer()) return;
   stream_input_.join(journal_->checkpointer());
   frames_.offer_undo([this] { return undone_.take(); },
-                     [this](std::unique_ptr<core::CutSession> used) {
-                       spare_.give_back(used ? std::move(used) : std::move(recording_.session));
-                       const auto shown = undone_.shown();
-                       server_.publish_reset(shown);
-                       return shown->epoch;
+                     [this, go_on](std::unique_ptr<core::CutSession> used) {
+                       return go_on(std::move(used), undone_.shown());
                      });
 }
 

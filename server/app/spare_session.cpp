@@ -28,13 +28,7 @@ void SpareSession::run(const std::stop_token& stop) {
     delete used_.exchange(nullptr);
     if (spare_.load() != nullptr) continue;
     auto session = std::make_unique<core::CutSession>(mesh_, config_);
-    if (!mirror_) {
-      auto mirror = std::make_shared<stream::Mirror>();
-      stream::InitialState initial = initial_state(*session, fresh_session_id());
-      initial.origins = origins_;
-      mirror->reset(initial);
-      mirror_ = std::move(mirror);
-    }
+    if (!mirror_) mirror_ = mirror_of(*session, origins_);
     spare_.store(session.release());
   }
 }

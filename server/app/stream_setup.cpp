@@ -2,6 +2,8 @@
 
 #include <sys/random.h>
 
+#include <utility>
+
 #include "server/app/token_file.hpp"
 #include "server/base/clock.hpp"
 #include "server/replay/session_view.hpp"
@@ -44,6 +46,22 @@ stream::StreamConfig stream_config(const Config& config) {
   made.ring_bytes = static_cast<std::size_t>(config.stream.ring_bytes);
   made.max_report_rate_hz = config.stream.max_report_rate_hz;
   return made;
+}
+
+std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
+                                                std::shared_ptr<const protocol::OriginTree> origins) {
+  stream::InitialState initial = replay::initial_state(session, fresh_session_id());
+  initial.origins = std::move(origins);
+  auto mirror = std::make_shared<stream::Mirror>();
+  mirror->reset(initial);
+  return mirror;
+}
+
+std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror) {
+  auto shown = std::make_shared<stream::InitialState>();
+  shown->epoch = fresh_session_id();
+  shown->mirror = std::move(mirror);
+  return shown;
 }
 
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh) {

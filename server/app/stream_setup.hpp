@@ -1,11 +1,13 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
 #include "server/core/session/cut_session.hpp"
 #include "server/replay/session_view.hpp"
+#include "server/stream/mirror.hpp"
 #include "server/stream/server.hpp"
 
 namespace incise::app {
@@ -16,7 +18,12 @@ namespace incise::app {
 stream::StreamConfig stream_config(const Config& config);
 // What the server says about itself in Welcome.
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh);
-using replay::initial_state;
+// A mirror of a session of a body with these origins (InitialState::origins), made off the loop and the stream's thread: both only copy
+// it. O(mesh).
+std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
+                                                std::shared_ptr<const protocol::OriginTree> origins);
+// What viewers are shown when the loop goes on with the session that `mirror` is of: another epoch.
+std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror);
 // A random number that names a run of ids. Never 0.
 std::uint64_t fresh_session_id();
 

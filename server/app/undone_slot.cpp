@@ -1,21 +1,12 @@
 #include "server/app/undone_slot.hpp"
 
 #include "server/app/stream_setup.hpp"
-#include "server/stream/mirror.hpp"
 
 namespace incise::app {
 
 void UndoneSlot::offer(loop::Undone undone) {
   auto waiting = std::make_unique<Waiting>();
-  if (undone.session) {
-    waiting->shown = std::make_shared<stream::InitialState>();
-    waiting->shown->epoch = fresh_session_id();
-    auto mirror = std::make_shared<stream::Mirror>();
-    stream::InitialState initial = initial_state(*undone.session, waiting->shown->epoch);
-    initial.origins = origins_;
-    mirror->reset(initial);
-    waiting->shown->mirror = std::move(mirror);
-  }
+  if (undone.session) waiting->shown = shown_again(mirror_of(*undone.session, origins_));
   waiting->undone = std::move(undone);
   delete waiting_.exchange(waiting.release());
 }

@@ -304,8 +304,7 @@ void FrameLoop::reset() {
     return;
   }
   undo_wanted_.store(0, std::memory_order_relaxed);  // what it was to undo is gone
-  undo_until_ns_ = 0;
-  undo_asked_ = false;
+  begin_next_undo();
   cuts_to_note_.clear();
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
@@ -324,6 +323,11 @@ bool FrameLoop::request_undo() {
   return true;
 }
 
+void FrameLoop::begin_next_undo() {
+  undo_until_ns_ = 0;
+  undo_asked_ = false;
+}
+
 bool FrameLoop::in_stroke() const {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
     if (session_->in_stroke(source)) return true;
@@ -334,8 +338,7 @@ void FrameLoop::undo(std::int64_t now_ns) {
   if (undo_until_ns_ == 0) undo_until_ns_ = now_ns + kUndoPatience_ns;
   if (now_ns > undo_until_ns_) {
     undo_wanted_.store(0, std::memory_order_relaxed);
-    undo_until_ns_ = 0;
-    undo_asked_ = false;
+    begin_next_undo();
     return;
   }
   if (in_stroke() || session_->backlog_batches() > 0) return;
@@ -347,8 +350,7 @@ void FrameLoop::undo(std::int64_t now_ns) {
   auto undone = take_undone_();
   if (!undone || undone->request != undo_request_) return;  // an older one is from before the last stroke
   undo_wanted_.fetch_sub(1, std::memory_order_relaxed);
-  undo_until_ns_ = 0;
-  undo_asked_ = false;
+  begin_next_undo();
   if (!undone->session) return;
   JournalRecord record;
   record.kind = JournalRecord::Kind::kUndo;

@@ -108,6 +108,8 @@ class FrameLoop {
   bool write(const JournalRecord& record);
   void reset();
   void undo(std::int64_t now_ns);
+  // Forgets how far the last one was.
+  void begin_next_undo();
   // Goes on with another session. `done` gives its id.
   void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
                const ResetDone& done);

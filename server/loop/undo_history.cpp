@@ -88,13 +88,16 @@ void UndoHistory::begin_span(const core::CutSession& session) {
   }
 }
 
+void UndoHistory::cut_back(Span& span, std::size_t records) {
+  for (std::size_t i = records; i < span.records.size(); ++i) span.bytes -= bytes_of(span.records[i]);
+  span.records.resize(records);
+}
+
 // Leaves out what comes after its last point.
 void UndoHistory::end_span() {
   Span& span = spans_.back();
   span.whole = false;
-  const std::size_t kept = span.points.empty() ? 0 : span.points.back().records;
-  for (std::size_t i = kept; i < span.records.size(); ++i) span.bytes -= bytes_of(span.records[i]);
-  span.records.resize(kept);
+  cut_back(span, span.points.empty() ? 0 : span.points.back().records);
   span.records.shrink_to_fit();
 }
 
@@ -156,9 +159,7 @@ void UndoHistory::went_back(const BeforeStroke& stroke) {
   Span& span = spans_.back();
   now_ = span.points[point].before;
   strokes_ -= span.points.size() - point;
-  const std::size_t kept = span.points[point].records;
-  for (std::size_t i = kept; i < span.records.size(); ++i) span.bytes -= bytes_of(span.records[i]);
-  span.records.resize(kept);
+  cut_back(span, span.points[point].records);
   span.points.resize(point);
   span.whole = true;
   changed_ = strokes_ > 0;  // or the point before would have been dropped for this one

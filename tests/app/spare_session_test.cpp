@@ -66,13 +66,13 @@ TEST(SpareSession, AMirrorIsResetToTheOneAsLoaded) {
   const core::CutConfig cut = config();
   core::CutSession session(mesh, cut);
   auto loaded = std::make_shared<stream::Mirror>();
-  loaded->reset(initial_state(session, 1));
+  loaded->reset(replay::initial_state(session, 1));
   stream::InitialState as_loaded;
   as_loaded.epoch = 77;
   as_loaded.mirror = loaded;
   cut_through(session);
   stream::Mirror mirror;
-  mirror.reset(initial_state(session, 2));
+  mirror.reset(replay::initial_state(session, 2));
   mirror.reset(as_loaded);
   EXPECT_EQ(mirror.epoch(), 77u);
   EXPECT_EQ(mirror.revision(), 0u);

@@ -94,7 +94,7 @@ TEST(StreamSetup, TheFactsAreThoseOfBodyAndConfiguration) {
 
 TEST(StreamSetup, ABodyThatDeformsBeginsWithItsRestPositions) {
   core::CutSession session(stream::box_mesh(2), {});
-  EXPECT_TRUE(initial_state(session, 5).rest.empty());
+  EXPECT_TRUE(replay::initial_state(session, 5).rest.empty());
   const core::Vec3 at = session.mesh().position(26);
   auto positions = std::make_shared<core::VertexPositions>();
   positions->ids = {26};
@@ -103,7 +103,7 @@ TEST(StreamSetup, ABodyThatDeformsBeginsWithItsRestPositions) {
   core::Delta delta;
   auto budget = core::WorkBudget::unlimited();
   ASSERT_EQ(session.advance(budget, delta), core::CutSession::Progress::kCommitted);
-  const stream::InitialState state = initial_state(session, 5);
+  const stream::InitialState state = replay::initial_state(session, 5);
   EXPECT_EQ(state.epoch, 5u);
   EXPECT_EQ(state.revision, 1u);
   ASSERT_EQ(state.rest.size(), 27u);
@@ -128,7 +128,7 @@ TEST(StreamSetup, ACutBodyBeginsWithItsLivingTetrahedra) {
   }
   const core::TetMesh& mesh = session.mesh();
   ASSERT_LT(mesh.live_tets(), mesh.tet_slots());
-  const stream::InitialState state = initial_state(session, 5);
+  const stream::InitialState state = replay::initial_state(session, 5);
   ASSERT_EQ(state.tets.size(), mesh.live_tets());
   for (std::size_t i = 0; i < state.tets.size(); ++i) {
     const core::TetId t = state.tets[i].id;

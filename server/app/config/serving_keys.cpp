@@ -75,7 +75,8 @@ ConfigKeys stream_keys() {
 ConfigKeys capture_keys() {
   return {
       text("capture.path", INCISE_FIELD(capture.path), kPathOrNone,
-           "Where to record the poses that the loop has used and the marks of its batches; \"\": nowhere, and then no stroke can be undone."),
+           "Where to record the poses that the loop has used and the marks of its batches; \"\": nowhere, "
+           "and then no stroke can be undone."),
       word("capture.sync", {"none", "group", "always"}, INCISE_FIELD(capture.sync),
            "When recorded data must be on the disk: when the system decides, every capture.sync_interval_ms, "
            "or at once."),
