@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <stdexcept>
 #include <string>
-#include <type_traits>
 #include <vector>
 
+#include "protocol/blend.hpp"
 #include "protocol/messages.hpp"
 
 namespace incise::protocol {
@@ -56,31 +56,16 @@ void carry(const Delta& delta, std::size_t components, std::vector<T>& values) {
   }
   if (const std::string error = provenance_error(delta, vertices); !error.empty())
     throw std::invalid_argument("carry: " + error);
-  const auto blend = [&](const std::uint32_t* from, const double* weights, std::size_t n, T* to) {
-    std::size_t nearest = 0;
-    for (std::size_t j = 1; j < n; ++j) {
-      if (weights[j] > weights[nearest]) nearest = j;
-    }
-    for (std::size_t c = 0; c < components; ++c) {
-      if constexpr (std::is_integral_v<T>) {
-        to[c] = values[components * from[nearest] + c];
-      } else {
-        double sum = 0;
-        for (std::size_t j = 0; j < n; ++j)
-          sum += weights[j] * static_cast<double>(values[components * from[j] + c]);
-        to[c] = static_cast<T>(sum);
-      }
-    }
-  };
   std::vector<T>
       blended;  // those of a round read the state before it, so all are known before one is written
-  values.reserve(components * delta.vertex_count);
+  make_room(values, components * delta.vertex_count);
   for (BlendRounds round(delta); round.next();) {
     const std::size_t before = round.vertices_before();
     blended.resize(components * round.blends());
     for (std::size_t i = 0; i < round.blends(); ++i) {
       const std::size_t at = 4 * (round.first_blend() + i);
-      blend(&delta.blend_vertices[at], &delta.blend_weights[at], 4, &blended[components * i]);
+      blend(values, components, delta.blend_vertices.subspan(at, 4), delta.blend_weights.subspan(at, 4),
+            &blended[components * i]);
     }
     values.resize(components * (before + round.added()));
     const auto ids = delta.blend_ids.subspan(round.first_blend(), round.blends());
@@ -96,7 +81,7 @@ void carry(const Delta& delta, std::size_t components, std::vector<T>& values) {
       const std::uint32_t parents[2] = {delta.provenance_a[at], delta.provenance_b[at]};
       const double t = delta.provenance_t[at];
       const double weights[2] = {1 - t, t};
-      blend(parents, weights, 2, &values[components * (before + i)]);
+      blend(values, components, parents, weights, &values[components * (before + i)]);
     }
   }
 }
@@ -114,6 +99,7 @@ void carry_tets(const Delta& delta, std::size_t components, std::vector<T>& valu
     throw std::invalid_argument("carry_tets: " + error);
   if (n == 0) return;
   const auto ids = delta.tets.ids.last(n);
+  make_room(values, components * (std::size_t{ids.back()} + 1));
   values.resize(components * (std::size_t{ids.back()} + 1));
   for (std::size_t i = 0; i < n; ++i) {
     std::copy_n(values.begin() + static_cast<std::ptrdiff_t>(components * delta.tet_elders[i]), components,

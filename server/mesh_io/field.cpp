@@ -26,21 +26,6 @@ std::string title(const Field& field) {
   return title(field.on, field.name);
 }
 
-Field rows_of(const Field& field, std::span<const std::uint32_t> rows) {
-  Field out{field.name, field.on, field.components, {}};
-  std::visit(
-      [&](const auto& values) {
-        auto& picked = out.values.emplace<std::decay_t<decltype(values)>>();
-        picked.reserve(rows.size() * field.components);
-        for (const std::uint32_t row : rows) {
-          const auto first = values.begin() + static_cast<std::ptrdiff_t>(row * field.components);
-          picked.insert(picked.end(), first, first + static_cast<std::ptrdiff_t>(field.components));
-        }
-      },
-      field.values);
-  return out;
-}
-
 void FieldCollector::leave_out(Field::On on, std::string_view name, const std::string& why) {
   warnings_.push_back(file_ + ": " + title(on, name.substr(0, kMaxFieldName)) + " is left out: " + why);
 }

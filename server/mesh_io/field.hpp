@@ -1,35 +1,21 @@
 #pragma once
 
-// Values that a mesh file gives on its vertices or tetrahedra, by name: temperatures, fibre directions, labels.
+// What a mesh file gives on its vertices or tetrahedra.
 
 #include <cstdint>
-#include <span>
 #include <string>
 #include <string_view>
-#include <variant>
 #include <vector>
+
+#include "server/core/mesh/field.hpp"
 
 namespace incise::mesh_io {
 
-inline constexpr std::size_t kMaxFieldComponents = 9;
-inline constexpr std::size_t kMaxFieldName = 256;  // bytes
+using core::Field;
+using core::kMaxFieldComponents;
+using core::kMaxFieldName;
+using core::rows_of;
 
-struct Field {
-  enum class On { kVertices, kTets };
-
-  std::string name;  // one of those on vertices, or on tetrahedra
-  On on = On::kVertices;
-  std::size_t components = 1;  // 1 to kMaxFieldComponents
-  std::variant<std::vector<float>, std::vector<std::int32_t>>
-      values;  // `components` for each; floats may be NaN
-
-  std::size_t rows() const {
-    return std::visit([this](const auto& v) { return v.size() / components; }, values);
-  }
-};
-
-// Only these rows of a field, in this order.
-Field rows_of(const Field& field, std::span<const std::uint32_t> rows);
 // "the vertex field 'temperature'", for messages.
 std::string title(const Field& field);
 

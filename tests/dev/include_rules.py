@@ -16,15 +16,16 @@ BASE = "server/base"  # of the standard library only
 CHECK = "server/base/check.hpp"
 STATE_HASH = "protocol/state_hash.hpp"
 TET_FACES = "protocol/tet_faces.hpp"
+BLEND = "protocol/blend.hpp"  # how fields are interpolated
 NET = "protocol/net"  # connections; the only part of protocol that needs Asio
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
 MIRROR = "server/stream/mirror.hpp"  # the clients' state, without their connections
 DELTA_ARRAYS = "server/stream/delta_arrays.hpp"
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
-DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
+DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/field.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
     BASE: [],
-    "server/core": [CHECK, STATE_HASH, TET_FACES],  # and no clock
+    "server/core": [CHECK, STATE_HASH, TET_FACES, BLEND],  # and no clock
     "server/mesh_io": [BASE, "server/core"],
     "server/input": [BASE, "server/core", "protocol", NET, FORCE_SLOT],
     "server/haptics": [BASE, "server/core"],

@@ -161,7 +161,7 @@ int run_cut(const CutCommand& command) {
     } else {
       const CutOutcome out = cut(in, in.config, progress);
       progress.stage("writing " + command.out.filename().string());
-      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.fields);
+      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.session->fields());
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
       reports.push_back(out.report);
     }

@@ -71,7 +71,7 @@ bool keeps_fields(const fs::path& path) {
 }
 
 void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from,
-                    const CarriedFields* fields) {
+                    const core::CarriedFields* fields) {
   if (is_glb_file(path)) {
     write_glb(path, cut_surface(mesh, from));
     return;

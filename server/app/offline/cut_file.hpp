@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "server/app/offline/carried_fields.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/carried_fields.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::app {
@@ -32,7 +32,7 @@ bool keeps_fields(const std::filesystem::path& path);
 // and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu and .vtk. Either may
 // be null. Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
-                    const mesh_io::Surface* from = nullptr, const CarriedFields* fields = nullptr);
+                    const mesh_io::Surface* from = nullptr, const core::CarriedFields* fields = nullptr);
 
 // Writes a text file. Throws std::runtime_error.
 void write_text(const std::filesystem::path& path, const std::string& text);

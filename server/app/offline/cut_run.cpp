@@ -121,9 +121,8 @@ CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion
 
 CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, const CutHooks& hooks) {
   progress.stage("preparing");
-  CutOutcome out{std::make_unique<core::CutSession>(in.loaded->mesh, config.cut), {}, {}};
+  CutOutcome out{std::make_unique<core::CutSession>(in.loaded->mesh, config.cut, in.loaded->fields), {}};
   core::CutSession& session = *out.session;
-  out.fields = CarriedFields(*in.loaded, session.mesh());
   const core::CutReport before = core::measure(session.mesh());
   std::vector<std::string> warnings = in.warnings;
   if (const auto copies = session.mesh().initial_vertex_copies(); copies > 0) {
@@ -141,7 +140,6 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
            .commit =
                [&](const core::Delta& delta, double us) {
                  tally.add(session.committed_batch(), session.committed_counts(), us);
-                 out.fields.apply(delta);
                  if (hooks.commit) hooks.commit(session, delta);
                }},
           progress);

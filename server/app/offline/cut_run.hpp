@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "server/app/config.hpp"
-#include "server/app/offline/carried_fields.hpp"
 #include "server/app/offline/motion_run.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -49,8 +48,7 @@ struct CutHooks {
 };
 
 struct CutOutcome {
-  std::unique_ptr<core::CutSession> session;
-  CarriedFields fields;  // those of the mesh file, in the cut body
+  std::unique_ptr<core::CutSession> session;  // with the mesh file's fields
   nlohmann::ordered_json report;
 };
 // Cuts the mesh by the motion, in the same way as the server. `config` is in.config, or that with another policy.

@@ -112,20 +112,17 @@ int run_export(const ExportCommand& command) {
   require_mesh_output(command.out, "--out");
   require_not_read(command.out, {command.capture, command.mesh}, "--out");
   const Replayable opened = open_capture(command.capture, command.mesh, keeps_fields(command.out));
-  core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
-  CarriedFields fields(opened.body.loaded, session.mesh());
+  core::CutSession session(opened.body.loaded.mesh, opened.config.cut, opened.body.loaded.fields);
   if (!command.revision || *command.revision > 0) {
-    replay(session, opened, [&](const core::Delta& delta) {
-      fields.apply(delta);
-      return !command.revision || delta.revision < *command.revision;
-    });
+    replay(session, opened,
+           [&](const core::Delta& delta) { return !command.revision || delta.revision < *command.revision; });
   }
   if (command.revision && session.revision() != *command.revision) {
     throw std::runtime_error("--revision: found " + std::to_string(*command.revision) +
                              "; accepted are 0 to " + std::to_string(session.revision()) +
                              ", which is where " + command.capture.string() + " ends");
   }
-  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get(), &fields);
+  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get(), &session.fields());
   print_warnings(opened.motion.warnings);
   if (keeps_fields(command.out)) print_warnings(opened.body.loaded.warnings);
   if (command.json) {

@@ -107,7 +107,6 @@ Cut cut_body(const py::object& given_body, const py::object& poses, const py::ob
                   .commit = [&](const core::CutSession& core,
                                 const core::Delta& delta) { recorder.commit(core, delta); }});
     session->core = std::move(out.session);
-    session->fields = std::move(out.fields);
     cut.warnings = out.report["warnings"].get<std::vector<std::string>>();
     const std::string text = out.report.dump();
     const py::gil_scoped_acquire acquire;

@@ -1,10 +1,11 @@
 // incise.Delta: one committed step.
 #include <pybind11/stl.h>
 
-#include "protocol/carry.hpp"
-#include "server/app/offline/carried_fields.hpp"
+#include <algorithm>
+
 #include "server/app/python/arrays.hpp"
 #include "server/app/python/module.hpp"
+#include "server/core/mesh/field.hpp"
 
 namespace incise::python {
 namespace {
@@ -36,11 +37,10 @@ py::array carried(const Delta& delta, const py::array& values, bool of_tets) {
   std::size_t columns = 1;
   for (std::size_t k = 1; k < shape.size(); ++k) columns *= static_cast<std::size_t>(shape[k]);
   if (columns == 0) throw py::value_error("values: found rows of no numbers; accepted is one or more");
-  const app::DeltaOrigins origins(delta);
   if (of_tets) {
-    protocol::carry_tets(origins.message(), columns, numbers);
+    core::carry_tets(delta, columns, numbers);
   } else {
-    protocol::carry(origins.message(), columns, numbers);
+    core::carry(delta, columns, numbers);
   }
   shape[0] = static_cast<py::ssize_t>(numbers.size() / columns);
   return owned(std::move(numbers)).attr("reshape")(shape).attr("astype")(values.dtype());
@@ -61,6 +61,13 @@ py::array carry(const Delta& delta, const py::handle value, bool of_tets) {
         ", accepted is one row for each " +
         (of_tets ? "id of a tetrahedron"
                  : "of the " + std::to_string(delta.first_added) + " vertices before"));
+  }
+  if (of_tets && !delta.elders.empty()) {
+    const core::TetId last = *std::max_element(delta.elders.begin(), delta.elders.end());
+    if (values.shape(0) <= static_cast<py::ssize_t>(last)) {
+      throw py::value_error("values: found " + std::to_string(values.shape(0)) +
+                            " rows; a new tetrahedron has the values of tetrahedron " + std::to_string(last));
+    }
   }
   return whole ? carried<std::int64_t>(delta, values, of_tets) : carried<double>(delta, values, of_tets);
 }

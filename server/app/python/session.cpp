@@ -31,8 +31,8 @@ std::shared_ptr<Session> make_session(const py::object& body, const py::object& 
   session->body = body_from(body, session->config);
   const py::gil_scoped_release release;
   const core::MeshData& mesh = session->body->loaded->mesh;
-  session->core = std::make_unique<core::CutSession>(mesh, session->config.cut);
-  session->fields = app::CarriedFields(*session->body->loaded, session->core->mesh());
+  session->core =
+      std::make_unique<core::CutSession>(mesh, session->config.cut, session->body->loaded->fields);
   if (forces) session->forces = std::make_unique<ForceTrace>(session->config, mesh);
   return session;
 }
@@ -71,7 +71,6 @@ std::shared_ptr<core::Delta> advance(Session& session) {
     auto delta = std::make_shared<core::Delta>();
     core::WorkBudget budget = core::WorkBudget::unlimited();
     if (core.advance(budget, *delta) != core::CutSession::Progress::kCommitted) return nullptr;
-    session.fields.apply(*delta);
     if (session.forces) session.forces->commit(core, *delta);
     return delta;
   });
@@ -143,7 +142,7 @@ py::dict fields_of(Session& session, Field::On on) {
   with_core(session, [&](const core::CutSession& core) {
     std::vector<std::uint32_t> living;
     for_each_tet(core.mesh(), [&](core::TetId t) { living.push_back(t); });
-    for (const Field& field : session.fields.all()) {
+    for (const Field& field : core.fields().all()) {
       if (field.on == on)
         fields.push_back(on == Field::On::kVertices ? field : mesh_io::rows_of(field, living));
     }
@@ -225,7 +224,7 @@ void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
   with_core(session, [&](const core::CutSession& core) {
-    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get(), &session.fields);
+    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get(), &core.fields());
   });
 }
 
@@ -233,7 +232,7 @@ Body current_body(Session& session) {
   auto loaded = std::make_shared<mesh_io::LoadedMesh>();
   with_core(session, [&](const core::CutSession& core) {
     loaded->mesh = core.mesh().export_data();
-    loaded->fields = session.fields.exported(core.mesh());
+    loaded->fields = core.fields().exported(core.mesh());
     loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
   });
   return {session.body->name + " (cut)", std::move(loaded)};

@@ -22,7 +22,6 @@ struct Session {
   std::shared_ptr<const Body> body;
   app::Config config;
   std::unique_ptr<core::CutSession> core;
-  app::CarriedFields fields;           // of the body, in the state of `core`
   std::unique_ptr<ForceTrace> forces;  // null: none are wanted
   std::atomic<bool> busy = false;
 };

@@ -12,11 +12,12 @@
 
 namespace incise::core {
 
-CutSession::CutSession(const MeshData& mesh, const CutConfig& config)
+CutSession::CutSession(const MeshData& mesh, const CutConfig& config, std::span<const Field> fields)
     : mesh_(mesh),
       config_(config),
       workspace_(mesh_),
       pieces_(mesh_),
+      fields_(fields, mesh, mesh_),
       measured_(workspace_),
       mover_(mesh_, workspace_) {}
 
@@ -148,6 +149,7 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
   describe(made_);
   made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
   mover_.note_cut(made_);
+  fields_.apply(made_);
   std::swap(made_, delta);
   return Progress::kCommitted;
 }
@@ -207,6 +209,7 @@ void CutSession::archive(Archive& io) {
   workspace_.archive(io, mesh_);
   mover_.archive(io);
   for (std::uint32_t number = 0; number < kMaxSources; ++number) archive_source(io, number);
+  fields_.archive(io, mesh_);
 }
 
 void CutSession::archive_source(Archive& io, std::uint32_t number) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/cut_config.hpp"
@@ -9,6 +10,7 @@
 #include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/carried_fields.hpp"
 #include "server/core/session/piece_tracker.hpp"
 #include "server/core/session/vertex_mover.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
@@ -25,7 +27,9 @@ namespace incise::core {
 // Thread: one, at a time. Owns the mesh.
 class CutSession {
  public:
-  CutSession(const MeshData& mesh, const CutConfig& config);
+  // `fields`: of that mesh, one row for each vertex or tetrahedron. They are carried along, saved with the session, and change
+  // nothing in it.
+  CutSession(const MeshData& mesh, const CutConfig& config, std::span<const Field> fields = {});
   ~CutSession();
 
   // Gives the blade of one source; the configuration's blade stands for all until then. Between strokes only.
@@ -58,6 +62,10 @@ class CutSession {
   std::uint32_t piece(TetId t) const { return pieces_.piece(t); }
   // All pieces that there are but 0, as a delta names them. O(pieces there have been).
   std::vector<Delta::Piece> pieces() const { return pieces_.named(); }
+  // As of revision().
+  const CarriedFields& fields() const { return fields_; }
+  // Carries none from here on.
+  void drop_fields() { fields_ = {}; }
   const CutConfig& config() const { return config_; }
   std::uint64_t revision() const { return revision_; }
   // Batches and deformations that wait, including the current one, and their segments.
@@ -90,6 +98,7 @@ class CutSession {
   CutConfig config_;
   CutWorkspace workspace_;
   PieceTracker pieces_;
+  CarriedFields fields_;
   std::uint32_t stroke_counter_ = 0;
   std::array<std::unique_ptr<Source>, kMaxSources> sources_;
   BatchQueue queue_;
