@@ -114,7 +114,7 @@ bool Client::end_stroke(std::int64_t source_ns) {
 }
 
 bool Client::subscribe(protocol::View view, float max_rate_hz) {
-  return impl_->send(protocol::Subscribe{view, max_rate_hz, impl_->options.box}) != 0;
+  return impl_->send(protocol::Subscribe{view, max_rate_hz, impl_->options.box, impl_->options.fields}) != 0;
 }
 
 bool Client::reset() {
@@ -186,6 +186,9 @@ void Client::drop_connection() {
 
 std::mutex& Client::state_mutex() const {
   return impl_->state.mutex();
+}
+const protocol::FieldReplica& Client::fields() const {
+  return impl_->state.fields();
 }
 const protocol::Replica& Client::volume() const {
   return impl_->state.volume();

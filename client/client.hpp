@@ -17,6 +17,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "protocol/fields.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
 #include "protocol/surface.hpp"
@@ -44,7 +45,9 @@ struct Options {
   std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
   float load_rate_hz = 0;  // simulator: BladeLoad at most so often for each blade, 60 to 1000; 0: none
   std::optional<protocol::Box> box;  // of either view only what touches it; for Volume use read_part()
-  float max_rate_hz = 0;             // deltas a second at most, coalesced; 0: one for each revision
+  // Names of the fields to hold ("*": all), with view Volume and no box: read_fields(). What there is, Welcome::fields lists.
+  std::vector<std::string> fields = {};
+  float max_rate_hz = 0;  // deltas a second at most, coalesced; 0: one for each revision
   double connect_timeout_s = 5;
   // Connects again when the connection is lost, as often as it takes, and resumes the state it holds.
   bool reconnect = false;
@@ -153,6 +156,12 @@ class Client {
     const std::scoped_lock lock(state_mutex());
     return function(surface());
   }
+  // With the fields at the replica's revision (protocol/fields.hpp).
+  template <class F>
+  auto read_fields(F&& function) const {
+    const std::scoped_lock lock(state_mutex());
+    return function(fields());
+  }
   // With the part of view Volume that touches Options::box.
   template <class F>
   auto read_part(F&& function) const {
@@ -181,6 +190,7 @@ class Client {
   const protocol::Replica& volume() const;
   const protocol::SurfaceReplica& surface() const;
   const protocol::VolumePart& part() const;
+  const protocol::FieldReplica& fields() const;
   std::unique_ptr<Impl> impl_;
 };
 

@@ -93,6 +93,7 @@ protocol::Hello Client::Impl::hello() const {
   hello.source_name = options.source_name;
   hello.blade = options.blade;
   hello.load_rate_hz = options.load_rate_hz;
+  hello.fields = options.fields;
   // After a lost connection the server may still count the blade as held by it.
   hello.take_over = options.take_over || reconnecting;
   if (reconnecting && state.whole() && !state.awaiting_snapshot()) {

@@ -79,6 +79,7 @@ struct Client::Impl {
   bool on(const protocol::Welcome& welcome, const Arrival&);
   bool on(const protocol::SnapshotBegin& begin, const Arrival&);
   bool on(const protocol::SnapshotChunk& chunk, const Arrival&);
+  bool on(const protocol::FieldValues& values, const Arrival&);
   bool on(const protocol::SnapshotEnd& end, const Arrival&);
   bool on(const protocol::Delta& delta, const Arrival& arrival);
   bool on(const protocol::SurfaceDelta& delta, const Arrival& arrival);

@@ -50,7 +50,7 @@ void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
 }
 
 bool Client::Impl::on(const protocol::SnapshotBegin& begin, const Arrival&) {
-  return resync(state.begin(begin));
+  return resync(state.begin(begin, last_welcome.fields));
 }
 
 bool Client::Impl::on(const protocol::SnapshotChunk& chunk, const Arrival&) {
@@ -58,6 +58,10 @@ bool Client::Impl::on(const protocol::SnapshotChunk& chunk, const Arrival&) {
   if (!result) return resync(result);
   call(callbacks.on_snapshot_progress, state.chunks_done(), state.chunks_total());
   return true;
+}
+
+bool Client::Impl::on(const protocol::FieldValues& values, const Arrival&) {
+  return resync(state.add(values));
 }
 
 bool Client::Impl::on(const protocol::SnapshotEnd& end, const Arrival&) {

@@ -26,10 +26,12 @@ bool HeldState::due_for_full_check(const D& delta) const {
   return every > 0 && delta.revision / every != delta.base_revision / every;
 }
 
-protocol::ApplyResult HeldState::begin(const protocol::SnapshotBegin& begin) {
+protocol::ApplyResult HeldState::begin(const protocol::SnapshotBegin& begin,
+                                       std::span<const protocol::FieldFacts> fields) {
   view_ = begin.view;
   boxed_ = begin.box.has_value();
   snapshot_cause_ = begin.cause;
+  if (protocol::ApplyResult result = fields_.begin(begin, fields); !result) return result;
   return change([&](auto& replica) { return replica.begin(begin); });
 }
 
@@ -42,8 +44,15 @@ protocol::ApplyResult HeldState::add(const protocol::SnapshotChunk& chunk) {
   });
 }
 
+protocol::ApplyResult HeldState::add(const protocol::FieldValues& values) {
+  return fields_.values(values);
+}
+
 protocol::ApplyResult HeldState::end(const protocol::SnapshotEnd& end) {
-  protocol::ApplyResult result = change([&](auto& replica) { return replica.end(end); });
+  protocol::ApplyResult result = change([&](auto& replica) {
+    protocol::ApplyResult ended = replica.end(end);
+    return ended ? fields_.end(volume_) : ended;
+  });
   if (!result) return result;
   whole_ = true;
   awaiting_snapshot_ = false;
@@ -56,6 +65,7 @@ protocol::ApplyResult HeldState::apply(const protocol::Delta& delta) {
   {
     const std::scoped_lock lock(mutex_);
     protocol::ApplyResult result = boxed_ ? part_.apply(delta) : volume_.apply(delta);
+    if (result && !boxed_) result = fields_.apply(delta);
     if (!result) return result;
   }
   if (due_for_full_check(delta) && (boxed_ ? part_.compute_part_hash() != part_.part_hash()

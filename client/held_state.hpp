@@ -3,7 +3,9 @@
 #include <atomic>
 #include <cstdint>
 #include <mutex>
+#include <span>
 
+#include "protocol/fields.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
 #include "protocol/surface.hpp"
@@ -11,7 +13,7 @@
 
 namespace incise::client {
 
-// The mesh as the client holds it: a replica of the view in force, and how far it is.
+// The mesh as the client holds it: a replica of the view in force, its fields, and how far it is.
 //
 // Thread: changed by the client's thread, which may read without the lock. Others lock mutex() for the replicas.
 // Owns: the replicas.
@@ -22,8 +24,11 @@ class HeldState {
             std::uint32_t full_check_interval)
       : volume_(max_vertices, max_tets), view_(view), full_check_interval_(full_check_interval) {}
 
-  protocol::ApplyResult begin(const protocol::SnapshotBegin& begin);
+  // `fields`: Welcome.fields.
+  protocol::ApplyResult begin(const protocol::SnapshotBegin& begin,
+                              std::span<const protocol::FieldFacts> fields);
   protocol::ApplyResult add(const protocol::SnapshotChunk& chunk);
+  protocol::ApplyResult add(const protocol::FieldValues& values);
   protocol::ApplyResult end(const protocol::SnapshotEnd& end);
   protocol::ApplyResult apply(const protocol::Delta& delta);
   protocol::ApplyResult apply(const protocol::SurfaceDelta& delta);
@@ -48,6 +53,7 @@ class HeldState {
   const protocol::Replica& volume() const { return volume_; }
   const protocol::SurfaceReplica& surface() const { return surface_; }
   const protocol::VolumePart& part() const { return part_; }
+  const protocol::FieldReplica& fields() const { return fields_; }
 
  private:
   template <class F>
@@ -55,10 +61,11 @@ class HeldState {
   template <class D>
   bool due_for_full_check(const D& delta) const;
 
-  mutable std::mutex mutex_;  // of the replicas
+  mutable std::mutex mutex_;  // of the replicas and fields
   protocol::Replica volume_;
   protocol::SurfaceReplica surface_;
   protocol::VolumePart part_;
+  protocol::FieldReplica fields_;
 
   protocol::View view_;  // in force
   bool boxed_ = false;   // likewise: the snapshot was of what touches a box

@@ -36,6 +36,7 @@ class MessageReader : public FieldReader {
     out.blade = edge("blade", m.blade());
     out.resume_hash = m.resume_hash();
     out.load_rate_hz = rate("load_rate_hz", m.load_rate_hz());
+    out.fields = texts("fields", m.fields());
     return out;
   }
   Body read(const wire::Welcome& m) {
@@ -74,11 +75,12 @@ class MessageReader : public FieldReader {
       out.surface = SurfaceFacts{surface->triangles(), text("surface.path", surface->path()),
                                  text("surface.content_hash", surface->content_hash())};
     }
+    out.fields = field_facts(m.fields());
     return out;
   }
   Body read(const wire::Subscribe& m) {
     return Subscribe{enumeration<View>("view", m.view()), rate("max_rate_hz", m.max_rate_hz()),
-                     box("box", m.box())};
+                     box("box", m.box()), texts("fields", m.fields())};
   }
   Body read(const wire::Resync& m) {
     return Resync{m.revision(), m.hash(), text("reason", m.reason(), kMaxTextBytes)};
@@ -224,6 +226,7 @@ class MessageReader : public FieldReader {
     out.box = box("box", m.box());
     out.piece_ids = ids("piece_ids", m.piece_ids(), kNoId);
     out.piece_names = array("piece_names", m.piece_names(), out.piece_ids.size(), 1);
+    out.fields = ids("fields", m.fields(), kMaxFields);
     return out;
   }
   Body read(const wire::SnapshotChunk& m) {
@@ -339,6 +342,11 @@ class MessageReader : public FieldReader {
     out.valid_for_ns = m.valid_for_ns();
     return out;
   }
+  Body read(const wire::FieldValues& m) {
+    FieldValues out{m.field(), m.first(), array<float>("f32", m.f32()), array<std::int32_t>("i32", m.i32())};
+    require(out.f32.empty() || out.i32.empty(), "i32", "present as well as f32, accepted is one of them");
+    return out;
+  }
   Body read(const wire::BladePose& m) {
     BladePose out;
     out.source = m.source();
@@ -423,6 +431,7 @@ Body read_body(MessageReader& reader, const wire::Message& message) {
     INCISE_MESSAGE(SurfaceAsset);
     INCISE_MESSAGE(BladeLoad);
     INCISE_MESSAGE(BladeModel);
+    INCISE_MESSAGE(FieldValues);
 #undef INCISE_MESSAGE
     case wire::Body::NONE:
       break;

@@ -231,6 +231,30 @@ class FieldReader {
     return out;
   }
 
+  std::vector<std::string> texts(const char* field,
+                                 const Vec<flatbuffers::Offset<flatbuffers::String>>* values) {
+    std::vector<std::string> out;
+    if (values == nullptr) return out;
+    require(values->size() <= kMaxFields, field, "above the limit of 256");
+    if (!ok()) return out;
+    for (const flatbuffers::String* value : *values) out.push_back(text(field, value));
+    return out;
+  }
+
+  std::vector<FieldFacts> field_facts(const Vec<flatbuffers::Offset<wire::FieldFacts>>* values) {
+    std::vector<FieldFacts> out;
+    if (values == nullptr) return out;
+    require(values->size() <= kMaxFields, "fields", "above the limit of 256");
+    if (!ok()) return out;
+    for (const wire::FieldFacts* f : *values) {
+      out.push_back({text("fields.name", f->name()), enumeration<FieldOn>("fields.on", f->on()),
+                     f->components(), f->whole()});
+      require(f->components() >= 1 && f->components() <= kMaxFieldComponents, "fields.components",
+              "accepted are 1 to 9");
+    }
+    return out;
+  }
+
   float rate(const char* field, float hz) {
     finite(field, hz);
     require(hz >= 0, field, "accepted are numbers from 0");

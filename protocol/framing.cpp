@@ -83,6 +83,20 @@ Offset<Vec<Offset<wire::Step>>> steps(FlatBufferBuilder& b, const std::vector<St
   return offsets.empty() ? Offset<Vec<Offset<wire::Step>>>() : b.CreateVector(offsets);
 }
 
+Offset<Vec<Offset<flatbuffers::String>>> texts(FlatBufferBuilder& b, const std::vector<std::string>& values) {
+  return values.empty() ? Offset<Vec<Offset<flatbuffers::String>>>() : b.CreateVectorOfStrings(values);
+}
+
+Offset<Vec<Offset<wire::FieldFacts>>> field_facts(FlatBufferBuilder& b,
+                                                  const std::vector<FieldFacts>& values) {
+  std::vector<Offset<wire::FieldFacts>> offsets;
+  for (const FieldFacts& f : values) {
+    const auto name = text(b, f.name);
+    offsets.push_back(wire::CreateFieldFacts(b, name, wire::FieldOn(f.on), f.components, f.whole));
+  }
+  return offsets.empty() ? Offset<Vec<Offset<wire::FieldFacts>>>() : b.CreateVector(offsets);
+}
+
 // One overload a message; each returns the offset of its table.
 struct Encoder {
   FlatBufferBuilder& b;
@@ -92,9 +106,10 @@ struct Encoder {
     const auto interest = box(b, m.box);
     const auto source = text(b, m.source_name);
     const auto blade = edge(b, m.blade);
+    const auto fields = texts(b, m.fields);
     return wire::CreateHello(b, m.protocol_version, wire::Role(m.role), wire::View(m.view), name, version,
                              token, m.resume_session, m.resume_revision, m.max_rate_hz, interest, source,
-                             m.take_over, m.blade_rate_hz, blade, m.resume_hash, m.load_rate_hz)
+                             m.take_over, m.blade_rate_hz, blade, m.resume_hash, m.load_rate_hz, fields)
         .Union();
   }
   auto operator()(const Welcome& m) {
@@ -109,16 +124,18 @@ struct Encoder {
       const auto path = text(b, m.surface->path), hash = text(b, m.surface->content_hash);
       surface = wire::CreateSurfaceFacts(b, m.surface->triangles, path, hash);
     }
+    const auto fields = field_facts(b, m.fields);
     return wire::CreateWelcome(b, m.protocol_version, m.session, wire::Role(m.role), wire::View(m.view),
                                m.resumed, m.revision, m.state_hash, mesh, &heel, &tip, m.source,
                                m.engage_button, m.max_speed_m_s, m.frame_rate_hz, m.max_message_bytes, name,
                                version, m.server_monotonic_ns, m.server_unix_ns, policy,
-                               wire::Recording(m.recording), surface)
+                               wire::Recording(m.recording), surface, fields)
         .Union();
   }
   auto operator()(const Subscribe& m) {
     const auto interest = box(b, m.box);
-    return wire::CreateSubscribe(b, wire::View(m.view), m.max_rate_hz, interest).Union();
+    const auto fields = texts(b, m.fields);
+    return wire::CreateSubscribe(b, wire::View(m.view), m.max_rate_hz, interest, fields).Union();
   }
   auto operator()(const Resync& m) {
     const auto reason = text(b, m.reason);
@@ -208,9 +225,10 @@ struct Encoder {
   auto operator()(const SnapshotBegin& m) {
     const auto interest = box(b, m.box);
     const auto piece_ids = array(b, m.piece_ids), piece_names = array(b, m.piece_names);
+    const auto fields = array(b, m.fields);
     return wire::CreateSnapshotBegin(b, wire::View(m.view), m.revision, wire::SnapshotCause(m.cause),
                                      m.chunks, m.vertex_count, m.tet_count, m.triangle_count, interest,
-                                     piece_ids, piece_names)
+                                     piece_ids, piece_names, fields)
         .Union();
   }
   auto operator()(const SnapshotChunk& m) {
@@ -293,6 +311,11 @@ struct Encoder {
                                   m.resistance_n, m.valid_for_ns)
         .Union();
   }
+  auto operator()(const FieldValues& m) {
+    const auto f32 = array(b, m.f32);
+    const auto i32 = array(b, m.i32);
+    return wire::CreateFieldValues(b, m.field, m.first, f32, i32).Union();
+  }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
     return wire::CreateReplayState(b, capture, m.playing, m.speed, m.revision, m.last_revision, what).Union();
@@ -347,6 +370,7 @@ std::size_t expected_bytes(const Body& body) {
           return kSmall + m.positions.size_bytes() + m.triangles.size_bytes() + m.uvs.size_bytes() +
                  m.normals.size_bytes() + m.colours.size_bytes() + m.material_indices.size_bytes();
         }
+        if constexpr (std::is_same_v<T, FieldValues>) return kSmall + m.f32.size_bytes() + m.i32.size_bytes();
         if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
         if constexpr (std::is_same_v<T, BladeLoad>)
           return kSmall + m.ids.size_bytes() + m.forces.size_bytes();

@@ -52,6 +52,10 @@ inline constexpr std::size_t kMaxPositionsVertices = 2u << 20;
 inline constexpr std::uint32_t kDefaultReplicaTets = 32u << 20;
 inline constexpr std::uint32_t kDefaultReplicaVertices = 16u << 20;
 
+// Fields of a body, and numbers of each for a vertex or tetrahedron.
+inline constexpr std::uint32_t kMaxFields = 256;
+inline constexpr std::uint32_t kMaxFieldComponents = 9;
+
 // Materials of a surface asset.
 inline constexpr std::size_t kMaxMaterials = 4096;
 

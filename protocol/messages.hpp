@@ -58,6 +58,15 @@ enum class Role : std::uint8_t { Viewer, Operator, Simulator, Admin };
 enum class View : std::uint8_t { None, Surface, Volume };
 enum class Recording : std::uint8_t { Off, On, Stopped };
 
+enum class FieldOn : std::uint8_t { Vertices, Tets };
+struct FieldFacts {
+  std::string name;
+  FieldOn on = FieldOn::Vertices;
+  std::uint32_t components = 1;
+  bool whole = false;
+  friend bool operator==(const FieldFacts&, const FieldFacts&) = default;
+};
+
 struct Hello {
   std::uint32_t protocol_version = kProtocolVersion;
   Role role = Role::Viewer;
@@ -74,6 +83,7 @@ struct Hello {
   std::optional<BladeEdge> blade;
   std::uint64_t resume_hash = 0;  // Welcome's or a delta's state_hash at resume_revision; 0: not known
   float load_rate_hz = 0;
+  std::vector<std::string> fields;
 };
 
 struct MeshFacts {
@@ -109,12 +119,14 @@ struct Welcome {
   std::string policy;
   Recording recording = Recording::Off;
   std::optional<SurfaceFacts> surface;
+  std::vector<FieldFacts> fields;
 };
 
 struct Subscribe {
   View view = View::None;
   float max_rate_hz = 0;
   std::optional<Box> box;
+  std::vector<std::string> fields = {};
 };
 
 struct Resync {
@@ -308,7 +320,7 @@ struct SnapshotBegin {
   std::uint32_t chunks = 0;
   std::uint32_t vertex_count = 0, tet_count = 0, triangle_count = 0;
   std::optional<Box> box;
-  std::span<const std::uint32_t> piece_ids, piece_names;
+  std::span<const std::uint32_t> piece_ids, piece_names, fields;
 };
 
 struct SnapshotChunk {
@@ -428,11 +440,17 @@ struct BladeModel {
   std::int64_t valid_for_ns = 0;
 };
 
+struct FieldValues {
+  std::uint32_t field = 0, first = 0;
+  std::span<const float> f32;
+  std::span<const std::int32_t> i32;
+};
+
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.
 using Body = std::variant<Hello, Welcome, Subscribe, Resync, Ping, Pong, Error, Bye, PoseBatch, PoseReport,
                           StrokeControl, Force, Delta, SurfaceDelta, SnapshotBegin, SnapshotChunk,
                           SnapshotEnd, Positions, Stats, Reset, ReplayControl, ReplayState, BladePose,
-                          PositionsReport, SurfaceAsset, Undo, BladeLoad, BladeModel>;
+                          PositionsReport, SurfaceAsset, Undo, BladeLoad, BladeModel, FieldValues>;
 
 // The message's name as in the schema, e.g. "PoseBatch".
 const char* name_of(const Body& body);

@@ -66,7 +66,7 @@ class Replay {
       body_ = &live;
     } else {
       if (!config_.mesh.path.empty()) config_.mesh.path = motion.header->mesh_path;
-      own_body_ = load_body(config_);
+      own_body_ = load_body(config_, {}, true);
       if (own_body_.loaded.content_hash != motion.header->mesh_content_hash) {
         throw std::runtime_error(name_ + ": " + own_body_.name +
                                  " has changed since this was recorded; a replay needs the mesh as it was");
@@ -75,7 +75,8 @@ class Replay {
     }
     std::vector<core::Blade> blades;
     for (const Config::Source& source : config_.sources) blades.push_back(source.blade);
-    replay_.emplace(body_->loaded.mesh, config_.cut, std::move(blades), std::move(motion));
+    replay_.emplace(body_->loaded.mesh, config_.cut, std::move(blades), std::move(motion),
+                    body_->loaded.fields);
     show();
   }
 

@@ -216,7 +216,7 @@ void check_recording(const Config& config, const std::string& file) {
 Recording begin_recording(const Config& config, const Body& body) {
   Recording recording;
   recording.session_id = fresh_session_id();
-  recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
   recording.shown.before = replay::initial_state(*recording.session, recording.session_id);
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
@@ -277,7 +277,9 @@ Recording resume_recording(const Config& config, const Body& body) {
         " --out MESH saves the mesh as it was before; without --resume a new session begins, "
         "and this capture is kept");
   }
-  if (!checkpointed) start->session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+  if (!checkpointed) {
+    start->session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
+  }
   Recording recording;
   recording.session_id = motion.session;
   recording.next_checkpoint = start->next_checkpoint;

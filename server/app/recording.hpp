@@ -15,12 +15,12 @@ namespace incise::app {
 
 // A session at the start of a server, and its journal.
 struct Recording {
-  std::unique_ptr<core::CutSession> session;
-  std::uint64_t session_id = 0;             // names the run of ids
-  std::unique_ptr<CaptureJournal> journal;  // null: nothing is recorded
-  int next_checkpoint = 0;                  // the checkpoint file that may be overwritten
-  double debt_s = 0;                        // work that the next resume would have to repeat
-  std::uint64_t lost = 0;                   // records at its end that could not be written
+  std::unique_ptr<core::CutSession> session;  // with the body's fields
+  std::uint64_t session_id = 0;               // names the run of ids
+  std::unique_ptr<CaptureJournal> journal;    // null: nothing is recorded
+  int next_checkpoint = 0;                    // the checkpoint file that may be overwritten
+  double debt_s = 0;                          // work that the next resume would have to repeat
+  std::uint64_t lost = 0;                     // records at its end that could not be written
   ReplayTail::Tail
       shown;  // what clients see at the start: a state, and the steps from there to the session's
 };

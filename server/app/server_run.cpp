@@ -38,9 +38,12 @@ constexpr std::int64_t kLastCheckpoint_ns = 5'000'000'000;
 
 Body load_and_log(const Config& config) {
   std::string last_stage;
-  Body body = load_body(config, [&](std::string_view stage, double seconds) {
-    if (seconds > 2 && last_stage != stage) spdlog::info("filling the mesh: {}", last_stage = stage);
-  });
+  Body body = load_body(
+      config,
+      [&](std::string_view stage, double seconds) {
+        if (seconds > 2 && last_stage != stage) spdlog::info("filling the mesh: {}", last_stage = stage);
+      },
+      true);
   for (const std::string& warning : body.loaded.warnings) spdlog::warn("{}", warning);
   return body;
 }
@@ -164,7 +167,7 @@ RunningServer::RunningServer(const Config& config, bool resume)
           [this](loop::Undone undone) { undone_.offer(std::move(undone)); })),
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
-      spare_(body_.loaded.mesh, config.cut, body_.origins),
+      spare_(body_, config.cut),
       server_(stream_config(config), facts(), recording_.shown.before, stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
@@ -212,7 +215,7 @@ void RunningServer::join_loop() {
   };
   frames_.offer_reset([this] { return spare_.take(); },
                       [this, go_on](std::unique_ptr<core::CutSession> used) {
-                        return go_on(std::move(used), shown_again(spare_.mirror()));
+                        return go_on(std::move(used), spare_.shown());
                       });
   if (!journal_ || !journal_->checkpointer()) return;
   stream_input_.join(journal_->checkpointer());
@@ -239,6 +242,7 @@ void RunningServer::open_inputs() {
 
 void RunningServer::start() {
   if (saved_.valid()) saved_.wait();  // before anything changes the session
+  session().drop_fields();            // the stream carries them, and the checkpoints
   if (config_.loop.lock_memory) spdlog::info("{}", loop::request_locked_memory());
   server_.start();
   loop_thread_ = std::jthread([this](const std::stop_token& stop) { run_loop(stop); });

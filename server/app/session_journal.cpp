@@ -20,7 +20,7 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   options.replay_s = config.capture.checkpoint_replay_s;
   options.debt_s = recording.debt_s;
   options.fresh = [&config, &body] {
-    return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut);
+    return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
   };
   options.undone = std::move(on_undone);
   auto first = options.fresh;

@@ -1,6 +1,6 @@
 #include "server/app/spare_session.hpp"
 
-#include "server/app/stream_setup.hpp"
+#include "server/replay/session_view.hpp"
 
 namespace incise::app {
 
@@ -27,8 +27,14 @@ void SpareSession::run(const std::stop_token& stop) {
   for (std::uint32_t turn = 0; !stop.stop_requested(); turns_.wait(turn), turn = turns_.load()) {
     delete used_.exchange(nullptr);
     if (spare_.load() != nullptr) continue;
-    auto session = std::make_unique<core::CutSession>(mesh_, config_);
-    if (!mirror_) mirror_ = mirror_of(*session, origins_);
+    const mesh_io::LoadedMesh& loaded = body_.loaded;
+    auto session = mirror_ ? std::make_unique<core::CutSession>(loaded.mesh, config_)
+                           : std::make_unique<core::CutSession>(loaded.mesh, config_, loaded.fields);
+    if (!mirror_) {
+      fields_ = replay::shared_fields(*session);
+      session->drop_fields();
+      mirror_ = mirror_of(*session, body_.origins);
+    }
     spare_.store(session.release());
   }
 }

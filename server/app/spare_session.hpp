@@ -4,25 +4,24 @@
 #include <cstdint>
 #include <memory>
 #include <thread>
+#include <vector>
 
+#include "server/app/body.hpp"
+#include "server/app/stream_setup.hpp"
 #include "server/core/cut/cut_config.hpp"
-#include "server/core/mesh/mesh_data.hpp"
 #include "server/core/session/cut_session.hpp"
-#include "server/stream/mirror.hpp"
 
 namespace incise::app {
 
-// What a reset begins with, built beside the loop and ahead of time: a session of the mesh as loaded, and the mirror of it. So a reset
-// costs the loop the exchange of a pointer.
+// What a reset begins with, built beside the loop and ahead of time: a session of the body as loaded, and the mirror and fields of it. So a
+// reset costs the loop the exchange of a pointer.
 //
 // Thread: take() and give_back() from the loop's; the rest from one. Owns: a thread that builds and destroys sessions, one that waits
 // and the mirror.
 class SpareSession {
  public:
-  // Mesh and configuration must outlive this. `origins`: InitialState::origins.
-  SpareSession(const core::MeshData& mesh, const core::CutConfig& config,
-               std::shared_ptr<const protocol::OriginTree> origins = nullptr)
-      : mesh_(mesh), config_(config), origins_(std::move(origins)) {}
+  // Body and configuration must outlive this.
+  SpareSession(const Body& body, const core::CutConfig& config) : body_(body), config_(config) {}
   SpareSession(const SpareSession&) = delete;
   SpareSession& operator=(const SpareSession&) = delete;
   ~SpareSession();
@@ -35,16 +34,17 @@ class SpareSession {
   }
   // Has a session that the loop no longer uses destroyed, and after a take() another one built.
   void give_back(std::unique_ptr<core::CutSession> used) noexcept;
-  // What viewers are shown of each fresh session. After a take() that gave one.
-  std::shared_ptr<const stream::Mirror> mirror() const { return mirror_; }
+  // What viewers are shown of a fresh session: another epoch each time. After a take() that gave one.
+  std::shared_ptr<stream::InitialState> shown() const { return shown_again(mirror_, fields_); }
 
  private:
   void run(const std::stop_token& stop);
 
-  const core::MeshData& mesh_;
+  const Body& body_;
   const core::CutConfig& config_;
-  const std::shared_ptr<const protocol::OriginTree> origins_;
-  std::shared_ptr<const stream::Mirror> mirror_;  // set before the first session is there, and not changed
+  // Set before the first session is there, and not changed.
+  std::shared_ptr<const stream::Mirror> mirror_;
+  std::shared_ptr<const std::vector<core::Field>> fields_;
   std::atomic<core::CutSession*> spare_{nullptr}, used_{nullptr};
   std::atomic<std::uint32_t> turns_{0};
   std::jthread thread_;

@@ -57,10 +57,12 @@ std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
   return mirror;
 }
 
-std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror) {
+std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror,
+                                                  std::shared_ptr<const std::vector<core::Field>> fields) {
   auto shown = std::make_shared<stream::InitialState>();
   shown->epoch = fresh_session_id();
   shown->mirror = std::move(mirror);
+  shown->fields = std::move(fields);
   return shown;
 }
 

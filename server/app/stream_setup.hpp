@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <vector>
 
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
@@ -22,8 +23,9 @@ stream::ServerFacts server_facts(const Config& config, const Body& body, const c
 // it. O(mesh).
 std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
                                                 std::shared_ptr<const protocol::OriginTree> origins);
-// What viewers are shown when the loop goes on with the session that `mirror` is of: another epoch.
-std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror);
+// What viewers are shown when the loop goes on with the session that `mirror` and `fields` are of: another epoch.
+std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror,
+                                                  std::shared_ptr<const std::vector<core::Field>> fields);
 // A random number that names a run of ids. Never 0.
 std::uint64_t fresh_session_id();
 

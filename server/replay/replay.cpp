@@ -11,15 +11,15 @@ constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a re
 }  // namespace
 
 Replay::Replay(const core::MeshData& mesh, const core::CutConfig& cut, std::vector<core::Blade> blades,
-               RecordedMotion motion)
-    : mesh_(mesh), cut_(cut), blades_(std::move(blades)), motion_(std::move(motion)) {
+               RecordedMotion motion, std::span<const core::Field> fields)
+    : mesh_(mesh), fields_(fields), cut_(cut), blades_(std::move(blades)), motion_(std::move(motion)) {
   for (const protocol::BatchMark& mark : motion_.marks)
     last_revision_ = std::max(last_revision_, mark.revision);
   restart();
 }
 
 void Replay::restart() {
-  session_ = std::make_unique<core::CutSession>(mesh_, cut_);
+  session_ = std::make_unique<core::CutSession>(mesh_, cut_, fields_);
   next_ = 0;
   clock_ns_ = 0;
 }

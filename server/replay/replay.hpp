@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "server/replay/recorded_motion.hpp"
@@ -15,9 +16,9 @@ inline constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 // A recorded motion that cuts a mesh again, event by event. Thread: one, at a time. Owns: the session.
 class Replay {
  public:
-  // `mesh` must outlive this. `blades`: those of the first sources, where they differ from `cut.blade`.
+  // `mesh` and its `fields` must outlive this. `blades`: those of the first sources, where they differ from `cut.blade`.
   Replay(const core::MeshData& mesh, const core::CutConfig& cut, std::vector<core::Blade> blades,
-         RecordedMotion motion);
+         RecordedMotion motion, std::span<const core::Field> fields = {});
 
   // Back to the uncut mesh.
   void restart();
@@ -37,6 +38,7 @@ class Replay {
   std::int64_t pause_ns() const;
 
   const core::MeshData& mesh_;
+  const std::span<const core::Field> fields_;
   core::CutConfig cut_;
   std::vector<core::Blade> blades_;
   RecordedMotion motion_;

@@ -26,6 +26,11 @@ protocol::MeshFacts mesh_facts(const std::string& name, const std::string& conte
   return facts;
 }
 
+std::shared_ptr<const std::vector<core::Field>> shared_fields(const core::CutSession& session) {
+  const std::vector<core::Field>& fields = session.fields().all();
+  return fields.empty() ? nullptr : std::make_shared<const std::vector<core::Field>>(fields);
+}
+
 stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id) {
   const core::TetMesh& mesh = session.mesh();
   stream::InitialState state;
@@ -45,6 +50,7 @@ stream::InitialState initial_state(const core::CutSession& session, std::uint64_
     state.piece_ids.push_back(piece.id);
     state.piece_names.push_back(piece.tet);
   }
+  state.fields = shared_fields(session);
   return state;
 }
 

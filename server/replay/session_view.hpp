@@ -1,7 +1,9 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "protocol/messages.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -17,6 +19,8 @@ protocol::MeshFacts mesh_facts(const std::string& name, const std::string& conte
                                const core::MeshData& data, const core::TetMesh& mesh);
 // The state that clients start from. O(mesh).
 stream::InitialState initial_state(const core::CutSession& session, std::uint64_t session_id);
+// Its fields, as InitialState has them. O(mesh) where there are any.
+std::shared_ptr<const std::vector<core::Field>> shared_fields(const core::CutSession& session);
 // The button whose press engages the blade, for Welcome.
 std::int32_t engage_button(const core::CutConfig& config);
 // The policy's name in Welcome.

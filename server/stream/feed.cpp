@@ -9,6 +9,10 @@ namespace incise::stream {
 
 void Feed::reset(std::shared_ptr<const InitialState> initial) {
   mirror_.reset(*initial);
+  fields_.clear();
+  if (initial->fields) {
+    for (const core::Field& field : *initial->fields) fields_.push_back(facts_of(field));
+  }
   keeper_.reset(std::move(initial));
   ring_.clear();
   changes_.clear();
@@ -34,11 +38,12 @@ bool Feed::can_resume(std::uint64_t revision, std::uint64_t hash) const {
   return hash == (revision == head ? mirror_.volume().state_hash() : ring_.step(revision + 1).base_hash);
 }
 
-void Feed::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+void Feed::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box, bool fields,
                             SnapshotKeeper::Ready ready) {
-  keeper_.request(view, box, [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
-    asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
-  });
+  keeper_.request(view, box, fields,
+                  [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
+                    asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
+                  });
 }
 
 SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "server/stream/delta_ring.hpp"
 #include "server/stream/mirror.hpp"
@@ -29,12 +30,14 @@ class Feed {
 
   const Mirror& mirror() const { return mirror_; }
   const DeltaRing& ring() const { return ring_; }
+  // That the body has.
+  const std::vector<protocol::FieldFacts>& fields() const { return fields_; }
 
   // Whether deltas lead on from the state of that revision with that hash (0: not known). The hash matters after a
   // crash: a server that resumes a capture may have lost its last steps and made others in their place.
   bool can_resume(std::uint64_t revision, std::uint64_t hash) const;
   // Calls `ready` on this thread, later.
-  void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box,
+  void request_snapshot(protocol::View view, const std::optional<protocol::Box>& box, bool fields,
                         SnapshotKeeper::Ready ready);
   // The delta from `base` to the mirror's revision, made once for all who ask. Null where only a snapshot helps.
   SharedFrame coalesced(protocol::View view, std::uint64_t base);
@@ -49,6 +52,7 @@ class Feed {
   DeltaRing ring_;
   ChangeRing changes_;
   std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
+  std::vector<protocol::FieldFacts> fields_;
   SnapshotKeeper keeper_;
 };
 

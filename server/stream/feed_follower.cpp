@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "server/stream/quoted.hpp"
+
 namespace incise::stream {
 
 using protocol::SnapshotCause;
@@ -16,8 +18,32 @@ FeedFollower::FeedFollower(PeerContext& context, Outbox& outbox)
       pace_(context.io) {}
 
 std::uint64_t FeedFollower::epoch_name() const {
+  std::uint64_t chosen = 0;
+  for (const std::uint32_t field : fields()) chosen = (chosen ^ (field + 1)) * 0x100000001b3;
   return feed_->mirror().epoch() ^ (want_.view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^
-         (want_.box ? 0xc2b2ae3d27d4eb4f : 0);
+         (want_.box ? 0xc2b2ae3d27d4eb4f : 0) ^ chosen;
+}
+
+std::vector<std::uint32_t> FeedFollower::fields() const {
+  if (want_.view != View::Volume || want_.box) return {};
+  std::vector<std::string> unknown;
+  return protocol::fields_named(want_.fields, feed_->fields(), unknown);
+}
+
+std::string FeedFollower::missing_fields() const {
+  if (want_.fields.empty()) return {};
+  if (want_.view != View::Volume || want_.box)
+    return "fields: they come with the view Volume, and without a box";
+  std::vector<std::string> unknown;
+  protocol::fields_named(want_.fields, feed_->fields(), unknown);
+  if (unknown.empty()) return {};
+  std::string there;
+  for (const protocol::FieldFacts& field : feed_->fields()) {
+    if (!there.empty()) there += ", ";
+    there += quoted(field.name);
+  }
+  return "fields: the body has none called " + quoted(unknown.front()) + "; " +
+         (there.empty() ? "it has no fields" : "it has " + there);
 }
 
 // ---- What the peer asks for ----
@@ -28,9 +54,11 @@ void FeedFollower::set(const Subscription& subscription) {
 }
 
 void FeedFollower::resubscribe(const Subscription& subscription) {
-  const bool same = subscription.view == want_.view && subscription.box == want_.box;
+  const std::vector<std::uint32_t> had = fields();
+  const View view = want_.view;
+  const std::optional<protocol::Box> box = want_.box;
   set(subscription);
-  if (same) {
+  if (view == want_.view && box == want_.box && had == fields()) {
     advance();
     return;
   }
@@ -98,7 +126,7 @@ void FeedFollower::send_snapshot(SnapshotCause cause) {
     ++context_.counters->slow_snapshots;
   }
   ++context_.counters->snapshots;
-  snapshot_.request(*feed_, want_.view, want_.box, cause,
+  snapshot_.request(*feed_, want_, cause,
                     [this](std::shared_ptr<const Snapshot> snapshot) { on_snapshot(std::move(snapshot)); });
 }
 
@@ -117,7 +145,7 @@ void FeedFollower::on_snapshot(std::shared_ptr<const Snapshot> snapshot) {
       return;
     }
   }
-  snapshot_.begin(std::move(snapshot));
+  snapshot_.begin(std::move(snapshot), fields());
   advance();
 }
 

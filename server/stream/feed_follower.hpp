@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "server/stream/box_turns.hpp"
 #include "server/stream/delta_pace.hpp"
@@ -12,15 +13,9 @@
 #include "server/stream/outbox.hpp"
 #include "server/stream/peer_context.hpp"
 #include "server/stream/snapshot_delivery.hpp"
+#include "server/stream/subscription.hpp"
 
 namespace incise::stream {
-
-// What a peer wants of the mesh: Hello or Subscribe says it.
-struct Subscription {
-  protocol::View view = protocol::View::None;
-  std::optional<protocol::Box> box;
-  float max_rate_hz = 0;  // deltas a second; 0: one for each revision
-};
 
 // Keeps one peer in step with a feed: a snapshot, then deltas. It knows which revision the peer holds, counting what
 // the outbox has, and decides what comes next; StreamConfig gives the policy for peers that read slowly.
@@ -49,8 +44,10 @@ class FeedFollower final : public BoxHolder {
 
   const Feed& feed() const { return *feed_; }
   protocol::View view() const { return want_.view; }
-  // What the peer knows the feed's epoch as. Each view, and each box, has another name, so that a peer cannot resume
-  // one view with another's state.
+  // Why the peer gets not all the fields that it asked for; empty: it does.
+  std::string missing_fields() const;
+  // What the peer knows the feed's epoch as. Each view, each choice of fields, and each box, has another name, so that a peer cannot
+  // resume one with another's state.
   std::uint64_t epoch_name() const;
 
   // BoxHolder
@@ -61,6 +58,8 @@ class FeedFollower final : public BoxHolder {
 
  private:
   void set(const Subscription& subscription);
+  // Places of the fields that the peer gets, in the feed's list.
+  std::vector<std::uint32_t> fields() const;
   void drop_state();
   void on_snapshot(std::shared_ptr<const Snapshot> snapshot);
   void on_snapshot_sent(const Snapshot& snapshot);

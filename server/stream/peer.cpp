@@ -123,7 +123,8 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
     // It has moved last_received_ns_, which is all it is for.
   } else if (const auto* subscribe = std::get_if<protocol::Subscribe>(&body)) {
     if (speaks(subscribe->view)) {
-      follower_.resubscribe({subscribe->view, subscribe->box, subscribe->max_rate_hz});
+      follower_.resubscribe({subscribe->view, subscribe->box, subscribe->max_rate_hz, subscribe->fields});
+      complain_of_fields(sequence);
     } else {
       outbox_.complain(ErrorCode::NotAvailable, "view Volume needs protocol version 2", sequence);
     }

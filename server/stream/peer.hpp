@@ -105,6 +105,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<std::optional<Refusal>> take_blade(const protocol::Hello& hello);
   asio::awaitable<std::unique_ptr<PoseInput>> take_over(const protocol::Hello& hello);
   void send_welcome(bool resumed);
+  void complain_of_fields(std::uint64_t sequence);
 
   // Outbox::Owner
   void on_too_slow(const std::string& what) override;

@@ -64,10 +64,11 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   load_rate_hz_ = hello.load_rate_hz;
   stage_ = Stage::kOpen;
   transport_->set_max_bytes(accepted_bytes());
-  follower_.start({hello.view, hello.box, hello.max_rate_hz});
+  follower_.start({hello.view, hello.box, hello.max_rate_hz, hello.fields});
   const bool returns = hello.view != protocol::View::None && hello.resume_session != 0;
   const bool resumed = returns && follower_.can_resume(hello);
   send_welcome(resumed);
+  complain_of_fields(sequence);
   blade_.note_reported(context_.recording.state);
   if (context_.recording.state == protocol::Recording::Stopped) warn_not_recorded();
   if (resumed) {
@@ -144,6 +145,11 @@ asio::awaitable<std::unique_ptr<PoseInput>> Peer::take_over(const protocol::Hell
   co_return input;
 }
 
+void Peer::complain_of_fields(std::uint64_t sequence) {
+  if (const std::string missing = follower_.missing_fields(); !missing.empty())
+    outbox_.complain(ErrorCode::NotAvailable, missing, sequence);
+}
+
 void Peer::send_welcome(bool resumed) {
   const ServerFacts& facts = context_.facts;
   const Mirror& mirror = follower_.feed().mirror();
@@ -172,6 +178,7 @@ void Peer::send_welcome(bool resumed) {
   welcome.recording = context_.recording.state;
   // A replay may be of another body.
   if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
+  welcome.fields = follower_.feed().fields();
   outbox_.send(make_frame(std::move(welcome)));
 }
 

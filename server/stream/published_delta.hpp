@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "server/core/mesh/delta.hpp"
+#include "server/core/mesh/field.hpp"
 #include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::protocol {
@@ -33,7 +34,8 @@ struct InitialState {
   std::vector<core::TetState> tets;                   // live ones, ascending by id
   std::vector<std::uint32_t> piece_ids, piece_names;  // the pieces but 0, ascending; a tetrahedron of each
   std::shared_ptr<const Mirror> mirror;  // not null: the state is this one's, and the rest is empty
-  std::shared_ptr<const protocol::OriginTree> origins;  // null: the body was not filled from a surface
+  std::shared_ptr<const protocol::OriginTree> origins;     // null: the body was not filled from a surface
+  std::shared_ptr<const std::vector<core::Field>> fields;  // null: it has none; a row for each id
 };
 
 }  // namespace incise::stream

@@ -275,7 +275,7 @@ void Server::request_surface(std::function<void(SharedFrames)> ready) {
       frames.push_back(snapshot->end);
       ready(std::move(frames));
     };
-    impl->context.live.request_snapshot(protocol::View::Surface, std::nullopt, unpack);
+    impl->context.live.request_snapshot(protocol::View::Surface, std::nullopt, false, unpack);
   });
 }
 

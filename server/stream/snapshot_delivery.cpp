@@ -4,12 +4,12 @@
 
 namespace incise::stream {
 
-void SnapshotDelivery::request(Feed& feed, protocol::View view, const std::optional<protocol::Box>& box,
-                               protocol::SnapshotCause cause, Ready ready) {
+void SnapshotDelivery::request(Feed& feed, const Subscription& wanted, protocol::SnapshotCause cause,
+                               Ready ready) {
   requested_ = true;
   cause_ = cause;
   const std::uint64_t request = ++request_;
-  feed.request_snapshot(view, box,
+  feed.request_snapshot(wanted.view, wanted.box, !wanted.fields.empty() && !wanted.box,
                         [this, weak = std::weak_ptr<void>(outbox_.keep()), request,
                          ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
                           const auto alive = weak.lock();
@@ -19,11 +19,13 @@ void SnapshotDelivery::request(Feed& feed, protocol::View view, const std::optio
                         });
 }
 
-void SnapshotDelivery::begin(std::shared_ptr<const Snapshot> snapshot) {
+void SnapshotDelivery::begin(std::shared_ptr<const Snapshot> snapshot, std::vector<std::uint32_t> fields) {
   snapshot_ = std::move(snapshot);
-  next_chunk_ = 0;
+  fields_ = std::move(fields);
+  next_chunk_ = next_field_ = next_part_ = 0;
   protocol::SnapshotBegin begin = snapshot_->begin;
   begin.cause = cause_;
+  begin.fields = fields_;
   outbox_.send_state(make_frame(begin));
 }
 
@@ -31,6 +33,13 @@ std::shared_ptr<const Snapshot> SnapshotDelivery::send_chunks(std::size_t max_by
   while (next_chunk_ < snapshot_->chunks.size()) {
     if (outbox_.state_bytes() > max_bytes) return nullptr;
     outbox_.send_state(snapshot_->chunks[next_chunk_++]);
+  }
+  for (; next_field_ < fields_.size(); ++next_field_, next_part_ = 0) {
+    const std::vector<SharedFrame>& parts = snapshot_->fields[fields_[next_field_]];
+    while (next_part_ < parts.size()) {
+      if (outbox_.state_bytes() > max_bytes) return nullptr;
+      outbox_.send_state(parts[next_part_++]);
+    }
   }
   outbox_.send_state(snapshot_->end);
   return std::exchange(snapshot_, nullptr);

@@ -5,9 +5,11 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "server/stream/feed.hpp"
 #include "server/stream/outbox.hpp"
+#include "server/stream/subscription.hpp"
 
 namespace incise::stream {
 
@@ -27,9 +29,9 @@ class SnapshotDelivery {
 
   // Asks for one; it comes to `ready`, unless forget() was called or the peer has gone.
   using Ready = std::function<void(std::shared_ptr<const Snapshot>)>;
-  void request(Feed& feed, protocol::View view, const std::optional<protocol::Box>& box,
-               protocol::SnapshotCause cause, Ready ready);
-  void begin(std::shared_ptr<const Snapshot> snapshot);
+  void request(Feed& feed, const Subscription& wanted, protocol::SnapshotCause cause, Ready ready);
+  // `fields`: places of those that go along, in the feed's list.
+  void begin(std::shared_ptr<const Snapshot> snapshot, std::vector<std::uint32_t> fields);
   // Sends on while at most `max_bytes` of state wait. Returns the snapshot once all of it is in the outbox, else
   // null.
   std::shared_ptr<const Snapshot> send_chunks(std::size_t max_bytes);
@@ -44,7 +46,9 @@ class SnapshotDelivery {
   std::uint64_t request_ = 0;  // the last one's number
   protocol::SnapshotCause cause_ = protocol::SnapshotCause::Join;
   std::shared_ptr<const Snapshot> snapshot_;
+  std::vector<std::uint32_t> fields_;
   std::size_t next_chunk_ = 0;
+  std::size_t next_field_ = 0, next_part_ = 0;  // of fields_, and of that field's frames
 };
 
 }  // namespace incise::stream

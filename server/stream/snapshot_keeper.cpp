@@ -9,6 +9,11 @@
 
 namespace incise::stream {
 
+protocol::FieldFacts facts_of(const core::Field& field) {
+  return {field.name, static_cast<protocol::FieldOn>(field.on), static_cast<std::uint32_t>(field.components),
+          field.values.index() == 1};
+}
+
 SnapshotKeeper::SnapshotKeeper() : thread_([this] { run(); }) {}
 
 SnapshotKeeper::~SnapshotKeeper() {
@@ -34,8 +39,9 @@ void SnapshotKeeper::reset(std::shared_ptr<const InitialState> initial) {
 void SnapshotKeeper::apply(std::shared_ptr<const PublishedDelta> delta) {
   enqueue(std::move(delta));
 }
-void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready) {
-  enqueue(Request{view, box, std::move(ready)});
+void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::Box>& box, bool fields,
+                             Ready ready) {
+  enqueue(Request{view, box, fields, std::move(ready)});
 }
 
 void SnapshotKeeper::run() {
@@ -55,9 +61,11 @@ void SnapshotKeeper::run() {
         const protocol::Delta& change = arrays_.assign(**delta, replica_);
         const protocol::ApplyResult result = replica_.apply(change);
         INCISE_CHECK(result, result.text);
+        const protocol::ApplyResult carried = fields_.apply(change);
+        INCISE_CHECK(carried, carried.text);
       } else {
         const Request& request = std::get<Request>(task);
-        request.ready(encode(request.view, request.box));
+        request.ready(encode(request));
       }
       task = Task{};  // releases the delta at once
     }
@@ -66,6 +74,11 @@ void SnapshotKeeper::run() {
 
 void SnapshotKeeper::reset_to(const InitialState& initial) {
   epoch_ = initial.epoch;
+  std::vector<protocol::Field> fields;
+  if (initial.fields) {
+    for (const core::Field& field : *initial.fields) fields.push_back({facts_of(field), field.values});
+  }
+  fields_.load(std::move(fields));
   if (initial.mirror) {
     replica_ = initial.mirror->volume();
     surface_ = initial.mirror->surface();
@@ -77,11 +90,24 @@ void SnapshotKeeper::reset_to(const InitialState& initial) {
   INCISE_CHECK(problem.empty(), problem);
 }
 
-std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
-                                                       const std::optional<protocol::Box>& box) {
+void SnapshotKeeper::encode_fields(Snapshot& snapshot) const {
+  const std::vector<protocol::Field>& all = fields_.all();
+  for (std::uint32_t place = 0; place < all.size(); ++place) {
+    std::vector<SharedFrame>& frames = snapshot.fields.emplace_back();
+    protocol::FieldWriter writer(all[place], place, protocol::kChunkElements);
+    while (writer.next()) {
+      frames.push_back(make_frame(writer.message()));
+      snapshot.bytes += frames.back()->tcp().size();
+    }
+  }
+}
+
+std::shared_ptr<const Snapshot> SnapshotKeeper::encode(const Request& request) {
+  const auto& [view, box, with_fields, ready] = request;
   std::weak_ptr<const Snapshot>& last = last_[static_cast<std::size_t>(view)];
-  if (auto same = last.lock();
-      same && !box && same->epoch == epoch_ && same->begin.revision == replica_.revision()) {
+  if (auto same = last.lock(); same && !box && same->epoch == epoch_ &&
+                               same->begin.revision == replica_.revision() &&
+                               (!with_fields || same->fields.size() == fields_.all().size())) {
     return same;
   }
   auto snapshot = std::make_shared<Snapshot>();
@@ -119,6 +145,7 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(protocol::View view,
     encode_all(protocol::VolumePartWriter(part, *box, kCause), replica_.state_hash());
   } else {
     encode_all(protocol::SnapshotWriter(replica_, kCause));
+    if (with_fields) encode_fields(*snapshot);
   }
   if (!box) last = snapshot;
   return snapshot;

@@ -10,6 +10,7 @@
 #include <variant>
 #include <vector>
 
+#include "protocol/fields.hpp"
 #include "protocol/messages.hpp"
 #include "server/stream/mirror.hpp"
 
@@ -21,13 +22,17 @@ struct Snapshot {
   protocol::SnapshotBegin begin;                      // points to the next two
   std::vector<std::uint32_t> piece_ids, piece_names;  // of the whole volume
   std::vector<SharedFrame> chunks;
+  std::vector<std::vector<SharedFrame>> fields;  // of each field there is; empty: they were not asked for
   SharedFrame end;
   std::size_t bytes = 0;
   // With a box: what it contains. Such a snapshot is for one peer, which takes the part over.
   std::shared_ptr<BoxPart> part;
 };
 
-// Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror: a snapshot of millions
+// The field as clients are told of it.
+protocol::FieldFacts facts_of(const core::Field& field);
+
+// Encodes snapshots on a thread of its own, from a replica of its own that follows the mirror, and carries the body's fields there: a snapshot of millions
 // of tetrahedra takes a tenth of a second, and deltas must go on to everybody else. Calls take effect in order, so a
 // snapshot has the last revision that was applied before the request.
 //
@@ -42,13 +47,14 @@ class SnapshotKeeper {
 
   void reset(std::shared_ptr<const InitialState> initial);
   void apply(std::shared_ptr<const PublishedDelta> delta);
-  // With a box: only what touches it.
-  void request(protocol::View view, const std::optional<protocol::Box>& box, Ready ready);
+  // With a box: only what touches it. With `fields`, which a box has not: their values, too.
+  void request(protocol::View view, const std::optional<protocol::Box>& box, bool fields, Ready ready);
 
  private:
   struct Request {
     protocol::View view;
     std::optional<protocol::Box> box;
+    bool fields;
     Ready ready;
   };
   using Task =
@@ -56,11 +62,13 @@ class SnapshotKeeper {
   void enqueue(Task task);
   void run();
   void reset_to(const InitialState& initial);
-  std::shared_ptr<const Snapshot> encode(protocol::View view, const std::optional<protocol::Box>& box);
+  std::shared_ptr<const Snapshot> encode(const Request& request);
+  void encode_fields(Snapshot& snapshot) const;
 
   // The keeper's thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;  // of replica_ as it was at the last request for that view
+  protocol::FieldReplica fields_;
   std::uint64_t epoch_ = 0, surface_epoch_ = 0;
   DeltaArrays arrays_;
   // The last snapshot of each view while a peer is still sent it: many that join at once share it.

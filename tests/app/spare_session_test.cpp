@@ -33,17 +33,24 @@ void cut_through(core::CutSession& session) {
 
 // One after the other, cut and given back, and each is the mesh as loaded.
 TEST(SpareSession, EachIsTheMeshAsLoaded) {
-  const core::MeshData mesh = tests::cube(3);
+  Body body;
+  body.loaded.mesh = tests::cube(3);
+  body.loaded.fields = {
+      {"label", core::Field::On::kTets, 1, std::vector<std::int32_t>(body.loaded.mesh.tets.size(), 7)}};
   const core::CutConfig cut = config();
-  const core::CutSession plain(mesh, cut);
-  SpareSession spare(mesh, cut);
+  const core::CutSession plain(body.loaded.mesh, cut);
+  SpareSession spare(body, cut);
   EXPECT_EQ(spare.take(), nullptr) << "it has not begun to build";
   spare.start();
   for (int i = 0; i < 5; ++i) {
     std::unique_ptr<core::CutSession> session = wait_for(spare);
     EXPECT_EQ(session->revision(), 0u);
     EXPECT_EQ(session->mesh().state_hash(), plain.mesh().state_hash());
-    EXPECT_EQ(spare.mirror()->volume().state_hash(), plain.mesh().state_hash());
+    EXPECT_TRUE(session->fields().all().empty()) << "the stream carries them";
+    const auto shown = spare.shown();
+    EXPECT_EQ(shown->mirror->volume().state_hash(), plain.mesh().state_hash());
+    ASSERT_TRUE(shown->fields);
+    EXPECT_EQ(shown->fields->at(0).values, body.loaded.fields[0].values);
     cut_through(*session);
     EXPECT_GT(session->revision(), 0u);
     spare.give_back(i % 2 == 0 ? std::move(session) : nullptr);
@@ -51,11 +58,12 @@ TEST(SpareSession, EachIsTheMeshAsLoaded) {
 }
 
 TEST(SpareSession, EndsWhileItBuildsAndWithoutHavingBegun) {
-  const core::MeshData mesh = tests::cube(8);
+  Body body;
+  body.loaded.mesh = tests::cube(8);
   const core::CutConfig cut = config();
-  { const SpareSession never(mesh, cut); }
+  { const SpareSession never(body, cut); }
   {
-    SpareSession soon(mesh, cut);
+    SpareSession soon(body, cut);
     soon.start();
   }
 }

@@ -14,49 +14,12 @@
 #include <vector>
 
 #include "server/loop/checkpoint_file.hpp"
-#include "tests/e2e/served_session.hpp"
+#include "tests/e2e/recovery.hpp"
 
 namespace incise::e2e {
 namespace {
 
 namespace fs = std::filesystem;
-
-bool wait_for(const std::function<bool()>& condition) {
-  for (int i = 0; i < 2000; ++i) {
-    if (condition()) return true;
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
-  return false;
-}
-
-struct Held {
-  std::uint64_t revision = 0, hash = 0;
-  friend bool operator==(const Held&, const Held&) = default;
-};
-
-Held held(const client::Client& viewer) {
-  return viewer.read([](const protocol::Replica& m) { return Held{m.revision(), m.compute_state_hash()}; });
-}
-
-Held what_the_server_has(const ServedSession& session) {
-  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
-  EXPECT_TRUE(viewer->wait_for_revision(0, 60));
-  return held(*viewer);
-}
-
-// The last mark and the gaps of a capture.
-std::pair<std::uint64_t, int> last_mark_and_gaps(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  protocol::CaptureReader reader(in);
-  protocol::CaptureRecord record;
-  std::pair<std::uint64_t, int> found{0, 0};
-  while (reader.next(record) == protocol::CaptureReader::Status::Record) {
-    if (const auto* mark = std::get_if<protocol::BatchMark>(&record)) found.first = mark->revision;
-    if (const auto* undo = std::get_if<protocol::UndoRecord>(&record)) found.first = undo->revision;
-    found.second += std::holds_alternative<protocol::GapRecord>(record);
-  }
-  return found;
-}
 
 // Ends the motion, and waits until what it made is with the viewer and in the capture.
 Held settle(const ServedSession& session, PoseDriver& driver, const client::Client& viewer) {
@@ -358,116 +321,6 @@ TEST(Recovery, AResetIsWhereAResumeBegins) {
   ASSERT_TRUE(session.start(true)) << session.log();
   EXPECT_EQ(resumed_from(session, logged).find("from the last reset, "), 0u) << session.log();
   EXPECT_EQ(what_the_server_has(session), before);
-}
-
-// An operator's connection that cuts straight across the body, at x as a part of its width.
-struct Hand {
-  Hand(const ServedSession& session, const std::string& blade) {
-    for (const core::Vec3& p : session.body().loaded.mesh.positions) extend(p, low, high);
-    client::Options options;
-    options.role = protocol::Role::Operator;
-    options.view = protocol::View::None;
-    options.source_name = blade;
-    client::Callbacks callbacks;
-    callbacks.on_error = [this](const protocol::Error& error) {
-      const std::scoped_lock lock(mutex);
-      refusal = error.text;
-    };
-    link = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
-  }
-  // Lifts the blade at the end.
-  void cut(double x) {
-    std::vector<protocol::PoseSample> poses;
-    for (int i = 0; i <= 200; ++i) {
-      const double s = i / 200.0;
-      poses.push_back(
-          {clock_ns += 4'000'000,
-           {low.x + x * (high.x - low.x), low.y + (1.2 * s - 0.1) * (high.y - low.y), high.z + 0.01},
-           {1, 0, 0, 0},
-           i < 200 ? 1u : 0u,
-           0});
-    }
-    EXPECT_TRUE(link->wait_for_report(link->send_poses(poses), 60));
-  }
-  // What it says to Undo; empty: it is done.
-  std::string undo(const client::Client& viewer) {
-    const std::uint64_t epoch = viewer.welcome().session;
-    link->undo();
-    std::string said;
-    EXPECT_TRUE(wait_for([&] {
-      const std::scoped_lock lock(mutex);
-      said = refusal;
-      return !said.empty() || viewer.welcome().session != epoch;
-    }));
-    refusal.clear();
-    return said;
-  }
-  core::Vec3 low{1, 1, 1}, high{-1, -1, -1};
-  std::int64_t clock_ns = 1'000'000'000;
-  std::mutex mutex;
-  std::string refusal;
-  std::unique_ptr<client::Client> link;
-};
-
-Held settled(const ServedSession& session, const client::Client& viewer) {
-  EXPECT_TRUE(wait_for([&] {
-    return session.stat("/backlog/batches") == 0.0 && viewer.revision() == session.stat("/revision") &&
-           last_mark_and_gaps(session.capture()).first == viewer.revision();
-  }));
-  return held(viewer);
-}
-
-// Strokes are undone one after the other, cutting goes on, and a server that is killed at once resumes what was left, under
-// its epoch; also where the newest checkpoint is of what was undone.
-TEST(Recovery, WhatWasUndoneStaysUndone) {
-  for (const char* checkpoints :
-       {R"(, "checkpoint_replay_s": 1000)", R"(, "checkpoint_replay_s": 0.000001)"}) {
-    SCOPED_TRACE(checkpoints);
-    ServedSession session("undo", 4000, checkpoints);
-    ASSERT_TRUE(session.start(false)) << session.log();
-    auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
-    ASSERT_TRUE(viewer->wait_for_revision(0, 60));
-    std::vector<Held> before{held(*viewer)};
-    {
-      Hand hand(session, "blade");
-      EXPECT_EQ(hand.undo(*viewer), "Undo: there is no stroke to undo");
-      for (const double x : {0.3, 0.6, 0.8}) {
-        hand.cut(x);
-        before.push_back(settled(session, *viewer));
-        ASSERT_GT(before.back().revision, before[before.size() - 2].revision);
-      }
-      Hand other(session, "another");
-      EXPECT_EQ(other.undo(*viewer),
-                "Undo: the last stroke is that of another blade: its operator or an admin may undo it");
-      EXPECT_EQ(hand.undo(*viewer), "");
-      EXPECT_EQ(settled(session, *viewer), before[2]);
-      EXPECT_EQ(hand.undo(*viewer), "");
-      EXPECT_EQ(settled(session, *viewer), before[1]);
-    }
-    session.kill();
-    ASSERT_TRUE(session.start(true)) << session.log();
-    EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
-    // Going on from there, and back again in the server that has resumed.
-    {
-      viewer = client::Client::connect("127.0.0.1", session.tcp_port());
-      ASSERT_TRUE(viewer->wait_for_revision(before[1].revision, 60));
-      Hand hand(session, "blade");
-      hand.cut(0.6);
-      EXPECT_EQ(settled(session, *viewer), before[2]) << "as if it had not been undone";
-      EXPECT_EQ(hand.undo(*viewer), "");
-      EXPECT_EQ(settled(session, *viewer), before[1]);
-      // What is left was cut before the start. The server may not have counted the last undo yet: then this one does nothing.
-      EXPECT_TRUE(wait_for([&] {
-        hand.link->undo();
-        const std::scoped_lock lock(hand.mutex);
-        return hand.refusal == "Undo: there is no stroke to undo";
-      }));
-      EXPECT_EQ(settled(session, *viewer), before[1]);
-    }
-    session.kill();
-    ASSERT_TRUE(session.start(true)) << session.log();
-    EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
-  }
 }
 
 // A server that its manager starts again and again must not put captures without a pose in the place of the last good one.

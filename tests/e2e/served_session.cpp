@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 
 ServedSession::ServedSession(const std::string& name, int target_tets, const std::string& capture)
     : directory_(fs::temp_directory_path() / ("incise_" + name + "_" + std::to_string(::getpid()))),
-      target_tets_(target_tets),
+      mesh_(R"("phantom": "slab", "target_tets": )" + std::to_string(target_tets)),
       more_capture_(capture) {
   fs::create_directories(directory_ / "disk");
   write_config();
@@ -30,16 +30,22 @@ ServedSession::ServedSession(const std::string& name, int target_tets, const std
   body_ = app::load_body(config_);
 }
 
+void ServedSession::use_body(const std::string& file_name) {
+  mesh_ = R"("path": ")" + file_name + '"';
+  write_config();
+  config_ = app::load_config(directory_ / "server.json");
+  body_ = app::load_body(config_, {}, true);
+}
+
 void ServedSession::write_config() const {
-  std::ofstream(directory_ / "server.json")
-      << R"({"mesh": {"phantom": "slab", "target_tets": )" << target_tets_ << R"(},
+  std::ofstream(directory_ / "server.json") << R"({"mesh": {)" << mesh_ << R"(},
              "blade": {"heel": [0, 0, 0], "tip": [0, 0, -1]},
              "cut": {"speed_limit_m_s": 50},
-             "listen": {"tcp_port": )"
-      << tcp_port_ << R"(, "http_port": )" << http_port_ << R"(},
+             "listen": {"tcp_port": )" << tcp_port_
+                                            << R"(, "http_port": )" << http_port_ << R"(},
              "loop": {"realtime_priority": 0, "lock_memory": false},
              "capture": {"path": "disk/session.capture")"
-      << more_capture_ << "}}";
+                                            << more_capture_ << "}}";
 }
 
 ServedSession::~ServedSession() {

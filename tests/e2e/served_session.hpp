@@ -29,6 +29,8 @@ class ServedSession {
   ServedSession(const std::string& name, int target_tets, const std::string& capture);
   ~ServedSession();
 
+  // Another body, before the first start: a file in its folder.
+  void use_body(const std::string& file_name);
   // Other keys for "capture", from the next start on.
   void set_capture(const std::string& capture) {
     more_capture_ = capture;
@@ -56,8 +58,7 @@ class ServedSession {
  private:
   void write_config() const;
   std::filesystem::path directory_;
-  const int target_tets_;
-  std::string more_capture_;
+  std::string mesh_, more_capture_;
   // Drivers and viewers look them up while it is started again.
   std::atomic<std::uint16_t> tcp_port_ = 0, http_port_ = 0;
   app::Config config_;

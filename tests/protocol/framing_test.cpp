@@ -321,12 +321,12 @@ TEST(Framing, SemanticErrorsNameTheField) {
   begin.piece_ids = one;
   cases.push_back({"SnapshotBegin.piece_names", begin});
   cases.push_back(
-      {"SnapshotBegin.view", SnapshotBegin{View::None, 0, SnapshotCause::Join, 0, 0, 0, 0, {}, {}, {}}});
+      {"SnapshotBegin.view", SnapshotBegin{View::None, 0, SnapshotCause::Join, 0, 0, 0, 0, {}, {}, {}, {}}});
   cases.push_back(
       {"SnapshotBegin.chunks",
-       SnapshotBegin{View::Volume, 0, SnapshotCause::Join, kMaxSnapshotChunks + 1, 0, 0, 0, {}, {}, {}}});
+       SnapshotBegin{View::Volume, 0, SnapshotCause::Join, kMaxSnapshotChunks + 1, 0, 0, 0, {}, {}, {}, {}}});
   cases.push_back({"SnapshotBegin.tet_count",
-                   SnapshotBegin{View::Volume, 0, SnapshotCause::Join, 1, 0, kNoId, 0, {}, {}, {}}});
+                   SnapshotBegin{View::Volume, 0, SnapshotCause::Join, 1, 0, kNoId, 0, {}, {}, {}, {}}});
   SnapshotChunk chunk;
   chunk.positions = four;
   cases.push_back({"SnapshotChunk.positions", chunk});

@@ -254,8 +254,17 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Force", force},
       {"Delta", coalesced_delta()},
       {"SurfaceDelta", surface_delta(surface, 1)},
-      {"SnapshotBegin", SnapshotBegin{View::Surface, 2, SnapshotCause::Resync, 4, 8, 3, 12, box,
-                                      array<std::uint32_t>({1, 4}), array<std::uint32_t>({1, 2})}},
+      {"SnapshotBegin", SnapshotBegin{View::Surface,
+                                      2,
+                                      SnapshotCause::Resync,
+                                      4,
+                                      8,
+                                      3,
+                                      12,
+                                      box,
+                                      array<std::uint32_t>({1, 4}),
+                                      array<std::uint32_t>({1, 2}),
+                                      {}}},
       {"SnapshotChunk", whole_chunk()},
       {"SnapshotEnd", SnapshotEnd{2, two_tets(2).hash(), 0x0123456789abcdef, 0xfedcba9876543210}},
       {"Positions", positions},
@@ -269,6 +278,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Undo", Undo{}},
       {"BladeLoad", load},
       {"BladeModel", model},
+      {"FieldValues", FieldValues{1, 3, array<float>({36.5f, -0.25f, 1e-6f, 0, 37, 2}), {}}},
   };
 }
 
@@ -345,6 +355,13 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     blended.round_added = array<std::uint32_t>({3, 1});
     blended.round_blends = array<std::uint32_t>({2, 2});
     blended.tet_elders = array<std::uint32_t>({0});
+    const std::vector<FieldFacts> fields = {{"temperature", FieldOn::Vertices, 1, false},
+                                            {"fibres", FieldOn::Tets, 3, false},
+                                            {"label", FieldOn::Tets, 1, true}};
+    Hello wanting = std::get<Hello>(messages()[0].second);
+    wanting.fields = {"temperature", "*"};
+    Welcome carrying = hail;
+    carrying.fields = fields;
     return std::vector<std::pair<std::string, Body>>{
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
@@ -359,6 +376,21 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"ForceTorque", torque},
         {"HelloLoadRate", loads},
         {"DeltaBlends", blended},
+        {"HelloFields", wanting},
+        {"WelcomeFields", carrying},
+        {"SubscribeFields", Subscribe{View::Volume, 0, std::nullopt, {"label"}}},
+        {"SnapshotBeginFields", SnapshotBegin{View::Volume,
+                                              2,
+                                              SnapshotCause::Join,
+                                              1,
+                                              8,
+                                              3,
+                                              12,
+                                              std::nullopt,
+                                              {},
+                                              {},
+                                              array<std::uint32_t>({0, 2})}},
+        {"FieldValuesWhole", FieldValues{2, 0, {}, array<std::int32_t>({1, -2, 3})}},
     };
   }();
   return all;

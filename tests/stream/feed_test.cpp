@@ -112,7 +112,7 @@ TEST_F(FeedTest, ASnapshotIsOfTheStateWhenItWasAskedFor) {
   cut(0.3);
   const std::uint64_t asked_at = session_->revision(), hash_then = hash();
   std::shared_ptr<const Snapshot> got;
-  feed_->request_snapshot(View::Volume, std::nullopt,
+  feed_->request_snapshot(View::Volume, std::nullopt, false,
                           [&](std::shared_ptr<const Snapshot> snapshot) { got = std::move(snapshot); });
   cut(0.7);
   EXPECT_FALSE(got) << "called before the thread's own turn";

@@ -53,6 +53,18 @@ core::MeshData box_mesh(std::uint32_t n, double cell) {
   return mesh;
 }
 
+std::vector<core::Field> fields_of(const core::MeshData& mesh) {
+  std::vector<float> rest;
+  std::vector<std::int32_t> label, cell;
+  for (const core::Vec3& p : mesh.positions) {
+    rest.insert(rest.end(), {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)});
+    label.push_back(static_cast<std::int32_t>(label.size()));
+  }
+  for (std::size_t t = 0; t < mesh.tets.size(); ++t) cell.push_back(static_cast<std::int32_t>(t / 6));
+  using On = core::Field::On;
+  return {{"rest", On::kVertices, 3, rest}, {"label", On::kVertices, 1, label}, {"cell", On::kTets, 1, cell}};
+}
+
 std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns, double side) {
   std::vector<protocol::PoseSample> out;
   for (int i = 0; i < poses; ++i) {
@@ -101,7 +113,7 @@ MiniLoop::MiniLoop(const core::MeshData& mesh, std::uint64_t session) : mesh_(me
   double top = 0;
   for (const core::Vec3& p : mesh.positions) top = std::max(top, p.z);
   config_.blade = {{0, 0, 0}, {0, 0, -(top + 0.03)}};
-  session_ = std::make_unique<core::CutSession>(mesh_, config_);
+  session_ = std::make_unique<core::CutSession>(mesh_, config_, fields_of(mesh_));
   hash_ = session_->mesh().state_hash();
   live_tets_ = session_->mesh().live_tets();
 }
@@ -119,6 +131,7 @@ InitialState MiniLoop::initial() const {
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (mesh.alive(t)) state.tets.push_back(mesh.state(t));
   }
+  state.fields = std::make_shared<const std::vector<core::Field>>(session_->fields().all());
   return state;
 }
 
@@ -212,7 +225,7 @@ void MiniLoop::stop() {
 void MiniLoop::work() {
   if (held_) return;
   if (reset_.exchange(false)) {
-    session_ = std::make_unique<core::CutSession>(mesh_, config_);
+    session_ = std::make_unique<core::CutSession>(mesh_, config_, fields_of(mesh_));
     ++session_id_;
     revision_ = 0;
     hash_ = session_->mesh().state_hash();

@@ -23,6 +23,9 @@ namespace incise::stream {
 // A box of n x n x n cubes of `cell` metres, six tetrahedra each, its low corner at the origin.
 core::MeshData box_mesh(std::uint32_t n, double cell = 0.01);
 
+// Fields of such a mesh: on the vertices "rest", where they are at rest, and "label"; on the tetrahedra "cell".
+std::vector<core::Field> fields_of(const core::MeshData& mesh);
+
 // A stroke right through that box in the plane y = `y`: engaged poses along x, the blade pointing down. Times
 // rise from `t0_ns` by a millisecond.
 std::vector<protocol::PoseSample> sweep(double y, int poses, std::int64_t t0_ns, double side = 0.1);

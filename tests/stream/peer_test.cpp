@@ -280,7 +280,8 @@ TEST_F(PeerTest, AJoinerThatReadsNothingHoldsOneChunkOfTheSnapshot) {
   std::shared_ptr<const Snapshot> snapshot;
   ASSERT_TRUE(run_until([&] { return context_->counters->snapshots == 1; }));
   // The peer's own snapshot, as long as it sends it.
-  context_->live.request_snapshot(View::Volume, std::nullopt, [&](const auto& same) { snapshot = same; });
+  context_->live.request_snapshot(View::Volume, std::nullopt, false,
+                                  [&](const auto& same) { snapshot = same; });
   ASSERT_TRUE(run_until([&] { return snapshot != nullptr; }));
   ASSERT_GE(snapshot->chunks.size(), 4u);
   const auto waiting = [&] {

@@ -38,9 +38,11 @@ class SnapshotKeeperTest : public ::testing::Test {
       steps.push_back(std::move(published));
     }
   }
-  SharedSnapshot ask(View view = View::Volume, const std::optional<protocol::Box>& box = std::nullopt) {
+  SharedSnapshot ask(View view = View::Volume, const std::optional<protocol::Box>& box = std::nullopt,
+                     bool fields = false) {
     std::promise<SharedSnapshot> promise;
-    keeper.request(view, box, [&](SharedSnapshot snapshot) { promise.set_value(std::move(snapshot)); });
+    keeper.request(view, box, fields,
+                   [&](SharedSnapshot snapshot) { promise.set_value(std::move(snapshot)); });
     return promise.get_future().get();
   }
   static protocol::Replica loaded(const Snapshot& snapshot) {
@@ -71,7 +73,7 @@ TEST_F(SnapshotKeeperTest, ASnapshotHasWhatWasPushedBeforeAndNothingAfter) {
   const auto request = [&] {
     auto promise = std::make_shared<std::promise<SharedSnapshot>>();
     answers.push_back(promise->get_future());
-    keeper.request(View::Volume, std::nullopt,
+    keeper.request(View::Volume, std::nullopt, false,
                    [promise](SharedSnapshot snapshot) { promise->set_value(std::move(snapshot)); });
   };
   request();

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "protocol/fields.hpp"
 #include "protocol/replica.hpp"
 #include "tests/stream/raw_peer.hpp"
 
@@ -44,13 +45,21 @@ struct Viewer {
     if (const auto* part = std::get_if<protocol::SnapshotBegin>(&body)) {
       causes.push_back(part->cause);
       result = replica.begin(*part);
+      if (result) result = fields.begin(*part, welcome.fields);
     } else if (const auto* chunk = std::get_if<protocol::SnapshotChunk>(&body)) {
       result = replica.chunk(*chunk);
     } else if (const auto* end = std::get_if<protocol::SnapshotEnd>(&body)) {
       result = replica.end(*end);
+      if (result) result = fields.end(replica);
       whole = static_cast<bool>(result);
+    } else if (const auto* values = std::get_if<protocol::FieldValues>(&body)) {
+      result = fields.values(*values);
+      ++field_messages;
+    } else if (const auto* error = std::get_if<protocol::Error>(&body)) {
+      errors.push_back(error->text);
     } else if (const auto* delta = std::get_if<protocol::Delta>(&body)) {
       result = replica.apply(*delta);
+      if (result) result = fields.apply(*delta);
       ++deltas;
       steps += delta->steps.size();
     } else if (const auto* w = std::get_if<protocol::Welcome>(&body)) {
@@ -64,10 +73,12 @@ struct Viewer {
 
   RawPeer peer;
   protocol::Replica replica;
+  protocol::FieldReplica fields;
   protocol::Welcome welcome;
   bool whole = false;
   std::vector<protocol::SnapshotCause> causes;
-  std::size_t deltas = 0, steps = 0;
+  std::size_t deltas = 0, steps = 0, field_messages = 0;
+  std::vector<std::string> errors;  // that did not end the session
 };
 
 // A viewer that reads all the time, in a thread of its own, as a healthy one does.

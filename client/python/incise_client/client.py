@@ -12,10 +12,11 @@ from typing import Any, Callable, Iterable, Optional, Sequence
 import flatbuffers
 import numpy as np
 
-from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta, Error, Force, Hello, Message, Ping, Pong, PoseBatch, PoseReport,
-                         Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
+from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta, Error, FieldOn, FieldValues, Force, Hello, Message, Ping, Pong,
+                         PoseBatch, PoseReport, Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
                          StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
+from .carry import carry, carry_tets
 from .part import Surface, VolumePart
 from .replica import ApplyError, Replica
 
@@ -47,7 +48,7 @@ _MODULES = {
     Body.Body.SnapshotBegin: SnapshotBegin.SnapshotBegin, Body.Body.SnapshotChunk: SnapshotChunk.SnapshotChunk,
     Body.Body.SnapshotEnd: SnapshotEnd.SnapshotEnd, Body.Body.Force: Force.Force,
     Body.Body.SurfaceDelta: SurfaceDelta.SurfaceDelta, Body.Body.PositionsReport: PositionsReport.PositionsReport,
-    Body.Body.BladeLoad: BladeLoad.BladeLoad,
+    Body.Body.BladeLoad: BladeLoad.BladeLoad, Body.Body.FieldValues: FieldValues.FieldValues,
 }
 
 
@@ -56,7 +57,7 @@ class Client:
 
     ``replica`` is a Replica for view Volume, a Surface for view Surface. With ``box``, two corners ((x, y, z), (x, y, z)) in
     metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade`` is an operator's own: heel and
-    tip in the tool's frame, metres. ``resume`` is a client that was connected to the same server: its state is continued.
+    tip in the tool's frame, metres. ``fields`` names those to hold ("*": all), with view Volume and no box. ``resume`` is a client that was connected to the same server: its state is continued.
     """
 
     def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
@@ -64,8 +65,13 @@ class Client:
                  blade: Optional[tuple[Sequence[float], Sequence[float]]] = None, max_rate_hz: float = 0.0,
                  box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
-                 ssl_context: Optional[tls.SSLContext] = None, load_rate_hz: float = 0.0) -> None:
+                 ssl_context: Optional[tls.SSLContext] = None, load_rate_hz: float = 0.0,
+                 fields: Sequence[str] = ()) -> None:
         held = resume if resume and not resume._awaiting_snapshot else None
+        # The fields that were asked for, by name, as they are at the replica's revision: a row for each id, float32 or int32.
+        self.vertex_fields: dict[str, Any] = held.vertex_fields if held else {}
+        self.tet_fields: dict[str, Any] = held.tet_fields if held else {}
+        self._values: dict[int, list[Any]] = {}  # of fields, in the snapshot that is on its way
         self.replica: Any = held.replica if held else Replica()
         self.welcome: Any = None
         self.report: Any = None  # the last wire.PoseReport: what became of an operator's poses
@@ -93,7 +99,8 @@ class Client:
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
         session = held.welcome.Session() if held else 0
-        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz)
+        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz,
+                         fields)
         end = time.monotonic() + timeout_s
         try:
             while self.welcome is None:
@@ -208,14 +215,17 @@ class Client:
             if self.on_force:
                 self.on_force(self, body)
         elif kind in (Body.Body.Delta, Body.Body.SurfaceDelta) and not self._awaiting_snapshot:
-            if self._try_change(lambda: self.replica.apply(body)):
+            if self._try_change(lambda: self._apply(body)):
                 self._state_hash = body.StateHash()
                 if self.on_delta:
                     self.on_delta(self, body)
         elif kind == Body.Body.SnapshotBegin:
             self._snapshot = (body, [])
+            self._values = {}
         elif kind == Body.Body.SnapshotChunk and self._snapshot:
             self._snapshot[1].append(body)
+        elif kind == Body.Body.FieldValues and self._snapshot:
+            self._values.setdefault(body.Field(), []).append(body)
         elif kind == Body.Body.SnapshotEnd and self._snapshot:
             self._try_change(lambda: self._end_snapshot(body))
 
@@ -228,16 +238,36 @@ class Client:
             self.replica = VolumePart.from_snapshot(begin, chunks, end)
         else:
             self.replica = Replica.from_snapshot(begin, chunks, end)
+        self._take_fields(begin)
         self.snapshots += 1
         self._state_hash = end.StateHash()
         self._awaiting_snapshot = False
+
+    def _take_fields(self, begin: Any) -> None:
+        fields: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+        for k in range(begin.FieldsLength() if begin else 0):
+            facts = self.welcome.Fields(begin.Fields(k))
+            parts = self._values.get(begin.Fields(k), [])
+            flat = np.concatenate([part.I32AsNumpy() if facts.Whole() else part.F32AsNumpy() for part in parts])
+            rows = flat.reshape(-1, facts.Components()) if facts.Components() > 1 else flat
+            held = self.replica.positions if facts.On() == FieldOn.FieldOn.Vertices else self.replica.tets
+            if len(rows) < len(held):
+                raise ApplyError(f"the field {_text(facts.Name())} came with {len(rows)} rows")
+            fields[facts.On()][_text(facts.Name())] = rows.copy()
+        self.vertex_fields, self.tet_fields = fields
+
+    def _apply(self, delta: Any) -> None:
+        self.replica.apply(delta)
+        if isinstance(self.replica, Replica):
+            self.vertex_fields = {name: carry(delta, values) for name, values in self.vertex_fields.items()}
+            self.tet_fields = {name: carry_tets(delta, values) for name, values in self.tet_fields.items()}
 
     def _try_change(self, change: Callable[[], None]) -> bool:
         """Makes a change. If the replica refuses it, asks for a snapshot and returns False."""
         try:
             change()
             return True
-        except ApplyError:
+        except (ApplyError, ValueError):
             self.resyncs += 1
             self._awaiting_snapshot = True
             self._send(Body.Body.Resync, lambda b: _table(b, Resync, [("Revision", self.replica.revision)]))
@@ -328,10 +358,16 @@ class Client:
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
     def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,
-                    max_rate_hz: float, box: Any, session: int, load_rate_hz: float) -> None:
+                    max_rate_hz: float, box: Any, session: int, load_rate_hz: float, fields: Sequence[str]) -> None:
         def build(b: Any) -> int:
             name, source, secret = b.CreateString("incise_client.py"), b.CreateString(source_name), b.CreateString(token)
             optional = [("Box", _box(b, box))] if box else []
+            if fields:
+                names = [b.CreateString(field) for field in fields]
+                Hello.StartFieldsVector(b, len(names))
+                for offset in reversed(names):
+                    b.PrependUOffsetTRelative(offset)
+                optional.append(("Fields", b.EndVector()))
             if blade:
                 BladeEdge.Start(b)
                 BladeEdge.AddHeel(b, Vec3.CreateVec3(b, *blade[0]))

@@ -1,0 +1,252 @@
+// Strokes that are undone, and fields, while the server is killed and started again.
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tests/e2e/process.hpp"
+#include "tests/e2e/recovery.hpp"
+
+namespace incise::e2e {
+namespace {
+
+// An operator's connection that cuts straight across the body, at x as a part of its width.
+struct Hand {
+  Hand(const ServedSession& session, const std::string& blade) {
+    for (const core::Vec3& p : session.body().loaded.mesh.positions) extend(p, low, high);
+    client::Options options;
+    options.role = protocol::Role::Operator;
+    options.view = protocol::View::None;
+    options.source_name = blade;
+    client::Callbacks callbacks;
+    callbacks.on_error = [this](const protocol::Error& error) {
+      const std::scoped_lock lock(mutex);
+      refusal = error.text;
+    };
+    link = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
+  }
+  // Lifts the blade at the end.
+  void cut(double x) {
+    std::vector<protocol::PoseSample> poses;
+    for (int i = 0; i <= 200; ++i) {
+      const double s = i / 200.0;
+      poses.push_back(
+          {clock_ns += 4'000'000,
+           {low.x + x * (high.x - low.x), low.y + (1.2 * s - 0.1) * (high.y - low.y), high.z + 0.01},
+           {1, 0, 0, 0},
+           i < 200 ? 1u : 0u,
+           0});
+    }
+    EXPECT_TRUE(link->wait_for_report(link->send_poses(poses), 60));
+  }
+  // What it says to Undo; empty: it is done.
+  std::string undo(const client::Client& viewer) {
+    const std::uint64_t epoch = viewer.welcome().session;
+    link->undo();
+    std::string said;
+    EXPECT_TRUE(wait_for([&] {
+      const std::scoped_lock lock(mutex);
+      said = refusal;
+      return !said.empty() || viewer.welcome().session != epoch;
+    }));
+    refusal.clear();
+    return said;
+  }
+  core::Vec3 low{1, 1, 1}, high{-1, -1, -1};
+  std::int64_t clock_ns = 1'000'000'000;
+  std::mutex mutex;
+  std::string refusal;
+  std::unique_ptr<client::Client> link;
+};
+
+Held settled(const ServedSession& session, const client::Client& viewer) {
+  EXPECT_TRUE(wait_for([&] {
+    return session.stat("/backlog/batches") == 0.0 && viewer.revision() == session.stat("/revision") &&
+           last_mark_and_gaps(session.capture()).first == viewer.revision();
+  }));
+  return held(viewer);
+}
+
+// Strokes are undone one after the other, cutting goes on, and a server that is killed at once resumes what was left, under
+// its epoch; also where the newest checkpoint is of what was undone.
+TEST(Recovery, WhatWasUndoneStaysUndone) {
+  for (const char* checkpoints :
+       {R"(, "checkpoint_replay_s": 1000)", R"(, "checkpoint_replay_s": 0.000001)"}) {
+    SCOPED_TRACE(checkpoints);
+    ServedSession session("undo", 4000, checkpoints);
+    ASSERT_TRUE(session.start(false)) << session.log();
+    auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+    ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+    std::vector<Held> before{held(*viewer)};
+    {
+      Hand hand(session, "blade");
+      EXPECT_EQ(hand.undo(*viewer), "Undo: there is no stroke to undo");
+      for (const double x : {0.3, 0.6, 0.8}) {
+        hand.cut(x);
+        before.push_back(settled(session, *viewer));
+        ASSERT_GT(before.back().revision, before[before.size() - 2].revision);
+      }
+      Hand other(session, "another");
+      EXPECT_EQ(other.undo(*viewer),
+                "Undo: the last stroke is that of another blade: its operator or an admin may undo it");
+      EXPECT_EQ(hand.undo(*viewer), "");
+      EXPECT_EQ(settled(session, *viewer), before[2]);
+      EXPECT_EQ(hand.undo(*viewer), "");
+      EXPECT_EQ(settled(session, *viewer), before[1]);
+    }
+    session.kill();
+    ASSERT_TRUE(session.start(true)) << session.log();
+    EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
+    // Going on from there, and back again in the server that has resumed.
+    {
+      viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+      ASSERT_TRUE(viewer->wait_for_revision(before[1].revision, 60));
+      Hand hand(session, "blade");
+      hand.cut(0.6);
+      EXPECT_EQ(settled(session, *viewer), before[2]) << "as if it had not been undone";
+      EXPECT_EQ(hand.undo(*viewer), "");
+      EXPECT_EQ(settled(session, *viewer), before[1]);
+      // What is left was cut before the start. The server may not have counted the last undo yet: then this one does nothing.
+      EXPECT_TRUE(wait_for([&] {
+        hand.link->undo();
+        const std::scoped_lock lock(hand.mutex);
+        return hand.refusal == "Undo: there is no stroke to undo";
+      }));
+      EXPECT_EQ(settled(session, *viewer), before[1]);
+    }
+    session.kill();
+    ASSERT_TRUE(session.start(true)) << session.log();
+    EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
+  }
+}
+
+// By name and kind, at the revision of a viewer.
+using FieldsHeld = std::vector<std::pair<protocol::FieldFacts, decltype(protocol::Field::values)>>;
+
+FieldsHeld fields_of(const client::Client& viewer) {
+  return viewer.read_fields([](const protocol::FieldReplica& fields) {
+    FieldsHeld out;
+    for (const protocol::Field& field : fields.all()) out.emplace_back(field.facts, field.values);
+    return out;
+  });
+}
+
+// What somebody who joins now gets.
+FieldsHeld fields_for_a_newcomer(const ServedSession& session) {
+  client::Options options;
+  options.fields = {"*"};
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+  EXPECT_TRUE(viewer->wait_for_revision(0, 60));
+  return fields_of(*viewer);
+}
+
+// A field that was the rest position still is; one that was random is as random as it was: no new extremes; regions follow.
+void expect_sound(const ServedSession& session, const FieldsHeld& fields) {
+  ASSERT_EQ(fields.size(), 4u);
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  viewer->read([&](const protocol::Replica& mesh) {
+    const auto& rest = std::get<0>(fields[0].second);
+    const auto& label = std::get<1>(fields[1].second);
+    const auto& region = std::get<1>(fields[3].second);
+    ASSERT_EQ(rest.size(), mesh.positions().size());
+    std::vector<bool> used(mesh.vertex_count(), false);
+    mesh.for_each_tet([&](std::uint32_t t) {
+      EXPECT_EQ(region.at(t), mesh.region(t) + 10);
+      for (const std::uint32_t v : mesh.vertices(t)) used[v] = true;
+    });
+    for (std::uint32_t v = 0; v < mesh.vertex_count(); ++v) {
+      EXPECT_EQ(label[v] % 7, 3) << "none but those that were there";
+      for (std::size_t k = 0; used[v] && k < 3; ++k)
+        ASSERT_NEAR(rest[3 * v + k], mesh.rest_positions()[3 * v + k], 1e-6) << "vertex " << v;
+    }
+  });
+}
+
+// Fields of the body's file come to viewers and newcomers alike, to the bit: while it is cut, after an undo, after kill -9 and
+// a resume, and after a reset, as loaded.
+TEST(Recovery, FieldsGoWithTheMaterialThroughUndoAndResume) {
+  for (const char* checkpoints :
+       {R"(, "checkpoint_replay_s": 1000)", R"(, "checkpoint_replay_s": 0.000001)"}) {
+    SCOPED_TRACE(checkpoints);
+    ServedSession session("fields", 4000, checkpoints);
+    const core::MeshData& mesh = session.body().loaded.mesh;
+    std::vector<float> rest, noise;
+    std::vector<std::int32_t> label, region;
+    for (std::size_t v = 0; v < mesh.positions.size(); ++v) {
+      const core::Vec3& p = mesh.positions[v];
+      rest.insert(rest.end(), {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)});
+      noise.push_back(static_cast<float>((v * 2654435761u) % 1000));
+      label.push_back(static_cast<std::int32_t>(7 * v + 3));
+    }
+    for (std::size_t t = 0; t < mesh.tets.size(); ++t)
+      region.push_back(mesh.regions.empty() ? 10 : mesh.regions[t] + 10);
+    using On = core::Field::On;
+    mesh_io::write_mesh(session.file("body.vtu"), mesh,
+                        std::vector<core::Field>{{"rest", On::kVertices, 3, rest},
+                                                 {"label", On::kVertices, 1, label},
+                                                 {"noise", On::kVertices, 1, noise},
+                                                 {"tissue", On::kTets, 1, region}});
+    session.use_body("body.vtu");
+    ASSERT_TRUE(session.start(false)) << session.log();
+    client::Options options;
+    options.fields = {"*"};
+    options.reconnect = true;
+    const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+    ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+    const std::uint64_t epoch = viewer->welcome().session;
+    const FieldsHeld loaded = fields_of(*viewer);
+    ASSERT_EQ(loaded.size(), 4u);
+    EXPECT_EQ(std::get<0>(loaded[0].second), rest);
+    EXPECT_EQ(std::get<1>(loaded[3].second), region);
+    FieldsHeld once;
+    {
+      Process python({"/usr/bin/env", "PYTHONPATH=" INCISE_SOURCE_DIR "/client/python:" INCISE_PYTHON_DIR,
+                      "/usr/bin/python3", INCISE_SOURCE_DIR "/tests/e2e/python_fields.py",
+                      std::to_string(session.tcp_port())});
+      ASSERT_EQ(python.line("joined"), "joined");
+      Hand hand(session, "blade");
+      hand.cut(0.3);
+      settled(session, *viewer);
+      once = fields_of(*viewer);
+      EXPECT_NE(once, loaded);
+      hand.cut(0.6);
+      settled(session, *viewer);
+      EXPECT_EQ(fields_for_a_newcomer(session), fields_of(*viewer)) << "carried by deltas, or by the server";
+      expect_sound(session, fields_of(*viewer));
+      EXPECT_EQ(python.line("ok"), "ok");
+      EXPECT_EQ(hand.undo(*viewer), "");
+      settled(session, *viewer);
+      EXPECT_EQ(fields_of(*viewer), once);
+      hand.cut(0.8);
+      settled(session, *viewer);
+    }
+    const FieldsHeld last = fields_of(*viewer);
+    EXPECT_EQ(fields_for_a_newcomer(session), last);
+    session.kill();
+    ASSERT_TRUE(session.start(true)) << session.log();
+    EXPECT_EQ(fields_for_a_newcomer(session), last) << session.log();
+    ASSERT_TRUE(wait_for([&] { return viewer->status() == client::Status::kConnected; }));
+    EXPECT_NE(viewer->welcome().session, epoch);
+    EXPECT_EQ(fields_of(*viewer), last);
+    {
+      Hand hand(session, "blade");
+      hand.cut(0.5);
+      settled(session, *viewer);
+      EXPECT_EQ(fields_for_a_newcomer(session), fields_of(*viewer));
+      expect_sound(session, fields_of(*viewer));
+    }
+    options.role = protocol::Role::Admin;
+    options.view = protocol::View::None;
+    EXPECT_TRUE(client::Client::connect("127.0.0.1", session.tcp_port(), options)->reset());
+    EXPECT_TRUE(wait_for([&] { return viewer->revision() == 0; }));
+    EXPECT_EQ(fields_of(*viewer), loaded);
+  }
+}
+
+}  // namespace
+}  // namespace incise::e2e
