@@ -113,6 +113,9 @@ bool Client::end_stroke(std::int64_t source_ns) {
   return impl_->send(protocol::StrokeControl{protocol::StrokeAction::End, source_ns}) != 0;
 }
 
+std::uint64_t Client::send_field(const protocol::FieldValues& values) {
+  return impl_->send(values);
+}
 bool Client::subscribe(protocol::View view, float max_rate_hz) {
   return impl_->send(protocol::Subscribe{view, max_rate_hz, impl_->options.box, impl_->options.fields}) != 0;
 }

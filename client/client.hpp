@@ -76,6 +76,8 @@ struct Callbacks {
       on_surface_delta;
   // View Volume with a box.
   std::function<void(const protocol::VolumePart&, const protocol::Delta&, const Arrival&)> on_part_delta;
+  // A client has set a field, which has this place in Welcome::fields.
+  std::function<void(std::uint32_t field, const Arrival&)> on_field;
   std::function<void(const protocol::SnapshotEnd&, protocol::SnapshotCause)> on_snapshot;
   std::function<void(std::uint32_t done, std::uint32_t chunks)> on_snapshot_progress;
   std::function<void(const protocol::Force&)> on_force;  // for ContactRenderer::take
@@ -125,6 +127,9 @@ class Client {
   // Simulators: their own model of the tissue at a blade, in answer to a BladeLoad. One that cannot be used comes back as an Error
   // that is not fatal. Returns the message's sequence; 0 without a connection.
   std::uint64_t send_model(const protocol::BladeModel& model);
+  // Simulators and administrators: sets rows of a field of Welcome::fields, for everybody; rows that a cut has made or changed
+  // since values.revision stay as they are. A refusal comes as an error. Returns the message's sequence; 0 without a connection.
+  std::uint64_t send_field(const protocol::FieldValues& values);
   // Changes view and rate.
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: restores the mesh as it was loaded, for everyone.

@@ -60,8 +60,12 @@ bool Client::Impl::on(const protocol::SnapshotChunk& chunk, const Arrival&) {
   return true;
 }
 
-bool Client::Impl::on(const protocol::FieldValues& values, const Arrival&) {
-  return resync(state.add(values));
+bool Client::Impl::on(const protocol::FieldValues& values, const Arrival& arrival) {
+  if (state.awaiting_snapshot() && !state.in_snapshot()) return true;
+  const protocol::ApplyResult result = state.add(values);
+  if (!result) return resync(result);
+  if (!state.in_snapshot() && values.last) call(callbacks.on_field, values.field, arrival);
+  return true;
 }
 
 bool Client::Impl::on(const protocol::SnapshotEnd& end, const Arrival&) {

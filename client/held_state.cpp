@@ -31,6 +31,7 @@ protocol::ApplyResult HeldState::begin(const protocol::SnapshotBegin& begin,
   view_ = begin.view;
   boxed_ = begin.box.has_value();
   snapshot_cause_ = begin.cause;
+  in_snapshot_ = true;
   if (protocol::ApplyResult result = fields_.begin(begin, fields); !result) return result;
   return change([&](auto& replica) { return replica.begin(begin); });
 }
@@ -45,10 +46,12 @@ protocol::ApplyResult HeldState::add(const protocol::SnapshotChunk& chunk) {
 }
 
 protocol::ApplyResult HeldState::add(const protocol::FieldValues& values) {
-  return fields_.values(values);
+  const std::scoped_lock lock(mutex_);
+  return fields_.values(values, volume_);
 }
 
 protocol::ApplyResult HeldState::end(const protocol::SnapshotEnd& end) {
+  in_snapshot_ = false;
   protocol::ApplyResult result = change([&](auto& replica) {
     protocol::ApplyResult ended = replica.end(end);
     return ended ? fields_.end(volume_) : ended;

@@ -33,12 +33,16 @@ class HeldState {
   protocol::ApplyResult apply(const protocol::Delta& delta);
   protocol::ApplyResult apply(const protocol::SurfaceDelta& delta);
   // Welcome promises a snapshot, or the state was wrong: deltas until then are of no use.
-  void await_snapshot() { awaiting_snapshot_ = true; }
+  void await_snapshot() {
+    awaiting_snapshot_ = true;
+    in_snapshot_ = false;
+  }
   // What is held is of another epoch.
   void forget() { whole_ = false; }
 
   bool awaiting_snapshot() const { return awaiting_snapshot_; }
   bool whole() const { return whole_; }
+  bool in_snapshot() const { return in_snapshot_; }
   protocol::View view() const { return view_; }
   bool boxed() const { return boxed_; }
   std::uint32_t chunks_done() const { return chunks_done_; }
@@ -71,6 +75,7 @@ class HeldState {
   bool boxed_ = false;   // likewise: the snapshot was of what touches a box
   bool whole_ = false;
   bool awaiting_snapshot_ = false;
+  bool in_snapshot_ = false;                          // between its beginning and its end
   std::uint32_t chunks_done_ = 0, chunks_total_ = 0;  // of the last snapshot
   protocol::SnapshotCause snapshot_cause_ = protocol::SnapshotCause::Join;
   std::atomic<std::uint64_t> revision_{0};

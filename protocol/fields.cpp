@@ -26,37 +26,35 @@ std::vector<std::uint32_t> fields_named(std::span<const std::string> names, std:
 }
 
 void FieldReplica::load(std::vector<Field> fields) {
+  clear();
   fields_ = std::move(fields);
-  next_.clear();
 }
 
 void FieldReplica::clear() {
-  fields_.clear();
-  next_.clear();
+  *this = FieldReplica();
 }
 
 ApplyResult FieldReplica::begin(const SnapshotBegin& snapshot, std::span<const FieldFacts> there) {
+  in_snapshot_ = true;
+  renewed_.reset();
   next_.clear();
-  places_.assign(snapshot.fields.begin(), snapshot.fields.end());
+  next_places_.assign(snapshot.fields.begin(), snapshot.fields.end());
   coming_ = 0;
-  for (const std::uint32_t place : places_) {
-    if (place >= there.size())
+  for (const std::uint32_t place : next_places_) {
+    if (place >= there.size()) {
       return refuse(ApplyError::BadIndex,
                     "a snapshot with field " + number(place) + " of " + number(there.size()));
+    }
     Field& field = next_.emplace_back(Field{there[place], {}});
     if (field.facts.whole) field.values.emplace<1>();
   }
   return {};
 }
 
-ApplyResult FieldReplica::values(const FieldValues& part) {
-  while (coming_ < places_.size() && places_[coming_] != part.field) ++coming_;
-  if (coming_ == places_.size())
-    return refuse(ApplyError::OutOfOrder,
-                  "values of field " + number(part.field) + ", which were not announced");
-  Field& field = next_[coming_];
+// Appends the next rows.
+ApplyResult FieldReplica::take(const FieldValues& part, Field& field) const {
+  const std::size_t components = field.facts.components;
   const auto append = [&](auto& held, auto given, const auto& other) -> ApplyResult {
-    const std::size_t components = field.facts.components;
     if (!other.empty() || given.empty() || given.size() % components != 0 ||
         part.first != held.size() / components) {
       return refuse(ApplyError::BadShape,
@@ -72,21 +70,57 @@ ApplyResult FieldReplica::values(const FieldValues& part) {
   return append(std::get<std::vector<float>>(field.values), part.f32, part.i32);
 }
 
+namespace {
+
+ApplyResult check_rows(const Field& field, const Replica& replica) {
+  const bool fits = field.facts.on == FieldOn::Vertices ? field.rows() == replica.vertex_count()
+                                                        : field.rows() >= replica.tet_slots();
+  if (fits) return {};
+  return refuse(ApplyError::BadShape,
+                "the field " + field.facts.name + " came with " + number(field.rows()) + " rows");
+}
+
+}  // namespace
+
+ApplyResult FieldReplica::values(const FieldValues& part, const Replica& replica) {
+  if (in_snapshot_) {
+    while (coming_ < next_places_.size() && next_places_[coming_] != part.field) ++coming_;
+    if (coming_ < next_places_.size()) return take(part, next_[coming_]);
+    return refuse(ApplyError::OutOfOrder,
+                  "values of field " + number(part.field) + ", which were not announced");
+  }
+  const auto place = std::find(places_.begin(), places_.end(), part.field);
+  if (place == places_.end() || part.revision != replica.revision()) {
+    return refuse(ApplyError::OutOfOrder, "values of field " + number(part.field) + " at revision " +
+                                              number(part.revision) + ", at " + number(replica.revision()));
+  }
+  Field& held = fields_[static_cast<std::size_t>(place - places_.begin())];
+  if (part.first == 0) {
+    renewed_ = Field{held.facts, {}};
+    if (held.facts.whole) renewed_->values.emplace<1>();
+  }
+  if (!renewed_ || renewed_->facts != held.facts)
+    return refuse(ApplyError::OutOfOrder,
+                  "values of the field " + held.facts.name + " without their beginning");
+  ApplyResult result = take(part, *renewed_);
+  if (result && part.last) result = check_rows(*renewed_, replica);
+  if (result && part.last) held.values = std::move(renewed_->values);
+  if (!result || part.last) renewed_.reset();
+  return result;
+}
+
 ApplyResult FieldReplica::end(const Replica& replica) {
+  in_snapshot_ = false;
   for (const Field& field : next_) {
-    const bool fits = field.facts.on == FieldOn::Vertices ? field.rows() == replica.vertex_count()
-                                                          : field.rows() >= replica.tet_slots();
-    if (!fits) {
-      return refuse(ApplyError::BadShape,
-                    "the field " + field.facts.name + " came with " + number(field.rows()) + " rows");
-    }
+    if (ApplyResult result = check_rows(field, replica); !result) return result;
   }
   fields_ = std::exchange(next_, {});
+  places_ = std::exchange(next_places_, {});
   return {};
 }
 
 ApplyResult FieldReplica::apply(const Delta& delta) {
-  if (fields_.empty()) return {};
+  renewed_.reset();
   const std::size_t added = delta.provenance_t.size();
   for (const Field& field : fields_) {
     const std::string error = field.facts.on == FieldOn::Tets ? elders_error(delta, field.rows())
@@ -116,9 +150,11 @@ const Field* FieldReplica::find(const std::string& name, FieldOn on) const {
   return found == fields_.end() ? nullptr : &*found;
 }
 
-FieldWriter::FieldWriter(const Field& field, std::uint32_t place, std::size_t elements)
+FieldWriter::FieldWriter(const Field& field, std::uint32_t place, std::uint64_t revision,
+                         std::size_t elements)
     : field_(field), elements_(elements) {
   message_.field = place;
+  message_.revision = revision;
 }
 
 bool FieldWriter::next() {
@@ -133,6 +169,7 @@ bool FieldWriter::next() {
         std::span(std::get<std::vector<float>>(field_.values)).subspan(components * row_, components * rows);
   }
   row_ += rows;
+  message_.last = row_ == field_.rows();
   return true;
 }
 

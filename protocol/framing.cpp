@@ -314,7 +314,7 @@ struct Encoder {
   auto operator()(const FieldValues& m) {
     const auto f32 = array(b, m.f32);
     const auto i32 = array(b, m.i32);
-    return wire::CreateFieldValues(b, m.field, m.first, f32, i32).Union();
+    return wire::CreateFieldValues(b, m.field, m.first, f32, i32, m.revision, m.last).Union();
   }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);

@@ -444,6 +444,8 @@ struct FieldValues {
   std::uint32_t field = 0, first = 0;
   std::span<const float> f32;
   std::span<const std::int32_t> i32;
+  std::uint64_t revision = 0;
+  bool last = false;
 };
 
 // In the order of the schema's union (whose 0 is "none"): index() + 1 is the type on the wire.

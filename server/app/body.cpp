@@ -1,8 +1,12 @@
 #include "server/app/body.hpp"
 
+#include <algorithm>
 #include <exception>
+#include <utility>
+#include <variant>
 
 #include "server/app/surface_asset.hpp"
+#include "server/input/hid/json_node.hpp"
 #include "server/mesh_io/phantom.hpp"
 
 namespace incise::app {
@@ -29,6 +33,75 @@ void check_body(const Config& config, const std::string& file) {
   }
 }
 
+namespace {
+
+std::string described(const core::Field& field) {
+  return std::to_string(field.components) + (field.values.index() == 1 ? " whole number(s)" : " float(s)");
+}
+
+// Zeros. A field that the file has as well must be like it.
+void add_declared(const Config& config, mesh_io::LoadedMesh& loaded) {
+  for (core::Field& field : declared_fields(config, "")) {
+    const auto there = std::find_if(loaded.fields.begin(), loaded.fields.end(), [&](const core::Field& f) {
+      return f.name == field.name && f.on == field.on;
+    });
+    if (there != loaded.fields.end()) {
+      if (described(*there) == described(field)) continue;
+      throw ConfigError("mesh.fields: " + mesh_io::title(field) + " is one of " + described(field) +
+                        "; that of the mesh file has " + described(*there));
+    }
+    const std::size_t rows =
+        field.on == core::Field::On::kTets ? loaded.mesh.tets.size() : loaded.mesh.positions.size();
+    std::visit([&](auto& values) { values.assign(rows * field.components, 0); }, field.values);
+    loaded.fields.push_back(std::move(field));
+  }
+  if (loaded.fields.size() > core::kMaxFields) {
+    loaded.warnings.push_back("the body has " + std::to_string(loaded.fields.size()) + " fields; " +
+                              std::to_string(loaded.fields.size() - core::kMaxFields) +
+                              " of them are left out: at most " + std::to_string(core::kMaxFields) +
+                              " are carried");
+    loaded.fields.resize(core::kMaxFields);
+  }
+}
+
+}  // namespace
+
+std::vector<core::Field> declared_fields(const Config& config, const std::string& file) {
+  std::vector<core::Field> fields;
+  for (const std::string& text : config.mesh.fields) {
+    core::Field field;
+    bool fits = true, has_count = false;
+    std::size_t at = text.find(':');
+    field.name = text.substr(0, at);
+    while (at != std::string::npos) {
+      const std::size_t next = text.find(':', at + 1);
+      const std::string word = text.substr(at + 1, next == std::string::npos ? next : next - at - 1);
+      at = next;
+      if (word == "tets") {
+        field.on = core::Field::On::kTets;
+      } else if (word == "int") {
+        field.values.emplace<1>();
+      } else if (word.size() == 1 && word[0] >= '2' && word[0] <= '9' && !has_count) {
+        field.components = static_cast<std::size_t>(word[0] - '0');
+        has_count = true;
+      } else {
+        fits = false;
+      }
+    }
+    fits = fits && !field.name.empty() && field.name.size() <= core::kMaxFieldName;
+    for (const core::Field& other : fields)
+      fits = fits && !(other.name == field.name && other.on == field.on);
+    if (!fits) {
+      throw ConfigError(
+          (file.empty() ? "" : file + ": ") + "mesh.fields: found " + input::shown(text) +
+          "; accepted is a name that no other has, with \":N\" (2 to 9 numbers each), \":tets\" "
+          "(on the tetrahedra) and \":int\" behind it");
+    }
+    fields.push_back(std::move(field));
+  }
+  return fields;
+}
+
 Body load_body(const Config& config, FillProgress progress, bool fields) {
   mesh_io::LoadOptions options = load_options(config, std::move(progress));
   options.fields = fields;
@@ -39,6 +112,7 @@ Body load_body(const Config& config, FillProgress progress, bool fields) {
                                              body.loaded.warnings);
     body.loaded.content_hash = mesh_io::mesh_hash(body.loaded.mesh);
     body.loaded.filled = true;
+    if (fields) add_declared(config, body.loaded);
     return body;
   }
   if (config.mesh.path.empty()) {
@@ -47,6 +121,7 @@ Body load_body(const Config& config, FillProgress progress, bool fields) {
   const std::filesystem::path path = config.resolve(config.mesh.path);
   body.name = path.filename().string();
   body.loaded = mesh_io::load_mesh(path, options);
+  if (fields) add_declared(config, body.loaded);
   body.origins = origin_tree(body.loaded.surface.get());
   return body;
 }

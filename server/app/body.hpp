@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "protocol/surface_asset.hpp"
 #include "server/app/config.hpp"
@@ -23,12 +24,15 @@ using FillProgress = std::function<void(std::string_view stage, double seconds)>
 // How the configuration wants a file read. `progress` is called while a surface is filled.
 mesh_io::LoadOptions load_options(const Config& config, FillProgress progress = {});
 
+// The fields that mesh.fields declares, without values. Throws ConfigError.
+std::vector<core::Field> declared_fields(const Config& config, const std::string& file);
+
 // Checks the mesh that the configuration names, but does not fill a surface, which may take minutes: reads and repairs
 // tetrahedra, reads and checks a surface. `file` is the configuration in messages. Throws ConfigError.
 void check_body(const Config& config, const std::string& file);
 
 // Throws ConfigError if neither mesh.path nor mesh.phantom is given, MeshError if the mesh cannot be read or made.
-// `fields`: read the file's fields, too.
+// `fields`: with the file's fields, and those that the configuration declares.
 Body load_body(const Config& config, FillProgress progress = {}, bool fields = false);
 
 }  // namespace incise::app

@@ -33,6 +33,7 @@ struct Config {
     double fill_time_limit_s = 300;
     std::int64_t fill_memory_limit_mb = 8192;
     std::string cache_directory;
+    std::vector<std::string> fields;
   } mesh;
 
   core::CutConfig cut;  // with the blade

@@ -46,6 +46,13 @@ void require_same(const Config& config, const Body& body, const protocol::Captur
   }
 }
 
+bool same_fields(const std::vector<core::Field>& a, const std::vector<core::Field>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const core::Field& x, const core::Field& y) {
+    return x.name == y.name && x.on == y.on && x.components == y.components &&
+           x.values.index() == y.values.index();
+  });
+}
+
 // Wall-clock time, not processor time: what matters is how long a start takes, also on a busy machine.
 double seconds_since(std::int64_t ns) {
   return static_cast<double>(monotonic_ns() - ns) * 1e-9;
@@ -291,6 +298,10 @@ Recording resume_recording(const Config& config, const Body& body) {
   recording.session = std::move(start->session);
   recording.shown = tail.finish(*recording.session);
   if (!motion.events.empty() || motion.resets > 0) recording.debt_s = start->read_s + seconds_since(before);
+  if (checkpointed && !same_fields(recording.session->fields().all(), body.loaded.fields)) {
+    spdlog::warn("{}: the body's fields are those that the session began with; a reset brings those of now",
+                 path);
+  }
   // A server that crashes soon after each start would have more to replay each time. Less work than this counts towards the
   // next checkpoint.
   const double most_s = config.capture.checkpoint_replay_s;

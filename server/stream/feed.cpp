@@ -13,6 +13,7 @@ void Feed::reset(std::shared_ptr<const InitialState> initial) {
   if (initial->fields) {
     for (const core::Field& field : *initial->fields) fields_.push_back(facts_of(field));
   }
+  fields_set_.assign(fields_.size(), 0);
   keeper_.reset(std::move(initial));
   ring_.clear();
   changes_.clear();
@@ -44,6 +45,50 @@ void Feed::request_snapshot(protocol::View view, const std::optional<protocol::B
                   [&io = io_, ready = std::move(ready)](std::shared_ptr<const Snapshot> snapshot) {
                     asio::post(io, [ready, snapshot = std::move(snapshot)] { ready(snapshot); });
                   });
+}
+
+std::optional<Refusal> Feed::set_field(const protocol::FieldValues& values) {
+  using protocol::ErrorCode;
+  const auto number = [](std::uint64_t n) { return std::to_string(n); };
+  if (values.field >= fields_.size()) {
+    return Refusal{ErrorCode::BadRequest, "field " + number(values.field) + "; the body has " +
+                                              number(fields_.size()) + " (Welcome.fields)"};
+  }
+  const protocol::FieldFacts& facts = fields_[values.field];
+  const bool on_vertices = facts.on == protocol::FieldOn::Vertices;
+  const std::uint64_t most = on_vertices ? mirror_.volume().vertex_count() : mirror_.volume().tet_slots();
+  const std::size_t numbers = facts.whole ? values.i32.size() : values.f32.size();
+  const std::uint64_t end = values.first + std::uint64_t{numbers / facts.components};
+  if (numbers == 0 || numbers % facts.components != 0 ||
+      !(facts.whole ? values.f32.empty() : values.i32.empty()) || end > most ||
+      values.revision > mirror_.revision()) {
+    return Refusal{ErrorCode::BadRequest,
+                   number(values.f32.size()) + " floats and " + number(values.i32.size()) +
+                       " whole numbers from id " + number(values.first) + " at revision " +
+                       number(values.revision) + "; accepted for this field are " + number(facts.components) +
+                       (facts.whole ? " whole number(s)" : " float(s)") + " for each of one or more " +
+                       (on_vertices ? "vertices" : "tetrahedra") + " below " + number(most) +
+                       ", at a revision up to " + number(mirror_.revision())};
+  }
+  SnapshotKeeper::NewValues given{values.field, values.first, values.revision, {}};
+  if (facts.whole) {
+    given.values = std::vector<std::int32_t>(values.i32.begin(), values.i32.end());
+  } else {
+    given.values = std::vector<float>(values.f32.begin(), values.f32.end());
+  }
+  if (!keeper_.set(std::move(given))) {
+    return Refusal{ErrorCode::NotAvailable,
+                   "those before it still wait to be taken; send them less often (these are passed over)"};
+  }
+  ++fields_set_[values.field];
+  return std::nullopt;
+}
+
+void Feed::request_fields(std::vector<std::uint32_t> fields, SnapshotKeeper::FieldsReady ready) {
+  keeper_.request_fields(std::move(fields), [&io = io_, ready = std::move(ready)](
+                                                std::uint64_t epoch, std::vector<SharedFrames> frames) {
+    asio::post(io, [ready, epoch, frames = std::move(frames)]() mutable { ready(epoch, std::move(frames)); });
+  });
 }
 
 SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {

@@ -10,6 +10,7 @@
 
 #include "server/stream/delta_ring.hpp"
 #include "server/stream/mirror.hpp"
+#include "server/stream/refusal.hpp"
 #include "server/stream/snapshot_keeper.hpp"
 
 namespace incise::stream {
@@ -30,8 +31,13 @@ class Feed {
 
   const Mirror& mirror() const { return mirror_; }
   const DeltaRing& ring() const { return ring_; }
-  // That the body has.
+  // That the body has, and how often clients have set each.
   const std::vector<protocol::FieldFacts>& fields() const { return fields_; }
+  const std::vector<std::uint64_t>& fields_set() const { return fields_set_; }
+  // What a client says of one of them, for everybody; or why not.
+  std::optional<Refusal> set_field(const protocol::FieldValues& values);
+  // Calls `ready` on this thread, later: values at the mirror's revision as it is now.
+  void request_fields(std::vector<std::uint32_t> fields, SnapshotKeeper::FieldsReady ready);
 
   // Whether deltas lead on from the state of that revision with that hash (0: not known). The hash matters after a
   // crash: a server that resumes a capture may have lost its last steps and made others in their place.
@@ -53,6 +59,7 @@ class Feed {
   ChangeRing changes_;
   std::map<std::pair<protocol::View, std::uint64_t>, SharedFrame> coalesced_;  // up to the mirror's revision
   std::vector<protocol::FieldFacts> fields_;
+  std::vector<std::uint64_t> fields_set_;
   SnapshotKeeper keeper_;
 };
 

@@ -14,6 +14,7 @@ FeedFollower::FeedFollower(PeerContext& context, Outbox& outbox)
       outbox_(outbox),
       feed_(&context.live),
       snapshot_(outbox),
+      field_updates_(outbox),
       part_(*context.counters),
       pace_(context.io) {}
 
@@ -82,6 +83,7 @@ void FeedFollower::switch_to(Feed& feed) {
 
 void FeedFollower::stop() {
   want_ = {};
+  field_updates_.forget();
   snapshot_.forget();
   part_.hold(nullptr);
   pace_.cancel();
@@ -89,6 +91,7 @@ void FeedFollower::stop() {
 
 void FeedFollower::drop_state() {
   outbox_.drop_state();
+  field_updates_.forget();
   behind_ = false;
 }
 
@@ -101,6 +104,7 @@ bool FeedFollower::can_resume(const protocol::Hello& hello) const {
 void FeedFollower::resume(std::uint64_t revision) {
   ++context_.counters->resumed;
   revision_ = revision;
+  field_updates_.note_unknown();
   advance();
 }
 
@@ -126,6 +130,8 @@ void FeedFollower::send_snapshot(SnapshotCause cause) {
     ++context_.counters->slow_snapshots;
   }
   ++context_.counters->snapshots;
+  field_updates_.forget();
+  field_updates_.note_requested(*feed_);
   snapshot_.request(*feed_, want_, cause,
                     [this](std::shared_ptr<const Snapshot> snapshot) { on_snapshot(std::move(snapshot)); });
 }
@@ -151,6 +157,7 @@ void FeedFollower::on_snapshot(std::shared_ptr<const Snapshot> snapshot) {
 
 void FeedFollower::on_snapshot_sent(const Snapshot& snapshot) {
   revision_ = snapshot.begin.revision;
+  field_updates_.note_held();
   part_.hold(snapshot.part);
   if (std::exchange(resync_again_, false)) send_snapshot(SnapshotCause::Resync);
 }
@@ -158,7 +165,7 @@ void FeedFollower::on_snapshot_sent(const Snapshot& snapshot) {
 // ---- Deltas ----
 
 void FeedFollower::advance() {
-  if (want_.view == View::None || snapshot_.requested()) return;
+  if (want_.view == View::None || snapshot_.requested() || field_updates_.on_their_way()) return;
   if (snapshot_.sending()) {
     const auto sent = snapshot_.send_chunks(context_.config.outbox_bytes);
     if (!sent) return;
@@ -168,15 +175,25 @@ void FeedFollower::advance() {
   if (!has_room()) return;
   const std::uint64_t head = feed_->mirror().revision();
   if (revision_ == head) {
-    if (outbox_.state_bytes() == 0) slow_snapshots_ = 0;
+    if (outbox_.state_bytes() == 0) {
+      slow_snapshots_ = 0;
+      bring_fields();
+    }
     return;
   }
   if (!pace_.allow(outbox_.keep(), [this] { advance(); })) return;
   if (!want_.box) {
     send_deltas(head);
+    if (revision_ == head) bring_fields();
   } else if (!std::exchange(box_turn_asked_, true)) {
     context_.box_turns.ask(self());
   }
+}
+
+// Values that a client has set come at the revision that the peer holds now.
+void FeedFollower::bring_fields() {
+  const std::vector<std::uint32_t> chosen = fields();
+  if (!chosen.empty() && !snapshot_.busy()) field_updates_.bring(*feed_, chosen, [this] { advance(); });
 }
 
 // A full outbox must half empty before it gets more, so that what is missing becomes one delta.

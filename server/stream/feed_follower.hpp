@@ -9,6 +9,7 @@
 #include "server/stream/box_turns.hpp"
 #include "server/stream/delta_pace.hpp"
 #include "server/stream/feed.hpp"
+#include "server/stream/field_updates.hpp"
 #include "server/stream/held_part.hpp"
 #include "server/stream/outbox.hpp"
 #include "server/stream/peer_context.hpp"
@@ -66,6 +67,7 @@ class FeedFollower final : public BoxHolder {
   void refuse_box(const std::string& why, protocol::SnapshotCause cause);
   bool has_room();
   void send_deltas(std::uint64_t head);
+  void bring_fields();
   std::shared_ptr<FeedFollower> self() { return {outbox_.keep(), this}; }
 
   PeerContext& context_;
@@ -75,6 +77,7 @@ class FeedFollower final : public BoxHolder {
   std::uint64_t revision_ = 0;  // the peer's, once it has read what the outbox holds
   bool behind_ = false;         // the outbox was full: it must half empty first
   SnapshotDelivery snapshot_;
+  FieldUpdates field_updates_;
   bool resync_again_ = false;         // asked for while a snapshot was being sent
   std::uint32_t slow_snapshots_ = 0;  // in a row
   HeldPart part_;                     // with a box: what the peer holds at revision_

@@ -140,6 +140,8 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
     on_replay(*replay, sequence);
   } else if (const auto* positions = std::get_if<protocol::Positions>(&body)) {
     on_positions(*positions, sequence);
+  } else if (const auto* values = std::get_if<protocol::FieldValues>(&body)) {
+    on_field_values(*values, sequence);
   } else if (const auto* model = std::get_if<protocol::BladeModel>(&body)) {
     on_model(*model, sequence);
   } else {
@@ -193,6 +195,18 @@ void Peer::on_positions(const protocol::Positions& positions, std::uint64_t sequ
   }
   const auto refusal = positions_.offer(positions, context_.live.mirror(), context_.input, last_received_ns_);
   if (refusal) outbox_.complain(refusal->code, refusal->text, sequence);
+}
+
+void Peer::on_field_values(const protocol::FieldValues& values, std::uint64_t sequence) {
+  if (role_ != Role::Simulator && role_ != Role::Admin) {
+    outbox_.complain(ErrorCode::Forbidden, "FieldValues: only simulators and admins send them", sequence);
+    return;
+  }
+  if (const auto refusal = context_.live.set_field(values)) {
+    outbox_.complain(refusal->code, "FieldValues: " + refusal->text, sequence);
+  } else {
+    others_.advance_all();
+  }
 }
 
 void Peer::on_model(const protocol::BladeModel& model, std::uint64_t sequence) {

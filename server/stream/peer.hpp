@@ -30,6 +30,8 @@ class PeerDirectory {
   virtual void remove(const std::shared_ptr<Peer>& peer) = 0;
   // The peer that holds that blade; null where none does.
   virtual std::shared_ptr<Peer> holder(const std::string& source_name) const = 0;
+  // Sends every peer what it should have by now.
+  virtual void advance_all() = 0;
   // The server has said goodbye to that peer, which does not read.
   virtual void linger(const std::shared_ptr<Peer>& peer) = 0;
 
@@ -94,6 +96,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<void> on_poses(const protocol::PoseBatch& batch, std::uint64_t sequence);
   asio::awaitable<void> on_stroke(const protocol::StrokeControl& control, std::uint64_t sequence);
   void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
+  void on_field_values(const protocol::FieldValues& values, std::uint64_t sequence);
   void on_model(const protocol::BladeModel& model, std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
   void on_undo(std::uint64_t sequence);

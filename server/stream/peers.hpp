@@ -26,7 +26,7 @@ class Peers final : public PeerDirectory {
   // Applies a delta to the live feed; advance_all() then sends it. Applying many first gives a thread that is behind
   // fewer, larger writes.
   void apply(const std::shared_ptr<const PublishedDelta>& delta);
-  void advance_all();
+  void advance_all() override;
   void send_force(const protocol::Force& force);
 
   // Starts the clock, which then runs until close_all().

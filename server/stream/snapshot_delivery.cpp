@@ -35,7 +35,7 @@ std::shared_ptr<const Snapshot> SnapshotDelivery::send_chunks(std::size_t max_by
     outbox_.send_state(snapshot_->chunks[next_chunk_++]);
   }
   for (; next_field_ < fields_.size(); ++next_field_, next_part_ = 0) {
-    const std::vector<SharedFrame>& parts = snapshot_->fields[fields_[next_field_]];
+    const std::vector<SharedFrame>& parts = *snapshot_->fields[fields_[next_field_]];
     while (next_part_ < parts.size()) {
       if (outbox_.state_bytes() > max_bytes) return nullptr;
       outbox_.send_state(parts[next_part_++]);

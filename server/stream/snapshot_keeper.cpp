@@ -1,5 +1,6 @@
 #include "server/stream/snapshot_keeper.hpp"
 
+#include <algorithm>
 #include <string>
 #include <utility>
 
@@ -8,6 +9,11 @@
 #include "server/stream/mirror.hpp"
 
 namespace incise::stream {
+namespace {
+
+constexpr std::size_t kMostToSet_bytes = 128u << 20;  // values of fields that may wait
+
+}  // namespace
 
 protocol::FieldFacts facts_of(const core::Field& field) {
   return {field.name, static_cast<protocol::FieldOn>(field.on), static_cast<std::uint32_t>(field.components),
@@ -44,6 +50,20 @@ void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::
   enqueue(Request{view, box, fields, std::move(ready)});
 }
 
+bool SnapshotKeeper::set(NewValues values) {
+  const std::size_t bytes = std::visit([](const auto& v) { return 4 * v.size(); }, values.values);
+  {
+    const std::scoped_lock lock(mutex_);
+    if (bytes_to_set_ > kMostToSet_bytes) return false;
+    bytes_to_set_ += bytes;
+  }
+  enqueue(std::move(values));
+  return true;
+}
+void SnapshotKeeper::request_fields(std::vector<std::uint32_t> fields, FieldsReady ready) {
+  enqueue(FieldsRequest{std::move(fields), std::move(ready)});
+}
+
 void SnapshotKeeper::run() {
   std::vector<Task> tasks;
   for (;;) {
@@ -53,16 +73,19 @@ void SnapshotKeeper::run() {
       wake_.wait(lock, [&] { return stopping_ || !tasks_.empty(); });
       if (stopping_) return;
       tasks.swap(tasks_);
+      bytes_to_set_ = 0;
     }
     for (Task& task : tasks) {
       if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
         reset_to(**initial);
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
-        const protocol::Delta& change = arrays_.assign(**delta, replica_);
-        const protocol::ApplyResult result = replica_.apply(change);
-        INCISE_CHECK(result, result.text);
-        const protocol::ApplyResult carried = fields_.apply(change);
-        INCISE_CHECK(carried, carried.text);
+        apply_now(**delta);
+      } else if (const auto* values = std::get_if<NewValues>(&task)) {
+        set_now(*values);
+      } else if (const auto* wanted = std::get_if<FieldsRequest>(&task)) {
+        std::vector<SharedFrames> frames;
+        for (const std::uint32_t field : wanted->fields) frames.push_back(field_frames(field));
+        wanted->ready(epoch_, std::move(frames));
       } else {
         const Request& request = std::get<Request>(task);
         request.ready(encode(request));
@@ -78,28 +101,61 @@ void SnapshotKeeper::reset_to(const InitialState& initial) {
   if (initial.fields) {
     for (const core::Field& field : *initial.fields) fields.push_back({facts_of(field), field.values});
   }
+  field_frames_.assign(fields.size(), nullptr);
   fields_.load(std::move(fields));
   if (initial.mirror) {
     replica_ = initial.mirror->volume();
     surface_ = initial.mirror->surface();
     surface_epoch_ = epoch_;
-    return;
+  } else {
+    surface_.set_origins(initial.origins);
+    const std::string problem = load_initial(initial, replica_);
+    INCISE_CHECK(problem.empty(), problem);
   }
-  surface_.set_origins(initial.origins);
-  const std::string problem = load_initial(initial, replica_);
-  INCISE_CHECK(problem.empty(), problem);
+  if (fields_.all().empty()) return;
+  vertex_since_.assign(replica_.vertex_count(), replica_.revision());
+  tet_since_.assign(replica_.tet_slots(), replica_.revision());
 }
 
-void SnapshotKeeper::encode_fields(Snapshot& snapshot) const {
-  const std::vector<protocol::Field>& all = fields_.all();
-  for (std::uint32_t place = 0; place < all.size(); ++place) {
-    std::vector<SharedFrame>& frames = snapshot.fields.emplace_back();
-    protocol::FieldWriter writer(all[place], place, protocol::kChunkElements);
-    while (writer.next()) {
-      frames.push_back(make_frame(writer.message()));
-      snapshot.bytes += frames.back()->tcp().size();
-    }
-  }
+void SnapshotKeeper::apply_now(const PublishedDelta& published) {
+  const protocol::Delta& delta = arrays_.assign(published, replica_);
+  const protocol::ApplyResult result = replica_.apply(delta);
+  INCISE_CHECK(result, result.text);
+  if (fields_.all().empty()) return;
+  const protocol::ApplyResult carried = fields_.apply(delta);
+  INCISE_CHECK(carried, carried.text);
+  vertex_since_.resize(replica_.vertex_count(), delta.revision);
+  for (const std::uint32_t v : delta.blend_ids) vertex_since_[v] = delta.revision;
+  tet_since_.resize(replica_.tet_slots(), delta.revision);
+  field_frames_.assign(fields_.all().size(), nullptr);
+}
+
+void SnapshotKeeper::set_now(const NewValues& given) {
+  protocol::Field& field = fields_.at(given.field);
+  const std::vector<std::uint64_t>& since =
+      field.facts.on == protocol::FieldOn::Vertices ? vertex_since_ : tet_since_;
+  const std::size_t components = field.facts.components;
+  std::visit(
+      [&](auto& held) {
+        const auto& values = std::get<std::decay_t<decltype(held)>>(given.values);
+        for (std::size_t i = 0; i * components < values.size(); ++i) {
+          const std::size_t id = given.first + i;
+          if (id >= std::min(field.rows(), since.size()) || since[id] > given.revision) continue;
+          std::copy_n(&values[components * i], components, &held[components * id]);
+        }
+      },
+      field.values);
+  field_frames_[given.field] = nullptr;
+  last_[static_cast<std::size_t>(protocol::View::Volume)].reset();
+}
+
+SharedFrames SnapshotKeeper::field_frames(std::uint32_t field) {
+  SharedFrames& frames = field_frames_[field];
+  if (frames) return frames;
+  std::vector<SharedFrame> made;
+  protocol::FieldWriter writer(fields_.all()[field], field, replica_.revision(), protocol::kChunkElements);
+  while (writer.next()) made.push_back(make_frame(writer.message()));
+  return frames = std::make_shared<const std::vector<SharedFrame>>(std::move(made));
 }
 
 std::shared_ptr<const Snapshot> SnapshotKeeper::encode(const Request& request) {
@@ -145,7 +201,8 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(const Request& request) {
     encode_all(protocol::VolumePartWriter(part, *box, kCause), replica_.state_hash());
   } else {
     encode_all(protocol::SnapshotWriter(replica_, kCause));
-    if (with_fields) encode_fields(*snapshot);
+    for (std::uint32_t field = 0; with_fields && field < fields_.all().size(); ++field)
+      snapshot->fields.push_back(field_frames(field));
   }
   if (!box) last = snapshot;
   return snapshot;

@@ -16,13 +16,15 @@
 
 namespace incise::stream {
 
+using SharedFrames = std::shared_ptr<const std::vector<SharedFrame>>;
+
 // A whole state, encoded, for any number of peers at once. `begin` lacks the cause, which differs from peer to peer.
 struct Snapshot {
   std::uint64_t epoch = 0;
   protocol::SnapshotBegin begin;                      // points to the next two
   std::vector<std::uint32_t> piece_ids, piece_names;  // of the whole volume
   std::vector<SharedFrame> chunks;
-  std::vector<std::vector<SharedFrame>> fields;  // of each field there is; empty: they were not asked for
+  std::vector<SharedFrames> fields;  // of each field there is; empty: they were not asked for
   SharedFrame end;
   std::size_t bytes = 0;
   // With a box: what it contains. Such a snapshot is for one peer, which takes the part over.
@@ -50,6 +52,19 @@ class SnapshotKeeper {
   // With a box: only what touches it. With `fields`, which a box has not: their values, too.
   void request(protocol::View view, const std::optional<protocol::Box>& box, bool fields, Ready ready);
 
+  // Sets rows of a field to what a client says they were at `revision`. Those that a cut has made or given other material since stay as
+  // they are. There is such a field, and it has these rows.
+  struct NewValues {
+    std::uint32_t field = 0, first = 0;
+    std::uint64_t revision = 0;
+    decltype(protocol::Field::values) values;
+  };
+  // False: too much waits.
+  bool set(NewValues values);
+  // All values of these fields, as they are after what came before this call.
+  using FieldsReady = std::function<void(std::uint64_t epoch, std::vector<SharedFrames>)>;
+  void request_fields(std::vector<std::uint32_t> fields, FieldsReady ready);
+
  private:
   struct Request {
     protocol::View view;
@@ -57,18 +72,28 @@ class SnapshotKeeper {
     bool fields;
     Ready ready;
   };
-  using Task =
-      std::variant<std::shared_ptr<const InitialState>, std::shared_ptr<const PublishedDelta>, Request>;
+  struct FieldsRequest {
+    std::vector<std::uint32_t> fields;
+    FieldsReady ready;
+  };
+  using Task = std::variant<std::shared_ptr<const InitialState>, std::shared_ptr<const PublishedDelta>,
+                            Request, NewValues, FieldsRequest>;
   void enqueue(Task task);
   void run();
   void reset_to(const InitialState& initial);
   std::shared_ptr<const Snapshot> encode(const Request& request);
-  void encode_fields(Snapshot& snapshot) const;
+  void apply_now(const PublishedDelta& delta);
+  void set_now(const NewValues& values);
+  // Encoded once for all who ask.
+  SharedFrames field_frames(std::uint32_t field);
 
   // The keeper's thread's.
   protocol::Replica replica_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;  // of replica_ as it was at the last request for that view
   protocol::FieldReplica fields_;
+  // Of each vertex and tetrahedron, where there are fields: the revision that made it, or gave it other material.
+  std::vector<std::uint64_t> vertex_since_, tet_since_;
+  std::vector<SharedFrames> field_frames_;  // null: not of what is now
   std::uint64_t epoch_ = 0, surface_epoch_ = 0;
   DeltaArrays arrays_;
   // The last snapshot of each view while a peer is still sent it: many that join at once share it.
@@ -76,8 +101,9 @@ class SnapshotKeeper {
 
   std::mutex mutex_;
   std::condition_variable wake_;
-  std::vector<Task> tasks_;  // guarded by mutex_
-  bool stopping_ = false;    // guarded by mutex_
+  std::vector<Task> tasks_;       // guarded by mutex_
+  std::size_t bytes_to_set_ = 0;  // in these; guarded by mutex_
+  bool stopping_ = false;         // guarded by mutex_
   std::thread thread_;
 };
 

@@ -31,7 +31,7 @@ ServedSession::ServedSession(const std::string& name, int target_tets, const std
 }
 
 void ServedSession::use_body(const std::string& file_name) {
-  mesh_ = R"("path": ")" + file_name + '"';
+  mesh_ = R"("path": ")" + file_name + R"(", "fields": ["heat", "mark:2:tets:int"])";
   write_config();
   config_ = app::load_config(directory_ / "server.json");
   body_ = app::load_body(config_, {}, true);

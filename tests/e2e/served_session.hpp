@@ -29,7 +29,7 @@ class ServedSession {
   ServedSession(const std::string& name, int target_tets, const std::string& capture);
   ~ServedSession();
 
-  // Another body, before the first start: a file in its folder.
+  // Another body, before the first start: a file in its folder, with two more fields for clients to set.
   void use_body(const std::string& file_name);
   // Other keys for "capture", from the next start on.
   void set_capture(const std::string& capture) {

@@ -146,7 +146,7 @@ FieldsHeld fields_for_a_newcomer(const ServedSession& session) {
 
 // A field that was the rest position still is; one that was random is as random as it was: no new extremes; regions follow.
 void expect_sound(const ServedSession& session, const FieldsHeld& fields) {
-  ASSERT_EQ(fields.size(), 4u);
+  ASSERT_EQ(fields.size(), 6u);
   const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
   ASSERT_TRUE(viewer->wait_for_revision(0, 60));
   viewer->read([&](const protocol::Replica& mesh) {
@@ -200,7 +200,7 @@ TEST(Recovery, FieldsGoWithTheMaterialThroughUndoAndResume) {
     ASSERT_TRUE(viewer->wait_for_revision(0, 60));
     const std::uint64_t epoch = viewer->welcome().session;
     const FieldsHeld loaded = fields_of(*viewer);
-    ASSERT_EQ(loaded.size(), 4u);
+    ASSERT_EQ(loaded.size(), 6u);
     EXPECT_EQ(std::get<0>(loaded[0].second), rest);
     EXPECT_EQ(std::get<1>(loaded[3].second), region);
     FieldsHeld once;
@@ -219,6 +219,9 @@ TEST(Recovery, FieldsGoWithTheMaterialThroughUndoAndResume) {
       EXPECT_EQ(fields_for_a_newcomer(session), fields_of(*viewer)) << "carried by deltas, or by the server";
       expect_sound(session, fields_of(*viewer));
       EXPECT_EQ(python.line("ok"), "ok");
+      EXPECT_EQ(python.line("set"), "set");
+      EXPECT_TRUE(wait_for([&] { return fields_of(*viewer)[4].second != once[4].second; }));
+      EXPECT_EQ(fields_for_a_newcomer(session), fields_of(*viewer)) << "as a client has set it";
       EXPECT_EQ(hand.undo(*viewer), "");
       settled(session, *viewer);
       EXPECT_EQ(fields_of(*viewer), once);

@@ -54,11 +54,13 @@ class FieldsTest : public ::testing::Test {
     snapshot.fields = places;
     return snapshot;
   }
-  ApplyResult floats(std::uint32_t field, std::uint32_t first, const std::vector<float>& numbers) {
-    return fields.values({field, first, numbers, {}});
+  ApplyResult floats(std::uint32_t field, std::uint32_t first, const std::vector<float>& numbers,
+                     bool last = false) {
+    return fields.values({field, first, numbers, {}, replica.revision(), last}, replica);
   }
-  ApplyResult whole(std::uint32_t field, std::uint32_t first, const std::vector<std::int32_t>& numbers) {
-    return fields.values({field, first, {}, numbers});
+  ApplyResult whole(std::uint32_t field, std::uint32_t first, const std::vector<std::int32_t>& numbers,
+                    bool last = false) {
+    return fields.values({field, first, {}, numbers, replica.revision(), last}, replica);
   }
   void load() {
     ASSERT_TRUE(fields.begin(begin(kPlaces), kThere));
@@ -104,12 +106,12 @@ TEST_F(FieldsTest, ASnapshotThatDoesNotFitIsRefusedAndWhatIsHeldStays) {
     EXPECT_FALSE(result.text.empty());
     EXPECT_EQ(fields.all().size(), 3u);
   };
-  refused([&] { return floats(3, 0, {1}); });                    // not announced
-  refused([&] { return floats(0, 1, {1}); });                    // does not begin at 0
-  refused([&] { return whole(0, 0, {1}); });                     // of the other kind
-  refused([&] { return floats(0, 0, {}); });                     // empty
-  refused([&] { return floats(2, 0, {1, 2}); });                 // no whole row
-  refused([&] { return fields.values({1, 0, kOne, kWhole}); });  // of both
+  refused([&] { return floats(3, 0, {1}); });                             // not announced
+  refused([&] { return floats(0, 1, {1}); });                             // does not begin at 0
+  refused([&] { return whole(0, 0, {1}); });                              // of the other kind
+  refused([&] { return floats(0, 0, {}); });                              // empty
+  refused([&] { return floats(2, 0, {1, 2}); });                          // no whole row
+  refused([&] { return fields.values({1, 0, kOne, kWhole}, replica); });  // of both
   refused([&] {
     EXPECT_TRUE(whole(1, 0, {1}));
     return floats(0, 0, {1});  // out of order
@@ -119,6 +121,24 @@ TEST_F(FieldsTest, ASnapshotThatDoesNotFitIsRefusedAndWhatIsHeldStays) {
     EXPECT_TRUE(floats(0, 0, {0, 1, 2, 3, 4, 5}));  // a row more than there are vertices
     return fields.end(replica);
   });
+}
+
+TEST_F(FieldsTest, NewValuesReplaceAFieldOnceTheyAreWhole) {
+  load();
+  const auto label = [&] { return std::get<1>(fields.all()[1].values); };
+  ASSERT_TRUE(whole(1, 0, {1, 2, 3}));
+  EXPECT_EQ(label()[0], 10) << "not yet";
+  ASSERT_TRUE(whole(1, 3, {4, 5}, true));
+  EXPECT_EQ(label(), (std::vector<std::int32_t>{1, 2, 3, 4, 5}));
+  EXPECT_FALSE(whole(1, 0, {1, 2, 3}, true)) << "too few";
+  EXPECT_FALSE(whole(1, 3, {9, 9}, true)) << "without their beginning";
+  EXPECT_FALSE(whole(3, 0, {9, 9}, true)) << "is not held";
+  EXPECT_FALSE(floats(1, 0, {1, 2, 3, 4, 5}, true)) << "of the other kind";
+  EXPECT_FALSE(fields.values({0, 0, kOne, {}, 7, true}, replica)) << "of another revision";
+  ASSERT_TRUE(whole(1, 0, {7, 7, 7}));
+  EXPECT_FALSE(floats(0, 3, {9, 9}, true)) << "another field's beginning came last";
+  EXPECT_EQ(label(), (std::vector<std::int32_t>{1, 2, 3, 4, 5}));
+  EXPECT_EQ(std::get<0>(fields.all()[0].values), (std::vector<float>{0, 1, 2, 3, 4}));
 }
 
 TEST_F(FieldsTest, DeltasCarryThemAsCarryDoes) {
@@ -148,8 +168,9 @@ TEST_F(FieldsTest, WhatAWriterSendsIsWhatIsHeld) {
   ASSERT_TRUE(copy.begin(begin(kPlaces), kThere));
   std::size_t messages = 0;
   for (std::uint32_t place = 0; place < 3; ++place) {
-    FieldWriter writer(fields.all()[place], place, 2);
-    for (; writer.next(); ++messages) ASSERT_TRUE(copy.values(writer.message()));
+    FieldWriter writer(fields.all()[place], place, replica.revision(), 2);
+    for (; writer.next(); ++messages) ASSERT_TRUE(copy.values(writer.message(), replica));
+    EXPECT_TRUE(writer.message().last);
   }
   ASSERT_TRUE(copy.end(replica));
   EXPECT_EQ(messages, 3u + 3 + 1);

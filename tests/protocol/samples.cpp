@@ -278,7 +278,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Undo", Undo{}},
       {"BladeLoad", load},
       {"BladeModel", model},
-      {"FieldValues", FieldValues{1, 3, array<float>({36.5f, -0.25f, 1e-6f, 0, 37, 2}), {}}},
+      {"FieldValues", FieldValues{1, 3, array<float>({36.5f, -0.25f, 1e-6f, 0, 37, 2}), {}, 2, true}},
   };
 }
 
@@ -390,7 +390,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
                                               {},
                                               {},
                                               array<std::uint32_t>({0, 2})}},
-        {"FieldValuesWhole", FieldValues{2, 0, {}, array<std::int32_t>({1, -2, 3})}},
+        {"FieldValuesWhole", FieldValues{2, 0, {}, array<std::int32_t>({1, -2, 3}), 0, false}},
     };
   }();
   return all;

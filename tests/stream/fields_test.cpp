@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <chrono>
 #include <string>
+#include <thread>
 #include <variant>
 #include <vector>
 
@@ -131,13 +134,127 @@ TEST(StreamFields, AResumeGoesOnWithTheSameChoiceOnly) {
   again.fields = first.fields;
   again.whole = true;
   ASSERT_TRUE(again.follow(s.loop.revision()));
+  const auto carried = again.fields.all()[0].values;
+  ASSERT_TRUE(take_until(again, [&] { return again.fields_set == 1; }))
+      << "somebody may have set it meanwhile";
+  EXPECT_EQ(again.fields.all()[0].values, carried);
   EXPECT_TRUE(again.welcome.resumed);
-  EXPECT_EQ(again.field_messages, 0u);
   back.fields = {"rest", "cell"};
   Viewer other(s.server.tcp_port(), back);
   ASSERT_TRUE(other.follow(s.loop.revision()));
   EXPECT_FALSE(other.welcome.resumed);
   EXPECT_EQ(other.fields.all()[0].values, again.fields.all()[0].values);
+}
+
+// A simulator sets a field, before and after cuts: everybody who wants it gets it, and it follows the material from there.
+TEST(StreamFields, WhatASimulatorSetsComesToAllAndIsCarried) {
+  TestServer s;
+  Viewer viewer(s.server.tcp_port(), asking({"*"})), labels(s.server.tcp_port(), asking({"label"}));
+  ASSERT_TRUE(viewer.follow(0));
+  ASSERT_TRUE(labels.follow(0));
+  protocol::Hello h = hello(Role::Simulator, View::None);
+  RawPeer simulator(s.server.tcp_port());
+  ASSERT_TRUE(simulator.send(h));
+  ASSERT_TRUE(simulator.receive_until<protocol::Welcome>());
+  const auto set = [&](const std::vector<float>& rest, std::uint32_t first, std::uint64_t revision) {
+    protocol::FieldValues values{0, first, rest, {}, revision, false};
+    ASSERT_TRUE(simulator.send(values, 2));
+  };
+  const std::uint32_t n = viewer.replica.vertex_count();
+  std::vector<float> twice = std::get<0>(viewer.fields.all()[0].values);
+  for (float& x : twice) x *= 2;
+  set(twice, 0, 0);
+  ASSERT_TRUE(take_until(viewer, [&] { return viewer.fields_set == 1; }));
+  EXPECT_EQ(std::get<0>(viewer.fields.all()[0].values), twice);
+  s.cut();
+  ASSERT_TRUE(viewer.follow(s.loop.revision()));
+  // Of the uncut state, come late: vertices that the cut has made or given other material keep what they carry.
+  std::vector<float> thrice = twice;
+  for (float& x : thrice) x *= 1.5f;
+  const std::vector<float> before = std::get<0>(viewer.fields.all()[0].values);
+  set(thrice, 0, 0);
+  ASSERT_TRUE(take_until(viewer, [&] { return viewer.fields_set == 2; }));
+  const std::vector<float>& now = std::get<0>(viewer.fields.all()[0].values);
+  ASSERT_GT(viewer.replica.vertex_count(), n);
+  std::size_t kept = 0;
+  for (std::size_t v = 0; v < viewer.replica.vertex_count(); ++v) {
+    const bool set_now = v < n && now[3 * v] == thrice[3 * v] && now[3 * v + 2] == thrice[3 * v + 2];
+    if (!set_now) {
+      EXPECT_EQ(now[3 * v + 1], before[3 * v + 1]) << "vertex " << v;
+      ++kept;
+    }
+  }
+  EXPECT_GE(kept, viewer.replica.vertex_count() - n);
+  EXPECT_LT(kept, n);
+  set({7, 8, 9}, 5, s.loop.revision());  // one row
+  ASSERT_TRUE(take_until(viewer, [&] { return viewer.fields_set == 3; }));
+  EXPECT_EQ(std::get<0>(viewer.fields.all()[0].values)[16], 8);
+  s.cut();
+  ASSERT_TRUE(viewer.follow(s.loop.revision()));
+  Viewer late(s.server.tcp_port(), asking({"*"}));
+  ASSERT_TRUE(late.follow(s.loop.revision()));
+  EXPECT_EQ(values(late.fields), values(viewer.fields));
+  ASSERT_TRUE(labels.follow(s.loop.revision()));
+  EXPECT_EQ(labels.fields_set, 0u) << "did not ask for it";
+}
+
+TEST(StreamFields, ValuesThatDoNotFitAreRefusedAndNothingElseHappens) {
+  TestServer s;
+  RawPeer simulator(s.server.tcp_port());
+  ASSERT_TRUE(simulator.send(hello(Role::Simulator, View::None)));
+  const auto answer = [](RawPeer& peer, const protocol::FieldValues& values) {
+    EXPECT_TRUE(peer.send(values, 9));
+    const auto error = peer.receive_until<protocol::Error>();
+    return error ? std::get<protocol::Error>(error->message.body).text : "";
+  };
+  const std::vector<float> two{1, 2}, three{1, 2, 3};
+  const std::vector<std::int32_t> one{1};
+  EXPECT_EQ(answer(simulator, {3, 0, three, {}, 0, false}),
+            "FieldValues: field 3; the body has 3 (Welcome.fields)");
+  EXPECT_EQ(
+      answer(simulator, {0, 0, two, {}, 0, false}),
+      "FieldValues: 2 floats and 0 whole numbers from id 0 at revision 0; accepted for this field are 3 "
+      "float(s) for each of one or more vertices below 343, at a revision up to 0");
+  EXPECT_NE(answer(simulator, {1, 0, three, {}, 0, false}), "") << "floats for whole numbers";
+  EXPECT_NE(answer(simulator, {1, 343, {}, one, 0, false}), "") << "beyond the last vertex";
+  EXPECT_NE(answer(simulator, {1, 0xffffffff, {}, one, 0, false}), "");
+  EXPECT_NE(answer(simulator, {1, 0, {}, one, 1, false}), "") << "of a revision to come";
+  EXPECT_NE(answer(simulator, {1, 0, {}, {}, 0, false}), "");
+  RawPeer viewer(s.server.tcp_port());
+  ASSERT_TRUE(viewer.send(asking({"*"})));
+  EXPECT_EQ(answer(viewer, {1, 0, {}, one, 0, false}), "FieldValues: only simulators and admins send them");
+}
+
+// A simulator that floods while the body is cut, a viewer that reads slowly, a reset: at rest all hold the same again.
+TEST(StreamFields, AFloodOfValuesWhileItIsCutLeavesAllWithTheSame) {
+  TestServer s;
+  Viewer viewer(s.server.tcp_port(), asking({"*"}));
+  ASSERT_TRUE(viewer.follow(0));
+  std::atomic<bool> stop{false};
+  std::thread flood([&] {
+    RawPeer simulator(s.server.tcp_port());
+    simulator.send(hello(Role::Simulator, View::None));
+    std::vector<float> rest(3 * 343, 1);
+    for (std::uint64_t sequence = 2; !stop; ++sequence) {
+      for (float& x : rest) x += 0.25f;
+      simulator.send(protocol::FieldValues{0, 0, rest, {}, 0, false}, sequence);
+      std::this_thread::sleep_for(std::chrono::milliseconds(4));
+    }
+    simulator.shut_down();
+  });
+  for (int i = 0; i < 4; ++i) {
+    s.cut();
+    EXPECT_TRUE(viewer.follow(s.loop.revision()));
+  }
+  EXPECT_TRUE(take_until(viewer, [&] { return viewer.fields_set >= 4; }));
+  stop = true;
+  flood.join();
+  s.cut();
+  Viewer late(s.server.tcp_port(), asking({"*"}));
+  ASSERT_TRUE(late.follow(s.loop.revision()));
+  ASSERT_TRUE(viewer.follow(s.loop.revision()));
+  // The last values may come after the last delta.
+  ASSERT_TRUE(take_until(viewer, [&] { return values(viewer.fields) == values(late.fields); }));
 }
 
 // A viewer that read nothing while much was cut gets one coalesced delta, and holds the same fields as others.

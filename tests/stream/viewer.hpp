@@ -44,6 +44,7 @@ struct Viewer {
     protocol::ApplyResult result;
     if (const auto* part = std::get_if<protocol::SnapshotBegin>(&body)) {
       causes.push_back(part->cause);
+      whole = false;
       result = replica.begin(*part);
       if (result) result = fields.begin(*part, welcome.fields);
     } else if (const auto* chunk = std::get_if<protocol::SnapshotChunk>(&body)) {
@@ -53,8 +54,9 @@ struct Viewer {
       if (result) result = fields.end(replica);
       whole = static_cast<bool>(result);
     } else if (const auto* values = std::get_if<protocol::FieldValues>(&body)) {
-      result = fields.values(*values);
+      result = fields.values(*values, replica);
       ++field_messages;
+      fields_set += whole && values->last;
     } else if (const auto* error = std::get_if<protocol::Error>(&body)) {
       errors.push_back(error->text);
     } else if (const auto* delta = std::get_if<protocol::Delta>(&body)) {
@@ -77,7 +79,7 @@ struct Viewer {
   protocol::Welcome welcome;
   bool whole = false;
   std::vector<protocol::SnapshotCause> causes;
-  std::size_t deltas = 0, steps = 0, field_messages = 0;
+  std::size_t deltas = 0, steps = 0, field_messages = 0, fields_set = 0;
   std::vector<std::string> errors;  // that did not end the session
 };
 

@@ -84,6 +84,7 @@ class Client:
         self.on_positions_report: Optional[Callable[["Client", Any], None]] = None
         # A wire.BladeLoad: what a blade does to the body, for a simulator that asked with load_rate_hz.
         self.on_blade_load: Optional[Callable[["Client", Any], None]] = None
+        self.on_field: Optional[Callable[["Client", str], None]] = None  # somebody has set the field of that name
         self.on_force: Optional[Callable[["Client", Any], None]] = None  # a wire.Force; for ContactRenderer.take
         self._sequence = 0
         self._frame = 0
@@ -224,8 +225,10 @@ class Client:
             self._values = {}
         elif kind == Body.Body.SnapshotChunk and self._snapshot:
             self._snapshot[1].append(body)
-        elif kind == Body.Body.FieldValues and self._snapshot:
+        elif kind == Body.Body.FieldValues and (self._snapshot or not self._awaiting_snapshot):
             self._values.setdefault(body.Field(), []).append(body)
+            if not self._snapshot and body.Last():
+                self._try_change(lambda: self._renew_field(body))
         elif kind == Body.Body.SnapshotEnd and self._snapshot:
             self._try_change(lambda: self._end_snapshot(body))
 
@@ -244,17 +247,29 @@ class Client:
         self._awaiting_snapshot = False
 
     def _take_fields(self, begin: Any) -> None:
-        fields: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+        self.vertex_fields, self.tet_fields = {}, {}
         for k in range(begin.FieldsLength() if begin else 0):
-            facts = self.welcome.Fields(begin.Fields(k))
-            parts = self._values.get(begin.Fields(k), [])
-            flat = np.concatenate([part.I32AsNumpy() if facts.Whole() else part.F32AsNumpy() for part in parts])
-            rows = flat.reshape(-1, facts.Components()) if facts.Components() > 1 else flat
-            held = self.replica.positions if facts.On() == FieldOn.FieldOn.Vertices else self.replica.tets
-            if len(rows) < len(held):
-                raise ApplyError(f"the field {_text(facts.Name())} came with {len(rows)} rows")
-            fields[facts.On()][_text(facts.Name())] = rows.copy()
-        self.vertex_fields, self.tet_fields = fields
+            self._take_field(begin.Fields(k))
+
+    def _take_field(self, place: int) -> str:
+        """Makes a field of the values that have come. Returns its name."""
+        facts = self.welcome.Fields(place)
+        parts = [part.I32AsNumpy() if facts.Whole() else part.F32AsNumpy() for part in self._values.pop(place, [])]
+        flat = np.concatenate(parts)
+        rows = flat.reshape(-1, facts.Components()) if facts.Components() > 1 else flat
+        on_vertices = facts.On() == FieldOn.FieldOn.Vertices
+        name = _text(facts.Name())
+        if len(rows) < len(self.replica.positions if on_vertices else self.replica.tets):
+            raise ApplyError(f"the field {name} came with {len(rows)} rows")
+        (self.vertex_fields if on_vertices else self.tet_fields)[name] = rows.copy()
+        return name
+
+    def _renew_field(self, last: Any) -> None:
+        if last.Revision() != self.replica.revision:
+            raise ApplyError(f"a field at revision {last.Revision()}, at {self.replica.revision}")
+        name = self._take_field(last.Field())
+        if self.on_field:
+            self.on_field(self, name)
 
     def _apply(self, delta: Any) -> None:
         self.replica.apply(delta)
@@ -342,6 +357,35 @@ class Client:
             return int(BladeModel.End(b))
 
         self._send(Body.Body.BladeModel, build)
+        return self._sequence
+
+    def send_field(self, name: str, values: Any, *, tets: bool = False, first: int = 0, revision: Optional[int] = None) -> int:
+        """For roles Simulator and Admin: sets a field of the body for everybody, on the vertices, or with ``tets`` on the tetrahedra.
+
+        ``values`` is (n,) or (n, components), for the ids ``first``, ``first + 1``, ... as they were at ``revision``, by default the
+        replica's; rows that a cut has made or changed since stay as they are. A refusal comes as ``error``. Returns the message's
+        sequence. Raises ValueError where the body has no such field, or values do not fit it.
+        """
+        on = FieldOn.FieldOn.Tets if tets else FieldOn.FieldOn.Vertices
+        there = [self.welcome.Fields(k) for k in range(self.welcome.FieldsLength())]
+        place = next((k for k, facts in enumerate(there) if facts.On() == on and _text(facts.Name()) == name), None)
+        if place is None:
+            raise ValueError(f"the body has no field {name!r} on its {'tetrahedra' if tets else 'vertices'}; "
+                             f"it has {', '.join(repr(_text(facts.Name())) for facts in there) or 'none'}")
+        array = np.asarray(values)
+        whole, components = there[place].Whole(), there[place].Components()
+        shaped = array.ndim == 1 and components == 1 or array.ndim == 2 and array.shape[1] == components
+        if not shaped or whole and array.dtype.kind not in "iu" or array.dtype.kind not in "iuf":
+            raise ValueError(f"values: found {array.dtype} of shape {array.shape}; accepted for {name!r} are "
+                             f"{'whole numbers' if whole else 'numbers'} of shape (n{', %d' % components if components > 1 else ''})")
+        flat = np.ascontiguousarray(array, "<i4" if whole else "<f4").reshape(-1)
+
+        def build(b: Any) -> int:
+            vector = b.CreateNumpyVector(flat)
+            return _table(b, FieldValues, [("I32" if whole else "F32", vector), ("Field", place), ("First", first),
+                                           ("Revision", self.replica.revision if revision is None else revision)])
+
+        self._send(Body.Body.FieldValues, build, flat.nbytes)
         return self._sequence
 
     def engage(self) -> None:

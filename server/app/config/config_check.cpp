@@ -6,6 +6,7 @@
 #include <boost/asio/ssl/context.hpp>
 #include <fstream>
 
+#include "server/app/body.hpp"
 #include "server/app/config/config_key.hpp"
 #include "server/app/token_file.hpp"
 #include "server/input/hid/json_node.hpp"
@@ -101,6 +102,7 @@ void check_together(const Config& config, const std::string& file) {
   if (!config.mesh.phantom.empty() && config.mesh.target_tets < 500) {
     refuse(file, "mesh.target_tets", std::to_string(config.mesh.target_tets), "500 or more for a phantom");
   }
+  declared_fields(config, file);
   if (config.cut.blade.heel == config.cut.blade.tip) {
     refuse(file, "blade.tip", shown(point_json(config.cut.blade.tip)), "a point that is not the heel");
   }

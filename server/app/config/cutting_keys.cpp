@@ -25,6 +25,10 @@ ConfigKeys mesh_keys() {
       text("mesh.cache_directory", INCISE_FIELD(mesh.cache_directory),
            "a path, relative to this file; or \"\"",
            "Where filled surfaces are kept for the next start; \"\": ~/.cache/incise."),
+      texts("mesh.fields", INCISE_FIELD(mesh.fields),
+            "a list of texts \"NAME\", with \":N\" (2 to 9 numbers each), \":tets\" and \":int\" behind it",
+            "Fields for clients to set, beside those of the file: floats on the vertices, 0 at first, or as "
+            "\"strain:6:tets\" says."),
   };
 }
 
