@@ -83,6 +83,9 @@ public static class EngineTests
             var connection = root.AddComponent<InciseConnection>();
             connection.port = server.Port;
             connection.bringsBlade = true;
+            // Beside the hand, so that pushing turns it.
+            connection.heel = new Vector3(0.03f, 0, 0);
+            connection.tip = new Vector3(0.03f, -0.05f, 0);
             var body = new GameObject("Body", typeof(MeshFilter), typeof(MeshRenderer));
             body.transform.SetParent(root.transform);
             body.transform.localScale = new Vector3(10, 10, 10);
@@ -98,7 +101,7 @@ public static class EngineTests
             // A half turn about the vertical: the device looks the other way.
             device.transform.rotation = new Quaternion(0, 1, 0, 0);
             // The edge's tip is 2 cm above the body, then as deep in it.
-            device.top = new Vector3(-0.02f, 0.1f, 0);
+            device.top = new Vector3(-0.05f, 0.1f, 0);
             device.scale = 10;
             device.blade = blade;
             root.SetActive(true);
@@ -113,8 +116,14 @@ public static class EngineTests
                 Thread.Sleep(5);
             }
             Check.That(device.Largest.y > 0.8f * device.Largest.magnitude, "the tissue pushes outward: " + device.Largest.y + " of " + device.Largest.magnitude);
+            Vector3 turning = device.TorqueThen;
+            // That of the force somewhere between heel and tip.
+            double low = 0.03 * device.Largest.y, high = low + 0.05 * device.Largest.x;
+            Check.That(turning.z > 0.9 * Math.Min(low, high) && turning.z < 1.1 * Math.Max(low, high), "torque " + turning.z + " of " + low + " to " + high);
+            double work = Vec3.Dot(turning.ToIncise(), device.Largest.ToIncise());
+            Check.Near(work / (turning.magnitude * device.Largest.magnitude), 0, 0.05, "it is at right angles to the force");
             Vector3 at = blade.transform.position;
-            Check.That(Math.Abs(at.x - 0.2f) < 1e-5 && at.y < 4 && at.y > 3.6f, "the Transform follows: " + at.x + " " + at.y);
+            Check.That(Math.Abs(at.x - 0.5f) < 1e-5 && at.y < 4 && at.y > 3.6f, "the Transform follows: " + at.x + " " + at.y);
             Check.That(blade.LastReport != null && blade.LastReport.SourceNs > 0, "the server's report");
             // A plugin that fails: no force stays on the hand, and the console says why.
             device.Breaks = true;
@@ -132,9 +141,11 @@ public static class EngineTests
 
     private sealed class BreakableDevice : InciseDevice
     {
-        public Vector3 top, Largest, Last;
+        public Vector3 top, Largest, TorqueThen, Last;
         public volatile bool Breaks;
         private long begun;
+
+        protected override bool MakesTorque { get { return true; } }
 
         protected override void Read(out Vector3 position, out Quaternion rotation, out bool cuts)
         {
@@ -147,10 +158,12 @@ public static class EngineTests
             cuts = way < 0.004f;
         }
 
-        protected override void Apply(Vector3 force)
+        protected override void Apply(Vector3 force, Vector3 torque)
         {
-            Last = force;
-            if (force.y > Largest.y) Largest = force;
+            Last = force + torque;
+            if (force.y <= Largest.y) return;
+            Largest = force;
+            TorqueThen = torque;
         }
     }
 
