@@ -218,4 +218,56 @@ public static class EngineTests
             Player.Quit();
         }
     }
+
+    /// <summary>The sample for Haply's package, called by a thread as that does, and let go of in the midst of it.</summary>
+    public static void TheInverse3SampleFeelsTheBody()
+    {
+        using (var server = new Server())
+        {
+            var root = new GameObject("Incise");
+            root.SetActive(false);
+            var connection = root.AddComponent<InciseConnection>();
+            connection.port = server.Port;
+            connection.view = View.None;
+            connection.bringsBlade = true;
+            var blade = root.AddComponent<InciseBlade>();
+            blade.connection = connection;
+            var haptic = new GameObject("Haptic Origin");
+            haptic.transform.position = new Vector3(0.02f, 0.1f, 0);
+            var inverse3 = haptic.AddComponent<Haply.Inverse.DeviceControllers.Inverse3Controller>();
+            var sample = haptic.AddComponent<InciseInverse3>();
+            sample.blade = blade;
+            sample.inverse3 = inverse3;
+            sample.grip = haptic.AddComponent<Haply.Inverse.DeviceControllers.VerseGripController>();
+            root.SetActive(true);
+            Player.Frame(0.02f);
+            bool ends = false;
+            float largest = 0;
+            long begun = Clock.NowNs;
+            var thread = new Thread(() =>
+            {
+                while (!Volatile.Read(ref ends))
+                {
+                    float way = (float)(0.02 * (Clock.NowNs - begun) * 1e-9 % 0.08);
+                    inverse3.Tick(new Vector3(0, way < 0.04f ? -way : way - 0.08f, 0));
+                    if (inverse3.LastForce.y > largest) largest = inverse3.LastForce.y;
+                    Thread.Sleep(1);
+                }
+            });
+            thread.Start();
+            DateTime end = DateTime.UtcNow.AddSeconds(60);
+            while (largest < 0.005f && DateTime.UtcNow < end)
+            {
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Player.Quit();
+            Check.That(inverse3.Released, "it is let go of");
+            Thread.Sleep(20);
+            Check.Equal(inverse3.LastForce.magnitude, 0f, "the last force");
+            Volatile.Write(ref ends, true);
+            thread.Join();
+            Check.That(largest >= 0.005f, "no force: " + largest);
+        }
+    }
 }
