@@ -13,6 +13,8 @@ namespace incise::mesh_io {
 
 inline constexpr std::size_t kMaxFieldComponents = 9;
 inline constexpr std::size_t kMaxFieldName = 256;  // bytes
+// Whether a name can be written to every format: control characters cannot, to XML for one.
+bool has_control_character(std::string_view name);
 
 struct Field {
   enum class On { kVertices, kTets };
@@ -42,7 +44,7 @@ struct RawArray {
 };
 
 // Turns arrays of a file into fields. What cannot be one is left out, and a warning says why: a name that is empty, longer than
-// kMaxFieldName or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
+// kMaxFieldName, with control characters or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
 // bits. Numbers with a fraction become floats. Arrays on tetrahedra that Incise itself writes (tet_id, region, ...) are no fields.
 class FieldCollector {
  public:

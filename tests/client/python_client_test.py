@@ -387,6 +387,13 @@ class Session(unittest.TestCase):
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
             client.send_positions(np.zeros((2, 3), np.float32), first=7, revision=5)
             client.send_positions(np.ones((2, 3)), ids=[3, 9])
+            for positions, ids, text in ((np.ones((3, 2)), None, r"found shape \(3, 2\)"), (np.ones(6), None, r"accepted is \(n, 3\)"),
+                                         (np.ones((1, 3), complex), None, "complex128"), (np.ones((1, 3)), [-1], "ids: "),
+                                         (np.ones((1, 3)), [2**32], "ids: "), (np.ones((1, 3)), [1.5], "ids: found .* float64"),
+                                         (np.ones((1, 3)), [1, 2], r"accepted is \(1,\)"),
+                                         (np.ma.masked_equal(np.eye(3), 1), None, "masked numbers")):
+                with self.subTest(text), self.assertRaisesRegex(ValueError, text):
+                    client.send_positions(positions, ids=ids)
         self.thread.join()
         some, others = self.sent(Body.Body.Positions, Positions.Positions)
         self.assertEqual((some.Frame(), some.First(), some.Revision()), (1, 7, 5))
