@@ -23,7 +23,8 @@ std::string title(Field::On on, std::string_view name) {
 }  // namespace
 
 bool has_control_character(std::string_view name) {
-  return std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
+  return std::any_of(name.begin(), name.end(),
+                     [](unsigned char c) { return c < 0x20 && c != '\t' && c != '\n' && c != '\r'; });
 }
 
 std::string title(const Field& field) {

@@ -13,7 +13,7 @@ namespace incise::mesh_io {
 
 inline constexpr std::size_t kMaxFieldComponents = 9;
 inline constexpr std::size_t kMaxFieldName = 256;  // bytes
-// Whether a name can be written to every format: control characters cannot, to XML for one.
+// Whether a name has a character that XML cannot have, escaped or not: control characters but tab and the ends of lines.
 bool has_control_character(std::string_view name);
 
 struct Field {
