@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <sstream>
+#include <stdexcept>
 
 namespace incise::client {
 namespace {
@@ -11,6 +13,7 @@ using protocol::Vec3;
 constexpr double kSmoothing_s = 0.005;    // of the velocity
 constexpr double kLongestStep_s = 0.005;  // after a pause of the caller a force grows as in this time at most
 constexpr std::int64_t kLongest_ns = 1'000'000'000;  // a plane is valid at most so long, whatever it says
+constexpr double kFarthest_m = 1e4;
 
 Vec3 add(const Vec3& a, const Vec3& b, double s = 1) {
   return {a.x + s * b.x, a.y + s * b.y, a.z + s * b.z};
@@ -27,6 +30,12 @@ double length(const Vec3& a) {
 bool finite(const Vec3& a) {
   return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
 }
+// From a to b, by so much at most.
+Vec3 toward(const Vec3& a, const Vec3& b, double most) {
+  const Vec3 change = add(b, a, -1);
+  const double size = length(change);
+  return size > most ? add(a, change, most / size) : b;
+}
 
 Vec3 cross(const Vec3& a, const Vec3& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
@@ -40,13 +49,46 @@ Vec3 turn(const protocol::Quat& a, const protocol::Quat& b) {
   return sine > 0 ? scale((w < 0 ? -2 : 2) * std::atan2(sine, std::abs(w)) / sine, v) : Vec3{};
 }
 
+// A place as the server accepts it (PoseReport.not_finite), and about a rotation.
+bool is_place(const Vec3& a) {
+  return finite(a) && length(a) <= kFarthest_m;
+}
+bool unit(const protocol::Quat& q) {
+  const double squared = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
+  return squared > 0.25 && squared < 4;
+}
+bool amount(double x) {
+  return std::isfinite(x) && x >= 0;
+}
 bool sound(const protocol::LocalContact& c) {
   return finite(c.arm.value_or(Vec3{})) && finite(c.point) && finite(c.normal) && length(c.normal) > 0.5 &&
-         length(c.normal) < 2 && c.stiffness_n_per_m >= 0 && c.damping_n_s_per_m >= 0 &&
-         c.cutting_resistance_n >= 0 && c.friction_n_s_per_m >= 0 && c.valid_for_ns > 0;
+         length(c.normal) < 2 && amount(c.stiffness_n_per_m) && amount(c.damping_n_s_per_m) &&
+         amount(c.cutting_resistance_n) && amount(c.friction_n_s_per_m) && c.valid_for_ns > 0;
+}
+
+// What a ramp leaves of the slew limit, N/s.
+double slew_beside_ramp(const ContactLimits& l) {
+  return l.slew_n_s - (l.ramp_s > 0 ? l.most_n / l.ramp_s : 0);
+}
+
+void require(bool condition, const char* name, double found, const char* accepted) {
+  if (condition) return;
+  std::ostringstream text;
+  text << "ContactLimits: " << name << " is " << found << "; accepted are " << accepted;
+  throw std::invalid_argument(text.str());
 }
 
 }  // namespace
+
+ContactRenderer::ContactRenderer(const ContactLimits& limits) : limits_(limits) {
+  const char* const amounts = "finite numbers from 0";
+  require(amount(limits.most_n), "most_n", limits.most_n, amounts);
+  require(amount(limits.ramp_s), "ramp_s", limits.ramp_s, amounts);
+  require(amount(limits.stiffest_n_m), "stiffest_n_m", limits.stiffest_n_m, amounts);
+  require(amount(limits.most_torque_n_m), "most_torque_n_m", limits.most_torque_n_m, amounts);
+  require(std::isfinite(limits.slew_n_s) && slew_beside_ramp(limits) > 0, "slew_n_s", limits.slew_n_s,
+          "finite numbers above most_n / ramp_s");
+}
 
 void ContactRenderer::take(const protocol::Force& force, std::int64_t now_ns) {
   const std::scoped_lock lock(mutex_);
@@ -63,21 +105,34 @@ void ContactRenderer::take(const protocol::Force& force, std::int64_t now_ns) {
 }
 
 Wrench ContactRenderer::wrench(const Vec3& tool, const protocol::Quat& orientation, std::int64_t now_ns) {
-  const bool usable = std::isfinite(orientation.w) && finite({orientation.x, orientation.y, orientation.z});
-  const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - last_ns_) * 1e-9) : 0;
-  if (begun_ && usable) account_ -= dot(torque_, turn(last_orientation_, orientation));
-  if (usable) last_orientation_ = orientation;
+  if (unit(orientation)) {
+    if (orientation_) account_ -= dot(torque_, turn(*orientation_, orientation));
+    orientation_ = orientation;
+  }
+  const double growing = growing_s(now_ns);  // before force() takes the time
   Wrench made{force(tool, now_ns), {}};
   Vec3 wanted = cross(plane_.contact.arm.value_or(Vec3{}), made.force_n);
+  if (!finite(wanted)) wanted = {};
   if (const double size = length(wanted); size > limits_.most_torque_n_m)
     wanted = scale(limits_.most_torque_n_m / size, wanted);
+  // The force is ramped, so its moment is; an arm that jumps is not.
   const double most =
-      limits_.slew_n_s * limits_.most_torque_n_m / limits_.most_n * std::min(dt, kLongestStep_s);
-  const Vec3 change = add(wanted, torque_, -1);
-  const double size = length(change);
-  torque_ = size > most ? add(torque_, change, most / size) : wanted;
+      limits_.most_n > 0 ? limits_.slew_n_s * limits_.most_torque_n_m / limits_.most_n * growing : 0;
+  torque_ = toward(torque_, wanted, most);
   made.torque_n_m = torque_;
   return made;
+}
+
+// What a force may grow by at this call, as time. 0 at the first one, and at the first after a silence.
+double ContactRenderer::growing_s(std::int64_t now_ns) const {
+  const std::int64_t passed_ns = called_ ? std::max<std::int64_t>(0, now_ns - last_ns_) : 0;
+  return passed_ns > kSilence_ns ? 0 : std::min(static_cast<double>(passed_ns) * 1e-9, kLongestStep_s);
+}
+
+// Nobody knows what the device has done since the last call: it held the force, or its watchdog has let go of it.
+void ContactRenderer::begin_again() {
+  applied_ = slewed_ = torque_ = velocity_ = {};
+  ramp_ = 0;
 }
 
 Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
@@ -86,16 +141,20 @@ Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
     // The same plane keeps the place to which it has given way.
     if (newest_.number != plane_.number) plane_ = newest_;
   }
-  const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - last_ns_) * 1e-9) : 0;
-  const bool usable = finite(tool);
-  if (begun_ && dt > 0 && usable) {
+  const bool usable = is_place(tool);
+  const double dt = begun_ ? std::max(0.0, static_cast<double>(now_ns - tool_ns_) * 1e-9) : 0;
+  if (dt > 0 && usable) {
     const Vec3 step = add(tool, last_tool_, -1);
     account_ += kLeak_w * dt - dot(applied_, step);
     velocity_ = add(velocity_, add(scale(1 / dt, step), velocity_, -1), dt / (kSmoothing_s + dt));
   }
+  const double growing = growing_s(now_ns);
+  if (called_ && now_ns - last_ns_ > kSilence_ns) begin_again();
   last_ns_ = now_ns;
+  called_ = true;
   if (usable) {
     last_tool_ = tool;
+    tool_ns_ = now_ns;
     begun_ = true;
   }
 
@@ -133,13 +192,9 @@ Vec3 ContactRenderer::force(const Vec3& tool, std::int64_t now_ns) {
   if (!finite(wanted)) wanted = {};
   if (const double size = length(wanted); size > limits_.most_n)
     wanted = scale(limits_.most_n / size, wanted);
-  const double growing = std::min(dt, kLongestStep_s);
-  const double most = std::max(0.0, limits_.slew_n_s - limits_.most_n / limits_.ramp_s) * growing;
-  const Vec3 change = add(wanted, slewed_, -1);
-  const double size = length(change);
-  slewed_ = size > most ? add(slewed_, change, most / size) : wanted;
+  slewed_ = toward(slewed_, wanted, slew_beside_ramp(limits_) * growing);
   if (valid && (ramp_ > 0 || energy > 0 || c.penetrated))
-    ramp_ = std::min(1.0, ramp_ + growing / limits_.ramp_s);
+    ramp_ = limits_.ramp_s > 0 ? std::min(1.0, ramp_ + growing / limits_.ramp_s) : 1;
   applied_ = scale(ramp_, slewed_);
   // A plane expired while it acted: once the force has faded, the next one starts from nothing.
   if (!valid && !plane_.over && length(slewed_) == 0) ramp_ = 0;

@@ -7,6 +7,7 @@
 
 #include "server/app/surface_asset.hpp"
 #include "server/input/hid/json_node.hpp"
+#include "server/mesh_io/field.hpp"
 #include "server/mesh_io/phantom.hpp"
 
 namespace incise::app {
@@ -88,7 +89,8 @@ std::vector<core::Field> declared_fields(const Config& config, const std::string
         fits = false;
       }
     }
-    fits = fits && !field.name.empty() && field.name.size() <= core::kMaxFieldName;
+    fits = fits && !field.name.empty() && field.name.size() <= core::kMaxFieldName &&
+           !mesh_io::has_control_character(field.name);
     for (const core::Field& other : fields)
       fits = fits && !(other.name == field.name && other.on == field.on);
     if (!fits) {

@@ -22,6 +22,11 @@ std::string title(Field::On on, std::string_view name) {
 
 }  // namespace
 
+bool has_control_character(std::string_view name) {
+  return std::any_of(name.begin(), name.end(),
+                     [](unsigned char c) { return c < 0x20 && c != '\t' && c != '\n' && c != '\r'; });
+}
+
 std::string title(const Field& field) {
   return title(field.on, field.name);
 }
@@ -39,6 +44,7 @@ void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
   if (array.name.empty() || array.name.size() > kMaxFieldName)
     return refuse("its name has " + std::to_string(array.name.size()) + " bytes; accepted are 1 to " +
                   std::to_string(kMaxFieldName));
+  if (has_control_character(array.name)) return refuse("its name has a control character");
   if (std::any_of(fields_->begin(), fields_->end(),
                   [&](const Field& f) { return f.on == on && f.name == array.name; }))
     return refuse("there is another one of this name before it");

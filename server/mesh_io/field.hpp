@@ -15,6 +15,8 @@ using core::Field;
 using core::kMaxFieldComponents;
 using core::kMaxFieldName;
 using core::rows_of;
+// Whether a name has a character that XML cannot have, escaped or not: control characters but tab and the ends of lines.
+bool has_control_character(std::string_view name);
 
 // "the vertex field 'temperature'", for messages.
 std::string title(const Field& field);
@@ -28,7 +30,7 @@ struct RawArray {
 };
 
 // Turns arrays of a file into fields. What cannot be one is left out, and a warning says why: a name that is empty, longer than
-// kMaxFieldName or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
+// kMaxFieldName, with control characters or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
 // bits. Numbers with a fraction become floats. Arrays on tetrahedra that Incise itself writes (tet_id, region, ...) are no fields.
 class FieldCollector {
  public:

@@ -33,6 +33,12 @@ SET = {
     "stream": ["stream", "--rounds", "1"],
     "meet": ["meet", "--count", "23"],  # 23 of 15 kinds in three bodies
 }
+# Programs beside incise-bench that print a list of rows: bench, the columns that name a row, command.
+SCRIPTS = [
+    ("peers", ["mesh"], ["/usr/bin/python3", "-B", "tests/bench/peers/peers.py", "--bin", str(BIN), "--json"]),
+    ("sweep", ["body"], ["/usr/bin/python3", "-B", "tests/bench/sweep_bench.py", "--json"]),
+    ("wasm", ["tets", "cut"], ["node", "tests/bench/wasm_ratio.mjs", "--json"]),
+]
 PAIRED = {
     "paper": ["paper", "--phantom", "--repetitions", "50"],
     "scale": ["scale", "--tets", "15000,150000"],
@@ -90,11 +96,13 @@ def record() -> int:
     for bench, arguments in SET.items():
         say(f"incise-bench {' '.join(arguments)}")
         rows += run(BIN, bench, arguments)
-    say("tests/bench/peers/peers.py")
-    peers = subprocess.run(["/usr/bin/python3", "-B", ROOT / "tests/bench/peers/peers.py", "--bin", BIN, "--json"],
-                           stdout=subprocess.PIPE, text=True, check=True)
-    for line in json.loads(peers.stdout):
-        rows += [("peers", "", line["mesh"], column.strip(), str(value)) for column, value in line.items() if column != "mesh"]
+    for bench, names, command in SCRIPTS:
+        say(" ".join(command))
+        printed = subprocess.run(command, cwd=ROOT, env=dict(os.environ, PYTHONPATH="build/release/python"), stdout=subprocess.PIPE, text=True,
+                                 check=True).stdout
+        for line in json.loads(printed):
+            row = " ".join(str(line.pop(name)) for name in names)
+            rows += [(bench, "", row, column.strip(), str(value)) for column, value in line.items()]
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / (re.sub(r"[^a-z0-9]+", "_", cpu.lower()).strip("_") + f"_x{os.cpu_count()}.csv")
     with path.open("w", newline="") as out:

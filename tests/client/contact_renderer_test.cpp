@@ -5,6 +5,8 @@
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <stdexcept>
+#include <string>
 
 #include "tests/haptics/random.hpp"
 
@@ -31,13 +33,14 @@ double size(const Vec3& v) {
 // A device at 1 kHz.
 struct Device {
   explicit Device(const ContactLimits& with = {}) : limits(with), renderer(with) {}
-  Vec3 at(const Vec3& tool) {
-    now += kMs;
+  Vec3 at(const Vec3& tool, std::int64_t after_ns = kMs) {
+    now += after_ns;
     work -= last.x * (tool.x - place.x) + last.y * (tool.y - place.y) + last.z * (tool.z - place.z);
     const Vec3 force = renderer.force(tool, now);
     EXPECT_TRUE(std::isfinite(size(force)));
     EXPECT_LE(size(force), limits.most_n + 1e-9);
-    EXPECT_LE(size({force.x - last.x, force.y - last.y, force.z - last.z}), limits.slew_n_s * 1e-3 + 1e-9);
+    EXPECT_LE(size({force.x - last.x, force.y - last.y, force.z - last.z}),
+              limits.slew_n_s * 1e-9 * static_cast<double>(after_ns) + 1e-9);
     place = tool;
     return last = force;
   }
@@ -304,18 +307,116 @@ TEST(ContactRenderer, NoPlaneIsStifferThanADeviceCanRender) {
   EXPECT_NEAR(device.last.z, 0.001 * device.limits.stiffest_n_m, 0.02);
 }
 
-TEST(ContactRenderer, AfterAPauseAForceChangesAsAfterAShortOne) {
+TEST(ContactRenderer, AfterAShortPauseAForceGoesOn) {
   Device device;
   device.press(0.004, 2500);
   const double before = device.last.z;
   ASSERT_GT(before, 3);
-  device.now += 1000 * kMs;
+  device.now += ContactRenderer::kSilence_ns;
   protocol::Force message = table();
   message.contact->point = {0, 0, -0.1};
   device.renderer.take(message, device.now);
   const Vec3 force = device.renderer.force(device.place, device.now);
   EXPECT_GT(force.z, before - 0.005 * device.limits.slew_n_s);
   EXPECT_LT(force.z, before);
+}
+
+// The device's thread was paused. Planes kept coming, and there is one when it goes on; the device may hold the last
+// force or none.
+TEST(ContactRenderer, AfterASilenceOfItsOwnTheRampBeginsAgain) {
+  Device device;
+  device.press(0.002, 2500);
+  ASSERT_NEAR(device.last.z, 1.6, 0.01);
+  for (const std::int64_t pause : {ContactRenderer::kSilence_ns + 1, 10'000 * kMs}) {
+    for (int i = 1; i <= 10; ++i) device.renderer.take(table(), device.now + pause * i / 10);
+    device.now += pause;
+    EXPECT_EQ(size(device.last = device.renderer.force(device.place, device.now)), 0) << pause;
+    const auto go_on = [&](int ms) {
+      for (int i = 0; i < ms; ++i) {
+        device.renderer.take(table(), device.now);
+        device.at(device.place);  // checks limit and slew
+      }
+    };
+    go_on(100);
+    EXPECT_NEAR(device.last.z, 0.05 * 1.6, 0.005) << pause;
+    go_on(900);
+    EXPECT_NEAR(device.last.z, 0.5 * 1.6, 0.01) << pause;
+    go_on(1100);
+    EXPECT_NEAR(device.last.z, 1.6, 0.01) << "the second pause finds full force";
+  }
+}
+
+TEST(ContactRenderer, AfterASilenceTheTorqueBeginsAgain) {
+  ContactRenderer renderer;
+  std::int64_t now = kMs;
+  protocol::Force plane = table();
+  plane.contact->arm = Vec3{0.05, 0, 0};
+  const auto step = [&](int i) {
+    now += kMs;
+    renderer.take(plane, now);
+    return renderer.wrench({0, 0, -0.002 * std::min(1.0, i / 200.0)}, {}, now);
+  };
+  Wrench felt;
+  for (int i = 0; i < 3000; ++i) felt = step(i);
+  ASSERT_NEAR(felt.torque_n_m.y, -0.08, 1e-3);
+  now += 60 * kMs;
+  felt = step(3000);
+  EXPECT_EQ(size(felt.force_n), 0);
+  EXPECT_EQ(size(felt.torque_n_m), 0);
+  for (int i = 0; i < 100; ++i) felt = step(3000);
+  EXPECT_NEAR(felt.torque_n_m.y, -0.05 * 0.08, 5e-4);
+}
+
+// Random motion with silences: what comes out while it is called stays within the account.
+TEST(ContactRenderer, SilencesMakeNoEnergy) {
+  Random random(17);
+  Device device;
+  double farthest = 0, least = 0, force = 0, t_s = 0;
+  for (int i = 0; i < 40'000; ++i) {
+    if (i % 10 == 0) device.renderer.take(table(random.uniform(200, 2000)), device.now);
+    const std::int64_t step = (random.below(400) == 0 ? 30 + static_cast<int>(random.below(90)) : 1) * kMs;
+    const Vec3 before = device.place;
+    device.at({0, 0, 0.004 * std::sin(i * 0.006) + random.uniform(-1e-5, 1e-5)}, step);
+    farthest = std::max(farthest, std::abs(device.place.z - before.z));
+    force += size(device.last) * 1e-3;
+    t_s += static_cast<double>(step) * 1e-9;
+    least = std::min(least, device.work + ContactRenderer::kLeak_w * t_s);
+  }
+  EXPECT_GT(force, 1);
+  EXPECT_GT(least, -(ContactRenderer::kReserve_j + 10 * device.limits.most_n * farthest));
+}
+
+TEST(ContactRenderer, ImpossibleLimitsAreRefused) {
+  const double nan = std::numeric_limits<double>::quiet_NaN(),
+               infinite = std::numeric_limits<double>::infinity();
+  const auto refused = [](const auto& change) {
+    ContactLimits limits;
+    change(limits);
+    try {
+      const ContactRenderer renderer(limits);
+    } catch (const std::invalid_argument& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  for (const double bad : {nan, infinite, -1.0}) {
+    EXPECT_NE(refused([&](ContactLimits& l) { l.most_n = bad; }).find("most_n is "), std::string::npos);
+    EXPECT_NE(refused([&](ContactLimits& l) { l.slew_n_s = bad; }).find("slew_n_s is "), std::string::npos);
+    EXPECT_NE(refused([&](ContactLimits& l) { l.ramp_s = bad; }).find("ramp_s is "), std::string::npos);
+    EXPECT_NE(refused([&](ContactLimits& l) { l.stiffest_n_m = bad; }), "");
+    EXPECT_NE(refused([&](ContactLimits& l) { l.most_torque_n_m = bad; }), "");
+  }
+  EXPECT_EQ(refused([](ContactLimits& l) { l.slew_n_s = 1; }),
+            "ContactLimits: slew_n_s is 1; accepted are finite numbers above most_n / ramp_s");
+  EXPECT_EQ(refused([](ContactLimits& l) { l.most_n = 0; }), "");
+}
+
+TEST(ContactRenderer, WithoutARampTheForceIsThereAtOnce) {
+  ContactLimits limits;
+  limits.ramp_s = 0;
+  Device device(limits);
+  device.press(0.002, 110);
+  EXPECT_NEAR(device.last.z, 1.6, 0.01);
 }
 
 }  // namespace

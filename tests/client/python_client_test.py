@@ -11,11 +11,12 @@ import struct
 import threading
 import unittest
 
+import flatbuffers
 import numpy as np
 
 import incise_client
-from incise.wire import (Body, Delta, ErrorCode, Force, Hello, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
-                         SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, View)
+from incise.wire import (Body, Delta, ErrorCode, Force, Hello, LocalContact, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
+                         SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, Vec3, View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -91,6 +92,74 @@ class Contact(unittest.TestCase):
             self.assertLessEqual(float(np.linalg.norm(force)), 3.3 + 1e-9)
             self.assertLessEqual(float(np.linalg.norm(force - last)), 0.5 + 0.04)
             last = force
+
+
+    def test_after_a_silence_of_its_own_the_ramp_begins_again(self):
+        for i in range(300):
+            force = self.at(0.031 - 1e-5 * min(i, 150))
+        self.assertGreater(force[2], 0.35)
+        for pause in (incise_client.contact.SILENCE_NS + 1, 3_000_000_000):
+            self.now += pause - 1_000_000
+            self.assertEqual(float(np.abs(self.at(0.0295)).max()), 0.0)
+            self.assertLess(self.at(0.0295)[2], 0.01)
+            for _ in range(200):
+                force = self.at(0.0295)
+            self.assertGreater(force[2], 0.35)
+        self.now += incise_client.contact.SILENCE_NS - 1_000_000  # a shorter pause: it goes on
+        self.assertGreater(self.at(0.0295)[2], 0.35)
+
+    def test_impossible_limits_and_shapes_are_refused(self):
+        for name in ("most_n", "ramp_s", "stiffest_n_m", "most_torque_n_m", "slew_n_s"):
+            for bad in (float("nan"), float("inf"), -1.0):
+                with self.assertRaisesRegex(ValueError, f"{name} is {bad:g}; accepted are finite numbers"):
+                    incise_client.ContactRenderer(**{name: bad})
+        with self.assertRaisesRegex(ValueError, "tool_m has shape"):
+            self.renderer.force((0.0, 0.0), self.now)
+        with self.assertRaisesRegex(ValueError, "orientation has shape"):
+            self.renderer.wrench((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self.now)
+
+    def test_what_it_returns_is_the_callers(self):
+        for i in range(200):
+            force = self.at(0.031 - 1e-5 * i)
+        kept = force.copy()
+        force[:] = 1e9
+        self.assertLess(float(np.linalg.norm(self.at(0.029) - kept)), 0.5)
+
+
+def golden_force(plane):
+    """The message of a line of contact.json."""
+    builder = flatbuffers.Builder(0)
+    contact = None
+    if plane is not None:
+        LocalContact.Start(builder)
+        for name, value in plane.items():
+            if isinstance(value, list):
+                value = Vec3.CreateVec3(builder, *value)
+            getattr(LocalContact, "Add" + "".join(part.capitalize() for part in name.split("_")))(builder, value)
+        contact = LocalContact.End(builder)
+    Force.Start(builder)
+    Force.AddForceN(builder, Vec3.CreateVec3(builder, 0, 0, 0))
+    if contact is not None:
+        Force.AddContact(builder, contact)
+    builder.Finish(Force.End(builder))
+    return Force.Force.GetRootAs(builder.Output(), 0)
+
+
+class ContactVectors(unittest.TestCase):
+    def test_the_golden_figures(self):
+        for run in json.loads((VECTORS / "contact.json").read_text()):
+            renderer = incise_client.ContactRenderer(**run["limits"])
+            for call in run["calls"]:
+                if "take" in call:
+                    renderer.take(golden_force(call["contact"]), call["take"])
+                    continue
+                tool = call["tool"] or [float("nan"), 0.0, 0.0]
+                if run["torque"]:
+                    force, torque = renderer.wrench(tool, call["turned"] or [float("nan"), 0.0, 0.0, 0.0], call["call"])
+                    self.assertLess(float(np.linalg.norm(torque - call["torque"])), 1e-9, call)
+                else:
+                    force = renderer.force(tool, call["call"])
+                self.assertLess(float(np.linalg.norm(force - call["force"])), 1e-9, call)
 
 
 class Vectors(unittest.TestCase):
@@ -318,6 +387,13 @@ class Session(unittest.TestCase):
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
             client.send_positions(np.zeros((2, 3), np.float32), first=7, revision=5)
             client.send_positions(np.ones((2, 3)), ids=[3, 9])
+            for positions, ids, text in ((np.ones((3, 2)), None, r"found shape \(3, 2\)"), (np.ones(6), None, r"accepted is \(n, 3\)"),
+                                         (np.ones((1, 3), complex), None, "complex128"), (np.ones((1, 3)), [-1], "ids: "),
+                                         (np.ones((1, 3)), [2**32], "ids: "), (np.ones((1, 3)), [1.5], "ids: found .* float64"),
+                                         (np.ones((1, 3)), [1, 2], r"accepted is \(1,\)"),
+                                         (np.ma.masked_equal(np.eye(3), 1), None, "masked numbers")):
+                with self.subTest(text), self.assertRaisesRegex(ValueError, text):
+                    client.send_positions(positions, ids=ids)
         self.thread.join()
         some, others = self.sent(Body.Body.Positions, Positions.Positions)
         self.assertEqual((some.Frame(), some.First(), some.Revision()), (1, 7, 5))

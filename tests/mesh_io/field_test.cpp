@@ -193,6 +193,7 @@ TEST(Fields, OfVtuThatCannotBeKept) {
       {"<DataArray type=\"Float32\" Name=\"a\">1 2 3 4</DataArray><DataArray type=\"Float32\" Name=\"a\">1 2 "
        "3 4</DataArray>",
        "'a' is left out: there is another one of this name before it"},
+      {"<DataArray type=\"Float32\" Name=\"a\x01z\">1 2 3 4</DataArray>", "its name has a control character"},
       {"<DataArray type=\"UInt32\" Name=\"ids\">1 2 3 4294967295</DataArray>", "the whole number 4294967295"},
       {"<DataArray type=\"Int32\" Name=\"gap\">1 2 3 nan</DataArray>",
        "'gap' is left out: the whole number nan"},

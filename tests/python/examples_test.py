@@ -60,7 +60,7 @@ class Examples(unittest.TestCase):
         self.assertIn("cp311-cp311-linux", wheel.name)
         with zipfile.ZipFile(wheel) as packed:
             packed.extractall(self.folder / "unpacked")
-        for file in ("incise/py.typed", "incise/_core.pyi", "incise_client/client.py", "incise/wire/Delta.py"):
+        for file in ("incise/py.typed", "incise/_core.pyi", "incise_client/py.typed", "incise_client/client.py", "incise/wire/Delta.py"):
             self.assertTrue((self.folder / "unpacked" / file).is_file(), file)
         self.assertFalse((self.folder / "unpacked/incise/incise-tetgen").exists())
         program = ("import incise, incise_client; "

@@ -289,7 +289,10 @@ class Fields(Folder):
                 ({"x": np.zeros((4, 3, 3))}, ValueError, "found shape"), ({"x": ["a"] * 4}, TypeError, "real numbers"),
                 ({"": [1] * 4}, ValueError, "a name of 0 bytes"), ({"n" * 257: [1] * 4}, ValueError, "a name of 257 bytes"),
                 ({"x": [2**31] * 4}, ValueError, "accepted is -2147483648 to 2147483647"), ({3: [1] * 4}, TypeError, "accepted is str"),
-                ([("x", [1] * 4)], TypeError, "accepted is a dict")):
+                ([("x", [1] * 4)], TypeError, "accepted is a dict"), ({"a\0b": [1] * 4}, ValueError, r"\['a\\x00b'\]: .* control character"),
+                ({"\ud800": [1] * 4}, ValueError, "UTF-8"), ({"x": [1e300] * 4}, ValueError, r"\['x'\]\[0\] is 1e\+300"),
+                ({"x": np.full(4, 2**64 - 1, np.uint64)}, ValueError, "is 18446744073709551615"),
+                ({"x": np.ma.masked_less([1.0, 2, 3, 4], 2)}, ValueError, "1 masked numbers")):
             with self.subTest(fields=str(fields)[:40]), self.assertRaisesRegex(error, text):
                 incise.Body(points, tets, vertex_fields=fields)
 
@@ -476,6 +479,27 @@ class BadInput(unittest.TestCase):
             self.assertNotIn("\n", str(caught.exception)) if isinstance(caught.exception, incise.Error) else None
         self.assertEqual(session.revision, 0)
         self.assertEqual(len(session.deform(tet * 2)), 1)
+
+    def test_messages_name_what_was_given(self):
+        tet, one = np.eye(4)[:, :3], [[0, 1, 2, 3]]
+        delta = incise.Session(incise.Body(tet, one)).deform(tet * 2)[0]
+        largest = np.array([2**64 - 1, 0], np.uint64)
+        masked = np.ma.masked_greater(tet, 0.5)
+        for call, text in (
+                (lambda: incise.Motion(np.zeros((3, 7))), r"poses: found shape \(3, 7\); accepted is \(n, 8\) or \(n, 4\)"),
+                (lambda: incise.cut(incise.Body(tet, one), np.zeros(8)), r"found shape \(8,\); accepted is \(n, 8\) or \(n, 4\)"),
+                (lambda: incise.Body(tet, np.array([[0, 1, 2, 2**64 - 1]], np.uint64)), r"tets\[0, 3\] is 18446744073709551615"),
+                # -5 as int64, which would be a region.
+                (lambda: incise.Body(tet, one, np.array([2**64 - 5], np.uint64)), r"regions\[0\] is 18446744073709551611"),
+                (lambda: incise.Motion([(0, 0, 0, 0), (1, 0, 0, 0)], buttons=largest), r"buttons\[0\] is 18446744073709551615"),
+                (lambda: incise.Body(masked, one), "points: found an array with 3 masked numbers"),
+                (lambda: incise.Motion(np.ma.masked_equal(np.eye(2, 4), 1)), "poses: found an array with 2 masked numbers"),
+                (lambda: delta.carry(np.ma.masked_less(np.arange(4.0), 1)), "values: found an array with 1 masked numbers"),
+                (lambda: incise.Body(tet, one).save("x\0.vtu"), r"path: found 'x\\x00.vtu'"),
+                (lambda: incise.Body.load("x\0.vtu"), r"path: found 'x\\x00.vtu'")):
+            with self.subTest(text), self.assertRaisesRegex(ValueError, text):
+                call()
+        self.assertEqual(len(incise.Body(np.ma.masked_array(tet), one).points), 4)  # nothing is masked
 
     def test_poses_that_are_rejected(self):
         session = incise.Session(incise.Body.phantom("slab", 600))

@@ -83,6 +83,9 @@ public static class EngineTests
             var connection = root.AddComponent<InciseConnection>();
             connection.port = server.Port;
             connection.bringsBlade = true;
+            // Beside the hand, so that pushing turns it.
+            connection.heel = new Vector3(0.03f, 0, 0);
+            connection.tip = new Vector3(0.03f, -0.05f, 0);
             var body = new GameObject("Body", typeof(MeshFilter), typeof(MeshRenderer));
             body.transform.SetParent(root.transform);
             body.transform.localScale = new Vector3(10, 10, 10);
@@ -98,7 +101,7 @@ public static class EngineTests
             // A half turn about the vertical: the device looks the other way.
             device.transform.rotation = new Quaternion(0, 1, 0, 0);
             // The edge's tip is 2 cm above the body, then as deep in it.
-            device.top = new Vector3(-0.02f, 0.1f, 0);
+            device.top = new Vector3(-0.05f, 0.1f, 0);
             device.scale = 10;
             device.blade = blade;
             root.SetActive(true);
@@ -113,8 +116,14 @@ public static class EngineTests
                 Thread.Sleep(5);
             }
             Check.That(device.Largest.y > 0.8f * device.Largest.magnitude, "the tissue pushes outward: " + device.Largest.y + " of " + device.Largest.magnitude);
+            Vector3 turning = device.TorqueThen;
+            // That of the force somewhere between heel and tip.
+            double low = 0.03 * device.Largest.y, high = low + 0.05 * device.Largest.x;
+            Check.That(turning.z > 0.9 * Math.Min(low, high) && turning.z < 1.1 * Math.Max(low, high), "torque " + turning.z + " of " + low + " to " + high);
+            double work = Vec3.Dot(turning.ToIncise(), device.Largest.ToIncise());
+            Check.Near(work / (turning.magnitude * device.Largest.magnitude), 0, 0.05, "it is at right angles to the force");
             Vector3 at = blade.transform.position;
-            Check.That(Math.Abs(at.x - 0.2f) < 1e-5 && at.y < 4 && at.y > 3.6f, "the Transform follows: " + at.x + " " + at.y);
+            Check.That(Math.Abs(at.x - 0.5f) < 1e-5 && at.y < 4 && at.y > 3.6f, "the Transform follows: " + at.x + " " + at.y);
             Check.That(blade.LastReport != null && blade.LastReport.SourceNs > 0, "the server's report");
             // A plugin that fails: no force stays on the hand, and the console says why.
             device.Breaks = true;
@@ -132,9 +141,11 @@ public static class EngineTests
 
     private sealed class BreakableDevice : InciseDevice
     {
-        public Vector3 top, Largest, Last;
+        public Vector3 top, Largest, TorqueThen, Last;
         public volatile bool Breaks;
         private long begun;
+
+        protected override bool MakesTorque { get { return true; } }
 
         protected override void Read(out Vector3 position, out Quaternion rotation, out bool cuts)
         {
@@ -147,10 +158,12 @@ public static class EngineTests
             cuts = way < 0.004f;
         }
 
-        protected override void Apply(Vector3 force)
+        protected override void Apply(Vector3 force, Vector3 torque)
         {
-            Last = force;
-            if (force.y > Largest.y) Largest = force;
+            Last = force + torque;
+            if (force.y <= Largest.y) return;
+            Largest = force;
+            TorqueThen = torque;
         }
     }
 
@@ -203,6 +216,58 @@ public static class EngineTests
                 Thread.Sleep(5);
             }
             Player.Quit();
+        }
+    }
+
+    /// <summary>The sample for Haply's package, called by a thread as that does, and let go of in the midst of it.</summary>
+    public static void TheInverse3SampleFeelsTheBody()
+    {
+        using (var server = new Server())
+        {
+            var root = new GameObject("Incise");
+            root.SetActive(false);
+            var connection = root.AddComponent<InciseConnection>();
+            connection.port = server.Port;
+            connection.view = View.None;
+            connection.bringsBlade = true;
+            var blade = root.AddComponent<InciseBlade>();
+            blade.connection = connection;
+            var haptic = new GameObject("Haptic Origin");
+            haptic.transform.position = new Vector3(0.02f, 0.1f, 0);
+            var inverse3 = haptic.AddComponent<Haply.Inverse.DeviceControllers.Inverse3Controller>();
+            var sample = haptic.AddComponent<InciseInverse3>();
+            sample.blade = blade;
+            sample.inverse3 = inverse3;
+            sample.grip = haptic.AddComponent<Haply.Inverse.DeviceControllers.VerseGripController>();
+            root.SetActive(true);
+            Player.Frame(0.02f);
+            bool ends = false;
+            float largest = 0;
+            long begun = Clock.NowNs;
+            var thread = new Thread(() =>
+            {
+                while (!Volatile.Read(ref ends))
+                {
+                    float way = (float)(0.02 * (Clock.NowNs - begun) * 1e-9 % 0.08);
+                    inverse3.Tick(new Vector3(0, way < 0.04f ? -way : way - 0.08f, 0));
+                    if (inverse3.LastForce.y > largest) largest = inverse3.LastForce.y;
+                    Thread.Sleep(1);
+                }
+            });
+            thread.Start();
+            DateTime end = DateTime.UtcNow.AddSeconds(60);
+            while (largest < 0.005f && DateTime.UtcNow < end)
+            {
+                Player.Frame(0.02f);
+                Thread.Sleep(5);
+            }
+            Player.Quit();
+            Check.That(inverse3.Released, "it is let go of");
+            Thread.Sleep(20);
+            Check.Equal(inverse3.LastForce.magnitude, 0f, "the last force");
+            Volatile.Write(ref ends, true);
+            thread.Join();
+            Check.That(largest >= 0.005f, "no force: " + largest);
         }
     }
 }

@@ -1,9 +1,5 @@
 using System;
 using System.Collections.Generic;
-using System.Diagnostics;
-using System.Globalization;
-using System.Text;
-using System.Threading.Tasks;
 using Incise;
 
 /// <summary>Frames of reference, and the contact renderer's arithmetic.</summary>
@@ -71,7 +67,25 @@ public static class FrameTests
                 double onHand = Math.Abs(Vec3.Dot(share * body.ToWorld(force), hand)), onBlade = Math.Abs(Vec3.Dot(force, blade));
                 Check.That(onHand <= onBlade * (1 + 1e-12) && share <= 1, "scales " + scale + " and " + handScale + ": " + onHand + " J of " + onBlade);
                 Check.That(share * body.Scale >= Math.Min(handScale, body.Scale) - 1e-12, "not smaller than need be");
+                // One ratio for both, or energy could go in through the one and come out through the other.
+                Check.Near(body.TorqueShare(handScale), onHand / onBlade, 1e-12, "the share of the torque");
             }
+        }
+    }
+
+    /// <summary>A torque in Unity's frame is that of the converted force at the converted arm, and does the same work as the body turns.</summary>
+    public static void TorquesConvertAsCrossProductsDo()
+    {
+        var random = new Random(9);
+        for (int i = 0; i < 200; ++i)
+        {
+            var body = new Placement { Position = RandomVec(random), Rotation = RandomQuat(random), Scale = 1 };
+            Vec3 arm = RandomVec(random), force = RandomVec(random);
+            CheckNear(body.TorqueToWorld(Vec3.Cross(arm, force)), Vec3.Cross(body.ToWorld(arm), body.ToWorld(force)), "torque");
+            Quat turn = new Quat(1, 1e-4 * random.NextDouble(), 1e-4 * random.NextDouble(), 1e-4 * random.NextDouble()).Normalized;
+            Quat world = body.Rotation * UnityFrame.Convert(turn) * body.Rotation.Inverse;
+            double work = Vec3.Dot(Vec3.Cross(arm, force), new Vec3(turn.X, turn.Y, turn.Z));
+            Check.Near(Vec3.Dot(body.TorqueToWorld(Vec3.Cross(arm, force)), new Vec3(world.X, world.Y, world.Z)), work, 1e-12, "work");
         }
     }
 
@@ -142,76 +156,108 @@ public static class FrameTests
         Check.That(!(renderer.Render(new Vec3(double.NaN, 0, 0), 2200 * Ms).Length > 0), "a place that is no number");
     }
 
-    /// <summary>The Python client's renderer, which the project's other tests know, computes the same.</summary>
-    public static void ItRendersAsPythonDoes()
+    /// <summary>A thread that was paused for longer than a plane is valid begins again from nothing, however fresh the next plane is.</summary>
+    public static void AfterASilenceTheRampBeginsAgain()
     {
-        var random = new Random(31);
-        var renderer = new ContactRenderer();
-        var lines = new StringBuilder();
-        var found = new List<Vec3>();
-        var tool = new Vec3(0, 0, 0.03);
-        long ns = 0;
-        for (int step = 0; step < 8000; ++step)
-        {
-            ns += random.Next(1, 3000000);
-            if (random.Next(8) == 0)
-            {
-                Force force = RandomForce(random, tool);
-                LocalContact c = force.Contact;
-                renderer.Take(force, ns);
-                lines.Append("take " + ns);
-                if (c != null)
-                    foreach (double x in new[] { c.Point.X, c.Point.Y, c.Point.Z, c.Normal.X, c.Normal.Y, c.Normal.Z, c.StiffnessNPerM, c.DampingNSPerM,
-                        c.CuttingResistanceN, c.FrictionNSPerM, c.ValidForNs, c.Penetrated ? 1 : 0 }) lines.Append(" " + Text(x));
-                lines.Append("\n");
-            }
-            tool += 0.0002 * RandomVec(random);
-            lines.Append("render " + ns + " " + Text(tool.X) + " " + Text(tool.Y) + " " + Text(tool.Z) + "\n");
-            found.Add(renderer.Render(tool, ns));
-        }
-        string[] expected = Python(lines.ToString()).Split(new[] { '\n' }, StringSplitOptions.RemoveEmptyEntries);
-        Check.Equal(expected.Length, found.Count, "forces");
-        double largest = 0;
-        for (int i = 0; i < expected.Length; ++i)
-        {
-            double[] f = Array.ConvertAll(expected[i].Split(' '), word => double.Parse(word, CultureInfo.InvariantCulture));
-            Check.That((found[i] - new Vec3(f[0], f[1], f[2])).Length < 1e-9, "step " + i + ": found " + found[i] + ", Python has " + expected[i]);
-            largest = Math.Max(largest, found[i].Length);
-        }
-        Check.That(largest > 0.02, "largest force " + largest);
-    }
-
-    private static Force RandomForce(Random random, Vec3 tool)
-    {
-        if (random.Next(20) == 0) return new Force();
         Force force = Golden();
-        force.Contact.Point = tool + 0.001 * RandomVec(random);
-        force.Contact.Normal = RandomQuat(random).Rotate(new Vec3(0, 0, random.Next(30) == 0 ? 3 : 1.1)); // now and then unsound
-        force.Contact.CuttingResistanceN = random.Next(2) * random.NextDouble();
-        force.Contact.Penetrated = random.Next(2) == 0;
-        force.Contact.ValidForNs = random.Next(20, 60) * Ms;
-        return force;
-    }
-
-    private static string Text(double x)
-    {
-        return x.ToString("r", CultureInfo.InvariantCulture);
-    }
-
-    private static string Python(string input)
-    {
-        string script = System.IO.Path.Combine(Vectors.Source, "tests", "unity", "contact_reference.py");
-        using (Process run = Process.Start(new ProcessStartInfo("/usr/bin/python3", "-B " + script)
+        force.Contact.FrictionNSPerM = 0;
+        force.Contact.Penetrated = false;
+        force.Contact.Arm = new Vec3(0.05, 0, 0);
+        foreach (bool torque in new[] { false, true })
         {
-            UseShellExecute = false, RedirectStandardInput = true, RedirectStandardOutput = true
-        }))
-        {
-            Task<string> output = run.StandardOutput.ReadToEndAsync();
-            run.StandardInput.Write(input);
-            run.StandardInput.Close();
-            run.WaitForExit();
-            return output.Result;
+            var renderer = new ContactRenderer();
+            long now = Ms;
+            Func<long, Wrench> after = ns =>
+            {
+                now += ns;
+                renderer.Take(force, now);
+                var tool = new Vec3(0, 0, 0.03 - Math.Min((now - Ms) / Ms * 1e-6, 0.0009));
+                return torque ? renderer.RenderWrench(tool, Quat.Identity, now) : new Wrench { ForceN = renderer.Render(tool, now) };
+            };
+            for (int ms = 0; ms < 4000; ++ms) after(Ms);
+            CheckClose(after(ContactRenderer.SilenceNs).ForceN.Z, 0.72, "after a short pause");
+            foreach (long pause in new[] { ContactRenderer.SilenceNs + 1, 5000 * Ms })
+            {
+                Wrench felt = after(pause);
+                Check.Equal(felt.ForceN.Length + felt.TorqueNM.Length, 0.0, "after a silence of " + pause);
+                for (int ms = 0; ms < 200; ++ms) felt = after(Ms);
+                CheckClose(felt.ForceN.Z, 0.1 * 0.72, "0.2 s later");
+                if (torque) CheckClose(felt.TorqueNM.Y, -0.05 * 0.1 * 0.72, "its torque");
+                for (int ms = 0; ms < 2000; ++ms) felt = after(Ms);
+                CheckClose(felt.ForceN.Z, 0.72, "after the ramp");
+            }
         }
+    }
+
+    public static void ImpossibleLimitsAreRefused()
+    {
+        foreach (double bad in new[] { double.NaN, double.PositiveInfinity, -1 })
+        {
+            foreach (ContactLimits limits in new[] { new ContactLimits { MostN = bad }, new ContactLimits { SlewNS = bad },
+                new ContactLimits { RampS = bad }, new ContactLimits { StiffestNM = bad }, new ContactLimits { MostTorqueNM = bad } })
+                Check.Throws<ArgumentException>(() => new ContactRenderer(limits), "a limit of " + bad);
+        }
+        Check.Throws<ArgumentException>(() => new ContactRenderer(new ContactLimits { SlewNS = 1 }), "a slew limit that the ramp uses up");
+    }
+
+    /// <summary>protocol/vectors/contact.json: the renderers of the other languages compute the same.</summary>
+    public static void TheGoldenFiguresAreRendered()
+    {
+        double largest = 0, turning = 0;
+        foreach (object item in (List<object>)Json.Parse(System.IO.File.ReadAllText(Vectors.PathOf("contact.json"))))
+        {
+            var run = Vectors.Map(item);
+            var limits = Vectors.Map(run["limits"]);
+            var renderer = new ContactRenderer(new ContactLimits
+            {
+                MostN = Number(limits["most_n"]), SlewNS = Number(limits["slew_n_s"]), RampS = Number(limits["ramp_s"]),
+                StiffestNM = Number(limits["stiffest_n_m"]), MostTorqueNM = Number(limits["most_torque_n_m"])
+            });
+            foreach (object line in (List<object>)run["calls"])
+            {
+                var call = Vectors.Map(line);
+                if (call.ContainsKey("take"))
+                {
+                    renderer.Take(new Force { Contact = PlaneOf(call["contact"]) }, (long)Json.Make(typeof(long), call["take"]));
+                    continue;
+                }
+                var tool = call["tool"] == null ? new Vec3(double.NaN, 0, 0) : VecOf(call["tool"]);
+                var turned = new Quat(double.NaN, 0, 0, 0);
+                if (call["turned"] is List<object> q) turned = new Quat(Number(q[0]), Number(q[1]), Number(q[2]), Number(q[3]));
+                var now = (long)Json.Make(typeof(long), call["call"]);
+                bool torque = (bool)run["torque"];
+                Wrench felt = torque ? renderer.RenderWrench(tool, turned, now) : new Wrench { ForceN = renderer.Render(tool, now) };
+                CheckNear(felt.ForceN, VecOf(call["force"]), "force at " + now);
+                if (torque) CheckNear(felt.TorqueNM, VecOf(call["torque"]), "torque at " + now);
+                largest = Math.Max(largest, felt.ForceN.Length);
+                turning = Math.Max(turning, felt.TorqueNM.Length);
+            }
+        }
+        Check.That(largest > 1 && turning > 0.03, "largest force " + largest + ", torque " + turning);
+    }
+
+    private static LocalContact PlaneOf(object json)
+    {
+        if (json == null) return null;
+        var c = Vectors.Map(json);
+        return new LocalContact
+        {
+            Point = VecOf(c["point"]), Normal = VecOf(c["normal"]), Arm = c.ContainsKey("arm") ? VecOf(c["arm"]) : new Vec3(),
+            StiffnessNPerM = Number(c["stiffness_n_per_m"]), DampingNSPerM = Number(c["damping_n_s_per_m"]),
+            CuttingResistanceN = Number(c["cutting_resistance_n"]), FrictionNSPerM = Number(c["friction_n_s_per_m"]),
+            ValidForNs = (long)Json.Make(typeof(long), c["valid_for_ns"]), Penetrated = (bool)c["penetrated"]
+        };
+    }
+
+    private static double Number(object number)
+    {
+        return (double)Json.Make(typeof(double), number);
+    }
+
+    private static Vec3 VecOf(object numbers)
+    {
+        var list = (List<object>)numbers;
+        return new Vec3(Number(list[0]), Number(list[1]), Number(list[2]));
     }
 
     /// <summary>Planes that come late, jump and lie do not make it an engine: what comes out stays within the account.</summary>

@@ -29,9 +29,9 @@ public sealed class PlayedServer : IDisposable
                 using (TcpClient peer = listener.AcceptTcpClient()) Play(peer);
             }
         }
-        catch (SocketException)
+        catch (Exception error) when (error is SocketException || error is ObjectDisposedException || error is InvalidOperationException)
         {
-            // Disposed.
+            // Disposed: while it waits, or just before.
         }
     }
 

@@ -5,7 +5,8 @@ using System.Reflection;
 /// <summary>The package's tests: SOURCE PROGRAMS [--rounds N] [--only TEXT].</summary>
 public static class Program
 {
-    private static readonly Type[] Suites = { typeof(PackageTests), typeof(VectorTests), typeof(FrameTests), typeof(ServerTests), typeof(EngineTests) };
+    private static readonly Type[] Suites = { typeof(PackageTests), typeof(VectorTests), typeof(FrameTests), typeof(ServerTests), typeof(SimulatorTests),
+        typeof(EngineTests) };
 
     public static int Rounds = 30; // of chaos
 

@@ -386,6 +386,10 @@ public static class ServerTests
                     Thread.Sleep(1);
                 }
                 Check.That(force.Y > 0.002 && force.Y > 0.5 * force.Length, "the force points up: " + force + " after " + steps + " steps");
+                // The thread is paused: planes come meanwhile, and the force begins from nothing.
+                Thread.Sleep(70);
+                Vec3 at = body.Position + body.Rotation.Rotate(UnityFrame.Convert(new Vec3(0.02, 0, 0.07)));
+                Check.Equal(tool.Step(at, body.Rotation, false).Length, 0.0, "the force after a pause");
                 Check.That(tool.LastForce != null && client.Report.Accepted > 100, "the server answers");
                 Check.Equal(client.Report.TimeNotRising + client.Report.NotUnit + client.Report.NotFinite, 0UL, "poses that are refused");
             }

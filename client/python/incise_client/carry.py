@@ -50,13 +50,19 @@ class Provenance:
             added, blends = added + more_added, blends + more_blends
 
 
+def _rows(values: npt.ArrayLike) -> npt.NDArray[Any]:
+    if np.ma.is_masked(values):
+        raise ValueError("values: found an array with masked numbers; accepted are arrays in which all numbers count")
+    return np.asarray(values)
+
+
 def carry_tets(delta: Any, values: npt.ArrayLike) -> npt.NDArray[Any]:
     """The same for a field on the tetrahedra: ``values`` has a row for each id, as ``Replica.tets``.
 
     A new tetrahedron has what its elder has, the one in whose place it is; rows of ids without a tetrahedron are meaningless.
     Raises ValueError. O(tetrahedra), for the copy.
     """
-    values = np.asarray(values)
+    values = _rows(values)
     elders, tets = delta.TetEldersAsNumpy(), delta.Tets()
     if isinstance(elders, int):
         return values.copy()
@@ -77,7 +83,7 @@ def carry(delta: Any, values: npt.ArrayLike) -> npt.NDArray[Any]:
     view Volume without a box, as ``on_delta`` gets it. Raises ValueError where values or lists do not fit. O(vertices), for
     the copy.
     """
-    values = np.asarray(values)
+    values = _rows(values)
     provenance = Provenance(delta, delta.VertexCount() - delta.AddedPositionsLength() // 3)
     if values.ndim < 1 or len(values) != provenance.vertices:
         raise ValueError(f"carry: found an array of shape {values.shape}, expected one row for each of "

@@ -310,15 +310,22 @@ class Client:
         return self._sequence
 
     def send_positions(self, positions: Any, *, ids: Any = None, first: int = 0, revision: Optional[int] = None) -> int:
-        """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` (ascending),
+        """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` ((n,), ascending),
         or ``first``, ``first + 1``, ... ``revision`` is that of the state they were computed with, by default the replica's.
-        Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back.
+        Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back. Raises ValueError
+        for another shape, masked numbers, or ids that are no whole numbers of 32 bits.
         """
+        if np.ma.is_masked(positions):
+            raise ValueError("positions: found an array with masked numbers; accepted are arrays in which all numbers count")
         array = np.ascontiguousarray(positions)
+        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+            raise ValueError(f"positions: found shape {array.shape} of {array.dtype}; accepted is (n, 3) of real numbers")
         single = array.dtype == np.float32
         flat = array.astype("<f4" if single else "<f8", copy=False).reshape(-1)
-        if flat.size % 3 or (ids is not None and flat.size != 3 * len(ids)):
-            raise ValueError(f"{flat.size} coordinates" + (f" for {len(ids)} vertices" if ids is not None else ""))
+        if ids is not None:
+            ids = np.asarray(ids)
+            if ids.shape != (len(array),) or ids.dtype.kind not in "iu" or (ids.size and (ids.min() < 0 or ids.max() >= 2**32)):
+                raise ValueError(f"ids: found shape {ids.shape} of {ids.dtype}; accepted is ({len(array)},) of whole numbers of 32 bits")
         self._frame += 1
 
         def build(b: Any) -> int:
@@ -339,9 +346,10 @@ class Client:
         unit, out of the tissue; ``damping`` N s/m along it; at ``resistance`` N the tissue gives way (0: it holds). It is rendered for
         ``valid_s`` seconds from the load on. A bad one comes back as ``error``. Returns the message's sequence.
         """
-        flat = np.ascontiguousarray(stiffness, "<f8").reshape(-1)
-        if flat.size != 9:
-            raise ValueError(f"stiffness of {flat.size} numbers; accepted are 3 x 3")
+        matrix3 = np.ascontiguousarray(stiffness, "<f8")
+        if matrix3.shape != (3, 3):
+            raise ValueError(f"stiffness: found shape {matrix3.shape}; accepted is (3, 3)")
+        flat = matrix3.reshape(-1)
 
         def build(b: Any) -> int:
             matrix = b.CreateNumpyVector(flat)

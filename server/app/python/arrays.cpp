@@ -14,6 +14,7 @@ std::string type_text(py::handle value) {
 
 // Any array of the kinds of numbers in `kinds` (NumPy's letters).
 py::array array_of(py::handle value, const std::string& name, const char* kinds, const char* accepted) {
+  refuse_masked(value, name);
   auto array = py::array::ensure(value);
   if (!array)
     throw py::type_error(name + ": found " + type_text(value) + "; accepted is an array of " + accepted);
@@ -47,6 +48,15 @@ std::string place(const py::array& array, const std::string& name, py::ssize_t i
 
 }  // namespace
 
+void refuse_masked(py::handle value, const std::string& name) {
+  if (!py::hasattr(value, "mask")) return;
+  const py::object masks = py::module_::import("numpy").attr("ma");
+  if (!masks.attr("is_masked")(value).cast<bool>()) return;
+  throw py::value_error(name + ": found an array with " +
+                        std::string(py::str(masks.attr("count_masked")(value))) +
+                        " masked numbers; accepted are arrays in which all numbers count");
+}
+
 std::string shape_text(const std::vector<py::ssize_t>& shape) {
   std::string text;
   for (const py::ssize_t length : shape) {
@@ -75,11 +85,16 @@ Integers integers(py::handle value, const std::string& name, const std::vector<p
   check_shape(given, name, shape);
   auto array = py::array_t<std::int64_t, py::array::c_style | py::array::forcecast>::ensure(given);
   if (!array) throw py::type_error(name + ": cannot be read as int64");
+  const bool is_unsigned = given.dtype().kind() == 'u';
   for (py::ssize_t i = 0; i < array.size(); ++i) {
-    if (array.data()[i] < least || array.data()[i] > most) {
-      throw py::value_error(place(array, name, i) + " is " + std::to_string(array.data()[i]) +
-                            "; accepted is " + std::to_string(least) + " to " + std::to_string(most));
-    }
+    const std::int64_t found = array.data()[i];
+    // A uint64 beyond int64 has become negative.
+    const bool beyond = is_unsigned && found < 0;
+    if (!beyond && found >= least && found <= most) continue;
+    throw py::value_error(
+        place(array, name, i) + " is " +
+        (beyond ? std::to_string(static_cast<std::uint64_t>(found)) : std::to_string(found)) +
+        "; accepted is " + std::to_string(least) + " to " + std::to_string(most));
   }
   return array;
 }
@@ -92,8 +107,15 @@ void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on
   for (const auto& [key, value] : given.cast<py::dict>()) {
     if (!py::isinstance<py::str>(key))
       throw py::type_error(name + ": found a key of the type " + type_text(key) + "; accepted is str");
-    mesh_io::Field field{key.cast<std::string>(), on, 1, {}};
     const std::string what = name + "[" + std::string(py::repr(key)) + "]";
+    mesh_io::Field field{"", on, 1, {}};
+    try {
+      field.name = key.cast<std::string>();
+    } catch (const py::cast_error&) {
+      throw py::value_error(what + ": the name cannot be written as UTF-8");
+    }
+    if (mesh_io::has_control_character(field.name))
+      throw py::value_error(what + ": the name has a control character; mesh files cannot have one");
     if (field.name.empty() || field.name.size() > mesh_io::kMaxFieldName)
       throw py::value_error(what + ": found a name of " + std::to_string(field.name.size()) +
                             " bytes; accepted are 1 to " + std::to_string(mesh_io::kMaxFieldName));
@@ -110,8 +132,15 @@ void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on
     }
     field.components = static_cast<std::size_t>(components);
     if (array.dtype().kind() == 'f') {
-      const py::array_t<float, py::array::c_style | py::array::forcecast> numbers(array);
-      field.values = std::vector<float>(numbers.data(), numbers.data() + numbers.size());
+      const py::array_t<double, py::array::c_style | py::array::forcecast> numbers(array);
+      auto& values = field.values.emplace<std::vector<float>>();
+      for (py::ssize_t i = 0; i < numbers.size(); ++i) {
+        const double wide = numbers.data()[i];
+        if (std::isfinite(wide) && std::abs(wide) > std::numeric_limits<float>::max())
+          throw py::value_error(place(numbers, what, i) + " is " + mesh_io::to_text(wide) +
+                                "; accepted are numbers that a float32 can hold");
+        values.push_back(static_cast<float>(wide));
+      }
     } else {
       using Limits = std::numeric_limits<std::int32_t>;
       const std::vector<py::ssize_t> shape(array.shape(), array.shape() + array.ndim());

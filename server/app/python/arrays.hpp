@@ -30,6 +30,9 @@ std::vector<core::Vec3> points(py::handle value, const std::string& name);
 // One point of three numbers.
 core::Vec3 point(py::handle value, const std::string& name);
 
+// Throws ValueError for a masked array with masked numbers: what is behind a mask is no number that the caller means.
+void refuse_masked(py::handle value, const std::string& name);
+
 // A field for each name of a dict, or of None: (rows,) or (rows, components) numbers. Whole numbers become int32, others float32, which
 // may be NaN. Throws TypeError or ValueError.
 void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on, std::size_t rows,

@@ -47,6 +47,7 @@ py::array carried(const Delta& delta, const py::array& values, bool of_tets) {
 }
 
 py::array carry(const Delta& delta, const py::handle value, bool of_tets) {
+  refuse_masked(value, "values");
   const py::array values = py::array::ensure(value);
   const char kind = values ? values.dtype().kind() : '?';
   const bool whole = kind == 'i' || kind == 'u' || kind == 'b';

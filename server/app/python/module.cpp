@@ -34,9 +34,14 @@ std::filesystem::path path_from(const py::object& value, const std::string& name
     throw py::type_error(name + ": found " + std::string(py::repr(py::type::of(value))) +
                          "; accepted is a path: str or os.PathLike");
   }
-  const py::object text = py::module_::import("os").attr("fspath")(value);
+  const py::module_ os = py::module_::import("os");
+  const py::object text = os.attr("fspath")(value);
   if (!py::isinstance<py::str>(text)) throw py::type_error(name + ": found a path of bytes; accepted is str");
-  return text.cast<std::string>();
+  const auto bytes = os.attr("fsencode")(text).cast<std::string>();
+  if (bytes.find('\0') != std::string::npos)
+    throw py::value_error(name + ": found " + std::string(py::repr(text)) +
+                          "; accepted is a path without \"\\0\", at which the system would end it");
+  return bytes;
 }
 
 app::Config config_from(const py::object& value) {

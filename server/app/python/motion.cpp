@@ -51,7 +51,12 @@ Motion from_poses(const py::object& given, const py::object& given_buttons, cons
   auto motion = std::make_shared<RecordedMotion>();
   motion->format = "array";
   const py::array array = py::array::ensure(given);
-  const bool positions_only = array && array.ndim() == 2 && array.shape(1) == 4;
+  if (array && (array.ndim() != 2 || (array.shape(1) != 4 && array.shape(1) != 8))) {
+    throw py::value_error(name + ": found shape " +
+                          shape_text(std::vector<py::ssize_t>(array.shape(), array.shape() + array.ndim())) +
+                          "; accepted is (n, 8) or (n, 4)");
+  }
+  const bool positions_only = array && array.shape(1) == 4;
   const Doubles poses = doubles(given, name, {-1, positions_only ? 4 : 8});
   motion->has_orientation = !positions_only;
   motion->has_buttons = !given_buttons.is_none();

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <sstream>
 
@@ -16,7 +17,7 @@ using core::Vec3;
 constexpr std::int64_t kMs = 1'000'000;
 
 DeviceProfile shipped(const std::string& name) {
-  return load_profile(std::string(INCISE_SOURCE_DIR) + "/config/devices/" + name + ".json");
+  return load_profile(std::filesystem::path(INCISE_SOURCE_DIR) / "config/devices" / (name + ".json"));
 }
 
 DeviceProfile profile_of(const std::string& rest) {

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cstring>
+#include <filesystem>
 
 #include "protocol/hid/incise_stylus.h"
 #include "server/input/hid/device_profile.hpp"
@@ -52,7 +53,7 @@ TEST(StylusLayout, TheDescriptorHasTheHeadersReports) {
 
 TEST(StylusLayout, TheShippedProfileFitsAndReadsTheHeadersFields) {
   const DeviceProfile profile =
-      load_profile(std::string(INCISE_SOURCE_DIR) + "/config/devices/incise_stylus.json");
+      load_profile(std::filesystem::path(INCISE_SOURCE_DIR) / "config/devices/incise_stylus.json");
   EXPECT_EQ(mismatch(profile, described()), "");
   EXPECT_EQ(profile.usage_page, INCISE_STYLUS_USAGE_PAGE);
   EXPECT_EQ(profile.usage, INCISE_STYLUS_USAGE);
@@ -94,8 +95,8 @@ TEST(StylusLayout, TheSixAxisStylusHasOneReportMore) {
     EXPECT_EQ(six->fields[i].bit, plain.fields[i].bit) << i;
     EXPECT_EQ(six->fields[i].usage, plain.fields[i].usage) << i;
   }
-  const std::string folder = std::string(INCISE_SOURCE_DIR) + "/config/devices/";
-  const DeviceProfile profile = load_profile(folder + "incise_stylus_6.json");
+  const std::filesystem::path folder = std::filesystem::path(INCISE_SOURCE_DIR) / "config/devices";
+  const DeviceProfile profile = load_profile(folder / "incise_stylus_6.json");
   EXPECT_EQ(mismatch(profile, *six), "");
   EXPECT_EQ(profile.usage, INCISE_STYLUS_6_USAGE);
   ASSERT_TRUE(profile.force);
@@ -108,7 +109,7 @@ TEST(StylusLayout, TheSixAxisStylusHasOneReportMore) {
   EXPECT_EQ(report.torque[2], -50'000);
   EXPECT_EQ(report.force[2], 0);
   // And otherwise it is the same device.
-  DeviceProfile same = load_profile(folder + "incise_stylus.json");
+  DeviceProfile same = load_profile(folder / "incise_stylus.json");
   EXPECT_EQ(profile.tools, same.tools);
   EXPECT_EQ(profile.force->components[0]->bit, same.force->components[0]->bit);
 }

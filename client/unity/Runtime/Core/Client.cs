@@ -17,6 +17,7 @@ namespace Incise
         private string lastError = "";
         private Welcome welcome;
         private PoseReport report;
+        private PositionsReport positionsReport;
         private ulong? heldRevision; // the state's; null: none
         private ClientCounters counters;
         private Link link;
@@ -35,6 +36,8 @@ namespace Incise
         public event Action<SurfaceDelta> SurfaceDeltaApplied;
         public event Action<Force> ForceReceived;
         public event Action<PoseReport> Reported;
+        public event Action<PositionsReport> PositionsReported; // role Simulator
+        public event Action<BladeLoad> BladeLoaded; // role Simulator, with ClientOptions.LoadRateHz: what a blade does to the body
         public event Action<BladePose> BladeMoved;
         public event Action<Stats> StatsReceived;
         public event Action<Error> ErrorReceived;
@@ -49,7 +52,8 @@ namespace Incise
             this.options = options ?? new ClientOptions();
             if (this.options.Box != null && this.options.View != View.Surface)
                 throw new ArgumentException("Box: accepted with view Surface only");
-            if (this.options.Role == Role.Simulator) throw new ArgumentException("Role: this client does not send positions");
+            if (this.options.Role == Role.Simulator && this.options.View != View.Volume)
+                throw new ArgumentException("View: a simulator needs Volume, whose vertices it moves");
         }
 
         /// <summary>Begins to connect and returns at once. Status and LastError say how it goes.</summary>
@@ -69,6 +73,7 @@ namespace Incise
         /// <summary>The last one; null before.</summary>
         public Welcome Welcome { get { lock (gate) return welcome; } }
         public PoseReport Report { get { lock (gate) return report; } }
+        public PositionsReport PositionsReport { get { lock (gate) return positionsReport; } }
         public ClientCounters Counters { get { lock (gate) return counters; } }
 
         /// <summary>A VolumeState or SurfaceState; null without one. Read it within Lock.</summary>
@@ -127,13 +132,38 @@ namespace Incise
             return Send(new Undo()) > 0;
         }
 
-        private ulong Send(object body)
+        /// <summary>
+        /// Role Simulator: where vertices are now. Returns the message's sequence; 0 without a connection, or while something still
+        /// waits for the network: send the next ones, later. Throws ArgumentException where numbers and ids do not fit. What the
+        /// server made of them comes as PositionsReported and as a delta; vertices that are not there as ErrorReceived.
+        /// </summary>
+        public ulong SendPositions(Positions positions)
+        {
+            int numbers = positions.F32.Length + positions.F64.Length;
+            if (numbers % 3 != 0 || (positions.F32.Length > 0 && positions.F64.Length > 0) ||
+                (positions.Ids.Length > 0 && numbers != 3 * positions.Ids.Length))
+                throw new ArgumentException("positions: " + positions.F32.Length + " floats and " + positions.F64.Length + " doubles for " +
+                    positions.Ids.Length + " ids; accepted are three for each vertex, in one of the two");
+            return Send(positions, true);
+        }
+
+        /// <summary>
+        /// Role Simulator: its own model of the tissue at a blade, in answer to a BladeLoad. Returns the message's sequence; 0 without a
+        /// connection. One that cannot be rendered comes back as ErrorReceived, not fatal.
+        /// </summary>
+        public ulong SendModel(BladeModel model)
+        {
+            if (model.Stiffness.Length != 9) throw new ArgumentException("Stiffness: " + model.Stiffness.Length + " numbers; accepted are 9");
+            return Send(model);
+        }
+
+        private ulong Send(object body, bool alone = false)
         {
             lock (gate)
             {
                 if (outbox == null || status != ClientStatus.Connected) return 0;
                 byte[] message = MessageWriter.Write(body, sequence + 1, Clock.NowNs);
-                return outbox.Add(message) ? ++sequence : 0;
+                return (alone ? outbox.AddAlone(message) : outbox.Add(message)) ? ++sequence : 0;
             }
         }
 
@@ -149,6 +179,12 @@ namespace Incise
         public bool WaitForReport(ulong through, double timeoutS)
         {
             return Wait(timeoutS, () => report != null && report.ThroughSequence >= through);
+        }
+
+        /// <summary>Until the server has dealt with the positions of that frame, or of a later one.</summary>
+        public bool WaitForPositions(ulong frame, double timeoutS)
+        {
+            return Wait(timeoutS, () => positionsReport != null && positionsReport.Frame >= frame);
         }
 
         public bool WaitForWelcome(double timeoutS)

@@ -18,6 +18,8 @@ namespace Incise
         public float MaxRateHz;
         /// <summary>BladeMoved at most so often for each blade; 0: never.</summary>
         public float BladeRateHz;
+        /// <summary>Simulator: BladeLoaded at most so often for each blade, 60 to 1,000; 0: never.</summary>
+        public float LoadRateHz;
         /// <summary>Connects again when the connection is lost, or the server is not there yet, and resumes the state it holds.</summary>
         public bool Reconnect = true;
         public double ConnectTimeoutS = 5;

@@ -112,7 +112,7 @@ namespace Incise
             var hello = new Hello
             {
                 Role = options.Role, View = options.View, ClientName = options.ClientName, Token = options.Token, MaxRateHz = options.MaxRateHz,
-                BladeRateHz = options.BladeRateHz, Box = options.Box, SourceName = options.SourceName, Blade = options.Blade,
+                BladeRateHz = options.BladeRateHz, LoadRateHz = options.LoadRateHz, Box = options.Box, SourceName = options.SourceName, Blade = options.Blade,
                 // After a lost connection the server may still count the blade as held by it.
                 TakeOver = options.TakeOver || reconnecting
             };
@@ -167,6 +167,8 @@ namespace Incise
             else if (body is SnapshotChunk chunk) Change(() => Take(chunk));
             else if (body is SnapshotEnd end) Change(() => End(end));
             else if (body is Force force) Raise(ForceReceived, force);
+            else if (body is BladeLoad load) Raise(BladeLoaded, load);
+            else if (body is PositionsReport moved) On(moved);
             else if (body is BladePose pose) Raise(BladeMoved, pose);
             else if (body is Ping ping) Send(new Pong { Nonce = ping.Nonce, PingSentNs = ping.SentNs, ReceivedNs = Clock.NowNs });
             else if (body is PoseReport reported) On(reported);
@@ -193,6 +195,7 @@ namespace Incise
                 if (!message.Resumed) heldRevision = null;
                 welcome = message;
                 report = null;
+                positionsReport = null;
                 status = ClientStatus.Connected;
                 lastError = "";
                 if (message.Resumed) ++counters.Resumed;
@@ -325,6 +328,16 @@ namespace Incise
                 Monitor.PulseAll(gate);
             }
             Raise(Reported, message);
+        }
+
+        private void On(PositionsReport message)
+        {
+            lock (gate)
+            {
+                positionsReport = message;
+                Monitor.PulseAll(gate);
+            }
+            Raise(PositionsReported, message);
         }
 
         private void On(Error message)

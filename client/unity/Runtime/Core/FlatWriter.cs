@@ -35,6 +35,11 @@ namespace Incise
             return value == 0 ? this : Add(place, BitConverter.GetBytes(value), 4);
         }
 
+        public FlatDraft Double(int place, double value)
+        {
+            return Long(place, BitConverter.DoubleToInt64Bits(value));
+        }
+
         public FlatDraft ULong(int place, ulong value)
         {
             return value == 0 ? this : Add(place, BitConverter.GetBytes(value), 8);
@@ -72,6 +77,15 @@ namespace Incise
         {
             Fields.Add(new Field { Place = place, Alignment = 4, Elements = elements, Count = count });
             return this;
+        }
+
+        /// <summary>An array of numbers of so many bytes each; an empty one is left out.</summary>
+        public FlatDraft Numbers<T>(int place, T[] values, int bytesEach) where T : struct
+        {
+            if (values == null || values.Length == 0) return this;
+            var bytes = new byte[bytesEach * values.Length];
+            Buffer.BlockCopy(values, 0, bytes, 0, bytes.Length);
+            return Array(place, bytes, values.Length);
         }
 
         private FlatDraft Add(int place, byte[] bytes, int alignment)

@@ -36,17 +36,29 @@ namespace Incise
             return Math.Min(1, handScale / Scale);
         }
 
+        /// <summary>The same for the torque: turning is not magnified, but the arm of the force at the hand is.</summary>
+        public double TorqueShare(double handScale)
+        {
+            return Math.Min(1, Scale / handScale);
+        }
+
         /// <summary>A force in the body's frame as a direction of Unity's world.</summary>
         public Vec3 ToWorld(Vec3 direction)
         {
             return Rotation.Rotate(UnityFrame.Convert(direction));
         }
+
+        /// <summary>A torque in the body's frame in Unity's world, where a rotation about an axis runs the other way.</summary>
+        public Vec3 TorqueToWorld(Vec3 torque)
+        {
+            return -1 * Rotation.Rotate(UnityFrame.Convert(torque));
+        }
     }
 
     /// <summary>
-    /// A tool in Unity's world: its poses go out, the force on the hand comes back. Step() is called by what moves the tool,
-    /// a device's own thread at its own rate (1 kHz) or FixedUpdate; neither waits for the network.
-    /// Thread: Step() from one, the rest from any. Give each client one tool.
+    /// A tool in Unity's world: its poses go out, the force on the hand comes back. Step() or StepWrench() is called by what moves
+    /// the tool, a device's own thread at its own rate (1 kHz) or FixedUpdate; neither waits for the network.
+    /// Thread: those from one, the rest from any. Give each client one tool.
     /// </summary>
     public sealed class HapticTool : IDisposable
     {
@@ -114,23 +126,47 @@ namespace Incise
         /// </summary>
         public Vec3 Step(Vec3 position, Quat rotation, bool cut)
         {
+            PoseSample pose;
             Placement placement;
+            double hand;
+            Send(position, rotation, cut, out pose, out placement, out hand);
+            return placement.ToWorld(placement.ForceShare(hand) * renderer.Render(pose.Position, pose.SourceNs));
+        }
+
+        /// <summary>
+        /// The same for a device that makes torques: force and torque about `position`, N m, in Unity's world and with Unity's sense
+        /// of rotation. Use one of the two throughout.
+        /// </summary>
+        public Wrench StepWrench(Vec3 position, Quat rotation, bool cut)
+        {
+            PoseSample pose;
+            Placement placement;
+            double hand;
+            Send(position, rotation, cut, out pose, out placement, out hand);
+            Wrench felt = renderer.RenderWrench(pose.Position, pose.Orientation, pose.SourceNs);
+            return new Wrench
+            {
+                ForceN = placement.ToWorld(placement.ForceShare(hand) * felt.ForceN),
+                TorqueNM = placement.TorqueToWorld(placement.TorqueShare(hand) * felt.TorqueNM)
+            };
+        }
+
+        private void Send(Vec3 position, Quat rotation, bool cut, out PoseSample pose, out Placement placement, out double hand)
+        {
             int button;
-            double share;
             lock (gate)
             {
-                share = body.ForceShare(handScale);
+                hand = handScale;
                 placement = body;
                 button = engageButton;
             }
-            long now = Math.Max(Clock.NowNs, lastNs + 1);
-            lastNs = now;
-            Vec3 tool = placement.ToBody(position);
-            client.SendPose(new PoseSample
+            lastNs = Math.Max(Clock.NowNs, lastNs + 1);
+            pose = new PoseSample
             {
-                SourceNs = now, Position = tool, Orientation = placement.ToBody(rotation), Buttons = cut && button >= 0 ? 1u << button : 0
-            });
-            return placement.ToWorld(share * renderer.Render(tool, now));
+                SourceNs = lastNs, Position = placement.ToBody(position), Orientation = placement.ToBody(rotation),
+                Buttons = cut && button >= 0 ? 1u << button : 0
+            };
+            client.SendPose(pose);
         }
     }
 }

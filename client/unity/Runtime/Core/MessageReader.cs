@@ -42,7 +42,9 @@ namespace Incise
                 case 19: return ReadStats(t);
                 case 23:
                     return new BladePose { Source = t.UInt(0), Cutting = t.Bool(1), Heel = Needed(t, 2), Tip = Needed(t, 3), ArrivalNs = t.Long(4) };
+                case 24: return ReadPositionsReport(t);
                 case 25: return ReadSurfaceAsset(t);
+                case 27: return ReadLoad(t);
                 default: return null;
             }
         }
@@ -118,6 +120,28 @@ namespace Incise
                 CuttingResistanceN = Finite(c.Double(4)), FrictionNSPerM = Finite(c.Double(5)), ValidForNs = c.Long(6),
                 Penetrated = c.Bool(7), Arm = Vector(c, 8)
             };
+            return m;
+        }
+
+        private static PositionsReport ReadPositionsReport(FlatTable t)
+        {
+            return new PositionsReport
+            {
+                Frame = t.ULong(0), Revision = t.ULong(1), Moved = t.UInt(2), PassedOver = t.UInt(3), Held = Ids(t, 4, IdLimit), Taken = t.ULong(5),
+                Skipped = t.ULong(6)
+            };
+        }
+
+        private static BladeLoad ReadLoad(FlatTable t)
+        {
+            var m = new BladeLoad
+            {
+                Source = t.UInt(0), Revision = t.ULong(1), SourceNs = t.Long(2), ServerNs = t.Long(3), Contact = (BladeContact)Enumeration(t, 4, 2),
+                Engaged = t.Bool(5), Heel = Needed(t, 6), Tip = Needed(t, 7), Tool = Needed(t, 8), ForceN = Needed(t, 9),
+                TorqueNM = Needed(t, 10), Center = Needed(t, 11), EngagedLengthM = Finite(t.Double(12)), Ids = Ids(t, 13, IdLimit),
+                Number = t.ULong(15), Skipped = t.ULong(16)
+            };
+            m.Forces = Positions(t, 14, m.Ids.Length, "forces");
             return m;
         }
 

@@ -33,6 +33,10 @@ namespace Incise
             if (body is PoseBatch batch) return draft.Array(0, Bytes(batch.Poses), batch.Poses.Length);
             kind = 11;
             if (body is StrokeControl stroke) return draft.Byte(0, (int)stroke.Action).Long(1, stroke.SourceNs);
+            kind = 18;
+            if (body is Positions positions) return Draft(positions);
+            kind = 28;
+            if (body is BladeModel model) return Draft(model);
             kind = 20;
             if (body is Reset) return draft;
             kind = 26;
@@ -47,7 +51,19 @@ namespace Incise
             return new FlatDraft().UInt(0, m.ProtocolVersion).Byte(1, (int)m.Role).Byte(2, (int)m.View).Text(3, m.ClientName)
                 .Text(4, m.ClientVersion).Text(5, m.Token).ULong(6, m.ResumeSession).ULong(7, m.ResumeRevision).Float(8, m.MaxRateHz)
                 .Table(9, box).Text(10, m.SourceName).Byte(11, m.TakeOver ? 1 : 0).Float(12, m.BladeRateHz).Table(13, blade)
-                .ULong(14, m.ResumeHash);
+                .ULong(14, m.ResumeHash).Float(15, m.LoadRateHz);
+        }
+
+        private static FlatDraft Draft(Positions m)
+        {
+            return new FlatDraft().ULong(0, m.Frame).ULong(1, m.Revision).Long(2, m.SourceNs).Numbers(3, m.Ids, 4).UInt(4, m.First)
+                .Numbers(5, m.F32, 4).Numbers(6, m.F64, 8);
+        }
+
+        private static FlatDraft Draft(BladeModel m)
+        {
+            return new FlatDraft().UInt(0, m.Source).Long(1, m.ServerNs).Vector(2, m.Point).Vector(3, m.Normal).Numbers(4, m.Stiffness, 8)
+                .Double(5, m.DampingNSPerM).Double(6, m.ResistanceN).Long(7, m.ValidForNs);
         }
 
         private static byte[] Bytes(PoseSample[] poses)

@@ -23,6 +23,9 @@ namespace Incise
 
     public enum StrokeAction : byte { Engage, End, HandOver }
 
+    /// <summary>None: the blade is in air. Presses: on the surface, which holds.</summary>
+    public enum BladeContact : byte { None, Presses, Inside }
+
     public sealed class Message
     {
         public ulong Sequence;
@@ -39,7 +42,7 @@ namespace Incise
         public View View;
         public string ClientName, ClientVersion, Token, SourceName;
         public ulong ResumeSession, ResumeRevision, ResumeHash;
-        public float MaxRateHz, BladeRateHz;
+        public float MaxRateHz, BladeRateHz, LoadRateHz;
         public Box Box;
         public bool TakeOver;
         public BladeEdge Blade;
@@ -326,6 +329,68 @@ namespace Incise
     public sealed class SnapshotEnd
     {
         public ulong Revision, StateHash, SurfaceHash, PartHash;
+    }
+
+    /// <summary>Simulator: where vertices are now, metres. They are Ids, ascending, or without ids First, First + 1, ...</summary>
+    public sealed class Positions
+    {
+        /// <summary>The simulator's own number for the message, which the report has.</summary>
+        public ulong Frame;
+        /// <summary>The state that they were computed with, one that the client holds.</summary>
+        public ulong Revision;
+        public long SourceNs;
+        public uint[] Ids = { };
+        public uint First;
+        /// <summary>x y z of each vertex, in one of the two.</summary>
+        public float[] F32 = { };
+        public double[] F64 = { };
+    }
+
+    /// <summary>What became of a message of positions.</summary>
+    public sealed class PositionsReport
+    {
+        public ulong Frame, Revision;
+        public uint Moved, PassedOver;
+        /// <summary>Vertices that stayed, or went half the way: at a blade that cuts, or a tetrahedron would have inverted.</summary>
+        public uint[] Held = { };
+        public ulong Taken, Skipped;
+    }
+
+    /// <summary>To a simulator: what a blade does to the body. Incise's frame.</summary>
+    public sealed class BladeLoad
+    {
+        public uint Source;
+        public ulong Revision;
+        public long SourceNs, ServerNs;
+        public BladeContact Contact;
+        public bool Engaged;
+        /// <summary>The edge and the tool's origin.</summary>
+        public Vec3 Heel, Tip, Tool;
+        /// <summary>On the hand: N, and N m about the tool's origin. Center is where the force acts.</summary>
+        public Vec3 ForceN, TorqueNM, Center;
+        public double EngagedLengthM;
+        /// <summary>Vertices of Revision, ascending, and the force on each, x y z, N: they sum to the opposite of ForceN.</summary>
+        public uint[] Ids = { };
+        public double[] Forces = { };
+        public ulong Number, Skipped;
+    }
+
+    /// <summary>
+    /// A simulator's own model of the tissue at a blade, in answer to a BladeLoad: inwards from Point, a place of the tool's origin, the
+    /// force is Stiffness (Point - tool), until ValidForNs after ServerNs.
+    /// </summary>
+    public sealed class BladeModel
+    {
+        /// <summary>Those of the BladeLoad.</summary>
+        public uint Source;
+        public long ServerNs;
+        /// <summary>Normal: unit, out of the tissue.</summary>
+        public Vec3 Point, Normal;
+        /// <summary>Nine numbers, row by row, N/m: symmetric, positive semidefinite.</summary>
+        public double[] Stiffness = { };
+        /// <summary>Along the normal; and where the tissue gives way, N: 0, it holds.</summary>
+        public double DampingNSPerM, ResistanceN;
+        public long ValidForNs;
     }
 
     public sealed class Stats

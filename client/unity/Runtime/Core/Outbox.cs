@@ -37,6 +37,19 @@ namespace Incise
             }
         }
 
+        /// <summary>The same, but only where nothing waits: for what is replaced by the next one. Of any size.</summary>
+        public bool AddAlone(byte[] message)
+        {
+            lock (queue)
+            {
+                if (closed || bytes > 0) return false;
+                bytes = message.Length;
+                queue.Enqueue(message);
+                Monitor.PulseAll(queue);
+                return true;
+            }
+        }
+
         /// <summary>Waits until everything has been written, or the time is over.</summary>
         public void Flush(TimeSpan timeout)
         {

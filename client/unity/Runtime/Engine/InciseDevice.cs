@@ -27,8 +27,14 @@ namespace InciseUnity
         /// <summary>The device's thread: where it is, in its own frame with Unity's axes, metres; whether it cuts. May wait for it.</summary>
         protected abstract void Read(out Vector3 position, out Quaternion rotation, out bool cuts);
 
-        /// <summary>The device's thread: the force on the hand, N, in the same frame. It is zero once before the thread ends.</summary>
-        protected abstract void Apply(Vector3 force);
+        /// <summary>Whether the device makes the torques that Apply() gets; otherwise they are zero. The same throughout.</summary>
+        protected virtual bool MakesTorque { get { return false; } }
+
+        /// <summary>
+        /// The device's thread: the force on the hand, N, and the torque about the place that Read() gave, N m, in the same frame.
+        /// Both are zero once before the thread ends.
+        /// </summary>
+        protected abstract void Apply(Vector3 force, Vector3 torque);
 
         protected virtual void OnEnable()
         {
@@ -79,7 +85,7 @@ namespace InciseUnity
                 }
                 finally
                 {
-                    Apply(Vector3.zero);
+                    Apply(Vector3.zero, Vector3.zero);
                 }
             }
             catch (Exception error)
@@ -100,8 +106,12 @@ namespace InciseUnity
                 turned = turn;
             }
             Vector3 world = (from + turned.Rotate(scale * position.ToIncise())).ToUnity();
-            Vector3 force = blade.Step(world, (turned * rotation.ToIncise()).ToUnity(), cuts);
-            Apply(turned.Inverse.Rotate(force.ToIncise()).ToUnity());
+            Quaternion heading = (turned * rotation.ToIncise()).ToUnity();
+            Vector3 force, torque = Vector3.zero;
+            if (MakesTorque) blade.Step(world, heading, cuts, out force, out torque);
+            else force = blade.Step(world, heading, cuts);
+            Quat back = turned.Inverse;
+            Apply(back.Rotate(force.ToIncise()).ToUnity(), back.Rotate(torque.ToIncise()).ToUnity());
             long left = 1000000000 / Math.Max(1, rateHz) - (Clock.NowNs - begun);
             if (left > 0) Thread.Sleep(TimeSpan.FromTicks(left / 100));
         }

@@ -19,7 +19,7 @@ public sealed class SimulatedDevice : InciseDevice
         cuts = false;
     }
 
-    protected override void Apply(Vector3 force)
+    protected override void Apply(Vector3 force, Vector3 torque)
     {
         largest = Mathf.Max(largest, force.y);
     }
