@@ -66,7 +66,6 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
              .commit =
                  [&](const core::Delta& delta, double) {
                    cut_faces += delta.cut_faces;
-                   session->fields.apply(delta);
                    recorder.commit(use.core(), delta);
                  }},
             progress);
