@@ -167,6 +167,17 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
       return 1000 * at.slice(1).reduce((sum, p, i) => sum + p.distanceTo(at[i]), 0);
     }, spots);
   const labels = () => page.evaluate(() => window.incise.measure.labels);
+  /** How many pixels of a saved picture have the marks' colour. */
+  const marksIn = () =>
+    page.evaluate(async () => {
+      const picture = await createImageBitmap(await window.incise.stage.picture());
+      const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+      pen.drawImage(picture, 0, 0);
+      const { data } = pen.getImageData(0, 0, picture.width, picture.height);
+      let n = 0;
+      for (let i = 0; i < data.length; i += 4) if (data[i + 1] > data[i] + 60) ++n;
+      return n;
+    });
   const clicks = async (spots) => {
     for (const spot of spots) await page.mouse.click(...spot);
   };
@@ -184,15 +195,24 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
   await shot(page, "measure_dark");
   await page.keyboard.press("l");
   await shot(page, "measure_light");
+  assert.ok((await marksIn()) > 100);
   // A drag turns, and measures nothing.
   await page.mouse.move(450, 350);
   await page.mouse.down();
   await page.mouse.move(500, 300, { steps: 4 });
   await page.mouse.up();
   assert.ok(Math.abs(parseFloat((await labels())[0]) - total) < 0.2);
+  // Escape ends it, also in the midst of a click, and gives back the tool from before; a picture shows no marks then, nor the blade's preview.
+  await page.mouse.move(...spots[0]);
+  await page.mouse.down();
   await page.keyboard.press("Escape");
+  await page.mouse.up();
   assert.deepEqual(await labels(), []);
-  assert.equal(await page.evaluate(() => window.incise.tool), "turn");
+  assert.equal(await page.evaluate(() => window.incise.measure.shown), false);
+  assert.equal(await page.evaluate(() => window.incise.tool), "cut");
+  await page.mouse.move(...spots[1]);
+  assert.ok(await page.evaluate(() => window.incise.mouse.preview() !== null));
+  assert.equal(await marksIn(), 0);
 
   // The side of a cut that is clicked has the area of the cut.
   server.stream([0.03]);

@@ -8,7 +8,9 @@ const kHeight_px = 22;
 export class Marks {
   /** What draws, each time the camera or the body has moved. */
   readonly layers: ((marks: Marks) => void)[] = [];
-  private readonly pen: CanvasRenderingContext2D;
+  /** The same of what only helps the hand, and is no part of a saved picture. */
+  readonly tools: ((marks: Marks) => void)[] = [];
+  private pen: CanvasRenderingContext2D;
   private colours = { accent: "", ground: "", ink: "" };
   private used = false;
 
@@ -31,7 +33,18 @@ export class Marks {
     }
     this.used = false;
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
+    for (const layer of [...this.layers, ...this.tools]) layer(this);
+  }
+
+  /** Draws on another sheet, which has `scale` pixels for one of the page. A copy of the canvas would not do: just after it was cleared, Chromium copies what was there before. */
+  drawOn(sheet: CanvasRenderingContext2D, scale: number): void {
+    const { pen, used } = this;
+    this.pen = sheet;
+    sheet.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of this.layers) layer(this);
+    sheet.resetTransform();
+    this.pen = pen;
+    this.used = used;
   }
 
   line(from: THREE.Vector3, to: THREE.Vector3, width = 2): void {

@@ -17,6 +17,7 @@ type Send = (message: ToWorker, transfer?: Transferable[]) => void;
 /** The user as an operator: tool, the mouse's blade, its settings, and the messages about it. */
 export class Operator {
   tool: Tool = "cut";
+  private toolBefore: Tool = "cut"; // measuring
   readonly mouse: MouseBlade;
   bodyName = ""; // empty until the server has described the body
   askToken: (why: string) => void = () => {};
@@ -47,7 +48,7 @@ export class Operator {
       hovered: () => stage.marks.draw(),
       strokeEnded: (sent) => this.endStroke(sent),
     });
-    stage.marks.layers.push((marks) => this.drawPreview(marks));
+    stage.marks.tools.push((marks) => this.drawPreview(marks));
     onChoice("tool", (tool) => this.setTool(tool as Tool));
     this.bindSliders();
     document.addEventListener("visibilitychange", () => {
@@ -63,6 +64,11 @@ export class Operator {
     }
     this.show(tool);
     if (tool === "cut" && this.bladeStage !== "open" && this.bladeStage !== "stalled") this.takeBlade(false);
+  }
+
+  /** Measuring is over: back to the tool that was in hand before. */
+  endMeasuring(): void {
+    if (this.tool === "measure") this.setTool(this.toolBefore);
   }
 
   /** The server has described the body. */
@@ -159,6 +165,7 @@ export class Operator {
   }
 
   private show(tool: Tool): void {
+    if (tool === "measure" && this.tool !== "measure") this.toolBefore = this.tool;
     this.tool = tool;
     this.mouse.cancel();
     document.body.dataset.tool = tool;

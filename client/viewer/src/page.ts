@@ -385,7 +385,7 @@ export class Page {
       { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },
       { keys: ["m"], shown: "M", does: "Measure", act: press("measure") },
-      { keys: ["Escape"], shown: "Esc", does: "End the stroke, or measuring", act: () => this.escape() },
+      { keys: ["Escape"], shown: "Esc", does: "End the stroke, or measuring and its marks", act: () => this.escape() },
     ];
   }
 
@@ -397,7 +397,7 @@ export class Page {
 
   private endMeasuring(): void {
     this.measure.clear();
-    if (this.measure.active) this.operator.setTool("turn");
+    this.operator.endMeasuring();
   }
 
   private toggleMeasure(): void {

@@ -326,7 +326,7 @@ export class Stage {
     sheet.height = this.canvas.height;
     const pen = sheet.getContext("2d")!;
     pen.drawImage(this.canvas, 0, 0);
-    if (this.marks.canvas.width > 0) pen.drawImage(this.marks.canvas, 0, 0, sheet.width, sheet.height);
+    this.marks.drawOn(pen, sheet.width / this.canvas.clientWidth);
     return new Promise((resolve, reject) =>
       sheet.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no memory for the picture"))), "image/png"),
     );

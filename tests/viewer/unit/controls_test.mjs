@@ -279,7 +279,7 @@ function operator() {
     centre: new Vector3(),
     bodySize_m: 0.2,
     blade: () => blade,
-    marks: { layers: [], draw: () => {} },
+    marks: { layers: [], tools: [], draw: () => {} },
     draw: () => {},
     setOpen: () => {},
     setTool: () => {},
@@ -445,6 +445,29 @@ test("in a replay there is nothing to cut", () => {
   hands.onReplay(false);
   assert.equal(hands.tool, "cut");
   assert.deepEqual(noticeTexts(), []); // it no longer holds
+});
+
+test("after measuring the hand has the tool that it had before, unless a replay has come or gone", () => {
+  const { hands } = operator();
+  for (const tool of ["cut", "turn"]) {
+    hands.setTool(tool);
+    hands.setTool("measure");
+    hands.setTool("measure");
+    hands.endMeasuring();
+    assert.equal(hands.tool, tool);
+    hands.endMeasuring();
+    assert.equal(hands.tool, tool);
+  }
+  hands.setTool("cut");
+  hands.setTool("measure");
+  hands.onReplay(true);
+  hands.setTool("measure");
+  hands.endMeasuring();
+  assert.equal(hands.tool, "turn");
+  hands.setTool("measure");
+  hands.onReplay(false);
+  hands.endMeasuring();
+  assert.equal(hands.tool, "cut");
 });
 
 test("the same notice is shown once, and its button does what it says", () => {
