@@ -109,7 +109,7 @@ test("the address keeps the view when it comes to rest, and a link shows it agai
   await page.locator("#section-at").fill("0.4");
   await until(
     page,
-    () => window.incise.stage.atRest && /section=x,-1,0.4&colours=pieces&theme=light$/.test(location.hash),
+    () => window.incise.stage.atRest && /section=-1,0,0,0.4&colours=pieces&theme=light$/.test(location.hash),
   );
   assert.equal(await page.evaluate(() => history.length), entries);
   const view = (of) =>

@@ -48,17 +48,24 @@ export class Marks {
   }
 
   line(from: THREE.Vector3, to: THREE.Vector3, width = 2): void {
-    const a = this.onScreen(from),
-      b = this.onScreen(to);
-    if (!a || !b) return;
+    this.path([from, to], width);
+  }
+
+  /** A line through these places; none, unless all of them are in front of the camera. */
+  path(places: THREE.Vector3[], width: number): void {
+    const at: [number, number][] = [];
+    for (const place of places) {
+      const seen = this.onScreen(place);
+      if (!seen) return;
+      at.push(seen);
+    }
     for (const [colour, more] of [
       [this.begin().ground, 2],
       [this.colours.accent, 0],
     ] as const) {
       this.pen.beginPath();
-      this.pen.moveTo(...a);
-      this.pen.lineTo(...b);
-      this.pen.lineCap = "round";
+      for (const p of at) this.pen.lineTo(...p);
+      this.pen.lineCap = this.pen.lineJoin = "round";
       this.pen.lineWidth = width + more;
       this.pen.strokeStyle = colour;
       this.pen.stroke();
@@ -110,7 +117,7 @@ export class Marks {
   }
 
   /** In pixels of the page; null: it is not in front of the camera. */
-  private onScreen(at: THREE.Vector3): [number, number] | null {
+  onScreen(at: THREE.Vector3): [number, number] | null {
     const { x, y, z } = at.clone().project(this.camera);
     if (Math.abs(z) > 1) return null;
     return [((x + 1) / 2) * this.canvas.clientWidth, ((1 - y) / 2) * this.canvas.clientHeight];

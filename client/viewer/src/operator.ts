@@ -221,7 +221,7 @@ export class Operator {
   /** How the blade would enter under the pointer, before the button is pressed. */
   private drawPreview(marks: Marks): void {
     const preview = this.mouse.preview();
-    if (!preview) return;
+    if (!preview || document.body.dataset.handle) return;
     const { heel, entry, tip } = preview;
     const outside = heel.clone().sub(entry);
     marks.line(entry.clone().add(outside.clampLength(0, kPreviewOutside * this.stage.bodySize_m)), entry, 1);

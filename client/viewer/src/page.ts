@@ -374,6 +374,20 @@ export class Page {
       { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
       {
+        keys: Object.keys(turns).map((key) => `Shift ${key}`),
+        shown: "Shift ← → ↑ ↓",
+        does: "Turn the section",
+        act: (key) => look.turnSection(...turns[key.slice("Shift ".length)]),
+        needs: () => look.state.section !== undefined,
+      },
+      {
+        keys: ["PageUp", "PageDown"],
+        shown: "PgUp PgDn",
+        does: "Move the section",
+        act: (key) => look.moveSection(key === "PageUp" ? 1 : -1),
+        needs: () => look.state.section !== undefined,
+      },
+      {
         keys: ["n"],
         shown: "N",
         does: "In a replay: next batch",
@@ -390,7 +404,7 @@ export class Page {
   }
 
   private escape(): void {
-    if (this.more.close()) return;
+    if (this.more.close() || this.look.handle.cancel()) return;
     if (!this.mouse.cutting && (this.measure.active || this.measure.shown)) return this.endMeasuring();
     this.operator.abandonStroke();
   }

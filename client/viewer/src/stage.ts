@@ -60,7 +60,7 @@ export class Stage {
   openNow = 0;
   private openGoal = 0;
   private section: Section | null = null;
-  private plane: readonly number[] | null = null; // of the section
+  plane: readonly number[] | null = null; // of the section: normal, offset
   private readonly sectionLines = new SectionLines();
   private linesShown = ""; // what the lines were made of
   private flight: Flight | null = null;
@@ -188,8 +188,8 @@ export class Stage {
     this.blades.clear();
     this.applySection();
   }
-  private min: Vec3 = [0, 0, 0];
-  private max: Vec3 = [0, 0, 0];
+  min: Vec3 = [0, 0, 0]; // the body's box
+  max: Vec3 = [0, 0, 0];
 
   blade(source: number, own: boolean): BladeView {
     const key = own ? -1 : source;
@@ -449,6 +449,7 @@ export class Stage {
     const back = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);
     u.uLight.value.copy(back).addScaledVector(up, 0.9).addScaledVector(right, -0.55).normalize();
     u.uFill.value.copy(back).multiplyScalar(0.4).addScaledVector(right, 1).addScaledVector(up, -0.1).normalize();
+    if (this.plane) this.sectionLines.light(this.plane, u.uLight.value);
     this.renderer.render(this.scene, this.camera);
     this.marks.draw();
     ++this.framesDrawn;

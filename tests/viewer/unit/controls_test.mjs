@@ -45,7 +45,7 @@ const pressed = [];
 let replaying = false;
 new Keys([
   { keys: ["w"], shown: "W", does: "Wireframe", act: (key) => pressed.push(key) },
-  { keys: ["ArrowLeft", "ArrowRight"], shown: "← →", does: "Turn", act: (key) => pressed.push(key) },
+  { keys: ["ArrowLeft", "ArrowRight", "Shift ArrowLeft"], shown: "← →", does: "Turn", act: (key) => pressed.push(key) },
   { keys: ["n"], shown: "N", does: "On", act: (key) => pressed.push(key), needs: () => replaying },
 ]);
 beforeEach(() => (pressed.length = 0));
@@ -59,6 +59,10 @@ test("a key works in either case and wherever the focus is, but for a control th
   assert.equal(press("w", { target: focusOn("input[type=password]") }), false);
   assert.equal(press("w", { target: focusOn("dialog") }), false);
   assert.equal(press("q"), false);
+  pressed.length = 0;
+  assert.ok(press("ArrowLeft", { shiftKey: true }) && press("W", { shiftKey: true }));
+  assert.deepEqual(pressed, ["Shift ArrowLeft", "w"]);
+  assert.equal(press("ArrowLeft", { shiftKey: true, target: focusOn("input[type=range]") }), false);
 });
 
 test("a key that needs something does nothing without it", () => {
@@ -489,7 +493,7 @@ test("the panel's button says whether the panel is open, which it is at first in
     innerHeight: 800,
   });
   document.documentElement = { dataset: {} };
-  const stage = { setCover: () => {}, setInk: () => {} };
+  const stage = { setCover: () => {}, setInk: () => {}, marks: { tools: [] } };
   const button = byId("panel-toggle");
   for (const [width, open] of [
     [1400, true],
