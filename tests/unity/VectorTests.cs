@@ -9,7 +9,7 @@ public static class VectorTests
 {
     private static readonly string[] Sent = { "Hello", "HelloResumeHash", "Resync", "Ping", "Pong", "Bye", "PoseBatch", "StrokeControl", "Reset", "Undo" };
     private static readonly string[] PassedOver = { "Hello", "HelloResumeHash", "Subscribe", "Resync", "PoseBatch", "StrokeControl", "Positions", "Reset",
-        "ReplayControl", "ReplayState", "PositionsReport", "HelloLoadRate", "BladeLoad", "BladeModel", "Undo" };
+        "ReplayControl", "ReplayState", "ReplayTimeline", "PositionsReport", "HelloLoadRate", "BladeLoad", "BladeModel", "Undo" };
 
     public static void EveryFieldIsRead()
     {

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
+import { atRevision, bladeIsReady, drag, look, serve, shot, strokeIsOver } from "./page.mjs";
 import { until } from "./server.mjs";
 
 /** The file that a click on this button saves: [name, bytes]. */
@@ -288,5 +288,49 @@ test("the blade is shown where it would enter, before the button is pressed", as
   await page.keyboard.press("t");
   await page.mouse.move(521, 330);
   assert.equal(await preview(), null, "it cannot cut now");
+  assert.deepEqual(faults, []);
+});
+
+test("strokes of several hands are bars and blades of their own colour, with the names that they have", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await bladeIsReady(page);
+  await atRest(page);
+  assert.equal(await page.locator("#live-strokes").isVisible(), false);
+  server.streamPasses(
+    [
+      [
+        [0.03, -0.12, 0.07],
+        [0.03, 0.12, 0.07],
+      ],
+    ],
+    { more: ["--source", "assistant"] },
+  );
+  await atRevision(page, (await server.stats()).revision);
+  const before = await page.evaluate(() => window.incise.progress.revision);
+  await drag(page, [0.3, 0.2], [0.36, 0.85]);
+  await until(page, (r) => window.incise.progress.revision > r && !document.body.dataset.stroke, before);
+  await atRevision(page, (await server.stats()).revision);
+  const strokes = () => page.evaluate(() => window.incise.live.strokes);
+  const [other, own, ...more] = await strokes();
+  assert.deepEqual([other.own, own.own, more.length], [false, true, 0]);
+  assert.notEqual(own.source, other.source);
+  assert.ok(other.cutArea_m2 > 1e-4 && other.first === 1 && other.last === before);
+  assert.deepEqual([own.first, own.last], [before + 1, (await server.stats()).revision]);
+  await until(page, () => document.getElementById("blades").textContent === "assistantyou");
+  // The other's blade is seen for a while, in its colour and with its name.
+  await page.evaluate((bar) => window.incise.stage.blade(bar.source, false).move([0, 0, 0.1], [0, 0, 0], true), other);
+  await page.evaluate(() => window.incise.stage.draw());
+  await shot(page, "blades_named");
+  const colours = await page.evaluate(() => [...document.querySelectorAll("#blades i")].map((i) => i.style.background));
+  assert.equal(new Set(colours).size, 2);
+  // Undone, the last stroke is no longer there; reset, none is.
+  await page.keyboard.press("z");
+  await until(page, () => window.incise.live.strokes.length === 1);
+  assert.equal((await strokes())[0].own, false);
+  await page.keyboard.press("r");
+  await page.getByRole("button", { name: "Reset" }).last().click();
+  await until(page, () => window.incise.progress.revision === 0);
+  await until(page, () => document.getElementById("live-strokes").hidden);
   assert.deepEqual(faults, []);
 });

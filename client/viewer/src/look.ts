@@ -118,13 +118,14 @@ export class Look {
   }
 
   /** The body is shown in the part of the picture that no panel covers. */
-  private measureCover(): void {
+  measureCover(): void {
+    const player = element("player").hidden ? null : element("player");
     const panel = document.body.dataset.panel !== "closed" && !this.narrow;
     this.stage.setCover({
       left: 0,
       right: panel ? innerWidth - element("panel").offsetLeft : 0,
       top: 0.6 * element("title").offsetHeight,
-      bottom: innerHeight - element("tools").offsetTop,
+      bottom: innerHeight - (player ?? element("tools")).offsetTop,
     });
     document.body.style.setProperty("--tools-top", `${innerHeight - element("tools").offsetTop}px`);
     document.body.style.setProperty("--free-middle", `${(panel ? element("panel").offsetLeft : innerWidth) / 2}px`);

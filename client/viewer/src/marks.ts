@@ -85,8 +85,8 @@ export class Marks {
     this.pen.stroke();
   }
 
-  /** A label beside this place, inside the picture. */
-  label(at: THREE.Vector3, text: string): void {
+  /** A label beside this place, inside the picture. border: in CSS, else the accent's. */
+  label(at: THREE.Vector3, text: string, border?: string): void {
     const place = this.onScreen(at);
     if (!place) return;
     const { ground, ink, accent } = this.begin();
@@ -99,7 +99,7 @@ export class Marks {
     this.pen.fillStyle = ground;
     this.pen.fill();
     this.pen.lineWidth = 1;
-    this.pen.strokeStyle = accent;
+    this.pen.strokeStyle = border ?? accent;
     this.pen.stroke();
     this.pen.fillStyle = ink;
     this.pen.textBaseline = "middle";

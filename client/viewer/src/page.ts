@@ -1,8 +1,10 @@
 import { Vector3 } from "three";
-import { ask, element, input, save } from "./dom";
+import { BladeNames, cssColour } from "./blade_colours";
+import { ask, element, input, number, save } from "./dom";
 import { Figures } from "./figures";
 import { type Key, Keys } from "./keys";
 import type { LinkState } from "./link";
+import { LiveStrokes } from "./live_strokes";
 import { Look } from "./look";
 import type { BladeStep, Facts, FromWorker, Patch, Progress, ReplayFacts, ToWorker } from "./messages";
 import { Measure } from "./measure";
@@ -11,6 +13,7 @@ import { notice } from "./notices";
 import { Operator } from "./operator";
 import { bearer, Replay } from "./replay";
 import { Stage, type Tool } from "./stage";
+import { type Bar, seconds } from "./timeline";
 import { fromFragment, toFragment } from "./view_link";
 
 // The folder with a session's files, in a page without a server (static.cmake).
@@ -32,10 +35,21 @@ export class Page {
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
+  readonly blades = new BladeNames();
+  readonly live = new LiveStrokes(
+    element<HTMLCanvasElement>("live-timeline"),
+    (bar) => cssColour(bar.source, bar.own),
+    (bar) => this.titleOf(bar),
+    () => this.showBlades(),
+  );
   readonly look = new Look(
     this.stage,
     (on) => this.send({ kind: "colour-by-quality", on }),
-    () => this.figures.draw(),
+    () => {
+      this.figures.draw();
+      this.live.timeline.draw();
+      this.replay.draw();
+    },
   );
   readonly more = new More(this.stage, () => `${this.facts?.meshName || "body"}_r${this.progress?.revision ?? 0}`);
   facts: Facts | null = null;
@@ -61,6 +75,7 @@ export class Page {
       if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
     };
     this.stage.marks.layers.push((marks) => this.measure.draw(marks));
+    this.stage.marks.layers.push((marks) => this.stage.labelBlades(marks, (source) => this.nameOf(source)));
     this.operator.onTool = (tool) => {
       this.measure.active = tool === "measure";
       element("measure").setAttribute("aria-pressed", String(this.measure.active));
@@ -130,6 +145,8 @@ export class Page {
         return this.stage.draw();
       case "stats":
         this.figures.showStats(message.json);
+        this.blades.read(message.json);
+        this.showBlades();
         this.undoable = message.undoable > 0;
         this.enableUndo();
         this.figures.showTets(message.tets); // a page opened later gets the count from here
@@ -169,6 +186,7 @@ export class Page {
       this.showLinkedCamera();
       this.operator.showOpen();
     }
+    if (another && facts.live) this.live.restart(facts.revision);
     if (another) {
       this.operator.abandonStroke();
       this.measure.clear();
@@ -223,6 +241,7 @@ export class Page {
 
   /** A blade without live poses, as in a replay, is shown where its batches end. */
   private follow(step: BladeStep): void {
+    if (this.replay.facts === null) this.live.add(step);
     if (step.cutArea_m2 > 0 && !this.undoable) {
       this.undoable = true; // the server says so only once a second
       this.enableUndo();
@@ -232,6 +251,30 @@ export class Page {
     const blade = this.stage.blade(step.source, false);
     blade.move(step.heel, step.tip, true);
     if (step.ended) blade.endStroke();
+  }
+
+  private nameOf(source: number): string {
+    return this.replay.facts === null ? this.blades.of(source) : `blade ${source + 1}`; // a recording has its own
+  }
+
+  private titleOf(bar: Bar): string {
+    const area = `${number((bar.cutArea_m2 ?? 0) * 1e4, 1)} cm²`;
+    return `${bar.own ? "Your stroke" : `Stroke of ${this.blades.of(bar.source)}`}: ${seconds(bar.to_ms - bar.from_ms)} s, ${area}, revisions ${bar.first} to ${bar.last}`;
+  }
+
+  /** Whose strokes the bars are. */
+  private showBlades(): void {
+    element("live-strokes").hidden = this.live.strokes.length === 0;
+    const seen = new Map(this.live.strokes.map((bar) => [bar.source, bar.own]));
+    element("blades").replaceChildren(
+      ...[...seen].map(([source, own]) => {
+        const item = document.createElement("li");
+        const swatch = document.createElement("i");
+        swatch.style.background = cssColour(source, own);
+        item.append(swatch, own ? "you" : this.blades.of(source));
+        return item;
+      }),
+    );
   }
 
   private onLink(which: "view" | "blade" | "admin", state: LinkState): void {
@@ -290,6 +333,7 @@ export class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     this.enableUndo();
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
+    if (is !== was) this.look.measureCover();
     if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
     if (facts?.text) notice(facts.text);

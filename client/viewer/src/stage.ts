@@ -153,6 +153,11 @@ export class Stage {
     return this.framesDrawn > 0 && !this.waiting;
   }
 
+  /** Labels the blades of others. */
+  labelBlades(marks: Marks, nameOf: (source: number) => string): void {
+    for (const blade of this.blades.values()) blade.label(marks, nameOf(blade.source));
+  }
+
   get bladesShown(): number {
     return [...this.blades.values()].filter((blade) => blade.shown).length;
   }
@@ -195,7 +200,7 @@ export class Stage {
     const key = own ? -1 : source;
     let view = this.blades.get(key);
     if (!view) {
-      view = new BladeView(this.bodySize_m, own);
+      view = new BladeView(this.bodySize_m, source, own);
       this.blades.set(key, view);
       this.scene.add(view.group);
     }
