@@ -97,7 +97,7 @@ test("a recording of the folder and one from a file are played, and the session 
   await shot(page, "static_replay");
   const seek = (revision) =>
     page.locator("#scrub").evaluate((e, r) => {
-      e.valueAsNumber = r;
+      e.valueAsNumber = window.incise.replay.placeOf(r);
       e.dispatchEvent(new Event("change"));
     }, revision);
   await seek(3);

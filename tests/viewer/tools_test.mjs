@@ -1,10 +1,12 @@
 // What a user does beside cutting: saves what is seen, looks from elsewhere, measures, sees where the blade would enter.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { spawnSync } from "node:child_process";
+import { copyFileSync, readFileSync } from "node:fs";
+import { join } from "node:path";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, drag, look, serve, shot, strokeIsOver } from "./page.mjs";
-import { until } from "./server.mjs";
+import { bin, until } from "./server.mjs";
 
 /** The file that a click on this button saves: [name, bytes]. */
 async function savedBy(page, id) {
@@ -332,5 +334,35 @@ test("strokes of several hands are bars and blades of their own colour, with the
   await page.getByRole("button", { name: "Reset" }).last().click();
   await until(page, () => window.incise.progress.revision === 0);
   await until(page, () => document.getElementById("live-strokes").hidden);
+  assert.deepEqual(faults, []);
+});
+
+test("a mesh that is dropped on the page changes nothing, and the configuration that it offers is one for incised", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await atRest(page);
+  server.incise("phantom", "slab", "--size", 500, "--out", server.file("ball.stl"));
+  const drop = (name) =>
+    page.evaluate((name) => {
+      const data = new DataTransfer();
+      data.items.add(new File(["solid"], name));
+      for (const type of ["dragover", "drop"]) {
+        const event = new DragEvent(type, { dataTransfer: data, bubbles: true, cancelable: true });
+        document.getElementById("picture").dispatchEvent(event);
+        if (!event.defaultPrevented) return "the browser would leave the page";
+      }
+      return [...document.querySelectorAll(".notice p")].at(-1).textContent;
+    }, name);
+  assert.match(await drop("ball.stl"), /^ball\.stl is not opened here.*incised --config "ball\.json"/);
+  await shot(page, "dropped");
+  const download = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Save it" }).click();
+  const file = await download;
+  assert.equal(file.suggestedFilename(), "ball.json");
+  copyFileSync(await file.path(), server.file("ball.json"));
+  const checked = spawnSync(join(bin, "incised"), ["--check", server.file("ball.json")], { encoding: "utf8" });
+  assert.equal(checked.status, 0, checked.stderr + checked.stdout);
+  assert.match(await drop("notes.txt"), /not a mesh/);
+  assert.equal(await page.evaluate(() => window.incise.progress.hashAgrees), true);
   assert.deepEqual(faults, []);
 });

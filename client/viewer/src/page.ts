@@ -1,6 +1,7 @@
 import { Vector3 } from "three";
 import { BladeNames, cssColour } from "./blade_colours";
 import { ask, element, input, number, save } from "./dom";
+import { acceptDrops } from "./drop";
 import { Figures } from "./figures";
 import { type Key, Keys } from "./keys";
 import type { LinkState } from "./link";
@@ -366,17 +367,18 @@ export class Page {
       });
     element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
     element("save-recording").onclick = () => this.send({ kind: "save-recording" });
-    input("open-recording").onchange = () => void this.openRecording(input("open-recording"));
+    input("open-recording").onchange = () => {
+      const file = input("open-recording").files?.[0];
+      if (file) void this.openRecording(file).finally(() => (input("open-recording").value = "")); // it may be chosen again
+    };
+    acceptDrops(kLocalSession !== undefined, (file) => void this.openRecording(file));
     element("token-cancel").onclick = () => element<HTMLDialogElement>("token-dialog").close();
     for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a"))
       link.onclick = (event) => void this.openWithToken(event, link.href);
   }
 
-  private async openRecording(chooser: HTMLInputElement): Promise<void> {
-    const file = chooser.files?.[0];
-    if (!file) return;
+  private async openRecording(file: File): Promise<void> {
     const bytes = new Uint8Array(await file.arrayBuffer());
-    chooser.value = ""; // so that the same file can be chosen again
     this.send({ kind: "open-recording", name: file.name, bytes }, [bytes.buffer]);
   }
 

@@ -7,6 +7,7 @@ import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
 import { load } from "./modules.mjs";
 
 const {
+  answerTo,
   Keys,
   Figures,
   Look,
@@ -19,6 +20,7 @@ const {
   Vector3,
   PerspectiveCamera,
 } = await load(
+  "drop",
   "keys",
   "figures",
   "look",
@@ -598,4 +600,23 @@ test("a click on a cut face asks for its area, which follows the body", () => {
   measure.onArea(8, 13e-4);
   click(0.06, 0.04);
   assert.deepEqual(measure.labels, ["53.9 mm"]); // the last click was on skin
+});
+
+// ---- Files that are dropped ----
+
+test("a mesh that is dropped is refused with what to do instead, and the configuration for it", () => {
+  const { text, config } = answerTo(["skin.png", "My liver.v2.STL"], false);
+  assert.match(text, /My liver\.v2\.STL is not opened here.*run incised --config "My liver\.v2\.json", which fills it/);
+  assert.deepEqual([config.name, JSON.parse(config.content)], ["My liver.v2.json", { mesh: { path: "My liver.v2.STL" } }]);
+  assert.doesNotMatch(answerTo(["a.vtu"], false).text, /fills/);
+  assert.equal(answerTo([".obj"], false).config.name, "body.json");
+  const local = answerTo(["a.ply"], true);
+  assert.equal(local.config, undefined);
+  assert.match(local.text, /has no server/);
+});
+
+test("other files that are dropped are said not to be meshes", () => {
+  assert.match(answerTo(["a.capture"], false).text, /capture\.library/);
+  assert.match(answerTo(["a.mtl"], false).text, /belongs to a surface/);
+  for (const name of ["notes.txt", "stl", "a."]) assert.match(answerTo([name], false).text, /not a mesh that incised reads.*\.stl.*\.vtu/);
 });
