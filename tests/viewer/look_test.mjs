@@ -453,5 +453,45 @@ test("a body that was filled from a surface shows that surface's texture, cut or
   await until(page, () => window.incise.progress.pieces > 1 && window.incise.stage.atRest);
   await isPainted();
   await shot(page, "painted");
+  // So does the file that is saved: with the image, upright, and its coordinates.
+  const download = page.waitForEvent("download");
+  await page.keyboard.press("g");
+  const glb = readFileSync(await (await download).path());
+  const json = JSON.parse(glb.subarray(20, 20 + glb.readUInt32LE(12)).toString());
+  const bin = glb.subarray(28 + glb.readUInt32LE(12));
+  const array = (index) => {
+    const { bufferView, byteOffset = 0, count, type, componentType } = json.accessors[index];
+    const from = (json.bufferViews[bufferView].byteOffset ?? 0) + byteOffset;
+    const size = { SCALAR: 1, VEC2: 2, VEC3: 3 }[type];
+    const read = { 5126: (at) => bin.readFloatLE(from + 4 * at), 5123: (at) => bin.readUInt16LE(from + 2 * at), 5125: (at) => bin.readUInt32LE(from + 4 * at) };
+    return Array.from({ length: count * size }, (_, at) => read[componentType](at));
+  };
+  const seen = new Map();
+  for (const { primitives } of json.meshes) {
+    for (const { attributes, indices, material } of primitives) {
+      const { name, pbrMetallicRoughness } = json.materials[material];
+      const count = (seen.get(name) ?? 0) + array(indices).length / 3;
+      seen.set(name, count);
+      if (name !== "texture_1") continue;
+      const image = json.images[json.textures[pbrMetallicRoughness.baseColorTexture.index].source];
+      const { byteOffset, byteLength } = json.bufferViews[image.bufferView];
+      const [top, bottom] = await page.evaluate(
+        async ([bytes, type]) => {
+          const picture = await createImageBitmap(new Blob([Uint8Array.from(bytes)], { type }));
+          const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+          pen.drawImage(picture, 0, 0);
+          return [0, picture.height - 1].map((y) => [...pen.getImageData(0, y, 1, 1).data]);
+        },
+        [[...bin.subarray(byteOffset, byteOffset + byteLength)], image.mimeType],
+      );
+      assert.ok(top[2] > 200 && bottom[1] > 180, `blue above ${top}, green below ${bottom}`);
+      const position = array(attributes.POSITION),
+        uv = array(attributes.TEXCOORD_0);
+      for (const v of array(indices)) assert.ok(Math.abs(1 - uv[2 * v + 1] - position[3 * v + 2] / 0.1) < 1e-4, "v is the height");
+    }
+  }
+  const triangles = (await page.evaluate(() => window.incise.progress)).triangles;
+  assert.equal([...seen.values()].reduce((sum, n) => sum + n, 0), triangles);
+  assert.deepEqual([...seen.keys()].sort(), ["cut", "texture_1", "texture_2"]);
   assert.deepEqual(faults, []);
 });
