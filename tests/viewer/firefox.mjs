@@ -47,7 +47,11 @@ export class Firefox {
 
   async #begin(width, height) {
     this.profile = mkdtempSync(join(tmpdir(), "incise_firefox_"));
-    const prefs = { "datareporting.policy.dataSubmissionEnabled": false, "app.update.auto": false, "ui.prefersReducedMotion": 1 };
+    const prefs = {
+      "datareporting.policy.dataSubmissionEnabled": false,
+      "app.update.auto": false,
+      "ui.prefersReducedMotion": 1,
+    };
     const lines = Object.entries(prefs).map(([name, value]) => `user_pref(${JSON.stringify(name)}, ${value});`);
     writeFileSync(join(this.profile, "user.js"), lines.join("\n"));
     const screen = ["-screen", "0", `${width}x${height + 200}x24`, "-nolisten", "tcp"];
@@ -131,7 +135,8 @@ export class Firefox {
     if (message.method === "log.entryAdded") {
       const { level, text } = message.params;
       // What it says of every page that draws in software, and of screenshots.
-      if (["error", "warn"].includes(level) && !/^WebGL warning|GPU stall|willReadFrequently/.test(text ?? "")) this.faults.push(text);
+      if (["error", "warn"].includes(level) && !/^WebGL warning|GPU stall|willReadFrequently/.test(text ?? ""))
+        this.faults.push(text);
     }
     const answer = this.#answers.get(message.id);
     this.#answers.delete(message.id);

@@ -14,14 +14,19 @@ test("Firefox draws the body, cuts it, undoes that and shows a section", async (
   const page = await Firefox.launch(1000, 700);
   t.after(() => page.close());
   await page.goto(server.url);
-  await page.until(() => window.incise?.progress && document.body.dataset.blade === "open" && window.incise.stage.atRest);
+  await page.until(
+    () => window.incise?.progress && document.body.dataset.blade === "open" && window.incise.stage.atRest,
+  );
   assert.equal(await page.evaluate(() => window.incise.progress.hashAgrees), true);
   /** Where the middle of the body is, and its colour there. */
   const middle = () =>
     page.evaluate(() => {
       const { stage } = window.incise;
       const { x, y } = stage.centre.clone().project(stage.camera);
-      return { at: [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight], colour: stage.colourAt((x + 1) / 2, (1 - y) / 2) };
+      return {
+        at: [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight],
+        colour: stage.colourAt((x + 1) / 2, (1 - y) / 2),
+      };
     });
   const {
     at: [x, y],

@@ -300,7 +300,10 @@ test("handles and keys move and turn a section, which neither cuts nor turns the
   const moved = await state();
   assert.deepEqual(moved.plane.slice(0, 3), first.plane.slice(0, 3));
   assert.ok(moved.plane[3] > first.plane[3] + 0.005, JSON.stringify(moved.plane));
-  assert.ok(Math.hypot(moved.middle[0] - first.middle[0], moved.middle[1] - first.middle[1] + 60) < 2, "under the hand");
+  assert.ok(
+    Math.hypot(moved.middle[0] - first.middle[0], moved.middle[1] - first.middle[1] + 60) < 2,
+    "under the hand",
+  );
   await until(page, () => window.incise.stage.atRest);
   await shot(page, "section_moved");
   await dragBy(moved.knob, -90, 50);
@@ -318,7 +321,7 @@ test("handles and keys move and turn a section, which neither cuts nor turns the
   assert.ok(Math.abs((await state()).plane[3] - turned.plane[3]) > 0.003);
   await page.keyboard.press("Escape");
   await page.mouse.up();
-  (await state()).plane.forEach((x, k) => assert.ok(Math.abs(x - turned.plane[k]) < 1e-6));
+  for (const [k, x] of (await state()).plane.entries()) assert.ok(Math.abs(x - turned.plane[k]) < 1e-6);
   // Keys do the same in steps.
   await page.keyboard.press("Shift+ArrowRight");
   const stepped = await state();
@@ -463,7 +466,11 @@ test("a body that was filled from a surface shows that surface's texture, cut or
     const { bufferView, byteOffset = 0, count, type, componentType } = json.accessors[index];
     const from = (json.bufferViews[bufferView].byteOffset ?? 0) + byteOffset;
     const size = { SCALAR: 1, VEC2: 2, VEC3: 3 }[type];
-    const read = { 5126: (at) => bin.readFloatLE(from + 4 * at), 5123: (at) => bin.readUInt16LE(from + 2 * at), 5125: (at) => bin.readUInt32LE(from + 4 * at) };
+    const read = {
+      5126: (at) => bin.readFloatLE(from + 4 * at),
+      5123: (at) => bin.readUInt16LE(from + 2 * at),
+      5125: (at) => bin.readUInt32LE(from + 4 * at),
+    };
     return Array.from({ length: count * size }, (_, at) => read[componentType](at));
   };
   const seen = new Map();
@@ -478,7 +485,7 @@ test("a body that was filled from a surface shows that surface's texture, cut or
       const [top, bottom] = await page.evaluate(
         async ([bytes, type]) => {
           const picture = await createImageBitmap(new Blob([Uint8Array.from(bytes)], { type }));
-          const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+          const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true });
           pen.drawImage(picture, 0, 0);
           return [0, picture.height - 1].map((y) => [...pen.getImageData(0, y, 1, 1).data]);
         },
@@ -487,11 +494,15 @@ test("a body that was filled from a surface shows that surface's texture, cut or
       assert.ok(top[2] > 200 && bottom[1] > 180, `blue above ${top}, green below ${bottom}`);
       const position = array(attributes.POSITION),
         uv = array(attributes.TEXCOORD_0);
-      for (const v of array(indices)) assert.ok(Math.abs(1 - uv[2 * v + 1] - position[3 * v + 2] / 0.1) < 1e-4, "v is the height");
+      for (const v of array(indices))
+        assert.ok(Math.abs(1 - uv[2 * v + 1] - position[3 * v + 2] / 0.1) < 1e-4, "v is the height");
     }
   }
   const triangles = (await page.evaluate(() => window.incise.progress)).triangles;
-  assert.equal([...seen.values()].reduce((sum, n) => sum + n, 0), triangles);
+  assert.equal(
+    [...seen.values()].reduce((sum, n) => sum + n, 0),
+    triangles,
+  );
   assert.deepEqual([...seen.keys()].sort(), ["cut", "texture_1", "texture_2"]);
   assert.deepEqual(faults, []);
 });

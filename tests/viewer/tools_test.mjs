@@ -5,7 +5,7 @@ import { spawnSync } from "node:child_process";
 import { copyFileSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
-import { atRevision, bladeIsReady, drag, look, serve, shot, strokeIsOver } from "./page.mjs";
+import { atRevision, bladeIsReady, drag, look, serve, shot } from "./page.mjs";
 import { bin, until } from "./server.mjs";
 
 /** The file that a click on this button saves: [name, bytes]. */

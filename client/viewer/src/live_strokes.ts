@@ -19,7 +19,13 @@ export class LiveStrokes {
     titleOf: (bar: Bar) => string,
     private readonly changed: () => void,
   ) {
-    this.timeline = new Timeline(canvas, canvas, colourOf, titleOf, "Strokes that this page has seen; long pauses are shortened");
+    this.timeline = new Timeline(
+      canvas,
+      canvas,
+      colourOf,
+      titleOf,
+      "Strokes that this page has seen; long pauses are shortened",
+    );
   }
 
   get strokes(): readonly Bar[] {
@@ -48,7 +54,8 @@ export class LiveStrokes {
   restart(revision: number): void {
     this.bars = this.bars.filter((bar) => bar.last <= revision);
     this.arrived_ms = NaN;
-    this.clock_ms = this.bars.reduce((end, bar) => Math.max(end, bar.to_ms), 0) + (this.bars.length > 0 ? kMostPause_ms : 0);
+    this.clock_ms =
+      this.bars.reduce((end, bar) => Math.max(end, bar.to_ms), 0) + (this.bars.length > 0 ? kMostPause_ms : 0);
     this.showSoon();
   }
 

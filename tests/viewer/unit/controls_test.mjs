@@ -607,7 +607,10 @@ test("a click on a cut face asks for its area, which follows the body", () => {
 test("a mesh that is dropped is refused with what to do instead, and the configuration for it", () => {
   const { text, config } = answerTo(["skin.png", "My liver.v2.STL"], false);
   assert.match(text, /My liver\.v2\.STL is not opened here.*run incised --config "My liver\.v2\.json", which fills it/);
-  assert.deepEqual([config.name, JSON.parse(config.content)], ["My liver.v2.json", { mesh: { path: "My liver.v2.STL" } }]);
+  assert.deepEqual(
+    [config.name, JSON.parse(config.content)],
+    ["My liver.v2.json", { mesh: { path: "My liver.v2.STL" } }],
+  );
   assert.doesNotMatch(answerTo(["a.vtu"], false).text, /fills/);
   assert.equal(answerTo([".obj"], false).config.name, "body.json");
   const local = answerTo(["a.ply"], true);
@@ -618,5 +621,6 @@ test("a mesh that is dropped is refused with what to do instead, and the configu
 test("other files that are dropped are said not to be meshes", () => {
   assert.match(answerTo(["a.capture"], false).text, /capture\.library/);
   assert.match(answerTo(["a.mtl"], false).text, /belongs to a surface/);
-  for (const name of ["notes.txt", "stl", "a."]) assert.match(answerTo([name], false).text, /not a mesh that incised reads.*\.stl.*\.vtu/);
+  for (const name of ["notes.txt", "stl", "a."])
+    assert.match(answerTo([name], false).text, /not a mesh that incised reads.*\.stl.*\.vtu/);
 });

@@ -18,7 +18,10 @@ const {
   planeOf,
   axisFacing,
   mirrored,
-  across, axisOf, through, otherHalf,
+  across,
+  axisOf,
+  through,
+  otherHalf,
   crossings,
   BodyMesh,
   rangesOf,
@@ -435,8 +438,16 @@ test("a section through a point has it on its plane in any direction, as far as 
     near(x * point[0] + y * point[1] + z * point[2], offset);
     assert.deepEqual([x, y, z], normal);
     const other = planeOf(otherHalf(through(point, normal, min, max)), min, max);
-    [-x, -y, -z, -offset].forEach((n, k) => near(other[k], n));
-    assert.equal(through([100, 100, 100].map((far, k) => far * Math.sign(normal[k])), normal, min, max).share, 1);
+    for (const [k, n] of [-x, -y, -z, -offset].entries()) near(other[k], n);
+    assert.equal(
+      through(
+        [100, 100, 100].map((far, k) => far * Math.sign(normal[k])),
+        normal,
+        min,
+        max,
+      ).share,
+      1,
+    );
   }
 });
 
@@ -450,7 +461,7 @@ test("the other half of a section is seen from the mirrored place, so it faces t
     const along = (v) => v.reduce((sum, x, k) => sum + x * normal[k], 0);
     const there = mirrored(toEye, normal);
     near(along(there), -along(toEye));
-    mirrored(there, normal).forEach((x, k) => near(x, toEye[k]));
+    for (const [k, x] of mirrored(there, normal).entries()) near(x, toEye[k]);
   }
 });
 

@@ -66,7 +66,15 @@ test("live strokes are those that this page has seen, without what was undone, a
   );
   const step = (stroke, revision, arrived_ms, source = 0) =>
     live.add({ source, own: true, stroke, revision, arrived_ms, heel: [], tip: [], ended: false, cutArea_m2: 1e-4 });
-  const shown = () => live.strokes.map(({ source, stroke, first, last, from_ms, to_ms }) => [source, stroke, first, last, from_ms, to_ms]);
+  const shown = () =>
+    live.strokes.map(({ source, stroke, first, last, from_ms, to_ms }) => [
+      source,
+      stroke,
+      first,
+      last,
+      from_ms,
+      to_ms,
+    ]);
   step(1, 1, 5000);
   step(1, 2, 5100);
   step(1, 3, 5050, 3); // of another blade, whose poses arrived before
@@ -80,11 +88,14 @@ test("live strokes are those that this page has seen, without what was undone, a
   assert.ok(Math.abs(live.strokes[0].cutArea_m2 - 2e-4) < 1e-12);
   live.restart(3);
   step(2, 4, 70_000); // the same number again
-  assert.deepEqual(shown().map((bar) => bar.slice(0, 4)), [
-    [0, 1, 1, 2],
-    [3, 1, 3, 3],
-    [0, 2, 4, 4],
-  ]);
+  assert.deepEqual(
+    shown().map((bar) => bar.slice(0, 4)),
+    [
+      [0, 1, 1, 2],
+      [3, 1, 3, 3],
+      [0, 2, 4, 4],
+    ],
+  );
   assert.ok(live.strokes[2].from_ms > 100);
   live.restart(0);
   assert.deepEqual(shown(), []);
@@ -99,7 +110,10 @@ test("blades are called as the server says, else by their number; each has a col
   names.read('{"blades": [{"source": 0, "name": "mouse"}, {"source": 3, "name": "Dr. <b>Li</b>"}]}');
   names.read("not JSON");
   names.read("{}");
-  assert.deepEqual([0, 1, 3].map((source) => names.of(source)), ["mouse", "blade 2", "Dr. <b>Li</b>"]);
+  assert.deepEqual(
+    [0, 1, 3].map((source) => names.of(source)),
+    ["mouse", "blade 2", "Dr. <b>Li</b>"],
+  );
   const colours = [0, 1, 2, 3, 4, 5, 6, 7].map((source) => cssColour(source, false));
   assert.equal(new Set([...colours, cssColour(0, true)]).size, 9);
   assert.ok(colours.every((colour) => /^#[0-9a-f]{6}$/.test(colour)));
