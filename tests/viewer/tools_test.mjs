@@ -298,6 +298,15 @@ test("strokes of several hands are bars and blades of their own colour, with the
   const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
   await bladeIsReady(page);
   await atRest(page);
+  /** The server has cut what it was sent, and the page shows it. */
+  const settled = async () => {
+    for (let last = -1; ; ) {
+      const { revision, backlog } = await server.stats();
+      if (revision === last && backlog.segments === 0) return atRevision(page, revision);
+      last = revision;
+      await page.waitForTimeout(300);
+    }
+  };
   assert.equal(await page.locator("#live-strokes").isVisible(), false);
   server.streamPasses(
     [
@@ -312,7 +321,7 @@ test("strokes of several hands are bars and blades of their own colour, with the
   const before = await page.evaluate(() => window.incise.progress.revision);
   await drag(page, [0.3, 0.2], [0.36, 0.85]);
   await until(page, (r) => window.incise.progress.revision > r && !document.body.dataset.stroke, before);
-  await atRevision(page, (await server.stats()).revision);
+  await settled();
   const strokes = () => page.evaluate(() => window.incise.live.strokes);
   const [other, own, ...more] = await strokes();
   assert.deepEqual([other.own, own.own, more.length], [false, true, 0]);

@@ -421,7 +421,7 @@ export class Page {
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
       {
         keys: Object.keys(turns).map((key) => `Shift ${key}`),
-        shown: "Shift ← → ↑ ↓",
+        shown: "Shift+arrows",
         does: "Turn the section",
         act: (key) => look.turnSection(...turns[key.slice("Shift ".length)]),
         needs: () => look.state.section !== undefined,
