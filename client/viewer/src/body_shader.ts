@@ -187,7 +187,8 @@ export const bodyFragmentShader = /* glsl */ `
       float broad = fourth(fourth(nh));
       float wet = inside ? 0.35 : cut ? 0.85 : 1.0;  // a plane shines all over
       lit += wet * (0.13 * broad + 0.42 * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
-      lit += wet * rim * vec3(0.10, 0.11, 0.13);
+      // Cut faces see other tissue beside them, not the sky.
+      lit += wet * rim * (cut ? vec3(0.035, 0.022, 0.022) : vec3(0.10, 0.11, 0.13));
       vec3 h2 = normalize(uFill + toEye);
       float second = fourth(max(dot(n, h2), 0.0));
       lit += wet * 0.06 * fourth(second) * fourth(second);

@@ -445,7 +445,7 @@ export class Page {
       { keys: ["l"], shown: "L", does: "Light or dark theme", act: press("theme") },
       { keys: ["p"], shown: "P", does: "Figures and settings", act: () => look.togglePanel() },
       { keys: ["m"], shown: "M", does: "Measure", act: press("measure") },
-      { keys: ["Escape"], shown: "Esc", does: "End the stroke, or measuring and its marks", act: () => this.escape() },
+      { keys: ["Escape"], shown: "Esc", does: "End the stroke, or measuring", act: () => this.escape() },
     ];
   }
 
