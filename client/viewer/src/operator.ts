@@ -66,6 +66,14 @@ export class Operator {
     if (tool === "cut" && this.bladeStage !== "open" && this.bladeStage !== "stalled") this.takeBlade(false);
   }
 
+  /** What the page waits for before there is a body; empty: nothing. */
+  set waitsFor(what: string) {
+    if (what === this.waiting) return;
+    this.waiting = what;
+    this.hint();
+  }
+  private waiting = "";
+
   /** Measuring is over: back to the tool that was in hand before. */
   endMeasuring(): void {
     if (this.tool === "measure") this.setTool(this.toolBefore);
@@ -239,6 +247,7 @@ export class Operator {
 
   /** Says what to do next, until the user has done it once. */
   private hint(): void {
+    if (this.waiting) return showHint([this.waiting]);
     if (this.tool === "measure") {
       return showHint([bold("Click on the surface"), ": two points give a length, a cut gives its area. Esc ends."]);
     }

@@ -22,6 +22,8 @@ const kLocalSession = document.documentElement.dataset.session;
 const kPosesStale_ms = 1500;
 const kOwnReset_ms = 5000; // a reset within this time of asking is the user's own
 
+const kWaitsText =
+  kLocalSession === undefined ? "Waiting for the server to answer." : "Loading the session into this page.";
 const kOpenText = kLocalSession === undefined ? "Live" : "In this page";
 
 const now_ms = () => performance.timeOrigin + performance.now();
@@ -91,6 +93,7 @@ export class Page {
       this.figures.latency.seen(now_ms());
       this.send({ kind: "wake" });
     });
+    this.operator.waitsFor = kWaitsText;
     this.connect();
     this.showLink();
   }
@@ -193,6 +196,8 @@ export class Page {
       this.measure.clear();
     }
     this.operator.meet(facts.meshName);
+    if (!this.stage.body.mesh.visible)
+      this.operator.waitsFor = `Loading the body of ${facts.tets.toLocaleString("en")} tetrahedra.`;
   }
 
   /** The address keeps the view; no entry in the history. */
@@ -218,6 +223,7 @@ export class Page {
   private onGeometry(message: FromWorker & { kind: "geometry" }): void {
     this.stage.body.replace(message.slots, message.capacity, message.corners);
     this.patch = null;
+    this.operator.waitsFor = "";
     this.measure.follow();
     this.show(message.progress);
     this.figures.showTrust(message.progress.hashAgrees);

@@ -118,6 +118,9 @@ test("the frame budget is the share of the frames since the last look", () => {
   figures.showStats("not JSON");
   assert.equal(byId("budget").textContent, "50%");
   assert.equal(byId("backlog").textContent, "none");
+  assert.equal(byId("budget-chart").dataset.over, "false");
+  figures.showStats(stats(350_000 + 1_050_000, 2500)); // 1,050 us a frame
+  assert.deepEqual([byId("budget").textContent, byId("budget-chart").dataset.over], ["105%", "true"]);
 });
 
 test("the latency goes when there are no poses any more", () => {
@@ -383,6 +386,18 @@ test("what the stroke before cut does not count for the next", () => {
   letGo();
   hands.onOwnStep(step(0, true));
   assert.deepEqual(noticeTexts(), ["That stroke cut nothing. Draw across the liver."]);
+});
+
+test("before there is a body the page says what it waits for, then what to do", () => {
+  const { hands } = operator();
+  const said = () => byId("hint-text").text;
+  hands.waitsFor = "Waiting for the server to answer.";
+  assert.equal(said(), "Waiting for the server to answer.");
+  hands.setTool("measure");
+  assert.equal(said(), "Waiting for the server to answer.");
+  hands.setTool("cut");
+  hands.waitsFor = "";
+  assert.match(said(), /^Drag across the liver/);
 });
 
 test("the tilt is set in degrees, and a key opens the cuts or closes them", () => {

@@ -625,7 +625,7 @@ test("a chart shows the last half minute, the newest value at its right", () => 
   );
   globalThis.devicePixelRatio = 1;
   globalThis.getComputedStyle = () => ({ getPropertyValue: () => "" });
-  const chart = new Chart({ clientWidth: 100, clientHeight: 40, getContext: () => context }, 10, 1);
+  const chart = new Chart({ dataset: {}, clientWidth: 100, clientHeight: 40, getContext: () => context }, 10, 1);
   for (let i = 0; i < 45; ++i) chart.push(i < 44 ? 0 : 20);
   assert.equal(points.length, 30 + 2); // two more close the area below the line
   const [x, y] = points[29];
