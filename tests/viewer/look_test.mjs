@@ -339,7 +339,15 @@ test("handles and keys move and turn a section, which neither cuts nor turns the
   assert.equal(last.revision, 0);
   await page.locator("#section-axis").getByText("X").click();
   assert.deepEqual((await state()).plane.slice(0, 3), [1, 0, 0]);
+  // Off while it is dragged, it stays off.
+  await page.mouse.move(...(await state()).middle);
+  assert.equal(await page.evaluate(() => document.body.dataset.handle), "move");
+  await page.mouse.down();
   await page.keyboard.press("s");
+  await page.mouse.move(400, 300, { steps: 3 });
+  await page.mouse.up();
+  assert.equal(await page.evaluate(() => document.body.dataset.handle), undefined);
+  assert.equal(await page.evaluate(() => window.incise.stage.plane), null);
   await dragBy(last.middle, 80, 0); // the handle is gone: this is a stroke
   await until(page, () => window.incise.progress.revision > 0);
   assert.deepEqual(faults, []);

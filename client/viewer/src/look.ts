@@ -93,6 +93,7 @@ export class Look {
     element("section-rows").hidden = !section;
     choose("section-axis", "xyz"[axisOf(this.section.normal)] ?? "");
     input("section-at").valueAsNumber = this.section.share;
+    if (!section) this.handle.drop();
     this.stage.setSection(section ?? null);
   }
 

@@ -6,6 +6,7 @@ import type { Stage } from "./stage";
 const kRadius = 0.3; // of the ring, times the body's size
 const kArrow = 0.1; // likewise, to either side of the plane
 const kReach_px = 14; // how near to a handle the pointer has it
+const kTouchReach_px = 28;
 const kShortest = 0.3; // a direction that is seen shorter than this share of its length is not dragged along
 const kRingSegments = 48;
 
@@ -32,7 +33,7 @@ interface PlaneFrame {
 export class SectionHandle {
   private grip: Grip | null = null;
   private readonly pivot = new THREE.Vector3(); // the middle as it was left
-  private left: THREE.Vector3 | null = null; // the normal as it was left
+  private left: { normal: THREE.Vector3; body: THREE.Vector3 } | null = null; // the plane's, and the body's middle then
   private turned: THREE.Vector3 | null = null; // the knob, while it is dragged
 
   constructor(
@@ -58,6 +59,12 @@ export class SectionHandle {
     return true;
   }
 
+  /** The section is off. */
+  drop(): void {
+    this.grip = this.turned = null;
+    this.mark(null);
+  }
+
   /** Moves the plane along its normal, by this share of the body's size. */
   move(by: number): void {
     const plane = this.frame();
@@ -73,7 +80,7 @@ export class SectionHandle {
   private show(point: THREE.Vector3, normal: THREE.Vector3): void {
     const { min, max } = this.stage;
     this.pivot.copy(point);
-    this.left = normal;
+    this.left = { normal, body: this.stage.centre.clone() };
     this.change(through(point.toArray(), normal.normalize().toArray(), min, max));
   }
 
@@ -82,8 +89,8 @@ export class SectionHandle {
     const { plane, centre, camera } = this.stage;
     if (!plane) return null;
     const normal = new THREE.Vector3(plane[0], plane[1], plane[2]);
-    // A plane that was put elsewhere has its handle before the body's middle.
-    const near = this.left?.equals(normal) ? this.pivot : centre;
+    // Where it was left, or if somebody else has put the plane here, before the body's middle.
+    const near = this.left?.normal.equals(normal) && this.left.body.equals(centre) ? this.pivot : centre;
     const foot = near.clone().addScaledVector(normal, plane[3] - normal.dot(near));
     // To the picture's right, unless the plane is seen from its edge there.
     const knob = new THREE.Vector3();
@@ -110,19 +117,20 @@ export class SectionHandle {
   }
 
   /** The handle under the pointer. */
-  private partAt(x: number, y: number): Part | null {
+  private partAt({ clientX: x, clientY: y, pointerType }: PointerEvent): Part | null {
     const places = this.places();
     if (!places) return null;
+    const reach = pointerType === "touch" ? kTouchReach_px : kReach_px;
     const near = (place: THREE.Vector3) => {
       const at = this.stage.marks.onScreen(place);
-      return at !== null && Math.hypot(at[0] - x, at[1] - y) < kReach_px;
+      return at !== null && Math.hypot(at[0] - x, at[1] - y) < reach;
     };
     return near(places.knob) ? "turn" : near(places.middle) ? "move" : null;
   }
 
   private onDown(e: PointerEvent): void {
     if (e.target !== this.canvas || this.grip || e.button !== 0 || !e.isPrimary) return;
-    const part = this.partAt(e.clientX, e.clientY);
+    const part = this.partAt(e);
     if (!part) return;
     e.stopPropagation();
     this.grip = { part, pointer: e.pointerId, x: e.clientX, y: e.clientY, plane: this.frame()! };
@@ -133,7 +141,7 @@ export class SectionHandle {
   private onMove(e: PointerEvent): void {
     if (e.target !== this.canvas) return;
     const { grip } = this;
-    if (!grip) return this.mark(e.buttons === 0 ? this.partAt(e.clientX, e.clientY) : null);
+    if (!grip) return this.mark(e.buttons === 0 ? this.partAt(e) : null);
     if (e.pointerId !== grip.pointer) return;
     e.stopPropagation();
     const dx = e.clientX - grip.x,
@@ -172,7 +180,7 @@ export class SectionHandle {
     if (this.grip?.pointer !== pointer) return;
     this.grip = null;
     this.turned = null;
-    this.mark(at?.pointerType === "mouse" ? this.partAt(at.clientX, at.clientY) : null);
+    this.mark(at?.pointerType === "mouse" ? this.partAt(at) : null);
   }
 
   /** For the cursor, and so that the blade's preview keeps away. */
