@@ -1,10 +1,12 @@
+import { type BladeNames, cssColour } from "./blade_colours";
+import { element, number } from "./dom";
 import type { BladeStep } from "./messages";
-import { type Bar, Timeline } from "./timeline";
+import { type Bar, seconds, Timeline } from "./timeline";
 
 const kMostStrokes = 200;
 const kMostPause_ms = 500; // a longer silence is shown as this, like in a replay
 
-/** The strokes of the live session that this page has seen. */
+/** The strokes of the live session that this page has seen, and whose they are: a part of the panel. */
 export class LiveStrokes {
   private bars: Bar[] = [];
   private clock_ms = 0;
@@ -12,18 +14,13 @@ export class LiveStrokes {
   private waiting = false;
   readonly timeline: Timeline;
 
-  /** changed: the strokes have. */
-  constructor(
-    canvas: HTMLCanvasElement,
-    colourOf: (bar: Bar) => string,
-    titleOf: (bar: Bar) => string,
-    private readonly changed: () => void,
-  ) {
+  constructor(private readonly names: BladeNames) {
+    const canvas = element<HTMLCanvasElement>("live-timeline");
     this.timeline = new Timeline(
       canvas,
       canvas,
-      colourOf,
-      titleOf,
+      (bar) => cssColour(bar.source, bar.own),
+      (bar) => this.titleOf(bar),
       "Strokes that this page has seen; long pauses are shortened",
     );
   }
@@ -59,13 +56,34 @@ export class LiveStrokes {
     this.showSoon();
   }
 
+  /** Whose strokes the bars are. To be called when names have come, too. */
+  showBlades(): void {
+    element("live-strokes").hidden = this.bars.length === 0;
+    const seen = new Map(this.bars.map((bar) => [bar.source, bar.own]));
+    element("blades").replaceChildren(
+      ...[...seen].map(([source, own]) => {
+        const item = document.createElement("li");
+        const swatch = document.createElement("i");
+        swatch.style.background = cssColour(source, own);
+        item.append(swatch, own ? "you" : this.names.of(source));
+        return item;
+      }),
+    );
+  }
+
+  private titleOf(bar: Bar): string {
+    const whose = bar.own ? "Your stroke" : `Stroke of ${this.names.of(bar.source)}`;
+    const area = number((bar.cutArea_m2 ?? 0) * 1e4, 1);
+    return `${whose}: ${seconds(bar.to_ms - bar.from_ms)} s, ${area} cm², revisions ${bar.first} to ${bar.last}`;
+  }
+
   /** At most once a frame. */
   private showSoon(): void {
     if (this.waiting) return;
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      this.changed();
+      this.showBlades();
       this.timeline.show(this.bars, this.bars[0]?.from_ms ?? 0, this.clock_ms);
     });
   }

@@ -1,6 +1,6 @@
 import { Vector3 } from "three";
-import { BladeNames, cssColour } from "./blade_colours";
-import { ask, element, input, number, save } from "./dom";
+import { BladeNames } from "./blade_colours";
+import { ask, element, input, save } from "./dom";
 import { acceptDrops } from "./drop";
 import { Figures } from "./figures";
 import { type Key, Keys } from "./keys";
@@ -14,7 +14,6 @@ import { notice } from "./notices";
 import { Operator } from "./operator";
 import { bearer, Replay } from "./replay";
 import { Stage, type Tool } from "./stage";
-import { type Bar, seconds } from "./timeline";
 import { fromFragment, toFragment } from "./view_link";
 
 // The folder with a session's files, in a page without a server (static.cmake).
@@ -39,12 +38,7 @@ export class Page {
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
   readonly blades = new BladeNames();
-  readonly live = new LiveStrokes(
-    element<HTMLCanvasElement>("live-timeline"),
-    (bar) => cssColour(bar.source, bar.own),
-    (bar) => this.titleOf(bar),
-    () => this.showBlades(),
-  );
+  readonly live = new LiveStrokes(this.blades);
   readonly look = new Look(
     this.stage,
     (on) => this.send({ kind: "colour-by-quality", on }),
@@ -150,7 +144,7 @@ export class Page {
       case "stats":
         this.figures.showStats(message.json);
         this.blades.read(message.json);
-        this.showBlades();
+        this.live.showBlades();
         this.undoable = message.undoable > 0;
         this.enableUndo();
         this.figures.showTets(message.tets); // a page opened later gets the count from here
@@ -262,26 +256,6 @@ export class Page {
 
   private nameOf(source: number): string {
     return this.replay.facts === null ? this.blades.of(source) : `blade ${source + 1}`; // a recording has its own
-  }
-
-  private titleOf(bar: Bar): string {
-    const area = `${number((bar.cutArea_m2 ?? 0) * 1e4, 1)} cm²`;
-    return `${bar.own ? "Your stroke" : `Stroke of ${this.blades.of(bar.source)}`}: ${seconds(bar.to_ms - bar.from_ms)} s, ${area}, revisions ${bar.first} to ${bar.last}`;
-  }
-
-  /** Whose strokes the bars are. */
-  private showBlades(): void {
-    element("live-strokes").hidden = this.live.strokes.length === 0;
-    const seen = new Map(this.live.strokes.map((bar) => [bar.source, bar.own]));
-    element("blades").replaceChildren(
-      ...[...seen].map(([source, own]) => {
-        const item = document.createElement("li");
-        const swatch = document.createElement("i");
-        swatch.style.background = cssColour(source, own);
-        item.append(swatch, own ? "you" : this.blades.of(source));
-        return item;
-      }),
-    );
   }
 
   private onLink(which: "view" | "blade" | "admin", state: LinkState): void {

@@ -57,15 +57,23 @@ test("ticks are round, and no more than there is room for", () => {
 });
 
 test("live strokes are those that this page has seen, without what was undone, and pauses are short", () => {
-  globalThis.requestAnimationFrame = () => {};
-  const live = new LiveStrokes(
-    byId("live"),
-    () => "",
-    () => "",
-    () => {},
-  );
+  const frames = [];
+  globalThis.requestAnimationFrame = (frame) => frames.push(frame);
+  const names = new BladeNames();
+  names.read('{"blades": [{"source": 3, "name": "Dr. Li"}]}');
+  const live = new LiveStrokes(names);
   const step = (stroke, revision, arrived_ms, source = 0) =>
-    live.add({ source, own: true, stroke, revision, arrived_ms, heel: [], tip: [], ended: false, cutArea_m2: 1e-4 });
+    live.add({
+      source,
+      own: source === 0,
+      stroke,
+      revision,
+      arrived_ms,
+      heel: [],
+      tip: [],
+      ended: false,
+      cutArea_m2: 1e-4,
+    });
   const shown = () =>
     live.strokes.map(({ source, stroke, first, last, from_ms, to_ms }) => [
       source,
@@ -85,6 +93,13 @@ test("live strokes are those that this page has seen, without what was undone, a
     [3, 1, 3, 3, 100, 100],
     [0, 2, 4, 5, 600, 800],
   ]);
+  assert.equal(frames.length, 1, "drawn once a frame");
+  frames.pop()();
+  assert.deepEqual(
+    byId("blades").children.map((item) => item.children[1]),
+    ["you", "Dr. Li"],
+  );
+  assert.equal(byId("live-strokes").hidden, false);
   assert.ok(Math.abs(live.strokes[0].cutArea_m2 - 2e-4) < 1e-12);
   live.restart(3);
   step(2, 4, 70_000); // the same number again
