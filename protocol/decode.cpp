@@ -390,12 +390,19 @@ class MessageReader : public FieldReader {
     return out;
   }
   Body read(const wire::ReplayState& m) {
+    const auto times = array<std::uint32_t>("revision_ms", m.revision_ms());
+    const auto sources = array("revision_sources", m.revision_sources(), times.size(), 1);
+    const auto strokes = array("revision_strokes", m.revision_strokes(), times.size(), 1);
+    require(std::is_sorted(times.begin(), times.end()), "revision_ms", "a time before the last one");
     return ReplayState{text("capture", m.capture()),
                        m.playing(),
                        finite("speed", m.speed()),
                        m.revision(),
                        m.last_revision(),
-                       text("text", m.text(), kMaxTextBytes)};
+                       text("text", m.text(), kMaxTextBytes),
+                       {times.begin(), times.end()},
+                       {sources.begin(), sources.end()},
+                       {strokes.begin(), strokes.end()}};
   }
 };
 

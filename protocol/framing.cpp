@@ -318,7 +318,12 @@ struct Encoder {
   }
   auto operator()(const ReplayState& m) {
     const auto capture = text(b, m.capture), what = text(b, m.text);
-    return wire::CreateReplayState(b, capture, m.playing, m.speed, m.revision, m.last_revision, what).Union();
+    const auto times = array(b, std::span(m.revision_ms));
+    const auto sources = array(b, std::span(m.revision_sources));
+    const auto strokes = array(b, std::span(m.revision_strokes));
+    return wire::CreateReplayState(b, capture, m.playing, m.speed, m.revision, m.last_revision, what, times,
+                                   sources, strokes)
+        .Union();
   }
 };
 
@@ -372,6 +377,7 @@ std::size_t expected_bytes(const Body& body) {
         }
         if constexpr (std::is_same_v<T, FieldValues>) return kSmall + m.f32.size_bytes() + m.i32.size_bytes();
         if constexpr (std::is_same_v<T, PositionsReport>) return kSmall + m.held.size_bytes();
+        if constexpr (std::is_same_v<T, ReplayState>) return kSmall + 12 * m.revision_ms.size();
         if constexpr (std::is_same_v<T, BladeLoad>)
           return kSmall + m.ids.size_bytes() + m.forces.size_bytes();
         return kSmall;

@@ -383,6 +383,7 @@ struct ReplayState {
   float speed = 1;
   std::uint64_t revision = 0, last_revision = 0;
   std::string text;
+  std::vector<std::uint32_t> revision_ms, revision_sources, revision_strokes;  // one entry each, or none
 };
 
 struct BladePose {

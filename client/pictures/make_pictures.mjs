@@ -40,7 +40,7 @@ async function open(options) {
     const scrub = document.getElementById("scrub");
     scrub.value = scrub.max;
     scrub.dispatchEvent(new Event("change"));
-    return Number(scrub.max);
+    return window.incise.replay.facts.lastRevision;
   });
   await until(page, (r) => window.incise.progress.revision === r, end);
   return page;

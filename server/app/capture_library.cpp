@@ -101,13 +101,15 @@ class Replay {
     if (back) show();
   }
 
-  void report_state(bool playing, float speed) const {
+  // `first`: says what there is in the recording, too.
+  void report_state(bool playing, float speed, bool first = false) const {
     protocol::ReplayState state;
     state.capture = name_;
     state.playing = playing;
     state.speed = speed;
     state.revision = revision();
     state.last_revision = replay_->last_revision();
+    if (first) replay_->describe(state);
     events_.state(std::move(state));
   }
   void fail(const std::string& why) const { events_.failed(why); }
@@ -147,7 +149,7 @@ struct CaptureLibrary::Playing {
   void run(Replay& replay) {
     Tempo tempo;
     steady_clock::time_point reported;
-    replay.report_state(tempo.playing, tempo.speed);
+    replay.report_state(tempo.playing, tempo.speed, true);
     while (!stop) {
       const std::vector<protocol::ReplayControl> asked = wait_for_wishes(replay, tempo);
       for (const protocol::ReplayControl& wish : asked) {

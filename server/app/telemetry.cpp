@@ -116,6 +116,11 @@ std::string Telemetry::json() const {
   root["cut_faces"] = state.cut_faces;
   root["cut_area_m2"] = state.cut_area_m2;
   root["sources"] = sources_.open_count();
+  root["blades"] = Json::array();
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if (const std::string name = sources_.name_of(source); !name.empty())
+      root["blades"].push_back({{"source", source}, {"name", name}});
+  }
   Json poses;
   for (int i = 0; i < core::kPoseVerdicts; ++i) {
     poses[core::to_string(static_cast<core::PoseVerdict>(i))] =
@@ -187,7 +192,8 @@ std::string Telemetry::json() const {
     stages[stage.name] = figures;
   }
   root["stages_us"] = stages;
-  return root.dump();
+  // Names are what clients have sent.
+  return root.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
 std::string Telemetry::metrics() const {

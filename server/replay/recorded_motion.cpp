@@ -36,7 +36,9 @@ struct RecordReader {
         {MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, to_core(record.blade)});
   }
   void operator()(const protocol::BatchMark& record) {
-    if (!motion.gap) motion.marks.push_back(record);
+    if (motion.gap) return;
+    motion.marks.push_back(record);
+    motion.events_before.push_back(motion.events.size());
   }
   void operator()(const protocol::NoteRecord&) {}
   void operator()(const protocol::GapRecord& record) {
@@ -54,6 +56,7 @@ struct RecordReader {
   void operator()(const protocol::ResetRecord& record) {
     motion.events.clear();
     motion.marks.clear();
+    motion.events_before.clear();
     motion.checkpoints.clear();
     motion.gap.reset();
     motion.session = record.session;
@@ -82,7 +85,11 @@ struct RecordReader {
     }
     motion.events.erase(std::next(began).base(), motion.events.end());
     const auto later = [&](const protocol::BatchMark& mark) { return mark.revision > record.revision; };
-    motion.marks.erase(std::remove_if(motion.marks.begin(), motion.marks.end(), later), motion.marks.end());
+    for (std::size_t i = motion.marks.size(); i-- > 0;) {
+      if (!later(motion.marks[i])) continue;
+      motion.marks.erase(motion.marks.begin() + static_cast<std::ptrdiff_t>(i));
+      motion.events_before.erase(motion.events_before.begin() + static_cast<std::ptrdiff_t>(i));
+    }
     motion.gap.reset();
   }
   void operator()(const protocol::EndRecord&) {}

@@ -34,6 +34,7 @@ struct RecordedMotion {
   // For a capture:
   std::optional<protocol::CaptureHeader> header;
   std::vector<protocol::BatchMark> marks;
+  std::vector<std::size_t> events_before;  // each of marks
   std::vector<protocol::CheckpointRecord> checkpoints;
   std::uint64_t session = 0;  // its id, after the last reset
   std::uint64_t resets = 0;

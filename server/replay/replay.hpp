@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "protocol/messages.hpp"
 #include "server/replay/recorded_motion.hpp"
 
 namespace incise::replay {
@@ -31,11 +32,15 @@ class Replay {
   std::uint64_t last_revision() const { return last_revision_; }
   bool at_end() const { return next_ == motion_.events.size() && session_->backlog_batches() == 0; }
   // When the next event arrived, on the recording's clock with long silences left out; ns.
-  std::int64_t due_ns() const { return next_ < motion_.events.size() ? clock_ns_ + pause_ns() : clock_ns_; }
+  std::int64_t due_ns() const {
+    return next_ < motion_.events.size() ? clock_ns_ + pause_ns(next_) : clock_ns_;
+  }
   std::int64_t clock_ns() const { return clock_ns_; }
+  // Writes revision_ms, revision_sources and revision_strokes, of the revisions that the recording marks. O(events).
+  void describe(protocol::ReplayState& state) const;
 
  private:
-  std::int64_t pause_ns() const;
+  std::int64_t pause_ns(std::size_t event) const;
 
   const core::MeshData& mesh_;
   const std::span<const core::Field> fields_;

@@ -14,8 +14,11 @@ LocalReplay::LocalReplay(std::string name, replay::Replay replay, std::uint64_t 
   mirror_.reset(replay::initial_state(replay_.session(), epoch_));
 }
 
-protocol::ReplayState LocalReplay::state() const {
-  return {name_, playing_, speed_, replay_.revision(), replay_.last_revision(), {}};
+protocol::ReplayState LocalReplay::state(bool first) const {
+  protocol::ReplayState state{name_, playing_, speed_, replay_.revision(), replay_.last_revision(), {},
+                              {},    {},       {}};
+  if (first) replay_.describe(state);
+  return state;
 }
 
 void LocalReplay::control(const protocol::ReplayControl& wish, std::int64_t now_ns) {

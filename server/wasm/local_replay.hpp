@@ -28,7 +28,8 @@ class LocalReplay {
   std::optional<std::int64_t> due_ns() const;
 
   const stream::Mirror& mirror() const { return mirror_; }
-  protocol::ReplayState state() const;
+  // `first`: says what there is in the recording, too.
+  protocol::ReplayState state(bool first = false) const;
 
  private:
   bool advance(bool tell);

@@ -413,7 +413,7 @@ void LocalServer::begin_replay(std::uint32_t number, Peer& peer, const std::stri
       std::max<std::uint64_t>(1, host_.random()), std::move(events));
   send_welcome(number, peer);
   send_snapshot(number, peer, SnapshotCause::Reset);
-  send(number, peer.replay->state());
+  send(number, peer.replay->state(true));
 }
 
 void LocalServer::end_replay(std::uint32_t number, Peer& peer) {

@@ -109,12 +109,18 @@ TEST_F(CaptureLibraryTest, ScrubbedForthAndBackEachRevisionIsTheSame) {
   const protocol::ReplayState opened = follow(viewer, 0);
   EXPECT_EQ(opened.capture, "sweep.capture");
   EXPECT_EQ(opened.last_revision, last_);
+  // What there is, revision by revision, before anything is played; said once.
+  ASSERT_EQ(opened.revision_ms.size(), last_);
+  EXPECT_TRUE(std::is_sorted(opened.revision_ms.begin(), opened.revision_ms.end()));
+  EXPECT_GT(opened.revision_ms.back(), opened.revision_ms.front());
+  EXPECT_EQ(opened.revision_sources, std::vector<std::uint32_t>(last_, 0));
+  EXPECT_EQ(opened.revision_strokes.front(), 1U);
   EXPECT_NE(viewer.replica.state_hash(), live_hash);
 
   std::map<std::uint64_t, std::uint64_t> hashes{{0, viewer.replica.compute_state_hash()}};
   for (std::uint64_t revision = 1; revision <= last_; ++revision) {
     ask(viewer, ReplayAction::Step);
-    follow(viewer, revision);
+    EXPECT_TRUE(follow(viewer, revision).revision_ms.empty());
     hashes[revision] = viewer.replica.compute_state_hash();
   }
   EXPECT_EQ(hashes[last_], hash_) << "of the conversion";

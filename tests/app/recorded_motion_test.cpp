@@ -57,6 +57,7 @@ TEST_F(RecordedMotionTest, OnlyWhatCameAfterTheLastResetIsReplayed) {
   EXPECT_EQ(motion.events[0].pose.t_ns, 3);
   ASSERT_EQ(motion.marks.size(), 2u);
   EXPECT_EQ(motion.marks[1].revision, 2u);
+  EXPECT_EQ(motion.events_before, (std::vector<std::size_t>{2, 2}));
 }
 
 protocol::UndoRecord undo(std::int64_t t_ns, std::uint64_t revision) {
@@ -77,6 +78,7 @@ TEST_F(RecordedMotionTest, WhatWasUndoneIsNotReplayed) {
   ASSERT_EQ(motion.marks.size(), 2u);
   EXPECT_EQ(motion.marks[0].revision, 1u);
   EXPECT_EQ(motion.marks[1].revision, 2u);
+  EXPECT_EQ(motion.events_before, (std::vector<std::size_t>{1, 2}));
   ASSERT_EQ(motion.warnings.size(), 1u);
   EXPECT_NE(motion.warnings[0].find("a stroke was undone"), std::string::npos) << motion.warnings[0];
 }
@@ -107,6 +109,7 @@ TEST_F(RecordedMotionTest, NothingAfterAGapIsReplayed) {
       << motion.gap->text;
   EXPECT_EQ(motion.events.size(), 1u);
   EXPECT_EQ(motion.marks.size(), 1u);
+  EXPECT_EQ(motion.events_before.size(), 1u);
 }
 
 // Times rise for each source, and begin again where it is opened again.

@@ -369,6 +369,26 @@ TEST(Framing, ABoxMayBeFlatAndNotInsideOut) {
   }
 }
 
+TEST(Framing, ATimelineHasAnEntryOfEachKindForEveryRevisionInOrder) {
+  ReplayState state;
+  state.capture = "a.capture";
+  state.revision_ms = {20, 40, 40};
+  state.revision_sources = {0, 1, 0};
+  state.revision_strokes = {1, 1, 0};
+  DecodeResult result;
+  const ReplayState got = round_trip(state, result);
+  EXPECT_EQ(got.revision_ms, state.revision_ms);
+  EXPECT_EQ(got.revision_sources, state.revision_sources);
+  EXPECT_EQ(got.revision_strokes, state.revision_strokes);
+  state.revision_ms = {20, 40, 39};
+  EXPECT_NE(error_of(state).find("ReplayState.revision_ms"), std::string::npos) << error_of(state);
+  state.revision_ms = {20, 40};
+  EXPECT_NE(error_of(state).find("ReplayState.revision_sources"), std::string::npos) << error_of(state);
+  state.revision_ms = {20, 40, 41};
+  state.revision_strokes = {};
+  EXPECT_NE(error_of(state).find("ReplayState.revision_strokes"), std::string::npos) << error_of(state);
+}
+
 TEST(Framing, StatisticsAreNumbers) {
   for (auto Stats::*field : {&Stats::frame_work_p99_us, &Stats::pose_to_delta_p99_us}) {
     Stats stats;

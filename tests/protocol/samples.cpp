@@ -271,7 +271,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Stats", stats},
       {"Reset", Reset{}},
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
-      {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
+      {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing", {}, {}, {}}},
       {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
       {"SurfaceAsset", surface_asset()},
@@ -391,6 +391,8 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
                                               {},
                                               array<std::uint32_t>({0, 2})}},
         {"FieldValuesWhole", FieldValues{2, 0, {}, array<std::int32_t>({1, -2, 3}), 0, false}},
+        {"ReplayTimeline",
+         ReplayState{"liver-1.incise", false, 1, 0, 4, "", {20, 40, 40, 90}, {0, 0, 2, 0}, {1, 1, 2, 0}}},
     };
   }();
   return all;

@@ -10,7 +10,7 @@ public static class VectorTests
     private static readonly string[] Sent = { "Hello", "HelloResumeHash", "Resync", "Ping", "Pong", "Bye", "PoseBatch", "StrokeControl", "Reset", "Undo",
         "HelloLoadRate", "Positions", "BladeModel" };
     private static readonly string[] PassedOver = { "Hello", "HelloResumeHash", "Subscribe", "Resync", "PoseBatch", "StrokeControl", "Positions", "Reset",
-        "ReplayControl", "ReplayState", "HelloLoadRate", "BladeModel", "Undo" };
+        "ReplayControl", "ReplayState", "ReplayTimeline", "HelloLoadRate", "BladeModel", "Undo", "FieldValues", "FieldValuesWhole", "HelloFields", "SubscribeFields" };
 
     public static void EveryFieldIsRead()
     {

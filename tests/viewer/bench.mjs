@@ -1,9 +1,10 @@
 // Figures of the page, in a headless Chromium without a graphics card, on the demo's mesh:
 //
 //   node tests/viewer/bench.mjs turn            pictures a second and processor time of each, while the body turns
+//   node tests/viewer/bench.mjs first           from the address to the first picture with the body in it, new browser contexts
 //   node tests/viewer/bench.mjs long [MINUTES]  MINUTES (10) of streamed cutting: memory, then page against .vtu export
 //
-// Programs and page are those of build/release, or of INCISE_BIN_DIR. The second ends with 1 where triangles differ.
+// Programs and page are those of build/release, or of INCISE_BIN_DIR. The last ends with 1 where triangles differ.
 
 import { spawn } from "node:child_process";
 import { once } from "node:events";
@@ -89,6 +90,36 @@ async function turn(browser, server) {
   );
 }
 
+/** With nothing in the browser's cache. */
+async function first(browser, server) {
+  const times = [];
+  for (let n = 0; n < 7; ++n) {
+    const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+    const page = await context.newPage();
+    await page.addInitScript(() => {
+      const look = () => {
+        const stage = window.incise?.stage;
+        // What was drawn before this frame is on the screen now.
+        if (window.drawnAt === undefined && stage?.body.mesh.visible && stage.framesDrawn > window.framesBefore)
+          window.drawnAt = performance.now();
+        window.framesBefore = stage?.body.mesh.visible
+          ? Math.min(window.framesBefore ?? Infinity, stage.framesDrawn)
+          : Infinity;
+        requestAnimationFrame(look);
+      };
+      requestAnimationFrame(look);
+    });
+    await page.goto(server.url);
+    await until(page, () => window.drawnAt !== undefined);
+    times.push(await page.evaluate(() => window.drawnAt));
+    await context.close();
+  }
+  times.sort((a, b) => a - b);
+  console.log(
+    `first picture after ${times.map((ms) => (ms / 1000).toFixed(2)).join(" ")} s; load ${loadavg()[0].toFixed(1)}`,
+  );
+}
+
 /** One pass of the demo's motion at four times its speed, and the time that its work takes. */
 async function pass(server) {
   const stream = spawn(
@@ -147,8 +178,8 @@ async function long(browser, server, minutes) {
 }
 
 const [command, minutes = "10"] = process.argv.slice(2);
-if (!["turn", "long"].includes(command) || !(Number(minutes) > 0)) {
-  console.error("usage: node tests/viewer/bench.mjs turn | long [MINUTES]");
+if (!["turn", "first", "long"].includes(command) || !(Number(minutes) > 0)) {
+  console.error("usage: node tests/viewer/bench.mjs turn | first | long [MINUTES]");
   process.exit(2);
 }
 const server = new Server({
@@ -158,7 +189,7 @@ const server = new Server({
 await server.start();
 const browser = await launch();
 try {
-  await (command === "turn" ? turn(browser, server) : long(browser, server, Number(minutes)));
+  await { turn, first, long }[command](browser, server, Number(minutes));
 } finally {
   await browser.close();
   await server.end();

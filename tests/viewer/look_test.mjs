@@ -265,6 +265,94 @@ test("a section faces who looks, goes along any axis and draws where it meets sk
   assert.deepEqual(faults, []);
 });
 
+test("handles and keys move and turn a section, which neither cuts nor turns the body", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await bladeIsReady(page);
+  await page.keyboard.press("s");
+  await page.keyboard.press("7");
+  await until(page, () => window.incise.stage.atRest);
+  const state = () =>
+    page.evaluate(() => {
+      const { stage, look } = window.incise;
+      const { foot, knob } = look.handle.frame();
+      const at = (place) => stage.marks.onScreen(place);
+      return {
+        plane: stage.body.uniforms.uSection.value.toArray(),
+        middle: at(foot),
+        knob: at(foot.clone().addScaledVector(knob, 0.3 * stage.bodySize_m)),
+        camera: stage.cameraPlace.position,
+        axis: document.querySelector("#section-axis :checked")?.value ?? "",
+        bright: stage.sectionLines.skin.material.color.r,
+        revision: window.incise.progress.revision,
+      };
+    });
+  const angle = (a, b) => (180 / Math.PI) * Math.acos(Math.min(1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]));
+  const dragBy = async ([x, y], dx, dy) => {
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x + dx, y + dy, { steps: 6 });
+    await page.mouse.up();
+  };
+  const first = await state();
+  assert.equal(first.axis, "z");
+  await dragBy(first.middle, 0, -60); // z is up
+  const moved = await state();
+  assert.deepEqual(moved.plane.slice(0, 3), first.plane.slice(0, 3));
+  assert.ok(moved.plane[3] > first.plane[3] + 0.005, JSON.stringify(moved.plane));
+  assert.ok(
+    Math.hypot(moved.middle[0] - first.middle[0], moved.middle[1] - first.middle[1] + 60) < 2,
+    "under the hand",
+  );
+  await until(page, () => window.incise.stage.atRest);
+  await shot(page, "section_moved");
+  await dragBy(moved.knob, -90, 50);
+  const turned = await state();
+  assert.ok(angle(turned.plane, moved.plane) > 15, JSON.stringify(turned.plane));
+  assert.ok(Math.hypot(turned.middle[0] - moved.middle[0], turned.middle[1] - moved.middle[1]) < 2, "about its middle");
+  assert.equal(turned.axis, "");
+  assert.notEqual(turned.bright, moved.bright);
+  await until(page, () => window.incise.stage.atRest);
+  await shot(page, "section_turned");
+  // Escape puts it back while it is dragged.
+  await page.mouse.move(...turned.middle);
+  await page.mouse.down();
+  await page.mouse.move(turned.middle[0] + 20, turned.middle[1] - 80, { steps: 3 });
+  assert.ok(Math.abs((await state()).plane[3] - turned.plane[3]) > 0.003);
+  await page.keyboard.press("Escape");
+  await page.mouse.up();
+  for (const [k, x] of (await state()).plane.entries()) assert.ok(Math.abs(x - turned.plane[k]) < 1e-6);
+  // Keys do the same in steps.
+  await page.keyboard.press("Shift+ArrowRight");
+  const stepped = await state();
+  assert.ok(Math.abs(angle(stepped.plane, turned.plane) - 5) < 3);
+  await page.keyboard.press("PageUp");
+  assert.ok((await state()).plane[3] > stepped.plane[3]);
+  await page.locator("#section-view").click();
+  const facing = await state();
+  const eye = await page.evaluate(() => window.incise.stage.toEye.map((x, _, v) => x / Math.hypot(...v)));
+  assert.ok(angle(facing.plane, eye) < 0.1);
+  await dragBy(facing.middle, 0, 60); // nearer, though its normal is seen end on
+  assert.ok((await state()).plane[3] > facing.plane[3] + 0.003);
+  const last = await state();
+  assert.deepEqual(last.camera, first.camera);
+  assert.equal(last.revision, 0);
+  await page.locator("#section-axis").getByText("X").click();
+  assert.deepEqual((await state()).plane.slice(0, 3), [1, 0, 0]);
+  // Off while it is dragged, it stays off.
+  await page.mouse.move(...(await state()).middle);
+  assert.equal(await page.evaluate(() => document.body.dataset.handle), "move");
+  await page.mouse.down();
+  await page.keyboard.press("s");
+  await page.mouse.move(400, 300, { steps: 3 });
+  await page.mouse.up();
+  assert.equal(await page.evaluate(() => document.body.dataset.handle), undefined);
+  assert.equal(await page.evaluate(() => window.incise.stage.plane), null);
+  await dragBy(last.middle, 80, 0); // the handle is gone: this is a stroke
+  await until(page, () => window.incise.progress.revision > 0);
+  assert.deepEqual(faults, []);
+});
+
 test("open lifts the lips of a cut that stops inside, and leaves faces that were parted as they are", async (t) => {
   const server = await serve(t, { mesh: { phantom: "liver", target_tets: 20000 } });
   const { page, faults } = await look(t, server.url);
@@ -376,5 +464,53 @@ test("a body that was filled from a surface shows that surface's texture, cut or
   await until(page, () => window.incise.progress.pieces > 1 && window.incise.stage.atRest);
   await isPainted();
   await shot(page, "painted");
+  // So does the file that is saved: with the image, upright, and its coordinates.
+  const download = page.waitForEvent("download");
+  await page.keyboard.press("g");
+  const glb = readFileSync(await (await download).path());
+  const json = JSON.parse(glb.subarray(20, 20 + glb.readUInt32LE(12)).toString());
+  const bin = glb.subarray(28 + glb.readUInt32LE(12));
+  const array = (index) => {
+    const { bufferView, byteOffset = 0, count, type, componentType } = json.accessors[index];
+    const from = (json.bufferViews[bufferView].byteOffset ?? 0) + byteOffset;
+    const size = { SCALAR: 1, VEC2: 2, VEC3: 3 }[type];
+    const read = {
+      5126: (at) => bin.readFloatLE(from + 4 * at),
+      5123: (at) => bin.readUInt16LE(from + 2 * at),
+      5125: (at) => bin.readUInt32LE(from + 4 * at),
+    };
+    return Array.from({ length: count * size }, (_, at) => read[componentType](at));
+  };
+  const seen = new Map();
+  for (const { primitives } of json.meshes) {
+    for (const { attributes, indices, material } of primitives) {
+      const { name, pbrMetallicRoughness } = json.materials[material];
+      const count = (seen.get(name) ?? 0) + array(indices).length / 3;
+      seen.set(name, count);
+      if (name !== "texture_1") continue;
+      const image = json.images[json.textures[pbrMetallicRoughness.baseColorTexture.index].source];
+      const { byteOffset, byteLength } = json.bufferViews[image.bufferView];
+      const [top, bottom] = await page.evaluate(
+        async ([bytes, type]) => {
+          const picture = await createImageBitmap(new Blob([Uint8Array.from(bytes)], { type }));
+          const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true });
+          pen.drawImage(picture, 0, 0);
+          return [0, picture.height - 1].map((y) => [...pen.getImageData(0, y, 1, 1).data]);
+        },
+        [[...bin.subarray(byteOffset, byteOffset + byteLength)], image.mimeType],
+      );
+      assert.ok(top[2] > 200 && bottom[1] > 180, `blue above ${top}, green below ${bottom}`);
+      const position = array(attributes.POSITION),
+        uv = array(attributes.TEXCOORD_0);
+      for (const v of array(indices))
+        assert.ok(Math.abs(1 - uv[2 * v + 1] - position[3 * v + 2] / 0.1) < 1e-4, "v is the height");
+    }
+  }
+  const triangles = (await page.evaluate(() => window.incise.progress)).triangles;
+  assert.equal(
+    [...seen.values()].reduce((sum, n) => sum + n, 0),
+    triangles,
+  );
+  assert.deepEqual([...seen.keys()].sort(), ["cut", "texture_1", "texture_2"]);
   assert.deepEqual(faults, []);
 });

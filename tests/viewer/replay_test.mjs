@@ -24,9 +24,10 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   await until(page, () => window.incise.replay.facts !== null);
   const scrub = (revision) =>
     page.locator("#scrub").evaluate((e, r) => {
-      e.valueAsNumber = r;
+      e.valueAsNumber = window.incise.replay.placeOf(r);
       e.dispatchEvent(new Event("change"));
     }, revision);
+  const last = recorded.revision;
   await scrub(recorded.revision);
   await until(page, (r) => window.incise.progress.revision === r, recorded.revision);
   assert.equal((await progress(page)).hash, recorded.state_hash);
@@ -34,14 +35,44 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   await shot(page, "replay");
   // The body follows the hand, before it lets go.
   await page.locator("#scrub").evaluate((e) => {
-    for (const revision of [4, 3, 2, 1]) {
-      e.valueAsNumber = revision;
+    for (const revision of [4, 3, 2, 0]) {
+      e.valueAsNumber = window.incise.replay.placeOf(revision);
       e.dispatchEvent(new Event("input"));
     }
   });
-  await atRevision(page, 1);
+  await atRevision(page, 0);
   assert.equal((await progress(page)).hashAgrees, true);
-  await scrub(2);
+  // Two strokes are two bars, and a place on the timeline is a moment of one of them.
+  await scrub(0);
+  const bars = await page.evaluate(() => window.incise.replay.bars);
+  assert.deepEqual(
+    bars.map((bar) => [bar.stroke, bar.first, bar.last]),
+    [
+      [1, 1, bars[1].first - 1],
+      [2, bars[1].first, last],
+    ],
+  );
+  assert.ok(bars[0].from_ms < bars[0].to_ms && bars[0].to_ms < bars[1].from_ms && bars[1].from_ms < bars[1].to_ms);
+  const box = await page.locator("#timeline").boundingBox();
+  const middle = (bars[1].from_ms + bars[1].to_ms) / 2 / bars[1].to_ms;
+  await page.mouse.move(box.x + 2 + middle * (box.width - 4), box.y + 15);
+  await page.mouse.down();
+  await until(page, (bar) => window.incise.progress.revision >= bar.first, bars[1]);
+  const there = (await progress(page)).revision;
+  assert.ok(there > bars[1].first && there < last, `${there}`);
+  assert.match(await page.getAttribute("#scrub", "title"), /^Stroke 2 of blade 1: [\d.]+ to [\d.]+ s, revisions/);
+  assert.match(await page.textContent("#scrub-text"), new RegExp(`^[\\d.]+ / [\\d.]+ s · ${there} / ${last}$`));
+  await shot(page, "timeline");
+  await page.mouse.up();
+  await page.keyboard.press("ArrowRight");
+  await atRevision(page, there + 1);
+  await page.keyboard.press("PageUp"); // the begin of this stroke, of the one before
+  await atRevision(page, bars[1].first - 1);
+  await page.keyboard.press("PageUp");
+  await atRevision(page, 0);
+  await page.keyboard.press("End");
+  await atRevision(page, last);
+  await page.evaluate(() => window.incise.replay.go(2));
   await until(page, () => window.incise.progress.revision === 2);
   await page.keyboard.press("n");
   await until(page, () => window.incise.progress.revision === 3);

@@ -57,7 +57,10 @@ test("the mouse cuts the liver in two, and incise replay of the saved recording 
   // What is undone is not replayed.
   await page.locator("#undo").click();
   await until(page, (hash) => window.incise.progress.hash === hash, first.hash);
-  assert.deepEqual([replayed(await saved(page)).state_hash, (await progress(page)).revision], [first.hash, first.revision]);
+  assert.deepEqual(
+    [replayed(await saved(page)).state_hash, (await progress(page)).revision],
+    [first.hash, first.revision],
+  );
 
   // After a reset the recording is that of what follows.
   await page.locator("#depth").fill("1");
@@ -97,7 +100,7 @@ test("a recording of the folder and one from a file are played, and the session 
   await shot(page, "static_replay");
   const seek = (revision) =>
     page.locator("#scrub").evaluate((e, r) => {
-      e.valueAsNumber = r;
+      e.valueAsNumber = window.incise.replay.placeOf(r);
       e.dispatchEvent(new Event("change"));
     }, revision);
   await seek(3);

@@ -1,10 +1,12 @@
 // What a user does beside cutting: saves what is seen, looks from elsewhere, measures, sees where the blade would enter.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { spawnSync } from "node:child_process";
+import { copyFileSync, readFileSync } from "node:fs";
+import { join } from "node:path";
 import { test } from "node:test";
-import { atRevision, bladeIsReady, look, serve, shot } from "./page.mjs";
-import { until } from "./server.mjs";
+import { atRevision, bladeIsReady, drag, look, serve, shot } from "./page.mjs";
+import { bin, until } from "./server.mjs";
 
 /** The file that a click on this button saves: [name, bytes]. */
 async function savedBy(page, id) {
@@ -109,7 +111,7 @@ test("the address keeps the view when it comes to rest, and a link shows it agai
   await page.locator("#section-at").fill("0.4");
   await until(
     page,
-    () => window.incise.stage.atRest && /section=x,-1,0.4&colours=pieces&theme=light$/.test(location.hash),
+    () => window.incise.stage.atRest && /section=-1,0,0,0.4&colours=pieces&theme=light$/.test(location.hash),
   );
   assert.equal(await page.evaluate(() => history.length), entries);
   const view = (of) =>
@@ -167,6 +169,17 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
       return 1000 * at.slice(1).reduce((sum, p, i) => sum + p.distanceTo(at[i]), 0);
     }, spots);
   const labels = () => page.evaluate(() => window.incise.measure.labels);
+  /** How many pixels of a saved picture have the marks' colour. */
+  const marksIn = () =>
+    page.evaluate(async () => {
+      const picture = await createImageBitmap(await window.incise.stage.picture());
+      const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+      pen.drawImage(picture, 0, 0);
+      const { data } = pen.getImageData(0, 0, picture.width, picture.height);
+      let n = 0;
+      for (let i = 0; i < data.length; i += 4) if (data[i + 1] > data[i] + 60) ++n;
+      return n;
+    });
   const clicks = async (spots) => {
     for (const spot of spots) await page.mouse.click(...spot);
   };
@@ -184,15 +197,24 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
   await shot(page, "measure_dark");
   await page.keyboard.press("l");
   await shot(page, "measure_light");
+  assert.ok((await marksIn()) > 100);
   // A drag turns, and measures nothing.
   await page.mouse.move(450, 350);
   await page.mouse.down();
   await page.mouse.move(500, 300, { steps: 4 });
   await page.mouse.up();
   assert.ok(Math.abs(parseFloat((await labels())[0]) - total) < 0.2);
+  // Escape ends it, also in the midst of a click, and gives back the tool from before; a picture shows no marks then, nor the blade's preview.
+  await page.mouse.move(...spots[0]);
+  await page.mouse.down();
   await page.keyboard.press("Escape");
+  await page.mouse.up();
   assert.deepEqual(await labels(), []);
-  assert.equal(await page.evaluate(() => window.incise.tool), "turn");
+  assert.equal(await page.evaluate(() => window.incise.measure.shown), false);
+  assert.equal(await page.evaluate(() => window.incise.tool), "cut");
+  await page.mouse.move(...spots[1]);
+  assert.ok(await page.evaluate(() => window.incise.mouse.preview() !== null));
+  assert.equal(await marksIn(), 0);
 
   // The side of a cut that is clicked has the area of the cut.
   server.stream([0.03]);
@@ -268,5 +290,88 @@ test("the blade is shown where it would enter, before the button is pressed", as
   await page.keyboard.press("t");
   await page.mouse.move(521, 330);
   assert.equal(await preview(), null, "it cannot cut now");
+  assert.deepEqual(faults, []);
+});
+
+test("strokes of several hands are bars and blades of their own colour, with the names that they have", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
+  await bladeIsReady(page);
+  await atRest(page);
+  /** The server has cut what it was sent, and the page shows it. */
+  const settled = async () => {
+    for (let last = -1; ; ) {
+      const { revision, backlog } = await server.stats();
+      if (revision === last && backlog.segments === 0) return atRevision(page, revision);
+      last = revision;
+      await page.waitForTimeout(300);
+    }
+  };
+  assert.equal(await page.locator("#live-strokes").isVisible(), false);
+  server.streamPasses(
+    [
+      [
+        [0.03, -0.12, 0.07],
+        [0.03, 0.12, 0.07],
+      ],
+    ],
+    { more: ["--source", "assistant"] },
+  );
+  await atRevision(page, (await server.stats()).revision);
+  const before = await page.evaluate(() => window.incise.progress.revision);
+  await drag(page, [0.3, 0.2], [0.36, 0.85]);
+  await until(page, (r) => window.incise.progress.revision > r && !document.body.dataset.stroke, before);
+  await settled();
+  const strokes = () => page.evaluate(() => window.incise.live.strokes);
+  const [other, own, ...more] = await strokes();
+  assert.deepEqual([other.own, own.own, more.length], [false, true, 0]);
+  assert.notEqual(own.source, other.source);
+  assert.ok(other.cutArea_m2 > 1e-4 && other.first === 1 && other.last === before);
+  assert.deepEqual([own.first, own.last], [before + 1, (await server.stats()).revision]);
+  await until(page, () => document.getElementById("blades").textContent === "assistantyou");
+  // The other's blade is seen for a while, in its colour and with its name.
+  await page.evaluate((bar) => window.incise.stage.blade(bar.source, false).move([0, 0, 0.1], [0, 0, 0], true), other);
+  await page.evaluate(() => window.incise.stage.draw());
+  await shot(page, "blades_named");
+  const colours = await page.evaluate(() => [...document.querySelectorAll("#blades i")].map((i) => i.style.background));
+  assert.equal(new Set(colours).size, 2);
+  // Undone, the last stroke is no longer there; reset, none is.
+  await page.keyboard.press("z");
+  await until(page, () => window.incise.live.strokes.length === 1);
+  assert.equal((await strokes())[0].own, false);
+  await page.keyboard.press("r");
+  await page.getByRole("button", { name: "Reset" }).last().click();
+  await until(page, () => window.incise.progress.revision === 0);
+  await until(page, () => document.getElementById("live-strokes").hidden);
+  assert.deepEqual(faults, []);
+});
+
+test("a mesh that is dropped on the page changes nothing, and the configuration that it offers is one for incised", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await atRest(page);
+  server.incise("phantom", "slab", "--size", 500, "--out", server.file("ball.stl"));
+  const drop = (name) =>
+    page.evaluate((name) => {
+      const data = new DataTransfer();
+      data.items.add(new File(["solid"], name));
+      for (const type of ["dragover", "drop"]) {
+        const event = new DragEvent(type, { dataTransfer: data, bubbles: true, cancelable: true });
+        document.getElementById("picture").dispatchEvent(event);
+        if (!event.defaultPrevented) return "the browser would leave the page";
+      }
+      return [...document.querySelectorAll(".notice p")].at(-1).textContent;
+    }, name);
+  assert.match(await drop("ball.stl"), /^ball\.stl is not opened here.*incised --config "ball\.json"/);
+  await shot(page, "dropped");
+  const download = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Save it" }).click();
+  const file = await download;
+  assert.equal(file.suggestedFilename(), "ball.json");
+  copyFileSync(await file.path(), server.file("ball.json"));
+  const checked = spawnSync(join(bin, "incised"), ["--check", server.file("ball.json")], { encoding: "utf8" });
+  assert.equal(checked.status, 0, checked.stderr + checked.stdout);
+  assert.match(await drop("notes.txt"), /not a mesh/);
+  assert.equal(await page.evaluate(() => window.incise.progress.hashAgrees), true);
   assert.deepEqual(faults, []);
 });

@@ -1,4 +1,6 @@
 import * as THREE from "three";
+import { colourOf, cssColour } from "./blade_colours";
+import type { Marks } from "./marks";
 import type { Vec3 } from "./messages";
 
 const kTrailSamples = 256;
@@ -30,14 +32,15 @@ export class BladeView {
 
   constructor(
     private readonly bodySize_m: number,
+    readonly source: number,
     private readonly own: boolean,
   ) {
-    const colour = own ? 0x39d0c0 : 0xffb84d;
+    const colour = colourOf(source, own);
     const steel = new THREE.MeshBasicMaterial({ color: colour });
     this.edge = new THREE.Mesh(new THREE.CylinderGeometry(1, 0.25, 1, 10).translate(0, -0.5, 0), steel);
     this.grip = new THREE.Mesh(
       new THREE.CapsuleGeometry(1, 4, 6, 12).translate(0, 3, 0),
-      new THREE.MeshBasicMaterial({ color: own ? colour : 0x2b3440 }),
+      new THREE.MeshBasicMaterial({ color: colour }),
     );
     const geometry = new THREE.BufferGeometry();
     const n = kTrailSamples * 6;
@@ -109,6 +112,11 @@ export class BladeView {
   endStroke(): void {
     this.begins = true;
     this.ended_ms = performance.now();
+  }
+
+  /** Says whose blade it is, beside its grip. */
+  label(marks: Marks, name: string): void {
+    if (this.shown && !this.own) marks.label(this.heel, name, cssColour(this.source, false));
   }
 
   get shown(): boolean {

@@ -169,7 +169,7 @@ export const bodyFragmentShader = /* glsl */ `
     vec3 n = normalize(vNormal);
 #endif
 #if COLOURING != 2
-    if (!inside) n = normalize(n + (cut ? 0.13 : 0.075) * (vec3(fine, coarse, fract(3.0 * fine + 2.0 * coarse)) - 0.5));
+    n = normalize(n + (cut && !inside ? 0.13 : 0.075) * (vec3(fine, coarse, fract(3.0 * fine + 2.0 * coarse)) - 0.5));
 #endif
     float wrap = clamp((dot(n, uLight) + 0.35) / 1.35, 0.0, 1.0);
     float fill = clamp(dot(n, uFill) * 0.5 + 0.5, 0.0, 1.0);
@@ -180,14 +180,15 @@ export const bodyFragmentShader = /* glsl */ `
     lit += base * vec3(0.55, 0.10, 0.06) * smoothstep(0.0, 0.5, wrap) * (1.0 - smoothstep(0.3, 0.8, wrap));
 
 #if COLOURING != 2
-    if (!inside) {
+    {
       vec3 h = normalize(uLight + toEye);
       float nh = max(dot(n, h), 0.0);
       float rim = fourth(1.0 - max(dot(n, toEye), 0.0));
       float broad = fourth(fourth(nh));
-      float wet = cut ? 0.85 : 1.0;
+      float wet = inside ? 0.35 : cut ? 0.85 : 1.0;  // a plane shines all over
       lit += wet * (0.13 * broad + 0.42 * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
-      lit += wet * rim * vec3(0.10, 0.11, 0.13);
+      // Cut faces see other tissue beside them, not the sky.
+      lit += wet * rim * (cut ? vec3(0.035, 0.022, 0.022) : vec3(0.10, 0.11, 0.13));
       vec3 h2 = normalize(uFill + toEye);
       float second = fourth(max(dot(n, h2), 0.0));
       lit += wet * 0.06 * fourth(second) * fourth(second);

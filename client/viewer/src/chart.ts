@@ -4,16 +4,18 @@ const kSeconds = 30;
 export class Chart {
   private readonly values: number[] = [];
 
-  /** `least` is the smallest range of the axis, so that noise does not look like a peak. */
+  /** `least` is the smallest range of the axis, so that noise does not look like a peak. Above `limit` something is wrong. */
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly least: number,
     private readonly perSecond = 2,
+    private readonly limit = Infinity,
   ) {}
 
   push(value: number): void {
     this.values.push(Number.isFinite(value) ? value : 0);
     if (this.values.length > kSeconds * this.perSecond) this.values.shift();
+    this.canvas.dataset.over = String(value > this.limit);
     this.draw();
   }
 
@@ -43,6 +45,10 @@ export class Chart {
     const y = (v: number) => height - 1.5 - (v / top) * (height - 4);
     g.fillStyle = style.getPropertyValue("--line");
     g.fillRect(0, height - 1, width, 1);
+    if (this.limit <= top) {
+      g.fillStyle = style.getPropertyValue("--bad");
+      for (let dash = 0; dash < width; dash += 6) g.fillRect(dash, y(this.limit) - 0.5, 3, 1);
+    }
     if (this.values.length < 2) return;
     g.beginPath();
     for (const [i, v] of this.values.entries()) g.lineTo(x(i), y(v));

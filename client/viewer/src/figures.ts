@@ -4,6 +4,7 @@ import { Latency } from "./latency";
 import type { Progress } from "./messages";
 
 const kEvery_ms = 500;
+const kNoticed_ms = 100; // a delay that a hand notices (Miller 1968)
 const kLatencyStays = 4; // looks without a pose, after which the last latency is no longer shown
 
 /** What is shown of the server's /stats, whose keys may change. */
@@ -20,14 +21,15 @@ export class Figures {
   private looksWithoutPose = 0;
   private last = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
   private readonly charts = {
-    latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20),
-    budget: new Chart(element<HTMLCanvasElement>("budget-chart"), 100, 1),
+    latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20, 2, kNoticed_ms),
+    budget: new Chart(element<HTMLCanvasElement>("budget-chart"), 100, 1, 100),
     backlog: new Chart(element<HTMLCanvasElement>("backlog-chart"), 10, 1),
     deltas: new Chart(element<HTMLCanvasElement>("deltas-chart"), 5),
   };
 
   constructor() {
     setInterval(() => this.showRates(), kEvery_ms);
+    element("details").addEventListener("toggle", () => this.draw());
   }
 
   draw(): void {
@@ -48,7 +50,9 @@ export class Figures {
    */
   showTrust(agrees: boolean): void {
     element("hash-row").dataset.agrees = String(agrees);
-    element("hash-text").textContent = agrees ? "State checked: hash agrees" : "Hash differs: loading the state again";
+    element("hash-text").textContent = agrees
+      ? "Checked: it agrees with the server"
+      : "It differs from the server: loading it again";
   }
 
   showTets(tets: number): void {

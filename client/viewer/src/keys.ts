@@ -1,7 +1,7 @@
 import { element } from "./dom";
 
 export interface Key {
-  keys: string[]; // as in KeyboardEvent.key, letters in lower case
+  keys: string[]; // as in KeyboardEvent.key, letters in lower case; arrows and page keys with Shift as "Shift ArrowLeft"
   shown: string; // in the help
   does: string;
   act: (key: string) => void;
@@ -14,7 +14,9 @@ function wantedKey(e: KeyboardEvent): string | null {
   if ((e.ctrlKey || e.metaKey) && !e.altKey && !e.shiftKey && e.key.toLowerCase() === "z") return "z";
   if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
     return null;
-  if (target.matches("input[type=range], input[type=radio]") && e.key.startsWith("Arrow")) return null;
+  const moves = e.key.startsWith("Arrow") || e.key.startsWith("Page");
+  if (target.matches("input[type=range], input[type=radio]") && moves) return null;
+  if (e.shiftKey && moves) return `Shift ${e.key}`;
   return e.key.length === 1 ? e.key.toLowerCase() : e.key; // also with Shift or Caps Lock
 }
 

@@ -1,6 +1,8 @@
+import { Vector3 } from "three";
 import type { Colouring } from "./body_mesh";
 import { choose, element, input, onChoice } from "./dom";
-import { axisFacing, mirrored, sideFacing } from "./section";
+import { across, axisFacing, axisOf, mirrored, otherHalf, type Section } from "./section";
+import { SectionHandle } from "./section_handle";
 import type { Stage } from "./stage";
 import type { ViewState } from "./view_link";
 
@@ -9,8 +11,8 @@ const kPanelOpen_px = 1000; // a window at least this wide starts with the panel
 
 /** How the picture and the page look: colours, wireframe, section, theme, panel. */
 export class Look {
-  private axis = 0;
-  private side = 1;
+  private section: Section = { normal: [1, 0, 0], share: 0.5 }; // also while it is off
+  readonly handle: SectionHandle;
   private colouring: Colouring = "tissue";
 
   /** redraw: called when the charts' size or colours have changed. */
@@ -24,6 +26,7 @@ export class Look {
       stage.body.setWire(input("wire").checked);
       stage.draw();
     });
+    this.handle = new SectionHandle(element("picture"), stage, (section) => this.setSection(section));
     this.bindSection();
     element("panel-toggle").onclick = () => this.togglePanel();
     element("theme").onclick = () => this.setTheme(this.theme === "light" ? "dark" : "light");
@@ -39,9 +42,7 @@ export class Look {
 
   /** What a link keeps of it. */
   get state(): ViewState {
-    const section = input("section").checked
-      ? { axis: this.axis, side: this.side, share: input("section-at").valueAsNumber }
-      : undefined;
+    const section = input("section").checked ? this.section : undefined;
     return { section, colours: this.colouring, theme: this.theme };
   }
 
@@ -53,12 +54,7 @@ export class Look {
       this.setColouring(colours);
     }
     input("section").checked = section !== undefined;
-    if (section) {
-      this.axis = section.axis;
-      this.side = section.side;
-      choose("section-axis", "xyz"[section.axis]);
-      input("section-at").valueAsNumber = section.share;
-    }
+    if (section) this.section = section;
     this.showSection();
   }
 
@@ -77,41 +73,60 @@ export class Look {
     this.stage.draw();
   }
 
+  /** A key's step: 5 degrees to the right or upwards in the picture. */
+  turnSection(right: number, up: number): void {
+    this.handle.turn((right * Math.PI) / 36, (-up * Math.PI) / 36);
+  }
+
+  /** A key's step along the plane's normal. */
+  moveSection(by: number): void {
+    this.handle.move(0.02 * by);
+  }
+
+  private setSection(section: Section): void {
+    this.section = section;
+    this.showSection();
+  }
+
   private showSection(): void {
     const { section } = this.state;
     element("section-rows").hidden = !section;
+    choose("section-axis", "xyz"[axisOf(this.section.normal)] ?? "");
+    input("section-at").valueAsNumber = this.section.share;
+    if (!section) this.handle.drop();
     this.stage.setSection(section ?? null);
   }
 
   private bindSection(): void {
-    const show = () => this.showSection();
-    const face = (axis: number) => {
-      this.axis = axis;
-      this.side = sideFacing(this.stage.toEye, axis);
-      choose("section-axis", "xyz"[axis]);
-      show();
-    };
+    const { stage } = this;
+    const face = (axis: number) => this.setSection({ ...this.section, normal: across(axis, stage.toEye) });
     input("section").addEventListener("change", () =>
-      input("section").checked ? face(axisFacing(this.stage.toEye)) : show(),
+      input("section").checked ? face(axisFacing(stage.toEye)) : this.showSection(),
     );
     onChoice("section-axis", (value) => face("xyz".indexOf(value)));
-    input("section-at").addEventListener("input", show);
+    input("section-at").addEventListener("input", () =>
+      this.setSection({ ...this.section, share: input("section-at").valueAsNumber }),
+    );
+    element("section-view").onclick = () => {
+      const normal = new Vector3(...stage.toEye).normalize().toArray();
+      this.setSection({ ...this.section, normal });
+    };
     // The other half is looked at from the other side, or its skin would hide the section.
     element("section-flip").onclick = () => {
-      this.stage.lookFrom(mirrored(this.stage.toEye, this.axis));
-      this.side = -this.side;
-      show();
+      stage.lookFrom(mirrored(stage.toEye, this.section.normal));
+      this.setSection(otherHalf(this.section));
     };
   }
 
   /** The body is shown in the part of the picture that no panel covers. */
-  private measureCover(): void {
+  measureCover(): void {
+    const player = element("player").hidden ? null : element("player");
     const panel = document.body.dataset.panel !== "closed" && !this.narrow;
     this.stage.setCover({
       left: 0,
       right: panel ? innerWidth - element("panel").offsetLeft : 0,
       top: 0.6 * element("title").offsetHeight,
-      bottom: innerHeight - element("tools").offsetTop,
+      bottom: innerHeight - (player ?? element("tools")).offsetTop,
     });
     document.body.style.setProperty("--tools-top", `${innerHeight - element("tools").offsetTop}px`);
     document.body.style.setProperty("--free-middle", `${(panel ? element("panel").offsetLeft : innerWidth) / 2}px`);

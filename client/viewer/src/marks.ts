@@ -8,7 +8,9 @@ const kHeight_px = 22;
 export class Marks {
   /** What draws, each time the camera or the body has moved. */
   readonly layers: ((marks: Marks) => void)[] = [];
-  private readonly pen: CanvasRenderingContext2D;
+  /** The same of what only helps the hand, and is no part of a saved picture. */
+  readonly tools: ((marks: Marks) => void)[] = [];
+  private pen: CanvasRenderingContext2D;
   private colours = { accent: "", ground: "", ink: "" };
   private used = false;
 
@@ -31,21 +33,39 @@ export class Marks {
     }
     this.used = false;
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
+    for (const layer of [...this.layers, ...this.tools]) layer(this);
+  }
+
+  /** Draws on another sheet, which has `scale` pixels for one of the page. A copy of the canvas would not do: just after it was cleared, Chromium copies what was there before. */
+  drawOn(sheet: CanvasRenderingContext2D, scale: number): void {
+    const { pen, used } = this;
+    this.pen = sheet;
+    sheet.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of this.layers) layer(this);
+    sheet.resetTransform();
+    this.pen = pen;
+    this.used = used;
   }
 
   line(from: THREE.Vector3, to: THREE.Vector3, width = 2): void {
-    const a = this.onScreen(from),
-      b = this.onScreen(to);
-    if (!a || !b) return;
+    this.path([from, to], width);
+  }
+
+  /** A line through these places; none, unless all of them are in front of the camera. */
+  path(places: THREE.Vector3[], width: number): void {
+    const at: [number, number][] = [];
+    for (const place of places) {
+      const seen = this.onScreen(place);
+      if (!seen) return;
+      at.push(seen);
+    }
     for (const [colour, more] of [
       [this.begin().ground, 2],
       [this.colours.accent, 0],
     ] as const) {
       this.pen.beginPath();
-      this.pen.moveTo(...a);
-      this.pen.lineTo(...b);
-      this.pen.lineCap = "round";
+      for (const p of at) this.pen.lineTo(...p);
+      this.pen.lineCap = this.pen.lineJoin = "round";
       this.pen.lineWidth = width + more;
       this.pen.strokeStyle = colour;
       this.pen.stroke();
@@ -65,8 +85,8 @@ export class Marks {
     this.pen.stroke();
   }
 
-  /** A label beside this place, inside the picture. */
-  label(at: THREE.Vector3, text: string): void {
+  /** A label beside this place, inside the picture. border: in CSS, else the accent's. */
+  label(at: THREE.Vector3, text: string, border?: string): void {
     const place = this.onScreen(at);
     if (!place) return;
     const { ground, ink, accent } = this.begin();
@@ -79,7 +99,7 @@ export class Marks {
     this.pen.fillStyle = ground;
     this.pen.fill();
     this.pen.lineWidth = 1;
-    this.pen.strokeStyle = accent;
+    this.pen.strokeStyle = border ?? accent;
     this.pen.stroke();
     this.pen.fillStyle = ink;
     this.pen.textBaseline = "middle";
@@ -97,7 +117,7 @@ export class Marks {
   }
 
   /** In pixels of the page; null: it is not in front of the camera. */
-  private onScreen(at: THREE.Vector3): [number, number] | null {
+  onScreen(at: THREE.Vector3): [number, number] | null {
     const { x, y, z } = at.clone().project(this.camera);
     if (Math.abs(z) > 1) return null;
     return [((x + 1) / 2) * this.canvas.clientWidth, ((1 - y) / 2) * this.canvas.clientHeight];

@@ -32,7 +32,7 @@ export class Measure {
     canvas.addEventListener("pointerup", (e) => {
       const { down } = this;
       this.down = null;
-      if (!down || Math.hypot(e.clientX - down[0], e.clientY - down[1]) > kClick_px) return;
+      if (!this.active || !down || Math.hypot(e.clientX - down[0], e.clientY - down[1]) > kClick_px) return;
       const box = this.canvas.getBoundingClientRect();
       const x = (2 * (e.clientX - box.left)) / box.width - 1;
       this.click(this.stage.pick(x, 1 - (2 * (e.clientY - box.top)) / box.height));
@@ -43,7 +43,9 @@ export class Measure {
     return this.places.length > 0;
   }
 
+  /** Also of a click whose button is still held. */
   clear(): void {
+    this.down = null;
     this.places.length = 0;
     this.cut = null;
     this.refresh();

@@ -1,5 +1,6 @@
 import type { LinkState } from "./link";
 import type { Corners } from "./corner_buffers";
+import type { Revisions } from "./timeline";
 
 // The messages between the page and its worker. Large arrays are transferred, not copied.
 
@@ -16,6 +17,8 @@ export interface Facts {
   policy: string;
   server: string;
   frameRate_hz: number;
+  revision: number;
+  live: boolean; // else of a recording that is being replayed
 }
 
 /** An operator's own blade, in the tool's frame. */
@@ -31,6 +34,9 @@ export interface BladeFacts {
 export interface BladeStep {
   source: number;
   own: boolean;
+  stroke: number;
+  revision: number;
+  arrived_ms: number; // the last pose, on the server's clock
   heel: Vec3;
   tip: Vec3;
   ended: boolean; // the stroke ended with this batch
@@ -55,6 +61,7 @@ export interface ReplayFacts {
   revision: number;
   lastRevision: number;
   text: string;
+  timeline?: Revisions; // once, when a recording was opened that has one
 }
 
 export type Post = (message: FromWorker, transfer?: Transferable[]) => void;

@@ -17,6 +17,7 @@ type Send = (message: ToWorker, transfer?: Transferable[]) => void;
 /** The user as an operator: tool, the mouse's blade, its settings, and the messages about it. */
 export class Operator {
   tool: Tool = "cut";
+  private toolBefore: Tool = "cut"; // measuring
   readonly mouse: MouseBlade;
   bodyName = ""; // empty until the server has described the body
   askToken: (why: string) => void = () => {};
@@ -47,7 +48,7 @@ export class Operator {
       hovered: () => stage.marks.draw(),
       strokeEnded: (sent) => this.endStroke(sent),
     });
-    stage.marks.layers.push((marks) => this.drawPreview(marks));
+    stage.marks.tools.push((marks) => this.drawPreview(marks));
     onChoice("tool", (tool) => this.setTool(tool as Tool));
     this.bindSliders();
     document.addEventListener("visibilitychange", () => {
@@ -63,6 +64,19 @@ export class Operator {
     }
     this.show(tool);
     if (tool === "cut" && this.bladeStage !== "open" && this.bladeStage !== "stalled") this.takeBlade(false);
+  }
+
+  /** What the page waits for before there is a body; empty: nothing. */
+  set waitsFor(what: string) {
+    if (what === this.waiting) return;
+    this.waiting = what;
+    this.hint();
+  }
+  private waiting = "";
+
+  /** Measuring is over: back to the tool that was in hand before. */
+  endMeasuring(): void {
+    if (this.tool === "measure") this.setTool(this.toolBefore);
   }
 
   /** The server has described the body. */
@@ -159,6 +173,7 @@ export class Operator {
   }
 
   private show(tool: Tool): void {
+    if (tool === "measure" && this.tool !== "measure") this.toolBefore = this.tool;
     this.tool = tool;
     this.mouse.cancel();
     document.body.dataset.tool = tool;
@@ -214,7 +229,7 @@ export class Operator {
   /** How the blade would enter under the pointer, before the button is pressed. */
   private drawPreview(marks: Marks): void {
     const preview = this.mouse.preview();
-    if (!preview) return;
+    if (!preview || document.body.dataset.handle) return;
     const { heel, entry, tip } = preview;
     const outside = heel.clone().sub(entry);
     marks.line(entry.clone().add(outside.clampLength(0, kPreviewOutside * this.stage.bodySize_m)), entry, 1);
@@ -232,6 +247,7 @@ export class Operator {
 
   /** Says what to do next, until the user has done it once. */
   private hint(): void {
+    if (this.waiting) return showHint([this.waiting]);
     if (this.tool === "measure") {
       return showHint([bold("Click on the surface"), ": two points give a length, a cut gives its area. Esc ends."]);
     }

@@ -1,8 +1,11 @@
 import { Vector3 } from "three";
+import { BladeNames } from "./blade_colours";
 import { ask, element, input, save } from "./dom";
+import { acceptDrops } from "./drop";
 import { Figures } from "./figures";
 import { type Key, Keys } from "./keys";
 import type { LinkState } from "./link";
+import { LiveStrokes } from "./live_strokes";
 import { Look } from "./look";
 import type { BladeStep, Facts, FromWorker, Patch, Progress, ReplayFacts, ToWorker } from "./messages";
 import { Measure } from "./measure";
@@ -18,6 +21,8 @@ const kLocalSession = document.documentElement.dataset.session;
 const kPosesStale_ms = 1500;
 const kOwnReset_ms = 5000; // a reset within this time of asking is the user's own
 
+const kWaitsText =
+  kLocalSession === undefined ? "Waiting for the server to answer." : "Loading the session into this page.";
 const kOpenText = kLocalSession === undefined ? "Live" : "In this page";
 
 const now_ms = () => performance.timeOrigin + performance.now();
@@ -32,10 +37,16 @@ export class Page {
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
+  readonly blades = new BladeNames();
+  readonly live = new LiveStrokes(this.blades);
   readonly look = new Look(
     this.stage,
     (on) => this.send({ kind: "colour-by-quality", on }),
-    () => this.figures.draw(),
+    () => {
+      this.figures.draw();
+      this.live.timeline.draw();
+      this.replay.draw();
+    },
   );
   readonly more = new More(this.stage, () => `${this.facts?.meshName || "body"}_r${this.progress?.revision ?? 0}`);
   facts: Facts | null = null;
@@ -61,6 +72,7 @@ export class Page {
       if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
     };
     this.stage.marks.layers.push((marks) => this.measure.draw(marks));
+    this.stage.marks.layers.push((marks) => this.stage.labelBlades(marks, (source) => this.nameOf(source)));
     this.operator.onTool = (tool) => {
       this.measure.active = tool === "measure";
       element("measure").setAttribute("aria-pressed", String(this.measure.active));
@@ -75,6 +87,7 @@ export class Page {
       this.figures.latency.seen(now_ms());
       this.send({ kind: "wake" });
     });
+    this.operator.waitsFor = kWaitsText;
     this.connect();
     this.showLink();
   }
@@ -130,6 +143,8 @@ export class Page {
         return this.stage.draw();
       case "stats":
         this.figures.showStats(message.json);
+        this.blades.read(message.json);
+        this.live.showBlades();
         this.undoable = message.undoable > 0;
         this.enableUndo();
         this.figures.showTets(message.tets); // a page opened later gets the count from here
@@ -169,11 +184,14 @@ export class Page {
       this.showLinkedCamera();
       this.operator.showOpen();
     }
+    if (another && facts.live) this.live.restart(facts.revision);
     if (another) {
       this.operator.abandonStroke();
       this.measure.clear();
     }
     this.operator.meet(facts.meshName);
+    if (!this.stage.body.mesh.visible)
+      this.operator.waitsFor = `Loading the body of ${facts.tets.toLocaleString("en")} tetrahedra.`;
   }
 
   /** The address keeps the view; no entry in the history. */
@@ -199,6 +217,7 @@ export class Page {
   private onGeometry(message: FromWorker & { kind: "geometry" }): void {
     this.stage.body.replace(message.slots, message.capacity, message.corners);
     this.patch = null;
+    this.operator.waitsFor = "";
     this.measure.follow();
     this.show(message.progress);
     this.figures.showTrust(message.progress.hashAgrees);
@@ -223,6 +242,7 @@ export class Page {
 
   /** A blade without live poses, as in a replay, is shown where its batches end. */
   private follow(step: BladeStep): void {
+    if (this.replay.facts === null) this.live.add(step);
     if (step.cutArea_m2 > 0 && !this.undoable) {
       this.undoable = true; // the server says so only once a second
       this.enableUndo();
@@ -232,6 +252,10 @@ export class Page {
     const blade = this.stage.blade(step.source, false);
     blade.move(step.heel, step.tip, true);
     if (step.ended) blade.endStroke();
+  }
+
+  private nameOf(source: number): string {
+    return this.replay.facts === null ? this.blades.of(source) : `blade ${source + 1}`; // a recording has its own
   }
 
   private onLink(which: "view" | "blade" | "admin", state: LinkState): void {
@@ -290,6 +314,7 @@ export class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     this.enableUndo();
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
+    if (is !== was) this.look.measureCover();
     if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
     if (facts?.text) notice(facts.text);
@@ -322,17 +347,18 @@ export class Page {
       });
     element("picture").addEventListener("contextmenu", (e) => e.preventDefault());
     element("save-recording").onclick = () => this.send({ kind: "save-recording" });
-    input("open-recording").onchange = () => void this.openRecording(input("open-recording"));
+    input("open-recording").onchange = () => {
+      const file = input("open-recording").files?.[0];
+      if (file) void this.openRecording(file).finally(() => (input("open-recording").value = "")); // it may be chosen again
+    };
+    acceptDrops(kLocalSession !== undefined, (file) => void this.openRecording(file));
     element("token-cancel").onclick = () => element<HTMLDialogElement>("token-dialog").close();
     for (const link of document.querySelectorAll<HTMLAnchorElement>(".links a"))
       link.onclick = (event) => void this.openWithToken(event, link.href);
   }
 
-  private async openRecording(chooser: HTMLInputElement): Promise<void> {
-    const file = chooser.files?.[0];
-    if (!file) return;
+  private async openRecording(file: File): Promise<void> {
     const bytes = new Uint8Array(await file.arrayBuffer());
-    chooser.value = ""; // so that the same file can be chosen again
     this.send({ kind: "open-recording", name: file.name, bytes }, [bytes.buffer]);
   }
 
@@ -374,6 +400,20 @@ export class Page {
       { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
       {
+        keys: Object.keys(turns).map((key) => `Shift ${key}`),
+        shown: "Shift+arrows",
+        does: "Turn the section",
+        act: (key) => look.turnSection(...turns[key.slice("Shift ".length)]),
+        needs: () => look.state.section !== undefined,
+      },
+      {
+        keys: ["PageUp", "PageDown"],
+        shown: "PgUp PgDn",
+        does: "Move the section",
+        act: (key) => look.moveSection(key === "PageUp" ? 1 : -1),
+        needs: () => look.state.section !== undefined,
+      },
+      {
         keys: ["n"],
         shown: "N",
         does: "In a replay: next batch",
@@ -390,14 +430,14 @@ export class Page {
   }
 
   private escape(): void {
-    if (this.more.close()) return;
+    if (this.more.close() || this.look.handle.cancel()) return;
     if (!this.mouse.cutting && (this.measure.active || this.measure.shown)) return this.endMeasuring();
     this.operator.abandonStroke();
   }
 
   private endMeasuring(): void {
     this.measure.clear();
-    if (this.measure.active) this.operator.setTool("turn");
+    this.operator.endMeasuring();
   }
 
   private toggleMeasure(): void {

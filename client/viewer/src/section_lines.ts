@@ -1,6 +1,9 @@
 import * as THREE from "three";
 
 const kHalfWidth = 0.0011; // times the body's size
+const kSkinColour = 0xffe9dc,
+  kCutColour = 0x39d0c0;
+const kDarkest = 0.35; // of a line in a section that the light does not reach
 const kLift = 0.0006; // towards the side that is left out, so that the section's face does not cover them
 
 /** Triangles as they are shown: 9 numbers a slot, and whether a cut made them. */
@@ -37,8 +40,8 @@ export function crossings(
 /** The lines along which a section meets the body's skin and its cuts, as ribbons in its plane. */
 export class SectionLines {
   readonly group = new THREE.Group();
-  private readonly skin = this.ribbons(0xffe9dc);
-  private readonly cuts = this.ribbons(0x39d0c0);
+  private readonly skin = this.ribbons(kSkinColour);
+  private readonly cuts = this.ribbons(kCutColour);
 
   show(triangles: ShownTriangles | null, plane: readonly number[], bodySize_m: number): void {
     this.group.visible = triangles !== null;
@@ -69,7 +72,18 @@ export class SectionLines {
     }
   }
 
-  private ribbons(colour: number): THREE.Mesh {
+  /** As bright as the section's face is, with light from there (unit). */
+  light([x, y, z]: readonly number[], towards: THREE.Vector3): void {
+    const facing = Math.max(0, x * towards.x + y * towards.y + z * towards.z);
+    const bright = kDarkest + (1 - kDarkest) * facing;
+    for (const [mesh, colour] of [
+      [this.skin, kSkinColour],
+      [this.cuts, kCutColour],
+    ] as const)
+      mesh.material.color.setHex(colour).multiplyScalar(bright);
+  }
+
+  private ribbons(colour: number): THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial> {
     const mesh = new THREE.Mesh(
       new THREE.BufferGeometry(),
       new THREE.MeshBasicMaterial({ color: colour, side: THREE.DoubleSide }),

@@ -60,7 +60,7 @@ export class Stage {
   openNow = 0;
   private openGoal = 0;
   private section: Section | null = null;
-  private plane: readonly number[] | null = null; // of the section
+  plane: readonly number[] | null = null; // of the section: normal, offset
   private readonly sectionLines = new SectionLines();
   private linesShown = ""; // what the lines were made of
   private flight: Flight | null = null;
@@ -153,6 +153,11 @@ export class Stage {
     return this.framesDrawn > 0 && !this.waiting;
   }
 
+  /** Labels the blades of others. */
+  labelBlades(marks: Marks, nameOf: (source: number) => string): void {
+    for (const blade of this.blades.values()) blade.label(marks, nameOf(blade.source));
+  }
+
   get bladesShown(): number {
     return [...this.blades.values()].filter((blade) => blade.shown).length;
   }
@@ -188,14 +193,14 @@ export class Stage {
     this.blades.clear();
     this.applySection();
   }
-  private min: Vec3 = [0, 0, 0];
-  private max: Vec3 = [0, 0, 0];
+  min: Vec3 = [0, 0, 0]; // the body's box
+  max: Vec3 = [0, 0, 0];
 
   blade(source: number, own: boolean): BladeView {
     const key = own ? -1 : source;
     let view = this.blades.get(key);
     if (!view) {
-      view = new BladeView(this.bodySize_m, own);
+      view = new BladeView(this.bodySize_m, source, own);
       this.blades.set(key, view);
       this.scene.add(view.group);
     }
@@ -326,7 +331,7 @@ export class Stage {
     sheet.height = this.canvas.height;
     const pen = sheet.getContext("2d")!;
     pen.drawImage(this.canvas, 0, 0);
-    if (this.marks.canvas.width > 0) pen.drawImage(this.marks.canvas, 0, 0, sheet.width, sheet.height);
+    this.marks.drawOn(pen, sheet.width / this.canvas.clientWidth);
     return new Promise((resolve, reject) =>
       sheet.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no memory for the picture"))), "image/png"),
     );
@@ -449,6 +454,7 @@ export class Stage {
     const back = new THREE.Vector3().setFromMatrixColumn(this.camera.matrixWorld, 2);
     u.uLight.value.copy(back).addScaledVector(up, 0.9).addScaledVector(right, -0.55).normalize();
     u.uFill.value.copy(back).multiplyScalar(0.4).addScaledVector(right, 1).addScaledVector(up, -0.1).normalize();
+    if (this.plane) this.sectionLines.light(this.plane, u.uLight.value);
     this.renderer.render(this.scene, this.camera);
     this.marks.draw();
     ++this.framesDrawn;

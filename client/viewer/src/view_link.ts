@@ -21,7 +21,7 @@ export function toFragment({ camera, section, colours, theme }: ViewState): stri
     parts.push(`body=${encodeURIComponent(camera.body)}`);
     parts.push(`from=${written(camera.position)}`, `to=${written(camera.target)}`);
   }
-  if (section) parts.push(`section=${"xyz"[section.axis]},${section.side},${section.share}`);
+  if (section) parts.push(`section=${[...section.normal, section.share].map((x) => Number(x.toFixed(4))).join()}`);
   if (colours) parts.push(`colours=${colours}`);
   if (theme) parts.push(`theme=${theme}`);
   return parts.join("&");
@@ -57,9 +57,10 @@ function place(text: string | null): Vec3 | null {
 }
 
 function sectionOf(text: string | null): Section | null {
-  const [axis = "", ...rest] = (text ?? "").split(",");
-  const values = numbers(rest.join());
-  if (!/^[xyz]$/.test(axis) || values?.length !== 2) return null;
-  const [side, share] = values;
-  return Math.abs(side) === 1 && share >= 0 && share <= 1 ? { axis: "xyz".indexOf(axis), side, share } : null;
+  const values = numbers(text ?? "");
+  if (values?.length !== 4) return null;
+  const [x, y, z, share] = values;
+  const length = Math.hypot(x, y, z);
+  if (Math.abs(length - 1) > 0.01 || share < 0 || share > 1) return null;
+  return { normal: [x / length, y / length, z / length], share };
 }

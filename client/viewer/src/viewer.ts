@@ -8,6 +8,7 @@ import { Replica } from "./replica";
 import { hex } from "./state_hash";
 import { kNone } from "./surface";
 import { fetchTexture, httpAddress } from "./texture_source";
+import type { Revisions } from "./timeline";
 import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
 import type { Message } from "./wire/incise/wire/message";
@@ -35,6 +36,12 @@ const kReplayActions = {
   seek: ReplayAction.Seek,
   close: ReplayAction.Close,
 };
+
+function timelineOf(state: ReplayState): Revisions | undefined {
+  const [ms, sources, strokes] = [state.revisionMsArray(), state.revisionSourcesArray(), state.revisionStrokesArray()];
+  if (!ms || ms.length === 0 || sources?.length !== ms.length || strokes?.length !== ms.length) return undefined;
+  return { ms: [...ms], sources: [...sources], strokes: [...strokes] };
+}
 
 /**
  * The page's view of the session: the connection that brings the state, its replica, and the feed to the page. Thread:
@@ -185,6 +192,8 @@ export class Viewer {
         policy: welcome.policy() ?? "",
         server: `${welcome.serverName()} ${welcome.serverVersion()}`,
         frameRate_hz: welcome.frameRateHz(),
+        revision: Number(welcome.revision()),
+        live: !this.replayAsked,
       },
     });
   }
@@ -248,6 +257,9 @@ export class Viewer {
       {
         source: step.source(),
         own,
+        stroke: step.stroke(),
+        revision: Number(step.revision()),
+        arrived_ms: Number(step.arrivalNs() / 1000n) / 1e3,
         heel: vec(step.toHeel()),
         tip: vec(step.toTip()),
         ended: step.strokeEnded(),
@@ -300,6 +312,7 @@ export class Viewer {
             revision: Number(state.revision()),
             lastRevision: Number(state.lastRevision()),
             text: state.text() ?? "",
+            timeline: timelineOf(state),
           },
     );
   }

@@ -7,6 +7,7 @@ import { body, byId, focusOn, noticeTexts, press } from "./fake_page.mjs";
 import { load } from "./modules.mjs";
 
 const {
+  answerTo,
   Keys,
   Figures,
   Look,
@@ -19,6 +20,7 @@ const {
   Vector3,
   PerspectiveCamera,
 } = await load(
+  "drop",
   "keys",
   "figures",
   "look",
@@ -45,7 +47,7 @@ const pressed = [];
 let replaying = false;
 new Keys([
   { keys: ["w"], shown: "W", does: "Wireframe", act: (key) => pressed.push(key) },
-  { keys: ["ArrowLeft", "ArrowRight"], shown: "← →", does: "Turn", act: (key) => pressed.push(key) },
+  { keys: ["ArrowLeft", "ArrowRight", "Shift ArrowLeft"], shown: "← →", does: "Turn", act: (key) => pressed.push(key) },
   { keys: ["n"], shown: "N", does: "On", act: (key) => pressed.push(key), needs: () => replaying },
 ]);
 beforeEach(() => (pressed.length = 0));
@@ -59,6 +61,10 @@ test("a key works in either case and wherever the focus is, but for a control th
   assert.equal(press("w", { target: focusOn("input[type=password]") }), false);
   assert.equal(press("w", { target: focusOn("dialog") }), false);
   assert.equal(press("q"), false);
+  pressed.length = 0;
+  assert.ok(press("ArrowLeft", { shiftKey: true }) && press("W", { shiftKey: true }));
+  assert.deepEqual(pressed, ["Shift ArrowLeft", "w"]);
+  assert.equal(press("ArrowLeft", { shiftKey: true, target: focusOn("input[type=range]") }), false);
 });
 
 test("a key that needs something does nothing without it", () => {
@@ -112,6 +118,9 @@ test("the frame budget is the share of the frames since the last look", () => {
   figures.showStats("not JSON");
   assert.equal(byId("budget").textContent, "50%");
   assert.equal(byId("backlog").textContent, "none");
+  assert.equal(byId("budget-chart").dataset.over, "false");
+  figures.showStats(stats(350_000 + 1_050_000, 2500)); // 1,050 us a frame
+  assert.deepEqual([byId("budget").textContent, byId("budget-chart").dataset.over], ["105%", "true"]);
 });
 
 test("the latency goes when there are no poses any more", () => {
@@ -279,7 +288,7 @@ function operator() {
     centre: new Vector3(),
     bodySize_m: 0.2,
     blade: () => blade,
-    marks: { layers: [], draw: () => {} },
+    marks: { layers: [], tools: [], draw: () => {} },
     draw: () => {},
     setOpen: () => {},
     setTool: () => {},
@@ -379,6 +388,18 @@ test("what the stroke before cut does not count for the next", () => {
   assert.deepEqual(noticeTexts(), ["That stroke cut nothing. Draw across the liver."]);
 });
 
+test("before there is a body the page says what it waits for, then what to do", () => {
+  const { hands } = operator();
+  const said = () => byId("hint-text").text;
+  hands.waitsFor = "Waiting for the server to answer.";
+  assert.equal(said(), "Waiting for the server to answer.");
+  hands.setTool("measure");
+  assert.equal(said(), "Waiting for the server to answer.");
+  hands.setTool("cut");
+  hands.waitsFor = "";
+  assert.match(said(), /^Drag across the liver/);
+});
+
 test("the tilt is set in degrees, and a key opens the cuts or closes them", () => {
   const { hands } = operator();
   byId("tilt").valueAsNumber = 30;
@@ -447,6 +468,29 @@ test("in a replay there is nothing to cut", () => {
   assert.deepEqual(noticeTexts(), []); // it no longer holds
 });
 
+test("after measuring the hand has the tool that it had before, unless a replay has come or gone", () => {
+  const { hands } = operator();
+  for (const tool of ["cut", "turn"]) {
+    hands.setTool(tool);
+    hands.setTool("measure");
+    hands.setTool("measure");
+    hands.endMeasuring();
+    assert.equal(hands.tool, tool);
+    hands.endMeasuring();
+    assert.equal(hands.tool, tool);
+  }
+  hands.setTool("cut");
+  hands.setTool("measure");
+  hands.onReplay(true);
+  hands.setTool("measure");
+  hands.endMeasuring();
+  assert.equal(hands.tool, "turn");
+  hands.setTool("measure");
+  hands.onReplay(false);
+  hands.endMeasuring();
+  assert.equal(hands.tool, "cut");
+});
+
 test("the same notice is shown once, and its button does what it says", () => {
   let done = 0;
   notice("There.", "Do it", () => ++done);
@@ -466,7 +510,7 @@ test("the panel's button says whether the panel is open, which it is at first in
     innerHeight: 800,
   });
   document.documentElement = { dataset: {} };
-  const stage = { setCover: () => {}, setInk: () => {} };
+  const stage = { setCover: () => {}, setInk: () => {}, marks: { tools: [] } };
   const button = byId("panel-toggle");
   for (const [width, open] of [
     [1400, true],
@@ -571,4 +615,27 @@ test("a click on a cut face asks for its area, which follows the body", () => {
   measure.onArea(8, 13e-4);
   click(0.06, 0.04);
   assert.deepEqual(measure.labels, ["53.9 mm"]); // the last click was on skin
+});
+
+// ---- Files that are dropped ----
+
+test("a mesh that is dropped is refused with what to do instead, and the configuration for it", () => {
+  const { text, config } = answerTo(["skin.png", "My liver.v2.STL"], false);
+  assert.match(text, /My liver\.v2\.STL is not opened here.*run incised --config "My liver\.v2\.json", which fills it/);
+  assert.deepEqual(
+    [config.name, JSON.parse(config.content)],
+    ["My liver.v2.json", { mesh: { path: "My liver.v2.STL" } }],
+  );
+  assert.doesNotMatch(answerTo(["a.vtu"], false).text, /fills/);
+  assert.equal(answerTo([".obj"], false).config.name, "body.json");
+  const local = answerTo(["a.ply"], true);
+  assert.equal(local.config, undefined);
+  assert.match(local.text, /has no server/);
+});
+
+test("other files that are dropped are said not to be meshes", () => {
+  assert.match(answerTo(["a.capture"], false).text, /capture\.library/);
+  assert.match(answerTo(["a.mtl"], false).text, /belongs to a surface/);
+  for (const name of ["notes.txt", "stl", "a."])
+    assert.match(answerTo([name], false).text, /not a mesh that incised reads.*\.stl.*\.vtu/);
 });

@@ -81,6 +81,9 @@ globalThis.document = {
 globalThis.addEventListener = (name, listener) => page.addEventListener(name, listener);
 globalThis.matchMedia = () => ({ matches: false, addEventListener: () => {} });
 globalThis.HTMLElement = FakeElement;
+globalThis.ResizeObserver = class {
+  observe() {}
+};
 
 /** A key is pressed while `target` has the focus. True: the page took it. */
 export function press(key, { target = new FakeElement(), ...more } = {}) {

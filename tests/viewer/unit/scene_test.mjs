@@ -18,7 +18,10 @@ const {
   planeOf,
   axisFacing,
   mirrored,
-  sideFacing,
+  across,
+  axisOf,
+  through,
+  otherHalf,
   crossings,
   BodyMesh,
   rangesOf,
@@ -410,23 +413,55 @@ test("skin and cut faces that continue each other have an edge between them", ()
 test("a section's plane keeps what is below it, on the side that is asked for", () => {
   const min = [0, 0, 0],
     max = [1, 2, 4];
-  assert.deepEqual(planeOf({ axis: 2, side: 1, share: 0.5 }, min, max), [0, 0, 1, 2]);
-  assert.deepEqual(planeOf({ axis: 1, side: -1, share: 0.5 }, min, max), [0, -1, 0, -1]);
-  const [, , , low] = planeOf({ axis: 0, side: 1, share: 0 }, min, max),
-    [, , , high] = planeOf({ axis: 0, side: 1, share: 1 }, min, max);
+  assert.deepEqual(planeOf({ normal: [0, 0, 1], share: 0.5 }, min, max), [0, 0, 1, 2]);
+  assert.deepEqual(planeOf({ normal: [0, -1, 0], share: 0.5 }, min, max), [0, -1, 0, -1]);
+  const [, , , low] = planeOf({ normal: [1, 0, 0], share: 0 }, min, max),
+    [, , , high] = planeOf({ normal: [1, 0, 0], share: 1 }, min, max);
   assert.ok(low < 0 && high > 1);
   assert.equal(axisFacing([-0.2, -0.9, 0.4]), 1);
-  assert.equal(sideFacing([-0.2, -0.9, 0.4], 1), -1);
-  assert.equal(sideFacing([-0.2, -0.9, 0.4], 2), 1);
+  assert.deepEqual(across(1, [-0.2, -0.9, 0.4]), [0, -1, 0]);
+  assert.deepEqual(across(2, [-0.2, -0.9, 0.4]), [0, 0, 1]);
+  assert.deepEqual([axisOf([0, -1, 0]), axisOf([0, 0.6, 0.8])], [1, -1]);
+});
+
+test("a section through a point has it on its plane in any direction, as far as there is body", () => {
+  const min = [-1, -2, 0],
+    max = [1, 3, 4];
+  for (const normal of [
+    [0, 0, 1],
+    [0, -1, 0],
+    [0.6, 0, -0.8],
+    [2 / 3, -2 / 3, 1 / 3],
+  ]) {
+    const point = [0.3, 1.5, 2.25];
+    const [x, y, z, offset] = planeOf(through(point, normal, min, max), min, max);
+    near(x * point[0] + y * point[1] + z * point[2], offset);
+    assert.deepEqual([x, y, z], normal);
+    const other = planeOf(otherHalf(through(point, normal, min, max)), min, max);
+    for (const [k, n] of [-x, -y, -z, -offset].entries()) near(other[k], n);
+    assert.equal(
+      through(
+        [100, 100, 100].map((far, k) => far * Math.sign(normal[k])),
+        normal,
+        min,
+        max,
+      ).share,
+      1,
+    );
+  }
 });
 
 test("the other half of a section is seen from the mirrored place, so it faces the eye, too", () => {
-  for (let axis = 0; axis < 3; ++axis) {
-    const toEye = [0.3, -0.5, 0.8];
-    const there = mirrored(toEye, axis);
-    assert.equal(sideFacing(there, axis), -sideFacing(toEye, axis));
-    assert.deepEqual(there.map(Math.abs), toEye.map(Math.abs));
-    assert.deepEqual(mirrored(there, axis), toEye);
+  const toEye = [0.3, -0.5, 0.8];
+  for (const normal of [
+    [1, 0, 0],
+    [0, -1, 0],
+    [0.6, 0, 0.8],
+  ]) {
+    const along = (v) => v.reduce((sum, x, k) => sum + x * normal[k], 0);
+    const there = mirrored(toEye, normal);
+    near(along(there), -along(toEye));
+    for (const [k, x] of mirrored(there, normal).entries()) near(x, toEye[k]);
   }
 });
 
@@ -590,7 +625,7 @@ test("a chart shows the last half minute, the newest value at its right", () => 
   );
   globalThis.devicePixelRatio = 1;
   globalThis.getComputedStyle = () => ({ getPropertyValue: () => "" });
-  const chart = new Chart({ clientWidth: 100, clientHeight: 40, getContext: () => context }, 10, 1);
+  const chart = new Chart({ dataset: {}, clientWidth: 100, clientHeight: 40, getContext: () => context }, 10, 1);
   for (let i = 0; i < 45; ++i) chart.push(i < 44 ? 0 : 20);
   assert.equal(points.length, 30 + 2); // two more close the area below the line
   const [x, y] = points[29];
@@ -622,7 +657,7 @@ test("the camera flies around the body, the shorter way, and arrives where it sh
 test("a link gives back the view that it was made of, and nothing for what makes no sense", () => {
   const view = {
     camera: { body: "liver & more.vtu", position: [0.25, -1.5, 1e-5], target: [0, 0.125, 0] },
-    section: { axis: 1, side: -1, share: 0.305 },
+    section: { normal: [0.6, 0, -0.8], share: 0.305 },
     colours: "quality",
     theme: "light",
   };
@@ -635,10 +670,12 @@ test("a link gives back the view that it was made of, and nothing for what makes
     "#from=1,2,Infinity&to=0,0,0",
     "#from=1,2,&to=0,0,0",
     "#from=1e9,0,0&to=0,0,0",
-    "#section=w,1,0.5",
-    "#section=x,2,0.5",
-    "#section=x,1,1.5",
-    "#section=xy,1,0.5",
+    "#section=w,1,0,0.5",
+    "#section=2,0,0,0.5",
+    "#section=0,0,0,0.5",
+    "#section=0,0,1,1.5",
+    "#section=0,1,0.5",
+    "#section=1,0,0,0.5,0",
     "#colours=toString&theme=blue",
     "#%E0%A4%A&&==",
     `#theme=light&${"x".repeat(5000)}`,
