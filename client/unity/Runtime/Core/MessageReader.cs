@@ -10,7 +10,7 @@ namespace Incise
         internal const uint NoId = 0xffffffff;
         private const uint IdLimit = 0x3fffffff;
         private const double MaxCoordinate = 1e6;
-        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536, MaxMaterials = 4096;
+        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536, MaxMaterials = 4096, MaxFields = 256;
 
         /// <summary>The message in the first bytes of an array. Throws WireException.</summary>
         public static Message Read(byte[] data, int length)
@@ -63,6 +63,17 @@ namespace Incise
             FlatTable surface;
             if (t.Table(21, out surface))
                 m.Surface = new SurfaceFacts { Triangles = surface.UInt(0), Path = surface.Text(1, NameBytes), ContentHash = surface.Text(2, NameBytes) };
+            FlatTable[] fields = t.Tables(22, MaxFields);
+            m.Fields = new FieldFacts[fields.Length];
+            for (int i = 0; i < fields.Length; ++i)
+            {
+                uint components = fields[i].Has(2) ? fields[i].UInt(2) : 1;
+                Require(components >= 1 && components <= 9, "fields.components: accepted are 1 to 9");
+                m.Fields[i] = new FieldFacts
+                {
+                    Name = fields[i].Text(0, NameBytes), On = (FieldOn)Enumeration(fields[i], 1, 1), Components = components, Whole = fields[i].Bool(3)
+                };
+            }
             Require(m.EngageButton >= -1 && m.EngageButton < 32, "engage_button: accepted are -1 to 31");
             FlatTable facts;
             if (!t.Table(7, out facts)) return m;
@@ -222,6 +233,7 @@ namespace Incise
                 PieceIds = Ids(t, 8, NoId)
             };
             m.PieceNames = Matching<uint>(t, 9, 4, m.PieceIds.Length, "piece_names");
+            m.Fields = Ids(t, 10, MaxFields);
             Require(m.View != View.None, "view: None has no snapshot");
             Require(m.Chunks <= MaxChunks, "chunks: above the limit");
             return m;

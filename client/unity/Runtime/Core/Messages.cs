@@ -11,6 +11,8 @@ namespace Incise
 
     public enum Recording : byte { Off, On, Stopped }
 
+    public enum FieldOn : byte { Vertices, Tets }
+
     public enum SnapshotCause : byte { Join, ResumeGone, Resync, TooSlow, Reset, Subscribe }
 
     public enum ByeReason : byte { Unknown, Done, ServerStops, TooSlow, Idle, HandshakeTimeout, HandedOver, Refused }
@@ -72,6 +74,8 @@ namespace Incise
         public Recording Recording;
         /// <summary>Null: the body was not filled from a surface.</summary>
         public SurfaceFacts Surface;
+        /// <summary>Fields of the body. This client does not ask for their values; Delta.Carry carries your own.</summary>
+        public FieldFacts[] Fields = { };
     }
 
     public sealed class Resync
@@ -171,6 +175,15 @@ namespace Incise
         public byte[] Flags = { };
         public int[] Regions = { };
         public uint[] Origins = { };
+    }
+
+    /// <summary>Values on the vertices or tetrahedra, Components for each: int where they are Whole, else float.</summary>
+    public sealed class FieldFacts
+    {
+        public string Name;
+        public FieldOn On;
+        public uint Components = 1;
+        public bool Whole;
     }
 
     /// <summary>The surface that the body was filled from.</summary>
@@ -312,7 +325,7 @@ namespace Incise
         public SnapshotCause Cause;
         public uint Chunks, VertexCount, TetCount, TriangleCount;
         public Box Box;
-        public uint[] PieceIds = { }, PieceNames = { };
+        public uint[] PieceIds = { }, PieceNames = { }, Fields = { };
     }
 
     public sealed class SnapshotChunk
