@@ -263,7 +263,7 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Reset", Reset{}},
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing"}},
-      {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
+      {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000, std::nullopt}},
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
       {"SurfaceAsset", surface_asset()},
       {"Undo", Undo{}},
@@ -319,6 +319,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     Force torque = std::get<Force>(messages()[11].second);
     torque.torque_n_m = Vec3{0.01, -0.02, 0.03};
     torque.contact->arm = Vec3{0.001, 0.002, -0.05};
+    BladePose felt{2, false, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000, Vec3{0.5, -0.25, 2}};
     Hello loads = std::get<Hello>(messages()[0].second);
     loads.role = Role::Simulator;
     loads.load_rate_hz = 250;
@@ -357,6 +358,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"SurfaceDeltaOrigins", delta},
         {"SnapshotChunkOrigins", chunk},
         {"ForceTorque", torque},
+        {"BladePoseForce", felt},
         {"HelloLoadRate", loads},
         {"DeltaBlends", blended},
     };
