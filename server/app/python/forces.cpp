@@ -11,7 +11,6 @@ haptics::ForceConfig without_limits(haptics::ForceConfig config) {
                    .slew_n_s = kNone * kNone,
                    .ramp_s = 1e-6,
                    .silence_s = kNone,
-                   .late_s = kNone,
                    .frozen_s = kNone};
   return config;
 }
