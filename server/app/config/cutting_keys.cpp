@@ -50,7 +50,8 @@ ConfigKeys cut_keys() {
           "cut.engage", {"buttons", "always", "resistance"},
           "When the blade cuts: while one of cut.engage_buttons is held, or always. With \"resistance\" a "
           "blade whose "
-          "button is held presses until the force model says that the tissue yields, and cuts from there on.",
+          "button is held presses until the force model says that the tissue yields, and cuts from there on "
+          "(incise feel does so, too; incise cut has no forces, so its blade always cuts).",
           [](const Config& c) -> std::size_t {
             return c.haptics.force.resists ? 2 : c.cut.always_engaged ? 1 : 0;
           },
