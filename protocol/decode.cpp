@@ -355,6 +355,7 @@ class MessageReader : public FieldReader {
     out.heel = vector("heel", m.heel());
     out.tip = vector("tip", m.tip());
     out.arrival_ns = m.arrival_ns();
+    if (m.force_n()) out.force_n = vector("force_n", m.force_n());
     return out;
   }
   Body read(const wire::SurfaceAsset& m) {

@@ -267,8 +267,11 @@ struct Encoder {
     return wire::CreateReplayControl(b, wire::ReplayAction(m.action), capture, m.speed, m.revision).Union();
   }
   auto operator()(const BladePose& m) {
-    const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip);
-    return wire::CreateBladePose(b, m.source, m.cutting, &heel, &tip, m.arrival_ns).Union();
+    const wire::Vec3 heel = to_wire(m.heel), tip = to_wire(m.tip),
+                     force = to_wire(m.force_n.value_or(Vec3{}));
+    return wire::CreateBladePose(b, m.source, m.cutting, &heel, &tip, m.arrival_ns,
+                                 m.force_n ? &force : nullptr)
+        .Union();
   }
   auto operator()(const PositionsReport& m) {
     const auto held = array(b, m.held);

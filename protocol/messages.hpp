@@ -391,6 +391,7 @@ struct BladePose {
   bool cutting = false;
   Vec3 heel, tip;
   std::int64_t arrival_ns = 0;
+  std::optional<Vec3> force_n;
 };
 
 struct PositionsReport {

@@ -317,7 +317,8 @@ std::vector<protocol::BladePose> Telemetry::blades() const {
     const loop::BladeNow& blade = now[source];
     if (blade.arrival_ns == 0) continue;
     blades.push_back({source, blade.cutting != 0, to_protocol(blade.line.heel), to_protocol(blade.line.tip),
-                      blade.arrival_ns});
+                      blade.arrival_ns, std::nullopt});
+    if (squared_length(blade.force) > 0) blades.back().force_n = to_protocol(blade.force);
   }
   return blades;
 }

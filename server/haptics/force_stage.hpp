@@ -70,6 +70,8 @@ class ForceStage {
 
   void frame(std::int64_t now_ns, std::int64_t late_ns) noexcept;
 
+  // What acts on this hand since the last frame, N; world frame.
+  const core::Vec3& acting(std::uint32_t source) const { return hands_[source]->acting; }
   // Arrival times of the poses that got their first force in the last frame: at most one for each blade.
   std::span<const std::int64_t> felt_ns() const { return std::span(felt_ns_).first(felt_count_); }
   // Forces whose edge was not searched to its end, because a bound of ProbeWork was reached.

@@ -69,7 +69,7 @@ std::uint32_t SafetyChain::look(const SafetyInput& in) noexcept {
   failed_writes_ = in.failed_writes;
   if (seconds(in.now_ns - in.pose_ns) > limits_.silence_s) faults |= kSilent;
   if (seconds(in.now_ns - in.moved_ns) > limits_.frozen_s) faults |= kFrozen;
-  if (seconds(in.late_ns) > limits_.late_s) faults |= kLate;
+  if (seconds(in.late_ns) > limits_.late_s()) faults |= kLate;
   return faults;
 }
 

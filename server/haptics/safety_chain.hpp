@@ -12,11 +12,12 @@ struct SafetyLimits {
   double slew_n_s = 500;    // change of the force vector in a second; at least most_n / decay_s
   double ramp_s = 2;        // from nothing to full, at the first contact and after a fault; 0: at once
   double silence_s = 0.02;  // without a pose: the source is silent
-  double late_s = 0.005;    // a frame that begins so late counts as a fault
   double frozen_s = 0.25;   // poses that repeat each other to the bit while a force acts: the device is stuck
   double decay_s = 0.01;    // from any force to 0 after a fault
   int most_faults = 3;      // so many within fault_memory_s latch the force off
   double fault_memory_s = 60;
+
+  double late_s() const { return 0.25 * silence_s; }  // a frame that begins so late counts as a fault
 };
 
 // What was wrong, as a set of bits.

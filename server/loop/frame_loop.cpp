@@ -198,7 +198,7 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
       if (core::accepted(verdict)) {
         const core::Blade& blade = blades_[source] ? *blades_[source] : session_->config().blade;
         blades_now_[source] = {event.pose.arrival_ns, session_->in_stroke(source) ? 1 : 0,
-                               core::blade_line(blade, event.pose.pose)};
+                               core::blade_line(blade, event.pose.pose), blades_now_[source].force};
         blades_moved_ = true;
       }
       record.begins_stroke =
@@ -276,6 +276,11 @@ std::int64_t FrameLoop::feel(std::int64_t now_ns, std::int64_t late_ns) {
     cuts_to_note_.resize(cuts_to_note_.size() - count);
   }
   forces_->frame(now_ns, late_ns);
+  for (std::uint32_t source = 0; source < blades_now_.size(); ++source) {
+    if (blades_now_[source].force == forces_->acting(source)) continue;
+    blades_now_[source].force = forces_->acting(source);
+    blades_moved_ = true;
+  }
   const std::int64_t done_ns = monotonic_ns();
   for (const std::int64_t arrival_ns : forces_->felt_ns()) stats_.pose_to_force.record(done_ns - arrival_ns);
   state_.forces_cut_short = forces_->cut_short();

@@ -88,6 +88,7 @@ struct BladeNow {
   std::int64_t arrival_ns = 0;
   std::int64_t cutting = 0;  // 1: a stroke is under way
   core::BladeLine line;
+  core::Vec3 force;  // on the hand, N
 };
 using BladesNow = std::array<BladeNow, core::kMaxSources>;
 

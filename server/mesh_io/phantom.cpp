@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "server/base/check.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/remesh.hpp"
 #include "server/mesh_io/tet_repair.hpp"
@@ -245,6 +246,16 @@ core::MeshData make_phantom(PhantomKind kind, const FillOptions& options,
   core::MeshData mesh = fill_surface(closed, name, tuned, warnings).mesh;
   repair_tets(mesh, name, 0, warnings);
   return mesh;
+}
+
+void add_capsule(core::MeshData& mesh, std::int32_t region) {
+  mesh.regions.resize(mesh.tets.size(), 0);
+  const core::TetMesh whole(mesh);
+  for (core::TetId t = 0; t < mesh.tets.size(); ++t) {
+    for (int face = 0; face < 4; ++face) {
+      if (whole.neighbor(t, face) == core::kNone) mesh.regions[t] = region;
+    }
+  }
 }
 
 }  // namespace incise::mesh_io

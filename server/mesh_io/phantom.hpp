@@ -29,4 +29,7 @@ Surface make_phantom_surface(PhantomKind kind, std::size_t target_tets);
 // Throws MeshError if TetGen fails.
 core::MeshData make_phantom(PhantomKind kind, const FillOptions& options, std::vector<std::string>& warnings);
 
+// Puts the tetrahedra with a face at the outside into a region of their own: a capsule, or skin, one element thick. O(mesh).
+void add_capsule(core::MeshData& mesh, std::int32_t region);
+
 }  // namespace incise::mesh_io

@@ -129,9 +129,9 @@ void Peers::tick_blades() {
 void Peers::send_blades() {
   std::vector<SharedFrame> frames;
   for (const protocol::BladePose& blade : context_.providers.blades()) {
-    std::int64_t& sent_ns = blade_sent_ns_[blade.source];
-    if (sent_ns == blade.arrival_ns) continue;
-    sent_ns = blade.arrival_ns;
+    protocol::BladePose& sent = blades_sent_[blade.source];
+    if (sent.arrival_ns == blade.arrival_ns && sent.force_n == blade.force_n) continue;
+    sent = blade;
     frames.push_back(make_frame(blade));
   }
   if (frames.empty()) return;

@@ -56,7 +56,7 @@ class Peers final : public PeerDirectory {
   std::set<std::shared_ptr<Peer>> peers_;
   std::deque<std::weak_ptr<Peer>> lingering_;
   asio::steady_timer clock_, blade_clock_, load_clock_;
-  std::map<std::uint32_t, std::int64_t> blade_sent_ns_;  // arrival of the last pose sent, by source
+  std::map<std::uint32_t, protocol::BladePose> blades_sent_;  // the last of each source
   std::uint64_t ticks_ = 0;
 };
 

@@ -146,6 +146,67 @@ TEST_F(Feel, APunctureIsFoundAtItsForce) {
   EXPECT_GT(blade["inside_s"], 0.5);
 }
 
+// A capsule over parenchyma is felt as a pop: the point presses up to what the capsule holds, then meets what lies below alone, which tears by
+// its toughness. The shipped materials say how large both are.
+TEST_F(Feel, ACapsuleOverParenchymaIsFeltAsAPop) {
+  ASSERT_EQ(run({"phantom", "slab", "--size", "20000", "--capsule", "--out", "slab.node"}).exit_code, 0);
+  write("press.tum", press(0.012, "%.3f 0.05 0.03 %.17g 0 0 0 1\n"));
+  const std::string tissues = (fs::path(INCISE_SOURCE_DIR) / "config" / "tissues.json").string();
+  const RunResult result =
+      run({"feel", "press.tum", "--mesh", "slab", "--config", tissues, "--out", "f.csv", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json blade = json::parse(result.out)["blades"][0];
+  ASSERT_EQ(blade["punctures"].size(), 1u) << result.out;
+  EXPECT_NEAR(blade["punctures"][0]["force_n"].get<double>(), 1.5, 0.075);
+  const double at = blade["punctures"][0]["time_s"];
+  // Below it the edge inside resists with its toughness, much less than the capsule did while little is inside: the drop.
+  double least = 100, before = 0;
+  for (const auto& row : rows("f.csv")) {
+    if (row.at("time_s") <= at - 5e-4) before = std::max(before, row.at("tissue_f_n"));
+    if (row.at("time_s") < at || row.at("time_s") > at + 0.02) continue;
+    least = std::min(least, row.at("tissue_f_n"));
+    EXPECT_LE(row.at("tissue_f_n"), 164 * row.at("edge_inside_m") + 0.05) << row.at("time_s");
+  }
+  EXPECT_NEAR(before, 1.5, 0.075);
+  EXPECT_LT(least, 0.6 * before);
+  // Without the capsule the same motion finds no such peak at the surface.
+  ASSERT_EQ(run({"phantom", "slab", "--size", "20000", "--out", "bare.node"}).exit_code, 0);
+  const RunResult bare = run({"feel", "press.tum", "--mesh", "bare", "--config", tissues, "--json"});
+  ASSERT_EQ(bare.exit_code, 0) << bare.err;
+  const json punctures = json::parse(bare.out)["blades"][0]["punctures"];
+  for (const json& puncture : punctures) EXPECT_LT(puncture["force_n"].get<double>(), 0.7) << bare.out;
+}
+
+// With cut.engage "resistance" the blade cuts from where the tissue yields: what it has only pressed on stays whole, and is felt
+// as whole when it comes again.
+TEST_F(Feel, ABladeThatIsHeldBackCutsNothing) {
+  write_slab();
+  std::string text = "t_s,x_m,y_m,z_m,button\n";
+  const auto row = [&](int i, double x, double z) {
+    char line[128];
+    std::snprintf(line, sizeof line, "%.3f,%.6f,0.03,%.6f,1\n", 0.001 * i, x, z);
+    text += line;
+  };
+  // 2 mm deep, which the surface holds; across; and once more the same way.
+  for (int i = 0; i <= 300; ++i) row(i, 0.03, 0.071 - 1e-5 * i);
+  for (int i = 301; i <= 700; ++i) row(i, 0.03 + 1e-4 * (i - 300), 0.068);
+  for (int i = 701; i <= 1100; ++i) row(i, 0.07 - 1e-4 * (i - 700), 0.068);
+  write("across.csv", text);
+  const auto pieces = [&](const char* engage) {
+    write("c.json", json{{"cut", {{"engage", engage}}}, {"haptics", {{"puncture_n", 3}}}}.dump());
+    const RunResult result =
+        run({"feel", "across.csv", "--mesh", "slab", "--config", "c.json", "--out", "f.csv", "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    double uncut = 1;
+    for (const auto& r : rows("f.csv"))
+      if (r.at("time_s") > 0.75 && r.at("edge_inside_m") > 0)
+        uncut = std::min(uncut, r.at("edge_uncut_m") / r.at("edge_inside_m"));
+    return uncut;
+  };
+  EXPECT_EQ(pieces("resistance"), 1);
+  EXPECT_LT(pieces("buttons"), 0.5);
+}
+
 TEST_F(Feel, ACaptureFeelsAsTheTextDoesAndTheSameEveryTime) {
   mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));
   std::string tum;

@@ -17,6 +17,8 @@ FIGURES = [
     ("20 s of cutting at 1 kHz, 4 viewers, capture: poses lost", "live", "facts", "", "poses lost", "{:.0f}"),
     ("the same: work of a frame, p99.9, ms", "live", "in the server", "frame_work", "p99.9", "{:.2f}", 1e-3),
     ("the same: from a measured pose to its delta at a viewer, p50 / p99, ms", "live", "at the viewers", "measured", ("p50", "p99"), "{:.1f}"),
+    ("the same with a simulation that moves all of it 60 times a second, 1 viewer: work of a frame, p99.9, ms", "live_simulated", "in the server", "frame_work", "p99.9", "{:.2f}", 1e-3),
+    ("the same: from a pose to its force, p50 / p99, ms", "live_simulated", "in the server", "pose_to_force", ("p50", "p99"), "{:.2f}", 1e-3),
     ("bytes a cut face as deltas of the surface", "stream", "through-cut", "surface, deltas", "bytes a cut face", "{:.0f}"),
 ]
 

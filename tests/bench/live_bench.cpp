@@ -2,9 +2,12 @@
 // and checkpoints; a device that sends each pose as it is measured; viewers that follow; all over loopback.
 
 #include <CLI/CLI.hpp>
+#include <atomic>
+#include <cmath>
 #include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "client/client.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -16,6 +19,51 @@ namespace {
 
 struct LiveBench : LiveMotion {
   int viewers = 4;
+  double simulate_hz = 0;
+};
+
+// A host simulation that moves every vertex with each step, by up to a millimetre, and takes the blades' loads.
+class Swaying {
+ public:
+  Swaying(std::uint16_t port, double rate_hz) : thread_([this, port, rate_hz] { run(port, rate_hz); }) {}
+  ~Swaying() {
+    stop_ = true;
+    thread_.join();
+  }
+  std::int64_t sent() const { return sent_; }
+
+ private:
+  void run(std::uint16_t port, double rate_hz) {
+    client::Options options;
+    options.role = protocol::Role::Simulator;
+    options.load_rate_hz = 240;
+    options.background = false;
+    const auto client = client::Client::connect("127.0.0.1", port, options);
+    const auto period = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+        std::chrono::duration<double>(1 / rate_hz));
+    const auto began = std::chrono::steady_clock::now();
+    std::vector<float> positions;
+    for (auto next = began; !stop_; next += period) {
+      for (auto left = next - std::chrono::steady_clock::now(); left.count() > 0;
+           left = next - std::chrono::steady_clock::now())
+        client->poll(std::chrono::duration<double>(left).count());
+      const std::chrono::duration<double> t = std::chrono::steady_clock::now() - began;
+      protocol::Positions message;
+      message.frame = ++frame_;
+      client->read([&](const protocol::Replica& mesh) {
+        message.revision = mesh.revision();
+        positions.assign(mesh.rest_positions().begin(), mesh.rest_positions().end());
+      });
+      for (std::size_t i = 0; i < positions.size(); i += 3)
+        positions[i + 2] += 0.001F * static_cast<float>(std::sin(6.28 * t.count())) * positions[i] * 10;
+      message.f32 = positions;
+      if (!positions.empty() && client->send_positions(message) != 0) ++sent_;
+    }
+  }
+  std::atomic<bool> stop_{false};
+  std::atomic<std::int64_t> sent_{0};
+  std::uint64_t frame_ = 0;
+  std::thread thread_;
 };
 
 // What a viewer saw of each delta, ms. Filled on the clients' threads. One machine, so one clock.
@@ -56,7 +104,11 @@ void run(const LiveBench& bench, Report& report) {
         "127.0.0.1", i % 2 == 0 ? server.tcp_port() : server.http_port(), options, std::move(callbacks)));
     if (!viewers.back()->wait_for_revision(0, 60)) throw std::runtime_error("a viewer got no snapshot");
   }
+  std::unique_ptr<Swaying> simulation;
+  if (bench.simulate_hz > 0) simulation = std::make_unique<Swaying>(server.tcp_port(), bench.simulate_hz);
   const LivePoses poses = server.drive();
+  const std::int64_t simulated = simulation ? simulation->sent() : 0;
+  simulation.reset();
   const nlohmann::json stats = server.settled_stats();
   const std::uint64_t revision = stats["revision"];
   for (const auto& viewer : viewers) {
@@ -71,6 +123,10 @@ void run(const LiveBench& bench, Report& report) {
   report.fact("poses accepted", count(poses.accepted));
   report.fact("poses lost",
               static_cast<std::int64_t>(poses.sent) - static_cast<std::int64_t>(poses.accepted));
+  if (bench.simulate_hz > 0) {
+    report.fact("positions sent", simulated);
+    report.fact("deformations", count(stats["deformations"]["count"]));
+  }
   report.fact("settled", std::string(poses.settled ? "yes" : "no"));
   report.fact("revision", count(revision));
   report.fact("cut faces", count(stats["cut_faces"]));
@@ -111,6 +167,9 @@ void add_live_bench(CLI::App& app, Report& report) {
   sub->add_option("--tets", bench->tets, "Of the phantom liver")->capture_default_str();
   sub->add_option("--viewers", bench->viewers, "That follow")->capture_default_str();
   sub->add_option("--batch-h", bench->batch_h, "cut.batch_h; 0: its default")->capture_default_str();
+  sub->add_option("--simulate", bench->simulate_hz,
+                  "A simulation moves all vertices so often a second; 0: there is none")
+      ->capture_default_str();
   sub->add_flag("!--no-capture", bench->capture, "Without journal and checkpoints");
   sub->callback([bench, &report] { run(*bench, report); });
 }

@@ -30,6 +30,7 @@ SET = {
     "events": ["events"],
     "cut": ["cut", "--cuts", "20"],
     "live": ["live", "--seconds", "20"],
+    "live_simulated": ["live", "--seconds", "20", "--viewers", "1", "--simulate", "60"],
     "stream": ["stream", "--rounds", "1"],
     "meet": ["meet", "--count", "23"],  # 23 of 15 kinds in three bodies
 }

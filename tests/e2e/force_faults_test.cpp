@@ -14,6 +14,7 @@
 #include <optional>
 
 #include "server/input/hid/hid_device.hpp"
+#include "server/input/positions_slot.hpp"
 #include "server/loop/frame_loop.hpp"
 #include "tests/haptics/random.hpp"
 #include "tests/support/bodies.hpp"
@@ -42,14 +43,89 @@ constexpr std::int64_t kDecay_ns = 10 * kMs, kFrameSlack_ns = 2 * kMs;
 
 using Report = std::array<std::uint8_t, 16>;
 
+// A host simulation, as the stream's thread would join it to the loop: it takes the blade's loads, moves the body by them and by
+// itself, 60 times a second, and may send models of its own. It fails in all ways that a program behind a network can.
+class Simulation {
+ public:
+  enum Fault : std::uint32_t { kNone, kStalls, kDies, kNotANumber, kLate, kFloods, kReconnects, kFaults };
+  static constexpr std::int64_t kModelLife_ns = 50 * kMs;
+
+  explicit Simulation(core::CutSession& session) : session_(session) {}
+
+  void step(std::int64_t now_ns) {
+    link.wanted_until_ns = now_ns + 1000 * kMs;
+    if (fault == kStalls || fault == kDies)
+      return;  // the connection is there, or it is not: the loop gets nothing
+    link.loads[0].read(load_);
+    for (int i = 0; i < (fault == kFloods ? 30 : now_ns / kMs % 16 == 0); ++i) send(now_ns, i);
+  }
+  // After kDies: another process, which knows nothing.
+  void start_again() {
+    shift_.clear();
+    fault = kNone;
+  }
+
+  haptics::SimulationLink link;
+  input::PositionsSlot positions;
+  Fault fault = kNone;
+  bool models = false;
+  int used = 0, refused = 0;  // models
+
+ private:
+  void send(std::int64_t now_ns, int i) {
+    const core::TetMesh& mesh = session_.mesh();
+    shift_.resize(mesh.vertex_slots());
+    for (Vec3& shift : shift_) shift = 0.5 * shift;
+    for (std::size_t k = 0; k < load_.loads.count; ++k) {
+      if (load_.loads.ids[k] < shift_.size())
+        shift_[load_.loads.ids[k]] += (0.5 / 2000) * load_.loads.forces[k];
+    }
+    const double sway = 5e-4 * std::sin(1e-9 * static_cast<double>(now_ns) * 7 + 0.1 * i);
+    if (const auto made = positions.buffer()) {
+      made->revision = fault == kLate ? 0 : session_.revision();
+      made->ids.clear();
+      made->positions.clear();
+      for (core::VertexId v = 0; v < shift_.size(); ++v) {
+        const Vec3 rest = mesh.rest_position(v);
+        made->positions.push_back(fault == kReconnects ? rest
+                                                       : rest + shift_[v] + Vec3{0, 0, 10 * sway * rest.z});
+      }
+      positions.offer(made);
+    }
+    if (!models) return;
+    // To the side, as no contact with the cube's top is, so that whose force acts can be seen.
+    haptics::LocalModel model;
+    model.number = ++models_;
+    model.point = load_.tool + Vec3{0.002, 0, 0};
+    model.normal = {1, 0, 0};
+    model.stiffness = {{400, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+    model.from_ns = fault == kLate ? now_ns - 2 * kModelLife_ns : now_ns;
+    model.expires_ns = model.from_ns + kModelLife_ns;
+    if (fault == kNotANumber) (i % 2 ? model.stiffness.x.x : model.point.x) = NAN;
+    if (haptics::trouble_of(model, now_ns).empty()) {
+      link.models[0].write(model);
+      ++used;
+    } else {
+      ++refused;
+    }
+  }
+
+  core::CutSession& session_;
+  haptics::BladeLoad load_;
+  std::vector<Vec3> shift_;
+  std::uint64_t models_ = 0;
+};
+
 class Rig {
  public:
-  Rig() {
+  explicit Rig(bool simulated = false) {
     virtual_ns = kBegun;
     // So stiff that four millimetres are more than the limit: every stage has something to hold back.
     haptics::ForceConfig config;
     config.materials.tissue.stiffness_n_m = 2000;
-    loop_.offer_forces(config, std::make_unique<haptics::Tissue>(tests::cube(6)), nullptr, &slots_);
+    if (simulated) loop_.offer_deformation(simulation.emplace(session_).positions);
+    loop_.offer_forces(config, std::make_unique<haptics::Tissue>(tests::cube(6)), nullptr, &slots_,
+                       simulated ? &simulation->link : nullptr);
     plug();
   }
   ~Rig() { virtual_ns = 0; }
@@ -107,6 +183,7 @@ class Rig {
   // A millisecond goes by; the loop has a frame, or hangs; the writer writes. Checks what must always hold.
   void tick(bool frame = true) {
     virtual_ns += kMs;
+    if (simulation) simulation->step(virtual_ns);
     if (frame) loop_.frame(virtual_ns);
     if (!maker_) return;
     const bool fresh = slots_[0].read(command_);
@@ -149,10 +226,12 @@ class Rig {
     run(5);
   }
 
+  std::uint64_t revision() const { return session_.revision(); }
   bool in_stroke() const { return session_.in_stroke(0); }
   const loop::LoopStats& stats() const { return loop_.stats(); }
   bool latched() const { return (command_.flags & haptics::kForceLatchedOff) != 0; }
 
+  std::optional<Simulation> simulation;
   double height = 0.146;  // of the tip over the cube's bottom: wanted; the top is at 0.1, the blade 0.05 long
   bool engaged = false, refuses = false;
   Report last_pose{};
@@ -331,6 +410,76 @@ TEST(ForceFaults, FiveHundredInContactEndTheForceInTimeAndNoneBreaksALimit) {
   EXPECT_GE(strokes, 50);
   EXPECT_GE(latches, 50);
   for (const int count : counts) EXPECT_GE(count, 20);
+}
+
+// The same with a simulation that moves the body, in every other fault the one that fails: whatever it does, forces keep to
+// their limits (Rig::tick), a device's fault ends them in time, and a model of its own is rendered no longer than it is valid.
+TEST(ForceFaults, FiveHundredWithASimulationAmongWhatFails) {
+  int device = 0, counts[Simulation::kFaults] = {}, rendered = 0, used = 0, refused = 0;
+  std::uint64_t revisions = 0;
+  for (std::uint64_t seed = 101; seed <= 125; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random random(seed);
+    Rig rig(true);
+    Simulation& simulation = *rig.simulation;
+    for (int episode = 0; episode < 20; ++episode) {
+      SCOPED_TRACE("episode " + std::to_string(episode));
+      rig.height = 0.146;
+      rig.engaged = random.below(3) == 0;
+      simulation.models = random.below(2) == 0;
+      rig.run(60 + static_cast<int>(random.below(500)));
+      if (HasFatalFailure()) return;
+      const bool acting = length(rig.felt) > 0;
+      if (random.below(2) == 0) {
+        ++device;
+        auto fault = kLateLoop;
+        while (fault == kLateLoop || fault == kRefuses) fault = static_cast<Fault>(random.below(kFaults));
+        SCOPED_TRACE("of the device: " + std::to_string(fault));
+        const std::int64_t from = virtual_ns;
+        rig.first_zero_ns = 0;
+        const std::int64_t allowed = inflict(rig, fault, random);
+        if (HasFatalFailure()) return;
+        if (fault == kUnplug) {
+          rig.plug();
+        } else if (acting) {
+          ASSERT_GT(rig.first_zero_ns, 0) << "the force has not come to 0";
+          ASSERT_LE(rig.first_zero_ns - from, allowed + kFrameSlack_ns);
+          ASSERT_EQ(length(rig.felt), 0);
+        }
+      } else {
+        const auto fault = static_cast<Simulation::Fault>(1 + random.below(Simulation::kFaults - 1));
+        ++counts[fault];
+        SCOPED_TRACE("of the simulation: " + std::to_string(fault));
+        rendered += simulation.models && rig.felt.x > 0.05;
+        simulation.fault = fault;
+        rig.run(60);
+        if (HasFatalFailure()) return;
+        // What it said last has expired, and the force has had 10 ms to follow. (A blade that cuts is held to the side, too.)
+        if (!rig.engaged && fault != Simulation::kFloods && fault != Simulation::kReconnects) {
+          ASSERT_LT(rig.felt.x, 0.05 + std::abs(rig.felt.z)) << "a model is rendered that nobody stands by";
+        }
+        rig.run(static_cast<int>(random.below(300)));
+        if (HasFatalFailure()) return;
+        simulation.start_again();
+        rig.run(100);
+      }
+      simulation.models = false;
+      rig.run(60);
+      rig.press_again();
+      if (HasFatalFailure()) return;
+      ASSERT_FALSE(rig.latched());
+    }
+    used += simulation.used;
+    refused += simulation.refused;
+    revisions += rig.revision();
+  }
+  EXPECT_GE(device, 200);
+  for (int fault = 1; fault < static_cast<int>(Simulation::kFaults); ++fault)
+    EXPECT_GE(counts[fault], 25) << fault;
+  EXPECT_GE(rendered, 30);
+  EXPECT_GT(used, 1000);
+  EXPECT_GT(refused, 200);
+  EXPECT_GT(revisions, 10'000u) << "the body did not move";
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // incise-hid-faults: incised with a force device that umockdev simulates, and faults while a force acts: unplugged, garbage,
-// silence, a frozen device, NaN, no tracking, a loop that hangs, writes that fail. Exits with 1 if a
+// silence, a frozen device, NaN, no tracking, a loop that hangs, writes that fail; and, with --simulation, a host simulation that
+// stalls, dies, sends NaN, is late or floods meanwhile. Exits with 1 if a
 // force breaks its limit, does not reach 0, or returns without its ramp; prints how long things took. Exact times
 // are checked by tests/e2e/force_faults_test.cpp, which has its own clock.
 
@@ -12,6 +13,7 @@
 #include <fstream>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <random>
 #include <stdexcept>
 #include <thread>
@@ -19,6 +21,7 @@
 #include "server/base/clock.hpp"
 #include "server/core/geometry/vec3.hpp"
 #include "server/input/pose_sources.hpp"
+#include "tests/e2e/failing_simulation.hpp"
 #include "tests/e2e/process.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/support/float_stylus.hpp"
@@ -156,6 +159,7 @@ class Stylus {
 struct Options {
   int count = 500;
   std::uint64_t seed = 1;
+  bool simulation = false;
 };
 
 class Run {
@@ -175,6 +179,7 @@ class Run {
     const std::string line = server_->line("listening ", 120);
     port_ = port_after(line, "http=");
     require(port_ != 0, "incised did not start");
+    if (options.simulation) simulation_.emplace(port_after(line, "tcp="), options.seed);
   }
   ~Run() {
     server_.reset();
@@ -195,6 +200,21 @@ class Run {
     }
     stylus_.height = 0.06;
     std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    if (simulation_) {
+      const auto deformations = stats()["deformations"]["count"].get<std::uint64_t>();
+      std::printf("%-30s", "simulation");
+      for (int mood = 0; mood < FailingSimulation::kMoods; ++mood) {
+        std::printf(
+            "%s %llu, ", FailingSimulation::kNames[mood],
+            static_cast<unsigned long long>(simulation_->count(static_cast<FailingSimulation::Mood>(mood))));
+      }
+      std::printf("%llu connections, %llu deformations\n",
+                  static_cast<unsigned long long>(simulation_->connections()),
+                  static_cast<unsigned long long>(deformations));
+      require(deformations > static_cast<std::uint64_t>(options.count),
+              "the simulation did not move the body");
+      simulation_.reset();
+    }
     server_->signal(SIGTERM);
     require(server_->wait(60) == 0, "the server did not end cleanly");
     Process replay({"incise", "replay", (folder_ / "run.capture").string(), "--verify"});
@@ -374,6 +394,7 @@ class Run {
   tests::MockHid machine_;
   Stylus stylus_{machine_};
   std::unique_ptr<Process> server_;
+  std::optional<FailingSimulation> simulation_;
   std::uint16_t port_ = 0;
   double surface_ = 0;  // where the tissue begins under the tip, m
 };
@@ -387,6 +408,7 @@ int main(int argc, char** argv) {
   Options options;
   app.add_option("--count", options.count, "Faults")->capture_default_str();
   app.add_option("--seed", options.seed, "Of what happens when")->capture_default_str();
+  app.add_flag("--simulation", options.simulation, "With a simulation that fails, too");
   CLI11_PARSE(app, argc, argv);
   try {
     Run(options).run(options);

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "client/client.hpp"
-#include "client/examples/xpbd/soft_body.hpp"
 #include "tests/e2e/served_session.hpp"
 
 namespace incise::e2e {
@@ -362,34 +361,62 @@ TEST(SimulatorTest, BadPositionsAreRefusedAndTheBodyStays) {
   EXPECT_TRUE(session.server().running());
 }
 
-// The example: a cut in a body under tension opens, and the server agrees with what the simulation holds.
-TEST(SimulatorTest, ACutOpensUnderTension) {
-  ServedSession session("xpbd", 3000, "");
-  ASSERT_TRUE(session.start(false)) << session.log();
-  Process simulation({"incise-xpbd", "127.0.0.1:" + std::to_string(session.tcp_port()), "--gravity", "0"});
-  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
-  ASSERT_TRUE(viewer->wait_for_revision(100, 120)) << session.log();
-  client::Options options;
-  options.role = protocol::Role::Operator;
-  const auto hand = client::Client::connect("127.0.0.1", session.tcp_port(), options);
-  // Half-way down across the middle, in a second.
-  const protocol::Box box = hand->welcome().mesh.box;
-  const double x = 0.5 * (box.min.x + box.max.x),
-               length = hand->welcome().blade_heel.z - hand->welcome().blade_tip.z;
-  for (int i = 0; i <= 200; ++i) {
-    const double s = -0.1 + 1.2 * i / 200;
-    const protocol::PoseSample pose{
-        1 + 10'000'000ll * i,
-        {x, box.min.y + s * (box.max.y - box.min.y), 0.5 * (box.min.z + box.max.z) + length},
-        {1, 0, 0, 0},
-        i < 200 ? 1u : 0u,
-        0};
-    while (hand->send_poses(std::span(&pose, 1)) == 0) std::this_thread::sleep_for(milliseconds(1));
+// The example, and a hand that holds a blade over it.
+class SoftSlab {
+ public:
+  SoftSlab(const std::string& name, const std::string& capture) : session(name, 3000, capture) {
+    EXPECT_TRUE(session.start(false)) << session.log();
+    simulation.emplace(
+        std::vector<std::string>{"incise-xpbd", "127.0.0.1:" + std::to_string(session.tcp_port())});
+    EXPECT_TRUE(rests()) << "it does not come to rest";
+    connect();
   }
-  EXPECT_TRUE(wait_for([&] { return session.stat("/cut_faces").value_or(0) > 10; }))
-      << session.stat("/cut_faces").value_or(-1);
-  // The widest gap between the two copies of a vertex that the cut has parted, by the body's length.
-  const auto gap = [&] {
+  void connect() {
+    client::Options options;
+    viewer = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+    options.role = protocol::Role::Operator;
+    options.view = protocol::View::None;
+    options.blade = protocol::BladeEdge{{0, 0, 0}, {0, 0, -0.05}};
+    hand = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+    box = hand->welcome().mesh.box;
+  }
+  // The simulation says so when it has come to rest.
+  bool rests() {
+    for (int i = 0; i < 120; ++i) {
+      if (const std::string line = simulation->line(""); line.find("at rest") != std::string::npos)
+        return true;
+    }
+    return false;
+  }
+  // The tip goes there in a millisecond; x and y from 0 to 1 across the body, z from its top.
+  void move(double x, double y, double z, bool engaged) {
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    const protocol::PoseSample pose{std::chrono::duration_cast<std::chrono::nanoseconds>(now).count(),
+                                    {box.min.x + x * (box.max.x - box.min.x),
+                                     box.min.y + y * (box.max.y - box.min.y), box.max.z + z + 0.05},
+                                    {1, 0, 0, 0},
+                                    engaged ? 1u : 0u,
+                                    0};
+    hand->send_poses({&pose, 1});
+    std::this_thread::sleep_for(milliseconds(1));
+  }
+  // Across the middle, half-way down.
+  void cut(double x) {
+    const double down = 0.5 * (box.max.z - box.min.z);
+    for (int i = 0; i <= 600; ++i) move(x, -0.1 + 1.2 * i / 600, -down, i < 600);
+    for (int i = 0; i < 50; ++i) move(x, 1.2, -down + 1e-6 * i, false);
+  }
+  // The farthest that a vertex is from its place at rest, m.
+  double bent() const {
+    return viewer->read([](const protocol::Replica& m) {
+      double most = 0;
+      for (std::size_t i = 0; i < m.positions().size(); ++i)
+        most = std::max(most, std::abs(m.positions()[i] - m.rest_positions()[i]));
+      return most;
+    });
+  }
+  // The widest gap between the two copies of a vertex that a cut has parted, by the body's length.
+  double gap() const {
     return viewer->read([&](const protocol::Replica& m) {
       std::map<std::array<double, 3>, std::uint32_t> first;
       double widest = 0;
@@ -401,12 +428,79 @@ TEST(SimulatorTest, ACutOpensUnderTension) {
       }
       return widest / (box.max.x - box.min.x);
     });
+  }
+  double deformations() const { return session.stat("/deformations/count").value_or(-1); }
+
+  ServedSession session;
+  std::optional<Process> simulation;
+  std::unique_ptr<client::Client> viewer, hand;
+  protocol::Box box;
+};
+
+// Nothing sags, and what rests sends nothing; a blade dents the body, and without it the body is as it was.
+TEST(SoftBodyTest, RestsAsItWasServedDentsUnderABladeAndRestsAgain) {
+  SoftSlab slab("xpbd_dent", "");
+  EXPECT_EQ(slab.deformations(), 0);
+  double z = 0.005, deepest = 0;
+  for (int i = 0; i < 20'000 && deepest < 1e-3; ++i) {
+    if (z > -0.004) z -= 2e-6;
+    slab.move(0.5, 0.5, z + 1e-7 * (i % 2), false);  // a hand is never quite still
+    if (i % 50 == 0) deepest = slab.bent();
+  }
+  EXPECT_GT(deepest, 1e-3);
+  for (int i = 0; i < 2'000; ++i) slab.move(0.5, 0.5, z += 5e-6, false);
+  ASSERT_TRUE(slab.rests());
+  // Nothing is on its way any more.
+  EXPECT_TRUE(wait_for([&] {
+    return static_cast<double>(slab.viewer->revision()) == slab.session.stat("/revision").value_or(-1);
+  }));
+  EXPECT_LT(slab.bent(), 1e-4);
+  const std::uint64_t revision = slab.viewer->revision();
+  EXPECT_GT(revision, 0u);
+  for (int i = 0; i < 300; ++i) slab.move(0.5, 0.5, 0.02 + 1e-6 * i, true);  // in the air, and engaged
+  EXPECT_EQ(slab.deformations(), static_cast<double>(revision));
+}
+
+// A cut opens and stays open; undone, it was never there, and the next one opens as well; so after a reset and with a server that
+// was killed and started again.
+TEST(SoftBodyTest, ACutOpensAlsoAfterUndoResetAndRestart) {
+  SoftSlab slab("xpbd_cut", "");
+  const auto opens = [&](const char* when) {
+    slab.cut(0.5);
+    EXPECT_TRUE(wait_for([&] { return slab.gap() > 0.02; })) << when << ": " << slab.gap();
+    EXPECT_TRUE(slab.rests()) << when;
+    EXPECT_GT(slab.gap(), 0.02) << when;
   };
-  EXPECT_TRUE(wait_for([&] { return gap() > 0.02; })) << gap();
-  const auto held_now = held(*viewer);
-  EXPECT_GT(held_now.revision, 100u);
-  simulation.signal(SIGTERM);
-  EXPECT_EQ(simulation.wait(), 0);
+  opens("first");
+  slab.hand->undo();
+  EXPECT_TRUE(wait_for([&] { return slab.session.stat("/cut_faces").value_or(1) == 0; }));
+  EXPECT_TRUE(wait_for([&] { return slab.viewer->revision() == 0; }));
+  EXPECT_TRUE(slab.rests());
+  EXPECT_EQ(slab.bent(), 0);
+  opens("undone");
+
+  client::Options options;
+  options.role = protocol::Role::Admin;
+  options.view = protocol::View::None;
+  const auto admin = client::Client::connect("127.0.0.1", slab.session.tcp_port(), options);
+  admin->reset();
+  EXPECT_TRUE(wait_for([&] { return slab.session.stat("/cut_faces").value_or(1) == 0; }));
+  EXPECT_TRUE(slab.rests());
+  EXPECT_TRUE(wait_for([&] { return slab.viewer->revision() == 0; }));
+  opens("reset");
+
+  const Held before = held(*slab.viewer);
+  slab.session.kill();
+  ASSERT_TRUE(slab.session.start(true)) << slab.session.log();
+  slab.connect();
+  ASSERT_TRUE(slab.viewer->wait_for_revision(0, 60));
+  EXPECT_EQ(held(*slab.viewer), before);
+  EXPECT_GT(slab.gap(), 0.02);
+  slab.cut(0.3);
+  EXPECT_TRUE(wait_for([&] { return slab.deformations() > 10; })) << slab.deformations();
+  EXPECT_TRUE(slab.rests());
+  slab.simulation->signal(SIGTERM);
+  EXPECT_EQ(slab.simulation->wait(), 0);
 }
 
 }  // namespace

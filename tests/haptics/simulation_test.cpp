@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <deque>
 #include <memory>
@@ -28,32 +29,38 @@ class Springs {
   Springs(core::CutSession& session, double stiffness_n_m, int delay)
       : session_(session), stiffness_(stiffness_n_m), delay_(delay), shift_(session.mesh().vertex_slots()) {}
 
-  void take(const BladeLoad& load) { waiting_.push_back({steps_ + delay_, load.loads}); }
+  void take(const BladeLoad& load, std::uint32_t source = 0) {
+    waiting_.push_back({steps_ + delay_, source, load.loads});
+  }
   // A millisecond on; positions go out every `interval` steps.
   void step(int interval, const std::function<void(const core::Delta&)>& committed) {
     constexpr double kRelaxation_s = 0.02;
     while (!waiting_.empty() && waiting_.front().due <= steps_) {
-      now_ = waiting_.front().loads;
+      now_[waiting_.front().source] = waiting_.front().loads;
       waiting_.pop_front();
     }
     for (Vec3& u : shift_) u = u - (0.001 / kRelaxation_s) * u;
-    for (std::size_t i = 0; i < now_.count; ++i)
-      shift_[now_.ids[i]] += (0.001 / kRelaxation_s / stiffness_) * now_.forces[i];
+    for (const VertexLoads& now : now_) {
+      for (std::size_t i = 0; i < now.count; ++i)
+        shift_[now.ids[i]] += (0.001 / kRelaxation_s / stiffness_) * now.forces[i];
+    }
     if (steps_++ % interval != 0) return;
     auto positions = std::make_shared<core::VertexPositions>();
     positions->revision = session_.revision();
     for (core::VertexId v = 0; v < shift_.size(); ++v)
-      positions->positions.push_back(session_.mesh().rest_position(v) + shift_[v]);
+      positions->positions.push_back(session_.mesh().rest_position(v) + shift_[v] + sway);
     session_.deform(positions);
     core::Delta delta;
     auto budget = core::WorkBudget::unlimited();
     while (session_.advance(budget, delta) == core::CutSession::Progress::kCommitted) committed(delta);
   }
   const std::vector<Vec3>& shift() const { return shift_; }
+  Vec3 sway;  // that the body does by itself, m
 
  private:
   struct Waiting {
     int due;
+    std::uint32_t source;
     VertexLoads loads;
   };
   core::CutSession& session_;
@@ -61,7 +68,7 @@ class Springs {
   const int delay_;
   std::vector<Vec3> shift_;
   std::deque<Waiting> waiting_;
-  VertexLoads now_;
+  std::array<VertexLoads, core::kMaxSources> now_;
   int steps_ = 0;
 };
 
@@ -259,6 +266,75 @@ TEST_P(SimulationDelay, NoEnergyComesOutInRandomMotion) {
   EXPECT_LT(rig.largest_error, 1e-6);
 }
 INSTANTIATE_TEST_SUITE_P(Simulation, SimulationDelay, ::testing::Values(0, 10, 50, 200));
+
+// Three hands in one body, each of which feels what the others do to it, while the simulation stalls and comes back with what it
+// had, and the body moves by itself: no hand gets more out than its own account allows, whatever the others put in.
+class SeveralBlades : public ::testing::TestWithParam<int> {};
+
+TEST_P(SeveralBlades, NoEnergyComesOutOfOneBodyWhoseSimulationStalls) {
+  const std::uint64_t seed = 37;
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  constexpr std::uint32_t kHands = 3;
+  Random random(seed);
+  Rig rig(4, 300, GetParam(), 16);
+  struct Hand {
+    Vec3 at, heading, force;
+    double work = 0, most = 0;
+    int felt = 0;
+  };
+  std::array<Hand, kHands> hands;
+  for (std::uint32_t h = 0; h < kHands; ++h) {
+    hands[h].at = {0.035 + 0.015 * h, 0.05, kSize + 0.06};
+    if (h > 0) rig.stage.opened(h, Rig::cut().blade);
+  }
+  int stalls = 0;
+  double bent = 0;  // the farthest that a vertex has moved, m
+  for (int i = 0; i < 8000; ++i) {
+    if (i % 400 == 0) {
+      const bool before = rig.lost;
+      rig.lost = i > 7200 || random.below(2) == 0;
+      stalls += rig.lost && !before;
+    }
+    rig.now_ns += kMillisecond_ns;
+    rig.springs.sway = {0, 0, 0.005 * std::sin(0.05 * i)};
+    for (std::uint32_t h = 0; h < kHands; ++h) {
+      Hand& hand = hands[h];
+      if (i % (60 + 7 * static_cast<int>(h)) == 0) hand.heading = random.in_box({-1, -1, -1}, {1, 1, 1});
+      const Vec3 home{0.035 + 0.015 * h, 0.05, kSize + 0.045};
+      // Up while the body is high, down while it is low: what takes the most out.
+      const Vec3 step =
+          1.5e-4 * hand.heading + 0.01 * (home - hand.at) + Vec3{0, 0, 3e-4 * std::sin(0.05 * i)};
+      hand.work -= dot(hand.force, step);
+      hand.at += step;
+      core::Pose pose;
+      pose.t_ns = rig.now_ns;
+      pose.position = hand.at;
+      rig.stage.posed(h, pose, rig.now_ns, false);
+    }
+    rig.stage.frame(rig.now_ns, 0);
+    for (std::uint32_t h = 0; h < kHands; ++h) {
+      Hand& hand = hands[h];
+      ForceCommand command;
+      ASSERT_TRUE(rig.slots[h].read(command));
+      hand.force = {command.newtons[0], command.newtons[1], command.newtons[2]};
+      hand.felt += length(hand.force) > 0.02;
+      hand.most =
+          std::max(hand.most, -hand.work - i * 1e-3 * (ForceModel::kLeak_w + ForceModel::kTissueLeak_w));
+      BladeLoad load;
+      if (rig.link.loads[h].read(load) && !rig.lost) rig.springs.take(load, h);
+    }
+    if (!rig.lost)
+      rig.springs.step(rig.interval, [&](const core::Delta& d) { rig.stage.cut(rig.session.mesh(), d); });
+    for (const Vec3& u : rig.springs.shift()) bent = std::max(bent, length(u));
+  }
+  for (const Hand& hand : hands) {
+    EXPECT_GT(hand.felt, 500);
+    EXPECT_LT(hand.most, ForceModel::kReserve_j + ForceModel::kTissueReserve_j + 1e-3);
+  }
+  EXPECT_GE(stalls, 3);
+  EXPECT_GT(bent, 1e-3) << "the body gives way";
+}
+INSTANTIATE_TEST_SUITE_P(Simulation, SeveralBlades, ::testing::Values(0, 50, 200));
 
 LocalModel model_at(const Vec3& point, double stiffness, std::int64_t from_ns, std::int64_t valid_ns) {
   LocalModel model;

@@ -71,7 +71,7 @@ TEST(FrameLoop, TissueResistsThenYieldsAndAReplayNeedsNoForces) {
     forces.resists = true;
     forces.limits.ramp_s = 0;
     forces.limits.slew_n_s = 1e9;
-    forces.limits.late_s = forces.limits.silence_s = 1e6;
+    forces.limits.silence_s = 1e6;
     loop.offer_forces(forces, std::make_unique<haptics::Tissue>(mesh), &sink, nullptr);
     auto source = sources.open("blade");
     core::Pose pose;

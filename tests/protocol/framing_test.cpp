@@ -311,6 +311,9 @@ TEST(Framing, SemanticErrorsNameTheField) {
   force = {};
   force.torque_n_m = Vec3{std::numeric_limits<double>::quiet_NaN(), 0, 0};
   cases.push_back({"Force.torque_n_m", force});
+  BladePose pose;
+  pose.force_n = Vec3{0, std::numeric_limits<double>::infinity(), 0};
+  cases.push_back({"BladePose.force_n", pose});
   BladeLoad load;
   load.contact = static_cast<BladeContact>(3);
   cases.push_back({"BladeLoad.contact", load});

@@ -272,7 +272,8 @@ std::vector<std::pair<std::string, Body>> make_messages() {
       {"Reset", Reset{}},
       {"ReplayControl", ReplayControl{ReplayAction::Seek, "liver-1.incise", 0.5f, 77}},
       {"ReplayState", ReplayState{"liver-1.incise", true, 0.5f, 77, 900, "playing", {}, {}, {}}},
-      {"BladePose", BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000}},
+      {"BladePose",
+       BladePose{2, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000, std::nullopt}},
       {"PositionsReport", PositionsReport{900, 3, 4, 1, array<std::uint32_t>({2, 6}), 77, 5}},
       {"SurfaceAsset", surface_asset()},
       {"Undo", Undo{}},
@@ -329,6 +330,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     Force torque = std::get<Force>(messages()[11].second);
     torque.torque_n_m = Vec3{0.01, -0.02, 0.03};
     torque.contact->arm = Vec3{0.001, 0.002, -0.05};
+    BladePose felt{2, false, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, 77'001'000'000, Vec3{0.5, -0.25, 2}};
     Hello loads = std::get<Hello>(messages()[0].second);
     loads.role = Role::Simulator;
     loads.load_rate_hz = 250;
@@ -393,6 +395,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"FieldValuesWhole", FieldValues{2, 0, {}, array<std::int32_t>({1, -2, 3}), 0, false}},
         {"ReplayTimeline",
          ReplayState{"liver-1.incise", false, 1, 0, 4, "", {20, 40, 40, 90}, {0, 0, 2, 0}, {1, 1, 2, 0}}},
+        {"BladePoseForce", felt},
     };
   }();
   return all;

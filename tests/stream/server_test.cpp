@@ -942,10 +942,13 @@ TEST(Server, RefusesLoadRatesThatItDoesNotOffer) {
 TEST(Server, BladesAreShownToWhoAskedEachPoseOnceAndNoOftenerThanAsked) {
   std::atomic<std::int64_t> arrival_ns{1};
   std::atomic<bool> moving{false};
+  std::atomic<double> newtons{0};
   Providers providers;
   providers.blades = [&]() -> std::vector<protocol::BladePose> {
     if (moving) ++arrival_ns;
-    return {{3, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, arrival_ns}};
+    protocol::BladePose pose{3, true, {0.01, 0.02, 0.11}, {0.01, 0.02, -0.01}, arrival_ns, std::nullopt};
+    if (newtons > 0) pose.force_n = protocol::Vec3{0, 0, newtons};
+    return {pose};
   };
   TestServer test(4, test_config(), std::move(providers));
   protocol::Hello asks = hello(Role::Viewer, View::Volume);
@@ -973,6 +976,14 @@ TEST(Server, BladesAreShownToWhoAskedEachPoseOnceAndNoOftenerThanAsked) {
     last_ns = now_ns;
   }
   moving = false;
+  // A force without another pose is told as well, and its end.
+  newtons = 1.5;
+  protocol::BladePose felt;
+  for (int i = 0; i < 1000 && !felt.force_n; ++i) felt = next(watcher);
+  ASSERT_TRUE(felt.force_n);
+  EXPECT_EQ(felt.force_n->z, 1.5);
+  newtons = 0;
+  EXPECT_FALSE(next(watcher).force_n);
   // What else they got, up to a revision: at most one pose for a client that wants one in fifty seconds, none unasked.
   test.cut();
   const auto poses_until_cut = [&](Viewer& viewer) {

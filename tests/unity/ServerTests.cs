@@ -291,9 +291,8 @@ public static class ServerTests
             System.Diagnostics.Process simulator = Server.Run(System.IO.Path.Combine(Server.Programs, "incise-xpbd"), "127.0.0.1:" + server.Port);
             try
             {
-                Check.That(follower.WaitForRevision(5, 60), "no deformation");
                 Hands.Send(hand, Hands.Sweep(-0.04, 100, false));
-                Check.That(follower.WaitForRevision(follower.State.Revision + 10, 60), "no more deformations");
+                Check.That(follower.WaitForRevision(100, 60), "the cut does not open"); // the cut itself is fewer steps
             }
             finally
             {

@@ -1,5 +1,6 @@
-// incise-xpbd: a small soft body simulation that an incised cuts. It follows the deltas, computes where tension and gravity
-// take the tissue, and sends that back: the cut opens. An example of a client in the role simulator.
+// incise-xpbd: a small soft body simulation that an incised cuts. It follows the deltas and the loads of the blades, computes
+// where these and the tissue's tension take it, and sends that back: the body dents under a blade, and cuts open. What
+// rests sends nothing. An example of a client in the role simulator.
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -28,88 +29,176 @@ struct Settings {
   std::uint16_t port = 7450;
   std::string token;
   double rate_hz = 60, seconds = 0;
-  int substeps = 8;
+  int substeps = 10;
   xpbd::Material material;
 };
+
+constexpr float kLoadRate_hz = 240;  // a few in each time step: the newest counts
+// The body rests when no vertex has moved by more than this part of its size for so long.
+constexpr double kStill = 2e-5, kRest_s = 0.5;
+constexpr double kIdle_s = 0.1;  // between two looks at the network while it rests
+// After this time a vertex that the server held is tried again, after twice that once more, and so on, so many times.
+constexpr double kRetry_s = 0.1;
+constexpr int kRetries = 6;
 
 // A line a second: how fast it is, and what became of what it sent.
 class Report {
  public:
-  void step(double work_s) {
+  void step(double work_s, bool sent) {
     ++steps_;
+    sent_ += sent;
     work_s_ += work_s;
   }
   void take(const protocol::PositionsReport& report) { last_ = report, held_ = report.held.size(); }
-  void print(const xpbd::SoftBody& body) {
+  void print(const xpbd::SoftBody& body, bool rests) {
     const double dt = seconds_since(since_);
-    if (dt < 1) return;
-    std::printf("%u tetrahedra, %.0f steps/s of %.1f ms, revision %llu, held %zu, skipped %llu\n",
-                body.tets(), steps_ / dt, 1e3 * work_s_ / std::max(steps_, 1),
-                static_cast<unsigned long long>(last_.revision), held_,
-                static_cast<unsigned long long>(last_.skipped));
+    if (dt < 1 && !rests) return;
+    std::printf(
+        "%u tetrahedra, %.0f steps/s of %.1f ms, %.0f sent/s, revision %llu, held %zu, skipped %llu%s\n",
+        body.tets(), steps_ / dt, 1e3 * work_s_ / std::max(steps_, 1), sent_ / dt,
+        static_cast<unsigned long long>(last_.revision), held_,
+        static_cast<unsigned long long>(last_.skipped), rests ? ", at rest" : "");
     std::fflush(stdout);
+    begin();
+  }
+  void begin() {
     since_ = steady_clock::now();
-    steps_ = 0;
+    steps_ = sent_ = 0;
     work_s_ = 0;
   }
 
  private:
   steady_clock::time_point since_ = steady_clock::now();
-  int steps_ = 0;
+  int steps_ = 0, sent_ = 0;
   double work_s_ = 0;
   protocol::PositionsReport last_;
   std::size_t held_ = 0;
 };
 
-void simulate(const Settings& settings) {
-  xpbd::SoftBody body(settings.material);
-  Report report;
-  std::unique_ptr<client::Client> client;
+// The body and its connection: follows, steps, sends while something moves.
+class Simulation {
+ public:
+  explicit Simulation(const Settings& settings) : settings_(settings), body_(settings.material) {}
+  void run();
+
+ private:
+  client::Callbacks callbacks();
+  void load();
+  void wake();
+  void step();
+  void retry_held(double dt_s);
+
+  const Settings& settings_;
+  xpbd::SoftBody body_;
+  Report report_;
+  std::unique_ptr<client::Client> client_;
+  const steady_clock::time_point began_ = steady_clock::now();
+  steady_clock::time_point next_ = began_;
+  std::uint64_t frame_ = 0;
+  bool awake_ = false;
+  double still_s_ = 0;
+  int tries_ = 0;  // of what the server holds back
+  double held_s_ = 0;
+};
+
+// All of these are called within poll().
+client::Callbacks Simulation::callbacks() {
   client::Callbacks callbacks;
-  // All of these are called within poll().
-  callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause) {
-    if (client) client->read([&](const protocol::Replica& mesh) { body.load(mesh); });
+  callbacks.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) {
+    if (client_) load();
   };
-  callbacks.on_delta = [&](const protocol::Replica& mesh, const protocol::Delta& delta,
-                           const client::Arrival&) { body.apply(mesh, delta); };
-  callbacks.on_positions_report = [&](const protocol::PositionsReport& told) {
-    client->read([&](const protocol::Replica& mesh) { body.hold(mesh, told.held); });
-    report.take(told);
+  callbacks.on_delta = [this](const protocol::Replica& mesh, const protocol::Delta& delta,
+                              const client::Arrival&) {
+    if (body_.apply(mesh, delta)) wake();
+  };
+  callbacks.on_blade_load = [this](const protocol::BladeLoad& load) {
+    const bool pressed = body_.pressed();
+    body_.press(load);
+    if (pressed || body_.pressed()) wake();
+  };
+  callbacks.on_positions_report = [this](const protocol::PositionsReport& told) {
+    client_->read([&](const protocol::Replica& mesh) { body_.hold(mesh, told.held); });
+    report_.take(told);
+  };
+  callbacks.on_disconnect = [this](const std::string&) {
+    body_.release_blades();
+    wake();
   };
   callbacks.on_error = [](const protocol::Error& error) { std::fprintf(stderr, "%s\n", error.text.c_str()); };
+  return callbacks;
+}
+
+// Another state: as served, after a reset or an undo, or of a server that was started again.
+void Simulation::load() {
+  client_->read([this](const protocol::Replica& mesh) { body_.load(mesh); });
+  wake();
+}
+
+void Simulation::wake() {
+  if (!awake_) {
+    report_.begin();
+    next_ = steady_clock::now();
+  }
+  awake_ = true;
+  still_s_ = 0;
+  tries_ = 0;
+}
+
+// What the server held back is tried again, less and less often: at a blade that stays where it is, or where a tetrahedron
+// is as flat as it may be, it would be held for ever.
+void Simulation::retry_held(double dt_s) {
+  held_s_ = body_.holds() ? held_s_ + dt_s : 0;
+  if (held_s_ < kRetry_s * (1 << tries_)) return;
+  body_.let_go();
+  held_s_ = 0;
+  ++tries_;
+}
+
+void Simulation::step() {
+  const double dt_s = 1 / settings_.rate_hz;
+  // Where the machine is too slow, the body is: time that is lost is not made up for.
+  next_ = std::max(
+      next_ + std::chrono::duration_cast<steady_clock::duration>(std::chrono::duration<double>(dt_s)),
+      steady_clock::now());
+  const auto start = steady_clock::now();
+  body_.step(dt_s, settings_.substeps);
+  const bool moves = body_.unsent_m() > kStill * body_.size_m();
+  report_.step(seconds_since(start), moves);
+  if (moves) {
+    protocol::Positions positions;
+    positions.frame = ++frame_;
+    positions.revision = client_->revision();
+    positions.source_ns = std::chrono::nanoseconds(start - began_).count();
+    positions.f32 = body_.positions();
+    if (client_->send_positions(positions) != 0) body_.note_sent();
+    still_s_ = 0;
+  } else {
+    still_s_ += dt_s;
+  }
+  if (tries_ < kRetries) retry_held(dt_s);
+  if (still_s_ > kRest_s && !body_.pressed() && (!body_.holds() || tries_ == kRetries)) {
+    body_.stop();
+    awake_ = false;
+  }
+  report_.print(body_, !awake_);
+}
+
+void Simulation::run() {
   client::Options options;
   options.role = protocol::Role::Simulator;
   options.client_name = "incise-xpbd";
-  options.token = settings.token;
+  options.token = settings_.token;
+  options.load_rate_hz = kLoadRate_hz;
   options.background = false;
   options.reconnect = true;
-  client = client::Client::connect(settings.host, settings.port, options, callbacks);
-  client->read([&](const protocol::Replica& mesh) { body.load(mesh); });  // what has come with the welcome
-
-  const auto began = steady_clock::now();
-  const double dt_s = 1 / settings.rate_hz;
-  auto next = began;
-  std::uint64_t frame = 0;
-  while (!stop && (settings.seconds == 0 || seconds_since(began) < settings.seconds)) {
-    const double left_s = std::chrono::duration<double>(next - steady_clock::now()).count();
-    if (!client->poll(std::max(left_s, 0.0))) break;
-    if (body.tets() == 0 || steady_clock::now() < next) continue;
-    // Where the machine is too slow, the body is: time that is lost is not made up for.
-    next = std::max(
-        next + std::chrono::duration_cast<steady_clock::duration>(std::chrono::duration<double>(dt_s)),
-        steady_clock::now());
-    const auto start = steady_clock::now();
-    body.step(dt_s, settings.substeps);
-    protocol::Positions positions;
-    positions.frame = ++frame;
-    positions.revision = client->revision();
-    positions.source_ns = std::chrono::nanoseconds(start - began).count();
-    positions.f32 = body.positions();
-    report.step(seconds_since(start));
-    client->send_positions(positions);
-    report.print(body);
+  client_ = client::Client::connect(settings_.host, settings_.port, options, callbacks());
+  load();  // what has come with the welcome
+  while (!stop && (settings_.seconds == 0 || seconds_since(began_) < settings_.seconds)) {
+    const double left_s = std::chrono::duration<double>(next_ - steady_clock::now()).count();
+    if (!client_->poll(awake_ ? std::max(left_s, 0.0) : kIdle_s)) break;
+    if (awake_ && body_.tets() > 0 && steady_clock::now() >= next_) step();
   }
-  if (!client->last_error().empty()) std::fprintf(stderr, "%s\n", client->last_error().c_str());
+  if (!client_->last_error().empty()) std::fprintf(stderr, "%s\n", client_->last_error().c_str());
 }
 
 }  // namespace
@@ -117,17 +206,14 @@ void simulate(const Settings& settings) {
 int main(int argc, char** argv) {
   Settings settings;
   std::string server = "127.0.0.1:7450";
-  CLI::App app("incise-xpbd: a soft body that an incised cuts, under tension and gravity");
+  CLI::App app("incise-xpbd: a soft body that an incised cuts, which gives way and is under tension");
   app.add_option("server", server, "HOST:PORT of incised (" + server + ")");
   app.add_option("--token", settings.token, "what opens the role simulator there");
   app.add_option("--rate", settings.rate_hz, "time steps a second (60)")->check(CLI::Range(1.0, 1000.0));
-  app.add_option("--substeps", settings.substeps, "in each of them (8)")->check(CLI::Range(1, 100));
-  app.add_option("--young", settings.material.young_pa, "stiffness, Pa (4000)")->check(CLI::Range(10.0, 1e7));
-  app.add_option("--shrink", settings.material.shrink,
-                 "tension: lengths are so much shorter without stress (0.12)")
-      ->check(CLI::Range(0.0, 0.5));
-  app.add_option("--gravity", settings.material.gravity_m_s2, "against z, m/s2 (9.81)")
-      ->check(CLI::Range(-100.0, 100.0));
+  app.add_option("--substeps", settings.substeps, "in each of them (10)")->check(CLI::Range(1, 100));
+  app.add_option("--young", settings.material.young_pa, "stiffness, Pa (6000)")->check(CLI::Range(10.0, 1e7));
+  app.add_option("--tension", settings.material.tension_pa, "with which tissue pulls at a cut, Pa (600)")
+      ->check(CLI::Range(0.0, 1e6));
   app.add_option("--seconds", settings.seconds, "ends after so long; 0: with Ctrl-C")
       ->check(CLI::Range(0.0, 1e6));
   CLI11_PARSE(app, argc, argv);
@@ -138,7 +224,7 @@ int main(int argc, char** argv) {
   std::signal(SIGINT, [](int) { stop = 1; });
   std::signal(SIGTERM, [](int) { stop = 1; });
   try {
-    simulate(settings);
+    Simulation(settings).run();
   } catch (const std::exception& error) {
     std::fprintf(stderr, "incise-xpbd: %s\n", error.what());
     return 1;

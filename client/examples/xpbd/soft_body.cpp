@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <utility>
 #include <vector>
 
 #include "protocol/carry.hpp"
@@ -37,40 +38,73 @@ Vector cross(const Vector& a, const Vector& b) {
 // sliver. A regular one has 0.7.
 constexpr float kFlat = 1e-3f, kSliver = 0.1f;
 
+// How far the hold of the bed and of the ends reaches into the body, in parts of its height and length.
+constexpr float kBed = 0.6f, kEnds = 0.15f;
+
 }  // namespace
 
-bool SoftBody::is_held(const Vector& rest) const {
+// What the surroundings resist with at a place of the skin, Pa/m.
+float SoftBody::tether_pa_m(const Vector& rest) const {
   const auto size = high_ - low_;
-  const float ends = static_cast<float>(material_.held_ends) * size[0];
-  return rest[2] < low_[2] + static_cast<float>(material_.held_below) * size[2] || rest[0] < low_[0] + ends ||
-         rest[0] > high_[0] - ends;
+  // From 1 at an end to 0 where it fades out, as smooth as a cosine.
+  const auto fade = [](float at, float reach) {
+    const float s = std::clamp(1 - at / std::max(reach, 1e-9f), 0.0f, 1.0f);
+    return s * s * (3 - 2 * s);
+  };
+  const float bed = fade(rest[2] - low_[2], kBed * size[2]);
+  const float ends =
+      std::max(fade(rest[0] - low_[0], kEnds * size[0]), fade(high_[0] - rest[0], kEnds * size[0]));
+  const auto skin = static_cast<float>(material_.skin_pa_m), most = static_cast<float>(material_.bed_pa_m);
+  return skin + (most - skin) * std::max(bed, ends);
 }
 
-void SoftBody::update_weight(std::uint32_t vertex) {
-  const bool free = mass_[vertex] > 1e-12f && !fixed_[vertex] && !held_[vertex];
+void SoftBody::update_vertex(std::uint32_t vertex) {
+  const bool free = mass_[vertex] > 1e-12f && !held_[vertex];
   weight_[vertex] = free ? 1 / mass_[vertex] : 0;
+  tether_[vertex] = skin_[vertex] > 1e-12f ? skin_[vertex] * tether_pa_m(rest_[vertex]) : 0;
+}
+
+// The loads and the skin of a tetrahedron's outer faces, a third to each vertex. The outward area of the face opposite to a
+// vertex is -3 volume times the gradient of that vertex's barycentric coordinate.
+void SoftBody::add_faces(const Tet& tet, float sign) {
+  if ((tet.cut_faces | tet.skin_faces) == 0 || tet.per_volume == 0) return;
+  const auto& q = tet.inverse;
+  const float volume = sign * tet.mass_kg / static_cast<float>(material_.density_kg_m3);
+  Vector inward[4];
+  for (std::size_t k = 0; k < 3; ++k)
+    inward[k + 1] = volume * Vector{q[3 * k], q[3 * k + 1], q[3 * k + 2], 0};
+  inward[0] = -(inward[1] + inward[2] + inward[3]);
+  for (std::size_t f = 0; f < 4; ++f) {
+    const bool skin = tet.skin_faces >> f & 1, cut = tet.cut_faces >> f & 1;
+    if (!skin && !cut) continue;
+    const float area = sign * std::sqrt(dot(inward[f], inward[f]));
+    for (std::size_t k = 0; k < 4; ++k) {
+      if (k == f) continue;
+      if (cut) lips_[tet.v[k]] += static_cast<float>(material_.tension_pa) * inward[f];
+      if (skin) skin_[tet.v[k]] += area;
+    }
+  }
 }
 
 void SoftBody::remove_tet(std::uint32_t id) {
   Tet& tet = tets_[id];
   if (tet.mass_kg == 0) return;
+  add_faces(tet, -1);
   for (const std::uint32_t v : tet.v) {
     mass_[v] = std::max(mass_[v] - 0.25f * tet.mass_kg, 0.0f);
-    update_weight(v);
+    update_vertex(v);
   }
   tet = {};
   --live_tets_;
 }
 
-// Shape and mass of a tetrahedron from the rest positions of its vertices.
+// Shape, mass and outer faces of a tetrahedron, from the rest positions of its vertices.
 void SoftBody::set_tet(const Replica& mesh, std::uint32_t id) {
   remove_tet(id);
   Tet& tet = tets_[id];
   tet.v = mesh.vertices(id);
-  const float scale = 1 - static_cast<float>(material_.shrink);
-  const Vector a = scale * (rest_[tet.v[1]] - rest_[tet.v[0]]),
-               b = scale * (rest_[tet.v[2]] - rest_[tet.v[0]]),
-               c = scale * (rest_[tet.v[3]] - rest_[tet.v[0]]);
+  const Vector a = rest_[tet.v[1]] - rest_[tet.v[0]], b = rest_[tet.v[2]] - rest_[tet.v[0]],
+               c = rest_[tet.v[3]] - rest_[tet.v[0]];
   const float longest = std::sqrt(std::max({dot(a, a), dot(b, b), dot(c, c)}));
   const float cube = longest * longest * longest;
   const Vector rows[3] = {cross(b, c), cross(c, a), cross(a, b)};
@@ -85,10 +119,13 @@ void SoftBody::set_tet(const Replica& mesh, std::uint32_t id) {
   }
   tet.mass_kg =
       static_cast<float>(material_.density_kg_m3) * std::max(std::abs(six_volumes), kFlat * cube) / 6;
+  tet.cut_faces = mesh.boundary_mask(id) & mesh.cut_mask(id);
+  tet.skin_faces = mesh.boundary_mask(id) & ~tet.cut_faces;
   ++live_tets_;
+  add_faces(tet, 1);
   for (const std::uint32_t v : tet.v) {
     mass_[v] += 0.25f * tet.mass_kg;
-    update_weight(v);
+    update_vertex(v);
   }
 }
 
@@ -105,67 +142,112 @@ void SoftBody::load(const Replica& mesh) {
       high_[k] = std::max(high_[k], rest_[i][k]);
     }
   }
-  before_ = x_;
-  v_.assign(n, Vector{});
-  mass_.assign(n, 0);
-  weight_.assign(n, 0);
+  before_ = sent_ = x_;
+  for (auto* vectors : {&v_, &lips_}) vectors->assign(n, Vector{});
+  for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->assign(n, 0);
   held_.assign(n, 0);
   held_list_.clear();
+  blades_.clear();
   changed_.assign(n, 0);
-  fixed_.resize(n);
-  for (std::size_t i = 0; i < n; ++i) fixed_[i] = is_held(rest_[i]);
   tets_.assign(mesh.tet_slots(), {});
   live_tets_ = 0;
   mesh.for_each_tet([&](std::uint32_t t) { set_tet(mesh, t); });
 }
 
-void SoftBody::apply(const Replica& mesh, const Delta& delta) {
-  if (delta.tets.ids.empty() && delta.removed_tets.empty() && delta.rest_ids.empty()) return;
+bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
+  if (delta.tets.ids.empty() && delta.removed_tets.empty() && delta.rest_ids.empty()) return false;
   const std::uint32_t first_added = vertices(), n = mesh.vertex_count();
   // Velocities go with the material.
   std::vector<float> velocities(4 * v_.size());
   std::memcpy(velocities.data(), v_.data(), 4 * velocities.size());
   protocol::carry(delta, 4, velocities);
-  for (auto* vectors : {&x_, &before_, &v_, &rest_}) vectors->resize(n);
+  for (auto* vectors : {&x_, &before_, &v_, &rest_, &sent_, &lips_}) vectors->resize(n);
   std::memcpy(v_.data(), velocities.data(), 4 * velocities.size());
-  mass_.resize(n, 0);
-  weight_.resize(n, 0);
+  for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->resize(n, 0);
   held_.resize(n, 0);
-  fixed_.resize(n, 0);
   changed_.resize(n, 0);
   tets_.resize(mesh.tet_slots());
   // What a cut has put elsewhere or made stands for other material now. While nothing has been deformed there are no rest
   // positions in deltas: they are the positions.
   const auto take = [&](std::uint32_t id) {
-    x_[id] = before_[id] = vector_at(mesh.positions(), id);
+    x_[id] = before_[id] = sent_[id] = vector_at(mesh.positions(), id);
     rest_[id] = vector_at(mesh.rest_positions(), id);
-    fixed_[id] = is_held(rest_[id]);
     changed_[id] = 1;
   };
   for (const std::uint32_t id : mesh.deformed() ? delta.rest_ids : delta.moved_ids) take(id);
   for (std::uint32_t id = first_added; id < n; ++id) take(id);
   for (const std::uint32_t id : delta.removed_tets) remove_tet(id);
   for (const std::uint32_t id : delta.tets.ids) set_tet(mesh, id);
+  // A face that opens is named as a half-face: its tetrahedron may be the same.
+  for (const auto* faces : {&delta.boundary_upserted, &delta.boundary_removed}) {
+    for (const std::uint32_t face : *faces) {
+      if (mesh.alive(face / 4)) set_tet(mesh, face / 4);
+    }
+  }
   for (std::uint32_t id = 0; id < tets_.size(); ++id) {
     const auto& v = tets_[id].v;
     if (tets_[id].mass_kg > 0 && (changed_[v[0]] || changed_[v[1]] || changed_[v[2]] || changed_[v[3]]))
       set_tet(mesh, id);
   }
   std::fill(changed_.begin(), changed_.end(), 0);
+  return true;
 }
 
 void SoftBody::hold(const Replica& mesh, std::span<const std::uint32_t> held) {
+  for (const std::uint32_t id : held) {
+    if (id >= vertices()) continue;
+    x_[id] = sent_[id] = vector_at(mesh.positions(), id);
+    v_[id] = Vector{};
+    if (std::exchange(held_[id], std::uint8_t{1})) continue;
+    held_list_.push_back(id);
+    update_vertex(id);
+  }
+}
+
+void SoftBody::let_go() {
   for (const std::uint32_t id : held_list_) {
     held_[id] = 0;
-    update_weight(id);
+    update_vertex(id);
   }
-  held_list_.assign(held.begin(), held.end());
-  std::erase_if(held_list_, [this](std::uint32_t id) { return id >= vertices(); });
-  for (const std::uint32_t id : held_list_) {
-    x_[id] = vector_at(mesh.positions(), id);
-    v_[id] = Vector{};
-    held_[id] = 1;
-    update_weight(id);
+  held_list_.clear();
+}
+
+void SoftBody::press(const protocol::BladeLoad& load) {
+  std::erase_if(blades_, [&](const BladeForce& blade) { return blade.source == load.source; });
+  const auto to_vector = [](const protocol::Vec3& p) {
+    return Vector{static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z), 0};
+  };
+  const Vector force = -to_vector(load.force_n);
+  BladeForce blade;
+  blade.source = load.source;
+  blade.force = std::sqrt(dot(force, force));
+  if (blade.force < 1e-6f) return;
+  blade.way = (1 / blade.force) * force;
+  blade.center = dot(blade.way, to_vector(load.center));
+  for (std::size_t i = 0; i < load.ids.size(); ++i) {
+    // A vertex of a cut that we have not seen yet.
+    if (load.ids[i] >= vertices()) continue;
+    blade.ids.push_back(load.ids[i]);
+    blade.shares.push_back(dot(vector_at(load.forces, i), blade.way) / blade.force);
+  }
+  if (!blade.ids.empty()) blades_.push_back(std::move(blade));
+}
+
+// The force as it will be at the end of the time step, in which the spring relaxes by what the body gives way.
+void SoftBody::push(const BladeForce& blade, float dt) {
+  float give = -blade.center, weight = 0, all = 0;
+  for (std::size_t i = 0; i < blade.ids.size(); ++i) {
+    const std::uint32_t id = blade.ids[i];
+    give += blade.shares[i] * dot(blade.way, x_[id]);
+    weight += blade.shares[i] * blade.shares[i] * weight_[id];
+    all += blade.shares[i];
+  }
+  if (!(std::abs(all - 1) < 0.01f)) give = 0;  // with a vertex missing nobody knows where it was
+  const float force =
+      std::max(0.0f, blade.force - kContact_n_m * give) / (1 + dt * dt * kContact_n_m * weight);
+  for (std::size_t i = 0; i < blade.ids.size(); ++i) {
+    const std::uint32_t id = blade.ids[i];
+    x_[id] += dt * dt * weight_[id] * blade.shares[i] * force * blade.way;
   }
 }
 
@@ -218,28 +300,42 @@ void SoftBody::step(double dt_s, int substeps) {
       material_.young_pa * material_.poisson / ((1 + material_.poisson) * (1 - 2 * material_.poisson));
   const float shear_compliance = 1 / (static_cast<float>(mu) * dt * dt);
   const float volume_compliance = 1 / (static_cast<float>(lambda) * dt * dt);
-  const Vector fall{0, 0, -dt * static_cast<float>(material_.gravity_m_s2), 0};
   for (int n = 0; n < substeps; ++n) {
     for (std::size_t i = 0; i < x_.size(); ++i) {
       before_[i] = x_[i];
-      if (weight_[i] > 0) x_[i] += dt * (v_[i] + fall);
+      if (weight_[i] > 0) x_[i] += dt * (v_[i] + dt * weight_[i] * lips_[i]);
     }
+    for (const BladeForce& blade : blades_) push(blade, dt);
     for (const Tet& tet : tets_) {
       if (tet.per_volume > 0)
         project(tet, shear_compliance, volume_compliance, static_cast<float>(1 + mu / lambda));
     }
     for (std::size_t i = 0; i < x_.size(); ++i) {
-      // A table lies below the body: what is cut off does not fall out of the picture.
-      if (weight_[i] > 0) x_[i][2] = std::max(x_[i][2], low_[2]);
+      const float pull = dt * dt * tether_[i] * weight_[i];
+      x_[i] += pull / (1 + pull) * (rest_[i] - x_[i]);
       v_[i] = (keep / dt) * (x_[i] - before_[i]);
     }
   }
+}
+
+double SoftBody::unsent_m() const {
+  float most = 0;
+  for (std::size_t i = 0; i < x_.size(); ++i) {
+    const Vector way = x_[i] - sent_[i];
+    most = std::max(most, dot(way, way));
+  }
+  return std::sqrt(static_cast<double>(most));
 }
 
 std::span<const float> SoftBody::positions() {
   out_.clear();
   for (const Vector& p : x_) out_.insert(out_.end(), {p[0], p[1], p[2]});
   return out_;
+}
+
+double SoftBody::size_m() const {
+  const Vector size = high_ - low_;
+  return std::sqrt(static_cast<double>(dot(size, size)));
 }
 
 }  // namespace incise::xpbd

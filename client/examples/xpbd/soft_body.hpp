@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -9,69 +10,108 @@
 
 namespace incise::xpbd {
 
-// What the body is made of and how it is held: SI units.
+// What the body is made of and how its surroundings hold it: SI units.
 struct Material {
-  double young_pa = 4000;  // of soft tissue, a few kilopascals
+  double young_pa = 2000;  // of soft tissue, a few kilopascals
   double poisson = 0.45;   // nearly incompressible
   double density_kg_m3 = 1050;
-  double shrink =
-      0.12;  // stress-free lengths are so much shorter than those of the mesh: it is under tension
-  double damping_per_s = 3;    // velocities fall by e in 1/3 s
-  double gravity_m_s2 = 9.81;  // against z
-  // Held where, at rest, it is in this part of its height from below, or at one of its ends along x.
-  double held_below = 0.15, held_ends = 0.04;
+  double tension_pa = 300;   // with which tissue pulls at a cut
+  double damping_per_s = 8;  // velocities fall by e in 1/8 s
+  // Pascals that the surroundings resist with for each metre that the skin has moved: all of it a little, as fat and
+  // peritoneum do; what lies on the bed (from below) and the ends along x (ligaments) much, fading out towards the middle.
+  double skin_pa_m = 2e4, bed_pa_m = 5e5;
 };
 
 // A soft body on the tetrahedra that a server cuts: extended position based dynamics (XPBD; Macklin, Müller and Chentanez
 // 2016) in small steps of one iteration each (Macklin et al. 2019), with a stable neo-Hookean material (Macklin and Müller
-// 2021, "A Constraint-based Formulation of Stable Neo-Hookean Materials"). All constraints belong to tetrahedra, so that a cut needs no more than its delta: gone ones stop pulling, new ones get their shape from rest positions.
+// 2021, "A Constraint-based Formulation of Stable Neo-Hookean Materials"). All constraints belong to tetrahedra, so that a cut
+// needs no more than its delta: gone ones stop pulling, new ones get their shape from rest positions.
+//
+// At rest. A body that was scanned or modelled has its shape under gravity and under the pull of what surrounds it, so this is
+// where it rests: nothing sags, and nothing moves before something is done to it. Tension shows where a cut releases it. By
+// superposition (Bueckner 1958, "The propagation of cracks and the energy of elastic deformation"), that is the same as an
+// untensed body whose cut faces are pressed apart with that tension: cut faces get it as a load, and nothing else does.
+//
+// Loads. A blade's force was computed for the body as the server had it; while the body gives way it would fall, along a spring
+// no stiffer than kContact_n_m. It does so here, between two messages: a force that stayed as it was would drive soft tissue too far,
+// and back, and so on. With springs up to that stiffness each step comes nearer to where force and tissue agree, however late messages are.
 //
 // Arrays are indexed by the server's ids. Thread: one, at a time.
 class SoftBody {
  public:
   explicit SoftBody(const Material& material) : material_(material) {}
 
-  // Starts over with a whole mesh, with all velocities zero. O(mesh).
+  // Starts over with a whole mesh, with all velocities zero and without loads. O(mesh).
   void load(const protocol::Replica& mesh);
-  // Takes a cut in; `mesh` is the state after it. Deformations, which are our own positions coming back, are passed over.
-  // O(mesh), some 2 ns a tetrahedron.
-  void apply(const protocol::Replica& mesh, const protocol::Delta& delta);
-  // The server did not move these (ascending) where they were sent: they stay where they are in `mesh` until the next call.
+  // Takes a cut in; `mesh` is the state after it. False, and nothing is done, for deformations, which are our own positions
+  // coming back. O(mesh), some 2 ns a tetrahedron.
+  bool apply(const protocol::Replica& mesh, const protocol::Delta& delta);
+  // The server did not move these where they were sent, at a blade that cuts or so that no tetrahedron inverts: they stay where
+  // they are in `mesh` until let_go().
   void hold(const protocol::Replica& mesh, std::span<const std::uint32_t> vertices);
+  void let_go();
+  bool holds() const { return !held_list_.empty(); }
+  // What a blade does to the body, until the next load of this blade.
+  void press(const protocol::BladeLoad& load);
+  void release_blades() { blades_.clear(); }
+  bool pressed() const { return !blades_.empty(); }
 
+  // All velocities are zero.
+  void stop() { std::fill(v_.begin(), v_.end(), Vector{}); }
   // A time step, seconds, in so many smaller ones.
   void step(double dt_s, int substeps);
 
+  // How far some vertex is from where the server has it, as far as we know: where it said, or where we sent it, m. O(vertices).
+  double unsent_m() const;
   // x y z of all vertices.
   std::span<const float> positions();
+  // They have gone to the server.
+  void note_sent() { sent_ = x_; }
   std::uint32_t tets() const { return live_tets_; }
   std::uint32_t vertices() const { return static_cast<std::uint32_t>(x_.size()); }
+  double size_m() const;
 
  private:
   // x y z, and a fourth number beside them: one register.
   using Vector = float __attribute__((vector_size(16)));
   struct Tet {
     std::array<std::uint32_t, 4> v{};
-    // Of the stress-free shape: the inverse of the matrix of its edges from v[0], by rows; and
-    // 1 / volume, 0 where it is too flat to have a stiffness. Of no tetrahedron at all mass is 0.
+    // Of its shape at rest: the inverse of the matrix of its edges from v[0], by rows, which are the gradients of the barycentric
+    // coordinates of v[1] to v[3]; and 1 / volume, 0 where it is too flat to have a stiffness. Of no tetrahedron at all mass is 0.
     std::array<float, 9> inverse{};
     float per_volume = 0;
     float mass_kg = 0;
+    std::uint8_t cut_faces = 0, skin_faces = 0;  // a bit for each
   };
-  bool is_held(const Vector& rest) const;
+  // A blade's force, N, along the unit vector `way`, shared out by `shares`, which sum to 1. It acted where these were at `center`.
+  struct BladeForce {
+    std::uint32_t source = 0;
+    Vector way{};
+    float force = 0, center = 0;
+    std::vector<std::uint32_t> ids;
+    std::vector<float> shares;
+  };
+  static constexpr float kContact_n_m = 2000;  // the server's haptics.stiffest_n_m
+
+  float tether_pa_m(const Vector& rest) const;
   void set_tet(const protocol::Replica& mesh, std::uint32_t id);
   void remove_tet(std::uint32_t id);
-  void update_weight(std::uint32_t vertex);
+  void add_faces(const Tet& tet, float sign);
+  void update_vertex(std::uint32_t vertex);
   void project(const Tet& tet, float shear_compliance, float volume_compliance, float goal);
+  void push(const BladeForce& blade, float dt);
 
   const Material material_;
   Vector low_{}, high_{};  // of the body at rest
-  std::vector<Vector> x_, before_, v_, rest_;
+  std::vector<Vector> x_, before_, v_, rest_, sent_;
+  std::vector<Vector> lips_;          // N: the tension that cuts have released
+  std::vector<float> skin_, tether_;  // m^2 of skin; N/m towards the place at rest
   std::vector<float> mass_, weight_;  // kg; 1/kg, 0 where it is held
-  std::vector<std::uint8_t> fixed_, held_;
+  std::vector<std::uint8_t> held_;
   std::vector<std::uint32_t> held_list_;
   std::vector<Tet> tets_;
   std::uint32_t live_tets_ = 0;
+  std::vector<BladeForce> blades_;
   std::vector<std::uint8_t> changed_;  // scratch, by vertex
   std::vector<float> out_;
 };

@@ -24,12 +24,10 @@ export class Marks {
   draw(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const scale = Math.min(devicePixelRatio, 2);
-    if (this.canvas.width !== width * scale || this.canvas.height !== height * scale) {
+    // Setting the size clears it. (With clearRect, Chromium 156 without a graphics card keeps old marks when it is busy.)
+    if (this.used || this.canvas.width !== width * scale || this.canvas.height !== height * scale) {
       this.canvas.width = width * scale;
       this.canvas.height = height * scale;
-    } else if (this.used) {
-      this.pen.resetTransform();
-      this.pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     }
     this.used = false;
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
@@ -70,6 +68,32 @@ export class Marks {
       this.pen.strokeStyle = colour;
       this.pen.stroke();
     }
+  }
+
+  /** A line with a head of this length, in metres. */
+  arrow(from: THREE.Vector3, to: THREE.Vector3, head_m: number): void {
+    const a = this.onScreen(from),
+      b = this.onScreen(to);
+    const neck = this.onScreen(to.clone().add(from.clone().sub(to).setLength(head_m)));
+    if (!a || !b || !neck) return;
+    this.line(from, to, 4);
+    // Seen from the front it has no direction.
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]);
+    if (length < 4) return this.dot(to, 6, false);
+    const head = Math.max(9, Math.hypot(b[0] - neck[0], b[1] - neck[1]));
+    const x = ((b[0] - a[0]) / length) * head,
+      y = ((b[1] - a[1]) / length) * head;
+    const { accent, ground } = this.begin();
+    this.pen.beginPath();
+    this.pen.moveTo(b[0] + 0.6 * x, b[1] + 0.6 * y);
+    this.pen.lineTo(b[0] - 0.4 * x - 0.5 * y, b[1] - 0.4 * y + 0.5 * x);
+    this.pen.lineTo(b[0] - 0.4 * x + 0.5 * y, b[1] - 0.4 * y - 0.5 * x);
+    this.pen.closePath();
+    this.pen.lineWidth = 2;
+    this.pen.strokeStyle = ground;
+    this.pen.stroke();
+    this.pen.fillStyle = accent;
+    this.pen.fill();
   }
 
   dot(at: THREE.Vector3, radius = 4, filled = true): void {

@@ -106,6 +106,14 @@ export interface Patch {
   posed_ms: number;
 }
 
+export interface BladeForce {
+  source: number;
+  own: boolean; // the mouse's
+  heel: Vec3;
+  tip: Vec3;
+  newtons: Vec3; // world frame; zero: none acts
+}
+
 export type FromWorker =
   | { kind: "link"; which: "view" | "blade" | "admin"; state: LinkState }
   | { kind: "facts"; facts: Facts }
@@ -120,6 +128,8 @@ export type FromWorker =
   | { kind: "cut-area"; halfFace: number; area_m2: number }
   /** Where another blade is now. */
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
+  /** The force on the hand that holds a blade, when it has changed. */
+  | { kind: "force"; force: BladeForce }
   | { kind: "stats"; json: string; roundTrip_ms: number; tets: number; undoable: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** What the layers of Corners.texture are: sRGB, 4 bytes a pixel, the lowest row first. Before the first geometry with such corners. */

@@ -3,6 +3,7 @@ import { BladeNames } from "./blade_colours";
 import { ask, element, input, save } from "./dom";
 import { acceptDrops } from "./drop";
 import { Figures } from "./figures";
+import { ForceArrows } from "./force_arrows";
 import { type Key, Keys } from "./keys";
 import type { LinkState } from "./link";
 import { LiveStrokes } from "./live_strokes";
@@ -34,6 +35,7 @@ export class Page {
   readonly measure = new Measure(element("picture"), this.stage, (halfFace) =>
     this.send({ kind: "cut-area", halfFace }),
   );
+  readonly forces = new ForceArrows(this.stage.marks, () => this.stage.bodySize_m);
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
@@ -140,6 +142,9 @@ export class Page {
       case "blade-pose":
         this.livePoses_ms.set(message.source, performance.now());
         this.stage.blade(message.source, false).move(message.heel, message.tip, message.cutting);
+        return this.stage.draw();
+      case "force":
+        this.forces.take(message.force);
         return this.stage.draw();
       case "stats":
         this.figures.showStats(message.json);

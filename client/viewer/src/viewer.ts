@@ -63,6 +63,7 @@ export class Viewer {
   private replayAsked = false; // from the request for a replay until the live mesh is back
   replaying = false; // a recording is shown; Stats are still of the live mesh
   private deforms = false;
+  private readonly felt = new Set<number>(); // sources with a force
   /** Replaying has begun or ended. */
   onReplaying: () => void = () => {};
 
@@ -279,14 +280,17 @@ export class Viewer {
   }
 
   private onBladePose(pose: BladePose): void {
-    if (this.blade.owns(pose.source())) return; // the page draws that one itself
-    this.post({
-      kind: "blade-pose",
-      source: pose.source(),
-      heel: vec(pose.heel()),
-      tip: vec(pose.tip()),
-      cutting: pose.cutting(),
-    });
+    const source = pose.source(),
+      own = this.blade.owns(source);
+    const heel = vec(pose.heel()),
+      tip = vec(pose.tip());
+    const newtons = vec(pose.forceN());
+    if (newtons.some((n) => n !== 0) || this.felt.has(source))
+      this.post({ kind: "force", force: { source, own, heel, tip, newtons } });
+    this.felt.delete(source);
+    if (newtons.some((n) => n !== 0)) this.felt.add(source);
+    if (own) return; // the page draws that one itself
+    this.post({ kind: "blade-pose", source, heel, tip, cutting: pose.cutting() });
   }
 
   private onStats(stats: Stats): void {

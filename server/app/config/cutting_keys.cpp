@@ -54,7 +54,8 @@ ConfigKeys cut_keys() {
           "cut.engage", {"buttons", "always", "resistance"},
           "When the blade cuts: while one of cut.engage_buttons is held, or always. With \"resistance\" a "
           "blade whose "
-          "button is held presses until the force model says that the tissue yields, and cuts from there on.",
+          "button is held presses until the force model says that the tissue yields, and cuts from there on "
+          "(incise feel does so, too; incise cut has no forces, so its blade always cuts).",
           [](const Config& c) -> std::size_t {
             return c.haptics.force.resists ? 2 : c.cut.always_engaged ? 1 : 0;
           },
@@ -107,6 +108,10 @@ ConfigKeys haptics_keys() {
       number("haptics.slew_n_s", INCISE_FIELD(haptics.force.limits.slew_n_s), 1, 1e5,
              "The fastest change of a force; at least a hundred times haptics.max_force_n, so that a fault "
              "ends it in 10 ms."),
+      number(
+          "haptics.silence_s", INCISE_FIELD(haptics.force.limits.silence_s), 0.02, 1,
+          "If no pose comes for so long while a force acts, or a frame is late by a quarter of it, the force "
+          "ends. More than 0.02 only where no motor makes the force: for recorded motions."),
       number("haptics.frozen_s", INCISE_FIELD(haptics.force.limits.frozen_s), 0.02, 1e6,
              "If poses stay identical to the bit for so long while a force acts, the device is stuck and the "
              "force ends."),

@@ -62,6 +62,7 @@ int run_info(const InfoCommand& command);
 struct PhantomCommand {
   std::string kind;
   std::uint64_t size = 60'000;  // tetrahedra
+  bool capsule = false;         // those with a face at the outside are region 1
   std::filesystem::path out;
   bool json = false;
 };

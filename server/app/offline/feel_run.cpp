@@ -35,8 +35,13 @@ FeelRun::FeelRun(const CutInput& input, std::string motion_name)
 }
 
 void FeelRun::run(Progress& progress) {
+  // As the server does. What it decided is in a capture already, as released buttons.
+  std::function<bool(const MotionEvent&)> holds_back;
+  if (!input_.motion.header)
+    holds_back = [this](const MotionEvent& event) { return stage_.holds_back(event.source, event.pose); };
   motion_run_.run(
       {.deformations = false,  // they name vertices of another mesh
+       .holds_back = holds_back,
        .event = [this](const MotionEvent& event, core::PoseVerdict verdict) { handle(event, verdict); },
        .commit = [this](const core::Delta& delta, double) { stage_.cut(session_.mesh(), delta); }},
       progress);

@@ -270,7 +270,8 @@ int run_phantom(const PhantomCommand& command) {
     mesh_io::FillOptions options;
     options.target_tets = command.size;
     options.progress = [&](std::string_view stage, double) { filling.show(-1, stage); };
-    const core::MeshData data = mesh_io::make_phantom(*kind, options, warnings);
+    core::MeshData data = mesh_io::make_phantom(*kind, options, warnings);
+    if (command.capsule) mesh_io::add_capsule(data, 1);
     const core::TetMesh mesh(data);
     write_cut_mesh(command.out, mesh);
     facts = {{"kind", "tetrahedral mesh"},

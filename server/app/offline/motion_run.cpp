@@ -126,7 +126,9 @@ void MotionRun::run(const Options& options, Progress& progress) {
 void MotionRun::handle(const MotionEvent& event, const Options& options) {
   auto verdict = PoseVerdict::kAccepted;
   if (event.kind == MotionEvent::Kind::kPose) {
-    verdict = session_.push(event.source, event.pose);
+    core::Pose pose = event.pose;
+    if (options.holds_back && options.holds_back(event)) pose.buttons &= ~config_.cut.engage_buttons;
+    verdict = session_.push(event.source, pose);
     ++verdicts_[static_cast<std::size_t>(verdict)];
     engaged_ = engaged_ || engaged(config_.cut, event.pose);
     tool_.add(event.pose.position);

@@ -43,6 +43,8 @@ class MotionRun {
 
   struct Options {
     bool deformations = true;  // false: skip them, because they name another mesh's vertices
+    // Whether tissue holds the blade of this pose back, so that it does not cut though its button is held.
+    std::function<bool(const MotionEvent&)> holds_back = {};
     // The session has handled it; `verdict` is a pose's.
     std::function<void(const MotionEvent&, core::PoseVerdict verdict)> event;
     std::function<void(const core::Delta&, double us)> commit;  // a batch, and how long it took

@@ -89,6 +89,9 @@ void add_phantom(CLI::App& app, int& exit_code) {
   sub->add_option("--size", command->size, "Tetrahedra, about")
       ->check(client::whole_number(mesh_io::kMinPhantomTets, mesh_io::kMaxPhantomTets))
       ->capture_default_str();
+  sub->add_flag(
+      "--capsule", command->capsule,
+      "Make the outermost tetrahedra region 1, for a capsule with a feel of its own (config/tissues.json)");
   sub->add_option("--out", command->out,
                   "Where to write it: .node, .vtu, .vtk, .msh, .msh2, .mesh, or a surface's ending or .glb "
                   "for its surface")

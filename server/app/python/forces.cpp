@@ -7,12 +7,8 @@ namespace {
 
 haptics::ForceConfig without_limits(haptics::ForceConfig config) {
   constexpr double kNone = 1e12;
-  config.limits = {.most_n = kNone,
-                   .slew_n_s = kNone * kNone,
-                   .ramp_s = 1e-6,
-                   .silence_s = kNone,
-                   .late_s = kNone,
-                   .frozen_s = kNone};
+  config.limits = {
+      .most_n = kNone, .slew_n_s = kNone * kNone, .ramp_s = 1e-6, .silence_s = kNone, .frozen_s = kNone};
   return config;
 }
 

@@ -26,6 +26,7 @@ const {
   BodyMesh,
   rangesOf,
   BladeView,
+  ForceArrows,
   Chart,
   Flight,
   pick,
@@ -46,6 +47,7 @@ const {
   "section_lines",
   "body_mesh",
   "blade_view",
+  "force_arrows",
   "chart",
   "views",
   "pick",
@@ -774,4 +776,41 @@ test("depth below the skin is the distance to its triangles, and stays with the 
   assert.deepEqual([...moved.rest], [...Float32Array.from(inside.flat())]);
   builder.write(0, out, 0);
   assert.equal(out.facts[0], 0);
+});
+
+test("a force is an arrow with its newtons at the hand, at the tip of one's own blade, until there is no news of it", () => {
+  const drawn = [];
+  let now = 0;
+  const marks = {
+    layers: [],
+    draw() {
+      drawn.length = 0;
+      for (const layer of this.layers) layer(this);
+    },
+    arrow: (from, to) => drawn.push(from.toArray(), to.toArray()),
+    label: (_at, text) => drawn.push(text),
+  };
+  const arrows = new ForceArrows(
+    marks,
+    () => 0.2,
+    () => now,
+  );
+  const force = (own, newtons) => arrows.take({ source: 1, own, heel: [0, 0, 0.1], tip: [0, 0, 0], newtons });
+  force(false, [0, 2, 0]);
+  marks.draw();
+  assert.deepEqual(drawn[0], [0, 0, 0.1]);
+  near(drawn[1][1], 2 * 0.07 * 0.2);
+  assert.equal(drawn[2], "2.00 N");
+  force(true, [0, 0, 100]);
+  marks.draw();
+  assert.deepEqual(drawn[0], [0, 0, 0]);
+  near(drawn[1][2], 0.5 * 0.2); // no longer than that
+  assert.equal(drawn[2], "100.0 N");
+  now = 300;
+  marks.draw();
+  assert.equal(drawn.length, 0);
+  force(false, [0, 0, 0]);
+  marks.draw();
+  assert.equal(drawn.length, 0);
+  clearTimeout(arrows.alarm);
 });

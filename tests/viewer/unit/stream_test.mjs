@@ -266,6 +266,36 @@ test("other blades are shown, one's own is not: the page draws that itself", () 
   );
 });
 
+test("the force on a hand comes with its blade, one's own too, and once more when it has ended", () => {
+  const { said } = view({ owns: (source) => source === 2 });
+  sockets[0].receive(welcome());
+  const blade = (source, force) =>
+    sockets[0].receive(
+      message(Body.BladePose, (b) => {
+        BladePose.startBladePose(b);
+        BladePose.addSource(b, source);
+        BladePose.addHeel(b, Vec3.createVec3(b, 1, 2, 3));
+        BladePose.addTip(b, Vec3.createVec3(b, 4, 5, 6));
+        if (force) BladePose.addForceN(b, Vec3.createVec3(b, ...force));
+        return BladePose.endBladePose(b);
+      }),
+    );
+  blade(3, null);
+  blade(3, [0, 0, 1.5]);
+  blade(2, [0.5, 0, 0]);
+  blade(3, null);
+  blade(3, null);
+  const forces = said.filter((m) => m.kind === "force").map((m) => m.force);
+  assert.deepEqual(
+    forces.map((f) => [f.source, f.own, f.newtons, f.tip]),
+    [
+      [3, false, [0, 0, 1.5], [4, 5, 6]],
+      [2, true, [0.5, 0, 0], [4, 5, 6]],
+      [3, false, [0, 0, 0], [4, 5, 6]],
+    ],
+  );
+});
+
 test("a replay that was refused leaves the next new session a reset", () => {
   const { viewer, kinds } = view();
   sockets[0].receive(welcome(1n));

@@ -41,7 +41,7 @@ namespace Incise
                     return new SnapshotEnd { Revision = t.ULong(0), StateHash = t.ULong(1), SurfaceHash = t.ULong(2), PartHash = t.ULong(3) };
                 case 19: return ReadStats(t);
                 case 23:
-                    return new BladePose { Source = t.UInt(0), Cutting = t.Bool(1), Heel = Needed(t, 2), Tip = Needed(t, 3), ArrivalNs = t.Long(4) };
+                    return new BladePose { Source = t.UInt(0), Cutting = t.Bool(1), Heel = Needed(t, 2), Tip = Needed(t, 3), ArrivalNs = t.Long(4), ForceN = Vector(t, 5) };
                 case 24: return ReadPositionsReport(t);
                 case 25: return ReadSurfaceAsset(t);
                 case 27: return ReadLoad(t);

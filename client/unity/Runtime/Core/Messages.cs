@@ -428,5 +428,7 @@ namespace Incise
         public bool Cutting;
         public Vec3 Heel, Tip;
         public long ArrivalNs;
+        /// <summary>On the hand, newtons.</summary>
+        public Vec3 ForceN;
     }
 }
