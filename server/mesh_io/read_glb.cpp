@@ -340,11 +340,67 @@ class GlbReader : GlbDocument {
   std::size_t read_ = 0;                                                    // see kMostRead
 };
 
+// Programs that make a shape from a formula give the sides of its seam places that differ by a rounding: sin(2 pi) is not 0. Joins vertices on open
+// edges that lie this near to each other, as a part of the surface's size; the rest stays as it is. Their number. O(n log n).
+constexpr double kSameSeam = 1e-6;
+
+std::size_t join_seams(Surface& surface) {
+  std::vector<std::pair<VertexId, VertexId>> edges;
+  edges.reserve(3 * surface.triangles.size());
+  for (const auto& t : surface.triangles)
+    for (std::size_t k = 0; k < 3; ++k) edges.push_back(std::minmax(t[k], VertexId{t[(k + 1) % 3]}));
+  std::sort(edges.begin(), edges.end());
+  std::vector<VertexId> open;
+  for (std::size_t i = 0, end = 0; i < edges.size(); i = end) {
+    while (end < edges.size() && edges[end] == edges[i]) ++end;
+    if (end == i + 1) open.insert(open.end(), {edges[i].first, edges[i].second});
+  }
+  std::sort(open.begin(), open.end());
+  open.erase(std::unique(open.begin(), open.end()), open.end());
+
+  Vec3 low = surface.positions[0], high = low;
+  for (const Vec3& p : surface.positions) core::extend(p, low, high);
+  const Vec3 size = high - low;
+  const double near = kSameSeam * std::max({size.x, size.y, size.z});
+  if (!std::isfinite(near) || !std::isfinite(1 / near)) return 0;
+  // Cells as wide as that: what is near lies in the same one or beside it.
+  std::map<std::array<std::int64_t, 3>, std::vector<VertexId>> cells;
+  std::map<VertexId, VertexId> joined;
+  for (const VertexId v : open) {
+    const Vec3 p = surface.positions[v], from = (1 / near) * (p - low);
+    const std::array<std::int64_t, 3> cell{static_cast<std::int64_t>(from.x),
+                                           static_cast<std::int64_t>(from.y),
+                                           static_cast<std::int64_t>(from.z)};
+    VertexId same = core::kNone;
+    for (std::int64_t i = 0; i < 27 && same == core::kNone; ++i) {
+      const auto found = cells.find({cell[0] + i % 3 - 1, cell[1] + i / 3 % 3 - 1, cell[2] + i / 9 - 1});
+      if (found == cells.end()) continue;
+      for (const VertexId w : found->second)
+        if (core::distance(p, surface.positions[w]) <= near) same = w;
+    }
+    if (same == core::kNone) {
+      cells[cell].push_back(v);
+    } else {
+      joined[v] = same;
+    }
+  }
+  for (auto& t : surface.triangles)
+    for (VertexId& v : t)
+      if (const auto found = joined.find(v); found != joined.end()) v = found->second;
+  return joined.size();
+}
+
 }  // namespace
 
 Surface read_glb(const std::filesystem::path& path, std::vector<std::string>& warnings) {
   const std::string bytes = read_whole_file(path);
-  return finish(GlbReader(path, bytes, warnings).read(), path);
+  Surface surface = finish(GlbReader(path, bytes, warnings).read(), path);
+  const std::size_t joined = join_seams(surface);
+  if (joined == 0) return surface;
+  warnings.push_back(
+      path.string() + ": " + std::to_string(joined) +
+      " vertices on open edges became one with another that is nearer than a millionth of the size");
+  return finish(std::move(surface), path);
 }
 
 }  // namespace incise::mesh_io

@@ -25,6 +25,7 @@ Surface read_off(const std::filesystem::path& path);
 Surface read_obj(const std::filesystem::path& path, std::vector<std::string>& warnings);
 // Binary glTF 2.0: the triangles of the default scene, in its metres but z upwards, as write_glb (server/app) turns it; POSITION, NORMAL,
 // TEXCOORD_n, COLOR_0; of materials the name, baseColorFactor and baseColorTexture. Compressed, sparse or skinned meshes are refused.
+// Vertices on open edges that differ by a rounding become one, too, with a warning.
 Surface read_glb(const std::filesystem::path& path, std::vector<std::string>& warnings);
 
 // Writers; see write_surface in mesh_io.hpp.

@@ -287,6 +287,30 @@ TEST_F(GlbFiles, PrimitivesWithAndWithoutAMaterial) {
   EXPECT_EQ(closed(glb, 1).look.uvs.size(), 36u);
 }
 
+// As where a formula makes the sides of a seam: sin(2 pi) is not 0.
+TEST_F(GlbFiles, SeamsThatDifferByARoundingAreJoined) {
+  Glb glb = cube_glb();
+  const auto move = [&](std::size_t number, float by) {
+    float x;
+    std::memcpy(&x, glb.data.data() + 4 * number, 4);
+    x += by;
+    std::memcpy(glb.data.data() + 4 * number, &x, 4);
+  };
+  move(0, 2e-16f);
+  move(12 + 1, -1e-7f);
+  const Surface surface = read(glb);
+  ASSERT_EQ(warnings_.size(), 1u);
+  EXPECT_NE(warnings_[0].find("2 vertices on open edges became one with another"), std::string::npos)
+      << warnings_[0];
+  EXPECT_EQ(surface.positions.size(), 8u);
+  EXPECT_EQ(surface.look.uvs.size(), 36u);
+  EXPECT_NEAR(check_surface(surface, "FILE", warnings_).volume, 1, 1e-6);
+  move(0, 1e-5f);
+  const Surface gap = read(glb);
+  EXPECT_NE(error_of([&] { check_surface(gap, "FILE", warnings_); }).find("the surface is open"),
+            std::string::npos);
+}
+
 TEST_F(GlbFiles, ImagesThatCannotBeShownAreAWarning) {
   const auto warning = [&](const Json& image) {
     Glb glb = cube_glb();
