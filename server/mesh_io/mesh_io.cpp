@@ -80,15 +80,15 @@ bool is_mesh_input(const std::filesystem::path& path) {
 bool is_mesh_file(const std::filesystem::path& path) {
   return is_one_of(lowercase_ending(path), {".vtu", ".vtk", ".msh", ".msh2", ".mesh", ".node", ".ele"});
 }
+bool is_surface_input(const std::filesystem::path& path) {
+  // A .gltf is not read, but the reader of .glb says what to do with one.
+  return is_one_of(lowercase_ending(path), {".stl", ".ply", ".off", ".obj", ".glb", ".gltf"});
+}
 bool is_surface_file(const std::filesystem::path& path) {
   return is_one_of(lowercase_ending(path), {".stl", ".ply", ".off", ".obj", ".vtp"});
 }
 
 namespace {
-
-bool is_surface_input(const std::string& ending) {
-  return is_one_of(ending, {".stl", ".ply", ".off", ".obj"});
-}
 
 ClosedSurface read_closed_surface(const std::filesystem::path& path, const LoadOptions& options,
                                   std::vector<std::string>& warnings) {
@@ -101,7 +101,7 @@ ClosedSurface read_closed_surface(const std::filesystem::path& path, const LoadO
 
 void check_mesh(const std::filesystem::path& path, const LoadOptions& options) {
   std::vector<std::string> warnings;
-  if (is_surface_input(lowercase_ending(path))) {
+  if (is_surface_input(path)) {
     read_closed_surface(path, options, warnings);
   } else {
     load_mesh(path, options);
@@ -117,7 +117,7 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
   std::string file = path.string();
   int index_base = 0;
   const std::string ending = lowercase_ending(path);
-  if (is_surface_input(ending)) {
+  if (is_surface_input(path)) {
     ClosedSurface closed = read_closed_surface(path, options, loaded.warnings);
     Fill fill = fill_surface(closed, file, options.fill, loaded.warnings);
     loaded.surface = std::make_shared<const Surface>(std::move(closed.surface));
@@ -142,7 +142,7 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
         file + ": cannot read a mesh from " +
         (ending.empty() ? "a file without an ending" : "'" + ending + "'") +
         "; tetrahedra can be .node and .ele (or their common name), .msh, .vtk, .vtu, .mesh or .veg, "
-        "a surface to fill .stl, .ply, .off or .obj");
+        "a surface to fill .stl, .ply, .off, .obj or .glb");
   }
   const std::size_t vertices = loaded.mesh.positions.size(), tets = loaded.mesh.tets.size();
   KeptElements kept;
@@ -162,8 +162,9 @@ Surface read_surface(const std::filesystem::path& path, std::vector<std::string>
   if (ending == ".ply") return read_ply(path, warnings);
   if (ending == ".off") return read_off(path);
   if (ending == ".obj") return read_obj(path, warnings);
+  if (ending == ".glb" || ending == ".gltf") return read_glb(path, warnings);
   throw MeshError(path.string() + ": cannot read a surface from " + (ending.empty() ? "it" : ending) +
-                  "; save it as .stl, .ply, .off or .obj");
+                  "; save it as .stl, .ply, .off, .obj or .glb");
 }
 
 std::string mesh_hash(const core::MeshData& mesh) {

@@ -35,8 +35,8 @@ struct LoadedMesh {
 };
 
 // Reads a tetrahedral mesh (.node, .ele, or the base name of both; Gmsh .msh, VTK .vtk and .vtu, Medit .mesh, VegaFEM
-// .veg: see tet_files.hpp) or a closed surface (.stl, .ply, .off,
-// .obj), which is checked and filled by TetGen in a child process. The mesh is scaled, checked and repaired
+// .veg: see tet_files.hpp) or a closed surface (.stl, .ply, .off, .obj,
+// .glb), which is checked and filled by TetGen in a child process. The mesh is scaled, checked and repaired
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
@@ -53,6 +53,8 @@ std::string mesh_hash(const core::MeshData& mesh);
 
 // Whether load_mesh reads a file with this ending as tetrahedra.
 bool is_mesh_input(const std::filesystem::path& path);
+// Whether load_mesh reads one as a surface to fill, or says why not.
+bool is_surface_input(const std::filesystem::path& path);
 // Whether write_mesh / write_surface can write a file with this ending.
 bool is_mesh_file(const std::filesystem::path& path);
 bool is_surface_file(const std::filesystem::path& path);

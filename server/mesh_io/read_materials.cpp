@@ -16,6 +16,10 @@ namespace fs = std::filesystem;
 constexpr std::uintmax_t kMaxImageBytes = std::uintmax_t{64} << 20;
 constexpr std::uintmax_t kMaxLibraryBytes = std::uintmax_t{16} << 20;
 
+std::string not_shown(const fs::path& of, const Material& material) {
+  return of.string() + ": the texture of material " + in_quotes(material.name) + " is not shown: ";
+}
+
 }  // namespace
 
 std::string rest_of_line(const LineReader& in, std::size_t first) {
@@ -53,16 +57,28 @@ std::string_view image_type(std::string_view bytes) {
 
 void read_texture(const fs::path& of, const std::string& name, Material& material,
                   std::vector<std::string>& warnings) {
+  std::string bytes;
   try {
-    auto bytes = std::make_shared<const std::string>(read_whole_file(file_beside(of, name, kMaxImageBytes)));
-    const std::string_view type = image_type(*bytes);
-    if (type.empty()) throw MeshError(in_quotes(name) + " is not a PNG, JPEG or WebP image");
-    material.image_type = type;
-    material.image = std::move(bytes);
+    bytes = read_whole_file(file_beside(of, name, kMaxImageBytes));
   } catch (const MeshError& error) {
-    warnings.push_back(of.string() + ": the texture of material " + in_quotes(material.name) +
-                       " is not shown: " + error.what());
+    warnings.push_back(not_shown(of, material) + error.what());
+    return;
   }
+  use_image(of, in_quotes(name), bytes, material, warnings);
+}
+
+void use_image(const fs::path& of, const std::string& name, std::string_view bytes, Material& material,
+               std::vector<std::string>& warnings) {
+  const std::string_view type = image_type(bytes);
+  if (type.empty() || bytes.size() > kMaxImageBytes) {
+    warnings.push_back(
+        not_shown(of, material) + name +
+        (type.empty() ? std::string(" is not a PNG, JPEG or WebP image")
+                      : " has more than the " + std::to_string(kMaxImageBytes >> 20) + " MB that are read"));
+    return;
+  }
+  material.image_type = type;
+  material.image = std::make_shared<const std::string>(bytes);
 }
 
 void read_material_library(const fs::path& of, const std::string& name, std::vector<Material>& materials,

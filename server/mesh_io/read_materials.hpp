@@ -28,6 +28,10 @@ std::string_view image_type(std::string_view bytes);
 void read_texture(const std::filesystem::path& of, const std::string& name, Material& material,
                   std::vector<std::string>& warnings);
 
+// Gives the material the image with these bytes. A line in `warnings`, with the `name` of the image, where they are none that is known or too many.
+void use_image(const std::filesystem::path& of, const std::string& name, std::string_view bytes,
+               Material& material, std::vector<std::string>& warnings);
+
 // Fills in those of `materials` that the library `name` (.mtl: newmtl, Kd, map_Kd) has. Lines in `warnings` for what cannot be used.
 void read_material_library(const std::filesystem::path& of, const std::string& name,
                            std::vector<Material>& materials, std::vector<std::string>& warnings);

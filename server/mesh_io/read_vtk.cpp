@@ -110,7 +110,7 @@ class VtkReader {
     if (lowercase(kind) != "unstructured_grid") {
       in_.fail("a data set of the kind " + in_quotes(kind) + "; UNSTRUCTURED_GRID is accepted" +
                (lowercase(kind) == "polydata"
-                    ? ". A surface to fill can be .stl, .ply, .off or .obj: save it as one of these"
+                    ? ". A surface to fill can be .stl, .ply, .off, .obj or .glb: save it as one of these"
                     : ""));
     }
   }

@@ -15,7 +15,7 @@ namespace incise::mesh_io {
 
 struct Material {
   std::string name;
-  std::array<float, 3> diffuse{0.8f, 0.8f, 0.8f};  // red, green, blue, 0 to 1
+  std::array<float, 3> diffuse{0.8f, 0.8f, 0.8f};  // red, green, blue of sRGB, 0 to 1
   std::shared_ptr<const std::string> image;        // the bytes of its texture; null: none
   std::string image_type;                          // as in HTTP: "image/png"
 };

@@ -23,6 +23,10 @@ Surface read_off(const std::filesystem::path& path);
 // Wavefront OBJ: v (with colours or not), vt, vn, f (v, v/vt, v/vt/vn, v//vn, negative indices), usemtl and mtllib (Kd, map_Kd); all else is
 // skipped. A corner without vt or vn, where others have one, has zeros.
 Surface read_obj(const std::filesystem::path& path, std::vector<std::string>& warnings);
+// Binary glTF 2.0: the triangles of the default scene, in its metres but z upwards, as write_glb (server/app) turns it; POSITION, NORMAL,
+// TEXCOORD_n, COLOR_0; of materials the name, baseColorFactor and baseColorTexture. Compressed, sparse or skinned meshes are refused.
+// Vertices on open edges that differ by a rounding become one, too, with a warning.
+Surface read_glb(const std::filesystem::path& path, std::vector<std::string>& warnings);
 
 // Writers; see write_surface in mesh_io.hpp.
 void write_stl(const std::filesystem::path& path, const Surface& surface);

@@ -76,7 +76,7 @@ void TetCollector::add_tet(const std::array<core::VertexId, 4>& corners, std::in
 core::MeshData TetCollector::finish(std::vector<std::string>& warnings, std::string_view skipped) {
   if (mesh_.tets.empty()) {
     throw MeshError(in_.file_name() + ": there is no tetrahedron in it" + std::string(skipped) +
-                    "; a closed surface is filled if it comes as .stl, .ply, .off or .obj");
+                    "; a closed surface is filled if it comes as .stl, .ply, .off, .obj or .glb");
   }
   if (higher_order_ > 0) {
     warnings.push_back(in_.file_name() + ": " + std::to_string(higher_order_) +

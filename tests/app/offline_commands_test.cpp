@@ -718,9 +718,19 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
   json surface = facts("slab.stl");
   EXPECT_EQ(surface["kind"], "surface");
   EXPECT_TRUE(surface["fillable"]);
+  // What a .glb looks like is listed, and it is a mesh to cut like another.
+  ASSERT_EQ(run({"phantom", "slab", "--size", "600", "--out", "slab.glb"}).exit_code, 0);
+  json glb = facts("slab.glb");
+  EXPECT_TRUE(glb["fillable"]);
+  EXPECT_EQ(glb["corners_have"], json::array({"normals"}));
+  ASSERT_EQ(glb["materials"].size(), 1u);
+  EXPECT_EQ(glb["materials"][0]["name"], "outside");
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "slab.glb", "--out", "glb.capture"}).exit_code, 0);
+  ASSERT_EQ(run({"export", "glb.capture", "--revision", "0", "--out", "again.glb"}).exit_code, 0);
+  EXPECT_TRUE(facts("again.glb")["fillable"]);
   write("c.json", "{}");
   EXPECT_EQ(facts("c.json")["kind"], "configuration");
-  for (const char* file : {"cube", "sweep.csv", "a.capture", "slab.stl", "c.json"}) {
+  for (const char* file : {"cube", "sweep.csv", "a.capture", "slab.stl", "slab.glb", "c.json"}) {
     EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
   }
   expect_error(run({"info", "nothing"}), 1, {"nothing", "no such file"});

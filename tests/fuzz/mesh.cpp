@@ -88,7 +88,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   if (line_end == input.npos) return 0;
   const std::string ending = input.substr(0, line_end), bytes = input.substr(line_end + 1);
   try {
-    if (ending == "stl" || ending == "ply" || ending == "off" || ending == "obj") {
+    if (ending == "stl" || ending == "ply" || ending == "off" || ending == "obj" || ending == "glb") {
       check_surface_file(ending, bytes);
     } else {
       std::vector<std::string> warnings;

@@ -7,7 +7,7 @@ ConfigKeys mesh_keys() {
   return {
       text("mesh.path", INCISE_FIELD(mesh.path), "a path, relative to this file",
            "The body: a tetrahedral mesh (TetGen .node/.ele, or their common name; .msh, .vtk, .vtu, .mesh, "
-           ".veg) or a closed surface (.stl .ply .off .obj), which is filled with tetrahedra."),
+           ".veg) or a closed surface (.stl .ply .off .obj .glb), which is filled with tetrahedra."),
       word("mesh.phantom", {"", "liver", "cylinder", "slab"}, INCISE_FIELD(mesh.phantom),
            "Instead of a file: a body that is generated at the start, with mesh.target_tets tetrahedra."),
       number("mesh.scale_to_metres", INCISE_FIELD(mesh.scale_to_metres), 1e-9, 1e9,

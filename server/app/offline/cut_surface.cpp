@@ -12,9 +12,9 @@
 namespace incise::app {
 namespace {
 
-// In linear light, between the dark and the bright of the page's tissue.
-constexpr std::array<float, 3> kSkinColour{0.138f, 0.024f, 0.018f};
-constexpr std::array<float, 3> kInsideColour{0.43f, 0.112f, 0.082f};
+// sRGB, between the dark and the bright of the page's tissue.
+constexpr std::array<float, 3> kSkinColour{0.4072f, 0.168f, 0.1428f};
+constexpr std::array<float, 3> kInsideColour{0.6872f, 0.3687f, 0.3171f};
 
 protocol::Corners rest_corners(const core::TetMesh& mesh, core::HalfFace face) {
   const auto vertices = mesh.face_vertices(face);

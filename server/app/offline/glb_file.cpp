@@ -55,8 +55,8 @@ std::vector<std::array<float, 3>> corner_normals(const CutSurface& cut) {
   return out;
 }
 
-float linear(std::uint8_t srgb) {
-  const double x = srgb / 255.0;
+// glTF's colours are linear, ours are sRGB, as the page shows them.
+float linear(double x) {
   return static_cast<float>(x <= 0.04045 ? x / 12.92 : std::pow((x + 0.055) / 1.055, 2.4));
 }
 
@@ -95,7 +95,10 @@ class GlbFile {
         if (is_new) add_image(material);
         pbr["baseColorTexture"] = {{"index", texture->second}};
       } else {
-        pbr["baseColorFactor"] = {material.diffuse[0], material.diffuse[1], material.diffuse[2], 1};
+        pbr["baseColorFactor"] = Json::array();
+        for (const float x : material.diffuse)
+          pbr["baseColorFactor"].push_back(linear(static_cast<double>(x)));
+        pbr["baseColorFactor"].push_back(1);
       }
       json_["materials"].push_back({{"name", material.name}, {"pbrMetallicRoughness", pbr}});
     }
@@ -166,7 +169,7 @@ class GlbFile {
         out.normals.insert(out.normals.end(), corner.normal.begin(), corner.normal.end());
         if (has_uvs) out.uvs.insert(out.uvs.end(), {corner.uv[0], 1 - corner.uv[1]});  // glTF's v points down
         if (!has_colours) continue;
-        for (std::size_t i = 0; i < 3; ++i) out.colours.push_back(linear(corner.colour[i]));
+        for (std::size_t i = 0; i < 3; ++i) out.colours.push_back(linear(corner.colour[i] / 255.0));
         out.colours.push_back(static_cast<float>(corner.colour[3]) / 255);
       }
     }

@@ -69,6 +69,14 @@ Json describe_surface(const fs::path& file) {
   facts["vertices"] = surface.positions.size();
   facts["triangles"] = surface.triangles.size();
   facts["box_file_units"] = corners(bounds);
+  const mesh_io::SurfaceLook& look = surface.look;
+  for (const auto& [name, is_there] : {std::pair{"texture coordinates", !look.uvs.empty()},
+                                       {"normals", !look.normals.empty()},
+                                       {"colours", !look.colours.empty()}}) {
+    if (is_there) facts["corners_have"].push_back(name);
+  }
+  for (const mesh_io::Material& material : look.materials)
+    facts["materials"].push_back({{"name", material.name}, {"texture", material.image_type}});
   try {
     facts["volume_file_units"] = mesh_io::check_surface(std::move(surface), file.string(), warnings).volume;
     facts["fillable"] = true;
@@ -156,7 +164,8 @@ Json describe_config(const fs::path& file) {
 std::string known_files() {
   return "a mesh (" + std::string(mesh_io::mesh_file_endings()) + ", .veg), a surface (" +
          std::string(mesh_io::surface_file_endings()) +
-         "), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a capture, "
+         ", .glb), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a "
+         "capture, "
          "or a "
          "configuration";
 }
@@ -201,6 +210,15 @@ void print(const Json& facts) {
         print_row("field", field["name"].get<std::string>() + ", on " + field["on"].get<std::string>() +
                                ", " + field["components"].dump() + " " + field["type"].get<std::string>());
       }
+    } else if (name == "materials") {
+      for (const Json& material : value) {
+        const auto texture = material["texture"].get<std::string>();
+        print_row("material", material["name"].get<std::string>() + (texture.empty() ? "" : ", " + texture));
+      }
+    } else if (name == "corners_have") {
+      std::string line;
+      for (const Json& what : value) line += (line.empty() ? "" : ", ") + what.get<std::string>();
+      print_row("corners have", line);
     } else if (name == "config") {
       print_row(name, "shown with --json");
     } else if (value.is_object() && value.contains("min")) {
@@ -229,7 +247,7 @@ int run_info(const InfoCommand& command) {
   node += ".node";
   const Config config = command.config.empty() ? Config{} : load_config(command.config);
   Json facts;
-  if (mesh_io::is_surface_file(file)) {
+  if (mesh_io::is_surface_input(file) || mesh_io::is_surface_file(file)) {
     facts = describe_surface(file);
   } else if (mesh_io::is_mesh_input(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
     mesh_io::LoadOptions options = load_options(config);

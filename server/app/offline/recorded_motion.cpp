@@ -54,7 +54,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
     if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
   }
-  if (mesh_io::is_mesh_input(path) || mesh_io::is_surface_file(path)) {
+  if (mesh_io::is_mesh_input(path) || mesh_io::is_surface_file(path) || mesh_io::is_surface_input(path)) {
     throw std::runtime_error(name + ": is a mesh by its ending; accepted is a motion: a capture, TUM or CSV");
   }
   const protocol::Motion text = protocol::read_motion(in, name, times);

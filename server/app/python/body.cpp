@@ -157,7 +157,7 @@ mesh that cannot be cut, such as a face of three tetrahedra.)")
           py::arg("path"), py::arg("config") = py::none(), R"(load(path, config=None) -> Body
 
 Reads what `incise cut --mesh` reads: tetrahedra (.node/.ele or their common name, .msh, .vtk, .vtu, .mesh, .veg) or a closed
-surface to fill (.stl, .ply, .off, .obj), which takes seconds and needs the program incise-tetgen. config: a dict or a
+surface to fill (.stl, .ply, .off, .obj, .glb), which takes seconds and needs the program incise-tetgen. config: a dict or a
 file; its section mesh counts (scale_to_metres, target_tets, tetgen_switches, ...). Raises MeshError or ConfigError.)")
       .def_static("phantom", &phantom, py::arg("kind"), py::arg("tets") = 60'000,
                   R"(phantom(kind, tets=60000) -> Body
