@@ -343,8 +343,9 @@ class MessageReader : public FieldReader {
     return out;
   }
   Body read(const wire::FieldValues& m) {
-    FieldValues out{m.field(), m.first(), array<float>("f32", m.f32()), array<std::int32_t>("i32", m.i32()),
-                    m.revision(), m.last()};
+    FieldValues out{
+        m.field(),    m.first(), array<float>("f32", m.f32()), array<std::int32_t>("i32", m.i32()),
+        m.revision(), m.last()};
     require(out.f32.empty() || out.i32.empty(), "i32", "present as well as f32, accepted is one of them");
     return out;
   }
