@@ -32,7 +32,7 @@ std::string title(const Field& field) {
 }
 
 void FieldCollector::leave_out(Field::On on, std::string_view name, const std::string& why) {
-  warnings_.push_back(file_ + ": " + title(on, name.substr(0, kMaxFieldName)) + " is left out: " + why);
+  warnings_.push_back(file_ + ": " + title(on, name.substr(0, core::kMaxFieldName)) + " is left out: " + why);
 }
 
 void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
@@ -41,16 +41,16 @@ void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
   if (on == Field::On::kTets && std::find(std::begin(kOwn), std::end(kOwn), array.name) != std::end(kOwn))
     return;
   const auto refuse = [&](const std::string& why) { leave_out(on, array.name, why); };
-  if (array.name.empty() || array.name.size() > kMaxFieldName)
+  if (array.name.empty() || array.name.size() > core::kMaxFieldName)
     return refuse("its name has " + std::to_string(array.name.size()) + " bytes; accepted are 1 to " +
-                  std::to_string(kMaxFieldName));
+                  std::to_string(core::kMaxFieldName));
   if (has_control_character(array.name)) return refuse("its name has a control character");
   if (std::any_of(fields_->begin(), fields_->end(),
                   [&](const Field& f) { return f.on == on && f.name == array.name; }))
     return refuse("there is another one of this name before it");
-  if (array.components < 1 || array.components > kMaxFieldComponents)
+  if (array.components < 1 || array.components > core::kMaxFieldComponents)
     return refuse("it has " + std::to_string(array.components) + " components; accepted are 1 to " +
-                  std::to_string(kMaxFieldComponents));
+                  std::to_string(core::kMaxFieldComponents));
   if (array.values.size() != rows * array.components)
     return refuse("it has " + std::to_string(array.values.size()) + " numbers; " + std::to_string(rows) +
                   " times " + std::to_string(array.components) + " are expected");

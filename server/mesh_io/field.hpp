@@ -12,9 +12,6 @@
 namespace incise::mesh_io {
 
 using core::Field;
-using core::kMaxFieldComponents;
-using core::kMaxFieldName;
-using core::rows_of;
 // Whether a name has a character that XML cannot have, escaped or not: control characters but tab and the ends of lines.
 bool has_control_character(std::string_view name);
 

@@ -330,7 +330,7 @@ class GmshReader {
     }
     array.components = static_cast<std::size_t>(components);
     start_data();
-    const bool keep = array.components <= kMaxFieldComponents;
+    const bool keep = array.components <= core::kMaxFieldComponents;
     const std::size_t rows = on == Field::On::kVertices ? out_.node_count() : numbers_.size();
     if (keep) array.values.assign(rows * array.components, 0);
     if (keep && on == Field::On::kTets) sort_numbers();

@@ -68,7 +68,7 @@ void check_surface_file(const std::string& ending, const std::string& bytes) {
 
 void check_tets(core::MeshData mesh, std::vector<std::string>& warnings, const std::vector<Field>& fields) {
   for (const Field& field : fields) {
-    FUZZ_CHECK(field.components >= 1 && field.components <= kMaxFieldComponents);
+    FUZZ_CHECK(field.components >= 1 && field.components <= core::kMaxFieldComponents);
     FUZZ_CHECK(field.rows() == (field.on == Field::On::kVertices ? mesh.positions.size() : mesh.tets.size()));
   }
   FUZZ_CHECK(mesh.regions.empty() || mesh.regions.size() == mesh.tets.size());

@@ -116,19 +116,19 @@ void add_fields(py::handle given, const std::string& name, mesh_io::Field::On on
     }
     if (mesh_io::has_control_character(field.name))
       throw py::value_error(what + ": the name has a control character; mesh files cannot have one");
-    if (field.name.empty() || field.name.size() > mesh_io::kMaxFieldName)
+    if (field.name.empty() || field.name.size() > core::kMaxFieldName)
       throw py::value_error(what + ": found a name of " + std::to_string(field.name.size()) +
-                            " bytes; accepted are 1 to " + std::to_string(mesh_io::kMaxFieldName));
+                            " bytes; accepted are 1 to " + std::to_string(core::kMaxFieldName));
     const py::array array = array_of(value, what, "fiu", "real numbers");
     const bool shaped = array.ndim() == 1 || array.ndim() == 2;
     const py::ssize_t components = array.ndim() == 2 ? array.shape(1) : 1;
     if (!shaped || array.shape(0) != static_cast<py::ssize_t>(rows) || components < 1 ||
-        components > static_cast<py::ssize_t>(mesh_io::kMaxFieldComponents)) {
+        components > static_cast<py::ssize_t>(core::kMaxFieldComponents)) {
       throw py::value_error(
           what + ": found shape " +
           shape_text(std::vector<py::ssize_t>(array.shape(), array.shape() + array.ndim())) +
           "; accepted is (" + std::to_string(rows) + ",) or (" + std::to_string(rows) + ", k) with 1 to " +
-          std::to_string(mesh_io::kMaxFieldComponents) + " components");
+          std::to_string(core::kMaxFieldComponents) + " components");
     }
     field.components = static_cast<std::size_t>(components);
     if (array.dtype().kind() == 'f') {

@@ -58,7 +58,7 @@ Body from_arrays(const py::object& given_points, const py::object& given_tets,
     mesh_io::KeptElements kept;
     mesh_io::repair_tets(mesh, name, 0, loaded->warnings, &kept);
     for (Field& field : loaded->fields)
-      field = mesh_io::rows_of(field, field.on == Field::On::kVertices ? kept.vertices : kept.tets);
+      field = core::rows_of(field, field.on == Field::On::kVertices ? kept.vertices : kept.tets);
     loaded->content_hash = mesh_io::mesh_hash(mesh);
   }
   return {name, std::move(loaded)};

@@ -143,8 +143,7 @@ py::dict fields_of(Session& session, Field::On on) {
     std::vector<std::uint32_t> living;
     for_each_tet(core.mesh(), [&](core::TetId t) { living.push_back(t); });
     for (const Field& field : core.fields().all()) {
-      if (field.on == on)
-        fields.push_back(on == Field::On::kVertices ? field : mesh_io::rows_of(field, living));
+      if (field.on == on) fields.push_back(on == Field::On::kVertices ? field : core::rows_of(field, living));
     }
   });
   return dict_of(fields, on);
