@@ -96,7 +96,7 @@ std::vector<core::Field> declared_fields(const Config& config, const std::string
     if (!fits) {
       throw ConfigError(
           (file.empty() ? "" : file + ": ") + "mesh.fields: found " + input::shown(text) +
-          "; accepted is a name that no other has, with \":N\" (2 to 9 numbers each), \":tets\" "
+          "; accepted is a name that no other in the list has, with \":N\" (2 to 9 numbers each), \":tets\" "
           "(on the tetrahedra) and \":int\" behind it");
     }
     fields.push_back(std::move(field));

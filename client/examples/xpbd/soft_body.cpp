@@ -41,6 +41,9 @@ constexpr float kFlat = 1e-3f, kSliver = 0.1f;
 // How far the hold of the bed and of the ends reaches into the body, in parts of its height and length.
 constexpr float kBed = 0.6f, kEnds = 0.15f;
 
+// Of its way, for a vertex that goes to and fro: little enough to count as rest, enough to go on soon when it is pressed.
+constexpr float kLeastShare = 1e-5f;
+
 }  // namespace
 
 // What the surroundings resist with at a place of the skin, Pa/m.
@@ -59,7 +62,12 @@ float SoftBody::tether_pa_m(const Vector& rest) const {
 }
 
 void SoftBody::update_vertex(std::uint32_t vertex) {
-  const bool free = mass_[vertex] > 1e-12f && !held_[vertex];
+  // What is left of sums when the last tetrahedron has gone would move the vertex for ever.
+  if (uses_[vertex] == 0) {
+    mass_[vertex] = skin_[vertex] = 0;
+    lips_[vertex] = v_[vertex] = Vector{};
+  }
+  const bool free = mass_[vertex] > 0 && !held_[vertex];
   weight_[vertex] = free ? 1 / mass_[vertex] : 0;
   tether_[vertex] = skin_[vertex] > 1e-12f ? skin_[vertex] * tether_pa_m(rest_[vertex]) : 0;
 }
@@ -92,6 +100,7 @@ void SoftBody::remove_tet(std::uint32_t id) {
   add_faces(tet, -1);
   for (const std::uint32_t v : tet.v) {
     mass_[v] = std::max(mass_[v] - 0.25f * tet.mass_kg, 0.0f);
+    --uses_[v];
     update_vertex(v);
   }
   tet = {};
@@ -125,6 +134,7 @@ void SoftBody::set_tet(const Replica& mesh, std::uint32_t id) {
   add_faces(tet, 1);
   for (const std::uint32_t v : tet.v) {
     mass_[v] += 0.25f * tet.mass_kg;
+    ++uses_[v];
     update_vertex(v);
   }
 }
@@ -143,7 +153,9 @@ void SoftBody::load(const Replica& mesh) {
     }
   }
   before_ = sent_ = x_;
-  for (auto* vectors : {&v_, &lips_}) vectors->assign(n, Vector{});
+  for (auto* vectors : {&v_, &lips_, &way_}) vectors->assign(n, Vector{});
+  share_.assign(n, 1);
+  uses_.assign(n, 0);
   for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->assign(n, 0);
   held_.assign(n, 0);
   held_list_.clear();
@@ -161,7 +173,9 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
   std::vector<float> velocities(4 * v_.size());
   std::memcpy(velocities.data(), v_.data(), 4 * velocities.size());
   protocol::carry(delta, 4, velocities);
-  for (auto* vectors : {&x_, &before_, &v_, &rest_, &sent_, &lips_}) vectors->resize(n);
+  for (auto* vectors : {&x_, &before_, &v_, &rest_, &sent_, &lips_, &way_}) vectors->resize(n);
+  share_.resize(n, 1);
+  uses_.resize(n, 0);
   std::memcpy(v_.data(), velocities.data(), 4 * velocities.size());
   for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->resize(n, 0);
   held_.resize(n, 0);
@@ -172,6 +186,8 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
   const auto take = [&](std::uint32_t id) {
     x_[id] = before_[id] = sent_[id] = vector_at(mesh.positions(), id);
     rest_[id] = vector_at(mesh.rest_positions(), id);
+    way_[id] = Vector{};
+    share_[id] = 1;
     changed_[id] = 1;
   };
   for (const std::uint32_t id : mesh.deformed() ? delta.rest_ids : delta.moved_ids) take(id);
@@ -292,7 +308,21 @@ void SoftBody::project(const Tet& tet, float shear_compliance, float volume_comp
     x_[v[k]] += weights[k] * (shear_step * shear_gradient[k] + volume_step * volume_gradient[k]);
 }
 
+// A vertex that goes to and fro from step to step, since its tetrahedra are flat and contradict each other, goes a smaller part of its way
+// each time, until it rests; one that keeps its direction soon goes all of it again (after Riedmiller and Braun 1993, "Rprop").
+void SoftBody::calm() {
+  for (std::size_t i = 0; i < x_.size(); ++i) {
+    const Vector way = x_[i] - began_[i];
+    share_[i] =
+        dot(way, way_[i]) < 0 ? std::max(0.5f * share_[i], kLeastShare) : std::min(1.0f, 1.05f * share_[i]);
+    way_[i] = share_[i] * way;
+    x_[i] = began_[i] + way_[i];
+    v_[i] *= share_[i];
+  }
+}
+
 void SoftBody::step(double dt_s, int substeps) {
+  began_ = x_;
   const auto dt = static_cast<float>(dt_s / substeps);
   const auto keep = static_cast<float>(std::exp(-material_.damping_per_s * static_cast<double>(dt)));
   const double mu = material_.young_pa / (2 * (1 + material_.poisson));
@@ -316,6 +346,7 @@ void SoftBody::step(double dt_s, int substeps) {
       v_[i] = (keep / dt) * (x_[i] - before_[i]);
     }
   }
+  calm();
 }
 
 double SoftBody::unsent_m() const {

@@ -100,13 +100,17 @@ class SoftBody {
   void update_vertex(std::uint32_t vertex);
   void project(const Tet& tet, float shear_compliance, float volume_compliance, float goal);
   void push(const BladeForce& blade, float dt);
+  void calm();
 
   const Material material_;
   Vector low_{}, high_{};  // of the body at rest
   std::vector<Vector> x_, before_, v_, rest_, sent_;
+  std::vector<Vector> began_, way_;   // where a step began; what it has added
+  std::vector<float> share_;          // of its way that a vertex goes, 1 if it goes on in the same direction
   std::vector<Vector> lips_;          // N: the tension that cuts have released
   std::vector<float> skin_, tether_;  // m^2 of skin; N/m towards the place at rest
   std::vector<float> mass_, weight_;  // kg; 1/kg, 0 where it is held
+  std::vector<std::uint32_t> uses_;   // tetrahedra that have it
   std::vector<std::uint8_t> held_;
   std::vector<std::uint32_t> held_list_;
   std::vector<Tet> tets_;

@@ -66,7 +66,9 @@ class Client:
                  box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
                  ssl_context: Optional[tls.SSLContext] = None, load_rate_hz: float = 0.0,
-                 fields: Sequence[str] = ()) -> None:
+                 fields: Sequence[str] | str = ()) -> None:
+        if isinstance(fields, str):
+            fields = [fields]
         held = resume if resume and not resume._awaiting_snapshot else None
         # The fields that were asked for, by name, as they are at the replica's revision: a row for each id, float32 or int32.
         self.vertex_fields: dict[str, Any] = held.vertex_fields if held else {}
@@ -378,8 +380,11 @@ class Client:
         there = [self.welcome.Fields(k) for k in range(self.welcome.FieldsLength())]
         place = next((k for k, facts in enumerate(there) if facts.On() == on and _text(facts.Name()) == name), None)
         if place is None:
+            here = [repr(_text(facts.Name())) for facts in there if facts.On() == on]
+            elsewhere = any(facts.On() != on and _text(facts.Name()) == name for facts in there)
             raise ValueError(f"the body has no field {name!r} on its {'tetrahedra' if tets else 'vertices'}; "
-                             f"it has {', '.join(repr(_text(facts.Name())) for facts in there) or 'none'}")
+                             + (f"it is on its {'vertices' if tets else 'tetrahedra'}: give tets={not tets}" if elsewhere
+                                else f"there it has {', '.join(here) or 'none'}"))
         array = np.asarray(values)
         whole, components = there[place].Whole(), there[place].Components()
         shaped = array.ndim == 1 and components == 1 or array.ndim == 2 and array.shape[1] == components
