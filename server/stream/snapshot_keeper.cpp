@@ -194,6 +194,7 @@ std::shared_ptr<const Snapshot> SnapshotKeeper::encode(const Request& request) {
     } else {
       encode_all(protocol::SurfaceSnapshotWriter(surface_, kCause), replica_.state_hash());
     }
+    snapshot->begin.tet_count = replica_.live_tets();
   } else if (box) {
     snapshot->part = std::make_shared<BoxPart>(BoxPart{*box, protocol::VolumePart()});
     auto& part = std::get<protocol::VolumePart>(snapshot->part->held);

@@ -118,7 +118,9 @@ void LocalServer::send_welcome(std::uint32_t number, const Peer& peer) {
 void LocalServer::send_snapshot(std::uint32_t number, const Peer& peer, SnapshotCause cause) {
   const stream::Mirror& mirror = mirror_of(peer);
   const auto send_all = [&](auto writer, auto... hash) {
-    send(number, writer.begin());
+    protocol::SnapshotBegin begin = writer.begin();
+    begin.tet_count = mirror.volume().live_tets();
+    send(number, begin);
     while (writer.next()) send(number, writer.chunk());
     send(number, writer.end(hash...));
   };

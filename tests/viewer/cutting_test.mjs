@@ -81,8 +81,8 @@ test("a flick cuts as well as a slow hand, and one that stalls on its way", asyn
   assert.deepEqual(faults, []);
 });
 
-test("a stroke that cuts nothing says so, one that cuts does not", async (t) => {
-  const server = await serve(t);
+test("a stroke that cuts nothing says so, one that cuts does not; without a recording none can be undone", async (t) => {
+  const server = await serve(t, { capture: { path: "" } });
   const { page, faults } = await look(t, server.url);
   await bladeIsReady(page);
   const cutsNothing = () =>
@@ -90,6 +90,10 @@ test("a stroke that cuts nothing says so, one that cuts does not", async (t) => 
   await drag(page, [0.03, 0.3], [0.03, 0.95]);
   await cutsNothing();
   await shot(page, "missed");
+  // What is said at the top is in nobody's way: a stroke that begins there begins below it.
+  const said = await page.locator(".notice p").boundingBox();
+  const under = ([x, y]) => page.evaluate(([x, y]) => document.elementFromPoint(x, y).id, [x, y]);
+  assert.equal(await under([said.x + 5, said.y + said.height / 2]), "picture");
   await page.evaluate(() => document.querySelector(".notice").remove());
   // At a limited depth the server never hears of it: the blade has no skin to follow.
   await page.locator("#depth").fill("0.2");
@@ -99,6 +103,9 @@ test("a stroke that cuts nothing says so, one that cuts does not", async (t) => 
   await page.locator("#depth").fill("1");
   await drag(page, [0.42, 0.02], [0.46, 0.98]);
   await until(page, () => window.incise.progress.pieces >= 2 && !document.body.dataset.stroke);
+  // Not even for the second until the server says what there is to undo.
+  assert.equal(await page.locator("#undo").isDisabled(), true);
+  assert.match(await page.getAttribute("#undo", "title"), /keeps no recording/);
   await page.waitForTimeout(500);
   assert.deepEqual(await notices(page), []);
   assert.deepEqual(faults, []);

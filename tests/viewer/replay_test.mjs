@@ -28,10 +28,13 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
       e.dispatchEvent(new Event("change"));
     }, revision);
   const last = recorded.revision;
+  const tets = () => page.locator("#tets").textContent();
+  const uncut = await tets();
   await scrub(recorded.revision);
   await until(page, (r) => window.incise.progress.revision === r, recorded.revision);
   assert.equal((await progress(page)).hash, recorded.state_hash);
   assert.equal((await progress(page)).pieces, 3);
+  assert.notEqual(await tets(), uncut);
   await shot(page, "replay");
   // The body follows the hand, before it lets go.
   await page.locator("#scrub").evaluate((e) => {
@@ -42,6 +45,7 @@ test("a recording is replayed in a scratch copy, and the live mesh stays as it i
   });
   await atRevision(page, 0);
   assert.equal((await progress(page)).hashAgrees, true);
+  assert.equal(await tets(), uncut); // a step back is a snapshot
   // Two strokes are two bars, and a place on the timeline is a moment of one of them.
   await scrub(0);
   const bars = await page.evaluate(() => window.incise.replay.bars);

@@ -40,7 +40,7 @@ export class Figures {
     this.progress = progress;
     element("revision").textContent = number(progress.revision);
     element("pieces").textContent = number(progress.pieces);
-    this.showTets(progress.tets);
+    element("tets").textContent = number(progress.tets);
     element("hash").textContent = progress.hash;
   }
 
@@ -53,10 +53,6 @@ export class Figures {
     element("hash-text").textContent = agrees
       ? "Checked: it agrees with the server"
       : "It differs from the server: loading it again";
-  }
-
-  showTets(tets: number): void {
-    if (tets > 0) element("tets").textContent = number(tets);
   }
 
   showCutArea(area_m2: number): void {

@@ -130,7 +130,7 @@ export type FromWorker =
   | { kind: "blade-pose"; source: number; heel: Vec3; tip: Vec3; cutting: boolean }
   /** The force on the hand that holds a blade, when it has changed. */
   | { kind: "force"; force: BladeForce }
-  | { kind: "stats"; json: string; roundTrip_ms: number; tets: number; undoable: number }
+  | { kind: "stats"; json: string; roundTrip_ms: number; recorded: boolean; undoable: number }
   | { kind: "replay"; facts: ReplayFacts | null }
   /** What the layers of Corners.texture are: sRGB, 4 bytes a pixel, the lowest row first. Before the first geometry with such corners. */
   | { kind: "texture"; size: number; layers: number; pixels: Uint8Array<ArrayBuffer> }

@@ -60,6 +60,7 @@ export class Page {
   private readonly livePoses_ms = new Map<number, number>(); // when the last one came, by source
   private resetAsked_ms = -Infinity;
   private undoable = false; // as the server said last
+  private recorded = false; // likewise; without a recording nothing can be undone
 
   constructor() {
     this.worker.onerror = (event) => notice(`The page failed (${event.message}). Reload it.`);
@@ -150,9 +151,9 @@ export class Page {
         this.figures.showStats(message.json);
         this.blades.read(message.json);
         this.live.showBlades();
+        this.recorded = message.recorded;
         this.undoable = message.undoable > 0;
         this.enableUndo();
-        this.figures.showTets(message.tets); // a page opened later gets the count from here
         element("connection").title = `Round trip ${message.roundTrip_ms.toFixed(1)} ms`;
         return;
       case "replay":
@@ -248,7 +249,7 @@ export class Page {
   /** A blade without live poses, as in a replay, is shown where its batches end. */
   private follow(step: BladeStep): void {
     if (this.replay.facts === null) this.live.add(step);
-    if (step.cutArea_m2 > 0 && !this.undoable) {
+    if (step.cutArea_m2 > 0 && this.recorded && !this.undoable) {
       this.undoable = true; // the server says so only once a second
       this.enableUndo();
     }
@@ -301,7 +302,9 @@ export class Page {
     button.disabled = !this.undoable || this.replay.facts !== null;
     button.title = this.undoable
       ? "Back to before the last stroke, for everybody (Z)"
-      : "There is no stroke to undo (Z says why)";
+      : this.recorded
+        ? "There is no stroke to undo"
+        : "Nothing can be undone: this server keeps no recording";
   }
 
   /** Where that cannot be, the server says why. */

@@ -20,6 +20,7 @@ import { Role } from "./wire/incise/wire/role";
 import { SnapshotBegin } from "./wire/incise/wire/snapshot-begin";
 import { SnapshotChunk } from "./wire/incise/wire/snapshot-chunk";
 import { SnapshotEnd } from "./wire/incise/wire/snapshot-end";
+import { Recording } from "./wire/incise/wire/recording";
 import { Stats } from "./wire/incise/wire/stats";
 import type { Step } from "./wire/incise/wire/step";
 import { SurfaceDelta } from "./wire/incise/wire/surface-delta";
@@ -171,7 +172,6 @@ export class Viewer {
     this.replica.welcome(welcome);
     void this.showTexture(welcome.surface()?.path() ?? "", welcome.surface()?.contentHash() ?? "");
     if (!this.replica.holding) this.feed.pause();
-    this.figures.tets = welcome.revision() === 0n ? (mesh?.tets() ?? 0) : 0;
     const { session } = this.replica;
     if (!this.replayAsked) {
       if (!this.justConnected && session !== this.liveSession) {
@@ -222,7 +222,7 @@ export class Viewer {
     this.figures.bytes += bytes;
     switch (type) {
       case Body.SnapshotBegin:
-        return this.replica.beginSnapshot(message.body(new SnapshotBegin()));
+        return this.onSnapshot(message.body(new SnapshotBegin()));
       case Body.SnapshotChunk:
         return this.replica.addChunk(message.body(new SnapshotChunk()));
       case Body.SnapshotEnd:
@@ -237,6 +237,11 @@ export class Viewer {
       case Body.ReplayState:
         return this.onReplayState(message.body(new ReplayState()));
     }
+  }
+
+  private onSnapshot(begin: SnapshotBegin): void {
+    this.replica.beginSnapshot(begin);
+    this.figures.tets = begin.tetCount();
   }
 
   private onDelta(delta: SurfaceDelta): void {
@@ -294,12 +299,11 @@ export class Viewer {
   }
 
   private onStats(stats: Stats): void {
-    if (!this.replaying && stats.revision() === this.replica.revision) this.figures.tets = stats.liveTets();
     this.post({
       kind: "stats",
       json: stats.json() ?? "{}",
       roundTrip_ms: this.link?.roundTrip_ms ?? 0,
-      tets: this.figures.tets,
+      recorded: stats.recording() !== Recording.Off,
       undoable: stats.undoable(),
     });
   }
