@@ -52,6 +52,9 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
   if (spans_.empty() || !spans_.back().whole) return;
   Span& span = spans_.back();
   span.records.push_back(record);
+  // A copy: the source of positions has few buffers, and a long history would keep them all.
+  if (record.positions)
+    span.records.back().positions = std::make_shared<const core::VertexPositions>(*record.positions);
   span.bytes += bytes_of(record);
   if (span.bytes > span.state.size() + kTail_bytes) end_span();
 }

@@ -48,6 +48,7 @@ class UndoHistoryTest : public ::testing::Test {
     record.kind = JournalRecord::Kind::kDeform;
     record.positions = positions;
     apply(record);
+    EXPECT_EQ(positions.use_count(), 2) << "the source's buffer is kept";  // here, and in the record
   }
   // Goes back once, and looks whether that is where stroke `number` began.
   void undo_to(std::size_t number) {
