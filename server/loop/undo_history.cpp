@@ -62,8 +62,7 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
 void UndoHistory::note(const core::Delta& delta) {
   now_.cut_faces += delta.cut_faces;
   now_.cut_area_m2 += delta.cut_area;
-  if (delta.stroke != 0 && !(delta.upserted.empty() && delta.removed.empty() && delta.moved.empty()))
-    changed_ = true;
+  if (delta.has_cut()) changed_ = true;
 }
 
 void UndoHistory::clear() {

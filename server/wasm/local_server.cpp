@@ -466,9 +466,7 @@ void LocalServer::commit() {
   delta_.cut_ns = host_.now_ns();
   delta_.arrival_ns = delta_.drain_ns = arrival_of_batch();
   record(protocol::BatchMark{d.revision, d.state_hash, d.source, d.stroke, d.batch, d.stroke_ended, 0});
-  if (d.stroke > 0 && d.stroke <= strokes_.size() &&
-      !(d.upserted.empty() && d.removed.empty() && d.moved.empty()))
-    strokes_[d.stroke - 1].has_cut = true;
+  if (d.has_cut() && d.stroke <= strokes_.size()) strokes_[d.stroke - 1].has_cut = true;
   const stream::Mirror::Applied step = mirror_.apply(delta_);
   for (const auto& [number, peer] : peers_) send_step(number, peer, step, mirror_);
 }
