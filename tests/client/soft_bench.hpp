@@ -23,11 +23,9 @@ class SoftBench {
   static constexpr int kWay = 2;
   static constexpr int kLoadEvery = 4;
 
-  SoftBench(const core::MeshData& mesh, const core::Blade& blade, const haptics::ForceConfig& forces)
-      : data(mesh),
-        cut_config(make_cut(blade)),
-        force_config(forces),
-        stepper(xpbd::Material{}, kRate_hz, 10) {
+  SoftBench(const core::MeshData& mesh, const core::Blade& blade, const haptics::ForceConfig& forces,
+            const xpbd::Material& material = {})
+      : data(mesh), cut_config(make_cut(blade)), force_config(forces), stepper(material, kRate_hz, 10) {
     restart();
   }
   static core::CutConfig make_cut(const core::Blade& blade) {
