@@ -44,9 +44,12 @@ constexpr float kFlat = 1e-3f, kSliver = 0.1f;
 constexpr float kHeaviness = 0.3f;
 
 // A blade's force is as it was while it changes by less than this part of it, turns by less than that (radians) and moves to other vertices
-// by less than that part: a hand is never still, and on an edge of the skin the force turns to and fro as the tissue gives way to it. Less than
-// so many newtons are none.
-constexpr float kTremor = 0.03f, kTurn = 0.3f, kSlid = 0.2f, kLeast_n = 0.005f;
+// by less than that part: a hand is never still. On an edge of the skin the force turns to and fro as the tissue gives way to it, so it takes this
+// part of a small turn from each message. Less than so many newtons are none.
+constexpr float kTremor = 0.03f, kTurn = 0.3f, kSlid = 0.2f, kFollow = 0.25f, kLeast_n = 0.005f;
+
+// In a step, of the body's size, for a vertex that was held.
+constexpr float kFreed = 1e-3f;
 
 // How far the hold of the bed and of the ends reaches into the body, in parts of its height and length.
 constexpr float kBed = 0.6f, kEnds = 0.15f;
@@ -190,6 +193,7 @@ void SoftBody::load(const Replica& mesh) {
   for (auto* numbers : {&mass_, &stiff_, &weight_, &skin_, &wound_, &tether_}) numbers->assign(n, 0);
   held_.assign(n, 0);
   held_list_.clear();
+  freed_.clear();
   blades_.clear();
   changed_.assign(n, 0);
   tets_.assign(mesh.tet_slots(), {});
@@ -234,6 +238,7 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
       set_tet(mesh, id);
   }
   std::fill(changed_.begin(), changed_.end(), 0);
+  freed_.clear();
   return true;
 }
 
@@ -249,6 +254,7 @@ void SoftBody::hold(const Replica& mesh, std::span<const std::uint32_t> held) {
 }
 
 void SoftBody::let_go() {
+  freed_ = held_list_;
   for (const std::uint32_t id : held_list_) {
     held_[id] = 0;
     update_vertex(id);
@@ -277,6 +283,11 @@ bool SoftBody::press(const protocol::BladeLoad& load) {
   blade.center = dot(blade.way, to_vector(load.center));
   if (before != blades_.end()) {
     if (much_the_same(*before, blade)) return false;
+    if (const Vector turn = blade.way - before->way; dot(turn, turn) < kTurn * kTurn) {
+      const Vector way = before->way + kFollow * turn;
+      blade.way = (1 / std::sqrt(dot(way, way))) * way;
+      blade.center = dot(blade.way, to_vector(load.center));
+    }
     blades_.erase(before);
   } else if (blade.ids.empty()) {
     return false;
@@ -373,6 +384,8 @@ void SoftBody::project(const Tet& tet, float shear_compliance, float volume_comp
 }
 
 void SoftBody::step() {
+  began_.clear();
+  for (const std::uint32_t id : freed_) began_.push_back(x_[id]);
   const float dt = dt_;
   const auto keep = static_cast<float>(std::exp(-material_.damping_per_s * static_cast<double>(dt)));
   const float shear_compliance = 1 / (mu_ * dt * dt), volume_compliance = 1 / (lambda_ * dt * dt);
@@ -390,6 +403,15 @@ void SoftBody::step() {
       x_[i] += pull / (1 + pull) * (rest_[i] - x_[i]);
       v_[i] = (keep / dt) * (x_[i] - before_[i]);
     }
+  }
+  // The server may hold them again: they must not leap, and be thrown back.
+  const float most = kFreed * static_cast<float>(size_m());
+  for (std::size_t i = 0; i < freed_.size(); ++i) {
+    const std::uint32_t id = freed_[i];
+    const Vector way = x_[id] - began_[i];
+    const float share = most / std::max(most, std::sqrt(dot(way, way)));
+    x_[id] = began_[i] + share * way;
+    v_[id] *= share;
   }
 }
 

@@ -121,7 +121,8 @@ class SoftBody {
   std::vector<float> weight_;        // 1/kg, 0 where it is held
   std::vector<std::uint32_t> uses_;  // tetrahedra that have it
   std::vector<std::uint8_t> held_;
-  std::vector<std::uint32_t> held_list_;
+  std::vector<std::uint32_t> held_list_, freed_;  // held; let go since the last cut
+  std::vector<Vector> began_;                     // where freed_ were before the step
   std::vector<Tet> tets_;
   std::uint32_t live_tets_ = 0;
   std::vector<BladeForce> blades_;
