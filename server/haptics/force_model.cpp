@@ -11,6 +11,9 @@ using core::Vec3;
 constexpr double kSmoothing_s = 0.005;  // of the velocity: one pose's noise must not be felt
 constexpr double kFaceSlack_h = 0.05;   // what the surface may have moved between two frames
 constexpr double kDeepest_h = 6;        // the surface is not looked for farther off
+// Tissue yields when the hand has got this part of what it holds, or would have got it for so long; where the account does not cover that, when
+// the spring would make so many times as much.
+constexpr double kGot = 0.98, kYields_s = 0.01, kUncovered = 2;
 // The front is forgotten when the blade is this far behind it or beside it: there the map of cuts is up to date,
 // since faces open at most two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
@@ -38,8 +41,8 @@ ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double d
 void ForceModel::jump() noexcept {
   phase_ = Phase::kFree;
   has_last_ = false;
-  velocity_ = tool_velocity_ = {};
-  depth_ = depth_at_rest_ = 0;
+  velocity_ = tool_velocity_ = last_elastic_ = {};
+  depth_ = depth_at_rest_ = yields_s_ = 0;
 }
 
 Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied,
@@ -51,10 +54,11 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   const Engagement& engagement = feel.engagement;
   const double at = engagement.length_m > 0 ? engagement.middle : 0.5;
   map_ = line_.deformed ? tissue.rest().map(line_.tet(at)) : LocalMap{};
-  if (has_last_) book(motion, at, applied);
+  if (has_last_) book(motion, applied);
   account_ += kLeak_w * motion.elapsed_s;
   if (has_last_) find_velocity(motion, at);
   Elastic elastic;
+  const bool shared = has_last_ && line_.deformed && !own_acts_;
   if (engagement.length_m == 0) {
     phase_ = Phase::kFree;
     depth_ = depth_at_rest_ = 0;
@@ -64,7 +68,12 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
       depth_ = depth_at_rest_ = 0.5 * yielded_at_;
     }
     if (phase_ != Phase::kInside) find_depth(tissue, motion, has_last_ ? moved_at_rest() : 0, feel);
-    if (phase_ == Phase::kContact) elastic = press(motion, engagement, feel);
+    if (shared && phase_ == Phase::kInside) book_tissue(motion, at, applied);
+    if (phase_ == Phase::kContact) {
+      elastic = spring(motion, engagement);
+      if (shared) book_tissue(motion, elastic);
+      elastic = press(motion, engagement, elastic, applied, feel);
+    }
     if (phase_ == Phase::kInside) elastic = cut(motion, engagement, tissue.h(), feel);
   }
   if (own) elastic = render(*own, motion, feel);
@@ -76,13 +85,18 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   before_ = line_;
 
   account_ = std::min(account_, elastic.energy + kReserve_j);
-  const double held = std::max(account_, 0.0);
-  const double elastic_share = elastic.energy > held ? held / elastic.energy : 1;
-  const double friction_share = std::min(1.0, held / kReserve_j);
-  feel.force = elastic_share * elastic.force + friction_share * feel.force;
+  const double friction_share = std::min(1.0, std::max(account_, 0.0) / kReserve_j);
+  last_elastic_ = covered(elastic.energy) * elastic.force;
+  feel.force = last_elastic_ + friction_share * feel.force;
   const double middle = engagement.length_m > 0 ? 0.5 * (engagement.from + engagement.to) : 0.5;
   feel.arm = lerp(motion.line.heel, motion.line.tip, middle) - motion.tool;
   return feel;
+}
+
+// How much of a spring's force the account covers.
+double ForceModel::covered(double energy) const noexcept {
+  const double held = std::max(account_, 0.0);
+  return energy > held ? held / energy : 1;
 }
 
 Vec3 ForceModel::step(const BladeMotion& motion, double at) const noexcept {
@@ -100,17 +114,31 @@ double ForceModel::moved_at_rest() const noexcept {
   return moved;
 }
 
-// What acted on the hand since the last call did work there; where the tissue moved, a part of it was the tissue's.
-void ForceModel::book(const BladeMotion& motion, double at, const Vec3& applied) noexcept {
+// What acted on the hand since the last call did work there.
+void ForceModel::book(const BladeMotion& motion, const Vec3& applied) noexcept {
   account_ -= dot(applied, motion.tool - last_tool_) +
               dot(motion.torque, turn(last_orientation_, motion.orientation));
-  if (!line_.deformed || own_acts_) return;
-  const double given = dot(applied, step(motion, at) - relative_step(at));
-  const double got = std::min(given, tissue_account_);
-  account_ += got;
-  tissue_account_ -= got;
   if (tissue_account_ < kTissueReserve_j)
     tissue_account_ = std::min(kTissueReserve_j, tissue_account_ + kTissueLeak_w * motion.elapsed_s);
+}
+
+// Inside, where the tissue moved, a part of that was the tissue's.
+void ForceModel::book_tissue(const BladeMotion& motion, double at, const Vec3& applied) noexcept {
+  const double given = dot(applied, step(motion, at) - relative_step(at));
+  take_from_tissue(std::min(given, tissue_account_));
+}
+
+// Pressed, what the hand has put in and the spring has not is the tissue's, and what the spring has beyond that was. (Tissue at the edge and
+// at the surface do not move alike, and a simulation moves both in long steps: how far they went does not tell.)
+void ForceModel::book_tissue(const BladeMotion& motion, const Elastic& spring) noexcept {
+  const double lacks = spring.energy - account_;
+  const double put_in = std::max(0.0, -dot(last_elastic_, motion.tool - last_tool_));
+  take_from_tissue(lacks > 0 ? std::min(lacks, tissue_account_) : std::max(lacks, -put_in));
+}
+
+void ForceModel::take_from_tissue(double energy) noexcept {
+  account_ += energy;
+  tissue_account_ -= energy;
 }
 
 // The velocity of the edge's parameter `at`, relative to the tissue.
@@ -196,31 +224,48 @@ bool ForceModel::withdrawn(const Tissue& tissue, const Engagement& engagement,
 void ForceModel::get_in(const Vec3& along, const Engagement& engagement) noexcept {
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
+  yields_s_ = 0;
   yielded_at_ = depth_at_rest_;
   front_heading_ = map_.rest_from_now * along;
   front_ = line_.rest(engagement.middle) - std::min(depth_, hold) * front_heading_;
 }
 
+// What the surface holds, N; for a blade that does not cut, anything.
+double ForceModel::holds(const BladeMotion& motion, const Engagement& engagement) noexcept {
+  return motion.engaged ? std::max(engagement.puncture_n, engagement.fracture_n) : INFINITY;
+}
+
+// The spring to the surface, which pulls no harder than that holds.
+ForceModel::Elastic ForceModel::spring(const BladeMotion& motion,
+                                       const Engagement& engagement) const noexcept {
+  const double k = engagement.stiffness_n_m, force = std::min(k * depth_, holds(motion, engagement));
+  return {force * normal_, force * (depth_ - 0.5 * force / k)};
+}
+
 ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagement& engagement,
-                                      Feel& feel) noexcept {
-  const double stiffness = engagement.stiffness_n_m;
-  const double holds = std::max(engagement.puncture_n, engagement.fracture_n);
+                                      const Elastic& spring, const Vec3& applied, Feel& feel) noexcept {
+  const double stiffness = engagement.stiffness_n_m, most = holds(motion, engagement);
+  const double force = length(spring.force), share = covered(spring.energy);
+  // It gives way when the hand has got what it holds: a simulation that moves the tissue in steps must not tear it before. A device that makes
+  // less, or a tool that only turns (its account covers little), must get in as well.
+  const bool yields = stiffness * depth_ >= most && (share == 1 || stiffness * depth_ >= kUncovered * most);
+  yields_s_ = yields ? yields_s_ + motion.elapsed_s : 0;
+  const bool got = yields && dot(applied, normal_) > kGot * most;
   // A blade that enters an existing slit punctures nothing.
   const bool open = engagement.uncut_m < 0.5 * engagement.length_m;
-  if (open || (motion.engaged && stiffness * depth_ > holds)) {
+  if (open || got || yields_s_ > kYields_s || most == 0) {
     const Vec3 edge = normalized(motion.line.tip - motion.line.heel);
     get_in(-normalized(across(normal_, edge)), engagement);
     return {};
   }
   const double into = dot(velocity_, normal_);
-  const double spring = stiffness * depth_;
   // The damper can only reduce the force of a spring that relaxes: the surface does not pull.
-  const double damper = std::max(-damping_ * into, -spring);
+  const double damper = std::max(-damping_ * into, -force);
   feel.force = damper * normal_ - engagement.friction_n_s_m * across(velocity_, normal_);
   feel.contact =
-      ContactPlane{motion.tool + depth_ * normal_, normal_, stiffness, damping_, motion.engaged ? holds : 0,
+      ContactPlane{motion.tool + depth_ * normal_, normal_, stiffness, damping_, motion.engaged ? most : 0,
                    engagement.friction_n_s_m,      false};
-  return {spring * normal_, 0.5 * stiffness * depth_ * depth_};
+  return spring;
 }
 
 // A spring in all directions that gives way at its resistance, and a damper that does not pull.

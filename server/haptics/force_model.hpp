@@ -112,10 +112,17 @@ class ForceModel {
   core::Vec3 step(const BladeMotion& motion, double at) const noexcept;
   core::Vec3 relative_step(double at) const noexcept;
   double moved_at_rest() const noexcept;
-  void book(const BladeMotion& motion, double at, const core::Vec3& applied) noexcept;
+  void book(const BladeMotion& motion, const core::Vec3& applied) noexcept;
+  void book_tissue(const BladeMotion& motion, double at, const core::Vec3& applied) noexcept;
+  void book_tissue(const BladeMotion& motion, const Elastic& spring) noexcept;
+  void take_from_tissue(double energy) noexcept;
+  double covered(double energy) const noexcept;
   void find_velocity(const BladeMotion& motion, double at) noexcept;
   void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
-  Elastic press(const BladeMotion& motion, const Engagement& engagement, Feel& feel) noexcept;
+  static double holds(const BladeMotion& motion, const Engagement& engagement) noexcept;
+  Elastic spring(const BladeMotion& motion, const Engagement& engagement) const noexcept;
+  Elastic press(const BladeMotion& motion, const Engagement& engagement, const Elastic& spring,
+                const core::Vec3& applied, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
   bool withdrawn(const Tissue& tissue, const Engagement& engagement, ProbeWork& work) const noexcept;
   Elastic render(const LocalModel& own, const BladeMotion& motion, Feel& feel) noexcept;
@@ -131,6 +138,7 @@ class ForceModel {
   core::Quat last_orientation_;
   core::Vec3 velocity_;  // of the edge where it is inside, relative to the tissue, m/s
   double account_ = kReserve_j, tissue_account_ = kTissueReserve_j;
+  core::Vec3 last_elastic_;  // the spring's part of the last force, N
   // The edge at rest: now, and in the call before.
   RestLine line_, before_;
   LocalMap map_;  // of the tissue at the middle of the edge inside
@@ -142,6 +150,7 @@ class ForceModel {
   // Contact.
   double depth_ = 0, depth_at_rest_ = 0;  // m: now, and in the body at rest
   core::Vec3 normal_;                     // unit, out of the tissue
+  double yields_s_ = 0;                   // for how long the spring has pulled as hard as the surface holds
   // Inside.
   double yielded_at_ = 0;     // depth at which the surface gave way, in the body at rest, m; 0: it did not
   core::Vec3 front_;          // a point of the front's line, in the body at rest

@@ -74,11 +74,12 @@ class Springs {
 
 // The loop's part: a hand, the forces, the simulation, a millisecond a step.
 struct Rig {
-  explicit Rig(std::uint32_t n, double stiffness_n_m, int delay = 0, int every = 4)
+  explicit Rig(std::uint32_t n, double stiffness_n_m, int delay = 0, int every = 4,
+               const ForceConfig& config = forces())
       : session(tests::cube(n, kSize), cut()),
         springs(session, stiffness_n_m, delay),
         interval(every),
-        stage(forces(), cut(), std::make_unique<Tissue>(tests::cube(n, kSize)), nullptr, &slots) {
+        stage(config, cut(), std::make_unique<Tissue>(tests::cube(n, kSize)), nullptr, &slots) {
     stage.follow(session.mesh(), session.revision());
     stage.join(link);
     stage.opened(0, cut().blade);
@@ -240,6 +241,82 @@ TEST(Simulation, LoadsSumToTheForceDuringCuts) {
   }
   EXPECT_GT(inside, 300);
   EXPECT_LT(rig.largest_error, 1e-6);
+}
+
+// The force on the hand when the tissue gives way: the largest until then.
+struct Entry {
+  double force_n = 0, bent_m = 0;
+  bool entered = false;
+};
+Entry enter(Rig& rig, double speed_m_s, const std::function<Vec3(int)>& sway) {
+  Entry entry;
+  Vec3 tool{0.052, 0.047, kSize + 0.0505};
+  core::Pose pose;
+  pose.buttons = 1;
+  for (int i = 0; i < 20'000; ++i) {
+    rig.springs.sway = sway(i);
+    tool.z -= 1e-3 * speed_m_s;
+    rig.to(tool, true);
+    if (!rig.stage.holds_back(0, pose)) {
+      if (rig.load.contact == ContactState::kInside) {
+        entry.entered = true;
+        return entry;
+      }
+    }
+    entry.force_n = std::max(entry.force_n, length(rig.force));
+    for (const Vec3& u : rig.springs.shift()) entry.bent_m = std::max(entry.bent_m, length(u));
+  }
+  return entry;
+}
+
+ForceConfig resisting(double holds_n) {
+  ForceConfig config = Rig::forces();
+  config.resists = true;
+  config.materials.tissue.puncture_n = holds_n;
+  config.materials.tissue.toughness_j_m2 = 10;
+  config.limits.most_n = 20;
+  config.limits.slew_n_s = 4000;
+  return config;
+}
+
+// In stiff tissue and in such that bends by 8 mm, pressed slowly and fast, with positions at 60 Hz that come late, still and moving: what counts is
+// what the hand got.
+TEST(Simulation, TissueGivesWayAtTheForceThatIsStated) {
+  constexpr double kHolds_n = 5;
+  ForceConfig config = resisting(kHolds_n);
+  double most_bent = 0;
+  for (const double vertex : {1e6, 2000.0, 500.0, 250.0}) {
+    for (const double contact : {400.0, 1500.0}) {
+      for (const double speed : {0.01, 0.05}) {
+        for (const int delay : {0, 30}) {
+          for (const bool moves : {false, true}) {
+            SCOPED_TRACE("vertices on " + std::to_string(vertex) + " N/m, contact " +
+                         std::to_string(contact) + ", speed " + std::to_string(speed) + ", delay " +
+                         std::to_string(delay) + (moves ? ", moving" : ""));
+            config.materials.tissue.stiffness_n_m = contact;
+            Rig rig(5, vertex, delay, 16, config);
+            const Entry entry = enter(rig, speed, [&](int i) {
+              return moves ? Vec3{0, 0.001 * std::sin(0.02 * i), 0.001 * std::sin(0.013 * i)} : Vec3{};
+            });
+            EXPECT_TRUE(entry.entered);
+            EXPECT_NEAR(entry.force_n, kHolds_n, 0.05 * kHolds_n);
+            most_bent = std::max(most_bent, entry.bent_m);
+          }
+        }
+      }
+    }
+  }
+  EXPECT_GT(most_bent, 0.007);
+}
+
+// A device that makes less than the tissue holds gets in as well, not much deeper.
+TEST(Simulation, TissueGivesWayToADeviceThatMakesLess) {
+  ForceConfig config = resisting(5);
+  config.limits.most_n = 3.3;
+  Rig rig(5, 500, 0, 16, config);
+  const Entry entry = enter(rig, 0.01, [](int) { return Vec3{}; });
+  EXPECT_TRUE(entry.entered);
+  EXPECT_NEAR(entry.force_n, 3.3, 0.01);
 }
 
 // No energy comes out, however late the simulation is, and when it is lost.

@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "client/client.hpp"
-#include "client/examples/xpbd/soft_body.hpp"
+#include "client/examples/xpbd/stepper.hpp"
 
 namespace {
 
@@ -34,12 +34,7 @@ struct Settings {
 };
 
 constexpr float kLoadRate_hz = 240;  // a few in each time step: the newest counts
-// The body rests when no vertex has moved by more than this part of its size for so long.
-constexpr double kStill = 2e-5, kRest_s = 0.5;
-constexpr double kIdle_s = 0.1;  // between two looks at the network while it rests
-// After this time a vertex that the server held is tried again, after twice that once more, and so on, so many times.
-constexpr double kRetry_s = 0.1;
-constexpr int kRetries = 6;
+constexpr double kIdle_s = 0.1;      // between two looks at the network while it rests
 
 // A line a second: how fast it is, and what became of what it sent.
 class Report {
@@ -50,12 +45,12 @@ class Report {
     work_s_ += work_s;
   }
   void take(const protocol::PositionsReport& report) { last_ = report, held_ = report.held.size(); }
-  void print(const xpbd::SoftBody& body, bool rests) {
+  void print(std::uint32_t tets, bool rests) {
     const double dt = seconds_since(since_);
     if (dt < 1 && !rests) return;
     std::printf(
         "%u tetrahedra, %.0f steps/s of %.1f ms, %.0f sent/s, revision %llu, held %zu, skipped %llu%s\n",
-        body.tets(), steps_ / dt, 1e3 * work_s_ / std::max(steps_, 1), sent_ / dt,
+        tets, steps_ / dt, 1e3 * work_s_ / std::max(steps_, 1), sent_ / dt,
         static_cast<unsigned long long>(last_.revision), held_,
         static_cast<unsigned long long>(last_.skipped), rests ? ", at rest" : "");
     std::fflush(stdout);
@@ -78,28 +73,35 @@ class Report {
 // The body and its connection: follows, steps, sends while something moves.
 class Simulation {
  public:
-  explicit Simulation(const Settings& settings) : settings_(settings), body_(settings.material) {}
+  explicit Simulation(const Settings& settings)
+      : settings_(settings), stepper_(settings.material, settings.rate_hz, settings.substeps) {}
   void run();
 
  private:
   client::Callbacks callbacks();
   void load();
-  void wake();
   void step();
-  void retry_held(double dt_s);
+  // Does what may wake the body.
+  template <class F>
+  void told(F&& f);
 
   const Settings& settings_;
-  xpbd::SoftBody body_;
+  xpbd::Stepper stepper_;
   Report report_;
   std::unique_ptr<client::Client> client_;
   const steady_clock::time_point began_ = steady_clock::now();
   steady_clock::time_point next_ = began_;
   std::uint64_t frame_ = 0;
-  bool awake_ = false;
-  double still_s_ = 0;
-  int tries_ = 0;  // of what the server holds back
-  double held_s_ = 0;
 };
+
+template <class F>
+void Simulation::told(F&& f) {
+  const bool awake = stepper_.awake();
+  f();
+  if (awake || !stepper_.awake()) return;
+  report_.begin();
+  next_ = steady_clock::now();
+}
 
 // All of these are called within poll().
 client::Callbacks Simulation::callbacks() {
@@ -108,79 +110,39 @@ client::Callbacks Simulation::callbacks() {
     if (client_) load();
   };
   callbacks.on_delta = [this](const protocol::Replica& mesh, const protocol::Delta& delta,
-                              const client::Arrival&) {
-    if (body_.apply(mesh, delta)) wake();
+                              const client::Arrival&) { told([&] { stepper_.apply(mesh, delta); }); };
+  callbacks.on_blade_load = [this](const protocol::BladeLoad& load) { told([&] { stepper_.press(load); }); };
+  callbacks.on_positions_report = [this](const protocol::PositionsReport& outcome) {
+    client_->read([&](const protocol::Replica& mesh) { stepper_.hold(mesh, outcome.held); });
+    report_.take(outcome);
   };
-  callbacks.on_blade_load = [this](const protocol::BladeLoad& load) {
-    const bool pressed = body_.pressed();
-    body_.press(load);
-    if (pressed || body_.pressed()) wake();
-  };
-  callbacks.on_positions_report = [this](const protocol::PositionsReport& told) {
-    client_->read([&](const protocol::Replica& mesh) { body_.hold(mesh, told.held); });
-    report_.take(told);
-  };
-  callbacks.on_disconnect = [this](const std::string&) {
-    body_.release_blades();
-    wake();
-  };
+  callbacks.on_disconnect = [this](const std::string&) { told([&] { stepper_.release_blades(); }); };
   callbacks.on_error = [](const protocol::Error& error) { std::fprintf(stderr, "%s\n", error.text.c_str()); };
   return callbacks;
 }
 
 // Another state: as served, after a reset or an undo, or of a server that was started again.
 void Simulation::load() {
-  client_->read([this](const protocol::Replica& mesh) { body_.load(mesh); });
-  wake();
-}
-
-void Simulation::wake() {
-  if (!awake_) {
-    report_.begin();
-    next_ = steady_clock::now();
-  }
-  awake_ = true;
-  still_s_ = 0;
-  tries_ = 0;
-}
-
-// What the server held back is tried again, less and less often: at a blade that stays where it is, or where a tetrahedron
-// is as flat as it may be, it would be held for ever.
-void Simulation::retry_held(double dt_s) {
-  held_s_ = body_.holds() ? held_s_ + dt_s : 0;
-  if (held_s_ < kRetry_s * (1 << tries_)) return;
-  body_.let_go();
-  held_s_ = 0;
-  ++tries_;
+  client_->read([this](const protocol::Replica& mesh) { told([&] { stepper_.load(mesh); }); });
 }
 
 void Simulation::step() {
-  const double dt_s = 1 / settings_.rate_hz;
   // Where the machine is too slow, the body is: time that is lost is not made up for.
-  next_ = std::max(
-      next_ + std::chrono::duration_cast<steady_clock::duration>(std::chrono::duration<double>(dt_s)),
-      steady_clock::now());
+  next_ = std::max(next_ + std::chrono::duration_cast<steady_clock::duration>(
+                               std::chrono::duration<double>(1 / settings_.rate_hz)),
+                   steady_clock::now());
   const auto start = steady_clock::now();
-  body_.step(dt_s, settings_.substeps);
-  const bool moves = body_.unsent_m() > kStill * body_.size_m();
+  const bool moves = stepper_.step();
   report_.step(seconds_since(start), moves);
   if (moves) {
     protocol::Positions positions;
     positions.frame = ++frame_;
     positions.revision = client_->revision();
     positions.source_ns = std::chrono::nanoseconds(start - began_).count();
-    positions.f32 = body_.positions();
-    if (client_->send_positions(positions) != 0) body_.note_sent();
-    still_s_ = 0;
-  } else {
-    still_s_ += dt_s;
+    positions.f32 = stepper_.positions();
+    if (client_->send_positions(positions) != 0) stepper_.note_sent();
   }
-  if (tries_ < kRetries) retry_held(dt_s);
-  if (still_s_ > kRest_s && !body_.pressed() && (!body_.holds() || tries_ == kRetries)) {
-    body_.stop();
-    awake_ = false;
-  }
-  report_.print(body_, !awake_);
+  report_.print(stepper_.tets(), !stepper_.awake());
 }
 
 void Simulation::run() {
@@ -195,8 +157,8 @@ void Simulation::run() {
   load();  // what has come with the welcome
   while (!stop && (settings_.seconds == 0 || seconds_since(began_) < settings_.seconds)) {
     const double left_s = std::chrono::duration<double>(next_ - steady_clock::now()).count();
-    if (!client_->poll(awake_ ? std::max(left_s, 0.0) : kIdle_s)) break;
-    if (awake_ && body_.tets() > 0 && steady_clock::now() >= next_) step();
+    if (!client_->poll(stepper_.awake() ? std::max(left_s, 0.0) : kIdle_s)) break;
+    if (stepper_.awake() && stepper_.tets() > 0 && steady_clock::now() >= next_) step();
   }
   if (!client_->last_error().empty()) std::fprintf(stderr, "%s\n", client_->last_error().c_str());
 }
@@ -211,8 +173,8 @@ int main(int argc, char** argv) {
   app.add_option("--token", settings.token, "what opens the role simulator there");
   app.add_option("--rate", settings.rate_hz, "time steps a second (60)")->check(CLI::Range(1.0, 1000.0));
   app.add_option("--substeps", settings.substeps, "in each of them (10)")->check(CLI::Range(1, 100));
-  app.add_option("--young", settings.material.young_pa, "stiffness, Pa (6000)")->check(CLI::Range(10.0, 1e7));
-  app.add_option("--tension", settings.material.tension_pa, "with which tissue pulls at a cut, Pa (600)")
+  app.add_option("--young", settings.material.young_pa, "stiffness, Pa (2000)")->check(CLI::Range(10.0, 1e7));
+  app.add_option("--tension", settings.material.tension_pa, "with which tissue pulls at a cut, Pa (300)")
       ->check(CLI::Range(0.0, 1e6));
   app.add_option("--seconds", settings.seconds, "ends after so long; 0: with Ctrl-C")
       ->check(CLI::Range(0.0, 1e6));

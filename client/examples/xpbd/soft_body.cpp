@@ -38,13 +38,31 @@ Vector cross(const Vector& a, const Vector& b) {
 // sliver. A regular one has 0.7.
 constexpr float kFlat = 1e-3f, kSliver = 0.1f;
 
+// No vertex weighs less than this times dt^2 times the stiffness around it ("mass scaling"): what is lighter moves farther in a substep than
+// one pass over its tetrahedra can answer, so it never rests. Slivers and small elements are what that makes heavier; where a body
+// comes to rest does not depend on its mass.
+constexpr float kHeaviness = 0.3f;
+
+// A blade's force is as it was while it changes by less than this part of it, turns by less than that (radians) and moves to other vertices
+// by less than that part: a hand is never still. On an edge of the skin the force turns to and fro as the tissue gives way to it, so it takes this
+// part of a small turn from each message. Less than so many newtons are none.
+constexpr float kTremor = 0.03f, kTurn = 0.3f, kSlid = 0.2f, kFollow = 0.25f, kLeast_n = 0.005f;
+
+// In a step, of the body's size, for a vertex that was held.
+constexpr float kFreed = 1e-3f;
+
 // How far the hold of the bed and of the ends reaches into the body, in parts of its height and length.
 constexpr float kBed = 0.6f, kEnds = 0.15f;
 
-// Of its way, for a vertex that goes to and fro: little enough to count as rest, enough to go on soon when it is pressed.
-constexpr float kLeastShare = 1e-5f;
-
 }  // namespace
+
+SoftBody::SoftBody(const Material& material, double step_s, int substeps)
+    : material_(material),
+      substeps_(substeps),
+      dt_(static_cast<float>(step_s / substeps)),
+      mu_(static_cast<float>(material.young_pa / (2 * (1 + material.poisson)))),
+      lambda_(static_cast<float>(material.young_pa * material.poisson /
+                                 ((1 + material.poisson) * (1 - 2 * material.poisson)))) {}
 
 // What the surroundings resist with at a place of the skin, Pa/m.
 float SoftBody::tether_pa_m(const Vector& rest) const {
@@ -64,20 +82,21 @@ float SoftBody::tether_pa_m(const Vector& rest) const {
 void SoftBody::update_vertex(std::uint32_t vertex) {
   // What is left of sums when the last tetrahedron has gone would move the vertex for ever.
   if (uses_[vertex] == 0) {
-    mass_[vertex] = skin_[vertex] = 0;
+    mass_[vertex] = stiff_[vertex] = skin_[vertex] = wound_[vertex] = 0;
     lips_[vertex] = v_[vertex] = Vector{};
   }
   const bool free = mass_[vertex] > 0 && !held_[vertex];
-  weight_[vertex] = free ? 1 / mass_[vertex] : 0;
+  weight_[vertex] = free ? 1 / std::max(mass_[vertex], kHeaviness * dt_ * dt_ * stiff_[vertex]) : 0;
   tether_[vertex] = skin_[vertex] > 1e-12f ? skin_[vertex] * tether_pa_m(rest_[vertex]) : 0;
+  tether_[vertex] += wound_[vertex] * static_cast<float>(material_.tension_pa / material_.retraction_m);
 }
 
 // The loads and the skin of a tetrahedron's outer faces, a third to each vertex. The outward area of the face opposite to a
 // vertex is -3 volume times the gradient of that vertex's barycentric coordinate.
 void SoftBody::add_faces(const Tet& tet, float sign) {
-  if ((tet.cut_faces | tet.skin_faces) == 0 || tet.per_volume == 0) return;
+  if ((tet.cut_faces | tet.skin_faces) == 0) return;
   const auto& q = tet.inverse;
-  const float volume = sign * tet.mass_kg / static_cast<float>(material_.density_kg_m3);
+  const float volume = sign * tet.volume;
   Vector inward[4];
   for (std::size_t k = 0; k < 3; ++k)
     inward[k + 1] = volume * Vector{q[3 * k], q[3 * k + 1], q[3 * k + 2], 0};
@@ -88,18 +107,35 @@ void SoftBody::add_faces(const Tet& tet, float sign) {
     const float area = sign * std::sqrt(dot(inward[f], inward[f]));
     for (std::size_t k = 0; k < 4; ++k) {
       if (k == f) continue;
-      if (cut) lips_[tet.v[k]] += static_cast<float>(material_.tension_pa) * inward[f];
-      if (skin) skin_[tet.v[k]] += area;
+      const std::uint32_t v = tet.v[k];
+      if (cut) lips_[v] += static_cast<float>(material_.tension_pa) * inward[f];
+      float& sum = cut ? wound_[v] : skin_[v];
+      sum = std::max(sum + area, 0.0f);
     }
+  }
+}
+
+// A tetrahedron's share in the mass and in the stiffness of its vertices.
+void SoftBody::add_weight(const Tet& tet, float sign) {
+  const auto& q = tet.inverse;
+  Vector gradient[4];
+  for (std::size_t k = 0; k < 3; ++k) gradient[k + 1] = Vector{q[3 * k], q[3 * k + 1], q[3 * k + 2], 0};
+  gradient[0] = -(gradient[1] + gradient[2] + gradient[3]);
+  const float mass = 0.25f * static_cast<float>(material_.density_kg_m3) / tet.per_volume;
+  for (std::size_t k = 0; k < 4; ++k) {
+    float& m = mass_[tet.v[k]];
+    float& s = stiff_[tet.v[k]];
+    m = std::max(m + sign * mass, 0.0f);
+    s = std::max(s + sign * (mu_ + lambda_) / tet.per_volume * dot(gradient[k], gradient[k]), 0.0f);
   }
 }
 
 void SoftBody::remove_tet(std::uint32_t id) {
   Tet& tet = tets_[id];
-  if (tet.mass_kg == 0) return;
+  if (tet.per_volume == 0) return;
   add_faces(tet, -1);
+  add_weight(tet, -1);
   for (const std::uint32_t v : tet.v) {
-    mass_[v] = std::max(mass_[v] - 0.25f * tet.mass_kg, 0.0f);
     --uses_[v];
     update_vertex(v);
   }
@@ -123,17 +159,16 @@ void SoftBody::set_tet(const Replica& mesh, std::uint32_t id) {
     for (std::size_t i = 0; i < 3; ++i) {
       for (std::size_t k = 0; k < 3; ++k) tet.inverse[3 * i + k] = rows[i][k] / six_volumes;
     }
-    // A sliver is as stiff as if it were thicker, or it would be the first to invert.
-    tet.per_volume = 6 / std::max(six_volumes, kSliver * cube);
+    tet.volume = six_volumes / 6;
   }
-  tet.mass_kg =
-      static_cast<float>(material_.density_kg_m3) * std::max(std::abs(six_volumes), kFlat * cube) / 6;
+  // A sliver is as stiff and as heavy as if it were thicker, or it would be the first to invert, and never at rest.
+  tet.per_volume = 6 / std::max(six_volumes, kSliver * cube);
   tet.cut_faces = mesh.boundary_mask(id) & mesh.cut_mask(id);
   tet.skin_faces = mesh.boundary_mask(id) & ~tet.cut_faces;
   ++live_tets_;
   add_faces(tet, 1);
+  add_weight(tet, 1);
   for (const std::uint32_t v : tet.v) {
-    mass_[v] += 0.25f * tet.mass_kg;
     ++uses_[v];
     update_vertex(v);
   }
@@ -153,12 +188,12 @@ void SoftBody::load(const Replica& mesh) {
     }
   }
   before_ = sent_ = x_;
-  for (auto* vectors : {&v_, &lips_, &way_}) vectors->assign(n, Vector{});
-  share_.assign(n, 1);
+  for (auto* vectors : {&v_, &lips_}) vectors->assign(n, Vector{});
   uses_.assign(n, 0);
-  for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->assign(n, 0);
+  for (auto* numbers : {&mass_, &stiff_, &weight_, &skin_, &wound_, &tether_}) numbers->assign(n, 0);
   held_.assign(n, 0);
   held_list_.clear();
+  freed_.clear();
   blades_.clear();
   changed_.assign(n, 0);
   tets_.assign(mesh.tet_slots(), {});
@@ -173,11 +208,10 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
   std::vector<float> velocities(4 * v_.size());
   std::memcpy(velocities.data(), v_.data(), 4 * velocities.size());
   protocol::carry(delta, 4, velocities);
-  for (auto* vectors : {&x_, &before_, &v_, &rest_, &sent_, &lips_, &way_}) vectors->resize(n);
-  share_.resize(n, 1);
+  for (auto* vectors : {&x_, &before_, &v_, &rest_, &sent_, &lips_}) vectors->resize(n);
   uses_.resize(n, 0);
   std::memcpy(v_.data(), velocities.data(), 4 * velocities.size());
-  for (auto* numbers : {&mass_, &weight_, &skin_, &tether_}) numbers->resize(n, 0);
+  for (auto* numbers : {&mass_, &stiff_, &weight_, &skin_, &wound_, &tether_}) numbers->resize(n, 0);
   held_.resize(n, 0);
   changed_.resize(n, 0);
   tets_.resize(mesh.tet_slots());
@@ -186,8 +220,6 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
   const auto take = [&](std::uint32_t id) {
     x_[id] = before_[id] = sent_[id] = vector_at(mesh.positions(), id);
     rest_[id] = vector_at(mesh.rest_positions(), id);
-    way_[id] = Vector{};
-    share_[id] = 1;
     changed_[id] = 1;
   };
   for (const std::uint32_t id : mesh.deformed() ? delta.rest_ids : delta.moved_ids) take(id);
@@ -202,10 +234,11 @@ bool SoftBody::apply(const Replica& mesh, const Delta& delta) {
   }
   for (std::uint32_t id = 0; id < tets_.size(); ++id) {
     const auto& v = tets_[id].v;
-    if (tets_[id].mass_kg > 0 && (changed_[v[0]] || changed_[v[1]] || changed_[v[2]] || changed_[v[3]]))
+    if (tets_[id].per_volume > 0 && (changed_[v[0]] || changed_[v[1]] || changed_[v[2]] || changed_[v[3]]))
       set_tet(mesh, id);
   }
   std::fill(changed_.begin(), changed_.end(), 0);
+  freed_.clear();
   return true;
 }
 
@@ -221,6 +254,7 @@ void SoftBody::hold(const Replica& mesh, std::span<const std::uint32_t> held) {
 }
 
 void SoftBody::let_go() {
+  freed_ = held_list_;
   for (const std::uint32_t id : held_list_) {
     held_[id] = 0;
     update_vertex(id);
@@ -228,42 +262,83 @@ void SoftBody::let_go() {
   held_list_.clear();
 }
 
-void SoftBody::press(const protocol::BladeLoad& load) {
-  std::erase_if(blades_, [&](const BladeForce& blade) { return blade.source == load.source; });
+bool SoftBody::press(const protocol::BladeLoad& load) {
   const auto to_vector = [](const protocol::Vec3& p) {
     return Vector{static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z), 0};
   };
   const Vector force = -to_vector(load.force_n);
+  const float told = std::sqrt(dot(force, force));
   BladeForce blade;
   blade.source = load.source;
-  blade.force = std::sqrt(dot(force, force));
-  if (blade.force < 1e-6f) return;
-  blade.way = (1 / blade.force) * force;
-  blade.center = dot(blade.way, to_vector(load.center));
-  for (std::size_t i = 0; i < load.ids.size(); ++i) {
+  for (std::size_t i = 0; i < load.ids.size() && told >= kLeast_n; ++i) {
     // A vertex of a cut that we have not seen yet.
     if (load.ids[i] >= vertices()) continue;
     blade.ids.push_back(load.ids[i]);
-    blade.shares.push_back(dot(vector_at(load.forces, i), blade.way) / blade.force);
+    blade.shares.push_back(dot(vector_at(load.forces, i), force) / (told * told));
   }
-  if (!blade.ids.empty()) blades_.push_back(std::move(blade));
+  const auto before = std::find_if(blades_.begin(), blades_.end(),
+                                   [&](const BladeForce& other) { return other.source == load.source; });
+  blade.force = std::sqrt(dot(force, force));
+  blade.way = (1 / std::max(blade.force, kLeast_n)) * force;
+  blade.center = dot(blade.way, to_vector(load.center));
+  if (before != blades_.end()) {
+    if (much_the_same(*before, blade)) return false;
+    if (const Vector turn = blade.way - before->way; dot(turn, turn) < kTurn * kTurn) {
+      const Vector way = before->way + kFollow * turn;
+      blade.way = (1 / std::sqrt(dot(way, way))) * way;
+      blade.center = dot(blade.way, to_vector(load.center));
+    }
+    blades_.erase(before);
+  } else if (blade.ids.empty()) {
+    return false;
+  }
+  if (blade.ids.empty()) return true;
+  blades_.push_back(std::move(blade));
+  return true;
+}
+
+// Whether `now` is what `before` has become by now.
+bool SoftBody::much_the_same(const BladeForce& before, const BladeForce& now) const {
+  const Vector turn = now.way - before.way;
+  if (std::abs(now.force - acting(before)) > std::max(kLeast_n, kTremor * now.force) ||
+      dot(turn, turn) > kTurn * kTurn)
+    return false;
+  // The same vertices? Ids are ascending, and one that is not there has no share.
+  float moved = 0;
+  for (std::size_t i = 0, k = 0; i < before.ids.size() || k < now.ids.size();) {
+    const bool first = k == now.ids.size() || (i < before.ids.size() && before.ids[i] <= now.ids[k]);
+    const bool second = i == before.ids.size() || (k < now.ids.size() && now.ids[k] <= before.ids[i]);
+    moved += std::abs((first ? before.shares[i] : 0) - (second ? now.shares[k] : 0));
+    i += first ? 1 : 0;
+    k += second ? 1 : 0;
+  }
+  return moved < kSlid;
+}
+
+// How far the tissue has given way since its force was computed, m.
+float SoftBody::give(const BladeForce& blade) const {
+  float give = -blade.center, all = 0;
+  for (std::size_t i = 0; i < blade.ids.size(); ++i) {
+    give += blade.shares[i] * dot(blade.way, x_[blade.ids[i]]);
+    all += blade.shares[i];
+  }
+  return std::abs(all - 1) < 0.01f ? give : 0;  // with a vertex missing nobody knows where it was
+}
+
+// The force now, N.
+float SoftBody::acting(const BladeForce& blade) const {
+  return std::max(0.0f, blade.force - kContact_n_m * give(blade));
 }
 
 // The force as it will be at the end of the time step, in which the spring relaxes by what the body gives way.
-void SoftBody::push(const BladeForce& blade, float dt) {
-  float give = -blade.center, weight = 0, all = 0;
+void SoftBody::push(const BladeForce& blade) {
+  float weight = 0;
+  for (std::size_t i = 0; i < blade.ids.size(); ++i)
+    weight += blade.shares[i] * blade.shares[i] * weight_[blade.ids[i]];
+  const float force = acting(blade) / (1 + dt_ * dt_ * kContact_n_m * weight);
   for (std::size_t i = 0; i < blade.ids.size(); ++i) {
     const std::uint32_t id = blade.ids[i];
-    give += blade.shares[i] * dot(blade.way, x_[id]);
-    weight += blade.shares[i] * blade.shares[i] * weight_[id];
-    all += blade.shares[i];
-  }
-  if (!(std::abs(all - 1) < 0.01f)) give = 0;  // with a vertex missing nobody knows where it was
-  const float force =
-      std::max(0.0f, blade.force - kContact_n_m * give) / (1 + dt * dt * kContact_n_m * weight);
-  for (std::size_t i = 0; i < blade.ids.size(); ++i) {
-    const std::uint32_t id = blade.ids[i];
-    x_[id] += dt * dt * weight_[id] * blade.shares[i] * force * blade.way;
+    x_[id] += dt_ * dt_ * weight_[id] * blade.shares[i] * force * blade.way;
   }
 }
 
@@ -280,7 +355,7 @@ void SoftBody::project(const Tet& tet, float shear_compliance, float volume_comp
   const Vector cofactor[3] = {cross(f[1], f[2]), cross(f[2], f[0]), cross(f[0], f[1])};
   const float norm = std::sqrt(dot(f[0], f[0]) + dot(f[1], f[1]) + dot(f[2], f[2]));
   if (norm < 1e-6f) return;
-  const float volume = dot(f[0], cofactor[0]) - goal;
+  const float det = dot(f[0], cofactor[0]), volume = det - goal;
   Vector shear_gradient[4], volume_gradient[4];
   shear_gradient[0] = volume_gradient[0] = Vector{};
   const float per_norm = 1 / norm;
@@ -308,37 +383,20 @@ void SoftBody::project(const Tet& tet, float shear_compliance, float volume_comp
     x_[v[k]] += weights[k] * (shear_step * shear_gradient[k] + volume_step * volume_gradient[k]);
 }
 
-// A vertex that goes to and fro from step to step, since its tetrahedra are flat and contradict each other, goes a smaller part of its way
-// each time, until it rests; one that keeps its direction soon goes all of it again (after Riedmiller and Braun 1993, "Rprop").
-void SoftBody::calm() {
-  for (std::size_t i = 0; i < x_.size(); ++i) {
-    const Vector way = x_[i] - began_[i];
-    share_[i] =
-        dot(way, way_[i]) < 0 ? std::max(0.5f * share_[i], kLeastShare) : std::min(1.0f, 1.05f * share_[i]);
-    way_[i] = share_[i] * way;
-    x_[i] = began_[i] + way_[i];
-    v_[i] *= share_[i];
-  }
-}
-
-void SoftBody::step(double dt_s, int substeps) {
-  began_ = x_;
-  const auto dt = static_cast<float>(dt_s / substeps);
+void SoftBody::step() {
+  began_.clear();
+  for (const std::uint32_t id : freed_) began_.push_back(x_[id]);
+  const float dt = dt_;
   const auto keep = static_cast<float>(std::exp(-material_.damping_per_s * static_cast<double>(dt)));
-  const double mu = material_.young_pa / (2 * (1 + material_.poisson));
-  const double lambda =
-      material_.young_pa * material_.poisson / ((1 + material_.poisson) * (1 - 2 * material_.poisson));
-  const float shear_compliance = 1 / (static_cast<float>(mu) * dt * dt);
-  const float volume_compliance = 1 / (static_cast<float>(lambda) * dt * dt);
-  for (int n = 0; n < substeps; ++n) {
+  const float shear_compliance = 1 / (mu_ * dt * dt), volume_compliance = 1 / (lambda_ * dt * dt);
+  for (int n = 0; n < substeps_; ++n) {
     for (std::size_t i = 0; i < x_.size(); ++i) {
       before_[i] = x_[i];
       if (weight_[i] > 0) x_[i] += dt * (v_[i] + dt * weight_[i] * lips_[i]);
     }
-    for (const BladeForce& blade : blades_) push(blade, dt);
+    for (const BladeForce& blade : blades_) push(blade);
     for (const Tet& tet : tets_) {
-      if (tet.per_volume > 0)
-        project(tet, shear_compliance, volume_compliance, static_cast<float>(1 + mu / lambda));
+      if (tet.volume > 0) project(tet, shear_compliance, volume_compliance, 1 + mu_ / lambda_);
     }
     for (std::size_t i = 0; i < x_.size(); ++i) {
       const float pull = dt * dt * tether_[i] * weight_[i];
@@ -346,7 +404,15 @@ void SoftBody::step(double dt_s, int substeps) {
       v_[i] = (keep / dt) * (x_[i] - before_[i]);
     }
   }
-  calm();
+  // The server may hold them again: they must not leap, and be thrown back.
+  const float most = kFreed * static_cast<float>(size_m());
+  for (std::size_t i = 0; i < freed_.size(); ++i) {
+    const std::uint32_t id = freed_[i];
+    const Vector way = x_[id] - began_[i];
+    const float share = most / std::max(most, std::sqrt(dot(way, way)));
+    x_[id] = began_[i] + share * way;
+    v_[id] *= share;
+  }
 }
 
 double SoftBody::unsent_m() const {

@@ -15,8 +15,9 @@ struct Material {
   double young_pa = 2000;  // of soft tissue, a few kilopascals
   double poisson = 0.45;   // nearly incompressible
   double density_kg_m3 = 1050;
-  double tension_pa = 300;   // with which tissue pulls at a cut
-  double damping_per_s = 8;  // velocities fall by e in 1/8 s
+  double tension_pa = 300;      // with which tissue pulls at a cut
+  double retraction_m = 0.015;  // when a lip has gone so far, nothing pulls at it any more
+  double damping_per_s = 18;    // velocities fall by e in 1/25 s
   // Pascals that the surroundings resist with for each metre that the skin has moved: all of it a little, as fat and
   // peritoneum do; what lies on the bed (from below) and the ends along x (ligaments) much, fading out towards the middle.
   double skin_pa_m = 2e4, bed_pa_m = 5e5;
@@ -30,7 +31,9 @@ struct Material {
 // At rest. A body that was scanned or modelled has its shape under gravity and under the pull of what surrounds it, so this is
 // where it rests: nothing sags, and nothing moves before something is done to it. Tension shows where a cut releases it. By
 // superposition (Bueckner 1958, "The propagation of cracks and the energy of elastic deformation"), that is the same as an
-// untensed body whose cut faces are pressed apart with that tension: cut faces get it as a load, and nothing else does.
+// untensed body whose cut faces are pressed apart with that tension: cut faces get it as a load, and nothing else does. It falls as a lip
+// retracts, so a piece that is cut off moves no farther than that. Whatever moves is damped within a tenth of a second, and what a cut leaves
+// is made heavy enough for the substeps (kHeaviness), so the body soon rests.
 //
 // Loads. A blade's force was computed for the body as the server had it; while the body gives way it would fall, along a spring
 // no stiffer than kContact_n_m. It does so here, between two messages: a force that stayed as it was would drive soft tissue too far,
@@ -39,7 +42,8 @@ struct Material {
 // Arrays are indexed by the server's ids. Thread: one, at a time.
 class SoftBody {
  public:
-  explicit SoftBody(const Material& material) : material_(material) {}
+  // Of one time step, seconds, which step() does in so many smaller ones.
+  SoftBody(const Material& material, double step_s, int substeps);
 
   // Starts over with a whole mesh, with all velocities zero and without loads. O(mesh).
   void load(const protocol::Replica& mesh);
@@ -51,15 +55,14 @@ class SoftBody {
   void hold(const protocol::Replica& mesh, std::span<const std::uint32_t> vertices);
   void let_go();
   bool holds() const { return !held_list_.empty(); }
-  // What a blade does to the body, until the next load of this blade.
-  void press(const protocol::BladeLoad& load);
+  // What a blade does to the body, until the next load of this blade. False: that is much as it was.
+  bool press(const protocol::BladeLoad& load);
   void release_blades() { blades_.clear(); }
-  bool pressed() const { return !blades_.empty(); }
 
   // All velocities are zero.
   void stop() { std::fill(v_.begin(), v_.end(), Vector{}); }
-  // A time step, seconds, in so many smaller ones.
-  void step(double dt_s, int substeps);
+  // A time step on.
+  void step();
 
   // How far some vertex is from where the server has it, as far as we know: where it said, or where we sent it, m. O(vertices).
   double unsent_m() const;
@@ -77,10 +80,10 @@ class SoftBody {
   struct Tet {
     std::array<std::uint32_t, 4> v{};
     // Of its shape at rest: the inverse of the matrix of its edges from v[0], by rows, which are the gradients of the barycentric
-    // coordinates of v[1] to v[3]; and 1 / volume, 0 where it is too flat to have a stiffness. Of no tetrahedron at all mass is 0.
+    // coordinates of v[1] to v[3], and its volume; all 0 where it is too flat to have a stiffness. And 1 / the volume that it has for
+    // stiffness and mass; 0: there is no tetrahedron.
     std::array<float, 9> inverse{};
-    float per_volume = 0;
-    float mass_kg = 0;
+    float volume = 0, per_volume = 0;
     std::uint8_t cut_faces = 0, skin_faces = 0;  // a bit for each
   };
   // A blade's force, N, along the unit vector `way`, shared out by `shares`, which sum to 1. It acted where these were at `center`.
@@ -93,26 +96,33 @@ class SoftBody {
   };
   static constexpr float kContact_n_m = 2000;  // the server's haptics.stiffest_n_m
 
+  void add_weight(const Tet& tet, float sign);
   float tether_pa_m(const Vector& rest) const;
   void set_tet(const protocol::Replica& mesh, std::uint32_t id);
   void remove_tet(std::uint32_t id);
   void add_faces(const Tet& tet, float sign);
   void update_vertex(std::uint32_t vertex);
   void project(const Tet& tet, float shear_compliance, float volume_compliance, float goal);
-  void push(const BladeForce& blade, float dt);
-  void calm();
+  bool much_the_same(const BladeForce& before, const BladeForce& now) const;
+  float give(const BladeForce& blade) const;
+  float acting(const BladeForce& blade) const;
+  void push(const BladeForce& blade);
 
   const Material material_;
-  Vector low_{}, high_{};  // of the body at rest
+  const int substeps_;
+  const float dt_;           // of a smaller one, s
+  const float mu_, lambda_;  // Lame's parameters, Pa
+  Vector low_{}, high_{};    // of the body at rest
   std::vector<Vector> x_, before_, v_, rest_, sent_;
-  std::vector<Vector> began_, way_;   // where a step began; what it has added
-  std::vector<float> share_;          // of its way that a vertex goes, 1 if it goes on in the same direction
-  std::vector<Vector> lips_;          // N: the tension that cuts have released
-  std::vector<float> skin_, tether_;  // m^2 of skin; N/m towards the place at rest
-  std::vector<float> mass_, weight_;  // kg; 1/kg, 0 where it is held
-  std::vector<std::uint32_t> uses_;   // tetrahedra that have it
+  std::vector<Vector> lips_;         // N: the tension that cuts have released
+  std::vector<float> skin_, wound_;  // m^2 of each
+  std::vector<float> tether_;        // N/m towards the place at rest
+  std::vector<float> mass_, stiff_;  // kg; N/m
+  std::vector<float> weight_;        // 1/kg, 0 where it is held
+  std::vector<std::uint32_t> uses_;  // tetrahedra that have it
   std::vector<std::uint8_t> held_;
-  std::vector<std::uint32_t> held_list_;
+  std::vector<std::uint32_t> held_list_, freed_;  // held; let go since the last cut
+  std::vector<Vector> began_;                     // where freed_ were before the step
   std::vector<Tet> tets_;
   std::uint32_t live_tets_ = 0;
   std::vector<BladeForce> blades_;
