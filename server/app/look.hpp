@@ -16,10 +16,10 @@ struct Tissue {
   std::array<double, 3> surface, inside;  // colours, sRGB
   double surface_roughness, inside_roughness;
   const char* pattern;  // of the inside: "lobules", "fibres", "globules", "pores" or "plain"
-  double vessels, fat_rim;  // 1: as in a liver
+  double vessels, fat_rim;  // 1: many; a broad rim
 };
 inline constexpr Tissue kTissues[] = {
-    {"liver", {0.40, 0.16, 0.13}, {0.43, 0.155, 0.125}, 0.35, 0.3, "lobules", 1, 1},
+    {"liver", {0.40, 0.16, 0.13}, {0.43, 0.155, 0.125}, 0.35, 0.3, "lobules", 1, 0.5},
     {"capsule", {0.44, 0.20, 0.17}, {0.78, 0.62, 0.56}, 0.3, 0.35, "plain", 0, 0},
     {"skin", {0.80, 0.61, 0.52}, {0.83, 0.65, 0.58}, 0.6, 0.5, "plain", 0, 0},
     {"fat", {0.86, 0.70, 0.40}, {0.89, 0.73, 0.42}, 0.3, 0.3, "globules", 0.15, 0},

@@ -120,7 +120,7 @@ void read_side(RegionLook& look, bool inside, const Json& value, const std::stri
       side.texture = given.get<std::string>();
     } else if (inside && (key == "vessels" || key == "fat_rim")) {
       check(read_share(given, 2, key == "vessels" ? look.vessels : look.fat_rim),
-            "a number from 0 (none) to 2 (twice a liver's)");
+            "a number from 0 (none) to 2");
     } else {
       throw ConfigError(file + ": " + at + ": unknown key " + shown(key) + "; accepted are colour, " +
                         (inside ? "fat_rim, roughness, texture, vessels" : "roughness, texture"));
