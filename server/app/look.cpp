@@ -196,7 +196,7 @@ const Tissue& tissue_named(const std::string& name) {
 }
 
 // Regions that nobody has described differ in colour, so that they are seen apart.
-constexpr std::array<double, 3> kTints[] = {{1, 1, 1}, {1.45, 1.6, 1.5}, {0.8, 1.5, 1.9}, {1.6, 2.2, 1.2}, {0.65, 0.8, 1.0}, {1.2, 1.1, 2.0}};
+constexpr std::array<double, 3> kTints[] = {{1, 1, 1}, {1.3, 2.2, 2.4}, {0.85, 1.5, 2.2}, {1.4, 2.6, 1.4}, {0.6, 0.7, 1.0}, {1.0, 1.2, 2.6}};
 
 Json side_json(const RegionLook::Side& side, const std::array<double, 3>& colour, double roughness,
                const std::array<double, 3>& tint, const std::string& texture) {

@@ -13,20 +13,20 @@ namespace incise::app {
 // How a tissue looks where the configuration does not say it.
 struct Tissue {
   const char* name;
-  std::array<double, 3> surface, inside;  // colours, sRGB
+  std::array<double, 3> surface, inside;  // colours, sRGB, as in even light
   double surface_roughness, inside_roughness;
   const char* pattern;  // of the inside: "lobules", "fibres", "globules", "pores" or "plain"
   double vessels, fat_rim;  // 1: many; a broad rim
 };
 inline constexpr Tissue kTissues[] = {
-    {"liver", {0.40, 0.16, 0.13}, {0.43, 0.155, 0.125}, 0.35, 0.3, "lobules", 1, 0.5},
-    {"capsule", {0.44, 0.20, 0.17}, {0.78, 0.62, 0.56}, 0.3, 0.35, "plain", 0, 0},
-    {"skin", {0.80, 0.61, 0.52}, {0.83, 0.65, 0.58}, 0.6, 0.5, "plain", 0, 0},
-    {"fat", {0.86, 0.70, 0.40}, {0.89, 0.73, 0.42}, 0.3, 0.3, "globules", 0.15, 0},
-    {"muscle", {0.46, 0.12, 0.10}, {0.52, 0.13, 0.11}, 0.4, 0.3, "fibres", 0.25, 0},
-    {"vessel", {0.72, 0.42, 0.36}, {0.80, 0.58, 0.50}, 0.3, 0.35, "plain", 0, 0},
-    {"bone", {0.86, 0.80, 0.68}, {0.72, 0.50, 0.40}, 0.6, 0.55, "pores", 0, 0},
-    {"tumour", {0.70, 0.58, 0.48}, {0.76, 0.66, 0.55}, 0.4, 0.45, "plain", 0.4, 0},
+    {"liver", {0.61, 0.27, 0.23}, {0.64, 0.25, 0.20}, 0.35, 0.3, "lobules", 1, 0.5},
+    {"capsule", {0.66, 0.31, 0.27}, {0.86, 0.70, 0.64}, 0.3, 0.35, "plain", 0, 0},
+    {"skin", {0.88, 0.69, 0.60}, {0.87, 0.69, 0.62}, 0.6, 0.5, "plain", 0, 0},
+    {"fat", {0.91, 0.75, 0.45}, {0.93, 0.78, 0.47}, 0.3, 0.3, "globules", 0.15, 0},
+    {"muscle", {0.69, 0.20, 0.17}, {0.77, 0.21, 0.18}, 0.4, 0.3, "fibres", 0.25, 0},
+    {"vessel", {0.80, 0.52, 0.46}, {0.88, 0.66, 0.58}, 0.3, 0.35, "plain", 0, 0},
+    {"bone", {0.90, 0.85, 0.74}, {0.80, 0.60, 0.50}, 0.6, 0.55, "pores", 0, 0},
+    {"tumour", {0.80, 0.68, 0.58}, {0.84, 0.75, 0.64}, 0.4, 0.45, "plain", 0.4, 0},
 };
 
 // What the HTTP port serves of how the body looks (PROTOCOL.md, section 5): "/look.json", and what it names: the volume image, the regions as an

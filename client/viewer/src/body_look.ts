@@ -28,7 +28,9 @@ function matrixOf({ fromRest: m }: Samples): THREE.Matrix4 {
   return new THREE.Matrix4().set(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9], m[10], m[11], 0, 0, 0, 1);
 }
 
-const linear = ({ colour: [r, g, b] }: SideLook) => new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace).toArray();
+const kPainted = 0.42; // colours are to look as they are in even light; the lights here are brighter
+const linear = ({ colour: [r, g, b] }: SideLook) =>
+  new THREE.Color().setRGB(r, g, b, THREE.SRGBColorSpace).multiplyScalar(kPainted).toArray();
 
 /** The uniforms of the body's shader that say how its regions look, and the volume image in it. */
 export class BodyLook {
