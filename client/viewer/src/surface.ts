@@ -155,6 +155,7 @@ export class Surface {
     const pieces = triangles.piecesArray();
     const regions = triangles.regionsArray();
     const origins = triangles.originsArray(); // null: none has one
+    if (regions && regions.length !== ids.length) return false;
     if (origins && origins.length !== ids.length && origins.length > 0) return false;
     if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length)
       return false;
