@@ -23,7 +23,9 @@ export const bodyVertexShader = /* glsl */ `
 #if REST
   in vec3 aRest;
 #endif
+#if INSIDE
   out vec3 vShift;  // from where a place is seen to where it is in the body at rest
+#endif
 #if REGIONS
   in float aRegion;
   flat out float vRegion;
@@ -52,8 +54,10 @@ export const bodyVertexShader = /* glsl */ `
 #else
     vRest = position;
 #endif
-    // Without the lips, which are nearest to none of the places behind them.
+#if INSIDE
+    // Without the lips, which only move what is near them.
     vShift = vRest - position - uOpen * apart;
+#endif
 #if REGIONS
     vRegion = aRegion;
 #endif
@@ -74,7 +78,9 @@ export const bodyFragmentShader = /* glsl */ `
 #endif
   flat in vec3 vFacts;
   in float vDepth;
+#if INSIDE
   in vec3 vShift;
+#endif
 #if IMAGE
   precision highp sampler3D;
   uniform sampler3D uImage;
@@ -114,9 +120,14 @@ export const bodyFragmentShader = /* glsl */ `
     return mix(mix(mix(hash(i), hash(i + vec3(1, 0, 0)), f.x), mix(hash(i + vec3(0, 1, 0)), hash(i + vec3(1, 1, 0)), f.x), f.y),
                mix(mix(hash(i + vec3(0, 0, 1)), hash(i + vec3(1, 0, 1)), f.x), mix(hash(i + vec3(0, 1, 1)), hash(i + vec3(1, 1, 1)), f.x), f.y), f.z);
   }
+  // A wave of period 1 and height 1, without a sine, which costs several times as much on a processor.
+  vec2 wave(vec2 x) {
+    x = abs(2.0 * fract(x) - 1.0);
+    return x * x * (6.0 - 4.0 * x) - 1.0;
+  }
   // How far from the middle of a vessel, in its radii. Vessels run along x in wavy lines, one at most in each square cell across it.
   float vessel(vec3 q, float cells, float seed) {
-    vec2 p = cells * (q.yz + vec2(sin(0.41 * q.x + 0.3 * q.z + seed), sin(0.37 * q.x - 0.3 * q.y + 2.0 * seed)));
+    vec2 p = cells * (q.yz + wave(vec2(0.065 * q.x + 0.048 * q.z, 0.059 * q.x - 0.048 * q.y) + vec2(0.16, 0.32) * seed));
     vec2 cell = floor(p);
     vec2 r = vec2(hash(vec3(cell, seed)), hash(vec3(cell.yx, seed + 5.0)));
     float radius = 0.24 * (r.x + r.y - 0.9);  // fewer than half of the cells have one
@@ -216,7 +227,11 @@ export const bodyFragmentShader = /* glsl */ `
     // Lobules: darker middles, paler walls.
     flesh = mix(flesh * (0.93 + 0.10 * small), 1.25 * inner + vec3(0.035, 0.012, 0.008), 0.22 * net);
     // Vessels with pale walls and blood in them, large ones and across them small ones.
-    float off = min(vessel(q, 0.21, 1.0), vessel(q.yzx, 0.62, 2.0)) / (0.001 + sqrt(vessels));
+    float off = vessel(q, 0.21, 1.0);
+#if DETAIL
+    off = min(off, vessel(q.yzx, 0.62, 2.0));
+#endif
+    off /= 0.001 + sqrt(vessels);
     flesh = mix(flesh, 0.55 * inner + vec3(0.215, 0.100, 0.080), 0.8 - 0.8 * smoothstep(1.0, 1.22, off));
     float blood = 1.0 - smoothstep(0.74, 0.9, off);
     flesh = mix(flesh, vec3(0.030, 0.0020, 0.0030) * (0.6 + 0.8 * off), blood);
