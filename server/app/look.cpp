@@ -57,8 +57,9 @@ stream::Document gzipped(const std::vector<std::uint8_t>& bytes) {
 }
 
 // An image of one byte a sample as a document, and what look.json says of it.
-Json serve_samples(const std::string& path, const std::array<std::uint32_t, 3>& size, const Affine& unit_from_rest,
-                   const std::vector<std::uint8_t>& samples, stream::Documents& documents) {
+Json serve_samples(const std::string& path, const std::array<std::uint32_t, 3>& size,
+                   const Affine& unit_from_rest, const std::vector<std::uint8_t>& samples,
+                   stream::Documents& documents) {
   mesh_io::ContentHash hash;
   hash.add(samples);
   std::vector<double> rows;
@@ -97,9 +98,10 @@ std::vector<float> samples_in(const Box& box, const mesh_io::VolumeImage& image,
   for (std::uint32_t k = 0; k < image.size[2]; ++k)
     for (std::uint32_t j = 0; j < image.size[1]; ++j)
       for (std::uint32_t i = 0; i < image.size[0]; ++i, ++at) {
-        const Vec3 p = mesh_io::apply(from_unit, {(i + 0.5) / image.size[0], (j + 0.5) / image.size[1], (k + 0.5) / image.size[2]});
-        if (p.x >= box.low.x && p.x <= box.high.x && p.y >= box.low.y && p.y <= box.high.y && p.z >= box.low.z &&
-            p.z <= box.high.z)
+        const Vec3 p = mesh_io::apply(
+            from_unit, {(i + 0.5) / image.size[0], (j + 0.5) / image.size[1], (k + 0.5) / image.size[2]});
+        if (p.x >= box.low.x && p.x <= box.high.x && p.y >= box.low.y && p.y <= box.high.y &&
+            p.z >= box.low.z && p.z <= box.high.z)
           found.push_back(image.values[at]);
       }
   return found;
@@ -108,7 +110,8 @@ std::vector<float> samples_in(const Box& box, const mesh_io::VolumeImage& image,
 std::array<double, 2> window_of(const Config& config, std::vector<float> samples) {
   if (!config.mesh.image_window.empty()) return {config.mesh.image_window[0], config.mesh.image_window[1]};
   const auto share = [&](double s) {
-    const auto nth = samples.begin() + static_cast<std::ptrdiff_t>(s * static_cast<double>(samples.size() - 1));
+    const auto nth =
+        samples.begin() + static_cast<std::ptrdiff_t>(s * static_cast<double>(samples.size() - 1));
     std::nth_element(samples.begin(), nth, samples.end());
     return static_cast<double>(*nth);
   };
@@ -128,16 +131,19 @@ Json serve_image(const Config& config, const core::MeshData& mesh, const std::st
   const Box box = box_of(mesh);
   std::vector<float> samples = samples_in(box, image, from_unit);
   if (samples.empty()) {
-    warnings.push_back("mesh.image: no voxel of it lies in the body: its middle is at " + in_mm(mesh_io::apply(from_unit, {0.5, 0.5, 0.5})) +
-                       " mm, that of the body at " + in_mm(0.5 * (box.low + box.high)) +
+    warnings.push_back("mesh.image: no voxel of it lies in the body: its middle is at " +
+                       in_mm(mesh_io::apply(from_unit, {0.5, 0.5, 0.5})) + " mm, that of the body at " +
+                       in_mm(0.5 * (box.low + box.high)) +
                        " mm; see mesh.image_space, mesh.image_scale_to_metres and mesh.image_origin");
     samples = image.values;
   }
   const auto [low, high] = window_of(config, std::move(samples));
   std::vector<std::uint8_t> shown(image.values.size());
   for (std::size_t i = 0; i < shown.size(); ++i)
-    shown[i] = static_cast<std::uint8_t>(std::lround(255 * std::clamp((static_cast<double>(image.values[i]) - low) / (high - low), 0.0, 1.0)));
-  Json json = serve_samples("/look/image.gz", image.size, mesh_io::inverse(from_unit, "mesh.image"), shown, documents);
+    shown[i] = static_cast<std::uint8_t>(
+        std::lround(255 * std::clamp((static_cast<double>(image.values[i]) - low) / (high - low), 0.0, 1.0)));
+  Json json = serve_samples("/look/image.gz", image.size, mesh_io::inverse(from_unit, "mesh.image"), shown,
+                            documents);
   json["window"] = {low, high};
   return json;
 }
@@ -165,19 +171,22 @@ class Textures {
     const std::string& given = (inside ? look.inside : look.surface).texture;
     if (given.empty()) return {};
     if (const auto known = names_.find(given); known != names_.end()) return known->second;
-    const std::string key = "materials, region " + std::to_string(look.region) + (inside ? ", inside" : ", surface") + ".texture";
+    const std::string key =
+        "materials, region " + std::to_string(look.region) + (inside ? ", inside" : ", surface") + ".texture";
     const std::filesystem::path path = config_.resolve(given);
     std::string bytes;
     std::error_code error;
     if (std::filesystem::file_size(path, error) > kMaxTextureBytes || error)
-      throw ConfigError(file_ + ": " + key + ": " + path.string() + ": " + (error ? error.message() : "more than 16 MB"));
+      throw ConfigError(file_ + ": " + key + ": " + path.string() + ": " +
+                        (error ? error.message() : "more than 16 MB"));
     try {
       bytes = mesh_io::read_whole_file(path);
     } catch (const mesh_io::MeshError& fault) {
       throw ConfigError(file_ + ": " + key + ": " + fault.what());
     }
     const std::string type(mesh_io::image_type(bytes));
-    if (type.empty()) throw ConfigError(file_ + ": " + key + ": " + path.string() + ": not a PNG, JPEG or WebP image");
+    if (type.empty())
+      throw ConfigError(file_ + ": " + key + ": " + path.string() + ": not a PNG, JPEG or WebP image");
     const std::string name = "/look/" + std::to_string(names_.size()) + "." + type.substr(type.find('/') + 1);
     documents[name] = {type, std::make_shared<const std::string>(std::move(bytes))};
     return names_[given] = name;
@@ -196,7 +205,8 @@ const Tissue& tissue_named(const std::string& name) {
 }
 
 // Regions that nobody has described differ in colour, so that they are seen apart.
-constexpr std::array<double, 3> kTints[] = {{1, 1, 1}, {1.3, 2.2, 2.4}, {0.85, 1.5, 2.2}, {1.4, 2.6, 1.4}, {0.6, 0.7, 1.0}, {1.0, 1.2, 2.6}};
+constexpr std::array<double, 3> kTints[] = {{1, 1, 1},       {1.3, 2.2, 2.4}, {0.85, 1.5, 2.2},
+                                            {1.4, 2.6, 1.4}, {0.6, 0.7, 1.0}, {1.0, 1.2, 2.6}};
 
 Json side_json(const RegionLook::Side& side, const std::array<double, 3>& colour, double roughness,
                const std::array<double, 3>& tint, const std::string& texture) {
@@ -208,14 +218,21 @@ Json side_json(const RegionLook::Side& side, const std::array<double, 3>& colour
   return json;
 }
 
-Json serve_regions(const Config& config, const std::map<std::int32_t, double>& volumes, const std::string& file,
-                   stream::Documents& documents) {
+Json serve_regions(const Config& config, const std::map<std::int32_t, double>& volumes,
+                   const std::string& file, stream::Documents& documents) {
   Textures textures(config, file);
   std::int32_t largest = 0;
   double most = -1;
   const auto look_of = [&](std::int32_t region) {
-    const auto found = std::find_if(config.looks.begin(), config.looks.end(), [&](const RegionLook& l) { return l.region == region; });
-    return found == config.looks.end() ? RegionLook{.region = region, .tissue = {}, .surface = {}, .inside = {}, .vessels = {}, .fat_rim = {}} : *found;
+    const auto found = std::find_if(config.looks.begin(), config.looks.end(),
+                                    [&](const RegionLook& l) { return l.region == region; });
+    return found == config.looks.end() ? RegionLook{.region = region,
+                                                    .tissue = {},
+                                                    .surface = {},
+                                                    .inside = {},
+                                                    .vessels = {},
+                                                    .fat_rim = {}}
+                                       : *found;
   };
   for (const auto& [region, volume] : volumes) {
     if (!look_of(region).tissue.empty() || volume <= most) continue;
@@ -230,12 +247,14 @@ Json serve_regions(const Config& config, const std::map<std::int32_t, double>& v
     const Tissue& tissue = tissue_named(look.tissue);
     const bool tinted = look.tissue.empty() && region != largest;
     const auto& tint = kTints[tinted ? 1 + plain++ % (std::size(kTints) - 1) : 0];
-    Json inside = side_json(look.inside, tissue.inside, tissue.inside_roughness, tint, textures.add(look, true, documents));
+    Json inside = side_json(look.inside, tissue.inside, tissue.inside_roughness, tint,
+                            textures.add(look, true, documents));
     inside["pattern"] = tissue.pattern;
     inside["vessels"] = look.vessels.value_or(tissue.vessels);
     inside["fat_rim"] = look.fat_rim.value_or(tinted ? 0 : tissue.fat_rim);
     list.push_back({{"region", region},
-                    {"surface", side_json(look.surface, tissue.surface, tissue.surface_roughness, tint, textures.add(look, false, documents))},
+                    {"surface", side_json(look.surface, tissue.surface, tissue.surface_roughness, tint,
+                                          textures.add(look, false, documents))},
                     {"inside", std::move(inside)}});
   }
   return list;
@@ -247,7 +266,9 @@ Json serve_region_image(const core::MeshData& mesh, const std::map<std::int32_t,
   const Box box = box_of(mesh);
   const Vec3 extent = box.high - box.low;
   const double step = std::max({extent.x, extent.y, extent.z}) / kRegionSide;
-  const auto count = [&](double length) { return static_cast<std::uint32_t>(std::clamp(std::ceil(length / step), 1.0, double{kRegionSide})); };
+  const auto count = [&](double length) {
+    return static_cast<std::uint32_t>(std::clamp(std::ceil(length / step), 1.0, double{kRegionSide}));
+  };
   const std::array<std::uint32_t, 3> size = {count(extent.x), count(extent.y), count(extent.z)};
   std::map<std::int32_t, std::uint8_t> index;
   for (const auto& [region, volume] : volumes)
@@ -258,7 +279,8 @@ Json serve_region_image(const core::MeshData& mesh, const std::map<std::int32_t,
     const auto named = index.find(mesh.regions[t]);
     if (named == index.end()) continue;
     std::array<Vec3, 4> p;
-    for (std::size_t v = 0; v < 4; ++v) p[v] = (1 / step) * (mesh.positions[mesh.tets[t][v]] - box.low) - Vec3{0.5, 0.5, 0.5};
+    for (std::size_t v = 0; v < 4; ++v)
+      p[v] = (1 / step) * (mesh.positions[mesh.tets[t][v]] - box.low) - Vec3{0.5, 0.5, 0.5};
     std::array<long, 3> low{}, high{};
     const auto axis = [&](std::size_t a, auto of) {
       const auto [least, most] = std::minmax({of(p[0]), of(p[1]), of(p[2]), of(p[3])});
@@ -276,7 +298,9 @@ Json serve_region_image(const core::MeshData& mesh, const std::map<std::int32_t,
           const Vec3 q = Vec3{static_cast<double>(x), static_cast<double>(y), static_cast<double>(z)} - p[0];
           const double b = dot(cross(q, v), w), c = dot(cross(u, q), w), d = dot(cross(u, v), q);
           if (b < 0 || c < 0 || d < 0 || b + c + d > volume) continue;
-          samples[static_cast<std::size_t>(x) + size[0] * (static_cast<std::size_t>(y) + size[1] * static_cast<std::size_t>(z))] = named->second;
+          samples[static_cast<std::size_t>(x) +
+                  size[0] * (static_cast<std::size_t>(y) + size[1] * static_cast<std::size_t>(z))] =
+              named->second;
         }
   }
   Affine unit_from_rest{};

@@ -15,7 +15,7 @@ struct Tissue {
   const char* name;
   std::array<double, 3> surface, inside;  // colours, sRGB, as in even light
   double surface_roughness, inside_roughness;
-  const char* pattern;  // of the inside: "lobules", "fibres", "globules", "pores" or "plain"
+  const char* pattern;      // of the inside: "lobules", "fibres", "globules", "pores" or "plain"
   double vessels, fat_rim;  // 1: many; a broad rim
 };
 inline constexpr Tissue kTissues[] = {

@@ -46,7 +46,8 @@ void write_documents(const stream::Documents& documents, const fs::path& directo
   }
 }
 
-stream::Documents look_of(const Replayable& opened, const fs::path& config_file, std::vector<std::string>& warnings) {
+stream::Documents look_of(const Replayable& opened, const fs::path& config_file,
+                          std::vector<std::string>& warnings) {
   if (!config_file.empty())
     return served_look(load_config(config_file), opened.body.loaded.mesh, config_file.string(), warnings);
   // A capture does not say which folder the paths in its configuration began in.
@@ -58,7 +59,9 @@ stream::Documents look_of(const Replayable& opened, const fs::path& config_file,
       left_out = left_out || !side->texture.empty();
       side->texture.clear();
     }
-  if (left_out) warnings.push_back("the image and textures of the configuration are left out: name its file as the third argument");
+  if (left_out)
+    warnings.push_back(
+        "the image and textures of the configuration are left out: name its file as the third argument");
   return served_look(config, opened.body.loaded.mesh, "the capture's configuration", warnings);
 }
 

@@ -32,8 +32,9 @@ class Header {
   bool swapped_;
 };
 
-constexpr std::size_t kDim = 40, kDatatype = 70, kPixdim = 76, kVoxOffset = 108, kSlope = 112, kIntercept = 116, kUnits = 123,
-                      kQformCode = 252, kSformCode = 254, kQuatern = 256, kQoffset = 268, kSrow = 280, kMagic = 344;
+constexpr std::size_t kDim = 40, kDatatype = 70, kPixdim = 76, kVoxOffset = 108, kSlope = 112,
+                      kIntercept = 116, kUnits = 123, kQformCode = 252, kSformCode = 254, kQuatern = 256,
+                      kQoffset = 268, kSrow = 280, kMagic = 344;
 
 VoxelType type_of(int code, const std::string& name) {
   switch (code) {
@@ -59,7 +60,8 @@ VoxelType type_of(int code, const std::string& name) {
       return VoxelType::kUint64;
     default:
       throw MeshError(name + ": datatype " + std::to_string(code) +
-                      "; accepted are whole numbers of 8 to 64 bits and floats of 32 and 64 (one number a voxel, no colours, no complex ones)");
+                      "; accepted are whole numbers of 8 to 64 bits and floats of 32 and 64 (one number a "
+                      "voxel, no colours, no complex ones)");
   }
 }
 
@@ -86,9 +88,10 @@ Affine by_quaternion(const Header& h) {
   } else {
     a = std::sqrt(a);
   }
-  const double rotation[3][3] = {{a * a + b * b - c * c - d * d, 2 * b * c - 2 * a * d, 2 * b * d + 2 * a * c},
-                                 {2 * b * c + 2 * a * d, a * a + c * c - b * b - d * d, 2 * c * d - 2 * a * b},
-                                 {2 * b * d - 2 * a * c, 2 * c * d + 2 * a * b, a * a + d * d - c * c - b * b}};
+  const double rotation[3][3] = {
+      {a * a + b * b - c * c - d * d, 2 * b * c - 2 * a * d, 2 * b * d + 2 * a * c},
+      {2 * b * c + 2 * a * d, a * a + c * c - b * b - d * d, 2 * c * d - 2 * a * b},
+      {2 * b * d - 2 * a * c, 2 * c * d + 2 * a * b, a * a + d * d - c * c - b * b}};
   Affine m{};
   for (std::size_t i = 0; i < 3; ++i) {
     for (std::size_t j = 0; j < 3; ++j) {
@@ -131,17 +134,23 @@ ImageHeader parse_nifti(const std::string& head, const std::filesystem::path& pa
   if (head.compare(kMagic, 4, std::string("ni1\0", 4)) == 0)
     throw MeshError(name + ": is one of a pair of files (.hdr, .img); accepted is a single file");
   if (head.compare(kMagic, 4, std::string("n+1\0", 4)) != 0)
-    throw MeshError(name + ": is not NIfTI-1: the magic \"n+1\" is missing (Analyze 7.5 does not say where its voxels are)");
+    throw MeshError(
+        name +
+        ": is not NIfTI-1: the magic \"n+1\" is missing (Analyze 7.5 does not say where its voxels are)");
 
   const Header h(head, swapped);
   ImageHeader image;
   const int dimensions = h.int16(kDim);
-  if (dimensions < 1 || dimensions > 7) throw MeshError(name + ": dim[0] is " + std::to_string(dimensions) + "; accepted are 1 to 7");
+  if (dimensions < 1 || dimensions > 7)
+    throw MeshError(name + ": dim[0] is " + std::to_string(dimensions) + "; accepted are 1 to 7");
   for (int i = 1; i <= 7; ++i) {
     const int size = i <= dimensions ? h.int16(kDim + 2 * static_cast<std::size_t>(i)) : 1;
-    if (size < 1) throw MeshError(name + ": dim[" + std::to_string(i) + "] is " + std::to_string(size) + "; accepted are 1 and more");
+    if (size < 1)
+      throw MeshError(name + ": dim[" + std::to_string(i) + "] is " + std::to_string(size) +
+                      "; accepted are 1 and more");
     if (i > 3 && size != 1)
-      throw MeshError(name + ": dim[" + std::to_string(i) + "] is " + std::to_string(size) + "; accepted are images of three dimensions, at one time");
+      throw MeshError(name + ": dim[" + std::to_string(i) + "] is " + std::to_string(size) +
+                      "; accepted are images of three dimensions, at one time");
     if (i <= 3) image.size[static_cast<std::size_t>(i - 1)] = static_cast<std::uint64_t>(size);
   }
   image.type = type_of(h.int16(kDatatype), name);
@@ -157,7 +166,9 @@ ImageHeader parse_nifti(const std::string& head, const std::filesystem::path& pa
     image.intercept = intercept;
   }
   image.anatomical = h.int16(kSformCode) > 0 || h.int16(kQformCode) > 0;
-  Affine m = h.int16(kSformCode) > 0 ? by_rows(h) : h.int16(kQformCode) > 0 ? by_quaternion(h) : by_spacing(h);
+  Affine m = h.int16(kSformCode) > 0   ? by_rows(h)
+             : h.int16(kQformCode) > 0 ? by_quaternion(h)
+                                       : by_spacing(h);
   // From RAS, x to the right and y to the front, to LPS.
   const double mm = millimetres(head[kUnits]);
   for (std::size_t i = 0; i < 3; ++i)

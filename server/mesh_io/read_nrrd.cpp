@@ -24,7 +24,8 @@ std::string trimmed(std::string_view text) {
 }
 
 std::string lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   return text;
 }
 
@@ -46,7 +47,8 @@ class Fields {
     while (at != head.npos) {
       const std::size_t begin = at + 1;
       at = head.find('\n', begin);
-      const std::string line = trimmed(std::string_view(head).substr(begin, at == head.npos ? at : at - begin));
+      const std::string line =
+          trimmed(std::string_view(head).substr(begin, at == head.npos ? at : at - begin));
       if (line.empty()) {
         end_ = at == head.npos ? head.size() : at + 1;
         has_end_ = at != head.npos;
@@ -76,11 +78,14 @@ class Fields {
   void read_line(const std::string& line) {
     if (line[0] == '#') return;
     const std::size_t colon = line.find(':');
-    if (colon == line.npos) throw MeshError(name_ + ": the header has the line " + shown(line) + "; accepted is \"field: value\"");
+    if (colon == line.npos)
+      throw MeshError(name_ + ": the header has the line " + shown(line) + "; accepted is \"field: value\"");
     if (line.compare(colon, 2, ":=") == 0) return;  // a key of somebody's own
     std::string field = lower(trimmed(line.substr(0, colon)));
-    static const std::map<std::string, std::string> kOtherNames = {
-        {"datafile", "data file"}, {"lineskip", "line skip"}, {"byteskip", "byte skip"}, {"centerings", "centers"}};
+    static const std::map<std::string, std::string> kOtherNames = {{"datafile", "data file"},
+                                                                   {"lineskip", "line skip"},
+                                                                   {"byteskip", "byte skip"},
+                                                                   {"centerings", "centers"}};
     if (const auto other = kOtherNames.find(field); other != kOtherNames.end()) field = other->second;
     if (!fields_.emplace(field, trimmed(line.substr(colon + 1))).second)
       throw MeshError(name_ + ": the header has the field " + shown(field) + " twice");
@@ -119,7 +124,8 @@ using Vector = std::array<double, 3>;
 // "(1,0,0) (0,1,0) none": vectors of three numbers, or none.
 std::optional<std::vector<std::optional<Vector>>> vectors(const std::string& text) {
   std::vector<std::optional<Vector>> out;
-  for (std::size_t at = text.find_first_not_of(" \t"); at < text.size(); at = text.find_first_not_of(" \t", at)) {
+  for (std::size_t at = text.find_first_not_of(" \t"); at < text.size();
+       at = text.find_first_not_of(" \t", at)) {
     if (text.compare(at, 4, "none") == 0) {
       out.emplace_back();
       at += 4;
@@ -208,21 +214,25 @@ Axes axes_of(const Fields& fields, const std::string& name) {
     if (!size || *size < 1) fields.refuse("sizes", "whole numbers from 1");
     axes.sizes.push_back(static_cast<std::uint64_t>(*size));
   }
-  if (axes.sizes.size() != count) fields.refuse("sizes", "a number for each of the " + std::to_string(count) + " dimensions");
+  if (axes.sizes.size() != count)
+    fields.refuse("sizes", "a number for each of the " + std::to_string(count) + " dimensions");
   if (fields.find("space directions")) {
     auto given = vectors(fields.at("space directions"));
     if (!given || given->size() != count)
-      fields.refuse("space directions", "a vector (x,y,z) or none for each of the " + std::to_string(count) + " dimensions");
+      fields.refuse("space directions",
+                    "a vector (x,y,z) or none for each of the " + std::to_string(count) + " dimensions");
     axes.directions = std::move(*given);
   }
   std::vector<std::string> kinds(count, "???");
   if (fields.find("kinds")) {
     kinds = words(lower(fields.at("kinds")));
-    if (kinds.size() != count) fields.refuse("kinds", "a word for each of the " + std::to_string(count) + " dimensions");
+    if (kinds.size() != count)
+      fields.refuse("kinds", "a word for each of the " + std::to_string(count) + " dimensions");
   }
   std::vector<std::size_t> space;
   for (std::size_t a = 0; a < count; ++a) {
-    const bool said = kinds[a] == "space" || kinds[a] == "domain", unsaid = kinds[a] == "???" || kinds[a] == "none";
+    const bool said = kinds[a] == "space" || kinds[a] == "domain",
+               unsaid = kinds[a] == "???" || kinds[a] == "none";
     if ((said || unsaid) && (axes.directions.empty() || axes.directions[a])) space.push_back(a);
   }
   // What is said of an axis may be nothing: then those of one sample are the ones that are not space.
@@ -232,9 +242,10 @@ Axes axes_of(const Fields& fields, const std::string& name) {
   for (std::size_t a = 0; a < count; ++a)
     if (std::find(space.begin(), space.end(), a) == space.end()) others = std::max(others, axes.sizes[a]);
   if (space.size() != 3 || others != 1)
-    throw MeshError(name + ": an image of " + std::to_string(space.size()) + " dimensions of space" +
-                    (others > 1 ? " with " + std::to_string(others) + " numbers at each place" : std::string()) +
-                    "; accepted are three dimensions with one number");
+    throw MeshError(
+        name + ": an image of " + std::to_string(space.size()) + " dimensions of space" +
+        (others > 1 ? " with " + std::to_string(others) + " numbers at each place" : std::string()) +
+        "; accepted are three dimensions with one number");
   std::copy(space.begin(), space.end(), axes.space.begin());
   return axes;
 }
@@ -307,7 +318,8 @@ void find_data(const Fields& fields, const std::filesystem::path& path, ImageHea
   if (!image.gzip && encoding != "raw") fields.refuse("encoding", "raw or gzip");
   image.data = path;
   if (const std::string* file = fields.find("data file")) {
-    if (file->starts_with("LIST") || file->find('%') != file->npos) fields.refuse("data file", "the name of one file");
+    if (file->starts_with("LIST") || file->find('%') != file->npos)
+      fields.refuse("data file", "the name of one file");
     try {
       image.data = file_beside(path, *file, UINTMAX_MAX);
     } catch (const MeshError& error) {
@@ -315,14 +327,17 @@ void find_data(const Fields& fields, const std::filesystem::path& path, ImageHea
     }
   } else {
     if (!fields.has_end())
-      throw MeshError(name + ": no empty line ends the header in its first 64 kB, and no field \"data file\" says where the voxels are");
+      throw MeshError(name +
+                      ": no empty line ends the header in its first 64 kB, and no field \"data file\" says "
+                      "where the voxels are");
     image.begin = static_cast<std::int64_t>(fields.end());
   }
   const auto skip = [&](const char* field, std::int64_t least) -> std::int64_t {
     if (!fields.find(field)) return 0;
     const std::optional<std::int64_t> given = whole(fields.at(field));
     if (!given || *given < least || *given > (std::int64_t{1} << 40))
-      fields.refuse(field, least < 0 ? "a whole number from 0, or -1 where the encoding is raw" : "a whole number from 0");
+      fields.refuse(field, least < 0 ? "a whole number from 0, or -1 where the encoding is raw"
+                                     : "a whole number from 0");
     return *given;
   };
   if (skip("line skip", 0) != 0) fields.refuse("line skip", "0: skip bytes instead");

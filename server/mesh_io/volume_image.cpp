@@ -39,7 +39,8 @@ class Bytes {
     const int copy = ::dup(::fileno(file_.get()));
     if (copy < 0 || ::lseek(copy, begin, SEEK_SET) < 0 || !(packed_ = Packed(::gzdopen(copy, "rb"))))
       throw MeshError(name_ + ": cannot be read");
-    if (::gzdirect(packed_.get()) != 0) throw MeshError(name_ + ": the voxels are not gzip data, as the header says");
+    if (::gzdirect(packed_.get()) != 0)
+      throw MeshError(name_ + ": the voxels are not gzip data, as the header says");
   }
 
   // At most `count`; fewer only at the end.
@@ -57,7 +58,8 @@ class Bytes {
     const std::size_t got = read_some(to, count);
     done_ += got;
     if (got < count)
-      throw MeshError(name_ + ": ends after " + std::to_string(done_) + " bytes of voxels; the header says more");
+      throw MeshError(name_ + ": ends after " + std::to_string(done_) +
+                      " bytes of voxels; the header says more");
   }
   void skip(std::uint64_t count) {
     char scratch[4096];
@@ -138,7 +140,9 @@ struct Share {
 
 Share share_of(std::uint64_t i, std::uint64_t n, std::uint64_t m) {
   const std::uint64_t first = i * m / n, last = ((i + 1) * m - 1) / n;
-  const auto part = [n](std::uint64_t of_n) { return static_cast<float>(static_cast<double>(of_n) / static_cast<double>(n)); };
+  const auto part = [n](std::uint64_t of_n) {
+    return static_cast<float>(static_cast<double>(of_n) / static_cast<double>(n));
+  };
   if (first == last) return {first, part(m), 0};
   return {first, part(last * n - i * m), part((i + 1) * m - last * n)};
 }
@@ -199,8 +203,8 @@ void find_raw_voxels(ImageHeader& header, std::uint64_t bytes) {
   }
   const std::uint64_t before = static_cast<std::uint64_t>(header.begin) + header.skip;
   if (before < header.skip || before > length || length - before < bytes)
-    throw MeshError(header.data.string() + ": has " + std::to_string(length) + " bytes; the header says " + std::to_string(bytes) +
-                    " bytes of voxels from byte " + std::to_string(before) + " on");
+    throw MeshError(header.data.string() + ": has " + std::to_string(length) + " bytes; the header says " +
+                    std::to_string(bytes) + " bytes of voxels from byte " + std::to_string(before) + " on");
 }
 
 bool is_finite(const Affine& affine) {
@@ -212,7 +216,8 @@ bool is_finite(const Affine& affine) {
 
 std::string lower_ending(const fs::path& path) {
   std::string name = path.filename().string();
-  std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  std::transform(name.begin(), name.end(), name.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   for (const char* ending : {".nrrd", ".nhdr", ".nii", ".nii.gz"})
     if (name.ends_with(ending)) return ending;
   return {};
@@ -221,7 +226,9 @@ std::string lower_ending(const fs::path& path) {
 }  // namespace
 
 core::Vec3 apply(const Affine& m, const core::Vec3& p) {
-  const auto row = [&](const std::array<double, 4>& r) { return r[0] * p.x + r[1] * p.y + r[2] * p.z + r[3]; };
+  const auto row = [&](const std::array<double, 4>& r) {
+    return r[0] * p.x + r[1] * p.y + r[2] * p.z + r[3];
+  };
   return {row(m[0]), row(m[1]), row(m[2])};
 }
 
@@ -248,7 +255,9 @@ Affine inverse(const Affine& m, const std::string& name) {
     lengths *= std::sqrt(m[0][i] * m[0][i] + m[1][i] * m[1][i] + m[2][i] * m[2][i]);
   }
   if (!(std::abs(determinant) > 1e-9 * lengths))
-    throw MeshError(name + ": the axes of the image do not span space: two of their directions are the same, or one has no length");
+    throw MeshError(name +
+                    ": the axes of the image do not span space: two of their directions are the same, or one "
+                    "has no length");
   for (auto& row : out)
     for (double& x : row) x /= determinant;
   for (auto& row : out) row[3] = -(row[0] * m[0][3] + row[1] * m[1][3] + row[2] * m[2][3]);
@@ -279,19 +288,21 @@ bool is_volume_image(const fs::path& path) {
 
 VolumeImage read_volume_image(const fs::path& path) {
   const std::string name = path.string(), ending = lower_ending(path);
-  if (ending.empty()) throw MeshError(name + ": not a volume image; accepted are .nrrd, .nhdr, .nii and .nii.gz");
+  if (ending.empty())
+    throw MeshError(name + ": not a volume image; accepted are .nrrd, .nhdr, .nii and .nii.gz");
   std::error_code error;
   if (fs::is_directory(path, error)) throw MeshError(name + ": is a directory");
   ImageHeader header = read_header(path, ending.starts_with(".nii"));
   std::uint64_t voxels = 1;
   for (const std::uint64_t side : header.size) {
     if (side == 0 || side > kMaxFileSide || voxels * side > kMaxVoxels)
-      throw MeshError(name + ": " + std::to_string(header.size[0]) + " x " + std::to_string(header.size[1]) + " x " +
-                      std::to_string(header.size[2]) + " voxels; accepted are 1 to " + std::to_string(kMaxFileSide) +
-                      " a side, and at most " + std::to_string(kMaxVoxels));
+      throw MeshError(name + ": " + std::to_string(header.size[0]) + " x " + std::to_string(header.size[1]) +
+                      " x " + std::to_string(header.size[2]) + " voxels; accepted are 1 to " +
+                      std::to_string(kMaxFileSide) + " a side, and at most " + std::to_string(kMaxVoxels));
     voxels *= side;
   }
-  if (!is_finite(header.mm_from_index)) throw MeshError(name + ": where the voxels are is given by numbers that are not finite, or too large");
+  if (!is_finite(header.mm_from_index))
+    throw MeshError(name + ": where the voxels are is given by numbers that are not finite, or too large");
   inverse(header.mm_from_index, name);
   if (!header.gzip) find_raw_voxels(header, voxels * size_of(header.type));
 

@@ -29,7 +29,8 @@ struct VolumeImage {
   std::vector<float> values;            // x fastest; finite
   // From the image to millimetres: the image's box is 0 to 1 along each axis (sample (i, j, k) is at ((i + 1/2) / size[0], ...)).
   Affine mm_from_unit{};
-  bool anatomical = false;  // those millimetres are LPS: x to the left, y to the back, z to the head. Else the file does not say
+  bool anatomical =
+      false;  // those millimetres are LPS: x to the left, y to the back, z to the head. Else the file does not say
   std::array<std::uint32_t, 3> file_size{};  // before averaging
 };
 
@@ -45,10 +46,10 @@ std::size_t size_of(VoxelType type);
 
 // What a header says.
 struct ImageHeader {
-  std::filesystem::path data;      // the file with the voxels
-  std::int64_t begin = 0;          // where they begin in it: in the file as it is, or -1: they are its end
-  bool gzip = false;               // from `begin` on
-  std::uint64_t skip = 0;          // so many bytes, unpacked
+  std::filesystem::path data;  // the file with the voxels
+  std::int64_t begin = 0;      // where they begin in it: in the file as it is, or -1: they are its end
+  bool gzip = false;           // from `begin` on
+  std::uint64_t skip = 0;      // so many bytes, unpacked
   VoxelType type = VoxelType::kUint8;
   bool big_endian = false;
   std::array<std::uint64_t, 3> size{};

@@ -21,7 +21,8 @@ using Json = nlohmann::json;
 core::MeshData cube(int n) {
   core::MeshData mesh = cube_mesh(n);
   core::Vec3 high = mesh.positions.front();
-  for (const core::Vec3& p : mesh.positions) high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+  for (const core::Vec3& p : mesh.positions)
+    high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
   for (core::Vec3& p : mesh.positions) p = (0.1 / high.x) * p;
   return mesh;
 }
@@ -46,10 +47,13 @@ struct Samples {
   Samples(const Json& json, const stream::Documents& documents)
       : size(json.at("size").get<std::array<std::size_t, 3>>()),
         m(json.at("texture_from_rest").get<std::array<double, 12>>()),
-        bytes(gunzipped(*documents.at(json.at("path").get<std::string>()).body, size[0] * size[1] * size[2])) {}
+        bytes(
+            gunzipped(*documents.at(json.at("path").get<std::string>()).body, size[0] * size[1] * size[2])) {}
 
   std::array<double, 3> unit(const core::Vec3& p) const {
-    const auto row = [&](std::size_t r) { return m[4 * r] * p.x + m[4 * r + 1] * p.y + m[4 * r + 2] * p.z + m[4 * r + 3]; };
+    const auto row = [&](std::size_t r) {
+      return m[4 * r] * p.x + m[4 * r + 1] * p.y + m[4 * r + 2] * p.z + m[4 * r + 3];
+    };
     return {row(0), row(1), row(2)};
   }
   // Between the eight samples around a place, as a graphics card does. NaN outside of the image.
@@ -92,7 +96,8 @@ struct Samples {
 };
 
 struct Served {
-  Served(const Config& config, const core::MeshData& mesh) : documents(served_look(config, mesh, "test.json", warnings)) {
+  Served(const Config& config, const core::MeshData& mesh)
+      : documents(served_look(config, mesh, "test.json", warnings)) {
     json = Json::parse(*documents.at("/look.json").body);
   }
   std::vector<std::string> warnings;
@@ -114,10 +119,14 @@ std::string ramp_file(const Matrix& mm_from_index, const std::string& space, dou
   for (double& v : m[0]) v *= x_sign;
   for (double& v : m[1]) v *= y_sign;
   const auto value = [&](int i, int j, int k) {
-    const auto at = [&](std::size_t r) { return mm_from_index[r][0] * i + mm_from_index[r][1] * j + mm_from_index[r][2] * k + mm_from_index[r][3]; };
+    const auto at = [&](std::size_t r) {
+      return mm_from_index[r][0] * i + mm_from_index[r][1] * j + mm_from_index[r][2] * k +
+             mm_from_index[r][3];
+    };
     return ramp_at(at(0), at(1), at(2));
   };
-  return "NRRD0004\ntype: float\ndimension: 3\nspace: " + space + "\nsizes: 60 50 40\nspace directions: " + nrrd_directions(m) +
+  return "NRRD0004\ntype: float\ndimension: 3\nspace: " + space +
+         "\nsizes: 60 50 40\nspace directions: " + nrrd_directions(m) +
          "\nendian: little\nencoding: gzip\nspace origin: " + nrrd_origin(m) + "\n\n" +
          gzipped(voxels("float", false, kAroundSize, value));
 }
@@ -127,7 +136,8 @@ Config image_config(const std::string& path, const std::string& more = "") {
 }
 
 // Whether the image has the ramp at places of the body, which is `to_mm` in LPS millimetres.
-void expect_ramp(const Samples& image, double low, double high, const std::function<core::Vec3(core::Vec3)>& to_mm) {
+void expect_ramp(const Samples& image, double low, double high,
+                 const std::function<core::Vec3(core::Vec3)>& to_mm) {
   int within = 0;
   for (double x = 0.005; x < 0.1; x += 0.013)
     for (double y = 0.005; y < 0.1; y += 0.013)
@@ -171,13 +181,18 @@ TEST(Look, ABodyInRasInOtherUnitsOrElsewhereIsSaidInTheConfiguration) {
   const std::string path = directory.write("a.nrrd", ramp_file(turned, "LPS", 1, 1)).string();
   const Served ras(image_config(path, ", \"image_window\": [-600, 600], \"image_space\": \"RAS\""), mesh);
   EXPECT_TRUE(ras.warnings.empty());
-  expect_ramp(Samples(ras.json.at("image"), ras.documents), -600, 600,
-              [](const core::Vec3& p) { return core::Vec3{-1000 * p.x, -1000 * p.y, 1000 * p.z}; });
+  expect_ramp(Samples(ras.json.at("image"), ras.documents), -600, 600, [](const core::Vec3& p) {
+    return core::Vec3{-1000 * p.x, -1000 * p.y, 1000 * p.z};
+  });
   // Moved by 1 m, and an image whose millimetres are a body's centimetres.
   const std::string small = directory.write("b.nrrd", ramp_file(kAround, "LPS", 1, 1)).string();
   core::MeshData moved = mesh;
   for (core::Vec3& p : moved.positions) p = 10.0 * p + core::Vec3{1, 2, 3};
-  const Served scaled(image_config(small, ", \"image_window\": [0, 600], \"image_scale_to_metres\": 0.01, \"image_origin\": [1, 2, 3]"), moved);
+  const Served scaled(
+      image_config(
+          small,
+          ", \"image_window\": [0, 600], \"image_scale_to_metres\": 0.01, \"image_origin\": [1, 2, 3]"),
+      moved);
   EXPECT_TRUE(scaled.warnings.empty());
   const Samples image(scaled.json.at("image"), scaled.documents);
   const double shown = image.linear({1.5, 2.5, 3.5});
@@ -216,7 +231,8 @@ TEST(Look, RegionsHaveTheirTissuesAndWhatTheConfigurationSays) {
     mesh.regions.push_back(middle.z > 0.05 ? 7 : middle.x > 0.05 ? -2 : 3);
   }
   const Config config = parse_config(
-      R"({"materials": [{"region": 7, "tissue": "fat", "inside": {"colour": [0.1, 0.2, 0.3], "vessels": 0}}]})", "test.json");
+      R"({"materials": [{"region": 7, "tissue": "fat", "inside": {"colour": [0.1, 0.2, 0.3], "vessels": 0}}]})",
+      "test.json");
   const Served served(config, mesh);
   const Json& regions = served.json.at("regions");
   ASSERT_EQ(regions.size(), 3u);
@@ -244,7 +260,8 @@ TEST(Look, TexturesAreServedOnceAndCheckedBefore) {
   directory.write("a.png", png);
   directory.write("b.png", "no image");
   const auto config = [&](const std::string& inside, const std::string& surface) {
-    Config c = parse_config(R"({"materials": [{"region": 0, "inside": {"texture": ")" + inside + R"("}, "surface": {"texture": ")" + surface + "\"}}]}",
+    Config c = parse_config(R"({"materials": [{"region": 0, "inside": {"texture": ")" + inside +
+                                R"("}, "surface": {"texture": ")" + surface + "\"}}]}",
                             "test.json");
     c.directory = (directory / "x").parent_path();
     return c;
@@ -254,13 +271,15 @@ TEST(Look, TexturesAreServedOnceAndCheckedBefore) {
   EXPECT_EQ(served.json.at("regions")[0].at("surface").at("texture"), "/look/0.png");
   EXPECT_EQ(*served.documents.at("/look/0.png").body, png);
   EXPECT_EQ(served.documents.at("/look/0.png").type, "image/png");
-  for (const auto& [name, wanted] : {std::pair{"b.png", "not a PNG, JPEG or WebP image"}, {"c.png", "No such file"}}) {
+  for (const auto& [name, wanted] :
+       {std::pair{"b.png", "not a PNG, JPEG or WebP image"}, {"c.png", "No such file"}}) {
     try {
       check_look(config(name, "a.png"), "test.json");
       ADD_FAILURE() << name;
     } catch (const ConfigError& error) {
       EXPECT_NE(std::string(error.what()).find(wanted), std::string::npos) << error.what();
-      EXPECT_NE(std::string(error.what()).find("test.json: materials, region 0, inside.texture"), std::string::npos);
+      EXPECT_NE(std::string(error.what()).find("test.json: materials, region 0, inside.texture"),
+                std::string::npos);
     }
   }
   EXPECT_THROW(check_look(image_config((directory / "a.png").string()), "test.json"), ConfigError);

@@ -19,7 +19,8 @@ namespace {
 
 class Directory {
  public:
-  Directory() : path_(std::filesystem::temp_directory_path() / ("incise-fuzz-image-" + std::to_string(::getpid()))) {
+  Directory()
+      : path_(std::filesystem::temp_directory_path() / ("incise-fuzz-image-" + std::to_string(::getpid()))) {
     std::filesystem::create_directories(path_);
     std::ofstream(path_ / "a.raw", std::ios::binary) << std::string(4096, 'a');
   }
@@ -46,7 +47,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::string ending = input.substr(0, line_end);
   if (ending != "nrrd" && ending != "nhdr" && ending != "nii" && ending != "nii.gz") return 0;
   try {
-    const VolumeImage image = read_volume_image(directory.write("image." + ending, input.substr(line_end + 1)));
+    const VolumeImage image =
+        read_volume_image(directory.write("image." + ending, input.substr(line_end + 1)));
     std::size_t samples = 1;
     for (std::size_t i = 0; i < 3; ++i) {
       FUZZ_CHECK(image.size[i] >= 1 && image.size[i] <= kMaxImageSide && image.size[i] <= image.file_size[i]);

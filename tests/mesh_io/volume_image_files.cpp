@@ -76,8 +76,9 @@ std::string nrrd_header(const std::string& type, bool big_endian, const std::str
                         const std::string& space, const std::string& more) {
   return "NRRD0004\n# written by a test\ntype: " + type + "\ndimension: 3\nspace: " + space +
          "\nsizes: 5 4 3\nspace directions: " + nrrd_directions(kOblique) +
-         "\nkinds: domain domain domain\nendian: " + (big_endian ? "big" : "little") + "\nencoding: " + encoding +
-         "\nspace origin: " + nrrd_origin(kOblique) + "\nmodality:=test\n" + more + "\n";
+         "\nkinds: domain domain domain\nendian: " + (big_endian ? "big" : "little") +
+         "\nencoding: " + encoding + "\nspace origin: " + nrrd_origin(kOblique) + "\nmodality:=test\n" +
+         more + "\n";
 }
 
 // Offsets of nifti1.h.

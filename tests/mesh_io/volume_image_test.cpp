@@ -17,7 +17,8 @@ namespace {
 
 using namespace testing;
 
-const char* const kTypes[] = {"int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float", "double"};
+const char* const kTypes[] = {"int8",   "uint8", "int16",  "uint16", "int32",
+                              "uint32", "int64", "uint64", "float",  "double"};
 constexpr std::int16_t kNiftiTypes[] = {256, 2, 4, 512, 8, 768, 1024, 1280, 16, 64};
 
 // `m` in LPS where it is given in this space.
@@ -75,7 +76,8 @@ TEST(VolumeImage, NrrdOfEveryTypeEncodingAndByteOrder) {
 TEST(VolumeImage, NrrdSpacesBecomeLps) {
   const TestDirectory directory;
   const auto read = [&](const std::string& space) {
-    return read_volume_image(directory.write("a.nrrd", nrrd_header("int16", false, "raw", space) + voxels("int16", false)));
+    return read_volume_image(
+        directory.write("a.nrrd", nrrd_header("int16", false, "raw", space) + voxels("int16", false)));
   };
   for (const std::string space : {"RAS", "right-anterior-superior", "Right-Anterior-Superior"})
     expect_ramp(read(space), in_lps(kOblique, -1, -1));
@@ -92,26 +94,33 @@ TEST(VolumeImage, NrrdUnitsSpacingsAndAxesThatAreNoSpace) {
   Matrix metres = kOblique;
   for (auto& row : metres)
     for (double& x : row) x *= 1000;
-  expect_ramp(read_volume_image(directory.write(
-                  "a.nrrd", nrrd_header("uint8", false, "raw", "LPS", "space units: \"m\" \"m\" \"m\"\n") + data)),
-              metres, 1e-6);
+  expect_ramp(
+      read_volume_image(directory.write(
+          "a.nrrd", nrrd_header("uint8", false, "raw", "LPS", "space units: \"m\" \"m\" \"m\"\n") + data)),
+      metres, 1e-6);
   // Without a space: spacings, and the origin in the first voxel.
   const Matrix straight = {{{0.5, 0, 0, 0}, {0, 2, 0, 0}, {0, 0, -3, 0}}};
-  const VolumeImage plain = read_volume_image(directory.write(
-      "b.nrrd", "NRRD0001\r\ntype: unsigned char\r\ndimension: 3\r\nsizes: 5 4 3\r\nspacings: 0.5 2 -3\r\nencoding: raw\r\n\r\n" + data));
+  const VolumeImage plain =
+      read_volume_image(directory.write("b.nrrd",
+                                        "NRRD0001\r\ntype: unsigned char\r\ndimension: 3\r\nsizes: 5 4 "
+                                        "3\r\nspacings: 0.5 2 -3\r\nencoding: raw\r\n\r\n" +
+                                            data));
   EXPECT_FALSE(plain.anatomical);
   expect_ramp(plain, straight);
   // One number a voxel in an axis of its own, and one moment.
-  const std::string directions = nrrd_directions(kOblique), origin = "\nspace origin: " + nrrd_origin(kOblique) + "\n\n";
-  expect_ramp(read_volume_image(directory.write(
-                  "c.nrrd", "NRRD0005\ntype: uchar\ndimension: 4\nspace: LPS\nsizes: 1 5 4 3\nkinds: vector domain domain domain\nspace "
-                            "directions: none " +
-                                directions + "\nencoding: raw" + origin + data)),
+  const std::string directions = nrrd_directions(kOblique),
+                    origin = "\nspace origin: " + nrrd_origin(kOblique) + "\n\n";
+  expect_ramp(read_volume_image(directory.write("c.nrrd",
+                                                "NRRD0005\ntype: uchar\ndimension: 4\nspace: LPS\nsizes: 1 5 "
+                                                "4 3\nkinds: vector domain domain domain\nspace "
+                                                "directions: none " +
+                                                    directions + "\nencoding: raw" + origin + data)),
               kOblique);
-  expect_ramp(read_volume_image(directory.write(
-                  "d.nrrd", "NRRD0005\ntype: uint8_t\ndimension: 4\nspace: LPS\nsizes: 5 4 3 1\nspace directions: " + directions +
-                                " none\nencoding: raw" + origin + data)),
-              kOblique);
+  expect_ramp(
+      read_volume_image(directory.write(
+          "d.nrrd", "NRRD0005\ntype: uint8_t\ndimension: 4\nspace: LPS\nsizes: 5 4 3 1\nspace directions: " +
+                        directions + " none\nencoding: raw" + origin + data)),
+      kOblique);
 }
 
 TEST(VolumeImage, NrrdWithTheVoxelsInAnotherFile) {
@@ -128,9 +137,11 @@ TEST(VolumeImage, NrrdWithTheVoxelsInAnotherFile) {
   expect_ramp(read_volume_image(header("raw", "data file: b.raw\nbyte skip: 10\n")), kOblique);
   expect_ramp(read_volume_image(header("raw", "data file: b.raw\nbyte skip: -1\n")), kOblique);
   EXPECT_NE(error_of(header("raw", "data file: ../a.raw\n")).find("data file"), std::string::npos);
-  EXPECT_NE(error_of(header("raw", "data file: /etc/passwd\n")).find("is not a name relative"), std::string::npos);
+  EXPECT_NE(error_of(header("raw", "data file: /etc/passwd\n")).find("is not a name relative"),
+            std::string::npos);
   EXPECT_NE(error_of(header("raw", "data file: LIST\n")).find("the name of one file"), std::string::npos);
-  EXPECT_NE(error_of(header("raw", "data file: s%03d.raw 1 3 1\n")).find("the name of one file"), std::string::npos);
+  EXPECT_NE(error_of(header("raw", "data file: s%03d.raw 1 3 1\n")).find("the name of one file"),
+            std::string::npos);
   EXPECT_NE(error_of(header("gzip", "data file: a.raw\n")).find("not gzip data"), std::string::npos);
 }
 
@@ -147,9 +158,11 @@ TEST(VolumeImage, NiftiOfEveryTypeAndByteOrder) {
       const VolumeImage image = read_volume_image(directory.write("a.nii", bytes));
       EXPECT_TRUE(image.anatomical);
       expect_ramp(image, in_lps(kOblique, -1, -1), 1e-5);  // NIfTI is RAS, in floats
-      expect_ramp(read_volume_image(directory.write("a.nii.gz", gzipped(bytes))), in_lps(kOblique, -1, -1), 1e-5);
+      expect_ramp(read_volume_image(directory.write("a.nii.gz", gzipped(bytes))), in_lps(kOblique, -1, -1),
+                  1e-5);
       // What the first bytes say counts, not the ending.
-      expect_ramp(read_volume_image(directory.write("b.nii", gzipped(bytes))), in_lps(kOblique, -1, -1), 1e-5);
+      expect_ramp(read_volume_image(directory.write("b.nii", gzipped(bytes))), in_lps(kOblique, -1, -1),
+                  1e-5);
     }
 }
 
@@ -188,7 +201,8 @@ TEST(VolumeImage, NiftiScalesItsNumbers) {
   header.slope = 0.5f;
   header.intercept = -1024;
   const auto doubled = [](int i, int j, int k) { return 2 * (ramp(i, j, k) + 1024); };
-  expect_ramp(read_volume_image(directory.write("a.nii", header.bytes(false) + voxels("int16", false, kImageSize, doubled))),
+  expect_ramp(read_volume_image(directory.write(
+                  "a.nii", header.bytes(false) + voxels("int16", false, kImageSize, doubled))),
               {{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}});
   header.slope = 0;  // says that there is no scaling
   expect_ramp(read_volume_image(directory.write("a.nii", header.bytes(false) + voxels("int16", false))),
@@ -202,8 +216,10 @@ TEST(VolumeImage, ALargeOneIsAveragedAndStaysWhereItIs) {
   header.dim = {3, 600, 2, 300, 1, 1, 1, 1};
   header.datatype = 64;
   header.pixdim = {1, 0.5f, 1, 1, 1, 1, 1, 1};
-  const std::string data = voxels("double", false, {600, 2, 300}, [](int i, int j, int k) { return 3 * 0.5 * i + 100 * j - 7 * k; });
-  const VolumeImage image = read_volume_image(directory.write("a.nii.gz", gzipped(header.bytes(false) + data)));
+  const std::string data = voxels("double", false, {600, 2, 300},
+                                  [](int i, int j, int k) { return 3 * 0.5 * i + 100 * j - 7 * k; });
+  const VolumeImage image =
+      read_volume_image(directory.write("a.nii.gz", gzipped(header.bytes(false) + data)));
   ASSERT_EQ(image.size, (std::array<std::uint32_t, 3>{256, 2, 256}));
   EXPECT_EQ(image.file_size, (std::array<std::uint32_t, 3>{600, 2, 300}));
   std::size_t at = 0;
@@ -218,9 +234,10 @@ TEST(VolumeImage, ALargeOneIsAveragedAndStaysWhereItIs) {
 
 TEST(VolumeImage, NumbersThatAreNotFiniteBecomeZero) {
   const TestDirectory directory;
-  const auto path = directory.write("a.nrrd", nrrd_header("double", false, "raw") + voxels("double", false, kImageSize, [](int i, int j, int) {
-                                                return i == 0 ? NAN : j == 0 ? INFINITY : 1e300;
-                                              }));
+  const auto path = directory.write("a.nrrd", nrrd_header("double", false, "raw") +
+                                                  voxels("double", false, kImageSize, [](int i, int j, int) {
+                                                    return i == 0 ? NAN : j == 0 ? INFINITY : 1e300;
+                                                  }));
   for (const float value : read_volume_image(path).values) EXPECT_EQ(value, 0);
 }
 
@@ -249,7 +266,8 @@ TEST(VolumeImage, WrongNrrdFilesGetOneLineThatSaysWhatIsWrong) {
       {replaced("sizes: 5 4 3", "sizes: 30000 30000 30000"), "at most 4294967296"},
       {replaced("sizes: 5 4 3", "sizes: 18446744073709551617 4 3"), "whole numbers from 1"},
       {replaced("sizes: 5 4 3", "sizes: 5 4 4"), "the header says 160 bytes of voxels"},
-      {replaced("kinds: domain domain domain", "kinds: RGB-color domain domain"), "accepted are three dimensions with one number"},
+      {replaced("kinds: domain domain domain", "kinds: RGB-color domain domain"),
+       "accepted are three dimensions with one number"},
       {replaced("kinds: domain domain domain", "kinds: domain"), "a word for each"},
       {replaced("endian: little", "endian: middle"), "little or big"},
       {replaced("endian: little\n", ""), "no field \"endian\""},
@@ -277,10 +295,14 @@ TEST(VolumeImage, WrongNrrdFilesGetOneLineThatSaysWhatIsWrong) {
     EXPECT_NE(error.find(wanted), error.npos) << error;
   }
   // Axes that do not span space.
-  const std::string flat = "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: 5 4 3\nspace directions: (1,0,0) (2,0,0) (0,0,1)\nencoding: raw\n\n";
-  EXPECT_NE(error_of(directory.write("bad.nrrd", flat + std::string(60, 'a'))).find("do not span space"), std::string::npos);
+  const std::string flat =
+      "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: 5 4 3\nspace directions: (1,0,0) (2,0,0) "
+      "(0,0,1)\nencoding: raw\n\n";
+  EXPECT_NE(error_of(directory.write("bad.nrrd", flat + std::string(60, 'a'))).find("do not span space"),
+            std::string::npos);
   EXPECT_NE(error_of(directory / "none.nrrd").find("No such file"), std::string::npos);
-  EXPECT_NE(error_of(directory.write("a.png", "x")).find("accepted are .nrrd, .nhdr, .nii and .nii.gz"), std::string::npos);
+  EXPECT_NE(error_of(directory.write("a.png", "x")).find("accepted are .nrrd, .nhdr, .nii and .nii.gz"),
+            std::string::npos);
   std::filesystem::create_directory(directory / "folder.nrrd");
   EXPECT_NE(error_of(directory / "folder.nrrd").find("is a directory"), std::string::npos);
 }
@@ -310,7 +332,10 @@ TEST(VolumeImage, WrongNiftiFilesGetOneLineThatSaysWhatIsWrong) {
       {with([](auto& h) { h.vox_offset = 1e8; }), "bytes of voxels from byte"},
       {with([](auto& h) { h.sform_code = 1; }), "do not span space"},
       {with([](auto& h) { h.sform_code = 1, h.srow = kOblique, h.srow[1][3] = INFINITY; }), "not finite"},
-      {with([](auto& h) { h.qform_code = 1, h.quatern = {NAN, 0, 0}; }), "not finite"},
+      {with([](auto& h) {
+         h.qform_code = 1, h.quatern = {NAN, 0, 0};
+       }),
+       "not finite"},
       {with([](auto& h) { h.dim[1] = 6; }), "the header says 144 bytes"},
       {good.substr(0, good.size() - 1), "the header says 120 bytes"},
   };
@@ -322,7 +347,9 @@ TEST(VolumeImage, WrongNiftiFilesGetOneLineThatSaysWhatIsWrong) {
   }
   const std::string packed = gzipped(good);
   EXPECT_NE(error_of(directory.write("bad.nii.gz", packed.substr(0, packed.size() / 2))), "");
-  EXPECT_NE(error_of(directory.write("bad.nii.gz", gzipped(good.substr(0, 400)))).find("ends after 48 bytes of voxels"), std::string::npos);
+  EXPECT_NE(error_of(directory.write("bad.nii.gz", gzipped(good.substr(0, 400))))
+                .find("ends after 48 bytes of voxels"),
+            std::string::npos);
 }
 
 // Any damage gives an image or one line, and never more memory than an image of the largest size.
@@ -338,7 +365,8 @@ TEST(VolumeImage, DamagedFilesAreReadOrRefused) {
   };
   std::mt19937 random(7);
   for (const auto& [name, bytes] : files) {
-    for (std::size_t length = 0; length < bytes.size(); ++length) error_of(directory.write(name, bytes.substr(0, length)));
+    for (std::size_t length = 0; length < bytes.size(); ++length)
+      error_of(directory.write(name, bytes.substr(0, length)));
     for (int n = 0; n < 1000; ++n) {
       std::string damaged = bytes;
       for (int k = 0; k <= n % 3; ++k) damaged[random() % damaged.size()] = static_cast<char>(random());
@@ -422,10 +450,12 @@ void expect_nrrd_as_vtk(const std::filesystem::path& path) {
     ASSERT_EQ(value, number);
   }
   const auto middle = [&](double i, double j, double k) {
-    return apply(image.mm_from_unit, {(i + 0.5) / image.size[0], (j + 0.5) / image.size[1], (k + 0.5) / image.size[2]});
+    return apply(image.mm_from_unit,
+                 {(i + 0.5) / image.size[0], (j + 0.5) / image.size[1], (k + 0.5) / image.size[2]});
   };
   const core::Vec3 first = middle(0, 0, 0);
-  for (const double own : {length(middle(0, 1, 0) - first), length(middle(0, 0, 1) - first), first.x, first.y, first.z}) {
+  for (const double own :
+       {length(middle(0, 1, 0) - first), length(middle(0, 0, 1) - first), first.x, first.y, first.z}) {
     ASSERT_TRUE(vtk >> number);
     ASSERT_NEAR(own, number, 1e-9);
   }
@@ -450,7 +480,8 @@ TEST(VolumeImage, VtkReadsTheSameVoxelsInTheSamePlaces) {
   expect_nrrd_as_vtk(directory.write("raw.nrrd", nrrd_header("float", false, "raw") + data));
   expect_nrrd_as_vtk(directory.write("packed.nrrd", nrrd_header("float", false, "gzip") + gzipped(data)));
   directory.write("beside.raw", data);
-  expect_nrrd_as_vtk(directory.write("beside.nhdr", nrrd_header("float", false, "raw", "LPS", "data file: beside.raw\n")));
+  expect_nrrd_as_vtk(
+      directory.write("beside.nhdr", nrrd_header("float", false, "raw", "LPS", "data file: beside.raw\n")));
 }
 
 }  // namespace

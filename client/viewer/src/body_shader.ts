@@ -286,7 +286,12 @@ export const bodyFragmentShader = /* glsl */ `
       float rim = fourth(1.0 - max(dot(n, toEye), 0.0));
       float broad = fourth(fourth(nh));
       float wet = (inside ? 0.12 : 1.0) * 1.5 * (1.0 - rough);  // a plane shines all over
-      lit += wet * (0.13 * broad + mix(0.7, 0.0, min(1.0, 1.25 * rough)) * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
+      lit += wet * ((0.08 + 0.06 * fine) * broad + mix(0.7, 0.0, min(1.0, 1.25 * rough)) * fourth(broad) * fourth(broad)) * vec3(1.0, 0.97, 0.94) * step(0.0, dot(n, uLight));
+      // A film of fluid mirrors a broad lamp, in patches: where tissue is even it is smooth.
+      if (cut && !inside) {
+        vec3 mirrored = reflect(-toEye, normalize(n + 0.22 * (vec3(coarse, fine, 1.0 - coarse) - 0.5)));
+        lit += wet * (0.05 + 0.16 * fine * fine) * smoothstep(0.30, 0.95, dot(mirrored, uLight));
+      }
       // Cut faces see other tissue beside them, not the sky.
       lit += wet * rim * (cut ? vec3(0.035, 0.022, 0.022) : vec3(0.10, 0.11, 0.13));
       vec3 h2 = normalize(uFill + toEye);

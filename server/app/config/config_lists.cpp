@@ -79,8 +79,10 @@ constexpr std::size_t kMaxMaterials = 64;
 constexpr const char* kMaterialsAccepted =
     "a list of at most 64 objects {\"region\": a whole number, \"toughness_j_m2\", \"puncture_n\", "
     "\"stiffness_n_m\", \"stiffness_pa\", \"friction_n_s_m2\": numbers as in haptics, \"tissue\": \"liver\", "
-    "\"capsule\", \"skin\", \"fat\", \"muscle\", \"vessel\", \"bone\" or \"tumour\", \"surface\" and \"inside\": objects "
-    "{\"colour\": [r, g, b] from 0 to 1, \"roughness\": a number from 0 to 1, \"texture\": the path of a PNG, JPEG or WebP "
+    "\"capsule\", \"skin\", \"fat\", \"muscle\", \"vessel\", \"bone\" or \"tumour\", \"surface\" and "
+    "\"inside\": objects "
+    "{\"colour\": [r, g, b] from 0 to 1, \"roughness\": a number from 0 to 1, \"texture\": the path of a "
+    "PNG, JPEG or WebP "
     "image}, in \"inside\" also \"vessels\" and \"fat_rim\": numbers from 0 to 2} with different regions";
 
 // ---- How a region looks
@@ -202,7 +204,8 @@ void read_materials(Config& config, const Json& value, const std::string& file) 
     const auto number = region.get<std::int32_t>();
     if (!regions.insert(number).second)
       refuse(file, at + ".region", shown(region), "a region that no other entry has");
-    RegionLook look{.region = number, .tissue = {}, .surface = {}, .inside = {}, .vessels = {}, .fat_rim = {}};
+    RegionLook look{
+        .region = number, .tissue = {}, .surface = {}, .inside = {}, .vessels = {}, .fat_rim = {}};
     config.haptics.force.materials.by_region.emplace_back(number,
                                                           read_material(config, entry, look, at, file));
     config.looks.push_back(std::move(look));
@@ -229,7 +232,8 @@ const ConfigList kSourcesList{"sources", kSourcesAccepted,
 
 const ConfigList kMaterialsList{
     "materials", kMaterialsAccepted,
-    "What regions of the mesh feel like, by the mesh's region attribute; absent numbers are as in haptics. And what they look like, on the "
+    "What regions of the mesh feel like, by the mesh's region attribute; absent numbers are as in haptics. "
+    "And what they look like, on the "
     "surface and inside: as their tissue does, but for the colour, texture and so on that are given.",
     read_materials, materials_json};
 
