@@ -57,7 +57,6 @@ function distance(p, [from, to, radius]) {
 /** Writes it as NRRD: LPS, millimetres, 16 bits, gzip. */
 export function writePhantomCt(path) {
   const random = generator(11);
-  const tree = vessels(random);
   const [c, s] = [kSpacing_mm * Math.cos(kTurn), kSpacing_mm * Math.sin(kTurn)];
   const axes = [
     [c, s, 0],
@@ -65,25 +64,36 @@ export function writePhantomCt(path) {
     [0, 0, kSpacing_mm],
   ];
   const origin = kMiddle_mm.map((m, r) => m - axes.reduce((sum, axis, a) => sum + (axis[r] * (kSize[a] - 1)) / 2, 0));
-  const voxels = new Int16Array(kSize[0] * kSize[1] * kSize[2]);
-  let at = 0;
-  for (let k = 0; k < kSize[2]; ++k) {
-    for (let j = 0; j < kSize[1]; ++j) {
-      for (let i = 0; i < kSize[0]; ++i, ++at) {
-        const p = origin.map((o, r) => o + axes[0][r] * i + axes[1][r] * j + axes[2][r] * k);
-        let hounsfield = 95;
-        for (const vessel of tree) {
-          if (vessel[0].some((x, r) => Math.abs(p[r] - (x + vessel[1][r]) / 2) > 24)) continue;
-          hounsfield = Math.max(hounsfield, 95 + 90 * Math.min(1, Math.max(0, 0.8 - distance(p, vessel) / kSpacing_mm)));
-        }
-        for (const [centre, radius, inside] of kLesions) {
-          const d = Math.hypot(...p.map((x, r) => x - centre[r]));
-          if (d < radius) hounsfield = d > radius - 3 ? 135 : inside;
-        }
-        voxels[at] = hounsfield + 22 * (random() + random() + random() - 1.5);
-      }
-    }
+  const place = (i, j, k) => origin.map((o, r) => o + axes[0][r] * i + axes[1][r] * j + axes[2][r] * k);
+  const voxels = new Int16Array(kSize[0] * kSize[1] * kSize[2]).fill(95);
+  /** Calls back for the voxels within `reach` of a place, with the place of each. */
+  const around = (middle, reach, visit) => {
+    const d = middle.map((x, r) => x - origin[r]);
+    const ranges = axes.map((axis, a) => {
+      const at = (axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) / kSpacing_mm ** 2;
+      const steps = reach / kSpacing_mm;
+      return [Math.max(0, Math.ceil(at - steps)), Math.min(kSize[a] - 1, Math.floor(at + steps))];
+    });
+    for (let k = ranges[2][0]; k <= ranges[2][1]; ++k)
+      for (let j = ranges[1][0]; j <= ranges[1][1]; ++j)
+        for (let i = ranges[0][0]; i <= ranges[0][1]; ++i) visit(i + kSize[0] * (j + kSize[1] * k), place(i, j, k));
+  };
+  for (const vessel of vessels(random)) {
+    const [from, to, radius] = vessel;
+    const middle = from.map((x, r) => (x + to[r]) / 2);
+    const reach = Math.hypot(...from.map((x, r) => x - to[r])) / 2 + radius + kSpacing_mm;
+    around(middle, reach, (at, p) => {
+      const share = Math.min(1, Math.max(0, 0.8 - distance(p, vessel) / kSpacing_mm));
+      voxels[at] = Math.max(voxels[at], 95 + 90 * share);
+    });
   }
+  for (const [centre, radius, inside] of kLesions) {
+    around(centre, radius, (at, p) => {
+      const d = Math.hypot(...p.map((x, r) => x - centre[r]));
+      if (d < radius) voxels[at] = d > radius - 3 ? 135 : inside;
+    });
+  }
+  for (let at = 0; at < voxels.length; ++at) voxels[at] += 22 * (random() + random() + random() - 1.5);
   const vector = (v) => `(${v.join(",")})`;
   const header =
     `NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: ${kSize.join(" ")}\n` +
