@@ -3,10 +3,11 @@
 //   ./dev build && node client/pictures/make_pictures.mjs [PRESET]
 //
 // PRESET is whose programs and page are used (default: release). Needs Chromium. Replays the demo's motion in the page and
-// writes client/pictures/viewer.png and cut_liver.png.
+// writes client/pictures/viewer.png, cut_liver.png and image_in_cut.png.
 
 import { mkdirSync } from "node:fs";
 import { fileURLToPath } from "node:url";
+import { writePhantomCt } from "./phantom_ct.mjs";
 
 const here = new URL(".", import.meta.url);
 const root = new URL("../../", here);
@@ -14,9 +15,14 @@ process.env.INCISE_BIN_DIR ??= fileURLToPath(new URL(`build/${process.argv[2] ??
 const { launch, openPage, Server, until } = await import(new URL("tests/viewer/server.mjs", root));
 
 const server = new Server({
-  mesh: { phantom: "liver", target_tets: 60000 },
   capture: { library: "captures" },
 });
+server.config.mesh = {
+  phantom: "liver",
+  target_tets: 60000,
+  image: writePhantomCt(server.file("ct.nrrd")),
+  image_window: [0, 220],
+};
 mkdirSync(server.file("captures"));
 await server.start();
 server.incise(
@@ -49,7 +55,7 @@ async function open(options) {
 /** Takes the picture once it rests, at full sharpness. */
 async function shoot(page, name) {
   await page.evaluate(() => document.activeElement.blur());
-  await page.waitForTimeout(3000);
+  await page.waitForTimeout(6000);
   await page.screenshot({ path: fileURLToPath(new URL(name, here)) });
   await page.context().close();
 }
@@ -68,6 +74,30 @@ await body.evaluate(() => {
 });
 await body.evaluate(() => window.incise.stage.setOpen(0.85, true));
 await shoot(body, "cut_liver.png");
+
+// The image, live: a stroke right through, and a section.
+const { page: live } = await openPage(browser, server.url, { width: 1280, height: 720 });
+await until(live, () => document.body.dataset.blade === "open");
+await live.evaluate(() => window.incise.stage.lookFrom([0, -0.2, 1]));
+await until(live, () => window.incise.stage.atRest);
+await live.mouse.move(420, 90);
+await live.mouse.down();
+for (let i = 1; i <= 40; ++i) {
+  await live.mouse.move(420 + 2 * i, 90 + 13 * i);
+  await live.waitForTimeout(20);
+}
+await live.mouse.up();
+await until(live, () => window.incise.progress.pieces > 1);
+await live.mouse.move(640, 5);
+await live.locator("#open").fill("0.75");
+await live.evaluate(() => {
+  const { stage, look } = window.incise;
+  look.showState({ inside: "image", section: { normal: [0, 0, 1], share: 0.56 } });
+  stage.lookFrom([-0.5, -0.5, 0.75]);
+});
+await live.waitForTimeout(1000);
+await live.locator("#inside").scrollIntoViewIfNeeded();
+await shoot(live, "image_in_cut.png");
 
 await browser.close();
 await server.end();

@@ -5,6 +5,7 @@
 #include <utility>
 #include <variant>
 
+#include "server/app/look.hpp"
 #include "server/app/surface_asset.hpp"
 #include "server/input/hid/json_node.hpp"
 #include "server/mesh_io/field.hpp"
@@ -26,6 +27,7 @@ mesh_io::LoadOptions load_options(const Config& config, FillProgress progress) {
 }
 
 void check_body(const Config& config, const std::string& file) {
+  check_look(config, file);
   if (config.mesh.path.empty()) return;
   try {
     mesh_io::check_mesh(config.resolve(config.mesh.path), load_options(config));

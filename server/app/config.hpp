@@ -1,8 +1,10 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -21,6 +23,20 @@ struct ConfigError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+// How a region of the body looks: what differs from its tissue.
+struct RegionLook {
+  struct Side {
+    std::optional<std::array<double, 3>> colour;  // sRGB, 0 to 1
+    std::optional<double> roughness;
+    std::string texture;  // path of an image; "": none
+    bool operator==(const Side&) const = default;
+  };
+  std::int32_t region = 0;
+  std::string tissue;  // one of look.hpp's; "": as the region's place among the others says
+  Side surface, inside;
+  std::optional<double> vessels, fat_rim;
+};
+
 // All settings of `incised`. A table (app/config/*_keys.cpp) gives for each key its place in the JSON file, what it accepts
 // and what it means: reading, --print-config and the error texts follow from it. The defaults are those here.
 struct Config {
@@ -34,6 +50,11 @@ struct Config {
     std::int64_t fill_memory_limit_mb = 8192;
     std::string cache_directory;
     std::vector<std::string> fields;
+    std::string image;                 // a volume image, shown inside the body; "": none
+    std::vector<double> image_window;  // two numbers: black and white; none: from the image
+    std::string image_space = "LPS";   // of the body's coordinates
+    double image_scale_to_metres = 1e-3;
+    core::Vec3 image_origin;
   } mesh;
 
   core::CutConfig cut;  // with the blade
@@ -105,6 +126,8 @@ struct Config {
     core::Blade blade;
   };
   std::vector<Source> sources;
+
+  std::vector<RegionLook> looks;  // of entries of "materials", whose other part is in haptics
 
   // Where the file was read from; paths in it are relative to that. Empty: the working directory.
   std::filesystem::path directory;

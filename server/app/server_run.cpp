@@ -14,6 +14,7 @@
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
 #include "server/app/end_signals.hpp"
+#include "server/app/look.hpp"
 #include "server/app/loop_watch.hpp"
 #include "server/app/network_sources.hpp"
 #include "server/app/recording.hpp"
@@ -48,9 +49,11 @@ Body load_and_log(const Config& config) {
   return body;
 }
 
-ServedSurface serve_surface(const Body& body) {
+// With how the inside looks among its documents.
+ServedSurface serve_surface(const Config& config, const Body& body) {
   std::vector<std::string> warnings;
   ServedSurface served = served_surface(body.loaded.surface.get(), warnings);
+  served.documents.merge(served_look(config, body.loaded.mesh, "the configuration", warnings));
   for (const std::string& warning : warnings) spdlog::warn("{}", warning);
   return served;
 }
@@ -151,7 +154,7 @@ class RunningServer {
 RunningServer::RunningServer(const Config& config, bool resume)
     : config_(config),
       body_(load_and_log(config)),
-      surface_(serve_surface(body_)),
+      surface_(serve_surface(config, body_)),
       recording_(open_recording(config, body_, resume, started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),

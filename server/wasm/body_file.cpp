@@ -44,7 +44,8 @@ core::MeshData mesh_of(const protocol::Replica& replica) {
 
 }  // namespace
 
-void write_body(std::ostream& out, protocol::Welcome welcome, const core::CutSession& session) {
+void write_body(std::ostream& out, protocol::Welcome welcome, const core::CutSession& session,
+                const protocol::SurfaceAsset* surface) {
   protocol::Replica replica;
   demand(stream::load_initial(replay::initial_state(session, 1), replica).empty(),
          "no client could hold this body");
@@ -55,6 +56,11 @@ void write_body(std::ostream& out, protocol::Welcome welcome, const core::CutSes
   write(out, writer.begin());
   while (writer.next()) write(out, writer.chunk());
   write(out, writer.end());
+  if (!surface) return;
+  protocol::SurfaceAsset triangles;
+  triangles.positions = surface->positions;
+  triangles.triangles = surface->triangles;
+  write(out, triangles);
 }
 
 BodyFile read_body(std::span<const std::byte> bytes) {
@@ -62,7 +68,7 @@ BodyFile read_body(std::span<const std::byte> bytes) {
   protocol::Replica replica;
   protocol::FrameReader reader;
   bool welcomed = false, complete = false;
-  while (!complete && reader.read(bytes) == protocol::FrameReader::Status::Complete) {
+  while (reader.read(bytes) == protocol::FrameReader::Status::Complete) {
     protocol::DecodeResult decoded = protocol::decode(reader.body());
     demand(static_cast<bool>(decoded), decoded.error);
     const protocol::Body& body = decoded.message->body;
@@ -76,9 +82,12 @@ BodyFile read_body(std::span<const std::byte> bytes) {
     } else if (const auto* end = std::get_if<protocol::SnapshotEnd>(&body)) {
       demand(replica.end(*end));
       complete = true;
+    } else if (const auto* surface = std::get_if<protocol::SurfaceAsset>(&body)) {
+      file.origins = std::make_shared<const protocol::OriginTree>(surface->positions, surface->triangles);
     }
   }
-  demand(welcomed && complete, reader.failed() ? reader.error() : "it is cut off");
+  demand(welcomed && complete && !reader.failed() && reader.pending_bytes() == 0,
+         reader.failed() ? reader.error() : "it is cut off");
   file.mesh = mesh_of(replica);
   return file;
 }

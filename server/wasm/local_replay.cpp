@@ -9,9 +9,20 @@ namespace incise::wasm {
 
 using protocol::ReplayAction;
 
-LocalReplay::LocalReplay(std::string name, replay::Replay replay, std::uint64_t epoch, Events events)
-    : name_(std::move(name)), replay_(std::move(replay)), epoch_(epoch), events_(std::move(events)) {
-  mirror_.reset(replay::initial_state(replay_.session(), epoch_));
+LocalReplay::LocalReplay(std::string name, replay::Replay replay, std::uint64_t epoch,
+                         std::shared_ptr<const protocol::OriginTree> origins, Events events)
+    : name_(std::move(name)),
+      replay_(std::move(replay)),
+      epoch_(epoch),
+      origins_(std::move(origins)),
+      events_(std::move(events)) {
+  show();
+}
+
+void LocalReplay::show() {
+  stream::InitialState state = replay::initial_state(replay_.session(), epoch_);
+  state.origins = origins_;
+  mirror_.reset(std::move(state));
 }
 
 protocol::ReplayState LocalReplay::state(bool first) const {
@@ -72,7 +83,8 @@ void LocalReplay::seek(std::uint64_t revision) {
   const bool back = revision < replay_.revision();
   if (back) {
     replay_.restart();
-    mirror_.reset(replay::initial_state(replay_.session(), ++epoch_));
+    ++epoch_;
+    show();
   }
   while (replay_.revision() < revision && !replay_.at_end()) advance(!back);
   if (back) events_.restarted();

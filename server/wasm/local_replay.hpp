@@ -19,7 +19,9 @@ class LocalReplay {
     std::function<void(const stream::Mirror::Applied&)> stepped;  // it has gone on by one revision
   };
   // Shows the uncut body at once. `epoch` names the run of ids.
-  LocalReplay(std::string name, replay::Replay replay, std::uint64_t epoch, Events events);
+  // `origins`: of boundary faces; null where the body has none.
+  LocalReplay(std::string name, replay::Replay replay, std::uint64_t epoch,
+              std::shared_ptr<const protocol::OriginTree> origins, Events events);
 
   void control(const protocol::ReplayControl& wish, std::int64_t now_ns);
   // Applies what is due. Whether it did something.
@@ -32,12 +34,14 @@ class LocalReplay {
   protocol::ReplayState state(bool first = false) const;
 
  private:
+  void show();
   bool advance(bool tell);
   void seek(std::uint64_t revision);
 
   std::string name_;
   replay::Replay replay_;
   std::uint64_t epoch_;
+  std::shared_ptr<const protocol::OriginTree> origins_;
   Events events_;
   stream::Mirror mirror_;
   stream::PublishedDelta delta_;

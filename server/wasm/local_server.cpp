@@ -62,8 +62,14 @@ LocalServer::~LocalServer() = default;
 void LocalServer::begin_session() {
   session_ = std::make_unique<core::CutSession>(body_.mesh, config_.cut);
   epoch_ = std::max<std::uint64_t>(1, host_.random());
-  mirror_.reset(replay::initial_state(*session_, epoch_));
+  show_session();
   for (auto& times : arrivals_) times.clear();
+}
+
+void LocalServer::show_session() {
+  stream::InitialState state = replay::initial_state(*session_, epoch_);
+  state.origins = body_.origins;
+  mirror_.reset(std::move(state));
 }
 
 // ------------------------------------------------------------------------------------------------ sending
@@ -112,6 +118,7 @@ void LocalServer::send_welcome(std::uint32_t number, const Peer& peer) {
   welcome.server_monotonic_ns = host_.now_ns();
   welcome.server_unix_ns = host_.unix_ns();
   welcome.recording = recording_->state();
+  if (!mirror.surface().finds_origins()) welcome.surface.reset();
   send(number, welcome);
 }
 
@@ -331,7 +338,7 @@ void LocalServer::undo(std::uint32_t number, std::uint64_t sequence) {
     while (session_->advance(budget, delta_.delta) == core::CutSession::Progress::kCommitted) {
     }
   }
-  mirror_.reset(replay::initial_state(*session_, epoch_));
+  show_session();
   welcome_again();
 }
 
@@ -412,7 +419,7 @@ void LocalServer::begin_replay(std::uint32_t number, Peer& peer, const std::stri
   };
   peer.replay = std::make_unique<LocalReplay>(
       name, replay::Replay(body_.mesh, config.cut, std::move(config.blades), std::move(motion)),
-      std::max<std::uint64_t>(1, host_.random()), std::move(events));
+      std::max<std::uint64_t>(1, host_.random()), body_.origins, std::move(events));
   send_welcome(number, peer);
   send_snapshot(number, peer, SnapshotCause::Reset);
   send(number, peer.replay->state(true));

@@ -102,6 +102,7 @@ class LocalServer {
   const stream::Mirror& mirror_of(const Peer& peer) const;
 
   void begin_session();
+  void show_session();
   void commit();
   std::int64_t arrival_of_batch();
   void record(const protocol::CaptureRecord& record);

@@ -30,12 +30,16 @@ TEST(Config, AnEmptyObjectIsAllDefaults) {
 
 TEST(Config, ReadsWhatItPrints) {
   Config config = parse_config(R"({
-    "mesh": {"phantom": "liver", "target_tets": 60000},
+    "mesh": {"phantom": "liver", "target_tets": 60000, "image": "ct.nrrd", "image_window": [-100, 200.5],
+             "image_space": "RAS", "image_origin": [0, 0, 0.1]},
     "blade": {"heel": [0, 0, 0.01], "tip": [0, 0, -0.08]},
     "cut": {"policy": "croll", "prefer": "no-growth", "engage": "always", "engage_buttons": 6, "batch_h": 0.5},
     "loop": {"rate_hz": 250, "cpu": 1},
     "listen": {"tcp_port": 0, "allowed_origins": ["https://a.example"]},
     "log": {"format": "json"},
+    "materials": [{"region": 2, "tissue": "fat", "puncture_n": 1},
+                  {"region": -1, "surface": {"colour": [0.1, 0.2, 0.3], "texture": "a.png"},
+                   "inside": {"roughness": 0.5, "vessels": 0, "fat_rim": 2}}],
     "sources": [{"name": "left"}, {"name": "right", "tip": [0, 0, 0.03]}]
   })",
                                "test.json");
@@ -46,6 +50,13 @@ TEST(Config, ReadsWhatItPrints) {
   ASSERT_EQ(config.sources.size(), 2u);
   EXPECT_EQ(config.sources[0].blade, config.cut.blade);
   EXPECT_EQ(config.sources[1].blade.tip, (core::Vec3{0, 0, 0.03}));
+  EXPECT_EQ(config.mesh.image_window, (std::vector<double>{-100, 200.5}));
+  ASSERT_EQ(config.looks.size(), 2u);
+  EXPECT_EQ(config.looks[0].tissue, "fat");
+  EXPECT_EQ(config.looks[1].region, -1);
+  EXPECT_EQ(config.looks[1].surface.texture, "a.png");
+  EXPECT_EQ(config.looks[1].fat_rim, 2);
+  EXPECT_FALSE(config.looks[1].inside.colour);
   for (const std::string& text : {commented(config), compact(config)}) {
     EXPECT_EQ(compact(parse_config(text, "printed")), compact(config));
   }
@@ -156,6 +167,29 @@ const Malformed kMalformed[] = {
      {"softness", "accepted are region, toughness_j_m2"}},
     {"{\"materials\": [{\"region\": 1, \"puncture_n\": \"hard\"}]}",
      {"materials[0].puncture_n", "hard", "number"}},
+    // How it looks.
+    {"{\"materials\": [{\"region\": 1, \"tissue\": \"cheese\"}]}",
+     {"materials[0].tissue", "cheese", "\"liver\", \"capsule\", \"skin\""}},
+    {"{\"materials\": [{\"region\": 1, \"inside\": 3}]}", {"materials[0].inside", "3", "an object"}},
+    {"{\"materials\": [{\"region\": 1, \"inside\": {\"color\": [1, 0, 0]}}]}",
+     {"materials[0].inside", "unknown key \"color\"", "colour, fat_rim"}},
+    {"{\"materials\": [{\"region\": 1, \"surface\": {\"colour\": [1, 0]}}]}",
+     {"materials[0].surface.colour", "[1,0]", "from 0 to 1"}},
+    {"{\"materials\": [{\"region\": 1, \"surface\": {\"colour\": [1, 0, 255]}}]}",
+     {"materials[0].surface.colour", "255", "from 0 to 1"}},
+    {"{\"materials\": [{\"region\": 1, \"surface\": {\"vessels\": 1}}]}",
+     {"unknown key \"vessels\"", "colour, roughness, texture"}},
+    {"{\"materials\": [{\"region\": 1, \"inside\": {\"vessels\": 3}}]}",
+     {"materials[0].inside.vessels", "3", "from 0 (none) to 2"}},
+    {"{\"materials\": [{\"region\": 1, \"inside\": {\"roughness\": -1}}]}",
+     {"materials[0].inside.roughness", "-1", "from 0 (wet)"}},
+    {"{\"materials\": [{\"region\": 1, \"inside\": {\"texture\": 1}}]}",
+     {"materials[0].inside.texture", "1", "a path"}},
+    {"{\"mesh\": {\"image\": 1}}", {"mesh.image", "1", "a path"}},
+    {"{\"mesh\": {\"image_window\": [1]}}", {"mesh.image_window", "[1]", "two numbers"}},
+    {"{\"mesh\": {\"image_window\": [2, 1]}}", {"mesh.image_window", "[2,1]", "the first the smaller"}},
+    {"{\"mesh\": {\"image_space\": \"ras\"}}", {"mesh.image_space", "ras", "\"LPS\" or \"RAS\""}},
+    {"{\"mesh\": {\"image_scale_to_metres\": 0}}", {"mesh.image_scale_to_metres", "0"}},
     // Unknown or doubled keys.
     {"{\"mash\": {}}", {"unknown key \"mash\"", "mesh", "loop"}},
     {"{\"loop\": {\"rate\": 1000}}", {"unknown key \"loop.rate\"", "rate_hz"}},

@@ -7,6 +7,8 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, drag, look, notices, shot, strokeIsOver, theBrowser } from "./page.mjs";
+import { rampAt, writeRamp } from "./inside_bodies.mjs";
+import { paintedCube } from "./painted.mjs";
 import { bin, progress, until } from "./server.mjs";
 import { serveFiles, staticFolder } from "./static_server.mjs";
 
@@ -146,4 +148,107 @@ test("a folder with a damaged session says what is wrong", async (t) => {
   t.after(() => page.close());
   await page.goto(await serveFiles(t, folder));
   await page.getByText("The session failed: the body's file:").first().waitFor();
+});
+
+test("a body's texture and its volume image come with the folder, and stay right after a cut, an undo and a replay", async (t) => {
+  const folder = mkdtempSync(join(tmpdir(), "incise_static_"));
+  t.after(() => rmSync(folder, { recursive: true, force: true }));
+  paintedCube(folder);
+  const ramp = writeRamp(folder);
+  const config = join(folder, "config.json");
+  writeFileSync(
+    config,
+    JSON.stringify({
+      mesh: { path: "cube.obj", target_tets: 3000, image: "ramp.nrrd", image_window: [0, 1000] },
+      blade: { heel: [0, 0, 0], tip: [0, 0, -0.12] },
+    }),
+  );
+  const rows = ["t_s,x_m,y_m,z_m,qw,qx,qy,qz,button"];
+  for (let i = 0; i <= 60; ++i) rows.push([i / 60, 0.06, -0.05 + (0.2 * i) / 60, 0.11, 1, 0, 0, 0, i < 60 ? 1 : 0].join());
+  const motion = join(folder, "motion.csv");
+  writeFileSync(motion, `${rows.join("\n")}\n`);
+  const site = join(folder, "site");
+  cpSync(staticFolder, site, { recursive: true });
+  const run = (program, ...args) => {
+    const done = spawnSync(join(bin, program), args, { encoding: "utf8" });
+    assert.equal(done.status, 0, done.stderr);
+    return done.stderr;
+  };
+  const capture = join(folder, "through.capture");
+  run("incise", "convert", motion, "--mesh", join(folder, "cube.obj"), "--config", config, "--out", capture);
+  assert.match(run("incise-static-body", capture, join(site, "session")), /third argument/); // of what is left out
+  assert.equal(run("incise-static-body", capture, join(site, "session"), config), "");
+
+  const { page, faults } = await look(t, await serveFiles(t, site));
+  await bladeIsReady(page);
+  const defined = (name) => until(page, (n) => window.incise.stage.body.mesh.material.defines[n] === 1, name);
+  await defined("TEXTURE");
+  /** The colour where these places of the body are seen from this direction. */
+  const coloursAt = (points, from) =>
+    page.evaluate(
+      async ([places, direction]) => {
+        const { stage } = window.incise;
+        stage.setOpen(0, true);
+        stage.lookFrom(direction);
+        while (!stage.atRest) await new Promise((done) => setTimeout(done, 50));
+        stage.render();
+        const gl = stage.renderer.getContext();
+        return places.map((p) => {
+          const v = stage.camera.position
+            .clone()
+            .set(...p)
+            .project(stage.camera);
+          const pixel = new Uint8Array(4);
+          const x = ((v.x + 1) / 2) * gl.drawingBufferWidth,
+            y = ((v.y + 1) / 2) * gl.drawingBufferHeight;
+          gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+          return [...pixel];
+        });
+      },
+      [points, from],
+    );
+  const isPainted = async () => {
+    const [low, high] = await coloursAt(
+      [
+        [0.03, 0, 0.025],
+        [0.03, 0, 0.075],
+      ],
+      [0, -1, 0.2],
+    );
+    assert.ok(low[1] > 1.5 * low[0] && low[1] > 1.5 * low[2], `green: ${low}`);
+    assert.ok(high[2] > 1.5 * high[0] && high[2] > 1.5 * high[1], `blue: ${high}`);
+  };
+  await isPainted();
+  await drag(page, [0.5, 0.02], [0.5, 0.98], 10);
+  await until(page, () => window.incise.progress.pieces >= 2);
+  await strokeIsOver(page);
+  await quiet(page);
+  await isPainted();
+  await page.locator("#undo").click();
+  await atRevision(page, 0);
+  await isPainted();
+  await openPanel(page);
+  await page.getByRole("button", { name: "through", exact: true }).click();
+  await until(page, () => window.incise.replay.facts !== null);
+  await page.locator("#scrub").evaluate((e) => {
+    e.value = e.max;
+    e.dispatchEvent(new Event("change"));
+  });
+  await until(page, () => window.incise.progress.pieces === 2);
+  await isPainted();
+  // The image, on a plane through it.
+  await page.keyboard.press("v");
+  await defined("IMAGE");
+  const z = await page.evaluate(() => {
+    window.incise.look.showState({ inside: "image", section: { normal: [0, 0, 1], share: 0.5 } });
+    return window.incise.stage.plane[3];
+  });
+  const places = [0.03, 0.05, 0.08].map((x) => [x, 0.06, z]);
+  for (const [i, colour] of (await coloursAt(places, [0.05, -0.3, 1])).entries()) {
+    assert.ok(ramp.covers(places[i]) > 1);
+    assert.ok(Math.abs(colour[0] - 255 * rampAt(places[i])) <= 3, `${colour}, wanted ${255 * rampAt(places[i])}`);
+  }
+  await shot(page, "static_image");
+  assert.deepEqual(await notices(page), []);
+  assert.deepEqual(faults, []);
 });

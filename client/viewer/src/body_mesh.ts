@@ -1,7 +1,9 @@
 import * as THREE from "three";
 import type { Corners } from "./corner_buffers";
 import type { ShownTriangles } from "./section_lines";
+import { BodyLook, layeredTexture } from "./body_look";
 import { bodyFragmentShader, bodyVertexShader } from "./body_shader";
+import type { Look } from "./look_source";
 import { kNone } from "./surface";
 
 const kPieceColumns = 256;
@@ -32,6 +34,9 @@ export class BodyMesh {
   slots = 0;
   /** Grows with each change of what is drawn. */
   version = 0;
+  readonly look = new BodyLook();
+  private showsImage = false;
+  private hasRegions = false; // the geometry has
   private pieceOffsets = new Float32Array(4 * kPieceColumns);
   private pieceTexture = this.makePieceTexture(1);
 
@@ -40,7 +45,7 @@ export class BodyMesh {
       glslVersion: THREE.GLSL3,
       vertexShader: bodyVertexShader,
       fragmentShader: bodyFragmentShader,
-      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1, TEXTURE: 0, REST: 0 },
+      defines: { COLOURING: 0, WIRE: 0, INSIDE: 1, SECTION: 0, DETAIL: 1, TEXTURE: 0, REST: 0, IMAGE: 0, REGIONS: 0, REGION_IMAGE: 0, REGION_TEXTURES: 0 },
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
@@ -51,6 +56,7 @@ export class BodyMesh {
         uFill: { value: new THREE.Vector3(0, 0, 1) },
         uAmbient: { value: 1 },
         uTexture: { value: null },
+        ...this.look.uniforms,
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
@@ -88,6 +94,9 @@ export class BodyMesh {
     this.define("TEXTURE", Number(textured));
     if (corners.rest.length > 0) add("aRest", Float32Array, 3, false, corners.rest);
     this.define("REST", Number(corners.rest.length > 0));
+    if (corners.regions.length > 0) add("aRegion", Float32Array, 1, false, corners.regions);
+    this.hasRegions = corners.regions.length > 0;
+    this.defineLook();
     geometry.setDrawRange(0, 3 * slots);
     this.mesh.geometry.dispose();
     this.mesh.geometry = geometry;
@@ -105,6 +114,7 @@ export class BodyMesh {
     this.write("aNormal", 12, corners.normals, slots, ranges);
     this.write("aFacts", 12, corners.facts, slots, ranges);
     if (this.mesh.material.defines.REST) this.write("aRest", 9, corners.rest, slots, ranges);
+    if (this.hasRegions) this.write("aRegion", 3, corners.regions, slots, ranges);
     if (this.mesh.material.defines.TEXTURE) this.write("aTexture", 9, corners.texture, slots, ranges);
     this.slots = Math.max(this.slots, highest);
     this.mesh.geometry.setDrawRange(0, 3 * this.slots);
@@ -113,16 +123,29 @@ export class BodyMesh {
 
   /** The layers that corners of the next geometry refer to; sRGB, 4 bytes a pixel, the lowest row first. */
   setTexture(size: number, layers: number, pixels: Uint8Array<ArrayBuffer>): void {
-    const texture = new THREE.DataArrayTexture(pixels, size, size, layers);
-    texture.colorSpace = THREE.SRGBColorSpace;
-    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-    texture.minFilter = THREE.LinearMipmapLinearFilter;
-    texture.magFilter = THREE.LinearFilter;
-    texture.generateMipmaps = true;
-    texture.anisotropy = 4;
-    texture.needsUpdate = true;
     this.uniforms.uTexture.value?.dispose();
-    this.uniforms.uTexture.value = texture;
+    this.uniforms.uTexture.value = layeredTexture({ size, layers, pixels });
+  }
+
+  /** How regions look and what is inside, from here on. */
+  setLook(look: Look): void {
+    this.look.set(look);
+    this.defineLook();
+    ++this.version;
+  }
+
+  /** On cut faces and in the section: the volume image, or tissue. */
+  showImage(on: boolean): void {
+    this.showsImage = on;
+    this.defineLook();
+  }
+
+  private defineLook(): void {
+    const regions = this.hasRegions && this.look.hasRegions;
+    this.define("IMAGE", Number(this.showsImage && this.look.hasImage));
+    this.define("REGIONS", Number(regions));
+    this.define("REGION_IMAGE", Number(regions && this.look.hasRegionImage));
+    this.define("REGION_TEXTURES", Number(regions && this.look.hasTextures));
   }
 
   /** lips: 3 numbers a corner, from slot 0 on; pieces: 4 numbers a row. */

@@ -12,9 +12,10 @@ export interface Corners {
   facts: Uint8Array; // 4 a corner: 0, or on a cut face its depth below the skin (1: at it, 255: kRim or more), quality (0 to 255), row of its piece (low byte, high byte)
   rest: Float32Array; // 3 a corner: where its material is in the body at rest; empty: at its position
   texture: Float32Array; // 3 a corner: u, v and layer of the texture, which is -1 where there is none; empty: the body has no texture
+  regions: Float32Array; // 1 a corner: the index of its region's look; empty: all look the same
 }
 
-export function allocateCorners(slots: number, textured = false, deformed = false): Corners {
+export function allocateCorners(slots: number, textured = false, deformed = false, regions = false): Corners {
   return {
     ids: new Uint32Array(slots),
     positions: new Float32Array(9 * slots),
@@ -22,6 +23,7 @@ export function allocateCorners(slots: number, textured = false, deformed = fals
     facts: new Uint8Array(12 * slots),
     rest: new Float32Array(deformed ? 9 * slots : 0),
     texture: new Float32Array(textured ? 9 * slots : 0),
+    regions: new Float32Array(regions ? 3 * slots : 0),
   };
 }
 
@@ -86,6 +88,9 @@ export class CornerBuilder {
   /** The surface whose texture is shown. Null: none. */
   asset: SurfaceAsset | null = null;
   private readonly rest = new Float32Array(9);
+
+  /** By region: its place in the list of looks. */
+  regionIndex: ReadonlyMap<number, number> = new Map();
 
   /** Where the skin is. Null: all tissue looks as if it were deep inside. */
   skin: SkinDepth | null = null;
@@ -177,6 +182,7 @@ export class CornerBuilder {
       out.facts[fact + 2] = row & 255;
       out.facts[fact + 3] = row >> 8;
     }
+    if (out.regions.length > 0) out.regions.fill(this.regionIndex.get(surface.regions[slot]) ?? 0, 3 * at, 3 * at + 3);
     if (out.rest.length > 0) surface.restCorners(slot, out.rest, 9 * at);
     if (out.texture.length > 0) this.writeTexture(slot, out.texture, 9 * at);
   }

@@ -14,6 +14,7 @@ export class Look {
   private section: Section = { normal: [1, 0, 0], share: 0.5 }; // also while it is off
   readonly handle: SectionHandle;
   private colouring: Colouring = "tissue";
+  private image = false; // wanted
 
   /** redraw: called when the charts' size or colours have changed. */
   constructor(
@@ -26,6 +27,7 @@ export class Look {
       stage.body.setWire(input("wire").checked);
       stage.draw();
     });
+    onChoice("inside", (value) => this.showImage(value === "image"));
     this.handle = new SectionHandle(element("picture"), stage, (section) => this.setSection(section));
     this.bindSection();
     element("panel-toggle").onclick = () => this.togglePanel();
@@ -43,11 +45,12 @@ export class Look {
   /** What a link keeps of it. */
   get state(): ViewState {
     const section = input("section").checked ? this.section : undefined;
-    return { section, colours: this.colouring, theme: this.theme };
+    return { section, colours: this.colouring, theme: this.theme, inside: this.image ? "image" : "tissue" };
   }
 
   /** Shows what a link has kept; a theme that comes so is not the user's choice and is not stored. */
-  showState({ section, colours, theme }: ViewState): void {
+  showState({ section, colours, theme, inside }: ViewState): void {
+    this.showImage(inside === "image");
     if (theme) this.showTheme(theme === "light");
     if (colours) {
       choose("colouring", colours);
@@ -70,6 +73,22 @@ export class Look {
     this.stage.body.setColouring(colouring);
     element("quality-scale").hidden = colouring !== "quality";
     this.colourByQuality(colouring === "quality");
+    this.stage.draw();
+  }
+
+  /** Whether the server has a volume image. */
+  offerImage(has: boolean): void {
+    element("inside-row").hidden = !has;
+  }
+
+  toggleImage(): void {
+    this.showImage(!this.image);
+  }
+
+  private showImage(on: boolean): void {
+    this.image = on;
+    choose("inside", on ? "image" : "tissue");
+    this.stage.body.showImage(on);
     this.stage.draw();
   }
 

@@ -1,5 +1,6 @@
 import type { LinkState } from "./link";
 import type { Corners } from "./corner_buffers";
+import type { Look } from "./look_source";
 import type { Revisions } from "./timeline";
 
 // The messages between the page and its worker. Large arrays are transferred, not copied.
@@ -134,6 +135,8 @@ export type FromWorker =
   | { kind: "replay"; facts: ReplayFacts | null }
   /** What the layers of Corners.texture are: sRGB, 4 bytes a pixel, the lowest row first. Before the first geometry with such corners. */
   | { kind: "texture"; size: number; layers: number; pixels: Uint8Array<ArrayBuffer> }
+  /** How its regions look and what is in it; once, or when the server says something else. */
+  | { kind: "look"; look: Look }
   /** A simulation moves the body: cuts open by themselves. */
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */

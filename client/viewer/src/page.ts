@@ -125,6 +125,10 @@ export class Page {
         return this.onFacts(message.facts);
       case "texture":
         return this.stage.body.setTexture(message.size, message.layers, message.pixels);
+      case "look":
+        this.stage.body.setLook(message.look);
+        this.look.offerImage(message.look.image !== null);
+        return this.stage.draw();
       case "geometry":
         return this.onGeometry(message);
       case "patch":
@@ -407,6 +411,13 @@ export class Page {
       { keys: ["o"], shown: "O", does: "Open or close the cuts", act: () => operator.toggleOpen() },
       { keys: ["w"], shown: "W", does: "Wireframe", act: press("wire") },
       { keys: ["s"], shown: "S", does: "Section", act: press("section") },
+      {
+        keys: ["v"],
+        shown: "V",
+        does: "Inside: tissue or image",
+        act: () => look.toggleImage(),
+        needs: () => this.stage.body.look.hasImage,
+      },
       {
         keys: Object.keys(turns).map((key) => `Shift ${key}`),
         shown: "Shift+arrows",

@@ -37,6 +37,7 @@ export class Surface {
   corners = new Uint32Array(0); // 3 vertices a slot
   flags = new Uint8Array(0);
   pieces = new Uint32Array(0);
+  regions = new Int32Array(0);
   origins = new Uint32Array(0); // triangle of the surface that the body was filled from, or kNone
   next = new Uint32Array(0);
   slots = 0; // used so far
@@ -152,7 +153,9 @@ export class Surface {
     const vertices = triangles.verticesArray();
     const flags = triangles.flagsArray();
     const pieces = triangles.piecesArray();
+    const regions = triangles.regionsArray();
     const origins = triangles.originsArray(); // null: none has one
+    if (regions && regions.length !== ids.length) return false;
     if (origins && origins.length !== ids.length && origins.length > 0) return false;
     if (vertices?.length !== 3 * ids.length || flags?.length !== ids.length || pieces?.length !== ids.length)
       return false;
@@ -166,6 +169,7 @@ export class Surface {
       this.corners.set(vertices.subarray(3 * i, 3 * i + 3), 3 * slot);
       this.flags[slot] = flags[i];
       this.pieces[slot] = pieces[i];
+      this.regions[slot] = regions?.[i] ?? 0;
       this.origins[slot] = origins?.[i] ?? kNone;
       this.hang(slot);
     }
@@ -202,6 +206,7 @@ export class Surface {
     this.corners = withRoom(this.corners, 3 * slot + 3);
     this.flags = withRoom(this.flags, slot + 1);
     this.pieces = withRoom(this.pieces, slot + 1);
+    this.regions = withRoom(this.regions, slot + 1);
     this.origins = withRoom(this.origins, slot + 1);
     this.next = withRoom(this.next, 3 * slot + 3);
     this.ids[slot] = id;

@@ -16,7 +16,17 @@ export function httpAddress(socketUrl: string): string {
   return `${url.protocol === "wss:" ? "https:" : "http:"}//${url.host}`;
 }
 
-async function get(url: string, token: string): Promise<Response> {
+/** Where a document of the body's is, by its path: "/surface/0.png". */
+export type DocumentAt = (path: string) => string;
+
+/** Of a server; or of the folder of a session in this browser, whose files have no folders: "surface_0.png". */
+export function documentsOf(sessionUrl: string): DocumentAt {
+  return /^wss?:/.test(sessionUrl)
+    ? (path) => httpAddress(sessionUrl) + path
+    : (path) => sessionUrl + path.slice(1).replaceAll("/", "_");
+}
+
+export async function get(url: string, token: string): Promise<Response> {
   const answer = await fetch(url, token ? { headers: { Authorization: `Bearer ${token}` } } : {});
   if (!answer.ok) throw new Error(`${url}: ${answer.status}`);
   return answer;
@@ -24,22 +34,22 @@ async function get(url: string, token: string): Promise<Response> {
 
 /** The asset and its texture; null where none of its materials has an image, or it has no texture coordinates. Throws. */
 export async function fetchTexture(
-  address: string,
+  at: DocumentAt,
   path: string,
   token: string,
 ): Promise<{ asset: SurfaceAsset; texture: Texture } | null> {
-  const asset = new SurfaceAsset(new Uint8Array(await (await get(address + path, token)).arrayBuffer()));
+  const asset = new SurfaceAsset(new Uint8Array(await (await get(at(path), token)).arrayBuffer()));
   if (asset.uvs.length === 0 || !asset.materials.some((m) => m.texture)) return null;
   const images = await Promise.all(
     asset.materials.map(async (m) =>
-      m.texture ? createImageBitmap(await (await get(`${address}${path}/${m.texture}`, token)).blob()) : null,
+      m.texture ? createImageBitmap(await (await get(at(`${path}/${m.texture}`), token)).blob()) : null,
     ),
   );
   return { asset, texture: layersOf(asset.materials, images) };
 }
 
 /** All layers are squares of one size: a texture array has no other. */
-function layersOf(materials: Material[], images: (ImageBitmap | null)[]): Texture {
+export function layersOf(materials: Pick<Material, "diffuse">[], images: (ImageBitmap | null)[]): Texture {
   const layers = Math.min(materials.length, kMostLayers);
   const largest = Math.max(...images.map((i) => (i ? Math.max(i.width, i.height) : 1)));
   const size = Math.min(largest, layers === 1 ? kLargest : kLargestOfMany);

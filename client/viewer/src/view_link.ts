@@ -8,6 +8,7 @@ export interface ViewState {
   section?: Section;
   colours?: Colouring;
   theme?: "light" | "dark";
+  inside?: "tissue" | "image"; // on cut faces and in the section
 }
 
 const kColours: readonly string[] = ["tissue", "pieces", "quality"] satisfies Colouring[];
@@ -15,7 +16,7 @@ const kLongest = 1000; // characters
 
 const written = (place: Vec3) => place.map((x) => Number(x.toPrecision(6))).join();
 
-export function toFragment({ camera, section, colours, theme }: ViewState): string {
+export function toFragment({ camera, section, colours, theme, inside }: ViewState): string {
   const parts: string[] = [];
   if (camera) {
     parts.push(`body=${encodeURIComponent(camera.body)}`);
@@ -24,6 +25,7 @@ export function toFragment({ camera, section, colours, theme }: ViewState): stri
   if (section) parts.push(`section=${[...section.normal, section.share].map((x) => Number(x.toFixed(4))).join()}`);
   if (colours) parts.push(`colours=${colours}`);
   if (theme) parts.push(`theme=${theme}`);
+  if (inside === "image") parts.push("inside=image");
   return parts.join("&");
 }
 
@@ -41,6 +43,7 @@ export function fromFragment(fragment: string): ViewState {
   if (kColours.includes(colours)) state.colours = colours as Colouring;
   const theme = fields.get("theme");
   if (theme === "light" || theme === "dark") state.theme = theme;
+  if (fields.get("inside") === "image") state.inside = "image";
   return state;
 }
 

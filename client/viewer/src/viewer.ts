@@ -1,13 +1,14 @@
 import type { Blade } from "./blade";
 import { sideArea } from "./cut_sides";
 import { Link, type HelloFields } from "./link";
+import { fetchLook } from "./look_source";
 import type { Post, Progress, ReplayFacts, ToWorker } from "./messages";
 import { measureFaces } from "./opening";
 import { PageFeed } from "./page_feed";
 import { Replica } from "./replica";
 import { hex } from "./state_hash";
 import { kNone } from "./surface";
-import { fetchTexture, httpAddress } from "./texture_source";
+import { documentsOf, fetchTexture } from "./texture_source";
 import type { Revisions } from "./timeline";
 import { BladePose } from "./wire/incise/wire/blade-pose";
 import { Body } from "./wire/incise/wire/body";
@@ -58,6 +59,7 @@ export class Viewer {
   readonly feed: PageFeed;
   private url = "";
   private assetHash = ""; // of the surface whose texture is shown, or asked for
+  private lookText = ""; // what the look that is shown was made of
   private readonly figures = { tets: 0, deltas: 0, bytes: 0 };
   private justConnected = false; // no Welcome yet on this connection
   private liveSession = 0n;
@@ -171,6 +173,7 @@ export class Viewer {
     this.feed.builder.grainCells = 55 / this.feed.bodySize_m;
     this.replica.welcome(welcome);
     void this.showTexture(welcome.surface()?.path() ?? "", welcome.surface()?.contentHash() ?? "");
+    if (this.justConnected) void this.showLook();
     if (!this.replica.holding) this.feed.pause();
     const { session } = this.replica;
     if (!this.replayAsked) {
@@ -203,9 +206,9 @@ export class Viewer {
     if (hash === this.assetHash) return;
     this.assetHash = hash;
     this.feed.setTexture(null);
-    if (!path || !/^wss?:/.test(this.url)) return;
+    if (!path) return;
     try {
-      const found = await fetchTexture(httpAddress(this.url), path, this.token);
+      const found = await fetchTexture(documentsOf(this.url), path, this.token);
       if (!found || hash !== this.assetHash) return;
       this.post({ kind: "texture", ...found.texture }, [found.texture.pixels.buffer]);
       this.feed.setTexture(found.asset);
@@ -214,6 +217,26 @@ export class Viewer {
       this.post({
         kind: "notice",
         text: `The body's texture is not shown: ${error instanceof Error ? error.message : error}`,
+      });
+    }
+  }
+
+  /** Once a connection: what the server says may be new after a restart. */
+  private async showLook(): Promise<void> {
+    const found = await fetchLook(documentsOf(this.url), this.token);
+    if (!found || found.text === this.lookText) return;
+    this.lookText = found.text;
+    try {
+      const look = await found.load();
+      if (found.text !== this.lookText) return;
+      this.feed.setRegions(look.regions.map((r) => r.region));
+      const images = [look.image?.samples, look.regionImage?.samples, look.textures?.pixels];
+      this.post({ kind: "look", look }, images.flatMap((bytes) => (bytes ? [bytes.buffer] : [])));
+    } catch (error) {
+      this.lookText = ""; // asked for again with the next connection
+      this.post({
+        kind: "notice",
+        text: `The body's inside is not shown as its server says: ${error instanceof Error ? error.message : error}`,
       });
     }
   }

@@ -80,6 +80,7 @@ void check_files(const Config& config, const std::string& file) {
   std::error_code error;
   if (config.mesh.phantom.empty() && !std::filesystem::exists(node, error))
     check_readable(config, file, "mesh.path", config.mesh.path);
+  check_readable(config, file, "mesh.image", config.mesh.image);
   check_readable(config, file, "listen.token_file", config.listen.token_file);
   check_readable(config, file, "listen.certificate_file", config.listen.certificate_file);
   check_readable(config, file, "listen.private_key_file", config.listen.private_key_file);

@@ -1,7 +1,29 @@
 // Keys of the body, the blade, the cut and the loop.
+#include <cmath>
+
 #include "server/app/config/config_key.hpp"
 
 namespace incise::app {
+
+namespace {
+
+ConfigKey image_window() {
+  return {
+      "mesh.image_window", "[black, white], two numbers, the first the smaller; or []",
+      "Which of the image's numbers are shown as black and as white; []: those that all but one in a hundred "
+      "samples around the body are above and below.",
+      [](const Config& c) { return Json(c.mesh.image_window); },
+      [](Config& c, const Json& value) {
+        if (!value.is_array() || (value.size() != 0 && value.size() != 2)) return false;
+        for (const Json& number : value)
+          if (!number.is_number() || !(std::abs(number.get<double>()) <= 1e30)) return false;
+        if (value.size() == 2 && !(value[0].get<double>() < value[1].get<double>())) return false;
+        c.mesh.image_window = value.get<std::vector<double>>();
+        return true;
+      }};
+}
+
+}  // namespace
 
 ConfigKeys mesh_keys() {
   return {
@@ -30,6 +52,20 @@ ConfigKeys mesh_keys() {
             "Fields for clients to set, beside those of the file, which stay as they are: floats on the "
             "vertices, "
             "0 at first, or as \"strain:6:tets\" says."),
+      text("mesh.image", INCISE_FIELD(mesh.image), "a path, relative to this file; or \"\"",
+           "A volume image of the body (CT, MR): NRRD (.nrrd, .nhdr) or NIfTI-1 (.nii, .nii.gz). Viewers can "
+           "show it on cut faces "
+           "and on the section plane."),
+      image_window(),
+      word("mesh.image_space", {"LPS", "RAS"}, INCISE_FIELD(mesh.image_space),
+           "How the body's axes lie in the patient, so that the image, which says how its own do, is put "
+           "into it: x to the left and y to the back "
+           "(DICOM, ITK; what 3D Slicer writes), or x to the right and y to the front."),
+      number("mesh.image_scale_to_metres", INCISE_FIELD(mesh.image_scale_to_metres), 1e-9, 1e9,
+             "The image's millimetres times this are metres of the body; a unit that the image names is made "
+             "millimetres first."),
+      point("mesh.image_origin", INCISE_FIELD(mesh.image_origin),
+            "Where the origin of the image's coordinates lies in the body, metres."),
   };
 }
 

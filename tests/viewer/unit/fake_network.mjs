@@ -41,6 +41,7 @@ class FakeSocket {
   }
 }
 globalThis.WebSocket = FakeSocket;
+globalThis.fetch = () => Promise.reject(new Error("there is no HTTP here")); // as of a server that has no more to say
 
 /** setInterval and setTimeout by hand: `run` calls what is due in so many milliseconds. */
 const clock = { now: 0, timers: new Map(), next: 1 };

@@ -58,6 +58,7 @@ export function fill(surface, vertices, triangles) {
       verticesArray: () => Uint32Array.from(triangles.flatMap((t) => t.v)),
       flagsArray: () => Uint8Array.from(triangles, (t) => Number(t.cut ?? false)),
       piecesArray: () => Uint32Array.from(triangles, (t) => t.piece ?? 0),
+      regionsArray: () => Int32Array.from(triangles, (t) => t.region ?? 0),
       originsArray: () =>
         triangles.some((t) => t.origin >= 0) ? Uint32Array.from(triangles, (t) => t.origin ?? 0xffffffff) : null,
     });

@@ -158,9 +158,10 @@ test("arrays that do not belong together are refused", () => {
     verticesArray: () => Uint32Array.of(0, 1, 2),
     flagsArray: () => Uint8Array.of(0),
     piecesArray: () => Uint32Array.of(0),
+    regionsArray: () => Int32Array.of(0),
     originsArray: () => null,
   };
-  for (const name of ["verticesArray", "flagsArray", "piecesArray", "originsArray"])
+  for (const name of ["verticesArray", "flagsArray", "piecesArray", "regionsArray", "originsArray"])
     assert.equal(surface.setTriangles({ ...triangle, [name]: () => new Uint32Array(9) }), false, name);
   assert.equal(surface.setTriangles(triangle), true);
   const removed = fill(new Surface(), square, []);

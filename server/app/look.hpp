@@ -1,0 +1,41 @@
+#pragma once
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include "server/app/config.hpp"
+#include "server/core/mesh/mesh_data.hpp"
+#include "server/stream/providers.hpp"
+
+namespace incise::app {
+
+// How a tissue looks where the configuration does not say it.
+struct Tissue {
+  const char* name;
+  std::array<double, 3> surface, inside;  // colours, sRGB, as in even light
+  double surface_roughness, inside_roughness;
+  const char* pattern;      // of the inside: "lobules", "fibres", "globules", "pores" or "plain"
+  double vessels, fat_rim;  // 1: many; a broad rim
+};
+inline constexpr Tissue kTissues[] = {
+    {"liver", {0.61, 0.27, 0.23}, {0.64, 0.25, 0.20}, 0.35, 0.3, "lobules", 1, 0.5},
+    {"capsule", {0.66, 0.31, 0.27}, {0.86, 0.70, 0.64}, 0.3, 0.35, "plain", 0, 0},
+    {"skin", {0.88, 0.69, 0.60}, {0.87, 0.69, 0.62}, 0.6, 0.5, "plain", 0, 0},
+    {"fat", {0.91, 0.75, 0.45}, {0.93, 0.78, 0.47}, 0.3, 0.3, "globules", 0.15, 0},
+    {"muscle", {0.69, 0.20, 0.17}, {0.77, 0.21, 0.18}, 0.4, 0.3, "fibres", 0.25, 0},
+    {"vessel", {0.80, 0.52, 0.46}, {0.88, 0.66, 0.58}, 0.3, 0.35, "plain", 0, 0},
+    {"bone", {0.90, 0.85, 0.74}, {0.80, 0.60, 0.50}, 0.6, 0.55, "pores", 0, 0},
+    {"tumour", {0.80, 0.68, 0.58}, {0.84, 0.75, 0.64}, 0.4, 0.45, "plain", 0.4, 0},
+};
+
+// What the HTTP port serves of how the body looks (PROTOCOL.md, section 5): "/look.json", and what it names: the volume image, the regions as an
+// image, textures. `file`: the configuration in messages. Lines in `warnings` for what will not be seen.
+// Throws ConfigError where the configuration names an image or a texture that cannot be used.
+stream::Documents served_look(const Config& config, const core::MeshData& mesh, const std::string& file,
+                              std::vector<std::string>& warnings);
+
+// Throws ConfigError as served_look() does, without a mesh.
+void check_look(const Config& config, const std::string& file);
+
+}  // namespace incise::app
