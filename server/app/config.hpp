@@ -95,6 +95,21 @@ struct Config {
   input::OpenIgtLinkOptions openigtlink;
   input::HaplyOptions haply;
 
+  struct Cluster {
+    std::string nats;  // empty: this server is on its own
+    std::string name;
+    std::string credentials_file, ca_file, certificate_file, private_key_file;
+    std::string advertise, picture;
+    std::string storage = "memory";
+    std::int64_t replicas = 1;
+    std::int64_t stream_megabytes = 512;
+    double keep_minutes = 60;
+    std::int64_t join_megabytes = 16;
+    std::int64_t queue_megabytes = 64;
+    bool failover = false;
+    double lease_s = 15;
+  } cluster;
+
   struct Log {
     std::string level = "info";
     std::string format = "text";

@@ -181,6 +181,13 @@ std::string Telemetry::json() const {
                       {"handovers", c.handovers}};
     root["stream"] = stream_json(c);
   }
+  if (cluster_) {
+    const cluster::PublisherCounters c = cluster_();
+    root["cluster"] = {{"connected", c.connected}, {"trouble", c.trouble},     {"connections", c.connections},
+                       {"failures", c.failures},   {"messages", c.messages},   {"bytes", c.bytes},
+                       {"deltas", c.deltas},       {"snapshots", c.snapshots}, {"dropped", c.dropped},
+                       {"queued_bytes", c.queued_bytes}};
+  }
   Json stages;
   for (const Stage& stage : kStages) {
     const Histogram& histogram = stats_.*stage.histogram;
@@ -253,6 +260,21 @@ std::string Telemetry::metrics() const {
                "\"} " + std::to_string(count) + '\n';
       }
     }
+  }
+  if (cluster_) {
+    const cluster::PublisherCounters c = cluster_();
+    const auto count = [&](const char* name, const char* help, std::uint64_t value) {
+      one(std::string("cluster_") + name, "counter", help, static_cast<double>(value));
+    };
+    one("cluster_connected", "gauge", "1 while the session is published on NATS.", c.connected ? 1 : 0);
+    one("cluster_queued_bytes", "gauge", "Bytes that wait to be published.", static_cast<double>(c.queued_bytes));
+    count("connections_total", "Connections made to NATS.", c.connections);
+    count("failures_total", "Connections to NATS that failed or were lost, and refusals.", c.failures);
+    count("messages_total", "Messages published.", c.messages);
+    count("bytes_total", "Bytes of these.", c.bytes);
+    count("deltas_total", "Deltas published, of both views.", c.deltas);
+    count("snapshots_total", "Snapshots published, of both views.", c.snapshots);
+    count("dropped_total", "Steps that were not published because too much waited.", c.dropped);
   }
   if (network_) {
     family("network_input_total", "counter", "What sources on the network brought, by protocol.");

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "protocol/messages.hpp"
+#include "server/cluster/feed_publisher.hpp"
 #include "server/input/hid/hid_input.hpp"
 #include "server/input/network_status.hpp"
 #include "server/input/pose_sources.hpp"
@@ -30,6 +31,9 @@ class Telemetry {
   // And about the sessions.
   void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
+  // And about what is published on NATS.
+  void join_cluster(std::function<cluster::PublisherCounters()> cluster) { cluster_ = std::move(cluster); }
+
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
   // Prometheus text format 0.0.4.
@@ -46,6 +50,7 @@ class Telemetry {
   std::function<std::vector<input::DeviceStatus>()> devices_;
   std::function<std::vector<input::NetworkStatus>()> network_;
   std::function<stream::StreamCounters()> stream_;
+  std::function<cluster::PublisherCounters()> cluster_;
 };
 
 }  // namespace incise::app

@@ -1,6 +1,7 @@
 #include "server/stream/feed.hpp"
 
 #include <boost/asio/post.hpp>
+#include <numeric>
 #include <stdexcept>
 
 #include "server/base/check.hpp"
@@ -82,6 +83,10 @@ std::optional<Refusal> Feed::set_field(const protocol::FieldValues& values) {
   }
   ++fields_set_[values.field];
   return std::nullopt;
+}
+
+std::uint64_t Feed::times_fields_set() const {
+  return std::accumulate(fields_set_.begin(), fields_set_.end(), std::uint64_t{0});
 }
 
 void Feed::request_fields(std::vector<std::uint32_t> fields, SnapshotKeeper::FieldsReady ready) {

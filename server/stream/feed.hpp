@@ -34,6 +34,7 @@ class Feed {
   // That the body has, and how often clients have set each.
   const std::vector<protocol::FieldFacts>& fields() const { return fields_; }
   const std::vector<std::uint64_t>& fields_set() const { return fields_set_; }
+  std::uint64_t times_fields_set() const;
   // What a client says of one of them, for everybody; or why not.
   std::optional<Refusal> set_field(const protocol::FieldValues& values);
   // Calls `ready` on this thread, later: values at the mirror's revision as it is now.

@@ -21,8 +21,11 @@ FeedFollower::FeedFollower(PeerContext& context, Outbox& outbox)
 std::uint64_t FeedFollower::epoch_name() const {
   std::uint64_t chosen = 0;
   for (const std::uint32_t field : fields()) chosen = (chosen ^ (field + 1)) * 0x100000001b3;
-  return feed_->mirror().epoch() ^ (want_.view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^
-         (want_.box ? 0xc2b2ae3d27d4eb4f : 0) ^ chosen;
+  return epoch_name(feed_->mirror().epoch(), want_.view) ^ (want_.box ? 0xc2b2ae3d27d4eb4f : 0) ^ chosen;
+}
+
+std::uint64_t FeedFollower::epoch_name(std::uint64_t epoch, View view) {
+  return epoch ^ (view == View::Surface ? 0x9e3779b97f4a7c15 : 0);
 }
 
 std::vector<std::uint32_t> FeedFollower::fields() const {

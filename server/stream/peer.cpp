@@ -5,6 +5,7 @@
 #include <variant>
 
 #include "server/base/clock.hpp"
+#include "server/stream/feed_listener.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/quoted.hpp"
 
@@ -206,6 +207,7 @@ void Peer::on_field_values(const protocol::FieldValues& values, std::uint64_t se
     outbox_.complain(refusal->code, "FieldValues: " + refusal->text, sequence);
   } else {
     others_.advance_all();
+    if (FeedListener* listener = context_.providers.listener) listener->on_fields_set();
   }
 }
 

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "protocol/role_names.hpp"
-#include "server/base/clock.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/peer.hpp"
 #include "server/stream/quoted.hpp"
@@ -151,34 +150,20 @@ void Peer::complain_of_fields(std::uint64_t sequence) {
 }
 
 void Peer::send_welcome(bool resumed) {
-  const ServerFacts& facts = context_.facts;
-  const Mirror& mirror = follower_.feed().mirror();
   const PoseInput* blade = blade_.input();
-  protocol::Welcome welcome;
+  protocol::Welcome welcome = context_.welcome_to(follower_.feed());
   welcome.protocol_version = protocol_version_;
   welcome.session = follower_.epoch_name();
   welcome.role = role_;
   welcome.view = follower_.view();
   welcome.resumed = resumed;
-  welcome.revision = mirror.revision();
-  welcome.state_hash = mirror.volume().state_hash();
-  welcome.mesh = replay_.feed() ? replay_.mesh() : facts.mesh;
-  welcome.blade_heel = blade ? blade->heel() : facts.blade_heel;
-  welcome.blade_tip = blade ? blade->tip() : facts.blade_tip;
-  welcome.source = blade ? blade->number() : 0;
-  welcome.engage_button = facts.engage_button;
-  welcome.max_speed_m_s = facts.max_speed_m_s;
-  welcome.frame_rate_hz = facts.frame_rate_hz;
+  if (replay_.feed()) welcome.mesh = replay_.mesh();
+  if (blade) {
+    welcome.blade_heel = blade->heel();
+    welcome.blade_tip = blade->tip();
+    welcome.source = blade->number();
+  }
   welcome.max_message_bytes = static_cast<std::uint32_t>(accepted_bytes());
-  welcome.server_name = "incised";
-  welcome.server_version = INCISE_VERSION;
-  welcome.server_monotonic_ns = monotonic_ns();
-  welcome.server_unix_ns = unix_ns();
-  welcome.policy = facts.policy;
-  welcome.recording = context_.recording.state;
-  // A replay may be of another body.
-  if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
-  welcome.fields = follower_.feed().fields();
   outbox_.send(make_frame(std::move(welcome)));
 }
 

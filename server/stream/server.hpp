@@ -10,6 +10,7 @@
 #include "protocol/framing.hpp"
 #include "protocol/messages.hpp"
 #include "server/stream/counters.hpp"
+#include "server/stream/feed_listener.hpp"
 #include "server/stream/peer_input.hpp"
 #include "server/stream/providers.hpp"
 #include "server/stream/published_delta.hpp"
@@ -49,6 +50,10 @@ class Server {
   // if the server stops. From any thread.
   using SharedFrames = std::vector<std::shared_ptr<const protocol::Frame>>;
   void request_surface(std::function<void(SharedFrames)> ready);
+
+  // The same for a reader of the whole session: everything that a viewer of that view is sent first, of one epoch and with all
+  // fields.
+  void request_state(protocol::View view, std::function<void(WholeState)> ready);
 
   // The ports in use, also where the configuration says 0; 0: that listener is off.
   std::uint16_t tcp_port() const;

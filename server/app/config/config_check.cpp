@@ -8,7 +8,9 @@
 
 #include "server/app/body.hpp"
 #include "server/app/config/config_key.hpp"
+#include "server/app/nats_options.hpp"
 #include "server/app/token_file.hpp"
+#include "server/cluster/session_subjects.hpp"
 #include "server/input/hid/json_node.hpp"
 #include "server/stream/tls.hpp"
 
@@ -137,11 +139,63 @@ void check_together(const Config& config, const std::string& file) {
     refuse(file, "haply.source", shown(config.haply.source), "a text of 1 to 48 characters");
 }
 
+namespace {
+
+void check_cluster(const Config& config, const std::string& file) {
+  const Config::Cluster& cluster = config.cluster;
+  if (cluster.nats.empty()) {
+    if (cluster.failover) refuse(file, "cluster.failover", "true", "false without cluster.nats");
+    return;
+  }
+  if (const std::string bad = cluster::trouble_of_urls(cluster.nats); !bad.empty())
+    refuse(file, "cluster.nats", bad, "\"nats://host:port\" or \"tls://host:port\", several with commas");
+  if (!cluster::is_session_name(cluster.name))
+    refuse(file, "cluster.name", shown(cluster.name), "1 to 64 letters, digits, \"-\" and \"_\"");
+  if (!cluster::is_protected(nats_options(config)) && !config.listen.insecure) {
+    refuse(file, "cluster.nats", shown(cluster.nats),
+           "tls://host:port beyond loopback, or any if listen.insecure is true");
+  }
+  if (cluster.certificate_file.empty() != cluster.private_key_file.empty()) {
+    refuse(file, cluster.certificate_file.empty() ? "cluster.certificate_file" : "cluster.private_key_file", "\"\"",
+           "both or neither of cluster.certificate_file and cluster.private_key_file");
+  }
+  check_readable(config, file, "cluster.credentials_file", cluster.credentials_file);
+  check_readable(config, file, "cluster.ca_file", cluster.ca_file);
+  check_readable(config, file, "cluster.certificate_file", cluster.certificate_file);
+  check_readable(config, file, "cluster.private_key_file", cluster.private_key_file);
+  if (!cluster.credentials_file.empty()) {
+    try {
+      cluster::read_credentials(config.resolve(cluster.credentials_file));
+    } catch (const std::runtime_error& error) {
+      throw ConfigError(file + ": cluster.credentials_file: " + error.what());
+    }
+  }
+  if (2 * cluster.join_megabytes >= cluster.stream_megabytes) {
+    refuse(file, "cluster.stream_megabytes", std::to_string(cluster.stream_megabytes),
+           "more than twice cluster.join_megabytes");
+  }
+  if (cluster.failover && config.capture.path.empty())
+    refuse(file, "cluster.failover", "true", "true with capture.path, on storage that all instances share");
+}
+
+}  // namespace
+
+cluster::NatsOptions nats_options(const Config& config) {
+  const Config::Cluster& cluster = config.cluster;
+  return {cluster.nats,
+          "incised " + cluster.name,
+          config.resolve(cluster.credentials_file),
+          config.resolve(cluster.ca_file),
+          config.resolve(cluster.certificate_file),
+          config.resolve(cluster.private_key_file)};
+}
+
 void check_config(const Config& config, const std::string& file) {
   if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
     refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
   }
   check_files(config, file);
+  check_cluster(config, file);
   const auto is_loopback = [](const std::string& address) {
     return address.starts_with("127.") || address == "::1" || address == "localhost";
   };

@@ -41,7 +41,7 @@ const ConfigKeys& config_keys() {
     ConfigKeys all;
     for (const auto section :
          {mesh_keys, blade_keys, cut_keys, loop_keys, haptics_keys, listen_keys, stream_keys, capture_keys,
-          devices_keys, openigtlink_keys, haply_keys, log_keys}) {
+          devices_keys, openigtlink_keys, haply_keys, cluster_keys, log_keys}) {
       for (ConfigKey& key : section()) all.push_back(std::move(key));
     }
     return all;

@@ -39,6 +39,7 @@ ConfigKeys capture_keys();
 ConfigKeys devices_keys();
 ConfigKeys openigtlink_keys();
 ConfigKeys haply_keys();
+ConfigKeys cluster_keys();
 ConfigKeys log_keys();
 
 // The whole table, in the order in which --print-config prints it.
