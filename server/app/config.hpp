@@ -102,7 +102,7 @@ struct Config {
     std::string advertise, picture;
     std::string storage = "memory";
     std::int64_t replicas = 1;
-    std::int64_t stream_megabytes = 512;
+    std::int64_t stream_megabytes = 128;
     double keep_minutes = 60;
     std::int64_t join_megabytes = 16;
     std::int64_t queue_megabytes = 64;

@@ -185,9 +185,10 @@ void FeedPublisher::make_stream() {
   config.Discard = js_DiscardOld;
   config.AllowDirect = true;
   jsErrCode code{};
-  natsStatus status = js_AddStream(nullptr, client_->jetstream(), &config, nullptr, &code);
-  if (status != NATS_OK && code == JSStreamNameExistErr)
-    status = js_UpdateStream(nullptr, client_->jetstream(), &config, nullptr, &code);
+  // In this order, because nats-server looks for room for a new stream first.
+  natsStatus status = js_UpdateStream(nullptr, client_->jetstream(), &config, nullptr, &code);
+  if (status != NATS_OK && code == JSStreamNotFoundErr)
+    status = js_AddStream(nullptr, client_->jetstream(), &config, nullptr, &code);
   client_->check(status, "stream " + subjects_.stream());
 }
 
@@ -304,18 +305,21 @@ void FeedPublisher::handle(State& answer) {
   if (view.requested != answer.request) return;  // something was lost since it was asked for
   const stream::WholeState& state = answer.state;
   if (state.epoch != epoch_) return lose(view);
+  const std::uint64_t before = bytes_;
   const std::uint64_t first =
       publish(subjects_.welcome(view.view), state.frames.front(), {state.revision, {}, state.fields_set}, true);
   for (std::size_t i = 1; i < state.frames.size(); ++i) {
     publish(subjects_.snapshot(view.view), state.frames[i], {state.revision, {}, {}});
     require_health();
   }
+  const std::size_t written = bytes_ - before;
   view.delta_bytes = 0;
   // Those that follow the state were published before it, too, for readers who had no need of it.
   for (const EncodedStep& step : view.since) {
     if (step.revision > state.revision) publish_delta(view, step);
   }
   wait_for_acks();
+  if (std::exchange(view.snapshot_bytes, written) == 0) warn_if_small();
   view.before = std::exchange(view.first, first);
   view.requested = 0;
   view.broken = false;
@@ -324,6 +328,15 @@ void FeedPublisher::handle(State& answer) {
   view.snapshot_ns = monotonic_ns();
   ++snapshots_;
   purge(view);
+}
+
+// The oldest would go before the next snapshot is there.
+void FeedPublisher::warn_if_small() {
+  const std::size_t needed = 2 * (views_[0].snapshot_bytes + views_[1].snapshot_bytes + 2 * options_.join_bytes);
+  if (needed > static_cast<std::size_t>(options_.stream_bytes)) {
+    log_(true, "cluster.stream_megabytes: " + std::to_string(options_.stream_bytes >> 20) + ", but this body needs about " +
+                   std::to_string((needed >> 20) + 1) + "; who joins may have to wait for the next snapshot");
+  }
 }
 
 void FeedPublisher::wait_for_acks() {
@@ -336,7 +349,7 @@ void FeedPublisher::wait_for_acks() {
 
 // What lies before the last snapshot but one serves nobody: whoever is reading still may be in that one.
 void FeedPublisher::purge(ViewState& view) {
-  if (view.before == 0) return;
+  if (view.before <= 1) return;  // nothing is before it; and to nats-server 2.9, "before 1" means everything
   const std::string subject = subjects_.all(view.view);
   jsOptions options;
   jsOptions_Init(&options);

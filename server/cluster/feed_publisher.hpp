@@ -24,7 +24,7 @@ struct PublisherOptions {
   std::string session;
   bool in_memory = true;  // the stream; else on the disk of nats-server
   int replicas = 1;
-  std::int64_t stream_bytes = 512 << 20;  // that NATS keeps; the oldest go first
+  std::int64_t stream_bytes = 128 << 20;  // that NATS keeps; the oldest go first
   double keep_s = 3600;
   std::size_t join_bytes = 16 << 20;   // of deltas that a reader finds behind a snapshot, at most
   std::size_t queue_bytes = 64 << 20;  // that wait to be published, at most
@@ -90,6 +90,7 @@ class FeedPublisher final : public stream::FeedListener {
     std::vector<stream::EncodedStep> since;  // steps since it was requested
     std::size_t since_bytes = 0;
     std::size_t delta_bytes = 0;  // behind the last snapshot
+    std::size_t snapshot_bytes = 0;
     std::int64_t snapshot_ns = 0;
     std::uint64_t first = 0, before = 0;  // where the last snapshot begins in the stream, and the one before
   };
@@ -107,6 +108,7 @@ class FeedPublisher final : public stream::FeedListener {
   void request_wanted();
   void publish_delta(ViewState& view, const stream::EncodedStep& step);
   void purge(ViewState& view);
+  void warn_if_small();
   // `ack`: waits for it, and returns the message's number in the stream. `live`: not kept.
   struct Headers {
     std::uint64_t revision = 0;
@@ -142,8 +144,7 @@ class FeedPublisher final : public stream::FeedListener {
   std::uint64_t epoch_ = 0, requests_ = 0, head_ = 0;
   std::int64_t logged_ns_ = 0;
   std::string logged_;
-  ViewState views_[2] = {{protocol::View::Volume, true, true, 0, {}, 0, 0, 0, 0, 0},
-                         {protocol::View::Surface, true, true, 0, {}, 0, 0, 0, 0, 0}};
+  ViewState views_[2] = {{.view = protocol::View::Volume}, {.view = protocol::View::Surface}};
   std::thread thread_;
 };
 

@@ -124,8 +124,12 @@ void set_up(natsOptions* made, const NatsOptions& options, std::int64_t timeout_
 
 std::string last_detail() {
   natsStatus status = NATS_OK;
-  const char* text = nats_GetLastError(&status);
-  return text ? text : "";
+  const char* said = nats_GetLastError(&status);
+  std::string text = said ? said : "";
+  // "(jsm.c:1033): insufficient memory": its source is of no use here.
+  if (const std::size_t end = text.find("): "); text.starts_with('(') && end != std::string::npos && text.substr(0, end).find(".c:") != std::string::npos)
+    text.erase(0, end + 3);
+  return text;
 }
 
 }  // namespace
