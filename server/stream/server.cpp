@@ -34,8 +34,9 @@ constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr int kMaxAtOnce = 256;  // taken from the queue before peers get their deltas
 
 // What the loop hands over.
-using Published = std::variant<std::monostate, std::shared_ptr<const PublishedDelta>,
-                               std::shared_ptr<const InitialState>, protocol::Force>;
+using Published =
+    std::variant<std::monostate, std::shared_ptr<const PublishedDelta>, std::shared_ptr<const ReceivedDelta>,
+                 std::shared_ptr<const InitialState>, NewFieldValues, protocol::Force>;
 
 void check_safe(const StreamConfig& config, const asio::ip::address& address) {
   const bool tls = !config.certificate_file.empty();
@@ -122,6 +123,12 @@ struct Server::Impl {
       if (const auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&what)) {
         moved = true;
         peers.apply(*delta);
+      } else if (const auto* received = std::get_if<std::shared_ptr<const ReceivedDelta>>(&what)) {
+        moved = true;
+        peers.apply(*received);
+      } else if (auto* values = std::get_if<NewFieldValues>(&what)) {
+        moved = true;
+        context.live.set_field(std::move(*values));
       } else if (const auto* force = std::get_if<protocol::Force>(&what)) {
         peers.send_force(*force);
       } else {
@@ -259,6 +266,12 @@ void Server::stop() {
 
 void Server::publish(std::shared_ptr<const PublishedDelta> delta) noexcept {
   impl_->publish(std::move(delta));
+}
+void Server::publish(std::shared_ptr<const ReceivedDelta> delta) noexcept {
+  impl_->publish(std::move(delta));
+}
+void Server::publish_field(NewFieldValues values) noexcept {
+  impl_->publish(std::move(values));
 }
 void Server::publish_reset(std::shared_ptr<const InitialState> initial) noexcept {
   impl_->publish(std::move(initial));
