@@ -2,9 +2,11 @@
 
 // Where a relay gets its session from: an incised or another relay over TCP (tcp_upstream.hpp), or whatever else carries the same messages.
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "client/client.hpp"
 #include "protocol/framing.hpp"
@@ -14,6 +16,7 @@ namespace incise::relay {
 // The state that a relay holds. Epoch 0: none.
 struct Held {
   std::uint64_t epoch = 0, revision = 0, state_hash = 0;
+  std::vector<std::uint32_t> fields;  // those of Welcome.fields that it holds
 };
 
 // A server that answers directly: for operators, who need a connection of their own, and for what it serves by HTTP.
@@ -59,10 +62,12 @@ class Upstream {
   virtual void stop() = 0;
   // What came was wrong: a snapshot is needed. Deltas until it begins are passed over.
   virtual void resync(const std::string& reason) = 0;
-  // Nothing while it is not known, or if there is none.
+  // Nothing while it is not known, or if there is none. From any thread.
   virtual std::optional<Origin> origin() const = 0;
-  // For people, in logs and /stats: "tcp://host:7450".
+  // For people, in logs and /stats: "tcp://host:7450". From any thread.
   virtual std::string name() const = 0;
+  // To the origin and back; 0: not known.
+  virtual std::chrono::nanoseconds round_trip() const { return {}; }
 };
 
 }  // namespace incise::relay

@@ -56,7 +56,7 @@ ONLY_IN = {
     "boost/": [NET, "server/input", "server/stream", "server/relay", "server/app", "client", "tests"],
     "hidapi": ["server/input", "tests"],
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
-    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
+    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "server/relay", "tests"],
     "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
     "pybind11/": ["server/app/python"],
     "gtest/": ["tests"],
