@@ -2,15 +2,16 @@
 
 #include <cinttypes>
 #include <cstdio>
-#include <nlohmann/json.hpp>
 
 #include "server/app/version.hpp"
 #include "server/base/hex.hpp"
 
 namespace incise::app {
-namespace {
 
 using Json = nlohmann::ordered_json;
+
+namespace {
+
 using loop::LoopStats;
 
 // The stages of a pose and of a frame, with the names used everywhere.
@@ -74,6 +75,26 @@ Json network_json(const input::NetworkStatus& status) {
   return json;
 }
 
+std::string number(double value) {
+  return Json(value).dump();
+}
+
+}  // namespace
+
+Json access_json(const stream::StreamCounters& c) {
+  return {{"peers", c.peers},
+          {"sessions", c.peers},  // the older name of peers
+          {"connections", c.connections},
+          {"accepted", c.accepted},
+          {"refused", c.refused},
+          {"wrong_tokens", c.wrong_tokens},
+          {"tokens_not_looked_at", c.tokens_not_looked_at},
+          {"resets", c.resets},
+          {"undos", c.undos},
+          {"takeovers", c.takeovers},
+          {"handovers", c.handovers}};
+}
+
 Json stream_json(const stream::StreamCounters& c) {
   Json json{{"sessions", c.peers},  // the older name of access.peers
             {"deltas", c.deltas},
@@ -89,12 +110,6 @@ Json stream_json(const stream::StreamCounters& c) {
                    {"bytes", c.part_bytes}};
   return json;
 }
-
-std::string number(double value) {
-  return Json(value).dump();
-}
-
-}  // namespace
 
 Telemetry::Telemetry(const loop::LoopStats& stats, const input::PoseSources& sources,
                      const loop::Journal* journal, double rate_hz)
@@ -168,17 +183,7 @@ std::string Telemetry::json() const {
   }
   if (stream_) {
     const stream::StreamCounters c = stream_();
-    root["access"] = {{"peers", c.peers},
-                      {"sessions", c.peers},  // the older name of peers
-                      {"connections", c.connections},
-                      {"accepted", c.accepted},
-                      {"refused", c.refused},
-                      {"wrong_tokens", c.wrong_tokens},
-                      {"tokens_not_looked_at", c.tokens_not_looked_at},
-                      {"resets", c.resets},
-                      {"undos", c.undos},
-                      {"takeovers", c.takeovers},
-                      {"handovers", c.handovers}};
+    root["access"] = access_json(c);
     root["stream"] = stream_json(c);
   }
   Json stages;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
@@ -47,5 +48,9 @@ class Telemetry {
   std::function<std::vector<input::NetworkStatus>()> network_;
   std::function<stream::StreamCounters()> stream_;
 };
+
+// What a server's ports and peers did, as in /stats.
+nlohmann::ordered_json access_json(const stream::StreamCounters& counters);
+nlohmann::ordered_json stream_json(const stream::StreamCounters& counters);
 
 }  // namespace incise::app

@@ -5,6 +5,7 @@
 #include <boost/asio/ip/address.hpp>
 #include <boost/asio/ssl/context.hpp>
 #include <fstream>
+#include <set>
 
 #include "server/app/body.hpp"
 #include "server/app/config/config_key.hpp"
@@ -74,23 +75,45 @@ void check_secrets(const Config& config, const std::string& file) {
   }
 }
 
+// A folder that does not exist (yet) counts as empty.
+void check_folder_if_there(const Config& config, const std::string& file, const std::string& key,
+                           const std::string& value) {
+  const Path folder = config.resolve(value);
+  std::error_code error;
+  if (!folder.empty() && std::filesystem::exists(folder, error)) check_folder(file, key, folder);
+}
+
 void check_files(const Config& config, const std::string& file) {
   Path node = config.resolve(config.mesh.path);
   node += ".node";
   std::error_code error;
   if (config.mesh.phantom.empty() && !std::filesystem::exists(node, error))
     check_readable(config, file, "mesh.path", config.mesh.path);
-  check_readable(config, file, "listen.token_file", config.listen.token_file);
-  check_readable(config, file, "listen.certificate_file", config.listen.certificate_file);
-  check_readable(config, file, "listen.private_key_file", config.listen.private_key_file);
-  check_secrets(config, file);
-  // A folder that does not exist (yet) counts as empty.
-  for (const auto& [key, value] : {std::pair{"capture.library", config.capture.library},
-                                   std::pair{"listen.viewer_directory", config.listen.viewer_directory}}) {
-    const Path folder = config.resolve(value);
-    if (!folder.empty() && std::filesystem::exists(folder, error)) check_folder(file, key, folder);
-  }
+  check_folder_if_there(config, file, "capture.library", config.capture.library);
   device_profiles(config);
+}
+
+bool is_loopback(const std::string& address) {
+  return address.starts_with("127.") || address == "::1" || address == "localhost";
+}
+
+// What the servers of both programs need.
+void check_listen(const Config& config, const std::string& file) {
+  const Config::Listen& listen = config.listen;
+  check_readable(config, file, "listen.token_file", listen.token_file);
+  check_readable(config, file, "listen.certificate_file", listen.certificate_file);
+  check_readable(config, file, "listen.private_key_file", listen.private_key_file);
+  check_secrets(config, file);
+  check_folder_if_there(config, file, "listen.viewer_directory", listen.viewer_directory);
+  boost::system::error_code no_address;
+  boost::asio::ip::make_address(listen.address, no_address);
+  if (no_address) refuse(file, "listen.address", shown(listen.address), "an IP address such as 127.0.0.1");
+  if (!is_loopback(listen.address) && !listen.insecure &&
+      (listen.token_file.empty() || listen.certificate_file.empty())) {
+    refuse(file, "listen.address", shown(listen.address),
+           "a loopback address, or any if listen.token_file and listen.certificate_file are given, or "
+           "listen.insecure is true");
+  }
 }
 
 }  // namespace
@@ -142,9 +165,6 @@ void check_config(const Config& config, const std::string& file) {
     refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
   }
   check_files(config, file);
-  const auto is_loopback = [](const std::string& address) {
-    return address.starts_with("127.") || address == "::1" || address == "localhost";
-  };
 #ifndef INCISE_OPENIGTLINK
   if (config.openigtlink.wanted()) {
     refuse(file, config.openigtlink.port >= 0 ? "openigtlink.port" : "openigtlink.connect", "a value",
@@ -155,16 +175,26 @@ void check_config(const Config& config, const std::string& file) {
     refuse(file, "openigtlink.address", shown(config.openigtlink.address),
            "a loopback address, or any if listen.insecure is true");
   }
-  boost::system::error_code no_address;
-  boost::asio::ip::make_address(config.listen.address, no_address);
-  if (no_address)
-    refuse(file, "listen.address", shown(config.listen.address), "an IP address such as 127.0.0.1");
-  if (!is_loopback(config.listen.address) && !config.listen.insecure &&
-      (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
-    refuse(file, "listen.address", shown(config.listen.address),
-           "a loopback address, or any if listen.token_file and listen.certificate_file are given, or "
-           "listen.insecure is true");
+  check_listen(config, file);
+}
+
+void check_relay_config(const Config& config, const std::string& file) {
+  const Config::Relay& relay = config.relay;
+  if (relay.upstream.empty() == relay.sessions.empty()) {
+    refuse(file, "relay.upstream", shown(relay.upstream),
+           relay.sessions.empty() ? "the server to follow, HOST:PORT, or relay.sessions"
+                                  : "\"\" if relay.sessions is given");
   }
+  std::set<std::int64_t> ports;
+  for (const Config::Relay::Session& session : relay.sessions) {
+    for (const std::int64_t port : {session.tcp_port, session.http_port}) {
+      if (port > 0 && !ports.insert(port).second)
+        refuse(file, "relay.sessions", "port " + std::to_string(port) + " twice", "a port for each, or 0");
+    }
+  }
+  check_readable(config, file, "relay.token_file", relay.token_file);
+  check_readable(config, file, "relay.ca_file", relay.ca_file);
+  check_listen(config, file);
 }
 
 }  // namespace incise::app
