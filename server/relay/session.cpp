@@ -334,6 +334,7 @@ void Session::serve(std::shared_ptr<const stream::InitialState> initial) {
   if (config_.tcp_port >= 0) config_.tcp_port = server->tcp_port();
   if (config_.http_port >= 0) config_.http_port = server->http_port();
   body_ = welcome_;
+  set_trouble({});
   server->start();
   spdlog::info("{}: serving {} at revision {}, state hash {}", name_, upstream_->name(), state_.revision(),
                hex(state_.state_hash()));
