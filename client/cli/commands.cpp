@@ -183,7 +183,8 @@ void add_watch(CLI::App& app, int& exit_code, const Find& find) {
 
 }  // namespace
 
-void add_network_commands(CLI::App& app, int& exit_code, std::function<std::string(const std::string&)> find) {
+void add_network_commands(CLI::App& app, int& exit_code,
+                          std::function<std::string(const std::string&)> find) {
   add_stream(app, exit_code, find);
   add_watch(app, exit_code, find);
 }

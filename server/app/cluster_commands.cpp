@@ -31,7 +31,8 @@ std::string age(std::int64_t seconds) {
   return std::to_string(seconds / 3600) + " h";
 }
 
-cluster::NatsOptions options_of(const std::string& url, const std::string& credentials_file, const std::string& ca_file) {
+cluster::NatsOptions options_of(const std::string& url, const std::string& credentials_file,
+                                const std::string& ca_file) {
   if (const std::string bad = cluster::trouble_of_urls(url); !bad.empty())
     throw client::UsageError(bad + ": accepted is nats://HOST[:PORT] or tls://HOST[:PORT]");
   cluster::NatsOptions options{url, "incise", credentials_file, ca_file, {}, {}};
@@ -63,11 +64,12 @@ int run_sessions(const SessionsCommand& command) {
     for (const Json& place : session["places"]) {
       const bool first = !name.empty();
       const std::string where = place["tcp"].get<std::string>().empty() ? place["http"] : place["tcp"];
-      std::printf("%-20s %-20s %8s %6s %-8s %s%s\n", name.c_str(), first ? session["body"].get<std::string>().c_str() : "",
+      std::printf("%-20s %-20s %8s %6s %-8s %s%s\n", name.c_str(),
+                  first ? session["body"].get<std::string>().c_str() : "",
                   first ? std::to_string(session["revision"].get<std::uint64_t>()).c_str() : "",
                   first ? std::to_string(session["people"].get<std::uint64_t>()).c_str() : "",
-                  first ? age(now_s - session["started_unix_s"].get<std::int64_t>()).c_str() : "", where.c_str(),
-                  place["kind"] == "relay" ? "  (relay)" : "");
+                  first ? age(now_s - session["started_unix_s"].get<std::int64_t>()).c_str() : "",
+                  where.c_str(), place["kind"] == "relay" ? "  (relay)" : "");
       name.clear();
     }
   }
@@ -79,7 +81,8 @@ int run_sessions(const SessionsCommand& command) {
 void add_cluster_commands(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<SessionsCommand>();
   CLI::App* sub = app.add_subcommand("sessions", "list the sessions that are published on NATS");
-  sub->add_option("nats", command->nats, "nats://HOST[:PORT] or tls://HOST[:PORT]; without a port 4222")->required();
+  sub->add_option("nats", command->nats, "nats://HOST[:PORT] or tls://HOST[:PORT]; without a port 4222")
+      ->required();
   sub->add_option("--credentials", command->credentials_file,
                   "who we are there, as cluster.credentials_file; else $INCISE_NATS_CREDENTIALS");
   sub->add_option("--ca", command->ca_file,
@@ -90,7 +93,9 @@ void add_cluster_commands(CLI::App& app, int& exit_code) {
 
 // Relays first: they are there to be watched.
 std::string find_session(const std::string& address) {
-  const std::size_t scheme = address.rfind("nats://", 0) == 0 ? 7 : address.rfind("nats+tls://", 0) == 0 ? 11 : 0;
+  const std::size_t scheme = address.rfind("nats://", 0) == 0       ? 7
+                             : address.rfind("nats+tls://", 0) == 0 ? 11
+                                                                    : 0;
   if (scheme == 0) return address;
   const std::size_t slash = address.find('/', scheme);
   const std::string name = slash == std::string::npos ? "" : address.substr(slash + 1);
@@ -104,13 +109,15 @@ std::string find_session(const std::string& address) {
   for (const cluster::DirectoryEntry& entry : cluster::list_directory(nats)) {
     if (entry.session != name) continue;
     std::string where = entry.tcp;
-    if (where.empty()) where = (entry.http.rfind("https", 0) == 0 ? "wss" : "ws") + entry.http.substr(entry.http.find(':'));
+    if (where.empty())
+      where = (entry.http.rfind("https", 0) == 0 ? "wss" : "ws") + entry.http.substr(entry.http.find(':'));
     if (entry.kind == "relay" && found.empty()) found = where;
     if (entry.kind == "server") server = where;
   }
   if (found.empty()) found = server;
   if (found.empty())
-    throw std::runtime_error(url + ": there is no session \"" + name + "\"; incise sessions " + url + " lists them");
+    throw std::runtime_error(url + ": there is no session \"" + name + "\"; incise sessions " + url +
+                             " lists them");
   return found;
 }
 

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "client/cli/usage.hpp"
+#include "server/app/advertised.hpp"
 #include "server/app/nats_options.hpp"
 #include "server/app/stream_setup.hpp"
 #include "server/app/version.hpp"
@@ -42,7 +43,8 @@ cluster::PublisherOptions publisher_options(const Config& config) {
 
 ClusterLink::ClusterLink(const Config& config) : config_(config) {
   if (config.cluster.nats.empty()) return;
-  directory_ = std::make_unique<cluster::Directory>(nats_options(config), static_cast<int>(config.cluster.replicas));
+  directory_ =
+      std::make_unique<cluster::Directory>(nats_options(config), static_cast<int>(config.cluster.replicas));
   if (!config.cluster.failover)
     publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config), log_line);
 }
@@ -56,18 +58,21 @@ bool ClusterLink::acquire(const EndSignals& signals) {
   options.replicas = static_cast<int>(config_.cluster.replicas);
   options.fence_file = config_.resolve(config_.capture.path);
   options.fence_file += ".fence";
-  lease_ = std::make_unique<cluster::Lease>(options, log_line, [name = options.session](const std::string& why) {
-    // At once, and without the usual end, which writes: another instance may begin to.
-    std::fprintf(stderr, "incised: the lease of session %s is lost: %s; another instance may go on with the session\n",
-                 name.c_str(), why.c_str());
-    std::fflush(stderr);
-    _exit(client::kFailed);
-  });
+  lease_ =
+      std::make_unique<cluster::Lease>(options, log_line, [name = options.session](const std::string& why) {
+        // At once, and without the usual end, which writes: another instance may begin to.
+        std::fprintf(
+            stderr,
+            "incised: the lease of session %s is lost: %s; another instance may go on with the session\n",
+            name.c_str(), why.c_str());
+        std::fflush(stderr);
+        _exit(client::kFailed);
+      });
   if (!lease_->acquire([&] { return signals.pending(); })) return false;
   spdlog::info("the session {} is ours (instance {})", config_.cluster.name, lease_->fence());
   if (lease_->crashed_before()) take_over_capture();
-  publisher_ =
-      std::make_unique<cluster::FeedPublisher>(publisher_options(config_), log_line, may_write(), lease_->fence());
+  publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config_), log_line, may_write(),
+                                                        lease_->fence());
   return true;
 }
 
@@ -121,19 +126,6 @@ void ClusterLink::stop() {
 
 void ClusterLink::release() {
   if (lease_) lease_->release();
-}
-
-std::string advertised(const Config& config, std::uint16_t port, bool web) {
-  if (port == 0) return "";
-  std::string host = config.cluster.advertise.empty() ? config.listen.address : config.cluster.advertise;
-  if (host == "0.0.0.0" || host == "::") {
-    char name[256] = {};
-    gethostname(name, sizeof name - 1);
-    host = name;
-  }
-  if (host.find(':') != std::string::npos) host = "[" + host + "]";
-  const bool tls = !config.listen.certificate_file.empty();
-  return std::string(web ? tls ? "https://" : "http://" : tls ? "tls://" : "tcp://") + host + ":" + std::to_string(port);
 }
 
 }  // namespace incise::app

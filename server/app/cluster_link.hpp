@@ -48,7 +48,4 @@ class ClusterLink {
   std::unique_ptr<cluster::Directory> directory_;
 };
 
-// How others reach a port of ours: "tcp://host:port", with TLS "tls://"; `web`: http or https. "" if there is none.
-std::string advertised(const Config& config, std::uint16_t port, bool web);
-
 }  // namespace incise::app

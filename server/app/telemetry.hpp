@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
@@ -52,5 +53,9 @@ class Telemetry {
   std::function<stream::StreamCounters()> stream_;
   std::function<cluster::PublisherCounters()> cluster_;
 };
+
+// What a server's ports and peers did, as in /stats.
+nlohmann::ordered_json access_json(const stream::StreamCounters& counters);
+nlohmann::ordered_json stream_json(const stream::StreamCounters& counters);
 
 }  // namespace incise::app

@@ -84,11 +84,14 @@ std::vector<DirectoryEntry> list_directory(const NatsClient& client) {
     if (!one) break;  // all that there are
     const KeyValueEntry entry(one);
     DirectoryEntry read;
-    if (parse_entry(std::string(static_cast<const char*>(kvEntry_Value(one)), static_cast<std::size_t>(kvEntry_ValueLen(one))), read))
+    if (parse_entry(std::string(static_cast<const char*>(kvEntry_Value(one)),
+                                static_cast<std::size_t>(kvEntry_ValueLen(one))),
+                    read))
       out.push_back(std::move(read));
   }
   std::sort(out.begin(), out.end(), [](const DirectoryEntry& a, const DirectoryEntry& b) {
-    return std::forward_as_tuple(a.session, b.kind, a.instance) < std::forward_as_tuple(b.session, a.kind, b.instance);
+    return std::forward_as_tuple(a.session, b.kind, a.instance) <
+           std::forward_as_tuple(b.session, a.kind, b.instance);
   });
   return out;
 }
@@ -139,8 +142,12 @@ void Directory::stop() {
 }
 
 std::string Directory::json() const {
+  return sessions_json(entries());
+}
+
+std::vector<DirectoryEntry> Directory::entries() const {
   const std::scoped_lock lock(mutex_);
-  return json_;
+  return all_;
 }
 
 std::string Directory::trouble() const {
@@ -152,7 +159,8 @@ void Directory::renew(const NatsClient& client, const KeyValueStore& store) {
   std::vector<std::string> keys;
   for (const DirectoryEntry& entry : ours_()) {
     keys.push_back(key_of(entry));
-    client.check(kvStore_PutString(nullptr, store.get(), keys.back().c_str(), entry.json().c_str()), "sessions");
+    client.check(kvStore_PutString(nullptr, store.get(), keys.back().c_str(), entry.json().c_str()),
+                 "sessions");
   }
   for (const std::string& key : keys_) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) kvStore_Delete(store.get(), key.c_str());
@@ -164,7 +172,8 @@ void Directory::run() {
   std::unique_ptr<NatsClient> client;
   KeyValueStore store;
   for (;;) {
-    std::string json, trouble;
+    std::vector<DirectoryEntry> all;
+    std::string trouble;
     try {
       if (!client || !client->alive()) {
         store.reset();
@@ -172,14 +181,14 @@ void Directory::run() {
         store = client->bucket(kBucket, kExpires_s, replicas_);
       }
       renew(*client, store);
-      json = sessions_json(list_directory(*client));
+      all = list_directory(*client);
     } catch (const NatsError& error) {
       store.reset();
       client.reset();
       trouble = error.what();
     }
     std::unique_lock lock(mutex_);
-    if (trouble.empty()) json_ = std::move(json);
+    if (trouble.empty()) all_ = std::move(all);
     trouble_ = std::move(trouble);
     if (!wake_.wait_for(lock, kRenew, [this] { return stopping_; })) continue;
     if (store) {

@@ -14,7 +14,7 @@ namespace incise::cluster {
 
 // One place where a session is served: by the server that cuts, or by a relay.
 struct DirectoryEntry {
-  std::string session;  // its name
+  std::string session;          // its name
   std::string kind = "server";  // or "relay"
   std::string instance;         // tells the places of a session apart: letters, digits, "-", "_"
   std::string body;             // the mesh's name
@@ -52,6 +52,7 @@ class Directory {
   void stop();
   // As of three seconds ago at most, while NATS can be reached; [] before.
   std::string json() const;
+  std::vector<DirectoryEntry> entries() const;
   std::string trouble() const;
 
  private:
@@ -64,8 +65,9 @@ class Directory {
   std::vector<std::string> keys_;  // the thread's: that we have written
   mutable std::mutex mutex_;
   std::condition_variable wake_;
-  std::string json_ = "[]", trouble_;  // guarded by mutex_
-  bool stopping_ = false;              // guarded by mutex_
+  std::vector<DirectoryEntry> all_;  // guarded by mutex_
+  std::string trouble_;              // guarded by mutex_
+  bool stopping_ = false;            // guarded by mutex_
   std::thread thread_;
 };
 

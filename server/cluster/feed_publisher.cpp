@@ -30,7 +30,8 @@ std::string fresh_instance() {
 
 }  // namespace
 
-FeedPublisher::FeedPublisher(PublisherOptions options, Log log, std::function<bool()> may_write, std::uint64_t fence)
+FeedPublisher::FeedPublisher(PublisherOptions options, Log log, std::function<bool()> may_write,
+                             std::uint64_t fence)
     : options_(std::move(options)),
       subjects_(options_.session),
       log_(std::move(log)),
@@ -137,7 +138,8 @@ void FeedPublisher::connect() {
     refused_.clear();
   }
   client_ = std::make_unique<NatsClient>(options_.nats, 3000, &FeedPublisher::on_refused, this);
-  part_bytes_ = std::min(kPartBytes, client_->max_payload() - std::min(client_->max_payload() / 2, kHeaderBytes));
+  part_bytes_ =
+      std::min(kPartBytes, client_->max_payload() - std::min(client_->max_payload() / 2, kHeaderBytes));
   make_stream();
   for (ViewState& view : views_) lose(view);
   ++connections_;
@@ -210,9 +212,11 @@ void FeedPublisher::require_health() {
   if (!refused.empty()) throw NatsError(NATS_ERR, where + ": it does not take what is published: " + refused);
   if (!client_->alive()) {
     const std::string said = client_->last_error();
-    throw NatsError(NATS_CONNECTION_CLOSED, where + ": the connection was lost" + (said.empty() ? "" : ": " + said));
+    throw NatsError(NATS_CONNECTION_CLOSED,
+                    where + ": the connection was lost" + (said.empty() ? "" : ": " + said));
   }
-  if (may_write_ && !may_write_()) throw NatsError(NATS_ERR, "the lease of session " + options_.session + " is not ours");
+  if (may_write_ && !may_write_())
+    throw NatsError(NATS_ERR, "the lease of session " + options_.session + " is not ours");
 }
 
 void FeedPublisher::work() {
@@ -256,7 +260,8 @@ void FeedPublisher::handle(Item& item) {
   } else if (auto* state = std::get_if<State>(&item)) {
     handle(*state);
   } else if (const auto* frame = std::get_if<SharedFrame>(&item)) {
-    if ((*frame)->body().size() <= part_bytes_) publish(subjects_.live(), *frame, {head_, {}, {}}, false, true);
+    if ((*frame)->body().size() <= part_bytes_)
+      publish(subjects_.live(), *frame, {head_, {}, {}}, false, true);
   } else if (std::holds_alternative<FieldsSet>(item)) {
     views_[0].wanted = true;  // fields come with the volume
   } else {
@@ -306,8 +311,8 @@ void FeedPublisher::handle(State& answer) {
   const stream::WholeState& state = answer.state;
   if (state.epoch != epoch_) return lose(view);
   const std::uint64_t before = bytes_;
-  const std::uint64_t first =
-      publish(subjects_.welcome(view.view), state.frames.front(), {state.revision, {}, state.fields_set}, true);
+  const std::uint64_t first = publish(subjects_.welcome(view.view), state.frames.front(),
+                                      {state.revision, {}, state.fields_set}, true);
   for (std::size_t i = 1; i < state.frames.size(); ++i) {
     publish(subjects_.snapshot(view.view), state.frames[i], {state.revision, {}, {}});
     require_health();
@@ -332,10 +337,12 @@ void FeedPublisher::handle(State& answer) {
 
 // The oldest would go before the next snapshot is there.
 void FeedPublisher::warn_if_small() {
-  const std::size_t needed = 2 * (views_[0].snapshot_bytes + views_[1].snapshot_bytes + 2 * options_.join_bytes);
+  const std::size_t needed =
+      2 * (views_[0].snapshot_bytes + views_[1].snapshot_bytes + 2 * options_.join_bytes);
   if (needed > static_cast<std::size_t>(options_.stream_bytes)) {
-    log_(true, "cluster.stream_megabytes: " + std::to_string(options_.stream_bytes >> 20) + ", but this body needs about " +
-                   std::to_string((needed >> 20) + 1) + "; who joins may have to wait for the next snapshot");
+    log_(true, "cluster.stream_megabytes: " + std::to_string(options_.stream_bytes >> 20) +
+                   ", but this body needs about " + std::to_string((needed >> 20) + 1) +
+                   "; who joins may have to wait for the next snapshot");
   }
 }
 
@@ -355,11 +362,12 @@ void FeedPublisher::purge(ViewState& view) {
   jsOptions_Init(&options);
   options.Stream.Purge.Subject = subject.c_str();
   options.Stream.Purge.Sequence = view.before;
-  client_->check(js_PurgeStream(client_->jetstream(), subjects_.stream().c_str(), &options, nullptr), "purge");
+  client_->check(js_PurgeStream(client_->jetstream(), subjects_.stream().c_str(), &options, nullptr),
+                 "purge");
 }
 
-std::uint64_t FeedPublisher::publish(const std::string& subject, const SharedFrame& frame, const Headers& headers,
-                                     bool ack, bool live) {
+std::uint64_t FeedPublisher::publish(const std::string& subject, const SharedFrame& frame,
+                                     const Headers& headers, bool ack, bool live) {
   const std::span<const std::byte> body = frame->body();
   const std::size_t parts = std::max<std::size_t>(1, (body.size() + part_bytes_ - 1) / part_bytes_);
   std::uint64_t first = 0;

@@ -53,7 +53,8 @@ class FeedPublisher final : public stream::FeedListener {
   using RequestState = std::function<void(protocol::View, std::function<void(stream::WholeState)> ready)>;
   using Log = std::function<void(bool warning, const std::string& line)>;
   // `may_write`: whether this instance still has the session; null: nobody else can have it. `fence`: its number.
-  FeedPublisher(PublisherOptions options, Log log, std::function<bool()> may_write = nullptr, std::uint64_t fence = 0);
+  FeedPublisher(PublisherOptions options, Log log, std::function<bool()> may_write = nullptr,
+                std::uint64_t fence = 0);
   ~FeedPublisher();
 
   void start(RequestState request);
@@ -84,8 +85,8 @@ class FeedPublisher final : public stream::FeedListener {
   // What readers of one view have.
   struct ViewState {
     protocol::View view;
-    bool broken = true;  // deltas would lead nowhere before the next snapshot
-    bool wanted = true;  // a snapshot
+    bool broken = true;                      // deltas would lead nowhere before the next snapshot
+    bool wanted = true;                      // a snapshot
     std::uint64_t requested = 0;             // number of the request under way; 0: none
     std::vector<stream::EncodedStep> since;  // steps since it was requested
     std::size_t since_bytes = 0;
@@ -136,7 +137,8 @@ class FeedPublisher final : public stream::FeedListener {
   bool stopping_ = false;          // guarded by mutex_
   std::string trouble_, refused_;  // guarded by mutex_
   std::atomic<bool> connected_{false};
-  std::atomic<std::uint64_t> connections_{0}, failures_{0}, messages_{0}, bytes_{0}, deltas_{0}, snapshots_{0}, dropped_{0};
+  std::atomic<std::uint64_t> connections_{0}, failures_{0}, messages_{0}, bytes_{0}, deltas_{0},
+      snapshots_{0}, dropped_{0};
 
   // The thread's.
   std::unique_ptr<NatsClient> client_;

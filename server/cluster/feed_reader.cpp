@@ -11,9 +11,9 @@ namespace incise::cluster {
 namespace {
 
 constexpr std::chrono::milliseconds kRetry{1000};
-constexpr std::int64_t kLook_ms = 10;                 // for the next message, and then for live ones
-constexpr std::int64_t kSilent_ns = 5'000'000'000;    // statistics come once a second
-constexpr std::int64_t kBehind_ns = 3'000'000'000;    // statistics tell of more than has come
+constexpr std::int64_t kLook_ms = 10;               // for the next message, and then for live ones
+constexpr std::int64_t kSilent_ns = 5'000'000'000;  // statistics come once a second
+constexpr std::int64_t kBehind_ns = 3'000'000'000;  // statistics tell of more than has come
 
 }  // namespace
 
@@ -45,8 +45,7 @@ bool FeedReader::stopping() const {
 }
 
 void FeedReader::resync() {
-  fresh_ = again_ = true;
-  mode_ = Mode::kWaiting;
+  resync_ = true;
 }
 
 void FeedReader::lose(const std::string& why) {
@@ -102,7 +101,8 @@ void FeedReader::read() {
   tail_ = newest_delta(client, first);
 
   natsSubscription* raw = nullptr;
-  client.check(natsConnection_SubscribeSync(&raw, client.connection(), subjects_.live().c_str()), subjects_.live());
+  client.check(natsConnection_SubscribeSync(&raw, client.connection(), subjects_.live().c_str()),
+               subjects_.live());
   const NatsSubscription live(raw);
   jsSubOptions from;
   jsSubOptions_Init(&from);
@@ -111,8 +111,9 @@ void FeedReader::read() {
   from.Config.DeliverPolicy = js_DeliverByStartSequence;
   from.Config.OptStartSeq = first;
   raw = nullptr;
-  client.check(js_SubscribeSync(&raw, client.jetstream(), subjects_.all(view_).c_str(), nullptr, &from, nullptr),
-               "session " + session_);
+  client.check(
+      js_SubscribeSync(&raw, client.jetstream(), subjects_.all(view_).c_str(), nullptr, &from, nullptr),
+      "session " + session_);
   const NatsSubscription state(raw);
   live_ns_ = moved_ns_ = monotonic_ns();
   while (!stopping() && !again_) {
@@ -126,6 +127,7 @@ void FeedReader::read() {
     }
     if (!client.alive()) throw NatsError(NATS_CONNECTION_CLOSED, nats_.url + ": the connection was lost");
     read_live(live.get());
+    if (resync_.exchange(false)) fresh_ = again_ = true;
   }
 }
 
@@ -164,7 +166,8 @@ bool FeedReader::add_part(natsMsg* message) {
   if (const std::string text = header(message, kPartHeader); !text.empty()) {
     const std::size_t slash = text.find('/');
     std::from_chars(text.data(), text.data() + std::min(slash, text.size()), part);
-    if (slash != std::string::npos) std::from_chars(text.data() + slash + 1, text.data() + text.size(), parts);
+    if (slash != std::string::npos)
+      std::from_chars(text.data() + slash + 1, text.data() + text.size(), parts);
   }
   const std::string subject = natsMsg_GetSubject(message);
   const std::string instance = header(message, kInstanceHeader);
@@ -204,7 +207,9 @@ void FeedReader::handle() {
   // Most of a snapshot that is passed over is not even looked at.
   if (whole_.kind == Whole::Kind::kSnapshot && mode_ != Mode::kTaking && mode_ != Mode::kFields) return;
   const protocol::DecodeResult got = protocol::decode(whole_.bytes);
-  if (!got) throw NatsError(NATS_ERR, nats_.url + ": session " + session_ + ": a message cannot be read: " + got.error);
+  if (!got)
+    throw NatsError(NATS_ERR,
+                    nats_.url + ": session " + session_ + ": a message cannot be read: " + got.error);
   switch (whole_.kind) {
     case Whole::Kind::kWelcome:
       return on_welcome(*got.message);
@@ -235,7 +240,9 @@ void FeedReader::on_welcome(const protocol::Message& message) {
     sink_->on_message(told, ahead_ns_);
   }
   if (keep) {
-    mode_ = whole_.fields_set != fields_set_ ? Mode::kFields : mode_ == Mode::kFollowing ? mode_ : Mode::kPassing;
+    mode_ = whole_.fields_set != fields_set_ ? Mode::kFields
+            : mode_ == Mode::kFollowing      ? mode_
+                                             : Mode::kPassing;
   } else {
     mode_ = Mode::kTaking;
     held_ = {};
@@ -271,7 +278,8 @@ void FeedReader::on_delta(const protocol::Message& message) {
     base = surface->base_revision;
     hash = surface->state_hash;
   }
-  if (whole_.revision < held_.revision || (whole_.revision == held_.revision && hash == held_.state_hash)) return;
+  if (whole_.revision < held_.revision || (whole_.revision == held_.revision && hash == held_.state_hash))
+    return;
   if (base != held_.revision || whole_.base_hash != held_.state_hash) {
     mode_ = Mode::kWaiting;  // for the publisher's next snapshot; after a while the stream is read again
     return;

@@ -23,7 +23,7 @@ namespace incise::cluster {
 // A delta goes out only if its base is the revision and the hash that went out last. If not, nothing more goes out until
 // the publisher's next snapshot, or until the stream, read again, leads on.
 //
-// Thread: one of its own, on which the sink is called; resync() from there.
+// Thread: one of its own, on which the sink is called; resync() from any.
 class FeedReader {
  public:
   struct Held {
@@ -84,18 +84,19 @@ class FeedReader {
   const protocol::View view_;
   Sink* sink_ = nullptr;
   Mode mode_ = Mode::kWaiting;
-  Held held_;                   // what went out last
-  std::uint64_t tail_ = 0;      // the newest delta that the stream had when reading it began
+  Held held_;               // what went out last
+  std::uint64_t tail_ = 0;  // the newest delta that the stream had when reading it began
   std::uint64_t fields_set_ = 0, fence_ = 0;
-  std::string instance_;        // whose deltas we follow
+  std::string instance_;  // whose deltas we follow
   std::int64_t ahead_ns_ = 0;
   std::int64_t live_ns_ = 0, moved_ns_ = 0;  // when something live came; when a delta or a snapshot went out
   std::uint64_t live_revision_ = 0;
-  bool again_ = false;          // read the stream again
-  bool fresh_ = false;          // the sink wants a snapshot
-  bool lost_ = false;           // and the sink knows
+  bool again_ = false;  // read the stream again
+  std::atomic<bool> resync_{false};
+  bool fresh_ = false;  // the sink wants a snapshot
+  bool lost_ = false;   // and the sink knows
   bool partial_ = false;
-  std::size_t parts_ = 0;       // of whole_, that have come
+  std::size_t parts_ = 0;  // of whole_, that have come
   Whole whole_{};
   mutable std::mutex mutex_;
   std::condition_variable wake_;

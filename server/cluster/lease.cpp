@@ -120,7 +120,8 @@ bool Lease::acquire(const std::function<bool()>& interrupted) {
     } catch (const NatsError& error) {
       client.reset();
       if (!waiting_helps(error.status)) throw;
-      if (waiting_for_ != error.what()) log_(true, std::string(error.what()) + "; waiting, since the session needs its lease");
+      if (waiting_for_ != error.what())
+        log_(true, std::string(error.what()) + "; waiting, since the session needs its lease");
       waiting_for_ = error.what();
     }
     std::this_thread::sleep_for(kRetry);
@@ -154,7 +155,8 @@ bool Lease::try_acquire(NatsClient& client, Seen& seen) {
     while (boot_ns() - from_ns < ns(options_.length_s)) {
       std::this_thread::sleep_for(kRetry);
       renewed_ns = boot_ns();
-      status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()), revision);
+      status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(),
+                              static_cast<int>(text.size()), revision);
       if (status != NATS_OK) client.check(status, "lease of session " + options_.session);
     }
     read_file(options_.fence_file, filed);
@@ -164,8 +166,8 @@ bool Lease::try_acquire(NatsClient& client, Seen& seen) {
     return true;
   }
   client.check(status, "lease of session " + options_.session);
-  const Holder holder =
-      parse(std::string(static_cast<const char*>(kvEntry_Value(entry.get())), static_cast<std::size_t>(kvEntry_ValueLen(entry.get()))));
+  const Holder holder = parse(std::string(static_cast<const char*>(kvEntry_Value(entry.get())),
+                                          static_cast<std::size_t>(kvEntry_ValueLen(entry.get()))));
   const std::uint64_t now_revision = kvEntry_Revision(entry.get());
   if (now_revision != seen.revision) seen = {now_revision, boot_ns()};
   if (!holder.released && boot_ns() - seen.since_ns < ns(options_.length_s)) {
@@ -176,13 +178,15 @@ bool Lease::try_acquire(NatsClient& client, Seen& seen) {
   }
   fence_ = std::max(holder.fence, filed.fence) + 1;
   const std::string text = value(false);
-  status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()), now_revision);
+  status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()),
+                          now_revision);
   if (status != NATS_OK) {
     seen = {};  // another was quicker, or it was renewed at the last moment
     return false;
   }
   crashed_before_ = !holder.released;
-  if (crashed_before_) log_(true, "session " + options_.session + ": " + holder.name + " has gone; taking it over");
+  if (crashed_before_)
+    log_(true, "session " + options_.session + ": " + holder.name + " has gone; taking it over");
   take(revision, asked_ns, fence_);
   return true;
 }
@@ -204,7 +208,8 @@ void Lease::renew_until_lost() {
       std::unique_lock lock(mutex_);
       if (wake_.wait_for(lock, every, [this] { return stopping_; })) return;
     }
-    if (!held()) return lose(trouble.empty() ? "it was not renewed in time: the process stood still" : trouble);
+    if (!held())
+      return lose(trouble.empty() ? "it was not renewed in time: the process stood still" : trouble);
     if (!renew(client, trouble)) return lose(trouble);
     if (!held()) return lose(trouble.empty() ? "it was not renewed in time" : trouble);
   }
@@ -214,12 +219,14 @@ void Lease::renew_until_lost() {
 bool Lease::renew(std::unique_ptr<NatsClient>& client, std::string& trouble) {
   const std::string text = value(false);
   try {
-    const auto limit_ms = std::max<std::int64_t>(100, static_cast<std::int64_t>(options_.length_s * 1000 / 9));
+    const auto limit_ms =
+        std::max<std::int64_t>(100, static_cast<std::int64_t>(options_.length_s * 1000 / 9));
     if (!client || !client->alive()) client = std::make_unique<NatsClient>(options_.nats, limit_ms);
     const KeyValueStore store = client->bucket(kBucket, 0, options_.replicas);
     const std::int64_t asked_ns = boot_ns();
     std::uint64_t revision = 0;
-    natsStatus status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()), revision_);
+    natsStatus status = kvStore_Update(&revision, store.get(), key_.c_str(), text.data(),
+                                       static_cast<int>(text.size()), revision_);
     if (status != NATS_OK) {
       kvEntry* raw = nullptr;
       const natsStatus got = kvStore_Get(&raw, store.get(), key_.c_str());
@@ -231,13 +238,15 @@ bool Lease::renew(std::unique_ptr<NatsClient>& client, std::string& trouble) {
           trouble = holder.name + " has it";
           return false;
         }
-        revision_ = kvEntry_Revision(entry.get());  // our own renewal, whose answer was lost: the next one counts
+        revision_ =
+            kvEntry_Revision(entry.get());  // our own renewal, whose answer was lost: the next one counts
         return true;
       }
       if (got != NATS_NOT_FOUND) client->check(status, "lease of session " + options_.session);
       // The bucket was wiped. Whoever is first makes the key again; another one would wait for a lease.
-      client->check(kvStore_Create(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size())),
-                    "lease of session " + options_.session);
+      client->check(
+          kvStore_Create(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size())),
+          "lease of session " + options_.session);
       log_(true, "the lease of session " + options_.session + " was gone, and is made again");
     }
     revision_ = revision;
@@ -272,7 +281,8 @@ void Lease::release() {
     const NatsClient client(options_.nats);
     const KeyValueStore store = client.bucket(kBucket, 0, options_.replicas);
     std::uint64_t revision = 0;
-    kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()), revision_);
+    kvStore_Update(&revision, store.get(), key_.c_str(), text.data(), static_cast<int>(text.size()),
+                   revision_);
   } catch (const std::exception& error) {
     log_(true, std::string("the lease is not given up, so the next instance waits for it: ") + error.what());
   }

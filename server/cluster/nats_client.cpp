@@ -66,7 +66,8 @@ std::string explained(natsStatus status, const NatsOptions& options, const std::
                  : "it refuses the credentials in " + options.credentials_file.string();
     case NATS_SSL_ERROR:
       return "TLS: " + (detail.empty() ? std::string("the handshake failed") : detail) +
-             (options.ca_file.empty() ? "; the authority that signed its certificate is given by ca_file" : "");
+             (options.ca_file.empty() ? "; the authority that signed its certificate is given by ca_file"
+                                      : "");
     case NATS_SECURE_CONNECTION_REQUIRED:
       return "it wants TLS: write tls://";
     case NATS_SECURE_CONNECTION_WANTED:
@@ -127,7 +128,8 @@ std::string last_detail() {
   const char* said = nats_GetLastError(&status);
   std::string text = said ? said : "";
   // "(jsm.c:1033): insufficient memory": its source is of no use here.
-  if (const std::size_t end = text.find("): "); text.starts_with('(') && end != std::string::npos && text.substr(0, end).find(".c:") != std::string::npos)
+  if (const std::size_t end = text.find("): "); text.starts_with('(') && end != std::string::npos &&
+                                                text.substr(0, end).find(".c:") != std::string::npos)
     text.erase(0, end + 3);
   return text;
 }
@@ -146,15 +148,17 @@ NatsCredentials read_credentials(const std::filesystem::path& file) {
   }
   const nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
   const auto word = [&](const char* key) {
-    return json.is_object() && json.contains(key) && json[key].is_string() ? json[key].get<std::string>() : "";
+    return json.is_object() && json.contains(key) && json[key].is_string() ? json[key].get<std::string>()
+                                                                           : "";
   };
   out.user = word("user");
   out.password = word("password");
   out.token = word("token");
   if (out.token.empty() == (out.user.empty() || out.password.empty())) {
-    throw std::runtime_error(file.string() +
-                             ": accepted are a .creds file of NATS, {\"user\": \"...\", \"password\": \"...\"} "
-                             "or {\"token\": \"...\"}");
+    throw std::runtime_error(
+        file.string() +
+        ": accepted are a .creds file of NATS, {\"user\": \"...\", \"password\": \"...\"} "
+        "or {\"token\": \"...\"}");
   }
   return out;
 }
@@ -190,8 +194,8 @@ NatsClient::NatsClient(const NatsOptions& options, std::int64_t timeout_ms, OnRe
     status = natsConnection_Connect(&connection_, made.get());
     if (status != NATS_OK) throw status;
   } catch (const natsStatus failed) {
-    throw NatsError(failed, url_ + ": " + (what.empty() ? "" : what + ": ") +
-                                explained(failed, options, last_detail()));
+    throw NatsError(
+        failed, url_ + ": " + (what.empty() ? "" : what + ": ") + explained(failed, options, last_detail()));
   } catch (const std::runtime_error& error) {
     throw NatsError(NATS_ERR, error.what());
   }
@@ -234,7 +238,8 @@ void NatsClient::check(natsStatus status, const std::string& what) const {
   if (status == NATS_OK) return;
   std::string why = last_detail();
   // What was not permitted, the server says of the connection, and the request gets no answer.
-  if (const std::string said = last_error(); status == NATS_TIMEOUT && said.find("ermissions") != std::string::npos)
+  if (const std::string said = last_error();
+      status == NATS_TIMEOUT && said.find("ermissions") != std::string::npos)
     why = said;
   if (why.empty()) why = natsStatus_GetText(status);
   if (status == NATS_TIMEOUT && why.find("ermissions") == std::string::npos) why = "no answer in time";

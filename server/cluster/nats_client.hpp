@@ -20,8 +20,8 @@ struct NatsError : std::runtime_error {
 
 // Where NATS is, and who we are there.
 struct NatsOptions {
-  std::string url;     // "nats://host:port" or "tls://host:port", several with commas
-  std::string name;    // what the connection is called there
+  std::string url;   // "nats://host:port" or "tls://host:port", several with commas
+  std::string name;  // what the connection is called there
   std::filesystem::path credentials_file, ca_file, certificate_file, private_key_file;
 };
 

@@ -19,7 +19,8 @@ inline bool is_session_name(std::string_view name) {
 // Where a session is on NATS (server/cluster/NATS.md). All is below "incise.NAME.", so that an account can be limited to one session.
 class SessionSubjects {
  public:
-  explicit SessionSubjects(const std::string& session) : stream_("incise_" + session), root_("incise." + session) {}
+  explicit SessionSubjects(const std::string& session)
+      : stream_("incise_" + session), root_("incise." + session) {}
 
   // The JetStream stream of both views.
   const std::string& stream() const { return stream_; }

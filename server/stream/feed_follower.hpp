@@ -50,8 +50,6 @@ class FeedFollower final : public BoxHolder {
   // What the peer knows the feed's epoch as. Each view, each choice of fields, and each box, has another name, so that a peer cannot
   // resume one with another's state.
   std::uint64_t epoch_name() const;
-  // For a whole state without fields.
-  static std::uint64_t epoch_name(std::uint64_t epoch, protocol::View view);
 
   // BoxHolder
   bool wants_box_turn() const override;

@@ -54,6 +54,10 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
     refusal = Refusal{ErrorCode::BadRequest, "load_rate_hz " + std::to_string(hello.load_rate_hz) +
                                                  "; accepted are 60 to 1000, from simulators"};
   }
+  if (!refusal && hello.role == protocol::Role::Simulator) {
+    if (std::string why = context_.input.no_simulators(); !why.empty())
+      refusal = Refusal{ErrorCode::NotAvailable, std::move(why)};
+  }
   if (!refusal && hello.role == protocol::Role::Operator) refusal = co_await take_blade(hello);
   if (refusal) refuse(*refusal, sequence);
   if (stage_ != Stage::kHandshake) co_return;
@@ -113,8 +117,13 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
     if (refusal) co_return refusal;
   }
   std::unique_ptr<PoseInput> input = context_.input.open(hello.source_name, hello.blade);
-  if (!input && hello.take_over) input = co_await take_over(hello);
+  std::optional<Refusal> refusal = co_await wait_until_open(input);
+  if (!input && hello.take_over && (!refusal || refusal->code == ErrorCode::BladeTaken)) {
+    input = co_await take_over(hello);
+    refusal = co_await wait_until_open(input);
+  }
   if (!input) {
+    if (refusal) co_return refusal;
     co_return Refusal{
         ErrorCode::BladeTaken,
         others_.holder(hello.source_name)
@@ -123,6 +132,18 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
   }
   blade_.hold(std::move(input), hello.source_name);
   co_return std::nullopt;
+}
+
+// Where another server has the blade: waits for its answer. No input is left if that is no.
+asio::awaitable<std::optional<Refusal>> Peer::wait_until_open(std::unique_ptr<PoseInput>& input) {
+  missing_ = "the server that has the blade does not answer";
+  while (input && input->opening() && stage_ == Stage::kHandshake) co_await pause(kQueueRetry);
+  if (!input || stage_ != Stage::kHandshake) co_return std::nullopt;
+  const std::optional<BladeEnd> end = input->ended();
+  if (!end) co_return std::nullopt;
+  input.reset();
+  const bool lost = end->code == ErrorCode::Unknown;
+  co_return Refusal{lost ? ErrorCode::NotAvailable : end->code, end->text};
 }
 
 // The blade of that name, from the peer that holds it; null where it does not become free.
@@ -139,7 +160,7 @@ asio::awaitable<std::unique_ptr<PoseInput>> Peer::take_over(const protocol::Hell
   std::unique_ptr<PoseInput> input;
   for (int i = 0; i < kTakeOverTries && !input && stage_ == Stage::kHandshake; ++i) {
     co_await pause(kQueueRetry);
-    input = context_.input.open(hello.source_name, hello.blade);
+    input = context_.input.take_over(hello.source_name, hello.blade);
   }
   co_return input;
 }

@@ -25,31 +25,42 @@ Peers::Peers(PeerContext& context)
 void Peers::reset(std::shared_ptr<const InitialState> initial) {
   Feed& live = context_.live;
   SharedCounters& counters = *context_.counters;
+  const std::uint64_t epoch = live.mirror().epoch(), revision = live.mirror().revision();
   live.reset(std::move(initial));
+  const bool same_ids = live.mirror().epoch() == epoch && live.mirror().revision() >= revision;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();
   counters.ring_bytes = counters.ring_deltas = 0;
   if (FeedListener* listener = context_.providers.listener)
     listener->on_epoch(live.mirror().epoch(), live.mirror().revision());
   const auto peers = peers_;
-  for (const auto& peer : peers) peer->on_live_reset();
+  for (const auto& peer : peers) peer->on_live_reset(same_ids);
 }
 
 void Peers::apply(const std::shared_ptr<const PublishedDelta>& delta) {
-  Feed& live = context_.live;
-  SharedCounters& counters = *context_.counters;
-  live.apply(delta);
+  context_.live.apply(delta);
   if (delta->delta.stroke == 0) {
     for (const auto& peer : peers_) peer->report_deformation(*delta);
   }
+  note_applied();
+}
+
+void Peers::apply(const std::shared_ptr<const ReceivedDelta>& delta) {
+  context_.live.apply(delta);
+  note_applied();
+}
+
+void Peers::note_applied() {
+  const Feed& live = context_.live;
   if (FeedListener* listener = context_.providers.listener) {
     const std::uint64_t head = live.mirror().revision();
-    if (live.ring().covers(head - 1, head)) {
-      listener->on_step(live.ring().step(head));
+    if (const EncodedStep* step = live.ring().newest(); step && step->revision == head) {
+      listener->on_step(*step);
     } else {
       listener->on_gap(head);
     }
   }
+  SharedCounters& counters = *context_.counters;
   ++counters.deltas;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();

@@ -35,8 +35,9 @@ constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr int kMaxAtOnce = 256;  // taken from the queue before peers get their deltas
 
 // What the loop hands over.
-using Published = std::variant<std::monostate, std::shared_ptr<const PublishedDelta>,
-                               std::shared_ptr<const InitialState>, protocol::Force>;
+using Published =
+    std::variant<std::monostate, std::shared_ptr<const PublishedDelta>, std::shared_ptr<const ReceivedDelta>,
+                 std::shared_ptr<const InitialState>, NewFieldValues, protocol::Force>;
 
 void check_safe(const StreamConfig& config, const asio::ip::address& address) {
   const bool tls = !config.certificate_file.empty();
@@ -123,6 +124,12 @@ struct Server::Impl {
       if (const auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&what)) {
         moved = true;
         peers.apply(*delta);
+      } else if (const auto* received = std::get_if<std::shared_ptr<const ReceivedDelta>>(&what)) {
+        moved = true;
+        peers.apply(*received);
+      } else if (auto* values = std::get_if<NewFieldValues>(&what)) {
+        moved = true;
+        context.live.set_field(std::move(*values));
       } else if (const auto* force = std::get_if<protocol::Force>(&what)) {
         peers.send_force(*force);
       } else {
@@ -232,7 +239,7 @@ struct Server::Impl {
     protocol::Welcome welcome = context.welcome_to(live);
     welcome.role = protocol::Role::Viewer;
     welcome.view = view;
-    welcome.session = FeedFollower::epoch_name(state.epoch, view);
+    welcome.session = session_name(state.epoch, view, false, {});
     state.frames.push_back(make_frame(std::move(welcome)));
     context.live.request_snapshot(
         view, std::nullopt, view == protocol::View::Volume,
@@ -292,6 +299,12 @@ void Server::stop() {
 void Server::publish(std::shared_ptr<const PublishedDelta> delta) noexcept {
   impl_->publish(std::move(delta));
 }
+void Server::publish(std::shared_ptr<const ReceivedDelta> delta) noexcept {
+  impl_->publish(std::move(delta));
+}
+void Server::publish_field(NewFieldValues values) noexcept {
+  impl_->publish(std::move(values));
+}
 void Server::publish_reset(std::shared_ptr<const InitialState> initial) noexcept {
   impl_->publish(std::move(initial));
 }
@@ -312,7 +325,8 @@ void Server::request_surface(std::function<void(SharedFrames)> ready) {
 }
 
 void Server::request_state(protocol::View view, std::function<void(WholeState)> ready) {
-  asio::post(impl_->io, [impl = impl_.get(), view, ready = std::move(ready)] { impl->request_state(view, ready); });
+  asio::post(impl_->io,
+             [impl = impl_.get(), view, ready = std::move(ready)] { impl->request_state(view, ready); });
 }
 
 std::uint16_t Server::tcp_port() const {

@@ -35,6 +35,7 @@ RULES = {
     "server/replay": [BASE, "server/core", "protocol", PUBLISHED_DELTA],
     "server/wasm": [BASE, "server/core", "server/replay", "protocol", MIRROR, DELTA_ARRAYS, PUBLISHED_DELTA],
     "server/cluster": [BASE, "protocol", MIRROR, FEED_LISTENER],
+    "server/relay": [BASE, "server/stream", "protocol", NET, "client"] + DELTA,  # a client of another server, and a server of its own
     "server/app": ["server", "client", "protocol"],
     "protocol": [BASE],
     NET: [],
@@ -54,10 +55,10 @@ CORE_LIBRARY = set(
 # Libraries that only these parts may include, by the beginning of the header's name.
 ONLY_IN = {
     "tetgen.h": ["server/mesh_io/tetgen_child"],  # AGPL: in an executable of its own, linked with nothing else of ours
-    "boost/": [NET, "server/input", "server/stream", "server/app", "client", "tests"],
+    "boost/": [NET, "server/input", "server/stream", "server/relay", "server/app", "client", "tests"],
     "hidapi": ["server/input", "tests"],
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
-    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
+    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "server/relay", "tests"],
     "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
     "pybind11/": ["server/app/python"],
     "nats/": ["server/cluster"],

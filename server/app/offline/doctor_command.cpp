@@ -226,14 +226,16 @@ Finding check_nats(const Config& config) {
     jsAccountInfo* info = nullptr;
     client.check(js_GetAccountInfo(&info, client.jetstream(), nullptr, nullptr), "JetStream");
     char found[160];
-    std::snprintf(found, sizeof found, "JetStream there, %.0f MB used, messages of up to %zu kB", 1e-6 * static_cast<double>(info->Memory + info->Store),
-                  client.max_payload() / 1024);
+    std::snprintf(found, sizeof found, "JetStream there, %.0f MB used, messages of up to %zu kB",
+                  1e-6 * static_cast<double>(info->Memory + info->Store), client.max_payload() / 1024);
     jsAccountInfo_Destroy(info);
     if (client.max_payload() < 65536)
-      return {"NATS", Verdict::kWarning, found, "max_payload of 1 MB in the configuration of nats-server, its default"};
+      return {"NATS", Verdict::kWarning, found,
+              "max_payload of 1 MB in the configuration of nats-server, its default"};
     return {"NATS", Verdict::kGood, found, ""};
   } catch (const std::exception& error) {
-    return {"NATS", Verdict::kFault, error.what(), "the section cluster: incised --print-config shows its keys; nats-server -js runs one"};
+    return {"NATS", Verdict::kFault, error.what(),
+            "the section cluster: incised --print-config shows its keys; nats-server -js runs one"};
   }
 }
 
