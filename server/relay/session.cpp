@@ -18,6 +18,7 @@ namespace {
 
 using protocol::View;
 
+constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators to reach the origin
 constexpr int kFetchTries = 5;
 constexpr std::chrono::seconds kFetchAgain{1};
 
@@ -88,7 +89,7 @@ void Session::stop() {
     upstream_->stop();
     if (server_) server_->stop();  // operators' links say goodbye after this
     work_.reset();
-    auto late = std::make_shared<asio::steady_timer>(io_, std::chrono::seconds(2));
+    auto late = std::make_shared<asio::steady_timer>(io_, kGoodbyes);
     late->async_wait([this, late](boost::system::error_code) { io_.stop(); });
   });
   thread_.join();
