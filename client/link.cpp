@@ -27,8 +27,7 @@ struct TlsContext {
 
 class TcpLink final : public Link {
  public:
-  TcpLink(NetStream stream, std::shared_ptr<TlsContext> tls)
-      : tls_(std::move(tls)), stream_(std::move(stream)) {}
+  TcpLink(NetStream stream, std::shared_ptr<void> tls) : tls_(std::move(tls)), stream_(std::move(stream)) {}
 
   asio::awaitable<Received> read() override {
     for (;;) {
@@ -51,7 +50,7 @@ class TcpLink final : public Link {
   void close() override { stream_.close(); }
 
  private:
-  std::shared_ptr<TlsContext> tls_;
+  std::shared_ptr<void> tls_;
   NetStream stream_;
   protocol::FrameReader reader_;
   std::array<std::byte, 65536> buffer_;
@@ -60,7 +59,7 @@ class TcpLink final : public Link {
 
 class WebSocketLink final : public Link {
  public:
-  WebSocketLink(NetStream stream, std::shared_ptr<TlsContext> tls)
+  WebSocketLink(NetStream stream, std::shared_ptr<void> tls)
       : tls_(std::move(tls)), socket_(std::move(stream)) {
     socket_.set_max_bytes(protocol::kMaxMessageBytes);
   }
@@ -83,7 +82,7 @@ class WebSocketLink final : public Link {
   void close() override { socket_.stream().close(); }
 
  private:
-  std::shared_ptr<TlsContext> tls_;
+  std::shared_ptr<void> tls_;
   net::WebSocket socket_;
 };
 
@@ -91,7 +90,7 @@ class WebSocketLink final : public Link {
   throw ConnectError(host + ":" + std::to_string(port) + ": " + what);
 }
 
-asio::awaitable<std::unique_ptr<Link>> finish(NetStream stream, std::shared_ptr<TlsContext> tls,
+asio::awaitable<std::unique_ptr<Link>> finish(NetStream stream, std::shared_ptr<void> tls,
                                               const std::string& host, std::uint16_t port,
                                               TransportKind kind) {
   if (kind == TransportKind::kTcp) {
@@ -140,14 +139,15 @@ std::string tls_failure(const error_code& ec, SSL* connection, const std::string
 
 }  // namespace
 
-asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t port, const Options& options,
-                                                 std::chrono::steady_clock::time_point deadline) {
+asio::awaitable<OpenStream> open_stream(std::string host, std::uint16_t port, const Options& options,
+                                        std::chrono::steady_clock::time_point deadline) {
   NetStream::Tcp tcp(co_await asio::this_coro::executor);
   tcp.expires_at(deadline);
   const error_code connect_error = co_await net::connect(tcp, host, std::to_string(port));
   if (connect_error) fail(host, port, connect_error.message());
   if (!options.tls) {
-    co_return co_await finish(NetStream(std::move(tcp)), nullptr, host, port, options.transport);
+    OpenStream opened{nullptr, NetStream(std::move(tcp))};
+    co_return opened;
   }
   auto tls = make_tls(host, port, options);
   NetStream secured(std::move(tcp), tls->context);
@@ -156,7 +156,14 @@ asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t
   secured.tls()->set_verify_callback(ssl::host_name_verification(host));
   const error_code tls_error = co_await secured.secure(ssl::stream_base::client);
   if (tls_error) fail(host, port, tls_failure(tls_error, connection, host));
-  co_return co_await finish(std::move(secured), std::move(tls), host, port, options.transport);
+  OpenStream opened{std::move(tls), std::move(secured)};
+  co_return opened;
+}
+
+asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t port, const Options& options,
+                                                 std::chrono::steady_clock::time_point deadline) {
+  OpenStream opened = co_await open_stream(host, port, options, deadline);
+  co_return co_await finish(std::move(opened.stream), std::move(opened.tls), host, port, options.transport);
 }
 
 }  // namespace incise::client

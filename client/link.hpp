@@ -13,6 +13,7 @@
 
 #include "client/client.hpp"
 #include "protocol/framing.hpp"
+#include "protocol/net/net_stream.hpp"
 
 namespace incise::client {
 
@@ -49,6 +50,15 @@ class Link {
   // Reads and writes under way return an error.
   virtual void close() = 0;
 };
+
+// A connection before anything is said on it, with TLS's handshake done where the options have TLS.
+struct OpenStream {
+  std::shared_ptr<void> tls;  // the stream refers to it
+  net::NetStream stream;
+};
+// Throws ConnectError. The stream's operations expire at `deadline`.
+asio::awaitable<OpenStream> open_stream(std::string host, std::uint16_t port, const Options& options,
+                                        std::chrono::steady_clock::time_point deadline);
 
 // Throws ConnectError. `deadline` is for connecting and all handshakes together.
 asio::awaitable<std::unique_ptr<Link>> open_link(std::string host, std::uint16_t port, const Options& options,

@@ -10,17 +10,19 @@ set(INCISE_ETC ${CMAKE_INSTALL_SYSCONFDIR}/incise)
 
 # --- Programs
 install(TARGETS incise incise-tetgen RUNTIME COMPONENT incise)
-install(TARGETS incised RUNTIME COMPONENT incised)
+install(TARGETS incised incise-relay RUNTIME COMPONENT incised)
 install(FILES ${CMAKE_BINARY_DIR}/manual/incise.1 DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT incise)
-install(FILES ${CMAKE_BINARY_DIR}/manual/incised.8 DESTINATION ${CMAKE_INSTALL_MANDIR}/man8 COMPONENT incised)
+install(FILES ${CMAKE_BINARY_DIR}/manual/incised.8 ${CMAKE_BINARY_DIR}/manual/incise-relay.8 DESTINATION ${CMAKE_INSTALL_MANDIR}/man8 COMPONENT incised)
 foreach(program incise incised)
   install(FILES ${CMAKE_BINARY_DIR}/manual/${program}.bash RENAME ${program}
     DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT ${program})
   install(FILES LICENSE RENAME copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${program} COMPONENT ${program})
 endforeach()
+install(FILES ${CMAKE_BINARY_DIR}/manual/incise-relay.bash RENAME incise-relay
+  DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT incised)
 # In their folders, so that the links between them hold.
 foreach(page README.md CHANGELOG.md CONTRIBUTING.md client/CLIENTS.md client/ROS2.md client/SOFA.md client/unity/README.md client/viewer/PAGE.md config/devices/DEVICES.md protocol/PROTOCOL.md
-    server/ARCHITECTURE.md server/OPERATING.md server/core/CUTTING.md server/haptics/FORCES.md server/input/PEERS.md
+    server/ARCHITECTURE.md server/OPERATING.md server/cluster/NATS.md server/core/CUTTING.md server/haptics/FORCES.md server/input/PEERS.md
     server/mesh_io/FORMATS.md)
   cmake_path(GET page PARENT_PATH folder)
   install(FILES ${page} DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/incised/${folder} COMPONENT incised)
@@ -43,7 +45,8 @@ string(REGEX REPLACE "(\"keep_free_percent\": )[0-9.]+" "\\110" incised_json "${
 file(WRITE ${CMAKE_BINARY_DIR}/install/incised.json "${incised_json}")
 install(FILES ${CMAKE_BINARY_DIR}/install/incised.json DESTINATION ${INCISE_ETC} COMPONENT incised)
 configure_file(config/incised.service.in install/incised.service @ONLY)
-install(FILES ${CMAKE_BINARY_DIR}/install/incised.service DESTINATION lib/systemd/system COMPONENT incised)
+configure_file(config/incised@.service.in install/incised@.service @ONLY)
+install(FILES ${CMAKE_BINARY_DIR}/install/incised.service ${CMAKE_BINARY_DIR}/install/incised@.service DESTINATION lib/systemd/system COMPONENT incised)
 install(FILES config/sysusers.conf RENAME incised.conf DESTINATION lib/sysusers.d COMPONENT incised)
 # The service is nobody at the console: it reads the devices by its group.
 file(READ config/70-incise-devices.rules rules)

@@ -123,7 +123,9 @@ Options ServerOptions::options(Address& where) const {
 
 namespace {
 
-void add_stream(CLI::App& app, int& exit_code) {
+using Find = std::function<std::string(const std::string&)>;
+
+void add_stream(CLI::App& app, int& exit_code, const Find& find) {
   auto command = std::make_shared<StreamCommand>();
   CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
   sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")->required();
@@ -146,10 +148,13 @@ void add_stream(CLI::App& app, int& exit_code) {
                 "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
   sub->add_flag("--json", command->json, "print the summary as JSON");
   add_server_options(*sub, command->server);
-  sub->callback([command, &exit_code] { exit_code = run_stream(*command); });
+  sub->callback([command, find, &exit_code] {
+    if (find) command->server.address = find(command->server.address);
+    exit_code = run_stream(*command);
+  });
 }
 
-void add_watch(CLI::App& app, int& exit_code) {
+void add_watch(CLI::App& app, int& exit_code, const Find& find) {
   auto command = std::make_shared<WatchCommand>();
   CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
   sub->add_option("server", command->server.address,
@@ -170,14 +175,18 @@ void add_watch(CLI::App& app, int& exit_code) {
   sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
   sub->add_flag("--json", command->json, "print JSON lines");
   add_server_options(*sub, command->server);
-  sub->callback([command, &exit_code] { exit_code = run_watch(*command); });
+  sub->callback([command, find, &exit_code] {
+    if (find) command->server.address = find(command->server.address);
+    exit_code = run_watch(*command);
+  });
 }
 
 }  // namespace
 
-void add_network_commands(CLI::App& app, int& exit_code) {
-  add_stream(app, exit_code);
-  add_watch(app, exit_code);
+void add_network_commands(CLI::App& app, int& exit_code,
+                          std::function<std::string(const std::string&)> find) {
+  add_stream(app, exit_code, find);
+  add_watch(app, exit_code, find);
 }
 
 }  // namespace incise::client

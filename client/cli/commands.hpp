@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 
@@ -63,7 +64,9 @@ struct WatchCommand {
 int run_watch(const WatchCommand& command);
 
 // Adds the commands to `incise`; the one that runs sets the program's exit code.
-void add_network_commands(CLI::App& app, int& exit_code);
+// `find` makes what --to and SERVER name into an address: a program that knows directories looks there.
+void add_network_commands(CLI::App& app, int& exit_code,
+                          std::function<std::string(const std::string&)> find = nullptr);
 
 // Client::connect, and where nobody listens there, what to do about it. Throws ConnectError.
 std::unique_ptr<Client> connect(const Address& where, const Options& options, Callbacks callbacks);

@@ -114,6 +114,10 @@ bool CaptureJournal::has_room() {
 }
 
 void CaptureJournal::flush() {
+  if (may_write_ && !may_write_()) {
+    writer_.drop_pending();
+    throw std::runtime_error(path_ + ": another instance may have the session");
+  }
   if (!has_room()) {
     writer_.drop_pending();
     if (failure_) throw std::system_error(failure_, path_);

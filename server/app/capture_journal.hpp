@@ -1,8 +1,10 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <system_error>
+#include <utility>
 
 #include "protocol/capture.hpp"
 #include "server/loop/journal.hpp"
@@ -19,6 +21,8 @@ class CaptureJournal final : public loop::JournalSink {
   // From here on flush() fails, as on a full disk, while less than this share of the file system is free to us: other files
   // and the checkpoints need room, too.
   void keep_free(double share) { keep_free_ = share; }
+  // From here on flush() fails while this is false: another process may write the file.
+  void write_while(std::function<bool()> may_write) { may_write_ = std::move(may_write); }
   void write(const loop::JournalRecord& record) override;
   void flush() override;
   void sync() override;
@@ -31,6 +35,7 @@ class CaptureJournal final : public loop::JournalSink {
   bool has_room();
   std::uint64_t room_to_go_on() const;
   std::string path_;
+  std::function<bool()> may_write_;  // empty: always
   double keep_free_ = 0;
   std::error_code failure_;      // of the last flush
   bool low_ = false;             // there was no room at the last look

@@ -16,7 +16,10 @@ using input::shown;
 
 constexpr std::size_t kMaxConfigBytes = 1u << 20;
 // In the order in which they are read and printed.
-const ConfigList* const kLists[] = {&kSourcesList, &kMaterialsList};
+std::vector<const ConfigList*> lists(Program program) {
+  if (program == Program::kRelay) return {};
+  return {&kSourcesList, &kMaterialsList};
+}
 
 std::string joined(const std::set<std::string>& names) {
   std::string list;
@@ -24,12 +27,13 @@ std::string joined(const std::set<std::string>& names) {
   return list;
 }
 
-void read_section(Config& config, const std::string& section, const Json& values, const std::string& file) {
+void read_section(Config& config, Program program, const std::string& section, const Json& values,
+                  const std::string& file) {
   if (!values.is_object()) refuse(file, section, shown(values), "an object {...}");
   for (const auto& [leaf, value] : values.items()) {
     const ConfigKey* found = nullptr;
     std::set<std::string> known;
-    for (const ConfigKey& key : config_keys()) {
+    for (const ConfigKey& key : config_keys(program)) {
       if (key.section() != section) continue;
       known.insert(key.leaf());
       if (key.leaf() == leaf) found = &key;
@@ -48,7 +52,7 @@ std::filesystem::path Config::resolve(const std::string& path) const {
   return path.empty() || directory.empty() ? std::filesystem::path(path) : directory / path;
 }
 
-Config parse_config(std::string_view text, const std::string& name) {
+Config parse_config(std::string_view text, const std::string& name, Program program) {
   Json root;
   try {
     root = input::parse_json(text, name);
@@ -57,25 +61,25 @@ Config parse_config(std::string_view text, const std::string& name) {
   }
   if (!root.is_object()) throw ConfigError(name + ": found " + shown(root) + "; accepted is a JSON object");
   std::set<std::string> sections;
-  for (const ConfigKey& key : config_keys()) sections.insert(key.section());
+  for (const ConfigKey& key : config_keys(program)) sections.insert(key.section());
   std::set<std::string> known = sections;
-  for (const ConfigList* list : kLists) known.insert(list->name);
+  for (const ConfigList* list : lists(program)) known.insert(list->name);
 
   Config config;
   for (const auto& [section, values] : root.items()) {
     if (!known.contains(section))
       throw ConfigError(name + ": unknown key " + shown(section) + "; accepted are " + joined(known));
-    if (sections.contains(section)) read_section(config, section, values, name);
+    if (sections.contains(section)) read_section(config, program, section, values, name);
   }
   // After the sections, whose values are the defaults of their entries.
-  for (const ConfigList* list : kLists) {
+  for (const ConfigList* list : lists(program)) {
     if (root.contains(list->name)) list->read(config, root[list->name], name);
   }
   check_together(config, name);
   return config;
 }
 
-Config load_config(const std::filesystem::path& file) {
+Config load_config(const std::filesystem::path& file, Program program) {
   std::error_code error;
   if (std::filesystem::is_directory(file, error))
     throw ConfigError(file.string() + ": is a directory; accepted is a file");
@@ -88,7 +92,7 @@ Config load_config(const std::filesystem::path& file) {
     throw ConfigError(file.string() + ": longer than " + std::to_string(kMaxConfigBytes) +
                       " bytes; a configuration is shorter");
   }
-  Config config = parse_config(text, file.string());
+  Config config = parse_config(text, file.string(), program);
   config.directory = file.parent_path();
   return config;
 }
@@ -112,9 +116,9 @@ void append_comment(std::string& out, const std::string& text, const std::string
 
 }  // namespace
 
-std::string commented(const Config& config) {
+std::string commented(const Config& config, Program program) {
   std::string out = "{\n", section;
-  for (const ConfigKey& key : config_keys()) {
+  for (const ConfigKey& key : config_keys(program)) {
     if (key.section() != section) {
       if (!section.empty()) out += "\n  },\n";
       section = key.section();
@@ -125,10 +129,10 @@ std::string commented(const Config& config) {
     append_comment(out, key.meaning + " Accepted: " + key.accepted + '.', "    ");
     out += "    \"" + key.leaf() + "\": " + key.get(config).dump();
   }
-  out += "\n  },\n";
-  std::string list_separator;
-  for (const ConfigList* list : kLists) {
-    out += std::exchange(list_separator, ",\n");
+  out += "\n  }";
+  std::string list_separator = ",\n";
+  for (const ConfigList* list : lists(program)) {
+    out += list_separator;
     append_comment(out, std::string(list->meaning) + " Accepted: " + list->accepted + '.', "  ");
     out += std::string("  \"") + list->name + "\": " + list->json(config).dump();
   }
@@ -138,7 +142,7 @@ std::string commented(const Config& config) {
 std::string compact(const Config& config) {
   Json root;
   for (const ConfigKey& key : config_keys()) root[key.section()][key.leaf()] = key.get(config);
-  for (const ConfigList* list : kLists) root[list->name] = list->json(config);
+  for (const ConfigList* list : lists(Program::kServer)) root[list->name] = list->json(config);
   return root.dump();
 }
 

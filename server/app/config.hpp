@@ -116,6 +116,21 @@ struct Config {
   input::OpenIgtLinkOptions openigtlink;
   input::HaplyOptions haply;
 
+  struct Cluster {
+    std::string nats;  // empty: this server is on its own
+    std::string name;
+    std::string credentials_file, ca_file, certificate_file, private_key_file;
+    std::string advertise, picture;
+    std::string storage = "memory";
+    std::int64_t replicas = 1;
+    std::int64_t stream_megabytes = 128;
+    double keep_minutes = 60;
+    std::int64_t join_megabytes = 16;
+    std::int64_t queue_megabytes = 64;
+    bool failover = false;
+    double lease_s = 15;
+  } cluster;
+
   struct Log {
     std::string level = "info";
     std::string format = "text";
@@ -129,20 +144,41 @@ struct Config {
 
   std::vector<RegionLook> looks;  // of entries of "materials", whose other part is in haptics
 
+  // Of incise-relay, which of all these has only this, listen, stream, log and of cluster how to reach NATS.
+  struct Relay {
+    std::string upstream;
+    std::int64_t upstream_http_port = 7480;
+    std::string token_file, ca_file;
+    struct Session {
+      std::string name, upstream;
+      std::int64_t tcp_port = 0, http_port = 0, upstream_http_port = 7480;
+      // What follows "nats:" in `upstream`: the name of a session that is published there; "" if it is an address.
+      std::string nats_session() const { return upstream.starts_with("nats:") ? upstream.substr(5) : ""; }
+    };
+    std::vector<Session> sessions;
+    // Either of the two.
+    std::vector<Session> all(const Listen& listen) const;
+  } relay;
+
   // Where the file was read from; paths in it are relative to that. Empty: the working directory.
   std::filesystem::path directory;
   std::filesystem::path resolve(const std::string& path) const;
 };
 
+// Whose configuration it is: each has keys of its own.
+enum class Program : std::uint8_t { kServer, kRelay };
+
 // Reads a configuration file: JSON, with // and /* */ comments. Absent keys have their defaults; unknown keys are
 // refused. Throws ConfigError.
-Config load_config(const std::filesystem::path& file);
+Config load_config(const std::filesystem::path& file, Program program = Program::kServer);
 // The same from a text; `name` is the file in messages.
-Config parse_config(std::string_view text, const std::string& name);
+Config parse_config(std::string_view text, const std::string& name, Program program = Program::kServer);
 
 // What a server needs and parsing does not check: usable tokens, certificates and profiles, a mesh that exists, folders
 // that can be read. Throws ConfigError, its text beginning with `file`.
 void check_config(const Config& config, const std::string& file);
+// The same for a relay.
+void check_relay_config(const Config& config, const std::string& file);
 
 // The profiles of devices.profiles, then the shipped ones; none if devices are not enabled. Throws ConfigError.
 std::vector<input::DeviceProfile> device_profiles(const Config& config);
@@ -150,7 +186,7 @@ std::vector<input::DeviceProfile> device_profiles(const Config& config);
 std::filesystem::path shipped_profiles();
 
 // The configuration as a file with all keys, each with a comment: what it means and accepts.
-std::string commented(const Config& config);
+std::string commented(const Config& config, Program program = Program::kServer);
 // As one line of JSON: what a capture carries.
 std::string compact(const Config& config);
 

@@ -21,4 +21,9 @@ const char* EndSignals::wait() const {
   return signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : nullptr;
 }
 
+bool EndSignals::pending() const {
+  sigset_t come{};
+  return sigpending(&come) == 0 && (sigismember(&come, SIGINT) == 1 || sigismember(&come, SIGTERM) == 1);
+}
+
 }  // namespace incise::app

@@ -10,6 +10,8 @@ class EndSignals {
   EndSignals();
   // The signal's name; null after a second without one.
   const char* wait() const;
+  // Whether one has come; wait() still gets it.
+  bool pending() const;
 
  private:
   sigset_t set_;

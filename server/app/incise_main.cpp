@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "client/cli/usage.hpp"
+#include "server/app/cluster_commands.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/version.hpp"
@@ -82,7 +83,8 @@ int main(int argc, char** argv) {
   int exit_code = incise::client::kSuccess;
   incise::app::add_offline_commands(app, exit_code);
 #if INCISE_NETWORK_COMMANDS
-  incise::client::add_network_commands(app, exit_code);
+  incise::client::add_network_commands(app, exit_code, incise::app::find_session);
+  incise::app::add_cluster_commands(app, exit_code);
 #endif
   incise::app::add_manual_options(app, 1);
   try {

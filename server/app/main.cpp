@@ -1,57 +1,19 @@
 // incised: the server. Start-up faults end it with one line that says what to do.
 
-#include <spdlog/async.h>
-#include <spdlog/pattern_formatter.h>
-#include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <exception>
-#include <nlohmann/json.hpp>
 
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/config.hpp"
+#include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/recording.hpp"
 #include "server/app/server_run.hpp"
 #include "server/app/version.hpp"
-
-namespace {
-
-// The line's text as a JSON string, with its quotes.
-class JsonText final : public spdlog::custom_flag_formatter {
- public:
-  void format(const spdlog::details::log_msg& message, const std::tm&, spdlog::memory_buf_t& out) override {
-    const std::string text(message.payload.data(), message.payload.size());
-    const std::string quoted =
-        nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
-    out.append(quoted.data(), quoted.data() + quoted.size());
-  }
-  std::unique_ptr<custom_flag_formatter> clone() const override { return std::make_unique<JsonText>(); }
-};
-
-void start_log(const incise::app::Config::Log& log) {
-  // A full queue drops the oldest line: no thread of the server ever waits for the log.
-  spdlog::init_thread_pool(8192, 1);
-  auto sink = std::make_shared<spdlog::sinks::stderr_color_sink_mt>();
-  auto logger = std::make_shared<spdlog::async_logger>("incised", sink, spdlog::thread_pool(),
-                                                       spdlog::async_overflow_policy::overrun_oldest);
-  if (log.format == "json") {
-    auto formatter = std::make_unique<spdlog::pattern_formatter>();
-    formatter->add_flag<JsonText>('*').set_pattern(
-        R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level":"%l","thread":%t,"text":%*})");
-    logger->set_formatter(std::move(formatter));
-  } else {
-    logger->set_pattern("%Y-%m-%d %H:%M:%S.%e %^%l%$ %v");
-  }
-  logger->set_level(spdlog::level::from_str(log.level));
-  logger->flush_on(spdlog::level::info);
-  spdlog::set_default_logger(logger);
-}
-
-}  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app("The cut server: holds one mesh, reads blade poses, cuts, and streams what changed.",
@@ -98,7 +60,7 @@ int main(int argc, char** argv) {
     const incise::app::Config config = incise::app::load_config(config_file);
     incise::app::check_config(config, config_file);
     incise::app::check_recording(config, config_file);
-    start_log(config.log);
+    incise::app::start_log(config.log, "incised");
     try {
       incise::app::run_server(config, resume);
     } catch (...) {

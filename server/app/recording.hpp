@@ -20,6 +20,7 @@ struct Recording {
   std::unique_ptr<CaptureJournal> journal;    // null: nothing is recorded
   int next_checkpoint = 0;                    // the checkpoint file that may be overwritten
   double debt_s = 0;                          // work that the next resume would have to repeat
+  std::function<bool()> may_write;            // whether the files are still ours; empty: always
   std::uint64_t lost = 0;                     // records at its end that could not be written
   ReplayTail::Tail
       shown;  // what clients see at the start: a state, and the steps from there to the session's

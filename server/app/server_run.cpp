@@ -13,6 +13,7 @@
 #include "server/app/audit_log.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
+#include "server/app/cluster_link.hpp"
 #include "server/app/end_signals.hpp"
 #include "server/app/look.hpp"
 #include "server/app/loop_watch.hpp"
@@ -58,8 +59,11 @@ ServedSurface serve_surface(const Config& config, const Body& body) {
   return served;
 }
 
-Recording open_recording(const Config& config, const Body& body, bool resume, std::int64_t started_ns) {
+Recording open_recording(const Config& config, const Body& body, bool resume, std::function<bool()> may_write,
+                         std::int64_t started_ns) {
   Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body);
+  if (recording.journal) recording.journal->write_while(may_write);
+  recording.may_write = std::move(may_write);
   recording.shown.before.origins = body.origins;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
                body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
@@ -101,7 +105,10 @@ stream::RecordingNow recording_now(const loop::Journal* journal) {
 // All parts of a running server, in the order in which they are made: each refers to those above it.
 class RunningServer {
  public:
-  RunningServer(const Config& config, bool resume);
+  RunningServer(const Config& config, bool resume, ClusterLink& cluster);
+  ~RunningServer() { cluster_.stop(); }
+  RunningServer(const RunningServer&) = delete;
+  RunningServer& operator=(const RunningServer&) = delete;
   // Opens the ports and starts the loop, then prints where the server listens.
   void start();
   // Watches the loop until a signal comes; its name.
@@ -118,11 +125,13 @@ class RunningServer {
   void run_loop(const std::stop_token& stop);
   void close_journal(std::int64_t ending_ns);
   void log_end() const;
+  cluster::DirectoryEntry directory_entry() const;
   core::CutSession& session() { return *recording_.session; }
   double seconds_since_start() const { return static_cast<double>(monotonic_ns() - started_ns_) * 1e-9; }
 
   const Config& config_;
-  const std::int64_t started_ns_ = monotonic_ns();
+  ClusterLink& cluster_;
+  const std::int64_t started_ns_ = monotonic_ns(), started_unix_ns_ = unix_ns();
   const Body body_;
   ServedSurface surface_;
   Recording recording_;
@@ -151,11 +160,12 @@ class RunningServer {
   std::jthread loop_thread_;
 };
 
-RunningServer::RunningServer(const Config& config, bool resume)
+RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& cluster)
     : config_(config),
+      cluster_(cluster),
       body_(load_and_log(config)),
       surface_(serve_surface(config, body_)),
-      recording_(open_recording(config, body_, resume, started_ns_)),
+      recording_(open_recording(config, body_, resume, cluster.may_write(), started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
       sources_(config.cut.blade, declared_sources(config)),
@@ -193,7 +203,9 @@ stream::Providers RunningServer::providers() {
           [this] { return recording_now(journal_.get()); },
           [this] { return simulation_.loads(); },
           [this](const protocol::BladeModel& model) { return simulation_.use(model); },
-          std::move(surface_.documents)};
+          std::move(surface_.documents),
+          cluster_.listener(),
+          cluster_ ? [this] { return cluster_.sessions_json(); } : std::function<std::string()>()};
 }
 
 stream::ServerFacts RunningServer::facts() {
@@ -206,6 +218,7 @@ void RunningServer::join_loop() {
   watch_.emplace(frames_.stats());
   telemetry_.emplace(frames_.stats(), sources_, journal_.get(), config_.loop.rate_hz);
   telemetry_->join_stream([this] { return server_.counters(); });
+  if (cluster_) telemetry_->join_cluster([this] { return cluster_.publisher().counters(); });
   frames_.offer_deformation(positions_);
   if (config_.haptics.forces)
     frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_, &simulation_.link());
@@ -250,11 +263,26 @@ void RunningServer::start() {
   server_.start();
   loop_thread_ = std::jthread([this](const std::stop_token& stop) { run_loop(stop); });
   spare_.start();
+  cluster_.start(server_, [this] { return directory_entry(); });
   print_places();
   if (journal_ && recording_.lost == 0)
     spdlog::info("recording to {}", config_.resolve(config_.capture.path).string());
   spdlog::info("ready: {} frames a second, {:.1f} s after the start; Ctrl-C ends", config_.loop.rate_hz,
                seconds_since_start());
+}
+
+cluster::DirectoryEntry RunningServer::directory_entry() const {
+  cluster::DirectoryEntry entry;
+  const stream::StreamCounters counters = server_.counters();
+  entry.body = body_.name;
+  entry.revision = counters.revision;
+  entry.viewers = static_cast<std::uint32_t>(counters.peers);
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if (std::string name = sources_.name_of(source); !name.empty()) entry.blades.push_back(std::move(name));
+  }
+  entry.frame_p99_us = static_cast<double>(frames_.stats().frame_work.quantile_ns(0.99)) * 1e-3;
+  entry.started_unix_s = started_unix_ns_ / 1'000'000'000;
+  return entry;
 }
 
 void RunningServer::run_loop(const std::stop_token& stop) {
@@ -290,6 +318,7 @@ void RunningServer::stop() {
   loop_thread_.request_stop();
   loop_thread_.join();  // drains the queues, ends the strokes, cuts and publishes, for 20 s at most
   server_.stop();
+  cluster_.stop();
   library_.stop();
   if (journal_) close_journal(ending_ns);
   log_end();
@@ -326,11 +355,16 @@ void RunningServer::log_end() const {
 
 void run_server(const Config& config, bool resume) {
   const EndSignals signals;
-  RunningServer server(config, resume);
-  server.start();
-  const char* const signal = server.watch(signals);
-  spdlog::info("{}: ending", signal);
-  server.stop();
+  ClusterLink cluster(config);
+  if (!cluster.acquire(signals)) return;
+  {
+    RunningServer server(config, resume || cluster.resumes(), cluster);
+    server.start();
+    const char* const signal = server.watch(signals);
+    spdlog::info("{}: ending", signal);
+    server.stop();
+  }
+  cluster.release();
 }
 
 }  // namespace incise::app

@@ -19,6 +19,7 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   options.journal = config.resolve(config.capture.path).string();
   options.replay_s = config.capture.checkpoint_replay_s;
   options.debt_s = recording.debt_s;
+  options.may_write = recording.may_write;
   options.fresh = [&config, &body] {
     return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
   };

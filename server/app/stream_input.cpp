@@ -80,7 +80,7 @@ std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_nam
   return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
-std::string StreamInput::undo(std::optional<std::uint32_t> source) {
+std::string StreamInput::undo(std::optional<std::uint32_t> source, const Later& /*later*/) {
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
   if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";

@@ -66,8 +66,8 @@ class StreamInput final : public stream::PeerInput {
   std::unique_ptr<stream::PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& own_edge) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
-  std::string undo(std::optional<std::uint32_t> source) override;
-  bool reset() override { return loop_ && loop_->request_reset(); }
+  std::string undo(std::optional<std::uint32_t> source, const Later& later) override;
+  bool reset(const Later& /*later*/) override { return loop_ && loop_->request_reset(); }
 
  private:
   input::PoseSources& sources_;

@@ -2,15 +2,16 @@
 
 #include <cinttypes>
 #include <cstdio>
-#include <nlohmann/json.hpp>
 
 #include "server/app/version.hpp"
 #include "server/base/hex.hpp"
 
 namespace incise::app {
-namespace {
 
 using Json = nlohmann::ordered_json;
+
+namespace {
+
 using loop::LoopStats;
 
 // The stages of a pose and of a frame, with the names used everywhere.
@@ -74,6 +75,26 @@ Json network_json(const input::NetworkStatus& status) {
   return json;
 }
 
+std::string number(double value) {
+  return Json(value).dump();
+}
+
+}  // namespace
+
+Json access_json(const stream::StreamCounters& c) {
+  return {{"peers", c.peers},
+          {"sessions", c.peers},  // the older name of peers
+          {"connections", c.connections},
+          {"accepted", c.accepted},
+          {"refused", c.refused},
+          {"wrong_tokens", c.wrong_tokens},
+          {"tokens_not_looked_at", c.tokens_not_looked_at},
+          {"resets", c.resets},
+          {"undos", c.undos},
+          {"takeovers", c.takeovers},
+          {"handovers", c.handovers}};
+}
+
 Json stream_json(const stream::StreamCounters& c) {
   Json json{{"sessions", c.peers},  // the older name of access.peers
             {"deltas", c.deltas},
@@ -89,12 +110,6 @@ Json stream_json(const stream::StreamCounters& c) {
                    {"bytes", c.part_bytes}};
   return json;
 }
-
-std::string number(double value) {
-  return Json(value).dump();
-}
-
-}  // namespace
 
 Telemetry::Telemetry(const loop::LoopStats& stats, const input::PoseSources& sources,
                      const loop::Journal* journal, double rate_hz)
@@ -168,18 +183,16 @@ std::string Telemetry::json() const {
   }
   if (stream_) {
     const stream::StreamCounters c = stream_();
-    root["access"] = {{"peers", c.peers},
-                      {"sessions", c.peers},  // the older name of peers
-                      {"connections", c.connections},
-                      {"accepted", c.accepted},
-                      {"refused", c.refused},
-                      {"wrong_tokens", c.wrong_tokens},
-                      {"tokens_not_looked_at", c.tokens_not_looked_at},
-                      {"resets", c.resets},
-                      {"undos", c.undos},
-                      {"takeovers", c.takeovers},
-                      {"handovers", c.handovers}};
+    root["access"] = access_json(c);
     root["stream"] = stream_json(c);
+  }
+  if (cluster_) {
+    const cluster::PublisherCounters c = cluster_();
+    root["cluster"] = {{"connected", c.connected},     {"trouble", c.trouble},
+                       {"connections", c.connections}, {"failures", c.failures},
+                       {"messages", c.messages},       {"bytes", c.bytes},
+                       {"deltas", c.deltas},           {"snapshots", c.snapshots},
+                       {"dropped", c.dropped},         {"queued_bytes", c.queued_bytes}};
   }
   Json stages;
   for (const Stage& stage : kStages) {
@@ -253,6 +266,22 @@ std::string Telemetry::metrics() const {
                "\"} " + std::to_string(count) + '\n';
       }
     }
+  }
+  if (cluster_) {
+    const cluster::PublisherCounters c = cluster_();
+    const auto count = [&](const char* name, const char* help, std::uint64_t value) {
+      one(std::string("cluster_") + name, "counter", help, static_cast<double>(value));
+    };
+    one("cluster_connected", "gauge", "1 while the session is published on NATS.", c.connected ? 1 : 0);
+    one("cluster_queued_bytes", "gauge", "Bytes that wait to be published.",
+        static_cast<double>(c.queued_bytes));
+    count("connections_total", "Connections made to NATS.", c.connections);
+    count("failures_total", "Connections to NATS that failed or were lost, and refusals.", c.failures);
+    count("messages_total", "Messages published.", c.messages);
+    count("bytes_total", "Bytes of these.", c.bytes);
+    count("deltas_total", "Deltas published, of both views.", c.deltas);
+    count("snapshots_total", "Snapshots published, of both views.", c.snapshots);
+    count("dropped_total", "Steps that were not published because too much waited.", c.dropped);
   }
   if (network_) {
     family("network_input_total", "counter", "What sources on the network brought, by protocol.");

@@ -1,10 +1,12 @@
 #pragma once
 
 #include <functional>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
 #include "protocol/messages.hpp"
+#include "server/cluster/feed_publisher.hpp"
 #include "server/input/hid/hid_input.hpp"
 #include "server/input/network_status.hpp"
 #include "server/input/pose_sources.hpp"
@@ -30,6 +32,9 @@ class Telemetry {
   // And about the sessions.
   void join_stream(std::function<stream::StreamCounters()> counters) { stream_ = std::move(counters); }
 
+  // And about what is published on NATS.
+  void join_cluster(std::function<cluster::PublisherCounters()> cluster) { cluster_ = std::move(cluster); }
+
   // One JSON object: state, backlog, histograms (p50, p90, p99, p99.9, max, in microseconds) by stage.
   std::string json() const;
   // Prometheus text format 0.0.4.
@@ -46,6 +51,11 @@ class Telemetry {
   std::function<std::vector<input::DeviceStatus>()> devices_;
   std::function<std::vector<input::NetworkStatus>()> network_;
   std::function<stream::StreamCounters()> stream_;
+  std::function<cluster::PublisherCounters()> cluster_;
 };
+
+// What a server's ports and peers did, as in /stats.
+nlohmann::ordered_json access_json(const stream::StreamCounters& counters);
+nlohmann::ordered_json stream_json(const stream::StreamCounters& counters);
 
 }  // namespace incise::app

@@ -292,6 +292,8 @@ void Checkpointer::write(const Item& mark) {
   checkpoint.state_hash = session_->mesh().state_hash();
   checkpoint.state = core::save_session(*session_);
   try {
+    if (options_.may_write && !options_.may_write())
+      throw std::runtime_error("another instance may have the session");
     write_checkpoint(checkpoint_path(options_.journal, next_file_), checkpoint);
     next_file_ = (next_file_ + 1) % kCheckpointFiles;
     last_revision_.store(checkpoint.revision, std::memory_order_relaxed);

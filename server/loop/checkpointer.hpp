@@ -45,6 +45,7 @@ class Checkpointer {
     double replay_s = 1;
     // What the resume at the start of this run had to compute, and has written no checkpoint of.
     double debt_s = 0;
+    std::function<bool()> may_write;  // whether the files are still ours; empty: always
     // After so long without a record a quarter of `replay_s` is enough.
     std::chrono::milliseconds rest{2000};
     std::size_t capacity = 1u << 20;                           // records that may wait

@@ -14,8 +14,9 @@ SharedFrame coalesce(const DeltaRing& ring, protocol::View view, std::uint64_t b
   std::vector<protocol::Message> messages;  // their arrays point into the ring's bytes
   std::vector<protocol::Delta> deltas;
   std::vector<protocol::SurfaceDelta> surface_deltas;
-  for (std::uint64_t r = base + 1; r <= head; ++r) {
-    const EncodedStep& step = ring.step(r);
+  for (std::uint64_t r = base; r < head;) {
+    const EncodedStep& step = ring.after(r);
+    r = step.revision;
     protocol::DecodeResult decoded =
         protocol::decode((view == protocol::View::Surface ? step.surface : step.volume)->body());
     INCISE_CHECK(decoded, decoded.error);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -10,7 +11,8 @@
 namespace incise::stream {
 
 // The last steps of a state, as many as fit into `max_bytes`: for peers that return, fall behind, or want fewer a
-// second. A Step takes the state from `revision` - 1 to `revision`, and has bytes().
+// second. A Step takes the state from `base_revision` to `revision`, and has bytes(). The loop's steps are one revision each; a relay
+// may get several in one, and then nobody can go on from those in between.
 //
 // Thread: the stream thread.
 template <class Step>
@@ -32,18 +34,28 @@ class StepRing {
     bytes_ = 0;
   }
 
-  // Whether the steps from `revision` to `head` are here.
+  // Whether steps lead from `revision` to `head`.
   bool covers(std::uint64_t revision, std::uint64_t head) const {
-    return revision == head || (!steps_.empty() && steps_.front().revision <= revision + 1 &&
-                                revision < head && steps_.back().revision == head);
+    return revision == head ||
+           (revision < head && !steps_.empty() && steps_.back().revision == head && find(revision));
   }
-  // The step that takes revision - 1 to `revision`, which must be here.
-  const Step& step(std::uint64_t revision) const { return steps_[revision - steps_.front().revision]; }
+  // The step that begins at `revision`, which must be here. O(log n).
+  const Step& after(std::uint64_t revision) const { return *find(revision); }
+
+  // Null: none is here.
+  const Step* newest() const { return steps_.empty() ? nullptr : &steps_.back(); }
 
   std::size_t size() const { return steps_.size(); }
   std::size_t bytes() const { return bytes_; }
 
  private:
+  // Null: no step begins there.
+  const Step* find(std::uint64_t base) const {
+    const auto step = std::lower_bound(steps_.begin(), steps_.end(), base,
+                                       [](const Step& s, std::uint64_t r) { return s.base_revision < r; });
+    return step != steps_.end() && step->base_revision == base ? &*step : nullptr;
+  }
+
   std::size_t max_bytes_;
   std::size_t bytes_ = 0;
   std::deque<Step> steps_;

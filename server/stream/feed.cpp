@@ -1,6 +1,7 @@
 #include "server/stream/feed.hpp"
 
 #include <boost/asio/post.hpp>
+#include <numeric>
 #include <stdexcept>
 
 #include "server/base/check.hpp"
@@ -21,8 +22,16 @@ void Feed::reset(std::shared_ptr<const InitialState> initial) {
 }
 
 void Feed::apply(const std::shared_ptr<const PublishedDelta>& delta) {
-  Mirror::Applied applied = mirror_.apply(*delta);
+  keep(mirror_.apply(*delta));
   keeper_.apply(delta);
+}
+
+void Feed::apply(const std::shared_ptr<const ReceivedDelta>& delta) {
+  keep(mirror_.apply(*delta));
+  keeper_.apply(delta);
+}
+
+void Feed::keep(Mirror::Applied applied) {
   coalesced_.clear();
   changes_.append(std::move(applied.change));
   if (applied.step) {
@@ -36,7 +45,7 @@ bool Feed::can_resume(std::uint64_t revision, std::uint64_t hash) const {
   const std::uint64_t head = mirror_.revision();
   if (!ring_.covers(revision, head)) return false;
   if (hash == 0) return true;
-  return hash == (revision == head ? mirror_.volume().state_hash() : ring_.step(revision + 1).base_hash);
+  return hash == (revision == head ? mirror_.volume().state_hash() : ring_.after(revision).base_hash);
 }
 
 void Feed::request_snapshot(protocol::View view, const std::optional<protocol::Box>& box, bool fields,
@@ -70,7 +79,7 @@ std::optional<Refusal> Feed::set_field(const protocol::FieldValues& values) {
                        (on_vertices ? "vertices" : "tetrahedra") + " below " + number(most) +
                        ", at a revision up to " + number(mirror_.revision())};
   }
-  SnapshotKeeper::NewValues given{values.field, values.first, values.revision, {}};
+  NewFieldValues given{values.field, values.first, values.revision, {}};
   if (facts.whole) {
     given.values = std::vector<std::int32_t>(values.i32.begin(), values.i32.end());
   } else {
@@ -82,6 +91,16 @@ std::optional<Refusal> Feed::set_field(const protocol::FieldValues& values) {
   }
   ++fields_set_[values.field];
   return std::nullopt;
+}
+
+std::uint64_t Feed::times_fields_set() const {
+  return std::accumulate(fields_set_.begin(), fields_set_.end(), std::uint64_t{0});
+}
+
+void Feed::set_field(NewFieldValues values) {
+  const std::uint32_t field = values.field;
+  keeper_.set(std::move(values), true);
+  ++fields_set_.at(field);
 }
 
 void Feed::request_fields(std::vector<std::uint32_t> fields, SnapshotKeeper::FieldsReady ready) {
@@ -100,8 +119,8 @@ SharedFrame Feed::coalesced(protocol::View view, std::uint64_t base) {
 SharedFrame Feed::part_delta(BoxPart& part) {
   const std::uint64_t base = part.revision(), head = mirror_.revision();
   if (!changes_.covers(base, head) || head - base > protocol::kMaxStepsPerDelta) return nullptr;
-  protocol::MeshChange change = changes_.step(base + 1);
-  for (std::uint64_t r = base + 2; r <= head; ++r) change.append(changes_.step(r));
+  protocol::MeshChange change = changes_.after(base);
+  while (change.revision < head) change.append(changes_.after(change.revision));
   try {
     return mirror_.follow_part(part, change);
   } catch (const std::length_error&) {

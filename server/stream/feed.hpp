@@ -28,14 +28,18 @@ class Feed {
   // Another epoch.
   void reset(std::shared_ptr<const InitialState> initial);
   void apply(const std::shared_ptr<const PublishedDelta>& delta);
+  void apply(const std::shared_ptr<const ReceivedDelta>& delta);
 
   const Mirror& mirror() const { return mirror_; }
   const DeltaRing& ring() const { return ring_; }
   // That the body has, and how often clients have set each.
   const std::vector<protocol::FieldFacts>& fields() const { return fields_; }
   const std::vector<std::uint64_t>& fields_set() const { return fields_set_; }
+  std::uint64_t times_fields_set() const;
   // What a client says of one of them, for everybody; or why not.
   std::optional<Refusal> set_field(const protocol::FieldValues& values);
+  // All values of one of them, from another server that says so of this revision.
+  void set_field(NewFieldValues values);
   // Calls `ready` on this thread, later: values at the mirror's revision as it is now.
   void request_fields(std::vector<std::uint32_t> fields, SnapshotKeeper::FieldsReady ready);
 
@@ -53,6 +57,8 @@ class Feed {
   SharedFrame part_delta(BoxPart& part);
 
  private:
+  void keep(Mirror::Applied applied);
+
   asio::io_context& io_;
   Mirror mirror_;
   DeltaRing ring_;

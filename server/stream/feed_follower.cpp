@@ -18,11 +18,14 @@ FeedFollower::FeedFollower(PeerContext& context, Outbox& outbox)
       part_(*context.counters),
       pace_(context.io) {}
 
-std::uint64_t FeedFollower::epoch_name() const {
+std::uint64_t session_name(std::uint64_t epoch, View view, bool box, std::span<const std::uint32_t> fields) {
   std::uint64_t chosen = 0;
-  for (const std::uint32_t field : fields()) chosen = (chosen ^ (field + 1)) * 0x100000001b3;
-  return feed_->mirror().epoch() ^ (want_.view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^
-         (want_.box ? 0xc2b2ae3d27d4eb4f : 0) ^ chosen;
+  for (const std::uint32_t field : fields) chosen = (chosen ^ (field + 1)) * 0x100000001b3;
+  return epoch ^ (view == View::Surface ? 0x9e3779b97f4a7c15 : 0) ^ (box ? 0xc2b2ae3d27d4eb4f : 0) ^ chosen;
+}
+
+std::uint64_t FeedFollower::epoch_name() const {
+  return session_name(feed_->mirror().epoch(), want_.view, want_.box.has_value(), fields());
 }
 
 std::vector<std::uint32_t> FeedFollower::fields() const {
@@ -211,16 +214,21 @@ void FeedFollower::send_deltas(std::uint64_t head) {
     send_snapshot(SnapshotCause::TooSlow);
     return;
   }
-  const auto frame_of = [&](std::uint64_t revision) {
-    const EncodedStep& step = feed_->ring().step(revision);
+  const DeltaRing& ring = feed_->ring();
+  const auto frame_of = [&](const EncodedStep& step) {
     return want_.view == View::Surface ? step.surface : step.volume;
   };
   const std::size_t limit = context_.config.outbox_bytes;
   std::size_t missing = 0;
-  for (std::uint64_t r = revision_ + 1; r <= head && missing <= limit; ++r)
-    missing += frame_of(r)->tcp().size();
-  if (head - revision_ == 1 || (!pace_.limited() && outbox_.state_bytes() + missing <= limit)) {
-    while (revision_ < head) outbox_.send_state(frame_of(++revision_));
+  for (std::uint64_t r = revision_; r < head && missing <= limit; r = ring.after(r).revision)
+    missing += frame_of(ring.after(r))->tcp().size();
+  if (ring.after(revision_).revision == head ||
+      (!pace_.limited() && outbox_.state_bytes() + missing <= limit)) {
+    while (revision_ < head) {
+      const EncodedStep& step = ring.after(revision_);
+      revision_ = step.revision;
+      outbox_.send_state(frame_of(step));
+    }
     return;
   }
   const SharedFrame frame = feed_->coalesced(want_.view, revision_);

@@ -122,6 +122,8 @@ std::optional<Answer> answer(const PeerContext& context, std::string_view path) 
     }
     return Answer{http::status::ok, "application/json", "[" + list + "]\n"};
   }
+  if (path == "/sessions" && providers.sessions_json)
+    return Answer{http::status::ok, "application/json", providers.sessions_json() + "\n"};
   if (path == "/stats" && providers.stats_json) {
     return Answer{http::status::ok, "application/json", providers.stats_json()};
   }
@@ -147,7 +149,7 @@ std::function<bool(const AccessToken&)> opening(const PeerContext& context, std:
   if (path == "/stats" || path == "/metrics") return [](const AccessToken&) { return true; };
   if (context.providers.documents.contains(path))
     return [](const AccessToken& token) { return !token.roles.empty(); };
-  if (path != "/captures") return nullptr;
+  if (path != "/captures" && !(path == "/sessions" && context.providers.sessions_json)) return nullptr;
   return [](const AccessToken& token) {
     return std::any_of(token.roles.begin(), token.roles.end(), [](protocol::Role role) {
       return role == protocol::Role::Viewer || role == protocol::Role::Admin;

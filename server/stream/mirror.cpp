@@ -1,6 +1,7 @@
 #include "server/stream/mirror.hpp"
 
 #include <stdexcept>
+#include <utility>
 
 #include "server/base/check.hpp"
 #include "server/base/clock.hpp"
@@ -20,11 +21,21 @@ void Mirror::reset(const InitialState& initial) {
   if (std::string problem = load_initial(initial, volume_); !problem.empty()) {
     throw std::runtime_error("initial state: " + problem);
   }
+  load(initial.epoch, initial.origins);
+}
+
+void Mirror::reset(protocol::Replica volume, std::uint64_t epoch,
+                   std::shared_ptr<const protocol::OriginTree> origins) {
+  volume_ = std::move(volume);
+  load(epoch, std::move(origins));
+}
+
+void Mirror::load(std::uint64_t epoch, std::shared_ptr<const protocol::OriginTree> origins) {
   static_cast<void>(volume_.pieces());  // from then on they are followed
-  surface_.set_origins(initial.origins);
+  surface_.set_origins(std::move(origins));
   surface_.load(volume_);
   tets_at_.load(volume_);
-  epoch_ = initial.epoch;
+  epoch_ = epoch;
 }
 
 namespace {
@@ -50,8 +61,28 @@ protocol::SurfaceDelta surface_delta(const D& from, const protocol::SurfaceChang
 
 }  // namespace
 
+std::shared_ptr<const ReceivedDelta> received_delta(const protocol::Delta& delta) {
+  auto received = std::make_shared<ReceivedDelta>();
+  try {
+    received->frame = make_frame(delta);
+  } catch (const std::length_error&) {
+    return nullptr;
+  }
+  protocol::DecodeResult decoded = protocol::decode(received->frame->body());
+  INCISE_CHECK(decoded, decoded.error);
+  received->message = std::move(*decoded.message);
+  return received;
+}
+
 Mirror::Applied Mirror::apply(const PublishedDelta& published) {
-  const protocol::Delta& delta = arrays_.assign(published, volume_);
+  return apply(arrays_.assign(published, volume_), nullptr);
+}
+
+Mirror::Applied Mirror::apply(const ReceivedDelta& received) {
+  return apply(received.delta(), received.frame);
+}
+
+Mirror::Applied Mirror::apply(const protocol::Delta& delta, SharedFrame frame) {
   Applied out{std::nullopt, protocol::MeshChange(volume_, delta)};
   const std::uint64_t base_hash = volume_.state_hash();
   tets_at_.follow(volume_, delta);
@@ -66,7 +97,8 @@ Mirror::Applied Mirror::apply(const PublishedDelta& published) {
   }
   const protocol::SurfaceChange change = surface_.follow(volume_, delta, look_at_);
   try {
-    out.step = EncodedStep{delta.revision, base_hash, make_frame(delta),
+    out.step = EncodedStep{delta.base_revision, delta.revision, base_hash,
+                           frame ? std::move(frame) : make_frame(delta),
                            make_frame(surface_delta(delta, change, surface_.surface_hash()))};
   } catch (const std::length_error&) {
   }

@@ -16,9 +16,19 @@ namespace incise::stream {
 
 using SharedFrame = std::shared_ptr<const protocol::Frame>;
 
+// A delta that came from another server: as it goes out to viewers of view Volume, and decoded.
+struct ReceivedDelta {
+  SharedFrame frame;
+  protocol::Message message;  // points into the frame, or owns a copy
+
+  const protocol::Delta& delta() const { return std::get<protocol::Delta>(message.body); }
+};
+// Copies the delta. Null where it is too long for a message. O(delta).
+std::shared_ptr<const ReceivedDelta> received_delta(const protocol::Delta& delta);
+
 // One step as it goes out, encoded once for all peers.
 struct EncodedStep {
-  std::uint64_t revision = 0;   // takes revision - 1 to this
+  std::uint64_t base_revision = 0, revision = 0;
   std::uint64_t base_hash = 0;  // the state's hash before it
   SharedFrame volume, surface;
 
@@ -47,6 +57,9 @@ class Mirror {
  public:
   // Loads a state. Throws std::runtime_error where no client could hold it.
   void reset(const InitialState& initial);
+  // The same, from what another server has sent.
+  void reset(protocol::Replica volume, std::uint64_t epoch,
+             std::shared_ptr<const protocol::OriginTree> origins);
 
   struct Applied {
     std::optional<EncodedStep>
@@ -56,6 +69,8 @@ class Mirror {
   // Applies a delta and encodes it for both views. A delta that does not fit is a bug of ours and ends the process.
   // O(delta log surface), and what is cut off, whose triangles get another piece.
   Applied apply(const PublishedDelta& published);
+  // One that another server made, of one revision or several. It fits: a replica of the same state has applied it.
+  Applied apply(const ReceivedDelta& received);
 
   // Names this run of ids.
   std::uint64_t epoch() const { return epoch_; }
@@ -67,6 +82,11 @@ class Mirror {
   SharedFrame follow_part(BoxPart& part, const protocol::MeshChange& change);
 
  private:
+  // The rest, of the volume.
+  void load(std::uint64_t epoch, std::shared_ptr<const protocol::OriginTree> origins);
+  // `frame`: the delta encoded, or null.
+  Applied apply(const protocol::Delta& delta, SharedFrame frame);
+
   std::uint64_t epoch_ = 0;
   protocol::Replica volume_{protocol::kMaxVertices, protocol::kMaxTets};
   protocol::SurfaceReplica surface_;

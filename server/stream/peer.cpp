@@ -1,10 +1,12 @@
 #include "server/stream/peer.hpp"
 
 #include <algorithm>
+#include <boost/asio/post.hpp>
 #include <utility>
 #include <variant>
 
 #include "server/base/clock.hpp"
+#include "server/stream/feed_listener.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/quoted.hpp"
 
@@ -202,10 +204,15 @@ void Peer::on_field_values(const protocol::FieldValues& values, std::uint64_t se
     outbox_.complain(ErrorCode::Forbidden, "FieldValues: only simulators and admins send them", sequence);
     return;
   }
+  if (const std::string why = context_.input.no_simulators(); !why.empty()) {
+    outbox_.complain(ErrorCode::NotAvailable, "FieldValues: " + why, sequence);
+    return;
+  }
   if (const auto refusal = context_.live.set_field(values)) {
     outbox_.complain(refusal->code, "FieldValues: " + refusal->text, sequence);
   } else {
     others_.advance_all();
+    if (FeedListener* listener = context_.providers.listener) listener->on_fields_set();
   }
 }
 
@@ -226,10 +233,20 @@ void Peer::on_model(const protocol::BladeModel& model, std::uint64_t sequence) {
   if (!trouble.empty()) outbox_.complain(ErrorCode::BadRequest, blade + ": " + trouble, sequence);
 }
 
+PeerInput::Later Peer::refuse_later(std::uint64_t sequence) {
+  return [weak = weak_from_this(), &io = context_.io, sequence](Refusal refusal) {
+    asio::post(io, [weak, sequence, refusal = std::move(refusal)] {
+      const auto self = weak.lock();
+      if (self && self->open())
+        self->outbox_.complain(refusal.code, refusal.text.substr(0, protocol::kMaxTextBytes), sequence);
+    });
+  };
+}
+
 void Peer::on_reset(std::uint64_t sequence) {
   if (role_ != Role::Admin) {
     outbox_.complain(ErrorCode::Forbidden, "Reset: only an admin may", sequence);
-  } else if (!context_.input.reset()) {
+  } else if (!context_.input.reset(refuse_later(sequence))) {
     outbox_.complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
   } else {
     ++context_.counters->resets;
@@ -244,7 +261,7 @@ void Peer::on_undo(std::uint64_t sequence) {
   }
   std::optional<std::uint32_t> source;
   if (role_ != Role::Admin) source = blade_.input()->number();
-  if (const std::string refusal = context_.input.undo(source); !refusal.empty()) {
+  if (const std::string refusal = context_.input.undo(source, refuse_later(sequence)); !refusal.empty()) {
     outbox_.complain(ErrorCode::NotAvailable, "Undo: " + refusal, sequence);
   } else {
     ++context_.counters->undos;
@@ -262,8 +279,14 @@ void Peer::on_replay(const protocol::ReplayControl& control, std::uint64_t seque
 
 // ---- What is sent to it ----
 
-void Peer::on_live_reset() {
-  if (!replay_.feed()) on_state_replaced();
+void Peer::on_live_reset(bool same_ids) {
+  if (replay_.feed()) return;
+  if (!same_ids) {
+    on_state_replaced();
+    return;
+  }
+  follower_.switch_to(context_.live);
+  if (open()) follower_.send_snapshot(protocol::SnapshotCause::Resync);
 }
 
 void Peer::on_state_replaced() {
@@ -322,7 +345,7 @@ void Peer::tick(std::int64_t now_ns) {
   switch (stage_) {
     case Stage::kHandshake:
       if (now_ns - opened_ns_ > to_ns(context_.config.handshake_timeout_s))
-        finish(ByeReason::HandshakeTimeout, "no Hello in time");
+        finish(ByeReason::HandshakeTimeout, missing_);
       break;
     case Stage::kOpen:
       tick_open(now_ns);
@@ -351,6 +374,12 @@ void Peer::tick_open(std::int64_t now_ns) {
     last_ping_ns_ = now_ns;
     outbox_.send(make_frame(protocol::Ping{static_cast<std::uint64_t>(now_ns), now_ns}));
   }
+  if (blade_.held()) {
+    if (const auto end = blade_.input()->ended()) {
+      end_with_blade(*end);
+      return;
+    }
+  }
   if (blade_.held() && now_ns - last_report_ns_ >= to_ns(1 / config.max_report_rate_hz)) {
     last_report_ns_ = now_ns;
     if (const auto report = blade_.next_report(context_.recording.state)) outbox_.send(make_frame(*report));
@@ -358,6 +387,16 @@ void Peer::tick_open(std::int64_t now_ns) {
 }
 
 // ---- Ending ----
+
+void Peer::end_with_blade(const BladeEnd& end) {
+  if (end.code != ErrorCode::Unknown) {
+    refuse({end.code, end.text});
+  } else if (end.reason != ByeReason::Unknown) {
+    finish(end.reason, end.text);
+  } else {
+    close();
+  }
+}
 
 void Peer::refuse(const Refusal& refusal, std::uint64_t sequence) {
   if (ending()) return;

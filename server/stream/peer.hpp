@@ -55,8 +55,8 @@ class Peer final : public std::enable_shared_from_this<Peer>,
 
   // The live mesh has moved on.
   void advance() { follower_.advance(); }
-  // The live mesh's ids start again: Welcome, and a snapshot.
-  void on_live_reset();
+  // The live mesh's ids start again: Welcome, and a snapshot. `same_ids`: a snapshot is enough.
+  void on_live_reset(bool same_ids);
   // Deadlines, pings, pose reports. About 20 times a second.
   void tick(std::int64_t now_ns);
   // A control message. Only once it is welcomed.
@@ -98,6 +98,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   void on_positions(const protocol::Positions& positions, std::uint64_t sequence);
   void on_field_values(const protocol::FieldValues& values, std::uint64_t sequence);
   void on_model(const protocol::BladeModel& model, std::uint64_t sequence);
+  PeerInput::Later refuse_later(std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
   void on_undo(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
@@ -107,6 +108,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<std::optional<Refusal>> check_token(const protocol::Hello& hello);
   asio::awaitable<std::optional<Refusal>> take_blade(const protocol::Hello& hello);
   asio::awaitable<std::unique_ptr<PoseInput>> take_over(const protocol::Hello& hello);
+  asio::awaitable<std::optional<Refusal>> wait_until_open(std::unique_ptr<PoseInput>& input);
   void send_welcome(bool resumed);
   void complain_of_fields(std::uint64_t sequence);
 
@@ -121,6 +123,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   void on_replay_advanced() override { follower_.advance(); }
 
   void tick_open(std::int64_t now_ns);
+  void end_with_blade(const BladeEnd& end);
   // What one of its messages may be long.
   std::size_t accepted_bytes() const;
   // Ends the connection with an Error.
@@ -135,6 +138,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   std::unique_ptr<Transport> transport_;
   Ticket ticket_;
   Stage stage_ = Stage::kHandshake;
+  const char* missing_ = "no Hello in time";  // where the handshake takes too long
   const std::string address_;
   std::string client_name_;
   protocol::Role role_ = protocol::Role::Viewer;

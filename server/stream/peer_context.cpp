@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "server/base/clock.hpp"
+
 namespace incise::stream {
 
 PeerContext::PeerContext(asio::io_context& io_context, const StreamConfig& stream_config,
@@ -14,6 +16,31 @@ PeerContext::PeerContext(asio::io_context& io_context, const StreamConfig& strea
       access(config.tokens),
       live(io, config.ring_bytes),
       box_turns(io, config.box_share, *counters) {}
+
+protocol::Welcome PeerContext::welcome_to(const Feed& feed) const {
+  const Mirror& mirror = feed.mirror();
+  protocol::Welcome welcome;
+  welcome.session = mirror.epoch();
+  welcome.revision = mirror.revision();
+  welcome.state_hash = mirror.volume().state_hash();
+  welcome.mesh = facts.mesh;
+  welcome.blade_heel = facts.blade_heel;
+  welcome.blade_tip = facts.blade_tip;
+  welcome.engage_button = facts.engage_button;
+  welcome.max_speed_m_s = facts.max_speed_m_s;
+  welcome.frame_rate_hz = facts.frame_rate_hz;
+  welcome.max_message_bytes = static_cast<std::uint32_t>(protocol::kMaxClientBytes);
+  welcome.server_name = "incised";
+  welcome.server_version = INCISE_VERSION;
+  welcome.server_monotonic_ns = monotonic_ns();
+  welcome.server_unix_ns = unix_ns();
+  welcome.policy = facts.policy;
+  welcome.recording = recording.state;
+  // A replay may be of another body.
+  if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
+  welcome.fields = feed.fields();
+  return welcome;
+}
 
 void PeerContext::note_refusal(const Access::Answer& answer, const asio::ip::address& address,
                                const std::string& what, const std::string& peer) {

@@ -29,6 +29,9 @@ struct PeerContext {
   void note_refusal(const Access::Answer& answer, const asio::ip::address& address, const std::string& what,
                     const std::string& peer);
 
+  // What every Welcome says of that feed at its present revision; the view, the role and the rest are the caller's.
+  protocol::Welcome welcome_to(const Feed& feed) const;
+
   asio::io_context& io;
   const StreamConfig& config;
   const ServerFacts facts;

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "protocol/role_names.hpp"
-#include "server/base/clock.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/peer.hpp"
 #include "server/stream/quoted.hpp"
@@ -54,6 +53,10 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
        !(hello.load_rate_hz >= 60 && hello.load_rate_hz <= 1000))) {
     refusal = Refusal{ErrorCode::BadRequest, "load_rate_hz " + std::to_string(hello.load_rate_hz) +
                                                  "; accepted are 60 to 1000, from simulators"};
+  }
+  if (!refusal && hello.role == protocol::Role::Simulator) {
+    if (std::string why = context_.input.no_simulators(); !why.empty())
+      refusal = Refusal{ErrorCode::NotAvailable, std::move(why)};
   }
   if (!refusal && hello.role == protocol::Role::Operator) refusal = co_await take_blade(hello);
   if (refusal) refuse(*refusal, sequence);
@@ -114,8 +117,13 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
     if (refusal) co_return refusal;
   }
   std::unique_ptr<PoseInput> input = context_.input.open(hello.source_name, hello.blade);
-  if (!input && hello.take_over) input = co_await take_over(hello);
+  std::optional<Refusal> refusal = co_await wait_until_open(input);
+  if (!input && hello.take_over && (!refusal || refusal->code == ErrorCode::BladeTaken)) {
+    input = co_await take_over(hello);
+    refusal = co_await wait_until_open(input);
+  }
   if (!input) {
+    if (refusal) co_return refusal;
     co_return Refusal{
         ErrorCode::BladeTaken,
         others_.holder(hello.source_name)
@@ -124,6 +132,18 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
   }
   blade_.hold(std::move(input), hello.source_name);
   co_return std::nullopt;
+}
+
+// Where another server has the blade: waits for its answer. No input is left if that is no.
+asio::awaitable<std::optional<Refusal>> Peer::wait_until_open(std::unique_ptr<PoseInput>& input) {
+  missing_ = "the server that has the blade does not answer";
+  while (input && input->opening() && stage_ == Stage::kHandshake) co_await pause(kQueueRetry);
+  if (!input || stage_ != Stage::kHandshake) co_return std::nullopt;
+  const std::optional<BladeEnd> end = input->ended();
+  if (!end) co_return std::nullopt;
+  input.reset();
+  const bool lost = end->code == ErrorCode::Unknown;
+  co_return Refusal{lost ? ErrorCode::NotAvailable : end->code, end->text};
 }
 
 // The blade of that name, from the peer that holds it; null where it does not become free.
@@ -140,7 +160,7 @@ asio::awaitable<std::unique_ptr<PoseInput>> Peer::take_over(const protocol::Hell
   std::unique_ptr<PoseInput> input;
   for (int i = 0; i < kTakeOverTries && !input && stage_ == Stage::kHandshake; ++i) {
     co_await pause(kQueueRetry);
-    input = context_.input.open(hello.source_name, hello.blade);
+    input = context_.input.take_over(hello.source_name, hello.blade);
   }
   co_return input;
 }
@@ -151,34 +171,20 @@ void Peer::complain_of_fields(std::uint64_t sequence) {
 }
 
 void Peer::send_welcome(bool resumed) {
-  const ServerFacts& facts = context_.facts;
-  const Mirror& mirror = follower_.feed().mirror();
   const PoseInput* blade = blade_.input();
-  protocol::Welcome welcome;
+  protocol::Welcome welcome = context_.welcome_to(follower_.feed());
   welcome.protocol_version = protocol_version_;
   welcome.session = follower_.epoch_name();
   welcome.role = role_;
   welcome.view = follower_.view();
   welcome.resumed = resumed;
-  welcome.revision = mirror.revision();
-  welcome.state_hash = mirror.volume().state_hash();
-  welcome.mesh = replay_.feed() ? replay_.mesh() : facts.mesh;
-  welcome.blade_heel = blade ? blade->heel() : facts.blade_heel;
-  welcome.blade_tip = blade ? blade->tip() : facts.blade_tip;
-  welcome.source = blade ? blade->number() : 0;
-  welcome.engage_button = facts.engage_button;
-  welcome.max_speed_m_s = facts.max_speed_m_s;
-  welcome.frame_rate_hz = facts.frame_rate_hz;
+  if (replay_.feed()) welcome.mesh = replay_.mesh();
+  if (blade) {
+    welcome.blade_heel = blade->heel();
+    welcome.blade_tip = blade->tip();
+    welcome.source = blade->number();
+  }
   welcome.max_message_bytes = static_cast<std::uint32_t>(accepted_bytes());
-  welcome.server_name = "incised";
-  welcome.server_version = INCISE_VERSION;
-  welcome.server_monotonic_ns = monotonic_ns();
-  welcome.server_unix_ns = unix_ns();
-  welcome.policy = facts.policy;
-  welcome.recording = context_.recording.state;
-  // A replay may be of another body.
-  if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
-  welcome.fields = follower_.feed().fields();
   outbox_.send(make_frame(std::move(welcome)));
 }
 

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -11,6 +12,7 @@
 #include <string_view>
 
 #include "protocol/messages.hpp"
+#include "server/stream/refusal.hpp"
 
 namespace incise::stream {
 
@@ -29,12 +31,23 @@ struct PoseTotals {
   std::uint64_t settled() const { return accepted + not_finite + not_unit + time_not_rising + queue_full; }
 };
 
+// Why a blade at another server is gone. With a code it was refused so; with a reason the operator gets that goodbye; with neither the
+// connection there was lost, and so is the operator's.
+struct BladeEnd {
+  protocol::ErrorCode code = protocol::ErrorCode::Unknown;
+  protocol::ByeReason reason = protocol::ByeReason::Unknown;
+  std::string text;
+};
+
 // A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
 //
 // Thread: the stream thread.
 class PoseInput {
  public:
   virtual ~PoseInput() = default;
+  // Another server has not answered yet: nothing else may be asked until it has.
+  virtual bool opening() const { return false; }
+  virtual std::optional<BladeEnd> ended() const { return std::nullopt; }
   virtual std::uint32_t number() const = 0;
   // Queues poses in order; returns how many there was room for. The peer is not read further until the rest is queued
   // too: no pose is dropped.
@@ -62,20 +75,33 @@ class PositionsInput {
 // Thread: all calls come from the stream thread.
 class PeerInput {
  public:
+  // Says that what was asked for cannot be, once that is known. From any thread; may never be called.
+  using Later = std::function<void(Refusal)>;
+
   virtual ~PeerInput() = default;
   // Opens a blade by its source's name, with the server's shape or the operator's own. Null where it is held, or no
   // blade is free.
   virtual std::unique_ptr<PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& blade) = 0;
+  // The same, once this server's own operator has left the blade to another, who asked to take it over.
+  virtual std::unique_ptr<PoseInput> take_over(std::string_view source_name,
+                                               const std::optional<protocol::BladeEdge>& blade) {
+    return open(source_name, blade);
+  }
+  // Why simulators, and values of fields, are not for this server; empty: they are.
+  virtual std::string no_simulators() const { return {}; }
   // Opens the body's positions. Null where another simulator sets them, or the server does not offer it.
   virtual std::unique_ptr<PositionsInput> open_positions() { return nullptr; }
   // Asks for the mesh as loaded. False where the server does not offer that. Server::publish_reset() follows when it
   // is done.
-  virtual bool reset() { return false; }
+  virtual bool reset(const Later& later) {
+    static_cast<void>(later);
+    return false;
+  }
   // Asks for the state before the last stroke: for the blade of `source`, whose stroke it has to be, or without one for an admin. Server::
   // publish_reset() follows when it is done. Empty, or why it cannot be.
-  virtual std::string undo(std::optional<std::uint32_t> source) {
-    static_cast<void>(source);
+  virtual std::string undo(std::optional<std::uint32_t> source, const Later& later) {
+    static_cast<void>(source), static_cast<void>(later);
     return "this server does not offer it";
   }
 };

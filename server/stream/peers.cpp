@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "server/base/clock.hpp"
+#include "server/stream/feed_listener.hpp"
 
 namespace incise::stream {
 namespace {
@@ -24,21 +25,42 @@ Peers::Peers(PeerContext& context)
 void Peers::reset(std::shared_ptr<const InitialState> initial) {
   Feed& live = context_.live;
   SharedCounters& counters = *context_.counters;
+  const std::uint64_t epoch = live.mirror().epoch(), revision = live.mirror().revision();
   live.reset(std::move(initial));
+  const bool same_ids = live.mirror().epoch() == epoch && live.mirror().revision() >= revision;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();
   counters.ring_bytes = counters.ring_deltas = 0;
+  if (FeedListener* listener = context_.providers.listener)
+    listener->on_epoch(live.mirror().epoch(), live.mirror().revision());
   const auto peers = peers_;
-  for (const auto& peer : peers) peer->on_live_reset();
+  for (const auto& peer : peers) peer->on_live_reset(same_ids);
 }
 
 void Peers::apply(const std::shared_ptr<const PublishedDelta>& delta) {
-  Feed& live = context_.live;
-  SharedCounters& counters = *context_.counters;
-  live.apply(delta);
+  context_.live.apply(delta);
   if (delta->delta.stroke == 0) {
     for (const auto& peer : peers_) peer->report_deformation(*delta);
   }
+  note_applied();
+}
+
+void Peers::apply(const std::shared_ptr<const ReceivedDelta>& delta) {
+  context_.live.apply(delta);
+  note_applied();
+}
+
+void Peers::note_applied() {
+  const Feed& live = context_.live;
+  if (FeedListener* listener = context_.providers.listener) {
+    const std::uint64_t head = live.mirror().revision();
+    if (const EncodedStep* step = live.ring().newest(); step && step->revision == head) {
+      listener->on_step(*step);
+    } else {
+      listener->on_gap(head);
+    }
+  }
+  SharedCounters& counters = *context_.counters;
   ++counters.deltas;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();
@@ -102,8 +124,7 @@ void Peers::send_statistics() {
   const std::uint64_t turn = ++ticks_ % kTicksPerStatistics;
   if (!context_.providers.statistics) return;
   SharedFrame frame;
-  for (const auto& peer : peers_) {
-    if (!peer->open() || peer->number() % kTicksPerStatistics != turn) continue;
+  const auto made = [&] {
     if (!frame) {
       protocol::Stats statistics = context_.providers.statistics();
       statistics.revision = context_.live.mirror().revision();
@@ -112,12 +133,18 @@ void Peers::send_statistics() {
       statistics.recording = context_.recording.state;
       frame = make_frame(std::move(statistics));
     }
-    peer->send(frame);
+    return frame;
+  };
+  for (const auto& peer : peers_) {
+    if (peer->open() && peer->number() % kTicksPerStatistics == turn) peer->send(made());
   }
+  if (context_.providers.listener && turn == 0) context_.providers.listener->on_live(made());
 }
 
 void Peers::tick_blades() {
+  const FeedListener* listener = context_.providers.listener;
   const bool wanted =
+      (listener && listener->wants_blades()) ||
       std::any_of(peers_.begin(), peers_.end(), [](const auto& peer) { return peer->wants_blades(); });
   if (wanted) send_blades();
   blade_clock_.expires_after(wanted ? kBladeTick : kTick);
@@ -137,6 +164,9 @@ void Peers::send_blades() {
   if (frames.empty()) return;
   const std::int64_t now = monotonic_ns();
   for (const auto& peer : peers_) peer->send_blades(frames, now);
+  if (FeedListener* listener = context_.providers.listener; listener && listener->wants_blades()) {
+    for (const SharedFrame& frame : frames) listener->on_live(frame);
+  }
 }
 
 void Peers::tick_loads() {

@@ -21,11 +21,12 @@ class Peers final : public PeerDirectory {
  public:
   explicit Peers(PeerContext& context);
 
-  // A new state for all; at the start and after a reset.
+  // A new state for all; at the start and after a reset. A later one of the same epoch is only another snapshot.
   void reset(std::shared_ptr<const InitialState> initial);
   // Applies a delta to the live feed; advance_all() then sends it. Applying many first gives a thread that is behind
   // fewer, larger writes.
   void apply(const std::shared_ptr<const PublishedDelta>& delta);
+  void apply(const std::shared_ptr<const ReceivedDelta>& delta);
   void advance_all() override;
   void send_force(const protocol::Force& force);
 
@@ -45,6 +46,7 @@ class Peers final : public PeerDirectory {
   void linger(const std::shared_ptr<Peer>& peer) override;
 
  private:
+  void note_applied();
   void tick();
   void poll_recording();
   void send_statistics();

@@ -17,6 +17,8 @@
 
 namespace incise::stream {
 
+class FeedListener;
+
 // What the HTTP port answers to a GET of a path, "/surface/0.png", for holders of a token of any role (where the server has tokens).
 struct Document {
   std::string type;
@@ -68,6 +70,10 @@ struct Providers {
   // Passes a simulator's own model of a blade's tissue on to the loop; "", or why it cannot be used.
   std::function<std::string(const protocol::BladeModel&)> use_model = {};
   Documents documents = {};
+  // Must outlive the server; may be null.
+  FeedListener* listener = nullptr;
+  // GET /sessions: the sessions that others can be sent to, a JSON list.
+  std::function<std::string()> sessions_json = {};
 };
 
 }  // namespace incise::stream

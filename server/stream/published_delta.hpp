@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <variant>
 #include <vector>
 
 #include "server/core/mesh/delta.hpp"
@@ -21,6 +22,13 @@ struct PublishedDelta {
   std::int64_t arrival_ns = 0;  // of the batch's last pose, at this machine
   std::int64_t drain_ns = 0;    // when the loop popped that pose
   std::int64_t cut_ns = 0;      // when the batch was done
+};
+
+// Rows of a field, from id `first` on, as they are at a revision.
+struct NewFieldValues {
+  std::uint32_t field = 0, first = 0;
+  std::uint64_t revision = 0;
+  std::variant<std::vector<float>, std::vector<std::int32_t>> values;
 };
 
 class Mirror;

@@ -12,6 +12,7 @@
 #include <boost/asio/ssl.hpp>
 #include <boost/asio/use_awaitable.hpp>
 #include <chrono>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
 #include <system_error>
@@ -34,8 +35,9 @@ constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr int kMaxAtOnce = 256;  // taken from the queue before peers get their deltas
 
 // What the loop hands over.
-using Published = std::variant<std::monostate, std::shared_ptr<const PublishedDelta>,
-                               std::shared_ptr<const InitialState>, protocol::Force>;
+using Published =
+    std::variant<std::monostate, std::shared_ptr<const PublishedDelta>, std::shared_ptr<const ReceivedDelta>,
+                 std::shared_ptr<const InitialState>, NewFieldValues, protocol::Force>;
 
 void check_safe(const StreamConfig& config, const asio::ip::address& address) {
   const bool tls = !config.certificate_file.empty();
@@ -122,6 +124,12 @@ struct Server::Impl {
       if (const auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&what)) {
         moved = true;
         peers.apply(*delta);
+      } else if (const auto* received = std::get_if<std::shared_ptr<const ReceivedDelta>>(&what)) {
+        moved = true;
+        peers.apply(*received);
+      } else if (auto* values = std::get_if<NewFieldValues>(&what)) {
+        moved = true;
+        context.live.set_field(std::move(*values));
       } else if (const auto* force = std::get_if<protocol::Force>(&what)) {
         peers.send_force(*force);
       } else {
@@ -223,6 +231,37 @@ struct Server::Impl {
     stop_timer.async_wait([this, deadline](error_code) { wait_for_goodbyes(deadline); });
   }
 
+  void request_state(protocol::View view, const std::function<void(WholeState)>& ready) {
+    const Feed& live = context.live;
+    WholeState state;
+    state.epoch = live.mirror().epoch();
+    state.fields_set = live.times_fields_set();
+    protocol::Welcome welcome = context.welcome_to(live);
+    welcome.role = protocol::Role::Viewer;
+    welcome.view = view;
+    welcome.session = session_name(state.epoch, view, false, {});
+    state.frames.push_back(make_frame(std::move(welcome)));
+    context.live.request_snapshot(
+        view, std::nullopt, view == protocol::View::Volume,
+        [this, view, ready, state](const std::shared_ptr<const Snapshot>& snapshot) mutable {
+          if (snapshot->epoch != state.epoch) {
+            request_state(view, ready);  // there was a reset meanwhile
+            return;
+          }
+          state.revision = snapshot->begin.revision;
+          protocol::SnapshotBegin begin = snapshot->begin;
+          std::vector<std::uint32_t> fields(snapshot->fields.size());
+          std::iota(fields.begin(), fields.end(), 0u);
+          begin.fields = fields;
+          state.frames.push_back(make_frame(begin));
+          state.frames.insert(state.frames.end(), snapshot->chunks.begin(), snapshot->chunks.end());
+          for (const auto& values : snapshot->fields)
+            state.frames.insert(state.frames.end(), values->begin(), values->end());
+          state.frames.push_back(snapshot->end);
+          ready(std::move(state));
+        });
+  }
+
   const StreamConfig config;
   const StaticFiles files;
   asio::io_context io{1};
@@ -260,6 +299,12 @@ void Server::stop() {
 void Server::publish(std::shared_ptr<const PublishedDelta> delta) noexcept {
   impl_->publish(std::move(delta));
 }
+void Server::publish(std::shared_ptr<const ReceivedDelta> delta) noexcept {
+  impl_->publish(std::move(delta));
+}
+void Server::publish_field(NewFieldValues values) noexcept {
+  impl_->publish(std::move(values));
+}
 void Server::publish_reset(std::shared_ptr<const InitialState> initial) noexcept {
   impl_->publish(std::move(initial));
 }
@@ -277,6 +322,11 @@ void Server::request_surface(std::function<void(SharedFrames)> ready) {
     };
     impl->context.live.request_snapshot(protocol::View::Surface, std::nullopt, false, unpack);
   });
+}
+
+void Server::request_state(protocol::View view, std::function<void(WholeState)> ready) {
+  asio::post(impl_->io,
+             [impl = impl_.get(), view, ready = std::move(ready)] { impl->request_state(view, ready); });
 }
 
 std::uint16_t Server::tcp_port() const {

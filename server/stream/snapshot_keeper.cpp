@@ -45,16 +45,19 @@ void SnapshotKeeper::reset(std::shared_ptr<const InitialState> initial) {
 void SnapshotKeeper::apply(std::shared_ptr<const PublishedDelta> delta) {
   enqueue(std::move(delta));
 }
+void SnapshotKeeper::apply(std::shared_ptr<const ReceivedDelta> delta) {
+  enqueue(std::move(delta));
+}
 void SnapshotKeeper::request(protocol::View view, const std::optional<protocol::Box>& box, bool fields,
                              Ready ready) {
   enqueue(Request{view, box, fields, std::move(ready)});
 }
 
-bool SnapshotKeeper::set(NewValues values) {
+bool SnapshotKeeper::set(NewFieldValues values, bool always) {
   const std::size_t bytes = std::visit([](const auto& v) { return 4 * v.size(); }, values.values);
   {
     const std::scoped_lock lock(mutex_);
-    if (bytes_to_set_ > kMostToSet_bytes) return false;
+    if (bytes_to_set_ > kMostToSet_bytes && !always) return false;
     bytes_to_set_ += bytes;
   }
   enqueue(std::move(values));
@@ -79,8 +82,10 @@ void SnapshotKeeper::run() {
       if (auto* initial = std::get_if<std::shared_ptr<const InitialState>>(&task)) {
         reset_to(**initial);
       } else if (auto* delta = std::get_if<std::shared_ptr<const PublishedDelta>>(&task)) {
-        apply_now(**delta);
-      } else if (const auto* values = std::get_if<NewValues>(&task)) {
+        apply_now(arrays_.assign(**delta, replica_));
+      } else if (auto* received = std::get_if<std::shared_ptr<const ReceivedDelta>>(&task)) {
+        apply_now((*received)->delta());
+      } else if (const auto* values = std::get_if<NewFieldValues>(&task)) {
         set_now(*values);
       } else if (const auto* wanted = std::get_if<FieldsRequest>(&task)) {
         std::vector<SharedFrames> frames;
@@ -117,8 +122,7 @@ void SnapshotKeeper::reset_to(const InitialState& initial) {
   tet_since_.assign(replica_.tet_slots(), replica_.revision());
 }
 
-void SnapshotKeeper::apply_now(const PublishedDelta& published) {
-  const protocol::Delta& delta = arrays_.assign(published, replica_);
+void SnapshotKeeper::apply_now(const protocol::Delta& delta) {
   const protocol::ApplyResult result = replica_.apply(delta);
   INCISE_CHECK(result, result.text);
   if (fields_.all().empty()) return;
@@ -130,7 +134,7 @@ void SnapshotKeeper::apply_now(const PublishedDelta& published) {
   field_frames_.assign(fields_.all().size(), nullptr);
 }
 
-void SnapshotKeeper::set_now(const NewValues& given) {
+void SnapshotKeeper::set_now(const NewFieldValues& given) {
   protocol::Field& field = fields_.at(given.field);
   const std::vector<std::uint64_t>& since =
       field.facts.on == protocol::FieldOn::Vertices ? vertex_since_ : tet_since_;

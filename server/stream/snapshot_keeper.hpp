@@ -49,18 +49,13 @@ class SnapshotKeeper {
 
   void reset(std::shared_ptr<const InitialState> initial);
   void apply(std::shared_ptr<const PublishedDelta> delta);
+  void apply(std::shared_ptr<const ReceivedDelta> delta);
   // With a box: only what touches it. With `fields`, which a box has not: their values, too.
   void request(protocol::View view, const std::optional<protocol::Box>& box, bool fields, Ready ready);
 
-  // Sets rows of a field to what a client says they were at `revision`. Those that a cut has made or given other material since stay as
-  // they are. There is such a field, and it has these rows.
-  struct NewValues {
-    std::uint32_t field = 0, first = 0;
-    std::uint64_t revision = 0;
-    decltype(protocol::Field::values) values;
-  };
-  // False: too much waits.
-  bool set(NewValues values);
+  // Sets rows of a field to what a client says they were at that revision. Those that a cut has made or given other material since stay as
+  // they are. There is such a field, and it has these rows. False: too much waits. `always`: take them all the same.
+  bool set(NewFieldValues values, bool always = false);
   // All values of these fields, as they are after what came before this call.
   using FieldsReady = std::function<void(std::uint64_t epoch, std::vector<SharedFrames>)>;
   void request_fields(std::vector<std::uint32_t> fields, FieldsReady ready);
@@ -77,13 +72,13 @@ class SnapshotKeeper {
     FieldsReady ready;
   };
   using Task = std::variant<std::shared_ptr<const InitialState>, std::shared_ptr<const PublishedDelta>,
-                            Request, NewValues, FieldsRequest>;
+                            std::shared_ptr<const ReceivedDelta>, Request, NewFieldValues, FieldsRequest>;
   void enqueue(Task task);
   void run();
   void reset_to(const InitialState& initial);
   std::shared_ptr<const Snapshot> encode(const Request& request);
-  void apply_now(const PublishedDelta& delta);
-  void set_now(const NewValues& values);
+  void apply_now(const protocol::Delta& delta);
+  void set_now(const NewFieldValues& values);
   // Encoded once for all who ask.
   SharedFrames field_frames(std::uint32_t field);
 

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -15,5 +17,9 @@ struct Subscription {
   float max_rate_hz = 0;            // deltas a second; 0: one for each revision
   std::vector<std::string> fields;  // names; "*": all
 };
+
+// Welcome.session for a peer that holds this of an epoch. A relay finds the epoch by the same: it is its own inverse.
+std::uint64_t session_name(std::uint64_t epoch, protocol::View view, bool box,
+                           std::span<const std::uint32_t> fields);
 
 }  // namespace incise::stream

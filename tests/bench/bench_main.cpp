@@ -22,6 +22,7 @@ int main(int argc, char** argv) {
   incise::bench::add_scale_bench(app, report);
   incise::bench::add_events_bench(app, report);
 #ifdef INCISE_LIVE_BENCH
+  incise::bench::add_fanout_bench(app, report);
   incise::bench::add_live_bench(app, report);
   incise::bench::add_stream_bench(app, report);
 #endif

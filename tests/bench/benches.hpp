@@ -10,6 +10,7 @@ namespace incise::bench {
 class Report;
 
 void add_cut_bench(CLI::App& app, Report& report);
+void add_fanout_bench(CLI::App& app, Report& report);
 void add_life_bench(CLI::App& app, Report& report);
 void add_meet_bench(CLI::App& app, Report& report);
 void add_micro_bench(CLI::App& app, Report& report);

@@ -20,6 +20,7 @@ BLEND = "protocol/blend.hpp"  # how fields are interpolated
 NET = "protocol/net"  # connections; the only part of protocol that needs Asio
 PUBLISHED_DELTA = "server/stream/published_delta.hpp"  # what the loop hands on, a plain value, too
 MIRROR = "server/stream/mirror.hpp"  # the clients' state, without their connections
+FEED_LISTENER = "server/stream/feed_listener.hpp"  # hears what viewers are sent
 DELTA_ARRAYS = "server/stream/delta_arrays.hpp"
 FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's thread
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/field.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
@@ -33,6 +34,8 @@ RULES = {
     "server/stream": [BASE, "protocol", NET] + DELTA,
     "server/replay": [BASE, "server/core", "protocol", PUBLISHED_DELTA],
     "server/wasm": [BASE, "server/core", "server/replay", "protocol", MIRROR, DELTA_ARRAYS, PUBLISHED_DELTA],
+    "server/cluster": [BASE, "protocol", MIRROR, FEED_LISTENER],
+    "server/relay": [BASE, "server/stream", "protocol", NET, "client"] + DELTA,  # a client of another server, and a server of its own
     "server/app": ["server", "client", "protocol"],
     "protocol": [BASE],
     NET: [],
@@ -52,12 +55,13 @@ CORE_LIBRARY = set(
 # Libraries that only these parts may include, by the beginning of the header's name.
 ONLY_IN = {
     "tetgen.h": ["server/mesh_io/tetgen_child"],  # AGPL: in an executable of its own, linked with nothing else of ours
-    "boost/": [NET, "server/input", "server/stream", "server/app", "client", "tests"],
+    "boost/": [NET, "server/input", "server/stream", "server/relay", "server/app", "client", "tests"],
     "hidapi": ["server/input", "tests"],
     "igtl": ["tests"],  # the judge of our messages: it must not share our mistakes, nor we its
-    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "tests"],
+    "spdlog/": ["server/app", "server/input", "server/loop", "server/stream", "server/relay", "tests"],
     "CLI/": ["server/app", "client/cli", "client/examples", "tests"],
     "pybind11/": ["server/app/python"],
+    "nats/": ["server/cluster"],
     "gtest/": ["tests"],
     "benchmark/": ["tests"],
     "flatbuffers/": ["protocol", "tests"],

@@ -90,8 +90,8 @@ std::string ServedSession::log() const {
   return std::string(std::istreambuf_iterator<char>(in), {});
 }
 
-std::optional<double> ServedSession::stat(const std::string& pointer) const {
-  const std::string answer = stream::http(http_port_, "/stats");
+std::optional<double> stat(std::uint16_t http_port, const std::string& pointer) {
+  const std::string answer = stream::http(http_port, "/stats");
   const auto body = answer.find("\r\n\r\n");
   if (body == std::string::npos) return std::nullopt;
   const auto json = nlohmann::json::parse(answer.substr(body + 4), nullptr, false);
@@ -103,8 +103,10 @@ std::optional<double> ServedSession::stat(const std::string& pointer) const {
 // ------------------------------------------------------------------------------------------------ poses
 
 PoseDriver::PoseDriver(const ServedSession& session, double rate_hz, double speed_m_s,
-                       const std::string& source)
-    : thread_([this, &session, rate_hz, speed_m_s, source] { run(session, rate_hz, speed_m_s, source); }) {}
+                       const std::string& source, std::uint16_t port)
+    : thread_([this, &session, rate_hz, speed_m_s, source, port] {
+        run(session, rate_hz, speed_m_s, source, port);
+      }) {}
 
 PoseDriver::~PoseDriver() {
   stop_ = true;
@@ -119,7 +121,7 @@ bool PoseDriver::settle() {
 }
 
 void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_m_s,
-                     const std::string& source) {
+                     const std::string& source, std::uint16_t port) {
   core::Vec3 low = session.body().loaded.mesh.positions.front(), high = low;
   for (const core::Vec3& p : session.body().loaded.mesh.positions) {
     extend(p, low, high);
@@ -154,7 +156,7 @@ void PoseDriver::run(const ServedSession& session, double rate_hz, double speed_
         options.view = protocol::View::None;
         options.source_name = source;
         options.take_over = true;
-        client = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
+        client = client::Client::connect("127.0.0.1", port ? port : session.tcp_port(), options, callbacks);
         last_ns = monotonic_ns();
         sequence = 0;
       }

@@ -22,6 +22,9 @@
 
 namespace incise::e2e {
 
+// One number of a server's /stats, by its path ("/journal/lost"); nothing where it cannot be had.
+std::optional<double> stat(std::uint16_t http_port, const std::string& pointer);
+
 // incised on a phantom slab, its files in a folder that goes with this. The capture is in a folder of its own below, "disk".
 class ServedSession {
  public:
@@ -50,8 +53,7 @@ class ServedSession {
   std::string file(const std::string& name) const { return (directory_ / name).string(); }
   // What it has logged, all starts together.
   std::string log() const;
-  // One number of /stats, by its path ("/journal/lost"); nothing where it cannot be had.
-  std::optional<double> stat(const std::string& pointer) const;
+  std::optional<double> stat(const std::string& pointer) const { return e2e::stat(http_port_, pointer); }
   const app::Config& config() const { return config_; }
   const app::Body& body() const { return body_; }
 
@@ -70,8 +72,9 @@ class ServedSession {
 // has gone. Thread: its own.
 class PoseDriver {
  public:
+  // At a relay of it with `port`.
   PoseDriver(const ServedSession& session, double rate_hz, double speed_m_s,
-             const std::string& source = "blade");
+             const std::string& source = "blade", std::uint16_t port = 0);
   ~PoseDriver();
   // Lifts the blade and ends sending; waits until the server has dealt with all that was sent in this connection. False
   // where it has not within five minutes.
@@ -89,7 +92,8 @@ class PoseDriver {
   int warnings() const { return warnings_; }
 
  private:
-  void run(const ServedSession& session, double rate_hz, double speed_m_s, const std::string& source);
+  void run(const ServedSession& session, double rate_hz, double speed_m_s, const std::string& source,
+           std::uint16_t port);
   std::atomic<bool> stop_{false}, settling_{false}, settled_{false};
   std::atomic<std::uint64_t> sent_{0}, rejected_{0}, accepted_{0}, recorded_{0};
   std::atomic<std::int64_t> acknowledged_ns_{0}, recorded_ns_{0};

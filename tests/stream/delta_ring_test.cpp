@@ -12,7 +12,7 @@ namespace {
 // A step of 100 bytes for each view.
 EncodedStep step(std::uint64_t revision) {
   const auto frame = std::make_shared<const protocol::Frame>(std::vector<std::byte>(100));
-  return {revision, 0, frame, frame};
+  return {revision - 1, revision, 0, frame, frame};
 }
 
 TEST(DeltaRing, HoldsTheNewestStepsThatFit) {
@@ -23,7 +23,7 @@ TEST(DeltaRing, HoldsTheNewestStepsThatFit) {
   ring.append(step(6));
   EXPECT_EQ(ring.size(), 5u);
   EXPECT_EQ(ring.bytes(), 1000u);
-  for (std::uint64_t r = 2; r <= 6; ++r) EXPECT_EQ(ring.step(r).revision, r);
+  for (std::uint64_t r = 1; r <= 5; ++r) EXPECT_EQ(ring.after(r).revision, r + 1);
   ring.clear();
   EXPECT_EQ(ring.size(), 0u);
   EXPECT_EQ(ring.bytes(), 0u);

@@ -133,5 +133,73 @@ TEST_F(FeedTest, ASnapshotIsOfTheStateWhenItWasAskedFor) {
   EXPECT_EQ(replica.compute_state_hash(), hash());
 }
 
+// A relay's feed: steps come off the wire, single or several in one.
+class RelayedFeedTest : public FeedTest {
+ protected:
+  // The other feed goes on by one delta to where the first is.
+  void relay() {
+    const std::uint64_t base = relayed_->mirror().revision();
+    const SharedFrame frame = feed_->coalesced(View::Volume, base);
+    ASSERT_TRUE(frame);
+    const auto received = received_delta(decoded<protocol::Delta>(frame));
+    ASSERT_TRUE(received);
+    relayed_->apply(received);
+    EXPECT_EQ(relayed_->mirror().revision(), feed_->mirror().revision());
+    EXPECT_EQ(relayed_->mirror().volume().compute_state_hash(), hash());
+    EXPECT_EQ(relayed_->mirror().volume().canonical_bytes(), feed_->mirror().volume().canonical_bytes())
+        << "with pieces";
+    EXPECT_EQ(relayed_->mirror().surface().surface_hash(), feed_->mirror().surface().surface_hash());
+    EXPECT_EQ(relayed_->mirror().surface().canonical_bytes(), feed_->mirror().surface().canonical_bytes());
+  }
+  std::unique_ptr<Feed> relayed_;
+};
+
+TEST_F(RelayedFeedTest, HoldsWhatTheLoopsFeedHoldsHoweverTheStepsCame) {
+  follow(64 << 20);
+  auto mirror = std::make_shared<Mirror>();
+  protocol::Replica replica;
+  ASSERT_EQ(load_initial(*initial_, replica), "");
+  mirror->reset(replica, initial_->epoch, nullptr);
+  auto start = std::make_shared<InitialState>();
+  start->epoch = initial_->epoch;
+  start->mirror = mirror;
+  relayed_ = std::make_unique<Feed>(io_, 64 << 20);
+  relayed_->reset(start);
+
+  // Boxes that a cut goes through.
+  const protocol::Box box{{-1, 0.01, -1}, {0.03, 0.03, 1}};
+  BoxPart volume{box, protocol::VolumePart()}, surface{box, protocol::SurfaceReplica()};
+  std::get<protocol::VolumePart>(volume.held).load_part(relayed_->mirror().volume(), box);
+  std::get<protocol::SurfaceReplica>(surface.held).load_part(relayed_->mirror().surface(), box);
+
+  std::vector<std::uint64_t> stops{0};
+  for (const double y : {0.3, 0.5, 0.7}) {  // the second one goes through what the first has cut off
+    cut(y);
+    relay();
+    stops.push_back(relayed_->mirror().revision());
+  }
+  ASSERT_GT(stops[1], 2u) << "several revisions in one delta";
+  EXPECT_EQ(relayed_->ring().size(), 3u);
+  for (const std::uint64_t stop : stops) {
+    EXPECT_TRUE(relayed_->can_resume(stop, 0)) << stop;
+    EXPECT_FALSE(relayed_->can_resume(stop, 4711) && stop != 0) << stop;
+  }
+  EXPECT_FALSE(relayed_->can_resume(stops[1] + 1, 0)) << "no delta begins within one";
+
+  // Who is behind gets what leads to the same.
+  protocol::Replica late;
+  ASSERT_EQ(load_initial(*initial_, late), "");
+  ASSERT_TRUE(late.apply(decoded<protocol::Delta>(relayed_->coalesced(View::Volume, 0))));
+  EXPECT_EQ(late.canonical_bytes(), feed_->mirror().volume().canonical_bytes());
+  ASSERT_TRUE(relayed_->part_delta(volume));
+  ASSERT_TRUE(relayed_->part_delta(surface));
+  protocol::VolumePart whole_volume;
+  protocol::SurfaceReplica whole_surface;
+  whole_volume.load_part(feed_->mirror().volume(), box);
+  whole_surface.load_part(feed_->mirror().surface(), box);
+  EXPECT_EQ(std::get<protocol::VolumePart>(volume.held).part_hash(), whole_volume.part_hash());
+  EXPECT_EQ(std::get<protocol::SurfaceReplica>(surface.held).surface_hash(), whole_surface.surface_hash());
+}
+
 }  // namespace
 }  // namespace incise::stream

@@ -268,7 +268,7 @@ std::unique_ptr<PoseInput> MiniLoop::open(std::string_view source_name,
   return nullptr;
 }
 
-bool MiniLoop::reset() {
+bool MiniLoop::reset(const Later& /*later*/) {
   return reset_ = true;
 }
 

@@ -52,7 +52,7 @@ class MiniLoop final : public PeerInput {
 
   std::unique_ptr<PoseInput> open(std::string_view source_name,
                                   const std::optional<protocol::BladeEdge>& blade) override;
-  bool reset() override;
+  bool reset(const Later& later) override;
 
   std::uint64_t revision() const { return revision_; }
   std::uint64_t state_hash() const;

@@ -5,10 +5,13 @@
 #include <boost/asio/ip/address.hpp>
 #include <boost/asio/ssl/context.hpp>
 #include <fstream>
+#include <set>
 
 #include "server/app/body.hpp"
 #include "server/app/config/config_key.hpp"
+#include "server/app/nats_options.hpp"
 #include "server/app/token_file.hpp"
+#include "server/cluster/session_subjects.hpp"
 #include "server/input/hid/json_node.hpp"
 #include "server/stream/tls.hpp"
 
@@ -74,6 +77,14 @@ void check_secrets(const Config& config, const std::string& file) {
   }
 }
 
+// A folder that does not exist (yet) counts as empty.
+void check_folder_if_there(const Config& config, const std::string& file, const std::string& key,
+                           const std::string& value) {
+  const Path folder = config.resolve(value);
+  std::error_code error;
+  if (!folder.empty() && std::filesystem::exists(folder, error)) check_folder(file, key, folder);
+}
+
 void check_files(const Config& config, const std::string& file) {
   Path node = config.resolve(config.mesh.path);
   node += ".node";
@@ -81,17 +92,31 @@ void check_files(const Config& config, const std::string& file) {
   if (config.mesh.phantom.empty() && !std::filesystem::exists(node, error))
     check_readable(config, file, "mesh.path", config.mesh.path);
   check_readable(config, file, "mesh.image", config.mesh.image);
-  check_readable(config, file, "listen.token_file", config.listen.token_file);
-  check_readable(config, file, "listen.certificate_file", config.listen.certificate_file);
-  check_readable(config, file, "listen.private_key_file", config.listen.private_key_file);
-  check_secrets(config, file);
-  // A folder that does not exist (yet) counts as empty.
-  for (const auto& [key, value] : {std::pair{"capture.library", config.capture.library},
-                                   std::pair{"listen.viewer_directory", config.listen.viewer_directory}}) {
-    const Path folder = config.resolve(value);
-    if (!folder.empty() && std::filesystem::exists(folder, error)) check_folder(file, key, folder);
-  }
+  check_folder_if_there(config, file, "capture.library", config.capture.library);
   device_profiles(config);
+}
+
+bool is_loopback(const std::string& address) {
+  return address.starts_with("127.") || address == "::1" || address == "localhost";
+}
+
+// What the servers of both programs need.
+void check_listen(const Config& config, const std::string& file) {
+  const Config::Listen& listen = config.listen;
+  check_readable(config, file, "listen.token_file", listen.token_file);
+  check_readable(config, file, "listen.certificate_file", listen.certificate_file);
+  check_readable(config, file, "listen.private_key_file", listen.private_key_file);
+  check_secrets(config, file);
+  check_folder_if_there(config, file, "listen.viewer_directory", listen.viewer_directory);
+  boost::system::error_code no_address;
+  boost::asio::ip::make_address(listen.address, no_address);
+  if (no_address) refuse(file, "listen.address", shown(listen.address), "an IP address such as 127.0.0.1");
+  if (!is_loopback(listen.address) && !listen.insecure &&
+      (listen.token_file.empty() || listen.certificate_file.empty())) {
+    refuse(file, "listen.address", shown(listen.address),
+           "a loopback address, or any if listen.token_file and listen.certificate_file are given, or "
+           "listen.insecure is true");
+  }
 }
 
 }  // namespace
@@ -138,14 +163,67 @@ void check_together(const Config& config, const std::string& file) {
     refuse(file, "haply.source", shown(config.haply.source), "a text of 1 to 48 characters");
 }
 
+namespace {
+
+void check_nats(const Config& config, const std::string& file) {
+  const Config::Cluster& cluster = config.cluster;
+  if (const std::string bad = cluster::trouble_of_urls(cluster.nats); !bad.empty())
+    refuse(file, "cluster.nats", bad, "\"nats://host:port\" or \"tls://host:port\", several with commas");
+  if (!cluster::is_protected(nats_options(config)) && !config.listen.insecure) {
+    refuse(file, "cluster.nats", shown(cluster.nats),
+           "tls://host:port beyond loopback, or any if listen.insecure is true");
+  }
+  if (cluster.certificate_file.empty() != cluster.private_key_file.empty()) {
+    refuse(file, cluster.certificate_file.empty() ? "cluster.certificate_file" : "cluster.private_key_file",
+           "\"\"", "both or neither of cluster.certificate_file and cluster.private_key_file");
+  }
+  check_readable(config, file, "cluster.credentials_file", cluster.credentials_file);
+  check_readable(config, file, "cluster.ca_file", cluster.ca_file);
+  check_readable(config, file, "cluster.certificate_file", cluster.certificate_file);
+  check_readable(config, file, "cluster.private_key_file", cluster.private_key_file);
+  if (cluster.credentials_file.empty()) return;
+  try {
+    cluster::read_credentials(config.resolve(cluster.credentials_file));
+  } catch (const std::runtime_error& error) {
+    throw ConfigError(file + ": cluster.credentials_file: " + error.what());
+  }
+}
+
+void check_cluster(const Config& config, const std::string& file) {
+  const Config::Cluster& cluster = config.cluster;
+  if (cluster.nats.empty()) {
+    if (cluster.failover) refuse(file, "cluster.failover", "true", "false without cluster.nats");
+    return;
+  }
+  check_nats(config, file);
+  if (!cluster::is_session_name(cluster.name))
+    refuse(file, "cluster.name", shown(cluster.name), "1 to 64 letters, digits, \"-\" and \"_\"");
+  if (2 * cluster.join_megabytes >= cluster.stream_megabytes) {
+    refuse(file, "cluster.stream_megabytes", std::to_string(cluster.stream_megabytes),
+           "more than twice cluster.join_megabytes");
+  }
+  if (cluster.failover && config.capture.path.empty())
+    refuse(file, "cluster.failover", "true", "true with capture.path, on storage that all instances share");
+}
+
+}  // namespace
+
+cluster::NatsOptions nats_options(const Config& config) {
+  const Config::Cluster& cluster = config.cluster;
+  return {cluster.nats,
+          "incised " + cluster.name,
+          config.resolve(cluster.credentials_file),
+          config.resolve(cluster.ca_file),
+          config.resolve(cluster.certificate_file),
+          config.resolve(cluster.private_key_file)};
+}
+
 void check_config(const Config& config, const std::string& file) {
   if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
     refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
   }
   check_files(config, file);
-  const auto is_loopback = [](const std::string& address) {
-    return address.starts_with("127.") || address == "::1" || address == "localhost";
-  };
+  check_cluster(config, file);
 #ifndef INCISE_OPENIGTLINK
   if (config.openigtlink.wanted()) {
     refuse(file, config.openigtlink.port >= 0 ? "openigtlink.port" : "openigtlink.connect", "a value",
@@ -156,16 +234,31 @@ void check_config(const Config& config, const std::string& file) {
     refuse(file, "openigtlink.address", shown(config.openigtlink.address),
            "a loopback address, or any if listen.insecure is true");
   }
-  boost::system::error_code no_address;
-  boost::asio::ip::make_address(config.listen.address, no_address);
-  if (no_address)
-    refuse(file, "listen.address", shown(config.listen.address), "an IP address such as 127.0.0.1");
-  if (!is_loopback(config.listen.address) && !config.listen.insecure &&
-      (config.listen.token_file.empty() || config.listen.certificate_file.empty())) {
-    refuse(file, "listen.address", shown(config.listen.address),
-           "a loopback address, or any if listen.token_file and listen.certificate_file are given, or "
-           "listen.insecure is true");
+  check_listen(config, file);
+}
+
+void check_relay_config(const Config& config, const std::string& file) {
+  const Config::Relay& relay = config.relay;
+  if (relay.upstream.empty() == relay.sessions.empty()) {
+    refuse(file, "relay.upstream", shown(relay.upstream),
+           relay.sessions.empty() ? "the server to follow, HOST:PORT, or relay.sessions"
+                                  : "\"\" if relay.sessions is given");
   }
+  if (!config.cluster.nats.empty()) check_nats(config, file);
+  for (const Config::Relay::Session& session : relay.all(config.listen)) {
+    if (!session.nats_session().empty() && config.cluster.nats.empty())
+      refuse(file, "cluster.nats", "\"\"", "where NATS is, since " + session.upstream + " is followed there");
+  }
+  std::set<std::int64_t> ports;
+  for (const Config::Relay::Session& session : relay.sessions) {
+    for (const std::int64_t port : {session.tcp_port, session.http_port}) {
+      if (port > 0 && !ports.insert(port).second)
+        refuse(file, "relay.sessions", "port " + std::to_string(port) + " twice", "a port for each, or 0");
+    }
+  }
+  check_readable(config, file, "relay.token_file", relay.token_file);
+  check_readable(config, file, "relay.ca_file", relay.ca_file);
+  check_listen(config, file);
 }
 
 }  // namespace incise::app

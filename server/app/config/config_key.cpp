@@ -36,17 +36,20 @@ std::string quoted_list(const std::vector<std::string>& names) {
 
 }  // namespace
 
-const ConfigKeys& config_keys() {
-  static const ConfigKeys table = [] {
+const ConfigKeys& config_keys(Program program) {
+  const auto joined = [](std::initializer_list<ConfigKeys (*)()> sections) {
     ConfigKeys all;
-    for (const auto section :
-         {mesh_keys, blade_keys, cut_keys, loop_keys, haptics_keys, listen_keys, stream_keys, capture_keys,
-          devices_keys, openigtlink_keys, haply_keys, log_keys}) {
+    for (const auto section : sections) {
       for (ConfigKey& key : section()) all.push_back(std::move(key));
     }
     return all;
-  }();
-  return table;
+  };
+  static const ConfigKeys server =
+      joined({mesh_keys, blade_keys, cut_keys, loop_keys, haptics_keys, listen_keys, stream_keys,
+              capture_keys, devices_keys, openigtlink_keys, haply_keys, cluster_keys, log_keys});
+  static const ConfigKeys relay =
+      joined({relay_keys, listen_keys, stream_keys, relay_cluster_keys, log_keys});
+  return program == Program::kRelay ? relay : server;
 }
 
 void refuse(const std::string& file, const std::string& key, const std::string& found,

@@ -39,10 +39,13 @@ ConfigKeys capture_keys();
 ConfigKeys devices_keys();
 ConfigKeys openigtlink_keys();
 ConfigKeys haply_keys();
+ConfigKeys cluster_keys();
+ConfigKeys relay_cluster_keys();
 ConfigKeys log_keys();
+ConfigKeys relay_keys();
 
 // The whole table, in the order in which --print-config prints it.
-const ConfigKeys& config_keys();
+const ConfigKeys& config_keys(Program program = Program::kServer);
 
 // Throws the ConfigError that all wrong values get.
 [[noreturn]] void refuse(const std::string& file, const std::string& key, const std::string& found,

@@ -18,6 +18,7 @@
 #include <thread>
 
 #include "server/app/config.hpp"
+#include "server/app/nats_options.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/input/hid/hid_system.hpp"
@@ -218,6 +219,26 @@ Finding check_port(const std::string& key, const std::string& address, std::int6
   return {key, Verdict::kFault, where + ": " + reason(error), remedy};
 }
 
+// Whether it can be reached and keeps streams, as who we are there.
+Finding check_nats(const Config& config) {
+  try {
+    const cluster::NatsClient client(nats_options(config));
+    jsAccountInfo* info = nullptr;
+    client.check(js_GetAccountInfo(&info, client.jetstream(), nullptr, nullptr), "JetStream");
+    char found[160];
+    std::snprintf(found, sizeof found, "JetStream there, %.0f MB used, messages of up to %zu kB",
+                  1e-6 * static_cast<double>(info->Memory + info->Store), client.max_payload() / 1024);
+    jsAccountInfo_Destroy(info);
+    if (client.max_payload() < 65536)
+      return {"NATS", Verdict::kWarning, found,
+              "max_payload of 1 MB in the configuration of nats-server, its default"};
+    return {"NATS", Verdict::kGood, found, ""};
+  } catch (const std::exception& error) {
+    return {"NATS", Verdict::kFault, error.what(),
+            "the section cluster: incised --print-config shows its keys; nats-server -js runs one"};
+  }
+}
+
 void check_devices(const Config& config, std::vector<Finding>& findings) {
   if (!config.devices.enabled) {
     findings.push_back({"devices", Verdict::kGood, "not asked for (devices.enabled)", ""});
@@ -286,6 +307,7 @@ std::vector<Finding> examine(const DoctorCommand& command) {
   if (config.openigtlink.port >= 0) {
     findings.push_back(check_port("openigtlink.port", config.openigtlink.address, config.openigtlink.port));
   }
+  if (!config.cluster.nats.empty()) findings.push_back(check_nats(config));
   check_devices(config, findings);
   findings.push_back(check_tetgen());
   if (!config.capture.path.empty()) {

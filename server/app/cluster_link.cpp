@@ -1,0 +1,131 @@
+#include "server/app/cluster_link.hpp"
+
+#include <fcntl.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstdio>
+#include <filesystem>
+#include <system_error>
+#include <utility>
+
+#include "client/cli/usage.hpp"
+#include "server/app/advertised.hpp"
+#include "server/app/nats_options.hpp"
+#include "server/app/stream_setup.hpp"
+#include "server/app/version.hpp"
+#include "server/base/clock.hpp"
+#include "server/base/hex.hpp"
+
+namespace incise::app {
+namespace {
+
+void log_line(bool warning, const std::string& line) {
+  spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, "{}", line);
+}
+
+cluster::PublisherOptions publisher_options(const Config& config) {
+  const Config::Cluster& cluster = config.cluster;
+  cluster::PublisherOptions options;
+  options.nats = nats_options(config);
+  options.session = cluster.name;
+  options.in_memory = cluster.storage == "memory";
+  options.replicas = static_cast<int>(cluster.replicas);
+  options.stream_bytes = cluster.stream_megabytes << 20;
+  options.keep_s = cluster.keep_minutes * 60;
+  options.join_bytes = static_cast<std::size_t>(cluster.join_megabytes) << 20;
+  options.queue_bytes = static_cast<std::size_t>(cluster.queue_megabytes) << 20;
+  return options;
+}
+
+}  // namespace
+
+ClusterLink::ClusterLink(const Config& config) : config_(config) {
+  if (config.cluster.nats.empty()) return;
+  directory_ =
+      std::make_unique<cluster::Directory>(nats_options(config), static_cast<int>(config.cluster.replicas));
+  if (!config.cluster.failover)
+    publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config), log_line);
+}
+
+bool ClusterLink::acquire(const EndSignals& signals) {
+  if (!config_.cluster.failover) return true;
+  cluster::LeaseOptions options;
+  options.nats = nats_options(config_);
+  options.session = config_.cluster.name;
+  options.length_s = config_.cluster.lease_s;
+  options.replicas = static_cast<int>(config_.cluster.replicas);
+  options.fence_file = config_.resolve(config_.capture.path);
+  options.fence_file += ".fence";
+  lease_ =
+      std::make_unique<cluster::Lease>(options, log_line, [name = options.session](const std::string& why) {
+        // At once, and without the usual end, which writes: another instance may begin to.
+        std::fprintf(
+            stderr,
+            "incised: the lease of session %s is lost: %s; another instance may go on with the session\n",
+            name.c_str(), why.c_str());
+        std::fflush(stderr);
+        _exit(client::kFailed);
+      });
+  if (!lease_->acquire([&] { return signals.pending(); })) return false;
+  spdlog::info("the session {} is ours (instance {})", config_.cluster.name, lease_->fence());
+  if (lease_->crashed_before()) take_over_capture();
+  publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config_), log_line, may_write(),
+                                                        lease_->fence());
+  return true;
+}
+
+// The instance before may only have stood still, with a write on its way: it has the old file open, and this is another.
+void ClusterLink::take_over_capture() const {
+  const std::filesystem::path path = config_.resolve(config_.capture.path);
+  if (!std::filesystem::exists(path)) return;
+  std::filesystem::path copy = path;
+  copy += ".taking";
+  std::filesystem::copy_file(path, copy, std::filesystem::copy_options::overwrite_existing);
+  const int fd = ::open(copy.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool synced = fd >= 0 && ::fsync(fd) == 0;
+  const int error = errno;
+  if (fd >= 0) ::close(fd);
+  if (!synced) throw std::system_error(error, std::generic_category(), copy.string());
+  std::filesystem::rename(copy, path);
+}
+
+bool ClusterLink::resumes() const {
+  std::error_code error;
+  return lease_ && std::filesystem::exists(config_.resolve(config_.capture.path), error);
+}
+
+std::function<bool()> ClusterLink::may_write() const {
+  if (!lease_) return nullptr;
+  return [lease = lease_.get()] { return lease->held(); };
+}
+
+void ClusterLink::start(stream::Server& server, std::function<cluster::DirectoryEntry()> entry) {
+  if (!publisher_) return;
+  publisher_->start([&server](protocol::View view, std::function<void(stream::WholeState)> ready) {
+    server.request_state(view, std::move(ready));
+  });
+  const std::string instance = hex(fresh_session_id());
+  directory_->start([this, &server, entry = std::move(entry), instance] {
+    cluster::DirectoryEntry now = entry();
+    now.session = config_.cluster.name;
+    now.instance = instance;
+    now.tcp = advertised(config_, server.tcp_port(), false);
+    now.http = advertised(config_, server.http_port(), true);
+    now.picture = config_.cluster.picture;
+    now.software = kSoftware;
+    return std::vector{now};
+  });
+}
+
+void ClusterLink::stop() {
+  if (directory_) directory_->stop();
+  if (publisher_) publisher_->stop();
+}
+
+void ClusterLink::release() {
+  if (lease_) lease_->release();
+}
+
+}  // namespace incise::app

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "server/app/config.hpp"
+#include "server/app/end_signals.hpp"
+#include "server/cluster/directory.hpp"
+#include "server/cluster/feed_publisher.hpp"
+#include "server/cluster/lease.hpp"
+#include "server/stream/server.hpp"
+
+namespace incise::app {
+
+// A server's part on NATS: its lease, what it publishes, its entry in the directory. Without cluster.nats it has none, and does nothing.
+//
+// Thread: the main thread; listener(), publisher() and sessions_json() from any. Outlives the server, and stop() comes before that ends.
+class ClusterLink {
+ public:
+  explicit ClusterLink(const Config& config);
+
+  // With cluster.failover: waits until the session is this process's. False: a signal came first. Throws NatsError for what waiting
+  // does not mend. From then on the process ends at once, with a line on stderr, if it loses the session.
+  bool acquire(const EndSignals& signals);
+  // Whether the session goes on with its capture, though --resume was not given.
+  bool resumes() const;
+  // Null: nobody else can have the session.
+  std::function<bool()> may_write() const;
+
+  // Begins to publish and to be listed. `entry`: the server now, but for its name and places; called on another thread until stop().
+  void start(stream::Server& server, std::function<cluster::DirectoryEntry()> entry);
+  // Publishes what waits, and is listed no more.
+  void stop();
+  // Gives the lease up, after the last write.
+  void release();
+
+  explicit operator bool() const { return publisher_ != nullptr; }
+  stream::FeedListener* listener() { return publisher_.get(); }
+  const cluster::FeedPublisher& publisher() const { return *publisher_; }
+  std::string sessions_json() const { return directory_->json(); }
+
+ private:
+  void take_over_capture() const;
+  const Config& config_;
+  std::unique_ptr<cluster::Lease> lease_;
+  std::unique_ptr<cluster::FeedPublisher> publisher_;
+  std::unique_ptr<cluster::Directory> directory_;
+};
+
+}  // namespace incise::app

@@ -1,0 +1,12 @@
+#pragma once
+
+#include <string>
+
+#include "server/app/config.hpp"
+
+namespace incise::app {
+
+// Makes spdlog's default logger: lines on the standard error, written by a thread of its own. End it with spdlog::shutdown().
+void start_log(const Config::Log& log, const std::string& program);
+
+}  // namespace incise::app

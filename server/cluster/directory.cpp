@@ -1,0 +1,201 @@
+#include "server/cluster/directory.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <tuple>
+#include <utility>
+
+namespace incise::cluster {
+namespace {
+
+using Json = nlohmann::ordered_json;
+constexpr const char* kBucket = "incise_sessions";
+constexpr double kExpires_s = 10;
+constexpr std::chrono::seconds kRenew{3};
+constexpr std::int64_t kList_ms = 2000;
+
+std::string key_of(const DirectoryEntry& entry) {
+  return entry.session + "." + entry.kind + "." + entry.instance;
+}
+
+template <class T>
+void read(const Json& json, const char* key, T& value) {
+  try {
+    if (json.contains(key)) value = json[key].get<T>();
+  } catch (const Json::exception&) {
+  }
+}
+
+Json place(const DirectoryEntry& e) {
+  return Json{{"kind", e.kind},         {"tcp", e.tcp},           {"http", e.http},
+              {"viewers", e.viewers},   {"revision", e.revision}, {"frame_p99_us", e.frame_p99_us},
+              {"software", e.software}, {"instance", e.instance}};
+}
+
+using Watcher = std::unique_ptr<kvWatcher, NatsDeleter<kvWatcher_Destroy>>;
+
+}  // namespace
+
+std::string DirectoryEntry::json() const {
+  Json out = place(*this);
+  out["session"] = session;
+  out["body"] = body;
+  out["picture"] = picture;
+  out["blades"] = blades;
+  out["started_unix_s"] = started_unix_s;
+  return out.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+bool parse_entry(const std::string& text, DirectoryEntry& entry) {
+  const Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object()) return false;
+  read(json, "session", entry.session);
+  read(json, "kind", entry.kind);
+  read(json, "instance", entry.instance);
+  read(json, "body", entry.body);
+  read(json, "tcp", entry.tcp);
+  read(json, "http", entry.http);
+  read(json, "picture", entry.picture);
+  read(json, "software", entry.software);
+  read(json, "revision", entry.revision);
+  read(json, "viewers", entry.viewers);
+  read(json, "blades", entry.blades);
+  read(json, "frame_p99_us", entry.frame_p99_us);
+  read(json, "started_unix_s", entry.started_unix_s);
+  return !entry.session.empty();
+}
+
+std::vector<DirectoryEntry> list_directory(const NatsClient& client) {
+  const KeyValueStore store = client.bucket(kBucket, kExpires_s, 1);
+  kvWatchOptions options;
+  kvWatchOptions_Init(&options);
+  options.IgnoreDeletes = true;
+  options.Timeout = kList_ms;
+  kvWatcher* raw = nullptr;
+  client.check(kvStore_WatchAll(&raw, store.get(), &options), "sessions");
+  const Watcher watcher(raw);
+  std::vector<DirectoryEntry> out;
+  for (;;) {
+    kvEntry* one = nullptr;
+    client.check(kvWatcher_Next(&one, watcher.get(), kList_ms), "sessions");
+    if (!one) break;  // all that there are
+    const KeyValueEntry entry(one);
+    DirectoryEntry read;
+    if (parse_entry(std::string(static_cast<const char*>(kvEntry_Value(one)),
+                                static_cast<std::size_t>(kvEntry_ValueLen(one))),
+                    read))
+      out.push_back(std::move(read));
+  }
+  std::sort(out.begin(), out.end(), [](const DirectoryEntry& a, const DirectoryEntry& b) {
+    return std::forward_as_tuple(a.session, b.kind, a.instance) <
+           std::forward_as_tuple(b.session, a.kind, b.instance);
+  });
+  return out;
+}
+
+std::string sessions_json(const std::vector<DirectoryEntry>& entries) {
+  Json sessions = Json::array();
+  std::map<std::string, std::size_t> found;
+  for (const DirectoryEntry& e : entries) {
+    const auto [at, is_new] = found.try_emplace(e.session, sessions.size());
+    if (is_new) {
+      sessions.push_back(Json{{"name", e.session},
+                              {"body", e.body},
+                              {"picture", e.picture},
+                              {"revision", e.revision},
+                              {"people", 0},
+                              {"blades", Json::array()},
+                              {"started_unix_s", e.started_unix_s},
+                              {"places", Json::array()}});
+    }
+    Json& session = sessions[at->second];
+    session["people"] = session["people"].get<std::uint64_t>() + e.viewers;
+    session["revision"] = std::max(session["revision"].get<std::uint64_t>(), e.revision);
+    if (e.kind == "server") session["blades"] = e.blades;
+    session["places"].push_back(place(e));
+  }
+  return sessions.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+Directory::Directory(NatsOptions nats, int replicas) : nats_(std::move(nats)), replicas_(replicas) {}
+
+Directory::~Directory() {
+  stop();
+}
+
+void Directory::start(Entries ours) {
+  ours_ = std::move(ours);
+  thread_ = std::thread([this] { run(); });
+}
+
+void Directory::stop() {
+  if (!thread_.joinable()) return;
+  {
+    const std::scoped_lock lock(mutex_);
+    stopping_ = true;
+  }
+  wake_.notify_all();
+  thread_.join();
+}
+
+std::string Directory::json() const {
+  return sessions_json(entries());
+}
+
+std::vector<DirectoryEntry> Directory::entries() const {
+  const std::scoped_lock lock(mutex_);
+  return all_;
+}
+
+std::string Directory::trouble() const {
+  const std::scoped_lock lock(mutex_);
+  return trouble_;
+}
+
+void Directory::renew(const NatsClient& client, const KeyValueStore& store) {
+  std::vector<std::string> keys;
+  for (const DirectoryEntry& entry : ours_()) {
+    keys.push_back(key_of(entry));
+    client.check(kvStore_PutString(nullptr, store.get(), keys.back().c_str(), entry.json().c_str()),
+                 "sessions");
+  }
+  for (const std::string& key : keys_) {
+    if (std::find(keys.begin(), keys.end(), key) == keys.end()) kvStore_Delete(store.get(), key.c_str());
+  }
+  keys_ = std::move(keys);
+}
+
+void Directory::run() {
+  std::unique_ptr<NatsClient> client;
+  KeyValueStore store;
+  for (;;) {
+    std::vector<DirectoryEntry> all;
+    std::string trouble;
+    try {
+      if (!client || !client->alive()) {
+        store.reset();
+        client = std::make_unique<NatsClient>(nats_);
+        store = client->bucket(kBucket, kExpires_s, replicas_);
+      }
+      renew(*client, store);
+      all = list_directory(*client);
+    } catch (const NatsError& error) {
+      store.reset();
+      client.reset();
+      trouble = error.what();
+    }
+    std::unique_lock lock(mutex_);
+    if (trouble.empty()) all_ = std::move(all);
+    trouble_ = std::move(trouble);
+    if (!wake_.wait_for(lock, kRenew, [this] { return stopping_; })) continue;
+    if (store) {
+      for (const std::string& key : keys_) kvStore_Delete(store.get(), key.c_str());
+    }
+    return;
+  }
+}
+
+}  // namespace incise::cluster

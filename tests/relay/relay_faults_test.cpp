@@ -1,0 +1,279 @@
+// Relays that are killed, whose origin is, and that are lied to.
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <fstream>
+#include <thread>
+
+#include "tests/e2e/recovery.hpp"
+#include "tests/e2e/served_session.hpp"
+#include "tests/relay/relay_process.hpp"
+#include "tests/stream/raw_peer.hpp"
+
+namespace incise::relay {
+namespace {
+
+using e2e::PoseDriver;
+using e2e::ServedSession;
+using e2e::wait_for;
+using protocol::View;
+using std::chrono::milliseconds;
+
+std::string place(std::uint16_t port) {
+  return "127.0.0.1:" + std::to_string(port);
+}
+
+// All are at the origin's revision with its hash, once nothing is cut any more.
+void expect_all_there(const ServedSession& session, const std::vector<Witness*>& witnesses) {
+  ASSERT_TRUE(wait_for([&] { return session.stat("/backlog/batches") == 0.0; }));
+  const e2e::Held truth = e2e::what_the_server_has(session);
+  for (Witness* witness : witnesses) {
+    EXPECT_TRUE(wait_for([&] { return witness->client().revision() == truth.revision; }))
+        << witness->client().revision() << " of " << truth.revision << ' ' << witness->client().last_error();
+    EXPECT_EQ(witness->seen()[truth.revision], truth.hash);
+    EXPECT_EQ(witness->went_back(), 0);
+    EXPECT_EQ(witness->resyncs(), 0);
+  }
+}
+
+TEST(RelayFaults, TheOriginIsKilledAndResumesUnderCutting) {
+  ServedSession session("relay_kill", 4000, R"(, "sync": "none")");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  RelayProcess near(place(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(near.start()) << near.log();
+  RelayProcess far(near.place(), near.http_port());
+  ASSERT_TRUE(far.start()) << far.log();
+  client::Options surface;
+  surface.view = View::Surface;
+  Witness a(near.tcp_port()), b(far.tcp_port()), c(far.tcp_port(), surface);
+  for (int i = 0; i < 4; ++i) {
+    PoseDriver driver(session, 1000, 0.4, "blade", i % 2 == 0 ? 0 : far.tcp_port());
+    const double from = session.stat("/revision").value_or(0);
+    ASSERT_TRUE(wait_for([&] { return session.stat("/revision").value_or(0) > from + 40; })) << session.log();
+    session.kill();
+    ASSERT_TRUE(session.start(true)) << session.log();
+    const double resumed = session.stat("/revision").value_or(0);
+    ASSERT_TRUE(wait_for([&] { return session.stat("/revision").value_or(0) > resumed + 20; }))
+        << "the operator goes on, at the relay, too\n"
+        << session.log() << far.log();
+    ASSERT_TRUE(driver.settle());
+  }
+  expect_all_there(session, {&a, &b, &c});
+  EXPECT_EQ(a.client().counters().reconnects, 0u) << "viewers stay where they are\n" << near.log();
+  EXPECT_EQ(b.client().counters().reconnects, 0u) << far.log();
+  EXPECT_EQ(a.epochs(), 0) << "the epoch is the same after a resume";
+}
+
+TEST(RelayFaults, RelaysAreKilledUnderCutting) {
+  ServedSession session("relay_kills", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  RelayProcess near(place(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(near.start()) << near.log();
+  RelayProcess far(near.place(), near.http_port());
+  ASSERT_TRUE(far.start()) << far.log();
+  client::Options boxed;
+  boxed.box = protocol::Box{{-1, -1, -1}, {0.02, 1, 1}};
+  Witness a(near.tcp_port()), b(far.tcp_port()), c(far.tcp_port(), boxed);
+  PoseDriver driver(session, 1000, 0.4);
+  for (int i = 0; i < 6; ++i) {
+    RelayProcess& victim = i % 2 == 0 ? near : far;
+    std::this_thread::sleep_for(milliseconds(150 + 40 * i));
+    victim.kill();
+    ASSERT_TRUE(victim.start()) << victim.log();
+    std::this_thread::sleep_for(milliseconds(200));
+  }
+  ASSERT_TRUE(driver.settle());
+  EXPECT_EQ(driver.accepted(), driver.sent()) << "the origin and its operator notice nothing";
+  expect_all_there(session, {&a, &b, &c});
+}
+
+TEST(RelayFaults, AnOriginThatIsAwayForAWhileIsWaitedFor) {
+  ServedSession session("relay_away", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  Wire wire(session.tcp_port());
+  RelayProcess relay(place(wire.port()), session.http_port());
+  ASSERT_TRUE(relay.start()) << relay.log();
+  Witness viewer(relay.tcp_port());
+  EXPECT_EQ(relay.health(), 200);
+  PoseDriver driver(session, 1000, 0.3);
+  ASSERT_TRUE(wait_for([&] { return viewer.client().revision() > 20; }));
+  wire.cut(true);
+  EXPECT_TRUE(wait_for([&] { return relay.health() == 503; }));
+  EXPECT_NE(stream::http(relay.http_port(), "/healthz").find("no connection to"), std::string::npos);
+  const std::uint64_t then = viewer.client().revision();
+  std::this_thread::sleep_for(std::chrono::seconds(3));
+  EXPECT_EQ(viewer.client().revision(), then);
+  EXPECT_EQ(viewer.client().status(), client::Status::kConnected);
+  EXPECT_EQ(relay.stat("/relay/connected"), 0.0);
+  // Who comes now is shown what there is.
+  Witness late(relay.tcp_port());
+  EXPECT_TRUE(late.client().wait_for_revision(then, 20));
+  wire.cut(false);
+  EXPECT_TRUE(wait_for([&] { return relay.health() == 200; })) << relay.log();
+  ASSERT_TRUE(driver.settle());
+  expect_all_there(session, {&viewer, &late});
+  EXPECT_EQ(viewer.client().counters().snapshots, 1u) << "deltas lead on from where it was";
+  EXPECT_EQ(viewer.client().counters().reconnects, 0u);
+  EXPECT_EQ(relay.stat("/relay/resumed"), 1.0);
+  EXPECT_EQ(relay.stat("/relay/snapshots"), 1.0);
+}
+
+// A server that announces a hash that is not the state's, and one that changes the state itself.
+TEST(RelayFaults, WhatIsWrongNeverReachesViewers) {
+  ServedSession session("relay_lies", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  Wire wire(session.tcp_port());
+  RelayProcess relay(place(wire.port()), session.http_port());
+  ASSERT_TRUE(relay.start()) << relay.log();
+  client::Options surface;
+  surface.view = View::Surface;
+  Witness direct(session.tcp_port()), viewer(relay.tcp_port()), other(relay.tcp_port(), surface);
+  PoseDriver driver(session, 1000, 0.3);
+  int lies = 0;
+  for (const bool in_the_hash : {true, false}) {
+    const double from = session.stat("/revision").value_or(0);
+    ASSERT_TRUE(wait_for([&] { return session.stat("/revision").value_or(0) > from + 20; }));
+    std::atomic<bool> lied{false};
+    wire.meddle([&, in_the_hash](std::span<const std::byte> body) -> std::vector<std::byte> {
+      if (lied) return {};
+      protocol::DecodeResult decoded = protocol::decode(body);
+      auto* delta = decoded ? std::get_if<protocol::Delta>(&decoded.message->body) : nullptr;
+      if (!delta || (!in_the_hash && delta->added_positions.empty())) return {};
+      std::vector<double> moved(delta->added_positions.begin(), delta->added_positions.end());
+      if (in_the_hash) {
+        delta->state_hash ^= 1;
+      } else {
+        moved[0] += 1e-3;
+        delta->added_positions = moved;
+      }
+      lied = true;
+      const protocol::Frame frame = protocol::encode(*delta, decoded.message->envelope);
+      return {frame.tcp().begin(), frame.tcp().end()};
+    });
+    ASSERT_TRUE(wait_for([&] { return lied.load(); }));
+    ++lies;
+    EXPECT_TRUE(wait_for([&] { return relay.stat("/relay/refused") == lies; })) << relay.log();
+    EXPECT_TRUE(wait_for([&] { return relay.health() == 200; }));
+    std::this_thread::sleep_for(milliseconds(1100));  // another one within a second is another matter
+    wire.meddle(nullptr);
+  }
+  ASSERT_TRUE(driver.settle());
+  expect_all_there(session, {&direct, &viewer, &other});
+  bool equal = true;
+  EXPECT_GT(common(viewer.seen(), direct.seen(), equal), 50);
+  common(other.seen(), direct.seen(), equal);
+  EXPECT_TRUE(equal) << "no viewer was ever shown a state that the origin did not have";
+  EXPECT_EQ(viewer.client().counters().reconnects, 0u);
+  EXPECT_EQ(viewer.epochs() + other.epochs(), 0);
+}
+
+// Bytes that are no message, messages cut short, a snapshot of another view, promises that do not fit.
+TEST(RelayFaults, AMalformedUpstreamIsLeftAndComeBackTo) {
+  ServedSession session("relay_noise", 3000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  Wire wire(session.tcp_port());
+  RelayProcess relay(place(wire.port()), session.http_port());
+  ASSERT_TRUE(relay.start()) << relay.log();
+  Witness viewer(relay.tcp_port());
+  PoseDriver driver(session, 1000, 0.3);
+  const auto with = [](const protocol::Body& body) {
+    const protocol::Frame frame = protocol::encode(body, {0, 1});
+    return std::vector<std::byte>(frame.tcp().begin(), frame.tcp().end());
+  };
+  protocol::SnapshotBegin surface;
+  surface.view = View::Surface;
+  protocol::SnapshotBegin many;
+  many.chunks = 60'000;
+  many.vertex_count = many.tet_count = 0x3ffffffe;
+  protocol::Delta nonsense;
+  nonsense.base_revision = 0;
+  nonsense.revision = 1'000'000;
+  protocol::Welcome promise;
+  promise.resumed = true;
+  promise.session = 4711;
+  const std::vector<std::vector<std::byte>> noises{
+      std::vector<std::byte>(64, std::byte{0xff}),
+      std::vector<std::byte>(64, std::byte{0x11}),
+      with(surface),
+      with(many),
+      with(nonsense),
+      with(promise),
+      with(protocol::SnapshotEnd{5, 5, 5, 5}),
+      with(protocol::FieldValues{7, 0, {}, {}, 3, true}),
+      with(protocol::Error{protocol::ErrorCode::Internal, "not my day", true, 0}),
+      with(protocol::Bye{protocol::ByeReason::ServerStops, "the server stops"}),
+  };
+  for (std::size_t i = 0; i < noises.size(); ++i) {
+    SCOPED_TRACE(i);
+    std::atomic<bool> sent{false};
+    wire.meddle([&](std::span<const std::byte>) -> std::vector<std::byte> {
+      if (sent.exchange(true)) return {};
+      return noises[i];
+    });
+    ASSERT_TRUE(wait_for([&] { return sent.load(); }));
+    std::this_thread::sleep_for(milliseconds(50));
+    const double origin = session.stat("/revision").value_or(0);
+    EXPECT_TRUE(wait_for([&] { return static_cast<double>(viewer.client().revision()) > origin; }))
+        << relay.log();
+    EXPECT_TRUE(relay.process().running());
+    wire.meddle(nullptr);
+  }
+  ASSERT_TRUE(driver.settle());
+  ASSERT_TRUE(wait_for([&] { return session.stat("/backlog/batches") == 0.0; }));
+  const e2e::Held truth = e2e::what_the_server_has(session);
+  EXPECT_TRUE(wait_for([&] { return e2e::held(viewer.client()) == truth; }));
+  EXPECT_EQ(viewer.went_back(), 0);
+  EXPECT_EQ(viewer.resyncs(), 0);
+}
+
+TEST(RelayFaults, TokensAreCheckedAtTheEdge) {
+  ServedSession session("relay_tokens", 3000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  RelayProcess open(place(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(open.start()) << open.log();
+  RelayProcess guarded(open.place(), open.http_port(), R"(, "token_file": "tokens.json")");
+  std::ofstream(guarded.file("tokens.json"))
+      << R"([{"token": "watching-only-0001", "roles": ["viewer"]}, {"token": "hands-on-000000001", "roles": ["viewer", "operator"]}])";
+  ASSERT_TRUE(guarded.start()) << guarded.log();
+  // The next one has the wrong token for that, and then the right one.
+  RelayProcess last(guarded.place(), guarded.http_port(), "", R"(, "token_file": "token")");
+  std::ofstream(last.file("token")) << "hands-on-000000001\n";
+  ASSERT_TRUE(last.start()) << last.log();
+
+  const auto verdict = [](std::uint16_t port, protocol::Role role, const std::string& token) {
+    stream::RawPeer raw(port);
+    protocol::Hello hello;
+    hello.role = role;
+    hello.source_name = "blade";
+    hello.token = token;
+    raw.send(hello);
+    const auto received = raw.receive();
+    if (!received) return std::string("nothing");
+    if (const auto* error = std::get_if<protocol::Error>(&received->message.body)) return error->text;
+    return std::string(name_of(received->message.body));
+  };
+  using protocol::Role;
+  EXPECT_EQ(verdict(guarded.tcp_port(), Role::Viewer, ""), "role viewer needs a token, and none was given");
+  EXPECT_EQ(verdict(guarded.tcp_port(), Role::Viewer, "watching-only-0001"), "Welcome");
+  EXPECT_EQ(verdict(guarded.tcp_port(), Role::Operator, "watching-only-0001"),
+            "the token is wrong, or does not open role operator");
+  EXPECT_EQ(verdict(guarded.tcp_port(), Role::Operator, "hands-on-000000001"), "Welcome");
+  EXPECT_EQ(verdict(last.tcp_port(), Role::Viewer, ""), "Welcome") << "it asks for none itself";
+  EXPECT_TRUE(wait_for([&] { return verdict(last.tcp_port(), Role::Operator, "") == "Welcome"; }));
+  EXPECT_NE(stream::http(guarded.http_port(), "/stats").find("401"), std::string::npos);
+  const auto shown = [&] {
+    return stream::http(guarded.http_port(), "/stats", "GET", "Authorization: Bearer watching-only-0001\r\n");
+  };
+  EXPECT_TRUE(wait_for([&] { return shown().find("\"hops\":2") != std::string::npos; }))
+      << "once the first has told";
+  // A token that opens only watching lets nobody cut through it.
+  std::ofstream(last.file("token")) << "watching-only-0001\n";
+  last.kill();
+  ASSERT_TRUE(last.start()) << last.log();
+  EXPECT_EQ(verdict(last.tcp_port(), Role::Operator, ""),
+            "the token is wrong, or does not open role operator");
+}
+
+}  // namespace
+}  // namespace incise::relay

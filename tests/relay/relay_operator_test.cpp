@@ -1,0 +1,253 @@
+// Operators and administrators at a relay.
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <mutex>
+#include <thread>
+
+#include "tests/e2e/recovery.hpp"
+#include "tests/e2e/served_session.hpp"
+#include "tests/relay/relay_process.hpp"
+#include "tests/stream/viewer.hpp"
+
+namespace incise::relay {
+namespace {
+
+using e2e::Held;
+using e2e::ServedSession;
+using e2e::wait_for;
+using protocol::Role;
+using protocol::View;
+
+// An operator that cuts straight across the body.
+struct Hand {
+  Hand(const ServedSession& session, std::uint16_t port, const std::string& blade, bool take_over = false) {
+    for (const core::Vec3& p : session.body().loaded.mesh.positions) extend(p, low, high);
+    client::Options options;
+    options.role = Role::Operator;
+    options.view = View::None;
+    options.source_name = blade;
+    options.take_over = take_over;
+    options.client_name = "hand";
+    client::Callbacks callbacks;
+    callbacks.on_error = [this](const protocol::Error& error) {
+      const std::scoped_lock lock(mutex);
+      refusal = error.text;
+    };
+    callbacks.on_force = [this](const protocol::Force& force) {
+      ++forces;
+      const auto& f = force.force_n;
+      if (f.x * f.x + f.y * f.y + f.z * f.z > 0) ++felt;
+    };
+    link = client::Client::connect("127.0.0.1", port, options, callbacks);
+  }
+  // Lifts the blade at the end, unless it stays in the body.
+  bool cut(double x, bool lift = true, double until = 1) {
+    std::vector<protocol::PoseSample> poses;
+    const int count = static_cast<int>(200 * until);
+    for (int i = 0; i <= count; ++i) {
+      const double s = i / 200.0;
+      poses.push_back(
+          {clock_ns += 4'000'000,
+           {low.x + x * (high.x - low.x), low.y + (1.2 * s - 0.1) * (high.y - low.y), high.z + 0.01},
+           {1, 0, 0, 0},
+           i < count || !lift ? 1u : 0u,
+           0});
+    }
+    sent += poses.size();
+    std::uint64_t last = 0;
+    // As from a hand: forces are for poses that are new.
+    for (std::size_t i = 0; i < poses.size(); i += 4) {
+      last = link->send_poses(std::span(poses).subspan(i, std::min<std::size_t>(4, poses.size() - i)));
+      std::this_thread::sleep_for(std::chrono::milliseconds(pace_ms));
+    }
+    return link->wait_for_report(last, 60);
+  }
+  std::string said() {
+    const std::scoped_lock lock(mutex);
+    return refusal;
+  }
+  core::Vec3 low{1, 1, 1}, high{-1, -1, -1};
+  std::int64_t clock_ns = 1'000'000'000;
+  std::uint64_t sent = 0;
+  int pace_ms = 0;
+  std::atomic<int> forces{0}, felt{0};
+  std::mutex mutex;
+  std::string refusal;
+  std::unique_ptr<client::Client> link;
+};
+
+struct Served {
+  explicit Served(const std::string& name) : session(name, 4000, R"(, "checkpoint_replay_s": 1000)") {
+    EXPECT_TRUE(session.start(false)) << session.log();
+    relay = std::make_unique<RelayProcess>("127.0.0.1:" + std::to_string(session.tcp_port()),
+                                           session.http_port());
+    EXPECT_TRUE(relay->start()) << relay->log();
+  }
+  Held settled(client::Client& viewer) const {
+    EXPECT_TRUE(wait_for([&] {
+      return session.stat("/backlog/batches") == 0.0 && session.stat("/revision") == viewer.revision() &&
+             e2e::last_mark_and_gaps(session.capture()).first == viewer.revision();
+    }));
+    return e2e::held(viewer);
+  }
+  ServedSession session;
+  std::unique_ptr<RelayProcess> relay;
+};
+
+TEST(RelayOperator, CutsAtTheOriginAndHearsOfEachPose) {
+  Served served("relay_operator");
+  Hand hand(served.session, served.relay->tcp_port(), "blade");
+  Hand direct(served.session, served.session.tcp_port(), "second");
+  EXPECT_EQ(hand.link->welcome().source, 0u);
+  EXPECT_EQ(hand.link->welcome().blade_tip, direct.link->welcome().blade_tip);
+  EXPECT_EQ(hand.link->welcome().max_message_bytes, direct.link->welcome().max_message_bytes);
+  hand.pace_ms = 4;
+  ASSERT_TRUE(hand.cut(0.3));
+  hand.pace_ms = 0;
+  ASSERT_TRUE(hand.cut(0.6));
+  EXPECT_TRUE(wait_for([&] { return hand.link->report().recorded == hand.sent; }))
+      << hand.link->report().recorded << " of " << hand.sent << " on the origin's disk";
+  const protocol::PoseReport report = hand.link->report();
+  EXPECT_EQ(report.accepted, hand.sent);
+  EXPECT_EQ(report.last_source_ns, hand.clock_ns) << "the operator's own times";
+  EXPECT_EQ(report.recorded_source_ns, hand.clock_ns);
+  EXPECT_EQ(report.recording, protocol::Recording::On);
+  EXPECT_GT(hand.forces, 10);
+  EXPECT_GT(hand.felt, 10);
+  EXPECT_GT(served.session.stat("/cut_area_m2").value_or(0), 0);
+  EXPECT_TRUE(wait_for([&] {
+    return served.relay->stat("/relay/operators/0/round_trip_ms").value_or(0) > 0;
+  })) << "its latency is shown";
+  e2e::CaptureFollower capture(served.session);
+  EXPECT_EQ(capture.follow(), "");
+  EXPECT_EQ(capture.poses(), hand.sent);
+  EXPECT_EQ(capture.gaps(), 0u);
+
+  // What is refused there is refused here, in the same words; and a blade can be taken over from either side.
+  const auto refusal = [&](std::uint16_t port, const std::string& blade) {
+    stream::RawPeer raw(port);
+    protocol::Hello hello = stream::hello(Role::Operator, View::None);
+    hello.source_name = blade;
+    raw.send(hello, 7);
+    const auto received = raw.receive();
+    const auto* error = received ? std::get_if<protocol::Error>(&received->message.body) : nullptr;
+    return error ? std::to_string(static_cast<int>(error->code)) + (error->fatal ? " fatal " : " ") +
+                       std::to_string(error->in_reply_to) + ' ' + error->text
+                 : std::string("none");
+  };
+  for (const char* blade : {"blade", "second"}) {
+    EXPECT_EQ(refusal(served.relay->tcp_port(), blade),
+              "7 fatal 7 the blade \"" + std::string(blade) + "\" is held by another operator");
+    EXPECT_EQ(refusal(served.session.tcp_port(), blade), refusal(served.relay->tcp_port(), blade));
+  }
+  Hand taker(served.session, served.relay->tcp_port(), "second", true);
+  EXPECT_TRUE(wait_for([&] { return direct.link->status() == client::Status::kClosed; }));
+  EXPECT_EQ(direct.link->last_error(), "another operator has taken the blade");
+  Hand back(served.session, served.session.tcp_port(), "blade", true);
+  EXPECT_TRUE(wait_for([&] { return hand.link->status() == client::Status::kClosed; }));
+  EXPECT_EQ(hand.link->last_error(), "another operator has taken the blade");
+  Hand here(served.session, served.relay->tcp_port(), "second", true);
+  EXPECT_TRUE(wait_for([&] { return taker.link->status() == client::Status::kClosed; }))
+      << "both are at the relay";
+  EXPECT_EQ(taker.link->last_error(), "another operator has taken the blade");
+  ASSERT_TRUE(here.cut(0.8));
+}
+
+TEST(RelayOperator, EndsItsStrokeWhenTheRelayIsKilled) {
+  Served served("relay_killed");
+  {
+    Hand hand(served.session, served.relay->tcp_port(), "blade");
+    ASSERT_TRUE(hand.cut(0.5, false, 0.5));
+    ASSERT_EQ(served.session.stat("/sources"), 1.0);
+    served.relay->kill();
+    EXPECT_TRUE(wait_for([&] { return served.session.stat("/sources") == 0.0; })) << "its stroke ends";
+  }
+  e2e::CaptureFollower capture(served.session);
+  EXPECT_TRUE(wait_for([&] { return capture.follow().empty() && !capture.in_stroke(); }));
+  Hand direct(served.session, served.session.tcp_port(), "blade");
+  EXPECT_TRUE(direct.cut(0.7));
+}
+
+TEST(RelayOperator, LeavesWhenTheOriginGoesAndComesBackWithIt) {
+  Served served("relay_origin_gone");
+  client::Options options;
+  options.role = Role::Operator;
+  options.view = View::None;
+  options.reconnect = true;
+  const auto hand = client::Client::connect("127.0.0.1", served.relay->tcp_port(), options);
+  served.session.kill();
+  EXPECT_TRUE(wait_for([&] { return hand->status() == client::Status::kReconnecting; }))
+      << "what it sent may be lost, so it hears of it";
+  ASSERT_TRUE(served.session.start(true)) << served.session.log();
+  EXPECT_TRUE(wait_for([&] { return hand->status() == client::Status::kConnected; })) << hand->last_error();
+  const protocol::PoseSample pose{1, {0, 0, 1}, {1, 0, 0, 0}, 0, 0};
+  EXPECT_TRUE(hand->wait_for_report(hand->send_poses(std::span(&pose, 1)), 20));
+}
+
+TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
+  Served served("relay_undo");
+  Witness viewer(served.relay->tcp_port());
+  ASSERT_TRUE(viewer.client().wait_for_revision(0, 60));
+  std::vector<Held> before{served.settled(viewer.client())};
+  Hand hand(served.session, served.relay->tcp_port(), "blade");
+  for (const double x : {0.3, 0.6}) {
+    ASSERT_TRUE(hand.cut(x));
+    before.push_back(served.settled(viewer.client()));
+  }
+  Hand other(served.session, served.relay->tcp_port(), "another");
+  other.link->undo();
+  EXPECT_TRUE(wait_for([&] { return !other.said().empty(); }));
+  EXPECT_EQ(other.said(),
+            "Undo: the last stroke is that of another blade: its operator or an admin may undo it");
+  const std::uint64_t epoch = viewer.client().welcome().session;
+  hand.link->undo();
+  EXPECT_TRUE(wait_for([&] { return viewer.client().welcome().session != epoch; })) << hand.said();
+  EXPECT_EQ(served.settled(viewer.client()), before[1]);
+  EXPECT_EQ(viewer.went_back(), 0) << "it goes back in another epoch only";
+
+  // An administrator, too.
+  client::Options options;
+  options.role = Role::Admin;
+  options.view = View::None;
+  std::mutex mutex;
+  std::string refusal;
+  client::Callbacks callbacks;
+  callbacks.on_error = [&](const protocol::Error& error) {
+    const std::scoped_lock lock(mutex);
+    refusal = std::to_string(error.in_reply_to) + ' ' + error.text;
+  };
+  const auto admin = client::Client::connect("127.0.0.1", served.relay->tcp_port(), options, callbacks);
+  admin->undo();
+  EXPECT_TRUE(wait_for([&] { return viewer.epochs() == 2; }));
+  EXPECT_EQ(served.settled(viewer.client()), before[0]);
+  admin->undo();
+  EXPECT_TRUE(wait_for([&] {
+    const std::scoped_lock lock(mutex);
+    return refusal.ends_with("Undo: there is no stroke to undo") && !refusal.starts_with("0 ");
+  })) << refusal;
+  ASSERT_TRUE(hand.cut(0.5));
+  ASSERT_GT(served.settled(viewer.client()).revision, 0u);
+  admin->reset();
+  EXPECT_TRUE(wait_for([&] { return viewer.epochs() == 3 && viewer.client().revision() == 0; }));
+  EXPECT_EQ(e2e::held(viewer.client()), before[0]);
+  EXPECT_EQ(viewer.went_back(), 0);
+}
+
+TEST(RelayOperator, SimulatorsAreSentToTheOrigin) {
+  Served served("relay_simulator");
+  client::Options options;
+  options.role = Role::Simulator;
+  try {
+    client::Client::connect("127.0.0.1", served.relay->tcp_port(), options);
+    FAIL() << "it was let in";
+  } catch (const client::ConnectError& error) {
+    EXPECT_NE(std::string(error.what()).find("simulators, and values of fields, go to the server that cuts"),
+              std::string::npos)
+        << error.what();
+  }
+}
+
+}  // namespace
+}  // namespace incise::relay
