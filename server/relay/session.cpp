@@ -267,7 +267,7 @@ void Session::show() {
   }
   if (!surface) surface_ = {};
   try {
-    if (shown_ || (server_ && same_body(body_, welcome_))) {
+    if (server_ && same_body(body_, welcome_)) {
       server_->publish_reset(initial_state());
     } else {
       serve(initial_state());
