@@ -22,14 +22,13 @@ constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators t
 constexpr int kFetchTries = 5;
 constexpr std::chrono::seconds kFetchAgain{1};
 
-// Whether a server made for one Welcome can go on with the other.
+// Whether a server made for one Welcome can go on with the other. Faces are left out: one that has resumed counts those of cuts.
 bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
   const auto surface = [](const protocol::Welcome& w) {
     return w.surface ? w.surface->path + ' ' + w.surface->content_hash : std::string("none");
   };
   return a.mesh.name == b.mesh.name && a.mesh.content_hash == b.mesh.content_hash &&
-         a.mesh.vertices == b.mesh.vertices && a.mesh.tets == b.mesh.tets &&
-         a.mesh.boundary_faces == b.mesh.boundary_faces && a.mesh.box == b.mesh.box &&
+         a.mesh.vertices == b.mesh.vertices && a.mesh.tets == b.mesh.tets && a.mesh.box == b.mesh.box &&
          a.mesh.mean_edge_length_m == b.mesh.mean_edge_length_m && a.blade_heel == b.blade_heel &&
          a.blade_tip == b.blade_tip && a.engage_button == b.engage_button &&
          a.max_speed_m_s == b.max_speed_m_s && a.frame_rate_hz == b.frame_rate_hz && a.policy == b.policy &&
