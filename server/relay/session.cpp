@@ -19,6 +19,7 @@ namespace {
 using protocol::View;
 
 constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators to reach the origin
+constexpr std::size_t kMaxBlades = 64;               // more than any server has
 constexpr int kFetchTries = 5;
 constexpr std::chrono::seconds kFetchAgain{1};
 
@@ -104,7 +105,10 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
     const std::scoped_lock lock(mutex_);
     auto place = std::find_if(blades_.begin(), blades_.end(),
                               [&](const auto& other) { return other.source == pose->source; });
-    if (place == blades_.end()) place = blades_.insert(place, *pose);
+    if (place == blades_.end()) {
+      if (blades_.size() == kMaxBlades) return;
+      place = blades_.insert(place, *pose);
+    }
     *place = *pose;
     place->arrival_ns -= ahead_ns;
   } else if (const auto* stats = std::get_if<protocol::Stats>(&body)) {
