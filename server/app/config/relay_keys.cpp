@@ -86,8 +86,10 @@ ConfigKeys relay_keys() {
        "listen.http_port. Without a port: 7450, or 7480 for ws and wss.",
        [](const Config& c) { return Json(c.relay.upstream); },
        [](Config& c, const Json& value) {
-         if (!value.is_string() || (value != "" && !is_upstream(value.get<std::string>()))) return false;
-         c.relay.upstream = value.get<std::string>();
+         if (!value.is_string()) return false;
+         const auto place = value.get<std::string>();
+         if (!place.empty() && !is_upstream(place)) return false;
+         c.relay.upstream = place;
          return true;
        }},
       integer("relay.upstream_http_port", INCISE_FIELD(relay.upstream_http_port), 1, 65535,
@@ -103,9 +105,9 @@ ConfigKeys relay_keys() {
   };
 }
 
-std::vector<Config::Relay::Session> Config::Relay::all(const Listen& listen) const {
+std::vector<Config::Relay::Session> Config::Relay::all(const Listen& ports) const {
   if (!sessions.empty()) return sessions;
-  return {{"session", upstream, listen.tcp_port, listen.http_port, upstream_http_port}};
+  return {{"session", upstream, ports.tcp_port, ports.http_port, upstream_http_port}};
 }
 
 }  // namespace incise::app
