@@ -157,7 +157,7 @@ struct Config {
     };
     std::vector<Session> sessions;
     // Either of the two.
-    std::vector<Session> all(const Listen& listen) const;
+    std::vector<Session> all(const Listen& ports) const;
   } relay;
 
   // Where the file was read from; paths in it are relative to that. Empty: the working directory.

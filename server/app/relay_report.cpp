@@ -11,9 +11,12 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-// What the origin said; an object, whatever that was.
+// What the origin said; an object, whatever that was. What is nested deeper than a server's is left out, since writing it takes as
+// deep a stack.
 Json origin_json(const std::string& text) {
-  Json json = Json::parse(text, nullptr, false);
+  constexpr int kMaxDepth = 16;
+  const auto shallow = [](int depth, Json::parse_event_t, Json&) { return depth < kMaxDepth; };
+  Json json = Json::parse(text, shallow, false);
   return json.is_object() ? json : Json::object();
 }
 

@@ -11,12 +11,16 @@
 namespace incise::app {
 namespace {
 
-// The viewer that ./dev build puts beside the programs; empty where it was not built.
+// The viewer that ./dev build puts beside the programs, or the installed one; empty where there is none.
 std::string built_viewer() {
   std::error_code error;
   const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
-  const std::filesystem::path viewer = program.parent_path().parent_path() / "viewer";
-  return !error && std::filesystem::exists(viewer / "index.html", error) ? viewer.string() : std::string();
+  if (error) return {};
+  for (const char* place : {"viewer", "share/incise/viewer"}) {
+    const std::filesystem::path viewer = program.parent_path().parent_path() / place;
+    if (std::filesystem::exists(viewer / "index.html", error)) return viewer.string();
+  }
+  return {};
 }
 
 }  // namespace

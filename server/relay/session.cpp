@@ -19,17 +19,17 @@ namespace {
 using protocol::View;
 
 constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators to reach the origin
+constexpr std::size_t kMaxBlades = 64;               // more than any server has
 constexpr int kFetchTries = 5;
 constexpr std::chrono::seconds kFetchAgain{1};
 
-// Whether a server made for one Welcome can go on with the other.
+// Whether a server made for one Welcome can go on with the other. Faces are left out: one that has resumed counts those of cuts.
 bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
   const auto surface = [](const protocol::Welcome& w) {
     return w.surface ? w.surface->path + ' ' + w.surface->content_hash : std::string("none");
   };
   return a.mesh.name == b.mesh.name && a.mesh.content_hash == b.mesh.content_hash &&
-         a.mesh.vertices == b.mesh.vertices && a.mesh.tets == b.mesh.tets &&
-         a.mesh.boundary_faces == b.mesh.boundary_faces && a.mesh.box == b.mesh.box &&
+         a.mesh.vertices == b.mesh.vertices && a.mesh.tets == b.mesh.tets && a.mesh.box == b.mesh.box &&
          a.mesh.mean_edge_length_m == b.mesh.mean_edge_length_m && a.blade_heel == b.blade_heel &&
          a.blade_tip == b.blade_tip && a.engage_button == b.engage_button &&
          a.max_speed_m_s == b.max_speed_m_s && a.frame_rate_hz == b.frame_rate_hz && a.policy == b.policy &&
@@ -105,7 +105,10 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
     const std::scoped_lock lock(mutex_);
     auto place = std::find_if(blades_.begin(), blades_.end(),
                               [&](const auto& other) { return other.source == pose->source; });
-    if (place == blades_.end()) place = blades_.insert(place, *pose);
+    if (place == blades_.end()) {
+      if (blades_.size() == kMaxBlades) return;
+      place = blades_.insert(place, *pose);
+    }
     *place = *pose;
     place->arrival_ns -= ahead_ns;
   } else if (const auto* stats = std::get_if<protocol::Stats>(&body)) {
@@ -267,7 +270,7 @@ void Session::show() {
   }
   if (!surface) surface_ = {};
   try {
-    if (shown_ || (server_ && same_body(body_, welcome_))) {
+    if (server_ && same_body(body_, welcome_)) {
       server_->publish_reset(initial_state());
     } else {
       serve(initial_state());

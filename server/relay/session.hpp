@@ -62,7 +62,7 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   };
 
   Session(std::string name, stream::StreamConfig config, const MakeUpstream& make_upstream);
-  ~Session();
+  ~Session() override;
 
   // Listens once the upstream has sent a whole state.
   void start(Reports reports);

@@ -18,7 +18,7 @@ class TcpUpstream final : public Upstream, private Connection::Owner {
  public:
   // `name`: for people.
   TcpUpstream(asio::io_context& io, Origin server, std::string name);
-  ~TcpUpstream();
+  ~TcpUpstream() override;
 
   void start(Sink& sink) override;
   void stop() override;

@@ -32,7 +32,7 @@ fi
 
 # Manual pages that man reads without a warning, a completion that completes.
 if command -v man > /dev/null; then
-  for page in man1/incise.1 man8/incised.8; do
+  for page in man1/incise.1 man8/incised.8 man8/incise-relay.8; do
     warnings="$(LC_ALL=C.UTF-8 man --warnings -l "$work/installed/share/man/$page" 2>&1 > /dev/null)"
     [[ -z $warnings ]] || die "$page: $warnings"
   done

@@ -226,18 +226,18 @@ void Wire::pump_down(int from, int to) {
   for (ssize_t n; (n = ::recv(from, bytes.data(), bytes.size(), 0)) > 0;) {
     std::span<const std::byte> input = std::span(bytes).first(static_cast<std::size_t>(n));
     while (reader.read(input) == protocol::FrameReader::Status::Complete) {
-      std::vector<std::byte> out;
+      std::optional<std::vector<std::byte>> out;
       {
         const std::scoped_lock lock(mutex_);
         if (meddle_) out = meddle_(reader.body());
       }
-      if (out.empty()) {
+      if (!out) {
         const auto size = static_cast<std::uint32_t>(reader.body().size());
-        out.resize(4);
-        std::memcpy(out.data(), &size, 4);
-        out.insert(out.end(), reader.body().begin(), reader.body().end());
+        out.emplace(4);
+        std::memcpy(out->data(), &size, 4);
+        out->insert(out->end(), reader.body().begin(), reader.body().end());
       }
-      if (!write_all(to, out)) return;
+      if (!write_all(to, *out)) return;
     }
   }
 }

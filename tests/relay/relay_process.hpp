@@ -81,12 +81,12 @@ int common(const Seen& a, const Seen& b, bool& equal);
 // A wire between a server and whoever connects here.
 class Wire {
  public:
-  // What becomes of one message of the server: it may be changed, or be other bytes altogether.
-  using Meddle = std::function<std::vector<std::byte>(std::span<const std::byte> body)>;
+  // What becomes of one message of the server: the bytes for the wire, perhaps none; nothing: it goes on as it is.
+  using Meddle = std::function<std::optional<std::vector<std::byte>>(std::span<const std::byte> body)>;
   explicit Wire(std::uint16_t server_port);
   ~Wire();
   std::uint16_t port() const { return port_; }
-  // From now on every message of the server goes through `meddle`, which gives back the bytes for the wire; empty: as it is.
+  // From now on every message of the server goes through `meddle`.
   void meddle(Meddle meddle);
   // Ends all connections, and takes none for now, or again.
   void cut(bool severed);

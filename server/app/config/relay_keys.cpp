@@ -12,8 +12,7 @@ namespace {
 constexpr const char* kPlace = "[tcp://|tls://|ws://|wss://]HOST[:PORT] or nats:SESSION";
 constexpr const char* kSessionsAccepted =
     "a list of at most 64 objects {\"name\": a text of 1 to 64 letters, digits, \"-\", \"_\" and \".\", "
-    "\"upstream\": as "
-    "relay.upstream, \"tcp_port\", \"http_port\": as in listen, \"upstream_http_port\": as here} with "
+    "\"upstream\": as relay.upstream, \"tcp_port\", \"http_port\": as in listen, \"upstream_http_port\": as here} with "
     "different names";
 constexpr std::size_t kMaxSessions = 64;
 
@@ -86,12 +85,13 @@ ConfigKeys relay_keys() {
       {"relay.upstream", std::string(kPlace) + ", or \"\" with relay.sessions",
        "The server to follow: an incised, or another relay. It is served at listen.tcp_port and "
        "listen.http_port. Without a port: 7450, or 7480 for ws and wss. nats:SESSION: what is published on "
-       "cluster.nats by that "
-       "name.",
+       "cluster.nats by that name.",
        [](const Config& c) { return Json(c.relay.upstream); },
        [](Config& c, const Json& value) {
-         if (!value.is_string() || (value != "" && !is_upstream(value.get<std::string>()))) return false;
-         c.relay.upstream = value.get<std::string>();
+         if (!value.is_string()) return false;
+         const auto place = value.get<std::string>();
+         if (!place.empty() && !is_upstream(place)) return false;
+         c.relay.upstream = place;
          return true;
        }},
       integer("relay.upstream_http_port", INCISE_FIELD(relay.upstream_http_port), 1, 65535,
@@ -107,10 +107,10 @@ ConfigKeys relay_keys() {
   };
 }
 
-std::vector<Config::Relay::Session> Config::Relay::all(const Listen& listen) const {
+std::vector<Config::Relay::Session> Config::Relay::all(const Listen& ports) const {
   if (!sessions.empty()) return sessions;
   const bool on_nats = upstream.starts_with("nats:");
-  return {{on_nats ? upstream.substr(5) : "session", upstream, listen.tcp_port, listen.http_port,
+  return {{on_nats ? upstream.substr(5) : "session", upstream, ports.tcp_port, ports.http_port,
            upstream_http_port}};
 }
 
