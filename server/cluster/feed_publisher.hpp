@@ -84,6 +84,7 @@ class FeedPublisher final : public stream::FeedListener {
 
   // What readers of one view have.
   struct ViewState {
+    explicit ViewState(protocol::View v) : view(v) {}
     protocol::View view;
     bool broken = true;                      // deltas would lead nowhere before the next snapshot
     bool wanted = true;                      // a snapshot
@@ -146,7 +147,7 @@ class FeedPublisher final : public stream::FeedListener {
   std::uint64_t epoch_ = 0, requests_ = 0, head_ = 0;
   std::int64_t logged_ns_ = 0;
   std::string logged_;
-  ViewState views_[2] = {{.view = protocol::View::Volume}, {.view = protocol::View::Surface}};
+  ViewState views_[2] = {ViewState(protocol::View::Volume), ViewState(protocol::View::Surface)};
   std::thread thread_;
 };
 

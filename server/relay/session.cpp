@@ -36,6 +36,15 @@ bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
          a.fields == b.fields && surface(a) == surface(b);
 }
 
+// For what the origin's documents are.
+std::string documents_key(const protocol::Welcome& welcome) {
+  return welcome.mesh.content_hash + ' ' + (welcome.surface ? welcome.surface->content_hash : std::string());
+}
+
+void rethrow(const std::exception_ptr& error) {
+  if (error) std::rethrow_exception(error);
+}
+
 core::Field core_field(const protocol::Field& field) {
   return {field.facts.name, static_cast<core::Field::On>(field.facts.on), field.facts.components,
           field.values};
@@ -149,6 +158,7 @@ Held Session::held() const {
 void Session::on(const protocol::Welcome& welcome) {
   const bool another = welcome.session != welcome_.session;
   welcome_ = welcome;
+  const bool back = server_ && !figures().connected;
   {
     const std::scoped_lock lock(mutex_);
     if (!figures_.connected) {
@@ -162,6 +172,7 @@ void Session::on(const protocol::Welcome& welcome) {
     if (welcome.resumed) ++figures_.resumed;
     recording_ = welcome.recording;
   }
+  if (back && !fetching_) asio::co_spawn(io_, check_look(), rethrow);
   if (!welcome.resumed) {
     state_.forget();
     state_.await_snapshot();
@@ -258,17 +269,11 @@ void Session::set_trouble(std::string trouble) {
 // ---- The server ----
 
 void Session::show() {
-  const auto& surface = welcome_.surface;
-  if (surface && !surface->path.empty() && fetched_for_ != surface->content_hash) {
+  if (fetched_for_ != documents_key(welcome_)) {
     shown_ = false;
-    if (!std::exchange(fetching_, true)) {
-      asio::co_spawn(io_, fetch(), [](const std::exception_ptr& error) {
-        if (error) std::rethrow_exception(error);
-      });
-    }
+    if (!std::exchange(fetching_, true)) asio::co_spawn(io_, fetch(), rethrow);
     return;
   }
-  if (!surface) surface_ = {};
   try {
     if (server_ && same_body(body_, welcome_)) {
       server_->publish_reset(initial_state());
@@ -286,24 +291,45 @@ void Session::show() {
 }
 
 asio::awaitable<void> Session::fetch() {
-  const protocol::SurfaceFacts facts = *welcome_.surface;
-  const std::optional<Origin> origin = upstream_->origin();
+  const protocol::Welcome welcome = welcome_;
+  const bool surface_due = welcome.surface && !welcome.surface->path.empty();
   surface_ = {};
-  for (int i = 1; origin && i <= kFetchTries; ++i) {
+  look_ = {};
+  for (int i = 1; i <= kFetchTries; ++i) {
     std::string why;
     try {
-      surface_ = co_await fetch_surface(*origin, facts);
+      const std::optional<Origin> origin = upstream_->origin();
+      if (!origin) throw std::runtime_error("its server is not known");
+      if (surface_due && !surface_.origins) surface_ = co_await fetch_surface(*origin, *welcome.surface);
+      look_ = co_await fetch_look(*origin, {});
     } catch (const std::exception& error) {
       why = error.what();
     }
     if (why.empty()) break;
-    spdlog::warn("{}: the body's surface cannot be had ({}); {}", name_, why,
-                 i < kFetchTries ? "trying again" : "viewers get no texture coordinates");
+    spdlog::warn("{}: how the body looks cannot be had ({}); {}", name_, why,
+                 i < kFetchTries ? "trying again" : "viewers get no texture coordinates or looks");
     if (i < kFetchTries) co_await stream::pause(kFetchAgain);
   }
   fetching_ = false;
-  fetched_for_ = facts.content_hash;
+  fetched_for_ = documents_key(welcome);
   if (state_.whole() && !state_.awaiting_snapshot()) show();
+}
+
+asio::awaitable<void> Session::check_look() {
+  const auto held = look_.find("/look.json");
+  const std::string text = held == look_.end() ? std::string() : *held->second.body;
+  try {
+    const std::optional<Origin> origin = upstream_->origin();
+    if (!origin) co_return;
+    stream::Documents found = co_await fetch_look(*origin, text);
+    const auto now = found.find("/look.json");
+    if (fetching_ || text == (now == found.end() ? std::string() : *now->second.body)) co_return;
+    look_ = std::move(found);
+    body_ = {};  // the server has the former look: another one is needed
+    if (state_.whole() && !state_.awaiting_snapshot()) show();
+  } catch (const std::exception& error) {
+    spdlog::warn("{}: how the body looks cannot be had ({}); viewers keep what they have", name_, error.what());
+  }
 }
 
 std::shared_ptr<stream::InitialState> Session::initial_state() const {
@@ -366,6 +392,7 @@ stream::Providers Session::providers() {
   providers.sessions_json = reports_.sessions_json;
   providers.audit = reports_.audit;
   providers.documents = surface_.documents;
+  providers.documents.insert(look_.begin(), look_.end());
   providers.statistics = [this] {
     protocol::Stats stats = figures().origin;
     if (reports_.stats_json) stats.json = reports_.stats_json();

@@ -15,8 +15,8 @@
 #include <vector>
 
 #include "client/held_state.hpp"
+#include "server/relay/body_documents.hpp"
 #include "server/relay/operator_link.hpp"
-#include "server/relay/surface_fetch.hpp"
 #include "server/relay/upstream.hpp"
 #include "server/stream/server.hpp"
 
@@ -105,6 +105,8 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   stream::ServerFacts facts() const;
   stream::Providers providers();
   asio::awaitable<void> fetch();
+  // After a loss: an origin that was started with another configuration may look otherwise.
+  asio::awaitable<void> check_look();
   void set_trouble(std::string trouble);
 
   const std::string name_;
@@ -119,8 +121,9 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   protocol::Welcome welcome_;               // the newest
   protocol::Welcome body_;                  // for which the server was made
   bool shown_ = false;                      // the server follows the state
-  std::optional<std::string> fetched_for_;  // content hash of the surface
+  std::optional<std::string> fetched_for_;  // content hashes of the body and its surface
   FetchedSurface surface_;
+  stream::Documents look_;
   bool fetching_ = false;
 
   std::atomic<std::uint64_t> servers_{0};  // made so far

@@ -106,9 +106,8 @@ public static class EngineTests
             device.blade = blade;
             root.SetActive(true);
             DateTime end = DateTime.UtcNow.AddSeconds(60);
-            // The spring alone would give newtons. Where the machine pauses the device's thread for 20 ms the server fades the force,
-            // and its ramp begins again: then only some hundredths are reached, and outward they are all the same. On the way up friction
-            // holds the blade back.
+            // The spring alone would give newtons. Where the machine pauses the device's thread for 50 ms the ramp begins again: then
+            // only some hundredths are reached, and outward they are all the same. On the way up friction holds the blade back.
             while (device.Largest.y < 0.005f)
             {
                 Check.That(DateTime.UtcNow < end, "no force outward: " + device.Largest.y);
@@ -151,11 +150,13 @@ public static class EngineTests
         {
             if (Breaks) throw new InvalidOperationException("unplugged");
             if (begun == 0) begun = Clock.NowNs;
-            float way = (float)(0.02 * (Clock.NowNs - begun) * 1e-9 % 0.08);
-            position = top + new Vector3(0, way < 0.04f ? -way : way - 0.08f, 0);
+            // In two seconds into the body, then four of pressing a little deeper, in which the ramp ends, and out.
+            double time = (Clock.NowNs - begun) * 1e-9 % 8;
+            double way = time < 2 ? 0.0175 * time : time < 6 ? 0.035 + 0.001 * (time - 2) : 0.039 * (8 - time) / 2;
+            position = top + new Vector3(0, (float)-way, 0);
             rotation = Quaternion.identity;
-            // Three such pauses turn the force off; the button, pressed above the body, asks for it again.
-            cuts = way < 0.004f;
+            // Three pauses of a quarter of a second turn the force off; the button, pressed above the body, asks for it again.
+            cuts = time < 0.2;
         }
 
         protected override void Apply(Vector3 force, Vector3 torque)

@@ -15,7 +15,7 @@ public sealed class Server : IDisposable
     public readonly int Port;
     public int HttpPort;
 
-    /// <summary>surface: the text of an .obj to fill; null: the phantom.</summary>
+    /// <summary>No motor is driven here, so a pause of a busy machine need not end a force. surface: the text of an .obj to fill; null: the phantom.</summary>
     public Server(bool capture = false, int tets = 4000, bool tls = false, string surface = null)
     {
         var probe = new TcpListener(IPAddress.Loopback, 0);
@@ -29,6 +29,7 @@ public sealed class Server : IDisposable
         File.WriteAllText(Path.Combine(folder, "session.json"), @"{
   ""mesh"": {" + body + @", ""target_tets"": " + tets + @"},
   ""blade"": {""heel"": [0, 0, 0], ""tip"": [0, 0, -0.12]},
+  ""haptics"": {""silence_s"": 0.25},
   ""capture"": {""path"": """ + (capture ? "session.capture" : "") + @"""},
   ""listen"": {""tcp_port"": " + Port + @", ""http_port"": 0" + secret + @"},
   ""loop"": {""realtime_priority"": 0, ""lock_memory"": false},

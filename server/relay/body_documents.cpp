@@ -1,4 +1,4 @@
-#include "server/relay/surface_fetch.hpp"
+#include "server/relay/body_documents.hpp"
 
 #include <boost/asio/as_tuple.hpp>
 #include <boost/asio/use_awaitable.hpp>
@@ -8,6 +8,8 @@
 #include <boost/beast/http/string_body.hpp>
 #include <boost/beast/http/write.hpp>
 #include <chrono>
+#include <nlohmann/json.hpp>
+#include <set>
 #include <stdexcept>
 #include <utility>
 
@@ -21,7 +23,8 @@ namespace http = boost::beast::http;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr std::chrono::seconds kTime{30};  // for one document
 
-asio::awaitable<stream::Document> http_get(const Origin& origin, std::string path) {
+// Without a body where the answer is 404.
+asio::awaitable<stream::Document> http_get_if_any(const Origin& origin, std::string path) {
   const std::string where = origin.host + ":" + std::to_string(origin.http_port) + path;
   client::OpenStream opened = co_await client::open_stream(origin.host, origin.http_port, origin.options,
                                                            std::chrono::steady_clock::now() + kTime);
@@ -40,6 +43,7 @@ asio::awaitable<stream::Document> http_get(const Origin& origin, std::string pat
   if (read_error) throw std::runtime_error(where + ": " + read_error.message());
   http::response<http::string_body> answer = parser.release();
   opened.stream.close();
+  if (answer.result() == http::status::not_found) co_return stream::Document();
   if (answer.result() != http::status::ok)
     throw std::runtime_error(where + ": the answer is " + std::to_string(answer.result_int()));
   const auto type = answer[http::field::content_type];
@@ -47,6 +51,20 @@ asio::awaitable<stream::Document> http_get(const Origin& origin, std::string pat
   document.type = std::string(type.data(), type.size());
   document.body = std::make_shared<const std::string>(std::move(answer.body()));
   co_return document;
+}
+
+asio::awaitable<stream::Document> http_get(const Origin& origin, std::string path) {
+  stream::Document document = co_await http_get_if_any(origin, path);
+  if (!document.body) throw std::runtime_error("the origin has no " + path);
+  co_return document;
+}
+
+// The paths that look.json names, wherever they are in it.
+void collect_paths(const nlohmann::json& json, std::set<std::string>& paths) {
+  if (json.is_string() && json.get_ref<const std::string&>().starts_with("/look/")) paths.insert(json);
+  if (json.is_structured()) {
+    for (const nlohmann::json& member : json) collect_paths(member, paths);
+  }
 }
 
 }  // namespace
@@ -73,6 +91,22 @@ asio::awaitable<FetchedSurface> fetch_surface(Origin origin, protocol::SurfaceFa
     fetched.documents[path] = std::move(image);
   }
   co_return fetched;
+}
+
+asio::awaitable<stream::Documents> fetch_look(Origin origin, std::string held) {
+  const std::string look_path = "/look.json";
+  stream::Documents documents;
+  const stream::Document look = co_await http_get_if_any(origin, look_path);
+  if (!look.body) co_return documents;
+  documents[look_path] = look;
+  if (*look.body == held) co_return documents;
+  std::set<std::string> paths;
+  collect_paths(nlohmann::json::parse(*look.body, nullptr, false), paths);
+  for (const std::string& path : paths) {
+    stream::Document document = co_await http_get(origin, path);
+    documents[path] = std::move(document);
+  }
+  co_return documents;
 }
 
 }  // namespace incise::relay

@@ -2,6 +2,7 @@
 
 #include <boost/asio/awaitable.hpp>
 #include <memory>
+#include <string>
 
 #include "protocol/surface_asset.hpp"
 #include "server/relay/upstream.hpp"
@@ -17,5 +18,9 @@ struct FetchedSurface {
 };
 // `facts` are Welcome's. Throws std::runtime_error: no answer, or another one than is due.
 boost::asio::awaitable<FetchedSurface> fetch_surface(Origin origin, protocol::SurfaceFacts facts);
+
+// "/look.json" and what it names (PROTOCOL.md, section 5): only the former where it is what `held` has of it; nothing where the origin
+// has none. Throws std::runtime_error as fetch_surface() does.
+boost::asio::awaitable<stream::Documents> fetch_look(Origin origin, std::string held);
 
 }  // namespace incise::relay
