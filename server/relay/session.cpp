@@ -328,7 +328,8 @@ asio::awaitable<void> Session::check_look() {
     body_ = {};  // the server has the former look: another one is needed
     if (state_.whole() && !state_.awaiting_snapshot()) show();
   } catch (const std::exception& error) {
-    spdlog::warn("{}: how the body looks cannot be had ({}); viewers keep what they have", name_, error.what());
+    spdlog::warn("{}: how the body looks cannot be had ({}); viewers keep what they have", name_,
+                 error.what());
   }
 }
 

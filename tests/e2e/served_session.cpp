@@ -45,7 +45,7 @@ void ServedSession::write_config() const {
                                             << R"(, "http_port": )" << http_port_ << R"(},
              "loop": {"realtime_priority": 0, "lock_memory": false},
              "capture": {"path": "disk/session.capture")"
-                                            << more_capture_ << "}}";
+                                            << more_capture_ << "}" << more_keys_ << "}";
 }
 
 ServedSession::~ServedSession() {

@@ -39,6 +39,11 @@ class ServedSession {
     more_capture_ = capture;
     write_config();
   }
+  // Other keys of the configuration, each with a comma in front, from the next start on.
+  void set_keys(const std::string& keys) {
+    more_keys_ = keys;
+    write_config();
+  }
   // Starts it; waits until it listens where told so. False where it ended instead, or did not listen within a minute. After
   // the first time it listens where it did then, so that clients find it again.
   bool start(bool resume, bool wait = true);
@@ -60,7 +65,7 @@ class ServedSession {
  private:
   void write_config() const;
   std::filesystem::path directory_;
-  std::string mesh_, more_capture_;
+  std::string mesh_, more_capture_, more_keys_;
   // Drivers and viewers look them up while it is started again.
   std::atomic<std::uint16_t> tcp_port_ = 0, http_port_ = 0;
   app::Config config_;

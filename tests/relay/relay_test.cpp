@@ -151,6 +151,44 @@ TEST(Relay, AViewerGoesOnWhereAnotherServerLeftIt) {
   }
 }
 
+// How the body looks is the origin's, also after it was started with another configuration.
+TEST(Relay, LooksPassThrough) {
+  ServedSession session("relay_looks", 4000, "");
+  const auto looks_like = [&](const std::string& tissue) {
+    session.set_keys(R"(, "materials": [{"region": 0, "tissue": ")" + tissue +
+                     R"(", "inside": {"texture": "inside.png"}}])");
+  };
+  const std::string png = "\x89PNG\r\n\x1a\n not that anybody here looks at it";
+  std::ofstream(session.file("inside.png"), std::ios::binary) << png;
+  looks_like("muscle");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  RelayProcess relay("127.0.0.1:" + std::to_string(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(relay.start()) << relay.log();
+  const auto body_of = [](std::uint16_t port, const std::string& path) {
+    const std::string answer = stream::http(port, path);
+    return answer.substr(std::min(answer.size(), answer.find("\r\n\r\n") + 4));
+  };
+  const std::string muscle = body_of(relay.http_port(), "/look.json");
+  EXPECT_EQ(muscle, body_of(session.http_port(), "/look.json"));
+  EXPECT_NE(muscle.find("fibres"), std::string::npos) << muscle;
+  EXPECT_EQ(body_of(relay.http_port(), "/look/0.png"), png);
+
+  Witness witness(relay.tcp_port());
+  session.kill();
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_TRUE(wait_for([&] { return relay.stat("/relay/connections") == 2.0; }));
+  EXPECT_EQ(body_of(relay.http_port(), "/look.json"), muscle) << "nothing has changed: viewers stay";
+  EXPECT_EQ(witness.welcomes(), 1);
+
+  session.kill();
+  looks_like("bone");
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_TRUE(
+      wait_for([&] { return body_of(relay.http_port(), "/look.json").find("pores") != std::string::npos; }));
+  EXPECT_EQ(body_of(relay.http_port(), "/look.json"), body_of(session.http_port(), "/look.json"));
+  EXPECT_TRUE(wait_for([&] { return witness.welcomes() == 2; })) << "viewers connect again, and ask anew";
+}
+
 TEST(Relay, FieldsAndDeformationsPassThrough) {
   ServedSession session("relay_fields", 4000, "");
   {
