@@ -3,6 +3,7 @@ using System.IO;
 using System.Net;
 using System.Net.Security;
 using System.Net.Sockets;
+using System.Security.Authentication;
 
 namespace Incise
 {
@@ -26,15 +27,34 @@ namespace Incise
                 socket.SendTimeout = 10000;
                 stream = new NetworkStream(socket, false);
                 if (!options.Tls) return;
-                var secure = new SslStream(stream, false, options.CertificateCheck);
-                secure.AuthenticateAsClient(host);
-                stream = secure;
+                stream = Secure(stream, host, options.CertificateCheck);
             }
             catch
             {
                 socket.Close();
                 throw;
             }
+        }
+
+        private static Stream Secure(Stream plain, string host, RemoteCertificateValidationCallback check)
+        {
+            string refused = null;
+            var secure = new SslStream(plain, false, (sender, certificate, chain, errors) =>
+            {
+                if (check != null ? check(sender, certificate, chain, errors) : errors == SslPolicyErrors.None) return true;
+                refused = check != null ? "the certificate was refused" : "the certificate is not trusted (" + errors + ")";
+                return false;
+            });
+            try
+            {
+                secure.AuthenticateAsClient(host);
+            }
+            catch (Exception error) when (refused != null && !(error is AuthenticationException))
+            {
+                // Mono may end its own read first, and say only that.
+                throw new AuthenticationException(refused, error);
+            }
+            return secure;
         }
 
         private static Socket Connect(string host, int port, TimeSpan timeout)
