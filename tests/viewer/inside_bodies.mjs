@@ -26,7 +26,8 @@ export function writeRamp(folder) {
   for (let k = 0; k < size[2]; ++k)
     for (let j = 0; j < size[1]; ++j)
       for (let i = 0; i < size[0]; ++i)
-        voxels[at++] = 1000 * rampAt([0, 1, 2].map((r) => 1e-3 * (origin[r] + axes[0][r] * i + axes[1][r] * j + axes[2][r] * k)));
+        voxels[at++] =
+          1000 * rampAt([0, 1, 2].map((r) => 1e-3 * (origin[r] + axes[0][r] * i + axes[1][r] * j + axes[2][r] * k)));
   const ras = ([x, y, z]) => `(${-x},${-y},${z})`;
   const header =
     `NRRD0005\ntype: float\ndimension: 3\nspace: right-anterior-superior\nsizes: ${size.join(" ")}\n` +
@@ -68,7 +69,14 @@ export function writeLayers(folder, n = 18, name = "layers") {
     return depth < 1 / cells[2] ? 1 : depth < 4 / cells[2] ? 2 : 3;
   };
   // Six tetrahedra around a cube's diagonal (Kuhn 1960).
-  const orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
+  const orders = [
+    [0, 1, 2],
+    [1, 2, 0],
+    [2, 0, 1],
+    [0, 2, 1],
+    [2, 1, 0],
+    [1, 0, 2],
+  ];
   for (let k = 0; k < cells[2]; ++k)
     for (let j = 0; j < cells[1]; ++j)
       for (let i = 0; i < cells[0]; ++i)

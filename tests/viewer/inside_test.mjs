@@ -36,7 +36,10 @@ const facesSeen = (page, cut) =>
     for (let slot = 0; slot < slots; ++slot) {
       if (!corners(slot, p) || (onlyCut && !isCut(slot))) continue;
       const mean = (a, at) => [0, 1, 2].map((i) => (a[at + i] + a[at + 3 + i] + a[at + 6 + i]) / 3);
-      const v = stage.camera.position.clone().set(...mean(p, 0)).project(stage.camera);
+      const v = stage.camera.position
+        .clone()
+        .set(...mean(p, 0))
+        .project(stage.camera);
       if (Math.abs(v.x) > 1 || Math.abs(v.y) > 1) continue;
       const hit = stage.pick(v.x, v.y);
       if (hit?.slot !== slot) continue;
@@ -64,9 +67,20 @@ const coloursAt = (page, places) =>
     stage.render();
     const gl = stage.renderer.getContext();
     return points.map((p) => {
-      const v = stage.camera.position.clone().set(...p).project(stage.camera);
+      const v = stage.camera.position
+        .clone()
+        .set(...p)
+        .project(stage.camera);
       const pixel = new Uint8Array(4);
-      gl.readPixels(((v.x + 1) / 2) * gl.drawingBufferWidth, ((v.y + 1) / 2) * gl.drawingBufferHeight, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+      gl.readPixels(
+        ((v.x + 1) / 2) * gl.drawingBufferWidth,
+        ((v.y + 1) / 2) * gl.drawingBufferHeight,
+        1,
+        1,
+        gl.RGBA,
+        gl.UNSIGNED_BYTE,
+        pixel,
+      );
       return [...pixel.subarray(0, 3)];
     });
   }, places);
@@ -125,8 +139,7 @@ test("an oblique image in millimetres is on cut faces and in the section where i
   const places = [];
   for (let x = 0.005; x < 0.1; x += 0.01) for (let y = 0.005; y < 0.1; y += 0.01) places.push([x, y, z]);
   const clear = places.filter(([x]) => Math.abs(x - 0.06) > 0.006);
-  let outside = 0,
-    inside = 0;
+  let inside = 0;
   const colours = await coloursAt(page, clear);
   for (const [i, p] of clear.entries()) {
     const far = ramp.covers(p);
@@ -136,7 +149,6 @@ test("an oblique image in millimetres is on cut faces and in the section where i
       ++inside;
       assert.ok(Math.abs(r - wanted(p)) <= 3 && r === g && g === b, `${p}: ${colours[i]}, wanted ${wanted(p)}`);
     } else {
-      ++outside;
       assert.ok(r > 1.3 * g, `tissue outside of the image at ${p}: ${colours[i]}`);
     }
   }
@@ -232,7 +244,7 @@ test("cut faces and the section change colour where a region ends, also after an
     assert.ok(seen.filter(is).length >= 4, `at ${z}: ${seen.join(" ")}`);
   }
   await shot(page, "layers_section");
-  assert.equal((await page.evaluate(() => document.getElementById("inside-row").hidden)), true);
+  assert.equal(await page.evaluate(() => document.getElementById("inside-row").hidden), true);
   await page.evaluate(() => window.incise.send({ kind: "reset" }));
   await atRevision(page, 0);
   await page.evaluate(() => window.incise.look.showState({}));
@@ -254,7 +266,14 @@ test("regions that the configuration does not name differ, and a texture of one 
 
   const server = await serve(t, {
     mesh: { path },
-    materials: [{ region: 3, tissue: "muscle", inside: { texture: join(files, "paint.png") }, surface: { texture: join(files, "paint.png") } }],
+    materials: [
+      {
+        region: 3,
+        tissue: "muscle",
+        inside: { texture: join(files, "paint.png") },
+        surface: { texture: join(files, "paint.png") },
+      },
+    ],
   });
   const { page, faults } = await look(t, server.url);
   await define(page, "REGION_TEXTURES", 1);
@@ -277,5 +296,8 @@ test("regions that the configuration does not name differ, and a texture of one 
 test("an image that cannot be used gets one line, and no server starts", async (t) => {
   const files = folder(t);
   writeFileSync(join(files, "bad.nrrd"), "NRRD0004\ntype: block\n\n");
-  await assert.rejects(serve(t, { mesh: { phantom: "slab", target_tets: 2000, image: join(files, "bad.nrrd") } }), /ended before it listened/);
+  await assert.rejects(
+    serve(t, { mesh: { phantom: "slab", target_tets: 2000, image: join(files, "bad.nrrd") } }),
+    /ended before it listened/,
+  );
 });

@@ -164,7 +164,8 @@ test("a body's texture and its volume image come with the folder, and stay right
     }),
   );
   const rows = ["t_s,x_m,y_m,z_m,qw,qx,qy,qz,button"];
-  for (let i = 0; i <= 60; ++i) rows.push([i / 60, 0.06, -0.05 + (0.2 * i) / 60, 0.11, 1, 0, 0, 0, i < 60 ? 1 : 0].join());
+  for (let i = 0; i <= 60; ++i)
+    rows.push([i / 60, 0.06, -0.05 + (0.2 * i) / 60, 0.11, 1, 0, 0, 0, i < 60 ? 1 : 0].join());
   const motion = join(folder, "motion.csv");
   writeFileSync(motion, `${rows.join("\n")}\n`);
   const site = join(folder, "site");

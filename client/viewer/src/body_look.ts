@@ -78,7 +78,13 @@ export class BodyLook {
       ...[...linear(surface), surface.roughness],
       ...[surface.layer, 0, 0, 0],
     ]);
-    const looks = new THREE.DataTexture(Float32Array.from(rows), 4, look.regions.length, THREE.RGBAFormat, THREE.FloatType);
+    const looks = new THREE.DataTexture(
+      Float32Array.from(rows),
+      4,
+      look.regions.length,
+      THREE.RGBAFormat,
+      THREE.FloatType,
+    );
     looks.needsUpdate = true;
     u.uLooks.value = looks;
   }

@@ -50,7 +50,9 @@ async function samplesOf(json: Json | undefined, at: DocumentAt, token: string):
   const bytes = new Uint8Array(await answer.arrayBuffer());
   const packed = bytes[0] === 0x1f && bytes[1] === 0x8b && bytes.length !== size[0] * size[1] * size[2];
   const samples = packed
-    ? new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer())
+    ? new Uint8Array(
+        await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer(),
+      )
     : bytes;
   if (samples.length !== size[0] * size[1] * size[2]) throw new Error(`${json.path} has ${samples.length} samples`);
   return { size, fromRest: numbers(json.texture_from_rest, 12), samples };
@@ -63,7 +65,10 @@ function sideOf(json: Json, layers: Map<string, number>): SideLook {
 }
 
 /** What the server says; null where it says nothing, as older ones do. Throws where it cannot be used. */
-export async function fetchLook(at: DocumentAt, token: string): Promise<{ text: string; load: () => Promise<Look> } | null> {
+export async function fetchLook(
+  at: DocumentAt,
+  token: string,
+): Promise<{ text: string; load: () => Promise<Look> } | null> {
   let text: string;
   try {
     text = await (await get(at("/look.json"), token)).text();
@@ -94,6 +99,12 @@ async function loadLook(json: Json, at: DocumentAt, token: string): Promise<Look
     Promise.all([...layers.keys()].map(async (path) => createImageBitmap(await (await get(at(path), token)).blob()))),
   ]);
   const white: Vec3 = [1, 1, 1];
-  const textures = images.length > 0 ? layersOf(images.map(() => ({ diffuse: white })), images) : null;
+  const textures =
+    images.length > 0
+      ? layersOf(
+          images.map(() => ({ diffuse: white })),
+          images,
+        )
+      : null;
   return { image, regions, regionImage, textures };
 }

@@ -9,7 +9,15 @@ const kOpeningPause_ms = 120; // between two computations of how the body opens
 const kMostSteps = 256; // kept for a page that is hidden
 
 function transferable(c: Corners): Transferable[] {
-  return [c.ids.buffer, c.positions.buffer, c.normals.buffer, c.facts.buffer, c.rest.buffer, c.texture.buffer, c.regions.buffer];
+  return [
+    c.ids.buffer,
+    c.positions.buffer,
+    c.normals.buffer,
+    c.facts.buffer,
+    c.rest.buffer,
+    c.texture.buffer,
+    c.regions.buffer,
+  ];
 }
 
 /** Sends the surface to the page: first all of it, then changes, one patch at a time. Thread: the worker's. */
@@ -112,7 +120,12 @@ export class PageFeed {
   }
 
   private cornersOf(slots: Uint32Array | null, count: number): Corners {
-    const out = allocateCorners(count, this.builder.asset !== null, this.surface.deformed, this.builder.regionIndex.size > 0);
+    const out = allocateCorners(
+      count,
+      this.builder.asset !== null,
+      this.surface.deformed,
+      this.builder.regionIndex.size > 0,
+    );
     for (let i = 0; i < count; ++i) this.builder.write(slots ? slots[i] : i, out, i);
     return out;
   }

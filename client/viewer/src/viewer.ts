@@ -231,7 +231,10 @@ export class Viewer {
       if (found.text !== this.lookText) return;
       this.feed.setRegions(look.regions.map((r) => r.region));
       const images = [look.image?.samples, look.regionImage?.samples, look.textures?.pixels];
-      this.post({ kind: "look", look }, images.flatMap((bytes) => (bytes ? [bytes.buffer] : [])));
+      this.post(
+        { kind: "look", look },
+        images.flatMap((bytes) => (bytes ? [bytes.buffer] : [])),
+      );
     } catch (error) {
       this.lookText = ""; // asked for again with the next connection
       this.post({

@@ -12,7 +12,8 @@ namespace {
 constexpr const char* kPlace = "[tcp://|tls://|ws://|wss://]HOST[:PORT] or nats:SESSION";
 constexpr const char* kSessionsAccepted =
     "a list of at most 64 objects {\"name\": a text of 1 to 64 letters, digits, \"-\", \"_\" and \".\", "
-    "\"upstream\": as relay.upstream, \"tcp_port\", \"http_port\": as in listen, \"upstream_http_port\": as here} with "
+    "\"upstream\": as relay.upstream, \"tcp_port\", \"http_port\": as in listen, \"upstream_http_port\": as "
+    "here} with "
     "different names";
 constexpr std::size_t kMaxSessions = 64;
 

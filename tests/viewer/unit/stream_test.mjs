@@ -7,7 +7,6 @@ import {
   ByteBuffer,
   ErrorCode,
   Message,
-  Welcome,
   error,
   forget,
   message,
@@ -41,12 +40,7 @@ const { Delta, ReplayAction, ReplayControl, Role, SnapshotBegin, SnapshotEnd, Vi
   wire("snapshot-end"),
   wire("view"),
 );
-const { BladePose, Stats, Vec3 } = await load(
-  wire("blade-pose"),
-  wire("mesh-facts"),
-  wire("stats"),
-  wire("vec3"),
-);
+const { BladePose, Stats, Vec3 } = await load(wire("blade-pose"), wire("mesh-facts"), wire("stats"), wire("vec3"));
 
 // ---- The viewer ----
 
