@@ -82,11 +82,11 @@ class Fields {
       throw MeshError(name_ + ": the header has the line " + shown(line) + "; accepted is \"field: value\"");
     if (line.compare(colon, 2, ":=") == 0) return;  // a key of somebody's own
     std::string field = lower(trimmed(line.substr(0, colon)));
-    static const std::map<std::string, std::string> kOtherNames = {{"datafile", "data file"},
+    static const std::map<std::string, std::string> other_names = {{"datafile", "data file"},
                                                                    {"lineskip", "line skip"},
                                                                    {"byteskip", "byte skip"},
                                                                    {"centerings", "centers"}};
-    if (const auto other = kOtherNames.find(field); other != kOtherNames.end()) field = other->second;
+    if (const auto other = other_names.find(field); other != other_names.end()) field = other->second;
     if (!fields_.emplace(field, trimmed(line.substr(colon + 1))).second)
       throw MeshError(name_ + ": the header has the field " + shown(field) + " twice");
   }
@@ -149,7 +149,7 @@ std::optional<std::vector<std::optional<Vector>>> vectors(const std::string& tex
 }
 
 VoxelType type_of(const Fields& fields) {
-  static const std::map<std::string, VoxelType> kTypes = {
+  static const std::map<std::string, VoxelType> types = {
       {"signed char", VoxelType::kInt8},
       {"int8", VoxelType::kInt8},
       {"int8_t", VoxelType::kInt8},
@@ -191,8 +191,8 @@ VoxelType type_of(const Fields& fields) {
       {"float", VoxelType::kFloat},
       {"double", VoxelType::kDouble},
   };
-  const auto found = kTypes.find(lower(fields.at("type")));
-  if (found == kTypes.end()) fields.refuse("type", "a whole number of 8 to 64 bits, float or double");
+  const auto found = types.find(lower(fields.at("type")));
+  if (found == types.end()) fields.refuse("type", "a whole number of 8 to 64 bits, float or double");
   return found->second;
 }
 
@@ -273,15 +273,15 @@ Vector units_of(const Fields& fields, const Axes& axes) {
 
 void place(const Fields& fields, const Axes& axes, ImageHeader& image) {
   // How the named spaces become LPS (and the same with a time, of which there is one).
-  static const std::map<std::string, Vector> kSpaces = {
+  static const std::map<std::string, Vector> spaces = {
       {"right-anterior-superior", {-1, -1, 1}}, {"ras", {-1, -1, 1}},
       {"left-anterior-superior", {1, -1, 1}},   {"las", {1, -1, 1}},
       {"left-posterior-superior", {1, 1, 1}},   {"lps", {1, 1, 1}},
   };
   Vector to_lps = {1, 1, 1};
   if (const std::string* space = fields.find("space")) {
-    const auto known = kSpaces.find(lower(*space));
-    image.anatomical = known != kSpaces.end();
+    const auto known = spaces.find(lower(*space));
+    image.anatomical = known != spaces.end();
     if (image.anatomical) to_lps = known->second;
     if (space->find("-time") != space->npos || space->ends_with("T"))
       fields.refuse("space", "one without time");
