@@ -177,10 +177,10 @@ std::vector<double> shares(const core::TetMesh& mesh, const Vec3& p) {
 }
 
 // A tip d deep: the spring of the contact and those of the vertices are in series. With c the way that the surface goes for a
-// newton, f = k d / (1 + k c).
-TEST(Simulation, APressedBladeFeelsTwoSpringsInSeries) {
-  constexpr double kVertex_n_m = 300, kContact_n_m = 400;
-  Rig rig(5, kVertex_n_m);
+// newton, f = k d / (1 + k c). k is that of the edge's material: a stiffness under a point, and more for the edge inside.
+void expect_two_springs_in_series(const ForceConfig& config, double vertex_n_m, double point_n_m,
+                                  double edge_pa) {
+  Rig rig(5, vertex_n_m, 0, 4, config);
   const Vec3 over{0.052, 0.047, 0};
   for (double depth = -0.001; depth < 0.004; depth += 2e-5) rig.to(over + Vec3{0, 0, kSize + 0.05 - depth});
   constexpr double kDeep = 0.004;
@@ -196,11 +196,12 @@ TEST(Simulation, APressedBladeFeelsTwoSpringsInSeries) {
   for (int i = 0; i < 8; ++i) {
     const double z = kSize - kDeep + (i + 0.5) / 8 * (top - kSize + kDeep);
     const auto of_load = shares(mesh, over + Vec3{0, 0, z});
-    for (std::size_t v = 0; v < of_load.size(); ++v) c += of_load[v] / 8 * at_surface[v] / kVertex_n_m;
+    for (std::size_t v = 0; v < of_load.size(); ++v) c += of_load[v] / 8 * at_surface[v] / vertex_n_m;
   }
-  const double expected = kContact_n_m * kDeep / (1 + kContact_n_m * c);
+  const double contact = point_n_m + edge_pa * (top - kSize + kDeep);
+  const double expected = contact * kDeep / (1 + contact * c);
   EXPECT_NEAR(rig.force.z, expected, 0.05 * expected);
-  EXPECT_LT(expected, 0.8 * kContact_n_m * kDeep) << "the body gives way enough to be seen";
+  EXPECT_LT(expected, 0.8 * contact * kDeep) << "the body gives way enough to be seen";
   EXPECT_NEAR(top, kSize - expected * c, 0.05 * kDeep);
   EXPECT_LT(rig.largest_error, 1e-6);
   EXPECT_LT(rig.largest_moment, 1e-9);
@@ -212,6 +213,21 @@ TEST(Simulation, APressedBladeFeelsTwoSpringsInSeries) {
   EXPECT_EQ(rig.load.contact, ContactState::kNone);
   EXPECT_EQ(rig.load.loads.count, 0u);
   EXPECT_FALSE(rig.told) << "and then it is silent";
+}
+
+TEST(Simulation, APressedBladeFeelsTwoSpringsInSeries) {
+  expect_two_springs_in_series(Rig::forces(), 300, 400, 0);
+}
+
+TEST(Simulation, SoItDoesWithAStiffnessOfTheEdgeAndInARegion) {
+  ForceConfig config = Rig::forces();
+  config.materials.tissue.stiffness_pa = 60e3;
+  expect_two_springs_in_series(config, 500, 400, 60e3);
+  Material region = config.materials.tissue;
+  region.stiffness_n_m = 250;
+  region.stiffness_pa = 150e3;
+  config.materials.by_region = {{0, region}};
+  expect_two_springs_in_series(config, 500, 250, 150e3);
 }
 
 // In a cut body, too, while strokes go on: sum and moment are right whatever the mesh is like at that moment.
