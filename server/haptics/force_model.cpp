@@ -14,6 +14,9 @@ constexpr double kDeepest_h = 6;        // the surface is not looked for farther
 // Tissue yields when the hand has got this part of what it holds, or would have got it for so long; where the account does not cover that, when
 // the spring would make so many times as much.
 constexpr double kGot = 0.98, kYields_s = 0.01, kUncovered = 2;
+// A blade that presses no faster than this waits on the surface until the ramp of a first contact is over, m/s. A stroke does not: nobody
+// wants it to begin two seconds late.
+constexpr double kPatient_m_s = 0.03;
 // The front is forgotten when the blade is this far behind it or beside it: there the map of cuts is up to date,
 // since faces open at most two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
@@ -249,7 +252,9 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
   // It gives way when the hand has got what it holds: a simulation that moves the tissue in steps must not tear it before. A device that makes
   // less, or a tool that only turns (its account covers little), must get in as well.
   const bool yields = stiffness * depth_ >= most && (share == 1 || stiffness * depth_ >= kUncovered * most);
-  yields_s_ = yields ? yields_s_ + motion.elapsed_s : 0;
+  const double into = dot(velocity_, normal_);
+  const bool waits = resists_ && motion.ramping && -into < kPatient_m_s;
+  yields_s_ = !yields ? 0 : waits ? yields_s_ : yields_s_ + motion.elapsed_s;
   const bool got = yields && dot(applied, normal_) > kGot * most;
   // A blade that enters an existing slit punctures nothing.
   const bool open = engagement.uncut_m < 0.5 * engagement.length_m;
@@ -258,7 +263,6 @@ ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagemen
     get_in(-normalized(across(normal_, edge)), engagement);
     return {};
   }
-  const double into = dot(velocity_, normal_);
   // The damper can only reduce the force of a spring that relaxes: the surface does not pull.
   const double damper = std::max(-damping_ * into, -force);
   feel.force = damper * normal_ - engagement.friction_n_s_m * across(velocity_, normal_);

@@ -21,6 +21,7 @@ struct BladeMotion {
   core::Quat orientation;  // of the tool
   core::Vec3
       torque;  // that acted on the hand since the last call, about the tool's origin, N m; zero: its device makes none
+  bool ramping = false;  // the hand gets less than the tissue's force, for a moment
 };
 
 // The tissue near the blade as a plane, for clients that render at their own rate (protocol::LocalContact).

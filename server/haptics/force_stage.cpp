@@ -138,6 +138,7 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   motion.tool = hand.pose.position;
   motion.engaged = engaged(hand.pose);
   motion.orientation = hand.pose.orientation;
+  motion.ramping = hand.chain.ramping() && !hand.chain.latched();
   // Work is done only by what a device makes.
   const double device_torque = slots_ ? (*slots_)[source].torque_limit() : 0;
   if (device_torque > 0) motion.torque = hand.turning;

@@ -196,12 +196,15 @@ Surface slab_surface(std::size_t target_tets) {
           const auto add = [&](VertexId a, VertexId b, VertexId c) {
             surface.triangles.push_back(far ? std::array{a, b, c} : std::array{a, c, b});
           };
+          // One after the other: compilers differ in the order of a call's arguments, and so would the vertices'.
           if ((i + j) % 2 == 0) {
-            add(at(0, 0), at(1, 0), at(1, 1));
-            add(at(0, 0), at(1, 1), at(0, 1));
+            const VertexId c = at(1, 1), b = at(1, 0), a = at(0, 0), d = at(0, 1);
+            add(a, b, c);
+            add(a, c, d);
           } else {
-            add(at(0, 0), at(1, 0), at(0, 1));
-            add(at(1, 0), at(1, 1), at(0, 1));
+            const VertexId d = at(0, 1), b = at(1, 0), a = at(0, 0), c = at(1, 1);
+            add(a, b, d);
+            add(b, c, d);
           }
         }
       }

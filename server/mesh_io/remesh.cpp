@@ -360,10 +360,15 @@ Surface isosurface(const Function& f, const Vec3& low, const Vec3& high, double 
             if (dot(normal, surface.positions[a] - position(inside[0])) < 0) std::swap(b, c);
             surface.triangles.push_back({a, b, c});
           };
+          // One after the other: compilers differ in the order of a call's arguments, and so would the vertices'.
           if (ins == 1) {
-            add(vertex(inside[0], outside[0]), vertex(inside[0], outside[1]), vertex(inside[0], outside[2]));
+            const VertexId c = vertex(inside[0], outside[2]), b = vertex(inside[0], outside[1]),
+                           a = vertex(inside[0], outside[0]);
+            add(a, b, c);
           } else if (outs == 1) {
-            add(vertex(inside[0], outside[0]), vertex(inside[1], outside[0]), vertex(inside[2], outside[0]));
+            const VertexId c = vertex(inside[2], outside[0]), b = vertex(inside[1], outside[0]),
+                           a = vertex(inside[0], outside[0]);
+            add(a, b, c);
           } else {
             const VertexId a = vertex(inside[0], outside[0]), b = vertex(inside[0], outside[1]),
                            c = vertex(inside[1], outside[1]), d = vertex(inside[1], outside[0]);

@@ -103,7 +103,7 @@ int run_replay(const ReplayCommand& command) {
   if (opened.motion.gap)
     std::fprintf(stderr, "%s: has a gap; revisions after %" PRIu64 " cannot be verified\n",
                  command.capture.c_str(), session.revision());
-  if (command.verify && verified && !command.json)
+  if (command.verify && verified && compared > 0 && !command.json)
     std::printf("verified: every recorded hash is the replayed one\n");
   return command.verify && (!verified || compared == 0) ? 1 : 0;
 }
