@@ -17,6 +17,7 @@ using stream::SharedFrame;
 
 constexpr std::chrono::milliseconds kRetry{1000}, kLook{100}, kFinish{2000};
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
+constexpr std::int64_t kLookAfter_ns = 5 * kSecond_ns;
 constexpr std::int64_t kLogAgain_ns = 60 * kSecond_ns;  // the same trouble
 constexpr std::size_t kHeaderBytes = 4096;              // of a message, and more than they take
 constexpr std::size_t kPartBytes = 512 << 10;           // less than NATS's default limit of 1 MB
@@ -141,7 +142,10 @@ void FeedPublisher::connect() {
   part_bytes_ =
       std::min(kPartBytes, client_->max_payload() - std::min(client_->max_payload() / 2, kHeaderBytes));
   make_stream();
-  for (ViewState& view : views_) lose(view);
+  for (ViewState& view : views_) {
+    lose(view);
+    view.first = view.before = 0;  // the stream may be another one, whose numbers began again
+  }
   ++connections_;
   {
     const std::scoped_lock lock(mutex_);
@@ -243,6 +247,7 @@ void FeedPublisher::work() {
       js_PublishAsyncComplete(client_->jetstream(), &options);
       return;
     }
+    look_after_snapshots();
     request_wanted();
   }
 }
@@ -364,6 +369,26 @@ void FeedPublisher::purge(ViewState& view) {
   options.Stream.Purge.Sequence = view.before;
   client_->check(js_PurgeStream(client_->jetstream(), subjects_.stream().c_str(), &options, nullptr),
                  "purge");
+}
+
+// Somebody else may have purged the stream, which nothing that is published would tell us. NATS that is slow to answer is no reason to begin again.
+void FeedPublisher::look_after_snapshots() {
+  const std::int64_t now = monotonic_ns();
+  if (now - looked_ns_ < kLookAfter_ns) return;
+  looked_ns_ = now;
+  for (ViewState& view : views_) {
+    if (view.broken || view.requested != 0) continue;
+    try {
+      if (client_->newest(subjects_.stream(), subjects_.welcome(view.view)) == view.first) continue;
+    } catch (const NatsError& error) {
+      if (error.status == NATS_TIMEOUT) return;
+      throw;
+    }
+    ++failures_;
+    log_(true, options_.nats.url + ": stream " + subjects_.stream() +
+                   " has lost its newest snapshot; publishing another one");
+    lose(view);
+  }
 }
 
 std::uint64_t FeedPublisher::publish(const std::string& subject, const SharedFrame& frame,

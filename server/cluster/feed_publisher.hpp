@@ -110,6 +110,7 @@ class FeedPublisher final : public stream::FeedListener {
   void request_wanted();
   void publish_delta(ViewState& view, const stream::EncodedStep& step);
   void purge(ViewState& view);
+  void look_after_snapshots();
   void warn_if_small();
   // `ack`: waits for it, and returns the message's number in the stream. `live`: not kept.
   struct Headers {
@@ -145,7 +146,7 @@ class FeedPublisher final : public stream::FeedListener {
   std::unique_ptr<NatsClient> client_;
   std::size_t part_bytes_ = 0;
   std::uint64_t epoch_ = 0, requests_ = 0, head_ = 0;
-  std::int64_t logged_ns_ = 0;
+  std::int64_t logged_ns_ = 0, looked_ns_ = 0;
   std::string logged_;
   ViewState views_[2] = {ViewState(protocol::View::Volume), ViewState(protocol::View::Surface)};
   std::thread thread_;

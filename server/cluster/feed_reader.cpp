@@ -67,18 +67,6 @@ void FeedReader::run() {
   }
 }
 
-// The stream's number of the newest Welcome; 0: there is none.
-std::uint64_t FeedReader::newest_welcome(NatsClient& client) {
-  natsMsg* raw = nullptr;
-  jsErrCode code{};
-  const natsStatus status = js_GetLastMsg(&raw, client.jetstream(), subjects_.stream().c_str(),
-                                          subjects_.welcome(view_).c_str(), nullptr, &code);
-  const NatsMessage message(raw);
-  if (status == NATS_NOT_FOUND || code == JSStreamNotFoundErr || code == JSNoMessageFoundErr) return 0;
-  client.check(status, "session " + session_);
-  return natsMsg_GetSequence(message.get());
-}
-
 // The revision to which the deltas behind that message lead; 0: there are none.
 std::uint64_t FeedReader::newest_delta(NatsClient& client, std::uint64_t behind) const {
   natsMsg* raw = nullptr;
@@ -92,7 +80,7 @@ std::uint64_t FeedReader::newest_delta(NatsClient& client, std::uint64_t behind)
 void FeedReader::read() {
   NatsOptions options = nats_;
   NatsClient client(options);
-  const std::uint64_t first = newest_welcome(client);
+  const std::uint64_t first = client.newest(subjects_.stream(), subjects_.welcome(view_));
   if (first == 0) return lose(nats_.url + ": session " + session_ + " is not there");
   mode_ = Mode::kWaiting;
   partial_ = again_ = false;

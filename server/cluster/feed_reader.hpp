@@ -67,7 +67,6 @@ class FeedReader {
   void run();
   void read();
   void read_live(natsSubscription* live);
-  std::uint64_t newest_welcome(NatsClient& client);
   std::uint64_t newest_delta(NatsClient& client, std::uint64_t behind) const;
   bool add_part(natsMsg* message);
   void handle();

@@ -55,6 +55,9 @@ struct OptionsDeleter {
   void operator()(natsOptions* o) const { natsOptions_Destroy(o); }
 };
 
+constexpr const char* kWantsTls =
+    "it wants TLS: write tls://, and name the authority that signed its certificate (ca_file)";
+
 // What the library's short texts mean for whoever set this up.
 std::string explained(natsStatus status, const NatsOptions& options, const std::string& detail) {
   switch (status) {
@@ -65,11 +68,13 @@ std::string explained(natsStatus status, const NatsOptions& options, const std::
                  ? "it wants credentials, and none were given (credentials_file)"
                  : "it refuses the credentials in " + options.credentials_file.string();
     case NATS_SSL_ERROR:
+      // The library begins TLS by itself where the server demands it, without what only tls:// sets up.
+      if (options.url.find("tls://") == std::string::npos) return kWantsTls;
       return "TLS: " + (detail.empty() ? std::string("the handshake failed") : detail) +
              (options.ca_file.empty() ? "; the authority that signed its certificate is given by ca_file"
                                       : "");
     case NATS_SECURE_CONNECTION_REQUIRED:
-      return "it wants TLS: write tls://";
+      return kWantsTls;
     case NATS_SECURE_CONNECTION_WANTED:
       return "it has no TLS: write nats://, or give it a certificate";
     case NATS_TIMEOUT:
@@ -245,6 +250,16 @@ void NatsClient::check(natsStatus status, const std::string& what) const {
   if (status == NATS_TIMEOUT && why.find("ermissions") == std::string::npos) why = "no answer in time";
   if (status == NATS_NO_RESPONDERS) why = "nobody answers: JetStream is not enabled there (nats-server -js)";
   throw NatsError(status, url_ + ": " + what + ": " + why);
+}
+
+std::uint64_t NatsClient::newest(const std::string& stream, const std::string& subject) const {
+  natsMsg* raw = nullptr;
+  jsErrCode code{};
+  const natsStatus status = js_GetLastMsg(&raw, jetstream_, stream.c_str(), subject.c_str(), nullptr, &code);
+  const NatsMessage message(raw);
+  if (status == NATS_NOT_FOUND || code == JSStreamNotFoundErr || code == JSNoMessageFoundErr) return 0;
+  check(status, stream);
+  return natsMsg_GetSequence(message.get());
 }
 
 KeyValueStore NatsClient::bucket(const std::string& name, double ttl_s, int replicas) const {

@@ -73,6 +73,9 @@ class NatsClient {
   // Throws NatsError where `status` is not NATS_OK: "nats://host:4222: WHAT: WHY".
   void check(natsStatus status, const std::string& what) const;
 
+  // The number in `stream` of the newest message of `subject`; 0: there is none, or no such stream. Throws NatsError.
+  std::uint64_t newest(const std::string& stream, const std::string& subject) const;
+
   // The bucket; makes it, with entries that expire after `ttl_s` (0: never), where there is none.
   KeyValueStore bucket(const std::string& name, double ttl_s, int replicas) const;
 

@@ -30,15 +30,15 @@ def free_port():
         return s.getsockname()[1]
 
 
-def wait_for(what, condition, seconds=LONG_S):
-    """The first true value of condition()."""
+def wait_for(what, condition, seconds=LONG_S, told=()):
+    """The first true value of condition(); `told`: what is shown, as it is then, if there is none."""
     end = time.monotonic() + seconds
     while True:
         value = condition()
         if value:
             return value
         if time.monotonic() > end:
-            raise AssertionError(f"not within {seconds} s: {what}")
+            raise AssertionError(f"not within {seconds} s: {what} {told}")
         time.sleep(0.05)
 
 
@@ -87,6 +87,7 @@ class Nats:
     def __init__(self, port, user=None, password=None, ca=None, timeout_s=5.0):
         self.socket = socket.create_connection(("127.0.0.1", port), timeout_s)
         self.socket.settimeout(timeout_s)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else each of two small messages in a row waits 40 ms
         self.buffer = b""
         line = self._line()
         assert line.startswith(b"INFO "), line
@@ -393,6 +394,8 @@ class ClusterTest(unittest.TestCase):
     def assert_published(self, nats, server, session="liver", user=None):
         """What NATS keeps leads a reader that begins now to the server's state, in both views."""
 
+        seen = []
+
         def leads_there():
             link = Nats(nats.port)
             try:
@@ -402,12 +405,13 @@ class ClusterTest(unittest.TestCase):
             finally:
                 link.close()
             want = (state["revision"], int(state["state_hash"], 16))
+            seen[:] = [want, *((one.revision, one.hash, one.first, one.next, one.gaps, one.deltas) for one in (volume, surface))]
             if (volume.revision, volume.hash) != want or (surface.revision, surface.hash) != want:
                 return None
             self.assertEqual(volume.replica.compute_state_hash(), want[1])
             return volume
 
-        return wait_for("a reader comes to the server's state: " + server.log(), leads_there)
+        return wait_for("a reader comes to the server's state: " + server.log(), leads_there, told=seen)
 
 
 def main():

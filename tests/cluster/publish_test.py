@@ -125,16 +125,22 @@ class PublishTest(ClusterTest):
         self.assertIn("stream incise_liver: insufficient", trouble)
         self.assertGreater(stroke(server), 0)
 
-    def test_the_stream_is_deleted(self):
+    def test_the_stream_is_deleted_and_purged(self):
         nats = self.nats()
         server = self.start(nats)
         stroke(server)
         link = Nats(nats.port)
         self.addCleanup(link.close)
-        link.request("$JS.API.STREAM.DELETE.incise_liver")
-        stroke(server, offset=0.6)
-        wait_for("it is made again", lambda: server.cluster()["connections"] > 1)
+        for k in range(2):
+            # The numbers of the next one begin again, below those of the snapshots that were in this one.
+            link.request("$JS.API.STREAM.DELETE.incise_liver")
+            stroke(server, offset=0.5 + 0.1 * k)
+            wait_for("it is made again", lambda: server.cluster()["connections"] > 1 + k)
+            self.assert_published(nats, server)
+        # Nothing that is published fails after this.
+        link.request("$JS.API.STREAM.PURGE.incise_liver")
         self.assert_published(nats, server)
+        self.assertEqual(server.cluster()["connections"], 3)
 
     def test_jetstream_is_off(self):
         nats = self.nats()
