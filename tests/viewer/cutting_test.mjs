@@ -26,6 +26,52 @@ test("a drag of the mouse cuts the body in two, a shallow one does not", async (
   assert.deepEqual(faults, []);
 });
 
+test("the cut opens behind the blade while it is dragged, and what is under the pointer is where it is drawn", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await bladeIsReady(page);
+  await page.locator("#depth").fill("0.3");
+  await page.evaluate(() => {
+    /** How far a triangle's first corner is drawn from where it is. */
+    window.movedBy = (slot) => {
+      const { body, openNow } = window.incise.stage;
+      const [drawn, rest] = [openNow, 0].map((open) => {
+        const p = new Float64Array(9);
+        body.shown(open).corners(slot, p);
+        return p;
+      });
+      return Math.hypot(...[0, 1, 2].map((i) => drawn[i] - rest[i]));
+    };
+    window.widest = () => {
+      const { body } = window.incise.stage;
+      const { slots, isCut } = body.shown(0);
+      let most = 0;
+      for (let slot = 0; slot < slots; ++slot) if (isCut(slot)) most = Math.max(most, window.movedBy(slot));
+      return most;
+    };
+  });
+  const places = await page.evaluate(() => {
+    const { left, right, top, bottom } = window.incise.stage.cover;
+    const at = (x, y) => [left + x * (innerWidth - left - right), top + y * (innerHeight - top - bottom)];
+    return [at(0.42, 0.05), at(0.45, 0.62)];
+  });
+  await page.mouse.move(...places[0]);
+  await page.mouse.down();
+  await page.mouse.move(...places[1], { steps: 30 });
+  await until(page, () => window.widest() > 0.001);
+  assert.ok(await page.evaluate(() => document.body.dataset.stroke === "on"));
+  const under = await page.evaluate(([x, y]) => {
+    const slot = window.incise.stage.pick((2 * (x + 4)) / innerWidth - 1, 1 - (2 * y) / innerHeight)?.slot;
+    return slot === undefined ? null : window.movedBy(slot);
+  }, places[1]);
+  assert.ok(under !== null && under < 2e-4, `under the pointer the body is drawn ${under} m from where it is`);
+  await shot(page, "opens_behind_blade");
+  await page.mouse.up();
+  await strokeIsOver(page);
+  await until(page, () => window.incise.stage.body.held === 0 && window.incise.stage.atRest);
+  assert.deepEqual(faults, []);
+});
+
 test("a shorter blade does not reach through, and the recording knows how long it was", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url);

@@ -7,6 +7,8 @@ const kTrailSamples = 256;
 const kShown_ms = 2500; // after its last pose
 const kTrailTime_ms = 1600;
 const kLineFade_ms = 500; // of the mouse's stroke, after its end
+const kThick = 0.006, // times the body's size
+  kThickest = 0.6; // the same for the distance from the eye
 const kLineStep = 0.01,
   kLineWidth = 0.0034; // of that line, times the body's size
 
@@ -130,18 +132,27 @@ export class BladeView {
   private place(): void {
     const down = new THREE.Vector3().subVectors(this.tip, this.heel);
     const length = down.length();
-    const thick = 0.006 * this.bodySize_m;
     this.edge.position.copy(this.heel);
     this.edge.quaternion.setFromUnitVectors(new THREE.Vector3(0, -1, 0), down.normalize());
-    this.edge.scale.set(thick * 0.5, length, thick * 0.5);
+    this.edge.scale.y = length;
     this.grip.position.copy(this.heel);
     this.grip.quaternion.copy(this.edge.quaternion);
+  }
+
+  /** A long blade that points away from the eye has its heel before it: thinner there, it hides nothing. */
+  private thin(eye: THREE.Vector3): void {
+    const thick = kThick * Math.min(this.bodySize_m, kThickest * eye.distanceTo(this.heel));
+    this.edge.scale.x = this.edge.scale.z = 0.5 * thick;
     this.grip.scale.setScalar(thick * (this.own ? 0.5 : 1.6));
   }
 
-  /** Fades the trail. Returns after how many ms to draw again: 0 in the next frame, Infinity never. */
-  update(): number {
+  /**
+   * Fades the trail, and fits the blade to where it is seen from. Returns after how many ms to draw again: 0 in the next frame,
+   * Infinity never.
+   */
+  update(eye: THREE.Vector3): number {
     const now = performance.now();
+    this.thin(eye);
     const idle = now - this.seen_ms;
     this.edge.visible = this.grip.visible = idle < kShown_ms;
     const position = this.trail.geometry.getAttribute("position") as THREE.BufferAttribute;

@@ -7,6 +7,9 @@ import type { Look } from "./look_source";
 import { kNone } from "./surface";
 
 const kPieceColumns = 256;
+const kHeldNear = 0.012, // times the body's size
+  kHeldLips = 0.09,
+  kHeldPieces = 0.4;
 const kMostRanges = 24; // uploads a buffer; more and larger gaps between slots are uploaded as well
 
 export type Colouring = "tissue" | "pieces" | "quality";
@@ -61,6 +64,9 @@ export class BodyMesh {
       side: THREE.DoubleSide,
       uniforms: {
         uOpen: { value: 0 },
+        uHeldAt: { value: new THREE.Vector3() },
+        uHeldAlong: { value: new THREE.Vector3() },
+        uHeld: { value: new THREE.Vector4() },
         uPieces: { value: this.pieceTexture },
         uGrain: { value: 20 },
         uSection: { value: new THREE.Vector4(0, 0, 0, 1) },
@@ -203,6 +209,38 @@ export class BodyMesh {
     this.define("SECTION", Number(plane !== null));
   }
 
+  /** From here on nothing is opened along this line, so that what is drawn there is where it is. */
+  hold(ray: THREE.Ray, bodySize_m: number): void {
+    this.uniforms.uHeldAt.value.copy(ray.origin);
+    this.uniforms.uHeldAlong.value.copy(ray.direction);
+    this.uniforms.uHeld.value.set(kHeldNear, kHeldLips, kHeldPieces, 0).multiplyScalar(bodySize_m).setW(1);
+  }
+
+  /** How much it holds: 1 as hold() said, 0 not at all. */
+  get held(): number {
+    return this.uniforms.uHeld.value.w;
+  }
+  set held(share: number) {
+    this.uniforms.uHeld.value.w = share;
+  }
+
+  /** Numbers that change with it. */
+  get heldLine(): number[] {
+    const { uHeld, uHeldAt, uHeldAlong } = this.uniforms;
+    return [uHeld.value.w, ...uHeldAt.value.toArray(), ...uHeldAlong.value.toArray()];
+  }
+
+  /** What is left, beside that line, of the opening of lips and of pieces. */
+  private heldBack(x: number, y: number, z: number): [number, number] {
+    const { uHeld, uHeldAt, uHeldAlong } = this.uniforms;
+    const held = uHeld.value;
+    if (held.w === 0) return [1, 1];
+    const aside = new THREE.Vector3(x, y, z).sub(uHeldAt.value);
+    const away = aside.addScaledVector(uHeldAlong.value, -aside.dot(uHeldAlong.value)).length();
+    const left = (from: number) => 1 - held.w * (1 - THREE.MathUtils.smoothstep(away, held.x, from));
+    return [left(held.y), left(held.z)];
+  }
+
   /** The triangles as they are drawn, opened by this share (0 to 1). */
   shown(open: number): ShownTriangles {
     const p = this.positions();
@@ -211,10 +249,13 @@ export class BodyMesh {
     const corners = (slot: number, out: Float64Array) => {
       const piece = 4 * (facts[12 * slot + 2] + 256 * facts[12 * slot + 3]);
       let size = 0;
-      for (let i = 0; i < 9; ++i) {
-        const at = 9 * slot + i;
-        size += Math.abs(p[at]);
-        out[i] = p[at] + open * (lips[at] + (this.pieceOffsets[piece + (i % 3)] ?? 0));
+      for (let from = 0; from < 9; from += 3) {
+        const v = 9 * slot + from;
+        const [ofLips, ofPieces] = this.heldBack(p[v], p[v + 1], p[v + 2]);
+        for (let i = 0; i < 3; ++i) {
+          size += Math.abs(p[v + i]);
+          out[from + i] = p[v + i] + open * (ofLips * lips[v + i] + ofPieces * (this.pieceOffsets[piece + i] ?? 0));
+        }
       }
       return size > 0;
     };

@@ -11,6 +11,8 @@ export const bodyVertexShader = /* glsl */ `
   in vec4 aFacts;  // cut face, quality, row of the piece (low, high)
   in vec3 aLips;
   uniform float uOpen;
+  uniform vec3 uHeldAt, uHeldAlong;  // a line along which nothing is opened
+  uniform vec4 uHeld;                // up to this distance; lips and pieces are from these on; 0: there is no such line
   uniform sampler2D uPieces;
   out vec3 vNormal;
   out vec3 vRest;
@@ -38,7 +40,10 @@ export const bodyVertexShader = /* glsl */ `
   void main() {
     int row = int(aFacts.z + 256.0 * aFacts.w + 0.5);
     vec3 apart = texelFetch(uPieces, ivec2(row & 255, row >> 8), 0).xyz;
-    vec3 shown = position + uOpen * (aLips + apart);
+    vec3 aside = position - uHeldAt;
+    float away = length(aside - dot(aside, uHeldAlong) * uHeldAlong);
+    vec2 open = uOpen * (1.0 - uHeld.w * (1.0 - smoothstep(uHeld.xx, uHeld.yz, vec2(away))));
+    vec3 shown = position + open.x * aLips + open.y * apart;
 #if WIRE
     int corner = gl_VertexID % 3;
     vEdge = vec3(corner == 0, corner == 1, corner == 2);
@@ -56,7 +61,7 @@ export const bodyVertexShader = /* glsl */ `
 #endif
 #if INSIDE
     // Without the lips, which only move what is near them.
-    vShift = vRest - position - uOpen * apart;
+    vShift = vRest - position - open.y * apart;
 #endif
 #if REGIONS
     vRegion = aRegion;

@@ -26,6 +26,8 @@ export interface MouseBladeEvents {
   /** A stroke was tried while the blade is disabled. */
   refused(): void;
   strokeBegan(): void;
+  /** Where the pointer of a stroke is now. */
+  aimed(ray: THREE.Ray): void;
   /** The pointer moved over the picture, or left it, without a stroke. */
   hovered(): void;
   /** sent: the server was sent poses of it. */
@@ -146,6 +148,7 @@ export class MouseBlade {
     }
     // One ray for each event that the page gets, not for each sample in it.
     this.findSkin(last);
+    this.events.aimed(this.ray.ray);
     for (const sample of samples) this.advance(sample);
     this.flush();
   }

@@ -7,6 +7,7 @@ import { MouseBlade } from "./mouse_blade";
 import type { Stage, Tool } from "./stage";
 
 const kOpenAfterStroke_ms = 300;
+const kOpenInStroke = 0.3; // at most: the farther apart, the more a piece is bent towards the blade, where nothing is opened
 const kLongestBlade = 1.5; // times the body's size: it reaches through from any side
 const kNewBladeAfter_ms = 250; // after the last change of its length
 const kReachesThrough = 0.75; // times the body's size
@@ -40,11 +41,12 @@ export class Operator {
     this.mouse = new MouseBlade(element("picture"), stage, {
       poses: (poses) => send({ kind: "poses", poses }, [poses.buffer]),
       moved: (heel, tip, cuts) => {
-        stage.blade(0, true).move(heel, tip, cuts);
+        stage.blade(0, true).move(stage.beforeBody(heel, tip), tip, cuts);
         stage.draw();
       },
       refused: () => this.sayWhyNot(),
       strokeBegan: () => this.beginStroke(),
+      aimed: (ray) => stage.hold(ray),
       hovered: () => stage.marks.draw(),
       strokeEnded: (sent) => this.endStroke(sent),
     });
@@ -211,7 +213,7 @@ export class Operator {
   private beginStroke(): void {
     clearTimeout(this.openTimer);
     this.strokeArea_m2 = 0;
-    this.stage.setOpen(0, true);
+    this.stage.setOpen(Math.min(input("open").valueAsNumber, kOpenInStroke));
     document.body.dataset.stroke = "on";
   }
 
@@ -220,7 +222,10 @@ export class Operator {
     delete document.body.dataset.stroke;
     this.stage.blade(0, true).endStroke();
     this.stage.blade(0, true).hide();
-    this.openTimer = setTimeout(() => this.stage.setOpen(input("open").valueAsNumber), kOpenAfterStroke_ms);
+    this.openTimer = setTimeout(() => {
+      this.stage.release();
+      this.stage.setOpen(input("open").valueAsNumber);
+    }, kOpenAfterStroke_ms);
     if (this.tool === "cut") ++this.strokesTried;
     this.hint();
     if (!sent && this.mouse.enabled) this.sayMissed();

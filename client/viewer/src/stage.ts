@@ -10,6 +10,7 @@ import { planeOf, type Section } from "./section";
 import { SectionLines } from "./section_lines";
 import { Flight, fromSpherical, toSpherical } from "./views";
 
+const kBeforeBody = 0.6; // times the body's size, from its middle
 const kSettle_ms = 220; // after the last motion the picture is drawn again at full resolution
 const kFine_ms = 900; // and then above it, where the renderer does not smooth edges
 
@@ -59,6 +60,7 @@ export class Stage {
   private alarm: ReturnType<typeof setTimeout> | undefined; // when a resting blade vanishes
   openNow = 0;
   private openGoal = 0;
+  private heldGoal = 0;
   private section: Section | null = null;
   plane: readonly number[] | null = null; // of the section: normal, offset
   private readonly sectionLines = new SectionLines();
@@ -286,6 +288,30 @@ export class Stage {
     this.draw();
   }
 
+  /** Nothing is opened along the ray, from here on or until the next one: what is drawn there is where it is. */
+  hold(ray: THREE.Ray): void {
+    this.heldGoal = 1;
+    this.body.hold(ray, this.bodySize_m);
+    this.draw();
+  }
+
+  /** Where a blade whose heel may be at the eye comes near the body: the place on it that is drawn as its heel. */
+  beforeBody(heel: Vec3, tip: Vec3): Vec3 {
+    const from = new THREE.Vector3(...tip);
+    const back = new THREE.Vector3(...heel).sub(from);
+    const length = back.length();
+    back.normalize();
+    const way = this.centre.clone().sub(from).dot(back) + kBeforeBody * this.bodySize_m;
+    return from.addScaledVector(back, Math.min(length, Math.max(way, 0))).toArray();
+  }
+
+  /** Everything opens as it would without hold(). */
+  release(): void {
+    this.heldGoal = 0;
+    if (this.calm.matches) this.body.held = 0;
+    this.draw();
+  }
+
   setSection(section: Section | null): void {
     this.section = section;
     this.applySection();
@@ -367,7 +393,8 @@ export class Stage {
   }
 
   private followSection(): void {
-    const from = this.plane ? [this.body.version, this.openNow, ...this.plane].join() : "";
+    const held = this.body.held > 0 ? this.body.heldLine : [];
+    const from = this.plane ? [this.body.version, this.openNow, ...this.plane, ...held].join() : "";
     if (from === this.linesShown) return;
     this.linesShown = from;
     this.sectionLines.show(this.plane && this.body.shown(this.openNow), this.plane ?? [], this.bodySize_m);
@@ -427,13 +454,15 @@ export class Stage {
   private advance(now_ms: number): boolean {
     let moves = this.fly(now_ms);
     if (this.controls.enabled) this.controls.update();
-    if (this.openNow !== this.openGoal) {
-      const step = 0.22 * (this.openGoal - this.openNow);
-      this.openNow = Math.abs(step) < 0.002 ? this.openGoal : this.openNow + step;
-      moves = true;
-    }
+    const eased = (now: number, goal: number) => {
+      if (now !== goal) moves = true;
+      const step = 0.22 * (goal - now);
+      return Math.abs(step) < 0.002 ? goal : now + step;
+    };
+    this.openNow = eased(this.openNow, this.openGoal);
+    this.body.held = eased(this.body.held, this.heldGoal);
     let next_ms = Infinity;
-    for (const blade of this.blades.values()) next_ms = Math.min(next_ms, blade.update());
+    for (const blade of this.blades.values()) next_ms = Math.min(next_ms, blade.update(this.camera.position));
     clearTimeout(this.alarm);
     if (next_ms > 0 && next_ms < Infinity) this.alarm = setTimeout(() => this.draw(), next_ms);
     if (next_ms === 0) moves = true;

@@ -291,6 +291,9 @@ function operator() {
     marks: { layers: [], tools: [], draw: () => {} },
     draw: () => {},
     setOpen: () => {},
+    hold: () => {},
+    release: () => {},
+    beforeBody: (heel) => heel,
     setTool: () => {},
   };
   for (const [id, value] of [

@@ -580,7 +580,7 @@ test("the trail of a long stroke does not join its end to its beginning", () => 
   try {
     const blade = new BladeView(1, false);
     for (let i = 0; i < 300; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
-    blade.update();
+    blade.update(new Vector3(0, 0, 5));
     const { geometry } = blade.trail;
     assert.equal(geometry.drawRange.count, 6 * 255); // between the 256 samples that are kept
     const { array } = geometry.getAttribute("position");
@@ -602,7 +602,7 @@ test("the trails of two strokes are not joined", () => {
       for (let i = from; i < from + 3; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
       blade.endStroke();
     }
-    blade.update();
+    blade.update(new Vector3(0, 0, 5));
     const { geometry } = blade.trail;
     const { array } = geometry.getAttribute("position");
     const xs = Array.from({ length: geometry.drawRange.count }, (_, i) => array[3 * i]);
