@@ -20,7 +20,7 @@ class NatsUpstream final : public relay::Upstream, private cluster::FeedReader::
   using FindOrigin = std::function<std::optional<relay::Origin>()>;  // from any thread
   NatsUpstream(boost::asio::io_context& io, cluster::NatsOptions nats, const std::string& session,
                FindOrigin origin);
-  ~NatsUpstream();
+  ~NatsUpstream() override;
 
   void start(relay::Upstream::Sink& sink) override;
   void stop() override;

@@ -88,7 +88,7 @@ void set_up(natsOptions* made, const NatsOptions& options, std::int64_t timeout_
   const auto need = [&](natsStatus status, const std::string& step) {
     if (status == NATS_OK) return;
     what = step;
-    throw status;
+    throw natsStatus(status);
   };
   std::vector<std::string> urls = split(options.url);
   std::vector<const char*> servers;
@@ -191,13 +191,13 @@ NatsClient::NatsClient(const NatsOptions& options, std::int64_t timeout_ms, OnRe
   const std::unique_ptr<natsOptions, OptionsDeleter> made(raw);
   std::string what;
   try {
-    if (status != NATS_OK) throw status;
+    if (status != NATS_OK) throw natsStatus(status);
     set_up(made.get(), options, timeout_ms, what);
     // Not to stderr, where the library would write it.
     natsOptions_SetErrorHandler(
         made.get(), [](natsConnection*, natsSubscription*, natsStatus, void*) {}, nullptr);
     status = natsConnection_Connect(&connection_, made.get());
-    if (status != NATS_OK) throw status;
+    if (status != NATS_OK) throw natsStatus(status);
   } catch (const natsStatus failed) {
     throw NatsError(
         failed, url_ + ": " + (what.empty() ? "" : what + ": ") + explained(failed, options, last_detail()));

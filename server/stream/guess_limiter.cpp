@@ -22,9 +22,9 @@ std::int64_t GuessLimiter::note_wrong(const boost::asio::ip::address& from, std:
   Guesser& guesser = guessers_[network];
   const double forgotten = static_cast<double>(now_ns - guesser.last_ns) / static_cast<double>(kForget_ns);
   guesser.last_ns = now_ns;
-  static const double kSaturated =
+  static const double saturated =
       kFreeGuesses + 1 + std::log2(static_cast<double>(kMaxDelay_ns) / static_cast<double>(kFirstDelay_ns));
-  guesser.wrong = std::min(std::max(guesser.wrong - forgotten, 0.0) + 1, kSaturated);
+  guesser.wrong = std::min(std::max(guesser.wrong - forgotten, 0.0) + 1, saturated);
   const int beyond = static_cast<int>(std::ceil(guesser.wrong)) - kFreeGuesses;
   if (beyond <= 0) return 0;
   const std::int64_t delay_ns = std::min(kFirstDelay_ns << (beyond - 1), kMaxDelay_ns);

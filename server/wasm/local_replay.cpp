@@ -22,7 +22,7 @@ LocalReplay::LocalReplay(std::string name, replay::Replay replay, std::uint64_t 
 void LocalReplay::show() {
   stream::InitialState state = replay::initial_state(replay_.session(), epoch_);
   state.origins = origins_;
-  mirror_.reset(std::move(state));
+  mirror_.reset(state);
 }
 
 protocol::ReplayState LocalReplay::state(bool first) const {

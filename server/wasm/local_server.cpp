@@ -69,7 +69,7 @@ void LocalServer::begin_session() {
 void LocalServer::show_session() {
   stream::InitialState state = replay::initial_state(*session_, epoch_);
   state.origins = body_.origins;
-  mirror_.reset(std::move(state));
+  mirror_.reset(state);
 }
 
 // ------------------------------------------------------------------------------------------------ sending

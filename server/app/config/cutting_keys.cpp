@@ -14,7 +14,7 @@ ConfigKey image_window() {
       "samples around the body are above and below.",
       [](const Config& c) { return Json(c.mesh.image_window); },
       [](Config& c, const Json& value) {
-        if (!value.is_array() || (value.size() != 0 && value.size() != 2)) return false;
+        if (!value.is_array() || (!value.empty() && value.size() != 2)) return false;
         for (const Json& number : value)
           if (!number.is_number() || !(std::abs(number.get<double>()) <= 1e30)) return false;
         if (value.size() == 2 && !(value[0].get<double>() < value[1].get<double>())) return false;
