@@ -314,7 +314,7 @@ export class Viewer {
       tip = vec(pose.tip());
     const newtons = vec(pose.forceN());
     if (newtons.some((n) => n !== 0) || this.felt.has(source))
-      this.post({ kind: "force", force: { source, own, heel, tip, newtons } });
+      this.post({ kind: "force", force: { source, tip, newtons } });
     this.felt.delete(source);
     if (newtons.some((n) => n !== 0)) this.felt.add(source);
     if (own) return; // the page draws that one itself
