@@ -1,7 +1,9 @@
 #include "server/haptics/force_model.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <optional>
 
 namespace incise::haptics {
 namespace {
@@ -17,6 +19,8 @@ constexpr double kGot = 0.98, kYields_s = 0.01, kUncovered = 2;
 // A blade that presses no faster than this waits on the surface until the ramp of a first contact is over, m/s. A stroke does not: nobody
 // wants it to begin two seconds late.
 constexpr double kPatient_m_s = 0.03;
+// A surface's turn is taken from places so far around, in mean edges: beyond the dent that the blade itself makes.
+constexpr double kAround_h = 2;
 // The front is forgotten when the blade is this far behind it or beside it: there the map of cuts is up to date,
 // since faces open at most two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
@@ -34,6 +38,34 @@ Vec3 turn(const core::Quat& a, const core::Quat& b) {
   const double sine = length(v);
   if (!(sine > 0)) return {};
   return ((w < 0 ? -2 : 2) * std::atan2(sine, std::abs(w)) / sine) * v;
+}
+
+// Two directions as an orthonormal frame; nothing if they are nearly one.
+std::optional<Mat3> frame(const Vec3& a, const Vec3& b, double least) {
+  const Vec3 normal = cross(a, b);
+  if (!(length(a) > least) || !(length(b) > least) || !(length(normal) > least * least)) return std::nullopt;
+  const Vec3 x = normalized(a), z = normalized(normal);
+  return Mat3{x, cross(z, x), z};
+}
+
+// The direction `out` at a place of the surface at rest, as the surface there has turned: by the tissue around, since the one
+// element under a tip is bent by the tip itself. Its normal would tilt, push the tip aside, tilt farther, and flip at the next element.
+Vec3 turned(const Tissue& tissue, const SurfacePoint& place, const Vec3& out, ProbeWork& work) noexcept {
+  const double r = kAround_h * tissue.h();
+  const Vec3 least_along = std::abs(out.x) < 0.6 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
+  const Vec3 u = normalized(cross(out, least_along)), v = cross(out, u);
+  std::array<Vec3, 4> rest, now;
+  const std::array<Vec3, 4> ways{u, -u, v, -v};
+  for (std::size_t i = 0; i < ways.size(); ++i) {
+    const auto found = tissue.surface().nearest(place.point + r * ways[i], r, work);
+    if (!found) return tissue.rest().map(core::tet_of(place.face)).normal_now(out);
+    rest[i] = found->point;
+    now[i] = tissue.rest().map(core::tet_of(found->face)).now(found->point);
+  }
+  const auto before = frame(rest[0] - rest[1], rest[2] - rest[3], 0.2 * r);
+  const auto after = frame(now[0] - now[1], now[2] - now[3], 0.2 * r);
+  if (!before || !after) return tissue.rest().map(core::tet_of(place.face)).normal_now(out);
+  return *after * before->transposed(out);
 }
 
 }  // namespace
@@ -177,32 +209,28 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   }
   // The depth of a point changes by no more than it moves, so the surface is not farther off than this.
   const double radius = std::min(depth_at_rest_ + moved + kFaceSlack_h * h, kDeepest_h * h);
-  bool found = false;
-  double deepest = 0, deepest_at_rest = 0;
+  std::optional<SurfacePoint> deepest;
+  Vec3 way, out;  // from the edge to the surface, as it is now; out of the tissue, at rest
   for (const double at : {engagement.from, 0.5 * (engagement.from + engagement.to), engagement.to}) {
     const Vec3 rest = line_.rest(at);
     const auto surface = tissue.surface().nearest(rest, radius, feel.work);
     if (!surface) continue;
-    // Forward again: the boundary's nearest point with its own tetrahedron.
-    const LocalMap map = line_.deformed ? tissue.rest().map(core::tet_of(surface->face)) : LocalMap{};
     const Vec3 p = lerp(motion.line.heel, motion.line.tip, at);
-    const Vec3 out_at_rest = normalized(surface->point - rest);
-    const bool under = surface->distance_m > 1e-3 * h && dot(out_at_rest, surface->normal) > 0;
-    const Vec3 way = line_.deformed ? map.now(surface->point) - p : surface->point - p;
-    const Vec3 normal = line_.deformed ? map.normal_now(under ? out_at_rest : surface->normal)
-                        : under        ? out_at_rest
-                                       : surface->normal;
-    const double depth = line_.deformed ? std::max(0.0, dot(way, normal)) : surface->distance_m;
-    if (found && depth <= deepest) continue;
-    found = true;
-    deepest = depth;
-    deepest_at_rest = surface->distance_m;
-    normal_ = normal;
+    const Vec3 here = (line_.deformed ? tissue.rest().map(core::tet_of(surface->face)).now(surface->point)
+                                      : surface->point) -
+                      p;
+    if (deepest && squared_length(here) <= squared_length(way)) continue;
+    deepest = surface;
+    way = here;
+    const Vec3 nearest = normalized(surface->point - rest);
+    const bool under = surface->distance_m > 1e-3 * h && dot(nearest, surface->normal) > 0;
+    out = under ? nearest : surface->normal;
   }
   phase_ = Phase::kContact;
-  if (found) {
-    depth_ = deepest;
-    depth_at_rest_ = deepest_at_rest;
+  if (deepest) {
+    normal_ = line_.deformed ? turned(tissue, *deepest, out, feel.work) : out;
+    depth_ = line_.deformed ? std::max(0.0, dot(way, normal_)) : deepest->distance_m;
+    depth_at_rest_ = deepest->distance_m;
   } else if (!first) {
     // Deeper than the search reaches: follow its motion.
     const double deeper = -dot(relative_step(engagement.middle), normal_);
