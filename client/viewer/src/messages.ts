@@ -109,7 +109,7 @@ export interface Patch {
 
 export interface BladeForce {
   source: number;
-  tip: Vec3; // the blade's
+  at: Vec3; // where it is shown
   newtons: Vec3; // world frame; zero: none acts
 }
 

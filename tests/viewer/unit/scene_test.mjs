@@ -778,7 +778,7 @@ test("depth below the skin is the distance to its triangles, and stays with the 
   assert.equal(out.facts[0], 0);
 });
 
-test("a force is an arrow with its newtons at the blade's tip, until there is no news of it", () => {
+test("a force is an arrow with its newtons, until there is no news of it", () => {
   const drawn = [];
   let now = 0;
   const marks = {
@@ -795,7 +795,7 @@ test("a force is an arrow with its newtons at the blade's tip, until there is no
     () => 0.2,
     () => now,
   );
-  const force = (newtons) => arrows.take({ source: 1, tip: [0, 0, 0.1], newtons });
+  const force = (newtons) => arrows.take({ source: 1, at: [0, 0, 0.1], newtons });
   force([0, 2, 0]);
   marks.draw();
   assert.deepEqual(drawn[0], [0, 0, 0.1]);
