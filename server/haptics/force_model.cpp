@@ -78,6 +78,7 @@ void ForceModel::jump() noexcept {
   has_last_ = false;
   velocity_ = tool_velocity_ = last_elastic_ = {};
   depth_ = depth_at_rest_ = yields_s_ = 0;
+  yields_at_n_ = INFINITY;
 }
 
 Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied,
@@ -97,6 +98,7 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   if (engagement.length_m == 0) {
     phase_ = Phase::kFree;
     depth_ = depth_at_rest_ = 0;
+    yields_at_n_ = INFINITY;
   } else {
     if (resists_ && phase_ == Phase::kInside && withdrawn(tissue, engagement, feel.work)) {
       phase_ = Phase::kContact;
@@ -105,7 +107,8 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
     if (phase_ != Phase::kInside) find_depth(tissue, motion, has_last_ ? moved_at_rest() : 0, feel);
     if (shared && phase_ == Phase::kInside) book_tissue(motion, at, applied);
     if (phase_ == Phase::kContact) {
-      elastic = spring(motion, engagement);
+      find_hold(motion, engagement);
+      elastic = spring(engagement);
       if (shared) book_tissue(motion, elastic);
       elastic = press(motion, engagement, elastic, applied, feel);
     }
@@ -256,26 +259,31 @@ void ForceModel::get_in(const Vec3& along, const Engagement& engagement) noexcep
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
   yields_s_ = 0;
+  yields_at_n_ = INFINITY;
   yielded_at_ = depth_at_rest_;
   front_heading_ = map_.rest_from_now * along;
   front_ = line_.rest(engagement.middle) - std::min(depth_, hold) * front_heading_;
 }
 
-// What the surface holds, N; for a blade that does not cut, anything.
-double ForceModel::holds(const BladeMotion& motion, const Engagement& engagement) noexcept {
-  return motion.engaged ? std::max(engagement.puncture_n, engagement.fracture_n) : INFINITY;
+// What the surface holds, N; for a blade that does not cut, anything. More edge that comes in while the hand gets what it held when the spring
+// first pulled as hard changes nothing: in truth the tissue would have given way there.
+void ForceModel::find_hold(const BladeMotion& motion, const Engagement& engagement) noexcept {
+  const double most = motion.engaged
+                          ? std::min(yields_at_n_, std::max(engagement.puncture_n, engagement.fracture_n))
+                          : INFINITY;
+  holds_n_ = most;
+  yields_at_n_ = engagement.stiffness_n_m * depth_ >= most ? most : INFINITY;
 }
 
 // The spring to the surface, which pulls no harder than that holds.
-ForceModel::Elastic ForceModel::spring(const BladeMotion& motion,
-                                       const Engagement& engagement) const noexcept {
-  const double k = engagement.stiffness_n_m, force = std::min(k * depth_, holds(motion, engagement));
+ForceModel::Elastic ForceModel::spring(const Engagement& engagement) const noexcept {
+  const double k = engagement.stiffness_n_m, force = std::min(k * depth_, holds_n_);
   return {force * normal_, force * (depth_ - 0.5 * force / k)};
 }
 
 ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagement& engagement,
                                       const Elastic& spring, const Vec3& applied, Feel& feel) noexcept {
-  const double stiffness = engagement.stiffness_n_m, most = holds(motion, engagement);
+  const double stiffness = engagement.stiffness_n_m, most = holds_n_;
   const double force = length(spring.force), share = covered(spring.energy);
   // It gives way when the hand has got what it holds: a simulation that moves the tissue in steps must not tear it before. A device that makes
   // less, or a tool that only turns (its account covers little), must get in as well.
