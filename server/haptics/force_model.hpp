@@ -78,7 +78,7 @@ struct Feel {
 // tissue that deforms, with a simulation that may be late or wrong, the bound is kReserve_j + kTissueReserve_j +
 // (kLeak_w + kTissueLeak_w) t.
 //
-// Thread: one. update() costs the way back to rest, the probe and, in contact, up to three searches for the surface, all within the bounds of
+// Thread: one. update() costs the way back to rest, the probe and, in contact, up to seven searches for the surface, all within the bounds of
 // ProbeWork; it allocates nothing.
 class ForceModel {
  public:
