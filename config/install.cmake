@@ -44,9 +44,10 @@ string(REGEX REPLACE "(\"capture\": {[^}]*\"path\": )\"\"" "\\1\"/var/lib/incise
 string(REGEX REPLACE "(\"keep_free_percent\": )[0-9.]+" "\\110" incised_json "${incised_json}")
 file(WRITE ${CMAKE_BINARY_DIR}/install/incised.json "${incised_json}")
 install(FILES ${CMAKE_BINARY_DIR}/install/incised.json DESTINATION ${INCISE_ETC} COMPONENT incised)
-configure_file(config/incised.service.in install/incised.service @ONLY)
-configure_file(config/incised@.service.in install/incised@.service @ONLY)
-install(FILES ${CMAKE_BINARY_DIR}/install/incised.service ${CMAKE_BINARY_DIR}/install/incised@.service DESTINATION lib/systemd/system COMPONENT incised)
+foreach(unit incised incised@ incise-relay@)
+  configure_file(config/${unit}.service.in install/${unit}.service @ONLY)
+  install(FILES ${CMAKE_BINARY_DIR}/install/${unit}.service DESTINATION lib/systemd/system COMPONENT incised)
+endforeach()
 install(FILES config/sysusers.conf RENAME incised.conf DESTINATION lib/sysusers.d COMPONENT incised)
 # The service is nobody at the console: it reads the devices by its group.
 file(READ config/70-incise-devices.rules rules)

@@ -123,15 +123,17 @@ Options ServerOptions::options(Address& where) const {
 
 namespace {
 
-using Find = std::function<std::string(const std::string&)>;
+const char* address_help(const FindServer& find) {
+  return find ? "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss; or "
+                "nats://HOST[:PORT]/SESSION, nats+tls://HOST[:PORT]/SESSION: where that is served"
+              : "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss";
+}
 
-void add_stream(CLI::App& app, int& exit_code, const Find& find) {
+void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
   auto command = std::make_shared<StreamCommand>();
   CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
   sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")->required();
-  sub->add_option("--to", command->server.address,
-                  "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
-      ->required();
+  sub->add_option("--to", command->server.address, address_help(find))->required();
   sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
       ->check(number_from(0, 1000))
       ->capture_default_str();
@@ -149,17 +151,15 @@ void add_stream(CLI::App& app, int& exit_code, const Find& find) {
   sub->add_flag("--json", command->json, "print the summary as JSON");
   add_server_options(*sub, command->server);
   sub->callback([command, find, &exit_code] {
-    if (find) command->server.address = find(command->server.address);
+    if (find) command->server.address = find(command->server.address, false);
     exit_code = run_stream(*command);
   });
 }
 
-void add_watch(CLI::App& app, int& exit_code, const Find& find) {
+void add_watch(CLI::App& app, int& exit_code, const FindServer& find) {
   auto command = std::make_shared<WatchCommand>();
   CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
-  sub->add_option("server", command->server.address,
-                  "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss")
-      ->required();
+  sub->add_option("server", command->server.address, address_help(find))->required();
   sub->add_option("--view", command->view, "what to hold a replica of")
       ->check(CLI::IsMember({"volume", "surface"}))
       ->capture_default_str();
@@ -176,15 +176,14 @@ void add_watch(CLI::App& app, int& exit_code, const Find& find) {
   sub->add_flag("--json", command->json, "print JSON lines");
   add_server_options(*sub, command->server);
   sub->callback([command, find, &exit_code] {
-    if (find) command->server.address = find(command->server.address);
+    if (find) command->server.address = find(command->server.address, true);
     exit_code = run_watch(*command);
   });
 }
 
 }  // namespace
 
-void add_network_commands(CLI::App& app, int& exit_code,
-                          std::function<std::string(const std::string&)> find) {
+void add_network_commands(CLI::App& app, int& exit_code, FindServer find) {
   add_stream(app, exit_code, find);
   add_watch(app, exit_code, find);
 }

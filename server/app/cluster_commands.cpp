@@ -91,8 +91,7 @@ void add_cluster_commands(CLI::App& app, int& exit_code) {
   sub->callback([command, &exit_code] { exit_code = run_sessions(*command); });
 }
 
-// Relays first: they are there to be watched.
-std::string find_session(const std::string& address) {
+std::string find_session(const std::string& address, bool to_watch) {
   const std::size_t scheme = address.rfind("nats://", 0) == 0       ? 7
                              : address.rfind("nats+tls://", 0) == 0 ? 11
                                                                     : 0;
@@ -105,19 +104,20 @@ std::string find_session(const std::string& address) {
   }
   const std::string url = (scheme == 7 ? "nats://" : "tls://") + address.substr(scheme, slash - scheme);
   const cluster::NatsClient nats(options_of(url, "", ""));
-  std::string found, server;
+  std::string relay, server;
   for (const cluster::DirectoryEntry& entry : cluster::list_directory(nats)) {
     if (entry.session != name) continue;
     std::string where = entry.tcp;
     if (where.empty())
       where = (entry.http.rfind("https", 0) == 0 ? "wss" : "ws") + entry.http.substr(entry.http.find(':'));
-    if (entry.kind == "relay" && found.empty()) found = where;
+    if (entry.kind == "relay" && relay.empty()) relay = where;
     if (entry.kind == "server") server = where;
   }
-  if (found.empty()) found = server;
+  const std::string found = relay.empty() || (!to_watch && !server.empty()) ? server : relay;
   if (found.empty())
     throw std::runtime_error(url + ": there is no session \"" + name + "\"; incise sessions " + url +
                              " lists them");
+  std::fprintf(stderr, "session %s: %s\n", name.c_str(), found.c_str());
   return found;
 }
 

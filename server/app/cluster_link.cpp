@@ -12,6 +12,7 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/advertised.hpp"
+#include "server/app/log_setup.hpp"
 #include "server/app/nats_options.hpp"
 #include "server/app/stream_setup.hpp"
 #include "server/app/version.hpp"
@@ -20,10 +21,6 @@
 
 namespace incise::app {
 namespace {
-
-void log_line(bool warning, const std::string& line) {
-  spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, "{}", line);
-}
 
 cluster::PublisherOptions publisher_options(const Config& config) {
   const Config::Cluster& cluster = config.cluster;
@@ -43,8 +40,8 @@ cluster::PublisherOptions publisher_options(const Config& config) {
 
 ClusterLink::ClusterLink(const Config& config) : config_(config) {
   if (config.cluster.nats.empty()) return;
-  directory_ =
-      std::make_unique<cluster::Directory>(nats_options(config), static_cast<int>(config.cluster.replicas));
+  directory_ = std::make_unique<cluster::Directory>(nats_options(config), log_line,
+                                                    static_cast<int>(config.cluster.replicas));
   if (!config.cluster.failover)
     publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config), log_line);
 }

@@ -43,4 +43,8 @@ void start_log(const Config::Log& log, const std::string& program) {
   spdlog::set_default_logger(logger);
 }
 
+void log_line(bool warning, const std::string& line) {
+  spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, "{}", line);
+}
+
 }  // namespace incise::app

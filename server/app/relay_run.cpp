@@ -15,6 +15,7 @@
 #include "server/app/advertised.hpp"
 #include "server/app/audit_log.hpp"
 #include "server/app/end_signals.hpp"
+#include "server/app/log_setup.hpp"
 #include "server/app/nats_options.hpp"
 #include "server/app/nats_upstream.hpp"
 #include "server/app/relay_report.hpp"
@@ -98,7 +99,8 @@ class RunningRelay {
 };
 
 RunningRelay::RunningRelay(const Config& config) : config_(config) {
-  if (!config.cluster.nats.empty()) directory_ = std::make_unique<cluster::Directory>(nats_options(config));
+  if (!config.cluster.nats.empty())
+    directory_ = std::make_unique<cluster::Directory>(nats_options(config), log_line);
   for (const Config::Relay::Session& session : config.relay.all(config.listen)) {
     stream::StreamConfig served = stream_config(config);
     served.tcp_port = static_cast<int>(session.tcp_port);
@@ -199,6 +201,7 @@ void RunningRelay::stop() {
 
 void run_relay(const Config& config) {
   const EndSignals signals;
+  raise_descriptor_limit();
   RunningRelay relay(config);
   relay.start();
   relay.watch(signals);

@@ -358,6 +358,7 @@ void run_server(const Config& config, bool resume) {
   ClusterLink cluster(config);
   if (!cluster.acquire(signals)) return;
   {
+    raise_descriptor_limit();
     RunningServer server(config, resume || cluster.resumes(), cluster);
     server.start();
     const char* const signal = server.watch(signals);

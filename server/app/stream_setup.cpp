@@ -1,6 +1,7 @@
 #include "server/app/stream_setup.hpp"
 
 #include <sys/random.h>
+#include <sys/resource.h>
 
 #include <utility>
 
@@ -50,6 +51,14 @@ stream::StreamConfig stream_config(const Config& config) {
   made.ring_bytes = static_cast<std::size_t>(config.stream.ring_bytes);
   made.max_report_rate_hz = config.stream.max_report_rate_hz;
   return made;
+}
+
+// Where that fails, clients beyond the limit wait until others leave.
+void raise_descriptor_limit() {
+  rlimit limit{};
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  setrlimit(RLIMIT_NOFILE, &limit);
 }
 
 std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,

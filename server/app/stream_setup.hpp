@@ -17,6 +17,8 @@ namespace incise::app {
 
 // Its configuration, with the tokens read from their file. Throws ConfigError.
 stream::StreamConfig stream_config(const Config& config);
+// As many descriptors as the system allows, of which each client takes one: shells and services begin with 1024. Before the server is made.
+void raise_descriptor_limit();
 // What the server says about itself in Welcome.
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh);
 // A mirror of a session of a body with these origins (InitialState::origins), made off the loop and the stream's thread: both only copy

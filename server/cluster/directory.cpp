@@ -120,7 +120,8 @@ std::string sessions_json(const std::vector<DirectoryEntry>& entries) {
   return sessions.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-Directory::Directory(NatsOptions nats, int replicas) : nats_(std::move(nats)), replicas_(replicas) {}
+Directory::Directory(NatsOptions nats, Log log, int replicas)
+    : nats_(std::move(nats)), log_(std::move(log)), replicas_(replicas) {}
 
 Directory::~Directory() {
   stop();
@@ -150,11 +151,6 @@ std::vector<DirectoryEntry> Directory::entries() const {
   return all_;
 }
 
-std::string Directory::trouble() const {
-  const std::scoped_lock lock(mutex_);
-  return trouble_;
-}
-
 void Directory::renew(const NatsClient& client, const KeyValueStore& store) {
   std::vector<std::string> keys;
   for (const DirectoryEntry& entry : ours_()) {
@@ -171,6 +167,7 @@ void Directory::renew(const NatsClient& client, const KeyValueStore& store) {
 void Directory::run() {
   std::unique_ptr<NatsClient> client;
   KeyValueStore store;
+  bool in_trouble = false;
   for (;;) {
     std::vector<DirectoryEntry> all;
     std::string trouble;
@@ -187,9 +184,13 @@ void Directory::run() {
       client.reset();
       trouble = error.what();
     }
+    if (in_trouble != !trouble.empty()) {
+      log_(!trouble.empty(), trouble.empty() ? nats_.url + ": the list of sessions is kept again"
+                                             : trouble + "; the list of sessions is as it was before");
+    }
+    in_trouble = !trouble.empty();
     std::unique_lock lock(mutex_);
     if (trouble.empty()) all_ = std::move(all);
-    trouble_ = std::move(trouble);
     if (!wake_.wait_for(lock, kRenew, [this] { return stopping_; })) continue;
     if (store) {
       for (const std::string& key : keys_) kvStore_Delete(store.get(), key.c_str());

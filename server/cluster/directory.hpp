@@ -45,7 +45,8 @@ class Directory {
  public:
   // What is shown now; asked on the directory's thread every three seconds.
   using Entries = std::function<std::vector<DirectoryEntry>()>;
-  explicit Directory(NatsOptions nats, int replicas = 1);
+  using Log = std::function<void(bool warning, const std::string& line)>;
+  Directory(NatsOptions nats, Log log, int replicas = 1);
   ~Directory();
   void start(Entries ours);
   // Takes our entries away.
@@ -53,20 +54,19 @@ class Directory {
   // As of three seconds ago at most, while NATS can be reached; [] before.
   std::string json() const;
   std::vector<DirectoryEntry> entries() const;
-  std::string trouble() const;
 
  private:
   void run();
   void renew(const NatsClient& client, const KeyValueStore& store);
 
   const NatsOptions nats_;
+  const Log log_;
   const int replicas_;
   Entries ours_;
   std::vector<std::string> keys_;  // the thread's: that we have written
   mutable std::mutex mutex_;
   std::condition_variable wake_;
   std::vector<DirectoryEntry> all_;  // guarded by mutex_
-  std::string trouble_;              // guarded by mutex_
   bool stopping_ = false;            // guarded by mutex_
   std::thread thread_;
 };

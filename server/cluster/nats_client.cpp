@@ -79,8 +79,11 @@ std::string explained(natsStatus status, const NatsOptions& options, const std::
       return "it has no TLS: write nats://, or give it a certificate";
     case NATS_TIMEOUT:
       return "no answer in time";
-    default:
-      return detail.empty() ? natsStatus_GetText(status) : detail;
+    default: {
+      const std::string text = detail.empty() ? natsStatus_GetText(status) : detail;
+      const bool key = text.find("checksum") != std::string::npos || text.find("seed") != std::string::npos;
+      return key ? options.credentials_file.string() + ": " + text : text;
+    }
   }
 }
 
@@ -248,7 +251,8 @@ void NatsClient::check(natsStatus status, const std::string& what) const {
     why = said;
   if (why.empty()) why = natsStatus_GetText(status);
   if (status == NATS_TIMEOUT && why.find("ermissions") == std::string::npos) why = "no answer in time";
-  if (status == NATS_NO_RESPONDERS) why = "nobody answers: JetStream is not enabled there (nats-server -js)";
+  if (status == NATS_NO_RESPONDERS)
+    why = "nobody answers: JetStream is not enabled there (nats-server -js), or not for this account";
   throw NatsError(status, url_ + ": " + what + ": " + why);
 }
 

@@ -69,6 +69,9 @@ class Sum {
     }
     double done = -1;  // the piece has been processed up to here
     for (const Crossing& crossing : std::span(found).first(count)) {
+      // The skin where the edge comes through, also where that is at a vertex, and the edge goes on between the elements of the skin.
+      sum_.puncture_n =
+          std::max(sum_.puncture_n, materials_.of(mesh_.region(core::tet_of(crossing.face))).puncture_n);
       if (crossing.entering) {
         if (crossing.at < done - kSame) continue;
         done = std::max(done, walk(core::tet_of(crossing.face), crossing.at, 1));

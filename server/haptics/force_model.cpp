@@ -1,7 +1,9 @@
 #include "server/haptics/force_model.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <optional>
 
 namespace incise::haptics {
 namespace {
@@ -17,6 +19,8 @@ constexpr double kGot = 0.98, kYields_s = 0.01, kUncovered = 2;
 // A blade that presses no faster than this waits on the surface until the ramp of a first contact is over, m/s. A stroke does not: nobody
 // wants it to begin two seconds late.
 constexpr double kPatient_m_s = 0.03;
+// A surface's turn is taken from places so far around, in mean edges: beyond the dent that the blade itself makes.
+constexpr double kAround_h = 2;
 // The front is forgotten when the blade is this far behind it or beside it: there the map of cuts is up to date,
 // since faces open at most two elements behind the blade.
 constexpr double kForget_h = 2, kAside_h = 0.5;
@@ -36,6 +40,34 @@ Vec3 turn(const core::Quat& a, const core::Quat& b) {
   return ((w < 0 ? -2 : 2) * std::atan2(sine, std::abs(w)) / sine) * v;
 }
 
+// Two directions as an orthonormal frame; nothing if they are nearly one.
+std::optional<Mat3> frame(const Vec3& a, const Vec3& b, double least) {
+  const Vec3 normal = cross(a, b);
+  if (!(length(a) > least) || !(length(b) > least) || !(length(normal) > least * least)) return std::nullopt;
+  const Vec3 x = normalized(a), z = normalized(normal);
+  return Mat3{x, cross(z, x), z};
+}
+
+// The direction `out` at a place of the surface at rest, as the surface there has turned: by the tissue around, since the one
+// element under a tip is bent by the tip itself. Its normal would tilt, push the tip aside, tilt farther, and flip at the next element.
+Vec3 turned(const Tissue& tissue, const SurfacePoint& place, const Vec3& out, ProbeWork& work) noexcept {
+  const double r = kAround_h * tissue.h();
+  const Vec3 least_along = std::abs(out.x) < 0.6 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
+  const Vec3 u = normalized(cross(out, least_along)), v = cross(out, u);
+  std::array<Vec3, 4> rest, now;
+  const std::array<Vec3, 4> ways{u, -u, v, -v};
+  for (std::size_t i = 0; i < ways.size(); ++i) {
+    const auto found = tissue.surface().nearest(place.point + r * ways[i], r, work);
+    if (!found) return tissue.rest().map(core::tet_of(place.face)).normal_now(out);
+    rest[i] = found->point;
+    now[i] = tissue.rest().map(core::tet_of(found->face)).now(found->point);
+  }
+  const auto before = frame(rest[0] - rest[1], rest[2] - rest[3], 0.2 * r);
+  const auto after = frame(now[0] - now[1], now[2] - now[3], 0.2 * r);
+  if (!before || !after) return tissue.rest().map(core::tet_of(place.face)).normal_now(out);
+  return *after * before->transposed(out);
+}
+
 }  // namespace
 
 ForceModel::ForceModel(const Materials& materials, double stiffest_n_m, double damping_n_s_m, bool resists)
@@ -46,6 +78,7 @@ void ForceModel::jump() noexcept {
   has_last_ = false;
   velocity_ = tool_velocity_ = last_elastic_ = {};
   depth_ = depth_at_rest_ = yields_s_ = 0;
+  yields_at_n_ = INFINITY;
 }
 
 Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const Vec3& applied,
@@ -65,6 +98,7 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
   if (engagement.length_m == 0) {
     phase_ = Phase::kFree;
     depth_ = depth_at_rest_ = 0;
+    yields_at_n_ = INFINITY;
   } else {
     if (resists_ && phase_ == Phase::kInside && withdrawn(tissue, engagement, feel.work)) {
       phase_ = Phase::kContact;
@@ -73,7 +107,8 @@ Feel ForceModel::update(const Tissue& tissue, const BladeMotion& motion, const V
     if (phase_ != Phase::kInside) find_depth(tissue, motion, has_last_ ? moved_at_rest() : 0, feel);
     if (shared && phase_ == Phase::kInside) book_tissue(motion, at, applied);
     if (phase_ == Phase::kContact) {
-      elastic = spring(motion, engagement);
+      find_hold(motion, engagement);
+      elastic = spring(engagement);
       if (shared) book_tissue(motion, elastic);
       elastic = press(motion, engagement, elastic, applied, feel);
     }
@@ -177,32 +212,28 @@ void ForceModel::find_depth(const Tissue& tissue, const BladeMotion& motion, dou
   }
   // The depth of a point changes by no more than it moves, so the surface is not farther off than this.
   const double radius = std::min(depth_at_rest_ + moved + kFaceSlack_h * h, kDeepest_h * h);
-  bool found = false;
-  double deepest = 0, deepest_at_rest = 0;
+  std::optional<SurfacePoint> deepest;
+  Vec3 way, out;  // from the edge to the surface, as it is now; out of the tissue, at rest
   for (const double at : {engagement.from, 0.5 * (engagement.from + engagement.to), engagement.to}) {
     const Vec3 rest = line_.rest(at);
     const auto surface = tissue.surface().nearest(rest, radius, feel.work);
     if (!surface) continue;
-    // Forward again: the boundary's nearest point with its own tetrahedron.
-    const LocalMap map = line_.deformed ? tissue.rest().map(core::tet_of(surface->face)) : LocalMap{};
     const Vec3 p = lerp(motion.line.heel, motion.line.tip, at);
-    const Vec3 out_at_rest = normalized(surface->point - rest);
-    const bool under = surface->distance_m > 1e-3 * h && dot(out_at_rest, surface->normal) > 0;
-    const Vec3 way = line_.deformed ? map.now(surface->point) - p : surface->point - p;
-    const Vec3 normal = line_.deformed ? map.normal_now(under ? out_at_rest : surface->normal)
-                        : under        ? out_at_rest
-                                       : surface->normal;
-    const double depth = line_.deformed ? std::max(0.0, dot(way, normal)) : surface->distance_m;
-    if (found && depth <= deepest) continue;
-    found = true;
-    deepest = depth;
-    deepest_at_rest = surface->distance_m;
-    normal_ = normal;
+    const Vec3 here = (line_.deformed ? tissue.rest().map(core::tet_of(surface->face)).now(surface->point)
+                                      : surface->point) -
+                      p;
+    if (deepest && squared_length(here) <= squared_length(way)) continue;
+    deepest = surface;
+    way = here;
+    const Vec3 nearest = normalized(surface->point - rest);
+    const bool under = surface->distance_m > 1e-3 * h && dot(nearest, surface->normal) > 0;
+    out = under ? nearest : surface->normal;
   }
   phase_ = Phase::kContact;
-  if (found) {
-    depth_ = deepest;
-    depth_at_rest_ = deepest_at_rest;
+  if (deepest) {
+    normal_ = line_.deformed ? turned(tissue, *deepest, out, feel.work) : out;
+    depth_ = line_.deformed ? std::max(0.0, dot(way, normal_)) : deepest->distance_m;
+    depth_at_rest_ = deepest->distance_m;
   } else if (!first) {
     // Deeper than the search reaches: follow its motion.
     const double deeper = -dot(relative_step(engagement.middle), normal_);
@@ -228,26 +259,31 @@ void ForceModel::get_in(const Vec3& along, const Engagement& engagement) noexcep
   const double hold = engagement.fracture_n / engagement.stiffness_n_m;
   phase_ = Phase::kInside;
   yields_s_ = 0;
+  yields_at_n_ = INFINITY;
   yielded_at_ = depth_at_rest_;
   front_heading_ = map_.rest_from_now * along;
   front_ = line_.rest(engagement.middle) - std::min(depth_, hold) * front_heading_;
 }
 
-// What the surface holds, N; for a blade that does not cut, anything.
-double ForceModel::holds(const BladeMotion& motion, const Engagement& engagement) noexcept {
-  return motion.engaged ? std::max(engagement.puncture_n, engagement.fracture_n) : INFINITY;
+// What the surface holds, N; for a blade that does not cut, anything. More edge that comes in while the hand gets what it held when the spring
+// first pulled as hard changes nothing: in truth the tissue would have given way there.
+void ForceModel::find_hold(const BladeMotion& motion, const Engagement& engagement) noexcept {
+  const double most = motion.engaged
+                          ? std::min(yields_at_n_, std::max(engagement.puncture_n, engagement.fracture_n))
+                          : INFINITY;
+  holds_n_ = most;
+  yields_at_n_ = engagement.stiffness_n_m * depth_ >= most ? most : INFINITY;
 }
 
 // The spring to the surface, which pulls no harder than that holds.
-ForceModel::Elastic ForceModel::spring(const BladeMotion& motion,
-                                       const Engagement& engagement) const noexcept {
-  const double k = engagement.stiffness_n_m, force = std::min(k * depth_, holds(motion, engagement));
+ForceModel::Elastic ForceModel::spring(const Engagement& engagement) const noexcept {
+  const double k = engagement.stiffness_n_m, force = std::min(k * depth_, holds_n_);
   return {force * normal_, force * (depth_ - 0.5 * force / k)};
 }
 
 ForceModel::Elastic ForceModel::press(const BladeMotion& motion, const Engagement& engagement,
                                       const Elastic& spring, const Vec3& applied, Feel& feel) noexcept {
-  const double stiffness = engagement.stiffness_n_m, most = holds(motion, engagement);
+  const double stiffness = engagement.stiffness_n_m, most = holds_n_;
   const double force = length(spring.force), share = covered(spring.energy);
   // It gives way when the hand has got what it holds: a simulation that moves the tissue in steps must not tear it before. A device that makes
   // less, or a tool that only turns (its account covers little), must get in as well.

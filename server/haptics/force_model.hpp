@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 
@@ -77,7 +78,7 @@ struct Feel {
 // tissue that deforms, with a simulation that may be late or wrong, the bound is kReserve_j + kTissueReserve_j +
 // (kLeak_w + kTissueLeak_w) t.
 //
-// Thread: one. update() costs the way back to rest, the probe and, in contact, up to three searches for the surface, all within the bounds of
+// Thread: one. update() costs the way back to rest, the probe and, in contact, up to seven searches for the surface, all within the bounds of
 // ProbeWork; it allocates nothing.
 class ForceModel {
  public:
@@ -120,8 +121,8 @@ class ForceModel {
   double covered(double energy) const noexcept;
   void find_velocity(const BladeMotion& motion, double at) noexcept;
   void find_depth(const Tissue& tissue, const BladeMotion& motion, double moved, Feel& feel) noexcept;
-  static double holds(const BladeMotion& motion, const Engagement& engagement) noexcept;
-  Elastic spring(const BladeMotion& motion, const Engagement& engagement) const noexcept;
+  void find_hold(const BladeMotion& motion, const Engagement& engagement) noexcept;
+  Elastic spring(const Engagement& engagement) const noexcept;
   Elastic press(const BladeMotion& motion, const Engagement& engagement, const Elastic& spring,
                 const core::Vec3& applied, Feel& feel) noexcept;
   Elastic cut(const BladeMotion& motion, const Engagement& engagement, double h, Feel& feel) noexcept;
@@ -151,7 +152,9 @@ class ForceModel {
   // Contact.
   double depth_ = 0, depth_at_rest_ = 0;  // m: now, and in the body at rest
   core::Vec3 normal_;                     // unit, out of the tissue
-  double yields_s_ = 0;                   // for how long the spring has pulled as hard as the surface holds
+  double holds_n_ = INFINITY;             // the surface
+  double yields_at_n_ = INFINITY;  // what it held when the spring first pulled as hard; infinite: it does not
+  double yields_s_ = 0;            // for how long the spring has pulled as hard as the surface holds
   // Inside.
   double yielded_at_ = 0;     // depth at which the surface gave way, in the body at rest, m; 0: it did not
   core::Vec3 front_;          // a point of the front's line, in the body at rest

@@ -46,10 +46,12 @@ void set_common(Message& message, const HttpRequest& request) {
   message.set(http::field::server, "incised");
   message.set("X-Content-Type-Options", "nosniff");
   message.set("X-Frame-Options", "SAMEORIGIN");
-  // The page's own files and its connections back here; its icon is a data: address.
-  message.set("Content-Security-Policy",
-              "default-src 'self'; img-src 'self' data:; connect-src 'self' ws: wss:; object-src 'none'; "
-              "base-uri 'none'; frame-ancestors 'self'");
+  // The page's own files and its connections back here; its icon is a data: address. The list of sessions shows pictures from anywhere.
+  const bool pictures = request.target().starts_with("/sessions.html");
+  message.set(
+      "Content-Security-Policy",
+      std::string("default-src 'self'; img-src 'self' data:") + (pictures ? " http: https:" : "") +
+          "; connect-src 'self' ws: wss:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'");
 }
 
 void metric(std::string& out, const char* name, const char* type, const char* help, std::uint64_t value) {

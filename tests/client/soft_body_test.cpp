@@ -20,7 +20,7 @@ using core::Vec3;
 
 constexpr int kStepsToRest = 3 * SoftBench::kRate_hz;
 // Of a single vertex in a step, while the rest of the body is still, m.
-constexpr double kJump_m = 5e-4, kStill_m = 1e-4;
+constexpr double kJump_m = 8e-4, kStill_m = 1e-4;
 
 core::MeshData phantom(mesh_io::PhantomKind kind, std::size_t tets) {
   mesh_io::FillOptions options;

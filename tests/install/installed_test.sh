@@ -55,12 +55,14 @@ config="$work/installed/etc/incise/incised.json"
 sed -i "s|/var/lib/incise/|$work/|" "$config"
 "$bin/incised" --check "$config" > "$work/check.log" || die "the configuration is not good"
 if command -v systemd-analyze > /dev/null; then
-  unit="$work/incised.service"
-  sed -E "s|^ExecStart=[^ ]*|ExecStart=$bin/incised|" "$work/installed/lib/systemd/system/incised.service" > "$unit"
-  # It complains about the machine's other units, too.
-  if systemd-analyze verify --man=no "$unit" 2>&1 | grep -F incised.service | grep -v 'not executable'; then
-    die "the unit is not good"
-  fi
+  # Templates are checked as the instance of a session.
+  for unit in incised.service incised@liver.service incise-relay@liver.service; do
+    sed -E "s|^ExecStart=[^ ]*/([^ /]*)|ExecStart=$bin/\\1|" "$work/installed/lib/systemd/system/${unit/liver/}" > "$work/$unit"
+    # It complains about the machine's other units, too.
+    if systemd-analyze verify --man=no "$work/$unit" 2>&1 | grep -F "$unit" | grep -v 'not executable'; then
+      die "the unit $unit is not good"
+    fi
+  done
 fi
 
 echo '{"mesh": {"phantom": "slab", "target_tets": 3000}, "listen": {"tcp_port": 0, "http_port": 0}, "loop": {"realtime_priority": 0}}' > "$work/session.json"

@@ -45,8 +45,9 @@ constexpr float kHeaviness = 0.3f;
 
 // A blade's force is as it was while it changes by less than this part of it, turns by less than that (radians) and moves to other vertices
 // by less than that part: a hand is never still. On an edge of the skin the force turns to and fro as the tissue gives way to it, so it takes this
-// part of a small turn from each message. Less than so many newtons are none.
-constexpr float kTremor = 0.03f, kTurn = 0.3f, kSlid = 0.2f, kFollow = 0.25f, kLeast_n = 0.005f;
+// part of a small turn from each message. Less than so many newtons are none. What rests takes so many times the tremor: it came to rest
+// anywhere within the first.
+constexpr float kTremor = 0.03f, kAsleep = 2, kTurn = 0.3f, kSlid = 0.2f, kFollow = 0.25f, kLeast_n = 0.005f;
 
 // In a step, of the body's size, for a vertex that was held.
 constexpr float kFreed = 1e-3f;
@@ -262,7 +263,7 @@ void SoftBody::let_go() {
   held_list_.clear();
 }
 
-bool SoftBody::press(const protocol::BladeLoad& load) {
+bool SoftBody::press(const protocol::BladeLoad& load, bool rests) {
   const auto to_vector = [](const protocol::Vec3& p) {
     return Vector{static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z), 0};
   };
@@ -282,7 +283,7 @@ bool SoftBody::press(const protocol::BladeLoad& load) {
   blade.way = (1 / std::max(blade.force, kLeast_n)) * force;
   blade.center = dot(blade.way, to_vector(load.center));
   if (before != blades_.end()) {
-    if (much_the_same(*before, blade)) return false;
+    if (much_the_same(*before, blade, rests ? kAsleep * kTremor : kTremor)) return false;
     if (const Vector turn = blade.way - before->way; dot(turn, turn) < kTurn * kTurn) {
       const Vector way = before->way + kFollow * turn;
       blade.way = (1 / std::sqrt(dot(way, way))) * way;
@@ -298,9 +299,9 @@ bool SoftBody::press(const protocol::BladeLoad& load) {
 }
 
 // Whether `now` is what `before` has become by now.
-bool SoftBody::much_the_same(const BladeForce& before, const BladeForce& now) const {
+bool SoftBody::much_the_same(const BladeForce& before, const BladeForce& now, float tremor) const {
   const Vector turn = now.way - before.way;
-  if (std::abs(now.force - acting(before)) > std::max(kLeast_n, kTremor * now.force) ||
+  if (std::abs(now.force - acting(before)) > std::max(kLeast_n, tremor * now.force) ||
       dot(turn, turn) > kTurn * kTurn)
     return false;
   // The same vertices? Ids are ascending, and one that is not there has no share.

@@ -55,8 +55,8 @@ class SoftBody {
   void hold(const protocol::Replica& mesh, std::span<const std::uint32_t> vertices);
   void let_go();
   bool holds() const { return !held_list_.empty(); }
-  // What a blade does to the body, until the next load of this blade. False: that is much as it was.
-  bool press(const protocol::BladeLoad& load);
+  // What a blade does to the body, until the next load of this blade. False: that is much as it was; where the body rests, more so.
+  bool press(const protocol::BladeLoad& load, bool rests = false);
   void release_blades() { blades_.clear(); }
 
   // All velocities are zero.
@@ -103,7 +103,7 @@ class SoftBody {
   void add_faces(const Tet& tet, float sign);
   void update_vertex(std::uint32_t vertex);
   void project(const Tet& tet, float shear_compliance, float volume_compliance, float goal);
-  bool much_the_same(const BladeForce& before, const BladeForce& now) const;
+  bool much_the_same(const BladeForce& before, const BladeForce& now, float tremor) const;
   float give(const BladeForce& blade) const;
   float acting(const BladeForce& blade) const;
   void push(const BladeForce& blade);

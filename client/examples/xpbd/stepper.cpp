@@ -21,7 +21,7 @@ void Stepper::apply(const protocol::Replica& mesh, const protocol::Delta& delta)
 }
 
 void Stepper::press(const protocol::BladeLoad& load) {
-  if (body_.press(load)) wake();
+  if (body_.press(load, !awake_)) wake();
 }
 
 void Stepper::release_blades() {

@@ -20,6 +20,7 @@ function item(session) {
   if (session.picture) {
     const picture = document.createElement("img");
     picture.alt = "";
+    picture.referrerPolicy = "no-referrer";
     picture.addEventListener("error", () => picture.remove());
     picture.src = session.picture;
     entry.append(picture);

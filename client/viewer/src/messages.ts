@@ -109,9 +109,7 @@ export interface Patch {
 
 export interface BladeForce {
   source: number;
-  own: boolean; // the mouse's
-  heel: Vec3;
-  tip: Vec3;
+  at: Vec3; // where it is shown
   newtons: Vec3; // world frame; zero: none acts
 }
 

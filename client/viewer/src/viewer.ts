@@ -316,8 +316,10 @@ export class Viewer {
     const heel = vec(pose.heel()),
       tip = vec(pose.tip());
     const newtons = vec(pose.forceN());
+    // At the tip, where the body dents; of a blade that cuts, whose tip is hidden, where it goes in. The heel of one's own is at the eye.
+    const at = pose.cutting() && !own ? heel : tip;
     if (newtons.some((n) => n !== 0) || this.felt.has(source))
-      this.post({ kind: "force", force: { source, own, heel, tip, newtons } });
+      this.post({ kind: "force", force: { source, at, newtons } });
     this.felt.delete(source);
     if (newtons.some((n) => n !== 0)) this.felt.add(source);
     if (own) return; // the page draws that one itself

@@ -53,15 +53,28 @@ std::string first_word(const char* file) {
   return word;
 }
 
-Finding check_configuration(const DoctorCommand& command, Config& config) {
+// Whether it is one of incise-relay: no other has this section. What cannot be read is not.
+Program program_of(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  const nlohmann::json root = nlohmann::json::parse(in, nullptr, false, true);
+  return root.is_object() && root.contains("relay") ? Program::kRelay : Program::kServer;
+}
+
+Finding check_configuration(const DoctorCommand& command, Program program, Config& config) {
   if (command.config.empty())
     return {"configuration", Verdict::kGood, "none given: checking the defaults", ""};
+  const bool relay = program == Program::kRelay;
   try {
-    config = load_config(command.config);
-    check_config(config, command.config.string());
+    config = load_config(command.config, program);
+    if (relay) {
+      check_relay_config(config, command.config.string());
+    } else {
+      check_config(config, command.config.string());
+    }
   } catch (const ConfigError& error) {
     return {"configuration", Verdict::kFault, error.what(),
-            "incised --print-config shows every key with what it accepts"};
+            std::string(relay ? "incise-relay" : "incised") +
+                " --print-config shows every key with what it accepts"};
   }
   return {"configuration", Verdict::kGood, command.config.string() + ": good", ""};
 }
@@ -235,7 +248,7 @@ Finding check_nats(const Config& config) {
     return {"NATS", Verdict::kGood, found, ""};
   } catch (const std::exception& error) {
     return {"NATS", Verdict::kFault, error.what(),
-            "the section cluster: incised --print-config shows its keys; nats-server -js runs one"};
+            "the section cluster: --print-config shows its keys; nats-server -js runs one"};
   }
 }
 
@@ -293,9 +306,18 @@ std::string user_name() {
   return entry ? entry->pw_name : std::to_string(geteuid());
 }
 
-std::vector<Finding> examine(const DoctorCommand& command) {
-  Config config;
-  std::vector<Finding> findings{check_configuration(command, config)};
+// A relay has neither loop nor body nor devices.
+void examine_relay(const Config& config, std::vector<Finding>& findings) {
+  for (const Config::Relay::Session& session : config.relay.all(config.listen)) {
+    const bool running = incised_answers(config.listen.address, session.http_port);
+    for (const auto& [key, port] :
+         {std::pair{"tcp_port", session.tcp_port}, {"http_port", session.http_port}}) {
+      findings.push_back(check_port(session.name + ' ' + key, config.listen.address, port, running));
+    }
+  }
+}
+
+void examine_server(const Config& config, std::vector<Finding>& findings) {
   findings.push_back(check_priority(config));
   findings.push_back(check_memory(config));
   findings.push_back(check_clock());
@@ -307,12 +329,23 @@ std::vector<Finding> examine(const DoctorCommand& command) {
   if (config.openigtlink.port >= 0) {
     findings.push_back(check_port("openigtlink.port", config.openigtlink.address, config.openigtlink.port));
   }
-  if (!config.cluster.nats.empty()) findings.push_back(check_nats(config));
   check_devices(config, findings);
   findings.push_back(check_tetgen());
   if (!config.capture.path.empty()) {
     findings.push_back(check_directory("capture.path", config.resolve(config.capture.path).parent_path()));
   }
+}
+
+std::vector<Finding> examine(const DoctorCommand& command) {
+  Config config;
+  const Program program = program_of(command.config);
+  std::vector<Finding> findings{check_configuration(command, program, config)};
+  if (program == Program::kRelay) {
+    examine_relay(config, findings);
+  } else {
+    examine_server(config, findings);
+  }
+  if (!config.cluster.nats.empty()) findings.push_back(check_nats(config));
   return findings;
 }
 
