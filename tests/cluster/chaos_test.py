@@ -180,7 +180,7 @@ class ChaosTest(ClusterTest):
                                    name=f"incised-{len(self.started)}", capture=self.folder / "session.capture",
                                    more={"listen": {"address": "0.0.0.0", "insecure": True}})
         self.server.start()
-        sources = {"tcp": ["--to", f"{self.address('relay-server')}:{self.server.tcp}"],
+        sources = {"tcp": ["--to", f"{self.address('relay-server')}:{self.server.tcp}", "--upstream-http-port", self.server.http],
                    "nats": ["--nats", f"nats://{self.address('relay-nats')}:{port}", "--session", "liver"]}
         self.relays = {name: Relay(self.folder, source, f"relay-{name}-{len(self.started)}").start() for name, source in sources.items()}
         self.started += self.relays.values()
@@ -205,16 +205,17 @@ class ChaosTest(ClusterTest):
     def assert_all_there(self):
         """All viewers come to the server's state, once nobody cuts."""
         self.operator.pause()
-        state = self.server.stats()
-        want = (state["revision"], int(state["state_hash"], 16))
 
         def behind():
             self.no_trouble()
-            return {v.viewer_name: v.state for v in self.viewers if v.client is None or v.state[0] is None or (v.state[0][1], v.state[1]) != want}
+            state = self.server.stats()  # each time: a stroke may still be about to be undone
+            want = (state["revision"], int(state["state_hash"], 16))
+            return [f"{v.viewer_name} is at {v.state}, the server at {want}" for v in self.viewers
+                    if v.client is None or v.state[0] is None or (v.state[0][1], v.state[1]) != want]
 
         began = time.monotonic()
         try:
-            wait_for(f"all viewers are at {want}", lambda: not behind())
+            wait_for("all viewers are at the server's state", lambda: not behind())
         except AssertionError as error:
             logs = "\n".join(f"{name}: {relay.log()[-3000:]}" for name, relay in self.relays.items())
             raise AssertionError(f"seed {SEED}: {error}: {behind()}\n{logs}\n{self.server.log()[-2000:]}") from None
