@@ -176,7 +176,8 @@ class ChaosTest(ClusterTest):
     def set_up(self):
         self.nats_server = self.nats(address="0.0.0.0")
         port = self.nats_server.port
-        self.server = self.incised({"nats": f"nats://{self.address('server-nats')}:{port}", "name": "liver", "advertise": self.address("relay-server")},
+        cluster = {"nats": f"nats://{self.address('server-nats')}:{port}", "name": "liver", "advertise": self.address("relay-server")}
+        self.server = self.incised(cluster,
                                    name=f"incised-{len(self.started)}", capture=self.folder / "session.capture",
                                    more={"listen": {"address": "0.0.0.0", "insecure": True}})
         self.server.start()

@@ -118,7 +118,8 @@ class SecurityTest(ClusterTest):
         wait_for("a viewer at the relay is there", lambda: viewer.is_at(server))
 
         def both_are_listed():
-            run = subprocess.run([BIN / "incise", "sessions", url, "--credentials", who, "--ca", self.ca, "--json"], capture_output=True, text=True, timeout=30)
+            run = subprocess.run([BIN / "incise", "sessions", url, "--credentials", who, "--ca", self.ca, "--json"], capture_output=True, text=True,
+                                 timeout=30)
             self.assertEqual(run.returncode, 0, run.stderr)
             return {place["kind"] for session in json.loads(run.stdout) for place in session["places"]} == {"server", "relay"}
 
