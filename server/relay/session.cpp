@@ -22,6 +22,9 @@ constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators t
 constexpr std::size_t kMaxBlades = 64;               // more than any server has
 constexpr int kFetchTries = 5;
 constexpr std::chrono::seconds kFetchAgain{1};
+constexpr std::chrono::milliseconds kOriginAgain{100};
+constexpr int kOriginTries = 50;
+constexpr double kCatchUp_s = 4;  // less than clients wait for a Welcome
 
 // Whether a server made for one Welcome can go on with the other. Faces are left out: one that has resumed counts those of cuts.
 bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
@@ -78,6 +81,7 @@ Session::Session(std::string name, stream::StreamConfig config, const MakeUpstre
       work_(asio::make_work_guard(io_)),
       upstream_(make_upstream(io_)),
       state_(protocol::kMaxVertices, protocol::kMaxTets, View::Volume, 0) {
+  config_.catch_up_s = kCatchUp_s;
   figures_.upstream = upstream_->name();
   figures_.trouble = "nothing has come from " + figures_.upstream + " yet";
 }
@@ -295,11 +299,17 @@ asio::awaitable<void> Session::fetch() {
   const bool surface_due = welcome.surface && !welcome.surface->path.empty();
   surface_ = {};
   look_ = {};
-  for (int i = 1; i <= kFetchTries; ++i) {
+  // A directory may have just been asked for the first time.
+  std::optional<Origin> origin = upstream_->origin();
+  for (int i = 0; !origin && i < kOriginTries; ++i) {
+    co_await stream::pause(kOriginAgain);
+    origin = upstream_->origin();
+  }
+  if (!origin)
+    spdlog::warn("{}: its server is not known; viewers get no texture coordinates or looks", name_);
+  for (int i = 1; origin && i <= kFetchTries; ++i) {
     std::string why;
     try {
-      const std::optional<Origin> origin = upstream_->origin();
-      if (!origin) throw std::runtime_error("its server is not known");
       if (surface_due && !surface_.origins) surface_ = co_await fetch_surface(*origin, *welcome.surface);
       look_ = co_await fetch_look(*origin, {});
     } catch (const std::exception& error) {

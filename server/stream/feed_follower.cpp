@@ -104,6 +104,16 @@ bool FeedFollower::can_resume(const protocol::Hello& hello) const {
          feed_->can_resume(hello.resume_revision, hello.resume_hash);
 }
 
+bool FeedFollower::is_behind(const protocol::Hello& hello) const {
+  std::vector<std::uint32_t> chosen;
+  std::vector<std::string> unknown;
+  if (hello.view == View::Volume && !hello.box)
+    chosen = protocol::fields_named(hello.fields, feed_->fields(), unknown);
+  return hello.view != View::None && hello.resume_revision > feed_->mirror().revision() &&
+         hello.resume_session ==
+             session_name(feed_->mirror().epoch(), hello.view, hello.box.has_value(), chosen);
+}
+
 void FeedFollower::resume(std::uint64_t revision) {
   ++context_.counters->resumed;
   revision_ = revision;

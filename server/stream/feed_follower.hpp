@@ -36,6 +36,8 @@ class FeedFollower final : public BoxHolder {
 
   // Whether the peer can go on without a snapshot from the state that its Hello names.
   bool can_resume(const protocol::Hello& hello) const;
+  // Whether that is a later state of the feed's epoch than the feed has. Also before start().
+  bool is_behind(const protocol::Hello& hello) const;
   void resume(std::uint64_t revision);
   void send_snapshot(protocol::SnapshotCause cause);
   // The peer says that its state is wrong.

@@ -105,6 +105,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
 
   // peer_handshake.cpp: Hello to Welcome
   asio::awaitable<void> on_hello(const protocol::Hello& hello, std::uint64_t sequence);
+  asio::awaitable<void> catch_up(const protocol::Hello& hello);
   asio::awaitable<std::optional<Refusal>> check_token(const protocol::Hello& hello);
   asio::awaitable<std::optional<Refusal>> take_blade(const protocol::Hello& hello);
   asio::awaitable<std::unique_ptr<PoseInput>> take_over(const protocol::Hello& hello);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "protocol/role_names.hpp"
+#include "server/base/clock.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/peer.hpp"
 #include "server/stream/quoted.hpp"
@@ -62,6 +63,8 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   if (refusal) refuse(*refusal, sequence);
   if (stage_ != Stage::kHandshake) co_return;
 
+  co_await catch_up(hello);
+  if (stage_ != Stage::kHandshake) co_return;
   role_ = hello.role;
   blade_rate_hz_ = hello.blade_rate_hz;
   load_rate_hz_ = hello.load_rate_hz;
@@ -78,6 +81,18 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
     follower_.resume(hello.resume_revision);
   } else {
     follower_.send_snapshot(returns ? SnapshotCause::ResumeGone : SnapshotCause::Join);
+  }
+}
+
+// So that a client that comes from a place that is ahead of this one sees no revision go back.
+asio::awaitable<void> Peer::catch_up(const protocol::Hello& hello) {
+  constexpr milliseconds kLook{10};
+  const auto patience_ns = static_cast<std::int64_t>(context_.config.catch_up_s * 1e9);
+  const std::int64_t began_ns = monotonic_ns();
+  while (follower_.is_behind(hello) && monotonic_ns() - began_ns < patience_ns &&
+         stage_ == Stage::kHandshake) {
+    opened_ns_ += kLook.count() * 1'000'000;  // the handshake's deadline is for the peer's time, not for ours
+    co_await pause(kLook);
   }
 }
 

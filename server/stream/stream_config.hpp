@@ -35,6 +35,8 @@ struct StreamConfig {
   double idle_timeout_s = 30;   // for a peer that sends nothing; it is pinged after a third of this
   double write_timeout_s = 10;  // for one frame to go out
   double stop_grace_s = 2;
+  // A relay's: a client that comes back may have seen more than has come here. It is welcomed once that is here, or after so long.
+  double catch_up_s = 0;
   // Messages a second from one peer, beside pose batches; beyond that it is disconnected.
   std::uint32_t max_messages_per_s = 500;
 

@@ -45,11 +45,11 @@ def wait_for(what, condition, seconds=LONG_S, told=()):
 class NatsServer:
     """nats-server on a port of its own, with JetStream in a folder."""
 
-    def __init__(self, folder, more="", max_mem="1G"):
+    def __init__(self, folder, more="", max_mem="1G", address="127.0.0.1"):
         self.port = free_port()
         self.folder = Path(folder)
         self.config = self.folder / f"nats-{self.port}.conf"
-        self.config.write_text(f'listen: "127.0.0.1:{self.port}"\n'
+        self.config.write_text(f'listen: "{address}:{self.port}"\n'
                                f'jetstream {{ store_dir: "{self.folder}/js", max_mem: {max_mem}, max_file: 1G }}\n{more}\n')
         self.process = None
         self.start()

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
 
 import incise_client
@@ -12,17 +13,16 @@ from incise.wire import Body
 
 
 class Relay:
-    """incise-relay of a session."""
+    """incise-relay of a session; `source` says where from, e.g. ["--to", "HOST:PORT"]. It keeps its ports."""
 
-    def __init__(self, folder, nats, name="relay", session="liver", ports=(0, 0)):
-        self.folder, self.name, self.nats, self.session, self.ports = folder, name, nats, session, ports
+    def __init__(self, folder, source, name="relay"):
+        self.folder, self.name, self.source, self.ports = folder, name, [str(word) for word in source], (0, 0)
         self.process = None
 
     def start(self, wait=True):
         self.log_file = open(self.folder / f"{self.name}.log", "a")
-        self.process = subprocess.Popen([BIN / "incise-relay", "--nats", self.nats.url, "--session", self.session,
-                                         "--port", str(self.ports[0]), "--http-port", str(self.ports[1])],
-                                        stdout=subprocess.PIPE, stderr=self.log_file)
+        self.process = subprocess.Popen([BIN / "incise-relay", *self.source, "--port", str(self.ports[0]), "--http-port",
+                                         str(self.ports[1])], stdout=subprocess.PIPE, stderr=self.log_file)
         os.set_blocking(self.process.stdout.fileno(), False)
         self.pending = ""
         if wait:
@@ -40,6 +40,9 @@ class Relay:
 
     def log(self):
         return (self.folder / f"{self.name}.log").read_text()
+
+    def signal(self, number):
+        self.process.send_signal(number)
 
     def kill(self):
         if self.process and self.process.poll() is None:
@@ -79,8 +82,8 @@ class Viewer:
 
 
 class RelayTest(ClusterTest):
-    def relay(self, nats, **options):
-        self.started.append(Relay(self.folder, nats, **options))
+    def relay(self, nats, session="liver"):
+        self.started.append(Relay(self.folder, ["--nats", nats.url, "--session", session]))
         return self.started[-1]
 
     def set_up(self, **options):
@@ -162,18 +165,35 @@ class RelayTest(ClusterTest):
     def test_the_relay_stands_still_and_is_killed(self):
         nats, server, relay = self.set_up()
         viewer = self.viewer(relay)
-        relay.process.send_signal(signal.SIGSTOP)
+        relay.signal(signal.SIGSTOP)
         stroke(server, 3)
-        relay.process.send_signal(signal.SIGCONT)
+        relay.signal(signal.SIGCONT)
         self.assert_there(viewer, server, relay)
         relay.kill()
         stroke(server, offset=0.7)
         relay.start()
         self.assert_there(self.viewer(relay), server, relay)
 
+    def test_a_viewer_that_is_ahead_of_a_relay_waits_for_it(self):
+        nats, server, relay = self.set_up()
+        ahead = self.viewer(relay)
+        stroke(server)
+        self.assert_there(ahead, server, relay)
+        # At the server it sees what NATS, which stands still, has not given to the relay.
+        nats.pause()
+        client = incise_client.connect("127.0.0.1", server.tcp, role=0, resume=ahead.client)
+        self.addCleanup(client.close)
+        revision = stroke(server, offset=0.6)
+        self.assertTrue(client.wait_for_revision(revision))
+        threading.Timer(1.5, nats.go_on).start()
+        back = incise_client.connect("127.0.0.1", relay.tcp, role=0, resume=client)
+        self.addCleanup(back.close)
+        self.assertTrue(back.welcome.Resumed(), "no snapshot of a state before")
+        self.assertEqual(back.replica.revision, revision)
+
     def test_a_session_that_is_not_there(self):
         nats = self.nats()
-        relay = self.relay(nats, session="liver").start(wait=False)
+        relay = self.relay(nats).start(wait=False)
         wait_for("it says so", lambda: "session liver is not there" in relay.log())
         server = self.incised({"nats": nats.url, "name": "liver"})
         server.start()

@@ -3,10 +3,12 @@
 import json
 import ssl
 import subprocess
+from pathlib import Path
 
 from harness import BIN, ClusterTest, Nats, StreamReader, main, stroke, wait_for
+from relay_test import Relay, Viewer
 
-# As in server/OPERATING.md: a server may write its session, a reader of one session may read that.
+# Less than in NATS.md: a server may write its session, a reader of one session may read that.
 USERS = """
 authorization {
   users: [
@@ -98,6 +100,33 @@ class SecurityTest(ClusterTest):
         kidney.subscribe("incise.liver.>")
         with self.assertRaises(PermissionError):
             kidney.message()
+
+    def test_the_permissions_of_the_page_are_enough(self):
+        page = (Path(__file__).parents[2] / "server/cluster/NATS.md").read_text()
+        users = "authorization {" + page.split("\nauthorization {", 1)[1].split("\n}\n", 1)[0] + "\n}\n"
+        nats = self.nats(more=self.tls + users)
+        url = f"tls://127.0.0.1:{nats.port}"
+        server = self.incised({"nats": url, "name": "liver", "ca_file": self.ca, "credentials_file": self.who("liver", "..."), "failover": True,
+                               "lease_s": 3}, capture=self.folder / "session.capture").start()
+        who = self.who("relay", "...")
+        relay = Relay(self.folder, ["--nats", url, "--session", "liver", "--credentials", who, "--ca", self.ca])
+        self.started.append(relay)
+        relay.start()
+        stroke(server)
+        viewer = Viewer(relay.tcp)
+        self.addCleanup(viewer.client.close)
+        wait_for("a viewer at the relay is there", lambda: viewer.is_at(server))
+
+        def both_are_listed():
+            run = subprocess.run([BIN / "incise", "sessions", url, "--credentials", who, "--ca", self.ca, "--json"], capture_output=True, text=True,
+                                 timeout=30)
+            self.assertEqual(run.returncode, 0, run.stderr)
+            return {place["kind"] for session in json.loads(run.stdout) for place in session["places"]} == {"server", "relay"}
+
+        wait_for("both are listed", both_are_listed)
+        self.assertEqual(server.stop(), 0)
+        for log in (server.log(), relay.log()):
+            self.assertNotIn("ermission", log)
 
     def test_a_wrong_password(self):
         nats = self.nats(more=self.tls + USERS)
