@@ -40,8 +40,8 @@ struct LoadedMesh {
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
-// Throws MeshError if load_mesh would, as far as that shows without filling a surface.
-void check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
+// load_mesh(), but without filling a surface: of that the mesh has the vertices, no tetrahedra, and its regions once each.
+LoadedMesh check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
 // Reads a triangle surface by its ending, in the file's units, unchecked (check_surface in
 // surface_check.hpp).
