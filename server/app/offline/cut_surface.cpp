@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include "protocol/surface_asset.hpp"
+#include "server/app/look.hpp"
 #include "server/app/surface_asset.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/mesh_io/surface.hpp"
@@ -30,7 +32,25 @@ bool is_cut(const core::TetMesh& mesh, core::HalfFace face) {
   return (mesh.cut_mask(core::tet_of(face)) >> core::face_of(face) & 1) != 0;
 }
 
-void add_materials(const mesh_io::Surface* from, CutSurface& out) {
+// Texture coordinates of an image that is put on by place: from the side that the face is turned to most.
+std::array<std::array<float, 2>, 3> uvs_by_place(const protocol::Corners& rest) {
+  constexpr double kSquare_m = 0.05;
+  const auto at = [&](std::size_t k) { return core::Vec3{rest[k].x, rest[k].y, rest[k].z}; };
+  const core::Vec3 normal = core::cross(at(1) - at(0), at(2) - at(0));
+  const double x = std::abs(normal.x), y = std::abs(normal.y), z = std::abs(normal.z);
+  const bool along_x = x >= y && x >= z, along_y = !along_x && y >= z;
+  std::array<std::array<float, 2>, 3> uvs{};
+  for (std::size_t k = 0; k < 3; ++k) {
+    uvs[k][0] = static_cast<float>((along_x ? rest[k].y : rest[k].x) / kSquare_m);
+    uvs[k][1] = static_cast<float>((along_x || along_y ? rest[k].z : rest[k].y) / kSquare_m);
+  }
+  return uvs;
+}
+
+// `faces`: the mesh's, of each triangle.
+void add_materials(const core::TetMesh& mesh, const std::vector<core::HalfFace>& faces,
+                   const mesh_io::Surface* from, const std::vector<RegionMaterials>& regions,
+                   CutSurface& out) {
   mesh_io::SurfaceLook& look = out.surface.look;
   if (from != nullptr) look.materials = from->look.materials;
   if (look.materials.empty()) {
@@ -38,20 +58,62 @@ void add_materials(const mesh_io::Surface* from, CutSurface& out) {
     // Colours stand for themselves.
     if (from != nullptr && !from->look.colours.empty()) look.materials.back().diffuse = {1, 1, 1};
   }
-  const auto inside = static_cast<std::uint32_t>(look.materials.size());
-  look.materials.push_back({"inside", kInsideColour, nullptr, {}});
-  for (std::size_t i = 0; i < out.cut.size(); ++i) {
+  const auto first = static_cast<std::uint32_t>(look.materials.size());
+  if (regions.empty()) look.materials.push_back({"inside", kInsideColour, nullptr, {}, 0.35f});
+  std::map<std::int32_t, std::uint32_t> skin_of;  // the inside is the next
+  for (const RegionMaterials& region : regions) {
+    skin_of[region.region] = static_cast<std::uint32_t>(look.materials.size());
+    look.materials.insert(look.materials.end(), {region.surface, region.inside});
+  }
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    const bool cut = out.cut[i] != 0;
     const bool has_material =
         from != nullptr && !from->look.material_of.empty() && out.origins[i] != core::kNone;
-    look.material_of.push_back(out.cut[i] != 0 ? inside
-                               : has_material  ? from->look.material_of[out.origins[i]]
-                                               : 0);
+    const std::uint32_t painted = has_material ? from->look.material_of[out.origins[i]] : 0;
+    const auto region = skin_of.find(mesh.region(core::tet_of(faces[i])));
+    std::uint32_t material = cut ? first : painted;
+    if (region != skin_of.end() &&
+        (cut || (look.materials[painted].image == nullptr && look.colours.empty()))) {
+      material = region->second + (cut ? 1 : 0);
+    }
+    look.material_of.push_back(material);
+    if (material < first || look.materials[material].image == nullptr) continue;
+    look.uvs.resize(3 * faces.size());
+    const auto uvs = uvs_by_place(rest_corners(mesh, faces[i]));
+    std::copy(uvs.begin(), uvs.end(), look.uvs.begin() + static_cast<std::ptrdiff_t>(3 * i));
   }
 }
 
 }  // namespace
 
-CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from) {
+std::vector<RegionMaterials> region_materials(const Config& config, const core::MeshData& mesh,
+                                              const std::string& file) {
+  std::vector<RegionMaterials> out;
+  std::map<std::string, stream::Document> images;
+  const std::vector<ShownRegion> regions = shown_regions(config, mesh);
+  for (const ShownRegion& shown : regions) {
+    const auto material = [&](bool inside) {
+      const SideLook& side = inside ? shown.inside : shown.surface;
+      mesh_io::Material made;
+      made.name = inside ? "inside" : "outside";
+      if (regions.size() > 1) made.name += "_" + std::to_string(shown.region);
+      if (regions.size() > 1 && !shown.tissue.empty()) made.name += "_" + shown.tissue;
+      for (std::size_t i = 0; i < 3; ++i) made.diffuse[i] = static_cast<float>(side.colour[i]);
+      made.roughness = static_cast<float>(side.roughness);
+      if (side.texture.empty()) return made;
+      const auto [image, is_new] = images.try_emplace(side.texture);
+      if (is_new) image->second = read_region_texture(config, shown.region, inside, side.texture, file);
+      made.image = image->second.body;
+      made.image_type = image->second.type;
+      return made;
+    };
+    out.push_back({shown.region, material(false), material(true)});
+  }
+  return out;
+}
+
+CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
+                       const std::vector<RegionMaterials>& regions) {
   CutSurface out;
   const core::MeshData data = mesh.export_data();
   std::vector<core::HalfFace> faces;  // of the exported tetrahedra, then of the mesh's
@@ -90,7 +152,7 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from) 
       }
     }
   }
-  add_materials(from, out);
+  add_materials(mesh, faces, from, regions, out);
   return out;
 }
 
