@@ -7,6 +7,7 @@
 
 #include "protocol/surface_asset.hpp"
 #include "server/app/look.hpp"
+#include "server/app/offline/seam_split.hpp"
 #include "server/app/surface_asset.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/mesh_io/surface.hpp"
@@ -47,10 +48,11 @@ std::array<std::array<float, 2>, 3> uvs_by_place(const protocol::Corners& rest) 
   return uvs;
 }
 
-// `faces`: the mesh's, of each triangle.
+// `faces`: the mesh's, of each triangle. `corners_of`: at rest, of a triangle.
+template <class CornersOf>
 void add_materials(const core::TetMesh& mesh, const std::vector<core::HalfFace>& faces,
-                   const mesh_io::Surface* from, const std::vector<RegionMaterials>& regions,
-                   CutSurface& out) {
+                   const CornersOf& corners_of, const mesh_io::Surface* from,
+                   const std::vector<RegionMaterials>& regions, CutSurface& out) {
   mesh_io::SurfaceLook& look = out.surface.look;
   if (from != nullptr) look.materials = from->look.materials;
   if (look.materials.empty()) {
@@ -79,7 +81,7 @@ void add_materials(const core::TetMesh& mesh, const std::vector<core::HalfFace>&
     look.material_of.push_back(material);
     if (material < first || look.materials[material].image == nullptr) continue;
     look.uvs.resize(3 * faces.size());
-    const auto uvs = uvs_by_place(rest_corners(mesh, faces[i]));
+    const auto uvs = uvs_by_place(corners_of(i));
     std::copy(uvs.begin(), uvs.end(), look.uvs.begin() + static_cast<std::ptrdiff_t>(3 * i));
   }
 }
@@ -129,21 +131,37 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
     out.cut.push_back(is_cut(mesh, face) ? 1 : 0);
     out.pieces.push_back(pieces[tet]);
   }
+  std::vector<core::Vec3> rest(out.surface.positions.size());
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    const protocol::Corners corners = rest_corners(mesh, faces[i]);
+    for (std::size_t k = 0; k < 3; ++k)
+      rest[out.surface.triangles[i][k]] = {corners[k].x, corners[k].y, corners[k].z};
+  }
+  const auto corners_of = [&](std::size_t i) {
+    protocol::Corners corners;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const core::Vec3& p = rest[out.surface.triangles[i][k]];
+      corners[k] = {p.x, p.y, p.z};
+    }
+    return corners;
+  };
   out.origins.assign(faces.size(), core::kNone);
   if (from != nullptr) {
     const auto tree = origin_tree(from);
     const protocol::SurfaceAsset asset = asset_of(*from);
     const protocol::SurfaceLookup lookup(asset);
+    for (std::size_t i = 0; i < faces.size(); ++i)
+      if (out.cut[i] == 0) out.origins[i] = tree->origin_of(corners_of(i));
+    if (!asset.uvs.empty()) split_at_seams(*from, lookup, *tree, rest, faces, out);
     mesh_io::SurfaceLook& look = out.surface.look;
     if (!asset.uvs.empty()) look.uvs.resize(3 * faces.size());
     if (!asset.colours.empty()) look.colours.resize(3 * faces.size(), {255, 255, 255, 255});
     for (std::size_t i = 0; i < faces.size(); ++i) {
       if (out.cut[i] != 0) continue;
-      const protocol::Corners rest = rest_corners(mesh, faces[i]);
-      out.origins[i] = tree->origin_of(rest);
-      if (const auto uvs = lookup.uvs(out.origins[i], rest))
+      const protocol::Corners corners = corners_of(i);
+      if (const auto uvs = lookup.uvs(out.origins[i], corners))
         std::copy(uvs->begin(), uvs->end(), look.uvs.begin() + static_cast<std::ptrdiff_t>(3 * i));
-      if (const auto colours = lookup.at<4>(asset.colours, out.origins[i], rest)) {
+      if (const auto colours = lookup.at<4>(asset.colours, out.origins[i], corners)) {
         for (std::size_t k = 0; k < 3; ++k) {
           for (std::size_t n = 0; n < 4; ++n)
             look.colours[3 * i + k][n] =
@@ -152,7 +170,7 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
       }
     }
   }
-  add_materials(mesh, faces, from, regions, out);
+  add_materials(mesh, faces, corners_of, from, regions, out);
   return out;
 }
 

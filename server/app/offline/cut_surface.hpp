@@ -32,7 +32,7 @@ struct CutSurface {
 };
 // `from`: the surface that the body was filled from, or null; where it has an image, or colours, these are seen. Else the skin has its region's material, and
 // the inside always. Without `regions` it has two materials, "outside" (or that of `from`) and "inside". Vertices ascend by id, triangles are those of
-// boundary_surface(). O(mesh log surface).
+// boundary_surface(), but split along seams of the texture. O(mesh log surface).
 CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
                        const std::vector<RegionMaterials>& regions);
 
