@@ -50,7 +50,7 @@ std::string png_fault(std::string_view bytes) {
 }
 
 std::string jpeg_fault(std::string_view bytes) {
-  const std::string early = cut_off(bytes, "the end of the JPEG");
+  std::string early = cut_off(bytes, "the end of the JPEG");
   bool frame = false, scan = false;
   std::size_t at = 2;
   while (at + 1 < bytes.size()) {
@@ -82,7 +82,7 @@ std::string jpeg_fault(std::string_view bytes) {
 }
 
 std::string webp_fault(std::string_view bytes) {
-  const std::string early = cut_off(bytes, "the end of the WebP");
+  std::string early = cut_off(bytes, "the end of the WebP");
   const std::size_t end = std::size_t{8} + little_endian(bytes, 4);
   if (end > bytes.size()) return early;
   bool pixels = false;
