@@ -26,14 +26,28 @@ mesh_io::LoadOptions load_options(const Config& config, FillProgress progress) {
   return options;
 }
 
-void check_body(const Config& config, const std::string& file) {
-  check_look(config, file);
-  if (config.mesh.path.empty()) return;
-  try {
-    mesh_io::check_mesh(config.resolve(config.mesh.path), load_options(config));
-  } catch (const std::exception& error) {
-    throw ConfigError(file + ": mesh.path: " + error.what());
+std::vector<std::string> check_body(const Config& config, const std::string& file) {
+  mesh_io::LoadedMesh checked;
+  if (config.mesh.phantom.empty()) {
+    if (config.mesh.path.empty()) {
+      // Nothing to start with, but what there is may be right.
+      checked.mesh.positions = {{}};
+      std::vector<std::string> of_no_body;
+      check_look(config, checked.mesh, file, of_no_body);
+      return {};
+    }
+    try {
+      checked = mesh_io::check_mesh(config.resolve(config.mesh.path), load_options(config));
+    } catch (const std::exception& error) {
+      throw ConfigError(file + ": mesh.path: " + error.what());
+    }
+  } else {
+    checked.mesh.positions =
+        mesh_io::make_phantom_surface(*mesh_io::phantom_kind(config.mesh.phantom), mesh_io::kMinPhantomTets)
+            .positions;
   }
+  check_look(config, checked.mesh, file, checked.warnings);
+  return std::move(checked.warnings);
 }
 
 namespace {

@@ -28,8 +28,9 @@ mesh_io::LoadOptions load_options(const Config& config, FillProgress progress = 
 std::vector<core::Field> declared_fields(const Config& config, const std::string& file);
 
 // Checks the mesh that the configuration names, but does not fill a surface, which may take minutes: reads and repairs
-// tetrahedra, reads and checks a surface. `file` is the configuration in messages. Throws ConfigError.
-void check_body(const Config& config, const std::string& file);
+// tetrahedra, reads and checks a surface; also how it looks. `file` is the configuration in messages. Returns what the start would warn of, but for
+// what only filling shows. Throws ConfigError.
+std::vector<std::string> check_body(const Config& config, const std::string& file);
 
 // Throws ConfigError if neither mesh.path nor mesh.phantom is given, MeshError if the mesh cannot be read or made.
 // `fields`: with the file's fields, and those that the configuration declares.

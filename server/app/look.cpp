@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "server/input/hid/json_node.hpp"
 #include "server/mesh_io/hash.hpp"
@@ -124,19 +125,24 @@ std::string in_mm(const Vec3& p) {
   return "(" + text(p.x) + ", " + text(p.y) + ", " + text(p.z) + ")";
 }
 
+// The image's samples in the body's box, or all of them with a line in `warnings`.
+std::vector<float> samples_to_see(const core::MeshData& mesh, const mesh_io::VolumeImage& image,
+                                  const Affine& from_unit, std::vector<std::string>& warnings) {
+  const Box box = box_of(mesh);
+  std::vector<float> samples = samples_in(box, image, from_unit);
+  if (!samples.empty()) return samples;
+  warnings.push_back("mesh.image: no voxel of it lies in the body: its middle is at " +
+                     in_mm(mesh_io::apply(from_unit, {0.5, 0.5, 0.5})) + " mm, that of the body at " +
+                     in_mm(0.5 * (box.low + box.high)) +
+                     " mm; see mesh.image_space, mesh.image_scale_to_metres and mesh.image_origin");
+  return image.values;
+}
+
 Json serve_image(const Config& config, const core::MeshData& mesh, const std::string& file,
                  std::vector<std::string>& warnings, stream::Documents& documents) {
   const mesh_io::VolumeImage image = read_image(config, file);
   const Affine from_unit = rest_from_unit(config, image);
-  const Box box = box_of(mesh);
-  std::vector<float> samples = samples_in(box, image, from_unit);
-  if (samples.empty()) {
-    warnings.push_back("mesh.image: no voxel of it lies in the body: its middle is at " +
-                       in_mm(mesh_io::apply(from_unit, {0.5, 0.5, 0.5})) + " mm, that of the body at " +
-                       in_mm(0.5 * (box.low + box.high)) +
-                       " mm; see mesh.image_space, mesh.image_scale_to_metres and mesh.image_origin");
-    samples = image.values;
-  }
+  std::vector<float> samples = samples_to_see(mesh, image, from_unit, warnings);
   const auto [low, high] = window_of(config, std::move(samples));
   std::vector<std::uint8_t> shown(image.values.size());
   for (std::size_t i = 0; i < shown.size(); ++i)
@@ -161,34 +167,38 @@ std::map<std::int32_t, double> volumes_of(const core::MeshData& mesh) {
   return volumes;
 }
 
+// Lines for materials of regions that the mesh does not have.
+void warn_of_absent_regions(const Config& config, const core::MeshData& mesh,
+                            std::vector<std::string>& warnings) {
+  std::set<std::int32_t> there(mesh.regions.begin(), mesh.regions.end());
+  if (there.empty()) there.insert(0);
+  std::string list;
+  std::size_t listed = 0;
+  for (const std::int32_t region : there) {
+    if (listed++ == 20) break;
+    list += (list.empty() ? "" : ", ") + std::to_string(region);
+  }
+  if (there.size() > listed) list += " and others";
+  for (const RegionLook& look : config.looks) {
+    if (there.contains(look.region)) continue;
+    warnings.push_back("materials: the mesh has no region " + std::to_string(look.region) +
+                       ", so that entry changes nothing; it has " + list);
+  }
+}
+
 // Paths of textures, in the order in which they are served.
 class Textures {
  public:
   Textures(const Config& config, const std::string& file) : config_(config), file_(file) {}
 
   // The name of the document, "" for none. Throws ConfigError.
-  std::string add(const RegionLook& look, bool inside, stream::Documents& documents) {
-    const std::string& given = (inside ? look.inside : look.surface).texture;
+  std::string add(std::int32_t region, bool inside, const std::string& given, stream::Documents& documents) {
     if (given.empty()) return {};
     if (const auto known = names_.find(given); known != names_.end()) return known->second;
-    const std::string key =
-        "materials, region " + std::to_string(look.region) + (inside ? ", inside" : ", surface") + ".texture";
-    const std::filesystem::path path = config_.resolve(given);
-    std::string bytes;
-    std::error_code error;
-    if (std::filesystem::file_size(path, error) > kMaxTextureBytes || error)
-      throw ConfigError(file_ + ": " + key + ": " + path.string() + ": " +
-                        (error ? error.message() : "more than 16 MB"));
-    try {
-      bytes = mesh_io::read_whole_file(path);
-    } catch (const mesh_io::MeshError& fault) {
-      throw ConfigError(file_ + ": " + key + ": " + fault.what());
-    }
-    const std::string type(mesh_io::image_type(bytes));
-    if (type.empty())
-      throw ConfigError(file_ + ": " + key + ": " + path.string() + ": not a PNG, JPEG or WebP image");
-    const std::string name = "/look/" + std::to_string(names_.size()) + "." + type.substr(type.find('/') + 1);
-    documents[name] = {type, std::make_shared<const std::string>(std::move(bytes))};
+    stream::Document document = read_region_texture(config_, region, inside, given, file_);
+    const std::string name =
+        "/look/" + std::to_string(names_.size()) + "." + document.type.substr(document.type.find('/') + 1);
+    documents[name] = std::move(document);
     return names_[given] = name;
   }
 
@@ -208,54 +218,68 @@ const Tissue& tissue_named(const std::string& name) {
 constexpr std::array<double, 3> kTints[] = {{1, 1, 1},       {1.3, 2.2, 2.4}, {0.85, 1.5, 2.2},
                                             {1.4, 2.6, 1.4}, {0.6, 0.7, 1.0}, {1.0, 1.2, 2.6}};
 
-Json side_json(const RegionLook::Side& side, const std::array<double, 3>& colour, double roughness,
-               const std::array<double, 3>& tint, const std::string& texture) {
-  std::array<double, 3> shown = side.colour.value_or(colour);
+SideLook side_look(const RegionLook::Side& side, const std::array<double, 3>& colour, double roughness,
+                   const std::array<double, 3>& tint) {
+  SideLook shown{side.colour.value_or(colour), side.roughness.value_or(roughness), side.texture};
   if (!side.colour)
-    for (std::size_t i = 0; i < 3; ++i) shown[i] = std::min(1.0, shown[i] * tint[i]);
-  Json json{{"colour", shown}, {"roughness", side.roughness.value_or(roughness)}};
-  if (!texture.empty()) json["texture"] = texture;
-  return json;
+    for (std::size_t i = 0; i < 3; ++i) shown.colour[i] = std::min(1.0, shown.colour[i] * tint[i]);
+  return shown;
 }
 
-Json serve_regions(const Config& config, const std::map<std::int32_t, double>& volumes,
-                   const std::string& file, stream::Documents& documents) {
-  Textures textures(config, file);
+RegionLook look_of(const Config& config, std::int32_t region) {
+  const auto found = std::find_if(config.looks.begin(), config.looks.end(),
+                                  [&](const RegionLook& l) { return l.region == region; });
+  if (found != config.looks.end()) return *found;
+  return {.region = region, .tissue = {}, .surface = {}, .inside = {}, .vessels = {}, .fat_rim = {}};
+}
+
+std::vector<ShownRegion> shown_regions(const Config& config, const std::map<std::int32_t, double>& volumes) {
+  std::vector<ShownRegion> list;
+  // Without a word about it, a body of one tissue looks as viewers think best.
+  if (volumes.size() < 2 && config.looks.empty()) return list;
   std::int32_t largest = 0;
   double most = -1;
-  const auto look_of = [&](std::int32_t region) {
-    const auto found = std::find_if(config.looks.begin(), config.looks.end(),
-                                    [&](const RegionLook& l) { return l.region == region; });
-    return found == config.looks.end() ? RegionLook{.region = region,
-                                                    .tissue = {},
-                                                    .surface = {},
-                                                    .inside = {},
-                                                    .vessels = {},
-                                                    .fat_rim = {}}
-                                       : *found;
-  };
   for (const auto& [region, volume] : volumes) {
-    if (!look_of(region).tissue.empty() || volume <= most) continue;
+    if (!look_of(config, region).tissue.empty() || volume <= most) continue;
     most = volume;
     largest = region;
   }
-  Json list = Json::array();
   std::size_t plain = 0;
   for (const auto& [region, volume] : volumes) {
-    if (list.size() == kMaxShownRegions) break;
-    const RegionLook look = look_of(region);
+    const RegionLook look = look_of(config, region);
     const Tissue& tissue = tissue_named(look.tissue);
     const bool tinted = look.tissue.empty() && region != largest;
     const auto& tint = kTints[tinted ? 1 + plain++ % (std::size(kTints) - 1) : 0];
-    Json inside = side_json(look.inside, tissue.inside, tissue.inside_roughness, tint,
-                            textures.add(look, true, documents));
-    inside["pattern"] = tissue.pattern;
-    inside["vessels"] = look.vessels.value_or(tissue.vessels);
-    inside["fat_rim"] = look.fat_rim.value_or(tinted ? 0 : tissue.fat_rim);
-    list.push_back({{"region", region},
-                    {"surface", side_json(look.surface, tissue.surface, tissue.surface_roughness, tint,
-                                          textures.add(look, false, documents))},
-                    {"inside", std::move(inside)}});
+    list.push_back({.region = region,
+                    .tissue = look.tissue,
+                    .surface = side_look(look.surface, tissue.surface, tissue.surface_roughness, tint),
+                    .inside = side_look(look.inside, tissue.inside, tissue.inside_roughness, tint),
+                    .pattern = tissue.pattern,
+                    .vessels = look.vessels.value_or(tissue.vessels),
+                    .fat_rim = look.fat_rim.value_or(tinted ? 0 : tissue.fat_rim)});
+  }
+  return list;
+}
+
+Json serve_regions(const Config& config, const std::vector<ShownRegion>& regions, const std::string& file,
+                   stream::Documents& documents) {
+  Textures textures(config, file);
+  const auto side_json = [&](const ShownRegion& shown, bool inside) {
+    const SideLook& side = inside ? shown.inside : shown.surface;
+    Json json{{"colour", side.colour}, {"roughness", side.roughness}};
+    const std::string texture = textures.add(shown.region, inside, side.texture, documents);
+    if (!texture.empty()) json["texture"] = texture;
+    return json;
+  };
+  Json list = Json::array();
+  for (const ShownRegion& shown : regions) {
+    if (list.size() == kMaxShownRegions) break;
+    Json inside = side_json(shown, true);
+    inside["pattern"] = shown.pattern;
+    inside["vessels"] = shown.vessels;
+    inside["fat_rim"] = shown.fat_rim;
+    list.push_back(
+        {{"region", shown.region}, {"surface", side_json(shown, false)}, {"inside", std::move(inside)}});
   }
   return list;
 }
@@ -314,28 +338,72 @@ Json serve_region_image(const core::MeshData& mesh, const std::map<std::int32_t,
 
 }  // namespace
 
+std::vector<ShownRegion> shown_regions(const Config& config, const core::MeshData& mesh) {
+  return shown_regions(config, volumes_of(mesh));
+}
+
+stream::Document read_region_texture(const Config& config, std::int32_t region, bool inside,
+                                     const std::string& texture, const std::string& file) {
+  const std::filesystem::path path = config.resolve(texture);
+  const auto fail = [&](const std::string& why) {
+    throw ConfigError(file + ": materials, region " + std::to_string(region) +
+                      (inside ? ", inside" : ", surface") + ".texture: " + why);
+  };
+  std::error_code error;
+  if (std::filesystem::file_size(path, error) > kMaxTextureBytes || error)
+    fail(path.string() + ": " + (error ? error.message() : "more than 16 MB"));
+  std::string bytes;
+  try {
+    bytes = mesh_io::read_whole_file(path);
+  } catch (const mesh_io::MeshError& fault) {
+    fail(fault.what());
+  }
+  const std::string type(mesh_io::image_type(bytes));
+  if (type.empty()) fail(path.string() + ": not a PNG, JPEG or WebP image");
+  if (const std::string fault = mesh_io::image_fault(bytes); !fault.empty())
+    fail(path.string() + " " + fault);
+  return {type, std::make_shared<const std::string>(std::move(bytes))};
+}
+
+bool drop_look_files(Config& config) {
+  bool any = !config.mesh.image.empty();
+  config.mesh.image.clear();
+  for (RegionLook& look : config.looks) {
+    for (RegionLook::Side* side : {&look.surface, &look.inside}) {
+      any = any || !side->texture.empty();
+      side->texture.clear();
+    }
+  }
+  return any;
+}
+
 stream::Documents served_look(const Config& config, const core::MeshData& mesh, const std::string& file,
                               std::vector<std::string>& warnings) {
   stream::Documents documents;
   Json look = Json::object();
+  warn_of_absent_regions(config, mesh, warnings);
   if (!config.mesh.image.empty()) look["image"] = serve_image(config, mesh, file, warnings, documents);
   const std::map<std::int32_t, double> volumes = volumes_of(mesh);
-  // Without a word about it, a body of one tissue looks as viewers think best.
-  if (volumes.size() > 1 || !config.looks.empty()) {
-    look["regions"] = serve_regions(config, volumes, file, documents);
+  if (const std::vector<ShownRegion> regions = shown_regions(config, volumes); !regions.empty()) {
+    look["regions"] = serve_regions(config, regions, file, documents);
     if (volumes.size() > 1) look["region_image"] = serve_region_image(mesh, volumes, documents);
   }
   documents[kLookPath] = {"application/json", std::make_shared<const std::string>(look.dump())};
   return documents;
 }
 
-void check_look(const Config& config, const std::string& file) {
-  if (!config.mesh.image.empty()) read_image(config, file);
+void check_look(const Config& config, const core::MeshData& mesh, const std::string& file,
+                std::vector<std::string>& warnings) {
+  if (!config.mesh.image.empty()) {
+    const mesh_io::VolumeImage image = read_image(config, file);
+    samples_to_see(mesh, image, rest_from_unit(config, image), warnings);
+  }
+  warn_of_absent_regions(config, mesh, warnings);
   Textures textures(config, file);
   stream::Documents scratch;
   for (const RegionLook& look : config.looks) {
-    textures.add(look, false, scratch);
-    textures.add(look, true, scratch);
+    textures.add(look.region, false, look.surface.texture, scratch);
+    textures.add(look.region, true, look.inside.texture, scratch);
   }
 }
 

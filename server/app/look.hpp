@@ -29,13 +29,40 @@ inline constexpr Tissue kTissues[] = {
     {"tumour", {0.80, 0.68, 0.58}, {0.84, 0.75, 0.64}, 0.4, 0.45, "plain", 0.4, 0},
 };
 
+// One side of a region, the configuration and the defaults together.
+struct SideLook {
+  std::array<double, 3> colour{};  // sRGB
+  double roughness = 0;
+  std::string texture;  // as the configuration names it; "": none
+};
+struct ShownRegion {
+  std::int32_t region = 0;
+  std::string tissue;  // "": the configuration names none
+  SideLook surface, inside;
+  const char* pattern = "plain";
+  double vessels = 0, fat_rim = 0;
+};
+// How each region of the mesh looks, ascending. Empty for a body of one tissue of which the configuration says nothing: each viewer shows it as it
+// thinks best. O(n log regions).
+std::vector<ShownRegion> shown_regions(const Config& config, const core::MeshData& mesh);
+
+// The image of one side of a region. `file`: the configuration in messages. Throws ConfigError where it cannot be used.
+stream::Document read_region_texture(const Config& config, std::int32_t region, bool inside,
+                                     const std::string& texture, const std::string& file);
+
+// Leaves out the image and the textures, whose paths begin in a folder that is not known, as in a capture's configuration. False: there were none.
+bool drop_look_files(Config& config);
+inline constexpr const char* kLookFilesLeftOut =
+    "the image and textures of the capture's configuration are left out: name its file with --config";
+
 // What the HTTP port serves of how the body looks (PROTOCOL.md, section 5): "/look.json", and what it names: the volume image, the regions as an
 // image, textures. `file`: the configuration in messages. Lines in `warnings` for what will not be seen.
 // Throws ConfigError where the configuration names an image or a texture that cannot be used.
 stream::Documents served_look(const Config& config, const core::MeshData& mesh, const std::string& file,
                               std::vector<std::string>& warnings);
 
-// Throws ConfigError as served_look() does, without a mesh.
-void check_look(const Config& config, const std::string& file);
+// Throws ConfigError and warns as served_look() does; of the mesh only vertices and regions are looked at.
+void check_look(const Config& config, const core::MeshData& mesh, const std::string& file,
+                std::vector<std::string>& warnings);
 
 }  // namespace incise::app

@@ -45,7 +45,8 @@ int main(int argc, char** argv) {
       const incise::app::Config config = incise::app::load_config(check_file);
       incise::app::check_config(config, check_file);
       incise::app::check_recording(config, check_file);
-      incise::app::check_body(config, check_file);
+      for (const std::string& warning : incise::app::check_body(config, check_file))
+        std::printf("%s: warning: %s\n", check_file.c_str(), warning.c_str());
       std::printf("%s: good\n", check_file.c_str());
       return 0;
     }

@@ -42,6 +42,7 @@ relay::Origin origin_of(const Config& config, const Config::Relay::Session& sess
   origin.tcp_port = where.port;
   const bool web = where.transport == client::TransportKind::kWebSocket;
   origin.http_port = web ? where.port : static_cast<std::uint16_t>(session.upstream_http_port);
+  if (!web) origin.http_option = "--upstream-http-port (relay.upstream_http_port)";
   return origin;
 }
 

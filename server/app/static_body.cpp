@@ -52,14 +52,7 @@ stream::Documents look_of(const Replayable& opened, const fs::path& config_file,
     return served_look(load_config(config_file), opened.body.loaded.mesh, config_file.string(), warnings);
   // A capture does not say which folder the paths in its configuration began in.
   Config config = opened.config;
-  bool left_out = !config.mesh.image.empty();
-  config.mesh.image.clear();
-  for (RegionLook& look : config.looks)
-    for (RegionLook::Side* side : {&look.surface, &look.inside}) {
-      left_out = left_out || !side->texture.empty();
-      side->texture.clear();
-    }
-  if (left_out)
+  if (drop_look_files(config))
     warnings.push_back(
         "the image and textures of the configuration are left out: name its file as the third argument");
   return served_look(config, opened.body.loaded.mesh, "the capture's configuration", warnings);

@@ -99,13 +99,13 @@ ClosedSurface read_closed_surface(const std::filesystem::path& path, const LoadO
 
 }  // namespace
 
-void check_mesh(const std::filesystem::path& path, const LoadOptions& options) {
-  std::vector<std::string> warnings;
-  if (is_surface_input(path)) {
-    read_closed_surface(path, options, warnings);
-  } else {
-    load_mesh(path, options);
-  }
+LoadedMesh check_mesh(const std::filesystem::path& path, const LoadOptions& options) {
+  if (!is_surface_input(path)) return load_mesh(path, options);
+  LoadedMesh checked;
+  ClosedSurface closed = read_closed_surface(path, options, checked.warnings);
+  checked.mesh.positions = std::move(closed.surface.positions);
+  for (const ClosedSurface::Region& region : closed.regions) checked.mesh.regions.push_back(region.id);
+  return checked;
 }
 
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options) {

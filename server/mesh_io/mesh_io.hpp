@@ -40,8 +40,8 @@ struct LoadedMesh {
 // (repair_tets). Throws MeshError.
 LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
-// Throws MeshError if load_mesh would, as far as that shows without filling a surface.
-void check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
+// load_mesh(), but without filling a surface: of that the mesh has the vertices, no tetrahedra, and its regions once each.
+LoadedMesh check_mesh(const std::filesystem::path& path, const LoadOptions& options = {});
 
 // Reads a triangle surface by its ending, in the file's units, unchecked (check_surface in
 // surface_check.hpp).
@@ -73,8 +73,11 @@ void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
                 std::span<const Field> fields = {});
 
 // Writes a surface by the ending of `path`: .vtp and .ply with all of `cell_data`, one value a triangle; .stl
-// (binary, float32), .off and .obj without. Throws MeshError.
+// (binary, float32), .off and .obj without; .obj with texture coordinates and, faces in their order, materials, which go into a .mtl beside it with their
+// images. Throws MeshError, also where that would overwrite a .mtl or image that is not of its own making.
 void write_surface(const std::filesystem::path& path, const Surface& surface,
                    std::span<const CellArray> cell_data = {});
+// Throws MeshError if the .mtl beside this .obj is there and was not written by write_surface().
+void require_own_materials(const std::filesystem::path& obj);
 
 }  // namespace incise::mesh_io

@@ -77,6 +77,10 @@ void use_image(const fs::path& of, const std::string& name, std::string_view byt
                       : " has more than the " + std::to_string(kMaxImageBytes >> 20) + " MB that are read"));
     return;
   }
+  if (const std::string fault = image_fault(bytes); !fault.empty()) {
+    warnings.push_back(not_shown(of, material) + name + " " + fault);
+    return;
+  }
   material.image_type = type;
   material.image = std::make_shared<const std::string>(bytes);
 }

@@ -24,6 +24,10 @@ std::filesystem::path file_beside(const std::filesystem::path& of, std::string n
 // "image/png", "image/jpeg" or "image/webp", by its first bytes; empty for anything else.
 std::string_view image_type(std::string_view bytes);
 
+// Why an image of one of these types cannot be shown, as far as its structure tells without decoding it: it ends too early, or a part of it is
+// damaged. Empty: nothing is seen. O(n).
+std::string image_fault(std::string_view bytes);
+
 // Reads the image `name`, as the file `of` gives it. A line in `warnings` where it cannot be used.
 void read_texture(const std::filesystem::path& of, const std::string& name, Material& material,
                   std::vector<std::string>& warnings);

@@ -18,6 +18,7 @@ struct Material {
   std::array<float, 3> diffuse{0.8f, 0.8f, 0.8f};  // red, green, blue of sRGB, 0 to 1
   std::shared_ptr<const std::string> image;        // the bytes of its texture; null: none
   std::string image_type;                          // as in HTTP: "image/png"
+  float roughness = 0.45f;                         // 0 wet, 1 dry; written, not read
 };
 
 // What a surface looks like. Arrays by corner have three entries a triangle, in the order of its vertices, so they may differ on both sides of

@@ -1,9 +1,12 @@
+#include <algorithm>
 #include <cstring>
 #include <map>
+#include <numeric>
 
 #include "server/base/check.hpp"
 #include "server/mesh_io/surface_files.hpp"
 #include "server/mesh_io/text_file.hpp"
+#include "server/mesh_io/write_materials.hpp"
 
 namespace incise::mesh_io {
 namespace {
@@ -100,6 +103,12 @@ void write_off(const std::filesystem::path& path, const Surface& surface) {
 void write_obj(const std::filesystem::path& path, const Surface& surface) {
   const SurfaceLook& look = surface.look;
   std::string text = "# metres\n";
+  std::vector<std::string> names;
+  if (!look.material_of.empty()) {
+    names = material_names(look.materials);
+    write_material_library(path, look, names);
+    text += "mtllib " + material_library_of(path).filename().string() + "\n";
+  }
   for (const core::Vec3& p : surface.positions) {
     text += "v ";
     append_point(text, p);
@@ -116,11 +125,17 @@ void write_obj(const std::filesystem::path& path, const Surface& surface) {
     append_number(text, static_cast<double>(uv[1]));
     text += '\n';
   }
+  std::vector<std::size_t> order(surface.triangles.size());
+  std::iota(order.begin(), order.end(), 0);
+  if (!look.material_of.empty()) {
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return look.material_of[a] < look.material_of[b]; });
+  }
   std::uint32_t material = core::kNone;
-  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+  for (const std::size_t t : order) {
     if (!look.material_of.empty() && look.material_of[t] != material) {
       material = look.material_of[t];
-      text += "usemtl " + look.materials[material].name + "\n";
+      text += "usemtl " + names[material] + "\n";
     }
     text += "f";
     for (std::size_t k = 0; k < 3; ++k) {

@@ -23,11 +23,21 @@ namespace http = boost::beast::http;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr std::chrono::seconds kTime{30};  // for one document
 
+asio::awaitable<client::OpenStream> open_http(const Origin& origin) {
+  try {
+    co_return co_await client::open_stream(origin.host, origin.http_port, origin.options,
+                                           std::chrono::steady_clock::now() + kTime);
+  } catch (const std::exception& error) {
+    if (origin.http_option.empty()) throw;
+    throw std::runtime_error(std::string(error.what()) + "; " + origin.http_option +
+                             " says at which port the origin's HTTP is");
+  }
+}
+
 // Without a body where the answer is 404.
 asio::awaitable<stream::Document> http_get_if_any(const Origin& origin, std::string path) {
   const std::string where = origin.host + ":" + std::to_string(origin.http_port) + path;
-  client::OpenStream opened = co_await client::open_stream(origin.host, origin.http_port, origin.options,
-                                                           std::chrono::steady_clock::now() + kTime);
+  client::OpenStream opened = co_await open_http(origin);
   http::request<http::empty_body> request(http::verb::get, path, 11);
   const bool literal_v6 = origin.host.find(':') != std::string::npos;
   request.set(http::field::host,

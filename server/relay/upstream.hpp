@@ -24,6 +24,7 @@ struct Origin {
   std::string host;
   std::uint16_t tcp_port = 0, http_port = 0;
   client::Options options;  // transport, TLS, authority and token
+  std::string http_option;  // what a person sets http_port with, for messages; "": it is known otherwise
 };
 
 // A session's messages, as they come.

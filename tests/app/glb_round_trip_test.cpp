@@ -11,6 +11,7 @@
 #include "server/app/offline/cut_surface.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/surface_check.hpp"
+#include "tests/support/images.hpp"
 
 namespace incise::app {
 namespace {
@@ -24,8 +25,8 @@ CutSurface two_cubes() {
                                                           {0, 4, 6}, {0, 6, 2}, {1, 3, 7}, {1, 7, 5}};
   CutSurface cut;
   Surface& surface = cut.surface;
-  auto png = std::make_shared<const std::string>(std::string("\x89PNG\r\n\x1a\n", 8) + "one");
-  auto webp = std::make_shared<const std::string>(std::string("RIFF\0\0\0\0WEBP", 12) + "two");
+  auto png = std::make_shared<const std::string>(tests::tiny_png());
+  auto webp = std::make_shared<const std::string>(tests::tiny_webp());
   surface.look.materials = {{"painted", {1, 1, 1}, png, "image/png"},
                             {"painted again", {1, 1, 1}, png, "image/png"},
                             {"lid, \"shut\"", {1, 1, 1}, webp, "image/webp"},

@@ -10,6 +10,7 @@
 #include "server/mesh_io/phantom.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
 #include "tests/mesh_io/volume_image_files.hpp"
+#include "tests/support/images.hpp"
 
 namespace incise::app {
 namespace {
@@ -256,9 +257,12 @@ TEST(Look, RegionsHaveTheirTissuesAndWhatTheConfigurationSays) {
 
 TEST(Look, TexturesAreServedOnceAndCheckedBefore) {
   const TestDirectory directory;
-  const std::string png = "\x89PNG\r\n\x1a\nrest";
+  const std::string png = tests::tiny_png();
   directory.write("a.png", png);
   directory.write("b.png", "no image");
+  directory.write("cut.png", png.substr(0, png.size() - 3));
+  const std::string jpeg = tests::tiny_jpeg();
+  directory.write("cut.jpg", jpeg.substr(0, jpeg.size() / 2));
   const auto config = [&](const std::string& inside, const std::string& surface) {
     Config c = parse_config(R"({"materials": [{"region": 0, "inside": {"texture": ")" + inside +
                                 R"("}, "surface": {"texture": ")" + surface + "\"}}]}",
@@ -271,10 +275,13 @@ TEST(Look, TexturesAreServedOnceAndCheckedBefore) {
   EXPECT_EQ(served.json.at("regions")[0].at("surface").at("texture"), "/look/0.png");
   EXPECT_EQ(*served.documents.at("/look/0.png").body, png);
   EXPECT_EQ(served.documents.at("/look/0.png").type, "image/png");
-  for (const auto& [name, wanted] :
-       {std::pair{"b.png", "not a PNG, JPEG or WebP image"}, {"c.png", "No such file"}}) {
+  for (const auto& [name, wanted] : {std::pair{"b.png", "not a PNG, JPEG or WebP image"},
+                                     {"c.png", "No such file"},
+                                     {"cut.png", "cut.png is cut off: its "},
+                                     {"cut.jpg", "cut.jpg is cut off: its "}}) {
     try {
-      check_look(config(name, "a.png"), "test.json");
+      std::vector<std::string> warnings;
+      check_look(config(name, "a.png"), cube(2), "test.json", warnings);
       ADD_FAILURE() << name;
     } catch (const ConfigError& error) {
       EXPECT_NE(std::string(error.what()).find(wanted), std::string::npos) << error.what();
@@ -282,7 +289,27 @@ TEST(Look, TexturesAreServedOnceAndCheckedBefore) {
                 std::string::npos);
     }
   }
-  EXPECT_THROW(check_look(image_config((directory / "a.png").string()), "test.json"), ConfigError);
+  std::vector<std::string> warnings;
+  EXPECT_THROW(check_look(image_config((directory / "a.png").string()), cube(2), "test.json", warnings),
+               ConfigError);
+}
+
+TEST(Look, AMaterialOfARegionThatIsNotThereIsSaid) {
+  core::MeshData mesh = cube(2);
+  const Config config =
+      parse_config(R"({"materials": [{"region": 0}, {"region": 5, "tissue": "fat"}]})", "test.json");
+  const auto warnings = [&] {
+    std::vector<std::string> of_check;
+    check_look(config, mesh, "test.json", of_check);
+    EXPECT_EQ(of_check, Served(config, mesh).warnings) << "the check says what the start says";
+    return of_check;
+  };
+  ASSERT_EQ(warnings().size(), 1u);
+  EXPECT_NE(warnings()[0].find("no region 5, so that entry changes nothing; it has 0"), std::string::npos)
+      << warnings()[0];
+  mesh.regions.assign(mesh.tets.size(), 5);
+  mesh.regions[0] = 0;
+  EXPECT_TRUE(warnings().empty());
 }
 
 }  // namespace

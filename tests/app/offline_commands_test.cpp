@@ -14,6 +14,7 @@
 #include "server/core/mesh/validate.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/support/bodies.hpp"
+#include "tests/support/images.hpp"
 #include "tests/support/run_program.hpp"
 
 namespace incise::app {
@@ -734,6 +735,98 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
     EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
   }
   expect_error(run({"info", "nothing"}), 1, {"nothing", "no such file"});
+}
+
+// By material's name: area on the body, and whether faces have it.
+std::map<std::string, double> areas_by_material(const mesh_io::Surface& surface) {
+  std::map<std::string, double> areas;
+  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+    const auto& v = surface.triangles[t];
+    const core::Vec3& a = surface.positions[v[0]];
+    areas[surface.look.materials[surface.look.material_of[t]].name] +=
+        0.5 * length(cross(surface.positions[v[1]] - a, surface.positions[v[2]] - a));
+  }
+  return areas;
+}
+
+// A cube of 10 cm with fat above muscle, cut from top to bottom: skin, texture and inside of each region, in both formats.
+TEST_F(Incise, FilesWithMaterialsHaveThoseOfTheRegions) {
+  write_cube_and_sweep();
+  core::MeshData body = tests::cube(6);
+  body.regions.clear();
+  double top = 0;
+  for (const core::Vec3& p : body.positions) top = std::max(top, p.z);
+  for (const auto& tet : body.tets) {
+    double z = 0;
+    for (const auto v : tet) z += body.positions[v].z / 4;
+    body.regions.push_back(z > top / 2 ? 7 : 3);
+  }
+  mesh_io::write_mesh(dir_ / "body.vtu", body);
+  write("c.json", R"({"mesh": {"path": "body.vtu"}, "cut": {"engage": "always"},
+    "blade": {"heel": [0, 0, 0], "tip": [0, 0, -0.14]}, "materials": [
+      {"region": 7, "tissue": "fat", "inside": {"texture": "fat.png"}},
+      {"region": 3, "tissue": "muscle", "inside": {"colour": [0.5, 0.25, 1], "roughness": 0.75}}]})");
+  const std::vector<std::string> cut{"cut",       "--mesh",   "body.vtu", "--poses",
+                                     "sweep.csv", "--config", "c.json",   "--out"};
+  const auto with = [](std::vector<std::string> arguments, const std::vector<std::string>& more) {
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  };
+  expect_error(run(with(cut, {"a.glb"})), 1, {"c.json: materials, region 7, inside.texture: ", "fat.png"});
+  EXPECT_FALSE(fs::exists(dir_ / "a.glb"));
+  EXPECT_EQ(run(with(cut, {"a.vtu"})).exit_code, 0) << "which has no textures";
+  write("fat.png", tests::tiny_png());
+  write("again.mtl", "newmtl precious\n");
+  expect_error(run(with(cut, {"again.obj"})), 1, {"again.mtl: would be overwritten"});
+  ASSERT_EQ(run(with(cut, {"a.glb"})).exit_code, 0);
+  ASSERT_EQ(run(with(cut, {"a.obj"})).exit_code, 0);
+  ASSERT_EQ(run(with(cut, {"a.obj"})).exit_code, 0) << "its own .mtl is replaced";
+  ASSERT_EQ(run({"convert", "sweep.csv", "--config", "c.json", "--out", "a.capture"}).exit_code, 0);
+  ASSERT_EQ(run({"export", "a.capture", "--config", "c.json", "--out", "b.glb"}).exit_code, 0);
+  for (const char* file : {"a.glb", "a.obj", "b.glb"}) {
+    std::vector<std::string> warnings;
+    const mesh_io::Surface surface = mesh_io::read_surface(dir_ / file, warnings);
+    EXPECT_TRUE(warnings.empty()) << warnings[0];
+    const auto areas = areas_by_material(surface);
+    ASSERT_EQ(areas.size(), 4u) << file;
+    // Half of a side of 10 cm, twice; three sides of the outside are half a region's, and one is all of it.
+    EXPECT_NEAR(areas.at("inside_7_fat"), 0.01, 0.002) << file;
+    EXPECT_NEAR(areas.at("inside_3_muscle"), 0.01, 0.002) << file;
+    EXPECT_NEAR(areas.at("outside_7_fat"), 0.03, 0.002) << file;
+    EXPECT_NEAR(areas.at("outside_3_muscle"), 0.03, 0.002) << file;
+    for (const mesh_io::Material& material : surface.look.materials) {
+      if (material.name == "inside_7_fat") {
+        ASSERT_NE(material.image, nullptr) << file;
+        EXPECT_EQ(*material.image, tests::tiny_png());
+      } else {
+        EXPECT_EQ(material.image, nullptr) << file << " " << material.name;
+      }
+      if (material.name == "inside_3_muscle") {
+        EXPECT_NEAR(material.diffuse[0], 0.5, 1e-4);
+        EXPECT_NEAR(material.diffuse[2], 1, 1e-4);
+      }
+    }
+    // The image is put on in squares of 5 cm: as long on the texture as on the body.
+    for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+      if (surface.look.materials[surface.look.material_of[t]].name != "inside_7_fat") continue;
+      for (std::size_t k = 0; k < 3; ++k) {
+        const auto &a = surface.look.uvs[3 * t + k], &b = surface.look.uvs[3 * t + (k + 1) % 3];
+        const double on_texture = std::hypot(a[0] - b[0], a[1] - b[1]);
+        const double on_body = length(surface.positions[surface.triangles[t][k]] -
+                                      surface.positions[surface.triangles[t][(k + 1) % 3]]);
+        EXPECT_NEAR(on_texture, on_body / 0.05, 0.2 * on_body / 0.05) << file;
+      }
+    }
+  }
+  std::ifstream obj(dir_ / "a.obj");
+  std::string line;
+  int switches = 0;
+  while (std::getline(obj, line)) switches += line.starts_with("usemtl") ? 1 : 0;
+  EXPECT_EQ(switches, 4) << "faces come by material";
+  // A capture does not know where the textures are, and says so.
+  const RunResult without = run({"export", "a.capture", "--out", "c.glb"});
+  EXPECT_EQ(without.exit_code, 0);
+  EXPECT_NE(without.err.find("name its file with --config"), std::string::npos) << without.err;
 }
 
 TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {

@@ -104,6 +104,13 @@ TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
   EXPECT_EQ(result.err,
             "incised: bad.json: loop.rate_hz: found 100; accepted is a number from 250 to 4000\n");
   write("none.json", R"({"mesh": {"path": "nowhere.node"}})");
+  // A configuration that works, but not as it reads.
+  write("absent.json", R"({"mesh": {"phantom": "slab"}, "materials": [{"region": 4, "tissue": "fat"}]})");
+  result = run({"--check", "absent.json"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_NE(result.out.find("absent.json: warning: materials: the mesh has no region 4"), std::string::npos)
+      << result.out;
+  EXPECT_TRUE(result.out.ends_with("absent.json: good\n")) << result.out;
   EXPECT_NE(run({"--check", "none.json"}).err.find("mesh.path"), std::string::npos);
   EXPECT_EQ(run({"--config", "bad.json"}).exit_code, 1);
   EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);

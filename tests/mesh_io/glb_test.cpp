@@ -13,6 +13,7 @@
 #include "server/mesh_io/mesh_io.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
+#include "tests/support/images.hpp"
 
 namespace incise::mesh_io {
 namespace {
@@ -21,7 +22,7 @@ using namespace testing;
 using core::Vec3;
 using Json = nlohmann::json;
 
-const std::string kPng = std::string("\x89PNG\r\n\x1a\n", 8) + "a picture";
+const std::string kPng = tests::tiny_png();
 
 template <class T>
 void put(std::string& bytes, std::initializer_list<T> values) {
@@ -379,7 +380,7 @@ TEST_F(GlbFiles, WhatIsWrongIsNamed) {
        },
        "are not in the file itself"},
       {[](Glb& g) { g.json["bufferViews"].back()["byteOffset"] = 5000; },
-       "bufferView 4 has 17 bytes from byte 5000"},
+       "bufferView 4 has 67 bytes from byte 5000"},
       {[](Glb& g) { primitive(g)["mode"] = 5; },
        "primitive 0 is a strip or fan of triangles: save it as single"},
       {[](Glb& g) { primitive(g)["mode"] = 1; }, "there is no triangle"},

@@ -8,8 +8,10 @@
 
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/mesh_io.hpp"
+#include "server/mesh_io/read_materials.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
+#include "tests/support/images.hpp"
 
 namespace incise::mesh_io {
 namespace {
@@ -240,7 +242,7 @@ TEST(SurfaceFiles, BoundaryOfAMeshFacesOutward) {
 
 // ------------------------------------------------------------------------------------- what a surface looks like
 
-const std::string kPng = std::string("\x89PNG\r\n\x1a\n", 8) + "a picture";
+const std::string kPng = tests::tiny_png();
 
 // The texture coordinates of a triangle's corners, as text.
 std::string uvs_of(const Surface& surface, std::size_t triangle) {
@@ -256,7 +258,7 @@ TEST(SurfaceLook, ObjHasTextureCoordinatesNormalsAndMaterialsByCorner) {
   const TestDirectory directory;
   directory.write("a.png", kPng);
   std::filesystem::create_directory(directory / "pictures");
-  directory.write("pictures/b c.jpg", "\xff\xd8\xff\xe0");
+  directory.write("pictures/b c.jpg", tests::tiny_jpeg());
   directory.write("a.mtl",
                   "newmtl unused\nmap_Kd nowhere.png\nnewmtl liver\nKd 0.5 0.25 2\nmap_Kd -s 1 1 1 a.png\n"
                   "newmtl the capsule\nmap_Kd pictures\\b c.jpg\n");
@@ -339,6 +341,35 @@ TEST(SurfaceLook, OnlyFilesBesideTheSurfaceAreReadAndOnlyImages) {
   std::vector<std::string> warnings;
   EXPECT_NE(read_with("a.mtl", warnings).image, nullptr);
   EXPECT_TRUE(warnings.empty()) << warnings[0];
+}
+
+// What can be seen of a damaged image without decoding it: every shorter part of it, and every flipped bit of what a check sum covers.
+TEST(SurfaceLook, AnImageThatIsCutOffOrDamagedIsNotShown) {
+  const std::string png = tests::tiny_png("text"), jpeg = tests::tiny_jpeg(), webp = tests::tiny_webp();
+  for (const std::string& whole : {png, jpeg, webp}) {
+    EXPECT_EQ(image_fault(whole), "");
+    EXPECT_EQ(image_fault(whole + "more"), "") << "what follows the end is nobody's";
+    for (std::size_t size = 0; size < whole.size(); ++size) {
+      const std::string fault = image_fault(std::string_view(whole).substr(0, size));
+      EXPECT_NE(fault, "") << size << " of " << whole.size();
+      EXPECT_EQ(fault.find('\n'), std::string::npos);
+    }
+  }
+  for (std::size_t i = 12; i < 33; ++i) {
+    std::string flipped = png;
+    flipped[i] = static_cast<char>(flipped[i] ^ 4);
+    EXPECT_NE(image_fault(flipped), "") << i;
+  }
+  const TestDirectory directory;
+  directory.write("a.jpg", jpeg.substr(0, jpeg.size() - 10));
+  directory.write("a.mtl", "newmtl m\nmap_Kd a.jpg\n");
+  directory.write("a.obj", std::string("mtllib a.mtl\n") + kObjCube + "usemtl m\nf 1 2 3\n");
+  std::vector<std::string> warnings;
+  EXPECT_EQ(read_surface(directory / "a.obj", warnings).look.materials.at(0).image, nullptr);
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("the texture of material 'm' is not shown: 'a.jpg' is cut off"),
+            std::string::npos)
+      << warnings[0];
 }
 
 TEST(SurfaceLook, PlyHasColoursAndTextureCoordinatesByVertexOrByCorner) {

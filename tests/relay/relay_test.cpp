@@ -12,6 +12,7 @@
 #include "tests/e2e/served_session.hpp"
 #include "tests/relay/relay_process.hpp"
 #include "tests/stream/viewer.hpp"
+#include "tests/support/images.hpp"
 
 namespace incise::relay {
 namespace {
@@ -158,7 +159,7 @@ TEST(Relay, LooksPassThrough) {
     session.set_keys(R"(, "materials": [{"region": 0, "tissue": ")" + tissue +
                      R"(", "inside": {"texture": "inside.png"}}])");
   };
-  const std::string png = "\x89PNG\r\n\x1a\n not that anybody here looks at it";
+  const std::string png = tests::tiny_png();
   std::ofstream(session.file("inside.png"), std::ios::binary) << png;
   looks_like("muscle");
   ASSERT_TRUE(session.start(false)) << session.log();

@@ -71,6 +71,7 @@ int run_phantom(const PhantomCommand& command);
 
 struct ExportCommand {
   std::filesystem::path capture, mesh, out;
+  std::filesystem::path config;           // whose looks a file with materials has; empty: the capture's
   std::optional<std::uint64_t> revision;  // nothing: the last
   bool json = false;
 };

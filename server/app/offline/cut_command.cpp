@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "client/cli/usage.hpp"
+#include "server/app/look.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_input.hpp"
@@ -159,9 +160,16 @@ int run_cut(const CutCommand& command) {
     if (compares) {
       reports = compare(command, in, progress);
     } else {
+      // Before the work: a texture may be missing.
+      std::vector<RegionMaterials> regions;
+      if (keeps_materials(command.out)) {
+        if (command.config.empty() && drop_look_files(in.config)) in.warnings.push_back(kLookFilesLeftOut);
+        regions = region_materials(in.config, in.loaded->mesh, command.config.string());
+      }
       const CutOutcome out = cut(in, in.config, progress);
       progress.stage("writing " + command.out.filename().string());
-      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.session->fields());
+      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.session->fields(),
+                     &regions);
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
       reports.push_back(out.report);
     }

@@ -6,7 +6,6 @@
 #include <system_error>
 
 #include "client/cli/usage.hpp"
-#include "server/app/offline/cut_surface.hpp"
 #include "server/core/geometry/quality.hpp"
 
 namespace incise::app {
@@ -15,9 +14,14 @@ namespace fs = std::filesystem;
 
 namespace {
 
+std::string lowercase_ending(const fs::path& path) {
+  std::string ending = path.extension().string();
+  for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return ending;
+}
+
 bool is_glb_file(const fs::path& path) {
-  const std::string ending = path.extension().string();
-  return ending == ".glb" || ending == ".GLB";
+  return lowercase_ending(path) == ".glb";
 }
 
 }  // namespace
@@ -62,22 +66,30 @@ void require_mesh_output(const fs::path& path, const std::string& option) {
         " for the surface, .glb for the surface with its textures, or no ending for TetGen's pair");
   }
   require_writable(path, option);
+  if (lowercase_ending(path) == ".obj") mesh_io::require_own_materials(path);
 }
 
 bool keeps_fields(const fs::path& path) {
-  std::string ending = path.extension().string();
-  for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  const std::string ending = lowercase_ending(path);
   return ending == ".vtu" || ending == ".vtk";
 }
 
+bool keeps_materials(const fs::path& path) {
+  return is_glb_file(path) || lowercase_ending(path) == ".obj";
+}
+
 void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from,
-                    const core::CarriedFields* fields) {
+                    const core::CarriedFields* fields, const std::vector<RegionMaterials>* regions) {
+  const auto shown = [&] {
+    return cut_surface(mesh, from,
+                       regions != nullptr ? *regions : region_materials({}, mesh.export_data(), ""));
+  };
   if (is_glb_file(path)) {
-    write_glb(path, cut_surface(mesh, from));
+    write_glb(path, shown());
     return;
   }
-  if (from != nullptr && mesh_io::is_surface_file(path)) {
-    CutSurface cut = cut_surface(mesh, from);
+  if (mesh_io::is_surface_file(path) && (from != nullptr || keeps_materials(path))) {
+    CutSurface cut = shown();
     const mesh_io::CellArray arrays[] = {{"origin", std::move(cut.origins)},
                                          {"cut", std::move(cut.cut)},
                                          {"piece", std::move(cut.pieces)},

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "server/app/offline/cut_surface.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/carried_fields.hpp"
@@ -25,14 +26,18 @@ void require_mesh_output(const std::filesystem::path& path, const std::string& o
 // Whether write_cut_mesh() writes fields to a file of this name.
 bool keeps_fields(const std::filesystem::path& path);
 
+// Whether write_cut_mesh() writes materials to a file of this name.
+bool keeps_materials(const std::filesystem::path& path);
+
 // Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
 // f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
 // and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu and .vtk. Either may
-// be null. Throws MeshError.
+// be null. .glb and .obj (with a .mtl and its images beside it) show `regions`; null: as viewers do where nothing is configured. Throws MeshError.
 void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
-                    const mesh_io::Surface* from = nullptr, const core::CarriedFields* fields = nullptr);
+                    const mesh_io::Surface* from = nullptr, const core::CarriedFields* fields = nullptr,
+                    const std::vector<RegionMaterials>* regions = nullptr);
 
 // Writes a text file. Throws std::runtime_error.
 void write_text(const std::filesystem::path& path, const std::string& text);

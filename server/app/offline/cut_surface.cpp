@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include "protocol/surface_asset.hpp"
+#include "server/app/look.hpp"
+#include "server/app/offline/seam_split.hpp"
 #include "server/app/surface_asset.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/mesh_io/surface.hpp"
@@ -30,7 +33,26 @@ bool is_cut(const core::TetMesh& mesh, core::HalfFace face) {
   return (mesh.cut_mask(core::tet_of(face)) >> core::face_of(face) & 1) != 0;
 }
 
-void add_materials(const mesh_io::Surface* from, CutSurface& out) {
+// Texture coordinates of an image that is put on by place: from the side that the face is turned to most.
+std::array<std::array<float, 2>, 3> uvs_by_place(const protocol::Corners& rest) {
+  constexpr double kSquare_m = 0.05;
+  const auto at = [&](std::size_t k) { return core::Vec3{rest[k].x, rest[k].y, rest[k].z}; };
+  const core::Vec3 normal = core::cross(at(1) - at(0), at(2) - at(0));
+  const double x = std::abs(normal.x), y = std::abs(normal.y), z = std::abs(normal.z);
+  const bool along_x = x >= y && x >= z, along_y = !along_x && y >= z;
+  std::array<std::array<float, 2>, 3> uvs{};
+  for (std::size_t k = 0; k < 3; ++k) {
+    uvs[k][0] = static_cast<float>((along_x ? rest[k].y : rest[k].x) / kSquare_m);
+    uvs[k][1] = static_cast<float>((along_x || along_y ? rest[k].z : rest[k].y) / kSquare_m);
+  }
+  return uvs;
+}
+
+// `faces`: the mesh's, of each triangle. `corners_of`: at rest, of a triangle.
+template <class CornersOf>
+void add_materials(const core::TetMesh& mesh, const std::vector<core::HalfFace>& faces,
+                   const CornersOf& corners_of, const mesh_io::Surface* from,
+                   const std::vector<RegionMaterials>& regions, CutSurface& out) {
   mesh_io::SurfaceLook& look = out.surface.look;
   if (from != nullptr) look.materials = from->look.materials;
   if (look.materials.empty()) {
@@ -38,20 +60,62 @@ void add_materials(const mesh_io::Surface* from, CutSurface& out) {
     // Colours stand for themselves.
     if (from != nullptr && !from->look.colours.empty()) look.materials.back().diffuse = {1, 1, 1};
   }
-  const auto inside = static_cast<std::uint32_t>(look.materials.size());
-  look.materials.push_back({"inside", kInsideColour, nullptr, {}});
-  for (std::size_t i = 0; i < out.cut.size(); ++i) {
+  const auto first = static_cast<std::uint32_t>(look.materials.size());
+  if (regions.empty()) look.materials.push_back({"inside", kInsideColour, nullptr, {}, 0.35f});
+  std::map<std::int32_t, std::uint32_t> skin_of;  // the inside is the next
+  for (const RegionMaterials& region : regions) {
+    skin_of[region.region] = static_cast<std::uint32_t>(look.materials.size());
+    look.materials.insert(look.materials.end(), {region.surface, region.inside});
+  }
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    const bool cut = out.cut[i] != 0;
     const bool has_material =
         from != nullptr && !from->look.material_of.empty() && out.origins[i] != core::kNone;
-    look.material_of.push_back(out.cut[i] != 0 ? inside
-                               : has_material  ? from->look.material_of[out.origins[i]]
-                                               : 0);
+    const std::uint32_t painted = has_material ? from->look.material_of[out.origins[i]] : 0;
+    const auto region = skin_of.find(mesh.region(core::tet_of(faces[i])));
+    std::uint32_t material = cut ? first : painted;
+    if (region != skin_of.end() &&
+        (cut || (look.materials[painted].image == nullptr && look.colours.empty()))) {
+      material = region->second + (cut ? 1 : 0);
+    }
+    look.material_of.push_back(material);
+    if (material < first || look.materials[material].image == nullptr) continue;
+    look.uvs.resize(3 * faces.size());
+    const auto uvs = uvs_by_place(corners_of(i));
+    std::copy(uvs.begin(), uvs.end(), look.uvs.begin() + static_cast<std::ptrdiff_t>(3 * i));
   }
 }
 
 }  // namespace
 
-CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from) {
+std::vector<RegionMaterials> region_materials(const Config& config, const core::MeshData& mesh,
+                                              const std::string& file) {
+  std::vector<RegionMaterials> out;
+  std::map<std::string, stream::Document> images;
+  const std::vector<ShownRegion> regions = shown_regions(config, mesh);
+  for (const ShownRegion& shown : regions) {
+    const auto material = [&](bool inside) {
+      const SideLook& side = inside ? shown.inside : shown.surface;
+      mesh_io::Material made;
+      made.name = inside ? "inside" : "outside";
+      if (regions.size() > 1) made.name += "_" + std::to_string(shown.region);
+      if (regions.size() > 1 && !shown.tissue.empty()) made.name += "_" + shown.tissue;
+      for (std::size_t i = 0; i < 3; ++i) made.diffuse[i] = static_cast<float>(side.colour[i]);
+      made.roughness = static_cast<float>(side.roughness);
+      if (side.texture.empty()) return made;
+      const auto [image, is_new] = images.try_emplace(side.texture);
+      if (is_new) image->second = read_region_texture(config, shown.region, inside, side.texture, file);
+      made.image = image->second.body;
+      made.image_type = image->second.type;
+      return made;
+    };
+    out.push_back({shown.region, material(false), material(true)});
+  }
+  return out;
+}
+
+CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
+                       const std::vector<RegionMaterials>& regions) {
   CutSurface out;
   const core::MeshData data = mesh.export_data();
   std::vector<core::HalfFace> faces;  // of the exported tetrahedra, then of the mesh's
@@ -67,21 +131,37 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from) 
     out.cut.push_back(is_cut(mesh, face) ? 1 : 0);
     out.pieces.push_back(pieces[tet]);
   }
+  std::vector<core::Vec3> rest(out.surface.positions.size());
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    const protocol::Corners corners = rest_corners(mesh, faces[i]);
+    for (std::size_t k = 0; k < 3; ++k)
+      rest[out.surface.triangles[i][k]] = {corners[k].x, corners[k].y, corners[k].z};
+  }
+  const auto corners_of = [&](std::size_t i) {
+    protocol::Corners corners;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const core::Vec3& p = rest[out.surface.triangles[i][k]];
+      corners[k] = {p.x, p.y, p.z};
+    }
+    return corners;
+  };
   out.origins.assign(faces.size(), core::kNone);
   if (from != nullptr) {
     const auto tree = origin_tree(from);
     const protocol::SurfaceAsset asset = asset_of(*from);
     const protocol::SurfaceLookup lookup(asset);
+    for (std::size_t i = 0; i < faces.size(); ++i)
+      if (out.cut[i] == 0) out.origins[i] = tree->origin_of(corners_of(i));
+    if (!asset.uvs.empty()) split_at_seams(*from, lookup, *tree, rest, faces, out);
     mesh_io::SurfaceLook& look = out.surface.look;
     if (!asset.uvs.empty()) look.uvs.resize(3 * faces.size());
     if (!asset.colours.empty()) look.colours.resize(3 * faces.size(), {255, 255, 255, 255});
     for (std::size_t i = 0; i < faces.size(); ++i) {
       if (out.cut[i] != 0) continue;
-      const protocol::Corners rest = rest_corners(mesh, faces[i]);
-      out.origins[i] = tree->origin_of(rest);
-      if (const auto uvs = lookup.uvs(out.origins[i], rest))
+      const protocol::Corners corners = corners_of(i);
+      if (const auto uvs = lookup.uvs(out.origins[i], corners))
         std::copy(uvs->begin(), uvs->end(), look.uvs.begin() + static_cast<std::ptrdiff_t>(3 * i));
-      if (const auto colours = lookup.at<4>(asset.colours, out.origins[i], rest)) {
+      if (const auto colours = lookup.at<4>(asset.colours, out.origins[i], corners)) {
         for (std::size_t k = 0; k < 3; ++k) {
           for (std::size_t n = 0; n < 4; ++n)
             look.colours[3 * i + k][n] =
@@ -90,7 +170,7 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from) 
       }
     }
   }
-  add_materials(from, out);
+  add_materials(mesh, faces, corners_of, from, regions, out);
   return out;
 }
 

@@ -88,8 +88,11 @@ class GlbFile {
     json_["images"] = json_["textures"] = Json::array();
     json_["samplers"] = {Json::object()};
     std::map<const std::string*, std::size_t> textures;
-    for (const mesh_io::Material& material : look().materials) {
-      Json pbr = {{"metallicFactor", 0}, {"roughnessFactor", material.name == "inside" ? 0.35 : 0.45}};
+    for (const std::uint32_t used : look().material_of) number_[used] = 0;
+    for (auto& [index, number] : number_) {
+      const mesh_io::Material& material = look().materials[index];
+      number = json_["materials"].size();
+      Json pbr = {{"metallicFactor", 0}, {"roughnessFactor", material.roughness}};
       if (material.image) {
         const auto [texture, is_new] = textures.try_emplace(material.image.get(), textures.size());
         if (is_new) add_image(material);
@@ -130,7 +133,7 @@ class GlbFile {
     for (const auto& [piece, by_material] : triangles) {
       Json primitives = Json::array();
       for (const auto& [material, members] : by_material)
-        primitives.push_back(add_primitive(primitive(members), material));
+        primitives.push_back(add_primitive(primitive(members), number_.at(material)));
       const std::string name = "piece_" + std::to_string(nodes.size());
       children.push_back(nodes.size());
       nodes.push_back({{"name", name}, {"mesh", nodes.size() - 1}});
@@ -153,7 +156,8 @@ class GlbFile {
         return std::tie(vertex, normal, uv, colour) < std::tie(o.vertex, o.normal, o.uv, o.colour);
       }
     };
-    const bool has_uvs = !look().uvs.empty() && cut_.cut[triangles[0]] == 0;
+    const bool has_image = look().materials[look().material_of[triangles[0]]].image != nullptr;
+    const bool has_uvs = !look().uvs.empty() && (has_image || cut_.cut[triangles[0]] == 0);
     const bool has_colours = !look().colours.empty() && cut_.cut[triangles[0]] == 0;
     std::map<Corner, std::uint32_t> known;
     for (const std::uint32_t t : triangles) {
@@ -176,7 +180,7 @@ class GlbFile {
     return out;
   }
 
-  Json add_primitive(const Primitive& p, std::uint32_t material) {
+  Json add_primitive(const Primitive& p, std::size_t material) {
     std::array<float, 3> low, high;
     low.fill(std::numeric_limits<float>::max());
     high.fill(std::numeric_limits<float>::lowest());
@@ -244,6 +248,7 @@ class GlbFile {
 
   const CutSurface& cut_;
   const std::vector<std::array<float, 3>> normals_;
+  std::map<std::uint32_t, std::size_t> number_;  // in the file, of each material that is used
   Json json_;
   std::string data_;
 };

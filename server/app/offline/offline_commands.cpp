@@ -105,6 +105,8 @@ void add_export(CLI::App& app, int& exit_code) {
   CLI::App* sub = app.add_subcommand("export", "Write the mesh of a capture, at its end or at a revision");
   sub->add_option("capture", command->capture, "The capture")->required();
   sub->add_option("--mesh", command->mesh, "The mesh, if the capture's has moved");
+  sub->add_option("--config", command->config,
+                  "The server's configuration, for the textures of its materials in a .glb or .obj");
   sub->add_option("--revision", command->revision, "The revision; the last one if not given")
       ->check(client::whole_number());
   sub->add_option("--out", command->out,

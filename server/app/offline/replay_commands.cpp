@@ -7,6 +7,7 @@
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
+#include "server/app/look.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
@@ -111,7 +112,14 @@ int run_replay(const ReplayCommand& command) {
 int run_export(const ExportCommand& command) {
   require_mesh_output(command.out, "--out");
   require_not_read(command.out, {command.capture, command.mesh}, "--out");
-  const Replayable opened = open_capture(command.capture, command.mesh, keeps_fields(command.out));
+  Replayable opened = open_capture(command.capture, command.mesh, keeps_fields(command.out));
+  std::vector<RegionMaterials> regions;
+  if (keeps_materials(command.out)) {
+    const bool other = !command.config.empty();
+    Config look = other ? load_config(command.config) : opened.config;
+    if (!other && drop_look_files(look)) opened.motion.warnings.push_back(kLookFilesLeftOut);
+    regions = region_materials(look, opened.body.loaded.mesh, command.config.string());
+  }
   core::CutSession session(opened.body.loaded.mesh, opened.config.cut, opened.body.loaded.fields);
   if (!command.revision || *command.revision > 0) {
     replay(session, opened,
@@ -122,7 +130,7 @@ int run_export(const ExportCommand& command) {
                              "; accepted are 0 to " + std::to_string(session.revision()) +
                              ", which is where " + command.capture.string() + " ends");
   }
-  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get(), &session.fields());
+  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get(), &session.fields(), &regions);
   print_warnings(opened.motion.warnings);
   if (keeps_fields(command.out)) print_warnings(opened.body.loaded.warnings);
   if (command.json) {
