@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { copyFileSync, readFileSync } from "node:fs";
+import { copyFileSync, readFileSync, renameSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, drag, look, serve, shot } from "./page.mjs";
@@ -290,6 +290,46 @@ test("the blade is shown where it would enter, before the button is pressed", as
   await page.keyboard.press("t");
   await page.mouse.move(521, 330);
   assert.equal(await preview(), null, "it cannot cut now");
+  assert.deepEqual(faults, []);
+});
+
+test("marks and preview are gone from the screen when they are over", async (t) => {
+  const server = await serve(t, { capture: { path: "first.capture", library: "." } });
+  server.stream([0.03]);
+  await server.stop();
+  renameSync(server.file("first.capture"), server.file("old.capture"));
+  await server.start();
+  server.stream([0.03]);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await bladeIsReady(page);
+  await page.locator("#open").fill("1");
+  await page.mouse.move(1200, 300); // the panel
+  await until(page, () => window.incise.stage.bladesShown === 0 && window.incise.stage.atRest);
+  const seen = () => page.screenshot({ clip: { x: 150, y: 100, width: 700, height: 450 } }); // what the canvas holds may differ
+  const bare = await seen();
+  for (let i = 0; i < 3; ++i) {
+    await page.mouse.move(400 + 10 * i, 330);
+    await page.mouse.move(300, 330);
+    assert.ok(!bare.equals(await seen()), "a preview");
+    await page.mouse.move(1200, 300);
+    assert.ok(bare.equals(await seen()), "the preview is over");
+    await page.keyboard.press("m");
+    await page.mouse.click(400 + 10 * i, 330);
+    await page.mouse.click(300, 330);
+    await page.mouse.move(1200, 300);
+    assert.ok(!bare.equals(await seen()), "a measurement");
+    await page.keyboard.press("Escape");
+    await atRest(page);
+    assert.ok(bare.equals(await seen()), "the measurement is over");
+  }
+  // It is of the live body, not of a replay's.
+  await page.keyboard.press("m");
+  await page.mouse.click(400, 330);
+  await page.mouse.click(300, 330);
+  assert.equal(await page.evaluate(() => window.incise.measure.labels.length > 0), true);
+  await page.evaluate(() => window.incise.send({ kind: "replay", action: "open", capture: "old.capture", speed: 1 }));
+  await until(page, () => document.body.dataset.replay === "on");
+  assert.deepEqual(await page.evaluate(() => [window.incise.measure.shown, ...window.incise.measure.labels]), [false]);
   assert.deepEqual(faults, []);
 });
 

@@ -326,7 +326,10 @@ export class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     this.enableUndo();
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
-    if (is !== was) this.look.measureCover();
+    if (is !== was) {
+      this.look.measureCover();
+      this.measure.clear(); // it is of the other body
+    }
     if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
     if (facts?.text) notice(facts.text);
