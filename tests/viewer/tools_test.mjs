@@ -293,6 +293,60 @@ test("the blade is shown where it would enter, before the button is pressed", as
   assert.deepEqual(faults, []);
 });
 
+test("what a section hides has no preview and is not cut", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await bladeIsReady(page);
+  await page.keyboard.press("5"); // from above
+  await page.keyboard.press("s");
+  await page.locator("#section-axis").getByText("X").click();
+  await atRest(page);
+  /** Where a place is seen that is this far from the body's middle along each axis, in shares of its size, on the side that is hidden. */
+  const placeAt = (x, y, hidden) =>
+    page.evaluate(
+      ([x, y, hidden]) => {
+        const { stage } = window.incise;
+        const place = stage.centre.clone();
+        place.x += x * stage.bodySize_m * stage.plane[0] * (hidden ? 1 : -1);
+        place.y += y * stage.bodySize_m;
+        return stage.marks.onScreen(place);
+      },
+      [x, y, hidden],
+    );
+  const preview = async (hidden) => {
+    await page.mouse.move(...(await placeAt(0.15, 0, hidden)));
+    return page.evaluate(() => window.incise.mouse.preview() !== null);
+  };
+  const dragAt = async (hidden) => {
+    const [from, to] = [await placeAt(0.15, -0.35, hidden), await placeAt(0.15, 0.35, hidden)];
+    await page.mouse.move(...from);
+    await page.mouse.down();
+    await page.mouse.move(...to, { steps: 20 });
+    await page.mouse.up();
+  };
+  assert.deepEqual([await preview(true), await preview(false)], [false, true]);
+  await dragAt(true);
+  await until(page, () => /cut nothing/.test(document.getElementById("notices").textContent));
+  assert.equal((await server.stats()).revision, 0);
+  // Right through from the section's face: not the half before it.
+  await page.locator("#section-axis").getByText("Z").click();
+  await dragAt(false);
+  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await page.waitForTimeout(500);
+  const above_m = await page.evaluate(() => {
+    const { stage } = window.incise;
+    const { slots, corners, isCut } = stage.body.shown(0);
+    const p = new Float64Array(9);
+    let above = -Infinity;
+    for (let slot = 0; slot < slots; ++slot)
+      if (corners(slot, p) && isCut(slot)) above = Math.max(above, p[2], p[5], p[8]);
+    return above - stage.plane[3];
+  });
+  assert.ok(above_m < 0.002, `a cut goes ${above_m} m beyond the plane`);
+  await shot(page, "section_cut");
+  assert.deepEqual(faults, []);
+});
+
 test("marks and preview are gone from the screen when they are over", async (t) => {
   const server = await serve(t, { capture: { path: "first.capture", library: "." } });
   server.stream([0.03]);
