@@ -422,7 +422,7 @@ test("strokes of several hands are bars and blades of their own colour, with the
   assert.notEqual(own.source, other.source);
   assert.ok(other.cutArea_m2 > 1e-4 && other.first === 1 && other.last === before);
   assert.deepEqual([own.first, own.last], [before + 1, (await server.stats()).revision]);
-  await until(page, () => document.getElementById("blades").textContent === "assistantyou");
+  await until(page, () => document.getElementById("blades").textContent === "assistantmouse (you)");
   // The other's blade is seen for a while, in its colour and with its name.
   await page.evaluate((bar) => window.incise.stage.blade(bar.source, false).move([0, 0, 0.1], [0, 0, 0], true), other);
   await page.evaluate(() => window.incise.stage.draw());
@@ -467,5 +467,47 @@ test("a mesh that is dropped on the page changes nothing, and the configuration 
   assert.equal(checked.status, 0, checked.stderr + checked.stdout);
   assert.match(await drop("notes.txt"), /not a mesh/);
   assert.equal(await page.evaluate(() => window.incise.progress.hashAgrees), true);
+  assert.deepEqual(faults, []);
+});
+
+test("pages with names of their own cut at the same time, and one name is one blade", async (t) => {
+  const server = await serve(t);
+  const options = { width: 1280, height: 720 };
+  const { page: first, faults } = await look(t, `${server.url}#name=Dr.%20Li`, options);
+  const { page: second } = await look(t, server.url, options);
+  for (const page of [first, second]) await bladeIsReady(page);
+  const names = async () => (await server.stats()).blades.map((blade) => blade.name).sort();
+  assert.deepEqual(await names(), ["Dr. Li", "mouse"]);
+  // A name that is typed is kept, and its letters are no keys.
+  await second.locator("#more summary").click();
+  await second.locator("#blade-name").fill("Cut Two");
+  await second.keyboard.press("t");
+  assert.equal(await second.evaluate(() => window.incise.tool), "cut");
+  await shot(second, "more_name");
+  await second.keyboard.press("Enter");
+  await until(second, () => localStorage.getItem("incise-name") === "Cut Twot");
+  for (let tries = 0; tries < 100 && !(await names()).includes("Cut Twot"); ++tries) await second.waitForTimeout(100);
+  assert.deepEqual(await names(), ["Cut Twot", "Dr. Li"]);
+  await second.reload();
+  await until(second, () => window.incise?.progress && document.body.dataset.blade === "open");
+  assert.ok((await names()).includes("Cut Twot"));
+  await drag(first, [0.3, 0.2], [0.36, 0.85]);
+  await until(second, () => window.incise.live.strokes.length === 1);
+  await drag(second, [0.6, 0.2], [0.66, 0.85]);
+  const legend = (page, names) =>
+    until(
+      page,
+      (names) => [...document.querySelectorAll("#blades li")].map((row) => row.textContent).join() === names,
+      names,
+    );
+  await legend(first, "Dr. Li (you),Cut Twot");
+  await legend(second, "Dr. Li,Cut Twot (you)");
+  assert.match(first.url(), /name=Dr\.%20Li/);
+  // The same name: somebody has it, and after a takeover both hands are in the legend.
+  const { page: third } = await look(t, `${server.url}#name=Dr.%20Li`, options);
+  await third.getByRole("button", { name: "Take it over" }).click();
+  await bladeIsReady(third);
+  await drag(third, [0.45, 0.2], [0.5, 0.85]);
+  await legend(first, "Dr. Li (you),Cut Twot,Dr. Li");
   assert.deepEqual(faults, []);
 });

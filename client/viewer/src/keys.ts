@@ -12,7 +12,13 @@ export interface Key {
 function wantedKey(e: KeyboardEvent): string | null {
   const target = e.target as HTMLElement;
   if ((e.ctrlKey || e.metaKey) && !e.altKey && !e.shiftKey && e.key.toLowerCase() === "z") return "z";
-  if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
+  if (
+    e.ctrlKey ||
+    e.metaKey ||
+    e.altKey ||
+    target.closest("dialog") ||
+    target.matches("select, input[type=password], input[type=text]")
+  )
     return null;
   const moves = e.key.startsWith("Arrow") || e.key.startsWith("Page");
   if (target.matches("input[type=range], input[type=radio]") && moves) return null;

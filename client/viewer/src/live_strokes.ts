@@ -59,13 +59,14 @@ export class LiveStrokes {
   /** Whose strokes the bars are. To be called when names have come, too. */
   showBlades(): void {
     element("live-strokes").hidden = this.bars.length === 0;
-    const seen = new Map(this.bars.map((bar) => [bar.source, bar.own]));
+    // After a takeover a source has strokes of two hands.
+    const seen = new Map(this.bars.map(({ source, own }) => [`${source},${own}`, { source, own }]));
     element("blades").replaceChildren(
-      ...[...seen].map(([source, own]) => {
+      ...[...seen.values()].map(({ source, own }) => {
         const item = document.createElement("li");
         const swatch = document.createElement("i");
         swatch.style.background = cssColour(source, own);
-        item.append(swatch, own ? "you" : this.names.of(source));
+        item.append(swatch, this.names.of(source) + (own ? " (you)" : ""));
         return item;
       }),
     );

@@ -1,4 +1,5 @@
 import { Vector3 } from "three";
+import { BladeName } from "./blade_name";
 import { BladeNames } from "./blade_colours";
 import { ask, element, input, save } from "./dom";
 import { acceptDrops } from "./drop";
@@ -40,6 +41,7 @@ export class Page {
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
   readonly blades = new BladeNames();
+  readonly bladeName = new BladeName((name) => this.send({ kind: "name-blade", name }));
   readonly live = new LiveStrokes(this.blades);
   readonly look = new Look(
     this.stage,
@@ -91,8 +93,8 @@ export class Page {
       this.send({ kind: "wake" });
     });
     this.operator.waitsFor = kWaitsText;
-    this.connect();
     this.showLink();
+    this.connect();
   }
 
   get mouse() {
@@ -208,12 +210,14 @@ export class Page {
   private keepView(): void {
     if (!this.facts) return;
     const camera = { body: this.facts.meshName, ...this.stage.cameraPlace };
-    const fragment = `#${toFragment({ camera, ...this.look.state })}`;
+    const fragment = `#${toFragment({ camera, ...this.look.state, name: this.bladeName.inLink })}`;
     if (fragment !== location.hash) history.replaceState(history.state, "", fragment);
   }
 
   private showLink(): void {
-    this.look.showState(fromFragment(location.hash));
+    const state = fromFragment(location.hash);
+    this.look.showState(state);
+    this.bladeName.follow(state.name);
     this.showLinkedCamera();
   }
 
