@@ -142,6 +142,10 @@ test("the address keeps the view when it comes to rest, and a link shows it agai
     await until(other.page, (bad) => window.incise.stage.atRest && location.hash !== bad, bad);
     assert.deepEqual(await view(other.page), before, bad);
   }
+  await until(other.page, () => /shows another body, heart/.test(document.getElementById("notices").textContent));
+  // One that names no body is for any.
+  await other.page.evaluate(() => (location.hash = "#from=0,-1.5,0&to=0,0,0"));
+  await until(other.page, () => Math.abs(window.incise.stage.cameraPlace.position[1] + 1.5) < 1e-6);
   assert.deepEqual([...faults, ...other.faults], []);
 });
 
@@ -429,10 +433,21 @@ test("strokes of several hands are bars and blades of their own colour, with the
   await shot(page, "blades_named");
   const colours = await page.evaluate(() => [...document.querySelectorAll("#blades i")].map((i) => i.style.background));
   assert.equal(new Set(colours).size, 2);
+  // A click on a bar shows its figures in the panel, another takes them away.
+  const text = () => page.locator("#stroke-text").textContent();
+  const bars = await page.locator("#live-timeline").boundingBox();
+  await page.mouse.click(bars.x + 4, bars.y + 4);
+  assert.match(await text(), /^Stroke of assistant: [\d.]+ s, [\d.]+ cm² when it was cut, revisions 1 to /);
+  await shot(page, "stroke_figures");
+  await page.mouse.click(bars.x + 4, bars.y + 4);
+  assert.equal(await text(), "");
+  await page.mouse.click(bars.x + bars.width - 4, bars.y + 16);
+  assert.match(await text(), /^Your stroke: /);
   // Undone, the last stroke is no longer there; reset, none is.
   await page.keyboard.press("z");
   await until(page, () => window.incise.live.strokes.length === 1);
   assert.equal((await strokes())[0].own, false);
+  await until(page, () => document.getElementById("stroke-text").hidden);
   await page.keyboard.press("r");
   await page.getByRole("button", { name: "Reset" }).last().click();
   await until(page, () => window.incise.progress.revision === 0);

@@ -59,6 +59,6 @@ export class Keys {
   private help(): void {
     const dialog = element<HTMLDialogElement>("help-dialog");
     dialog.showModal();
-    dialog.scrollTop = 0; // the focus is on the button at its end
+    element("keys").scrollTop = 0;
   }
 }

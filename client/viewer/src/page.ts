@@ -224,7 +224,11 @@ export class Page {
   /** Puts the camera where the address says, if it is about this body. */
   private showLinkedCamera(): void {
     const { camera } = fromFragment(location.hash);
-    if (!camera || camera.body !== this.facts?.meshName) return;
+    if (!camera || !this.facts) return;
+    if (camera.body && camera.body !== this.facts.meshName) {
+      notice(`The link shows another body, ${camera.body}. Its place of view is left out.`);
+      return;
+    }
     this.stage.placeCamera(new Vector3(...camera.position), new Vector3(...camera.target));
   }
 

@@ -4,7 +4,7 @@ import type { Section } from "./section";
 
 /** What the address keeps of a view, after its "#". Parts that are missing or make no sense are left out. */
 export interface ViewState {
-  camera?: { body: string; position: Vec3; target: Vec3 }; // metres; of the body with this name
+  camera?: { body: string; position: Vec3; target: Vec3 }; // metres; of the body with this name, or of any if it is empty
   section?: Section;
   colours?: Colouring;
   theme?: "light" | "dark";
