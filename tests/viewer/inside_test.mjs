@@ -1,7 +1,7 @@
 // What the body shows inside: a volume image with a formula, and regions, on cut faces and in the section.
 
 import assert from "node:assert/strict";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { copyFileSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
@@ -291,6 +291,63 @@ test("regions that the configuration does not name differ, and a texture of one 
   assert.ok(share(faces.filter((f) => f.region === 1)) < 0.2);
   await shot(page, "region_texture");
   assert.deepEqual([...faults, ...opened.faults], []);
+});
+
+test("a texture that cannot be decoded costs itself alone, and a notice names it", async (t) => {
+  const files = folder(t);
+  paintedCube(files);
+  copyFileSync(join(files, "paint.png"), join(files, "other.png"));
+  const layers = writeLayers(files, 10);
+  const damage = (page, path) =>
+    page.route(`**${path}`, async (route) => {
+      const answer = await route.fetch();
+      await route.fulfill({ response: answer, body: (await answer.body()).subarray(0, 60) });
+    });
+  const named = (page, path) =>
+    until(
+      page,
+      (path) => [...document.querySelectorAll(".notice p")].some((p) => p.textContent.includes(`${path} is no image`)),
+      path,
+    );
+  const image = writeRamp(files).path;
+  const side = (name) => ({ texture: join(files, name) });
+  const server = await serve(t, {
+    mesh: { path: layers, image },
+    materials: [
+      { region: 2, tissue: "fat", inside: side("other.png"), surface: side("other.png") },
+      { region: 3, tissue: "muscle", inside: side("paint.png"), surface: side("paint.png") },
+    ],
+  });
+  const { page, faults } = await look(t, server.url);
+  await define(page, "REGION_TEXTURES", 1);
+  const { regions } = await (await fetch(`${server.url}look.json`)).json();
+  const of = (region) => regions.find((r) => r.region === region).inside.texture;
+  assert.notEqual(of(2), of(3));
+  await damage(page, of(2));
+  await page.reload();
+  await named(page, of(2));
+  await define(page, "REGION_TEXTURES", 1);
+  const rows = await page.evaluate(() => [...window.incise.stage.body.look.uniforms.uLooks.value.image.data]);
+  const layerOf = (region) => rows[16 * regions.findIndex((r) => r.region === region) + 7];
+  assert.deepEqual([layerOf(2), layerOf(3)], [-1, 0]);
+  assert.equal(await page.locator("#inside-row").evaluate((row) => row.hidden), false);
+  // All of them: the looks and the image are still there.
+  await damage(page, of(3));
+  await page.reload();
+  await until(page, () => window.incise?.stage.body.mesh.material.defines.REGIONS === 1);
+  await define(page, "REGION_TEXTURES", 0);
+  assert.equal(await page.locator("#inside-row").evaluate((row) => row.hidden), false);
+
+  // The texture of the surface that a body was filled from: the other materials keep their colours.
+  const cube = await serve(t, { mesh: { path: join(files, "cube.obj"), target_tets: 4000 } });
+  const painted = await look(t, cube.url);
+  await define(painted.page, "TEXTURE", 1);
+  const surface = "/surface/0.png";
+  await damage(painted.page, surface);
+  await painted.page.reload();
+  await named(painted.page, surface);
+  await until(painted.page, () => window.incise?.stage.body.mesh.material.defines.TEXTURE === 1);
+  assert.deepEqual([...faults, ...painted.faults], []);
 });
 
 test("an image that cannot be used gets one line, and no server starts", async (t) => {

@@ -183,6 +183,17 @@ test("keys work in capitals and without focus, and a question mark lists them", 
   await page.keyboard.press("?");
   await page.locator("#help-dialog[open]").waitFor();
   await shot(page, "help");
+  // In a low window the keys are rolled, and the button is always there.
+  await page.setViewportSize({ width: 1280, height: 500 });
+  const [dialog, close] = await Promise.all(
+    ["#help-dialog", "#help-dialog button"].map((part) => page.locator(part).boundingBox()),
+  );
+  assert.ok(dialog.y >= 0 && dialog.y + dialog.height <= 500, JSON.stringify(dialog));
+  assert.ok(close.y + close.height < dialog.y + dialog.height, JSON.stringify([dialog, close]));
+  await page.locator("#keys div").last().scrollIntoViewIfNeeded();
+  const last = await page.locator("#keys div").last().boundingBox();
+  assert.ok(last.y + last.height <= close.y, JSON.stringify([last, close]));
+  await page.setViewportSize({ width: 1280, height: 800 });
   // Every key that a tooltip names is listed, and each is there once.
   const listed = await page.locator("#keys kbd").allTextContents();
   const named = await page.evaluate(() =>

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { copyFileSync, readFileSync } from "node:fs";
+import { copyFileSync, readFileSync, renameSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import { atRevision, bladeIsReady, drag, look, serve, shot } from "./page.mjs";
@@ -142,6 +142,10 @@ test("the address keeps the view when it comes to rest, and a link shows it agai
     await until(other.page, (bad) => window.incise.stage.atRest && location.hash !== bad, bad);
     assert.deepEqual(await view(other.page), before, bad);
   }
+  await until(other.page, () => /shows another body, heart/.test(document.getElementById("notices").textContent));
+  // One that names no body is for any.
+  await other.page.evaluate(() => (location.hash = "#from=0,-1.5,0&to=0,0,0"));
+  await until(other.page, () => Math.abs(window.incise.stage.cameraPlace.position[1] + 1.5) < 1e-6);
   assert.deepEqual([...faults, ...other.faults], []);
 });
 
@@ -293,6 +297,100 @@ test("the blade is shown where it would enter, before the button is pressed", as
   assert.deepEqual(faults, []);
 });
 
+test("what a section hides has no preview and is not cut", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await bladeIsReady(page);
+  await page.keyboard.press("5"); // from above
+  await page.keyboard.press("s");
+  await page.locator("#section-axis").getByText("X").click();
+  await atRest(page);
+  /** Where a place is seen that is this far from the body's middle along each axis, in shares of its size, on the side that is hidden. */
+  const placeAt = (x, y, hidden) =>
+    page.evaluate(
+      ([x, y, hidden]) => {
+        const { stage } = window.incise;
+        const place = stage.centre.clone();
+        place.x += x * stage.bodySize_m * stage.plane[0] * (hidden ? 1 : -1);
+        place.y += y * stage.bodySize_m;
+        return stage.marks.onScreen(place);
+      },
+      [x, y, hidden],
+    );
+  const preview = async (hidden) => {
+    await page.mouse.move(...(await placeAt(0.15, 0, hidden)));
+    return page.evaluate(() => window.incise.mouse.preview() !== null);
+  };
+  const dragAt = async (hidden) => {
+    const [from, to] = [await placeAt(0.15, -0.35, hidden), await placeAt(0.15, 0.35, hidden)];
+    await page.mouse.move(...from);
+    await page.mouse.down();
+    await page.mouse.move(...to, { steps: 20 });
+    await page.mouse.up();
+  };
+  assert.deepEqual([await preview(true), await preview(false)], [false, true]);
+  await dragAt(true);
+  await until(page, () => /cut nothing/.test(document.getElementById("notices").textContent));
+  assert.equal((await server.stats()).revision, 0);
+  // Right through from the section's face: not the half before it.
+  await page.locator("#section-axis").getByText("Z").click();
+  await dragAt(false);
+  await until(page, () => window.incise.progress.revision > 0 && !document.body.dataset.stroke);
+  await page.waitForTimeout(500);
+  const above_m = await page.evaluate(() => {
+    const { stage } = window.incise;
+    const { slots, corners, isCut } = stage.body.shown(0);
+    const p = new Float64Array(9);
+    let above = -Infinity;
+    for (let slot = 0; slot < slots; ++slot)
+      if (corners(slot, p) && isCut(slot)) above = Math.max(above, p[2], p[5], p[8]);
+    return above - stage.plane[3];
+  });
+  assert.ok(above_m < 0.002, `a cut goes ${above_m} m beyond the plane`);
+  await shot(page, "section_cut");
+  assert.deepEqual(faults, []);
+});
+
+test("marks and preview are gone from the screen when they are over", async (t) => {
+  const server = await serve(t, { capture: { path: "first.capture", library: "." } });
+  server.stream([0.03]);
+  await server.stop();
+  renameSync(server.file("first.capture"), server.file("old.capture"));
+  await server.start();
+  server.stream([0.03]);
+  const { page, faults } = await look(t, server.url, { width: 1280, height: 720 });
+  await bladeIsReady(page);
+  await page.locator("#open").fill("1");
+  await page.mouse.move(1200, 300); // the panel
+  await until(page, () => window.incise.stage.bladesShown === 0 && window.incise.stage.atRest);
+  const seen = () => page.screenshot({ clip: { x: 150, y: 100, width: 700, height: 450 } }); // what the canvas holds may differ
+  const bare = await seen();
+  for (let i = 0; i < 3; ++i) {
+    await page.mouse.move(400 + 10 * i, 330);
+    await page.mouse.move(300, 330);
+    assert.ok(!bare.equals(await seen()), "a preview");
+    await page.mouse.move(1200, 300);
+    assert.ok(bare.equals(await seen()), "the preview is over");
+    await page.keyboard.press("m");
+    await page.mouse.click(400 + 10 * i, 330);
+    await page.mouse.click(300, 330);
+    await page.mouse.move(1200, 300);
+    assert.ok(!bare.equals(await seen()), "a measurement");
+    await page.keyboard.press("Escape");
+    await atRest(page);
+    assert.ok(bare.equals(await seen()), "the measurement is over");
+  }
+  // It is of the live body, not of a replay's.
+  await page.keyboard.press("m");
+  await page.mouse.click(400, 330);
+  await page.mouse.click(300, 330);
+  assert.equal(await page.evaluate(() => window.incise.measure.labels.length > 0), true);
+  await page.evaluate(() => window.incise.send({ kind: "replay", action: "open", capture: "old.capture", speed: 1 }));
+  await until(page, () => document.body.dataset.replay === "on");
+  assert.deepEqual(await page.evaluate(() => [window.incise.measure.shown, ...window.incise.measure.labels]), [false]);
+  assert.deepEqual(faults, []);
+});
+
 test("strokes of several hands are bars and blades of their own colour, with the names that they have", async (t) => {
   const server = await serve(t);
   const { page, faults } = await look(t, server.url, { width: 1280, height: 800 });
@@ -328,17 +426,28 @@ test("strokes of several hands are bars and blades of their own colour, with the
   assert.notEqual(own.source, other.source);
   assert.ok(other.cutArea_m2 > 1e-4 && other.first === 1 && other.last === before);
   assert.deepEqual([own.first, own.last], [before + 1, (await server.stats()).revision]);
-  await until(page, () => document.getElementById("blades").textContent === "assistantyou");
+  await until(page, () => document.getElementById("blades").textContent === "assistantmouse (you)");
   // The other's blade is seen for a while, in its colour and with its name.
   await page.evaluate((bar) => window.incise.stage.blade(bar.source, false).move([0, 0, 0.1], [0, 0, 0], true), other);
   await page.evaluate(() => window.incise.stage.draw());
   await shot(page, "blades_named");
   const colours = await page.evaluate(() => [...document.querySelectorAll("#blades i")].map((i) => i.style.background));
   assert.equal(new Set(colours).size, 2);
+  // A click on a bar shows its figures in the panel, another takes them away.
+  const text = () => page.locator("#stroke-text").textContent();
+  const bars = await page.locator("#live-timeline").boundingBox();
+  await page.mouse.click(bars.x + 4, bars.y + 4);
+  assert.match(await text(), /^Stroke of assistant: [\d.]+ s, [\d.]+ cm² when it was cut, revisions 1 to /);
+  await shot(page, "stroke_figures");
+  await page.mouse.click(bars.x + 4, bars.y + 4);
+  assert.equal(await text(), "");
+  await page.mouse.click(bars.x + bars.width - 4, bars.y + 16);
+  assert.match(await text(), /^Your stroke: /);
   // Undone, the last stroke is no longer there; reset, none is.
   await page.keyboard.press("z");
   await until(page, () => window.incise.live.strokes.length === 1);
   assert.equal((await strokes())[0].own, false);
+  await until(page, () => document.getElementById("stroke-text").hidden);
   await page.keyboard.press("r");
   await page.getByRole("button", { name: "Reset" }).last().click();
   await until(page, () => window.incise.progress.revision === 0);
@@ -373,5 +482,47 @@ test("a mesh that is dropped on the page changes nothing, and the configuration 
   assert.equal(checked.status, 0, checked.stderr + checked.stdout);
   assert.match(await drop("notes.txt"), /not a mesh/);
   assert.equal(await page.evaluate(() => window.incise.progress.hashAgrees), true);
+  assert.deepEqual(faults, []);
+});
+
+test("pages with names of their own cut at the same time, and one name is one blade", async (t) => {
+  const server = await serve(t);
+  const options = { width: 1280, height: 720 };
+  const { page: first, faults } = await look(t, `${server.url}#name=Dr.%20Li`, options);
+  const { page: second } = await look(t, server.url, options);
+  for (const page of [first, second]) await bladeIsReady(page);
+  const names = async () => (await server.stats()).blades.map((blade) => blade.name).sort();
+  assert.deepEqual(await names(), ["Dr. Li", "mouse"]);
+  // A name that is typed is kept, and its letters are no keys.
+  await second.locator("#more summary").click();
+  await second.locator("#blade-name").fill("Cut Two");
+  await second.keyboard.press("t");
+  assert.equal(await second.evaluate(() => window.incise.tool), "cut");
+  await shot(second, "more_name");
+  await second.keyboard.press("Enter");
+  await until(second, () => localStorage.getItem("incise-name") === "Cut Twot");
+  for (let tries = 0; tries < 100 && !(await names()).includes("Cut Twot"); ++tries) await second.waitForTimeout(100);
+  assert.deepEqual(await names(), ["Cut Twot", "Dr. Li"]);
+  await second.reload();
+  await until(second, () => window.incise?.progress && document.body.dataset.blade === "open");
+  assert.ok((await names()).includes("Cut Twot"));
+  await drag(first, [0.3, 0.2], [0.36, 0.85]);
+  await until(second, () => window.incise.live.strokes.length === 1);
+  await drag(second, [0.6, 0.2], [0.66, 0.85]);
+  const legend = (page, names) =>
+    until(
+      page,
+      (names) => [...document.querySelectorAll("#blades li")].map((row) => row.textContent).join() === names,
+      names,
+    );
+  await legend(first, "Dr. Li (you),Cut Twot");
+  await legend(second, "Dr. Li,Cut Twot (you)");
+  assert.match(first.url(), /name=Dr\.%20Li/);
+  // The same name: somebody has it, and after a takeover both hands are in the legend.
+  const { page: third } = await look(t, `${server.url}#name=Dr.%20Li`, options);
+  await third.getByRole("button", { name: "Take it over" }).click();
+  await bladeIsReady(third);
+  await drag(third, [0.45, 0.2], [0.5, 0.85]);
+  await legend(first, "Dr. Li (you),Cut Twot,Dr. Li");
   assert.deepEqual(faults, []);
 });

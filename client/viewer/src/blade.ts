@@ -18,6 +18,8 @@ const kNumbersPerPose = 9;
 export class Blade {
   private link: Link | null = null;
   private source = -1;
+  private name = "mouse";
+  private taken: [url: string, token: string, length_m: number] = ["", "", 0]; // with what it was taken last
 
   constructor(private readonly post: Post) {}
 
@@ -28,12 +30,13 @@ export class Blade {
 
   take(url: string, token: string, takeOver: boolean, length_m: number): void {
     this.release();
+    this.taken = [url, token, length_m];
     this.link = new Link(url, {
       hello: () => ({
         role: Role.Operator,
         view: View.None,
         token,
-        sourceName: "mouse",
+        sourceName: this.name,
         takeOver,
         blade: { heel: [0, 0, 0], tip: [0, 0, -length_m] },
       }),
@@ -46,6 +49,14 @@ export class Blade {
       refused: (text) => this.post({ kind: "notice", text }),
       unreadable: () => {},
     });
+  }
+
+  /** From here on it has this name: a blade that is held is given up for the one of that name. */
+  rename(name: string): void {
+    if (name === this.name) return;
+    this.name = name;
+    const [url, token, length_m] = this.taken;
+    if (this.link) this.take(url, token, false, length_m);
   }
 
   release(): void {

@@ -281,15 +281,24 @@ export class BodyMesh {
   }
 
   /**
-   * Where a ray meets the skin of the body at rest: the distance in units of `direction`, or NaN. Cut faces are
-   * skipped: a second stroke across a gap must not fall into it. O(triangles). Möller and Trumbore 1997.
+   * Where a ray meets the skin of the body at rest, or the inside that a section shows: the distance in units of
+   * `direction`, or NaN. Cut faces are skipped: a second stroke across a gap must not fall into it. O(triangles).
+   * Möller and Trumbore 1997.
    */
   raycast(origin: THREE.Vector3, direction: THREE.Vector3): number {
     const p = this.positions();
     const facts = this.mesh.geometry.getAttribute("aFacts")?.array;
     const { x: ox, y: oy, z: oz } = origin;
     const { x: dx, y: dy, z: dz } = direction;
-    let nearest = NaN;
+    // What a section leaves is met between these distances; without one its normal is 0.
+    const { x: nx, y: ny, z: nz, w: offset } = this.uniforms.uSection.value as THREE.Vector4;
+    const beyond = nx * ox + ny * oy + nz * oz - offset,
+      slope = nx * dx + ny * dy + nz * dz;
+    const crosses = slope === 0 ? Infinity : -beyond / slope;
+    const from = beyond > 0 ? (slope < 0 ? crosses : Infinity) : 0,
+      to = slope > 0 ? crosses : Infinity;
+    let nearest = NaN,
+      leaves = false; // the body there: the ray has come into it through the section
     for (let s = 0; s < this.slots; ++s) {
       if (facts[12 * s] !== 0) continue;
       const i = 9 * s;
@@ -306,21 +315,24 @@ export class BodyMesh {
         hy = dz * vx - dx * vz,
         hz = dx * vy - dy * vx;
       const det = ux * hx + uy * hy + uz * hz;
-      if (det < 1e-18) continue; // it faces away, or is seen edge on
+      if (Math.abs(det) < 1e-18 || (det < 0 && from === 0)) continue; // it is seen edge on, or faces away
+      const sign = Math.sign(det);
       const tx = ox - ax,
         ty = oy - ay,
         tz = oz - az;
-      const a = tx * hx + ty * hy + tz * hz;
-      if (a < 0 || a > det) continue;
+      const a = sign * (tx * hx + ty * hy + tz * hz);
+      if (a < 0 || a > sign * det) continue;
       const qx = ty * uz - tz * uy,
         qy = tz * ux - tx * uz,
         qz = tx * uy - ty * ux;
-      const b = dx * qx + dy * qy + dz * qz;
-      if (b < 0 || a + b > det) continue;
+      const b = sign * (dx * qx + dy * qy + dz * qz);
+      if (b < 0 || a + b > sign * det) continue;
       const t = (vx * qx + vy * qy + vz * qz) / det;
-      if (t > 0 && !(t >= nearest)) nearest = t;
+      if (!(t > from && t <= to) || t >= nearest) continue;
+      nearest = t;
+      leaves = det < 0;
     }
-    return nearest;
+    return leaves ? from : nearest;
   }
 
   private write(

@@ -12,7 +12,13 @@ export interface Key {
 function wantedKey(e: KeyboardEvent): string | null {
   const target = e.target as HTMLElement;
   if ((e.ctrlKey || e.metaKey) && !e.altKey && !e.shiftKey && e.key.toLowerCase() === "z") return "z";
-  if (e.ctrlKey || e.metaKey || e.altKey || target.closest("dialog") || target.matches("select, input[type=password]"))
+  if (
+    e.ctrlKey ||
+    e.metaKey ||
+    e.altKey ||
+    target.closest("dialog") ||
+    target.matches("select, input[type=password], input[type=text]")
+  )
     return null;
   const moves = e.key.startsWith("Arrow") || e.key.startsWith("Page");
   if (target.matches("input[type=range], input[type=radio]") && moves) return null;
@@ -53,6 +59,6 @@ export class Keys {
   private help(): void {
     const dialog = element<HTMLDialogElement>("help-dialog");
     dialog.showModal();
-    dialog.scrollTop = 0; // the focus is on the button at its end
+    element("keys").scrollTop = 0;
   }
 }

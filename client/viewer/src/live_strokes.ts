@@ -21,8 +21,14 @@ export class LiveStrokes {
       canvas,
       (bar) => cssColour(bar.source, bar.own),
       (bar) => this.titleOf(bar),
-      "Strokes that this page has seen; long pauses are shortened",
+      "Strokes that this page has seen; long pauses are shortened. Click on one for its figures",
     );
+    canvas.addEventListener("click", (e) => {
+      const bar = this.timeline.barAt(e);
+      this.timeline.chosen = bar === this.timeline.chosen ? undefined : bar;
+      this.showChosen();
+      this.timeline.draw();
+    });
   }
 
   get strokes(): readonly Bar[] {
@@ -59,22 +65,32 @@ export class LiveStrokes {
   /** Whose strokes the bars are. To be called when names have come, too. */
   showBlades(): void {
     element("live-strokes").hidden = this.bars.length === 0;
-    const seen = new Map(this.bars.map((bar) => [bar.source, bar.own]));
+    this.showChosen();
+    // After a takeover a source has strokes of two hands.
+    const seen = new Map(this.bars.map(({ source, own }) => [`${source},${own}`, { source, own }]));
     element("blades").replaceChildren(
-      ...[...seen].map(([source, own]) => {
+      ...[...seen.values()].map(({ source, own }) => {
         const item = document.createElement("li");
         const swatch = document.createElement("i");
         swatch.style.background = cssColour(source, own);
-        item.append(swatch, own ? "you" : this.names.of(source));
+        item.append(swatch, this.names.of(source) + (own ? " (you)" : ""));
         return item;
       }),
     );
   }
 
+  /** The figures of the stroke that was clicked, while it is there. */
+  private showChosen(): void {
+    const { timeline } = this;
+    if (timeline.chosen && !this.bars.includes(timeline.chosen)) timeline.chosen = undefined;
+    element("stroke-text").hidden = !timeline.chosen;
+    element("stroke-text").textContent = timeline.chosen ? this.titleOf(timeline.chosen) : "";
+  }
+
   private titleOf(bar: Bar): string {
     const whose = bar.own ? "Your stroke" : `Stroke of ${this.names.of(bar.source)}`;
     const area = number((bar.cutArea_m2 ?? 0) * 1e4, 1);
-    return `${whose}: ${seconds(bar.to_ms - bar.from_ms)} s, ${area} cm², revisions ${bar.first} to ${bar.last}`;
+    return `${whose}: ${seconds(bar.to_ms - bar.from_ms)} s, ${area} cm² when it was cut, revisions ${bar.first} to ${bar.last}`;
   }
 
   /** At most once a frame. */

@@ -1,5 +1,5 @@
 import type { Vec3 } from "./messages";
-import { type DocumentAt, get, layersOf, type Texture } from "./texture_source";
+import { type DocumentAt, fetchImage, get, layersOf, type Texture } from "./texture_source";
 
 /** An image of a byte a sample, x fastest. */
 export interface Samples {
@@ -29,6 +29,7 @@ export interface Look {
   regions: RegionLook[]; // empty: the page's own look
   regionImage: Samples | null; // which of `regions` a place is; 255: outside
   textures: Texture | null;
+  undecoded: string[]; // paths of textures that are no image: plain colours stand for them
 }
 
 type Json = Record<string, unknown>;
@@ -96,15 +97,20 @@ async function loadLook(json: Json, at: DocumentAt, token: string): Promise<Look
   const [image, regionImage, images] = await Promise.all([
     samplesOf(json.image as Json | undefined, at, token),
     samplesOf(json.region_image as Json | undefined, at, token),
-    Promise.all([...layers.keys()].map(async (path) => createImageBitmap(await (await get(at(path), token)).blob()))),
+    Promise.all([...layers.keys()].map((path) => fetchImage(at(path), token))),
   ]);
+  const undecoded = [...layers.keys()].filter((_, i) => !images[i]);
+  const whole = images.filter((bitmap) => bitmap !== null);
+  const layerOf = images.map((bitmap) => (bitmap ? whole.indexOf(bitmap) : -1));
+  for (const side of regions.flatMap((r) => [r.surface, r.inside]))
+    if (side.layer >= 0) side.layer = layerOf[side.layer];
   const white: Vec3 = [1, 1, 1];
   const textures =
-    images.length > 0
+    whole.length > 0
       ? layersOf(
-          images.map(() => ({ diffuse: white })),
-          images,
+          whole.map(() => ({ diffuse: white })),
+          whole,
         )
       : null;
-  return { image, regions, regionImage, textures };
+  return { image, regions, regionImage, textures, undecoded };
 }

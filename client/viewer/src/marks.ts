@@ -24,7 +24,7 @@ export class Marks {
   draw(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const scale = Math.min(devicePixelRatio, 2);
-    // Setting the size clears it. (With clearRect, Chromium 156 without a graphics card keeps old marks when it is busy.)
+    // Setting the size clears it.
     if (this.used || this.canvas.width !== width * scale || this.canvas.height !== height * scale) {
       this.canvas.width = width * scale;
       this.canvas.height = height * scale;
@@ -32,6 +32,8 @@ export class Marks {
     this.used = false;
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of [...this.layers, ...this.tools]) layer(this);
+    // Chromium 156 without a graphics card goes on showing a canvas that was cleared and got nothing new.
+    this.canvas.style.visibility = this.used ? "" : "hidden";
   }
 
   /** Draws on another sheet, which has `scale` pixels for one of the page. A copy of the canvas would not do: just after it was cleared, Chromium copies what was there before. */

@@ -58,7 +58,7 @@ export class Measure {
     const before = this.places.length;
     const left = this.places.filter((place) => follow(body, place));
     this.places.splice(0, before, ...left);
-    if (this.cut && !follow(body, this.cut.place)) this.cut = null;
+    if (this.cut && !(follow(body, this.cut.place) && body.shown(0).isCut(this.cut.place.slot))) this.cut = null;
     if (this.cut) this.askArea(this.cut.place.halfFace);
     if (left.length < before) notice("A measured point is gone: its triangle was cut or removed.");
     this.refresh();

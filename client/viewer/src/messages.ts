@@ -72,6 +72,7 @@ export type ToWorker =
   | { kind: "connect"; url: string; token: string; local: boolean }
   | { kind: "take-blade"; takeOver: boolean; length_m: number }
   | { kind: "release-blade" }
+  | { kind: "name-blade"; name: string }
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
   | { kind: "reset" }

@@ -36,7 +36,8 @@ export interface MouseBladeEvents {
 
 /**
  * Turns the pointer's path over the picture into the path of a blade along the line of sight: a line drawn on the
- * body is cut straight away from the eye. `depth_m` is how far its tip goes below the skin; null: right through.
+ * body is cut straight away from the eye. `depth_m` is how far its tip goes below the skin; null: right through. A
+ * section's plane is skin, too, and what it hides is not there.
  */
 export class MouseBlade {
   facts: BladeFacts | null = null;
@@ -192,7 +193,7 @@ export class MouseBlade {
   /** Takes the next sample; poses go out up to the one before it, whose neighbours are known then. */
   private advance(sample: Sample): void {
     this.lastEvent = sample;
-    if (this.depth_m !== null && Number.isNaN(this.reach)) {
+    if ((this.depth_m !== null || this.stage.plane) && Number.isNaN(this.reach)) {
       this.waitingForSkin = [sample]; // only the last one before the body is kept
       return;
     }
@@ -249,10 +250,25 @@ export class MouseBlade {
       along.applyAxisAngle(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), this.tilt_rad);
     const pivot = origin.clone().addScaledVector(direction, this.depth_m === null ? middle : skin);
     // Right through: the blade's middle in the body's middle, as far as its length allows.
-    const below = this.depth_m === null ? length / 2 : this.depth_m;
+    const below = this.withinSection(this.depth_m === null ? length / 2 : this.depth_m, length, pivot, along);
     const tip = pivot.clone().addScaledVector(along, below);
     const heel = tip.clone().addScaledVector(along, -length);
     return { time_ms: sample.time_ms, heel, tip };
+  }
+
+  /**
+   * How far below the pivot the tip goes, so that the edge is on the side of a section's plane that is drawn. A blade
+   * that goes in from the hidden side and not right through keeps its depth, and has the rest of its edge there.
+   */
+  private withinSection(below: number, length: number, pivot: THREE.Vector3, along: THREE.Vector3): number {
+    const { plane, bodySize_m } = this.stage;
+    if (!plane) return below;
+    const normal = new THREE.Vector3(plane[0], plane[1], plane[2]);
+    const slope = normal.dot(along) || -1e-9;
+    // Where the edge's line meets the plane; far away it would only make a long way.
+    const at = Math.max(-bodySize_m, Math.min(bodySize_m, (plane[3] - normal.dot(pivot)) / slope));
+    if (slope > 0) return Math.min(below, at);
+    return this.depth_m === null ? Math.max(below, at + length) : below;
   }
 
   /**

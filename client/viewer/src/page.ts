@@ -1,4 +1,5 @@
 import { Vector3 } from "three";
+import { BladeName } from "./blade_name";
 import { BladeNames } from "./blade_colours";
 import { ask, element, input, save } from "./dom";
 import { acceptDrops } from "./drop";
@@ -40,6 +41,7 @@ export class Page {
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
   readonly figures = new Figures();
   readonly blades = new BladeNames();
+  readonly bladeName = new BladeName((name) => this.send({ kind: "name-blade", name }));
   readonly live = new LiveStrokes(this.blades);
   readonly look = new Look(
     this.stage,
@@ -91,8 +93,8 @@ export class Page {
       this.send({ kind: "wake" });
     });
     this.operator.waitsFor = kWaitsText;
-    this.connect();
     this.showLink();
+    this.connect();
   }
 
   get mouse() {
@@ -208,19 +210,25 @@ export class Page {
   private keepView(): void {
     if (!this.facts) return;
     const camera = { body: this.facts.meshName, ...this.stage.cameraPlace };
-    const fragment = `#${toFragment({ camera, ...this.look.state })}`;
+    const fragment = `#${toFragment({ camera, ...this.look.state, name: this.bladeName.inLink })}`;
     if (fragment !== location.hash) history.replaceState(history.state, "", fragment);
   }
 
   private showLink(): void {
-    this.look.showState(fromFragment(location.hash));
+    const state = fromFragment(location.hash);
+    this.look.showState(state);
+    this.bladeName.follow(state.name);
     this.showLinkedCamera();
   }
 
   /** Puts the camera where the address says, if it is about this body. */
   private showLinkedCamera(): void {
     const { camera } = fromFragment(location.hash);
-    if (!camera || camera.body !== this.facts?.meshName) return;
+    if (!camera || !this.facts) return;
+    if (camera.body && camera.body !== this.facts.meshName) {
+      notice(`The link shows another body, ${camera.body}. Its place of view is left out.`);
+      return;
+    }
     this.stage.placeCamera(new Vector3(...camera.position), new Vector3(...camera.target));
   }
 
@@ -326,7 +334,10 @@ export class Page {
     element<HTMLButtonElement>("reset").disabled = is;
     this.enableUndo();
     element("quality-of").textContent = is ? "of the triangles" : "of the tetrahedra";
-    if (is !== was) this.look.measureCover();
+    if (is !== was) {
+      this.look.measureCover();
+      this.measure.clear(); // it is of the other body
+    }
     if (is && !was && this.look.narrow) this.look.togglePanel(false); // it would cover the player
     this.operator.onReplay(is);
     if (facts?.text) notice(facts.text);

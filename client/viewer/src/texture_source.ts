@@ -32,20 +32,32 @@ export async function get(url: string, token: string): Promise<Response> {
   return answer;
 }
 
-/** The asset and its texture; null where none of its materials has an image, or it has no texture coordinates. Throws. */
+/** null: the answer is no image that this browser can decode. Throws where there is no answer. */
+export async function fetchImage(url: string, token: string): Promise<ImageBitmap | null> {
+  const bytes = await (await get(url, token)).blob();
+  try {
+    return await createImageBitmap(bytes);
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * The asset and its texture, and the names of images that cannot be decoded, whose materials have their plain colour;
+ * null where none of its materials has an image, or it has no texture coordinates. Throws.
+ */
 export async function fetchTexture(
   at: DocumentAt,
   path: string,
   token: string,
-): Promise<{ asset: SurfaceAsset; texture: Texture } | null> {
+): Promise<{ asset: SurfaceAsset; texture: Texture; undecoded: string[] } | null> {
   const asset = new SurfaceAsset(new Uint8Array(await (await get(at(path), token)).arrayBuffer()));
   if (asset.uvs.length === 0 || !asset.materials.some((m) => m.texture)) return null;
   const images = await Promise.all(
-    asset.materials.map(async (m) =>
-      m.texture ? createImageBitmap(await (await get(at(`${path}/${m.texture}`), token)).blob()) : null,
-    ),
+    asset.materials.map((m) => (m.texture ? fetchImage(at(`${path}/${m.texture}`), token) : null)),
   );
-  return { asset, texture: layersOf(asset.materials, images) };
+  const undecoded = asset.materials.filter((m, i) => m.texture && !images[i]).map((m) => `${path}/${m.texture}`);
+  return { asset, texture: layersOf(asset.materials, images), undecoded };
 }
 
 /** All layers are squares of one size: a texture array has no other. */

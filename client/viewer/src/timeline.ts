@@ -75,6 +75,7 @@ const kTick_px = 70;
 /** Draws strokes as bars, a row for each blade, over a line with seconds. */
 export class Timeline {
   private bars: Bar[] = [];
+  chosen: Bar | undefined; // the others are drawn faintly
   private from_ms = 0;
   private to_ms = 1;
 
@@ -88,12 +89,24 @@ export class Timeline {
   ) {
     new ResizeObserver(() => this.draw()).observe(canvas);
     host.addEventListener("pointermove", (e) => {
-      const box = canvas.getBoundingClientRect();
-      const at = this.timeAt(e.clientX - box.left);
-      const margin = (this.to_ms - this.from_ms) / 100;
-      const bar = this.bars.find((b) => at >= b.from_ms - margin && at <= b.to_ms + margin);
+      const bar = this.barAt(e);
       host.title = bar ? titleOf(bar) : idle;
     });
+  }
+
+  /** The bar under the pointer, or one at its time in another row. */
+  barAt({ clientX, clientY }: MouseEvent): Bar | undefined {
+    const { left, top, height } = this.canvas.getBoundingClientRect();
+    const at = this.timeAt(clientX - left);
+    const margin = (this.to_ms - this.from_ms) / 100;
+    const there = this.bars.filter((b) => at >= b.from_ms - margin && at <= b.to_ms + margin);
+    const { rows } = this;
+    const source = rows[Math.floor(((clientY - top) / (height - kTicks_px)) * rows.length)];
+    return there.find((b) => b.source === source) ?? there[0];
+  }
+
+  private get rows(): number[] {
+    return [...new Set(this.bars.map((bar) => bar.source))].sort((a, b) => a - b);
   }
 
   show(bars: Bar[], from_ms: number, to_ms: number): void {
@@ -128,10 +141,11 @@ export class Timeline {
       const text = `${Number((ms / 1000).toFixed(1))} s`;
       g.fillText(text, Math.max(0, Math.min(x(ms) - 3, width - g.measureText(text).width)), floor + 2.5);
     }
-    const rows = [...new Set(this.bars.map((bar) => bar.source))].sort((a, b) => a - b);
+    const { rows } = this;
     const row = (floor - 3) / Math.max(1, rows.length);
     for (const bar of this.bars) {
       g.fillStyle = this.colourOf(bar);
+      g.globalAlpha = this.chosen && bar !== this.chosen ? 0.35 : 1;
       const left = x(bar.from_ms);
       g.beginPath();
       g.roundRect(left, 1 + row * rows.indexOf(bar.source), Math.max(3, x(bar.to_ms) - left), Math.max(2, row - 2), 2);

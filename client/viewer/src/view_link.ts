@@ -4,11 +4,12 @@ import type { Section } from "./section";
 
 /** What the address keeps of a view, after its "#". Parts that are missing or make no sense are left out. */
 export interface ViewState {
-  camera?: { body: string; position: Vec3; target: Vec3 }; // metres; of the body with this name
+  camera?: { body: string; position: Vec3; target: Vec3 }; // metres; of the body with this name, or of any if it is empty
   section?: Section;
   colours?: Colouring;
   theme?: "light" | "dark";
   inside?: "tissue" | "image"; // on cut faces and in the section
+  name?: string; // of the page's blade
 }
 
 const kColours: readonly string[] = ["tissue", "pieces", "quality"] satisfies Colouring[];
@@ -16,7 +17,7 @@ const kLongest = 1000; // characters
 
 const written = (place: Vec3) => place.map((x) => Number(x.toPrecision(6))).join();
 
-export function toFragment({ camera, section, colours, theme, inside }: ViewState): string {
+export function toFragment({ camera, section, colours, theme, inside, name }: ViewState): string {
   const parts: string[] = [];
   if (camera) {
     parts.push(`body=${encodeURIComponent(camera.body)}`);
@@ -26,6 +27,7 @@ export function toFragment({ camera, section, colours, theme, inside }: ViewStat
   if (colours) parts.push(`colours=${colours}`);
   if (theme) parts.push(`theme=${theme}`);
   if (inside === "image") parts.push("inside=image");
+  if (name) parts.push(`name=${encodeURIComponent(name)}`);
   return parts.join("&");
 }
 
@@ -44,6 +46,8 @@ export function fromFragment(fragment: string): ViewState {
   const theme = fields.get("theme");
   if (theme === "light" || theme === "dark") state.theme = theme;
   if (fields.get("inside") === "image") state.inside = "image";
+  const name = fields.get("name");
+  if (name) state.name = name;
   return state;
 }
 

@@ -212,6 +212,7 @@ export class Viewer {
       if (!found || hash !== this.assetHash) return;
       this.post({ kind: "texture", ...found.texture }, [found.texture.pixels.buffer]);
       this.feed.setTexture(found.asset);
+      this.nameUndecoded(found.undecoded);
     } catch (error) {
       this.assetHash = ""; // asked for again with the next Welcome
       this.post({
@@ -235,6 +236,7 @@ export class Viewer {
         { kind: "look", look },
         images.flatMap((bytes) => (bytes ? [bytes.buffer] : [])),
       );
+      this.nameUndecoded(look.undecoded);
     } catch (error) {
       this.lookText = ""; // asked for again with the next connection
       this.post({
@@ -242,6 +244,15 @@ export class Viewer {
         text: `The body's inside is not shown as its server says: ${error instanceof Error ? error.message : error}`,
       });
     }
+  }
+
+  private nameUndecoded(paths: string[]): void {
+    if (paths.length === 0) return;
+    const what = paths.length === 1 ? `The texture ${paths[0]} is` : `The textures ${paths.join(", ")} are`;
+    this.post({
+      kind: "notice",
+      text: `${what} no image that this browser can decode. A plain colour is shown instead.`,
+    });
   }
 
   private onMessage(type: Body, message: Message, bytes: number): void {

@@ -36,6 +36,8 @@ class Dispatch {
         return this.viewer.connect(this.url, this.token);
       case "take-blade":
         return this.blade.take(this.url, this.token, message.takeOver, message.length_m);
+      case "name-blade":
+        return this.blade.rename(message.name);
       case "release-blade":
         return this.blade.release();
       case "poses":

@@ -117,6 +117,43 @@ test("right through, the blade's middle is in the body's middle", () => {
   for (const { tip, heel } of poses) near(tip.z + heel.z, 0, 0.03);
 });
 
+test("with a section, a stroke begins on what is drawn, and right through the edge stays on that side", () => {
+  const { mouse, poses, said, draw } = scene();
+  const section = (plane) => {
+    poses.length = 0;
+    mouse.stage.plane = plane;
+    mouse.stage.body.setSection(plane);
+  };
+  section([0, 0, 1, 0]); // hides the skin
+  draw([140, 200], [260, 200]);
+  assert.deepEqual([poses.length, said], [0, ["began", "nothing"]]);
+  section([0, 0, 1, 0.05]);
+  draw([140, 200], [260, 200]);
+  assert.ok(poses.length > 20);
+  for (const { heel } of poses) assert.ok(heel.z < 0.05 + 1e-6, `heel at ${heel.z}`);
+  section([0, 0, -1, 0]); // seen from the side that is drawn
+  for (const [depth_m, tilt_rad] of [
+    [null, 0],
+    [null, 0.4],
+    [0.1, 0],
+  ]) {
+    Object.assign(mouse, { depth_m, tilt_rad });
+    poses.length = 0;
+    draw([140, 200], [260, 200]);
+    assert.ok(poses.length > 20);
+    for (const { tip } of poses) assert.ok(tip.z > -1e-6, `tip at ${tip.z}`);
+  }
+  section([0, 0, 1, 0.05]);
+  Object.assign(mouse, { depth_m: null, tilt_rad: 0.4 });
+  draw([140, 200], [260, 200]);
+  assert.ok(poses.length > 20);
+  for (const { heel } of poses) assert.ok(heel.z < 0.05 + 1e-6, `heel at ${heel.z}`);
+  section(null);
+  mouse.tilt_rad = 0;
+  draw([140, 200], [260, 200]);
+  for (const { tip, heel } of poses) near(tip.z + heel.z, 0, 0.03);
+});
+
 test("the blade goes where the hand does, along the line of sight", () => {
   const { poses, draw } = scene();
   draw([140, 200], [260, 220]);

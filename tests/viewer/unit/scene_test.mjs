@@ -502,6 +502,32 @@ test("uploads cover every slot in few ranges", () => {
   assert.deepEqual(rangesOf(Uint32Array.of(3, 4, 5)), [[3, 6]]);
 });
 
+test("with a section, a ray meets the inside that it shows and nothing that it hides", () => {
+  const body = new BodyMesh();
+  const corners = allocateCorners(2); // a slab from z = 0 to 1
+  corners.positions.set([-1, -1, 1, 3, -1, 1, -1, 3, 1, -1, 3, 0, 3, -1, 0, -1, -1, 0]);
+  body.replace(2, 4, corners);
+  const met = (plane, z, dz, x = 0) => {
+    body.setSection(plane);
+    return body.raycast(new Vector3(x, 0, z), new Vector3(0, 0, dz));
+  };
+  near(met(null, 5, -1), 4);
+  near(met([0, 0, 1, 2], 5, -1), 4); // before the body
+  near(met([0, 0, 1, 0.4], 5, -1), 4.6);
+  near(met([0, 0, 1, 0.4], -5, 1), 5); // from the other side
+  near(met([0, 0, -1, -0.4], 5, -1), 4);
+  for (const [plane, ...ray] of [
+    [[0, 0, 1, -0.1], 5, -1], // behind the body
+    [[0, 0, 1, 0.4], 5, -1, 9], // beside it
+    [[0, 0, 1, 0.4], 5, 1],
+    [[0, 0, -1, -1.1], 5, -1],
+    [[1, 0, 0, -0.5], 5, -1], // along the plane, in what it hides
+  ])
+    assert.ok(Number.isNaN(met(plane, ...ray)), JSON.stringify([plane, ray]));
+  near(met([1, 0, 0, 0.5], 5, -1), 4);
+  near(met(null, 5, -1), 4);
+});
+
 test("a ray meets the nearest skin that faces it, and passes cut faces", () => {
   const body = new BodyMesh();
   const layer = (z, cut, flipped = false) => ({ z, cut, flipped });

@@ -97,7 +97,7 @@ test("live strokes are those that this page has seen, without what was undone, a
   frames.pop()();
   assert.deepEqual(
     byId("blades").children.map((item) => item.children[1]),
-    ["you", "Dr. Li"],
+    ["blade 1 (you)", "Dr. Li"],
   );
   assert.equal(byId("live-strokes").hidden, false);
   assert.ok(Math.abs(live.strokes[0].cutArea_m2 - 2e-4) < 1e-12);

@@ -1,0 +1,46 @@
+import { input } from "./dom";
+
+const kKey = "incise-name";
+const kDefault = "mouse";
+
+/** Without what a server would not take, or nobody could read; empty: the usual one. */
+export function cleaned(name: string | null | undefined): string {
+  return [...(name ?? "").replace(/[\p{C}\s]+/gu, " ").trim()].slice(0, 40).join("") || kDefault;
+}
+
+/** The name under which this page's blade cuts: that of the link, or what the user has typed. */
+export class BladeName {
+  private linked: string | undefined;
+
+  constructor(private readonly changed: (name: string) => void) {
+    const field = input("blade-name");
+    field.value = this.stored;
+    field.addEventListener("change", () => {
+      localStorage.setItem(kKey, cleaned(field.value));
+      this.linked = undefined;
+      this.tell();
+    });
+    this.tell();
+  }
+
+  /** What the address keeps; a typed name is not in it. */
+  get inLink(): string | undefined {
+    return this.linked;
+  }
+
+  /** name: of a link; undefined: it has none. */
+  follow(name: string | undefined): void {
+    this.linked = name && cleaned(name);
+    this.tell();
+  }
+
+  private get stored(): string {
+    return cleaned(localStorage.getItem(kKey));
+  }
+
+  private tell(): void {
+    const name = this.linked ?? this.stored;
+    input("blade-name").value = name;
+    this.changed(name);
+  }
+}
