@@ -63,6 +63,7 @@ function scene() {
       },
       moved: () => {},
       hovered: () => said.push("hovered"),
+      aimed: () => {},
       refused: () => said.push("refused"),
       strokeBegan: () => said.push("began"),
       strokeEnded: (sent) => said.push(sent ? "sent" : "nothing"),

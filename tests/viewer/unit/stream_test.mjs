@@ -249,29 +249,32 @@ test("other blades are shown, one's own is not: the page draws that itself", () 
 test("the force on a hand comes with its blade, one's own too, and once more when it has ended", () => {
   const { said } = view({ owns: (source) => source === 2 });
   sockets[0].receive(welcome());
-  const blade = (source, force) =>
+  const blade = (source, force, cutting = false) =>
     sockets[0].receive(
       message(Body.BladePose, (b) => {
         BladePose.startBladePose(b);
         BladePose.addSource(b, source);
         BladePose.addHeel(b, Vec3.createVec3(b, 1, 2, 3));
         BladePose.addTip(b, Vec3.createVec3(b, 4, 5, 6));
+        BladePose.addCutting(b, cutting);
         if (force) BladePose.addForceN(b, Vec3.createVec3(b, ...force));
         return BladePose.endBladePose(b);
       }),
     );
   blade(3, null);
   blade(3, [0, 0, 1.5]);
-  blade(2, [0.5, 0, 0]);
+  blade(3, [0, 0, 1], true); // its tip is hidden in the tissue
+  blade(2, [0.5, 0, 0], true);
   blade(3, null);
   blade(3, null);
   const forces = said.filter((m) => m.kind === "force").map((m) => m.force);
   assert.deepEqual(
-    forces.map((f) => [f.source, f.own, f.newtons, f.tip]),
+    forces.map((f) => [f.source, f.newtons, f.at]),
     [
-      [3, false, [0, 0, 1.5], [4, 5, 6]],
-      [2, true, [0.5, 0, 0], [4, 5, 6]],
-      [3, false, [0, 0, 0], [4, 5, 6]],
+      [3, [0, 0, 1.5], [4, 5, 6]],
+      [3, [0, 0, 1], [1, 2, 3]],
+      [2, [0.5, 0, 0], [4, 5, 6]], // the heel of one's own is at the eye
+      [3, [0, 0, 0], [4, 5, 6]],
     ],
   );
 });
