@@ -8,6 +8,7 @@ import collections
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -328,6 +329,6 @@ class ChaosTest(ClusterTest):
 
 if __name__ == "__main__":
     alone = ["unshare", "--map-root-user", "--net"]
-    if INSIDE not in os.environ and subprocess.run([*alone, "true"], capture_output=True).returncode == 0:
+    if INSIDE not in os.environ and shutil.which("ip") and subprocess.run([*alone, "true"], capture_output=True).returncode == 0:
         os.execvpe(alone[0], [*alone, sys.executable, "-B", *sys.argv], {**os.environ, INSIDE: "1"})
     main()
