@@ -108,9 +108,22 @@ namespace Incise
         {
             while (from < to)
             {
-                int read = stream.Read(message, from, to - from);
+                int read = ReadSome(from, to - from);
                 if (read <= 0) throw new EndOfStreamException("the connection was closed");
                 from += read;
+            }
+        }
+
+        private int ReadSome(int from, int count)
+        {
+            try
+            {
+                return stream.Read(message, from, count);
+            }
+            catch (AggregateException error)
+            {
+                // Mono's TLS wraps the loss of a connection in one.
+                throw new IOException(error.GetBaseException().Message, error);
             }
         }
 
