@@ -103,6 +103,8 @@ class SurfaceLookup {
   }
   // The corners of a triangle, metres.
   Corners corners(std::uint32_t triangle) const;
+  // Whether find() stops at the triangle's edge opposite to corner k: a seam, or the surface's border.
+  bool is_seam(std::uint32_t triangle, std::size_t k) const { return neighbours_[triangle][k] == kNoId; }
 
  private:
   const SurfaceAsset asset_;

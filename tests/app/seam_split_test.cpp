@@ -137,7 +137,7 @@ class SeamSplit : public ::testing::Test {
       cut_.origins.push_back(cut_.cut.back() != 0 ? core::kNone : tree_->origin_of(corners));
     }
     before_ = cut_;
-    split_at_seams(from_, lookup_, *tree_, rest_, faces_, cut_);
+    split_at_seams(lookup_, *tree_, rest_, faces_, cut_);
   }
 
   const Surface from_ = painted(sphere(5, 0));
@@ -179,7 +179,7 @@ TEST_F(SeamSplit, NoCornerTakesItsTextureFromBeyondTheChart) {
 TEST_F(SeamSplit, TwiceIsAsOnce) {
   split(false);
   const std::size_t once = cut_.surface.triangles.size();
-  split_at_seams(from_, lookup_, *tree_, rest_, faces_, cut_);
+  split_at_seams(lookup_, *tree_, rest_, faces_, cut_);
   EXPECT_LE(cut_.surface.triangles.size(), once + once / 50);
 }
 

@@ -152,7 +152,7 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
     const protocol::SurfaceLookup lookup(asset);
     for (std::size_t i = 0; i < faces.size(); ++i)
       if (out.cut[i] == 0) out.origins[i] = tree->origin_of(corners_of(i));
-    if (!asset.uvs.empty()) split_at_seams(*from, lookup, *tree, rest, faces, out);
+    if (!asset.uvs.empty()) split_at_seams(lookup, *tree, rest, faces, out);
     mesh_io::SurfaceLook& look = out.surface.look;
     if (!asset.uvs.empty()) look.uvs.resize(3 * faces.size());
     if (!asset.colours.empty()) look.colours.resize(3 * faces.size(), {255, 255, 255, 255});

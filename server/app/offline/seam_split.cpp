@@ -6,21 +6,20 @@
 #include <optional>
 #include <utility>
 
+#include "server/replay/session_view.hpp"
+
 namespace incise::app {
 namespace {
 
 using core::Vec3;
 using core::VertexId;
+using replay::to_protocol;
 
 // In lengths of a part's longest edge: how far beyond a seam a corner may be. A tenth is seen.
 constexpr double kMayReach = 0.02;
 // In lengths of an edge: new vertices nearer than this to another one become that one.
 constexpr double kSnap = 0.01;
 constexpr int kDepth = 8;  // a seam's corners within one triangle
-
-protocol::Vec3 wire(const Vec3& p) {
-  return {p.x, p.y, p.z};
-}
 
 Vec3 core_vec(const protocol::Vec3& p) {
   return {p.x, p.y, p.z};
@@ -37,12 +36,9 @@ struct Part {
 
 class SeamSplitter {
  public:
-  SeamSplitter(const mesh_io::Surface& from, const protocol::SurfaceLookup& lookup,
-               const protocol::OriginTree& tree, std::vector<Vec3>& rest, std::vector<core::HalfFace>& faces,
-               CutSurface& out)
-      : lookup_(lookup), tree_(tree), rest_(rest), faces_(faces), out_(out) {
-    find_seams(from);
-  }
+  SeamSplitter(const protocol::SurfaceLookup& lookup, const protocol::OriginTree& tree,
+               std::vector<Vec3>& rest, std::vector<core::HalfFace>& faces, CutSurface& out)
+      : lookup_(lookup), tree_(tree), rest_(rest), faces_(faces), out_(out) {}
 
   void run() {
     const std::vector<std::array<VertexId, 3>> triangles = std::move(out_.surface.triangles);
@@ -78,29 +74,6 @@ class SeamSplitter {
   }
 
  private:
-  // Edges where texture coordinates or materials differ, opposite to corner k of each triangle.
-  void find_seams(const mesh_io::Surface& from) {
-    const mesh_io::SurfaceLook& look = from.look;
-    seams_.assign(from.triangles.size(), {true, true, true});
-    std::map<std::pair<VertexId, VertexId>, std::pair<std::size_t, std::size_t>> known;
-    for (std::size_t t = 0; t < from.triangles.size(); ++t) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        const auto& v = from.triangles[t];
-        const auto key = std::minmax(v[(k + 1) % 3], v[(k + 2) % 3]);
-        const auto [place, is_new] = known.try_emplace(key, t, k);
-        if (is_new) continue;
-        const auto [s, j] = place->second;
-        bool same = look.material_of.empty() || look.material_of[s] == look.material_of[t];
-        for (const std::size_t a : {(k + 1) % 3, (k + 2) % 3}) {
-          for (const std::size_t b : {(j + 1) % 3, (j + 2) % 3}) {
-            if (v[a] == from.triangles[s][b]) same = same && look.uvs[3 * t + a] == look.uvs[3 * s + b];
-          }
-        }
-        seams_[t][k] = seams_[s][j] = !same;
-      }
-    }
-  }
-
   Vec3 at_rest(const Weights& w) const {
     return w[0] * rest_[triangle_[0]] + w[1] * rest_[triangle_[1]] + w[2] * rest_[triangle_[2]];
   }
@@ -117,10 +90,10 @@ class SeamSplitter {
     double most = kMayReach * size;
     std::optional<Line> found;
     for (const Weights& corner : part.ring) {
-      const auto place = lookup_.find(part.origin, wire(at_rest(corner)));
+      const auto place = lookup_.find(part.origin, to_protocol(at_rest(corner)));
       const auto least = std::min_element(place.weights.begin(), place.weights.end());
       const auto k = static_cast<std::size_t>(least - place.weights.begin());
-      if (*least >= 0 || !seams_[place.triangle][k]) continue;
+      if (*least >= 0 || !lookup_.is_seam(place.triangle, k)) continue;
       const protocol::Corners c = lookup_.corners(place.triangle);
       const Vec3 a = core_vec(c[k]), b = core_vec(c[(k + 1) % 3]), d = core_vec(c[(k + 2) % 3]);
       const double height = length(cross(b - a, d - a)) / length(d - b);
@@ -141,7 +114,7 @@ class SeamSplitter {
     const protocol::Corners seam = lookup_.corners(line->triangle);
     std::vector<double> side;
     for (const Weights& w : part.ring)
-      side.push_back(protocol::barycentric(seam, wire(at_rest(w)))[line->corner]);
+      side.push_back(protocol::barycentric(seam, to_protocol(at_rest(w)))[line->corner]);
     Part here{{}, part.origin}, beyond;
     for (std::size_t i = 0; i < part.ring.size(); ++i) {
       const std::size_t j = (i + 1) % part.ring.size();
@@ -172,7 +145,8 @@ class SeamSplitter {
     middle = (1.0 / static_cast<double>(part.ring.size())) * middle;
     for (const VertexId v : triangle_) of_all = of_all + (1.0 / 3) * rest_[v];
     protocol::Corners corners;
-    for (std::size_t k = 0; k < 3; ++k) corners[k] = wire(middle + 1e-3 * (rest_[triangle_[k]] - of_all));
+    for (std::size_t k = 0; k < 3; ++k)
+      corners[k] = to_protocol(middle + 1e-3 * (rest_[triangle_[k]] - of_all));
     return tree_.origin_of(corners);
   }
 
@@ -315,7 +289,6 @@ class SeamSplitter {
   std::vector<Vec3>& rest_;
   std::vector<core::HalfFace>& faces_;
   CutSurface& out_;
-  std::vector<std::array<bool, 3>> seams_;
   // New vertices of edges, by their share of the way from the lower end; those within the present triangle.
   std::map<std::pair<VertexId, VertexId>, std::map<double, VertexId>> edges_;
   std::map<Weights, VertexId> inner_;
@@ -324,10 +297,9 @@ class SeamSplitter {
 
 }  // namespace
 
-void split_at_seams(const mesh_io::Surface& from, const protocol::SurfaceLookup& lookup,
-                    const protocol::OriginTree& tree, std::vector<core::Vec3>& rest,
-                    std::vector<core::HalfFace>& faces, CutSurface& out) {
-  SeamSplitter(from, lookup, tree, rest, faces, out).run();
+void split_at_seams(const protocol::SurfaceLookup& lookup, const protocol::OriginTree& tree,
+                    std::vector<core::Vec3>& rest, std::vector<core::HalfFace>& faces, CutSurface& out) {
+  SeamSplitter(lookup, tree, rest, faces, out).run();
 }
 
 }  // namespace incise::app
