@@ -30,9 +30,10 @@
 namespace incise::app {
 namespace {
 
-relay::Origin origin_of(const Config& config, const Config::Relay::Session& session) {
+// What answers at `address`, but for its HTTP port.
+relay::Origin origin_at(const Config& config, const std::string& address) {
   client::ServerOptions server;
-  server.address = session.upstream;
+  server.address = address;
   server.token_file = config.resolve(config.relay.token_file);
   server.ca_file = config.resolve(config.relay.ca_file);
   client::Address where;
@@ -40,8 +41,13 @@ relay::Origin origin_of(const Config& config, const Config::Relay::Session& sess
   origin.options = server.options(where);
   origin.host = where.host;
   origin.tcp_port = where.port;
-  const bool web = where.transport == client::TransportKind::kWebSocket;
-  origin.http_port = web ? where.port : static_cast<std::uint16_t>(session.upstream_http_port);
+  return origin;
+}
+
+relay::Origin origin_of(const Config& config, const Config::Relay::Session& session) {
+  relay::Origin origin = origin_at(config, session.upstream);
+  const bool web = origin.options.transport == client::TransportKind::kWebSocket;
+  origin.http_port = web ? origin.tcp_port : static_cast<std::uint16_t>(session.upstream_http_port);
   if (!web) origin.http_option = "--upstream-http-port (relay.upstream_http_port)";
   return origin;
 }
@@ -51,15 +57,7 @@ std::optional<relay::Origin> listed_origin(const Config& config, const cluster::
                                            const std::string& session) {
   for (const cluster::DirectoryEntry& entry : directory.entries()) {
     if (entry.session != session || entry.kind != "server" || entry.tcp.empty()) continue;
-    client::ServerOptions server;
-    server.address = entry.tcp;
-    server.token_file = config.resolve(config.relay.token_file);
-    server.ca_file = config.resolve(config.relay.ca_file);
-    client::Address where;
-    relay::Origin origin;
-    origin.options = server.options(where);
-    origin.host = where.host;
-    origin.tcp_port = where.port;
+    relay::Origin origin = origin_at(config, entry.tcp);
     const std::size_t colon = entry.http.rfind(':');
     if (colon != std::string::npos)
       origin.http_port = static_cast<std::uint16_t>(std::atoi(entry.http.c_str() + colon + 1));

@@ -44,6 +44,12 @@ std::string documents_key(const protocol::Welcome& welcome) {
   return welcome.mesh.content_hash + ' ' + (welcome.surface ? welcome.surface->content_hash : std::string());
 }
 
+// What "/look.json" says; "": there is none.
+std::string look_text(const stream::Documents& documents) {
+  const auto look = documents.find("/look.json");
+  return look == documents.end() ? std::string() : *look->second.body;
+}
+
 void rethrow(const std::exception_ptr& error) {
   if (error) std::rethrow_exception(error);
 }
@@ -326,14 +332,12 @@ asio::awaitable<void> Session::fetch() {
 }
 
 asio::awaitable<void> Session::check_look() {
-  const auto held = look_.find("/look.json");
-  const std::string text = held == look_.end() ? std::string() : *held->second.body;
+  const std::string text = look_text(look_);
   try {
     const std::optional<Origin> origin = upstream_->origin();
     if (!origin) co_return;
     stream::Documents found = co_await fetch_look(*origin, text);
-    const auto now = found.find("/look.json");
-    if (fetching_ || text == (now == found.end() ? std::string() : *now->second.body)) co_return;
+    if (fetching_ || look_text(found) == text) co_return;
     look_ = std::move(found);
     body_ = {};  // the server has the former look: another one is needed
     if (state_.whole() && !state_.awaiting_snapshot()) show();
