@@ -9,18 +9,17 @@
 #include <system_error>
 
 #include "server/loop/checkpoint_file.hpp"
+#include "server/replay/session_view.hpp"
 
 namespace incise::app {
 namespace {
+
+using replay::to_protocol;
 
 // How many bytes are written between two checks of the free space.
 constexpr std::uint64_t kLook_bytes = 1u << 20;
 // So much beyond the reserve must be free before recording resumes, or it would stop again at once.
 constexpr double kRoomAgain = 0.01;
-
-protocol::Vec3 to_protocol(const core::Vec3& p) {
-  return {p.x, p.y, p.z};
-}
 
 protocol::PositionsRecord to_capture(const core::VertexPositions& positions) {
   protocol::PositionsRecord record{positions.frame,

@@ -3,15 +3,14 @@
 #include <algorithm>
 
 #include "server/base/clock.hpp"
+#include "server/replay/session_view.hpp"
 
 namespace incise::app {
 namespace {
 
-constexpr std::int64_t kStale_ns = 1'000'000'000;
+using replay::to_protocol;
 
-protocol::Vec3 to_protocol(const core::Vec3& p) {
-  return {p.x, p.y, p.z};
-}
+constexpr std::int64_t kStale_ns = 1'000'000'000;
 
 // Leaves what it names; nothing acts.
 void clear(haptics::BladeLoad& load) {
