@@ -10,6 +10,7 @@ const kPieceColumns = 256;
 const kHeldNear = 0.012, // times the body's size
   kHeldLips = 0.09,
   kHeldPieces = 0.4;
+const kNotHeld = [1, 1] as const;
 const kMostRanges = 24; // uploads a buffer; more and larger gaps between slots are uploaded as well
 
 export type Colouring = "tissue" | "pieces" | "quality";
@@ -231,10 +232,10 @@ export class BodyMesh {
   }
 
   /** What is left, beside that line, of the opening of lips and of pieces. */
-  private heldBack(x: number, y: number, z: number): [number, number] {
+  private heldBack(x: number, y: number, z: number): readonly [number, number] {
     const { uHeld, uHeldAt, uHeldAlong } = this.uniforms;
     const held = uHeld.value;
-    if (held.w === 0) return [1, 1];
+    if (held.w === 0) return kNotHeld;
     const aside = new THREE.Vector3(x, y, z).sub(uHeldAt.value);
     const away = aside.addScaledVector(uHeldAlong.value, -aside.dot(uHeldAlong.value)).length();
     const left = (from: number) => 1 - held.w * (1 - THREE.MathUtils.smoothstep(away, held.x, from));
