@@ -20,8 +20,8 @@ class ClusterLink {
  public:
   explicit ClusterLink(const Config& config);
 
-  // With cluster.failover: waits until the session is this process's. False: a signal came first. Throws NatsError for what waiting
-  // does not mend. From then on the process ends at once, with a line on stderr, if it loses the session.
+  // With cluster.failover: waits until the session is this process's. False: a signal came first. Throws NatsError if waiting
+  // would not help. Once it has the session, the process ends at once, with a line on stderr, if it loses it.
   bool acquire(const EndSignals& signals);
   // Whether the session goes on with its capture, though --resume was not given.
   bool resumes() const;

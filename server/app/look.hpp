@@ -42,7 +42,7 @@ struct ShownRegion {
   const char* pattern = "plain";
   double vessels = 0, fat_rim = 0;
 };
-// How each region of the mesh looks, ascending. Empty for a body of one tissue of which the configuration says nothing: each viewer shows it as it
+// How each region of the mesh looks, ascending. Empty for a body of one tissue that the configuration does not mention: each viewer shows it as it
 // thinks best. O(n log regions).
 std::vector<ShownRegion> shown_regions(const Config& config, const core::MeshData& mesh);
 

@@ -17,7 +17,7 @@ namespace incise::app {
 
 // Its configuration, with the tokens read from their file. Throws ConfigError.
 stream::StreamConfig stream_config(const Config& config);
-// As many descriptors as the system allows, of which each client takes one: shells and services begin with 1024. Before the server is made.
+// Raises the limit on open files as far as the system allows: each client takes one, and shells and services begin with 1024. Call it before the server is made.
 void raise_descriptor_limit();
 // What the server says about itself in Welcome.
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh);
