@@ -1,6 +1,7 @@
 #include "protocol/replica.hpp"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -8,6 +9,7 @@
 #include "protocol/apply_checks.hpp"
 #include "protocol/carry.hpp"
 #include "protocol/state_hash.hpp"
+#include "protocol/vertex_hashes.hpp"
 #include "server/base/hex.hpp"
 
 namespace incise::protocol {
@@ -47,8 +49,20 @@ ApplyResult check_ascending(const char* what, std::span<const std::uint32_t> ids
   return {};
 }
 
-std::uint64_t hash_vertex(std::uint32_t id, const double* p) {
-  return vertex_hash(id, p[0], p[1], p[2]);
+// The hash of the vertices id(i) below `count`, whose coordinates are at position(i).
+template <class Id, class Position>
+std::uint64_t hash_vertices(std::size_t count, Id id, Position position) {
+  return VertexHashes::combined(count, id, [&](std::size_t i) {
+    const double* p = position(i);
+    return std::array{p[0], p[1], p[2]};
+  });
+}
+
+// The same of ids from `first` on, with coordinates from `positions` on.
+std::uint64_t hash_vertices(std::size_t first, std::span<const double> positions) {
+  return hash_vertices(
+      positions.size() / 3, [=](std::size_t i) { return static_cast<std::uint32_t>(first + i); },
+      [=](std::size_t i) { return &positions[3 * i]; });
 }
 
 std::uint64_t hash_entry(const TetArrays& t, std::size_t i) {
@@ -81,8 +95,7 @@ std::array<std::uint32_t, 3> Replica::face_vertices(std::uint32_t tet, int face)
 
 std::uint64_t Replica::compute_state_hash() const {
   std::uint64_t hash = 0;
-  for (std::uint32_t v = 0; v < vertex_count(); ++v)
-    hash ^= hash_vertex(v, &state_.positions[3 * std::size_t{v}]);
+  hash ^= hash_vertices(0, state_.positions);
   for_each_tet([&](std::uint32_t t) { hash ^= tet_hash(t, vertices(t).data(), region(t), cut_mask(t)); });
   return hash;
 }
@@ -128,7 +141,7 @@ ApplyResult Replica::load(std::span<const double> positions, const TetArrays& te
   state.revision = revision;
   state.positions.assign(positions.begin(), positions.end());
   const auto vertices = static_cast<std::uint32_t>(count);
-  for (std::uint32_t v = 0; v < vertices; ++v) state.hash ^= hash_vertex(v, &positions[3 * std::size_t{v}]);
+  state.hash ^= hash_vertices(0, positions);
   std::uint32_t next_tet = 0;
   if (ApplyResult r = add(state, next_tet, vertices, tets); !r) return r;
   state_ = std::move(state);
@@ -182,9 +195,7 @@ ApplyResult Replica::chunk(const SnapshotChunk& part) {
   }
   state.positions.insert(state.positions.end(), part.positions.begin(), part.positions.end());
   state.rest.insert(state.rest.end(), part.rest_positions.begin(), part.rest_positions.end());
-  for (std::size_t v = have; v < state.positions.size() / 3; ++v) {
-    state.hash ^= hash_vertex(static_cast<std::uint32_t>(v), &state.positions[3 * v]);
-  }
+  state.hash ^= hash_vertices(have, part.positions);
   if (ApplyResult r = add(state, s.next_tet, s.begin.vertex_count, part.tets); !r) {
     return abandon(std::move(r));
   }
@@ -334,13 +345,13 @@ std::uint64_t Replica::hash_after(const Delta& d) const {
   const auto old_tet = [&](std::uint32_t t) {
     return tet_hash(t, vertices(t).data(), region(t), cut_mask(t));
   };
-  for (std::size_t i = 0; i < d.moved_ids.size(); ++i) {
-    const std::uint32_t v = d.moved_ids[i];
-    hash ^= hash_vertex(v, &state_.positions[3 * std::size_t{v}]) ^ hash_vertex(v, &d.moved_positions[3 * i]);
-  }
-  for (std::size_t i = 0; i < d.provenance_t.size(); ++i) {
-    hash ^= hash_vertex(vertex_count() + static_cast<std::uint32_t>(i), &d.added_positions[3 * i]);
-  }
+  hash ^= hash_vertices(
+      d.moved_ids.size(), [&](std::size_t i) { return d.moved_ids[i]; },
+      [&](std::size_t i) { return &state_.positions[3 * std::size_t{d.moved_ids[i]}]; });
+  hash ^= hash_vertices(
+      d.moved_ids.size(), [&](std::size_t i) { return d.moved_ids[i]; },
+      [&](std::size_t i) { return &d.moved_positions[3 * i]; });
+  hash ^= hash_vertices(vertex_count(), d.added_positions);
   for (const std::uint32_t t : d.removed_tets) hash ^= old_tet(t);
   for (std::size_t i = 0; i < d.tets.ids.size(); ++i) {
     if (alive(d.tets.ids[i])) hash ^= old_tet(d.tets.ids[i]);

@@ -14,7 +14,7 @@ from pathlib import Path
 # What may be included is a list of parts, or of single files.
 BASE = "server/base"  # of the standard library only
 CHECK = "server/base/check.hpp"
-STATE_HASH = "protocol/state_hash.hpp"
+STATE_HASH = ["protocol/state_hash.hpp", "protocol/vertex_hashes.hpp"]
 TET_FACES = "protocol/tet_faces.hpp"
 BLEND = "protocol/blend.hpp"  # how fields are interpolated
 NET = "protocol/net"  # connections; the only part of protocol that needs Asio
@@ -26,7 +26,7 @@ FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's 
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/field.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
     BASE: [],
-    "server/core": [CHECK, STATE_HASH, TET_FACES, BLEND],  # and no clock
+    "server/core": [CHECK, *STATE_HASH, TET_FACES, BLEND],  # and no clock
     "server/mesh_io": [BASE, "server/core"],
     "server/input": [BASE, "server/core", "protocol", NET, FORCE_SLOT],
     "server/haptics": [BASE, "server/core"],

@@ -1,15 +1,22 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <span>
 
-#include "protocol/state_hash.hpp"
+#include "protocol/vertex_hashes.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 
 // TetMesh in a body that a simulation deforms.
 namespace incise::core {
 
-std::uint64_t TetMesh::hash_change(VertexId v, const Vec3& to) const {
-  return hash_of_vertex(v) ^ protocol::vertex_hash(v, to.x, to.y, to.z);
+std::uint64_t TetMesh::hash_change(std::span<const VertexId> moved, std::span<const Vec3> to) const {
+  const auto id = [moved](std::size_t i) { return moved[i]; };
+  const auto as_array = [](const Vec3& p) { return std::array{p.x, p.y, p.z}; };
+  using protocol::VertexHashes;
+  return VertexHashes::combined(moved.size(), id,
+                                [&](std::size_t i) { return as_array(vertices_[moved[i]].position); }) ^
+         VertexHashes::combined(moved.size(), id, [&](std::size_t i) { return as_array(to[i]); });
 }
 
 void TetMesh::deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -109,6 +110,10 @@ class TetMesh {
     for (unsigned f = 0; f < 4; ++f) mask |= (tets_[t].opposite[f] == kNone ? 1u : 0u) << f;
     return static_cast<std::uint8_t>(mask);
   }
+  bool on_boundary(TetId t) const {
+    const auto& o = tets_[t].opposite;
+    return std::max(std::max(o[0], o[1]), std::max(o[2], o[3])) == kNone;
+  }
   std::array<VertexId, 3> face_vertices(HalfFace h) const {
     const auto& v = tets_[tet_of(h)].vertices;
     const auto& f = kFaceVertices[face_of(h)];
@@ -190,8 +195,8 @@ class TetMesh {
   // swapped into `delta` with their positions. `hash_change`: the XOR of their hash_change(). O(moved), some 5 ns each.
   void deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,
               Delta& delta);
-  // By what the state hash changes when v goes there.
-  std::uint64_t hash_change(VertexId v, const Vec3& to) const;
+  // By what the state hash changes when these vertices go to these places.
+  std::uint64_t hash_change(std::span<const VertexId> moved, std::span<const Vec3> to) const;
   // Whether deform() was ever called. From then on each vertex has a rest position: where the material that it stands for
   // is in the body at rest. Until then that is its position.
   bool deformed() const { return !rest_.empty(); }

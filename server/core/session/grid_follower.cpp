@@ -17,15 +17,22 @@ constexpr std::int64_t kQuarters = 1;  // of a unit, for a vertex or a tetrahedr
 void GridFollower::settle(const Step& step) {
   rebuilt_ = rebuilt_ || workspace_.grid.overgrown() || !workspace_.grid.anchored();
   if (step.moved.empty()) rebuilt_ = false;
-  boundary_.clear();
+  all_boundary_.clear();
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = {-INFINITY, -INFINITY, -INFINITY};
   pass_.begin();
+  serial_ = workspace_.next_serial();
+  left_.resize(mesh_.vertex_slots(), 0);
+  any_left_ = false;
   next_ = 0;
-  phase_ = rebuilt_ ? Phase::kCollect : Phase::kFollow;
+  phase_ = rebuilt_ ? Phase::kCollect : Phase::kLeave;
 }
 
 bool GridFollower::advance(const Step& step, WorkBudget& budget) {
+  if (phase_ == Phase::kLeave) {
+    if (!leave(step, budget)) return false;
+    phase_ = any_left_ ? Phase::kFollow : Phase::kReady;
+  }
   if (phase_ == Phase::kFollow) {
     if (!follow(step, budget)) return false;
     phase_ = Phase::kReady;
@@ -47,14 +54,22 @@ void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t) const {
   grid.add_at(t, corners);
 }
 
-bool GridFollower::follow(const Step& step, WorkBudget& budget) {
-  BoundaryGrid& grid = workspace_.grid;
+// Marks the vertices that have moved far from where the tetrahedra around them were last entered.
+bool GridFollower::leave(const Step& step, WorkBudget& budget) {
   return in_chunks(next_, step.moved.size(), budget, kQuarters, [&](std::size_t i) {
-    if (!grid.leaves_anchor(mesh_, step.moved[i], step.positions[i])) return;
-    mesh_.star(step.moved[i], star_);
-    for (const Corner corner : star_) {
-      if (mesh_.boundary_mask(tet_of(corner)) != 0) enter(grid, step, tet_of(corner));
-    }
+    if (!workspace_.grid.leaves_anchor(mesh_, step.moved[i], step.positions[i])) return;
+    left_[step.moved[i]] = serial_;
+    any_left_ = true;
+  });
+}
+
+// Through the boundary, which is a small part of a large body, instead of through the marked vertices' stars.
+bool GridFollower::follow(const Step& step, WorkBudget& budget) {
+  return in_chunks(next_, step.boundary.size(), budget, kQuarters, [&](std::size_t i) {
+    const TetId t = step.boundary[i];
+    const auto& v = mesh_.vertices(t);
+    if (std::any_of(v.begin(), v.end(), [this](VertexId w) { return left_[w] == serial_; }))
+      enter(workspace_.grid, step, t);
   });
 }
 
@@ -65,7 +80,7 @@ bool GridFollower::collect(const Step& step, WorkBudget& budget) {
     const TetId t = old.entry(i);
     if (pass_.has(t) || !mesh_.alive(t) || mesh_.boundary_mask(t) == 0) return;
     pass_.add(t);
-    boundary_.push_back(t);
+    all_boundary_.push_back(t);
     for (const VertexId v : mesh_.vertices(t)) extend(step.targets[v], low_, high_);
   });
   if (!done) return false;
@@ -77,10 +92,10 @@ bool GridFollower::collect(const Step& step, WorkBudget& budget) {
 }
 
 bool GridFollower::rebuild(const Step& step, WorkBudget& budget) {
-  const std::size_t count = boundary_.size();
+  const std::size_t count = all_boundary_.size();
   const bool done = in_chunks(next_, count + mesh_.vertex_slots(), budget, kQuarters, [&](std::size_t i) {
     if (i < count) {
-      enter(fresh_, step, boundary_[i]);
+      enter(fresh_, step, all_boundary_[i]);
     } else {
       fresh_.set_anchor(step.targets[i - count]);
     }

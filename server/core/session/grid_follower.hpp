@@ -8,8 +8,9 @@
 
 namespace incise::core {
 
-// Keeps the boundary grid up to date while the body deforms: tetrahedra at vertices that have moved far are entered again, or a
-// new grid is built while the old one is used, when stale entries have doubled it or the body leaves its box.
+// Keeps the boundary grid up to date while the body deforms: boundary tetrahedra with a vertex that has moved far are entered
+// again, each once, or a new grid is built while the old one is used, when stale entries have doubled it or the body leaves its
+// box.
 class GridFollower {
  public:
   GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
@@ -20,6 +21,8 @@ class GridFollower {
     const std::vector<VertexId>& moved;
     const std::vector<Vec3>& positions;
     const std::vector<Vec3>& targets;  // by vertex
+    const std::vector<TetId>&
+        boundary;  // the tetrahedra at these vertices that lie on the boundary, and any others there
   };
   // Call begin(), then look_at() for each vertex's new place, then settle() for all of them.
   void begin() { rebuilt_ = false; }
@@ -31,8 +34,9 @@ class GridFollower {
   void commit();
 
  private:
-  enum class Phase { kFollow, kCollect, kRebuild, kReady };
+  enum class Phase { kLeave, kFollow, kCollect, kRebuild, kReady };
 
+  bool leave(const Step& step, WorkBudget& budget);
   bool follow(const Step& step, WorkBudget& budget);
   bool collect(const Step& step, WorkBudget& budget);
   bool rebuild(const Step& step, WorkBudget& budget);
@@ -43,11 +47,13 @@ class GridFollower {
   Phase phase_ = Phase::kReady;
   std::size_t next_ = 0;
   TetPass pass_;
+  std::vector<std::uint32_t> left_;  // by vertex: the step in which it left its anchor
+  std::uint32_t serial_ = 0;
+  bool any_left_ = false;
   Vec3 low_, high_;  // a box around the boundary, for a new grid
-  std::vector<TetId> boundary_;
+  std::vector<TetId> all_boundary_;
   bool rebuilt_ = false;
   BoundaryGrid fresh_;
-  std::vector<Corner> star_;
 };
 
 }  // namespace incise::core

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/session/in_chunks.hpp"
@@ -17,7 +18,9 @@ constexpr double kAsThick = 1 - 1e-6;
 // A tetrahedron that would be thick enough where edges are this many times the mean length is thick enough anywhere: then the
 // local length is not looked up.
 constexpr double kLocallyAtMost = 4;
-constexpr std::size_t kAhead = 12;  // tetrahedra, of what is to be fetched
+// Longer edges than this many mean lengths are left to exact arithmetic.
+constexpr double kLongest = 8;
+constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
 
@@ -36,7 +39,7 @@ VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
 void VertexMover::note_cut(const Delta& delta) {
   for (const VertexId v : delta.moved) {
     known_since_[v] = delta.revision;
-    if (v < target_.size()) target_[v] = mesh_.position(v);
+    if (v < target_.size()) target_.set(v, mesh_.position(v));
   }
   known_since_.resize(mesh_.vertex_slots(), delta.revision);
 }
@@ -54,7 +57,9 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   while (target_.size() < vertices) target_.push_back(mesh_.position(static_cast<VertexId>(target_.size())));
   for (const VertexId v : clinging) clinging_[v] = serial_;
   moving_.clear();
+  first_round_ = true;
   to_check_.clear();
+  boundary_.clear();
   too_far_.clear();
   passed_over_ = 0;
   held_.clear();
@@ -115,7 +120,7 @@ void VertexMover::take(WorkBudget& budget) {
     }
     wanted_[v] = serial_;
     reach_[v] = kFull;
-    target_[v] = p;
+    target_.set(v, p);
     moving_.push_back(v);
   });
   if (!done) return;
@@ -143,19 +148,21 @@ void VertexMover::look(WorkBudget& budget) {
 }
 
 void VertexMover::check(WorkBudget& budget) {
+  if (next_ == 0) target_.begin_looking(surely_thick_, kLongest * mesh_.mean_edge_length());
   const std::size_t count = all_tets_ ? mesh_.tet_slots() : to_check_.size();
   const bool done = in_chunks(next_, count, budget, kSmall, [this, count](std::size_t i) {
     const TetId t = all_tets_ ? static_cast<TetId>(i) : to_check_[i];
     // In a mesh file neighbours lie anywhere, and a large one's vertices are not in the nearer caches.
-    if (all_tets_ && i + kAhead < count) {
-      for (const VertexId v : mesh_.vertices(static_cast<TetId>(i + kAhead))) {
-        if (v < target_.size()) __builtin_prefetch(&target_[v]);
-      }
+    if (all_tets_ && i + kAhead < count && mesh_.alive(t + kAhead)) {
+      for (const VertexId v : mesh_.vertices(t + kAhead)) target_.prefetch(v);
     }
-    if (mesh_.alive(t)) check_tet(t);
+    if (!mesh_.alive(t)) return;
+    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(t);
+    if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back(t);
   });
   if (!done) return;
   all_tets_ = false;
+  first_round_ = false;
   to_check_.clear();
   pass_.begin();
   phase_ = too_far_.empty() ? Phase::kSettle : Phase::kYield;
@@ -184,7 +191,7 @@ void VertexMover::yield(WorkBudget& budget) {
     const VertexId v = too_far_[i];
     const bool full = reach_[v] == kFull;
     if (full) held_.push_back(v);
-    target_[v] = full ? lerp(mesh_.position(v), target_[v], 0.5) : mesh_.position(v);
+    target_.set(v, full ? lerp(mesh_.position(v), target_[v], 0.5) : mesh_.position(v));
     --reach_[v];
     look_around(v);
   });
@@ -194,15 +201,23 @@ void VertexMover::yield(WorkBudget& budget) {
 }
 
 void VertexMover::settle(WorkBudget& budget) {
-  const bool done = in_chunks(next_, moving_.size(), budget, kSmall, [this](std::size_t i) {
-    const VertexId v = moving_[i];
-    if (reach_[v] == kStays) return;
-    const Vec3& to = target_[v];
-    hash_change_ ^= mesh_.hash_change(v, to);
-    moved_.push_back(v);
-    moved_positions_.push_back(to);
-    grid_.look_at(to);
-  });
+  if (next_ == 0) {
+    moved_.reserve(moving_.size());
+    moved_positions_.reserve(moving_.size());
+  }
+  const auto settle_some = [this](std::size_t first, std::size_t stop) {
+    const std::size_t before = moved_.size();
+    for (std::size_t i = first; i < stop; ++i) {
+      const VertexId v = moving_[i];
+      if (reach_[v] == kStays) continue;
+      moved_.push_back(v);
+      moved_positions_.push_back(target_[v]);
+      grid_.look_at(target_[v]);
+    }
+    hash_change_ ^=
+        mesh_.hash_change(std::span(moved_).subspan(before), std::span(moved_positions_).subspan(before));
+  };
+  const bool done = chunk_by_chunk(next_, moving_.size(), budget, kSmall, settle_some);
   if (!done) return;
   std::sort(held_.begin(), held_.end());
   grid_.settle(grid_step());

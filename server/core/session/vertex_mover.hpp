@@ -7,6 +7,7 @@
 #include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/grid_follower.hpp"
+#include "server/core/session/target_positions.hpp"
 #include "server/core/session/vertex_positions.hpp"
 
 namespace incise::core {
@@ -52,7 +53,7 @@ class VertexMover {
   void yield(WorkBudget& budget);
   void settle(WorkBudget& budget);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
-  GridFollower::Step grid_step() const { return {moved_, moved_positions_, target_}; }
+  GridFollower::Step grid_step() const { return {moved_, moved_positions_, target_.by_vertex(), boundary_}; }
 
   TetMesh& mesh_;
   CutWorkspace& workspace_;
@@ -67,12 +68,13 @@ class VertexMover {
   std::vector<std::uint32_t> gives_way_;  // by vertex: the pass that found that it goes too far
   TetPass pass_;                          // through tetrahedra: looks at each once
   std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted
-  std::vector<Vec3>
-      target_;  // by vertex: where it will lie, as far as is known; where it is, between two steps
+  TargetPositions target_;  // where each vertex will lie, as far as is known; where it is, between two steps
   std::vector<VertexId> moving_;  // wanted, ascending
   double surely_thick_ = 0;       // six volumes, m^3: no tetrahedron that has them is flat
   bool all_tets_ = false;         // the first round looks at all instead of at stars
+  bool first_round_ = false;      // it meets every tetrahedron at a vertex that is wanted
   std::vector<TetId> to_check_;
+  std::vector<TetId> boundary_;  // of those: the ones on the boundary
   std::vector<VertexId> too_far_;
   std::uint32_t passed_over_ = 0;
   std::vector<VertexId> held_;

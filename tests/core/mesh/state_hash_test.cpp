@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <bitset>
+#include <cmath>
 #include <unordered_set>
 
+#include "protocol/vertex_hashes.hpp"
 #include "tests/core/test_meshes.hpp"
 
 namespace incise::core {
@@ -19,6 +22,23 @@ TEST(StateHash, GoldenValues) {
   EXPECT_EQ(vertex_hash(1, 0.5, -2.25, 1e-3), 0x77af85637985e8eeull);
   const std::uint32_t vertices[4] = {10, 11, 12, 4000000000u};
   EXPECT_EQ(tet_hash(7, vertices, -3, 0b0101), 0xa0d8d57c02a9e6b2ull);
+}
+
+// Many at once and the rest alone, on any processor and on this one.
+TEST(StateHash, ManyVerticesHaveTheHashesOfEach) {
+  using protocol::VertexHashes;
+  const auto id = [](std::size_t i) { return static_cast<std::uint32_t>(i * 2654435761u + 7); };
+  const auto position = [](std::size_t i) {
+    const double x = static_cast<double>(i);
+    return std::array{i % 5 == 0 ? -0.0 : std::sin(x), -1e-300 * x, 1e7 / (x + 1)};
+  };
+  std::uint64_t each = 0;
+  for (std::size_t n = 0; n < 200; ++n) {
+    EXPECT_EQ(VertexHashes::combined(n, id, position), each) << n;
+    EXPECT_EQ(VertexHashes::combined(n, id, position, VertexHashes::hash_anywhere), each) << n;
+    const auto p = position(n);
+    each ^= vertex_hash(id(n), p[0], p[1], p[2]);
+  }
 }
 
 TEST(StateHash, EveryFieldCounts) {

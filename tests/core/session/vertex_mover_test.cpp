@@ -432,6 +432,93 @@ TEST(VertexMover, ABodyIsFoundWhereItWent) {
   EXPECT_EQ(measure(session.mesh()).pieces, 2u);
 }
 
+// A few vertices that go far, so that stars are looked at and not all tetrahedra: the grid follows them as well, and enters each
+// boundary tetrahedron once a step however many of its vertices have left their places.
+TEST(VertexMover, APartThatMovesIsFoundWhereItWent) {
+  CutSession session(body(), config());
+  const TetMesh& mesh = session.mesh();
+  std::vector<VertexId> corner;
+  for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
+    if (length(mesh.position(v) - mesh.position(0)) < 2.1 * kCell) corner.push_back(v);
+  ASSERT_LT(16 * corner.size(), 4 * mesh.tet_slots());
+  std::vector<TetId> touched;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    const auto& v = mesh.vertices(t);
+    const bool moves = std::any_of(
+        v.begin(), v.end(), [&](VertexId w) { return std::binary_search(corner.begin(), corner.end(), w); });
+    if (moves && mesh.boundary_mask(t) != 0) touched.push_back(t);
+  }
+  for (int i = 0; i < 12; ++i) {
+    std::vector<Vec3> places;
+    for (const VertexId v : corner) {
+      const Vec3& rest = mesh.rest_position(v);
+      const double share = 1 - length(rest - mesh.rest_position(0)) / (2.2 * kCell);
+      places.push_back(rest + 0.1 * kCell * i * share * Vec3{-1, -1, -1});
+    }
+    const std::size_t before = session.boundary().entries();
+    const bool anchored = session.boundary().anchored();
+    const Delta delta = deform(session, some(session.revision(), corner, places));
+    EXPECT_TRUE(delta.deformation.held.empty()) << i;
+    if (anchored) {
+      EXPECT_LE(session.boundary().entries(), before + 8 * touched.size()) << i;
+    }
+    for (const TetId t : touched) {
+      for (const VertexId v : mesh.vertices(t)) {
+        bool listed = false;
+        session.boundary().visit_box(mesh.position(v), mesh.position(v), [&](TetId n) { listed |= n == t; });
+        ASSERT_TRUE(listed) << "tetrahedron " << t << ", step " << i;
+      }
+    }
+  }
+}
+
+// The quick look never calls a tetrahedron thick that is not, and hardly ever leaves a thick one to exact arithmetic.
+TEST(TargetPositions, WhatIsSurelyThickIsThick) {
+  constexpr std::uint64_t kSeed = 11;
+  Random random(kSeed);
+  for (const double distance : {0.0, 1.0, 1e4}) {
+    const Vec3 away = distance * random.direction();
+    TargetPositions positions;
+    positions.push_back(away);
+    std::vector<std::array<VertexId, 4>> tets;
+    for (int i = 0; i < 4000; ++i) {
+      // About as thick as the limit, or a thousand times thinner, or turned inside out; some far from the first vertex.
+      const Vec3 at = away + (i % 3 == 0 ? 100 : 1) * kCell * random.direction();
+      const double height = kCell * (i % 4 == 0 ? -0.1 : i % 4 == 1 ? 1e-4 : random.uniform(0.05, 0.15));
+      const Vec3 corners[4] = {at, at + Vec3{kCell, 0, 0}, at + Vec3{0, kCell, 0}, at + Vec3{0, 0, height}};
+      std::array<VertexId, 4> tet{};
+      for (int k = 0; k < 4; ++k) {
+        tet[k] = static_cast<VertexId>(positions.size());
+        positions.push_back(corners[k]);
+      }
+      tets.push_back(tet);
+    }
+    positions.set(0, away + Vec3{kCell, kCell, kCell});
+    const double thick = 0.064 * kCell * kCell * kCell;
+    positions.begin_looking(thick, 8 * kCell);
+    int are = 0, seen = 0;
+    for (const auto& v : tets) {
+      const Vec3& a = positions[v[0]];
+      const double volumes = dot(cross(positions[v[1]] - a, positions[v[2]] - a), positions[v[3]] - a);
+      const bool surely = positions.surely_thick(v);
+      if (surely) {
+        EXPECT_GE(volumes, thick) << "seed " << kSeed;
+      }
+      are += volumes >= thick;
+      seen += surely;
+    }
+    EXPECT_GT(are, 1000);
+    EXPECT_GT(seen, 3 * are / 4) << distance;
+  }
+  // Longer edges than it can vouch for.
+  TargetPositions positions;
+  for (const Vec3& p : {Vec3{}, Vec3{1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}) positions.push_back(p);
+  positions.begin_looking(1e-3, 1.7);
+  EXPECT_FALSE(positions.surely_thick({0, 1, 2, 3}));
+  positions.begin_looking(1e-3, 1.8);
+  EXPECT_TRUE(positions.surely_thick({0, 1, 2, 3}));
+}
+
 // A new grid has each vertex's anchor where the step takes it, whether it moves or not: the tetrahedra are entered there.
 TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
   const TetMesh mesh(body());
@@ -446,7 +533,8 @@ TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
     moved.push_back(v);
     positions.push_back(targets.back());
   }
-  const GridFollower::Step step{moved, positions, targets};
+  const std::vector<TetId> boundary;  // not needed for a new grid
+  const GridFollower::Step step{moved, positions, targets, boundary};
   follower.begin();
   for (const Vec3& target : positions) follower.look_at(target);
   follower.settle(step);
