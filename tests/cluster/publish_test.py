@@ -121,8 +121,7 @@ class PublishTest(ClusterTest):
         nats = self.nats(max_mem="32M")
         server = self.incised({"nats": nats.url, "name": "liver", "stream_megabytes": 512})
         server.start()
-        trouble = wait_for("it says so", lambda: server.cluster()["trouble"])
-        self.assertIn("stream incise_liver: insufficient", trouble)
+        wait_for("it says so", lambda: "stream incise_liver: insufficient" in server.cluster()["trouble"])
         self.assertGreater(stroke(server), 0)
 
     def test_the_stream_is_deleted_and_purged(self):
