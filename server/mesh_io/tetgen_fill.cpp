@@ -21,7 +21,7 @@ namespace {
 using core::MeshData;
 
 // Part of the cache's key: increase it when the same options give a different mesh.
-constexpr std::string_view kFillVersion = "incise fill 1";
+constexpr std::string_view kFillVersion = "incise fill 2";
 // TetGen with q1.4 and a bound makes tetrahedra of about this share of the bound on average.
 constexpr double kMeanShareOfBound = 0.48;
 constexpr int kMaxRuns = 6;
@@ -145,6 +145,15 @@ std::string cache_key(const ClosedSurface& closed, const FillOptions& options) {
   return hash.hex();
 }
 
+// How many triangles the surface had, and how many it has after those that were too coarse were split; 0 where none were.
+struct SplitTriangles {
+  std::uint64_t before = 0, after = 0;
+};
+struct CachedFill {
+  MeshData mesh;
+  SplitTriangles split;
+};
+
 constexpr std::size_t kDigestLength = 64;
 
 std::string digest(std::string_view bytes) {
@@ -153,15 +162,21 @@ std::string digest(std::string_view bytes) {
   return hash.hex();
 }
 
-// An entry is the mesh and the digest of its bytes. A missing, torn or altered one does not count.
-std::optional<MeshData> read_cache(const std::filesystem::path& entry) {
+// An entry is the mesh, what was split, so that a fill from here is reported like a new one, and the digest of these bytes. A missing,
+// torn or altered one does not count.
+std::optional<CachedFill> read_cache(const std::filesystem::path& entry) {
   try {
     if (!std::filesystem::exists(entry)) return std::nullopt;
     const std::string bytes = read_whole_file(entry);
-    if (bytes.size() < kDigestLength) return std::nullopt;
+    if (bytes.size() < sizeof(SplitTriangles) + kDigestLength) return std::nullopt;
     const std::string_view contents = std::string_view(bytes).substr(0, bytes.size() - kDigestLength);
     if (digest(contents) != bytes.substr(contents.size())) return std::nullopt;
-    return decode_output(contents);
+    const std::size_t mesh_size = contents.size() - sizeof(SplitTriangles);
+    auto mesh = decode_output(contents.substr(0, mesh_size));
+    if (!mesh) return std::nullopt;
+    CachedFill cached{std::move(*mesh), {}};
+    std::memcpy(&cached.split, contents.data() + mesh_size, sizeof cached.split);
+    return cached;
   } catch (const MeshError&) {
     return std::nullopt;
   } catch (const std::filesystem::filesystem_error&) {
@@ -169,11 +184,12 @@ std::optional<MeshData> read_cache(const std::filesystem::path& entry) {
   }
 }
 
-void write_cache(const std::filesystem::path& entry, const MeshData& mesh,
+void write_cache(const std::filesystem::path& entry, const MeshData& mesh, const SplitTriangles& split,
                  std::vector<std::string>& warnings) {
   try {
     std::filesystem::create_directories(entry.parent_path());
     std::string bytes = encode_output(mesh);
+    append_values(bytes, &split, 1);
     bytes += digest(bytes);
     write_whole_file(entry, bytes);
   } catch (const std::exception& error) {
@@ -280,7 +296,7 @@ double split_length(const Surface& surface, double volume, double target) {
 // Beside triangles much larger than the bound TetGen cannot add vertices, because Y forbids it to add them on
 // the surface: then those triangles are split.
 MeshData fill_to_target(const ClosedSurface& given, const std::string& file, const FillOptions& options,
-                        std::vector<std::string>& warnings) {
+                        SplitTriangles& split_triangles) {
   const auto target = static_cast<double>(options.target_tets);
   ClosedSurface closed = given;
   double bound = closed.volume / target / kMeanShareOfBound;
@@ -306,10 +322,7 @@ MeshData fill_to_target(const ClosedSurface& given, const std::string& file, con
       split_long_edges(closed.surface, split_length(closed.surface, closed.volume, target));
       split = true;
       if (closed.surface.triangles.size() > before) {
-        warnings.push_back(file + ": the surface's " + std::to_string(before) +
-                           " triangles are too coarse for " + std::to_string(options.target_tets) +
-                           " tetrahedra: they are split into " +
-                           std::to_string(closed.surface.triangles.size()));
+        split_triangles = {before, closed.surface.triangles.size()};
         bound = closed.volume / target / kMeanShareOfBound;
         previous = 0;
         continue;
@@ -329,19 +342,25 @@ Fill fill_surface(const ClosedSurface& closed, const std::string& file, const Fi
                   std::vector<std::string>& warnings) {
   check_options(options, file);
   Fill fill;
+  SplitTriangles split;
   std::filesystem::path entry;
   if (const auto directory = cache_directory(options); options.use_cache && !directory.empty()) {
     entry = directory / "fills" / (cache_key(closed, options) + ".tets");
     if (auto cached = read_cache(entry)) {
-      fill.mesh = std::move(*cached);
+      fill.mesh = std::move(cached->mesh);
+      split = cached->split;
       fill.from_cache = true;
     }
   }
   const bool tuned = options.target_tets > 0 && !has_bound(options.tetgen_switches);
   if (!fill.from_cache) {
-    fill.mesh = tuned ? fill_to_target(closed, file, options, warnings)
+    fill.mesh = tuned ? fill_to_target(closed, file, options, split)
                       : checked_run(closed, file, options.tetgen_switches, options);
-    if (!entry.empty()) write_cache(entry, fill.mesh, warnings);
+  }
+  if (split.after > 0) {
+    warnings.push_back(file + ": the surface's " + std::to_string(split.before) +
+                       " triangles are too coarse for " + std::to_string(options.target_tets) +
+                       " tetrahedra: they are split into " + std::to_string(split.after));
   }
   if (tuned && off_target(fill.mesh, options.target_tets) > options.target_tolerance) {
     warnings.push_back(file + ": " + std::to_string(fill.mesh.tets.size()) + " tetrahedra instead of the " +
@@ -350,6 +369,7 @@ Fill fill_surface(const ClosedSurface& closed, const std::string& file, const Fi
                             ? ": the surface's triangles are too fine for fewer"
                             : ""));
   }
+  if (!fill.from_cache && !entry.empty()) write_cache(entry, fill.mesh, split, warnings);
   return fill;
 }
 

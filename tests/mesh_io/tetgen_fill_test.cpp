@@ -278,9 +278,13 @@ class FillCache : public ::testing::Test {
 };
 
 TEST_F(FillCache, SecondFillComesFromTheCache) {
-  const Fill first = fill(cube(), options_);
+  std::vector<std::string> warnings, warnings_again;
+  const Fill first = fill_surface(closed(cube()), "FILE", options_, warnings);
   const ScopedVariable variable("INCISE_TETGEN", "/nowhere");  // the second needs no TetGen
-  const Fill second = fill(cube(), options_);
+  const Fill second = fill_surface(closed(cube()), "FILE", options_, warnings_again);
+  ASSERT_FALSE(warnings.empty());
+  EXPECT_SAYS(warnings.front(), "triangles are too coarse for 2000 tetrahedra: they are split into");
+  EXPECT_EQ(warnings_again, warnings);
   EXPECT_FALSE(first.from_cache);
   EXPECT_TRUE(second.from_cache);
   EXPECT_EQ(mesh_hash(first.mesh), mesh_hash(second.mesh));
