@@ -226,7 +226,7 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
   await page.locator("#open").fill("1");
   await page.keyboard.press("7");
   await page.keyboard.press("m");
-  const cut = await page.evaluate(() => {
+  const findCut = () => {
     const { stage } = window.incise;
     stage.colourAt(0.5, 0.5); // draws: the camera has moved
     const { slots, corners, isCut } = stage.body.shown(stage.openNow);
@@ -238,8 +238,9 @@ test("clicks measure lengths and areas of cuts, on the surface that is seen", as
       if (stage.pick(x, y)?.slot === slot) return [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
     }
     return null;
-  });
-  assert.ok(cut, "no cut face is seen");
+  };
+  await until(page, findCut); // the cut opens in a while
+  const cut = await page.evaluate(findCut);
   await page.mouse.click(...cut);
   await until(page, () => /cm²$/.test(window.incise.measure.labels.at(-1)));
   await shot(page, "measure_cut");
