@@ -40,9 +40,11 @@ struct LaneKernels {
     return out;
   }
 
-  // Begins with `first`, and puts there which exceeded the limit.
+  // Begins with `first`, and puts there which exceeded the limit. `left_out`: bit k of the i-th: lane k of lanes[i] does not count.
+  template <bool kLeavesOut>
   [[gnu::always_inline]] static inline double worst(const Vec3& p, const Lanes* lanes, std::size_t count,
-                                                    double limit, std::size_t& first) {
+                                                    double limit, std::size_t& first,
+                                                    const std::uint8_t* left_out) {
     const V zero{};
     const V3 a{zero + p.x, zero + p.y, zero + p.z};
     double worst = -1;
@@ -60,6 +62,11 @@ struct LaneKernels {
       const V inverted = zero + kInverted;
       m = qa * qb * qc * qd > 0 ? m : inverted;
       m = dot(nd, w) >= 0 ? inverted : m;
+      if constexpr (kLeavesOut) {
+        for (unsigned lane = 0; lane < 4; ++lane) {
+          if (left_out[i] >> lane & 1) m[lane] = -1;
+        }
+      }
       worst = std::max({worst, m[0], m[1], m[2], m[3]});
       if (worst > limit) {
         first = i;
@@ -70,14 +77,17 @@ struct LaneKernels {
   }
 
   static double worst_baseline(const Vec3& p, const Lanes* lanes, std::size_t count, double limit,
-                               std::size_t& first) {
-    return worst(p, lanes, count, limit, first);
+                               std::size_t& first, const std::uint8_t* left_out) {
+    return left_out == nullptr ? worst<false>(p, lanes, count, limit, first, left_out)
+                               : worst<true>(p, lanes, count, limit, first, left_out);
   }
 #if defined(__x86_64__)
   // Without fused multiply-add, which would change the bits.
   [[gnu::target("avx2")]] static double worst_avx2(const Vec3& p, const Lanes* lanes, std::size_t count,
-                                                   double limit, std::size_t& first) {
-    return worst(p, lanes, count, limit, first);
+                                                   double limit, std::size_t& first,
+                                                   const std::uint8_t* left_out) {
+    return left_out == nullptr ? worst<false>(p, lanes, count, limit, first, left_out)
+                               : worst<true>(p, lanes, count, limit, first, left_out);
   }
 #endif
 };
@@ -103,7 +113,7 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   }
   position_ = mesh.position(v);
   local_h_ = mesh.local_h(v);
-  corners_.clear();
+  corners_.resize(corner_ids_.size());
   flattenable_.clear();
   walls_.clear();
   wall_area_ = {};
@@ -112,34 +122,38 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   lanes_.resize((corner_ids_.size() + 3) / 4);
 }
 
-VertexStar::Corner& VertexStar::add(const TetMesh& mesh, std::uint32_t id) {
-  const std::size_t index = corners_.size();
-  Corner& corner = corners_.emplace_back();
-  corner.tet = tet_of(id);
-  const int i = index_of(id);
+VertexStar::Corner& VertexStar::read(const TetMesh& mesh, std::size_t index) {
+  Corner& corner = corners_[index];
+  corner.tet = tet_of(corner_ids_[index]);
+  const int i = index_of(corner_ids_[index]);
   const auto& vertices = mesh.vertices(corner.tet);
-  auto& lanes = lanes_[index / 4].p;
-  const std::size_t lane = index % 4;
+  double* const lane = &lanes_[index / 4].p[0][index % 4];
   for (int k = 0; k < 3; ++k) {
     const VertexId other = vertices[kFaceVertices[i][k]];
     corner.others[k] = other;
     const Vec3& p = mesh.position(other);
-    lanes[3 * k][lane] = p.x;
-    lanes[3 * k + 1][lane] = p.y;
-    lanes[3 * k + 2][lane] = p.z;
+    lane[12 * k] = p.x;
+    lane[12 * k + 4] = p.y;
+    lane[12 * k + 8] = p.z;
   }
+  if (mesh.has_regions() || mesh.on_boundary(corner.tet)) add_walls(mesh, corner.tet, i);
+  return corner;
+}
+
+// The faces of t at its vertex i that have nothing beyond them, or another region.
+void VertexStar::add_walls(const TetMesh& mesh, TetId t, int i) {
+  const auto& vertices = mesh.vertices(t);
   for (int f = 0; f < 4; ++f) {
     if (f == i) continue;
-    const TetId beyond = mesh.neighbor(corner.tet, f);
+    const TetId beyond = mesh.neighbor(t, f);
     // What lies between two materials is as fixed as what lies between tissue and air.
-    if (beyond != kNone && (!mesh.has_regions() || mesh.region(beyond) == mesh.region(corner.tet))) continue;
+    if (beyond != kNone && (!mesh.has_regions() || mesh.region(beyond) == mesh.region(t))) continue;
     const auto& k = kFaceVertices[f];
     const Vec3& a = mesh.position(vertices[k[0]]);
     const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
-    walls_.push_back({normalized(twice), length(twice), (mesh.cut_mask(corner.tet) >> f & 1) != 0});
+    walls_.push_back({normalized(twice), length(twice), (mesh.cut_mask(t) >> f & 1) != 0});
     wall_area_ += 0.5 * twice;
   }
-  return corner;
 }
 
 void VertexStar::finish() {
@@ -153,20 +167,23 @@ double VertexStar::worst_at(const Vec3& p, double limit, double thickness, std::
   for (std::uint32_t c : flattenable_) {
     const Vec3 a = point(c, 0);
     const Vec3 n = cross(point(c, 1) - a, point(c, 2) - a);
-    if (std::abs(dot(n, p - a)) <= thickness * length(n)) flat.push_back(corners_[c].tet);
+    if (std::abs(dot(n, p - a)) > thickness * length(n)) continue;
+    if (flat.empty()) flat_lanes_.assign(lanes_.size(), 0);
+    flat.push_back(corners_[c].tet);
+    leave_out(c);
   }
-  if (flat.empty()) return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit, worst_lanes_);
-  double worst = -1;
-  for (std::size_t c = 0; c < corners_.size(); ++c) {
-    if (std::find(flat.begin(), flat.end(), corners_[c].tet) != flat.end()) continue;
-    worst = std::max(worst, worst_dihedral(p, point(c, 0), point(c, 1), point(c, 2)));
-    if (worst > limit) break;
-  }
-  return worst;
+  return kWorstOfLanes(p, lanes_.data(), lanes_.size(), limit, worst_lanes_,
+                       flat.empty() ? nullptr : flat_lanes_.data());
+}
+
+// With the copies that fill the last lanes up.
+void VertexStar::leave_out(std::size_t corner) const {
+  const std::size_t end = corner + 1 == corners_.size() ? 4 * lanes_.size() : corner + 1;
+  for (std::size_t i = corner; i < end; ++i) flat_lanes_[i / 4] |= static_cast<std::uint8_t>(1u << i % 4);
 }
 
 double VertexStar::worst_now() const {
-  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted, worst_lanes_);
+  return kWorstOfLanes(position_, lanes_.data(), lanes_.size(), kInverted, worst_lanes_, nullptr);
 }
 
 double VertexStar::volume() const {

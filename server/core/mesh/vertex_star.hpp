@@ -27,11 +27,11 @@ class VertexStar {
   template <class OnSurface>
   void gather(const TetMesh& mesh, VertexId v, OnSurface on_surface) {
     begin(mesh, v);
-    for (std::uint32_t id : corner_ids_) {
-      Corner& corner = add(mesh, id);
+    for (std::uint32_t i = 0; i < corners_.size(); ++i) {
+      Corner& corner = read(mesh, i);
       corner.may_flatten =
           on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]);
-      if (corner.may_flatten) flattenable_.push_back(static_cast<std::uint32_t>(corners_.size() - 1));
+      if (corner.may_flatten) flattenable_.push_back(i);
     }
     finish();
   }
@@ -70,8 +70,10 @@ class VertexStar {
   friend struct LaneKernels;
 
   void begin(const TetMesh& mesh, VertexId v);
-  Corner& add(const TetMesh& mesh, std::uint32_t id);
+  Corner& read(const TetMesh& mesh, std::size_t index);
+  void add_walls(const TetMesh& mesh, TetId t, int i);
   void finish();
+  void leave_out(std::size_t corner) const;
 
   Vec3 position_;
   double local_h_ = 0;
@@ -81,6 +83,7 @@ class VertexStar {
   // The lanes that decided the last rejection: they usually decide the next one.
   mutable std::size_t worst_lanes_ = 0;
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
+  mutable std::vector<std::uint8_t> flat_lanes_;  // scratch: bit k of the i-th: lane k of lanes_[i] would be flat
   std::vector<Wall> walls_;
   Vec3 wall_area_;
   mutable double volume_ = -1;  // below 0: not known yet

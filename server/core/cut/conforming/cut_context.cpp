@@ -25,6 +25,7 @@ double CutContext::worst_at(const VertexStar& star, const Vec3& p, double limit,
   work += cost::kWorstAt;
   work.add(star.corners().size(), cost::kWorstAtCornersAUnit);
   const double worst = star.worst_at(p, limit, thickness_m, flat);
+  if (worst > limit) return worst;
   for (TetId t : flat) {
     work += cost::kSurfaceQuery;
     if (!surface().is_within(mesh.barycentre(t) + 0.25 * (p - star.position()), kFlatOff_h * h))

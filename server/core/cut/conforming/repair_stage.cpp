@@ -35,7 +35,9 @@ void RepairStage::take_next() {
   next_poor_ = 0;
   remedy_ = 0;
   cut_.work += static_cast<std::int64_t>(star_.corners().size());
-  for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
+  if (star_.worst_now() > kPoor) {
+    for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
+  }
   repairing_ = true;
 }
 
@@ -104,6 +106,7 @@ void RepairStage::try_moving(VertexId v) {
   if (place.worst >= before) return;
   editor_.move(star_, v, place.target);
   // A move that helps the worst tetrahedron may make others poor.
+  if (place.worst <= kPoor) return;
   for (const VertexStar::Corner& c : star_.corners()) note_poor(c.tet);
 }
 

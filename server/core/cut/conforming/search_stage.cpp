@@ -1,5 +1,6 @@
 #include "server/core/cut/conforming/search_stage.hpp"
 
+#include <bit>
 #include <cmath>
 
 namespace incise::core {
@@ -171,7 +172,9 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   double d[4];
   p.along(triangle.normal, triangle.offset, d);
   if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
-  if (FourPoints::least(d) >= 0 || FourPoints::most(d) < 0) return false;
+  const unsigned above = FourPoints::from(d, 0);
+  unsigned edges = kEdgeSets.at[above] & ~unsigned{kEdgeSets.within[above]};
+  if (edges == 0) return false;
   // How far inside each of the triangle's edges; outside one with all corners is outside.
   double inside[3][4];
   for (int k = 0; k < 3; ++k) {
@@ -180,9 +183,8 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   }
   // The same for the corners of the section with the plane.
   bool beside[3] = {true, true, true};
-  for (const auto& edge : kEdgeVertices) {
-    const int i = edge[0], j = edge[1];
-    if ((d[i] >= 0) == (d[j] >= 0)) continue;
+  for (; edges != 0; edges &= edges - 1) {
+    const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
     const double at = d[i] / (d[i] - d[j]);
     double least = INFINITY;
     for (int k = 0; k < 3; ++k) {

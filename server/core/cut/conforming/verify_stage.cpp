@@ -1,5 +1,6 @@
 #include "server/core/cut/conforming/verify_stage.hpp"
 
+#include <bit>
 #include <cmath>
 
 #include "server/core/geometry/four_points.hpp"
@@ -44,32 +45,29 @@ bool VerifyStage::collect_from(TetId t) {
   bool clear = true;
   const double clear_m = cut_.clear_m;
   const auto& v = mesh_.vertices(t);
-  bool on[4];
-  for (int i = 0; i < 4; ++i) on[i] = cut_.on_surface(v[i]);
+  unsigned on = 0;  // bit i: vertex i lies on the surface
+  for (unsigned i = 0; i < 4; ++i) on |= (cut_.on_surface(v[i]) ? 1u : 0u) << i;
   const FourPoints p(
       {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3])});
   cut_.surface().any_between(p, clear_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     double d[4];
     p.along(triangle.normal, triangle.offset, d);
-    if (FourPoints::least(d) > clear_m || FourPoints::most(d) < -clear_m) return false;
-    int above = 0, below = 0;
-    for (int i = 0; i < 4; ++i) {
-      above += d[i] > clear_m || (d[i] >= -clear_m && !on[i]);
-      below += d[i] < -clear_m || (d[i] <= clear_m && !on[i]);
-    }
-    if (above == 0 || below == 0) return false;
+    const unsigned above = FourPoints::above(d, clear_m), below = ~FourPoints::from(d, -clear_m) & 0xfu;
+    // What is this near to the plane is on both sides of it, unless it lies on the surface.
+    const unsigned amid = ~(above | below | on) & 0xfu;
+    if ((above | amid) == 0 || (below | amid) == 0 || above == 0xfu || below == 0xfu) return false;
     // What lies beside the triangle as a whole crosses it nowhere.
     for (int k = 0; k < 3; ++k) {
       double inside[4];
       p.along(triangle.inward[k], triangle.inward_offset[k], inside);
       if (FourPoints::most(inside) < -clear_m) return false;
     }
-    for (const auto& edge : kEdgeVertices) {
-      const int i = edge[0], j = edge[1];
-      if (on[i] && on[j]) continue;
-      // An end on the surface is where the edge meets it.
-      if ((on[i] && std::abs(d[i]) <= clear_m) || (on[j] && std::abs(d[j]) <= clear_m)) continue;
+    // An end on the surface is where the edge meets it.
+    unsigned edges = 0x3fu & ~(kEdgeSets.within[on] | kEdgeSets.within[above] | kEdgeSets.within[below] |
+                               kEdgeSets.at[on & ~(above | below)]);
+    for (; edges != 0; edges &= edges - 1) {
+      const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
       double at;
       if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_m, at)) continue;
       clear = false;
@@ -78,7 +76,7 @@ bool VerifyStage::collect_from(TetId t) {
         // What stands for the surface deals with it.
         if (cut_.stands(v[i]) || cut_.stands(v[j])) continue;
         // So near to it that it is on this part, too.
-        if ((on[i] ? std::abs(d[i]) : std::abs(d[j])) <= kLiesAtCut_h * cut_.h) continue;
+        if (std::abs((on >> i & 1u) != 0 ? d[i] : d[j]) <= kLiesAtCut_h * cut_.h) continue;
         // A vertex on another part of the surface is as near as can be had.
         editor_.fail(v[i]);
         editor_.fail(v[j]);
