@@ -27,6 +27,8 @@ constexpr double kLargest = 1e+60, kSmallest = 1e-60;
 // More bad tetrahedra than this mean a tangled mesh, not a mesher's slip: one in fifty, or sixteen.
 constexpr double kMaxBadShare = 0.02;
 constexpr std::size_t kMaxBadCount = 16;
+// Vertices, of what is to be fetched: in a file the tetrahedra of a star lie anywhere.
+constexpr VertexId kStarsAhead = 2;
 
 class TetRepair {
  public:
@@ -328,7 +330,15 @@ class TetRepair {
     std::vector<TetId> reached;
     std::size_t count = 0;
     VertexId first = kNone;
-    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+    const auto vertices = static_cast<VertexId>(mesh_.positions.size());
+    for (VertexId v = 0; v < vertices; ++v) {
+      // What is beside a tetrahedron in a star is in that star, too: nothing else is read.
+      if (v + kStarsAhead < vertices) {
+        for (const TetId t : topology_.star(v + kStarsAhead)) {
+          topology_.prefetch(t);
+          __builtin_prefetch(&mark[t], 1);
+        }
+      }
       if (topology_.star(v).empty()) continue;
       reached.assign(1, topology_.star(v)[0]);
       mark[reached[0]] = v;

@@ -53,12 +53,21 @@ void TetTopology::match_faces() {
   core::match_faces(
       half_faces, mesh_.positions.size(), [this](HalfFace h) { return face(h); },
       [this](HalfFace a, HalfFace b, bool turned) {
-        if (apex(a) == apex(b)) refuse_twins(a, b);
         opposite_[a] = b;
         opposite_[b] = a;
         turned_ += turned;
       },
       [this](std::span<const HalfFace> same) { refuse_shared_face(same); });
+  refuse_twins();
+}
+
+// Two tetrahedra that share two faces have the same four vertices.
+void TetTopology::refuse_twins() const {
+  for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+    const HalfFace* const o = &opposite_[core::half_face(t, 0)];
+    if (o[0] != kNone && o[1] != kNone && core::tet_of(o[0]) == core::tet_of(o[1]))
+      refuse_twins(core::half_face(t, 0), o[0]);
+  }
 }
 
 void TetTopology::refuse_twins(HalfFace a, HalfFace b) const {

@@ -46,6 +46,11 @@ class TetTopology {
   // The same face seen from the other side; kNone on the boundary.
   core::HalfFace opposite(core::HalfFace h) const { return opposite_[h]; }
   const std::vector<core::HalfFace>& opposites() const { return opposite_; }
+  // For what will be read soon.
+  void prefetch(core::TetId t) const {
+    __builtin_prefetch(&opposite_[core::half_face(t, 0)]);
+    __builtin_prefetch(&mesh_.tets[t]);
+  }
   bool on_boundary(core::TetId t) const;
   // A removed tetrahedron's neighbours have no neighbour there.
   void detach(core::TetId t);
@@ -71,6 +76,7 @@ class TetTopology {
     return {tet[f[0]], tet[f[1]], tet[f[2]]};
   }
   core::VertexId apex(core::HalfFace h) const { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; }
+  void refuse_twins() const;
   [[noreturn]] void refuse_twins(core::HalfFace a, core::HalfFace b) const;
   [[noreturn]] void refuse_shared_face(std::span<const core::HalfFace> same) const;
 
