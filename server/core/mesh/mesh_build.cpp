@@ -66,6 +66,23 @@ TetMesh::TetMesh(const MeshData& data) {
   log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
 }
 
+TetMesh::TetMesh(const TetMesh& other)
+    : vertices_(copy_with_room(other.vertices_)),
+      at_boundary_(copy_with_room(other.at_boundary_)),
+      rest_(other.deformed() ? copy_with_room(other.rest_) : std::vector<Vec3>()),
+      tets_(copy_with_room(other.tets_)),
+      attributes_(copy_with_room(other.attributes_)),
+      live_tets_(other.live_tets_),
+      has_regions_(other.has_regions_),
+      initial_vertex_copies_(other.initial_vertex_copies_),
+      mean_edge_length_(other.mean_edge_length_) {
+  vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
+  tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
+  log_.reserve(room_for(vertices_.size()), room_for(tets_.size()));
+  log_.resize(tets_.size());
+  log_.begin_as(other.log_, vertex_slots(), tet_slots());
+}
+
 // An edge counts once for each tetrahedron around it, which weighs it by the space it stands for.
 void TetMesh::measure_edges() {
   std::vector<double> sums(vertices_.size(), 0.0);

@@ -70,6 +70,10 @@ class TetMesh {
   // (initial_vertex_copies() counts them). Throws MeshError on a bad index, a repeated vertex in a tetrahedron, or a
   // face that more than two tetrahedra share.
   explicit TetMesh(const MeshData& data);
+  // A copy, of a mesh in which no step is under way, with room to grow. It reads nothing that queries write: several threads may copy
+  // and query the same mesh, stars, rings and edges apart. O(mesh), a tenth of building it.
+  TetMesh(const TetMesh& other);
+  TetMesh& operator=(const TetMesh&) = delete;
 
   // Counts of slots ever used: ids run below these.
   std::uint32_t vertex_slots() const { return static_cast<std::uint32_t>(vertices_.size()); }
