@@ -15,6 +15,7 @@
 #include "server/app/capture_library.hpp"
 #include "server/app/cluster_link.hpp"
 #include "server/app/end_signals.hpp"
+#include "server/app/freed_memory.hpp"
 #include "server/app/look.hpp"
 #include "server/app/loop_watch.hpp"
 #include "server/app/network_sources.hpp"
@@ -47,6 +48,7 @@ Body load_and_log(const Config& config) {
       },
       true);
   for (const std::string& warning : body.loaded.warnings) spdlog::warn("{}", warning);
+  return_freed_memory();
   return body;
 }
 
