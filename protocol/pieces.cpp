@@ -10,6 +10,11 @@ namespace incise::protocol {
 
 // By vertices: all tetrahedra at a vertex hang together through faces.
 void Replica::find_pieces() const {
+  state_.pieces_known = true;
+  if (state_.names.empty()) {
+    state_.pieces.assign(tet_slots(), 0);
+    return;
+  }
   std::vector<std::uint32_t> parent(vertex_count());
   std::iota(parent.begin(), parent.end(), 0u);
   const auto root = [&](std::uint32_t v) {
@@ -27,7 +32,6 @@ void Replica::find_pieces() const {
   }
   state_.pieces.assign(tet_slots(), 0);
   for_each_tet([&](std::uint32_t t) { state_.pieces[t] = piece_of[root(vertices(t)[0])]; });
-  state_.pieces_known = true;
 }
 
 void Replica::follow_pieces(const TetIndex& index, const Delta& delta, std::vector<std::uint32_t>& changed) {

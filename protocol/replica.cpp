@@ -73,7 +73,7 @@ std::uint64_t hash_entry(const TetArrays& t, std::size_t i) {
 
 void Replica::State::resize_tets(std::size_t slots) {
   tets.resize(slots, {kNoId, kNoId, kNoId, kNoId});
-  regions.resize(slots);
+  if (!regions.empty()) regions.resize(slots);
   cut_masks.resize(slots);
   boundary_masks.resize(slots);
 }
@@ -81,7 +81,8 @@ void Replica::State::resize_tets(std::size_t slots) {
 void Replica::State::set_tet(const TetArrays& t, std::size_t i) {
   const std::uint32_t id = t.ids[i];
   std::copy_n(&t.vertices[4 * i], 4, tets[id].begin());
-  regions[id] = t.regions[i];
+  if (t.regions[i] != 0 && regions.empty()) regions.resize(tets.size());
+  if (!regions.empty()) regions[id] = t.regions[i];
   cut_masks[id] = t.cut_masks[i];
   boundary_faces += static_cast<std::uint32_t>(std::popcount(t.boundary_masks[i]));
   boundary_masks[id] = t.boundary_masks[i];
@@ -101,6 +102,16 @@ std::uint64_t Replica::compute_state_hash() const {
 }
 
 // ---- Whole states ----
+
+Replica& Replica::operator=(const Replica& other) {
+  if (this == &other) return *this;
+  max_vertices_ = other.max_vertices_;
+  max_tets_ = other.max_tets_;
+  staged_.reset();
+  if (state_.tets.capacity() > 2 * other.state_.tets.size()) state_ = {};
+  state_ = other.state_;
+  return *this;
+}
 
 ApplyResult Replica::add(State& state, std::uint32_t& next_tet, std::uint32_t vertex_limit,
                          const TetArrays& tets) const {
@@ -404,7 +415,7 @@ ApplyResult Replica::apply(const Delta& d) {
   for (const std::uint32_t t : d.removed_tets) {
     s.boundary_faces -= static_cast<std::uint32_t>(std::popcount(s.boundary_masks[t]));
     s.tets[t].fill(kNoId);
-    s.regions[t] = 0;
+    if (!s.regions.empty()) s.regions[t] = 0;
     s.cut_masks[t] = s.boundary_masks[t] = 0;
   }
   for (std::size_t i = 0; i < d.tets.ids.size(); ++i) {

@@ -48,7 +48,8 @@ class Replica {
   // A copy has the state, and no snapshot that has begun. O(mesh).
   Replica(const Replica& other)
       : max_vertices_(other.max_vertices_), max_tets_(other.max_tets_), state_(other.state_) {}
-  Replica& operator=(const Replica& other) { return *this = Replica(other); }
+  // Into the memory that is there, unless most of that would be left over.
+  Replica& operator=(const Replica& other);
   Replica(Replica&&) noexcept = default;
   Replica& operator=(Replica&&) noexcept = default;
   ~Replica() = default;
@@ -93,7 +94,7 @@ class Replica {
   std::span<const double> rest_positions() const { return deformed() ? state_.rest : state_.positions; }
   bool alive(std::uint32_t tet) const { return tet < tet_slots() && state_.tets[tet][0] != kNoId; }
   const std::array<std::uint32_t, 4>& vertices(std::uint32_t tet) const { return state_.tets[tet]; }
-  std::int32_t region(std::uint32_t tet) const { return state_.regions[tet]; }
+  std::int32_t region(std::uint32_t tet) const { return state_.regions.empty() ? 0 : state_.regions[tet]; }
   std::uint8_t cut_mask(std::uint32_t tet) const { return state_.cut_masks[tet]; }
   std::uint8_t boundary_mask(std::uint32_t tet) const { return state_.boundary_masks[tet]; }
   // The piece of each tetrahedron slot: 0 where there is none. O(mesh) if the mesh has changed since the last call.
@@ -143,7 +144,7 @@ class Replica {
     std::vector<double> positions;
     std::vector<double> rest;                        // empty until the body deforms
     std::vector<std::array<std::uint32_t, 4>> tets;  // [0] == kNoId: no such tetrahedron
-    std::vector<std::int32_t> regions;
+    std::vector<std::int32_t> regions;               // empty: all are 0
     std::vector<std::uint8_t> cut_masks, boundary_masks;
     std::map<std::uint32_t, std::uint32_t>
         names;                                  // a tetrahedron by piece; one that is gone where the piece is

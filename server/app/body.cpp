@@ -13,6 +13,11 @@
 
 namespace incise::app {
 
+std::unique_ptr<core::CutSession> Body::session(const core::CutConfig& cut) const {
+  return built ? std::make_unique<core::CutSession>(*built, cut)
+               : std::make_unique<core::CutSession>(loaded.mesh, cut, loaded.fields);
+}
+
 mesh_io::LoadOptions load_options(const Config& config, FillProgress progress) {
   mesh_io::LoadOptions options;
   options.scale_to_metres = config.mesh.scale_to_metres;

@@ -8,6 +8,7 @@
 
 #include "protocol/surface_asset.hpp"
 #include "server/app/config.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::app {
@@ -17,6 +18,11 @@ struct Body {
   mesh_io::LoadedMesh loaded;
   std::string name;
   std::shared_ptr<const protocol::OriginTree> origins = {};  // of loaded.surface; null without it
+  // What sessions of it begin with, where there are to be several. Null: each is made of loaded.mesh.
+  std::shared_ptr<const core::LoadedBody> built = {};
+
+  // A session of it as loaded, with its fields. O(mesh).
+  std::unique_ptr<core::CutSession> session(const core::CutConfig& cut) const;
 };
 
 using FillProgress = std::function<void(std::string_view stage, double seconds)>;

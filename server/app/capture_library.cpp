@@ -75,8 +75,8 @@ class Replay {
     }
     std::vector<core::Blade> blades;
     for (const Config::Source& source : config_.sources) blades.push_back(source.blade);
-    replay_.emplace(body_->loaded.mesh, config_.cut, std::move(blades), std::move(motion),
-                    body_->loaded.fields);
+    replay_.emplace([this] { return body_->session(config_.cut); }, config_.cut, std::move(blades),
+                    std::move(motion));
     show();
   }
 

@@ -220,11 +220,12 @@ void check_recording(const Config& config, const std::string& file) {
   }
 }
 
-Recording begin_recording(const Config& config, const Body& body) {
+Recording begin_recording(const Config& config, const Body& body, const stream::InitialState& shown) {
   Recording recording;
   recording.session_id = fresh_session_id();
-  recording.session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
-  recording.shown.before = replay::initial_state(*recording.session, recording.session_id);
+  recording.session = body.session(config.cut);
+  recording.shown.before = shown;
+  recording.shown.before.epoch = recording.session_id;
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
   std::error_code error;
@@ -285,7 +286,7 @@ Recording resume_recording(const Config& config, const Body& body) {
         "and this capture is kept");
   }
   if (!checkpointed) {
-    start->session = std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
+    start->session = body.session(config.cut);
   }
   Recording recording;
   recording.session_id = motion.session;

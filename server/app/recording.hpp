@@ -31,7 +31,8 @@ void check_recording(const Config& config, const std::string& file);
 
 // A fresh session. An existing capture is kept under another name, with its checkpoints. Throws ConfigError,
 // std::runtime_error.
-Recording begin_recording(const Config& config, const Body& body);
+// `shown`: what clients see of the body as loaded.
+Recording begin_recording(const Config& config, const Body& body, const stream::InitialState& shown);
 
 // The session that config.capture.path recorded, as it was at its end: starts from the newest whole checkpoint, else from
 // the one before, else from the beginning, and replays the rest of the capture, comparing every hash. Ends the strokes in

@@ -8,6 +8,7 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/config.hpp"
+#include "server/app/freed_memory.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/relay_run.hpp"
@@ -114,6 +115,7 @@ int main(int argc, char** argv) {
     override_with(given, config);
     incise::app::check_relay_config(config, config_file.empty() ? "incise-relay" : config_file);
     incise::app::start_log(config.log, "incise-relay");
+    incise::app::return_freed_memory();
     try {
       incise::app::run_relay(config);
     } catch (...) {

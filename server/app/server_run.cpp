@@ -15,6 +15,7 @@
 #include "server/app/capture_library.hpp"
 #include "server/app/cluster_link.hpp"
 #include "server/app/end_signals.hpp"
+#include "server/app/freed_memory.hpp"
 #include "server/app/look.hpp"
 #include "server/app/loop_watch.hpp"
 #include "server/app/network_sources.hpp"
@@ -47,6 +48,7 @@ Body load_and_log(const Config& config) {
       },
       true);
   for (const std::string& warning : body.loaded.warnings) spdlog::warn("{}", warning);
+  return_freed_memory();
   return body;
 }
 
@@ -59,15 +61,35 @@ ServedSurface serve_surface(const Config& config, const Body& body) {
   return served;
 }
 
-Recording open_recording(const Config& config, const Body& body, bool resume, std::function<bool()> may_write,
-                         std::int64_t started_ns) {
-  Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body);
+// Makes of the body what sessions and, in a fresh one, viewers begin with, on two threads; then the arrays of the file are let go.
+stream::InitialState build(Body& body, bool resume) {
+  core::MeshData mesh = std::move(body.loaded.mesh);
+  body.loaded.mesh = {};
+  auto built =
+      std::make_shared<core::LoadedBody>(mesh, body.loaded.fields, core::LoadedBody::ClustersLater{});
+  auto clusters = std::async(std::launch::async, [&] {
+    mesh = {};
+    built->form_clusters();
+  });
+  stream::InitialState shown;
+  if (!resume) {
+    shown.mirror = mirror_of(replay::initial_state(built->mesh(), fresh_session_id()), body.origins);
+    shown.fields = replay::shared_fields(built->fields());
+  }
+  clusters.get();
+  body.built = std::move(built);
+  return shown;
+}
+
+Recording open_recording(const Config& config, const Body& body, const stream::InitialState& shown,
+                         bool resume, std::function<bool()> may_write, std::int64_t started_ns) {
+  Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body, shown);
   if (recording.journal) recording.journal->write_while(may_write);
   recording.may_write = std::move(may_write);
   recording.shown.before.origins = body.origins;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
-               body.loaded.mesh.positions.size(), body.loaded.mesh.tets.size(),
-               recording.session->mesh().mean_edge_length(),
+               body.built->mesh().vertex_slots() - body.built->mesh().initial_vertex_copies(),
+               body.built->mesh().tet_slots(), body.built->mesh().mean_edge_length(),
                static_cast<double>(monotonic_ns() - started_ns) * 1e-9);
   return recording;
 }
@@ -76,7 +98,8 @@ std::future<std::unique_ptr<haptics::Tissue>> begin_tissue(const Config& config,
                                                            const core::CutSession& session) {
   if (!config.haptics.forces) return {};
   return std::async(std::launch::async, [&body, &session] {
-    auto tissue = std::make_unique<haptics::Tissue>(body.loaded.mesh);
+    auto tissue = std::make_unique<haptics::Tissue>(
+        std::shared_ptr<const core::TetMesh>(body.built, &body.built->mesh()));
     if (session.revision() > 0) tissue->note_cuts(session.mesh());
     return tissue;
   });
@@ -132,8 +155,9 @@ class RunningServer {
   const Config& config_;
   ClusterLink& cluster_;
   const std::int64_t started_ns_ = monotonic_ns(), started_unix_ns_ = unix_ns();
-  const Body body_;
+  Body body_;
   ServedSurface surface_;
+  stream::InitialState as_loaded_;  // what viewers are shown of the body; nothing where a session is resumed
   Recording recording_;
   // A session that has been cut a lot takes seconds to prepare: these two run side by side.
   SavedState saved_;
@@ -165,7 +189,8 @@ RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& clu
       cluster_(cluster),
       body_(load_and_log(config)),
       surface_(serve_surface(config, body_)),
-      recording_(open_recording(config, body_, resume, cluster.may_write(), started_ns_)),
+      as_loaded_(build(body_, resume)),
+      recording_(open_recording(config, body_, as_loaded_, resume, cluster.may_write(), started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
       sources_(config.cut.blade, declared_sources(config)),
@@ -180,7 +205,7 @@ RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& clu
           [this](loop::Undone undone) { undone_.offer(std::move(undone)); })),
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
-      spare_(body_, config.cut),
+      spare_(body_, config.cut, as_loaded_),
       server_(stream_config(config), facts(), recording_.shown.before, stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
@@ -188,6 +213,7 @@ RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& clu
                     config.haptics.force.most_torque_n_m > 0) {
   for (auto& delta : recording_.shown.deltas) server_.publish(std::move(delta));
   recording_.shown = {};
+  as_loaded_ = {};
   join_loop();
   open_inputs();
 }

@@ -20,9 +20,7 @@ std::unique_ptr<loop::Checkpointer> make_checkpointer(const Config& config, cons
   options.replay_s = config.capture.checkpoint_replay_s;
   options.debt_s = recording.debt_s;
   options.may_write = recording.may_write;
-  options.fresh = [&config, &body] {
-    return std::make_unique<core::CutSession>(body.loaded.mesh, config.cut, body.loaded.fields);
-  };
+  options.fresh = [&config, &body] { return body.session(config.cut); };
   options.undone = std::move(on_undone);
   auto first = options.fresh;
   if (saved.valid()) {

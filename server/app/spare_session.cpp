@@ -27,14 +27,12 @@ void SpareSession::run(const std::stop_token& stop) {
   for (std::uint32_t turn = 0; !stop.stop_requested(); turns_.wait(turn), turn = turns_.load()) {
     delete used_.exchange(nullptr);
     if (spare_.load() != nullptr) continue;
-    const mesh_io::LoadedMesh& loaded = body_.loaded;
-    auto session = mirror_ ? std::make_unique<core::CutSession>(loaded.mesh, config_)
-                           : std::make_unique<core::CutSession>(loaded.mesh, config_, loaded.fields);
+    std::unique_ptr<core::CutSession> session = body_.session(config_);
     if (!mirror_) {
-      fields_ = replay::shared_fields(*session);
-      session->drop_fields();
+      fields_ = replay::shared_fields(session->fields());
       mirror_ = mirror_of(*session, body_.origins);
     }
+    session->drop_fields();
     spare_.store(session.release());
   }
 }

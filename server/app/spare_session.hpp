@@ -16,12 +16,16 @@ namespace incise::app {
 // What a reset begins with, built beside the loop and ahead of time: a session of the body as loaded, and the mirror and fields of it. So a
 // reset costs the loop the exchange of a pointer.
 //
+// With Body::built the sessions are copies of that.
+//
 // Thread: take() and give_back() from the loop's; the rest from one. Owns: a thread that builds and destroys sessions, one that waits
 // and the mirror.
 class SpareSession {
  public:
   // Body and configuration must outlive this.
-  SpareSession(const Body& body, const core::CutConfig& config) : body_(body), config_(config) {}
+  // `shown`: what viewers are shown of the body as loaded, if that is known.
+  SpareSession(const Body& body, const core::CutConfig& config, const stream::InitialState& shown = {})
+      : body_(body), config_(config), mirror_(shown.mirror), fields_(shown.fields) {}
   SpareSession(const SpareSession&) = delete;
   SpareSession& operator=(const SpareSession&) = delete;
   ~SpareSession();

@@ -61,13 +61,17 @@ void raise_descriptor_limit() {
   setrlimit(RLIMIT_NOFILE, &limit);
 }
 
+std::shared_ptr<const stream::Mirror> mirror_of(stream::InitialState state,
+                                                std::shared_ptr<const protocol::OriginTree> origins) {
+  state.origins = std::move(origins);
+  auto mirror = std::make_shared<stream::Mirror>();
+  mirror->reset(state);
+  return mirror;
+}
+
 std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
                                                 std::shared_ptr<const protocol::OriginTree> origins) {
-  stream::InitialState initial = replay::initial_state(session, fresh_session_id());
-  initial.origins = std::move(origins);
-  auto mirror = std::make_shared<stream::Mirror>();
-  mirror->reset(initial);
-  return mirror;
+  return mirror_of(replay::initial_state(session, fresh_session_id()), std::move(origins));
 }
 
 std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror,
@@ -81,7 +85,9 @@ std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::
 
 stream::ServerFacts server_facts(const Config& config, const Body& body, const core::TetMesh& mesh) {
   stream::ServerFacts facts;
-  facts.mesh = replay::mesh_facts(body.name, body.loaded.content_hash, body.loaded.mesh, mesh);
+  const std::string& hash = body.loaded.content_hash;
+  facts.mesh = body.built ? replay::mesh_facts(body.name, hash, body.built->mesh(), mesh)
+                          : replay::mesh_facts(body.name, hash, body.loaded.mesh, mesh);
   facts.blade_heel = replay::to_protocol(config.cut.blade.heel);
   facts.blade_tip = replay::to_protocol(config.cut.blade.tip);
   facts.engage_button = replay::engage_button(config.cut);

@@ -25,6 +25,9 @@ stream::ServerFacts server_facts(const Config& config, const Body& body, const c
 // it. O(mesh).
 std::shared_ptr<const stream::Mirror> mirror_of(const core::CutSession& session,
                                                 std::shared_ptr<const protocol::OriginTree> origins);
+// The same of a state.
+std::shared_ptr<const stream::Mirror> mirror_of(stream::InitialState state,
+                                                std::shared_ptr<const protocol::OriginTree> origins);
 // What viewers are shown when the loop goes on with the session that `mirror` and `fields` are of: another epoch.
 std::shared_ptr<stream::InitialState> shown_again(std::shared_ptr<const stream::Mirror> mirror,
                                                   std::shared_ptr<const std::vector<core::Field>> fields);

@@ -7,7 +7,7 @@ namespace incise::app {
 void UndoneSlot::offer(loop::Undone undone) {
   auto waiting = std::make_unique<Waiting>();
   if (undone.session) {
-    auto fields = replay::shared_fields(*undone.session);
+    auto fields = replay::shared_fields(undone.session->fields());
     undone.session->drop_fields();  // the loop's session has none: the stream carries them
     waiting->shown = shown_again(mirror_of(*undone.session, origins_), std::move(fields));
   }

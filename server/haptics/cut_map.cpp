@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <new>
 #include <utility>
 
 namespace incise::haptics {
@@ -53,15 +54,17 @@ CutMap::CutMap(const Vec3& low, const Vec3& high, double h) : origin_(low), asid
     if (cells <= kMostCells) break;
   }
   inverse_ = 1 / cell_;
-  cells_.assign(static_cast<std::size_t>(count_[0] * count_[1] * count_[2]), 0);
-  marked_.assign((cells_.size() + kStretch - 1) / kStretch, 0);
+  cell_count_ = static_cast<std::size_t>(count_[0] * count_[1] * count_[2]);
+  cells_.reset(static_cast<Directions*>(std::calloc(cell_count_, sizeof(Directions))));
+  if (!cells_) throw std::bad_alloc();
+  marked_.assign((cell_count_ + kStretch - 1) / kStretch, 0);
 }
 
 void CutMap::clear() noexcept {
   for (std::size_t i = 0; i < marked_.size(); ++i) {
     if (!std::exchange(marked_[i], std::uint8_t{0})) continue;
     const std::size_t begin = i * kStretch;
-    std::fill_n(&cells_[begin], std::min(kStretch, cells_.size() - begin), Directions{0});
+    std::fill_n(&cells_[begin], std::min(kStretch, cell_count_ - begin), Directions{0});
   }
   any_ = false;
 }
@@ -71,7 +74,7 @@ std::size_t CutMap::index(const Vec3& p) const noexcept {
                z = (p.z - origin_.z) * inverse_;
   if (!(x >= 0 && y >= 0 && z >= 0 && x < static_cast<double>(count_[0]) &&
         y < static_cast<double>(count_[1]) && z < static_cast<double>(count_[2]))) {
-    return cells_.size();
+    return cell_count_;
   }
   return static_cast<std::size_t>((static_cast<std::int64_t>(x) * count_[1] + static_cast<std::int64_t>(y)) *
                                       count_[2] +
@@ -86,7 +89,7 @@ void CutMap::mark(const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
   const int rows = static_cast<int>(std::clamp(std::ceil(2 * longest / cell_), 1.0, double{kMostRows}));
   const auto set = [&](const Vec3& p) {
     const std::size_t i = index(p);
-    if (i >= cells_.size()) return;
+    if (i >= cell_count_) return;
     cells_[i] = static_cast<Directions>(cells_[i] | bit);
     marked_[i / kStretch] = 1;
   };
@@ -104,7 +107,7 @@ void CutMap::mark(const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
 
 CutMap::Directions CutMap::at(const Vec3& p) const noexcept {
   const std::size_t i = index(p);
-  return i < cells_.size() ? cells_[i] : Directions{0};
+  return i < cell_count_ && marked_[i / kStretch] ? cells_[i] : Directions{0};
 }
 
 CutMap::Directions CutMap::along(const Vec3& edge) noexcept {

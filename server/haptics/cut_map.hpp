@@ -1,6 +1,9 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <cstdlib>
+#include <memory>
 #include <vector>
 
 #include "server/core/geometry/vec3.hpp"
@@ -9,8 +12,8 @@ namespace incise::haptics {
 
 // Where a body has been cut, and in which directions: a grid of cells of 0.25 h, each with one bit
 // for each of 16 directions; a cut sets the one nearest to its normal. So a frame's queries cost the same in a
-// fresh body and in one that was cut to slices. Two bytes for each cell of the body's box; at most 16 million cells, wider
-// ones in larger bodies.
+// fresh body and in one that was cut to slices. At most 16 million cells, wider ones in larger bodies; two bytes for each, in
+// pages of which only those take memory that a cut has come to.
 //
 // Thread: one, at a time.
 class CutMap {
@@ -41,7 +44,12 @@ class CutMap {
   core::Vec3 origin_;
   double cell_ = 1, inverse_ = 1, aside_ = 0;
   std::int64_t count_[3] = {0, 0, 0};
-  std::vector<Directions> cells_;
+  // Zeros that take no memory before one of their page is marked.
+  struct Free {
+    void operator()(Directions* cells) const { std::free(cells); }
+  };
+  std::unique_ptr<Directions[], Free> cells_;
+  std::size_t cell_count_ = 0;
   // Stretches of kStretch cells that have been marked: clear() passes over the others.
   static constexpr std::size_t kStretch = 4096;
   std::vector<std::uint8_t> marked_;

@@ -1,12 +1,14 @@
 #include "server/haptics/tissue.hpp"
 
+#include <utility>
+
 namespace incise::haptics {
 
-Tissue::Tissue(const core::MeshData& loaded)
-    : body_(loaded),
-      surface_(body_),
-      cuts_(surface_.low(), surface_.high(), body_.mean_edge_length()),
-      rest_(body_, surface_) {}
+Tissue::Tissue(std::shared_ptr<const core::TetMesh> loaded)
+    : body_(std::move(loaded)),
+      surface_(*body_),
+      cuts_(surface_.low(), surface_.high(), body_->mean_edge_length()),
+      rest_(*body_, surface_) {}
 
 void Tissue::note_cuts(const core::TetMesh& now, std::span<const core::HalfFace> faces) noexcept {
   for (const core::HalfFace face : faces) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <memory>
 #include <span>
 
 #include "server/core/mesh/mesh_data.hpp"
@@ -15,16 +16,18 @@ namespace incise::haptics {
 // blade is inside does not depend on the cuts: it is found in the body as loaded, at a cost that no cut changes. A
 // separate map says where the body is cut. In a body that deforms, the edge is first taken back to the body at rest.
 //
-// Thread: one, at a time. Owns a mesh: 69 bytes a tetrahedron and 64 a vertex, 140 a boundary triangle, and the map.
+// Thread: one, at a time. Owns 140 bytes a boundary triangle, and the map; shares the mesh.
 class Tissue {
  public:
-  explicit Tissue(const core::MeshData& loaded);
+  explicit Tissue(const core::MeshData& loaded) : Tissue(std::make_shared<const core::TetMesh>(loaded)) {}
+  // Of a mesh that others use, too: it is not asked for what uses scratch memory.
+  explicit Tissue(std::shared_ptr<const core::TetMesh> loaded);
 
-  const core::TetMesh& body() const { return body_; }
+  const core::TetMesh& body() const { return *body_; }
   const SurfaceTree& surface() const { return surface_; }
   const CutMap& cuts() const { return cuts_; }
   const RestMap& rest() const { return rest_; }
-  double h() const { return body_.mean_edge_length(); }
+  double h() const { return body_->mean_edge_length(); }
 
   // The mesh that is cut, for where it is now; it must outlive this or the next call. Without: the body stays as loaded.
   void follow(const core::TetMesh& now) { rest_.follow(now); }
@@ -37,7 +40,7 @@ class Tissue {
   void heal() noexcept { cuts_.clear(); }
 
  private:
-  const core::TetMesh body_;
+  const std::shared_ptr<const core::TetMesh> body_;
   const SurfaceTree surface_;
   CutMap cuts_;  // at rest
   RestMap rest_;

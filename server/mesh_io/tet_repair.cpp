@@ -27,6 +27,8 @@ constexpr double kLargest = 1e+60, kSmallest = 1e-60;
 // More bad tetrahedra than this mean a tangled mesh, not a mesher's slip: one in fifty, or sixteen.
 constexpr double kMaxBadShare = 0.02;
 constexpr std::size_t kMaxBadCount = 16;
+// Vertices, of what is to be fetched: in a file the tetrahedra of a star lie anywhere.
+constexpr VertexId kStarsAhead = 2;
 
 class TetRepair {
  public:
@@ -322,13 +324,29 @@ class TetRepair {
     topology_.list_stars();
   }
 
-  // Vertices where parts of the body touch in a point or along an edge only. Whether there are any.
-  bool note_loose_vertices() {
-    std::vector<std::uint32_t> mark(mesh_.tets.size(), kNone);
-    std::vector<TetId> reached;
+  // Vertices whose tetrahedra are not connected through faces, and the first of them.
+  struct Loose {
     std::size_t count = 0;
     VertexId first = kNone;
-    for (VertexId v = 0; v < mesh_.positions.size(); ++v) {
+    void operator+=(const Loose& other) {
+      count += other.count;
+      first = std::min(first, other.first);
+    }
+  };
+  Loose loose_vertices(core::MatchPart part) const {
+    std::vector<std::uint32_t> mark(mesh_.tets.size(), kNone);
+    std::vector<TetId> reached;
+    Loose loose;
+    const auto vertices = static_cast<VertexId>(mesh_.positions.size());
+    const VertexId ahead = kStarsAhead * part.count;
+    for (VertexId v = part.index; v < vertices; v += part.count) {
+      // What is beside a tetrahedron in a star is in that star, too: nothing else is read.
+      if (v + ahead < vertices) {
+        for (const TetId t : topology_.star(v + ahead)) {
+          topology_.prefetch(t);
+          __builtin_prefetch(&mark[t], 1);
+        }
+      }
       if (topology_.star(v).empty()) continue;
       reached.assign(1, topology_.star(v)[0]);
       mark[reached[0]] = v;
@@ -340,9 +358,15 @@ class TetRepair {
           reached.push_back(core::tet_of(g));
         }
       }
-      if (reached.size() == topology_.star(v).size()) continue;
-      if (count++ == 0) first = v;
+      if (reached.size() != topology_.star(v).size()) loose += {1, v};
     }
+    return loose;
+  }
+
+  // Where parts of the body touch in a point or along an edge only. Whether there are any such vertices.
+  bool note_loose_vertices() {
+    const auto [count, first] =
+        sum_in_halves(mesh_.tets.size(), [this](core::MatchPart part) { return loose_vertices(part); });
     if (count == 0) return false;
     warn((count == 1 ? "1 vertex is non-manifold: its"
                      : std::to_string(count) + " vertices are non-manifold: their") +

@@ -47,18 +47,32 @@ TetTopology::SortedFace TetTopology::sorted_face(HalfFace h) const {
 }
 
 void TetTopology::match_faces() {
-  const auto half_faces = static_cast<HalfFace>(4 * mesh_.tets.size());
-  opposite_.assign(half_faces, kNone);
-  turned_ = 0;
+  opposite_.assign(4 * mesh_.tets.size(), kNone);
+  turned_ = sum_in_halves(mesh_.tets.size(), [this](core::MatchPart part) { return match_faces(part); });
+  refuse_twins();
+}
+
+std::size_t TetTopology::match_faces(core::MatchPart part) {
+  std::size_t turned_here = 0;
   core::match_faces(
-      half_faces, mesh_.positions.size(), [this](HalfFace h) { return face(h); },
-      [this](HalfFace a, HalfFace b, bool turned) {
-        if (apex(a) == apex(b)) refuse_twins(a, b);
+      static_cast<HalfFace>(opposite_.size()), mesh_.positions.size(), part,
+      [this](HalfFace h) { return face(h); },
+      [this, &turned_here](HalfFace a, HalfFace b, bool turned) {
         opposite_[a] = b;
         opposite_[b] = a;
-        turned_ += turned;
+        turned_here += turned;
       },
       [this](std::span<const HalfFace> same) { refuse_shared_face(same); });
+  return turned_here;
+}
+
+// Two tetrahedra that share two faces have the same four vertices.
+void TetTopology::refuse_twins() const {
+  for (TetId t = 0; t < mesh_.tets.size(); ++t) {
+    const HalfFace* const o = &opposite_[core::half_face(t, 0)];
+    if (o[0] != kNone && o[1] != kNone && core::tet_of(o[0]) == core::tet_of(o[1]))
+      refuse_twins(core::half_face(t, 0), o[0]);
+  }
 }
 
 void TetTopology::refuse_twins(HalfFace a, HalfFace b) const {

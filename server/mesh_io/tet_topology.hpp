@@ -2,14 +2,27 @@
 
 #include <array>
 #include <cstdint>
+#include <future>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "server/core/mesh/face_matching.hpp"
 #include "server/core/mesh/mesh_data.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 
 namespace incise::mesh_io {
+
+// work(part) of a mesh of so many tetrahedra; of a large one in two halves at the same time, whose results are added.
+template <class Work>
+auto sum_in_halves(std::size_t tets, Work work) {
+  constexpr std::size_t kLarge = 50'000;  // below, a thread costs more than it saves
+  if (tets < kLarge) return work(core::MatchPart{});
+  auto other = std::async(std::launch::async, [&work] { return work(core::MatchPart{1, 2}); });
+  auto sum = work(core::MatchPart{0, 2});
+  sum += other.get();
+  return sum;
+}
 
 // The elements of a mesh as its file numbers them, for messages.
 class TetNames {
@@ -46,6 +59,11 @@ class TetTopology {
   // The same face seen from the other side; kNone on the boundary.
   core::HalfFace opposite(core::HalfFace h) const { return opposite_[h]; }
   const std::vector<core::HalfFace>& opposites() const { return opposite_; }
+  // For what will be read soon.
+  void prefetch(core::TetId t) const {
+    __builtin_prefetch(&opposite_[core::half_face(t, 0)]);
+    __builtin_prefetch(&mesh_.tets[t]);
+  }
   bool on_boundary(core::TetId t) const;
   // A removed tetrahedron's neighbours have no neighbour there.
   void detach(core::TetId t);
@@ -71,6 +89,8 @@ class TetTopology {
     return {tet[f[0]], tet[f[1]], tet[f[2]]};
   }
   core::VertexId apex(core::HalfFace h) const { return mesh_.tets[core::tet_of(h)][core::face_of(h)]; }
+  std::size_t match_faces(core::MatchPart part);
+  void refuse_twins() const;
   [[noreturn]] void refuse_twins(core::HalfFace a, core::HalfFace b) const;
   [[noreturn]] void refuse_shared_face(std::span<const core::HalfFace> same) const;
 

@@ -3,8 +3,10 @@
 #include <zlib.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #include "server/mesh_io/mesh_error.hpp"
@@ -19,11 +21,18 @@ namespace {
 constexpr std::size_t kMostInflation = 1032;
 constexpr std::size_t kMaxDepth = 64;
 
-int base64_digit(char c) {
-  if (c >= 'A' && c <= 'Z') return c - 'A';
-  if (c >= 'a' && c <= 'z') return c - 'a' + 26;
-  if (c >= '0' && c <= '9') return c - '0' + 52;
-  return c == '+' ? 62 : c == '/' ? 63 : -1;
+// By character; 0xff: no digit.
+constexpr std::array<std::uint8_t, 256> kBase64 = [] {
+  std::array<std::uint8_t, 256> digits{};
+  digits.fill(0xff);
+  constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  for (std::size_t i = 0; i < kDigits.size(); ++i)
+    digits[static_cast<unsigned char>(kDigits[i])] = static_cast<std::uint8_t>(i);
+  return digits;
+}();
+
+unsigned base64_digit(char c) {
+  return kBase64[static_cast<unsigned char>(c)];
 }
 
 // The bytes of an array: raw, or in base64. A header that is encoded by itself ends with padding, and the next group
@@ -33,26 +42,45 @@ class ByteSource {
   ByteSource(std::string_view text, bool base64, std::string what)
       : text_(text), base64_(base64), what_(std::move(what)) {}
 
-  std::string take(std::size_t size) {
+  // Valid until the next call.
+  std::string_view take(std::size_t size) {
     if (!base64_) {
       if (text_.size() - position_ < size) fail_short(size);
       position_ += size;
-      return std::string(text_.substr(position_ - size, size));
+      return text_.substr(position_ - size, size);
     }
     // Four characters give three bytes; checked before the allocation.
     if (size > rest_.size() + (text_.size() - position_) / 4 * 3 + 3) fail_short(size);
-    std::string bytes;
-    bytes.reserve(size);
-    while (bytes.size() < size) {
-      if (rest_.empty()) next_group(size);
-      const std::size_t count = std::min(size - bytes.size(), rest_.size());
-      bytes.append(rest_, 0, count);
+    bytes_.resize(size);
+    for (std::size_t at = 0; at < size;) {
+      if (rest_.empty()) {
+        at = take_groups(at);
+        if (at == size) break;
+        next_group(size);
+      }
+      const std::size_t count = std::min(size - at, rest_.size());
+      std::copy_n(rest_.begin(), count, &bytes_[at]);
       rest_.erase(0, count);
+      at += count;
     }
-    return bytes;
+    return bytes_;
   }
 
  private:
+  // Whole groups without blanks or padding, as long as they last.
+  std::size_t take_groups(std::size_t at) {
+    while (bytes_.size() - at >= 3 && text_.size() - position_ >= 4) {
+      const char* const c = &text_[position_];
+      const unsigned d[4] = {base64_digit(c[0]), base64_digit(c[1]), base64_digit(c[2]), base64_digit(c[3])};
+      if ((d[0] | d[1] | d[2] | d[3]) > 63) break;
+      bytes_[at] = static_cast<char>(d[0] << 2 | d[1] >> 4);
+      bytes_[at + 1] = static_cast<char>((d[1] << 4 | d[2] >> 2) & 0xff);
+      bytes_[at + 2] = static_cast<char>((d[2] << 6 | d[3]) & 0xff);
+      at += 3;
+      position_ += 4;
+    }
+    return at;
+  }
   void next_group(std::size_t size) {
     unsigned bits = 0;
     int digits = 0, padding = 0;
@@ -60,13 +88,13 @@ class ByteSource {
       if (position_ == text_.size()) fail_short(size);
       const char c = text_[position_++];
       if (c == ' ' || (c >= '\t' && c <= '\r')) continue;
-      const int digit = base64_digit(c);
+      const unsigned digit = base64_digit(c);
       if (c == '=' && digits >= 2) {
         ++padding;
-      } else if (digit < 0 || padding > 0) {
+      } else if (digit > 63 || padding > 0) {
         throw MeshError(what_ + " is not base64: " + in_quotes(std::string_view(&c, 1)));
       } else {
-        bits = bits << 6 | static_cast<unsigned>(digit);
+        bits = bits << 6 | digit;
         ++digits;
       }
     }
@@ -81,7 +109,8 @@ class ByteSource {
   bool base64_;
   std::string what_;
   std::size_t position_ = 0;
-  std::string rest_;  // decoded and not consumed
+  std::string rest_;   // decoded and not consumed
+  std::string bytes_;  // of the last take()
 };
 
 struct Tag {
@@ -212,14 +241,18 @@ class XmlScanner {
 };
 
 template <class T>
-void convert(const std::string& bytes, bool swap, std::vector<double>& values) {
-  values.reserve(bytes.size() / sizeof(T));
-  for (std::size_t i = 0; i + sizeof(T) <= bytes.size(); i += sizeof(T)) {
-    values.push_back(static_cast<double>(unpack<T>(bytes.data() + i, swap)));
+void convert(std::string_view bytes, bool swap, std::vector<double>& values) {
+  values.resize(bytes.size() / sizeof(T));
+  const char* from = bytes.data();
+  for (double& value : values) {
+    T number;
+    std::memcpy(&number, from, sizeof number);
+    value = static_cast<double>(swap ? unpack<T>(from, true) : number);
+    from += sizeof number;
   }
 }
 
-using Convert = void (*)(const std::string&, bool, std::vector<double>&);
+using Convert = void (*)(std::string_view, bool, std::vector<double>&);
 
 Convert converter(std::string_view type) {
   static const std::pair<const char*, Convert> types[] = {
@@ -357,14 +390,16 @@ class VtkXmlReader {
       if (!tag.empty) read_ascii(what, any, array.values);
     } else if (format == "binary") {
       ByteSource source(tag.empty ? std::string_view{} : xml_.text(), true, what);
-      convert_bytes(read_bytes(source, what), swap_, array.values);
+      std::string inflated;
+      convert_bytes(read_bytes(source, what, inflated), swap_, array.values);
     } else if (format == "appended") {
       if (!has_appended_) throw MeshError(what + " is in appended data, and there are none");
       const std::size_t offset = count(tag, "offset");
       if (offset > appended_.size())
         throw MeshError(what + " has an offset behind the end: the file is cut short");
       ByteSource source(appended_.substr(offset), appended_base64_, what);
-      convert_bytes(read_bytes(source, what), swap_, array.values);
+      std::string inflated;
+      convert_bytes(read_bytes(source, what, inflated), swap_, array.values);
     } else {
       throw MeshError(what + " has the format " + in_quotes(format) +
                       "; ascii, binary and appended are accepted");
@@ -383,26 +418,26 @@ class VtkXmlReader {
   }
 
   std::uint64_t header_number(ByteSource& source) const {
-    const std::string bytes = source.take(header_size_);
+    const std::string_view bytes = source.take(header_size_);
     return header_size_ == 8 ? unpack<std::uint64_t>(bytes.data(), swap_)
                              : unpack<std::uint32_t>(bytes.data(), swap_);
   }
 
-  std::string read_bytes(ByteSource& source, const std::string& what) const {
+  // Valid until `source` gives more, or `inflated` changes, which holds what was compressed.
+  std::string_view read_bytes(ByteSource& source, const std::string& what, std::string& inflated) const {
     const std::uint64_t first = header_number(source);
     if (!compressed_) return source.take(first);
     // Compressed: the number of blocks, their size, the size of the last if it is shorter, then each compressed size.
     const std::uint64_t size = header_number(source), last = header_number(source);
     std::vector<std::uint64_t> packed;
     for (std::uint64_t i = 0; i < first; ++i) packed.push_back(header_number(source));
-    std::string bytes;
     for (std::uint64_t i = 0; i < first; ++i) {
-      inflate_block(source.take(packed[i]), i + 1 == first && last > 0 ? last : size, what, bytes);
+      inflate_block(source.take(packed[i]), i + 1 == first && last > 0 ? last : size, what, inflated);
     }
-    return bytes;
+    return inflated;
   }
 
-  static void inflate_block(const std::string& packed, std::uint64_t size, const std::string& what,
+  static void inflate_block(std::string_view packed, std::uint64_t size, const std::string& what,
                             std::string& out) {
     if (size > packed.size() * kMostInflation) {
       throw MeshError(what + ": a block of " + std::to_string(packed.size()) + " bytes cannot hold " +

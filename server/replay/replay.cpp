@@ -12,14 +12,19 @@ constexpr std::int64_t kMostPause_ns = 500'000'000;  // a longer silence in a re
 
 Replay::Replay(const core::MeshData& mesh, const core::CutConfig& cut, std::vector<core::Blade> blades,
                RecordedMotion motion, std::span<const core::Field> fields)
-    : mesh_(mesh), fields_(fields), cut_(cut), blades_(std::move(blades)), motion_(std::move(motion)) {
+    : Replay([&mesh, cut, fields] { return std::make_unique<core::CutSession>(mesh, cut, fields); }, cut,
+             std::move(blades), std::move(motion)) {}
+
+Replay::Replay(Fresh fresh, const core::CutConfig& cut, std::vector<core::Blade> blades,
+               RecordedMotion motion)
+    : fresh_(std::move(fresh)), cut_(cut), blades_(std::move(blades)), motion_(std::move(motion)) {
   for (const protocol::BatchMark& mark : motion_.marks)
     last_revision_ = std::max(last_revision_, mark.revision);
   restart();
 }
 
 void Replay::restart() {
-  session_ = std::make_unique<core::CutSession>(mesh_, cut_, fields_);
+  session_ = fresh_();
   next_ = 0;
   clock_ns_ = 0;
 }

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <vector>
@@ -17,7 +18,10 @@ inline constexpr float kLeastSpeed = 0.05f, kMostSpeed = 1000;
 // A recorded motion that cuts a mesh again, event by event. Thread: one, at a time. Owns: the session.
 class Replay {
  public:
-  // `mesh` and its `fields` must outlive this. `blades`: those of the first sources, where they differ from `cut.blade`.
+  // `fresh`: makes a session of the uncut mesh, with that configuration. `blades`: those of the first sources, where they differ from `cut.blade`.
+  using Fresh = std::function<std::unique_ptr<core::CutSession>()>;
+  Replay(Fresh fresh, const core::CutConfig& cut, std::vector<core::Blade> blades, RecordedMotion motion);
+  // The same; `mesh` and its `fields` must outlive this.
   Replay(const core::MeshData& mesh, const core::CutConfig& cut, std::vector<core::Blade> blades,
          RecordedMotion motion, std::span<const core::Field> fields = {});
 
@@ -42,8 +46,7 @@ class Replay {
  private:
   std::int64_t pause_ns(std::size_t event) const;
 
-  const core::MeshData& mesh_;
-  const std::span<const core::Field> fields_;
+  Fresh fresh_;
   core::CutConfig cut_;
   std::vector<core::Blade> blades_;
   RecordedMotion motion_;

@@ -31,14 +31,22 @@ void cut_through(core::CutSession& session) {
   }
 }
 
-// One after the other, cut and given back, and each is the mesh as loaded.
-TEST(SpareSession, EachIsTheMeshAsLoaded) {
+// One after the other, cut and given back, and each is the mesh as loaded: made of its arrays, or copied when these are gone.
+class SpareSessionOf : public ::testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(, SpareSessionOf, ::testing::Bool(),
+                         [](const auto& p) { return p.param ? "built" : "arrays"; });
+
+TEST_P(SpareSessionOf, EachIsTheMeshAsLoaded) {
   Body body;
   body.loaded.mesh = tests::cube(3);
   body.loaded.fields = {
       {"label", core::Field::On::kTets, 1, std::vector<std::int32_t>(body.loaded.mesh.tets.size(), 7)}};
   const core::CutConfig cut = config();
   const core::CutSession plain(body.loaded.mesh, cut);
+  if (GetParam()) {
+    body.built = std::make_shared<const core::LoadedBody>(body.loaded.mesh, body.loaded.fields);
+    body.loaded.mesh = {};
+  }
   SpareSession spare(body, cut);
   EXPECT_EQ(spare.take(), nullptr) << "it has not begun to build";
   spare.start();

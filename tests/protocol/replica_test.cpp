@@ -61,6 +61,27 @@ TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
   EXPECT_GT(replica.piece_names().size(), 1u);
 }
 
+// Larger ones, smaller ones, ones with a snapshot under way: a copy goes into what memory there is.
+TEST(Replica, ACopyIsTheSameWhateverItIsCopiedOver) {
+  Walk small(2, 1, 1), large(4, 3, 3);
+  Replica a = small.model.replica(), b = large.model.replica();
+  for (int i = 0; i < 40; ++i) {
+    ASSERT_TRUE(a.apply(small.step().view()));
+    ASSERT_TRUE(b.apply(large.step().view()));
+  }
+  Replica over = b;
+  for (const Replica* from : {&a, &b, &a, &a, &b}) {
+    ASSERT_TRUE(over.begin(SnapshotWriter(b, SnapshotCause::Join).begin()));
+    over = *from;
+    EXPECT_EQ(over.chunks_total(), 0u);
+    EXPECT_EQ(over.canonical_bytes(), from->canonical_bytes());
+    EXPECT_EQ(over.piece_names(), from->piece_names());
+    EXPECT_TRUE(std::ranges::equal(over.pieces(), from->pieces()));
+  }
+  ASSERT_TRUE(over.apply(large.step().view()));
+  EXPECT_TRUE(holds(over, large.model));
+}
+
 TEST(Replica, ASnapshotInAnyChunksPlusTheRestIsTheSameBytes) {
   Walk walk(3, 2, 2);
   Replica mirror = walk.model.replica();

@@ -44,7 +44,9 @@ struct CutWorkspace {
     bool meets;    // an older cut
   };
 
-  explicit CutWorkspace(const TetMesh& mesh) : grid(mesh) {
+  explicit CutWorkspace(const TetMesh& mesh) : CutWorkspace(mesh, BoundaryGrid(mesh)) {}
+  // With the grid of a mesh that this one is a copy of.
+  CutWorkspace(const TetMesh& mesh, BoundaryGrid its_grid) : grid(std::move(its_grid)) {
     vertices.reserve(room_for(mesh.vertex_slots()));
     tets.reserve(room_for(mesh.tet_slots()));
     held.reserve(kMaxHeld);

@@ -43,6 +43,22 @@ BoundaryGrid::BoundaryGrid(const TetMesh& mesh) {
   }
 }
 
+BoundaryGrid::BoundaryGrid(const BoundaryGrid& other)
+    : origin_(other.origin_),
+      low_(other.low_),
+      high_(other.high_),
+      cell_(other.cell_),
+      inverse_(other.inverse_),
+      slack_(other.slack_),
+      head_(other.head_),
+      taken_(other.taken_.size(), 0),
+      nodes_when_built_(other.nodes_when_built_),
+      anchors_(other.anchors_) {
+  std::copy(other.count_, other.count_ + 3, count_);
+  nodes_.reserve(other.nodes_.capacity());
+  nodes_.assign(other.nodes_.begin(), other.nodes_.end());
+}
+
 BoundaryGrid::BoundaryGrid(const Vec3& low, const Vec3& high, double cell) : slack_(kSlackDeforming) {
   lay_out(low, high, cell);
 }

@@ -20,6 +20,10 @@ namespace incise::core {
 class BoundaryGrid {
  public:
   explicit BoundaryGrid(const TetMesh& mesh);
+  // A copy with room to grow. O(boundary + cells).
+  BoundaryGrid(const BoundaryGrid& other);
+  BoundaryGrid(BoundaryGrid&&) = default;
+  BoundaryGrid& operator=(BoundaryGrid&&) = default;
 
   // A grid of cells of `cell` m over the box, empty, for a body that deforms: no vertex has an anchor yet.
   BoundaryGrid(const Vec3& low, const Vec3& high, double cell);

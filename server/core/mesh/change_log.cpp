@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "server/base/check.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 
 namespace incise::core {
@@ -23,6 +24,13 @@ void ChangeLog::forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t has
   finder_.clear();
   begin_step(vertex_slots, tet_slots);
   hash_ = hash;
+}
+
+void ChangeLog::begin_as(const ChangeLog& other, VertexId vertex_slots, TetId tet_slots) {
+  INCISE_CHECK(other.touched_tets_.empty() && other.touched_vertices_.empty(), other.touched_tets_.size(),
+               other.touched_vertices_.size());
+  forget(vertex_slots, tet_slots, other.hash_);
+  cut_sides_ = other.cut_sides_;
 }
 
 void ChangeLog::note_vertex(const TetMesh& mesh, VertexId v) {

@@ -49,6 +49,8 @@ class ChangeLog {
   bool commit(const TetMesh& mesh, Delta& delta, WorkBudget& budget);
   // Empties what a step fills of the mesh, pieces apart.
   static void clear_mesh(Delta& delta);
+  // The log of a copy of a mesh in which no step is under way.
+  void begin_as(const ChangeLog& other, VertexId vertex_slots, TetId tet_slots);
   // Forgets the step, of a mesh that has this hash.
   void forget(VertexId vertex_slots, TetId tet_slots, std::uint64_t hash);
 

@@ -38,16 +38,16 @@ TetMesh::TetMesh(const MeshData& data) {
   vertices_.reserve(room_for(vertex_count));
   for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
   tets_.reserve(room_for(tet_count));
-  attributes_.reserve(room_for(tet_count));
+  grow_to(cut_masks_, tet_count);
   for (std::size_t t = 0; t < tet_count; ++t) {
     const auto& v = data.tets[t];
     check_tet(t, v, vertex_count);
     for (const VertexId corner : v) vertices_[corner].tet = static_cast<TetId>(t);
     tets_.push_back({v, {kNone, kNone, kNone, kNone}});
-    attributes_.push_back({data.regions.empty() ? 0 : data.regions[t], 0});
   }
   live_tets_ = static_cast<std::uint32_t>(tet_count);
-  for (const std::int32_t region : data.regions) has_regions_ = has_regions_ || region != data.regions[0];
+  take_regions(data.regions);
+  has_regions_ = !regions_.empty();
 
   measure_edges();
   vertex_marks_.grow_to(room_for(vertex_count), vertex_count);
@@ -64,6 +64,34 @@ TetMesh::TetMesh(const MeshData& data) {
   if (data.opposite.empty()) split_initial_vertices();
   if (initial_vertex_copies_ > 0) find_boundary();
   log_.forget(vertex_slots(), tet_slots(), compute_state_hash());
+}
+
+// Most bodies are of one region, which is then kept once. Of each tetrahedron, or none.
+void TetMesh::take_regions(std::span<const std::int32_t> regions) {
+  regions_.clear();
+  region_ = regions.empty() ? 0 : regions[0];
+  if (std::all_of(regions.begin(), regions.end(), [this](std::int32_t r) { return r == region_; })) return;
+  regions_.reserve(room_for(regions.size()));
+  regions_.assign(regions.begin(), regions.end());
+}
+
+TetMesh::TetMesh(const TetMesh& other)
+    : vertices_(copy_with_room(other.vertices_)),
+      at_boundary_(copy_with_room(other.at_boundary_)),
+      rest_(other.deformed() ? copy_with_room(other.rest_) : std::vector<Vec3>()),
+      tets_(copy_with_room(other.tets_)),
+      cut_masks_(copy_with_room(other.cut_masks_)),
+      regions_(other.regions_.empty() ? std::vector<std::int32_t>() : copy_with_room(other.regions_)),
+      region_(other.region_),
+      live_tets_(other.live_tets_),
+      has_regions_(other.has_regions_),
+      initial_vertex_copies_(other.initial_vertex_copies_),
+      mean_edge_length_(other.mean_edge_length_) {
+  vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
+  tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
+  log_.reserve(room_for(vertices_.size()), room_for(tets_.size()));
+  log_.resize(tets_.size());
+  log_.begin_as(other.log_, vertex_slots(), tet_slots());
 }
 
 // An edge counts once for each tetrahedron around it, which weighs it by the space it stands for.
@@ -103,7 +131,7 @@ void TetMesh::take_adjacency(std::span<const HalfFace> opposite) {
 
 void TetMesh::build_adjacency() {
   match_faces(
-      4 * tet_slots(), vertices_.size(), [this](HalfFace h) { return face_vertices(h); },
+      4 * tet_slots(), vertices_.size(), {}, [this](HalfFace h) { return face_vertices(h); },
       [this](HalfFace a, HalfFace b, bool) { link(a, b); },
       [this](std::span<const HalfFace> same) {
         const auto f = ascending(face_vertices(same[0]));
@@ -167,7 +195,7 @@ MeshData TetMesh::export_data() const {
     if (!alive(t)) continue;
     const auto& v = tets_[t].vertices;
     data.tets.push_back({renumbered[v[0]], renumbered[v[1]], renumbered[v[2]], renumbered[v[3]]});
-    data.regions.push_back(attributes_[t].region);
+    data.regions.push_back(region(t));
   }
   return data;
 }
@@ -187,17 +215,14 @@ void TetMesh::archive(Archive& io) {
     for (VertexId& v : t.vertices) io(v);
     for (HalfFace& o : t.opposite) io(o);
   });
-  io.list(attributes_, 5, [&](Attributes& a) {
-    io(a.region);
-    io(a.cut_mask);
-  });
+  archive_attributes(io);
   if (!io.reads()) return;
   check_restored(io);
   if (io.failed()) return;
   grow_to(vertices_, vertices_.size());
   if (deformed()) grow_to(rest_, rest_.size());
   grow_to(tets_, tets_.size());
-  grow_to(attributes_, tets_.size());
+  grow_to(cut_masks_, tets_.size());
   find_boundary();
   vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
   tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
@@ -208,10 +233,34 @@ void TetMesh::archive(Archive& io) {
   io.demand(problem.empty(), problem.c_str());
 }
 
+void TetMesh::archive_attributes(Archive& io) {
+  struct Attributes {
+    std::int32_t region = 0;
+    std::uint8_t cut_mask = 0;
+  };
+  std::vector<Attributes> attributes;
+  if (!io.reads()) {
+    attributes.reserve(cut_masks_.size());
+    for (TetId t = 0; t < cut_masks_.size(); ++t) attributes.push_back({region(t), cut_masks_[t]});
+  }
+  io.list(attributes, 5, [&](Attributes& a) {
+    io(a.region);
+    io(a.cut_mask);
+  });
+  if (!io.reads()) return;
+  std::vector<std::int32_t> regions;
+  cut_masks_.clear();
+  for (const Attributes& a : attributes) {
+    regions.push_back(a.region);
+    cut_masks_.push_back(a.cut_mask);
+  }
+  take_regions(regions);
+}
+
 // That no index leads astray; validate() looks at the rest.
 void TetMesh::check_restored(Archive& io) {
   io.demand(tets_.size() < kNone / 16 && vertices_.size() < kNone / 2, "the mesh is too large");
-  io.demand(attributes_.size() == tets_.size(), "attributes and tetrahedra differ in number");
+  io.demand(cut_masks_.size() == tets_.size(), "attributes and tetrahedra differ in number");
   io.demand(rest_.empty() || rest_.size() == vertices_.size(),
             "rest positions and vertices differ in number");
   io.demand(mean_edge_length_ > 0 && std::isfinite(mean_edge_length_), "h is not positive");

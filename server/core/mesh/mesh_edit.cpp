@@ -22,7 +22,8 @@ VertexId TetMesh::add_vertex(const Vec3& position, const Provenance& provenance,
 TetId TetMesh::add_tet(const std::array<VertexId, 4>& vertices, TetId parent) {
   const TetId t = tet_slots();
   tets_.push_back({vertices, {kNone, kNone, kNone, kNone}});
-  attributes_.push_back({attributes_[parent].region, 0});
+  if (!regions_.empty()) regions_.push_back(regions_[parent]);
+  cut_masks_.push_back(0);
   tet_marks_.push_back();
   log_.add_tet(t, parent);
   ++live_tets_;
@@ -74,9 +75,9 @@ VertexId TetMesh::split_edge(TetId from, VertexId a, VertexId b, double t) {
       }
     }
     link(half_face(near, i), half_face(far, j));
-    const unsigned mask = attributes_[near].cut_mask, bit_i = 1u << i, bit_j = 1u << j;
-    attributes_[far].cut_mask = static_cast<std::uint8_t>(mask & ~bit_j);
-    attributes_[near].cut_mask = static_cast<std::uint8_t>(mask & ~bit_i);
+    const unsigned mask = cut_masks_[near], bit_i = 1u << i, bit_j = 1u << j;
+    cut_masks_[far] = static_cast<std::uint8_t>(mask & ~bit_j);
+    cut_masks_[near] = static_cast<std::uint8_t>(mask & ~bit_i);
     tets_[near].vertices[j] = m;
   }
   vertices_[m].tet = ring_scratch_[0];
@@ -200,8 +201,8 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
     // What lay beyond one of the two faces lies at the boundary now where the other one did, and at a cut where that was one.
     const auto expose = [&](HalfFace h, int was) {
       log_.touch_tet(*this, tet_of(h));
-      const bool cut = (attributes_[t].cut_mask >> was & 1) != 0;
-      if (cut) attributes_[tet_of(h)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(h));
+      const bool cut = (cut_masks_[t] >> was & 1) != 0;
+      if (cut) cut_masks_[tet_of(h)] |= static_cast<std::uint8_t>(1u << face_of(h));
     };
     if (beyond_v == kNone && beyond_w != kNone) expose(beyond_w, at_v);
     if (beyond_w == kNone && beyond_v != kNone) expose(beyond_v, at_w);
@@ -242,7 +243,7 @@ void TetMesh::open_side(HalfFace side) {
   const TetId t = tet_of(side);
   log_.touch_tet(*this, t);
   tets_[t].opposite[face_of(side)] = kNone;
-  attributes_[t].cut_mask |= static_cast<std::uint8_t>(1u << face_of(side));
+  cut_masks_[t] |= static_cast<std::uint8_t>(1u << face_of(side));
   for (const int i : kFaceVertices[face_of(side)])
     note_corner(tets_[t].vertices[i], 4 * t + static_cast<std::uint32_t>(i));
   for (const VertexId v : face_vertices(side)) at_boundary_[v] = 1;
@@ -321,7 +322,7 @@ struct TetMesh::Replacement {
         const HalfFace o = mesh.tets_[t].opposite[f];
         if (o != kNone && std::find(removed.begin(), removed.end(), tet_of(o)) != removed.end()) continue;
         shell[shell_size++] = {ascending(mesh.face_vertices(half_face(t, f))), o, 0,
-                               (mesh.attributes_[t].cut_mask >> f & 1) != 0, false};
+                               (mesh.cut_masks_[t] >> f & 1) != 0, false};
       }
     }
   }
@@ -391,8 +392,7 @@ bool TetMesh::replace(std::span<const TetId> removed, std::span<const std::array
   for (std::size_t s = 0; s < replacement.shell_size; ++s) {
     const HalfFace h = 4 * first + replacement.shell[s].side;
     link(h, replacement.shell[s].outside);
-    if (replacement.shell[s].cut)
-      attributes_[tet_of(h)].cut_mask |= static_cast<std::uint8_t>(1u << face_of(h));
+    if (replacement.shell[s].cut) cut_masks_[tet_of(h)] |= static_cast<std::uint8_t>(1u << face_of(h));
   }
   for (TetId t : removed) {
     for (VertexId v : tets_[t].vertices) {

@@ -36,7 +36,7 @@ void TetMesh::prefetch_around(std::vector<TetId>& tets, std::size_t most) const 
   for (TetId t : tets) tet_marks_[t] = mark;
   for (std::size_t i = 0; i < tets.size(); ++i) {
     const TetId t = tets[i];
-    __builtin_prefetch(&attributes_[t]);
+    __builtin_prefetch(&cut_masks_[t]);
     log_.prefetch(t);
     for (VertexId v : tets_[t].vertices) {
       prefetch_position(v);
@@ -103,7 +103,7 @@ std::uint64_t TetMesh::hash_of_vertex(VertexId v) const {
 }
 
 std::uint64_t TetMesh::hash_of_tet(TetId t) const {
-  return protocol::tet_hash(t, tets_[t].vertices.data(), attributes_[t].region, attributes_[t].cut_mask);
+  return protocol::tet_hash(t, tets_[t].vertices.data(), region(t), cut_masks_[t]);
 }
 
 std::uint64_t TetMesh::compute_state_hash() const {

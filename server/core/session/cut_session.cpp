@@ -21,6 +21,15 @@ CutSession::CutSession(const MeshData& mesh, const CutConfig& config, std::span<
       measured_(workspace_),
       mover_(mesh_, workspace_) {}
 
+CutSession::CutSession(const LoadedBody& body, const CutConfig& config)
+    : mesh_(body.mesh()),
+      config_(config),
+      workspace_(mesh_, body.grid()),
+      pieces_(mesh_, body.clusters()),
+      fields_(body.fields()),
+      measured_(workspace_),
+      mover_(mesh_, workspace_) {}
+
 CutSession::~CutSession() = default;
 
 CutSession::Source& CutSession::source(std::uint32_t number) {

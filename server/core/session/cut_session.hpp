@@ -11,6 +11,7 @@
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/carried_fields.hpp"
+#include "server/core/session/loaded_body.hpp"
 #include "server/core/session/piece_tracker.hpp"
 #include "server/core/session/vertex_mover.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
@@ -30,6 +31,8 @@ class CutSession {
   // `fields`: of that mesh, one row for each vertex or tetrahedron. They are carried along, saved with the session, and change
   // nothing in it.
   CutSession(const MeshData& mesh, const CutConfig& config, std::span<const Field> fields = {});
+  // The same, of the body's copy: O(mesh) as well, but it only copies.
+  CutSession(const LoadedBody& body, const CutConfig& config);
   ~CutSession();
 
   // Gives the blade of one source; the configuration's blade stands for all until then. Between strokes only.

@@ -16,6 +16,9 @@ constexpr std::int32_t kFirstTurn = 4, kMaxTurn = 256;
 PieceTracker::PieceTracker(const TetMesh& mesh)
     : mesh_(mesh), clusters_(mesh), piece_tets_{mesh.live_tets()}, names_{kNone} {}
 
+PieceTracker::PieceTracker(const TetMesh& mesh, const TetClusters& clusters)
+    : mesh_(mesh), clusters_(mesh, clusters), piece_tets_{mesh.live_tets()}, names_{kNone} {}
+
 void PieceTracker::archive(Archive& io) {
   io(next_piece_);
   io.demand(next_piece_ >= 1 && next_piece_ <= mesh_.tet_slots() + 1, "more pieces than tetrahedra");

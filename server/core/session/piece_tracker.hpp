@@ -20,6 +20,8 @@ class PieceTracker {
  public:
   // O(mesh). Later steps only add the elements that are new.
   explicit PieceTracker(const TetMesh& mesh);
+  // The same; the clusters have been formed, of a mesh that this one is a copy of.
+  PieceTracker(const TetMesh& mesh, const TetClusters& clusters);
 
   // Begins with the tetrahedra that the running step has touched.
   void begin();

@@ -20,6 +20,16 @@ TetClusters::TetClusters(const TetMesh& mesh) : mesh_(mesh) {
   form_blocks();
 }
 
+TetClusters::TetClusters(const TetMesh& copy, const TetClusters& other)
+    : mesh_(copy),
+      cluster_of_(copy_with_room(other.cluster_of_)),
+      next_member_(copy_with_room(other.next_member_)),
+      clusters_(other.clusters_),
+      free_(other.free_),
+      blocks_(other.blocks_),
+      links_(other.links_),
+      block_links_(other.block_links_) {}
+
 void TetClusters::grow() {
   cluster_of_.resize(mesh_.tet_slots(), kNone);
   next_member_.resize(mesh_.tet_slots(), kNone);

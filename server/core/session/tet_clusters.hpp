@@ -31,6 +31,10 @@ class TetClusters {
 
   // All in piece 0. O(mesh).
   explicit TetClusters(const TetMesh& mesh);
+  // The same of a copy of that mesh. O(mesh).
+  TetClusters(const TetMesh& copy, const TetClusters& other);
+  TetClusters(const TetClusters&) = delete;
+  TetClusters& operator=(const TetClusters&) = delete;
 
   // With the mesh. New tetrahedra are in no cluster.
   void grow();

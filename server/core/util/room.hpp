@@ -19,6 +19,15 @@ inline constexpr std::size_t room_for(std::size_t count) {
   return count + count / 4 + kSpareRoom;
 }
 
+// A copy with room to grow. O(values).
+template <class T>
+std::vector<T> copy_with_room(const std::vector<T>& values) {
+  std::vector<T> copy;
+  copy.reserve(room_for(values.size()));
+  copy.assign(values.begin(), values.end());
+  return copy;
+}
+
 // An array of `count` elements with room to grow, as a fresh session has it.
 template <class T>
 void grow_to(std::vector<T>& values, std::size_t count) {

@@ -739,6 +739,8 @@ TEST(TetMeshCollapse, KeepsCutFaces) {
 TEST(TetMeshCollapse, KeepsEveryOtherCutFace) {
   TetMesh uncollapsed(testing::box(4, 4, 4));
   uncollapsed.open_faces(faces_in_plane(uncollapsed, 3));
+  Delta delta;
+  uncollapsed.commit(delta);
   int collapsed = 0;
   for (TetId t = 0; t < uncollapsed.tet_slots(); ++t) {
     for (const auto& edge : kEdgeVertices) {

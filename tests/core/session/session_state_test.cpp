@@ -114,6 +114,45 @@ TEST_P(SessionStateOf, RestoredSessionsGoOnToTheSameBits) {
   EXPECT_EQ(validate(broken->mesh(), GetParam() == Policy::kConforming), "");
 }
 
+// A session that is copied from what another one began with is the same, whatever has become of that one since.
+TEST_P(SessionStateOf, SessionsOfALoadedBodyAreThoseOfItsMesh) {
+  MeshData mesh = body();
+  // Two tetrahedra that touch the body in a vertex and in an edge: vertices get copies.
+  const auto n = static_cast<VertexId>(mesh.positions.size());
+  for (const Vec3& p : {Vec3{-1, 0, 0}, Vec3{-1, 0.1, 0}, Vec3{-1, 0, 0.1}, Vec3{-1, 0.1, 0.1}})
+    mesh.positions.push_back(p);
+  mesh.tets.push_back({0, n, n + 1, n + 2});
+  mesh.tets.push_back({0, 1, n + 3, n});
+  for (int i = 0; i < 2; ++i) {
+    const auto& t = mesh.tets.back();
+    if (signed_volume(mesh.positions[t[0]], mesh.positions[t[1]], mesh.positions[t[2]],
+                      mesh.positions[t[3]]) < 0)
+      std::swap(mesh.tets.back()[2], mesh.tets.back()[3]);
+    std::swap(mesh.tets.back(), mesh.tets[mesh.tets.size() - 2]);
+  }
+  mesh.regions.resize(mesh.tets.size(), 2);
+  std::vector<Field> fields(1);
+  fields[0] = {"x", Field::On::kVertices, 1, std::vector<float>(mesh.positions.size())};
+  for (std::size_t v = 0; v < mesh.positions.size(); ++v)
+    std::get<0>(fields[0].values)[v] = static_cast<float>(mesh.positions[v].x);
+  const LoadedBody loaded(mesh, fields);
+  ASSERT_GT(loaded.mesh().initial_vertex_copies(), 0u);
+  CutSession made(mesh, config(GetParam()), fields), copied(loaded, config(GetParam()));
+  const std::vector<std::byte> as_loaded = save_session(made);
+  std::vector<std::uint64_t> wanted, hashes;
+  for (const auto& call : happenings()) {
+    call(made);
+    commit_all(made, wanted);
+    call(copied);
+    commit_all(copied, hashes);
+  }
+  EXPECT_EQ(hashes, wanted);
+  EXPECT_GT(wanted.size(), 15u);
+  EXPECT_EQ(save_session(copied), save_session(made));
+  EXPECT_EQ(copied.mesh().compute_state_hash(), copied.mesh().state_hash());
+  EXPECT_EQ(save_session(CutSession(loaded, config(GetParam()))), as_loaded);
+}
+
 TEST(SessionState, WhatIsCutOffOrIsAnotherPolicysIsRefused) {
   CutSession session(body(), config(Policy::kConforming));
   std::vector<std::uint64_t> hashes;
