@@ -35,7 +35,18 @@ struct Extent {
     const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
     return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
   }
+  // Of one that lies along a cut, if no part of it is deep.
+  double shallow_m3(double h) const {
+    if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
+    return tolerance::kOne_h * h * std::min(0.5 * area_m2, cut_area_m2);
+  }
 };
+
+// How much of some tetrahedra is farther from all cuts than kDeep_h.
+double deep_m3(const CutContext& cut, std::span<const TetId> tets);
+
+// Whether tetrahedra that hang together are a film.
+bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets);
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out

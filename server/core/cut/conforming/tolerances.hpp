@@ -88,8 +88,9 @@ inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
-// When a stroke ends, so many are looked at besides, both sides together; and so many of one side before the other's turn.
-inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32;
+// When a stroke ends, so many are looked at besides, both sides together; so many of one side before the other's turn; and so many for
+// all faces, after which no more are begun.
+inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32, kMaxFarWays = 200000;
 // A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
 inline constexpr double kSameFace_h = 0.1;
 
@@ -171,6 +172,10 @@ inline constexpr double kThin_local = 0.1;
 // Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean; kOne_h where this part of its
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
+// Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastPart_h3 farther from the cut than kDeep_h.
+inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3;
+// One in so many of a film's tetrahedra may have a vertex inside it.
+inline constexpr std::size_t kFilmToInner = 8;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
 inline constexpr double kShallow_h = 0.125;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
