@@ -167,13 +167,16 @@ inline constexpr int kMaxRounds = 3;
 
 // Where the line between two tetrahedra passes their face: this part of the way from its middle to their reference points.
 inline constexpr double kPass = 0.25;
+// A face on the surface whose middle is farther off it is a chord of a bend, and is split; so often in a batch at most.
+inline constexpr double kChord_h = 0.2;
+inline constexpr int kMaxRefinements = 4;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
 // Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean; kOne_h where this part of its
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
-// Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastPart_h3 farther from the cut than kDeep_h.
-inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3;
+// Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
+inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.06;
 // One in so many of a film's tetrahedra may have a vertex inside it.
 inline constexpr std::size_t kFilmToInner = 8;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
