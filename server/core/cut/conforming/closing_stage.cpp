@@ -130,7 +130,7 @@ void ClosingStage::consider(HalfFace h) {
   if (!may_close(h, off_m, meets, rib)) return;
   const Gap gap{off_m, h, meets, false, rib};
   if (rib) {
-    if (edges_at_boundary(h) >= 2) hold(gap);
+    hold(gap);
     return;
   }
   cut_.set_pending(h);
@@ -162,11 +162,16 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) 
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   const bool beside = (a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h;
+  // What is at an older cut may be farther off, but not in a rib.
+  const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
+  const auto v = mesh_.face_vertices(h);
+  const bool near = beside && std::ranges::all_of(v, lies_near);
   rib = beside && !is_at_end(middle);
-  for (VertexId w : mesh_.face_vertices(h)) {
+  if (rib && (!near || edges_at_boundary(h) < 2)) return false;
+  for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
-    if (!older && !is_near(mesh_.position(w), off_m)) return false;
+    if (!older && !lies_near(w)) return false;
   }
   return true;
 }

@@ -68,7 +68,8 @@ bool OpeningStage::select_faces(TetId t) {
     const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
     // From the other side it looks the same.
     if (!(faces >> f & 1) || o == kNone || selected_.has(tet_of(o))) continue;
-    if (!separates(h)) continue;
+    const Way way = separates(h);
+    if (way == Way::kFree) continue;
     if (cut_.hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
       waits = true;
       continue;
@@ -76,13 +77,13 @@ bool OpeningStage::select_faces(TetId t) {
     marks[t].pending |= static_cast<std::uint8_t>(1u << f);
     marks[tet_of(o)].pending |= static_cast<std::uint8_t>(1u << face_of(o));
     faces_.push_back(h);
-    if (may_refine_ && is_chord(h)) chords_.push_back(mesh_.face_vertices(h));
+    if (may_refine_ && way == Way::kCrossedAside && is_chord(h)) chords_.push_back(mesh_.face_vertices(h));
   }
   return waits;
 }
 
 // Whether a face on the surface is far off it between its vertices: in an element that is large beside the bend. An older cut is where it
-// is.
+// is. Nearly all faces are crossed close by their middle, and are none.
 bool OpeningStage::is_chord(HalfFace h) const {
   const auto v = mesh_.face_vertices(h);
   if (!cut_.face_on_surface(h) || std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); }))
@@ -155,7 +156,7 @@ unsigned OpeningStage::may_separate(TetId t) const {
 // way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
 // separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
 // own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
-bool OpeningStage::separates(HalfFace h) const {
+OpeningStage::Way OpeningStage::separates(HalfFace h) const {
   const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
   Vec3 middle{}, off{};
   int off_count = 0;
@@ -173,10 +174,11 @@ bool OpeningStage::separates(HalfFace h) const {
   const Vec3 from = reference_point(cut_, a), to = reference_point(cut_, b);
   if (off_count > 0) {
     const Vec3 by = (1.0 / off_count) * off;
-    return crossed(from, by) || crossed(by, to);
+    return crossed(from, by) || crossed(by, to) ? Way::kCrossedAside : Way::kFree;
   }
   const Vec3 near_a = lerp(middle, from, kPass), near_b = lerp(middle, to, kPass);
-  return crossed(near_a, near_b) || crossed(from, near_a) || crossed(near_b, to);
+  if (crossed(near_a, near_b)) return Way::kCrossedHere;
+  return crossed(from, near_a) || crossed(near_b, to) ? Way::kCrossedAside : Way::kFree;
 }
 
 bool OpeningStage::spare_islands(WorkBudget& budget) {

@@ -38,7 +38,9 @@ class OpeningStage {
   bool select(WorkBudget& budget);
   bool select_faces(TetId t);
   unsigned may_separate(TetId t) const;
-  bool separates(HalfFace h) const;
+  // Where the surface crosses the way from one side of a face to the other: close by the face's middle, farther from it, nowhere.
+  enum class Way { kCrossedHere, kCrossedAside, kFree };
+  Way separates(HalfFace h) const;
   bool is_chord(HalfFace h) const;
   bool refine(WorkBudget& budget);
   void split_chord(const std::array<VertexId, 3>& face);
