@@ -100,7 +100,8 @@ struct CutWorkspace {
   BoundaryGrid grid;
   SweepEnds ends;
   std::vector<HeldFace> held;  // the newest last
-  std::vector<HeldFace> ribs;  // likewise: between a sweep and the boundary, both sides on one side of the sweep
+  std::vector<HeldFace>
+      ribs;  // likewise: between a sweep and the boundary, both sides on one side of the sweep
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

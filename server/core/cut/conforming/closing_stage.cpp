@@ -165,7 +165,7 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) 
   // What is at an older cut may be farther off, but not in a rib.
   const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
   const auto v = mesh_.face_vertices(h);
-  const bool near = beside && std::ranges::all_of(v, lies_near);
+  const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
   rib = beside && !is_at_end(middle);
   if (rib && (!near || edges_at_boundary(h) < 2)) return false;
   for (VertexId w : v) {
@@ -343,8 +343,10 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
-  if (gap.is_rib) return deep_m3(cut_, queue_) < kLeastPart_h3 * cut_.h * cut_.h * cut_.h ? Part::kCrumb : Part::kSmall;
-  if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2 : is_film(cut_, extent, queue_))
+  if (gap.is_rib)
+    return deep_m3(cut_, queue_) < kLeastPart_h3 * cut_.h * cut_.h * cut_.h ? Part::kCrumb : Part::kSmall;
+  if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
+                   : is_film(cut_, extent, queue_))
     return Part::kCrumb;
   const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;

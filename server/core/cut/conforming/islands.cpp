@@ -37,59 +37,38 @@ bool may_be_film(const CutContext& cut, TetId t) {
 
 namespace {
 
-// How far the nearest cut is, of any age; `most` where none is nearer.
-double depth_m(const CutContext& cut, const Vec3& p, double most) {
-  Vec3 q;
-  std::uint32_t triangle = 0;
+// Whether a cut of any age is that near.
+bool is_near_cut(const CutContext& cut, const Vec3& p, double reach) {
   cut.work += cost::kNearby;
-  double depth2 = most * most;
-  if (cut.surface().closest(p, most, q, triangle)) depth2 = squared_length(q - p);
+  if (cut.surface().is_within(p, reach)) return true;
   const TetMesh& mesh = cut.mesh;
-  const Vec3 reach{most, most, most};
-  cut.workspace.grid.visit_box(p - reach, p + reach, [&](TetId t) {
+  const Vec3 r{reach, reach, reach};
+  bool near = false;
+  cut.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
     cut.work += cost::kLook;
-    if (!mesh.alive(t)) return;
+    if (near || !mesh.alive(t)) return;
     for (int f = 0; f < 4; ++f) {
       if (!(mesh.cut_mask(t) >> f & 1)) continue;
       const auto v = mesh.face_vertices(half_face(t, f));
-      q = closest_point(p, mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]));
-      depth2 = std::min(depth2, squared_length(q - p));
+      const Vec3 q = closest_point(p, mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]));
+      near = near || squared_length(q - p) <= reach * reach;
     }
   });
-  return std::sqrt(depth2);
-}
-
-// The part of a tetrahedron with these depths at its vertices that is deeper than `least`: of 20 points amid its small likenesses.
-double part_deeper(const double (&depth)[4], double least) {
-  constexpr int kRows = 3;
-  int deeper = 0, all = 0;
-  for (int i = 0; i <= kRows; ++i) {
-    for (int j = 0; i + j <= kRows; ++j) {
-      for (int k = 0; i + j + k <= kRows; ++k, ++all) {
-        const double weights[4] = {i + 0.25, j + 0.25, k + 0.25, kRows - i - j - k + 0.25};
-        double here = 0;
-        for (int v = 0; v < 4; ++v) here += weights[v] * depth[v] / (kRows + 1);
-        deeper += here > least ? 1 : 0;
-      }
-    }
-  }
-  return static_cast<double>(deeper) / all;
+  return near;
 }
 
 }  // namespace
 
-// From the depths of their vertices. Beyond twice kDeep_h it does not matter how deep they are.
+// By a point amid each of their quarters.
 double deep_m3(const CutContext& cut, std::span<const TetId> tets) {
   const TetMesh& mesh = cut.mesh;
-  const double least = kDeep_h * cut.h;
   double sum_m3 = 0;
   for (TetId t : tets) {
-    double depth[4];
-    for (int i = 0; i < 4; ++i) {
-      const VertexId v = mesh.vertices(t)[i];
-      depth[i] = cut.on_surface(v) ? 0 : depth_m(cut, mesh.position(v), 2 * least);
-    }
-    if (std::ranges::max(depth) > least) sum_m3 += part_deeper(depth, least) * mesh.volume(t);
+    const Vec3 middle = mesh.barycentre(t);
+    int deep = 0;
+    for (VertexId v : mesh.vertices(t))
+      deep += is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ? 0 : 1;
+    sum_m3 += 0.25 * deep * mesh.volume(t);
   }
   return sum_m3;
 }

@@ -79,6 +79,8 @@ inline constexpr double kLeastJoin = 0.1;
 // How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
+// How thick a rib between a sweep and the boundary may be, where it is parted far from the ends of a sweep.
+inline constexpr double kRib_h = 0.21;
 // The least volume of a part.
 inline constexpr double kLeastPart_h3 = 0.25;
 // A tetrahedron this near to the surface may be on either side of it.
@@ -176,7 +178,7 @@ inline constexpr double kThin_local = 0.1;
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
-inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.06;
+inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09;
 // One in so many of a film's tetrahedra may have a vertex inside it.
 inline constexpr std::size_t kFilmToInner = 8;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
