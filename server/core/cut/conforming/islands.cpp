@@ -44,9 +44,11 @@ bool is_near_cut(const CutContext& cut, const Vec3& p, double reach) {
   const TetMesh& mesh = cut.mesh;
   const Vec3 r{reach, reach, reach};
   bool near = false;
+  std::size_t looked_at = 0;
   cut.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
+    ++looked_at;
+    if (near || !mesh.alive(t) || mesh.cut_mask(t) == 0) return;
     cut.work += cost::kLook;
-    if (near || !mesh.alive(t)) return;
     for (int f = 0; f < 4; ++f) {
       if (!(mesh.cut_mask(t) >> f & 1)) continue;
       const auto v = mesh.face_vertices(half_face(t, f));
@@ -54,14 +56,16 @@ bool is_near_cut(const CutContext& cut, const Vec3& p, double reach) {
       near = near || squared_length(q - p) <= reach * reach;
     }
   });
+  cut.work.add(looked_at, cost::kGridEntriesAUnit);
   return near;
 }
 
 }  // namespace
 
 // By a point amid each of their quarters.
-double deep_m3(const CutContext& cut, std::span<const TetId> tets) {
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3) {
   const TetMesh& mesh = cut.mesh;
+  const double least_m3 = least_h3 * cut.h * cut.h * cut.h;
   double sum_m3 = 0;
   for (TetId t : tets) {
     const Vec3 middle = mesh.barycentre(t);
@@ -69,14 +73,14 @@ double deep_m3(const CutContext& cut, std::span<const TetId> tets) {
     for (VertexId v : mesh.vertices(t))
       deep += is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ? 0 : 1;
     sum_m3 += 0.25 * deep * mesh.volume(t);
+    if (sum_m3 >= least_m3) return true;
   }
-  return sum_m3;
+  return false;
 }
 
 bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets) {
   if (extent.volume_m3 <= extent.film_m3(cut.h)) return true;
-  return extent.volume_m3 <= extent.shallow_m3(cut.h) &&
-         deep_m3(cut, tets) < kLeastDeep_h3 * cut.h * cut.h * cut.h;
+  return extent.volume_m3 <= extent.shallow_m3(cut.h) && !is_deep(cut, tets, kLeastDeep_h3);
 }
 
 void Islands::spare(HalfFace side) {

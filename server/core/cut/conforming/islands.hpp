@@ -42,8 +42,8 @@ struct Extent {
   }
 };
 
-// How much of some tetrahedra is farther from all cuts than kDeep_h.
-double deep_m3(const CutContext& cut, std::span<const TetId> tets);
+// Whether so much of some tetrahedra is farther from all cuts than kDeep_h.
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3);
 
 // Whether tetrahedra that hang together are a film.
 bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets);
