@@ -92,7 +92,8 @@ bool ConformingCutter::advance(WorkBudget& budget) {
           break;
         }
         verify_.fail_found();
-        opening_.begin(refinements_ < tolerance::kMaxRefinements);
+        // In a body that moves, vertices that were put on the surface may be off it by now.
+        opening_.begin(!cut_.mesh.deformed() && refinements_ < tolerance::kMaxRefinements);
         stage_ = Stage::kOpening;
         break;
       case Stage::kOpening:

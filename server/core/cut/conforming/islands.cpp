@@ -37,10 +37,11 @@ bool may_be_film(const CutContext& cut, TetId t) {
 
 namespace {
 
-// Whether a cut of any age is that near.
-bool is_near_cut(const CutContext& cut, const Vec3& p, double reach) {
+// Whether a cut is that near.
+bool is_near_cut(const CutContext& cut, const Vec3& p, double reach, Cuts cuts) {
   cut.work += cost::kNearby;
   if (cut.surface().is_within(p, reach)) return true;
+  if (cuts == Cuts::kThisStroke) return false;
   const TetMesh& mesh = cut.mesh;
   const Vec3 r{reach, reach, reach};
   bool near = false;
@@ -63,7 +64,7 @@ bool is_near_cut(const CutContext& cut, const Vec3& p, double reach) {
 }  // namespace
 
 // By a point amid each of their quarters.
-bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3) {
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts) {
   const TetMesh& mesh = cut.mesh;
   const double least_m3 = least_h3 * cut.h * cut.h * cut.h;
   double sum_m3 = 0;
@@ -71,7 +72,7 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
     const Vec3 middle = mesh.barycentre(t);
     int deep = 0;
     for (VertexId v : mesh.vertices(t))
-      deep += is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ? 0 : 1;
+      deep += is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h, cuts) ? 0 : 1;
     sum_m3 += 0.25 * deep * mesh.volume(t);
     if (sum_m3 >= least_m3) return true;
   }
@@ -80,7 +81,7 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
 
 bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets) {
   if (extent.volume_m3 <= extent.film_m3(cut.h)) return true;
-  return extent.volume_m3 <= extent.shallow_m3(cut.h) && !is_deep(cut, tets, kLeastDeep_h3);
+  return extent.volume_m3 <= extent.shallow_m3(cut.h) && !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
 }
 
 void Islands::spare(HalfFace side) {

@@ -42,8 +42,9 @@ struct Extent {
   }
 };
 
-// Whether so much of some tetrahedra is farther from all cuts than kDeep_h.
-bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3);
+// Whether so much of some tetrahedra is farther than kDeep_h from the cuts. Older ones cost many times as much to look for.
+enum class Cuts { kThisStroke, kAll };
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts);
 
 // Whether tetrahedra that hang together are a film.
 bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets);

@@ -184,7 +184,7 @@ inline constexpr std::size_t kFilmToInner = 8;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
 inline constexpr double kShallow_h = 0.125;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
-inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 400;
+inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 1000;
 // How many tetrahedra around one of these neighbours are looked at for the others.
 inline constexpr std::size_t kMaxAround = 12;
 // How far from an opened face the surface is looked for: for its side, and for the deviation that is reported. First nearer, where it is
