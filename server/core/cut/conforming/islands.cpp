@@ -37,6 +37,17 @@ bool may_be_film(const CutContext& cut, TetId t) {
 
 namespace {
 
+// Whether a point is that near to a cut face of its tetrahedron.
+bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
+  for (int f = 0; f < 4; ++f) {
+    if (!(mesh.cut_mask(t) >> f & 1)) continue;
+    const Vec3 n = mesh.twice_area(half_face(t, f));
+    if (std::abs(dot(n, p - mesh.position(mesh.face_vertices(half_face(t, f))[0]))) <= reach * length(n))
+      return true;
+  }
+  return false;
+}
+
 // Whether a cut is that near.
 bool is_near_cut(const CutContext& cut, const Vec3& p, double reach, Cuts cuts) {
   cut.work += cost::kNearby;
@@ -72,7 +83,10 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
     const Vec3 middle = mesh.barycentre(t);
     int deep = 0;
     for (VertexId v : mesh.vertices(t))
-      deep += is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h, cuts) ? 0 : 1;
+      deep += is_near_own_cut(mesh, t, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ||
+                      is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h, cuts)
+                  ? 0
+                  : 1;
     sum_m3 += 0.25 * deep * mesh.volume(t);
     if (sum_m3 >= least_m3) return true;
   }
