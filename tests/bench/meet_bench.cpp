@@ -25,7 +25,8 @@ struct Options {
   int count = 2;
   std::uint64_t seed = 1;
   int poses = 1000;
-  bool each = false;
+  double batch_h = 0;  // 0: each meeting's own
+  bool at_once = false, each = false;
 };
 
 // What the rows of one table add up.
@@ -132,11 +133,12 @@ void print(const NamedMesh& mesh, const std::string& name, const Verdict& v, boo
 void run_meetings(const Options& options, const NamedMesh& mesh, const oracle::Body& body,
                   const std::string& kind, Totals& totals) {
   for (int i = 0; i < options.count; ++i) {
-    const auto meeting =
+    auto meeting =
         oracle::random_meeting(mesh.mesh, body.h, kind, options.seed + static_cast<std::uint64_t>(i));
+    if (options.batch_h > 0) meeting.batch_h = options.batch_h;
     core::CutSession session(mesh.mesh, oracle::meeting_config(meeting));
     const double start = thread_cpu_s();
-    oracle::cut(meeting, session);
+    options.at_once ? oracle::cut_at_once(meeting, session) : oracle::cut(meeting, session);
     totals.seconds.push_back(thread_cpu_s() - start);
     const auto strokes = oracle::strokes_of(meeting);
     const Verdict v = oracle::judge(body, strokes, session.mesh());
@@ -227,6 +229,9 @@ void add_meet_bench(CLI::App& app, Report& report) {
   command->add_option("--poses", options->poses, "Of each motion, the most")
       ->check(CLI::Range(10, 1000000))
       ->capture_default_str();
+  command->add_option("--batch", options->batch_h, "cut.batch_h of all; without: each one's own")
+      ->check(CLI::Range(0.05, 2.0));
+  command->add_flag("--at-once", options->at_once, "All strokes at once, each by a blade of its own");
   command->add_flag("--each", options->each, "Say a line about each, not only about wrong ones");
   command->callback([options, &report] { run(*options, report); });
 }

@@ -123,8 +123,7 @@ class Judge {
     find_torn();
     // What hangs together by a neck that is thinner than what is closed may come apart there.
     std::vector<std::uint8_t> wide(body_.grid.size());
-    const double neck2 = kClosed_h * kClosed_h * h_ * h_ / 4;
-    for (std::size_t i = 0; i < wide.size(); ++i) wide[i] = body_.inside[i] && off2_[i] > neck2;
+    for (std::size_t i = 0; i < wide.size(); ++i) wide[i] = body_.inside[i] && !is_in_gap(i);
     Parts apart;
     apart.lay_out(body_.grid, may_close_, wide);
     apart.compare(piece_at_, off2_, deep2, deep2);
@@ -250,20 +249,22 @@ class Judge {
     }
   }
 
-  // Pieces that are no part of the geometry: none that has half of its points there, and half of it, or of what is thick in it, in the
-  // piece.
+  // Pieces that are no part of the geometry, nor several together: less than half of its points lie in parts that have half of theirs, or
+  // of what is thick in them, in the piece.
   void find_crumbs(const Parts& must, const Parts& may, const Parts& apart) {
     std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
     const auto accept = [&](const Parts& parts, std::uint64_t least_thick) {
-      std::vector<std::uint64_t> points_of(piece_tets_.size(), 0);
+      std::vector<std::uint64_t> points_of(piece_tets_.size(), 0), in_parts(piece_tets_.size(), 0);
       for (const auto& [where, shared] : parts.in_piece) points_of[where.second] += shared.points;
       for (const auto& [where, shared] : parts.in_piece) {
         const auto [part, piece] = where;
         // The thin end of a wedge between two surfaces is one with them.
         const bool most_of_it =
             2 * shared.points >= parts.points[part] || 2 * shared.thick >= parts.thick[part];
-        if (parts.thick[part] >= least_thick && most_of_it && 2 * shared.points >= points_of[piece])
-          is_part[piece] = 1;
+        if (parts.thick[part] >= least_thick && most_of_it) in_parts[piece] += shared.points;
+      }
+      for (std::size_t piece = 0; piece < is_part.size(); ++piece) {
+        if (in_parts[piece] > 0 && 2 * in_parts[piece] >= points_of[piece]) is_part[piece] = 1;
       }
     };
     accept(must, 1);
@@ -328,6 +329,12 @@ class Judge {
     });
   }
 
+  // Between a surface and the boundary, or between two surfaces, that are no farther apart than what is closed.
+  bool is_in_gap(std::size_t at) const {
+    const double off_m = std::sqrt(static_cast<double>(off2_[at]));
+    const double to_skin_m = std::sqrt(static_cast<double>(body_.off_skin2[at]));
+    return 2 * off_m <= kClosed_h * h_ || off_m + to_skin_m <= kClosed_h * h_;
+  }
   bool is_deep(std::size_t at) const { return off2_[at] > kDeep_h * kDeep_h * h_ * h_; }
 
   const Body& body_;
@@ -358,14 +365,18 @@ Body::Body(const core::MeshData& mesh, const core::TetMesh& loaded, double spaci
   crowded_edges = count_crowded_edges(loaded);
   inside.assign(grid.size(), 0);
   walls.assign(grid.size(), 0);
+  off_skin2.assign(grid.size(), INFINITY);
   for_each_live_tet(loaded, [&](TetId t, const Vec3(&p)[4]) {
     grid.in_tet(p, [&](std::size_t at) { inside[at] = 1; });
     for (int f = 0; f < 4; ++f) {
       if (loaded.neighbor(t, f) != kNone) continue;
       const auto& k = core::kFaceVertices[f];
       boundary.add_quad({p[k[0]], p[k[1]]}, {p[k[0]], p[k[2]]}, 1, 1, 0, false);
-      grid.crossed_by({{p[k[0]], p[k[1]], p[k[2]]}}, [&](std::size_t index, int axis, const Vec3&) {
+      grid.crossed_by({{p[k[0]], p[k[1]], p[k[2]]}}, [&](std::size_t index, int axis, const Vec3& where) {
         walls[index] |= static_cast<std::uint8_t>(1u << axis);
+        grid.within(where, kClosed_h * h, [&](std::size_t at, double d2) {
+          off_skin2[at] = std::min(off_skin2[at], static_cast<float>(d2));
+        });
       });
     }
   });

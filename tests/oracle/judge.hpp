@@ -48,6 +48,7 @@ struct Body {
   std::vector<std::uint8_t> inside;
   Walls walls;                       // its boundary, where that passes between two points inside
   std::vector<std::uint32_t> parts;  // that are apart as loaded
+  std::vector<float> off_skin2;      // by point: from its boundary, squared, up to kClosed_h
 
  private:
   Body(const core::MeshData& mesh, const core::TetMesh& tets, double spacing_h);

@@ -195,15 +195,7 @@ TEST(MeetingBlades, TwoCloseALoopTogether) {
   for (std::uint64_t seed = 1; seed <= 7; ++seed) {
     const Meeting meeting = random_meeting(mesh(), body().h, "halves", seed);
     core::CutSession session(mesh(), meeting_config(meeting));
-    const std::size_t most = std::max(meeting.strokes[0].size(), meeting.strokes[1].size());
-    for (std::size_t i = 0; i < most; ++i) {
-      for (std::uint32_t blade = 0; blade < 2; ++blade) {
-        if (i < meeting.strokes[blade].size()) session.push(blade, meeting.strokes[blade][i]);
-        drain(session);
-      }
-    }
-    for (const std::uint32_t blade : {0, 1}) session.end_stroke(blade);
-    drain(session);
+    cut_at_once(meeting, session);
     const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
     EXPECT_EQ(v.invalid, "");
     EXPECT_EQ(v.inverted, 0u);
@@ -293,6 +285,43 @@ TEST(MeetingTheSkin, NoRibHoldsLargePartsTogether) {
 TEST(MeetingTheSkin, NoFaceOfAnOlderCutIsLeftWhereItEnds) {
   const OnceWrong meetings[] = {{"liver_80298", "square", 2}};
   come_apart(meetings);
+}
+
+// The same between the skin and the middle of a sweep, far from where that begins or ends; in one face or two, and where only a later
+// stroke parts what else holds it.
+TEST(MeetingTheSkin, NoRibHoldsPartsTogetherBesideASweep) {
+  const OnceWrong meetings[] = {{"armadillo_3717", "circle", 1019},
+                                {"armadillo_3717", "grid", 1009},
+                                {"armadillo_3717", "halves", 1012},
+                                {"armadillo_3717", "polygon", 1012},
+                                {"wound_1476", "polygon", 1014}};
+  come_apart(meetings);
+}
+
+// In elements as large as the loop, faces with all vertices on the sweep were chords of it.
+TEST(MeetingBends, AreFollowedInLargeElements) {
+  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},
+                                {"wound_1476", "cone", 1006},
+                                {"wound_1476", "cone", 1009},
+                                {"wound_1476", "spiral", 1002},
+                                {"bunny_27226", "cone", 2}};
+  come_apart(meetings);
+}
+
+// A film along a cut stays with a neighbour, whether it lies under the skin or beside an older cut, and though some of its tetrahedra
+// have a vertex inside it.
+TEST(MeetingFilms, StayWithANeighbour) {
+  const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}};
+  come_apart(between_cuts);
+}
+TEST(MeetingFilms, StayUnderTheSkin) {
+  for (const std::uint64_t seed : {1010, 1012}) {
+    const Meeting meeting = random_meeting(mesh(), body().h, "starts_in", seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    cut(meeting, session);
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << seed << ": " << to_string(v);
+  }
 }
 
 // A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and

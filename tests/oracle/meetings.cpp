@@ -279,6 +279,15 @@ class Maker {
   Meeting meeting_;
 };
 
+// Works until nothing waits, so much at a time.
+void drain(core::CutSession& session, std::int64_t budget_units) {
+  core::Delta delta;
+  for (;;) {
+    core::WorkBudget budget{budget_units};
+    if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
+  }
+}
+
 }  // namespace
 
 Vec3 Random::direction() {
@@ -321,21 +330,29 @@ core::CutConfig meeting_config(const Meeting& meeting) {
 }
 
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
-  core::Delta delta;
-  const auto drain = [&] {
-    for (;;) {
-      core::WorkBudget budget{budget_units};
-      if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
-    }
-  };
   for (const auto& stroke : meeting.strokes) {
     for (const core::Pose& pose : stroke) {
       INCISE_CHECK(core::accepted(session.push(0, pose)));
-      drain();
+      drain(session, budget_units);
     }
     session.end_stroke(0);
-    drain();
+    drain(session, budget_units);
   }
+}
+
+void cut_at_once(const Meeting& meeting, core::CutSession& session) {
+  std::size_t most = 0;
+  for (const auto& stroke : meeting.strokes) most = std::max(most, stroke.size());
+  const auto blades = static_cast<std::uint32_t>(meeting.strokes.size());
+  for (std::size_t i = 0; i < most; ++i) {
+    for (std::uint32_t blade = 0; blade < blades; ++blade) {
+      if (i < meeting.strokes[blade].size())
+        INCISE_CHECK(core::accepted(session.push(blade, meeting.strokes[blade][i])));
+      drain(session, INT64_MAX);
+    }
+  }
+  for (std::uint32_t blade = 0; blade < blades; ++blade) session.end_stroke(blade);
+  drain(session, INT64_MAX);
 }
 
 std::vector<Stroke> strokes_of(const Meeting& meeting) {

@@ -50,6 +50,8 @@ Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view ki
 core::CutConfig meeting_config(const Meeting& meeting);
 // Cuts it, stroke by stroke, into a session that has meeting_config(), so much work at a time.
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
+// The same with all strokes at once, pose by pose in turn, each by a blade of its own.
+void cut_at_once(const Meeting& meeting, core::CutSession& session);
 // What the judge is told.
 std::vector<Stroke> strokes_of(const Meeting& meeting);
 

@@ -36,7 +36,7 @@ struct CutWorkspace {
   };
 
   // A face that may be the last one between two parts, but that had to stay closed: its sides still hung together near by.
-  static constexpr std::size_t kMaxHeld = 64;
+  static constexpr std::size_t kMaxHeld = 64, kMaxRibs = 256;
   struct HeldFace {
     HalfFace face;
     Vec3 middle;   // where it was: edits may have put another face in its place
@@ -50,6 +50,7 @@ struct CutWorkspace {
     vertices.reserve(room_for(mesh.vertex_slots()));
     tets.reserve(room_for(mesh.tet_slots()));
     held.reserve(kMaxHeld);
+    ribs.reserve(kMaxRibs);
     grow(mesh);
   }
 
@@ -70,14 +71,18 @@ struct CutWorkspace {
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
     ends.archive(io);
-    io.list(held, 37, [&](HeldFace& held_face) {
-      io(held_face.face);
-      io(held_face.middle);
-      io(held_face.off_m);
-      io(held_face.meets);
-      io.demand(tet_of(held_face.face) < mesh.tet_slots(), "a held face of no tetrahedron");
-    });
-    io.demand(held.size() <= kMaxHeld, "more held faces than are kept");
+    const auto archive_held = [&](std::vector<HeldFace>& list, std::size_t most) {
+      io.list(list, 37, [&](HeldFace& held_face) {
+        io(held_face.face);
+        io(held_face.middle);
+        io(held_face.off_m);
+        io(held_face.meets);
+        io.demand(tet_of(held_face.face) < mesh.tet_slots(), "a held face of no tetrahedron");
+      });
+      io.demand(list.size() <= most, "more held faces than are kept");
+    };
+    archive_held(held, kMaxHeld);
+    archive_held(ribs, kMaxRibs);
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
@@ -97,6 +102,8 @@ struct CutWorkspace {
   BoundaryGrid grid;
   SweepEnds ends;
   std::vector<HeldFace> held;  // the newest last
+  std::vector<HeldFace>
+      ribs;  // likewise: between a sweep and the boundary, both sides on one side of the sweep
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

@@ -22,6 +22,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   gaps_.clear();
   faces_.clear();
   doubtful_.clear();
+  with_ribs_ = false;
   pass_.begin();
   go(Phase::kCollect);
 }
@@ -33,7 +34,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       go(Phase::kCollectHeld);
       return false;
     case Phase::kCollectHeld:
-      if (!cut_.has_front && !collect_held(budget)) return false;
+      if (!cut_.has_front && !collect_held(cut_.workspace.held, false, budget)) return false;
       std::sort(gaps_.begin(), gaps_.end());
       go(Phase::kJudge);
       return false;
@@ -47,7 +48,18 @@ bool ClosingStage::advance(WorkBudget& budget) {
       go(Phase::kOpen);
       return false;
     case Phase::kOpen:
-      return open(budget);
+      if (!open(budget)) return false;
+      if (cut_.has_front || with_ribs_ || cut_.workspace.ribs.empty()) return true;
+      with_ribs_ = true;
+      go(Phase::kCollectRibs);
+      return false;
+    case Phase::kCollectRibs:
+      if (!collect_held(cut_.workspace.ribs, true, budget)) return false;
+      go(Phase::kCollectHeld);
+      return false;
+      std::sort(gaps_.begin(), gaps_.end());
+      go(Phase::kJudge);
+      return false;
   }
   return true;
 }
@@ -76,8 +88,7 @@ bool ClosingStage::collect(WorkBudget& budget) {
 }
 
 // The end of a stroke may have parted, elsewhere, what held these faces closed.
-bool ClosingStage::collect_held(WorkBudget& budget) {
-  std::vector<CutWorkspace::HeldFace>& held = cut_.workspace.held;
+bool ClosingStage::collect_held(std::vector<CutWorkspace::HeldFace>& held, bool ribs, WorkBudget& budget) {
   for (; next_ < held.size(); ++next_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
@@ -88,7 +99,7 @@ bool ClosingStage::collect_held(WorkBudget& budget) {
       continue;
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
-    gaps_.push_back({off_m, h, meets, true});
+    gaps_.push_back({off_m, h, meets, true, ribs});
   }
   held.clear();
   return true;
@@ -115,11 +126,16 @@ void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
   double off_m = 0;
-  bool meets = false;
-  if (!may_close(h, off_m, meets)) return;
+  bool meets = false, rib = false;
+  if (!may_close(h, off_m, meets, rib)) return;
+  const Gap gap{off_m, h, meets, false, rib};
+  if (rib) {
+    hold(gap);
+    return;
+  }
   cut_.set_pending(h);
   cut_.set_pending(o);
-  gaps_.push_back({off_m, h, meets, false});
+  gaps_.push_back(gap);
 }
 
 // Before the blade all hangs together that it is about to part.
@@ -136,7 +152,7 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side, or it is part of a rib where
 // a sweep begins or ends; or it is what an older cut has left.
-bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
+bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) {
   const Vec3 middle = mesh_.face_middle(h);
   if (!is_near(middle, off_m)) {
     meets = is_hole(h);
@@ -146,13 +162,38 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets) {
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   const bool beside = (a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h;
-  if (beside && !is_at_end(middle)) return false;
-  for (VertexId w : mesh_.face_vertices(h)) {
+  // What is at an older cut may be farther off, but not in a rib.
+  const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
+  const auto v = mesh_.face_vertices(h);
+  const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
+  rib = beside && !is_at_end(middle);
+  if (rib && (!near || edges_at_boundary(h) < 2)) return false;
+  for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
-    if (!older && !is_near(mesh_.position(w), off_m)) return false;
+    if (!older && !lies_near(w)) return false;
   }
   return true;
+}
+
+// How many of a face's edges are at the boundary.
+int ClosingStage::edges_at_boundary(HalfFace h) {
+  const auto v = mesh_.face_vertices(h);
+  int count = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const VertexId a = v[k], b = v[(k + 1) % 3];
+    mesh_.ring(tet_of(h), a, b, ring_);
+    cut_.work += cost::kNearby;
+    // A ring that is no circle begins and ends at the boundary.
+    const TetId t = ring_.front();
+    for (int f = 0; f < 4; ++f) {
+      const VertexId w = mesh_.vertices(t)[f];
+      if (w == a || w == b || mesh_.neighbor(t, f) != kNone) continue;
+      ++count;
+      break;
+    }
+  }
+  return count;
 }
 
 // Whether all of a face's edges are at the boundary, and an older cut continues it beyond one of them: what that cut has left where it ends
@@ -225,10 +266,10 @@ bool ClosingStage::judge(WorkBudget& budget) {
   while (next_ < gaps_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
-    const Gap& gap = gaps_[next_++];
+    const Gap gap = gaps_[next_++];
     const HalfFace h = gap.face, o = mesh_.opposite(h);
-    const Part one = part_of(tet_of(h), tet_of(o), gap.was_held);
-    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap.was_held) : one;
+    const Part one = part_of(tet_of(h), tet_of(o), gap);
+    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap) : one;
     const bool sure = one == Part::kSmall || other == Part::kSmall;
     if (is_part(other) && (sure || gap.meets || gap.off_m <= kAtSkin_h * cut_.h)) {
       faces_.push_back(h);
@@ -241,6 +282,7 @@ bool ClosingStage::judge(WorkBudget& budget) {
     keep_closed(gap);
     if (other != Part::kCrumb) hold(gap);
   }
+  gaps_.clear();
   return true;
 }
 
@@ -272,15 +314,15 @@ bool ClosingStage::look_far(WorkBudget& budget) {
 
 // The newest are kept.
 void ClosingStage::hold(const Gap& gap) {
-  std::vector<CutWorkspace::HeldFace>& held = cut_.workspace.held;
+  std::vector<CutWorkspace::HeldFace>& held = gap.is_rib ? cut_.workspace.ribs : cut_.workspace.held;
   std::erase_if(held, [&](const CutWorkspace::HeldFace& other) { return other.face == gap.face; });
-  if (held.size() == CutWorkspace::kMaxHeld) held.erase(held.begin());
+  if (held.size() == (gap.is_rib ? CutWorkspace::kMaxRibs : CutWorkspace::kMaxHeld)) held.erase(held.begin());
   held.push_back({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
 }
 
 // Follows the faces that stay closed from `from`: whether they lead to `other`, and if not, what they hold together: a crumb, a small part
 // of the tissue (seen to its end), or a large one.
-ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held) {
+ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap) {
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
@@ -300,8 +342,12 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, bool was_held)
     }
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
-  const double film_m3 = was_held ? kOne_h * cut_.h * 0.5 * extent.area_m2 : extent.film_m3(cut_.h);
-  if (extent.volume_m3 < std::max(kLeastPart_h3 * cut_.h * cut_.h * cut_.h, film_m3)) return Part::kCrumb;
+  if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
+  if (gap.is_rib)
+    return is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) ? Part::kSmall : Part::kCrumb;
+  if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
+                   : is_film(cut_, extent, queue_))
+    return Part::kCrumb;
   const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
 }
@@ -314,6 +360,8 @@ bool ClosingStage::open(WorkBudget& budget) {
     editor_.open(std::span<const HalfFace>(faces_.data() + next_, end - next_));
     next_ = end;
   }
+  faces_.clear();
+  doubtful_.clear();
   return true;
 }
 

@@ -27,7 +27,7 @@ class ClosingStage {
   void archive(Archive& io);
 
  private:
-  enum class Phase { kCollect, kCollectHeld, kJudge, kLookFar, kOpen };
+  enum class Phase { kCollect, kCollectHeld, kJudge, kLookFar, kOpen, kCollectRibs };
   enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
@@ -36,6 +36,7 @@ class ClosingStage {
     HalfFace face;
     bool meets;     // an older cut
     bool was_held;  // judged before
+    bool is_rib;    // between a sweep and the boundary: both sides are on one side of the sweep
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
@@ -52,7 +53,7 @@ class ClosingStage {
     next_ = 0;
   }
   bool collect(WorkBudget& budget);
-  bool collect_held(WorkBudget& budget);
+  bool collect_held(std::vector<CutWorkspace::HeldFace>& held, bool ribs, WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
@@ -74,13 +75,14 @@ class ClosingStage {
     marks.waiting = static_cast<std::uint8_t>(waits ? marks.waiting | bit : marks.waiting & ~bit);
   }
   bool all_at_boundary(HalfFace h) const;
-  bool may_close(HalfFace h, double& off_m, bool& meets);
+  bool may_close(HalfFace h, double& off_m, bool& meets, bool& rib);
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
+  int edges_at_boundary(HalfFace h);
   bool is_hole(HalfFace h);
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
-  Part part_of(TetId from, TetId other, bool was_held);
+  Part part_of(TetId from, TetId other, const Gap& gap);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
@@ -90,6 +92,7 @@ class ClosingStage {
   MeshEditor& editor_;
 
   Phase phase_ = Phase::kCollect;
+  bool with_ribs_ = false;        // the second time round, when the stroke ends
   std::size_t next_ = 0;          // how far the phase is, in its list
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;

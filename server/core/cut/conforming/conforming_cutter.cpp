@@ -70,7 +70,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         break;
       case Stage::kRim:
         if (!rim_.advance(budget)) break;
-        round_ = 0;
+        round_ = refinements_ = 0;
         crossing_stage_.begin(round_);
         stage_ = Stage::kCrossings;
         break;
@@ -92,11 +92,19 @@ bool ConformingCutter::advance(WorkBudget& budget) {
           break;
         }
         verify_.fail_found();
-        opening_.begin();
+        // In a body that moves, vertices that were put on the surface may be off it by now.
+        opening_.begin(!cut_.mesh.deformed() && refinements_ < tolerance::kMaxRefinements);
         stage_ = Stage::kOpening;
         break;
       case Stage::kOpening:
         if (!opening_.advance(budget)) break;
+        if (opening_.refined()) {
+          ++refinements_;
+          round_ = 0;
+          verify_.begin(round_);
+          stage_ = Stage::kVerify;
+          break;
+        }
         closing_.begin(opening_.opened());
         stage_ = Stage::kClosing;
         break;

@@ -74,7 +74,8 @@ class ConformingCutter final : public Cutter {
   ClosingStage closing_;
 
   Stage stage_ = Stage::kIdle;
-  int round_ = 0;  // of crossings, repair and verification
+  int round_ = 0;        // of crossings, repair and verification
+  int refinements_ = 0;  // of chords, in this batch
 };
 
 }  // namespace incise::core

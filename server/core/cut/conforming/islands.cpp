@@ -35,6 +35,69 @@ bool may_be_film(const CutContext& cut, TetId t) {
                              [&](VertexId v) { return cut.mesh.at_boundary(v) || cut.on_surface(v); });
 }
 
+namespace {
+
+// Whether a point is that near to a cut face of its tetrahedron.
+bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
+  for (int f = 0; f < 4; ++f) {
+    if (!(mesh.cut_mask(t) >> f & 1)) continue;
+    const Vec3 n = mesh.twice_area(half_face(t, f));
+    if (std::abs(dot(n, p - mesh.position(mesh.face_vertices(half_face(t, f))[0]))) <= reach * length(n))
+      return true;
+  }
+  return false;
+}
+
+// Whether a cut is that near.
+bool is_near_cut(const CutContext& cut, const Vec3& p, double reach, Cuts cuts) {
+  cut.work += cost::kNearby;
+  if (cut.surface().is_within(p, reach)) return true;
+  if (cuts == Cuts::kThisStroke) return false;
+  const TetMesh& mesh = cut.mesh;
+  const Vec3 r{reach, reach, reach};
+  bool near = false;
+  std::size_t looked_at = 0;
+  cut.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
+    ++looked_at;
+    if (near || !mesh.alive(t) || mesh.cut_mask(t) == 0) return;
+    cut.work += cost::kLook;
+    for (int f = 0; f < 4; ++f) {
+      if (!(mesh.cut_mask(t) >> f & 1)) continue;
+      const auto v = mesh.face_vertices(half_face(t, f));
+      const Vec3 q = closest_point(p, mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]));
+      near = near || squared_length(q - p) <= reach * reach;
+    }
+  });
+  cut.work.add(looked_at, cost::kGridEntriesAUnit);
+  return near;
+}
+
+}  // namespace
+
+// By a point amid each of their quarters.
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts) {
+  const TetMesh& mesh = cut.mesh;
+  const double least_m3 = least_h3 * cut.h * cut.h * cut.h;
+  double sum_m3 = 0;
+  for (TetId t : tets) {
+    const Vec3 middle = mesh.barycentre(t);
+    int deep = 0;
+    for (VertexId v : mesh.vertices(t))
+      deep += is_near_own_cut(mesh, t, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ||
+                      is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h, cuts)
+                  ? 0
+                  : 1;
+    sum_m3 += 0.25 * deep * mesh.volume(t);
+    if (sum_m3 >= least_m3) return true;
+  }
+  return false;
+}
+
+bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets) {
+  if (extent.volume_m3 <= extent.film_m3(cut.h)) return true;
+  return extent.volume_m3 <= extent.shallow_m3(cut.h) && !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
+}
+
 void Islands::spare(HalfFace side) {
   cut_.work += cost::kLook;
   if (!pending(tet_of(side), face_of(side)) || stands_clear(side)) return;
@@ -52,12 +115,13 @@ bool Islands::is_island(TetId first) {
   members_.assign(1, first);
   if (inland_.has(first)) return false;
   seen_.add(first);
-  bool clean = true, thin = true, film = true;
+  bool clean = true, thin = true;
+  std::size_t inner = 0;
   Extent extent;
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const TetId t = members_[i];
     thin = thin && is_thin(t);
-    film = film && may_be_film(cut_, t);
+    inner += may_be_film(cut_, t) ? 0 : 1;
     extent.volume_m3 += mesh_.volume(t);
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {
@@ -73,10 +137,12 @@ bool Islands::is_island(TetId first) {
         members_.push_back(n);
       }
     }
+    const bool film = inner <= members_.size() / kFilmToInner;
     if (members_.size() > (thin || film ? kMaxSheetIsland : kMaxRaggedIsland)) return false;
   }
   const bool ragged = !clean && members_.size() <= kMaxRaggedIsland;
-  return ragged || thin || (film && extent.volume_m3 <= extent.film_m3(cut_.h));
+  const bool film = inner <= members_.size() / kFilmToInner;
+  return ragged || thin || (film && is_film(cut_, extent, members_));
 }
 
 // Keeps the members together with their neighbours on one side of the surface: with both they would be a bridge. Nor with two

@@ -35,7 +35,19 @@ struct Extent {
     const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
     return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
   }
+  // Of one that lies along a cut, if no part of it is deep.
+  double shallow_m3(double h) const {
+    if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
+    return tolerance::kOne_h * h * std::min(0.5 * area_m2, cut_area_m2);
+  }
 };
+
+// Whether so much of some tetrahedra is farther than kDeep_h from the cuts. Older ones cost many times as much to look for.
+enum class Cuts { kThisStroke, kAll };
+bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts);
+
+// Whether tetrahedra that hang together are a film.
+bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets);
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out

@@ -52,8 +52,8 @@ class MeshEditor {
   void stand(VertexId v);
   // v, whose star that is, goes to a better place.
   void move(const VertexStar& star, VertexId v, const Vec3& target);
-  // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a).
-  enum class NewVertex { kOnSurface, kNotYet };
+  // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a). kInBend: it has to stay, so repairs do not merge it.
+  enum class NewVertex { kOnSurface, kNotYet, kInBend };
   VertexId split(TetId tet, VertexId a, VertexId b, double t, NewVertex is = NewVertex::kOnSurface);
   // Merges v, whose star that is, into w along an edge of t. TetMesh::may_collapse() must hold.
   void collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);

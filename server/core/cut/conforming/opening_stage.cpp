@@ -6,10 +6,12 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void OpeningStage::begin() {
+void OpeningStage::begin(bool may_refine) {
   phase_ = Phase::kSelect;
+  may_refine_ = may_refine;
   next_ = kept_ = 0;
   faces_.clear();
+  chords_.clear();
   opened_.clear();
   selected_.begin();
 }
@@ -19,9 +21,11 @@ bool OpeningStage::advance(WorkBudget& budget) {
     case Phase::kSelect:
       if (!select(budget)) return false;
       islands_.begin();
-      phase_ = Phase::kSpare;
+      phase_ = chords_.empty() ? Phase::kSpare : Phase::kRefine;
       next_ = 0;
       return false;
+    case Phase::kRefine:
+      return refine(budget);
     case Phase::kSpare:
       if (!spare_islands(budget)) return false;
       phase_ = Phase::kOpen;
@@ -64,7 +68,8 @@ bool OpeningStage::select_faces(TetId t) {
     const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
     // From the other side it looks the same.
     if (!(faces >> f & 1) || o == kNone || selected_.has(tet_of(o))) continue;
-    if (!separates(h)) continue;
+    const Way way = separates(h);
+    if (way == Way::kFree) continue;
     if (cut_.hot(mesh_.vertices(tet_of(o))[face_of(o)])) {
       waits = true;
       continue;
@@ -72,8 +77,62 @@ bool OpeningStage::select_faces(TetId t) {
     marks[t].pending |= static_cast<std::uint8_t>(1u << f);
     marks[tet_of(o)].pending |= static_cast<std::uint8_t>(1u << face_of(o));
     faces_.push_back(h);
+    if (may_refine_ && way == Way::kCrossedAside && is_chord(h)) chords_.push_back(mesh_.face_vertices(h));
   }
   return waits;
+}
+
+// Whether a face on the surface is far off it between its vertices: in an element that is large beside the bend. An older cut is where it
+// is. Nearly all faces are crossed close by their middle, and are none.
+bool OpeningStage::is_chord(HalfFace h) const {
+  const auto v = mesh_.face_vertices(h);
+  if (!cut_.face_on_surface(h) || std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); }))
+    return false;
+  cut_.work += cost::kNearby;
+  return !cut_.surface().is_within(mesh_.face_middle(h), kChord_h * cut_.h);
+}
+
+// Takes back the selection, and splits the chords where they are farthest off the surface: what then crosses it is dealt with like other
+// crossings.
+bool OpeningStage::refine(WorkBudget& budget) {
+  for (; next_ < faces_.size(); ++next_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const HalfFace h = faces_[next_], o = mesh_.opposite(h);
+    cut_.clear_pending(h);
+    cut_.clear_pending(o);
+    active_.add(tet_of(h));
+    active_.add(tet_of(o));
+  }
+  for (; next_ < faces_.size() + chords_.size(); ++next_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    split_chord(chords_[next_ - faces_.size()]);
+  }
+  return true;
+}
+
+void OpeningStage::split_chord(const std::array<VertexId, 3>& face) {
+  VertexId a = kNone, b = kNone;
+  double farthest_m = kChord_h * cut_.h;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const VertexId v = face[k], w = face[(k + 1) % 3];
+    Vec3 closest;
+    std::uint32_t triangle = 0;
+    const Vec3 middle = lerp(mesh_.position(v), mesh_.position(w), 0.5);
+    cut_.work += cost::kNearby;
+    const double off_m = cut_.closest_on_surface(middle, closest, triangle) ? distance(middle, closest) : 0;
+    if (off_m <= farthest_m) continue;
+    farthest_m = off_m;
+    a = v;
+    b = w;
+  }
+  if (a == kNone) return;
+  // Another chord may have been split there.
+  const TetId t = mesh_.find_edge(a, b);
+  cut_.work += cost::kFindEdge;
+  if (t == kNone || cut_.worst_after_split(t, a, b, 0.5, kSnapFloor) > kSnapFloor) return;
+  editor_.split(t, a, b, 0.5, MeshEditor::NewVertex::kInBend);
 }
 
 // The faces of t that may separate: those with all vertices on the surface, or one at which a crossing could not be dealt
@@ -97,7 +156,7 @@ unsigned OpeningStage::may_separate(TetId t) const {
 // way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
 // separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
 // own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
-bool OpeningStage::separates(HalfFace h) const {
+OpeningStage::Way OpeningStage::separates(HalfFace h) const {
   const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
   Vec3 middle{}, off{};
   int off_count = 0;
@@ -115,10 +174,11 @@ bool OpeningStage::separates(HalfFace h) const {
   const Vec3 from = reference_point(cut_, a), to = reference_point(cut_, b);
   if (off_count > 0) {
     const Vec3 by = (1.0 / off_count) * off;
-    return crossed(from, by) || crossed(by, to);
+    return crossed(from, by) || crossed(by, to) ? Way::kCrossedAside : Way::kFree;
   }
   const Vec3 near_a = lerp(middle, from, kPass), near_b = lerp(middle, to, kPass);
-  return crossed(near_a, near_b) || crossed(from, near_a) || crossed(near_b, to);
+  if (crossed(near_a, near_b)) return Way::kCrossedHere;
+  return crossed(from, near_a) || crossed(near_b, to) ? Way::kCrossedAside : Way::kFree;
 }
 
 bool OpeningStage::spare_islands(WorkBudget& budget) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <span>
 #include <vector>
@@ -22,20 +23,27 @@ class OpeningStage {
         selected_(cut.workspace),
         islands_(cut) {}
 
-  // The last scan of the active set still holds.
-  void begin();
+  // The last scan of the active set still holds. `may_refine`: where faces would be chords of a bend, splits them instead of opening any.
+  void begin(bool may_refine);
   // True: done; false: the budget is spent, or more is to do.
   bool advance(WorkBudget& budget);
+  // It has split faces and opened none: all is to be verified again.
+  bool refined() const { return phase_ == Phase::kRefine; }
   // What has opened: both sides of each face.
   std::span<const HalfFace> opened() const { return opened_; }
 
  private:
-  enum class Phase { kSelect, kSpare, kOpen };
+  enum class Phase { kSelect, kRefine, kSpare, kOpen };
 
   bool select(WorkBudget& budget);
   bool select_faces(TetId t);
   unsigned may_separate(TetId t) const;
-  bool separates(HalfFace h) const;
+  // Where the surface crosses the way from one side of a face to the other: close by the face's middle, farther from it, nowhere.
+  enum class Way { kCrossedHere, kCrossedAside, kFree };
+  Way separates(HalfFace h) const;
+  bool is_chord(HalfFace h) const;
+  bool refine(WorkBudget& budget);
+  void split_chord(const std::array<VertexId, 3>& face);
   bool spare_islands(WorkBudget& budget);
   bool open(WorkBudget& budget);
 
@@ -49,8 +57,10 @@ class OpeningStage {
   std::size_t kept_ = 0;  // of active_
   TetPass selected_;      // whose faces have been looked at
   Islands islands_;
-  std::vector<HalfFace> faces_;   // to open
-  std::vector<HalfFace> opened_;  // both sides of each
+  bool may_refine_ = false;
+  std::vector<std::array<VertexId, 3>> chords_;  // of faces to open
+  std::vector<HalfFace> faces_;                  // to open
+  std::vector<HalfFace> opened_;                 // both sides of each
 };
 
 }  // namespace incise::core

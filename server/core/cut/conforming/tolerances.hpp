@@ -79,6 +79,8 @@ inline constexpr double kLeastJoin = 0.1;
 // How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
+// How thick a rib between a sweep and the boundary may be, where it is parted far from the ends of a sweep.
+inline constexpr double kRib_h = 0.21;
 // The least volume of a part.
 inline constexpr double kLeastPart_h3 = 0.25;
 // A tetrahedron this near to the surface may be on either side of it.
@@ -88,8 +90,9 @@ inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
-// When a stroke ends, so many are looked at besides, both sides together; and so many of one side before the other's turn.
-inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32;
+// When a stroke ends, so many are looked at besides, both sides together; so many of one side before the other's turn; and so many for
+// all faces, after which no more are begun.
+inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32, kMaxFarWays = 200000;
 // A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
 inline constexpr double kSameFace_h = 0.1;
 
@@ -166,15 +169,22 @@ inline constexpr int kMaxRounds = 3;
 
 // Where the line between two tetrahedra passes their face: this part of the way from its middle to their reference points.
 inline constexpr double kPass = 0.25;
+// A face on the surface whose middle is farther off it is a chord of a bend, and is split; so often in a batch at most.
+inline constexpr double kChord_h = 0.2;
+inline constexpr int kMaxRefinements = 4;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
 // Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean; kOne_h where this part of its
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
+// Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
+inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09;
+// One in so many of a film's tetrahedra may have a vertex inside it.
+inline constexpr std::size_t kFilmToInner = 8;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
 inline constexpr double kShallow_h = 0.125;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
-inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 400;
+inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 1000;
 // How many tetrahedra around one of these neighbours are looked at for the others.
 inline constexpr std::size_t kMaxAround = 12;
 // How far from an opened face the surface is looked for: for its side, and for the deviation that is reported. First nearer, where it is

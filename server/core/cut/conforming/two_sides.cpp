@@ -7,14 +7,18 @@ namespace incise::core {
 using namespace tolerance;
 
 void TwoSides::begin() {
-  follows_ = false;
+  follows_ = together_ = false;
+  all_seen_ = 0;
   seen_.begin();
 }
 
 TwoSides::Outcome TwoSides::follow(TetId one, TetId other) {
   if (!follows_) {
-    // What was seen to its end last is apart at all of its faces.
-    if (seen_.has(one) != seen_.has(other)) return Outcome::kApart;
+    // What was seen to its end last is apart at all of its faces; what hung together last hangs together at all of them.
+    const auto seen = [this](TetId t) { return seen_.has(t) || other_seen_.has(t); };
+    if (together_ && seen(one) && seen(other)) return Outcome::kTogether;
+    if (!together_ && seen_.has(one) != seen_.has(other)) return Outcome::kApart;
+    if (all_seen_ > kMaxFarWays) return Outcome::kTogether;
     seen_.begin();
     seen_.add(one);
     queue_.assign(1, one);
@@ -25,8 +29,10 @@ TwoSides::Outcome TwoSides::follow(TetId one, TetId other) {
     follows_ = true;
   }
   const Outcome outcome = step();
-  if (outcome != Outcome::kGoesOn) follows_ = false;
-  if (outcome == Outcome::kTogether) seen_.begin();
+  if (outcome == Outcome::kGoesOn) return outcome;
+  follows_ = false;
+  together_ = outcome == Outcome::kTogether;
+  all_seen_ += queue_.size() + other_queue_.size();
   return outcome;
 }
 

@@ -25,6 +25,8 @@ class TwoSides {
 
   CutContext& cut_;
   bool follows_ = false;
+  bool together_ = false;     // the last two sides that were followed hang together
+  std::size_t all_seen_ = 0;  // tetrahedra, since begin()
   TetPass seen_, other_seen_;
   std::vector<TetId> queue_, other_queue_;
   std::size_t next_ = 0, other_next_ = 0;  // in the queues
