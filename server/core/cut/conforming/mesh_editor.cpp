@@ -22,6 +22,7 @@ void MeshEditor::judge_again(const VertexStar& star, VertexId v) {
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = cut_.worst_at(star, target, kInverted, kFlat_local * star.local_h(), flat_);
   mesh_.move_vertex(v, target);
+  ++cut_.workspace.vertices[v].moves;
   cut_.workspace.vertices[v].surface = cut_.stroke;
   cut_.workspace.vertices[v].batch = cut_.batch;
   ++cut_.counts.snaps;
@@ -55,6 +56,7 @@ void MeshEditor::stand(VertexId v) {
 
 void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
   mesh_.move_vertex(v, target);
+  ++cut_.workspace.vertices[v].moves;
   judge_again(star, v);
   for (const VertexStar::Corner& c : star.corners()) may_move_again(mesh_.vertices(c.tet));
   ++cut_.counts.repairs;

@@ -1,9 +1,7 @@
 #include "server/core/cut/conforming/verify_stage.hpp"
 
-#include <bit>
 #include <cmath>
 
-#include "server/core/geometry/four_points.hpp"
 
 namespace incise::core {
 
@@ -14,7 +12,9 @@ void VerifyStage::begin(int round) {
   active_.begin_scan();
   crossings_.begin_collection();
   first_found_ = crossings_.size();
-  if (round == 0) clear_.begin();
+  if (round > 0) return;
+  clear_.begin();
+  clear_edges_.begin(clear_.serial());
 }
 
 bool VerifyStage::advance(WorkBudget& budget) {
@@ -43,47 +43,47 @@ void VerifyStage::fail_found() {
 // Adds the crossings of the tetrahedron's edges. Returns true if there are none.
 bool VerifyStage::collect_from(TetId t) {
   bool clear = true;
-  const double clear_m = cut_.clear_m;
   const auto& v = mesh_.vertices(t);
-  unsigned on = 0;  // bit i: vertex i lies on the surface
-  for (unsigned i = 0; i < 4; ++i) on |= (cut_.on_surface(v[i]) ? 1u : 0u) << i;
-  const FourPoints p(
-      {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3])});
-  cut_.surface().any_between(p, clear_m, [&](std::uint32_t index) {
-    const SweptTriangle& triangle = cut_.surface()[index];
-    double d[4];
-    p.along(triangle.normal, triangle.offset, d);
-    const unsigned above = FourPoints::above(d, clear_m), below = ~FourPoints::from(d, -clear_m) & 0xfu;
-    // What is this near to the plane is on both sides of it, unless it lies on the surface.
-    const unsigned amid = ~(above | below | on) & 0xfu;
-    if ((above | amid) == 0 || (below | amid) == 0 || above == 0xfu || below == 0xfu) return false;
-    // What lies beside the triangle as a whole crosses it nowhere.
-    for (int k = 0; k < 3; ++k) {
-      double inside[4];
-      p.along(triangle.inward[k], triangle.inward_offset[k], inside);
-      if (FourPoints::most(inside) < -clear_m) return false;
-    }
-    // An end on the surface is where the edge meets it.
-    unsigned edges = 0x3fu & ~(kEdgeSets.within[on] | kEdgeSets.within[above] | kEdgeSets.within[below] |
-                               kEdgeSets.at[on & ~(above | below)]);
-    for (; edges != 0; edges &= edges - 1) {
-      const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
-      double at;
-      if (!crosses(mesh_.position(v[i]), mesh_.position(v[j]), d[i], d[j], triangle, clear_m, at)) continue;
+  for (const auto& edge : kEdgeVertices) {
+    const VertexId a = v[edge[0]], b = v[edge[1]];
+    if (clear_edges_.has(a, b)) continue;
+    if (cut_.on_surface(a) && cut_.on_surface(b)) continue;
+    if (collect_from(t, a, b)) {
+      clear_edges_.add(a, b);
+    } else {
       clear = false;
-      const double length_m = distance(mesh_.position(v[i]), mesh_.position(v[j]));
-      if (cut_.meets_end(v[i], at, length_m) || cut_.meets_end(v[j], 1 - at, length_m)) {
-        // What stands for the surface deals with it.
-        if (cut_.stands(v[i]) || cut_.stands(v[j])) continue;
-        // So near to it that it is on this part, too.
-        if (std::abs((on >> i & 1u) != 0 ? d[i] : d[j]) <= kLiesAtCut_h * cut_.h) continue;
-        // A vertex on another part of the surface is as near as can be had.
-        editor_.fail(v[i]);
-        editor_.fail(v[j]);
-      } else {
-        crossings_.add(v[i], v[j], t, index, at);
-      }
     }
+  }
+  return clear;
+}
+
+// The same for one edge.
+bool VerifyStage::collect_from(TetId t, VertexId a, VertexId b) {
+  cut_.work += cost::kVerifyEdge;
+  bool clear = true;
+  const double clear_m = cut_.clear_m;
+  const bool a_on = cut_.on_surface(a), b_on = cut_.on_surface(b);
+  const Vec3 &p = mesh_.position(a), &q = mesh_.position(b);
+  cut_.surface().any_between(Points<2>({p, q}), clear_m, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = cut_.surface()[index];
+    const double da = triangle.signed_distance(p), db = triangle.signed_distance(q);
+    // An end on the surface is where the edge meets it.
+    if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
+    double at;
+    if (!crosses(p, q, da, db, triangle, clear_m, at)) return false;
+    clear = false;
+    const double length_m = distance(p, q);
+    if (!cut_.meets_end(a, at, length_m) && !cut_.meets_end(b, 1 - at, length_m)) {
+      crossings_.add(a, b, t, index, at);
+      return false;
+    }
+    // What stands for the surface deals with it.
+    if (cut_.stands(a) || cut_.stands(b)) return false;
+    // So near to it that it is on this part, too.
+    if ((a_on ? std::abs(da) : std::abs(db)) <= kLiesAtCut_h * cut_.h) return false;
+    // A vertex on another part of the surface is as near as can be had.
+    editor_.fail(a);
+    editor_.fail(b);
     return false;
   });
   return clear;

@@ -3,6 +3,7 @@
 #include <cstddef>
 
 #include "server/core/cut/conforming/active_set.hpp"
+#include "server/core/cut/conforming/clear_edges.hpp"
 #include "server/core/cut/conforming/crossings.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 
@@ -18,7 +19,8 @@ class VerifyStage {
         active_(active),
         crossings_(crossings),
         editor_(editor),
-        clear_(cut.workspace) {}
+        clear_(cut.workspace),
+        clear_edges_(cut.workspace) {}
 
   // `round`: counts the verifications of a batch from 0.
   void begin(int round);
@@ -31,6 +33,7 @@ class VerifyStage {
 
  private:
   bool collect_from(TetId t);
+  bool collect_from(TetId t, VertexId a, VertexId b);
 
   CutContext& cut_;
   const TetMesh& mesh_;
@@ -40,6 +43,7 @@ class VerifyStage {
   std::size_t next_ = 0;         // in active_
   std::size_t first_found_ = 0;  // in crossings_
   TetPass clear_;                // tetrahedra without a crossing; MeshEditor takes out what it changes
+  ClearEdges clear_edges_;
 };
 
 }  // namespace incise::core
