@@ -30,7 +30,7 @@ void JoiningStage::clear() {
 void JoiningStage::begin(const Batch& batch) {
   parts_.clear();
   swept_.clear();
-  next_ = next_end_ = 0;
+  next_ = next_end_ = walls_end_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
@@ -68,11 +68,10 @@ bool JoiningStage::advance(WorkBudget& budget) {
   while (next_ < parts_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
+    if (next_ == walls_end_) gather_walls();
     const Part& part = parts_[next_++];
     cut_.work += cost::kLook;
-    // A part begins where the one before it ends.
-    const bool follows =
-        next_ > 1 && parts_[next_ - 2].to == part.from && parts_[next_ - 2].direction == part.direction;
+    const bool follows = next_ > 1 && parts_[next_ - 2].precedes(part);
     const double at_from = follows ? ahead_at_end_m_ : wall_ahead(part.from, part.direction);
     ahead_at_end_m_ = wall_ahead(part.to, part.direction);
     // An edge of the body may be farther ahead than both.
@@ -202,39 +201,63 @@ void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
   }
 }
 
-// How far ahead of p an older cut is, or the body's own boundary where this faces a blade that moves in that direction: not where the
-// blade enters the body. Less than 0 where p is beyond it, -infinity where there is none within reach. The stroke's own faces open
-// farther behind the blade.
-double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
+// The walls near the next parts, as far as these follow each other. An older cut, or the body's own boundary where this faces a blade that moves
+// in that direction: not where the blade enters the body.
+void JoiningStage::gather_walls() {
+  walls_.clear();
+  const Part& first = parts_[next_];
   const double reach = kJoinReach_h * cut_.h;
   const Vec3 r{reach, reach, reach};
-  double ahead = -std::numeric_limits<double>::infinity();
-  cut_.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
+  Vec3 low = first.from, high = first.from;
+  for (walls_end_ = next_; walls_end_ < parts_.size() && walls_end_ < next_ + kJoinBlock; ++walls_end_) {
+    if (walls_end_ > next_ && !parts_[walls_end_ - 1].precedes(parts_[walls_end_])) break;
+    core::extend(parts_[walls_end_].to, low, high);
+  }
+  gathered_.begin();
+  cut_.workspace.grid.visit_box(low - r, high + r, [&](TetId t) {
+    if (!gathered_.insert(t)) return;
+    cut_.work += cost::kLook;
     if (!mesh_.alive(t)) return;
     const unsigned mask = mesh_.boundary_mask(t);
-    cut_.work += cost::kLook;
     for (int f = 0; f < 4; ++f) {
       if (!(mask >> f & 1)) continue;
-      const Vec3 n = mesh_.twice_area(half_face(t, f));
-      const double facing = std::abs(dot(n, direction)) / length(n);
-      const bool cut = (mesh_.cut_mask(t) >> f & 1) != 0;
-      if (!cut && facing < kCosFacing) continue;
       const auto v = mesh_.face_vertices(half_face(t, f));
-      const Vec3 q = closest_point(p, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]));
-      const double d = dot(q - p, direction);
-      // A cut that the blade runs along counts where it begins ahead: the blade that goes into a slit again adds nothing at its end.
-      if (facing < kSinAlong && d < kLeastAhead_h * cut_.h) continue;
-      if (squared_length(q - p) > reach * reach) continue;
-      ahead = std::max(ahead, d);
-      // The nearest point of a slanted wall is not the one straight ahead.
-      const double straight = dot(n, q - p) / dot(n, direction);
-      const Vec3 x = p + straight * direction;
-      if (straight > ahead && straight <= kOne_h / kCosFacing * cut_.h &&
-          squared_length(closest_point(x, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])) -
-                         x) <= kAimOff_h * kAimOff_h * cut_.h * cut_.h)
-        ahead = straight;
+      Wall wall{{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])}, {}, {}, {}, 0};
+      const auto& [a, b, c] = wall.corners;
+      wall.low = wall.high = a;
+      core::extend(b, wall.low, wall.high);
+      core::extend(c, wall.low, wall.high);
+      if (!wall.is_within(reach, low, high)) continue;
+      wall.normal = mesh_.twice_area(half_face(t, f));
+      wall.facing = std::abs(dot(wall.normal, first.direction)) / length(wall.normal);
+      const bool cut = (mesh_.cut_mask(t) >> f & 1) != 0;
+      if (cut || wall.facing >= kCosFacing) walls_.push_back(wall);
     }
   });
+}
+
+// How far ahead of p a wall is. Less than 0 where p is beyond it, -infinity where there is none within reach. The stroke's own faces open farther
+// behind the blade.
+double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
+  const double reach = kJoinReach_h * cut_.h;
+  double ahead = -std::numeric_limits<double>::infinity();
+  cut_.work.add(walls_.size(), cost::kWallsAUnit);
+  for (const Wall& wall : walls_) {
+    if (!wall.is_within(reach, p, p)) continue;
+    const auto& [a, b, c] = wall.corners;
+    const Vec3 q = closest_point(p, a, b, c);
+    const double d = dot(q - p, direction);
+    // A cut that the blade runs along counts where it begins ahead: the blade that goes into a slit again adds nothing at its end.
+    if (wall.facing < kSinAlong && d < kLeastAhead_h * cut_.h) continue;
+    if (squared_length(q - p) > reach * reach) continue;
+    ahead = std::max(ahead, d);
+    // The nearest point of a slanted wall is not the one straight ahead.
+    const double straight = dot(wall.normal, q - p) / dot(wall.normal, direction);
+    const Vec3 x = p + straight * direction;
+    if (straight > ahead && straight <= kOne_h / kCosFacing * cut_.h &&
+        squared_length(closest_point(x, a, b, c) - x) <= kAimOff_h * kAimOff_h * cut_.h * cut_.h)
+      ahead = straight;
+  }
   return ahead;
 }
 

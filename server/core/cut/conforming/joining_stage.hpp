@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <vector>
 
@@ -13,7 +14,7 @@ namespace incise::core {
 // strip is part of what is swept, and goes on likewise.
 class JoiningStage {
  public:
-  explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh) {}
+  explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh), gathered_(cut.workspace) {}
 
   void clear();  // a new stroke
   void begin(const Batch& batch);
@@ -26,6 +27,21 @@ class JoiningStage {
   // A part of a line at which the sweep begins or ends, and where it would go on from there.
   struct Part {
     Vec3 from, to, direction;
+    // Whether the other one begins where this ends.
+    bool precedes(const Part& other) const { return to == other.from && direction == other.direction; }
+  };
+  // A face of an older cut or of the boundary, in front of a blade that moves on.
+  struct Wall {
+    std::array<Vec3, 3> corners;
+    Vec3 low, high;  // bounding box
+    Vec3 normal;     // twice its area long
+    double facing;   // how far the direction is off its plane: the sine
+    // Not surely farther than `reach` from all of a box.
+    bool is_within(double reach, const Vec3& from, const Vec3& to) const {
+      const double r = (1 + 1e-9) * reach;
+      return low.x <= to.x + r && low.y <= to.y + r && low.z <= to.z + r && high.x >= from.x - r &&
+             high.y >= from.y - r && high.z >= from.z - r;
+    }
   };
   struct Triangle {
     Vec3 a, b, c;
@@ -37,6 +53,7 @@ class JoiningStage {
   void keep_beginning();
   void take_up(SweepEnd& end);
   void take_up(SweepEnd& end, std::uint32_t part);
+  void gather_walls();
   double wall_ahead(const Vec3& p, const Vec3& direction) const;
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
   void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
@@ -51,6 +68,9 @@ class JoiningStage {
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
   std::size_t next_ = 0, next_end_ = 0;
+  std::vector<Wall> walls_;  // near the parts before walls_end_
+  std::size_t walls_end_ = 0;
+  TetPass gathered_;
 };
 
 }  // namespace incise::core

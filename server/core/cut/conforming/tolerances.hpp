@@ -63,6 +63,8 @@ inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
 inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
 // The parts of a line that are looked at one by one: how long each is, and how many there are at most.
 inline constexpr double kJoinPart_h = 0.25, kMaxJoinParts = 4096;
+// So many parts that follow each other are looked at with the walls near all of them.
+inline constexpr std::size_t kJoinBlock = 8;
 // A sweep begins and ends, too, where the blade moves along itself, but for this part of its way.
 inline constexpr double kLeastAcross = 0.05;
 // A boundary faces a blade whose motion is off its normal by no more than this.
@@ -208,6 +210,7 @@ inline constexpr std::int64_t kLook = 1;  // at the next entry of a list, or at 
 // A batch begins: by triangles, crossings and active tetrahedra, which are this many times as cheap.
 inline constexpr std::size_t kTrianglesAUnit = 4, kCrossingsAUnit = 8, kActiveAUnit = 16;
 inline constexpr std::int64_t kRetraceSample = 1;
+inline constexpr std::size_t kWallsAUnit = 8;  // looked at for one place
 
 // Search.
 inline constexpr std::int64_t kProbe = 3;

@@ -2,7 +2,6 @@
 
 #include <cmath>
 
-
 namespace incise::core {
 
 using namespace tolerance;
