@@ -13,8 +13,24 @@ bool RimStage::stands_for(VertexId v, const Vec3& point) const {
          distance(mesh_.position(v), point) < kRim_local * mesh_.local_h(v);
 }
 
+// Whether all of a tetrahedron is on one side of a plane through the line.
+bool RimStage::passes_by(TetId t, const Vec3& from, const Vec3& to) const {
+  const auto& v = mesh_.vertices(t);
+  const Vec3 &a = mesh_.position(v[0]), along = to - from;
+  // The plane that lies across the way from the line to one of the vertices separates most.
+  const Vec3 normal = cross(
+      along,
+      cross(0.25 * (a + mesh_.position(v[1]) + mesh_.position(v[2]) + mesh_.position(v[3])) - from, along));
+  const double clear = cut_.clear_m * length(normal);
+  for (VertexId w : v) {
+    if (dot(normal, mesh_.position(w) - from) <= clear) return false;
+  }
+  return true;
+}
+
 void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {
   cut_.work += cost::kLook;
+  if (passes_by(t, from, to)) return;
   for (int f = 0; f < 4; ++f) {
     const auto face = mesh_.face_vertices(half_face(t, f));
     const Vec3 &a = mesh_.position(face[0]), &b = mesh_.position(face[1]), &c = mesh_.position(face[2]);
@@ -51,9 +67,12 @@ bool RimStage::advance(WorkBudget& budget) {
     if (!handle(piercing) || piercing.again) continue;
     // What was done here may have changed the faces that the rim pierces: look once more.
     const std::size_t first = list_.size();
+    around_.begin();
     for (VertexId v : piercing.face) {
       mesh_.star(v, star_tets_);
-      for (std::uint32_t corner : star_tets_) probe(tet_of(corner), piercing.from, piercing.to);
+      for (std::uint32_t corner : star_tets_) {
+        if (around_.insert(tet_of(corner))) probe(tet_of(corner), piercing.from, piercing.to);
+      }
     }
     for (std::size_t k = first; k < list_.size(); ++k) list_[k].again = true;
   }

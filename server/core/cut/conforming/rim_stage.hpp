@@ -12,7 +12,8 @@ namespace incise::core {
 // Puts vertices where the rim of the sweep pierces faces: the paper's second move, to the front and back planes, in general.
 class RimStage {
  public:
-  RimStage(CutContext& cut, MeshEditor& editor) : cut_(cut), mesh_(cut.mesh), editor_(editor) {}
+  RimStage(CutContext& cut, MeshEditor& editor)
+      : cut_(cut), mesh_(cut.mesh), editor_(editor), around_(cut.workspace) {}
 
   // Notes the faces of t that a stretch of the rim pierces.
   void probe(TetId t, const Vec3& from, const Vec3& to);
@@ -36,6 +37,7 @@ class RimStage {
     bool done;
   };
 
+  bool passes_by(TetId t, const Vec3& from, const Vec3& to) const;
   bool stands_for(VertexId v, const Vec3& point) const;
   bool is_listed(HalfFace other, const Vec3& from) const;
   bool handle(const Piercing& piercing);
@@ -49,6 +51,7 @@ class RimStage {
   std::size_t next_ = 0;
   VertexStar star_;
   std::vector<TetId> flat_;               // scratch
+  TetPass around_;                        // what has been probed around a piercing
   std::vector<std::uint32_t> star_tets_;  // scratch
 };
 

@@ -13,7 +13,9 @@ void SearchStage::begin() {
   queue_next_ = 0;
   candidates_.clear();
   next_candidate_ = 0;
-  go(Phase::kActive, 0);
+  // Where nothing new was swept there is nothing to find, but for the rim at the stroke's end.
+  const bool sweeps = cut_.surface().size() > cut_.path.first_latest();
+  go(sweeps || !cut_.has_front ? Phase::kActive : Phase::kRim, 0);
 }
 
 bool SearchStage::advance(WorkBudget& budget) {
@@ -130,12 +132,22 @@ bool SearchStage::probe(TetId t) {
   cut_.surface().any_latest_between(p, slack_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
     for (int k = 0; k < 3; ++k) {
-      if (triangle.rim >> k & 1) rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
+      if ((triangle.rim >> k & 1) != 0 && may_meet_side(p, triangle, k))
+        rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
     }
     meets = probe_triangle(t, p, slack_m, index) || meets;
     return false;
   });
   return meets;
+}
+
+// False where all of a tetrahedron is on one side of the line through a side of the triangle, in its plane or across that.
+bool SearchStage::may_meet_side(const FourPoints& p, const SweptTriangle& triangle, int side) const {
+  double off[4];
+  p.along(triangle.normal, triangle.offset, off);
+  if (FourPoints::least(off) > cut_.clear_m || FourPoints::most(off) < -cut_.clear_m) return false;
+  p.along(triangle.inward[side], triangle.inward_offset[side], off);
+  return FourPoints::least(off) <= cut_.clear_m && FourPoints::most(off) >= -cut_.clear_m;
 }
 
 // Vertices that lie in the sweep already, since no edge crosses there, and those of an older cut's faces that run along it so near

@@ -47,6 +47,7 @@ class SearchStage {
   bool end_of_rim(WorkBudget& budget);
   void enqueue(TetId t);
   bool probe(TetId t);
+  bool may_meet_side(const FourPoints& p, const SweptTriangle& triangle, int side) const;
   void note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4], double reach_m);
   bool probe_triangle(TetId t, const FourPoints& p, double slack_m, std::uint32_t index);
 
