@@ -34,15 +34,10 @@ struct Points {
     if constexpr (N == 4) return std::max(std::max(v[0], v[1]), std::max(v[2], v[3]));
     return *std::max_element(v, v + N);
   }
-  // Bit i: v[i] is at least, or more than, a bound.
+  // Bit i: v[i] is at least a bound.
   static unsigned from(const double (&v)[N], double bound) {
     unsigned bits = 0;
     for (unsigned i = 0; i < N; ++i) bits |= (v[i] >= bound ? 1u : 0u) << i;
-    return bits;
-  }
-  static unsigned above(const double (&v)[N], double bound) {
-    unsigned bits = 0;
-    for (unsigned i = 0; i < N; ++i) bits |= (v[i] > bound ? 1u : 0u) << i;
     return bits;
   }
   // The least absolute value.

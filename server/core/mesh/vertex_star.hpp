@@ -83,7 +83,8 @@ class VertexStar {
   // The lanes that decided the last rejection: they usually decide the next one.
   mutable std::size_t worst_lanes_ = 0;
   std::vector<std::uint32_t> flattenable_;  // corners that may flatten
-  mutable std::vector<std::uint8_t> flat_lanes_;  // scratch: bit k of the i-th: lane k of lanes_[i] would be flat
+  mutable std::vector<std::uint8_t>
+      flat_lanes_;  // scratch: bit k of the i-th: lane k of lanes_[i] would be flat
   std::vector<Wall> walls_;
   Vec3 wall_area_;
   mutable double volume_ = -1;  // below 0: not known yet

@@ -240,7 +240,7 @@ inline constexpr std::int64_t kTryFlip = 12;
 inline constexpr std::int64_t kOpenFace = 40;
 
 // Verification and opening.
-inline constexpr std::int64_t kVerify = 2, kVerifyEdge = 3;
+inline constexpr std::int64_t kVerify = 1, kVerifyEdge = 2;
 inline constexpr std::int64_t kIslandMember = 2;
 inline constexpr std::int64_t kThin = 6;
 inline constexpr std::int64_t kDeviation = 4;
