@@ -49,7 +49,8 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
-      if (cut_.has_front || with_ribs_ || cut_.workspace.ribs.empty()) return true;
+      // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
+      if (cut_.has_front || !cut_.meets_cut || with_ribs_ || cut_.workspace.ribs.empty()) return true;
       with_ribs_ = true;
       go(Phase::kCollectRibs);
       return false;

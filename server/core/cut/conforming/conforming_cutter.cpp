@@ -20,6 +20,7 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
 
 void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   cut_.stroke = stroke;
+  cut_.meets_cut = false;
   cut_.path.clear();
   active_.clear();
   crossings_.clear();
@@ -143,6 +144,7 @@ void ConformingCutter::clinging(std::vector<VertexId>& out) const {
 void ConformingCutter::archive(Archive& io) {
   io(cut_.stroke);
   io(cut_.batch);
+  io(cut_.meets_cut);
   cut_.path.archive_surface(io);
   active_.archive_entries(io);
   cut_.path.archive_travel(io, active_.widest_m());

@@ -95,7 +95,15 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
 
 bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets) {
   if (extent.volume_m3 <= extent.film_m3(cut.h)) return true;
-  return extent.volume_m3 <= extent.shallow_m3(cut.h) && !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
+  if (extent.volume_m3 > extent.shallow_m3(cut.h)) return false;
+  const auto is_far = [&](TetId t) {
+    return std::ranges::any_of(cut.mesh.vertices(t), [&](VertexId v) {
+      const Vec3& p = cut.mesh.position(v);
+      return !is_near_own_cut(cut.mesh, t, p, kFilmReach_h * cut.h) &&
+             !is_near_cut(cut, p, kFilmReach_h * cut.h, Cuts::kAll);
+    });
+  };
+  return std::ranges::none_of(tets, is_far) && !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
 }
 
 void Islands::spare(HalfFace side) {

@@ -152,6 +152,7 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   end.taken |= std::uint64_t{1} << part;
   for (std::uint32_t k = 0; k + 1 < end.line_count; ++k)
     cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part));
+  cut_.meets_cut = true;
   extend(a, b, direction, ahead_m);
 }
 

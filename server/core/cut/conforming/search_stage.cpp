@@ -99,6 +99,8 @@ void SearchStage::spread(WorkBudget& budget) {
     if (!work_left(budget)) return;
     const TetId t = queue_[queue_next_++];
     active_.add(t);
+    // What it opens itself it leaves behind.
+    cut_.meets_cut = cut_.meets_cut || mesh_.cut_mask(t) != 0;
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
       if (n != kNone) enqueue(n);
