@@ -103,7 +103,9 @@ bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId>
              !is_near_cut(cut, p, kFilmReach_h * cut.h, Cuts::kAll);
     });
   };
-  return std::ranges::none_of(tets, is_far) && !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
+  // What a sweep that is alone takes off is a part of the body where it reaches that far, however little of it does.
+  if (!cut.meets_cut && std::ranges::any_of(tets, is_far)) return false;
+  return !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
 }
 
 void Islands::spare(HalfFace side) {

@@ -180,7 +180,7 @@ inline constexpr double kThin_local = 0.1;
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
-// And if none of it reaches farther than kFilmReach_h.
+// And where the sweep is alone if none of it reaches farther than kFilmReach_h.
 inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09, kFilmReach_h = 0.42;
 // One in so many of a film's tetrahedra may have a vertex inside it.
 inline constexpr std::size_t kFilmToInner = 8;
