@@ -169,6 +169,8 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) 
   const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
   rib = beside && !is_at_end(middle);
   if (rib && (!near || edges_at_boundary(h) < 2)) return false;
+  // Where the sweep runs along an older cut, what is between them is a film.
+  if (rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
   for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
     meets = meets || older;
