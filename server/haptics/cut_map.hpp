@@ -12,8 +12,8 @@ namespace incise::haptics {
 
 // Where a body has been cut, and in which directions: a grid of cells of 0.25 h, each with one bit
 // for each of 16 directions; a cut sets the one nearest to its normal. So a frame's queries cost the same in a
-// fresh body and in one that was cut to slices. At most 16 million cells, wider ones in larger bodies; two bytes for each, in
-// pages of which only those take memory that a cut has come to.
+// fresh body and in one that was cut to slices. At most 16 million cells, wider ones in larger bodies; two bytes for each, but
+// only pages that a cut has come to take memory.
 //
 // Thread: one, at a time.
 class CutMap {

@@ -41,25 +41,16 @@ inline constexpr int index_of(Corner c) {
 using protocol::kFaceVertices;
 // The two vertices of each of the six edges.
 inline constexpr int kEdgeVertices[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
-// Sets of edges, bit e for edge e, by a set of vertices, bit i for vertex i: edges that have one of these, and those that have two.
-inline constexpr std::uint8_t edges_of(unsigned vertices, int least) {
-  std::uint8_t edges = 0;
-  for (int e = 0; e < 6; ++e) {
-    const unsigned has = (vertices >> kEdgeVertices[e][0] & 1u) + (vertices >> kEdgeVertices[e][1] & 1u);
-    if (static_cast<int>(has) >= least) edges = static_cast<std::uint8_t>(edges | 1u << e);
+// By a set of vertices, bit i for vertex i: the edges that have one of these and one other, bit e for edge e.
+inline constexpr std::array<std::uint8_t, 16> kEdgesAcross = [] {
+  std::array<std::uint8_t, 16> across{};
+  for (unsigned vertices = 0; vertices < 16; ++vertices) {
+    for (unsigned e = 0; e < 6; ++e) {
+      const unsigned i = vertices >> kEdgeVertices[e][0] & 1u, j = vertices >> kEdgeVertices[e][1] & 1u;
+      across[vertices] = static_cast<std::uint8_t>(across[vertices] | (i ^ j) << e);
+    }
   }
-  return edges;
-}
-struct EdgeSets {
-  std::uint8_t at[16], within[16];
-};
-inline constexpr EdgeSets kEdgeSets = [] {
-  EdgeSets sets{};
-  for (unsigned v = 0; v < 16; ++v) {
-    sets.at[v] = edges_of(v, 1);
-    sets.within[v] = edges_of(v, 2);
-  }
-  return sets;
+  return across;
 }();
 
 inline std::array<VertexId, 3> ascending(std::array<VertexId, 3> f) {

@@ -58,9 +58,6 @@ bool ClosingStage::advance(WorkBudget& budget) {
       if (!collect_held(cut_.workspace.ribs, true, budget)) return false;
       go(Phase::kCollectHeld);
       return false;
-      std::sort(gaps_.begin(), gaps_.end());
-      go(Phase::kJudge);
-      return false;
   }
   return true;
 }

@@ -82,11 +82,11 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
   for (TetId t : tets) {
     const Vec3 middle = mesh.barycentre(t);
     int deep = 0;
-    for (VertexId v : mesh.vertices(t))
-      deep += is_near_own_cut(mesh, t, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h) ||
-                      is_near_cut(cut, lerp(middle, mesh.position(v), 0.5), kDeep_h * cut.h, cuts)
-                  ? 0
-                  : 1;
+    for (VertexId v : mesh.vertices(t)) {
+      const Vec3 p = lerp(middle, mesh.position(v), 0.5);
+      if (!is_near_own_cut(mesh, t, p, kDeep_h * cut.h) && !is_near_cut(cut, p, kDeep_h * cut.h, cuts))
+        ++deep;
+    }
     sum_m3 += 0.25 * deep * mesh.volume(t);
     if (sum_m3 >= least_m3) return true;
   }

@@ -186,8 +186,7 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   double d[4];
   p.along(triangle.normal, triangle.offset, d);
   if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
-  const unsigned above = FourPoints::from(d, 0);
-  unsigned edges = kEdgeSets.at[above] & ~unsigned{kEdgeSets.within[above]};
+  unsigned edges = kEdgesAcross[FourPoints::from(d, 0)];
   if (edges == 0) return false;
   // How far inside each of the triangle's edges; outside one with all corners is outside.
   double inside[3][4];
