@@ -30,14 +30,6 @@ const Body& body() {
   return loaded;
 }
 
-void drain(core::CutSession& session, std::int64_t budget_units = INT64_MAX) {
-  core::Delta delta;
-  for (;;) {
-    core::WorkBudget budget{budget_units};
-    if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
-  }
-}
-
 class Meet : public testing::TestWithParam<std::string_view> {};
 INSTANTIATE_TEST_SUITE_P(Kinds, Meet, testing::ValuesIn(kMeetingKinds),
                          [](const auto& kind) { return std::string(kind.param); });

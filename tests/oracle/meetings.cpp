@@ -279,15 +279,6 @@ class Maker {
   Meeting meeting_;
 };
 
-// Works until nothing waits, so much at a time.
-void drain(core::CutSession& session, std::int64_t budget_units) {
-  core::Delta delta;
-  for (;;) {
-    core::WorkBudget budget{budget_units};
-    if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
-  }
-}
-
 }  // namespace
 
 Vec3 Random::direction() {
@@ -329,6 +320,14 @@ core::CutConfig meeting_config(const Meeting& meeting) {
   return config;
 }
 
+void drain(core::CutSession& session, std::int64_t budget_units) {
+  core::Delta delta;
+  for (;;) {
+    core::WorkBudget budget{budget_units};
+    if (session.advance(budget, delta) == core::CutSession::Progress::kIdle) return;
+  }
+}
+
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
   for (const auto& stroke : meeting.strokes) {
     for (const core::Pose& pose : stroke) {
@@ -348,11 +347,11 @@ void cut_at_once(const Meeting& meeting, core::CutSession& session) {
     for (std::uint32_t blade = 0; blade < blades; ++blade) {
       if (i < meeting.strokes[blade].size())
         INCISE_CHECK(core::accepted(session.push(blade, meeting.strokes[blade][i])));
-      drain(session, INT64_MAX);
+      drain(session);
     }
   }
   for (std::uint32_t blade = 0; blade < blades; ++blade) session.end_stroke(blade);
-  drain(session, INT64_MAX);
+  drain(session);
 }
 
 std::vector<Stroke> strokes_of(const Meeting& meeting) {
