@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <array>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -63,23 +64,23 @@ std::string checkpoint_path(const std::string& journal, int number) {
 }
 
 void write_checkpoint(const std::string& path, const Checkpoint& checkpoint) {
-  std::vector<std::byte> bytes(kHeadBytes + checkpoint.state.size());
-  std::memcpy(bytes.data(), kMagic, sizeof kMagic);
-  std::memcpy(&bytes[8], &kVersion, 4);
+  std::array<std::byte, kHeadBytes> first;
+  std::memcpy(first.data(), kMagic, sizeof kMagic);
+  std::memcpy(&first[8], &kVersion, 4);
   std::size_t at = kPreambleBytes;
   head(checkpoint, [&](std::uint64_t value) {
-    std::memcpy(&bytes[at], &value, 8);
+    std::memcpy(&first[at], &value, 8);
     at += 8;
   });
-  if (!checkpoint.state.empty()) std::memcpy(&bytes[at], checkpoint.state.data(), checkpoint.state.size());
-  const std::uint32_t crc = protocol::crc32c(std::span(bytes).subspan(kPreambleBytes));
-  std::memcpy(&bytes[12], &crc, 4);
+  const std::uint32_t crc = protocol::crc32c(std::span(first).subspan(kPreambleBytes), checkpoint.state);
+  std::memcpy(&first[12], &crc, 4);
 
   const std::string beside = path + ".part";
   try {
     const Descriptor file(::open(beside.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644));
     if (file.fd < 0) fail(beside);
-    write_all(file.fd, bytes, beside);
+    write_all(file.fd, first, beside);
+    write_all(file.fd, checkpoint.state, beside);
     if (::fsync(file.fd) != 0) fail(beside);
   } catch (...) {
     ::unlink(beside.c_str());  // on a full disk others need its bytes
@@ -103,26 +104,24 @@ std::optional<Checkpoint> read_checkpoint(const std::string& path, std::string& 
   std::ifstream in(path, std::ios::binary);
   if (code || !in) return refuse("cannot be opened");
   if (size < kHeadBytes) return refuse("is too short for a checkpoint");
-  std::byte first[kHeadBytes];
-  in.read(reinterpret_cast<char*>(first), kHeadBytes);
+  std::array<std::byte, kHeadBytes> first;
+  in.read(reinterpret_cast<char*>(first.data()), kHeadBytes);
   std::uint32_t version = 0, crc = 0;
-  std::memcpy(&version, first + 8, 4);
-  std::memcpy(&crc, first + 12, 4);
-  if (!in || std::memcmp(first, kMagic, sizeof kMagic) != 0) return refuse("is not a checkpoint");
+  std::memcpy(&version, &first[8], 4);
+  std::memcpy(&crc, &first[12], 4);
+  if (!in || std::memcmp(first.data(), kMagic, sizeof kMagic) != 0) return refuse("is not a checkpoint");
   if (version != kVersion) return refuse("is a checkpoint of another version");
-  std::vector<std::byte> bytes(static_cast<std::size_t>(size) - kPreambleBytes);
-  std::memcpy(bytes.data(), first + kPreambleBytes, kHeadBytes - kPreambleBytes);
-  const std::size_t had = kHeadBytes - kPreambleBytes;
-  in.read(reinterpret_cast<char*>(bytes.data() + had), static_cast<std::streamsize>(bytes.size() - had));
-  if (!in || protocol::crc32c(bytes) != crc) return refuse("is damaged: its checksum is wrong");
   Checkpoint checkpoint;
-  std::size_t at = 0;
+  checkpoint.state.resize(static_cast<std::size_t>(size) - kHeadBytes);
+  in.read(reinterpret_cast<char*>(checkpoint.state.data()),
+          static_cast<std::streamsize>(checkpoint.state.size()));
+  if (!in || protocol::crc32c(std::span(first).subspan(kPreambleBytes), checkpoint.state) != crc)
+    return refuse("is damaged: its checksum is wrong");
+  std::size_t at = kPreambleBytes;
   head(checkpoint, [&](std::uint64_t& value) {
-    std::memcpy(&value, &bytes[at], 8);
+    std::memcpy(&value, &first[at], 8);
     at += 8;
   });
-  bytes.erase(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(at));
-  checkpoint.state = std::move(bytes);
   return checkpoint;
 }
 

@@ -27,21 +27,26 @@ std::shared_ptr<PublishedDelta> make_roomy() {
 }  // namespace
 
 DeltaPool::DeltaPool(std::size_t warm, std::size_t most) : most_(std::max<std::size_t>(most, 1)) {
-  ring_.reserve(2 * warm);
-  for (std::size_t i = 0; i < std::clamp<std::size_t>(warm, 1, most_); ++i) ring_.push_back(make_roomy());
-  size_.store(ring_.size(), std::memory_order_relaxed);
+  deltas_.reserve(2 * warm);
+  for (std::size_t i = 0; i < std::clamp<std::size_t>(warm, 1, most_); ++i) deltas_.push_back(make_roomy());
+  size_.store(deltas_.size(), std::memory_order_relaxed);
 }
 
 std::shared_ptr<PublishedDelta> DeltaPool::next_free() {
-  if (ring_[next_].use_count() > 1) {
-    if (ring_.size() >= most_) return nullptr;
-    ring_.insert(ring_.begin() + static_cast<std::ptrdiff_t>(next_), std::make_shared<PublishedDelta>());
-    size_.store(ring_.size(), std::memory_order_relaxed);
+  const auto is_free = [](const auto& delta) { return delta.use_count() == 1; };
+  const auto first = deltas_.begin();
+  const auto few = first + static_cast<std::ptrdiff_t>(std::min(kFew, deltas_.size()));
+  chosen_ = static_cast<std::size_t>(std::find_if(first, few, is_free) - first);
+  if (chosen_ == kFew) chosen_ = next_ < deltas_.size() ? next_ : kFew;
+  if (chosen_ == deltas_.size() || !is_free(deltas_[chosen_])) {
+    if (deltas_.size() >= most_) return nullptr;
+    deltas_.insert(first + static_cast<std::ptrdiff_t>(chosen_), std::make_shared<PublishedDelta>());
+    size_.store(deltas_.size(), std::memory_order_relaxed);
   }
   // use_count() is a relaxed load. Destroying this copy is an acquire-release change of the count, so the last
   // reader's reads happen before our writes.
-  { const auto acquire = ring_[next_]; }
-  return ring_[next_];
+  { const auto acquire = deltas_[chosen_]; }
+  return deltas_[chosen_];
 }
 
 }  // namespace incise::loop

@@ -73,6 +73,7 @@ struct Latencies {
   void note(const std::vector<protocol::Step>& steps, std::int64_t received_ns) {
     const std::scoped_lock lock(mutex);
     for (const protocol::Step& step : steps) {
+      if (step.to_source_ns == 0) continue;  // a step of the simulation, which measures nothing
       pose_to_here.push_back(1e-6 * static_cast<double>(received_ns - step.to_source_ns));
       arrival_to_here.push_back(1e-6 * static_cast<double>(received_ns - step.arrival_ns));
       cut_to_here.push_back(1e-6 * static_cast<double>(received_ns - step.cut_ns));

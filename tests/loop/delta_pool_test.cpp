@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <deque>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -10,23 +12,36 @@
 namespace incise::loop {
 namespace {
 
-TEST(DeltaPool, ObjectsGoRoundInOrder) {
-  DeltaPool pool(2);
+TEST(DeltaPool, AFewGoRoundWhileReadersKeepUp) {
+  DeltaPool pool(64);
   std::vector<std::shared_ptr<const PublishedDelta>> readers;
-  std::vector<const PublishedDelta*> seen;
-  for (int i = 0; i < 6; ++i) {
-    const PublishedDelta* const first = pool.next_free().get();
+  std::set<const PublishedDelta*> seen;
+  for (int i = 0; i < 1000; ++i) {
     auto delta = pool.next_free();
-    EXPECT_EQ(delta.get(), first) << "not given yet";
-    seen.push_back(delta.get());
+    pool.published();
+    seen.insert(delta.get());
+    readers.push_back(std::move(delta));
+    if (readers.size() == 3) readers.erase(readers.begin());
+  }
+  EXPECT_EQ(seen.size(), 3u);
+  EXPECT_EQ(pool.size(), 64u);
+}
+
+TEST(DeltaPool, ReadersThatAreLateByManyGoRoundInOrder) {
+  DeltaPool pool(2);
+  std::deque<std::shared_ptr<const PublishedDelta>> readers;
+  for (std::uint64_t i = 0; i < 1000; ++i) {
+    auto delta = pool.next_free();
+    ASSERT_TRUE(delta);
+    delta->delta.revision = i;
     pool.published();
     readers.push_back(std::move(delta));
-    if (readers.size() == 2) readers.erase(readers.begin());
+    if (readers.size() == 20) {
+      EXPECT_EQ(readers.front()->delta.revision, i - 19);
+      readers.pop_front();
+    }
   }
-  EXPECT_EQ(pool.size(), 2u);
-  EXPECT_EQ(seen[0], seen[2]);
-  EXPECT_EQ(seen[1], seen[3]);
-  EXPECT_NE(seen[0], seen[1]);
+  EXPECT_LE(pool.size(), 20u + 8u) << "what has been released is used again";
 }
 
 TEST(DeltaPool, GrowsForASlowReaderUpToItsLimit) {

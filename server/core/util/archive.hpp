@@ -20,8 +20,8 @@ namespace incise::core {
 // An archive that reads trusts none of its bytes: the first demand that fails is its error, after which values are 0.
 class Archive {
  public:
-  // Writes.
-  Archive() = default;
+  // Writes. `expected`: bytes for which room is made at once; what is not written costs nothing.
+  explicit Archive(std::size_t expected = 0) { written_.reserve(expected); }
   // Reads.
   explicit Archive(std::span<const std::byte> bytes) : reads_(true), left_(bytes) {}
 
@@ -30,7 +30,7 @@ class Archive {
   template <class T>
   requires(std::is_arithmetic_v<T> || std::is_enum_v<T>) void operator()(T& value) {
     if (!reads_) {
-      if (written_.size() - size_ < sizeof value) written_.resize(2 * written_.size() + 4096);
+      if (written_.size() - size_ < sizeof value) written_.resize(size_ + kStep);
       std::memcpy(written_.data() + size_, &value, sizeof value);
       size_ += sizeof value;
     } else if (left_.size() < sizeof value) {
@@ -82,6 +82,9 @@ class Archive {
   }
 
  private:
+  // Zeros are written so far ahead: few enough to be in the cache still when they are overwritten.
+  static constexpr std::size_t kStep = 32 << 10;
+
   bool reads_ = false;
   std::span<const std::byte> left_;
   std::vector<std::byte> written_;  // longer than what is written
