@@ -1,9 +1,10 @@
 #include "protocol/coalesce.hpp"
 
 #include <algorithm>
-#include <iterator>
 #include <map>
 #include <stdexcept>
+#include <utility>
+#include <vector>
 
 #include "protocol/carry.hpp"
 
@@ -15,20 +16,61 @@ void append(std::vector<T>& out, std::span<const T> values) {
   out.insert(out.end(), values.begin(), values.end());
 }
 
-// Where the newest entry of an id stands: entry `index` of delta `delta`, or its removal.
-struct Place {
-  std::size_t delta = 0;
-  std::size_t index = 0;
-  bool removed = false;
-};
-using Places = std::map<std::uint32_t, Place>;
+// Where the newest entry of each id stands: entry `index` of delta `delta`, or its removal.
+class Places {
+ public:
+  struct Place {
+    std::uint32_t id;
+    std::uint32_t delta;
+    std::uint32_t index;
+    bool removed;
+  };
 
-void note(Places& places, std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
-  // Ids ascend, and those of one deformation after the other are the same: each is next to the one before.
-  auto next = places.begin();
-  for (std::size_t i = 0; i < ids.size(); ++i)
-    next = std::next(places.insert_or_assign(next, ids[i], Place{delta, i, removed}));
-}
+  // Of one delta after the other. Ids ascend.
+  void note(std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
+    if (ids.empty()) return;
+    ends_.push_back(places_.size() + ids.size());
+    for (std::size_t i = 0; i < ids.size(); ++i)
+      places_.push_back({ids[i], static_cast<std::uint32_t>(delta), static_cast<std::uint32_t>(i), removed});
+  }
+
+  // By id, each once. O(n log lists), after which nothing may be added: some lists have an entry for each vertex of a body, and most
+  // have a few.
+  const std::vector<Place>& settled() {
+    while (ends_.size() > 1) {
+      std::vector<std::size_t> ends;
+      auto first = places_.begin();
+      for (std::size_t k = 0; k < ends_.size(); k += 2) {
+        const std::size_t end = ends_[std::min(k + 1, ends_.size() - 1)];
+        const auto last = places_.begin() + static_cast<std::ptrdiff_t>(end);
+        // Of the same id, the older ones come first.
+        std::inplace_merge(first, places_.begin() + static_cast<std::ptrdiff_t>(ends_[k]), last, before);
+        first = last;
+        ends.push_back(end);
+      }
+      ends_ = std::move(ends);
+    }
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < places_.size(); ++i) {
+      const bool newest = i + 1 == places_.size() || places_[i + 1].id != places_[i].id;
+      if (newest) places_[kept++] = places_[i];
+    }
+    places_.resize(kept);
+    return places_;
+  }
+
+  // Of what settled() gave: whether the id was removed last.
+  bool removed(std::uint32_t id) const {
+    const auto place = std::lower_bound(places_.begin(), places_.end(), Place{id, 0, 0, false}, before);
+    return place != places_.end() && place->id == id && place->removed;
+  }
+
+ private:
+  static bool before(const Place& a, const Place& b) { return a.id < b.id; }
+
+  std::vector<Place> places_;      // list after list
+  std::vector<std::size_t> ends_;  // of the lists
+};
 
 template <class D>
 void check_chain(std::span<const D> deltas) {
@@ -184,17 +226,17 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
     append(out.provenance_a, d.provenance_a);
     append(out.provenance_b, d.provenance_b);
     append(out.provenance_t, d.provenance_t);
-    note(moved, d.moved_ids, k, false);
-    note(tets, d.tets.ids, k, false);
-    note(tets, d.removed_tets, k, true);
-    note(faces, d.boundary_upserted, k, false);
-    note(faces, d.boundary_removed, k, true);
+    moved.note(d.moved_ids, k, false);
+    tets.note(d.tets.ids, k, false);
+    tets.note(d.removed_tets, k, true);
+    faces.note(d.boundary_upserted, k, false);
+    faces.note(d.boundary_removed, k, true);
     for (std::size_t p = 0; p < d.piece_ids.size(); ++p)
       pieces[d.piece_ids[p]] = {d.piece_names[p], d.piece_sizes[p]};
   }
 
-  for (const auto& [id, place] : moved) {
-    const double* position = &deltas[place.delta].moved_positions[3 * place.index];
+  for (const auto& [id, delta, index, removed] : moved.settled()) {
+    const double* position = &deltas[delta].moved_positions[3 * std::size_t{index}];
     if (id >= out.first_added) {  // added in one of these deltas, moved in a later one
       std::copy_n(position, 3, &out.added_positions[3 * std::size_t{id - out.first_added}]);
       continue;
@@ -202,24 +244,24 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
     out.moved_ids.push_back(id);
     out.moved_positions.insert(out.moved_positions.end(), position, position + 3);
   }
-  for (const auto& [id, place] : tets) {
-    if (place.removed) {
+  for (const auto& [id, delta, index, removed] : tets.settled()) {
+    if (removed) {
       if (id < out.first_new_tet) out.removed_tets.push_back(id);
       continue;
     }
-    const TetArrays& t = deltas[place.delta].tets;
+    const TetArrays& t = deltas[delta].tets;
     out.tet_ids.push_back(id);
     if (const auto elder = elders.find(id); elder != elders.end()) out.tet_elders.push_back(elder->second);
-    append(out.tet_vertices, t.vertices.subspan(4 * place.index, 4));
-    out.tet_regions.push_back(t.regions[place.index]);
-    out.tet_cut_masks.push_back(t.cut_masks[place.index]);
-    out.tet_boundary_masks.push_back(t.boundary_masks[place.index]);
+    append(out.tet_vertices, t.vertices.subspan(4 * std::size_t{index}, 4));
+    out.tet_regions.push_back(t.regions[index]);
+    out.tet_cut_masks.push_back(t.cut_masks[index]);
+    out.tet_boundary_masks.push_back(t.boundary_masks[index]);
   }
   const auto first_new = std::lower_bound(out.tet_ids.begin(), out.tet_ids.end(), out.first_new_tet);
   if (static_cast<std::ptrdiff_t>(out.tet_elders.size()) != out.tet_ids.end() - first_new)
     out.tet_elders.clear();  // some of the deltas have none
-  for (const auto& [half_face, place] : faces) {
-    if (!place.removed) {
+  for (const auto& [half_face, delta, index, removed] : faces.settled()) {
+    if (!removed) {
       out.boundary_upserted.push_back(half_face);
     } else if (half_face / 4 < out.first_new_tet) {
       out.boundary_removed.push_back(half_face);
@@ -227,8 +269,7 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
   }
   for (const auto& [id, piece] : pieces) {
     // A piece that loses its tetrahedron and gets no other is gone.
-    const auto place = tets.find(piece.tet);
-    if (place != tets.end() && place->second.removed) continue;
+    if (tets.removed(piece.tet)) continue;
     out.piece_ids.push_back(id);
     out.piece_names.push_back(piece.tet);
     out.piece_sizes.push_back(piece.tets);
@@ -250,43 +291,43 @@ OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
   for (std::size_t k = 0; k < deltas.size(); ++k) {
     const SurfaceDelta& d = deltas[k];
     out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
-    note(vertices, d.vertices.ids, k, false);
-    note(vertices, d.removed_vertices, k, true);
-    note(triangles, d.triangles.ids, k, false);
-    note(triangles, d.removed_triangles, k, true);
-    note(rest, d.rest.ids, k, false);
-    note(rest, d.removed_vertices, k, true);
+    vertices.note(d.vertices.ids, k, false);
+    vertices.note(d.removed_vertices, k, true);
+    triangles.note(d.triangles.ids, k, false);
+    triangles.note(d.removed_triangles, k, true);
+    rest.note(d.rest.ids, k, false);
+    rest.note(d.removed_vertices, k, true);
   }
   SurfaceChange& c = out.change;
-  for (const auto& [id, place] : vertices) {
-    if (place.removed) {
+  for (const auto& [id, delta, index, removed] : vertices.settled()) {
+    if (removed) {
       c.removed_vertices.push_back(id);
       continue;
     }
     c.vertex_ids.push_back(id);
-    append(c.vertex_positions, deltas[place.delta].vertices.positions.subspan(3 * place.index, 3));
+    append(c.vertex_positions, deltas[delta].vertices.positions.subspan(3 * std::size_t{index}, 3));
   }
-  for (const auto& [id, place] : triangles) {
-    if (place.removed) {
+  for (const auto& [id, delta, index, removed] : triangles.settled()) {
+    if (removed) {
       c.removed_triangles.push_back(id);
       continue;
     }
-    const TriangleArrays& t = deltas[place.delta].triangles;
+    const TriangleArrays& t = deltas[delta].triangles;
     c.triangle_ids.push_back(id);
-    append(c.triangle_vertices, t.vertices.subspan(3 * place.index, 3));
-    c.triangle_flags.push_back(t.flags[place.index]);
-    c.triangle_pieces.push_back(t.pieces[place.index]);
-    c.triangle_regions.push_back(t.regions[place.index]);
-    c.triangle_origins.push_back(t.origins.empty() ? kNoId : t.origins[place.index]);
+    append(c.triangle_vertices, t.vertices.subspan(3 * std::size_t{index}, 3));
+    c.triangle_flags.push_back(t.flags[index]);
+    c.triangle_pieces.push_back(t.pieces[index]);
+    c.triangle_regions.push_back(t.regions[index]);
+    c.triangle_origins.push_back(t.origins.empty() ? kNoId : t.origins[index]);
   }
   if (std::all_of(c.triangle_origins.begin(), c.triangle_origins.end(),
                   [](std::uint32_t origin) { return origin == kNoId; })) {
     c.triangle_origins.clear();
   }
-  for (const auto& [id, place] : rest) {
-    if (place.removed) continue;
+  for (const auto& [id, delta, index, removed] : rest.settled()) {
+    if (removed) continue;
     c.rest_ids.push_back(id);
-    append(c.rest_positions, deltas[place.delta].rest.positions.subspan(3 * place.index, 3));
+    append(c.rest_positions, deltas[delta].rest.positions.subspan(3 * std::size_t{index}, 3));
   }
   return out;
 }

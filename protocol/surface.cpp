@@ -315,7 +315,9 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
       append(out, id, now);
     }
   }
-  for (const std::uint32_t v : moved) more_uses.add(v);
+  // Most of those that a simulation moves are inside.
+  for (const std::uint32_t v : moved)
+    if (state_.vertices.contains(v)) more_uses.add(v);
   for (const auto& [v, more] : more_uses.sorted()) {
     const Vertex* old = state_.vertices.find(v);
     if (std::int64_t{old == nullptr ? 0 : old->uses} + more == 0) {
@@ -426,7 +428,9 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
                                         std::span<const std::uint32_t> moved) {
   SurfaceChange out;
   MoreUses more_uses;
-  for (const std::uint32_t v : moved) more_uses.add(v);
+  // Most of those that a simulation moves are inside.
+  for (const std::uint32_t v : moved)
+    if (state_.vertices.contains(v)) more_uses.add(v);
   for (const std::uint32_t id : triangles) {
     const Triangle* old = state_.triangles.find(id);
     const Triangle* now = whole.state_.triangles.find(id);

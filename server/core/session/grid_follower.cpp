@@ -48,8 +48,7 @@ bool GridFollower::advance(const Step& step, WorkBudget& budget) {
   return true;
 }
 
-void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t) const {
-  const auto& v = mesh_.vertices(t);
+void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t, const std::array<VertexId, 4>& v) {
   const Vec3 corners[4] = {step.targets[v[0]], step.targets[v[1]], step.targets[v[2]], step.targets[v[3]]};
   grid.add_at(t, corners);
 }
@@ -66,10 +65,11 @@ bool GridFollower::leave(const Step& step, WorkBudget& budget) {
 // Through the boundary, which is a small part of a large body, instead of through the marked vertices' stars.
 bool GridFollower::follow(const Step& step, WorkBudget& budget) {
   return in_chunks(next_, step.boundary.size(), budget, kQuarters, [&](std::size_t i) {
-    const TetId t = step.boundary[i];
-    const auto& v = mesh_.vertices(t);
-    if (std::any_of(v.begin(), v.end(), [this](VertexId w) { return left_[w] == serial_; }))
-      enter(workspace_.grid, step, t);
+    const auto& [t, v] = step.boundary[i];
+    // All four are looked up at once.
+    const bool left = (left_[v[0]] == serial_) | (left_[v[1]] == serial_) | (left_[v[2]] == serial_) |
+                      (left_[v[3]] == serial_);
+    if (left) enter(workspace_.grid, step, t, v);
   });
 }
 
@@ -95,7 +95,7 @@ bool GridFollower::rebuild(const Step& step, WorkBudget& budget) {
   const std::size_t count = all_boundary_.size();
   const bool done = in_chunks(next_, count + mesh_.vertex_slots(), budget, kQuarters, [&](std::size_t i) {
     if (i < count) {
-      enter(fresh_, step, all_boundary_[i]);
+      enter(fresh_, step, all_boundary_[i], mesh_.vertices(all_boundary_[i]));
     } else {
       fresh_.set_anchor(step.targets[i - count]);
     }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <vector>
 
@@ -16,13 +17,18 @@ class GridFollower {
   GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
       : mesh_(mesh), workspace_(workspace), pass_(workspace), fresh_({}, {}, 1) {}
 
+  // With its vertices: a step passes the boundary again, and tetrahedra lie all over memory.
+  struct BoundaryTet {
+    TetId id;
+    std::array<VertexId, 4> vertices;
+  };
   // What is about to move, where to, and where all vertices will be then. These must live until commit().
   struct Step {
     const std::vector<VertexId>& moved;
     const std::vector<Vec3>& positions;
     const std::vector<Vec3>& targets;  // by vertex
-    const std::vector<TetId>&
-        boundary;  // the tetrahedra at these vertices that lie on the boundary, and any others there
+    // The tetrahedra at these vertices that lie on the boundary, and any others there.
+    const std::vector<BoundaryTet>& boundary;
   };
   // Call begin(), then look_at() for each vertex's new place, then settle() for all of them.
   void begin() { rebuilt_ = false; }
@@ -40,7 +46,7 @@ class GridFollower {
   bool follow(const Step& step, WorkBudget& budget);
   bool collect(const Step& step, WorkBudget& budget);
   bool rebuild(const Step& step, WorkBudget& budget);
-  void enter(BoundaryGrid& grid, const Step& step, TetId t) const;
+  static void enter(BoundaryGrid& grid, const Step& step, TetId t, const std::array<VertexId, 4>& vertices);
 
   const TetMesh& mesh_;
   CutWorkspace& workspace_;

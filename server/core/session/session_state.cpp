@@ -3,10 +3,17 @@
 #include "server/base/check.hpp"
 
 namespace incise::core {
+namespace {
+
+// More than a state has, so that it is written to one place; a body's grid and fields aside.
+constexpr std::size_t kBytesPerTet = 96, kBytesPerVertex = 160;
+
+}  // namespace
 
 std::vector<std::byte> save_session(const CutSession& session) {
   INCISE_CHECK(session.backlog_batches() == 0, session.backlog_batches());
-  Archive out;
+  const TetMesh& mesh = session.mesh();
+  Archive out(kBytesPerTet * mesh.tet_slots() + kBytesPerVertex * mesh.vertex_slots());
   const_cast<CutSession&>(session).archive(out);  // NOLINT: an archive that writes changes nothing
   return out.take();
 }

@@ -158,7 +158,7 @@ void VertexMover::check(WorkBudget& budget) {
     }
     if (!mesh_.alive(t)) return;
     if (!target_.surely_thick(mesh_.vertices(t))) check_tet(t);
-    if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back(t);
+    if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back({t, mesh_.vertices(t)});
   });
   if (!done) return;
   all_tets_ = false;
@@ -202,8 +202,10 @@ void VertexMover::yield(WorkBudget& budget) {
 
 void VertexMover::settle(WorkBudget& budget) {
   if (next_ == 0) {
-    moved_.reserve(moving_.size());
-    moved_positions_.reserve(moving_.size());
+    // With room, since cuts add some vertices between any two steps.
+    const std::size_t most = moving_.size() + moving_.size() / 4;
+    if (moved_.capacity() < moving_.size()) moved_.reserve(most);
+    if (moved_positions_.capacity() < moving_.size()) moved_positions_.reserve(most);
   }
   const auto settle_some = [this](std::size_t first, std::size_t stop) {
     const std::size_t before = moved_.size();

@@ -74,7 +74,7 @@ class VertexMover {
   bool all_tets_ = false;         // the first round looks at all instead of at stars
   bool first_round_ = false;      // it meets every tetrahedron at a vertex that is wanted
   std::vector<TetId> to_check_;
-  std::vector<TetId> boundary_;  // of those: the ones on the boundary
+  std::vector<GridFollower::BoundaryTet> boundary_;  // of those: the ones on the boundary
   std::vector<VertexId> too_far_;
   std::uint32_t passed_over_ = 0;
   std::vector<VertexId> held_;
