@@ -21,7 +21,7 @@ namespace {
 using core::MeshData;
 
 // Part of the cache's key: increase it when the same options give a different mesh.
-constexpr std::string_view kFillVersion = "incise fill 2";
+constexpr std::string_view kFillVersion = "incise fill 3";
 // TetGen with q1.4 and a bound makes tetrahedra of about this share of the bound on average.
 constexpr double kMeanShareOfBound = 0.48;
 constexpr int kMaxRuns = 6;
@@ -145,7 +145,7 @@ std::string cache_key(const ClosedSurface& closed, const FillOptions& options) {
   return hash.hex();
 }
 
-// How many triangles the surface had, and how many it has after those that were too coarse were split; 0 where none were.
+// How many triangles the surface had, and how many it has after those that were too large were split; 0 where none were.
 struct SplitTriangles {
   std::uint64_t before = 0, after = 0;
 };
@@ -279,7 +279,7 @@ double off_target(const MeshData& mesh, std::size_t target) {
   return std::abs(static_cast<double>(mesh.tets.size()) / static_cast<double>(target) - 1.0);
 }
 
-// The length to which a coarse surface's edges are split: 1.5 edges of a regular tetrahedron of the wanted mean volume,
+// The length to which a surface's edges are split: 2 edges of a regular tetrahedron of the wanted mean volume,
 // but on a thin sheet no less than gives half as many triangles as tetrahedra.
 double split_length(const Surface& surface, double volume, double target) {
   double area = 0;
@@ -287,22 +287,25 @@ double split_length(const Surface& surface, double volume, double target) {
     const auto& p = surface.positions;
     area += 0.5 * length(cross(p[t[1]] - p[t[0]], p[t[2]] - p[t[0]]));
   }
-  const double of_tets = 1.5 * std::cbrt(6 * std::numbers::sqrt2 * volume / target);
+  const double of_tets = 2 * std::cbrt(6 * std::numbers::sqrt2 * volume / target);
   const double of_triangles = std::sqrt(4 / std::numbers::sqrt3 * area / (0.5 * target));
   return std::max(of_tets, of_triangles);
 }
 
 // Tunes the volume bound: the count is nearly inverse to it, unless the surface's own triangles need more.
-// Beside triangles much larger than the bound TetGen cannot add vertices, because Y forbids it to add them on
-// the surface: then those triangles are split.
+//
+// Triangles much larger than the wanted tetrahedra are split first: since Y forbids TetGen to add vertices on the surface, it would
+// put needles and slivers beneath them, and cuts that meet there come out worse.
 MeshData fill_to_target(const ClosedSurface& given, const std::string& file, const FillOptions& options,
                         SplitTriangles& split_triangles) {
   const auto target = static_cast<double>(options.target_tets);
   ClosedSurface closed = given;
+  split_long_edges(closed.surface, split_length(closed.surface, closed.volume, target));
+  if (closed.surface.triangles.size() > given.surface.triangles.size())
+    split_triangles = {given.surface.triangles.size(), closed.surface.triangles.size()};
   double bound = closed.volume / target / kMeanShareOfBound;
   MeshData best;
   double previous = 0;
-  bool split = false;
   FillOptions remaining = options;
   const auto start = std::chrono::steady_clock::now();
   for (int run = 0; run < kMaxRuns; ++run) {
@@ -317,17 +320,6 @@ MeshData fill_to_target(const ClosedSurface& given, const std::string& file, con
       best = std::move(mesh);
     }
     if (off_target(best, options.target_tets) <= options.target_tolerance) break;
-    if (!split && (count < 0.3 * target || (run > 0 && count < target && count < 1.1 * previous))) {
-      const std::size_t before = closed.surface.triangles.size();
-      split_long_edges(closed.surface, split_length(closed.surface, closed.volume, target));
-      split = true;
-      if (closed.surface.triangles.size() > before) {
-        split_triangles = {before, closed.surface.triangles.size()};
-        bound = closed.volume / target / kMeanShareOfBound;
-        previous = 0;
-        continue;
-      }
-    }
     // A larger bound that changed nothing: the surface alone makes this many.
     if (previous > 0 && count > target && count > 0.97 * previous) break;
     bound *= count / target;
@@ -358,9 +350,9 @@ Fill fill_surface(const ClosedSurface& closed, const std::string& file, const Fi
                       : checked_run(closed, file, options.tetgen_switches, options);
   }
   if (split.after > 0) {
-    warnings.push_back(file + ": the surface's " + std::to_string(split.before) +
-                       " triangles are too coarse for " + std::to_string(options.target_tets) +
-                       " tetrahedra: they are split into " + std::to_string(split.after));
+    warnings.push_back(file + ": triangles too large for " + std::to_string(options.target_tets) +
+                       " tetrahedra are split: the surface's " + std::to_string(split.before) + " become " +
+                       std::to_string(split.after));
   }
   if (tuned && off_target(fill.mesh, options.target_tets) > options.target_tolerance) {
     warnings.push_back(file + ": " + std::to_string(fill.mesh.tets.size()) + " tetrahedra instead of the " +

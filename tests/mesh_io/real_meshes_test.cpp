@@ -77,8 +77,10 @@ TEST_F(RealMeshes, SurfacesAreFilled) {
     options.fill.target_tets = 60'000;
     LoadedMesh loaded = load_mesh(real_meshes() / name, options);
     EXPECT_NEAR(static_cast<double>(loaded.mesh.tets.size()), 60'000, 0.25 * 60'000);
-    // The liver came without its materials.
-    std::erase_if(loaded.warnings, [](const std::string& w) { return w.find("mtllib") != w.npos; });
+    // The liver came without its materials, and some triangles are large.
+    std::erase_if(loaded.warnings, [](const std::string& w) {
+      return w.find("mtllib") != w.npos || w.find(" tetrahedra are split") != w.npos;
+    });
     EXPECT_EQ(core::validate(core::TetMesh(loaded.mesh)), "");
     EXPECT_TRUE(loaded.warnings.empty()) << loaded.warnings[0];
   }

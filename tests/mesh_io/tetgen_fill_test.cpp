@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <map>
 
@@ -71,18 +72,30 @@ TEST(TetgenFill, CubeIsFilledToTheTarget) {
 }
 
 // With Y TetGen adds no vertex to the surface, and next to large triangles none inside: they are split first.
-TEST(TetgenFill, CoarseSurfaceIsSplitOnlyWhereTheTargetNeedsIt) {
+TEST(TetgenFill, OnlyTrianglesTooLargeForTheTargetAreSplit) {
   std::vector<std::string> warnings;
   const Fill fine = fill_surface(closed(cube()), "FILE", uncached(5000), warnings);
   ASSERT_EQ(warnings.size(), 1u);
   EXPECT_SAYS(warnings[0],
-              "FILE: the surface's 12 triangles are too coarse for 5000 tetrahedra: they are split into ");
+              "FILE: triangles too large for 5000 tetrahedra are split: the surface's 12 become ");
   EXPECT_NEAR(volume_of(fine.mesh), 1, 1e-9);
   const Surface phantom = make_phantom_surface(PhantomKind::kSlab, 5000);
   warnings.clear();
   const Fill kept = fill_surface(closed(phantom), "FILE", uncached(5000), warnings);
   EXPECT_TRUE(warnings.empty()) << warnings[0];
   EXPECT_EQ(boundary_surface(kept.mesh.positions, kept.mesh.tets).triangles.size(), phantom.triangles.size());
+  // Twelve times as many would fit beneath these triangles as well, as slivers.
+  const Fill finer = fill_surface(closed(phantom), "FILE", uncached(60'000), warnings);
+  EXPECT_EQ(warnings.size(), 1u);
+  const Surface boundary = boundary_surface(finer.mesh.positions, finer.mesh.tets);
+  double longest = 0;
+  for (const auto& t : boundary.triangles) {
+    for (std::size_t i = 0; i < 3; ++i) {
+      const core::Vec3& a = boundary.positions[t[i]];
+      longest = std::max(longest, core::length(boundary.positions[t[(i + 1) % 3]] - a));
+    }
+  }
+  EXPECT_LT(longest, 2.01 * std::cbrt(6 * std::sqrt(2.0) * volume_of(finer.mesh) / 60'000));
 }
 
 TEST(TetgenFill, AnySizeOfBody) {
@@ -283,7 +296,7 @@ TEST_F(FillCache, SecondFillComesFromTheCache) {
   const ScopedVariable variable("INCISE_TETGEN", "/nowhere");  // the second needs no TetGen
   const Fill second = fill_surface(closed(cube()), "FILE", options_, warnings_again);
   ASSERT_FALSE(warnings.empty());
-  EXPECT_SAYS(warnings.front(), "triangles are too coarse for 2000 tetrahedra: they are split into");
+  EXPECT_SAYS(warnings.front(), "triangles too large for 2000 tetrahedra are split: the surface's ");
   EXPECT_EQ(warnings_again, warnings);
   EXPECT_FALSE(first.from_cache);
   EXPECT_TRUE(second.from_cache);
