@@ -322,6 +322,11 @@ TEST(MeetingFilms, StayWithANeighbour) {
   const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}};
   come_apart(between_cuts);
 }
+// Its two faces at the skin were taken for a rib that holds two parts: near the older cut it lay along, not near the stroke that just ended.
+TEST(MeetingFilms, HangByNoRib) {
+  const OnceWrong along_older_cut[] = {{"wound_1476", "crosses", 3}};
+  come_apart(along_older_cut);
+}
 TEST(MeetingFilms, StayUnderTheSkin) {
   for (const std::uint64_t seed : {1010, 1012}) {
     const Meeting meeting = random_meeting(mesh(), body().h, "starts_in", seed);

@@ -343,8 +343,11 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
-  if (gap.is_rib)
-    return is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) ? Part::kSmall : Part::kCrumb;
+  if (gap.is_rib) {
+    const bool is_part =
+        is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) && !is_film(cut_, extent, queue_);
+    return is_part ? Part::kSmall : Part::kCrumb;
+  }
   if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
                    : is_film(cut_, extent, queue_))
     return Part::kCrumb;
