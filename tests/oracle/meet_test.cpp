@@ -322,6 +322,11 @@ TEST(MeetingFilms, StayWithANeighbour) {
   const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}};
   come_apart(between_cuts);
 }
+// The first stroke takes off a splinter, which the second one shaves: what is left on either side of it hangs together.
+TEST(MeetingFilms, WhatWasAPartStaysOne) {
+  const OnceWrong shaved[] = {{"armadillo_3717", "along", 1004}};
+  come_apart(shaved);
+}
 // Its two faces at the skin were taken for a rib that holds two parts: near the older cut it lay along, not near the stroke that just ended.
 TEST(MeetingFilms, HangByNoRib) {
   const OnceWrong along_older_cut[] = {{"wound_1476", "crosses", 3}};
