@@ -90,7 +90,7 @@ struct Parts {
 class Judge {
  public:
   Judge(const Body& body, std::span<const Stroke> strokes, const core::TetMesh& mesh)
-      : body_(body), mesh_(mesh), h_(body.h) {
+      : body_(body), strokes_(strokes), mesh_(mesh), h_(body.h) {
     const double around = 2 * kMayClose_h * h_;
     const Vec3 margin{around, around, around};
     const Vec3 low = body.low - margin, high = body.high + margin;
@@ -113,21 +113,9 @@ class Judge {
   Verdict run() {
     report();
     label();
-    const double deep2 = kDeep_h * kDeep_h * h_ * h_;
-    Parts must, may;
-    must.lay_out(body_.grid, closed_, body_.inside);
-    must.compare(piece_at_, off2_, deep2, kThick_h * kThick_h * h_ * h_);
-    may.lay_out(body_.grid, may_close_, body_.inside);
-    may.compare(piece_at_, off2_, deep2, deep2);
-    find_joined(must);
+    find_joined(must_be_apart());
     find_torn();
-    // What hangs together by a neck that is thinner than what is closed may come apart there.
-    std::vector<std::uint8_t> wide(body_.grid.size());
-    for (std::size_t i = 0; i < wide.size(); ++i) wide[i] = body_.inside[i] && !is_in_gap(i);
-    Parts apart;
-    apart.lay_out(body_.grid, may_close_, wide);
-    apart.compare(piece_at_, off2_, deep2, deep2);
-    find_crumbs(must, may, apart);
+    find_crumbs();
     measure_deviation();
     return verdict_;
   }
@@ -249,12 +237,27 @@ class Judge {
     }
   }
 
-  // Pieces that are no part of the geometry, nor several together: less than half of its points lie in parts that have half of theirs, or
-  // of what is thick in them, in the piece.
-  void find_crumbs(const Parts& must, const Parts& may, const Parts& apart) {
-    std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
+  Parts must_be_apart() const {
+    Parts must;
+    must.lay_out(body_.grid, closed_, body_.inside);
+    must.compare(piece_at_, off2_, kDeep_h * kDeep_h * h_ * h_, kThick_h * kThick_h * h_ * h_);
+    return must;
+  }
+
+  // Which pieces are a part of the geometry, or several together: at least half of its points lie in parts that have half of theirs, or of
+  // what is thick in them, in the piece.
+  void find_parts(std::vector<std::uint8_t>& is_part) const {
+    const double deep2 = kDeep_h * kDeep_h * h_ * h_;
+    Parts may, apart;
+    may.lay_out(body_.grid, may_close_, body_.inside);
+    may.compare(piece_at_, off2_, deep2, deep2);
+    // What hangs together by a neck that is thinner than what is closed may come apart there.
+    std::vector<std::uint8_t> wide(body_.grid.size());
+    for (std::size_t i = 0; i < wide.size(); ++i) wide[i] = body_.inside[i] && !is_in_gap(i);
+    apart.lay_out(body_.grid, may_close_, wide);
+    apart.compare(piece_at_, off2_, deep2, deep2);
     const auto accept = [&](const Parts& parts, std::uint64_t least_thick) {
-      std::vector<std::uint64_t> points_of(piece_tets_.size(), 0), in_parts(piece_tets_.size(), 0);
+      std::vector<std::uint64_t> points_of(is_part.size(), 0), in_parts(is_part.size(), 0);
       for (const auto& [where, shared] : parts.in_piece) points_of[where.second] += shared.points;
       for (const auto& [where, shared] : parts.in_piece) {
         const auto [part, piece] = where;
@@ -267,12 +270,24 @@ class Judge {
         if (in_parts[piece] > 0 && 2 * in_parts[piece] >= points_of[piece]) is_part[piece] = 1;
       }
     };
-    accept(must, 1);
+    accept(must_be_apart(), 1);
     accept(may, 16);
     accept(apart, 16);
+  }
+
+  // Pieces that are no part of the geometry, neither of what all strokes have left nor of what the first ones had: that is a piece already when a
+  // later stroke shaves it.
+  void find_crumbs() {
+    std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
+    find_parts(is_part);
     // The largest is what is left of the body, wherever it was cut.
     is_part[static_cast<std::size_t>(std::max_element(piece_tets_.begin(), piece_tets_.end()) -
                                      piece_tets_.begin())] = 1;
+    for (std::size_t n = strokes_.size(); n-- > 1 && std::ranges::count(is_part, 0) > 0;) {
+      Judge earlier(body_, strokes_.first(n), mesh_);
+      earlier.label();
+      earlier.find_parts(is_part);
+    }
     for (std::size_t piece = 0; piece < piece_tets_.size(); ++piece) {
       if (is_part[piece]) continue;
       if (piece_tets_[piece] > kCrumb) {
@@ -338,6 +353,7 @@ class Judge {
   bool is_deep(std::size_t at) const { return off2_[at] > kDeep_h * kDeep_h * h_ * h_; }
 
   const Body& body_;
+  std::span<const Stroke> strokes_;
   const core::TetMesh& mesh_;
   const double h_;
   std::vector<SweptPart> surface_;

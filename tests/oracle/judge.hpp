@@ -19,7 +19,7 @@
 //   least kDeepVolume_h3 that is farther from every surface than kDeep_h.
 // - A part must stay connected if its connection runs through points farther than kNeck_h from every surface.
 //
-// A piece of the mesh that is no part of the geometry, or only one that is thinner than kThick_h, is a crumb (of kCrumb tetrahedra or fewer) or a fragment.
+// A piece of the mesh that is no part of the geometry after any of the strokes, or only one that is thinner than kThick_h, is a crumb (of kCrumb tetrahedra or fewer) or a fragment.
 namespace incise::oracle {
 
 inline constexpr double kClosed_h = 0.25;

@@ -262,6 +262,22 @@ TEST(MeetingTheSkin, SweepsThatBeginUnderASlantedWallReachIt) {
   come_apart(meetings);
 }
 
+// The skin was not straight ahead of the sweep's first or last line, but beside it: a strip of tissue, as long as the line, held the parts.
+TEST(MeetingTheSkin, SweepsThatBeginBesideItReachIt) {
+  const OnceWrong meetings[] = {
+      {"seed_1720", "lasso", 1018},   {"seed_1720", "nested", 20008}, {"seed_3234", "spiral", 20008},
+      {"seed_3234", "plunge", 20008}, {"bunny_27226", "halves", 1},   {"wound_1476", "plunge", 4},
+      {"wound_1476", "cone", 20008},
+  };
+  come_apart(meetings);
+}
+
+// A film that such a strip would have taken off.
+TEST(MeetingTheSkin, NothingThinIsTakenOffBesideASweep) {
+  const OnceWrong meetings[] = {{"seed_1720", "square", 20000}};
+  come_apart(meetings);
+}
+
 // A rib of tissue was left between the skin and a sweep that begins just under it. Both parts are larger than what is looked at while the
 // stroke goes on.
 TEST(MeetingTheSkin, NoRibHoldsLargePartsTogether) {
@@ -305,6 +321,16 @@ TEST(MeetingBends, AreFollowedInLargeElements) {
 TEST(MeetingFilms, StayWithANeighbour) {
   const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}};
   come_apart(between_cuts);
+}
+// The first stroke takes off a splinter, which the second one shaves: what is left on either side of it hangs together.
+TEST(MeetingFilms, WhatWasAPartStaysOne) {
+  const OnceWrong shaved[] = {{"armadillo_3717", "along", 1004}};
+  come_apart(shaved);
+}
+// Its two faces at the skin were taken for a rib that holds two parts: near the older cut it lay along, not near the stroke that just ended.
+TEST(MeetingFilms, HangByNoRib) {
+  const OnceWrong along_older_cut[] = {{"wound_1476", "crosses", 3}};
+  come_apart(along_older_cut);
 }
 TEST(MeetingFilms, StayUnderTheSkin) {
   for (const std::uint64_t seed : {1010, 1012}) {

@@ -196,6 +196,32 @@ TEST(Oracle, ATetrahedronCutOffIsACrumb) {
   EXPECT_EQ(v.small_crumbs, 1u);
 }
 
+// The first stroke takes off a plate of 0.4 h, and a second one runs through the middle of it: what is on either side of that is no
+// part, but what the first one took off was.
+TEST(Oracle, WhatALaterStrokeShavesIsNoCrumb) {
+  core::MeshData plate = cube();
+  const double at = 0.1 - 0.4 * body().h;
+  for (Vec3& p : plate.positions) {
+    if (std::abs(p.x - 0.09) < 1e-9) p.x = at;
+  }
+  const Body thin(plate);
+  core::TetMesh mesh(plate);
+  std::vector<core::HalfFace> faces;
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    for (int f = 0; f < 4; ++f) {
+      const core::TetId n = mesh.neighbor(t, f);
+      if (n != core::kNone && t < n && (mesh.barycentre(t).x > at) != (mesh.barycentre(n).x > at))
+        faces.push_back(core::half_face(t, f));
+    }
+  }
+  mesh.open_faces(faces);
+  const Stroke strokes[] = {plane_at(at), plane_at(0.5 * (at + 0.1))};
+  EXPECT_TRUE(judge(thin, std::span(strokes).first(1), mesh).right());
+  EXPECT_TRUE(judge(thin, strokes, mesh).right());
+  // The second stroke alone does not take it off there.
+  EXPECT_FALSE(judge(thin, std::span(strokes).last(1), mesh).right());
+}
+
 TEST(Oracle, PosesBecomeStrokes) {
   core::CutConfig config;
   std::vector<core::Pose> poses;

@@ -196,30 +196,55 @@ int ClosingStage::edges_at_boundary(HalfFace h) {
   return count;
 }
 
-// Whether all of a face's edges are at the boundary, and an older cut continues it beyond one of them: what that cut has left where it ends
-// at another one.
+// Whether all edges of a face, or of two that share one, are at the boundary, and an older cut continues it beyond one of them: what that
+// cut has left where it ends at another one.
 bool ClosingStage::is_hole(HalfFace h) {
   const auto v = mesh_.face_vertices(h);
-  if (!std::ranges::all_of(v, [this](VertexId w) { return cut_.workspace.vertices[w].surface != 0; }))
-    return false;
+  const auto was_swept = [this](VertexId w) { return cut_.workspace.vertices[w].surface != 0; };
+  if (!std::ranges::all_of(v, was_swept)) return false;
   bool continues = false;
+  HalfFace second = kNone;
   for (std::size_t k = 0; k < 3; ++k) {
-    const VertexId a = v[k], b = v[(k + 1) % 3];
-    mesh_.ring(tet_of(h), a, b, ring_);
-    cut_.work += cost::kNearby;
-    bool is_at_boundary = false;
-    for (TetId t : {ring_.front(), ring_.back()}) {
-      for (int f = 0; f < 4; ++f) {
-        const HalfFace other = half_face(t, f);
-        if (mesh_.opposite(other) != kNone || mesh_.vertices(t)[f] == a || mesh_.vertices(t)[f] == b)
-          continue;
-        is_at_boundary = true;
-        continues = continues || ((mesh_.cut_mask(t) >> f & 1) != 0 && lies_beyond(other, h, a, b));
-      }
-    }
-    if (!is_at_boundary) return false;
+    if (ends_at_boundary(h, v[k], v[(k + 1) % 3], continues)) continue;
+    if (second != kNone) return false;
+    second = face_beyond(h, v[k], v[(k + 1) % 3]);
+    if (second == kNone) return false;
   }
-  return continues;
+  if (second == kNone) return continues;
+  const auto w = mesh_.face_vertices(second);
+  if (!std::ranges::all_of(w, was_swept)) return false;
+  int ends = 0;
+  for (std::size_t k = 0; k < 3; ++k) ends += ends_at_boundary(second, w[k], w[(k + 1) % 3], continues);
+  return ends == 2 && continues;
+}
+
+// Whether a face's edge is at the boundary. `continues` becomes true where a cut goes on beyond it.
+bool ClosingStage::ends_at_boundary(HalfFace h, VertexId a, VertexId b, bool& continues) {
+  mesh_.ring(tet_of(h), a, b, ring_);
+  cut_.work += cost::kNearby;
+  bool ends = false;
+  for (TetId t : {ring_.front(), ring_.back()}) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace other = half_face(t, f);
+      if (mesh_.opposite(other) != kNone || mesh_.vertices(t)[f] == a || mesh_.vertices(t)[f] == b) continue;
+      ends = true;
+      continues = continues || ((mesh_.cut_mask(t) >> f & 1) != 0 && lies_beyond(other, h, a, b));
+    }
+  }
+  return ends;
+}
+
+// The face inside the tissue that goes on in the plane of another one beyond their edge, whose ring has just been walked; kNone: there is
+// none.
+HalfFace ClosingStage::face_beyond(HalfFace h, VertexId a, VertexId b) const {
+  for (TetId t : ring_) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace other = half_face(t, f);
+      if (mesh_.opposite(other) == kNone || mesh_.vertices(t)[f] == a || mesh_.vertices(t)[f] == b) continue;
+      if (other != h && mesh_.opposite(other) != h && lies_beyond(other, h, a, b)) return other;
+    }
+  }
+  return kNone;
 }
 
 // Whether a face goes on in the plane of another one beyond their edge, and is not folded back over it.
@@ -343,8 +368,11 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
-  if (gap.is_rib)
-    return is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) ? Part::kSmall : Part::kCrumb;
+  if (gap.is_rib) {
+    const bool is_part =
+        is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) && !is_film(cut_, extent, queue_);
+    return is_part ? Part::kSmall : Part::kCrumb;
+  }
   if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
                    : is_film(cut_, extent, queue_))
     return Part::kCrumb;

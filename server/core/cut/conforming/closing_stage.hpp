@@ -80,6 +80,8 @@ class ClosingStage {
   bool is_at_end(const Vec3& p);
   int edges_at_boundary(HalfFace h);
   bool is_hole(HalfFace h);
+  bool ends_at_boundary(HalfFace h, VertexId a, VertexId b, bool& continues);
+  HalfFace face_beyond(HalfFace h, VertexId a, VertexId b) const;
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, const Gap& gap);

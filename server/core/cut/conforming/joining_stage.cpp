@@ -30,6 +30,7 @@ void JoiningStage::clear() {
 void JoiningStage::begin(const Batch& batch) {
   parts_.clear();
   swept_.clear();
+  beside_.clear();
   next_ = next_end_ = walls_end_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
@@ -76,9 +77,32 @@ bool JoiningStage::advance(WorkBudget& budget) {
     ahead_at_end_m_ = wall_ahead(part.to, part.direction);
     // An edge of the body may be farther ahead than both.
     const double amid = wall_ahead(lerp(part.from, part.to, 0.5), part.direction);
-    extend(part.from, part.to, part.direction, std::max({at_from, amid, ahead_at_end_m_}));
+    const double ahead_m = std::max({at_from, amid, ahead_at_end_m_});
+    if (!follows) close_beside();
+    if (!part.aside) {
+      extend(part.from, part.to, part.direction, ahead_m);
+    } else if (ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h) {
+      beside_.push_back({next_ - 1, ahead_m});
+    } else {
+      close_beside();
+    }
   }
+  close_beside();
   return true;
+}
+
+// Closes what is left to the boundary beside the last parts. Where that is no longer than an element, it is a rib of a face or two, or the
+// tip of a splinter.
+void JoiningStage::close_beside() {
+  if (beside_.size() >= kLeastBeside) {
+    for (const Beside& beside : beside_) {
+      const Part& part = parts_[beside.part];
+      extend(part.from, part.to, part.direction, beside.ahead_m);
+    }
+    // What two of its sides take off is no lobe of the body as it grew.
+    cut_.meets_cut = true;
+  }
+  beside_.clear();
 }
 
 // Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.
@@ -182,8 +206,19 @@ void JoiningStage::archive(Archive& io) {
   });
 }
 
-// Lists the parts of a line at which the sweep ends, and would go on in that direction.
+// Lists a line at which the sweep ends, and would go on in that direction. Under a boundary that runs along the sweep, the way out is to
+// one of its sides.
 void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
+  const Vec3 aside = cross(direction, normalized(line.tip - line.heel));
+  list(line, direction, false);
+  // In a body that moves, that may be elsewhere by the time the blade has left.
+  if (mesh_.deformed()) return;
+  list(line, aside, true);
+  list(line, -aside, true);
+}
+
+// Lists its parts that are near the tissue.
+void JoiningStage::list(const BladeLine& line, const Vec3& direction, bool aside) {
   const int count = static_cast<int>(
       std::clamp(std::ceil(distance(line.heel, line.tip) / (kJoinPart_h * cut_.h)), 1.0, kMaxJoinParts));
   const auto at = [&](int i) {
@@ -198,12 +233,11 @@ void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
     if (std::max(a.x, b.x) < low.x || std::max(a.y, b.y) < low.y || std::max(a.z, b.z) < low.z ||
         std::min(a.x, b.x) > high.x || std::min(a.y, b.y) > high.y || std::min(a.z, b.z) > high.z)
       continue;
-    parts_.push_back({a, b, direction});
+    parts_.push_back({a, b, direction, aside});
   }
 }
 
-// The walls near the next parts, as far as these follow each other. An older cut, or the body's own boundary where this faces a blade that moves
-// in that direction: not where the blade enters the body.
+// The walls near the next parts, as far as these follow each other.
 void JoiningStage::gather_walls() {
   walls_.clear();
   const Part& first = parts_[next_];
@@ -231,10 +265,16 @@ void JoiningStage::gather_walls() {
       if (!wall.is_within(reach, low, high)) continue;
       wall.normal = mesh_.twice_area(half_face(t, f));
       wall.facing = std::abs(dot(wall.normal, first.direction)) / length(wall.normal);
-      const bool cut = (mesh_.cut_mask(t) >> f & 1) != 0;
-      if (cut || wall.facing >= kCosFacing) walls_.push_back(wall);
+      if (is_ahead(wall, (mesh_.cut_mask(t) >> f & 1) != 0, first)) walls_.push_back(wall);
     }
   });
+}
+
+// An older cut, or the body's own boundary where this faces a blade that moves in that direction: not where the blade enters the body.
+// Beside the sweep, the boundary alone counts, from inside: along an older cut the sweep is one with it.
+bool JoiningStage::is_ahead(const Wall& wall, bool is_cut, const Part& part) const {
+  if (!part.aside) return is_cut || wall.facing >= kCosFacing;
+  return !is_cut && wall.facing >= kCosFacing && dot(wall.normal, part.direction) > 0;
 }
 
 // How far ahead of p a wall is. Less than 0 where p is beyond it, -infinity where there is none within reach. The stroke's own faces open farther

@@ -10,8 +10,8 @@
 namespace incise::core {
 
 // Continues sweeps so that they meet: what is nearer than a quarter of an element is one. A sweep that begins or ends near an older
-// cut, or before the body's boundary, goes on until it is through. Where an older one ended near what is swept now, its last
-// strip is part of what is swept, and goes on likewise.
+// cut, or before the body's boundary, goes on until it is through; to either side, where the boundary beside it is near. Where an older one
+// ended near what is swept now, its last strip is part of what is swept, and goes on likewise.
 class JoiningStage {
  public:
   explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh), gathered_(cut.workspace) {}
@@ -27,6 +27,7 @@ class JoiningStage {
   // A part of a line at which the sweep begins or ends, and where it would go on from there.
   struct Part {
     Vec3 from, to, direction;
+    bool aside;  // to the boundary beside the sweep, not straight ahead
     // Whether the other one begins where this ends.
     bool precedes(const Part& other) const { return to == other.from && direction == other.direction; }
   };
@@ -46,7 +47,13 @@ class JoiningStage {
   struct Triangle {
     Vec3 a, b, c;
   };
+  // A part of a line with the boundary beside it, so far away.
+  struct Beside {
+    std::size_t part;
+    double ahead_m;
+  };
   void list(const BladeLine& line, const Vec3& direction);
+  void list(const BladeLine& line, const Vec3& direction, bool aside);
   void begin_strip(const BladeLine& line);
   void follow_strip(const BladeLine& line);
   void end_strip(const BladeLine& line);
@@ -56,6 +63,8 @@ class JoiningStage {
   void gather_walls();
   double wall_ahead(const Vec3& p, const Vec3& direction) const;
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
+  bool is_ahead(const Wall& wall, bool is_cut, const Part& part) const;
+  void close_beside();
   void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
 
   CutContext& cut_;
@@ -67,6 +76,7 @@ class JoiningStage {
   double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
+  std::vector<Beside> beside_;   // the last parts, that follow each other
   std::size_t next_ = 0, next_end_ = 0;
   std::vector<Wall> walls_;  // near the parts before walls_end_
   std::size_t walls_end_ = 0;
