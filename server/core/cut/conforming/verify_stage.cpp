@@ -6,12 +6,12 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void VerifyStage::begin(int round) {
+void VerifyStage::begin(bool first) {
   next_ = 0;
   active_.begin_scan();
   crossings_.begin_collection();
   first_found_ = crossings_.size();
-  if (round > 0) return;
+  if (!first) return;
   clear_.begin();
   clear_edges_.begin(clear_.serial());
 }

@@ -22,8 +22,8 @@ class VerifyStage {
         clear_(cut.workspace),
         clear_edges_(cut.workspace) {}
 
-  // `round`: counts the verifications of a batch from 0.
-  void begin(int round);
+  // `first`: of a batch. Later ones look only at what has changed since, also after chords were split.
+  void begin(bool first);
   // True: done; false: the budget is spent.
   bool advance(WorkBudget& budget);
   // Whether there are any.
