@@ -67,6 +67,8 @@ class JoiningStage {
   double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
+  BladeLine first_line_;         // where the batch begins ...
+  double farthest_m_ = 0;        // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::vector<Wall> walls_;  // near the parts before walls_end_
   std::size_t walls_end_ = 0;
