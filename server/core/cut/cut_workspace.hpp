@@ -25,7 +25,7 @@ struct CutWorkspace {
     std::uint32_t crossings = 0;       // the collection that first_crossing belongs to
     std::uint32_t looked_at = 0;       // the last scan that came by (ActiveSet, ClosingStage)
     std::uint32_t tried = 0;           // the repairs in which moving it, as its star is now, was of no use
-    std::uint32_t moves = 0;           // how often a blade has moved it (ClearEdges)
+    std::uint32_t moves = 0;           // how often a blade has moved it (SeenEdges)
     bool hot = false;                  // in ActiveSet's scan: it is near the blade
   };
   struct TetMarks {

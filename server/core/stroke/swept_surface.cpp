@@ -111,6 +111,19 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   return found;
 }
 
+bool SweptSurface::is_within(const Vec3& p, double reach) const {
+  double left = reach * reach;
+  bool found = false;
+  all_.each_near(p, left, [&](std::uint32_t i) {
+    const SweptTriangle& s = triangles_[i];
+    const double plane = s.signed_distance(p);
+    if (found || plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
+    found = true;
+    left = -1;  // nothing is as near
+  });
+  return found;
+}
+
 void SweptSurface::archive(Archive& io) {
   if (io.reads()) built_ = 0;
   io.list(triangles_, 253, [&](SweptTriangle& t) {

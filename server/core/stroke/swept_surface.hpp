@@ -52,11 +52,7 @@ class SweptSurface {
   // nothing is within reach.
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
   // Whether there is one.
-  bool is_within(const Vec3& p, double reach) const {
-    Vec3 point;
-    std::uint32_t triangle;
-    return closest(p, reach, point, triangle);
-  }
+  bool is_within(const Vec3& p, double reach) const;
   // A point of the surface straight above or below p, within `reach`: on the triangle that is passed in where p is
   // over that, else the closest point of all.
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;

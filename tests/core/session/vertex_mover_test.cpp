@@ -533,7 +533,7 @@ TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
     moved.push_back(v);
     positions.push_back(targets.back());
   }
-  const std::vector<TetId> boundary;  // not needed for a new grid
+  const std::vector<GridFollower::BoundaryTet> boundary;  // not needed for a new grid
   const GridFollower::Step step{moved, positions, targets, boundary};
   follower.begin();
   for (const Vec3& target : positions) follower.look_at(target);

@@ -11,6 +11,24 @@ namespace incise::core {
 
 using namespace tolerance;
 
+namespace {
+
+// Of tetrahedra that the faces around them, open or about to open, part from all others.
+Extent extent_of(const CutContext& cut, std::span<const TetId> tets) {
+  Extent extent;
+  for (TetId t : tets) {
+    cut.work += cost::kLook;
+    extent.volume_m3 += cut.mesh.volume(t);
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace h = half_face(t, f), o = cut.mesh.opposite(h);
+      if (o == kNone || cut.is_pending(o)) extent.add_face(cut.mesh, h);
+    }
+  }
+  return extent;
+}
+
+}  // namespace
+
 void ClosingStage::begin(std::span<const HalfFace> opened) {
   around_.clear();
   const std::uint32_t scan = cut_.workspace.next_serial();
@@ -351,22 +369,17 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
-  Extent extent;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
-    const TetId t = queue_[i];
     cut_.work += cost::kLook;
-    extent.volume_m3 += mesh_.volume(t);
     for (int f = 0; f < 4; ++f) {
-      const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
-      if (o == kNone || cut_.is_pending(o)) {
-        extent.add_face(mesh_, h);
-        continue;
-      }
+      const HalfFace o = mesh_.opposite(half_face(queue_[i], f));
+      if (o == kNone || cut_.is_pending(o)) continue;
       if (tet_of(o) == other) return Part::kHangsTogether;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
     if (queue_.size() > kMaxWay) return Part::kLarge;
   }
+  const Extent extent = extent_of(cut_, queue_);
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
   if (gap.is_rib) {
     const bool is_part =

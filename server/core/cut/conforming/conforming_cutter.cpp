@@ -82,7 +82,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         break;
       case Stage::kRepair:
         if (!repair_.advance(budget)) break;
-        verify_.begin(round_);
+        verify_.begin(round_ == 0 && refinements_ == 0);
         stage_ = Stage::kVerify;
         break;
       case Stage::kVerify:
@@ -102,7 +102,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         if (opening_.refined()) {
           ++refinements_;
           round_ = 0;
-          verify_.begin(round_);
+          verify_.begin(false);
           stage_ = Stage::kVerify;
           break;
         }

@@ -34,6 +34,8 @@ void JoiningStage::begin(const Batch& batch) {
   next_ = next_end_ = walls_end_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
+  first_line_ = batch.lines.front();
+  farthest_m_ = 0;
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
     const Vec3 direction = direction_of(from, to);
@@ -51,6 +53,9 @@ void JoiningStage::begin(const Batch& batch) {
       swept_.push_back({from.heel, from.tip, to.tip});
       swept_.push_back({from.heel, to.tip, to.heel});
       for (const Vec3& p : {from.heel, from.tip, to.heel, to.tip}) core::extend(p, low_, high_);
+      for (const BladeLine& line : {from, to})
+        farthest_m_ = std::max(
+            {farthest_m_, distance(line.heel, first_line_.heel), distance(line.tip, first_line_.tip)});
     }
     direction_ = direction;
   }
@@ -183,6 +188,9 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
 // Whether what is swept now comes near p, and how far ahead that is, at most.
 bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const {
   const double reach = kJoinReach_h * cut_.h;
+  // All that is swept lies near the line where it begins, and most ends of sweeps do not.
+  const double far = reach + farthest_m_ + cut_.clear_m;
+  if (squared_distance_to_segment(p, first_line_.heel, first_line_.tip) > far * far) return false;
   bool near = false;
   for (const Triangle& t : swept_) {
     cut_.work += cost::kLook;

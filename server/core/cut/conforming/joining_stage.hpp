@@ -77,6 +77,8 @@ class JoiningStage {
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
   std::vector<Beside> beside_;   // the last parts, that follow each other
+  BladeLine first_line_;         // where the batch begins ...
+  double farthest_m_ = 0;        // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::vector<Wall> walls_;  // near the parts before walls_end_
   std::size_t walls_end_ = 0;

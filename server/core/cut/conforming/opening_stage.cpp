@@ -166,19 +166,32 @@ OpeningStage::Way OpeningStage::separates(HalfFace h) const {
     off += mesh_.position(v);
     ++off_count;
   }
-  const auto crossed = [this](const Vec3& p, const Vec3& q) {
-    std::uint32_t triangle;
-    double t;
-    return cut_.find_crossing(p, false, q, false, triangle, t);
-  };
   const Vec3 from = reference_point(cut_, a), to = reference_point(cut_, b);
   if (off_count > 0) {
     const Vec3 by = (1.0 / off_count) * off;
-    return crossed(from, by) || crossed(by, to) ? Way::kCrossedAside : Way::kFree;
+    return way_along({from, by, by, to});
   }
-  const Vec3 near_a = lerp(middle, from, kPass), near_b = lerp(middle, to, kPass);
-  if (crossed(near_a, near_b)) return Way::kCrossedHere;
-  return crossed(from, near_a) || crossed(near_b, to) ? Way::kCrossedAside : Way::kFree;
+  return way_along({from, lerp(middle, from, kPass), lerp(middle, to, kPass), to});
+}
+
+// Where the surface crosses a way of three parts: in the middle one, if it does so there. All are looked at together.
+OpeningStage::Way OpeningStage::way_along(const std::array<Vec3, 4>& way) const {
+  bool here = false, aside = false;
+  const FourPoints points(way);
+  const double clear_m = cut_.clear_m;
+  cut_.work += cost::kFindCrossing;
+  cut_.surface().any_between(points, clear_m, [&](std::uint32_t i) {
+    const SweptTriangle& triangle = cut_.surface()[i];
+    double off[4], at;
+    points.along(triangle.normal, triangle.offset, off);
+    const auto crossed = [&](std::size_t k) {
+      return crosses(way[k], way[k + 1], off[k], off[k + 1], triangle, clear_m, at);
+    };
+    here = crossed(1);
+    aside = aside || crossed(0) || crossed(2);
+    return here;
+  });
+  return here ? Way::kCrossedHere : aside ? Way::kCrossedAside : Way::kFree;
 }
 
 bool OpeningStage::spare_islands(WorkBudget& budget) {

@@ -41,6 +41,7 @@ class OpeningStage {
   // Where the surface crosses the way from one side of a face to the other: close by the face's middle, farther from it, nowhere.
   enum class Way { kCrossedHere, kCrossedAside, kFree };
   Way separates(HalfFace h) const;
+  Way way_along(const std::array<Vec3, 4>& way) const;
   bool is_chord(HalfFace h) const;
   bool refine(WorkBudget& budget);
   void split_chord(const std::array<VertexId, 3>& face);

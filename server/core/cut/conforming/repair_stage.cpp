@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace incise::core {
 
@@ -28,9 +29,9 @@ void RepairStage::take_next() {
   const VertexId v = repaired_.vertex;
   cut_.work += cost::kLook;
   if (mesh_.vertex_tet(v) == kNone) return;
+  cut_.gather(star_, v);
   if (mesh_.is_new(v)) merge_near(v);
   if (mesh_.vertex_tet(v) == kNone) return;
-  cut_.gather(star_, v);
   poor_.clear();
   next_poor_ = 0;
   remedy_ = 0;
@@ -127,18 +128,22 @@ bool RepairStage::try_flips(TetId t) {
 void RepairStage::try_collapses(TetId t) {
   const auto vertices = mesh_.vertices(t);
   for (VertexId v : vertices) {
-    if (cut_.on_rim(v)) continue;
-    cut_.gather(star_, v);
+    if (std::ranges::none_of(vertices, [&](VertexId w) { return w != v && is_free_to_go(v, w); })) continue;
+    mesh_.star(v, corners_);
+    cut_.work.add(corners_.size(), cost::kStarCornersAUnit);
+    bool gathered = false;
     for (VertexId w : vertices) {
-      if (w != v && try_collapse(star_, t, v, w)) return;
+      if (w == v || !may_merge(v, w)) continue;
+      if (!std::exchange(gathered, true)) cut_.gather(star_, v);
+      if (try_collapse(star_, t, v, w)) return;
     }
   }
 }
 
 // A vertex that came from a split often has another one near on the surface, or the end of the edge that could not be
 // snapped: merging the two takes back the tetrahedra that the split cost.
+// star_ is its star before, and after where it is still there.
 void RepairStage::merge_near(VertexId v) {
-  cut_.gather(star_, v);
   struct Candidate {
     double length;
     VertexId vertex;
@@ -163,13 +168,40 @@ void RepairStage::merge_near(VertexId v) {
   }
   for (int i = 0; i < count; ++i) {
     if (!mesh_.alive(nearest[i].tet) || mesh_.local_index(nearest[i].tet, v) < 0) continue;
-    cut_.gather(other_star_, nearest[i].vertex);
-    if (try_collapse(other_star_, nearest[i].tet, nearest[i].vertex, v)) {
-      cut_.gather(star_, v);
-      continue;
+    if (is_free_to_go(nearest[i].vertex, v)) {
+      mesh_.star(nearest[i].vertex, corners_);
+      cut_.work.add(corners_.size(), cost::kStarCornersAUnit);
+      if (may_merge(nearest[i].vertex, v)) {
+        cut_.gather(other_star_, nearest[i].vertex);
+        if (try_collapse(other_star_, nearest[i].tet, nearest[i].vertex, v)) {
+          cut_.gather(star_, v);
+          continue;
+        }
+      }
     }
     if (try_collapse(star_, nearest[i].tet, v, nearest[i].vertex)) return;
   }
+}
+
+// Whether v is not bound to a place that w is not at.
+bool RepairStage::is_free_to_go(VertexId v, VertexId w) const {
+  return !cut_.on_rim(v) && (!cut_.on_surface(v) || cut_.on_surface(w));
+}
+
+// Whether v, around which corners_ are, is free to go to w, and its tetrahedra stay good there: what fails most merges, looked at before all
+// that these need is gathered.
+bool RepairStage::may_merge(VertexId v, VertexId w) const {
+  if (!is_free_to_go(v, w)) return false;
+  const Vec3& target = mesh_.position(w);
+  for (const Corner corner : corners_) {
+    const auto& vertices = mesh_.vertices(tet_of(corner));
+    const auto& others = kFaceVertices[index_of(corner)];
+    const VertexId a = vertices[others[0]], b = vertices[others[1]], c = vertices[others[2]];
+    if (a == w || b == w || c == w) continue;
+    cut_.work += cost::kLook;
+    if (worst_dihedral(target, mesh_.position(a), mesh_.position(b), mesh_.position(c)) > kGood) return false;
+  }
+  return true;
 }
 
 // Whether merging v into w, both on the surface, would make an edge cross it: that bends between them.
@@ -194,7 +226,7 @@ bool RepairStage::crosses_after(const VertexStar& star, VertexId v, VertexId w) 
 
 // Merges v, whose star that is, into w where v is free to go there and its star stays good.
 bool RepairStage::try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w) {
-  if (cut_.on_rim(v) || (cut_.on_surface(v) && !cut_.on_surface(w))) return false;
+  if (!is_free_to_go(v, w)) return false;
   const Vec3& target = mesh_.position(w);
   if (!star.keeps_boundary(target)) return false;
   for (std::size_t i = 0; i < star.corners().size(); ++i) {

@@ -39,6 +39,8 @@ class RepairStage {
   bool is_poor(TetId t) const;
   bool is_film(TetId t) const;
   void merge_near(VertexId v);
+  bool is_free_to_go(VertexId v, VertexId w) const;
+  bool may_merge(VertexId v, VertexId w) const;
   bool try_collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
   bool crosses_after(const VertexStar& star, VertexId v, VertexId w) const;
 
@@ -59,6 +61,7 @@ class RepairStage {
   int remedy_ = 0;
 
   VertexStar star_, other_star_;
+  std::vector<Corner> corners_;  // around the vertex that may_merge() asks about
 };
 
 }  // namespace incise::core

@@ -97,16 +97,18 @@ bool RimStage::handle(const Piercing& piercing) {
   for (VertexId v : nearest) {
     if (stands_for(v, piercing.point)) return false;
   }
-  for (const double limit : {kGood, kSnapFloor}) {
-    for (VertexId v : nearest) {
-      if (!cut_.on_rim(v) && put(v, piercing, limit)) return true;
-    }
+  bool fair[3] = {};
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (!cut_.on_rim(nearest[i]) && put(nearest[i], piercing, kGood, fair[i])) return true;
+  }
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (fair[i] && put(nearest[i], piercing, kSnapFloor, fair[i])) return true;
   }
   return cut_.config.prefer != Preference::kNoGrowth && split_for(piercing);
 }
 
-// Puts v on the rim near the place, if its star is not worse than `limit` there.
-bool RimStage::put(VertexId v, const Piercing& piercing, double limit) {
+// Puts v on the rim near the place, if its star is not worse than `limit` there. `fair`: it has come upon a place where kSnapFloor is kept.
+bool RimStage::put(VertexId v, const Piercing& piercing, double limit, bool& fair) {
   const Vec3 direction = normalized(piercing.to - piercing.from);
   const double length_m = distance(piercing.from, piercing.to);
   cut_.gather(star_, v);
@@ -117,7 +119,9 @@ bool RimStage::put(VertexId v, const Piercing& piercing, double limit) {
     const Vec3 target = piercing.from + std::clamp(along, 0.0, length_m) * direction;
     if (distance(target, star_.position()) > kRimReach_local * h) continue;
     if (!star_.keeps_boundary(target)) continue;
-    if (cut_.worst_at(star_, target, limit, kFlat_local * h, flat_) > limit) continue;
+    const double worst = cut_.worst_at(star_, target, kSnapFloor, kFlat_local * h, flat_);
+    fair = fair || worst <= kSnapFloor;
+    if (worst > limit) continue;
     editor_.snap_to_rim(star_, v, target);
     return true;
   }
@@ -143,7 +147,8 @@ bool RimStage::split_for(const Piercing& piercing) {
   }
   const TetId t = tet_of(piercing.side);
   if (cut_.worst_after_split(t, a, b, at, kSnapFloor) > kSnapFloor) return false;
-  put(editor_.split(t, a, b, at, MeshEditor::NewVertex::kNotYet), piercing, kSnapFloor);
+  bool fair = false;
+  put(editor_.split(t, a, b, at, MeshEditor::NewVertex::kNotYet), piercing, kSnapFloor, fair);
   return true;
 }
 

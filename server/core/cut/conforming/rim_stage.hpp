@@ -41,7 +41,7 @@ class RimStage {
   bool stands_for(VertexId v, const Vec3& point) const;
   bool is_listed(HalfFace other, const Vec3& from) const;
   bool handle(const Piercing& piercing);
-  bool put(VertexId v, const Piercing& piercing, double limit);
+  bool put(VertexId v, const Piercing& piercing, double limit, bool& fair);
   bool split_for(const Piercing& piercing);
 
   CutContext& cut_;

@@ -6,14 +6,15 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void VerifyStage::begin(int round) {
+void VerifyStage::begin(bool first) {
   next_ = 0;
   active_.begin_scan();
   crossings_.begin_collection();
   first_found_ = crossings_.size();
-  if (round > 0) return;
+  seen_.begin_round(cut_.workspace.next_serial());
+  if (!first) return;
   clear_.begin();
-  clear_edges_.begin(clear_.serial());
+  seen_.begin_batch(clear_.serial());
 }
 
 bool VerifyStage::advance(WorkBudget& budget) {
@@ -45,13 +46,12 @@ bool VerifyStage::collect_from(TetId t) {
   const auto& v = mesh_.vertices(t);
   for (const auto& edge : kEdgeVertices) {
     const VertexId a = v[edge[0]], b = v[edge[1]];
-    if (clear_edges_.has(a, b)) continue;
     if (cut_.on_surface(a) && cut_.on_surface(b)) continue;
-    if (collect_from(t, a, b)) {
-      clear_edges_.add(a, b);
-    } else {
-      clear = false;
-    }
+    const SeenEdges::Seen seen = seen_.look_up(a, b);
+    const bool edge_clear =
+        seen == SeenEdges::Seen::kNot ? collect_from(t, a, b) : seen == SeenEdges::Seen::kClear;
+    if (seen == SeenEdges::Seen::kNot) seen_.add(a, b, edge_clear);
+    clear = clear && edge_clear;
   }
   return clear;
 }

@@ -3,9 +3,9 @@
 #include <cstddef>
 
 #include "server/core/cut/conforming/active_set.hpp"
-#include "server/core/cut/conforming/clear_edges.hpp"
 #include "server/core/cut/conforming/crossings.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
+#include "server/core/cut/conforming/seen_edges.hpp"
 
 namespace incise::core {
 
@@ -20,10 +20,10 @@ class VerifyStage {
         crossings_(crossings),
         editor_(editor),
         clear_(cut.workspace),
-        clear_edges_(cut.workspace) {}
+        seen_(cut.workspace) {}
 
-  // `round`: counts the verifications of a batch from 0.
-  void begin(int round);
+  // `first`: of a batch. Later ones look only at what has changed since, also after chords were split.
+  void begin(bool first);
   // True: done; false: the budget is spent.
   bool advance(WorkBudget& budget);
   // Whether there are any.
@@ -43,7 +43,7 @@ class VerifyStage {
   std::size_t next_ = 0;         // in active_
   std::size_t first_found_ = 0;  // in crossings_
   TetPass clear_;                // tetrahedra without a crossing; MeshEditor takes out what it changes
-  ClearEdges clear_edges_;
+  SeenEdges seen_;
 };
 
 }  // namespace incise::core
