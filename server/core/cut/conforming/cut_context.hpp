@@ -95,7 +95,8 @@ struct CutContext {
   std::uint32_t oldest_batch = 0;  // of the path
   bool has_front = false;          // the stroke goes on: what is near the blade waits
   BladeLine front;                 // the blade now
-  bool meets_cut = false;          // the stroke's sweep has come upon a cut, older or its own, or upon the end of a sweep
+  // The stroke's sweep has come upon a cut, older or its own, or upon the end of a sweep, or leads to the boundary beside it.
+  bool meets_cut = false;
 
   CutCounts counts;
   mutable WorkMeter work;

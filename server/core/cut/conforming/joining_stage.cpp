@@ -217,10 +217,11 @@ void JoiningStage::archive(Archive& io) {
 // Lists a line at which the sweep ends, and would go on in that direction. Under a boundary that runs along the sweep, the way out is to
 // one of its sides.
 void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
-  const Vec3 aside = cross(direction, normalized(line.tip - line.heel));
   list(line, direction, false);
   // In a body that moves, that may be elsewhere by the time the blade has left.
   if (mesh_.deformed()) return;
+  // The direction is across the line before, from which this one may have turned.
+  const Vec3 aside = normalized(cross(direction, line.tip - line.heel));
   list(line, aside, true);
   list(line, -aside, true);
 }
