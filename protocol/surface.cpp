@@ -428,9 +428,7 @@ SurfaceChange SurfaceReplica::take_part(const SurfaceReplica& whole, const Box& 
                                         std::span<const std::uint32_t> moved) {
   SurfaceChange out;
   MoreUses more_uses;
-  // Most of those that a simulation moves are inside.
-  for (const std::uint32_t v : moved)
-    if (state_.vertices.contains(v)) more_uses.add(v);
+  for (const std::uint32_t v : moved) more_uses.add(v);
   for (const std::uint32_t id : triangles) {
     const Triangle* old = state_.triangles.find(id);
     const Triangle* now = whole.state_.triangles.find(id);

@@ -37,7 +37,7 @@ std::shared_ptr<PublishedDelta> DeltaPool::next_free() {
   const auto first = deltas_.begin();
   const auto few = first + static_cast<std::ptrdiff_t>(std::min(kFew, deltas_.size()));
   chosen_ = static_cast<std::size_t>(std::find_if(first, few, is_free) - first);
-  if (chosen_ == kFew) chosen_ = next_ < deltas_.size() ? next_ : kFew;
+  if (chosen_ == kFew) chosen_ = next_;
   if (chosen_ == deltas_.size() || !is_free(deltas_[chosen_])) {
     if (deltas_.size() >= most_) return nullptr;
     deltas_.insert(first + static_cast<std::ptrdiff_t>(chosen_), std::make_shared<PublishedDelta>());

@@ -113,9 +113,10 @@ class Judge {
   Verdict run() {
     report();
     label();
-    find_joined(must_be_apart());
+    const Parts must = must_be_apart();
+    find_joined(must);
     find_torn();
-    find_crumbs();
+    find_crumbs(must);
     measure_deviation();
     return verdict_;
   }
@@ -246,7 +247,7 @@ class Judge {
 
   // Which pieces are a part of the geometry, or several together: at least half of its points lie in parts that have half of theirs, or of
   // what is thick in them, in the piece.
-  void find_parts(std::vector<std::uint8_t>& is_part) const {
+  void find_parts(const Parts& must, std::vector<std::uint8_t>& is_part) const {
     const double deep2 = kDeep_h * kDeep_h * h_ * h_;
     Parts may, apart;
     may.lay_out(body_.grid, may_close_, body_.inside);
@@ -270,23 +271,23 @@ class Judge {
         if (in_parts[piece] > 0 && 2 * in_parts[piece] >= points_of[piece]) is_part[piece] = 1;
       }
     };
-    accept(must_be_apart(), 1);
+    accept(must, 1);
     accept(may, 16);
     accept(apart, 16);
   }
 
   // Pieces that are no part of the geometry, neither of what all strokes have left nor of what the first ones had: that is a piece already when a
   // later stroke shaves it.
-  void find_crumbs() {
+  void find_crumbs(const Parts& must) {
     std::vector<std::uint8_t> is_part(piece_tets_.size(), 0);
-    find_parts(is_part);
+    find_parts(must, is_part);
     // The largest is what is left of the body, wherever it was cut.
     is_part[static_cast<std::size_t>(std::max_element(piece_tets_.begin(), piece_tets_.end()) -
                                      piece_tets_.begin())] = 1;
     for (std::size_t n = strokes_.size(); n-- > 1 && std::ranges::count(is_part, 0) > 0;) {
       Judge earlier(body_, strokes_.first(n), mesh_);
       earlier.label();
-      earlier.find_parts(is_part);
+      earlier.find_parts(earlier.must_be_apart(), is_part);
     }
     for (std::size_t piece = 0; piece < piece_tets_.size(); ++piece) {
       if (is_part[piece]) continue;

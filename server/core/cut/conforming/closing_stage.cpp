@@ -183,7 +183,8 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) 
   const auto v = mesh_.face_vertices(h);
   const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
   rib = beside && !is_at_end(middle);
-  if (rib && (!near || edges_at_boundary(h) < 2)) return false;
+  bool continues = false;
+  if (rib && (!near || edges_at_boundary(h, continues) < 2)) return false;
   // Where the sweep runs along an older cut, what is between them is a film.
   if (rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
   for (VertexId w : v) {
@@ -194,23 +195,11 @@ bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) 
   return true;
 }
 
-// How many of a face's edges are at the boundary.
-int ClosingStage::edges_at_boundary(HalfFace h) {
+// How many of a face's edges are at the boundary. `continues` becomes true where a cut goes on beyond one of them.
+int ClosingStage::edges_at_boundary(HalfFace h, bool& continues) {
   const auto v = mesh_.face_vertices(h);
   int count = 0;
-  for (std::size_t k = 0; k < 3; ++k) {
-    const VertexId a = v[k], b = v[(k + 1) % 3];
-    mesh_.ring(tet_of(h), a, b, ring_);
-    cut_.work += cost::kNearby;
-    // A ring that is no circle begins and ends at the boundary.
-    const TetId t = ring_.front();
-    for (int f = 0; f < 4; ++f) {
-      const VertexId w = mesh_.vertices(t)[f];
-      if (w == a || w == b || mesh_.neighbor(t, f) != kNone) continue;
-      ++count;
-      break;
-    }
-  }
+  for (std::size_t k = 0; k < 3; ++k) count += ends_at_boundary(h, v[k], v[(k + 1) % 3], continues);
   return count;
 }
 
@@ -229,11 +218,8 @@ bool ClosingStage::is_hole(HalfFace h) {
     if (second == kNone) return false;
   }
   if (second == kNone) return continues;
-  const auto w = mesh_.face_vertices(second);
-  if (!std::ranges::all_of(w, was_swept)) return false;
-  int ends = 0;
-  for (std::size_t k = 0; k < 3; ++k) ends += ends_at_boundary(second, w[k], w[(k + 1) % 3], continues);
-  return ends == 2 && continues;
+  return std::ranges::all_of(mesh_.face_vertices(second), was_swept) &&
+         edges_at_boundary(second, continues) == 2 && continues;
 }
 
 // Whether a face's edge is at the boundary. `continues` becomes true where a cut goes on beyond it.

@@ -78,7 +78,7 @@ class ClosingStage {
   bool may_close(HalfFace h, double& off_m, bool& meets, bool& rib);
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
-  int edges_at_boundary(HalfFace h);
+  int edges_at_boundary(HalfFace h, bool& continues);
   bool is_hole(HalfFace h);
   bool ends_at_boundary(HalfFace h, VertexId a, VertexId b, bool& continues);
   HalfFace face_beyond(HalfFace h, VertexId a, VertexId b) const;
