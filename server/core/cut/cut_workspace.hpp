@@ -48,8 +48,8 @@ struct CutWorkspace {
   explicit CutWorkspace(const TetMesh& mesh) : CutWorkspace(mesh, BoundaryGrid(mesh)) {}
   // With the grid of a mesh that this one is a copy of.
   CutWorkspace(const TetMesh& mesh, BoundaryGrid its_grid) : grid(std::move(its_grid)) {
-    vertices.reserve(room_for(mesh.vertex_slots()));
-    tets.reserve(room_for(mesh.tet_slots()));
+    reserve_room(vertices, mesh.vertex_slots());
+    reserve_room(tets, mesh.tet_slots());
     held.reserve(kMaxHeld);
     ribs.reserve(kMaxRibs);
     grow(mesh);

@@ -8,6 +8,7 @@
 
 #include "server/core/geometry/vec3.hpp"
 #include "server/core/mesh/delta.hpp"
+#include "server/core/util/room.hpp"
 
 namespace incise::core {
 
@@ -23,7 +24,7 @@ class TetMesh;
 // is not noted is as it was. The cost is that of what is noted and of the stars that are searched, mostly one for each vertex.
 class BlendFinder {
  public:
-  void reserve(std::size_t vertices) { slot_of_.reserve(vertices); }
+  void reserve(std::size_t vertices) { reserve_room(slot_of_, vertices); }
   // Room for vertices below this.
   void grow(VertexId vertex_slots) { slot_of_.resize(vertex_slots, kNone); }
   // A vertex that existed before the step, as it was then. Once for each.

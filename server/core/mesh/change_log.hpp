@@ -9,6 +9,7 @@
 #include "server/core/mesh/delta.hpp"
 #include "server/core/util/archive.hpp"
 #include "server/core/util/id_set.hpp"
+#include "server/core/util/room.hpp"
 #include "server/core/util/work_budget.hpp"
 
 namespace incise::core {
@@ -21,11 +22,10 @@ class ChangeLog {
  public:
   // Ids below these exist; the rest of the step's ids are new.
   void begin_step(VertexId vertex_slots, TetId tet_slots);
-  void reserve(std::size_t vertices, std::size_t tets) {
+  void grow_to(std::size_t vertices, std::size_t tets) {
     finder_.reserve(vertices);
-    record_.reserve(tets);
+    core::grow_to(record_, tets);
   }
-  void resize(std::size_t tets) { record_.resize(tets, 0); }
 
   // Before a vertex is moved.
   void touch_vertex(const TetMesh& mesh, VertexId v) {

@@ -5,15 +5,14 @@
 #include <cstdint>
 #include <vector>
 
+#include "server/core/util/room.hpp"
+
 namespace incise::core {
 
 // Marks on the elements of an array that need no clearing: each question takes numbers that no element bears yet.
 class FreshMarks {
  public:
-  void grow_to(std::size_t capacity, std::size_t count) {
-    marks_.reserve(capacity);
-    marks_.resize(count, 0);
-  }
+  void grow_to(std::size_t count) { core::grow_to(marks_, count); }
   void push_back() { marks_.push_back(0); }
 
   // The first of `count` fresh numbers that follow each other. After 2^32 of them, some hours of cutting, all marks are wiped.

@@ -35,9 +35,9 @@ TetMesh::TetMesh(const MeshData& data) {
     throw MeshError("regions given for " + std::to_string(data.regions.size()) + " of " +
                     std::to_string(tet_count) + " tetrahedra");
   }
-  vertices_.reserve(room_for(vertex_count));
+  reserve_room(vertices_, vertex_count);
   for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
-  tets_.reserve(room_for(tet_count));
+  reserve_room(tets_, tet_count);
   grow_to(cut_masks_, tet_count);
   for (std::size_t t = 0; t < tet_count; ++t) {
     const auto& v = data.tets[t];
@@ -50,10 +50,9 @@ TetMesh::TetMesh(const MeshData& data) {
   has_regions_ = !regions_.empty();
 
   measure_edges();
-  vertex_marks_.grow_to(room_for(vertex_count), vertex_count);
-  tet_marks_.grow_to(room_for(tet_count), tet_count);
-  log_.reserve(room_for(vertex_count), room_for(tet_count));
-  log_.resize(tet_count);
+  vertex_marks_.grow_to(vertex_count);
+  tet_marks_.grow_to(tet_count);
+  log_.grow_to(vertex_count, tet_count);
   // Until the log begins its first step all is new to it, and nothing is recorded.
   if (data.opposite.empty()) {
     build_adjacency();
@@ -71,7 +70,7 @@ void TetMesh::take_regions(std::span<const std::int32_t> regions) {
   regions_.clear();
   region_ = regions.empty() ? 0 : regions[0];
   if (std::all_of(regions.begin(), regions.end(), [this](std::int32_t r) { return r == region_; })) return;
-  regions_.reserve(room_for(regions.size()));
+  reserve_room(regions_, regions.size());
   regions_.assign(regions.begin(), regions.end());
 }
 
@@ -87,10 +86,9 @@ TetMesh::TetMesh(const TetMesh& other)
       has_regions_(other.has_regions_),
       initial_vertex_copies_(other.initial_vertex_copies_),
       mean_edge_length_(other.mean_edge_length_) {
-  vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
-  tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
-  log_.reserve(room_for(vertices_.size()), room_for(tets_.size()));
-  log_.resize(tets_.size());
+  vertex_marks_.grow_to(vertices_.size());
+  tet_marks_.grow_to(tets_.size());
+  log_.grow_to(vertices_.size(), tets_.size());
   log_.begin_as(other.log_, vertex_slots(), tet_slots());
 }
 
@@ -143,7 +141,7 @@ void TetMesh::build_adjacency() {
 }
 
 void TetMesh::find_boundary() {
-  at_boundary_.reserve(room_for(vertices_.size()));
+  reserve_room(at_boundary_, vertices_.size());
   at_boundary_.assign(vertices_.size(), 0);
   for (HalfFace h = 0; h < 4 * tet_slots(); ++h) {
     if (!alive(tet_of(h)) || opposite(h) != kNone) continue;
@@ -224,10 +222,9 @@ void TetMesh::archive(Archive& io) {
   grow_to(tets_, tets_.size());
   grow_to(cut_masks_, tets_.size());
   find_boundary();
-  vertex_marks_.grow_to(room_for(vertices_.size()), vertices_.size());
-  tet_marks_.grow_to(room_for(tets_.size()), tets_.size());
-  log_.reserve(room_for(vertices_.size()), room_for(tets_.size()));
-  log_.resize(tets_.size());
+  vertex_marks_.grow_to(vertices_.size());
+  tet_marks_.grow_to(tets_.size());
+  log_.grow_to(vertices_.size(), tets_.size());
   log_.begin_step(vertex_slots(), tet_slots());
   const std::string problem = validate(*this, false);
   io.demand(problem.empty(), problem.c_str());

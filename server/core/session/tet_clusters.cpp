@@ -7,9 +7,9 @@
 namespace incise::core {
 
 TetClusters::TetClusters(const TetMesh& mesh) : mesh_(mesh) {
-  cluster_of_.reserve(room_for(mesh.tet_slots()));
+  reserve_room(cluster_of_, mesh.tet_slots());
   cluster_of_.resize(mesh.tet_slots(), kNone);
-  next_member_.reserve(room_for(mesh.tet_slots()));
+  reserve_room(next_member_, mesh.tet_slots());
   next_member_.resize(mesh.tet_slots(), kNone);
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (mesh.alive(t) && !has(t)) form({t, 0});

@@ -7,7 +7,7 @@ namespace {
 
 TEST(FreshMarks, NoElementBearsAFreshNumber) {
   FreshMarks marks;
-  marks.grow_to(8, 3);
+  marks.grow_to(3);
   const std::uint32_t first = marks.fresh();
   for (std::size_t i = 0; i < 3; ++i) EXPECT_NE(marks[i], first);
   marks[1] = first;
@@ -22,7 +22,7 @@ TEST(FreshMarks, NoElementBearsAFreshNumber) {
 // Numbers run out after hours: then marks are wiped, or an old one would pass for a new one.
 TEST(FreshMarks, WipesMarksWhereNumbersRunOut) {
   FreshMarks marks;
-  marks.grow_to(2, 2);
+  marks.grow_to(2);
   const std::uint32_t early = marks.fresh();
   marks[0] = early;
   marks.fresh(UINT32_MAX - early - 1);
