@@ -355,6 +355,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
+  inner_ = counted_ = 0;
   for (std::size_t i = 0; i < queue_.size(); ++i) {
     cut_.work += cost::kLook;
     for (int f = 0; f < 4; ++f) {
@@ -363,7 +364,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
       if (tet_of(o) == other) return Part::kHangsTogether;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
-    if (queue_.size() > kMaxWay) return Part::kLarge;
+    if (queue_.size() > kMaxWay && !grows_as_film(i)) return Part::kLarge;
   }
   const Extent extent = extent_of(cut_, queue_);
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
@@ -377,6 +378,12 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     return Part::kCrumb;
   const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
+}
+
+// Whether what part_of() has followed as far as its i-th tetrahedron may be a film, which has no larger part of the tissue behind it.
+bool ClosingStage::grows_as_film(std::size_t i) {
+  for (; counted_ <= i; ++counted_) inner_ += may_be_film(cut_, queue_[counted_]) ? 0 : 1;
+  return queue_.size() <= kMaxSheetIsland && may_be_film(inner_, counted_);
 }
 
 bool ClosingStage::open(WorkBudget& budget) {

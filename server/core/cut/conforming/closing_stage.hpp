@@ -85,6 +85,7 @@ class ClosingStage {
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, const Gap& gap);
+  bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
@@ -99,11 +100,12 @@ class ClosingStage {
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
-  std::vector<HalfFace> faces_;  // to open
-  std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
-  TetPass pass_;                 // whose faces have been considered; then what part_of() has reached
-  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;     // of part_of()
+  std::vector<HalfFace> faces_;          // to open
+  std::vector<Gap> doubtful_;            // between two large parts, when the stroke ends
+  TetPass pass_;                         // whose faces have been considered; then what part_of() has reached
+  std::uint32_t nearest_ = 0;            // the surface's triangle that is_near() has found
+  std::vector<TetId> queue_;             // of part_of()
+  std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
   std::vector<Waiting> waited_;         // scratch
   std::vector<TetId> ring_;             // scratch

@@ -147,11 +147,11 @@ bool Islands::is_island(TetId first) {
         members_.push_back(n);
       }
     }
-    const bool film = inner <= members_.size() / kFilmToInner;
+    const bool film = may_be_film(inner, members_.size());
     if (members_.size() > (thin || film ? kMaxSheetIsland : kMaxRaggedIsland)) return false;
   }
   const bool ragged = !clean && members_.size() <= kMaxRaggedIsland;
-  const bool film = inner <= members_.size() / kFilmToInner;
+  const bool film = may_be_film(inner, members_.size());
   return ragged || thin || (film && is_film(cut_, extent, members_));
 }
 
@@ -211,7 +211,7 @@ bool Islands::is_above(HalfFace h) const {
 bool Islands::stands_clear(HalfFace h) const {
   if (!cut_.face_on_surface(h) || mesh_.cut_mask(tet_of(h)) != 0) return false;
   const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
-  if (cut_.on_surface(apex)) return false;
+  if (cut_.on_surface(apex) || mesh_.at_boundary(apex)) return false;
   for (int f = 0; f < 4; ++f) {
     if (is_ragged(half_face(tet_of(h), f))) return false;
   }

@@ -18,6 +18,12 @@ bool is_shallow(const CutContext& cut, TetId t, double reach);
 // Whether it may be part of a film: none of it is inside the tissue.
 bool may_be_film(const CutContext& cut, TetId t);
 
+// Whether `count` tetrahedra of which `inner` reach into the tissue may be a film, or a part of one.
+inline bool may_be_film(std::size_t inner, std::size_t count) {
+  return inner <=
+         count / tolerance::kFilmToInner + (count > tolerance::kMaxRaggedIsland ? tolerance::kFilmInner : 0);
+}
+
 // The size of some tetrahedra that hang together, by which a film is told from a part of the tissue.
 struct Extent {
   double volume_m3 = 0, area_m2 = 0, cut_area_m2 = 0;

@@ -145,9 +145,10 @@ bool MeshEditor::film_hangs_by(TetId t, TetId n) {
   film_pass_.add(t);
   film_pass_.add(n);
   Extent extent;
+  std::size_t inner = 0;
   for (std::size_t i = 0; i < film_.size(); ++i) {
     cut_.work += cost::kLook;
-    if (!may_be_film(cut_, film_[i])) return false;
+    inner += may_be_film(cut_, film_[i]) ? 0 : 1;
     extent.volume_m3 += mesh_.volume(film_[i]);
     for (int f = 0; f < 4; ++f) {
       const HalfFace h = half_face(film_[i], f), o = mesh_.opposite(h);
@@ -157,12 +158,18 @@ bool MeshEditor::film_hangs_by(TetId t, TetId n) {
         film_.push_back(tet_of(o));
       }
     }
-    if (film_.size() > kMaxSheetIsland) return false;
+    if (film_.size() > kMaxSheetIsland || (i >= kMaxRaggedIsland && !may_be_film(inner, i + 1))) return false;
   }
-  return film_.size() > kMaxRaggedIsland && extent.volume_m3 <= extent.film_m3(cut_.h);
+  if (!may_be_film(inner, film_.size()) || extent.volume_m3 > extent.film_m3(cut_.h)) return false;
+  return film_.size() > kMaxRaggedIsland || !is_crumb(film_);
 }
 
-// What hung by a flat tetrahedron alone, and is near the surface like it, goes with it.
+// Whether all of them are near the surface, like a flat tetrahedron.
+bool MeshEditor::is_crumb(std::span<const TetId> tets) const {
+  return std::ranges::all_of(tets, [this](TetId t) { return is_shallow(cut_, t, kShallow_h * cut_.h); });
+}
+
+// What hung by a flat tetrahedron alone goes with it.
 void MeshEditor::remove_crumb(TetId t) {
   crumb_.assign(1, t);
   for (std::size_t i = 0; i < crumb_.size(); ++i) {
@@ -172,7 +179,7 @@ void MeshEditor::remove_crumb(TetId t) {
       const TetId n = mesh_.neighbor(crumb_[i], f);
       if (n != kNone && std::ranges::find(crumb_, n) == crumb_.end()) crumb_.push_back(n);
     }
-    if (crumb_.size() > kMaxRaggedIsland) return;
+    if (crumb_.size() > kMaxCrumb) return;
   }
   for (TetId c : crumb_) mesh_.remove_tet(c);
   cut_.counts.removed_tets += static_cast<std::uint32_t>(crumb_.size());

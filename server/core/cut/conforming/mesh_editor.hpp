@@ -80,6 +80,7 @@ class MeshEditor {
   }
   void judge_again(const VertexStar& star, VertexId v);
   bool film_hangs_by(TetId t, TetId n);
+  bool is_crumb(std::span<const TetId> tets) const;
   void remove_crumb(TetId t);
   void account(HalfFace h);
 

@@ -70,7 +70,8 @@ void RepairStage::improve() {
       done = try_flips(t);
     } else {
       try_collapses(t);
-      if (is_poor(t) && is_film(t)) editor_.remove_film(t);
+      const double kept = cut_.meets_cut ? kSnapFloor : kFilmKept;
+      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kept && is_film(t)) editor_.remove_film(t);
       done = true;
     }
   }

@@ -152,7 +152,9 @@ inline constexpr double kSearchReach_local = 0.2;
 
 // A vertex that is moved within the surface has to be this near to it.
 inline constexpr double kMoveOff_h = 0.01;
-// A tetrahedron with all vertices on the surface, this thin (local) and this near to it (h), is a film and is removed.
+// A tetrahedron with all vertices on the surface, this thin (local) and this near to it (h), is a film. One that is no worse than kFilmKept is
+// kept for the volume that it holds; than kSnapFloor, where the sweep has come upon a cut: there are many.
+inline constexpr double kFilmKept = dihedral_measure(0.9961946981);  // 5 degrees
 inline constexpr double kFilm_local = 0.06, kFilmOff_h = 0.06;
 // A vertex whose star stays poor is repaired this often again, after all others.
 inline constexpr int kMaxRepeats = 2;
@@ -184,10 +186,12 @@ inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
 // And where the sweep is alone if none of it reaches farther than kFilmReach_h.
 inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09, kFilmReach_h = 0.42;
-// One in so many of a film's tetrahedra may have a vertex inside it.
-inline constexpr std::size_t kFilmToInner = 8;
-// What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this.
+// One in so many of a film's tetrahedra may have a vertex inside it, and so many besides in a film larger than kMaxRaggedIsland.
+inline constexpr std::size_t kFilmToInner = 8, kFilmInner = 16;
+// What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this, and it has
+// no more than so many.
 inline constexpr double kShallow_h = 0.125;
+inline constexpr std::size_t kMaxCrumb = 64;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
 inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 1000;
 // How many tetrahedra around one of these neighbours are looked at for the others.
