@@ -277,6 +277,10 @@ bool ClosingStage::is_near(const Vec3& p, double& off_m) {
   cut_.work += cost::kNearby;
   nearest_ = 0;
   if (!cut_.surface().closest(p, kOne_h * cut_.h, closest, nearest_)) return false;
+  // What leads on to a wall may end beyond it, in the air.
+  if ((cut_.surface()[nearest_].rim & SweptTriangle::kContinues) != 0 &&
+      !cut_.surface().was_swept_within(p, kFarGap_h * cut_.h))
+    return false;
   off_m = std::max(off_m, distance(p, closest));
   return true;
 }
