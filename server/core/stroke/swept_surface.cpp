@@ -51,8 +51,8 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
   add(add, 0, rows, 0, columns);
 }
 
-void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d,
-                             std::uint32_t batch, bool continues) {
+void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,
+                             bool continues) {
   SweptTriangle triangle;
   triangle.batch = batch;
   triangle.rim = continues ? SweptTriangle::kContinues : 0;
@@ -112,7 +112,9 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   return found;
 }
 
-bool SweptSurface::is_within(const Vec3& p, double reach) const { return is_within(p, reach, 0); }
+bool SweptSurface::is_within(const Vec3& p, double reach) const {
+  return is_within(p, reach, 0);
+}
 
 bool SweptSurface::was_swept_within(const Vec3& p, double reach) const {
   return is_within(p, reach, SweptTriangle::kContinues);
