@@ -321,11 +321,10 @@ TEST(MeetingTheSkin, AllThatWasHeldIsJudgedAgain) {
 
 // In elements as large as the loop, faces with all vertices on the sweep were chords of it.
 TEST(MeetingBends, AreFollowedInLargeElements) {
-  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},
-                                {"wound_1476", "cone", 1006},
-                                {"wound_1476", "cone", 1009},
-                                {"wound_1476", "spiral", 1002},
-                                {"bunny_27226", "cone", 2}};
+  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},   {"wound_1476", "cone", 1006},
+                                {"wound_1476", "cone", 1009},   {"wound_1476", "cone", 20005},
+                                {"wound_1476", "cone", 40002},  {"wound_1476", "polygon", 40003},
+                                {"wound_1476", "spiral", 1002}, {"bunny_27226", "cone", 2}};
   come_apart(meetings);
 }
 
