@@ -217,13 +217,13 @@ class Judge {
     }
   }
 
-  // What hangs together far from every surface, and lies in several pieces.
+  // What hangs together far from every surface, and not through a gap that may be closed, and lies in several pieces.
   void find_torn() {
     const double neck2 = kNeck_h * kNeck_h * h_ * h_;
     std::vector<std::uint8_t> wanted(body_.grid.size());
     for (std::size_t i = 0; i < wanted.size(); ++i) wanted[i] = body_.inside[i] && off2_[i] > neck2;
     Parts parts;
-    parts.lay_out(body_.grid, closed_, wanted);
+    parts.lay_out(body_.grid, may_close_, wanted);
     parts.compare(piece_at_, off2_, neck2);
     std::map<std::uint32_t, std::uint32_t> pieces;
     // A point or two may lie in a bump that the boundary's own vertices have slid over.

@@ -272,6 +272,13 @@ TEST(MeetingTheSkin, SweepsThatBeginBesideItReachIt) {
   come_apart(meetings);
 }
 
+// A face near the outer end of the strip that leads on to the skin, far off all that was swept, took a corner of the body off; the other one hangs
+// by no more than a gap that may be closed.
+TEST(MeetingTheSkin, NoCornerIsTakenOffBeyondASweepsEnd) {
+  const OnceWrong meetings[] = {{"seed_3234", "square", 3008}, {"seed_3234", "square", 3005}};
+  come_apart(meetings);
+}
+
 // A film that such a strip would have taken off.
 TEST(MeetingTheSkin, NothingThinIsTakenOffBesideASweep) {
   const OnceWrong meetings[] = {{"seed_1720", "square", 20000}};
@@ -306,20 +313,25 @@ TEST(MeetingTheSkin, NoRibHoldsPartsTogetherBesideASweep) {
   come_apart(meetings);
 }
 
+// More faces had to stay closed at first than were judged again when the stroke ended.
+TEST(MeetingTheSkin, AllThatWasHeldIsJudgedAgain) {
+  const OnceWrong meetings[] = {{"armadillo_3717", "ellipse", 20007}};
+  come_apart(meetings);
+}
+
 // In elements as large as the loop, faces with all vertices on the sweep were chords of it.
 TEST(MeetingBends, AreFollowedInLargeElements) {
-  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},
-                                {"wound_1476", "cone", 1006},
-                                {"wound_1476", "cone", 1009},
-                                {"wound_1476", "spiral", 1002},
-                                {"bunny_27226", "cone", 2}};
+  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},   {"wound_1476", "cone", 1006},
+                                {"wound_1476", "cone", 1009},   {"wound_1476", "cone", 20005},
+                                {"wound_1476", "cone", 40002},  {"wound_1476", "polygon", 40003},
+                                {"wound_1476", "spiral", 1002}, {"bunny_27226", "cone", 2}};
   come_apart(meetings);
 }
 
 // A film along a cut stays with a neighbour, whether it lies under the skin or beside an older cut, and though some of its tetrahedra
 // have a vertex inside it.
 TEST(MeetingFilms, StayWithANeighbour) {
-  const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}};
+  const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}, {"wound_1476", "starts_in", 40000}};
   come_apart(between_cuts);
 }
 // The first stroke takes off a splinter, which the second one shaves: what is left on either side of it hangs together.

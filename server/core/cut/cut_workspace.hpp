@@ -37,7 +37,7 @@ struct CutWorkspace {
   };
 
   // A face that may be the last one between two parts, but that had to stay closed: its sides still hung together near by.
-  static constexpr std::size_t kMaxHeld = 64, kMaxRibs = 256;
+  static constexpr std::size_t kMaxHeld = 256;
   struct HeldFace {
     HalfFace face;
     Vec3 middle;   // where it was: edits may have put another face in its place
@@ -51,7 +51,7 @@ struct CutWorkspace {
     reserve_room(vertices, mesh.vertex_slots());
     reserve_room(tets, mesh.tet_slots());
     held.reserve(kMaxHeld);
-    ribs.reserve(kMaxRibs);
+    ribs.reserve(kMaxHeld);
     grow(mesh);
   }
 
@@ -83,7 +83,7 @@ struct CutWorkspace {
       io.demand(list.size() <= most, "more held faces than are kept");
     };
     archive_held(held, kMaxHeld);
-    archive_held(ribs, kMaxRibs);
+    archive_held(ribs, kMaxHeld);
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);

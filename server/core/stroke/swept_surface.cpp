@@ -51,10 +51,11 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
   add(add, 0, rows, 0, columns);
 }
 
-void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d,
-                             std::uint32_t batch) {
+void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,
+                             bool continues) {
   SweptTriangle triangle;
   triangle.batch = batch;
+  triangle.rim = continues ? SweptTriangle::kContinues : 0;
   if (make_swept_triangle(a, b, c, triangle)) triangles_.push_back(triangle);
   if (make_swept_triangle(a, c, d, triangle)) triangles_.push_back(triangle);
 }
@@ -112,12 +113,21 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
 }
 
 bool SweptSurface::is_within(const Vec3& p, double reach) const {
+  return is_within(p, reach, 0);
+}
+
+bool SweptSurface::was_swept_within(const Vec3& p, double reach) const {
+  return is_within(p, reach, SweptTriangle::kContinues);
+}
+
+bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) const {
   double left = reach * reach;
   bool found = false;
   all_.each_near(p, left, [&](std::uint32_t i) {
     const SweptTriangle& s = triangles_[i];
+    if (found || (s.rim & without) != 0) return;
     const double plane = s.signed_distance(p);
-    if (found || plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
+    if (plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
     found = true;
     left = -1;  // nothing is as near
   });

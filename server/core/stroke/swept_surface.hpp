@@ -21,8 +21,9 @@ class SweptSurface {
   void add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns, std::uint32_t batch,
                 bool first, const Vec3& low = {-INFINITY, -INFINITY, -INFINITY},
                 const Vec3& high = {INFINITY, INFINITY, INFINITY});
-  // Adds the quad with these corners in turn, none of whose sides is a rim.
-  void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch);
+  // Adds the quad with these corners in turn, none of whose sides is a rim. `continues`: no blade has swept it.
+  void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,
+                 bool continues);
   // `latest`: the first triangle of the last batch.
   void build(std::size_t latest = SIZE_MAX);
   // Forgets all triangles of batches before `oldest`; returns how many. Call build() before the next query.
@@ -53,11 +54,16 @@ class SweptSurface {
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
   // Whether there is one.
   bool is_within(const Vec3& p, double reach) const;
+  // Whether there is one that a blade has swept.
+  bool was_swept_within(const Vec3& p, double reach) const;
   // A point of the surface straight above or below p, within `reach`: on the triangle that is passed in where p is
   // over that, else the closest point of all.
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
 
  private:
+  // Leaves out those with one of these bits in `rim`.
+  bool is_within(const Vec3& p, double reach, std::uint8_t without) const;
+
   std::vector<SweptTriangle> triangles_;
   std::size_t built_ = 0;  // so many of them are in all_ as they are
   SweptTree all_, latest_;

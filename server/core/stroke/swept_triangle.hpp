@@ -21,7 +21,9 @@ struct SweptTriangle {
   std::array<Vec3, 3> inward;
   std::array<double, 3> inward_offset{};
   std::uint32_t batch = 0;  // that swept it
-  std::uint8_t rim = 0;     // bit k: the sweep ends at the edge between corners k and k+1
+  // Bit k: the sweep ends at the edge between corners k and k+1. kContinues: no blade has been here, it leads from the sweep's end to a wall.
+  std::uint8_t rim = 0;
+  static constexpr std::uint8_t kContinues = 8;
 
   double signed_distance(const Vec3& p) const { return dot(normal, p) - offset; }
 };

@@ -141,11 +141,9 @@ void ClosingStage::consider_faces(TetId t) {
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
-  double off_m = 0;
-  bool meets = false, rib = false;
-  if (!may_close(h, off_m, meets, rib)) return;
-  const Gap gap{off_m, h, meets, false, rib};
-  if (rib) {
+  Gap gap{0, h, false, false, false};
+  if (!may_close(gap)) return;
+  if (gap.is_rib) {
     hold(gap);
     return;
   }
@@ -168,16 +166,17 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side, or it is part of a rib where
 // a sweep begins or ends; or it is what an older cut has left.
-bool ClosingStage::may_close(HalfFace h, double& off_m, bool& meets, bool& rib) {
+bool ClosingStage::may_close(Gap& gap) {
+  auto& [off_m, h, meets, by_thickness, rib] = gap;
   const Vec3 middle = mesh_.face_middle(h);
   if (!is_near(middle, off_m)) {
-    meets = is_hole(h);
+    meets = by_thickness = is_hole(h);
     return meets;
   }
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
-  const bool beside = (a >= 0) == (b >= 0) && std::min(std::abs(a), std::abs(b)) > kBeside_h * cut_.h;
+  const bool beside = is_beside(a, b);
   // What is at an older cut may be farther off, but not in a rib.
   const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
   const auto v = mesh_.face_vertices(h);
@@ -217,7 +216,7 @@ bool ClosingStage::is_hole(HalfFace h) {
     second = face_beyond(h, v[k], v[(k + 1) % 3]);
     if (second == kNone) return false;
   }
-  if (second == kNone) return continues;
+  if (second == kNone) return continues || lies_at_cut(h);
   return std::ranges::all_of(mesh_.face_vertices(second), was_swept) &&
          edges_at_boundary(second, continues) == 2 && continues;
 }
@@ -251,12 +250,40 @@ HalfFace ClosingStage::face_beyond(HalfFace h, VertexId a, VertexId b) const {
   return kNone;
 }
 
+// Whether a cut beyond one of a face's edges would pass near its middle, between its sides, if it went on in its plane: the face of an element that is
+// large beside a corner of two cuts is at a larger angle to both.
+bool ClosingStage::lies_at_cut(HalfFace h) {
+  const auto v = mesh_.face_vertices(h);
+  const Vec3 middle = mesh_.face_middle(h);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const VertexId a = v[k], b = v[(k + 1) % 3];
+    mesh_.ring(tet_of(h), a, b, ring_);
+    cut_.work += cost::kNearby;
+    for (TetId t : {ring_.front(), ring_.back()}) {
+      for (int f = 0; f < 4; ++f) {
+        const HalfFace other = half_face(t, f);
+        if (!(mesh_.cut_mask(t) >> f & 1) || mesh_.vertices(t)[f] == a || mesh_.vertices(t)[f] == b) continue;
+        const Vec3 n = normalized(mesh_.twice_area(other)), p = mesh_.position(a);
+        if (std::abs(dot(n, middle - p)) > kOne_h * cut_.h || !is_beyond(other, h, a, b)) continue;
+        const double one = dot(n, mesh_.barycentre(tet_of(h)) - p);
+        const double two = dot(n, mesh_.barycentre(tet_of(mesh_.opposite(h))) - p);
+        if (!is_beside(one, two)) return true;
+      }
+    }
+  }
+  return false;
+}
+
 // Whether a face goes on in the plane of another one beyond their edge, and is not folded back over it.
 bool ClosingStage::lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const {
   const Vec3 n = mesh_.twice_area(h), m = mesh_.twice_area(other);
   const double along = dot(n, m);
   if (along * along < kCosAlong * kCosAlong * squared_length(n) * squared_length(m)) return false;
-  const Vec3 out = cross(mesh_.position(b) - mesh_.position(a), n);
+  return is_beyond(other, h, a, b);
+}
+
+bool ClosingStage::is_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const {
+  const Vec3 out = cross(mesh_.position(b) - mesh_.position(a), mesh_.twice_area(h));
   return (dot(out, mesh_.face_middle(h) - mesh_.position(a)) > 0) !=
          (dot(out, mesh_.face_middle(other) - mesh_.position(a)) > 0);
 }
@@ -277,6 +304,10 @@ bool ClosingStage::is_near(const Vec3& p, double& off_m) {
   cut_.work += cost::kNearby;
   nearest_ = 0;
   if (!cut_.surface().closest(p, kOne_h * cut_.h, closest, nearest_)) return false;
+  // What leads on to a wall may end beyond it, in the air.
+  if ((cut_.surface()[nearest_].rim & SweptTriangle::kContinues) != 0 &&
+      !cut_.surface().was_swept_within(p, kFarGap_h * cut_.h))
+    return false;
   off_m = std::max(off_m, distance(p, closest));
   return true;
 }
@@ -345,7 +376,7 @@ bool ClosingStage::look_far(WorkBudget& budget) {
 void ClosingStage::hold(const Gap& gap) {
   std::vector<CutWorkspace::HeldFace>& held = gap.is_rib ? cut_.workspace.ribs : cut_.workspace.held;
   std::erase_if(held, [&](const CutWorkspace::HeldFace& other) { return other.face == gap.face; });
-  if (held.size() == (gap.is_rib ? CutWorkspace::kMaxRibs : CutWorkspace::kMaxHeld)) held.erase(held.begin());
+  if (held.size() == CutWorkspace::kMaxHeld) held.erase(held.begin());
   held.push_back({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
 }
 
@@ -373,8 +404,8 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
         is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) && !is_film(cut_, extent, queue_);
     return is_part ? Part::kSmall : Part::kCrumb;
   }
-  if (gap.was_held ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
-                   : is_film(cut_, extent, queue_))
+  if (gap.by_thickness ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
+                       : is_film(cut_, extent, queue_))
     return Part::kCrumb;
   const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <span>
 #include <vector>
@@ -34,9 +36,10 @@ class ClosingStage {
   struct Gap {
     double off_m;
     HalfFace face;
-    bool meets;     // an older cut
-    bool was_held;  // judged before
-    bool is_rib;    // between a sweep and the boundary: both sides are on one side of the sweep
+    bool meets;  // an older cut
+    bool
+        by_thickness;  // judged before, or an older cut has left it: then a film is told by its mean thickness alone
+    bool is_rib;  // between a sweep and the boundary: both sides are on one side of the sweep
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
@@ -75,13 +78,20 @@ class ClosingStage {
     marks.waiting = static_cast<std::uint8_t>(waits ? marks.waiting | bit : marks.waiting & ~bit);
   }
   bool all_at_boundary(HalfFace h) const;
-  bool may_close(HalfFace h, double& off_m, bool& meets, bool& rib);
+  bool may_close(Gap& gap);
+  // Whether both sides of a face are on one side of a surface that they are so far off.
+  bool is_beside(double one_m, double other_m) const {
+    return (one_m >= 0) == (other_m >= 0) &&
+           std::min(std::abs(one_m), std::abs(other_m)) > tolerance::kBeside_h * cut_.h;
+  }
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
   int edges_at_boundary(HalfFace h, bool& continues);
   bool is_hole(HalfFace h);
   bool ends_at_boundary(HalfFace h, VertexId a, VertexId b, bool& continues);
   HalfFace face_beyond(HalfFace h, VertexId a, VertexId b) const;
+  bool lies_at_cut(HalfFace h);
+  bool is_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, const Gap& gap);

@@ -211,7 +211,8 @@ bool Islands::is_above(HalfFace h) const {
 bool Islands::stands_clear(HalfFace h) const {
   if (!cut_.face_on_surface(h) || mesh_.cut_mask(tet_of(h)) != 0) return false;
   const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
-  if (cut_.on_surface(apex) || mesh_.at_boundary(apex)) return false;
+  // Between this sweep and an older one there may be a film.
+  if (cut_.workspace.vertices[apex].surface != 0) return false;
   for (int f = 0; f < 4; ++f) {
     if (is_ragged(half_face(tet_of(h), f))) return false;
   }

@@ -115,7 +115,7 @@ void JoiningStage::extend(const Vec3& a, const Vec3& b, const Vec3& direction, d
   const double beyond_m = kJoinBeyond_h * cut_.h, by_m = ahead_m + beyond_m;
   if (by_m < kLeastJoin * beyond_m) return;
   const Vec3 by = by_m * direction;
-  cut_.path.add_strip(a, b, b + by, a + by);
+  cut_.path.add_strip(a, b, b + by, a + by, true);
 }
 
 // ------------------------------------------------------------------------------------------------ where sweeps end
@@ -180,7 +180,8 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   if (!near) return;
   end.taken |= std::uint64_t{1} << part;
   for (std::uint32_t k = 0; k + 1 < end.line_count; ++k)
-    cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part));
+    cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part),
+                        false);
   cut_.meets_cut = true;
   extend(a, b, direction, ahead_m);
 }

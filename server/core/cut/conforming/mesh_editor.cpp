@@ -70,7 +70,11 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
   cut_.workspace.grow(mesh_);
   cut_.workspace.vertices[m].surface = is == NewVertex::kOnSurface ? cut_.stroke : 0;
   cut_.workspace.vertices[m].batch = cut_.batch;
-  if (is != NewVertex::kInBend) changed_.push_back({m});
+  if (is == NewVertex::kInBend) {
+    in_bend_.push_back(m);
+  } else {
+    changed_.push_back({m});
+  }
   for (TetId r : ring_) {
     look_again(r);
     active_.add(r);

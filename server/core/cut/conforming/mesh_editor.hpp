@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <span>
 #include <vector>
@@ -52,6 +53,10 @@ class MeshEditor {
   void stand(VertexId v);
   // v, whose star that is, goes to a better place.
   void move(const VertexStar& star, VertexId v, const Vec3& target);
+  // No vertex has been put in a bend yet.
+  void begin_batch() { in_bend_.clear(); }
+  // Whether v was put there by this batch: without it, the chord of the bend that it splits is back.
+  bool is_in_bend(VertexId v) const { return std::ranges::find(in_bend_, v) != in_bend_.end(); }
   // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a). kInBend: it has to stay, so repairs do not merge it.
   enum class NewVertex { kOnSurface, kNotYet, kInBend };
   VertexId split(TetId tet, VertexId a, VertexId b, double t, NewVertex is = NewVertex::kOnSurface);
@@ -88,6 +93,7 @@ class MeshEditor {
   CutContext& cut_;
   ActiveSet& active_;
   std::vector<Changed> changed_;
+  std::vector<VertexId> in_bend_;
   TetPass film_pass_;
   std::vector<TetId> flat_, crumb_, film_, ring_, new_tets_;  // scratch
   std::vector<std::uint32_t> star_;                           // scratch

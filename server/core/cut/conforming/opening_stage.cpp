@@ -6,6 +6,19 @@ namespace incise::core {
 
 using namespace tolerance;
 
+namespace {
+
+// Whether the tetrahedra at a face are so large that what crosses the way between them close by its middle, for them, may be far off it.
+bool reach_far(const CutContext& cut, HalfFace h) {
+  const Vec3 middle = cut.mesh.face_middle(h);
+  const double far_m = kChord_h / kPass * cut.h;
+  return std::max(squared_length(reference_point(cut, tet_of(h)) - middle),
+                  squared_length(reference_point(cut, tet_of(cut.mesh.opposite(h))) - middle)) >
+         far_m * far_m;
+}
+
+}  // namespace
+
 void OpeningStage::begin(bool may_refine) {
   phase_ = Phase::kSelect;
   may_refine_ = may_refine;
@@ -77,13 +90,14 @@ bool OpeningStage::select_faces(TetId t) {
     marks[t].pending |= static_cast<std::uint8_t>(1u << f);
     marks[tet_of(o)].pending |= static_cast<std::uint8_t>(1u << face_of(o));
     faces_.push_back(h);
-    if (may_refine_ && way == Way::kCrossedAside && is_chord(h)) chords_.push_back(mesh_.face_vertices(h));
+    if (may_refine_ && (way == Way::kCrossedAside || reach_far(cut_, h)) && is_chord(h))
+      chords_.push_back(mesh_.face_vertices(h));
   }
   return waits;
 }
 
 // Whether a face on the surface is far off it between its vertices: in an element that is large beside the bend. An older cut is where it
-// is. Nearly all faces are crossed close by their middle, and are none.
+// is. Nearly all faces are crossed close by their middle, and are none, unless their tetrahedra reach far.
 bool OpeningStage::is_chord(HalfFace h) const {
   const auto v = mesh_.face_vertices(h);
   if (!cut_.face_on_surface(h) || std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); }))

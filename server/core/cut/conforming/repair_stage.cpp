@@ -184,9 +184,9 @@ void RepairStage::merge_near(VertexId v) {
   }
 }
 
-// Whether v is not bound to a place that w is not at.
+// Whether v is not bound to a place that w is not at, nor splits the chord of a bend.
 bool RepairStage::is_free_to_go(VertexId v, VertexId w) const {
-  return !cut_.on_rim(v) && (!cut_.on_surface(v) || cut_.on_surface(w));
+  return !cut_.on_rim(v) && !editor_.is_in_bend(v) && (!cut_.on_surface(v) || cut_.on_surface(w));
 }
 
 // Whether v, around which corners_ are, is free to go to w, and its tetrahedra stay good there: what fails most merges, looked at before all

@@ -29,9 +29,9 @@ class StrokePath {
   };
   // Adds what a batch sweeps. Call build() before the surface is asked.
   void add(const Batch& batch, const Tissue& tissue, WorkMeter& work);
-  // Adds a quad beyond the stroke's first or last line, to the last batch.
-  void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
-    surface_.add_strip(a, b, c, d, swept_.back().batch);
+  // Adds a quad of an older sweep's end, or one that `continues` an end to a wall, to the last batch.
+  void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, bool continues) {
+    surface_.add_strip(a, b, c, d, swept_.back().batch, continues);
   }
   // Forgets what the blade swept before it had travelled `limit_m`.
   void forget_before(double limit_m);

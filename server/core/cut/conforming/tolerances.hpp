@@ -80,6 +80,9 @@ inline constexpr double kAimOff_h = 0.1;
 inline constexpr double kStrip_h = 1, kStripStep_h = 0.1;
 // Strips narrower than this part of kJoinBeyond_h are not added.
 inline constexpr double kLeastJoin = 0.1;
+// A face that closes a gap between the end of a sweep and a wall ahead of it is no farther than this from what the blade has swept: as far as
+// that wall may be ahead, and kOne_h beside it.
+inline constexpr double kFarGap_h = kJoinReach_h + kOne_h;
 // How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
