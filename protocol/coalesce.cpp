@@ -26,12 +26,17 @@ class Places {
     bool removed;
   };
 
-  // Of one delta after the other. Ids ascend.
+  // Of one delta after the other, the newest first; of each delta first what it removes. Ids ascend.
   void note(std::span<const std::uint32_t> ids, std::size_t delta, bool removed) {
     if (ids.empty()) return;
-    ends_.push_back(places_.size() + ids.size());
-    for (std::size_t i = 0; i < ids.size(); ++i)
-      places_.push_back({ids[i], static_cast<std::uint32_t>(delta), static_cast<std::uint32_t>(i), removed});
+    if (seen_.empty() && ids.size() > ids.back() / 64 + 64) begin_seeing(ids.back());
+    const std::size_t before = places_.size();
+    for (std::size_t i = 0; i < ids.size(); ++i) {
+      if (seen_.empty() || see(ids[i]))
+        places_.push_back(
+            {ids[i], static_cast<std::uint32_t>(delta), static_cast<std::uint32_t>(i), removed});
+    }
+    if (places_.size() > before) ends_.push_back(places_.size());
   }
 
   // By id, each once. O(n log lists), after which nothing may be added: some lists have an entry for each vertex of a body, and most
@@ -43,19 +48,16 @@ class Places {
       for (std::size_t k = 0; k < ends_.size(); k += 2) {
         const std::size_t end = ends_[std::min(k + 1, ends_.size() - 1)];
         const auto last = places_.begin() + static_cast<std::ptrdiff_t>(end);
-        // Of the same id, the older ones come first.
+        // Of the same id, the newer ones come first.
         std::inplace_merge(first, places_.begin() + static_cast<std::ptrdiff_t>(ends_[k]), last, before);
         first = last;
         ends.push_back(end);
       }
       ends_ = std::move(ends);
     }
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < places_.size(); ++i) {
-      const bool newest = i + 1 == places_.size() || places_[i + 1].id != places_[i].id;
-      if (newest) places_[kept++] = places_[i];
-    }
-    places_.resize(kept);
+    places_.erase(std::unique(places_.begin(), places_.end(),
+                              [](const Place& a, const Place& b) { return a.id == b.id; }),
+                  places_.end());
     return places_;
   }
 
@@ -67,9 +69,24 @@ class Places {
 
  private:
   static bool before(const Place& a, const Place& b) { return a.id < b.id; }
+  // From a list on that has most ids of a body, older entries of these are passed over: so a body that deforms costs its vertices once,
+  // however many steps there are.
+  void begin_seeing(std::uint32_t highest) {
+    seen_.resize(highest / 64 + 1);
+    for (const Place& place : places_) see(place.id);
+  }
+  // True the first time.
+  bool see(std::uint32_t id) {
+    if (id / 64 >= seen_.size()) seen_.resize(id / 64 + 1);
+    const std::uint64_t bit = std::uint64_t{1} << (id % 64);
+    if ((seen_[id / 64] & bit) != 0) return false;
+    seen_[id / 64] |= bit;
+    return true;
+  }
 
-  std::vector<Place> places_;      // list after list
-  std::vector<std::size_t> ends_;  // of the lists
+  std::vector<Place> places_;        // list after list
+  std::vector<std::size_t> ends_;    // of the lists
+  std::vector<std::uint64_t> seen_;  // a bit for each id; empty: not yet
 };
 
 template <class D>
@@ -226,13 +243,16 @@ OwnedDelta coalesce(std::span<const Delta> deltas) {
     append(out.provenance_a, d.provenance_a);
     append(out.provenance_b, d.provenance_b);
     append(out.provenance_t, d.provenance_t);
-    moved.note(d.moved_ids, k, false);
-    tets.note(d.tets.ids, k, false);
-    tets.note(d.removed_tets, k, true);
-    faces.note(d.boundary_upserted, k, false);
-    faces.note(d.boundary_removed, k, true);
     for (std::size_t p = 0; p < d.piece_ids.size(); ++p)
       pieces[d.piece_ids[p]] = {d.piece_names[p], d.piece_sizes[p]};
+  }
+  for (std::size_t k = deltas.size(); k-- > 0;) {
+    const Delta& d = deltas[k];
+    moved.note(d.moved_ids, k, false);
+    tets.note(d.removed_tets, k, true);
+    tets.note(d.tets.ids, k, false);
+    faces.note(d.boundary_removed, k, true);
+    faces.note(d.boundary_upserted, k, false);
   }
 
   for (const auto& [id, delta, index, removed] : moved.settled()) {
@@ -288,15 +308,15 @@ OwnedSurfaceDelta coalesce(std::span<const SurfaceDelta> deltas) {
   out.live_tets = last.live_tets;
 
   Places vertices, triangles, rest;
-  for (std::size_t k = 0; k < deltas.size(); ++k) {
+  for (const SurfaceDelta& d : deltas) out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
+  for (std::size_t k = deltas.size(); k-- > 0;) {
     const SurfaceDelta& d = deltas[k];
-    out.steps.insert(out.steps.end(), d.steps.begin(), d.steps.end());
-    vertices.note(d.vertices.ids, k, false);
     vertices.note(d.removed_vertices, k, true);
-    triangles.note(d.triangles.ids, k, false);
+    vertices.note(d.vertices.ids, k, false);
     triangles.note(d.removed_triangles, k, true);
-    rest.note(d.rest.ids, k, false);
+    triangles.note(d.triangles.ids, k, false);
     rest.note(d.removed_vertices, k, true);
+    rest.note(d.rest.ids, k, false);
   }
   SurfaceChange& c = out.change;
   for (const auto& [id, delta, index, removed] : vertices.settled()) {

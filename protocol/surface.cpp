@@ -66,6 +66,30 @@ std::array<float, 3> rest_of(const Replica& mesh, std::uint32_t v) {
   return {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
 }
 
+// What changes on a surface where vertices move and nothing else happens: one walk along both, and `hash` follows. Named are places that
+// the receiver does not have, and rest positions where it would not know them.
+SurfaceChange moved_surface(const Replica& mesh, const IdMap<SurfaceReplica::Vertex>& vertices,
+                            std::span<const std::uint32_t> moved, std::uint64_t& hash) {
+  SurfaceChange out;
+  out.vertex_ids.reserve(vertices.size());
+  out.vertex_positions.reserve(3 * vertices.size());
+  auto next = moved.begin();
+  for (const auto& [v, old] : vertices) {
+    while (next != moved.end() && *next < v) ++next;
+    if (next == moved.end()) break;
+    if (*next != v) continue;
+    const std::array<float, 3> position = position_of(mesh, v);
+    if (!same_bits(old.position, position)) {
+      append(out, v, position);
+      hash ^= surface_vertex_hash(v, old.position.data()) ^ surface_vertex_hash(v, position.data());
+    }
+    if (!mesh.deformed()) continue;
+    const std::array<float, 3> rest = rest_of(mesh, v);
+    if (!same_bits(old.has_rest ? old.rest_at : position, rest)) append_rest(out, v, rest);
+  }
+  return out;
+}
+
 }  // namespace
 
 // ---- Receiving ----
@@ -294,6 +318,14 @@ SurfaceReplica::Triangle SurfaceReplica::triangle_of(const Replica& mesh, std::u
 
 SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                                           std::span<const std::uint32_t> moved) {
+  // A simulation's step, of which most vertices are inside.
+  if (tets.empty() && 2 * moved.size() > state_.vertices.size()) {
+    std::uint64_t hash = state_.hash;
+    SurfaceChange out = moved_surface(mesh, state_.vertices, moved, hash);
+    state_.apply(parts_of(out), hash);
+    state_.revision = mesh.revision();
+    return out;
+  }
   SurfaceChange out;
   MoreUses more_uses;
   for (const std::uint32_t t : tets) {
@@ -315,7 +347,6 @@ SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector
       append(out, id, now);
     }
   }
-  // Most of those that a simulation moves are inside.
   for (const std::uint32_t v : moved)
     if (state_.vertices.contains(v)) more_uses.add(v);
   for (const auto& [v, more] : more_uses.sorted()) {

@@ -6,6 +6,8 @@ namespace incise::input {
 namespace {
 
 constexpr std::size_t kFew = 4;
+constexpr std::size_t kGaveWay =
+    1024;  // vertices for which there is room, so that the loop does not allocate
 
 void bump(std::atomic<std::uint64_t>& counter) {  // that one thread writes
   counter.store(counter.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
@@ -22,6 +24,8 @@ std::shared_ptr<core::VertexPositions> PositionsSlot::buffer() {
     }
     buffers_.insert(buffers_.begin() + static_cast<std::ptrdiff_t>(next_),
                     std::make_shared<core::VertexPositions>());
+    buffers_[next_]->outcome = std::make_shared<std::vector<core::GaveWay>>();
+    buffers_[next_]->outcome->reserve(kGaveWay);
   }
   // use_count() alone orders nothing: this copy's end is a read-modify-write with acquire on the count that the last
   // reader released.

@@ -20,6 +20,8 @@ using std::chrono::steady_clock;
 constexpr std::chrono::seconds kRetry{5};
 // The part of `replay_s` that is worth a checkpoint when nothing else is to be done.
 constexpr double kAtRest = 0.25;
+// A resume, which knows nothing of the loop's outcome, takes so many times as long for a step that is not checked here.
+constexpr double kCheckedStep = 2;
 
 }  // namespace
 
@@ -120,9 +122,10 @@ void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>&
   dirty_ = options_.debt_s > 0;
   std::deque<Item> taken;
   while (wait_for_items(taken)) {
-    for (const Item& item : taken) {
+    for (Item& item : taken) {
       if (stop_) return;
       handle(item);
+      item.record.positions.reset();  // there are few buffers for them
     }
     taken.clear();
   }
@@ -196,31 +199,38 @@ void Checkpointer::handle(const Item& item) {
   }
   if (!session_) return;
   if (item.mark) {
-    owed_ = owed_ || item.wanted;
-    place_ = item;
-    const bool due = owed_ || debt_s() >= std::max(options_.replay_s, 5 * write_s_);
-    if (due && steady_clock::now() >= next_try_) write(item);
+    handle_mark(item);
     return;
   }
   place_.reset();
   dirty_ = true;
   if (record.kind == Kind::kCommit) {
-    compare(record);
+    commit_to(record);
   } else if (record.kind == Kind::kGap) {
     give_up("the journal lost records before they were read");
   } else if (record.kind == Kind::kUndo) {
     go_back(record);
   } else {
+    if (record.begins_stroke) commit_all();
     if (options_.undone) history_.note(record, *session_);
     apply(*session_, record);
-    commit_all();
-    tell_undoable();
   }
+  tell_undoable();
+}
+
+void Checkpointer::handle_mark(const Item& mark) {
+  commit_all();
+  tell_undoable();
+  owed_ = owed_ || mark.wanted;
+  place_ = mark;
+  const bool due = owed_ || debt_s() >= std::max(options_.replay_s, 5 * write_s_);
+  if (due && steady_clock::now() >= next_try_) write(mark);
 }
 
 // All that came before is applied: the journal keeps the order.
 void Checkpointer::find_undone(std::uint64_t request) {
   if (!options_.undone) return;
+  if (session_) commit_all();
   Undone undone;
   undone.request = request;
   const BeforeStroke* const last = session_ ? history_.last() : nullptr;
@@ -262,11 +272,28 @@ void Checkpointer::tell_undoable() {
 }
 
 void Checkpointer::commit_all() {
-  core::WorkBudget budget = core::WorkBudget::unlimited();
-  while (session_->advance(budget, delta_) == core::CutSession::Progress::kCommitted) {
-    computed_.push_back({delta_.revision, delta_.state_hash});
-    history_.note(delta_);
+  while (commit_next(nullptr)) {
   }
+}
+
+bool Checkpointer::commit_next(const std::vector<core::GaveWay>* known) {
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  if (session_->advance(budget, delta_, known) != core::CutSession::Progress::kCommitted) return false;
+  computed_.push_back({delta_.revision, delta_.state_hash});
+  history_.note(delta_);
+  tets_checked_.store(session_->tets_checked(), std::memory_order_relaxed);
+  return true;
+}
+
+void Checkpointer::commit_to(const JournalRecord& commit) {
+  while (session_->revision() < commit.revision) {
+    const bool is_next = commit.positions && session_->revision() + 1 == commit.revision;
+    const std::vector<core::GaveWay>* const known = is_next ? commit.positions->outcome.get() : nullptr;
+    const double before_s = known != nullptr ? thread_cpu_s() : 0;
+    if (!commit_next(known)) break;
+    if (known != nullptr) began_s_ -= (kCheckedStep - 1) * (thread_cpu_s() - before_s);
+  }
+  compare(commit);
 }
 
 void Checkpointer::compare(const JournalRecord& commit) {

@@ -24,6 +24,9 @@ namespace incise::loop {
 // goes on. It computes each revision again and compares the hash, so that a journal that does not replay is noticed
 // while the server still runs.
 //
+// It computes a revision when it meets its mark, which says what the loop found out about a simulation's step: which vertices had to give
+// way. So it does not look at the tetrahedra again, which is half of a step's work. The hash still has to be the same.
+//
 // The journal marks more places for checkpoints than are used. The thread decides when it reaches a mark,
 // however far behind the loop it is, whether to write one there. What counts is the debt: the computing that a resume from
 // the newest checkpoint would have to repeat, in this run of the server or an earlier one. When nothing happens for a
@@ -89,6 +92,8 @@ class Checkpointer {
     std::uint32_t strokes = 0, source = 0;
   };
   Undoable undoable() const { return undoable_.load(std::memory_order_relaxed); }
+  // Tetrahedra that it has looked at in a simulation's steps.
+  std::uint64_t tets_checked() const { return tets_checked_.load(std::memory_order_relaxed); }
   bool following() const { return following_.load(std::memory_order_relaxed); }
 
  private:
@@ -104,10 +109,14 @@ class Checkpointer {
   double debt_s() const;
   bool can_write_at_rest() const;
   void handle(const Item& item);
+  void handle_mark(const Item& mark);
   void find_undone(std::uint64_t request);
   void go_back(const JournalRecord& undo);
   void give_up(const std::string& why);
+  // Takes the session to where it has no work left, or one step on; false: it has none.
   void commit_all();
+  bool commit_next(const std::vector<core::GaveWay>* known);
+  void commit_to(const JournalRecord& commit);
   void compare(const JournalRecord& commit);
   void write(const Item& mark);
   void tell_undoable();
@@ -124,6 +133,7 @@ class Checkpointer {
   std::atomic<bool> stop_{false};  // set under mutex_: end now
   std::atomic<bool> following_{true};
   std::atomic<std::uint64_t> written_{0}, last_revision_{0}, last_offset_{0};
+  std::atomic<std::uint64_t> tets_checked_{0};
   std::atomic<std::size_t> behind_{0};
   std::atomic<Undoable> undoable_{};
 

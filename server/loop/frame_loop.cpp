@@ -246,6 +246,7 @@ void FrameLoop::start_deformation(std::int64_t now_ns) {
   record.kind = JournalRecord::Kind::kDeform;
   record.arrival_ns = record.positions->arrival_ns;
   session_->deform(record.positions);
+  deforming_ = record.positions;
   stamp(record.arrival_ns, now_ns);
   write(record);
 }
@@ -381,6 +382,7 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
     forces_->follow(session_->mesh(), session_->revision());
   }
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
+  deforming_.reset();
   stamp_count_ = 0;
   batch_work_ns_ = 0;
   const LoopState before = std::exchange(state_, state);
@@ -482,6 +484,10 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   JournalRecord record = commit_record(delta);
   record.arrival_ns = now_ns;
   record.frame = state_.frames;
+  if (delta.stroke == 0 && deforming_) {
+    if (deforming_->outcome) *deforming_->outcome = session_->gave_way();
+    record.positions = std::move(deforming_);
+  }
   write(record);
 }
 

@@ -135,6 +135,7 @@ class FrameLoop {
   std::array<std::uint32_t, core::kMaxSources> owners_{};             // the numbers of their owners
   input::PoseSources& input_;
   input::PositionsSlot* positions_ = nullptr;
+  std::shared_ptr<const core::VertexPositions> deforming_;  // while a step is under way
   DeltaSink& sink_;
   Journal* const journal_;
   const LoopOptions options_;

@@ -19,8 +19,8 @@ struct JournalRecord {
     kPose,       // source, owner, arrival_ns, pose, verdict
     kEndStroke,  // source, arrival_ns
     kDeform,     // arrival_ns, positions
-    kCommit,     // source, stroke, batch, revision, state_hash, frame: the batch that led there is done
-    kReset,      // session, arrival_ns: the mesh is as loaded again
+    kCommit,  // source, stroke, batch, revision, state_hash, frame, positions (a step's, if at hand): the batch that led there is done
+    kReset,   // session, arrival_ns: the mesh is as loaded again
     kUndo,  // session, arrival_ns, source, pose.t_ns, posed_ns, revision: all is as before this pose, which began a stroke
     kUndoWanted,  // request: asks the checkpointer for the state before the last stroke; not in the capture
     kGap,         // lost: so many records are missing here

@@ -74,18 +74,28 @@ void UndoHistory::clear() {
 
 void UndoHistory::begin_span(const core::CutSession& session) {
   if (!spans_.empty()) end_span();
+  // The oldest go before a new state comes, which takes their place in memory.
+  std::vector<std::byte> place;
+  const std::size_t expected = spans_.empty() ? 0 : spans_.back().state.size();
+  drop_oldest(expected, 0, place);
   const double before_s = thread_cpu_s();
   Span span;
-  span.state = core::save_session(session);
+  span.state = core::save_session(session, std::move(place));
   span.bytes = span.state.size();
   span.saved_cpu_s = thread_cpu_s();
   save_s_ = span.saved_cpu_s - before_s;
   spans_.push_back(std::move(span));
-  std::size_t bytes = 0;
+  drop_oldest(0, 1, place);
+}
+
+// Until there is room for so many bytes more, or only `kept` spans are left; the memory of the last one's state is left in `place`.
+void UndoHistory::drop_oldest(std::size_t more, std::size_t kept, std::vector<std::byte>& place) {
+  std::size_t bytes = more;
   for (const Span& s : spans_) bytes += s.bytes;
-  while (bytes > max_bytes_ && spans_.size() > 1) {
+  while (bytes > max_bytes_ && spans_.size() > kept) {
     bytes -= spans_.front().bytes;
     strokes_ -= spans_.front().points.size();
+    place = std::move(spans_.front().state);
     spans_.pop_front();
   }
 }

@@ -72,6 +72,7 @@ class UndoHistory {
   };
   void begin_span(const core::CutSession& session);
   void end_span();
+  void drop_oldest(std::size_t more, std::size_t kept, std::vector<std::byte>& place);
   static void cut_back(Span& span, std::size_t records);
   void drop_last_point();
   const Span* span_of(const BeforeStroke& stroke, std::size_t& point) const;

@@ -19,6 +19,7 @@ namespace {
 
 struct LiveBench : LiveMotion {
   int viewers = 4;
+  int boxed = 0;  // of them
   double simulate_hz = 0;
 };
 
@@ -81,6 +82,13 @@ struct Latencies {
   }
 };
 
+// The half of the body's box, along each axis, that is around its middle.
+protocol::Box middle_of(const LiveServer& server) {
+  const auto [low, high] = server.box();
+  const core::Vec3 a = lerp(low, high, 0.25), b = lerp(low, high, 0.75);
+  return {{a.x, a.y, a.z}, {b.x, b.y, b.z}};
+}
+
 void run(const LiveBench& bench, Report& report) {
   LiveServer server(bench);
   Latencies latencies;
@@ -88,9 +96,14 @@ void run(const LiveBench& bench, Report& report) {
   for (int i = 0; i < bench.viewers; ++i) {  // half of them hold the volume, half the surface over WebSocket
     client::Options options;
     client::Callbacks callbacks;
+    if (i < bench.boxed) options.box = middle_of(server);
     if (i % 2 == 0) {
       callbacks.on_delta = [&](const protocol::Replica&, const protocol::Delta& delta,
                                const client::Arrival& arrival) {
+        latencies.note(delta.steps, arrival.received_ns);
+      };
+      callbacks.on_part_delta = [&](const protocol::VolumePart&, const protocol::Delta& delta,
+                                    const client::Arrival& arrival) {
         latencies.note(delta.steps, arrival.received_ns);
       };
     } else {
@@ -105,6 +118,7 @@ void run(const LiveBench& bench, Report& report) {
         "127.0.0.1", i % 2 == 0 ? server.tcp_port() : server.http_port(), options, std::move(callbacks)));
     if (!viewers.back()->wait_for_revision(0, 60)) throw std::runtime_error("a viewer got no snapshot");
   }
+  const double server_began_s = server.cpu_s();
   std::unique_ptr<Swaying> simulation;
   if (bench.simulate_hz > 0) simulation = std::make_unique<Swaying>(server.tcp_port(), bench.simulate_hz);
   const LivePoses poses = server.drive();
@@ -116,10 +130,13 @@ void run(const LiveBench& bench, Report& report) {
     if (!viewer->wait_for_revision(revision, 60)) throw std::runtime_error("a viewer did not get to the end");
   }
   server.end();
+  const double server_s = server.cpu_s() - server_began_s;
 
   report.begin("live");
   report.fact("tetrahedra", count(server.tets()));
   report.fact("viewers", count(viewers.size()));
+  if (bench.boxed > 0) report.fact("with a box", count(static_cast<std::size_t>(bench.boxed)));
+  report.fact("the server's processor time, s", server_s);
   report.fact("poses sent", count(poses.sent));
   report.fact("poses accepted", count(poses.accepted));
   report.fact("poses lost",
@@ -167,6 +184,9 @@ void add_live_bench(CLI::App& app, Report& report) {
   sub->add_option("--speed", bench->speed_m_s, "Of the blade, m/s")->capture_default_str();
   sub->add_option("--tets", bench->tets, "Of the phantom liver")->capture_default_str();
   sub->add_option("--viewers", bench->viewers, "That follow")->capture_default_str();
+  sub->add_option("--boxed", bench->boxed, "So many of them with a box of interest, half of the body's")
+      ->capture_default_str();
+  sub->add_option("--incised", bench->incised, "Another build of incised, to compare with");
   sub->add_option("--batch-h", bench->batch_h, "cut.batch_h; 0: its default")->capture_default_str();
   sub->add_option("--simulate", bench->simulate_hz,
                   "A simulation moves all vertices so often a second; 0: there is none")

@@ -1,5 +1,6 @@
 #include "tests/bench/live_server.hpp"
 
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -40,7 +41,8 @@ LiveServer::LiveServer(const LiveMotion& motion, const nlohmann::json& listen)
     : motion_(motion), folder_(fs::temp_directory_path() / ("incise_live_" + std::to_string(::getpid()))) {
   const NamedMesh body = phantom("liver", static_cast<std::size_t>(motion.tets));
   tets_ = body.mesh.tets.size();
-  const auto [low, high] = bounds(body.mesh);
+  box_ = bounds(body.mesh);
+  const auto& [low, high] = box_;
   way_.emplace(low, high, motion.speed_m_s, motion.pose_rate_hz);
   fs::remove_all(folder_);
   fs::create_directories(folder_);
@@ -58,6 +60,22 @@ LiveServer::~LiveServer() {
   process_.reset();
   std::error_code ignored;
   fs::remove_all(folder_, ignored);
+}
+
+double LiveServer::cpu_s() const {
+  if (ended_) {
+    rusage used{};
+    ::getrusage(RUSAGE_CHILDREN, &used);
+    const auto seconds = [](const timeval& t) {
+      return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
+    };
+    return seconds(used.ru_utime) + seconds(used.ru_stime);
+  }
+  clockid_t clock{};
+  timespec used{};
+  if (clock_getcpuclockid(pid(), &clock) != 0 || clock_gettime(clock, &used) != 0)
+    throw std::runtime_error("incised has no processor time");
+  return static_cast<double>(used.tv_sec) + 1e-9 * static_cast<double>(used.tv_nsec);
 }
 
 void LiveServer::connect_device() {
@@ -116,6 +134,7 @@ nlohmann::json LiveServer::settled_stats() const {
 void LiveServer::end() {
   process_->signal(SIGTERM);
   if (process_->wait() != 0) throw std::runtime_error("incised did not end cleanly");
+  ended_ = true;
 }
 
 }  // namespace incise::bench

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "client/client.hpp"
 #include "tests/bench/bench_util.hpp"
@@ -44,6 +45,10 @@ class LiveServer {
   std::uint16_t http_port() const { return http_port_; }
   std::size_t tets() const { return tets_; }
   pid_t pid() const { return process_->pid(); }
+  // Around the body as loaded.
+  std::pair<core::Vec3, core::Vec3> box() const { return box_; }
+  // Of its process so far; after end() of all of it, its last checkpoint included. s.
+  double cpu_s() const;
 
   // An operator takes the blade; drive() does it where this has not.
   void connect_device();
@@ -64,6 +69,8 @@ class LiveServer {
   std::unique_ptr<client::Client> device_;
   std::uint16_t tcp_port_ = 0, http_port_ = 0;
   std::size_t tets_ = 0;
+  bool ended_ = false;
+  std::pair<core::Vec3, core::Vec3> box_;
 };
 
 }  // namespace incise::bench

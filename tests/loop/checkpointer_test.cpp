@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <cstddef>
@@ -155,6 +156,78 @@ TEST_F(CheckpointerTest, AMarkIsUsedWhereWorkLiesBehindIt) {
   }
   EXPECT_TRUE(wait_for(*often, [&] { return often->written() >= 1; }));
   EXPECT_EQ(never->written(), 0u);
+}
+
+// A simulation's steps, of which the marks say what gave way: no tetrahedron is looked at again, and what is saved leads on as if all
+// had been. A step whose mark has not come yet, at a place for a checkpoint, is computed like the loop's.
+TEST_F(CheckpointerTest, StepsWhoseOutcomeIsKnownAreNotCheckedAgain) {
+  core::CutSession session(mesh_, config());
+  std::vector<JournalRecord> records;
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  const auto advance = [&] {
+    while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted)
+      records.push_back(commit_record(delta));
+  };
+  int i = 0, steps = 0;
+  for (const core::Pose& pose : tests::sweep_through(300)) {
+    JournalRecord record;
+    record.pose = pose;
+    records.push_back(record);
+    session.push(0, pose);
+    advance();
+    if (++i % 10 != 0) continue;
+    auto positions = std::make_shared<core::VertexPositions>();
+    positions->revision = session.revision();
+    for (core::VertexId v = 0; v < session.mesh().vertex_slots(); ++v) {
+      const core::Vec3 p = session.mesh().rest_position(v);
+      positions->positions.push_back(p + core::Vec3{0.03 * i / 300 * p.y, 0, 0});
+    }
+    record = {};
+    record.kind = Kind::kDeform;
+    record.positions = positions;
+    records.push_back(record);
+    session.deform(positions);
+    positions->outcome = std::make_shared<std::vector<core::GaveWay>>();
+    advance();
+    ASSERT_EQ(records.back().kind, Kind::kCommit);
+    *positions->outcome = session.gave_way();
+    records.back().positions = positions;
+    ++steps;
+  }
+  ASSERT_EQ(steps, 30);
+  const auto last_step = std::find_if(records.rbegin(), records.rend(), [](const JournalRecord& record) {
+    return record.kind == Kind::kDeform;
+  });
+  const auto marked = static_cast<std::size_t>(last_step.base() - records.begin());
+  for (const bool between : {false, true}) {
+    const std::uint64_t place = between ? marked : records.size();
+    const auto checkpointer = make(1000);
+    for (std::size_t k = 0; k < records.size(); ++k) {
+      if (k == place) checkpointer->mark(1, 0, k, true);
+      checkpointer->record(records[k]);
+    }
+    if (place == records.size()) checkpointer->mark(1, 0, place, true);
+    ASSERT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->written() == 1; }));
+    EXPECT_EQ(checkpointer->finish(std::chrono::seconds(60)) == "", !between);
+    EXPECT_EQ(told(), "");
+    EXPECT_EQ(checkpointer->tets_checked() > 0, between);
+    std::string error;
+    const auto checkpoint = read_checkpoint(checkpoint_path(journal(), 0), error);
+    ASSERT_TRUE(checkpoint) << error;
+    if (!between) {
+      EXPECT_EQ(checkpoint->state, core::save_session(session));
+      continue;
+    }
+    auto resumed = core::restore_session(checkpoint->state, config(), error);
+    ASSERT_TRUE(resumed) << error;
+    for (std::size_t k = marked; k < records.size(); ++k) {
+      apply(*resumed, records[k]);
+      while (resumed->advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+      }
+    }
+    EXPECT_EQ(core::save_session(*resumed), core::save_session(session));
+  }
 }
 
 TEST_F(CheckpointerTest, AnotherHashIsToldAndEndsIt) {

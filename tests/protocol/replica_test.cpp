@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
+#include <map>
 #include <random>
 #include <set>
 
@@ -594,6 +596,53 @@ TEST(Coalesce, OneDeltaEqualsThoseItReplaces) {
       const Frame frame = encode(sum.view());
       EXPECT_TRUE(std::ranges::equal(other.body(), frame.body()));
     }
+  }
+}
+
+// Of steps that move a whole body, or a part of it, or a few vertices, the newest place of each vertex is what counts, in whichever order
+// the large and the small ones come; and of boundary faces and tetrahedra, the last word.
+TEST(Replica, TheNewestPlacesOfABodyThatDeforms) {
+  constexpr std::uint64_t kSeed = 17;
+  std::mt19937_64 random(kSeed);
+  constexpr std::uint32_t kVertices = 700;
+  for (int trial = 0; trial < 200; ++trial) {
+    std::vector<OwnedDelta> owned;
+    std::map<std::uint32_t, double> places;
+    std::map<std::uint32_t, bool> faces;  // by half-face: upserted, not removed
+    for (std::uint32_t n = 1 + static_cast<std::uint32_t>(random() % 8); n > 0; --n) {
+      OwnedDelta& d = owned.emplace_back();
+      d.base_revision = owned.size() - 1;
+      d.revision = owned.size();
+      d.steps.resize(1);
+      d.vertex_count = d.first_added = kVertices;
+      d.first_new_tet = 5000;
+      const std::uint64_t one_in = std::array{1, 2, 100}[random() % 3];
+      for (std::uint32_t v = 0; v < kVertices; ++v) {
+        if (random() % one_in != 0) continue;
+        const auto place = static_cast<double>(random() % 100'000);
+        places[v] = place;
+        d.moved_ids.push_back(v);
+        d.moved_positions.insert(d.moved_positions.end(), {place, place + 1, place + 2});
+        const std::uint32_t face = 7 * v;
+        faces[face] = random() % 2 == 0;
+        (faces[face] ? d.boundary_upserted : d.boundary_removed).push_back(face);
+      }
+    }
+    std::vector<Delta> deltas;
+    for (const OwnedDelta& d : owned) deltas.push_back(d.view());
+    const OwnedDelta sum = coalesce(std::span<const Delta>(deltas));
+    ASSERT_EQ(sum.moved_ids.size(), places.size()) << "seed " << kSeed << ", trial " << trial;
+    std::size_t i = 0;
+    for (const auto& [v, place] : places) {
+      ASSERT_EQ(sum.moved_ids[i], v);
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        ASSERT_EQ(sum.moved_positions[3 * i + axis], place + static_cast<double>(axis)) << v;
+      ++i;
+    }
+    std::vector<std::uint32_t> upserted, removed;
+    for (const auto& [face, is] : faces) (is ? upserted : removed).push_back(face);
+    EXPECT_EQ(sum.boundary_upserted, upserted);
+    EXPECT_EQ(sum.boundary_removed, removed);
   }
 }
 

@@ -1,9 +1,9 @@
 #include "server/core/mesh/boundary_grid.hpp"
 
-#include "server/core/util/room.hpp"
-
 #include <algorithm>
 #include <cmath>
+
+#include "server/core/util/room.hpp"
 
 namespace incise::core {
 namespace {
@@ -13,11 +13,9 @@ double coordinate(const Vec3& p, int axis) {
 }
 
 constexpr double kMaxCells = 16e6;
-// How far a vertex may be from its anchor, in cells.
-constexpr double kFromAnchor = 0.1;
 // Of a body that deforms: a tetrahedron's other vertices were as far from their anchors when it was entered, and a cut may
 // let a vertex slide by a quarter of a cell besides.
-constexpr double kSlackDeforming = 2 * kFromAnchor + 0.25;
+constexpr double kSlackDeforming = 2 * BoundaryGrid::kFromAnchor + 0.25;
 
 }  // namespace
 
@@ -61,6 +59,14 @@ BoundaryGrid::BoundaryGrid(const BoundaryGrid& other)
 
 BoundaryGrid::BoundaryGrid(const Vec3& low, const Vec3& high, double cell) : slack_(kSlackDeforming) {
   lay_out(low, high, cell);
+}
+
+void BoundaryGrid::begin_again(const Vec3& low, const Vec3& high, double cell, std::size_t nodes) {
+  slack_ = kSlackDeforming;
+  lay_out(low, high, cell);
+  nodes_.clear();
+  nodes_.reserve(nodes);
+  anchors_.clear();
 }
 
 void BoundaryGrid::lay_out(const Vec3& low, const Vec3& high, double cell) {
@@ -128,16 +134,6 @@ void BoundaryGrid::take_cell(const TetMesh& mesh, std::size_t cell, std::vector<
       link = &node.next;
     }
   }
-}
-
-bool BoundaryGrid::leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p) {
-  // A cut's new vertices have theirs where they were first asked for.
-  while (anchors_.size() < mesh.vertex_slots())
-    anchors_.push_back(mesh.position(static_cast<VertexId>(anchors_.size())));
-  const double most = kFromAnchor * cell_;
-  if (squared_length(p - anchors_[v]) <= most * most) return false;
-  anchors_[v] = p;
-  return true;
 }
 
 bool BoundaryGrid::contains(const Vec3& p) const {

@@ -19,6 +19,9 @@ namespace incise::core {
 // it has doubled or the body has grown out of it.
 class BoundaryGrid {
  public:
+  // How far a vertex may go from its anchor, in cells.
+  static constexpr double kFromAnchor = 0.1;
+
   explicit BoundaryGrid(const TetMesh& mesh);
   // A copy with room to grow. O(boundary + cells).
   BoundaryGrid(const BoundaryGrid& other);
@@ -27,6 +30,9 @@ class BoundaryGrid {
 
   // A grid of cells of `cell` m over the box, empty, for a body that deforms: no vertex has an anchor yet.
   BoundaryGrid(const Vec3& low, const Vec3& high, double cell);
+
+  // Becomes such a grid, in the memory that it has. `nodes`: entries for which room is made at once.
+  void begin_again(const Vec3& low, const Vec3& high, double cell, std::size_t nodes);
 
   // A box that holds the tissue.
   const Vec3& low() const { return low_; }
@@ -39,8 +45,17 @@ class BoundaryGrid {
 
   // Whether the body deforms.
   bool anchored() const { return !anchors_.empty(); }
-  // Whether the tetrahedra at v have to be entered again when it lies at p; it then has its anchor there.
-  bool leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p);
+  // Whether the tetrahedra at v have to be entered again when it lies at p, where it then has to have its anchor.
+  bool leaves_anchor(const TetMesh& mesh, VertexId v, const Vec3& p) const {
+    const double most = kFromAnchor * cell_;
+    return squared_length(p - (v < anchors_.size() ? anchors_[v] : mesh.position(v))) > most * most;
+  }
+  // The vertices that have no anchor yet, which a cut has made, get theirs where they are.
+  void give_anchors(const TetMesh& mesh) {
+    while (anchors_.size() < mesh.vertex_slots())
+      set_anchor(mesh.position(static_cast<VertexId>(anchors_.size())));
+  }
+  void move_anchor(VertexId v, const Vec3& p) { anchors_[v] = p; }
   void set_anchor(const Vec3& p) { anchors_.push_back(p); }  // of the next vertex
   bool contains(const Vec3& p) const;
   // Whether so much is stale that it should be rebuilt.

@@ -90,13 +90,14 @@ void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
   ++deformations_;
 }
 
-CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta) {
+CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta,
+                                                     const std::vector<GaveWay>* known) {
   if (!begun_) {
     clinging_.clear();
     for (const auto& source : sources_) {
       if (source) source->cutter->clinging(clinging_);
     }
-    mover_.begin(*queue_.front().deformation, clinging_);
+    mover_.begin(*queue_.front().deformation, clinging_, known);
     begun_ = true;
   }
   if (!mover_.advance(budget)) return Progress::kSpent;
@@ -133,9 +134,10 @@ void CutSession::describe(Delta& delta) {
   delta.max_deviation_h = committed_counts_.max_deviation_h;
 }
 
-CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta) {
+CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta,
+                                         const std::vector<GaveWay>* known) {
   if (queue_.empty()) return Progress::kIdle;
-  if (queue_.front().deformation) return advance_deformation(budget, delta);
+  if (queue_.front().deformation) return advance_deformation(budget, delta, known);
   Cutter& cutter = *sources_[queue_.front().source]->cutter;
   if (stage_ == Stage::kWaiting) {
     cutter.begin(queue_.front());

@@ -54,7 +54,8 @@ class CutSession {
   };
   // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
   // arrays keep their capacity: reuse it); call again for the next batch.
-  Progress advance(WorkBudget& budget, Delta& delta);
+  // `known`: if a deformation is next, what gives way in it, as another session in the same state has found (gave_way()).
+  Progress advance(WorkBudget& budget, Delta& delta, const std::vector<GaveWay>* known = nullptr);
   // When no batch waits: loads what the strokes in progress will cut next into the caches. Some 30 us for each; changes nothing.
   void prefetch();
 
@@ -76,6 +77,10 @@ class CutSession {
   std::size_t backlog_segments() const { return queue_.segments(); }
   bool in_stroke(std::uint32_t source) const;
   bool deformation_waits() const { return deformations_ > 0; }
+  // What gave way in the last deformation, ascending.
+  const std::vector<GaveWay>& gave_way() const { return mover_.gave_way(); }
+  // Tetrahedra that deformations have looked at.
+  std::uint64_t tets_checked() const { return mover_.checked(); }
   // The batch of the last kCommitted, and what it did. Its stroke is 0 if it was a deformation.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
@@ -93,7 +98,7 @@ class CutSession {
   Source& source(std::uint32_t number);
   bool finish(WorkBudget& budget);
   bool measure(WorkBudget& budget);
-  Progress advance_deformation(WorkBudget& budget, Delta& delta);
+  Progress advance_deformation(WorkBudget& budget, Delta& delta, const std::vector<GaveWay>* known);
   void describe(Delta& delta);
   void archive_source(Archive& io, std::uint32_t number);
 

@@ -15,15 +15,19 @@ constexpr std::int64_t kQuarters = 1;  // of a unit, for a vertex or a tetrahedr
 }  // namespace
 
 void GridFollower::settle(const Step& step) {
-  rebuilt_ = rebuilt_ || workspace_.grid.overgrown() || !workspace_.grid.anchored();
-  if (step.moved.empty()) rebuilt_ = false;
+  rebuilt_ = rebuilt_ || outside_ > 0;
+  any_left_ = false;
+  if (step.moved.empty()) {
+    rebuilt_ = false;
+  } else if (!rebuilt_) {
+    workspace_.grid.give_anchors(mesh_);
+  }
   all_boundary_.clear();
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = {-INFINITY, -INFINITY, -INFINITY};
   pass_.begin();
   serial_ = workspace_.next_serial();
   left_.resize(mesh_.vertex_slots(), 0);
-  any_left_ = false;
   next_ = 0;
   phase_ = rebuilt_ ? Phase::kCollect : Phase::kLeave;
 }
@@ -53,23 +57,33 @@ void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t, const st
   grid.add_at(t, corners);
 }
 
-// Marks the vertices that have moved far from where the tetrahedra around them were last entered.
+void GridFollower::enter_where_left(const Step& step, TetId t, const std::array<VertexId, 4>& v) {
+  // All four are looked up at once.
+  const bool left = (left_[v[0]] == serial_) | (left_[v[1]] == serial_) | (left_[v[2]] == serial_) |
+                    (left_[v[3]] == serial_);
+  if (left) enter(workspace_.grid, step, t, v);
+}
+
+// Marks the vertices that leave their anchors, which follow them.
 bool GridFollower::leave(const Step& step, WorkBudget& budget) {
-  return in_chunks(next_, step.moved.size(), budget, kQuarters, [&](std::size_t i) {
-    if (!workspace_.grid.leaves_anchor(mesh_, step.moved[i], step.positions[i])) return;
-    left_[step.moved[i]] = serial_;
+  return in_chunks(next_, leaving_.size(), budget, kQuarters, [&](std::size_t i) {
+    const VertexId v = leaving_[i];
+    if (!staying_.empty() && std::binary_search(staying_.begin(), staying_.end(), v)) return;
+    if (!workspace_.grid.leaves_anchor(mesh_, v, step.targets[v])) return;
     any_left_ = true;
+    left_[v] = serial_;
+    workspace_.grid.move_anchor(v, step.targets[v]);
   });
 }
 
 // Through the boundary, which is a small part of a large body, instead of through the marked vertices' stars.
 bool GridFollower::follow(const Step& step, WorkBudget& budget) {
-  return in_chunks(next_, step.boundary.size(), budget, kQuarters, [&](std::size_t i) {
-    const auto& [t, v] = step.boundary[i];
-    // All four are looked up at once.
-    const bool left = (left_[v[0]] == serial_) | (left_[v[1]] == serial_) | (left_[v[2]] == serial_) |
-                      (left_[v[3]] == serial_);
-    if (left) enter(workspace_.grid, step, t, v);
+  if (step.all) {
+    return step.all->visit_boundary(next_, budget,
+                                    [&](TetId t) { enter_where_left(step, t, step.all->vertices(t)); });
+  }
+  return in_chunks(next_, step.listed.size(), budget, kQuarters, [&](std::size_t i) {
+    enter_where_left(step, step.listed[i], mesh_.vertices(step.listed[i]));
   });
 }
 
@@ -87,7 +101,8 @@ bool GridFollower::collect(const Step& step, WorkBudget& budget) {
   const Vec3 size = high_ - low_;
   const double room = kRoom * std::max({size.x, size.y, size.z});
   const Vec3 margin{room, room, room};
-  fresh_ = BoundaryGrid(low_ - margin, high_ + margin, 2 * mesh_.mean_edge_length());
+  // A grid is rebuilt when it has more than twice what it began with.
+  fresh_.begin_again(low_ - margin, high_ + margin, 2 * mesh_.mean_edge_length(), old.entries());
   return true;
 }
 

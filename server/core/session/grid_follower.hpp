@@ -6,6 +6,7 @@
 
 #include "server/core/cut/cut_workspace.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/step_tets.hpp"
 
 namespace incise::core {
 
@@ -17,22 +18,32 @@ class GridFollower {
   GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
       : mesh_(mesh), workspace_(workspace), pass_(workspace), fresh_({}, {}, 1) {}
 
-  // With its vertices: a step passes the boundary again, and tetrahedra lie all over memory.
-  struct BoundaryTet {
-    TetId id;
-    std::array<VertexId, 4> vertices;
-  };
   // What is about to move, where to, and where all vertices will be then. These must live until commit().
   struct Step {
     const std::vector<VertexId>& moved;
     const std::vector<Vec3>& positions;
     const std::vector<Vec3>& targets;  // by vertex
-    // The tetrahedra at these vertices that lie on the boundary, and any others there.
-    const std::vector<BoundaryTet>& boundary;
+    // The tetrahedra at these vertices that lie on the boundary, and any others there: those of the list, or all of the boundary's.
+    const std::vector<TetId>& listed;
+    const StepTets* all = nullptr;
   };
-  // Call begin(), then look_at() for each vertex's new place, then settle() for all of them.
-  void begin() { rebuilt_ = false; }
-  void look_at(const Vec3& target) { rebuilt_ = rebuilt_ || !workspace_.grid.contains(target); }
+  // Call begin(), then look_at() for each vertex and its new place, ascending, then settle() for all of them.
+  void begin() {
+    rebuilt_ = workspace_.grid.overgrown() || !workspace_.grid.anchored();
+    outside_ = 0;
+    leaving_.clear();
+    staying_.clear();
+  }
+  void look_at(VertexId v, const Vec3& target) {
+    outside_ += workspace_.grid.contains(target) ? 0 : 1;
+    if (!rebuilt_ && workspace_.grid.leaves_anchor(mesh_, v, target)) leaving_.push_back(v);
+  }
+  // The vertex only goes to `target` instead, or stays. Ascending, each once.
+  void look_again(VertexId v, const Vec3& instead_of, const Vec3& target, bool stays) {
+    outside_ -= workspace_.grid.contains(instead_of) ? 0 : 1;
+    outside_ += stays || workspace_.grid.contains(target) ? 0 : 1;
+    (stays ? staying_ : leaving_).push_back(v);
+  }
   void settle(const Step& step);
   // Works until all is ready (true) or the budget is spent (false).
   bool advance(const Step& step, WorkBudget& budget);
@@ -47,15 +58,19 @@ class GridFollower {
   bool collect(const Step& step, WorkBudget& budget);
   bool rebuild(const Step& step, WorkBudget& budget);
   static void enter(BoundaryGrid& grid, const Step& step, TetId t, const std::array<VertexId, 4>& vertices);
+  void enter_where_left(const Step& step, TetId t, const std::array<VertexId, 4>& vertices);
 
   const TetMesh& mesh_;
   CutWorkspace& workspace_;
   Phase phase_ = Phase::kReady;
   std::size_t next_ = 0;
   TetPass pass_;
+  std::size_t outside_ = 0;        // vertices that go out of the grid
+  std::vector<VertexId> leaving_;  // perhaps: far from where the tetrahedra around them were last entered
+  std::vector<VertexId> staying_;  // of those: the ones that do not move after all, ascending
+  bool any_left_ = false;
   std::vector<std::uint32_t> left_;  // by vertex: the step in which it left its anchor
   std::uint32_t serial_ = 0;
-  bool any_left_ = false;
   Vec3 low_, high_;  // a box around the boundary, for a new grid
   std::vector<TetId> all_boundary_;
   bool rebuilt_ = false;

@@ -10,10 +10,10 @@ constexpr std::size_t kBytesPerTet = 96, kBytesPerVertex = 160;
 
 }  // namespace
 
-std::vector<std::byte> save_session(const CutSession& session) {
+std::vector<std::byte> save_session(const CutSession& session, std::vector<std::byte> into) {
   INCISE_CHECK(session.backlog_batches() == 0, session.backlog_batches());
   const TetMesh& mesh = session.mesh();
-  Archive out(kBytesPerTet * mesh.tet_slots() + kBytesPerVertex * mesh.vertex_slots());
+  Archive out(std::move(into), kBytesPerTet * mesh.tet_slots() + kBytesPerVertex * mesh.vertex_slots());
   const_cast<CutSession&>(session).archive(out);  // NOLINT: an archive that writes changes nothing
   return out.take();
 }

@@ -20,7 +20,8 @@ namespace incise::core {
 inline constexpr std::uint32_t kSessionStateVersion = 10;
 
 // No batch may wait (advance() returns kIdle): a batch under way cannot be saved. O(mesh).
-std::vector<std::byte> save_session(const CutSession& session);
+// `into`: an array that is no longer needed, whose memory is used.
+std::vector<std::byte> save_session(const CutSession& session, std::vector<std::byte> into = {});
 
 // Trusts none of the bytes: returns null, and one line in `error`, unless they are a session with this configuration's policy
 // and a valid mesh. Allocates no more than a small multiple of their number. O(mesh).

@@ -19,6 +19,10 @@ class TargetPositions {
   const Vec3& operator[](VertexId v) const { return exact_[v]; }
   const std::vector<Vec3>& by_vertex() const { return exact_; }
 
+  void reserve(std::size_t count) {
+    exact_.reserve(count);
+    rough_.reserve(count);
+  }
   // p must be finite.
   void push_back(const Vec3& p) {
     if (exact_.empty()) origin_ = p;
@@ -42,27 +46,42 @@ class TargetPositions {
     rough_edges_ = static_cast<float>(edge * edge * (1 - 16 * kUnit));
   }
 
-  // Whether six volumes of this tetrahedron are surely at least `thick`; where it says no, the exact positions tell.
-  bool surely_thick(const std::array<VertexId, 4>& v) const {
-    const Lanes a = rough_[v[0]];
-    const Lanes b = rough_[v[1]] - a, c = rough_[v[2]] - a, d = rough_[v[3]] - a;
-    const Lanes cross = yzx(b) * zxy(c) - zxy(b) * yzx(c);
-    const Lanes volume = cross * d;
-    const Lanes edges = b * b + c * c + d * d;
-    // Both sums at once: of x and z, then with y.
-    const Lanes both = __builtin_shufflevector(volume, edges, 0, 4, 2, 6);
-    const Lanes sums = both + __builtin_shufflevector(both, both, 2, 3, 2, 3) +
-                       __builtin_shufflevector(volume, edges, 1, 5, 1, 5);
+  // Of four tetrahedra, bit k of tets[k]: whether six volumes of it are surely at least `thick`; where it says no, the exact positions tell.
+  unsigned surely_thick(const std::array<VertexId, 4>* tets) const {
+    const Four a = corners(tets, 0);
+    const Four b = corners(tets, 1) - a, c = corners(tets, 2) - a, d = corners(tets, 3) - a;
+    const Lanes volumes =
+        (b.y * c.z - b.z * c.y) * d.x + (b.z * c.x - b.x * c.z) * d.y + (b.x * c.y - b.y * c.x) * d.z;
+    const Lanes edges = b.squared() + c.squared() + d.squared();
     // What is not a number compares as false.
-    return sums[0] >= rough_thick_ && sums[1] <= rough_edges_;
+    const auto thick = (volumes >= rough_thick_) & (edges <= rough_edges_);
+    return (static_cast<unsigned>(thick[0]) & 1) | (static_cast<unsigned>(thick[1]) & 2) |
+           (static_cast<unsigned>(thick[2]) & 4) | (static_cast<unsigned>(thick[3]) & 8);
+  }
+  bool surely_thick(const std::array<VertexId, 4>& v) const {
+    const std::array<VertexId, 4> four[4] = {v, v, v, v};
+    return surely_thick(four) != 0;
   }
 
  private:
   using Lanes [[gnu::vector_size(16)]] = float;     // x, y, z and nothing, m from origin_
   static constexpr double kUnit = 1.0 / (1 << 24);  // of the rounding of a float
 
-  static Lanes yzx(Lanes p) { return __builtin_shufflevector(p, p, 1, 2, 0, 3); }
-  static Lanes zxy(Lanes p) { return __builtin_shufflevector(p, p, 2, 0, 1, 3); }
+  // Points of four tetrahedra.
+  struct Four {
+    Lanes x, y, z;
+    friend Four operator-(const Four& p, const Four& q) { return {p.x - q.x, p.y - q.y, p.z - q.z}; }
+    Lanes squared() const { return x * x + y * y + z * z; }
+  };
+  Four corners(const std::array<VertexId, 4>* tets, std::size_t corner) const {
+    const Lanes p = rough_[tets[0][corner]], q = rough_[tets[1][corner]], r = rough_[tets[2][corner]],
+                s = rough_[tets[3][corner]];
+    const Lanes pq = __builtin_shufflevector(p, q, 0, 4, 1, 5),
+                rs = __builtin_shufflevector(r, s, 0, 4, 1, 5);
+    return {__builtin_shufflevector(pq, rs, 0, 1, 4, 5), __builtin_shufflevector(pq, rs, 2, 3, 6, 7),
+            __builtin_shufflevector(__builtin_shufflevector(p, q, 2, 6, 3, 7),
+                                    __builtin_shufflevector(r, s, 2, 6, 3, 7), 0, 1, 4, 5)};
+  }
 
   Lanes rounded(const Vec3& p) {
     const Vec3 from = p - origin_;

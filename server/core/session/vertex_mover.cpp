@@ -1,12 +1,14 @@
 #include "server/core/session/vertex_mover.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <span>
 
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/session/in_chunks.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
+#include "server/core/util/room.hpp"
 
 namespace incise::core {
 namespace {
@@ -20,6 +22,8 @@ constexpr double kAsThick = 1 - 1e-6;
 constexpr double kLocallyAtMost = 4;
 // Longer edges than this many mean lengths are left to exact arithmetic.
 constexpr double kLongest = 8;
+// Nothing that is nearer is too far, however the roots are rounded.
+constexpr double kSurelyNear_m2 = 0.99 * kFarthest_m * kFarthest_m;
 constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
@@ -31,7 +35,7 @@ double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
 }  // namespace
 
 VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
-    : mesh_(mesh), workspace_(workspace), pass_(workspace), grid_(mesh, workspace) {
+    : mesh_(mesh), workspace_(workspace), pass_(workspace), tets_(mesh), grid_(mesh, workspace) {
   known_since_.reserve(mesh.vertex_slots() + mesh.vertex_slots() / 4 + 65536);
   known_since_.resize(mesh.vertex_slots(), 0);
 }
@@ -42,11 +46,13 @@ void VertexMover::note_cut(const Delta& delta) {
     if (v < target_.size()) target_.set(v, mesh_.position(v));
   }
   known_since_.resize(mesh_.vertex_slots(), delta.revision);
+  tets_.follow(delta);
 }
 
-void VertexMover::begin(const VertexPositions& positions, const std::vector<VertexId>& clinging) {
+void VertexMover::begin(const VertexPositions& positions, const std::vector<VertexId>& clinging,
+                        const std::vector<GaveWay>* known) {
   positions_ = &positions;
-  phase_ = Phase::kTake;
+  phase_ = Phase::kGather;
   next_ = 0;
   serial_ = workspace_.next_serial();
   const std::size_t vertices = mesh_.vertex_slots();
@@ -54,10 +60,11 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   clinging_.resize(vertices, 0);
   gives_way_.resize(vertices, 0);
   reach_.resize(vertices, kStays);
-  while (target_.size() < vertices) target_.push_back(mesh_.position(static_cast<VertexId>(target_.size())));
   for (const VertexId v : clinging) clinging_[v] = serial_;
-  moving_.clear();
   first_round_ = true;
+  known_ = known;
+  gave_way_.clear();
+  any_stay_ = false;
   to_check_.clear();
   boundary_.clear();
   too_far_.clear();
@@ -75,6 +82,9 @@ bool VertexMover::advance(WorkBudget& budget) {
   while (phase_ != Phase::kReady) {
     if (budget.spent()) return false;
     switch (phase_) {
+      case Phase::kGather:
+        gather(budget);
+        break;
       case Phase::kTake:
         take(budget);
         break;
@@ -90,6 +100,9 @@ bool VertexMover::advance(WorkBudget& budget) {
       case Phase::kSettle:
         settle(budget);
         break;
+      case Phase::kLeaveOut:
+        if (leave_out(budget)) begin_following();
+        break;
       case Phase::kFollow:
         if (grid_.advance(grid_step(), budget)) phase_ = Phase::kReady;
         break;
@@ -102,32 +115,79 @@ bool VertexMover::advance(WorkBudget& budget) {
 
 // ------------------------------------------------------------------------------------------------ which
 
+// What the mesh has got since the last step; all that it has, before the first one.
+void VertexMover::gather(WorkBudget& budget) {
+  if (target_.size() == 0) target_.reserve(room_for(mesh_.vertex_slots()));
+  std::size_t next = target_.size();
+  const auto take_in = [this](std::size_t v) { target_.push_back(mesh_.position(static_cast<VertexId>(v))); };
+  if (in_chunks(next, mesh_.vertex_slots(), budget, kSmall, take_in) && tets_.catch_up(budget))
+    phase_ = Phase::kTake;
+}
+
+bool VertexMover::may_move(VertexId v, const Vec3& to) {
+  if (wanted(v) || (!moved_.empty() && v < moved_.back())) return false;
+  const Vec3& now = mesh_.position(v);
+  if (to.x == now.x && to.y == now.y && to.z == now.z) return false;
+  const bool is_place = squared_length(to) < kSurelyNear_m2 || (is_finite(to) && length(to) <= kFarthest_m);
+  if (clinging_[v] != serial_ && is_place) return true;
+  held_.push_back(v);
+  return false;
+}
+
 void VertexMover::take(WorkBudget& budget) {
   const auto& entries = positions_->positions;
-  const bool done = in_chunks(next_, entries.size(), budget, kSmall, [&](std::size_t i) {
-    const VertexId v = positions_->id(i);
-    const Vec3& p = entries[i];
-    if (v >= mesh_.vertex_slots() || mesh_.vertex_tet(v) == kNone || known_since_[v] > positions_->revision) {
-      ++passed_over_;
-      return;
-    }
-    if (wanted(v) || (!moving_.empty() && v < moving_.back())) return;
-    const Vec3& now = mesh_.position(v);
-    if (p.x == now.x && p.y == now.y && p.z == now.z) return;
-    if (clinging_[v] == serial_ || !is_finite(p) || length(p) > kFarthest_m) {
-      held_.push_back(v);
-      return;
-    }
-    wanted_[v] = serial_;
-    reach_[v] = kFull;
-    target_.set(v, p);
-    moving_.push_back(v);
-  });
+  if (next_ == 0) {
+    // With room, since cuts add some vertices between any two steps.
+    const std::size_t most = entries.size() + entries.size() / 4;
+    if (moved_.capacity() < entries.size()) moved_.reserve(most);
+    if (moved_positions_.capacity() < entries.size()) moved_positions_.reserve(most);
+  }
+  const bool done =
+      chunk_by_chunk(next_, entries.size(), budget, kSmall, [&](std::size_t first, std::size_t stop) {
+        const std::size_t before = moved_.size();
+        for (std::size_t i = first; i < stop; ++i) {
+          const VertexId v = positions_->id(i);
+          if (v >= mesh_.vertex_slots() || mesh_.vertex_tet(v) == kNone ||
+              known_since_[v] > positions_->revision) {
+            ++passed_over_;
+            continue;
+          }
+          const Vec3& p = entries[i];
+          if (!may_move(v, p)) continue;
+          wanted_[v] = serial_;
+          reach_[v] = kFull;
+          target_.set(v, p);
+          moved_.push_back(v);
+          moved_positions_.push_back(p);
+        }
+        note_moved(before);
+      });
   if (!done) return;
   // One pass over all tetrahedra is faster than visiting the stars of most vertices, which reach each tetrahedron four times.
-  all_tets_ = moving_.size() > mesh_.tet_slots() / 16;
+  all_tets_ = moved_.size() > mesh_.tet_slots() / 16;
   pass_.begin();
+  held_at_blades_ = held_.size();
   phase_ = all_tets_ ? Phase::kCheck : Phase::kLook;
+  if (all_tets_ && known_) take_known();
+}
+
+void VertexMover::take_known() {
+  for (const auto& [v, stays] : *known_) {
+    if (v >= wanted_.size() || !wanted(v) || reach_[v] != kFull)
+      continue;  // then the hash will not be the same
+    target_.set(v, stays ? mesh_.position(v) : lerp(mesh_.position(v), target_[v], 0.5));
+    reach_[v] = stays ? kStays : kHalf;
+    held_.push_back(v);
+  }
+  begin_settling();
+}
+
+// What the moved vertices from `first` on do to the hash and to the grid, while they are in the caches. settle() corrects it
+// where one gives way.
+void VertexMover::note_moved(std::size_t first) {
+  for (std::size_t i = first; i < moved_.size(); ++i) grid_.look_at(moved_[i], moved_positions_[i]);
+  hash_change_ ^=
+      mesh_.hash_change(std::span(moved_).subspan(first), std::span(moved_positions_).subspan(first));
 }
 
 // ------------------------------------------------------------------------------------------------ how far
@@ -143,33 +203,66 @@ void VertexMover::look_around(VertexId v) {
 }
 
 void VertexMover::look(WorkBudget& budget) {
-  if (in_chunks(next_, moving_.size(), budget, kStar, [this](std::size_t i) { look_around(moving_[i]); }))
+  if (in_chunks(next_, moved_.size(), budget, kStar, [this](std::size_t i) { look_around(moved_[i]); }))
     phase_ = Phase::kCheck;
 }
 
 void VertexMover::check(WorkBudget& budget) {
   if (next_ == 0) target_.begin_looking(surely_thick_, kLongest * mesh_.mean_edge_length());
-  const std::size_t count = all_tets_ ? mesh_.tet_slots() : to_check_.size();
-  const bool done = in_chunks(next_, count, budget, kSmall, [this, count](std::size_t i) {
-    const TetId t = all_tets_ ? static_cast<TetId>(i) : to_check_[i];
-    // In a mesh file neighbours lie anywhere, and a large one's vertices are not in the nearer caches.
-    if (all_tets_ && i + kAhead < count && mesh_.alive(t + kAhead)) {
-      for (const VertexId v : mesh_.vertices(t + kAhead)) target_.prefetch(v);
-    }
+  if (first_round_ && all_tets_) {
+    check_all(budget);
+  } else {
+    check_listed(budget);
+  }
+}
+
+void VertexMover::check_all(WorkBudget& budget) {
+  const std::size_t count = tets_.size();
+  static_assert(kChunk == 64, "StepTets::alive_64");
+  const bool done =
+      chunk_by_chunk(next_, count, budget, kSmall, [this, count](std::size_t first, std::size_t stop) {
+        std::uint64_t look = tets_.alive_64(static_cast<TetId>(first));
+        for (std::size_t i = first; i + 4 <= stop; i += 4) {
+          // In a mesh file neighbours lie anywhere, and a large one's vertices are not in the nearer caches.
+          for (std::size_t k = i + kAhead; k < std::min(i + kAhead + 4, count); ++k)
+            for (const VertexId v : tets_.vertices(static_cast<TetId>(k))) target_.prefetch(v);
+          const std::uint64_t thick = target_.surely_thick(&tets_.vertices(static_cast<TetId>(i)));
+          look &= ~(thick << (i - first));
+        }
+        for (; look != 0; look &= look - 1) {
+          const auto t = static_cast<TetId>(first) + static_cast<TetId>(std::countr_zero(look));
+          check_tet(t, tets_.vertices(t));
+        }
+      });
+  if (!done) return;
+  checked_ += count;
+  checked_round();
+}
+
+void VertexMover::check_listed(WorkBudget& budget) {
+  const bool done = in_chunks(next_, to_check_.size(), budget, kSmall, [this](std::size_t i) {
+    const TetId t = to_check_[i];
     if (!mesh_.alive(t)) return;
-    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(t);
-    if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back({t, mesh_.vertices(t)});
+    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(t, mesh_.vertices(t));
+    if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back(t);
   });
   if (!done) return;
-  all_tets_ = false;
+  checked_ += to_check_.size();
+  checked_round();
+}
+
+void VertexMover::checked_round() {
   first_round_ = false;
   to_check_.clear();
   pass_.begin();
-  phase_ = too_far_.empty() ? Phase::kSettle : Phase::kYield;
+  if (too_far_.empty()) {
+    begin_settling();
+  } else {
+    phase_ = Phase::kYield;
+  }
 }
 
-void VertexMover::check_tet(TetId t) {
-  const auto& v = mesh_.vertices(t);
+void VertexMover::check_tet(TetId t, const std::array<VertexId, 4>& v) {
   const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
   const double then = six_volumes(a, b, c, d);
   if (then >= surely_thick_) return;
@@ -200,28 +293,54 @@ void VertexMover::yield(WorkBudget& budget) {
   phase_ = Phase::kCheck;
 }
 
-void VertexMover::settle(WorkBudget& budget) {
-  if (next_ == 0) {
-    // With room, since cuts add some vertices between any two steps.
-    const std::size_t most = moving_.size() + moving_.size() / 4;
-    if (moved_.capacity() < moving_.size()) moved_.reserve(most);
-    if (moved_positions_.capacity() < moving_.size()) moved_positions_.reserve(most);
-  }
-  const auto settle_some = [this](std::size_t first, std::size_t stop) {
-    const std::size_t before = moved_.size();
-    for (std::size_t i = first; i < stop; ++i) {
-      const VertexId v = moving_[i];
-      if (reach_[v] == kStays) continue;
-      moved_.push_back(v);
-      moved_positions_.push_back(target_[v]);
-      grid_.look_at(target_[v]);
-    }
-    hash_change_ ^=
-        mesh_.hash_change(std::span(moved_).subspan(before), std::span(moved_positions_).subspan(before));
-  };
-  const bool done = chunk_by_chunk(next_, moving_.size(), budget, kSmall, settle_some);
-  if (!done) return;
+// All is known: where each vertex goes.
+void VertexMover::begin_settling() {
+  for (std::size_t i = held_at_blades_; i < held_.size(); ++i)
+    gave_way_.push_back({held_[i], reach_[held_[i]] == kStays});
+  std::sort(gave_way_.begin(), gave_way_.end(),
+            [](const GaveWay& a, const GaveWay& b) { return a.vertex < b.vertex; });
   std::sort(held_.begin(), held_.end());
+  phase_ = Phase::kSettle;
+}
+
+void VertexMover::settle(WorkBudget& budget) {
+  if (!in_chunks(next_, gave_way_.size(), budget, kStar, [this](std::size_t i) { give_way(gave_way_[i]); }))
+    return;
+  if (any_stay_) {
+    left_in_ = 0;
+    phase_ = Phase::kLeaveOut;
+  } else {
+    begin_following();
+  }
+}
+
+// Corrects what was noted when the vertex was taken.
+void VertexMover::give_way(const GaveWay& gave) {
+  const VertexId v = gave.vertex;
+  const auto at =
+      static_cast<std::size_t>(std::lower_bound(moved_.begin(), moved_.end(), v) - moved_.begin());
+  const auto change = [&](const Vec3& to) { return mesh_.hash_change(std::span(&v, 1), std::span(&to, 1)); };
+  hash_change_ ^= change(moved_positions_[at]);
+  if (!gave.stays) hash_change_ ^= change(target_[v]);
+  grid_.look_again(v, moved_positions_[at], target_[v], gave.stays);
+  moved_positions_[at] = target_[v];
+  any_stay_ = any_stay_ || gave.stays;
+}
+
+// Takes those that stay out of what has moved.
+bool VertexMover::leave_out(WorkBudget& budget) {
+  const bool done = in_chunks(next_, moved_.size(), budget, kSmall, [this](std::size_t i) {
+    if (reach_[moved_[i]] == kStays) return;
+    moved_[left_in_] = moved_[i];
+    moved_positions_[left_in_++] = moved_positions_[i];
+  });
+  if (!done) return false;
+  moved_.resize(left_in_);
+  moved_positions_.resize(left_in_);
+  return true;
+}
+
+void VertexMover::begin_following() {
   grid_.settle(grid_step());
   phase_ = Phase::kFollow;
 }

@@ -7,6 +7,7 @@
 #include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/grid_follower.hpp"
+#include "server/core/session/step_tets.hpp"
 #include "server/core/session/target_positions.hpp"
 #include "server/core/session/vertex_positions.hpp"
 
@@ -14,13 +15,15 @@ namespace incise::core {
 
 // Moves vertices to the positions that a host simulation has sent, all at once, after checking that the mesh stays valid:
 //
+//   gather   what cuts have made since the last step, or everything before the first one.
 //   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
 //            present state), nor those at a blade: the cut under way relies on the places it has given them, so
 //            the tissue clings to the blade until it has passed.
 //   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, unless they were before and
 //            get no thinner). Their vertices go half the way, or stay if that is still too far; this repeats until no
 //            tetrahedron is wrong. Each vertex is held back at most twice, so this ends.
-//   settle   the change of the state hash; then the boundary grid follows (GridFollower).
+//   settle   the change of the state hash; then the boundary grid follows (GridFollower). Both are noted as vertices are taken, and
+//            corrected for those that give way.
 //
 // Nothing changes before commit(), and the budget is checked in between. The cost depends on the vertices that move only.
 class VertexMover {
@@ -28,8 +31,10 @@ class VertexMover {
   // Both must outlive this.
   VertexMover(TetMesh& mesh, CutWorkspace& workspace);
 
-  // `positions` must live until commit(). `clinging`: the vertices at blades, repetitions allowed.
-  void begin(const VertexPositions& positions, const std::vector<VertexId>& clinging);
+  // `positions` must live until commit(). `clinging`: the vertices at blades, repetitions allowed. `known`: what gives way,
+  // from another session that was in the same state: if most vertices move, nothing is checked. It must live until commit().
+  void begin(const VertexPositions& positions, const std::vector<VertexId>& clinging,
+             const std::vector<GaveWay>* known = nullptr);
   // Works until all is ready (true) or the budget is spent (false).
   bool advance(WorkBudget& budget);
   // Moves the vertices. Fills the mesh part of `delta`.
@@ -40,20 +45,38 @@ class VertexMover {
 
   void archive(Archive& io);
 
- private:
-  enum class Phase { kTake, kLook, kCheck, kYield, kSettle, kFollow, kReady };
-  // How much of its way a vertex goes; between the two, half.
-  static constexpr std::uint8_t kStays = 0, kFull = 2;
+  // What gave way in the last step, ascending.
+  const std::vector<GaveWay>& gave_way() const { return gave_way_; }
+  // Tetrahedra that were looked at, ever.
+  std::uint64_t checked() const { return checked_; }
 
+ private:
+  enum class Phase { kGather, kTake, kLook, kCheck, kYield, kSettle, kLeaveOut, kFollow, kReady };
+  // How much of its way a vertex goes.
+  static constexpr std::uint8_t kStays = 0, kHalf = 1, kFull = 2;
+
+  void gather(WorkBudget& budget);
   void take(WorkBudget& budget);
+  bool may_move(VertexId v, const Vec3& to);
   void look(WorkBudget& budget);
   void look_around(VertexId v);
   void check(WorkBudget& budget);
-  void check_tet(TetId t);
+  void check_all(WorkBudget& budget);
+  void check_listed(WorkBudget& budget);
+  void checked_round();
+  void check_tet(TetId t, const std::array<VertexId, 4>& v);
   void yield(WorkBudget& budget);
   void settle(WorkBudget& budget);
+  void take_known();
+  void begin_settling();
+  void give_way(const GaveWay& gave);
+  bool leave_out(WorkBudget& budget);
+  void begin_following();
+  void note_moved(std::size_t first);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
-  GridFollower::Step grid_step() const { return {moved_, moved_positions_, target_.by_vertex(), boundary_}; }
+  GridFollower::Step grid_step() const {
+    return {moved_, moved_positions_, target_.by_vertex(), boundary_, all_tets_ ? &tets_ : nullptr};
+  }
 
   TetMesh& mesh_;
   CutWorkspace& workspace_;
@@ -69,16 +92,23 @@ class VertexMover {
   TetPass pass_;                          // through tetrahedra: looks at each once
   std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted
   TargetPositions target_;  // where each vertex will lie, as far as is known; where it is, between two steps
-  std::vector<VertexId> moving_;  // wanted, ascending
-  double surely_thick_ = 0;       // six volumes, m^3: no tetrahedron that has them is flat
-  bool all_tets_ = false;         // the first round looks at all instead of at stars
-  bool first_round_ = false;      // it meets every tetrahedron at a vertex that is wanted
+  StepTets tets_;
+  double surely_thick_ = 0;   // six volumes, m^3: no tetrahedron that has them is flat
+  bool all_tets_ = false;     // the first round looks at all instead of at stars
+  bool first_round_ = false;  // it meets every tetrahedron at a vertex that is wanted
+  const std::vector<GaveWay>* known_ = nullptr;
+  std::uint64_t checked_ = 0;
   std::vector<TetId> to_check_;
-  std::vector<GridFollower::BoundaryTet> boundary_;  // of those: the ones on the boundary
+  std::vector<TetId>
+      boundary_;  // of those of the first round: the ones on the boundary, where it does not look at all
   std::vector<VertexId> too_far_;
   std::uint32_t passed_over_ = 0;
   std::vector<VertexId> held_;
-  std::vector<VertexId> moved_;
+  std::size_t held_at_blades_ = 0;  // the first of these
+  std::vector<GaveWay> gave_way_;
+  bool any_stay_ = false;        // of these
+  std::size_t left_in_ = 0;      // of moved_, so far, when some are left out
+  std::vector<VertexId> moved_;  // wanted, ascending; in the end without those that stay
   std::vector<Vec3> moved_positions_;
   std::uint64_t hash_change_ = 0;
   GridFollower grid_;

@@ -1,11 +1,20 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "server/core/mesh/mesh_data.hpp"
 
 namespace incise::core {
+
+// A vertex that a step did not take all the way, since a tetrahedron would have inverted: half the way, or it stays.
+struct GaveWay {
+  VertexId vertex = kNone;
+  bool stays = false;
+
+  friend bool operator==(const GaveWay&, const GaveWay&) = default;
+};
 
 // Where a host simulation says that vertices are. Not trusted: CutSession::deform() takes what is valid.
 struct VertexPositions {
@@ -17,6 +26,9 @@ struct VertexPositions {
   VertexId first = 0;
   std::vector<Vec3> positions;  // metres, world frame
   bool single = false;          // they came as floats, and can be stored so
+  // What the first session that took them found out, for another one in the same state. Whoever wants that puts a list here; it is
+  // filled when the step is done, and may be looked at by those who hear of that.
+  std::shared_ptr<std::vector<GaveWay>> outcome;
 
   VertexId id(std::size_t i) const { return ids.empty() ? first + static_cast<VertexId>(i) : ids[i]; }
 };

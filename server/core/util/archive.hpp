@@ -22,6 +22,10 @@ class Archive {
  public:
   // Writes. `expected`: bytes for which room is made at once; what is not written costs nothing.
   explicit Archive(std::size_t expected = 0) { written_.reserve(expected); }
+  // Writes into this, whose bytes do not matter.
+  Archive(std::vector<std::byte> into, std::size_t expected) : written_(std::move(into)) {
+    written_.reserve(expected);
+  }
   // Reads.
   explicit Archive(std::span<const std::byte> bytes) : reads_(true), left_(bytes) {}
 

@@ -143,8 +143,12 @@ TEST(BoundaryGrid, KnowsWhoLeavesItsAnchor) {
   EXPECT_FALSE(grid.anchored());
   const Vec3 p = mesh.position(7);
   EXPECT_FALSE(grid.leaves_anchor(mesh, 7, p + Vec3{0.15, 0, 0}));
+  EXPECT_TRUE(grid.leaves_anchor(mesh, 7, p + Vec3{0.25, 0, 0})) << "its anchor will be where it is";
+  grid.give_anchors(mesh);
   EXPECT_TRUE(grid.anchored());
+  EXPECT_FALSE(grid.leaves_anchor(mesh, 7, p + Vec3{0.15, 0, 0}));
   EXPECT_TRUE(grid.leaves_anchor(mesh, 7, p + Vec3{0.25, 0, 0}));
+  grid.move_anchor(7, p + Vec3{0.25, 0, 0});
   EXPECT_FALSE(grid.leaves_anchor(mesh, 7, p + Vec3{0.4, 0, 0})) << "its anchor is where it went";
   EXPECT_TRUE(grid.leaves_anchor(mesh, 7, p));
   EXPECT_TRUE(grid.contains({4.9, 0, 0}));

@@ -268,6 +268,75 @@ TEST(VertexMover, CutsInAMovingBodyAreValidAndDeterministic) {
   }
 }
 
+// A session that is told what gave way in another looks at no tetrahedron again, and is the same to the last byte that is saved, its grid
+// included.
+TEST(VertexMover, WhatIsKnownIsNotLookedForAgain) {
+  for (const std::uint64_t seed : {1u, 2u}) {
+    CutSession session(body(), config());
+    CutSession other(body(), config());
+    std::size_t whole = 0, half = 0, stayed = 0, unhindered = 0, calls = 0;
+    for (const auto& call : happenings(seed)) {
+      call(session);
+      call(other);
+      for (Delta delta;;) {
+        auto budget = WorkBudget::unlimited();
+        if (session.advance(budget, delta) != CutSession::Progress::kCommitted) break;
+        const std::vector<GaveWay> known = session.gave_way();
+        const std::uint64_t before = other.tets_checked();
+        Delta again;
+        ASSERT_EQ(other.advance(budget, again, &known), CutSession::Progress::kCommitted);
+        ASSERT_EQ(again.state_hash, delta.state_hash) << "seed " << seed << ", revision " << delta.revision;
+        ASSERT_EQ(again.deformation.held, delta.deformation.held);
+        ASSERT_EQ(again.moved, delta.moved);
+        if (delta.stroke != 0) continue;
+        ASSERT_EQ(other.gave_way(), known);
+        if (delta.moved.size() <= session.mesh().tet_slots() / 16) continue;
+        ++whole;
+        unhindered += known.empty();
+        for (const GaveWay& gave : known) (gave.stays ? stayed : half) += 1;
+        EXPECT_EQ(other.tets_checked(), before);
+      }
+      if (++calls % 7 == 0) {
+        ASSERT_EQ(save_session(other), save_session(session)) << "seed " << seed;
+      }
+    }
+    EXPECT_GT(whole, 50u);
+    EXPECT_GT(unhindered, 10u);
+    EXPECT_GT(half, 20u);
+    EXPECT_GT(stayed, 20u);
+    EXPECT_GT(session.tets_checked(), 0u);
+    EXPECT_EQ(save_session(other), save_session(session)) << "seed " << seed;
+  }
+}
+
+// What a step looks at is what the mesh has, whatever was cut since the last one.
+TEST(StepTets, FollowCuts) {
+  CutSession session(body(), config());
+  const TetMesh& mesh = session.mesh();
+  StepTets tets(mesh);
+  for (int i = 0; i <= 60; ++i) {
+    session.push(0, at(1 + 8 * i, Vec3{-0.04 + 0.17 * i / 50, 0.03, 0.01 * (i % 3)}, i < 60));
+    for (const Delta& delta : run_all(session)) tets.follow(delta);
+    if (i % 4 != 0) continue;
+    for (WorkBudget budget{3}; !tets.catch_up(budget); budget = {3}) {
+    }
+    ASSERT_EQ(tets.size(), mesh.tet_slots());
+    std::vector<TetId> boundary, seen;
+    for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+      ASSERT_EQ(tets.alive(t), mesh.alive(t)) << t;
+      if (!mesh.alive(t)) continue;
+      ASSERT_EQ(tets.vertices(t), mesh.vertices(t)) << t;
+      if (mesh.on_boundary(t)) boundary.push_back(t);
+    }
+    std::size_t next = 0;
+    for (WorkBudget budget{3}; !tets.visit_boundary(next, budget, [&](TetId t) { seen.push_back(t); });
+         budget = {3}) {
+    }
+    ASSERT_EQ(seen, boundary) << i;
+  }
+  EXPECT_GT(measure(mesh).cut_faces, 100u);
+}
+
 // A blade that goes right through separates a body that moves while it is cut: none of it slips past the blade. It moves when
 // the blade is in: tissue that moves over the blade's line from ahead, where the blade has not entered yet, is not cut. Tissue that
 // sways back over the cut may be cut off a second time.
@@ -533,10 +602,10 @@ TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
     moved.push_back(v);
     positions.push_back(targets.back());
   }
-  const std::vector<GridFollower::BoundaryTet> boundary;  // not needed for a new grid
+  const std::vector<TetId> boundary;  // not needed for a new grid
   const GridFollower::Step step{moved, positions, targets, boundary};
   follower.begin();
-  for (const Vec3& target : positions) follower.look_at(target);
+  for (std::size_t i = 0; i < moved.size(); ++i) follower.look_at(moved[i], positions[i]);
   follower.settle(step);
   WorkBudget budget{20};
   EXPECT_FALSE(follower.advance(step, budget)) << "it is more work than that";
