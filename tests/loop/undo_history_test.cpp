@@ -1,8 +1,11 @@
 #include "server/loop/undo_history.hpp"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <filesystem>
 #include <map>
+#include <string>
 #include <vector>
 
 #include "tests/loop/rig.hpp"
@@ -176,7 +179,8 @@ class UndoLoop : public ::testing::Test {
  protected:
   UndoLoop() {
     Checkpointer::Options options;
-    options.journal = "";  // no checkpoint is due
+    std::filesystem::create_directories(folder_);
+    options.journal = (folder_ / "journal").string();  // the only checkpoint is the one of the end
     options.replay_s = 1e9;
     options.rest = std::chrono::hours(1);
     options.fresh = [this] {
@@ -200,6 +204,11 @@ class UndoLoop : public ::testing::Test {
         },
         [this](std::unique_ptr<core::CutSession>) { return 100 + ++undos_; });
     source_ = sources_.open("blade");
+  }
+  ~UndoLoop() override {
+    loop_.reset();
+    journal_.reset();
+    std::filesystem::remove_all(folder_);
   }
   void cut(double x) {
     for (core::Pose pose : tests::sweep_through(150, 1000, x, 0.1, clock_ns_)) send(pose);
@@ -239,6 +248,8 @@ class UndoLoop : public ::testing::Test {
   std::mutex mutex_;
   std::unique_ptr<Undone> undone_;
   std::uint64_t undos_ = 0;
+  std::filesystem::path folder_ =
+      std::filesystem::temp_directory_path() / ("incise_undo_" + std::to_string(::getpid()));
   Checkpointer* checkpointer_ = nullptr;
   std::unique_ptr<Journal> journal_;
   std::unique_ptr<FrameLoop> loop_;
