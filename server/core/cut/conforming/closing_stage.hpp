@@ -37,8 +37,8 @@ class ClosingStage {
     double off_m;
     HalfFace face;
     bool meets;  // an older cut
-    bool
-        by_thickness;  // judged before, or an older cut has left it: then a film is told by its mean thickness alone
+    // Judged before, or left by an older cut: then a film is told by its mean thickness alone.
+    bool by_thickness;
     bool is_rib;  // between a sweep and the boundary: both sides are on one side of the sweep
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;

@@ -72,7 +72,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
       case Stage::kRim:
         if (!rim_.advance(budget)) break;
         round_ = refinements_ = 0;
-  editor_.begin_batch();
+        editor_.begin_batch();
         crossing_stage_.begin(round_);
         stage_ = Stage::kCrossings;
         break;
