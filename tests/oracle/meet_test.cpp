@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdlib>
+#include <initializer_list>
 #include <optional>
 #include <span>
 #include <string>
@@ -354,36 +355,52 @@ TEST(MeetingFilms, StayUnderTheSkin) {
   }
 }
 
-// A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and
-// what is left of a vertex's star at the tip of a splinter is not drawn out of the body.
-TEST(MeetingHands, LeaveNoCrumbs) {
-  const char* folder = std::getenv("INCISE_DATA");
-  if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes and motions";
-  const auto load = [&](const char* name) {
-    return mesh_io::load_mesh(std::string(folder) + "/meshes/" + name, {}).mesh;
-  };
-  for (const char* name : {"seed_1720", "liver_6564"}) {
-    const core::MeshData real = load(name);
+class MeetingHands : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const char* folder = std::getenv("INCISE_DATA");
+    if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes and motions";
+    folder_ = folder;
+  }
+  // Nothing that must not, comes off, and next to nothing of the volume goes.
+  void cut_and_judge(const std::string& mesh, const std::string& motion,
+                     std::initializer_list<std::uint64_t> seeds) const {
+    const core::MeshData real = mesh_io::load_mesh(folder_ + "/meshes/" + mesh, {}).mesh;
     const Body loaded(real);
-    for (const char* motion : {"geomagic_liver", "tum_fr1_xyz", "touch_tracking_b1"}) {
-      const auto samples = protocol::read_motion(std::string(folder) + "/motions/" + motion + ".csv").samples;
-      for (const std::uint64_t seed : {1, 3}) {
-        const Hand hand = place_hand(samples, real, seed, 1000);
-        core::CutSession session(real, hand.config);
-        for (const core::Pose& pose : hand.poses) {
-          session.push(0, pose);
-          drain(session);
-        }
-        session.end_stroke(0);
+    const auto samples = protocol::read_motion(folder_ + "/motions/" + motion + ".csv").samples;
+    for (const std::uint64_t seed : seeds) {
+      const Hand hand = place_hand(samples, real, seed, 1000);
+      core::CutSession session(real, hand.config);
+      for (const core::Pose& pose : hand.poses) {
+        session.push(0, pose);
         drain(session);
-        const Verdict v =
-            judge(loaded, strokes_of(hand.poses, hand.config.blade, hand.config), session.mesh());
-        EXPECT_TRUE(v.right()) << name << ", " << motion << ", seed " << seed << ": " << to_string(v);
-        EXPECT_LE(v.merged_max_h, 0.7) << name << ", " << motion << ", seed " << seed;
-        EXPECT_LE(std::abs(v.volume_change), 1e-3) << name << ", " << motion << ", seed " << seed;
       }
+      session.end_stroke(0);
+      drain(session);
+      const Verdict v = judge(loaded, strokes_of(hand.poses, hand.config.blade, hand.config), session.mesh());
+      EXPECT_TRUE(v.right()) << mesh << ", " << motion << ", seed " << seed << ": " << to_string(v);
+      EXPECT_LE(v.merged_max_h, 0.7) << mesh << ", " << motion << ", seed " << seed;
+      EXPECT_LE(std::abs(v.volume_change), 5e-4) << mesh << ", " << motion << ", seed " << seed;
     }
   }
+
+ private:
+  std::string folder_;
+};
+
+// A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and
+// what is left of a vertex's star at the tip of a splinter is not drawn out of the body.
+TEST_F(MeetingHands, LeaveNoCrumbs) {
+  for (const char* mesh : {"seed_1720", "liver_6564"})
+    for (const char* motion : {"geomagic_liver", "tum_fr1_xyz", "touch_tracking_b1"})
+      cut_and_judge(mesh, motion, {1, 3});
+}
+
+// Films of 60 to 1,000 tetrahedra between two passes came off as pieces of their own.
+TEST_F(MeetingHands, LeaveNoFilms) {
+  cut_and_judge("liver_6564", "geomagic_liver", {201});
+  cut_and_judge("seed_3234", "geomagic_liver", {204});
+  cut_and_judge("wound_1476", "geomagic_liver", {201});
 }
 
 // A blade that goes through the same slit ten times, up to a tenth of an element beside it.
