@@ -12,8 +12,9 @@ from pathlib import Path
 
 # A part is the longest of these prefixes that a file's path starts with. A part may always include itself.
 # What may be included is a list of parts, or of single files.
-BASE = "server/base"  # of the standard library only
+BASE = "server/base"  # of the standard library and the system only
 CHECK = "server/base/check.hpp"
+LARGE_PAGES = "server/base/large_pages.hpp"  # changes no value
 STATE_HASH = ["protocol/state_hash.hpp", "protocol/vertex_hashes.hpp"]
 TET_FACES = "protocol/tet_faces.hpp"
 BLEND = "protocol/blend.hpp"  # how fields are interpolated
@@ -26,7 +27,7 @@ FORCE_SLOT = "server/haptics/force_slot.hpp"  # between the loop and a device's 
 DELTA = ["server/core/mesh/delta.hpp", "server/core/mesh/field.hpp", "server/core/mesh/mesh_data.hpp"]  # plain values, no algorithm
 RULES = {
     BASE: [],
-    "server/core": [CHECK, *STATE_HASH, TET_FACES, BLEND],  # and no clock
+    "server/core": [CHECK, LARGE_PAGES, *STATE_HASH, TET_FACES, BLEND],  # and no clock
     "server/mesh_io": [BASE, "server/core"],
     "server/input": [BASE, "server/core", "protocol", NET, FORCE_SLOT],
     "server/haptics": [BASE, "server/core"],

@@ -3,6 +3,8 @@
 #include <cstddef>
 #include <vector>
 
+#include "server/base/large_pages.hpp"
+
 namespace incise::core {
 
 // Memory that is not touched costs only address space, except in builds with a sanitizer, which touches its
@@ -12,10 +14,6 @@ inline constexpr std::size_t kSpareRoom = std::size_t{64} << 10;
 #else
 inline constexpr std::size_t kSpareRoom = std::size_t{4} << 20;
 #endif
-
-// Before memory is used for the first time: a cut in a large mesh reaches far apart, and the processor then looks up fewer pages. Only pages
-// that lie wholly within it: no more memory is taken, and none of them is cleared in the middle of a frame.
-void prefer_large_pages(void* memory, std::size_t bytes);
 
 // The capacity of an array that begins with `count` elements and grows with the work done: enough for hours of cutting,
 // since moving a large array to a larger place takes milliseconds, in the middle of a frame.
