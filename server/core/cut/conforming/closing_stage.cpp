@@ -167,11 +167,12 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 // Whether all of a face is near the surface, but for what lies at an older cut, and its sides are on either side, or it is part of a rib where
 // a sweep begins or ends; or it is what an older cut has left.
 bool ClosingStage::may_close(Gap& gap) {
-  auto& [off_m, h, meets, by_thickness, rib] = gap;
+  const HalfFace h = gap.face;
+  double& off_m = gap.off_m;
   const Vec3 middle = mesh_.face_middle(h);
   if (!is_near(middle, off_m)) {
-    meets = by_thickness = is_hole(h);
-    return meets;
+    gap.meets = gap.by_thickness = is_hole(h);
+    return gap.meets;
   }
   const SweptTriangle& triangle = cut_.surface()[nearest_];
   const double a = triangle.signed_distance(reference_point(cut_, tet_of(h)));
@@ -181,14 +182,14 @@ bool ClosingStage::may_close(Gap& gap) {
   const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
   const auto v = mesh_.face_vertices(h);
   const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
-  rib = beside && !is_at_end(middle);
+  gap.is_rib = beside && !is_at_end(middle);
   bool continues = false;
-  if (rib && (!near || edges_at_boundary(h, continues) < 2)) return false;
+  if (gap.is_rib && (!near || edges_at_boundary(h, continues) < 2)) return false;
   // Where the sweep runs along an older cut, what is between them is a film.
-  if (rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
+  if (gap.is_rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
   for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
-    meets = meets || older;
+    gap.meets = gap.meets || older;
     if (!older && !lies_near(w)) return false;
   }
   return true;
