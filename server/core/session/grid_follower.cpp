@@ -59,9 +59,9 @@ void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t, const st
 
 void GridFollower::enter_where_left(const Step& step, TetId t, const std::array<VertexId, 4>& v) {
   // All four are looked up at once.
-  const bool left = (left_[v[0]] == serial_) | (left_[v[1]] == serial_) | (left_[v[2]] == serial_) |
-                    (left_[v[3]] == serial_);
-  if (left) enter(workspace_.grid, step, t, v);
+  unsigned left = 0;
+  for (const VertexId w : v) left |= left_[w] == serial_ ? 1u : 0u;
+  if (left != 0) enter(workspace_.grid, step, t, v);
 }
 
 // Marks the vertices that leave their anchors, which follow them.

@@ -231,7 +231,7 @@ void VertexMover::check_all(WorkBudget& budget) {
         }
         for (; look != 0; look &= look - 1) {
           const auto t = static_cast<TetId>(first) + static_cast<TetId>(std::countr_zero(look));
-          check_tet(t, tets_.vertices(t));
+          check_tet(tets_.vertices(t));
         }
       });
   if (!done) return;
@@ -243,7 +243,7 @@ void VertexMover::check_listed(WorkBudget& budget) {
   const bool done = in_chunks(next_, to_check_.size(), budget, kSmall, [this](std::size_t i) {
     const TetId t = to_check_[i];
     if (!mesh_.alive(t)) return;
-    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(t, mesh_.vertices(t));
+    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(mesh_.vertices(t));
     if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back(t);
   });
   if (!done) return;
@@ -262,7 +262,7 @@ void VertexMover::checked_round() {
   }
 }
 
-void VertexMover::check_tet(TetId t, const std::array<VertexId, 4>& v) {
+void VertexMover::check_tet(const std::array<VertexId, 4>& v) {
   const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
   const double then = six_volumes(a, b, c, d);
   if (then >= surely_thick_) return;

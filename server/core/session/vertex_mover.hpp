@@ -64,7 +64,7 @@ class VertexMover {
   void check_all(WorkBudget& budget);
   void check_listed(WorkBudget& budget);
   void checked_round();
-  void check_tet(TetId t, const std::array<VertexId, 4>& v);
+  void check_tet(const std::array<VertexId, 4>& v);
   void yield(WorkBudget& budget);
   void settle(WorkBudget& budget);
   void take_known();
