@@ -318,7 +318,7 @@ SurfaceReplica::Triangle SurfaceReplica::triangle_of(const Replica& mesh, std::u
 
 SurfaceChange SurfaceReplica::follow_tets(const Replica& mesh, const std::vector<std::uint32_t>& tets,
                                           std::span<const std::uint32_t> moved) {
-  // A simulation's step, of which most vertices are inside.
+  // A step of a simulation moves nearly every vertex, and most of them lie inside the body.
   if (tets.empty() && 2 * moved.size() > state_.vertices.size()) {
     std::uint64_t hash = state_.hash;
     SurfaceChange out = moved_surface(mesh, state_.vertices, moved, hash);

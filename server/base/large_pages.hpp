@@ -9,8 +9,9 @@
 
 namespace incise {
 
-// Before memory is used for the first time: a cut in a large mesh reaches far apart, and the processor then looks up fewer pages. Only pages
-// that lie wholly within it: no more memory is taken, and none of them is cleared in the middle of a frame. Changes no value.
+// Asks for large pages. Call it before the memory is first used. A cut in a large mesh reaches far apart, and with large pages the processor
+// looks up fewer of them. Only those that lie wholly within the memory count, so that no more is taken and none is cleared in the middle of a
+// frame. Changes no value.
 inline void prefer_large_pages([[maybe_unused]] void* memory, [[maybe_unused]] std::size_t bytes) {
 #ifdef MADV_HUGEPAGE
   constexpr std::uintptr_t kPage = std::uintptr_t{2} << 20;

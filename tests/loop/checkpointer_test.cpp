@@ -158,8 +158,8 @@ TEST_F(CheckpointerTest, AMarkIsUsedWhereWorkLiesBehindIt) {
   EXPECT_EQ(never->written(), 0u);
 }
 
-// A simulation's steps, of which the marks say what gave way: no tetrahedron is looked at again, and what is saved leads on as if all
-// had been. A step whose mark has not come yet, at a place for a checkpoint, is computed like the loop's.
+// The marks say what gave way in a simulation's steps. So no tetrahedron is checked again, and what is saved is the same as if each had
+// been. A step whose mark has not come yet, at a place for a checkpoint, is computed like the loop's.
 TEST_F(CheckpointerTest, StepsWhoseOutcomeIsKnownAreNotCheckedAgain) {
   core::CutSession session(mesh_, config());
   std::vector<JournalRecord> records;

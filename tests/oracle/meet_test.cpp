@@ -362,7 +362,7 @@ class MeetingHands : public ::testing::Test {
     if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes and motions";
     folder_ = folder;
   }
-  // Nothing that must not, comes off, and next to nothing of the volume goes.
+  // Nothing comes off that should stay, and hardly any volume is lost.
   void cut_and_judge(const std::string& mesh, const std::string& motion,
                      std::initializer_list<std::uint64_t> seeds) const {
     const core::MeshData real = mesh_io::load_mesh(folder_ + "/meshes/" + mesh, {}).mesh;

@@ -57,8 +57,8 @@ BoundaryGrid::BoundaryGrid(const BoundaryGrid& other)
   nodes_.assign(other.nodes_.begin(), other.nodes_.end());
 }
 
-BoundaryGrid::BoundaryGrid(const Vec3& low, const Vec3& high, double cell) : slack_(kSlackDeforming) {
-  lay_out(low, high, cell);
+BoundaryGrid::BoundaryGrid(const Vec3& low, const Vec3& high, double cell) {
+  begin_again(low, high, cell, 0);
 }
 
 void BoundaryGrid::begin_again(const Vec3& low, const Vec3& high, double cell, std::size_t nodes) {

@@ -18,10 +18,9 @@ class GridFollower {
   GridFollower(const TetMesh& mesh, CutWorkspace& workspace)
       : mesh_(mesh), workspace_(workspace), pass_(workspace), fresh_({}, {}, 1) {}
 
-  // What is about to move, where to, and where all vertices will be then. These must live until commit().
+  // What is about to move, and where all vertices will be then. These must live until commit().
   struct Step {
     const std::vector<VertexId>& moved;
-    const std::vector<Vec3>& positions;
     const std::vector<Vec3>& targets;  // by vertex
     // The tetrahedra at these vertices that lie on the boundary, and any others there: those of the list, or all of the boundary's.
     const std::vector<TetId>& listed;

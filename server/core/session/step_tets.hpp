@@ -50,8 +50,7 @@ class StepTets {
   }
 
   std::size_t size() const { return vertices_.size(); }
-  bool alive(TetId t) const { return (alive_[t / 64] >> (t % 64) & 1) != 0; }
-  // Of 64 tetrahedra, from t on: bit k of t + k.
+  // Of the 64 tetrahedra that t is among: bit k says whether the k-th is alive.
   std::uint64_t alive_64(TetId t) const { return alive_[t / 64]; }
   // Of dead ones: a vertex of the mesh, four times.
   const std::array<VertexId, 4>& vertices(TetId t) const { return vertices_[t]; }

@@ -75,7 +75,7 @@ class VertexMover {
   void note_moved(std::size_t first);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
   GridFollower::Step grid_step() const {
-    return {moved_, moved_positions_, target_.by_vertex(), boundary_, all_tets_ ? &tets_ : nullptr};
+    return {moved_, target_.by_vertex(), boundary_, all_tets_ ? &tets_ : nullptr};
   }
 
   TetMesh& mesh_;

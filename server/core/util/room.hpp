@@ -21,7 +21,7 @@ inline constexpr std::size_t room_for(std::size_t count) {
   return count + count / 4 + kSpareRoom;
 }
 
-// Makes that room in an empty array that begins with `count` elements.
+// Gives an empty array that room. `count`: elements that it will begin with.
 template <class T>
 void reserve_room(std::vector<T>& values, std::size_t count) {
   values.reserve(room_for(count));

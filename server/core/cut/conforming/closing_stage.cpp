@@ -412,7 +412,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
   return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
 }
 
-// Whether what part_of() has followed as far as its i-th tetrahedron may be a film, which has no larger part of the tissue behind it.
+// Whether what part_of() has followed, as far as its i-th tetrahedron, may still turn out to be a film.
 bool ClosingStage::grows_as_film(std::size_t i) {
   for (; counted_ <= i; ++counted_) inner_ += may_be_film(cut_, queue_[counted_]) ? 0 : 1;
   return queue_.size() <= kMaxSheetIsland && may_be_film(inner_, counted_);

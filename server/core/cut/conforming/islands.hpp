@@ -18,7 +18,7 @@ bool is_shallow(const CutContext& cut, TetId t, double reach);
 // Whether it may be part of a film: none of it is inside the tissue.
 bool may_be_film(const CutContext& cut, TetId t);
 
-// Whether `count` tetrahedra of which `inner` reach into the tissue may be a film, or a part of one.
+// Whether `count` tetrahedra may be a film or a part of one, when `inner` of them reach into the tissue.
 inline bool may_be_film(std::size_t inner, std::size_t count) {
   return inner <=
          count / tolerance::kFilmToInner + (count > tolerance::kMaxRaggedIsland ? tolerance::kFilmInner : 0);

@@ -50,8 +50,8 @@ void RepairStage::end_vertex() {
     editor_.changed().push_back({repaired_.vertex, repaired_.times + 1});
 }
 
-bool RepairStage::is_poor(TetId t) const {
-  return mesh_.alive(t) && mesh_.worst_dihedral(t) > kGood;
+bool RepairStage::is_poor(TetId t, double limit) const {
+  return mesh_.alive(t) && mesh_.worst_dihedral(t) > limit;
 }
 
 // One remedy for the poor tetrahedron at work: moves one of its vertices after the other, while that helps; else flips,
@@ -70,8 +70,7 @@ void RepairStage::improve() {
       done = try_flips(t);
     } else {
       try_collapses(t);
-      const double kept = cut_.meets_cut ? kSnapFloor : kFilmKept;
-      if (mesh_.alive(t) && mesh_.worst_dihedral(t) > kept && is_film(t)) editor_.remove_film(t);
+      if (is_poor(t, cut_.meets_cut ? kSnapFloor : kFilmKept) && is_film(t)) editor_.remove_film(t);
       done = true;
     }
   }

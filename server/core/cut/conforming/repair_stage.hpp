@@ -36,7 +36,7 @@ class RepairStage {
   bool try_flips(TetId t);
   void try_collapses(TetId t);
   void note_poor(TetId t);
-  bool is_poor(TetId t) const;
+  bool is_poor(TetId t, double limit = tolerance::kGood) const;
   bool is_film(TetId t) const;
   void merge_near(VertexId v);
   bool is_free_to_go(VertexId v, VertexId w) const;

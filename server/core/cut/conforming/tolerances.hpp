@@ -155,8 +155,8 @@ inline constexpr double kSearchReach_local = 0.2;
 
 // A vertex that is moved within the surface has to be this near to it.
 inline constexpr double kMoveOff_h = 0.01;
-// A tetrahedron with all vertices on the surface, this thin (local) and this near to it (h), is a film. One that is no worse than kFilmKept is
-// kept for the volume that it holds; than kSnapFloor, where the sweep has come upon a cut: there are many.
+// A tetrahedron with all vertices on the surface, this thin (local) and this near to it (h), is a film. It is removed if it is
+// worse than kFilmKept, or than kSnapFloor where the sweep has come upon a cut: films are many there, and the body would lose their volume.
 inline constexpr double kFilmKept = dihedral_measure(0.9961946981);  // 5 degrees
 inline constexpr double kFilm_local = 0.06, kFilmOff_h = 0.06;
 // A vertex whose star stays poor is repaired this often again, after all others.
