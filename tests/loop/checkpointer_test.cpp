@@ -209,7 +209,7 @@ TEST_F(CheckpointerTest, StepsWhoseOutcomeIsKnownAreNotCheckedAgain) {
     }
     if (place == records.size()) checkpointer->mark(1, 0, place, true);
     ASSERT_TRUE(wait_for(*checkpointer, [&] { return checkpointer->written() == 1; }));
-    EXPECT_EQ(checkpointer->finish(std::chrono::seconds(60)) == "", !between);
+    EXPECT_EQ(checkpointer->finish(std::chrono::seconds(60)).empty(), !between);
     EXPECT_EQ(told(), "");
     EXPECT_EQ(checkpointer->tets_checked() > 0, between);
     std::string error;
