@@ -29,6 +29,7 @@
 #include "server/app/telemetry.hpp"
 #include "server/app/undone_slot.hpp"
 #include "server/base/clock.hpp"
+#include "server/base/thread_name.hpp"
 #include "server/loop/realtime.hpp"
 
 namespace incise::app {
@@ -312,6 +313,7 @@ cluster::DirectoryEntry RunningServer::directory_entry() const {
 }
 
 void RunningServer::run_loop(const std::stop_token& stop) {
+  name_thread("loop");
   if (config_.loop.cpu >= 0) spdlog::info("{}", loop::request_cpu(static_cast<int>(config_.loop.cpu)));
   if (config_.loop.realtime_priority > 0)
     spdlog::info("{}", loop::request_priority(static_cast<int>(config_.loop.realtime_priority)));

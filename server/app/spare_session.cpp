@@ -1,5 +1,6 @@
 #include "server/app/spare_session.hpp"
 
+#include "server/base/thread_name.hpp"
 #include "server/replay/session_view.hpp"
 
 namespace incise::app {
@@ -24,6 +25,7 @@ void SpareSession::give_back(std::unique_ptr<core::CutSession> used) noexcept {
 }
 
 void SpareSession::run(const std::stop_token& stop) {
+  name_thread("spare session");
   for (std::uint32_t turn = 0; !stop.stop_requested(); turns_.wait(turn), turn = turns_.load()) {
     delete used_.exchange(nullptr);
     if (spare_.load() != nullptr) continue;

@@ -7,6 +7,7 @@
 #include <exception>
 
 #include "server/base/clock.hpp"
+#include "server/base/thread_name.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
@@ -114,6 +115,7 @@ void Checkpointer::give_up(const std::string& why) {
 }
 
 void Checkpointer::run(const std::function<std::unique_ptr<core::CutSession>()>& first) {
+  name_thread("checkpoints");
   // Never preempts when it wakes up: the loop, the stream and the journal come first.
   const sched_param none{};
   pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);

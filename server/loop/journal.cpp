@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "server/base/thread_name.hpp"
 #include "server/loop/loop_stats.hpp"
 #include "server/loop/realtime.hpp"
 
@@ -157,6 +158,7 @@ void Journal::mark_checkpoint(bool last) {
 }
 
 void Journal::run() {
+  name_thread("journal");
   if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
   auto last_try = steady_clock::now();
   for (;;) {
@@ -205,6 +207,7 @@ void Journal::run() {
 }
 
 void Journal::run_sync() {
+  name_thread("journal sync");
   if (options_.realtime_priority > 0) request_priority(options_.realtime_priority);
   auto next = steady_clock::now();
   std::unique_lock lock(sync_mutex_);

@@ -20,6 +20,7 @@
 #include <variant>
 
 #include "server/base/check.hpp"
+#include "server/base/thread_name.hpp"
 #include "server/stream/handoff_queue.hpp"
 #include "server/stream/http.hpp"
 #include "server/stream/pause.hpp"
@@ -199,7 +200,10 @@ struct Server::Impl {
     if (http_acceptor) asio::co_spawn(io, accept(*http_acceptor, true), asio::detached);
     wait_for_work();
     peers.start_clock();
-    thread = std::thread([this] { io.run(); });
+    thread = std::thread([this] {
+      name_thread("stream");
+      io.run();
+    });
   }
 
   void stop() {

@@ -6,6 +6,7 @@
 
 #include "protocol/surface.hpp"
 #include "server/base/check.hpp"
+#include "server/base/thread_name.hpp"
 #include "server/stream/mirror.hpp"
 
 namespace incise::stream {
@@ -68,6 +69,7 @@ void SnapshotKeeper::request_fields(std::vector<std::uint32_t> fields, FieldsRea
 }
 
 void SnapshotKeeper::run() {
+  name_thread("snapshots");
   std::vector<Task> tasks;
   for (;;) {
     tasks.clear();

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "client/client.hpp"
+#include "server/base/clock.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/bench/live_server.hpp"
@@ -82,6 +83,11 @@ struct Latencies {
   }
 };
 
+// Of this process so far, s.
+double own_cpu_s() {
+  return 1e-9 * static_cast<double>(clock_ns(CLOCK_PROCESS_CPUTIME_ID));
+}
+
 // The half of the body's box, along each axis, that is around its middle.
 protocol::Box middle_of(const LiveServer& server) {
   const auto [low, high] = server.box();
@@ -119,10 +125,14 @@ void run(const LiveBench& bench, Report& report) {
     if (!viewers.back()->wait_for_revision(0, 60)) throw std::runtime_error("a viewer got no snapshot");
   }
   const double server_began_s = server.cpu_s();
+  const auto threads_began_s = server.threads_cpu_s();
+  const double own_began_s = own_cpu_s();
   std::unique_ptr<Swaying> simulation;
   if (bench.simulate_hz > 0) simulation = std::make_unique<Swaying>(server.tcp_port(), bench.simulate_hz);
   const LivePoses poses = server.drive();
   const std::int64_t simulated = simulation ? simulation->sent() : 0;
+  const auto threads_s = server.threads_cpu_s();
+  const double own_s = own_cpu_s() - own_began_s;
   simulation.reset();
   const nlohmann::json stats = server.settled_stats();
   const std::uint64_t revision = stats["revision"];
@@ -137,6 +147,7 @@ void run(const LiveBench& bench, Report& report) {
   report.fact("viewers", count(viewers.size()));
   if (bench.boxed > 0) report.fact("with a box", count(static_cast<std::size_t>(bench.boxed)));
   report.fact("the server's processor time, s", server_s);
+  report.fact("processor time of the device, the simulation and the viewers, s", own_s);
   report.fact("poses sent", count(poses.sent));
   report.fact("poses accepted", count(poses.accepted));
   report.fact("poses lost",
@@ -160,6 +171,12 @@ void run(const LiveBench& bench, Report& report) {
   for (const auto& [stage, figures] : stats["stages_us"].items()) {
     report.row({stage, count(figures["count"]), figures["p50"].get<double>(), figures["p99"].get<double>(),
                 figures["p99.9"].get<double>(), figures["max"].get<double>()});
+  }
+  report.table("processor time of the server's threads", {{"thread"}, {"ms a second", 1}});
+  for (const auto& [thread, used_s] : threads_s) {
+    const auto before = threads_began_s.find(thread);
+    const double began_s = before == threads_began_s.end() ? 0 : before->second;
+    report.row({thread, 1000 * (used_s - began_s) / bench.seconds});
   }
   report.table("at the viewers, ms",
                {{"way of a batch's last pose"}, {"deltas"}, {"p50", 2}, {"p90", 2}, {"p99", 2}, {"max", 2}});

@@ -78,6 +78,18 @@ double LiveServer::cpu_s() const {
   return static_cast<double>(used.tv_sec) + 1e-9 * static_cast<double>(used.tv_nsec);
 }
 
+std::map<std::string, double> LiveServer::threads_cpu_s() const {
+  std::map<std::string, double> used;
+  for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(pid()) + "/task")) {
+    std::string name;
+    double ran_ns = 0;
+    std::getline(std::ifstream(task.path() / "comm"), name);
+    std::ifstream(task.path() / "schedstat") >> ran_ns;
+    used[name] += 1e-9 * ran_ns;
+  }
+  return used;
+}
+
 void LiveServer::connect_device() {
   client::Options options;
   options.role = protocol::Role::Operator;

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -49,6 +50,8 @@ class LiveServer {
   std::pair<core::Vec3, core::Vec3> box() const { return box_; }
   // Of its process so far; after end() of all of it, its last checkpoint included. s.
   double cpu_s() const;
+  // Of each of its threads so far, by name; several of one name together. s.
+  std::map<std::string, double> threads_cpu_s() const;
 
   // An operator takes the blade; drive() does it where this has not.
   void connect_device();
