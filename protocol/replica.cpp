@@ -152,7 +152,8 @@ ApplyResult Replica::load(std::span<const double> positions, const TetArrays& te
   state.revision = revision;
   state.positions.assign(positions.begin(), positions.end());
   const auto vertices = static_cast<std::uint32_t>(count);
-  state.hash ^= hash_vertices(0, positions);
+  state.vertices_hash = hash_vertices(0, positions);
+  state.hash ^= state.vertices_hash;
   std::uint32_t next_tet = 0;
   if (ApplyResult r = add(state, next_tet, vertices, tets); !r) return r;
   state_ = std::move(state);
@@ -206,7 +207,9 @@ ApplyResult Replica::chunk(const SnapshotChunk& part) {
   }
   state.positions.insert(state.positions.end(), part.positions.begin(), part.positions.end());
   state.rest.insert(state.rest.end(), part.rest_positions.begin(), part.rest_positions.end());
-  state.hash ^= hash_vertices(have, part.positions);
+  const std::uint64_t more = hash_vertices(have, part.positions);
+  state.vertices_hash ^= more;
+  state.hash ^= more;
   if (ApplyResult r = add(state, s.next_tet, s.begin.vertex_count, part.tets); !r) {
     return abandon(std::move(r));
   }
@@ -351,24 +354,43 @@ ApplyResult Replica::check(const Delta& d) const {
   return {};
 }
 
-std::uint64_t Replica::hash_after(const Delta& d) const {
-  std::uint64_t hash = state_.hash;
+std::uint64_t Replica::hash_of_moves(const Delta& d) const {
+  const std::span<const std::uint32_t> moved = d.moved_ids;
+  const std::uint64_t now = hash_vertices(
+      moved.size(), [&](std::size_t i) { return moved[i]; },
+      [&](std::size_t i) { return &d.moved_positions[3 * i]; });
+  const std::span<const double> positions = state_.positions;
+  if (2 * moved.size() < vertex_count()) {
+    return now ^ hash_vertices(
+                     moved.size(), [&](std::size_t i) { return moved[i]; },
+                     [&](std::size_t i) { return &positions[3 * std::size_t{moved[i]}]; });
+  }
+  // A step of a simulation moves nearly all: hashed are those that stay.
+  std::uint64_t before = state_.vertices_hash;
+  std::size_t next = 0;
+  const auto leave_out = [&](std::size_t end) {
+    before ^= hash_vertices(next, positions.subspan(3 * next, 3 * (end - next)));
+  };
+  for (const std::uint32_t v : moved) {
+    if (v > next) leave_out(v);
+    next = v + std::size_t{1};
+  }
+  leave_out(vertex_count());
+  return now ^ before;
+}
+
+std::pair<std::uint64_t, std::uint64_t> Replica::hashes_after(const Delta& d) const {
+  std::uint64_t tets = 0;
   const auto old_tet = [&](std::uint32_t t) {
     return tet_hash(t, vertices(t).data(), region(t), cut_mask(t));
   };
-  hash ^= hash_vertices(
-      d.moved_ids.size(), [&](std::size_t i) { return d.moved_ids[i]; },
-      [&](std::size_t i) { return &state_.positions[3 * std::size_t{d.moved_ids[i]}]; });
-  hash ^= hash_vertices(
-      d.moved_ids.size(), [&](std::size_t i) { return d.moved_ids[i]; },
-      [&](std::size_t i) { return &d.moved_positions[3 * i]; });
-  hash ^= hash_vertices(vertex_count(), d.added_positions);
-  for (const std::uint32_t t : d.removed_tets) hash ^= old_tet(t);
+  for (const std::uint32_t t : d.removed_tets) tets ^= old_tet(t);
   for (std::size_t i = 0; i < d.tets.ids.size(); ++i) {
-    if (alive(d.tets.ids[i])) hash ^= old_tet(d.tets.ids[i]);
-    hash ^= hash_entry(d.tets, i);
+    if (alive(d.tets.ids[i])) tets ^= old_tet(d.tets.ids[i]);
+    tets ^= hash_entry(d.tets, i);
   }
-  return hash;
+  const std::uint64_t change = hash_of_moves(d) ^ hash_vertices(vertex_count(), d.added_positions);
+  return {state_.hash ^ tets ^ change, state_.vertices_hash ^ change};
 }
 
 // Before the first deformation the positions are the rest positions.
@@ -387,7 +409,7 @@ void Replica::apply_rest(const Delta& d) {
 
 ApplyResult Replica::apply(const Delta& d) {
   if (ApplyResult r = check(d); !r) return r;
-  const std::uint64_t hash = hash_after(d);
+  const auto [hash, vertices_hash] = hashes_after(d);
   if (hash != d.state_hash) {
     return refuse(ApplyError::HashMismatch, "revision " + number(d.revision) + " has hash " + hex(hash) +
                                                 ", announced was " + hex(d.state_hash));
@@ -426,6 +448,7 @@ ApplyResult Replica::apply(const Delta& d) {
   if (!d.tets.ids.empty() || !d.removed_tets.empty() || !d.piece_ids.empty()) s.pieces_known = false;
   s.live_tets = d.live_tets;
   s.hash = hash;
+  s.vertices_hash = vertices_hash;
   s.revision = d.revision;
   return {};
 }

@@ -10,6 +10,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "protocol/limits.hpp"
@@ -139,6 +140,7 @@ class Replica {
   struct State {
     std::uint64_t revision = 0;
     std::uint64_t hash = 0;
+    std::uint64_t vertices_hash = 0;  // the vertices' part of it
     std::uint32_t live_tets = 0;
     std::uint32_t boundary_faces = 0;
     std::vector<double> positions;
@@ -165,7 +167,10 @@ class Replica {
                   const TetArrays& tets) const;
   ApplyResult check(const Delta& delta) const;
   ApplyResult abandon(ApplyResult why);
-  std::uint64_t hash_after(const Delta& delta) const;
+  // The hash after it, and the vertices' part.
+  std::pair<std::uint64_t, std::uint64_t> hashes_after(const Delta& delta) const;
+  // By what the moves change the vertices' part.
+  std::uint64_t hash_of_moves(const Delta& delta) const;
   void apply_rest(const Delta& delta);
   void find_pieces() const;
 

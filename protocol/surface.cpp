@@ -7,6 +7,7 @@
 
 #include "protocol/apply_checks.hpp"
 #include "protocol/state_hash.hpp"
+#include "protocol/vertex_hashes.hpp"
 
 namespace incise::protocol {
 namespace {
@@ -21,6 +22,10 @@ SurfaceReplica::Triangle entry(const TriangleArrays& t, std::size_t i) {
 
 std::uint64_t hash_of(std::uint32_t id, const SurfaceReplica::Triangle& t) {
   return triangle_hash(id, t.vertices.data(), t.flags);
+}
+
+std::uint64_t vertices_hash(std::span<const std::uint32_t> ids, std::span<const float> positions) {
+  return SurfaceVertexHashes::combined(ids.size(), ids.data(), positions.data());
 }
 
 // As the hash sees them: 0 and -0 are two.
@@ -71,8 +76,10 @@ std::array<float, 3> rest_of(const Replica& mesh, std::uint32_t v) {
 SurfaceChange moved_surface(const Replica& mesh, const IdMap<SurfaceReplica::Vertex>& vertices,
                             std::span<const std::uint32_t> moved, std::uint64_t& hash) {
   SurfaceChange out;
+  std::vector<float> before;
   out.vertex_ids.reserve(vertices.size());
   out.vertex_positions.reserve(3 * vertices.size());
+  before.reserve(3 * vertices.size());
   auto next = moved.begin();
   for (const auto& [v, old] : vertices) {
     while (next != moved.end() && *next < v) ++next;
@@ -81,12 +88,13 @@ SurfaceChange moved_surface(const Replica& mesh, const IdMap<SurfaceReplica::Ver
     const std::array<float, 3> position = position_of(mesh, v);
     if (!same_bits(old.position, position)) {
       append(out, v, position);
-      hash ^= surface_vertex_hash(v, old.position.data()) ^ surface_vertex_hash(v, position.data());
+      before.insert(before.end(), old.position.begin(), old.position.end());
     }
     if (!mesh.deformed()) continue;
     const std::array<float, 3> rest = rest_of(mesh, v);
     if (!same_bits(old.has_rest ? old.rest_at : position, rest)) append_rest(out, v, rest);
   }
+  hash ^= vertices_hash(out.vertex_ids, before) ^ vertices_hash(out.vertex_ids, out.vertex_positions);
   return out;
 }
 
@@ -106,15 +114,20 @@ ApplyResult SurfaceReplica::State::check(const Parts& parts, std::uint64_t& hash
       !ascending(removed_triangles) || !ascending(rest.ids)) {
     return refuse(ApplyError::BadIndex, "surface: ids that do not ascend");
   }
-  hash_after = hash;
-  for (std::size_t i = 0; i < v.ids.size(); ++i) {
-    if (contains(removed_vertices, v.ids[i])) {
-      return refuse(ApplyError::BadIndex, "surface vertex " + number(v.ids[i]) + " removed and set");
+  std::vector<std::uint32_t> had;
+  std::vector<float> before;
+  had.reserve(v.ids.size());
+  before.reserve(v.positions.size());
+  for (const std::uint32_t id : v.ids) {
+    if (contains(removed_vertices, id)) {
+      return refuse(ApplyError::BadIndex, "surface vertex " + number(id) + " removed and set");
     }
-    if (const Vertex* old = vertices.find(v.ids[i]))
-      hash_after ^= surface_vertex_hash(v.ids[i], old->position.data());
-    hash_after ^= surface_vertex_hash(v.ids[i], &v.positions[3 * i]);
+    if (const Vertex* old = vertices.find(id)) {
+      had.push_back(id);
+      before.insert(before.end(), old->position.begin(), old->position.end());
+    }
   }
+  hash_after = hash ^ vertices_hash(had, before) ^ vertices_hash(v.ids, v.positions);
   for (const std::uint32_t id : rest.ids) {
     if ((!contains(v.ids, id) && !vertices.contains(id)) || contains(removed_vertices, id))
       return refuse(ApplyError::BadIndex,

@@ -46,6 +46,7 @@ class Swaying {
     const auto began = std::chrono::steady_clock::now();
     std::vector<float> positions;
     for (auto next = began; !stop_; next += period) {
+      client->poll(0);  // one that is late reads, too
       for (auto left = next - std::chrono::steady_clock::now(); left.count() > 0;
            left = next - std::chrono::steady_clock::now())
         client->poll(std::chrono::duration<double>(left).count());
@@ -56,8 +57,8 @@ class Swaying {
         message.revision = mesh.revision();
         positions.assign(mesh.rest_positions().begin(), mesh.rest_positions().end());
       });
-      for (std::size_t i = 0; i < positions.size(); i += 3)
-        positions[i + 2] += 0.001F * static_cast<float>(std::sin(6.28 * t.count())) * positions[i] * 10;
+      const float sway = 0.01F * static_cast<float>(std::sin(6.28 * t.count()));
+      for (std::size_t i = 0; i < positions.size(); i += 3) positions[i + 2] += sway * positions[i];
       message.f32 = positions;
       if (!positions.empty() && client->send_positions(message) != 0) ++sent_;
     }

@@ -12,6 +12,7 @@
 
 #include "protocol/carry.hpp"
 #include "protocol/coalesce.hpp"
+#include "protocol/state_hash.hpp"
 #include "tests/protocol/samples.hpp"
 #include "tests/protocol/walk.hpp"
 
@@ -61,6 +62,43 @@ TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
     ASSERT_EQ(replica.state_hash(), replica.compute_state_hash());
   }
   EXPECT_GT(replica.piece_names().size(), 1u);
+}
+
+// Of a step that moves most vertices the others are hashed, and of one that moves few these.
+TEST(Replica, TheHashFollowsHoweverManyVerticesMove) {
+  const Model model = box_model(6, 5, 4);
+  Replica replica = model.replica();
+  const std::uint32_t count = replica.vertex_count();
+  ASSERT_GT(count, 130u);
+  std::uint64_t revision = replica.revision();
+  for (const std::uint32_t stays : {1u, 2u, 3u, 7u, 64u, 1000u}) {
+    std::vector<std::uint32_t> ids;
+    std::vector<double> to;
+    std::vector<double> expected(replica.positions().begin(), replica.positions().end());
+    for (std::uint32_t v = 0; v < count; ++v) {
+      if (v % stays == stays / 2 && stays > 1) continue;
+      ids.push_back(v);
+      for (std::size_t k = 3 * std::size_t{v}; k < 3 * std::size_t{v} + 3; ++k)
+        to.push_back(expected[k] += 1e-4 * static_cast<double>(stays));
+    }
+    Delta delta;
+    delta.base_revision = revision;
+    delta.revision = ++revision;
+    delta.moved_ids = ids;
+    delta.moved_positions = to;
+    delta.first_added = delta.vertex_count = count;
+    delta.live_tets = replica.live_tets();
+    delta.first_new_tet = replica.tet_slots();
+    delta.state_hash = replica.compute_state_hash();
+    for (std::uint32_t v = 0; v < count; ++v) {
+      const Vec3 p = replica.position(v);
+      delta.state_hash ^= vertex_hash(v, p.x, p.y, p.z) ^
+                          vertex_hash(v, expected[3 * v], expected[3 * v + 1], expected[3 * v + 2]);
+    }
+    const ApplyResult applied = replica.apply(delta);
+    ASSERT_TRUE(applied) << applied.text;
+    EXPECT_EQ(replica.state_hash(), replica.compute_state_hash()) << stays;
+  }
 }
 
 // Larger ones, smaller ones, ones with a snapshot under way: a copy goes into what memory there is.

@@ -1,6 +1,7 @@
 #include "server/core/session/tet_clusters.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "server/core/util/room.hpp"
 
@@ -218,10 +219,16 @@ std::vector<std::uint32_t> TetClusters::list() const {
   std::vector<std::uint32_t> listed(1, 0), place(clusters_.size(), kNone);
   listed.reserve(mesh_.live_tets() + 3 * clusters_.size());
   // In the order of their first members: a restored session assigns other slots.
-  for (TetId first = 0; first < cluster_of_.size(); ++first) {
-    if (!has(first) || clusters_[cluster_of_[first]].first != first) continue;
-    const Cluster& c = clusters_[cluster_of_[first]];
-    place[cluster_of_[first]] = listed[0]++;
+  std::vector<std::pair<TetId, std::uint32_t>> in_order;
+  for (std::uint32_t number = 0; number < clusters_.size(); ++number) {
+    const TetId first = clusters_[number].first;
+    if (first < cluster_of_.size() && has(first) && cluster_of_[first] == number)
+      in_order.emplace_back(first, number);
+  }
+  std::sort(in_order.begin(), in_order.end());
+  for (const auto& [first, number] : in_order) {
+    const Cluster& c = clusters_[number];
+    place[number] = listed[0]++;
     listed.push_back(c.node.tets | (c.links != kNone ? kLinked : 0));
     listed.push_back(piece(first));
     for (TetId t = c.first; t != kNone; t = next_member_[t]) listed.push_back(t);

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <span>
 
+#include "protocol/state_hash.hpp"
+#include "protocol/vertex_hashes.hpp"
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/session/in_chunks.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
@@ -28,6 +30,10 @@ constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
 
+std::uint64_t hash_of(VertexId v, const Vec3& p) {
+  return protocol::vertex_hash(v, p.x, p.y, p.z);
+}
+
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
 }
@@ -43,7 +49,9 @@ VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
 void VertexMover::note_cut(const Delta& delta) {
   for (const VertexId v : delta.moved) {
     known_since_[v] = delta.revision;
-    if (v < target_.size()) target_.set(v, mesh_.position(v));
+    if (v >= target_.size()) continue;
+    vertices_hash_ ^= hash_of(v, target_[v]) ^ hash_of(v, mesh_.position(v));
+    target_.set(v, mesh_.position(v));
   }
   known_since_.resize(mesh_.vertex_slots(), delta.revision);
   tets_.follow(delta);
@@ -73,6 +81,7 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   moved_.clear();
   moved_positions_.clear();
   hash_change_ = 0;
+  moves_most_ = 2 * positions.positions.size() > vertices;
   grid_.begin();
   const double h = kLocallyAtMost * mesh_.mean_edge_length();
   surely_thick_ = kThinnest * h * h * h;
@@ -101,7 +110,10 @@ bool VertexMover::advance(WorkBudget& budget) {
         settle(budget);
         break;
       case Phase::kLeaveOut:
-        if (leave_out(budget)) begin_following();
+        if (leave_out(budget)) phase_ = Phase::kHash;
+        break;
+      case Phase::kHash:
+        if (!moves_most_ || leave_out_of_hash(budget)) begin_following();
         break;
       case Phase::kFollow:
         if (grid_.advance(grid_step(), budget)) phase_ = Phase::kReady;
@@ -119,7 +131,11 @@ bool VertexMover::advance(WorkBudget& budget) {
 void VertexMover::gather(WorkBudget& budget) {
   if (target_.size() == 0) target_.reserve(room_for(mesh_.vertex_slots()));
   std::size_t next = target_.size();
-  const auto take_in = [this](std::size_t v) { target_.push_back(mesh_.position(static_cast<VertexId>(v))); };
+  const auto take_in = [this](std::size_t i) {
+    const auto v = static_cast<VertexId>(i);
+    target_.push_back(mesh_.position(v));
+    vertices_hash_ ^= hash_of(v, target_[v]);
+  };
   if (in_chunks(next, mesh_.vertex_slots(), budget, kSmall, take_in) && tets_.catch_up(budget))
     phase_ = Phase::kTake;
 }
@@ -186,8 +202,40 @@ void VertexMover::take_known() {
 // where one gives way.
 void VertexMover::note_moved(std::size_t first) {
   for (std::size_t i = first; i < moved_.size(); ++i) grid_.look_at(moved_[i], moved_positions_[i]);
-  hash_change_ ^=
-      mesh_.hash_change(std::span(moved_).subspan(first), std::span(moved_positions_).subspan(first));
+  hash_change_ ^= hash_of_move(std::span(moved_).subspan(first), std::span(moved_positions_).subspan(first));
+}
+
+std::uint64_t VertexMover::hash_of_move(std::span<const VertexId> vertices, std::span<const Vec3> to) const {
+  if (!moves_most_) return mesh_.hash_change(vertices, to);
+  return protocol::VertexHashes::combined(
+      vertices.size(), [&](std::size_t i) { return vertices[i]; },
+      [&](std::size_t i) {
+        return std::array{to[i].x, to[i].y, to[i].z};
+      });
+}
+
+// Takes out of the hash what the vertices were that have moved: all but those that have not.
+bool VertexMover::leave_out_of_hash(WorkBudget& budget) {
+  if (next_ == 0) {
+    next_in_moved_ = 0;
+    hash_change_ ^= vertices_hash_;
+  }
+  return chunk_by_chunk(next_, mesh_.vertex_slots(), budget, 0, [&](std::size_t first, std::size_t stop) {
+    const std::size_t count = stop - first, last = next_in_moved_ + count - 1;
+    if (last < moved_.size() && moved_[next_in_moved_] == first && moved_[last] == stop - 1) {
+      next_in_moved_ += count;
+      return;
+    }
+    budget.charge(static_cast<std::int64_t>(count) / 4);
+    for (std::size_t i = first; i < stop; ++i) {
+      const auto v = static_cast<VertexId>(i);
+      if (next_in_moved_ < moved_.size() && moved_[next_in_moved_] == v) {
+        ++next_in_moved_;
+      } else {
+        hash_change_ ^= hash_of(v, mesh_.position(v));
+      }
+    }
+  });
 }
 
 // ------------------------------------------------------------------------------------------------ how far
@@ -310,7 +358,7 @@ void VertexMover::settle(WorkBudget& budget) {
     left_in_ = 0;
     phase_ = Phase::kLeaveOut;
   } else {
-    begin_following();
+    phase_ = Phase::kHash;
   }
 }
 
@@ -319,7 +367,7 @@ void VertexMover::give_way(const GaveWay& gave) {
   const VertexId v = gave.vertex;
   const auto at =
       static_cast<std::size_t>(std::lower_bound(moved_.begin(), moved_.end(), v) - moved_.begin());
-  const auto change = [&](const Vec3& to) { return mesh_.hash_change(std::span(&v, 1), std::span(&to, 1)); };
+  const auto change = [&](const Vec3& to) { return hash_of_move(std::span(&v, 1), std::span(&to, 1)); };
   hash_change_ ^= change(moved_positions_[at]);
   if (!gave.stays) hash_change_ ^= change(target_[v]);
   grid_.look_again(v, moved_positions_[at], target_[v], gave.stays);
@@ -350,6 +398,7 @@ void VertexMover::commit(Delta& delta) {
   delta.deformation.moved = static_cast<std::uint32_t>(moved_.size());
   delta.deformation.passed_over = passed_over_;
   std::swap(delta.deformation.held, held_);
+  vertices_hash_ ^= hash_change_;
   mesh_.deform(moved_, moved_positions_, hash_change_, delta);
   grid_.commit();
   positions_ = nullptr;

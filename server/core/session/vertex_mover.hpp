@@ -51,7 +51,7 @@ class VertexMover {
   std::uint64_t checked() const { return checked_; }
 
  private:
-  enum class Phase { kGather, kTake, kLook, kCheck, kYield, kSettle, kLeaveOut, kFollow, kReady };
+  enum class Phase { kGather, kTake, kLook, kCheck, kYield, kSettle, kLeaveOut, kHash, kFollow, kReady };
   // How much of its way a vertex goes.
   static constexpr std::uint8_t kStays = 0, kHalf = 1, kFull = 2;
 
@@ -73,6 +73,9 @@ class VertexMover {
   bool leave_out(WorkBudget& budget);
   void begin_following();
   void note_moved(std::size_t first);
+  // By what the hash changes when these go there; where moves_most_, without what they were.
+  std::uint64_t hash_of_move(std::span<const VertexId> vertices, std::span<const Vec3> to) const;
+  bool leave_out_of_hash(WorkBudget& budget);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
   GridFollower::Step grid_step() const {
     return {moved_, target_.by_vertex(), boundary_, all_tets_ ? &tets_ : nullptr};
@@ -111,6 +114,11 @@ class VertexMover {
   std::vector<VertexId> moved_;  // wanted, ascending; in the end without those that stay
   std::vector<Vec3> moved_positions_;
   std::uint64_t hash_change_ = 0;
+  // The vertices' part of the state hash, of those in target_, between two steps: what most vertices were need not be hashed
+  // where this is known.
+  std::uint64_t vertices_hash_ = 0;
+  bool moves_most_ = false;        // the step names most vertices
+  std::size_t next_in_moved_ = 0;  // while those that do not move are hashed
   GridFollower grid_;
   std::vector<Corner> star_;
 };

@@ -23,8 +23,14 @@ class Archive {
   // Writes. `expected`: bytes for which room is made at once; what is not written costs nothing.
   explicit Archive(std::size_t expected = 0) { written_.reserve(expected); }
   // Writes into this, whose bytes do not matter.
-  Archive(std::vector<std::byte> into, std::size_t expected) : written_(std::move(into)) {
-    written_.reserve(expected);
+  Archive(std::vector<std::byte> into, std::size_t expected) {
+    // Nothing is copied where it is too small, and the next state, which is a little larger, fits.
+    if (into.capacity() >= expected) {
+      written_ = std::move(into);
+    } else {
+      into = {};
+      written_.reserve(expected + expected / 8);
+    }
   }
   // Reads.
   explicit Archive(std::span<const std::byte> bytes) : reads_(true), left_(bytes) {}

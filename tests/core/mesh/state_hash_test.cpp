@@ -6,6 +6,7 @@
 #include <bitset>
 #include <cmath>
 #include <unordered_set>
+#include <vector>
 
 #include "protocol/vertex_hashes.hpp"
 #include "tests/core/test_meshes.hpp"
@@ -38,6 +39,23 @@ TEST(StateHash, ManyVerticesHaveTheHashesOfEach) {
     EXPECT_EQ(VertexHashes::combined(n, id, position, VertexHashes::hash_anywhere), each) << n;
     const auto p = position(n);
     each ^= vertex_hash(id(n), p[0], p[1], p[2]);
+  }
+}
+
+TEST(StateHash, ManyVerticesOfASurfaceHaveTheHashesOfEach) {
+  using protocol::SurfaceVertexHashes;
+  std::vector<std::uint32_t> ids;
+  std::vector<float> xyz;
+  std::uint64_t each = 0;
+  for (std::uint32_t n = 0; n < 200; ++n) {
+    EXPECT_EQ(SurfaceVertexHashes::combined(n, ids.data(), xyz.data()), each) << n;
+    EXPECT_EQ(SurfaceVertexHashes::combined(n, ids.data(), xyz.data(), SurfaceVertexHashes::hash_anywhere),
+              each)
+        << n;
+    const auto x = static_cast<float>(n);
+    ids.push_back(n * 2654435761u + 7);
+    xyz.insert(xyz.end(), {n % 5 == 0 ? -0.0F : std::sin(x), -1e-30F * x, 1e7F / (x + 1)});
+    each ^= protocol::surface_vertex_hash(ids.back(), &xyz[3 * std::size_t{n}]);
   }
 }
 
