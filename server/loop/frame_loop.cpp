@@ -21,6 +21,11 @@ constexpr std::int64_t kSlice_ns = 20'000;
 constexpr std::int64_t kSpin_ns = 20'000;
 // Poses begin no frame earlier than this after the last one began, so that a flood of them leaves time to others.
 constexpr std::int64_t kShortest_ns = 100'000;
+// The part of what budget_fraction leaves of a frame that a body's deformation may use as well: it takes five to ten frames, and what comes
+// after it waits for it.
+constexpr double kStepPart = 0.4;
+// What moving all vertices of a step at once is expected to take at most.
+constexpr std::int64_t kLongestStep_ns = 400'000;
 // After a frame that poses began, the next ones may be so much later than a period before a frame begins without them, as
 // part of it: so a source's jitter makes no additional frames.
 constexpr std::int64_t kJitterPart = 4;
@@ -65,6 +70,7 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
       options_(options),
       period_ns_(static_cast<std::int64_t>(1e9 / options.rate_hz)),
       budget_ns_(static_cast<std::int64_t>(options.budget_fraction * 1e9 / options.rate_hz)),
+      step_fraction_(options.budget_fraction + kStepPart * (1 - options.budget_fraction)),
       credit_ns_(budget_ns_),
       pool_(64, options.most_unread_deltas),
       stamps_(64) {
@@ -113,6 +119,8 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   if (last_start_ns_ != 0) {
     const double more = options_.budget_fraction * static_cast<double>(start - last_start_ns_);
     credit_ns_ = std::min(budget_ns_, credit_ns_ + static_cast<std::int64_t>(more));
+    const double more_for_steps = step_fraction_ * static_cast<double>(start - last_start_ns_);
+    step_credit_ns_ = std::min(step_budget_ns_, step_credit_ns_ + static_cast<std::int64_t>(more_for_steps));
   }
   input_.doorbell().forget();
   state_.flags = 0;
@@ -125,15 +133,18 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
-  cut(start + credit_ns_, start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
+  cut(start + credit_ns_, start + step_credit_ns_,
+      start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
   const std::int64_t cut_done = monotonic_ns();
   credit_ns_ = std::max<std::int64_t>(0, credit_ns_ - (cut_done - start));
+  step_credit_ns_ = std::max<std::int64_t>(0, step_credit_ns_ - (cut_done - start));
   publish();
   account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
 }
 
 void FrameLoop::finish() noexcept {
   input_.close();
+  positions_ = nullptr;  // a simulation that goes on would never let it end
   while (input_.waiting() > 0) drain(monotonic_ns(), INT64_MAX);
   drain(monotonic_ns(), INT64_MAX);  // sources that have closed end their strokes
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
@@ -149,7 +160,7 @@ void FrameLoop::finish() noexcept {
       begin + std::min(options_.longest_finish_ns, std::numeric_limits<std::int64_t>::max() - begin);
   do {
     state_.flags &= ~std::uint64_t{kDeltasBlocked};
-    cut(latest, latest);
+    cut(latest, latest, latest);
     publish();
   } while (session_->backlog_batches() > 0 && (state_.flags & kDeltasBlocked) == 0 &&
            monotonic_ns() < latest);
@@ -245,6 +256,7 @@ void FrameLoop::start_deformation(std::int64_t now_ns) {
   if (!record.positions) return;
   record.kind = JournalRecord::Kind::kDeform;
   record.arrival_ns = record.positions->arrival_ns;
+  batches_before_step_ = session_->backlog_batches();
   session_->deform(record.positions);
   deforming_ = record.positions;
   stamp(record.arrival_ns, now_ns);
@@ -410,17 +422,25 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
 
 // ------------------------------------------------------------------------------------------------ cutting
 
-void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
+void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std::int64_t latest_ns) {
   session_->prefetch();
   std::int64_t units_left = options_.units_per_frame > 0 ? options_.units_per_frame : INT64_MAX;
   std::int64_t now = monotonic_ns();
   // At least one slice, however late it is: a frame that never cuts would never end the backlog.
   std::shared_ptr<PublishedDelta> out;
+  bool any_slice = false;
   while (session_->backlog_batches() > 0) {
     if (!out && !(out = pool_.next_free())) {
       state_.flags |= kDeltasBlocked;
       return;
     }
+    const bool moves = session_->moves_next();
+    if (moves && any_slice && now + step_ns_ > latest_ns) {
+      state_.flags |= kBudgetSpent;
+      return;
+    }
+    any_slice = true;
+    const std::int64_t until_ns = deforming_ && batches_before_step_ == 0 ? steps_until_ns : cuts_until_ns;
     const std::int64_t slice = std::min(kSlice_ns, until_ns - now);
     std::int64_t units = cost_.units_in(std::max<std::int64_t>(slice, 0));
     if (options_.units_per_frame > 0) units = units_left;
@@ -430,6 +450,7 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
     const std::int64_t then = now, used = units - budget.left;
     now = monotonic_ns();
     cost_.observe(used, now - then, batch_work_ns_ > 0 && progress == core::CutSession::Progress::kSpent);
+    if (moves) step_ns_ = std::min(now - then, kLongestStep_ns);
     units_left -= used;
     batch_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
@@ -442,6 +463,7 @@ void FrameLoop::cut(std::int64_t until_ns, std::int64_t latest_ns) {
       commit(*out, now);
       pool_.published();
       ready_.push_back(std::exchange(out, nullptr));
+      start_deformation(now);
     }
     // Poses that have arrived meanwhile are felt first.
     const bool poses = input_.doorbell().rung() && now >= last_start_ns_ + kShortest_ns;
@@ -462,6 +484,7 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   out.cut_ns = now_ns;
 
   if (delta.stroke != 0) {
+    if (batches_before_step_ > 0) --batches_before_step_;
     stats_.batch_cut.record(batch_work_ns_);
     stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
     stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);

@@ -96,7 +96,7 @@ class FrameLoop {
   void handle(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
-  void cut(std::int64_t until_ns, std::int64_t latest_ns);
+  void cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std::int64_t latest_ns);
   bool wait(std::int64_t deadline_ns) noexcept;
   void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
@@ -136,13 +136,20 @@ class FrameLoop {
   input::PoseSources& input_;
   input::PositionsSlot* positions_ = nullptr;
   std::shared_ptr<const core::VertexPositions> deforming_;  // while a step is under way
+  std::int64_t step_ns_ = 0;                                // that moving the last one's vertices took
+  std::size_t batches_before_step_ = 0;                     // that still are, while a step is under way
   DeltaSink& sink_;
   Journal* const journal_;
   const LoopOptions options_;
   const std::int64_t period_ns_, budget_ns_;
+  const double step_fraction_;  // as budget_fraction, while a body's deformation is at work
   // What is left of the time for input and cutting; it comes back as time goes by, so that many short frames get no more than
   // one long one.
   std::int64_t credit_ns_;
+  // The same for a step, less what cuts have used.
+  const std::int64_t step_budget_ns_ =
+      static_cast<std::int64_t>(step_fraction_ * static_cast<double>(period_ns_));
+  std::int64_t step_credit_ns_ = step_budget_ns_;
 
   CostModel cost_;
   double ns_per_segment_ = 20'000;  // of whole batches, measured: for the estimate of the backlog

@@ -77,6 +77,8 @@ class CutSession {
   std::size_t backlog_segments() const { return queue_.segments(); }
   bool in_stroke(std::uint32_t source) const;
   bool deformation_waits() const { return deformations_ > 0; }
+  // The next call of advance() moves a deformation's vertices, all at once, and commits it.
+  bool moves_next() const { return moves_next_; }
   // What gave way in the last deformation, ascending.
   const std::vector<GaveWay>& gave_way() const { return mover_.gave_way(); }
   // Tetrahedra that deformations have looked at.
@@ -120,6 +122,7 @@ class CutSession {
   VertexMover mover_;
   std::size_t deformations_ = 0;  // in the queue
   bool begun_ = false;            // the oldest one is under way
+  bool moves_next_ = false;       // and all is known
   std::uint64_t revision_ = 0;
   Batch committed_;
   CutCounts committed_counts_;

@@ -26,8 +26,7 @@ void GridFollower::settle(const Step& step) {
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = {-INFINITY, -INFINITY, -INFINITY};
   pass_.begin();
-  serial_ = workspace_.next_serial();
-  left_.resize(mesh_.vertex_slots(), 0);
+  left_.assign(mesh_.vertex_slots() / 64 + 1, 0);
   next_ = 0;
   phase_ = rebuilt_ ? Phase::kCollect : Phase::kLeave;
 }
@@ -60,7 +59,7 @@ void GridFollower::enter(BoundaryGrid& grid, const Step& step, TetId t, const st
 void GridFollower::enter_where_left(const Step& step, TetId t, const std::array<VertexId, 4>& v) {
   // All four are looked up at once.
   unsigned left = 0;
-  for (const VertexId w : v) left |= left_[w] == serial_ ? 1u : 0u;
+  for (const VertexId w : v) left |= static_cast<unsigned>(left_[w / 64] >> (w % 64) & 1);
   if (left != 0) enter(workspace_.grid, step, t, v);
 }
 
@@ -71,7 +70,7 @@ bool GridFollower::leave(const Step& step, WorkBudget& budget) {
     if (!staying_.empty() && std::binary_search(staying_.begin(), staying_.end(), v)) return;
     if (!workspace_.grid.leaves_anchor(mesh_, v, step.targets[v])) return;
     any_left_ = true;
-    left_[v] = serial_;
+    left_[v / 64] |= std::uint64_t{1} << (v % 64);
     workspace_.grid.move_anchor(v, step.targets[v]);
   });
 }

@@ -68,8 +68,8 @@ class GridFollower {
   std::vector<VertexId> leaving_;  // perhaps: far from where the tetrahedra around them were last entered
   std::vector<VertexId> staying_;  // of those: the ones that do not move after all, ascending
   bool any_left_ = false;
-  std::vector<std::uint32_t> left_;  // by vertex: the step in which it left its anchor
-  std::uint32_t serial_ = 0;
+  std::vector<std::uint64_t>
+      left_;  // a bit for each vertex: whether it leaves its anchor; small, since all corners are looked up
   Vec3 low_, high_;  // a box around the boundary, for a new grid
   std::vector<TetId> all_boundary_;
   bool rebuilt_ = false;

@@ -63,6 +63,12 @@ class StepTets {
       if (bits == 0) continue;
       if (budget.spent()) return false;
       budget.charge(1 + std::popcount(bits) / 4);
+      // They lie far apart.
+      if (next + kAhead < boundary_.size()) {
+        for (std::uint64_t later = boundary_[next + kAhead]; later != 0; later &= later - 1)
+          __builtin_prefetch(
+              &vertices_[(next + kAhead) * 64 + static_cast<std::size_t>(std::countr_zero(later))]);
+      }
       for (; bits != 0; bits &= bits - 1)
         visit(static_cast<TetId>(next * 64) + static_cast<TetId>(std::countr_zero(bits)));
     }
@@ -71,6 +77,7 @@ class StepTets {
   }
 
  private:
+  static constexpr std::size_t kAhead = 2;  // words of 64, of what is fetched
   static void set(std::vector<std::uint64_t>& bits, TetId t, bool is) {
     const std::uint64_t bit = std::uint64_t{1} << (t % 64);
     bits[t / 64] = is ? bits[t / 64] | bit : bits[t / 64] & ~bit;

@@ -45,6 +45,8 @@ class VertexMover {
 
   void archive(Archive& io);
 
+  // So many vertices move when it commits.
+  std::size_t moving() const { return moved_.size(); }
   // What gave way in the last step, ascending.
   const std::vector<GaveWay>& gave_way() const { return gave_way_; }
   // Tetrahedra that were looked at, ever.
