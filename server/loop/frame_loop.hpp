@@ -22,8 +22,9 @@
 namespace incise::loop {
 
 struct LoopOptions {
-  double rate_hz = 1000;         // frames a second
-  double budget_fraction = 0.6;  // of a frame, for input and cutting
+  double rate_hz = 1000;  // frames a second
+  double budget_fraction =
+      0.6;  // of a frame, for input and cutting; a deformation may use some of the rest, too
   // Not 0: a frame's cutting is so many work units instead of what fits into its time. For tests: the result
   // must not depend on it.
   std::int64_t units_per_frame = 0;
