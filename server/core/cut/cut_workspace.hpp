@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "server/core/cut/held_faces.hpp"
 #include "server/core/cut/sweep_ends.hpp"
 #include "server/core/mesh/boundary_grid.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
@@ -36,22 +37,11 @@ struct CutWorkspace {
     std::uint32_t waits_for = 0;
   };
 
-  // A face that may be the last one between two parts, but that had to stay closed: its sides still hung together near by.
-  static constexpr std::size_t kMaxHeld = 256;
-  struct HeldFace {
-    HalfFace face;
-    Vec3 middle;   // where it was: edits may have put another face in its place
-    double off_m;  // from the sweep that met it
-    bool meets;    // an older cut
-  };
-
   explicit CutWorkspace(const TetMesh& mesh) : CutWorkspace(mesh, BoundaryGrid(mesh)) {}
   // With the grid of a mesh that this one is a copy of.
   CutWorkspace(const TetMesh& mesh, BoundaryGrid its_grid) : grid(std::move(its_grid)) {
     reserve_room(vertices, mesh.vertex_slots());
     reserve_room(tets, mesh.tet_slots());
-    held.reserve(kMaxHeld);
-    ribs.reserve(kMaxHeld);
     grow(mesh);
   }
 
@@ -72,18 +62,8 @@ struct CutWorkspace {
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
     ends.archive(io);
-    const auto archive_held = [&](std::vector<HeldFace>& list, std::size_t most) {
-      io.list(list, 37, [&](HeldFace& held_face) {
-        io(held_face.face);
-        io(held_face.middle);
-        io(held_face.off_m);
-        io(held_face.meets);
-        io.demand(tet_of(held_face.face) < mesh.tet_slots(), "a held face of no tetrahedron");
-      });
-      io.demand(list.size() <= most, "more held faces than are kept");
-    };
-    archive_held(held, kMaxHeld);
-    archive_held(ribs, kMaxHeld);
+    held.archive(io, mesh);
+    ribs.archive(io, mesh);
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
@@ -102,9 +82,8 @@ struct CutWorkspace {
 
   BoundaryGrid grid;
   SweepEnds ends;
-  std::vector<HeldFace> held;  // the newest last
-  std::vector<HeldFace>
-      ribs;  // likewise: between a sweep and the boundary, both sides on one side of the sweep
+  HeldFaces held;
+  HeldFaces ribs;  // between a sweep and the boundary: both sides are on one side of the sweep
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

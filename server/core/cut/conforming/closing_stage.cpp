@@ -104,7 +104,7 @@ bool ClosingStage::collect(WorkBudget& budget) {
 }
 
 // The end of a stroke may have parted, elsewhere, what held these faces closed.
-bool ClosingStage::collect_held(std::vector<CutWorkspace::HeldFace>& held, bool ribs, WorkBudget& budget) {
+bool ClosingStage::collect_held(HeldFaces& held, bool ribs, WorkBudget& budget) {
   for (; next_ < held.size(); ++next_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
@@ -329,8 +329,10 @@ bool ClosingStage::judge(WorkBudget& budget) {
     if (budget.spent()) return false;
     const Gap gap = gaps_[next_++];
     const HalfFace h = gap.face, o = mesh_.opposite(h);
-    const Part one = part_of(tet_of(h), tet_of(o), gap);
-    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap) : one;
+    // Most are decided by what is nearest: a crumb, beside something large as a rule, or a way round.
+    const Part near = part_of(tet_of(o), tet_of(h), gap, kNearWay);
+    const Part one = is_part(near) ? part_of(tet_of(h), tet_of(o), gap, kMaxWay) : near;
+    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap, kMaxWay) : one;
     const bool sure = one == Part::kSmall || other == Part::kSmall;
     if (is_part(other) && (sure || gap.meets || gap.off_m <= kAtSkin_h * cut_.h)) {
       faces_.push_back(h);
@@ -373,17 +375,15 @@ bool ClosingStage::look_far(WorkBudget& budget) {
   return true;
 }
 
-// The newest are kept.
 void ClosingStage::hold(const Gap& gap) {
-  std::vector<CutWorkspace::HeldFace>& held = gap.is_rib ? cut_.workspace.ribs : cut_.workspace.held;
-  std::erase_if(held, [&](const CutWorkspace::HeldFace& other) { return other.face == gap.face; });
-  if (held.size() == CutWorkspace::kMaxHeld) held.erase(held.begin());
-  held.push_back({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
+  cut_.work += cost::kLook;
+  (gap.is_rib ? cut_.workspace.ribs : cut_.workspace.held)
+      .push({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
 }
 
 // Follows the faces that stay closed from `from`: whether they lead to `other`, and if not, what they hold together: a crumb, a small part
-// of the tissue (seen to its end), or a large one.
-ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap) {
+// of the tissue (seen to its end), or a large one, of more than `most` tetrahedra.
+ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap, std::size_t most) {
   pass_.begin();
   pass_.add(from);
   queue_.assign(1, from);
@@ -396,7 +396,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
       if (tet_of(o) == other) return Part::kHangsTogether;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
-    if (queue_.size() > kMaxWay && !grows_as_film(i)) return Part::kLarge;
+    if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) return Part::kLarge;
   }
   const Extent extent = extent_of(cut_, queue_);
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;

@@ -56,7 +56,7 @@ class ClosingStage {
     next_ = 0;
   }
   bool collect(WorkBudget& budget);
-  bool collect_held(std::vector<CutWorkspace::HeldFace>& held, bool ribs, WorkBudget& budget);
+  bool collect_held(HeldFaces& held, bool ribs, WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
@@ -94,7 +94,7 @@ class ClosingStage {
   bool is_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool at_older_cut(VertexId v);
-  Part part_of(TetId from, TetId other, const Gap& gap);
+  Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
   bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);

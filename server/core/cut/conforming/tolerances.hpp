@@ -97,6 +97,8 @@ inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
 inline constexpr std::size_t kMaxWay = 400;
+// So far it looks first.
+inline constexpr std::size_t kNearWay = 32;
 // When a stroke ends, so many are looked at besides, both sides together; so many of one side before the other's turn; and so many for
 // all faces, after which no more are begun.
 inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32, kMaxFarWays = 200000;
