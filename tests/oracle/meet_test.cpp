@@ -316,7 +316,8 @@ TEST(MeetingTheSkin, NoRibHoldsPartsTogetherBesideASweep) {
 
 // More faces had to stay closed at first than were judged again when the stroke ended.
 TEST(MeetingTheSkin, AllThatWasHeldIsJudgedAgain) {
-  const OnceWrong meetings[] = {{"armadillo_3717", "ellipse", 20007}};
+  const OnceWrong meetings[] = {
+      {"armadillo_3717", "ellipse", 20007}, {"brain_81833", "grid", 60000}, {"brain_81833", "grid", 70001}};
   come_apart(meetings);
 }
 
