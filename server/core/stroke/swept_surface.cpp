@@ -39,8 +39,10 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
     SweptTriangle triangle;
     triangle.batch = batch;
     if (make_swept_triangle(a, b, c, triangle)) {
-      triangle.rim =
-          static_cast<std::uint8_t>((first && row == 0 ? 1u : 0u) | (column + 1 == columns ? 2u : 0u));
+      triangle.rim = static_cast<std::uint8_t>((row > 0 ? 0u
+                                                : first ? SweptTriangle::kStarts | 1u
+                                                        : SweptTriangle::kStarts) |
+                                               (column + 1 == columns ? 2u : 0u));
       triangles_.push_back(triangle);
     }
     if (make_swept_triangle(a, c, d, triangle)) {
@@ -49,6 +51,12 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
     }
   };
   add(add, 0, rows, 0, columns);
+}
+
+void SweptSurface::mark_turn(std::size_t begin, std::size_t end) {
+  for (std::size_t i = begin; i < end; ++i) {
+    if ((triangles_[i].rim & SweptTriangle::kStarts) != 0) triangles_[i].rim |= SweptTriangle::kTurns;
+  }
 }
 
 void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,

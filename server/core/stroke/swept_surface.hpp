@@ -21,6 +21,8 @@ class SweptSurface {
   void add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns, std::uint32_t batch,
                 bool first, const Vec3& low = {-INFINITY, -INFINITY, -INFINITY},
                 const Vec3& high = {INFINITY, INFINITY, INFINITY});
+  // The sweep turns at the line `from` of the quad that added these triangles.
+  void mark_turn(std::size_t begin, std::size_t end);
   // Adds the quad with these corners in turn, none of whose sides is a rim. `continues`: no blade has swept it.
   void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,
                  bool continues);

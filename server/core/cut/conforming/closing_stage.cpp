@@ -188,7 +188,7 @@ bool ClosingStage::may_close(Gap& gap) {
   // Where the sweep runs along an older cut, what is between them is a film.
   if (gap.is_rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
   for (VertexId w : v) {
-    const bool older = cut_.stands(w) || (!cut_.on_surface(w) && at_older_cut(w));
+    const bool older = cut_.stands(w) || (!cut_.on_surface(w) && cut_.at_cut(w));
     gap.meets = gap.meets || older;
     if (!older && !lies_near(w)) return false;
   }
@@ -317,12 +317,6 @@ bool ClosingStage::all_at_boundary(HalfFace h) const {
   return std::ranges::all_of(mesh_.face_vertices(h), [this](VertexId v) { return mesh_.at_boundary(v); });
 }
 
-bool ClosingStage::at_older_cut(VertexId v) {
-  mesh_.star(v, corners_);
-  return std::ranges::any_of(
-      corners_, [this](Corner c) { return (mesh_.cut_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
-}
-
 bool ClosingStage::judge(WorkBudget& budget) {
   while (next_ < gaps_.size()) {
     cut_.work.charge(budget);
@@ -408,8 +402,11 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
   if (gap.by_thickness ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
                        : is_film(cut_, extent, queue_))
     return Part::kCrumb;
-  const auto is_deep = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
-  return std::ranges::any_of(queue_, is_deep) ? Part::kSmall : Part::kCrumb;
+  if (extent.volume_m3 < kSlab_h * cut_.h * 0.5 * extent.area_m2 &&
+      !is_deep(cut_, queue_, kLeastDeep_h3, Cuts::kAll))
+    return Part::kCrumb;
+  const auto reaches_off = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
+  return std::ranges::any_of(queue_, reaches_off) ? Part::kSmall : Part::kCrumb;
 }
 
 // Whether what part_of() has followed, as far as its i-th tetrahedron, may still turn out to be a film.

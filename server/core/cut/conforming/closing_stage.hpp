@@ -93,7 +93,6 @@ class ClosingStage {
   bool lies_at_cut(HalfFace h);
   bool is_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
-  bool at_older_cut(VertexId v);
   Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
   bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
@@ -117,9 +116,9 @@ class ClosingStage {
   std::vector<TetId> queue_;             // of part_of()
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
-  std::vector<Waiting> waited_;         // scratch
-  std::vector<TetId> ring_;             // scratch
-  std::vector<Corner> star_, corners_;  // scratch
+  std::vector<Waiting> waited_;  // scratch
+  std::vector<TetId> ring_;      // scratch
+  std::vector<Corner> star_;     // scratch
 };
 
 }  // namespace incise::core

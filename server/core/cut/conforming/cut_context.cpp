@@ -69,4 +69,11 @@ double CutContext::worst_after_split(TetId tet, VertexId a, VertexId b, double t
   return worst;
 }
 
+bool CutContext::at_cut(VertexId v) const {
+  mesh.star(v, corners_);
+  work.add(corners_.size(), cost::kStarCornersAUnit);
+  return std::ranges::any_of(
+      corners_, [this](Corner c) { return (mesh.cut_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
+}
+
 }  // namespace incise::core

@@ -84,6 +84,9 @@ struct CutContext {
   // The worst of the tetrahedra that splitting the edge (a, b) of `tet` makes; stops beyond `limit`.
   double worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const;
 
+  // Whether a face that a cut has opened is at v.
+  bool at_cut(VertexId v) const;
+
   const TetMesh& mesh;
   CutWorkspace& workspace;
   const CutConfig config;
@@ -103,6 +106,7 @@ struct CutContext {
 
  private:
   mutable std::vector<TetId> ring_;  // scratch
+  mutable std::vector<Corner> corners_;
 };
 
 }  // namespace incise::core

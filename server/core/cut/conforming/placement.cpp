@@ -158,17 +158,17 @@ int PlaceFinder::targets(const VertexStar& star, const Crossing& crossing, const
 bool PlaceFinder::stay(const VertexStar& star, Placement& placement) {
   const SweptSurface& surface = cut_.surface();
   const Vec3& p = star.position();
+  const double h = std::min(cut_.h, star.local_h());
   Vec3 closest;
   std::uint32_t triangle = 0;
   cut_.work += cost::kNearby;
-  if (!star.on_boundary() || !surface.near(p, kStay_h * std::min(cut_.h, star.local_h()), closest, triangle))
-    return false;
+  if (!star.on_boundary() || !surface.near(p, kOne_h * h, closest, triangle)) return false;
   const auto runs_along = [&](const VertexStar::Wall& wall) {
     return std::abs(dot(wall.normal, surface[triangle].normal)) > kCosAlong;
   };
   const auto cut_along = [&](const VertexStar::Wall& wall) { return wall.cut && runs_along(wall); };
-  if (!std::ranges::all_of(star.walls(), runs_along) && !std::ranges::any_of(star.walls(), cut_along))
-    return false;
+  const bool at_skin = distance(p, closest) <= kStay_h * h && std::ranges::all_of(star.walls(), runs_along);
+  if (!at_skin && !std::ranges::any_of(star.walls(), cut_along)) return false;
   const double worst = cut_.worst_at(star, p, placement.worst, kFlat_local * star.local_h(), flat_);
   if (worst >= placement.worst) return false;
   placement = {p, worst};

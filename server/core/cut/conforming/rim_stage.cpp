@@ -28,7 +28,7 @@ bool RimStage::passes_by(TetId t, const Vec3& from, const Vec3& to) const {
   return true;
 }
 
-void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {
+void RimStage::probe(TetId t, const Vec3& from, const Vec3& to, Rim rim) {
   cut_.work += cost::kLook;
   if (passes_by(t, from, to)) return;
   for (int f = 0; f < 4; ++f) {
@@ -44,7 +44,7 @@ void RimStage::probe(TetId t, const Vec3& from, const Vec3& to) {
     }
     if (stands_for(face[0], x) || stands_for(face[1], x) || stands_for(face[2], x)) continue;
     const HalfFace side = half_face(t, f);
-    if (!is_listed(mesh_.opposite(side), from)) list_.push_back({side, face, x, from, to, false, false});
+    if (!is_listed(mesh_.opposite(side), from)) list_.push_back({side, face, x, from, to, rim, false, false});
   }
 }
 
@@ -71,7 +71,7 @@ bool RimStage::advance(WorkBudget& budget) {
     for (VertexId v : piercing.face) {
       mesh_.star(v, star_tets_);
       for (std::uint32_t corner : star_tets_) {
-        if (around_.insert(tet_of(corner))) probe(tet_of(corner), piercing.from, piercing.to);
+        if (around_.insert(tet_of(corner))) probe(tet_of(corner), piercing.from, piercing.to, piercing.rim);
       }
     }
     for (std::size_t k = first; k < list_.size(); ++k) list_[k].again = true;
@@ -104,6 +104,11 @@ bool RimStage::handle(const Piercing& piercing) {
   for (std::size_t i = 0; i < 3; ++i) {
     if (fair[i] && put(nearest[i], piercing, kSnapFloor, fair[i])) return true;
   }
+  // A split beside an older cut only leaves splinters where the sweep does not end there, and so does one beside the skin where the blade ends.
+  const auto is_at_wall = [&](VertexId v) {
+    return mesh_.at_boundary(v) && (piercing.rim == Rim::kWay || cut_.at_cut(v));
+  };
+  if (piercing.rim != Rim::kLine && std::ranges::any_of(piercing.face, is_at_wall)) return false;
   return cut_.config.prefer != Preference::kNoGrowth && split_for(piercing);
 }
 
@@ -157,14 +162,16 @@ void RimStage::clinging(std::vector<VertexId>& out) const {
 }
 
 void RimStage::archive(Archive& io) {
-  io.list(list_, 89, [&](Piercing& p) {
+  io.list(list_, 90, [&](Piercing& p) {
     io(p.side);
     for (VertexId& v : p.face) io(v);
     io(p.point);
     io(p.from);
     io(p.to);
+    io(p.rim);
     io(p.again);
     io.demand(tet_of(p.side) < mesh_.tet_slots(), "a rim that pierces no tetrahedron");
+    io.demand(p.rim <= Rim::kWay, "a rim of no kind");
     for (const VertexId v : p.face) io.demand(v < mesh_.vertex_slots(), "a rim that pierces no face");
     if (io.reads()) p.done = false;
   });

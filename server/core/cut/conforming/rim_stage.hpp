@@ -9,6 +9,9 @@
 
 namespace incise::core {
 
+// A line of the blade at which a sweep begins or ends; one at which it turns sharply; the way of the heel or the tip.
+enum class Rim : std::uint8_t { kLine, kTurn, kWay };
+
 // Puts vertices where the rim of the sweep pierces faces: the paper's second move, to the front and back planes, in general.
 class RimStage {
  public:
@@ -16,7 +19,7 @@ class RimStage {
       : cut_(cut), mesh_(cut.mesh), editor_(editor), around_(cut.workspace) {}
 
   // Notes the faces of t that a stretch of the rim pierces.
-  void probe(TetId t, const Vec3& from, const Vec3& to);
+  void probe(TetId t, const Vec3& from, const Vec3& to, Rim rim);
   void clear() { list_.clear(); }
 
   void begin() { next_ = 0; }
@@ -33,7 +36,8 @@ class RimStage {
     std::array<VertexId, 3> face;
     Vec3 point;     // where
     Vec3 from, to;  // the stretch of the rim
-    bool again;     // found on the second look
+    Rim rim;
+    bool again;  // found on the second look
     bool done;
   };
 

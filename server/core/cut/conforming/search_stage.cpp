@@ -23,8 +23,8 @@ bool SearchStage::advance(WorkBudget& budget) {
     case Phase::kActive:
       from_active(budget);
       return false;
-    case Phase::kLastLine:
-      from_last_line(budget);
+    case Phase::kLines:
+      from_lines(budget);
       return false;
     case Phase::kBoundary:
       from_boundary(budget);
@@ -44,20 +44,21 @@ bool SearchStage::advance(WorkBudget& budget) {
 void SearchStage::from_active(WorkBudget& budget) {
   while (next_ < active_.size() && work_left(budget)) enqueue(active_[next_++].tet);
   if (next_ < active_.size()) return;
-  if (cut_.has_front) {
-    go(Phase::kBoundary, cut_.path.first_latest());
-  } else {
-    go(Phase::kLastLine, 0);
-  }
+  lines_.assign(cut_.path.late_turns().begin(), cut_.path.late_turns().end());
+  // The stroke's last line is a rim, too.
+  if (!cut_.has_front) lines_.push_back(cut_.front);
+  go(Phase::kLines, 0);
 }
 
-// The stroke's last line is a rim, too; all that is near it is still active.
-void SearchStage::from_last_line(WorkBudget& budget) {
-  while (next_ < active_.size() && work_left(budget)) {
-    const TetId t = active_[next_++].tet;
-    if (mesh_.alive(t)) rim_.probe(t, cut_.front.heel, cut_.front.tip);
+// Lines that are known to be rims only now; all that is near them is still active.
+void SearchStage::from_lines(WorkBudget& budget) {
+  const std::size_t count = active_.size(), turns = cut_.path.late_turns().size();
+  while (next_ < lines_.size() * count && work_left(budget)) {
+    const std::size_t i = next_ / count;
+    const TetId t = active_[next_++ % count].tet;
+    if (mesh_.alive(t)) rim_.probe(t, lines_[i].heel, lines_[i].tip, i < turns ? Rim::kTurn : Rim::kLine);
   }
-  if (next_ == active_.size()) go(Phase::kBoundary, cut_.path.first_latest());
+  if (next_ == lines_.size() * count) go(Phase::kBoundary, cut_.path.first_latest());
 }
 
 void SearchStage::from_boundary(WorkBudget& budget) {
@@ -112,7 +113,7 @@ void SearchStage::spread(WorkBudget& budget) {
 bool SearchStage::end_of_rim(WorkBudget& budget) {
   while (!cut_.has_front && next_ < queue_.size()) {
     if (!work_left(budget)) return false;
-    rim_.probe(queue_[next_++], cut_.front.heel, cut_.front.tip);
+    rim_.probe(queue_[next_++], cut_.front.heel, cut_.front.tip, Rim::kLine);
   }
   return true;
 }
@@ -133,9 +134,11 @@ bool SearchStage::probe(TetId t) {
   const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
   cut_.surface().any_latest_between(p, slack_m, [&](std::uint32_t index) {
     const SweptTriangle& triangle = cut_.surface()[index];
+    const unsigned turns = (triangle.rim & SweptTriangle::kTurns) != 0 ? 1 : 0;
     for (int k = 0; k < 3; ++k) {
-      if ((triangle.rim >> k & 1) != 0 && may_meet_side(p, triangle, k))
-        rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3]);
+      if (((triangle.rim | turns) >> k & 1) == 0 || !may_meet_side(p, triangle, k)) continue;
+      const Rim rim = k > 0 ? Rim::kWay : turns != 0 ? Rim::kTurn : Rim::kLine;
+      rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3], rim);
     }
     meets = probe_triangle(t, p, slack_m, index) || meets;
     return false;

@@ -29,7 +29,7 @@ class SearchStage {
 
  private:
   // Where the search begins, in this order; then it spreads, and last the rest of the rim is looked at.
-  enum class Phase { kActive, kLastLine, kBoundary, kInside, kSpread, kRim };
+  enum class Phase { kActive, kLines, kBoundary, kInside, kSpread, kRim };
 
   void go(Phase phase, std::size_t first) {
     phase_ = phase;
@@ -40,7 +40,7 @@ class SearchStage {
     return !budget.spent();
   }
   void from_active(WorkBudget& budget);
-  void from_last_line(WorkBudget& budget);
+  void from_lines(WorkBudget& budget);
   void from_boundary(WorkBudget& budget);
   void from_inside();
   void spread(WorkBudget& budget);
@@ -60,6 +60,7 @@ class SearchStage {
 
   Phase phase_ = Phase::kActive;
   std::size_t next_ = 0;  // how far the phase is, in its list
+  std::vector<BladeLine> lines_;
   TetPass searched_;
   std::vector<TetId> queue_;  // of what meets the sweep
   std::size_t queue_next_ = 0;

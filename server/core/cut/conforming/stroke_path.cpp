@@ -7,8 +7,27 @@ namespace incise::core {
 
 using namespace tolerance;
 
+namespace {
+
+// Of what a blade sweeps between two lines, unit; 0: nothing. Where it turns about a place on itself its ends go opposite ways.
+Vec3 normal_between(const BladeLine& from, const BladeLine& to) {
+  const Vec3 heel = to.heel - from.heel, tip = to.tip - from.tip;
+  return normalized(cross(from.tip - from.heel, dot(heel, tip) < 0 ? tip - heel : tip + heel));
+}
+
+// How far a line is beside what a blade sweeps that goes straight from one line to another.
+double off_chord(const BladeLine& from, const BladeLine& to, const BladeLine& line) {
+  const Vec3 along = (from.tip - from.heel) + (to.tip - to.heel);
+  const Vec3 heel = normalized(cross(along, to.heel - from.heel)),
+             tip = normalized(cross(along, to.tip - from.tip));
+  return std::max(std::abs(dot(heel, line.heel - from.heel)), std::abs(dot(tip, line.tip - from.tip)));
+}
+
+}  // namespace
+
 void StrokePath::clear() {
-  heading_ = {};
+  begun_ = false;
+  way_.clear();
   surface_.clear();
   swept_.clear();
   retraced_.clear();
@@ -18,6 +37,8 @@ void StrokePath::clear() {
 void StrokePath::add(const Batch& batch, const Tissue& tissue, WorkMeter& work) {
   swept_.push_back({batch.number, travel_m_});
   first_latest_ = surface_.size();
+  late_turns_.clear();
+  for (WayLine& line : way_) line.begin = line.end = 0;
   const double blade_m = distance(batch.lines[0].heel, batch.lines[0].tip);
   const int columns = static_cast<int>(std::clamp(std::ceil(blade_m / (kCell_h * h_)), 1.0, kMaxColumns));
   const auto sweep_retraced = [&] {
@@ -41,8 +62,13 @@ void StrokePath::sweep(const BladeLine& from, const BladeLine& to, int columns, 
   const double twist_m = length((to.tip - to.heel) - (from.tip - from.heel));
   const double rows = std::max(travel(from, to) / (kCell_h * h_),
                                kTwistSag * twist_m / (columns * config_.chord_tolerance_h * h_));
+  const std::size_t begin = surface_.size();
   surface_.add_quad(from, to, static_cast<int>(std::clamp(std::ceil(rows), 1.0, kMaxRows)), columns,
-                    swept_.back().batch, turns_sharply(from, to), tissue.low, tissue.high);
+                    swept_.back().batch, !begun_, tissue.low, tissue.high);
+  begun_ = begun_ || squared_length(normal_between(from, to)) > 0;
+  if (way_.empty() || travel(way_.back().line, from) >= kWayStep_h * h_)
+    way_.push_back({from, begin, surface_.size()});
+  go_on(to);
 }
 
 void StrokePath::forget_before(double limit_m) {
@@ -89,20 +115,42 @@ bool StrokePath::retrace(const BladeLine& from, const BladeLine& to, const Tissu
   return true;
 }
 
-// Whether the sweep begins or bends sharply at the line `from`: that line has to be met as exactly as a rim.
-bool StrokePath::turns_sharply(const BladeLine& from, const BladeLine& to) {
-  const Vec3 motion = 0.5 * ((to.heel - from.heel) + (to.tip - from.tip));
-  const Vec3 normal = normalized(cross(from.tip - from.heel, motion));
-  const bool begins = squared_length(heading_) == 0;
-  if (squared_length(normal) == 0) return begins;
-  // Straight back is no bend: the surface lies on itself.
-  if (!begins && std::abs(dot(normal, heading_)) > kCosSharpTurn) return false;
-  heading_ = normal;
-  return true;
+// The way of the blade from its last bend to `to` is a chord: where it leaves that by more than the tolerance it bends, and if it turns by enough
+// there, that line has to be met as exactly as a rim. Single segments do not say so: a hand that trembles points in all directions.
+void StrokePath::go_on(const BladeLine& to) {
+  while (way_.size() > 1) {
+    std::size_t bend = 0;
+    double most_m = kBend_h * h_;
+    for (std::size_t i = 1; i < way_.size(); ++i) {
+      const double off_m = off_chord(way_[0].line, to, way_[i].line);
+      if (off_m <= most_m) continue;
+      most_m = off_m;
+      bend = i;
+    }
+    if (bend == 0) break;
+    const WayLine& at = way_[bend];
+    if (std::abs(dot(normal_between(way_[0].line, at.line), normal_between(at.line, to))) <= kCosSharpTurn) {
+      if (at.end > at.begin) {
+        surface_.mark_turn(at.begin, at.end);
+      } else {
+        late_turns_.push_back(at.line);
+      }
+    }
+    way_.erase(way_.begin(), way_.begin() + static_cast<std::ptrdiff_t>(bend));
+  }
+  std::size_t first = 0;
+  while (first + 1 < way_.size() &&
+         (way_.size() - first > kMaxWayLines || travel(way_[first].line, to) > kWay_h * h_))
+    ++first;
+  way_.erase(way_.begin(), way_.begin() + static_cast<std::ptrdiff_t>(first));
 }
 
 void StrokePath::archive_surface(Archive& io) {
-  io(heading_);
+  io(begun_);
+  io.list(way_, 48, [&](WayLine& way) {
+    io(way.line.heel);
+    io(way.line.tip);
+  });
   surface_.archive(io);
 }
 

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/conforming/tolerances.hpp"
@@ -42,6 +43,8 @@ class StrokePath {
   const SweptSurface& surface() const { return surface_; }
   // The first triangle of the last batch.
   std::size_t first_latest() const { return first_latest_; }
+  // Lines of older batches at which the blade, as the last one shows, has turned sharply: rims as well.
+  std::span<const BladeLine> late_turns() const { return late_turns_; }
   // The oldest batch whose triangles are kept.
   std::uint32_t oldest_batch() const { return swept_.front().batch; }
   // How far the blade has travelled in this stroke, and how far it had before the last batch, m.
@@ -57,7 +60,6 @@ class StrokePath {
 
   void sweep(const BladeLine& from, const BladeLine& to, int columns, const Tissue& tissue);
   bool retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
-  bool turns_sharply(const BladeLine& from, const BladeLine& to);
 
   struct Swept {
     std::uint32_t batch;
@@ -66,13 +68,22 @@ class StrokePath {
 
   const CutConfig& config_;
   const double h_;
-  Vec3 heading_;  // normal of the sweep where it began or last turned sharply
+  bool begun_ = false;  // some surface has been swept
   SweptSurface surface_;
   std::size_t first_latest_ = 0;
   std::vector<Swept> swept_;  // the batches of surface_
   // Lines between which the surface covers what the blade has swept, from one that is on it.
   std::vector<BladeLine> retraced_;
   double travel_m_ = 0;
+
+  // A line that the blade has swept on from, and the triangles of that if they are of the last batch.
+  struct WayLine {
+    BladeLine line;
+    std::size_t begin = 0, end = 0;
+  };
+  void go_on(const BladeLine& to);
+  std::vector<WayLine> way_;  // since the last bend
+  std::vector<BladeLine> late_turns_;
 };
 
 }  // namespace incise::core

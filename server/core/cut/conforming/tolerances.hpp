@@ -47,8 +47,11 @@ inline constexpr double kRetrace_h = 0.05;
 inline constexpr double kMaxRetraceRows = 16, kMaxRetraceColumns = 1024;
 // Lines of a motion that sweeps nothing new; after so many it is swept after all.
 inline constexpr std::size_t kMaxRetraced = 256;
-// Where the sweep has turned by more than this since its last sharp turn, the line is met as exactly as a rim.
+// The blade's way bends where it leaves the chord from its last bend by more than this, and where it has turned by more than this there, the
+// line is met as exactly as a rim. Chords are no longer than this, of lines that are so far apart, and so many.
+inline constexpr double kBend_h = 0.1, kWay_h = 3, kWayStep_h = 0.05;
 inline constexpr double kCosSharpTurn = 0.9;  // 26 degrees
+inline constexpr std::size_t kMaxWayLines = 64;
 // The surface is kept this far behind the oldest active tetrahedron, in the largest local mesh widths of the stroke: a split or a
 // flip may reach some edge lengths farther back.
 inline constexpr double kKeptBehind_local = 8;
@@ -189,8 +192,9 @@ inline constexpr double kThin_local = 0.1;
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
-// And where the sweep is alone if none of it reaches farther than kFilmReach_h.
-inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09, kFilmReach_h = 0.42;
+// And where the sweep is alone if none of it reaches farther than kFilmReach_h. kSlab_h: the same of what hangs by a face that had to stay closed.
+inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09, kFilmReach_h = 0.42,
+                        kSlab_h = 0.4;
 // One in so many of a film's tetrahedra may have a vertex inside it, and so many besides in a film larger than kMaxRaggedIsland.
 inline constexpr std::size_t kFilmToInner = 8, kFilmInner = 16;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this, and it has
@@ -198,7 +202,7 @@ inline constexpr std::size_t kFilmToInner = 8, kFilmInner = 16;
 inline constexpr double kShallow_h = 0.125;
 inline constexpr std::size_t kMaxCrumb = 64;
 // Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
-inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 1000;
+inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 2000;
 // How many tetrahedra around one of these neighbours are looked at for the others.
 inline constexpr std::size_t kMaxAround = 12;
 // How far from an opened face the surface is looked for: for its side, and for the deviation that is reported. First nearer, where it is
