@@ -365,7 +365,7 @@ std::uint64_t Replica::hash_of_moves(const Delta& d) const {
                      moved.size(), [&](std::size_t i) { return moved[i]; },
                      [&](std::size_t i) { return &positions[3 * std::size_t{moved[i]}]; });
   }
-  // A step of a simulation moves nearly all: hashed are those that stay.
+  // A step of a simulation moves nearly all of them, so it is quicker to hash those that stay.
   std::uint64_t before = state_.vertices_hash;
   std::size_t next = 0;
   const auto leave_out = [&](std::size_t end) {

@@ -69,9 +69,8 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
       journal_(journal),
       options_(options),
       period_ns_(static_cast<std::int64_t>(1e9 / options.rate_hz)),
-      budget_ns_(static_cast<std::int64_t>(options.budget_fraction * 1e9 / options.rate_hz)),
-      step_fraction_(options.budget_fraction + kStepPart * (1 - options.budget_fraction)),
-      credit_ns_(budget_ns_),
+      for_cuts_(options.budget_fraction, period_ns_),
+      for_steps_(options.budget_fraction + kStepPart * (1 - options.budget_fraction), period_ns_),
       pool_(64, options.most_unread_deltas),
       stamps_(64) {
   ready_.reserve(1024);
@@ -117,27 +116,25 @@ bool FrameLoop::wait(std::int64_t deadline_ns) noexcept {
 void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   const std::int64_t start = monotonic_ns();
   if (last_start_ns_ != 0) {
-    const double more = options_.budget_fraction * static_cast<double>(start - last_start_ns_);
-    credit_ns_ = std::min(budget_ns_, credit_ns_ + static_cast<std::int64_t>(more));
-    const double more_for_steps = step_fraction_ * static_cast<double>(start - last_start_ns_);
-    step_credit_ns_ = std::min(step_budget_ns_, step_credit_ns_ + static_cast<std::int64_t>(more_for_steps));
+    for_cuts_.pass(start - last_start_ns_);
+    for_steps_.pass(start - last_start_ns_);
   }
   input_.doorbell().forget();
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
   if (undo_wanted_.load(std::memory_order_relaxed) > 0) undo(start);
-  drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(credit_ns_)));
+  drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(for_cuts_.left_ns())));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
   // A long frame makes the next one late, even if that one meets the deadline that it got after the skipped ones.
   const std::int64_t waited = last_start_ns_ == 0 ? 0 : start - last_start_ns_ - period_ns_;
   last_start_ns_ = start;
   const std::int64_t felt = feel(drained, std::max(start - deadline_ns, waited));
-  cut(start + credit_ns_, start + step_credit_ns_,
+  cut(start + for_cuts_.left_ns(), start + for_steps_.left_ns(),
       start + static_cast<std::int64_t>(kLatest * static_cast<double>(period_ns_)));
   const std::int64_t cut_done = monotonic_ns();
-  credit_ns_ = std::max<std::int64_t>(0, credit_ns_ - (cut_done - start));
-  step_credit_ns_ = std::max<std::int64_t>(0, step_credit_ns_ - (cut_done - start));
+  for_cuts_.use(cut_done - start);
+  for_steps_.use(cut_done - start);
   publish();
   account(deadline_ns, start, drained, felt, cut_done, monotonic_ns());
 }
@@ -533,11 +530,11 @@ void FrameLoop::account(std::int64_t deadline_ns, std::int64_t start_ns, std::in
   if (end_ns > deadline_ns + period_ns_) {
     // The stage that most exceeded its share is the cause.
     const auto share = [&](double part) {
-      return static_cast<std::int64_t>(part * static_cast<double>(budget_ns_));
+      return static_cast<std::int64_t>(part * static_cast<double>(for_cuts_.whole_ns()));
     };
     const std::int64_t excess[kLateCauses] = {
         start_ns - deadline_ns - share(0.1), drained_ns - start_ns - share(kInputShare),
-        cut_ns - std::max(drained_ns, start_ns + budget_ns_), end_ns - cut_ns};
+        cut_ns - std::max(drained_ns, start_ns + for_cuts_.whole_ns()), end_ns - cut_ns};
     bump(stats_.late[static_cast<std::size_t>(std::max_element(excess, excess + kLateCauses) - excess)]);
   }
   state_.backlog_events = input_.waiting();

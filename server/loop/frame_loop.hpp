@@ -15,6 +15,7 @@
 #include "server/input/positions_slot.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
+#include "server/loop/frame_share.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
 #include "server/loop/undo_history.hpp"
@@ -142,15 +143,9 @@ class FrameLoop {
   DeltaSink& sink_;
   Journal* const journal_;
   const LoopOptions options_;
-  const std::int64_t period_ns_, budget_ns_;
-  const double step_fraction_;  // as budget_fraction, while a body's deformation is at work
-  // What is left of the time for input and cutting; it comes back as time goes by, so that many short frames get no more than
-  // one long one.
-  std::int64_t credit_ns_;
-  // The same for a step, less what cuts have used.
-  const std::int64_t step_budget_ns_ =
-      static_cast<std::int64_t>(step_fraction_ * static_cast<double>(period_ns_));
-  std::int64_t step_credit_ns_ = step_budget_ns_;
+  const std::int64_t period_ns_;
+  // Of a frame, for input and cutting, and for these and a body's deformation.
+  FrameShare for_cuts_, for_steps_;
 
   CostModel cost_;
   double ns_per_segment_ = 20'000;  // of whole batches, measured: for the estimate of the backlog

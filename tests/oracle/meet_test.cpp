@@ -405,7 +405,7 @@ TEST_F(MeetingHands, LeaveNoFilms) {
   cut_and_judge("wound_1476", "geomagic_liver", {201});
 }
 
-// A hand that trembles turned at every segment, and each turn split the elements along the whole blade: 1.3 to 1.5 new ones a cut face.
+// Every segment of a trembling hand counted as a turn, and each turn split elements along the whole blade: 1.3 to 1.5 new ones a cut face.
 TEST_F(MeetingHands, AddFewTetrahedra) {
   cut_and_judge("seed_3234", "tum_fr1_xyz", {1, 2, 3}, 1);
   cut_and_judge("seed_3234", "dvrk_psm2", {1, 2}, 1);

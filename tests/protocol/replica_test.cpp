@@ -64,7 +64,7 @@ TEST(Replica, RandomDeltasKeepItInStepWithAPlainModel) {
   EXPECT_GT(replica.piece_names().size(), 1u);
 }
 
-// Of a step that moves most vertices the others are hashed, and of one that moves few these.
+// Where a step moves most vertices, those that stay are hashed; where it moves few, those that move.
 TEST(Replica, TheHashFollowsHoweverManyVerticesMove) {
   const Model model = box_model(6, 5, 4);
   Replica replica = model.replica();

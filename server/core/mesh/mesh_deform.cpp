@@ -10,13 +10,27 @@
 // TetMesh in a body that a simulation deforms.
 namespace incise::core {
 
+namespace {
+
+template <class Position>
+std::uint64_t combined_hash(std::span<const VertexId> vertices, Position position) {
+  return protocol::VertexHashes::combined(
+      vertices.size(), [&](std::size_t i) { return vertices[i]; },
+      [&](std::size_t i) {
+        const Vec3 p = position(i);
+        return std::array{p.x, p.y, p.z};
+      });
+}
+
+}  // namespace
+
 std::uint64_t TetMesh::hash_change(std::span<const VertexId> moved, std::span<const Vec3> to) const {
-  const auto id = [moved](std::size_t i) { return moved[i]; };
-  const auto as_array = [](const Vec3& p) { return std::array{p.x, p.y, p.z}; };
-  using protocol::VertexHashes;
-  return VertexHashes::combined(moved.size(), id,
-                                [&](std::size_t i) { return as_array(vertices_[moved[i]].position); }) ^
-         VertexHashes::combined(moved.size(), id, [&](std::size_t i) { return as_array(to[i]); });
+  return combined_hash(moved, [&](std::size_t i) { return vertices_[moved[i]].position; }) ^
+         hash_at(moved, to);
+}
+
+std::uint64_t TetMesh::hash_at(std::span<const VertexId> vertices, std::span<const Vec3> places) {
+  return combined_hash(vertices, [&](std::size_t i) { return places[i]; });
 }
 
 void TetMesh::deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions, std::uint64_t hash_change,

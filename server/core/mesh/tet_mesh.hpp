@@ -210,6 +210,8 @@ class TetMesh {
               Delta& delta);
   // By what the state hash changes when these vertices go to these places.
   std::uint64_t hash_change(std::span<const VertexId> moved, std::span<const Vec3> to) const;
+  // What vertices count for in it at these places.
+  static std::uint64_t hash_at(std::span<const VertexId> vertices, std::span<const Vec3> places);
   // Whether deform() was ever called. From then on each vertex has a rest position: where the material that it stands for
   // is in the body at rest. Until then that is its position.
   bool deformed() const { return !rest_.empty(); }

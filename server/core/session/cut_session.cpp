@@ -101,7 +101,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
     begun_ = true;
   }
   if (!mover_.advance(budget)) return Progress::kSpent;
-  // Some 2 ns a vertex, at once: the caller may want to begin that at a better time.
+  // Moving them takes some 2 ns a vertex and cannot be interrupted: the caller may want to start it at a better time.
   if (!moves_next_ && budget.left < static_cast<std::int64_t>(mover_.moving())) {
     moves_next_ = true;
     return Progress::kSpent;

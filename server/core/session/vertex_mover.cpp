@@ -5,8 +5,6 @@
 #include <cmath>
 #include <span>
 
-#include "protocol/state_hash.hpp"
-#include "protocol/vertex_hashes.hpp"
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/session/in_chunks.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
@@ -30,10 +28,6 @@ constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
 
-std::uint64_t hash_of(VertexId v, const Vec3& p) {
-  return protocol::vertex_hash(v, p.x, p.y, p.z);
-}
-
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
 }
@@ -50,7 +44,8 @@ void VertexMover::note_cut(const Delta& delta) {
   for (const VertexId v : delta.moved) {
     known_since_[v] = delta.revision;
     if (v >= target_.size()) continue;
-    vertices_hash_ ^= hash_of(v, target_[v]) ^ hash_of(v, mesh_.position(v));
+    const Vec3 before = target_[v];
+    vertices_hash_ ^= TetMesh::hash_at(std::span(&v, 1), std::span(&before, 1)) ^ mesh_.hash_of_vertex(v);
     target_.set(v, mesh_.position(v));
   }
   known_since_.resize(mesh_.vertex_slots(), delta.revision);
@@ -134,7 +129,7 @@ void VertexMover::gather(WorkBudget& budget) {
   const auto take_in = [this](std::size_t i) {
     const auto v = static_cast<VertexId>(i);
     target_.push_back(mesh_.position(v));
-    vertices_hash_ ^= hash_of(v, target_[v]);
+    vertices_hash_ ^= mesh_.hash_of_vertex(v);
   };
   if (in_chunks(next, mesh_.vertex_slots(), budget, kSmall, take_in) && tets_.catch_up(budget))
     phase_ = Phase::kTake;
@@ -206,12 +201,7 @@ void VertexMover::note_moved(std::size_t first) {
 }
 
 std::uint64_t VertexMover::hash_of_move(std::span<const VertexId> vertices, std::span<const Vec3> to) const {
-  if (!moves_most_) return mesh_.hash_change(vertices, to);
-  return protocol::VertexHashes::combined(
-      vertices.size(), [&](std::size_t i) { return vertices[i]; },
-      [&](std::size_t i) {
-        return std::array{to[i].x, to[i].y, to[i].z};
-      });
+  return moves_most_ ? TetMesh::hash_at(vertices, to) : mesh_.hash_change(vertices, to);
 }
 
 // Takes out of the hash what the vertices were that have moved: all but those that have not.
@@ -232,7 +222,7 @@ bool VertexMover::leave_out_of_hash(WorkBudget& budget) {
       if (next_in_moved_ < moved_.size() && moved_[next_in_moved_] == v) {
         ++next_in_moved_;
       } else {
-        hash_change_ ^= hash_of(v, mesh_.position(v));
+        hash_change_ ^= mesh_.hash_of_vertex(v);
       }
     }
   });

@@ -39,10 +39,9 @@ void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows
     SweptTriangle triangle;
     triangle.batch = batch;
     if (make_swept_triangle(a, b, c, triangle)) {
-      triangle.rim = static_cast<std::uint8_t>((row > 0 ? 0u
-                                                : first ? SweptTriangle::kStarts | 1u
-                                                        : SweptTriangle::kStarts) |
-                                               (column + 1 == columns ? 2u : 0u));
+      triangle.rim = column + 1 == columns ? 2 : 0;
+      if (row == 0) triangle.rim |= SweptTriangle::kStarts;
+      if (row == 0 && first) triangle.rim |= 1;
       triangles_.push_back(triangle);
     }
     if (make_swept_triangle(a, c, d, triangle)) {

@@ -44,21 +44,21 @@ bool SearchStage::advance(WorkBudget& budget) {
 void SearchStage::from_active(WorkBudget& budget) {
   while (next_ < active_.size() && work_left(budget)) enqueue(active_[next_++].tet);
   if (next_ < active_.size()) return;
-  lines_.assign(cut_.path.late_turns().begin(), cut_.path.late_turns().end());
-  // The stroke's last line is a rim, too.
-  if (!cut_.has_front) lines_.push_back(cut_.front);
   go(Phase::kLines, 0);
 }
 
-// Lines that are known to be rims only now; all that is near them is still active.
+// Lines that are known to be rims only now, and the stroke's last one; all that is near them is still active.
 void SearchStage::from_lines(WorkBudget& budget) {
-  const std::size_t count = active_.size(), turns = cut_.path.late_turns().size();
-  while (next_ < lines_.size() * count && work_left(budget)) {
+  const auto turns = cut_.path.late_turns();
+  const std::size_t count = active_.size(), end = (turns.size() + (cut_.has_front ? 0 : 1)) * count;
+  while (next_ < end && work_left(budget)) {
     const std::size_t i = next_ / count;
+    const bool turn = i < turns.size();
+    const BladeLine& line = turn ? turns[i] : cut_.front;
     const TetId t = active_[next_++ % count].tet;
-    if (mesh_.alive(t)) rim_.probe(t, lines_[i].heel, lines_[i].tip, i < turns ? Rim::kTurn : Rim::kLine);
+    if (mesh_.alive(t)) rim_.probe(t, line.heel, line.tip, turn ? Rim::kTurn : Rim::kLine);
   }
-  if (next_ == lines_.size() * count) go(Phase::kBoundary, cut_.path.first_latest());
+  if (next_ == end) go(Phase::kBoundary, cut_.path.first_latest());
 }
 
 void SearchStage::from_boundary(WorkBudget& budget) {

@@ -60,7 +60,6 @@ class SearchStage {
 
   Phase phase_ = Phase::kActive;
   std::size_t next_ = 0;  // how far the phase is, in its list
-  std::vector<BladeLine> lines_;
   TetPass searched_;
   std::vector<TetId> queue_;  // of what meets the sweep
   std::size_t queue_next_ = 0;

@@ -15,13 +15,24 @@ Vec3 normal_between(const BladeLine& from, const BladeLine& to) {
   return normalized(cross(from.tip - from.heel, dot(heel, tip) < 0 ? tip - heel : tip + heel));
 }
 
-// How far a line is beside what a blade sweeps that goes straight from one line to another.
-double off_chord(const BladeLine& from, const BladeLine& to, const BladeLine& line) {
-  const Vec3 along = (from.tip - from.heel) + (to.tip - to.heel);
-  const Vec3 heel = normalized(cross(along, to.heel - from.heel)),
-             tip = normalized(cross(along, to.tip - from.tip));
-  return std::max(std::abs(dot(heel, line.heel - from.heel)), std::abs(dot(tip, line.tip - from.tip)));
-}
+// What a blade sweeps that goes straight from one line to another.
+class Chord {
+ public:
+  Chord(const BladeLine& from, const BladeLine& to) : from_(from) {
+    const Vec3 along = (from.tip - from.heel) + (to.tip - to.heel);
+    heel_normal_ = normalized(cross(along, to.heel - from.heel));
+    tip_normal_ = normalized(cross(along, to.tip - from.tip));
+  }
+  // How far a line is beside it.
+  double off_m(const BladeLine& line) const {
+    return std::max(std::abs(dot(heel_normal_, line.heel - from_.heel)),
+                    std::abs(dot(tip_normal_, line.tip - from_.tip)));
+  }
+
+ private:
+  BladeLine from_;
+  Vec3 heel_normal_, tip_normal_;
+};
 
 }  // namespace
 
@@ -119,10 +130,11 @@ bool StrokePath::retrace(const BladeLine& from, const BladeLine& to, const Tissu
 // there, that line has to be met as exactly as a rim. Single segments do not say so: a hand that trembles points in all directions.
 void StrokePath::go_on(const BladeLine& to) {
   while (way_.size() > 1) {
+    const Chord chord(way_[0].line, to);
     std::size_t bend = 0;
     double most_m = kBend_h * h_;
     for (std::size_t i = 1; i < way_.size(); ++i) {
-      const double off_m = off_chord(way_[0].line, to, way_[i].line);
+      const double off_m = chord.off_m(way_[i].line);
       if (off_m <= most_m) continue;
       most_m = off_m;
       bend = i;
@@ -151,6 +163,7 @@ void StrokePath::archive_surface(Archive& io) {
     io(way.line.heel);
     io(way.line.tip);
   });
+  io.demand(way_.size() <= kMaxWayLines, "more lines than a way is followed by");
   surface_.archive(io);
 }
 

@@ -17,7 +17,10 @@ namespace incise::core {
 class StrokePath {
  public:
   // h: mean edge length, m.
-  StrokePath(const CutConfig& config, double h) : config_(config), h_(h) { retraced_.reserve(kMaxRetraced); }
+  StrokePath(const CutConfig& config, double h) : config_(config), h_(h) {
+    retraced_.reserve(kMaxRetraced);
+    way_.reserve(tolerance::kMaxWayLines + 1);
+  }
 
   // A new stroke.
   void clear();
@@ -60,10 +63,16 @@ class StrokePath {
 
   void sweep(const BladeLine& from, const BladeLine& to, int columns, const Tissue& tissue);
   bool retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  void go_on(const BladeLine& to);
 
   struct Swept {
     std::uint32_t batch;
     double travel_m;  // of the blade in this stroke before the batch
+  };
+  // A line from which the blade has swept on, and the triangles that this added if they are the last batch's.
+  struct WayLine {
+    BladeLine line;
+    std::size_t begin = 0, end = 0;
   };
 
   const CutConfig& config_;
@@ -75,13 +84,6 @@ class StrokePath {
   // Lines between which the surface covers what the blade has swept, from one that is on it.
   std::vector<BladeLine> retraced_;
   double travel_m_ = 0;
-
-  // A line that the blade has swept on from, and the triangles of that if they are of the last batch.
-  struct WayLine {
-    BladeLine line;
-    std::size_t begin = 0, end = 0;
-  };
-  void go_on(const BladeLine& to);
   std::vector<WayLine> way_;  // since the last bend
   std::vector<BladeLine> late_turns_;
 };

@@ -47,11 +47,12 @@ inline constexpr double kRetrace_h = 0.05;
 inline constexpr double kMaxRetraceRows = 16, kMaxRetraceColumns = 1024;
 // Lines of a motion that sweeps nothing new; after so many it is swept after all.
 inline constexpr std::size_t kMaxRetraced = 256;
-// The blade's way bends where it leaves the chord from its last bend by more than this, and where it has turned by more than this there, the
-// line is met as exactly as a rim. Chords are no longer than this, of lines that are so far apart, and so many.
+// The blade's way bends where it is farther than this from the chord since its last bend. Chords are no longer than kWay_h; of the lines on the
+// way, only those at least kWayStep_h apart are looked at, and no more than kMaxWayLines.
 inline constexpr double kBend_h = 0.1, kWay_h = 3, kWayStep_h = 0.05;
-inline constexpr double kCosSharpTurn = 0.9;  // 26 degrees
 inline constexpr std::size_t kMaxWayLines = 64;
+// A line at which it bends by more than this is met as exactly as a rim.
+inline constexpr double kCosSharpTurn = 0.9;  // 26 degrees
 // The surface is kept this far behind the oldest active tetrahedron, in the largest local mesh widths of the stroke: a split or a
 // flip may reach some edge lengths farther back.
 inline constexpr double kKeptBehind_local = 8;
@@ -192,7 +193,8 @@ inline constexpr double kThin_local = 0.1;
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick if it holds less than kLeastDeep_h3 farther from the cut than kDeep_h.
-// And where the sweep is alone if none of it reaches farther than kFilmReach_h. kSlab_h: the same of what hangs by a face that had to stay closed.
+// And where the sweep is alone if none of it reaches farther than kFilmReach_h. kSlab_h: how thick it may be where it
+// hangs by a face that had to stay closed.
 inline constexpr double kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09, kFilmReach_h = 0.42,
                         kSlab_h = 0.4;
 // One in so many of a film's tetrahedra may have a vertex inside it, and so many besides in a film larger than kMaxRaggedIsland.
