@@ -363,7 +363,7 @@ class Run {
   // report would be no such moment: there is no force either while the simulation holds the tissue away, and the ramp goes on.
   static bool within_ramp(const Stylus::Felt& felt, std::int64_t before_ramp_ns) {
     const double most = kMost_n / kRamp_s * 1e-9 * static_cast<double>(felt.time_ns - before_ramp_ns);
-    return felt.newtons <= most + kQuantum_n;
+    return felt.newtons <= std::max(0.0, most) + kQuantum_n;
   }
   static void require_within_ramp(const Stylus::Felt& felt, std::int64_t before_ramp_ns) {
     require(within_ramp(felt, before_ramp_ns),
