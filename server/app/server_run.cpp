@@ -13,6 +13,7 @@
 #include "server/app/audit_log.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_library.hpp"
+#include "server/app/capture_lock.hpp"
 #include "server/app/cluster_link.hpp"
 #include "server/app/end_signals.hpp"
 #include "server/app/freed_memory.hpp"
@@ -379,6 +380,16 @@ void RunningServer::log_end() const {
                state.frames, lost > 0 ? fmt::format(", {} records not in the capture", lost) : std::string());
 }
 
+// Null where nothing is recorded.
+std::unique_ptr<CaptureLock> lock_capture(const Config& config) {
+  if (config.capture.path.empty()) return nullptr;
+  auto lock = std::make_unique<CaptureLock>(
+      config.resolve(config.capture.path),
+      config.cluster.failover ? CaptureLock::IfHeld::kGoOn : CaptureLock::IfHeld::kRefuse);
+  if (!lock->trouble().empty()) spdlog::warn("{}", lock->trouble());
+  return lock;
+}
+
 }  // namespace
 
 void run_server(const Config& config, bool resume) {
@@ -386,6 +397,7 @@ void run_server(const Config& config, bool resume) {
   ClusterLink cluster(config);
   if (!cluster.acquire(signals)) return;
   {
+    const auto lock = lock_capture(config);  // until the server has closed the capture
     raise_descriptor_limit();
     RunningServer server(config, resume || cluster.resumes(), cluster);
     server.start();

@@ -13,6 +13,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "server/app/capture_lock.hpp"
+#include "server/app/config.hpp"
 #include "server/loop/checkpoint_file.hpp"
 
 namespace {
@@ -123,6 +125,42 @@ TEST_F(CaptureJournalTest, ItLooksAgainWhileItWrites) {
       },
       std::runtime_error);
   EXPECT_LE(journal.position().bytes, before + (2u << 20));
+}
+
+TEST_F(CaptureJournalTest, OnlyOneWritesACapture) {
+  const std::string file = path_ + ".lock";
+  {
+    const CaptureLock lock(path_);
+    EXPECT_TRUE(lock.held());
+    CaptureJournal journal(path_, header());
+    journal.write({});
+    journal.flush();
+    try {
+      const CaptureLock second(path_);
+      ADD_FAILURE() << "two have it";
+    } catch (const ConfigError& error) {
+      EXPECT_EQ(std::string(error.what()), "capture.path: " + path_ +
+                                               " is being written by another incised (process " +
+                                               std::to_string(::getpid()) + "); give each server its own");
+    }
+    EXPECT_EQ(poses(), 1u);
+    // A start moves the old capture away, and a failover replaces it: the lock stays.
+    fs::rename(path_, path_ + ".old");
+    EXPECT_THROW(CaptureLock{path_}, ConfigError);
+    fs::rename(path_ + ".old", path_);
+    const CaptureLock leased(path_, CaptureLock::IfHeld::kGoOn);
+    EXPECT_FALSE(leased.held());
+  }
+  EXPECT_FALSE(fs::exists(file));
+  std::ofstream(file) << "4711\n";  // as after a crash
+  EXPECT_TRUE(CaptureLock(path_).held());
+  EXPECT_FALSE(fs::exists(file));
+}
+
+TEST_F(CaptureJournalTest, WhereNothingCanBeLockedItGoesOn) {
+  const CaptureLock lock(path_ + "/none");
+  EXPECT_FALSE(lock.held());
+  EXPECT_NE(lock.trouble().find("/none.lock: cannot be locked: "), std::string::npos) << lock.trouble();
 }
 
 // The end mark tells how many records the whole capture has, in however many runs it was written.

@@ -254,6 +254,39 @@ TEST_F(Incised, ResumesAfterKill) {
   EXPECT_EQ(json::parse(info.out)["config"]["cut"]["batch_h"], 0.25) << info.out;
 }
 
+// A second server would move the first one's capture away, or with --resume write into it.
+TEST_F(Incised, ACaptureHasOneServer) {
+  write("c.json", config());
+  const std::string file = (dir_ / "c.json").string();
+  pid_t pid = start({"--config", file});
+  ASSERT_GT(pid, 0);
+  const std::string refusal = "incised: capture.path: " + (dir_ / "session.capture").string() +
+                              " is being written by another incised (process ";
+  const auto expect_refused = [&] {
+    const std::string before = tests::read_file(dir_ / "session.capture");
+    for (const bool resume : {false, true}) {
+      std::vector<std::string> arguments{"--config", file};
+      if (resume) arguments.emplace_back("--resume");
+      const RunResult refused = run(arguments);
+      EXPECT_EQ(refused.exit_code, 1);
+      EXPECT_NE(refused.err.find(refusal + std::to_string(pid) + "); give each server its own\n"),
+                std::string::npos)
+          << refused.err;
+      EXPECT_EQ(tests::read_file(dir_ / "session.capture"), before);
+      EXPECT_FALSE(fs::exists(dir_ / "session.capture.old"));
+    }
+    EXPECT_EQ(run({"--check", file}).exit_code, 0) << "checking writes nothing";
+  };
+  expect_refused();
+  stop(pid, SIGKILL);  // the kernel frees what it held
+  EXPECT_TRUE(fs::exists(dir_ / "session.capture.lock"));
+  pid = start({"--config", file, "--resume"});
+  ASSERT_GT(pid, 0);
+  expect_refused();
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  EXPECT_FALSE(fs::exists(dir_ / "session.capture.lock"));
+}
+
 TEST_F(Incised, APortInUseIsAnErrorThatNamesIt) {
   write("c.json", config());
   const pid_t pid = start({"--config", (dir_ / "c.json").string()});
