@@ -10,6 +10,7 @@
 #include <limits>
 #include <optional>
 #include <string_view>
+#include <utility>
 
 #include "protocol/limits.hpp"
 
@@ -98,7 +99,7 @@ std::optional<std::int64_t> parse_seconds(std::string_view text) {
 class MotionReader {
  public:
   MotionReader(std::istream& in, const std::string& name, Times times)
-      : in_(in), name_(name), times_(times) {}
+      : in_(in), name_(name), samples_(name, times) {}
 
   Motion read() {
     std::string_view line;
@@ -118,9 +119,8 @@ class MotionReader {
       motion_.csv ? take_csv(fields) : take_tum(fields);
       add_sample();
     }
-    if (motion_.samples.empty()) fail_without_samples();
-    skip_early();
-    motion_.warning = warning();
+    if (samples_.size() == 0) fail_without_samples();
+    samples_.finish(motion_);
     return std::move(motion_);
   }
 
@@ -266,94 +266,14 @@ class MotionReader {
       }
       q = {q.w / length, q.x / length, q.y / length, q.z / length};
     }
-    const std::int64_t file_ns = sample_.source_ns;
-    if (__builtin_add_overflow(file_ns, shift_ns_, &sample_.source_ns))
-      fail("t_s is out of range after the clock's restart");
-    if (!motion_.samples.empty() && sample_.source_ns <= motion_.samples.back().source_ns) {
-      handle_earlier(file_ns);
-      return;
-    }
-    skip_early();
-    append(sample_);
-  }
-
-  // A sample that is not later than the last one kept: the clock has restarted, or the sample is skipped.
-  void handle_earlier(std::int64_t file_ns) {
-    const std::int64_t last_ns = motion_.samples.back().source_ns;
-    const std::string where = "line " + std::to_string(line_number_) + ": time " + seconds_text(file_ns) +
-                              " after " + seconds_text(last_ns - shift_ns_);
-    if (times_ == Times::kRefuse) {
-      fail("time " + seconds_text(file_ns) + " after " + seconds_text(last_ns - shift_ns_) +
-           ", accepted are rising times");
-    }
-    if (early_ && continues(file_ns)) {
-      restart(file_ns);
-      return;
-    }
-    skip_early();
-    early_ = Early{sample_, file_ns, where};
-  }
-
-  // Whether a sample follows the one that came early, as after a restart of the clock.
-  bool continues(std::int64_t file_ns) const {
-    const std::int64_t last_ns = motion_.samples.back().source_ns;
-    if (early_->sample.source_ns >= last_ns - kRestart_ns || file_ns <= early_->file_ns) return false;
-    const auto step_ns = static_cast<std::uint64_t>(file_ns) - static_cast<std::uint64_t>(early_->file_ns);
-    std::int64_t shift_ns = 0;  // times of far apart ages cannot be joined
-    return step_ns <= kRestart_ns && last_ns < INT64_MAX - 2 * kRestart_ns &&
-           !__builtin_sub_overflow(last_ns + 2 * kRestart_ns, file_ns, &shift_ns);
-  }
-
-  void restart(std::int64_t file_ns) {
-    const std::int64_t last_ns = motion_.samples.back().source_ns;
-    if (motion_.restarts.empty()) first_restart_ = early_->where;
-    motion_.restarts.push_back(motion_.samples.size());
-    early_->sample.source_ns = last_ns + kRestart_ns;
-    sample_.source_ns = early_->sample.source_ns + (file_ns - early_->file_ns);
-    shift_ns_ = sample_.source_ns - file_ns;
-    append(early_->sample);
-    append(sample_);
-    early_.reset();
-  }
-
-  // The early sample, if there is one, was not the beginning of a restart.
-  void skip_early() {
-    if (early_ && motion_.not_rising++ == 0) first_skipped_ = early_->where;
-    early_.reset();
-  }
-
-  void append(const PoseSample& sample) {
-    if (motion_.samples.size() == kMaxMotionSamples)
+    if (samples_.size() >= kMaxMotionSamples)
       fail("more than " + std::to_string(kMaxMotionSamples) + " samples");
-    motion_.samples.push_back(sample);
-  }
-
-  std::string warning() const {
-    std::string text;
-    if (motion_.not_rising > 0) {
-      text = skipped_warning(name_, motion_.not_rising, motion_.samples.size() + motion_.not_rising,
-                             first_skipped_);
-    }
-    if (const std::size_t n = motion_.restarts.size(); n > 0) {
-      text += (text.empty() ? name_ + ": " : "; ") + "the clock restarts " +
-              (n == 1 ? "once (" : std::to_string(n) + " times (first ") + first_restart_ +
-              "): what follows is kept as a new stroke, a second later";
-    }
-    return text;
+    samples_.add(sample_, line_number_);
   }
 
   std::istream& in_;
   const std::string& name_;
-  const Times times_;
-  // A sample that is earlier than the last one kept: skipped, unless the next one shows that the clock has restarted.
-  struct Early {
-    PoseSample sample;
-    std::int64_t file_ns;
-    std::string where;
-  };
-  std::optional<Early> early_;
-  std::int64_t shift_ns_ = 0;  // from the file's times to ours, after a restart
-  std::string first_skipped_, first_restart_;
+  RisingSamples samples_;
   std::size_t line_number_ = 0;
   std::string text_;
   bool known_ = false;  // the format
@@ -364,6 +284,83 @@ class MotionReader {
 };
 
 }  // namespace
+
+void RisingSamples::fail(std::size_t line, const std::string& what) const {
+  throw MotionError(name_ + (line > 0 ? ":" + std::to_string(line) : "") + ": " + what);
+}
+
+void RisingSamples::add(PoseSample sample, std::size_t line) {
+  const std::int64_t file_ns = sample.source_ns;
+  if (__builtin_add_overflow(file_ns, shift_ns_, &sample.source_ns))
+    fail(line, "t_s is out of range after the clock's restart");
+  if (!samples_.empty() && sample.source_ns <= samples_.back().source_ns) {
+    handle_earlier(sample, file_ns, line);
+    return;
+  }
+  skip_early();
+  samples_.push_back(sample);
+}
+
+// A sample that is not later than the last one kept: the clock has restarted, or the sample is skipped.
+void RisingSamples::handle_earlier(const PoseSample& sample, std::int64_t file_ns, std::size_t line) {
+  const std::string times =
+      "time " + seconds_text(file_ns) + " after " + seconds_text(samples_.back().source_ns - shift_ns_);
+  if (times_ == Times::kRefuse) fail(line, times + ", accepted are rising times");
+  if (early_ && continues(file_ns)) {
+    restart(sample, file_ns);
+    return;
+  }
+  skip_early();
+  early_ = Early{sample, file_ns, (line > 0 ? "line " + std::to_string(line) + ": " : "") + times};
+}
+
+// Whether a sample follows the one that came early, as after a restart of the clock.
+bool RisingSamples::continues(std::int64_t file_ns) const {
+  const std::int64_t last_ns = samples_.back().source_ns;
+  if (early_->sample.source_ns >= last_ns - kRestart_ns || file_ns <= early_->file_ns) return false;
+  const auto step_ns = static_cast<std::uint64_t>(file_ns) - static_cast<std::uint64_t>(early_->file_ns);
+  std::int64_t shift_ns = 0;  // times of far apart ages cannot be joined
+  return step_ns <= kRestart_ns && last_ns < INT64_MAX - 2 * kRestart_ns &&
+         !__builtin_sub_overflow(last_ns + 2 * kRestart_ns, file_ns, &shift_ns);
+}
+
+void RisingSamples::restart(PoseSample sample, std::int64_t file_ns) {
+  const std::int64_t last_ns = samples_.back().source_ns;
+  if (restarts_.empty()) first_restart_ = early_->where;
+  restarts_.push_back(samples_.size());
+  early_->sample.source_ns = last_ns + kRestart_ns;
+  sample.source_ns = early_->sample.source_ns + (file_ns - early_->file_ns);
+  shift_ns_ = sample.source_ns - file_ns;
+  samples_.push_back(early_->sample);
+  samples_.push_back(sample);
+  early_.reset();
+}
+
+// The early sample, if there is one, was not the beginning of a restart.
+void RisingSamples::skip_early() {
+  if (early_ && not_rising_++ == 0) first_skipped_ = early_->where;
+  early_.reset();
+}
+
+void RisingSamples::finish(Motion& motion) {
+  skip_early();
+  motion.warning = warning();
+  motion.samples = std::move(samples_);
+  motion.restarts = std::move(restarts_);
+  motion.not_rising = not_rising_;
+}
+
+std::string RisingSamples::warning() const {
+  std::string text;
+  if (not_rising_ > 0)
+    text = skipped_warning(name_, not_rising_, samples_.size() + not_rising_, first_skipped_);
+  if (const std::size_t n = restarts_.size(); n > 0) {
+    text += (text.empty() ? name_ + ": " : "; ") + "the clock restarts " +
+            (n == 1 ? "once (" : std::to_string(n) + " times (first ") + first_restart_ +
+            "): what follows is kept as a new stroke, a second later";
+  }
+  return text;
+}
 
 std::string seconds_text(std::int64_t ns) {
   // Unsigned, so that the most negative number has an absolute value.

@@ -2,9 +2,13 @@
 
 // Recorded motions of a tool, as text: TUM trajectories and CSV with a header.
 
+#include <cstddef>
+#include <cstdint>
 #include <iosfwd>
+#include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "protocol/messages.hpp"
@@ -39,6 +43,41 @@ struct Motion {
 // What to do with a sample whose time is not later than that of the one before. kSkip: if it is more than a second earlier
 // and the next sample continues from there, the clock has restarted, and both are kept; else the sample is skipped.
 enum class Times { kSkip, kRefuse };
+
+// Puts samples one behind the other so that their times rise: skips those that are not later, and joins what follows a
+// restart of the clock, as Times says.
+class RisingSamples {
+ public:
+  RisingSamples(std::string name, Times times) : name_(std::move(name)), times_(times) {}
+  // `line`: where in the file, for messages; 0 where it has no lines. Throws MotionError.
+  void add(PoseSample sample, std::size_t line = 0);
+  std::size_t size() const { return samples_.size(); }
+  // Once, after the last: moves the samples into `motion`, with where the clock restarted and the warning.
+  void finish(Motion& motion);
+
+ private:
+  // A sample that is earlier than the last one kept: skipped, unless the next one shows that the clock has restarted.
+  struct Early {
+    PoseSample sample;
+    std::int64_t file_ns;
+    std::string where;
+  };
+  [[noreturn]] void fail(std::size_t line, const std::string& what) const;
+  void handle_earlier(const PoseSample& sample, std::int64_t file_ns, std::size_t line);
+  bool continues(std::int64_t file_ns) const;
+  void restart(PoseSample sample, std::int64_t file_ns);
+  void skip_early();
+  std::string warning() const;
+
+  std::string name_;
+  Times times_;
+  std::vector<PoseSample> samples_;
+  std::vector<std::size_t> restarts_;
+  std::size_t not_rising_ = 0;
+  std::optional<Early> early_;
+  std::int64_t shift_ns_ = 0;  // from the file's times to ours, after a restart
+  std::string first_skipped_, first_restart_;
+};
 
 // Reads a motion. Lines that begin with # and empty lines are passed over. Two formats, told apart by the
 // first other line:

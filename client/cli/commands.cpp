@@ -138,6 +138,8 @@ void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
       ->check(number_from(0, 1000))
       ->capture_default_str();
   sub->add_flag("--loop", command->loop, "over and over, until interrupted");
+  sub->add_option("--from-source", command->from_source,
+                  "of a capture with several sources, the one to play; without, the first that has poses");
   sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
   sub->add_option(
          "--blade", command->blade,

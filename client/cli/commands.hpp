@@ -39,6 +39,7 @@ struct StreamCommand {
   ServerOptions server;
   double speed = 1;  // times the recorded one; 0: as fast as they are taken
   bool loop = false;
+  std::optional<std::uint32_t> from_source;  // of a capture; nothing: the first that has poses
   std::string source_name = "blade";
   std::string blade;  // hx,hy,hz:tx,ty,tz; empty: the server's
   bool take_over = false;

@@ -5,14 +5,17 @@
 #include <cinttypes>
 #include <cstdio>
 #include <fstream>
+#include <map>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <stdexcept>
 #include <system_error>
 #include <thread>
 #include <utility>
 
 #include "client/cli/commands.hpp"
+#include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
 
@@ -30,31 +33,54 @@ void warn(const std::string& text) {
   std::fprintf(stderr, "warning: %s\n", text.c_str());
 }
 
-// The poses of a capture's first source, those whose time does not rise left out or refused.
-std::vector<PoseSample> read_capture_poses(protocol::CaptureReader& capture, const StreamCommand& command) {
-  std::vector<PoseSample> poses;
+protocol::Times times_of(const StreamCommand& command) {
+  return command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip;
+}
+
+using PosesOfSources = std::map<std::uint32_t, std::uint64_t>;
+
+// "source 1 (200 poses), source 2 (1 pose)"
+std::string listed(const PosesOfSources& sources) {
+  std::string text;
+  for (const auto& [source, poses] : sources) {
+    text += (text.empty() ? "source " : ", source ") + std::to_string(source) + " (" + std::to_string(poses) +
+            (poses == 1 ? " pose)" : " poses)");
+  }
+  return text;
+}
+
+// What is not sent is named, unless the user has chosen.
+void check_sources(const StreamCommand& command, std::optional<std::uint32_t> sent, PosesOfSources sources) {
+  if (sources.empty()) return;
+  const std::string name = command.poses.string();
+  if (command.from_source && !sources.contains(*command.from_source)) {
+    throw std::runtime_error("--from-source: found " + std::to_string(*command.from_source) + "; " + name +
+                             " has poses of " + listed(sources));
+  }
+  if (command.from_source || sources.size() == 1) return;
+  sources.erase(*sent);
+  warn(name + ": sends the poses of source " + std::to_string(*sent) + ", not those of " + listed(sources) +
+       "; --from-source N sends those of source N");
+}
+
+// The poses of one source of a capture: the one that was asked for, else the first that has some.
+protocol::Motion read_capture_poses(protocol::CaptureReader& capture, const StreamCommand& command) {
+  protocol::RisingSamples samples(command.poses.string(), times_of(command));
   protocol::CaptureRecord record;
-  std::optional<std::uint32_t> source;
-  std::size_t skipped = 0;
-  std::string first;
+  std::optional<std::uint32_t> source = command.from_source;
+  PosesOfSources sources;
   while (capture.next(record) == protocol::CaptureReader::Status::Record) {
     const auto* pose = std::get_if<protocol::PoseRecord>(&record);
-    if (!pose || pose->source != source.value_or(pose->source)) continue;
-    source = pose->source;
-    if (poses.empty() || pose->pose.source_ns > poses.back().source_ns) {
-      poses.push_back(pose->pose);
-      continue;
-    }
-    if (skipped++ > 0) continue;
-    first = "time " + protocol::seconds_text(pose->pose.source_ns) + " after " +
-            protocol::seconds_text(poses.back().source_ns);
-    if (command.strict)
-      throw std::runtime_error(command.poses.string() + ": " + first + ", accepted are rising times");
+    if (!pose) continue;
+    ++sources[pose->source];
+    if (!source) source = pose->source;
+    if (pose->source == *source) samples.add(pose->pose);
   }
-  if (skipped > 0) {
-    warn(protocol::skipped_warning(command.poses.string(), skipped, poses.size() + skipped, first));
-  }
-  return poses;
+  check_sources(command, source, std::move(sources));
+  protocol::Motion motion;
+  motion.has_buttons = true;
+  samples.finish(motion);
+  return motion;
 }
 
 struct RecordedPoses {
@@ -68,17 +94,12 @@ RecordedPoses read_poses(const StreamCommand& command) {
   std::ifstream in(command.poses, std::ios::binary);
   if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
   protocol::CaptureReader capture(in);
-  RecordedPoses recorded;
-  if (capture.header_ok()) {
-    recorded.poses = read_capture_poses(capture, command);
-  } else {
-    protocol::Motion motion =
-        protocol::read_motion(name, command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip);
-    if (!motion.warning.empty()) warn(motion.warning);
-    recorded.poses = std::move(motion.samples);
-    recorded.restarts = std::move(motion.restarts);
-    recorded.has_buttons = motion.has_buttons;
-  }
+  if (!capture.header_ok() && command.from_source)
+    throw UsageError("--from-source: " + name + " is no capture; its poses have one source");
+  protocol::Motion motion = capture.header_ok() ? read_capture_poses(capture, command)
+                                                : protocol::read_motion(name, times_of(command));
+  if (!motion.warning.empty()) warn(motion.warning);
+  RecordedPoses recorded{std::move(motion.samples), std::move(motion.restarts), motion.has_buttons};
   if (recorded.poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
   return recorded;
 }

@@ -14,6 +14,7 @@
 #include <thread>
 #include <vector>
 
+#include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
 #include "tests/client/recorded_session.hpp"
@@ -220,6 +221,63 @@ TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWas
   EXPECT_NE(told.find("warning: nothing was cut"), std::string::npos) << told;
   command.strict = true;
   EXPECT_THROW(run_stream(command), protocol::MotionError);
+}
+
+// The same motion played twice in one session: the capture's clock goes back in between. The second source has a clock of its own.
+TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
+  StreamCommand command;
+  command.poses = directory / "two.capture";
+  command.server.address = address();
+  command.speed = 0;
+  command.json = true;
+  {
+    protocol::FileSink sink(command.poses.string(), true);
+    protocol::CaptureHeader header;
+    header.config_json = "{}";
+    protocol::CaptureWriter writer(sink, header);
+    const auto motion = stream::sweep(0.03, 2000, 1'000'000, 0.06);  // 2 s
+    for (int round = 0; round < 2; ++round) {
+      for (const auto& pose : motion) writer.append(protocol::PoseRecord{0, pose, 0});
+    }
+    for (int i = 0; i < 3; ++i) {
+      protocol::PoseSample pose = motion.front();
+      pose.source_ns += 1'000'000 * i;
+      writer.append(protocol::PoseRecord{2, pose, 0});
+    }
+    ASSERT_FALSE(writer.flush());
+  }
+  std::string told;
+  const auto run = [&] {
+    ::testing::internal::CaptureStdout();
+    ::testing::internal::CaptureStderr();
+    EXPECT_EQ(run_stream(command), 0);
+    told = ::testing::internal::GetCapturedStderr();
+    return nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  };
+  const std::string name = "warning: " + command.poses.string() + ": ";
+  EXPECT_EQ(run()["accepted"], 4000);
+  EXPECT_NE(told.find(name + "the clock restarts once (time "), std::string::npos) << told;
+  EXPECT_EQ(told.find("skipped"), std::string::npos) << told;
+  EXPECT_NE(told.find(name + "sends the poses of source 0, not those of source 2 (3 poses); --from-source N "
+                             "sends those of source N\n"),
+            std::string::npos)
+      << told;
+  command.from_source = 2;
+  EXPECT_EQ(run()["poses_sent"], 3);
+  EXPECT_EQ(told.find(name), std::string::npos) << told;
+  command.from_source = 1;
+  try {
+    run_stream(command);
+    ADD_FAILURE() << "there is no such source";
+  } catch (const std::runtime_error& error) {
+    EXPECT_EQ(std::string(error.what()), "--from-source: found 1; " + command.poses.string() +
+                                             " has poses of source 0 (4000 poses), source 2 (3 poses)");
+  }
+  command.from_source = 0;
+  command.strict = true;
+  EXPECT_THROW(run_stream(command), protocol::MotionError);
+  command.poses = directory / "motion.csv";
+  EXPECT_THROW(run_stream(command), UsageError);
 }
 
 TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
