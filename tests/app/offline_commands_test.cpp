@@ -451,7 +451,18 @@ TEST_F(Incise, MillimetresAreRecognised) {
       << result.err;
   mesh_io::write_mesh(dir_ / "large.node", tests::cube(6, 100));
   result = run({"cut", "--mesh", "large", "--poses", "m.csv", "--blade", kBlade, "--out", "out.vtu"});
-  EXPECT_NE(result.err.find("this mesh looks like millimetres"), std::string::npos) << result.err;
+  EXPECT_NE(result.err.find("this mesh looks like millimetres; give --config a file with {\"mesh\": "
+                            "{\"scale_to_metres\": 0.001}}, which makes it 0.1732 m long"),
+            std::string::npos)
+      << result.err;
+  // Both may be meant.
+  mesh_io::write_mesh(dir_ / "middle.node", tests::cube(6, 20));
+  result = run({"cut", "--mesh", "middle", "--poses", "m.csv", "--blade", kBlade, "--out", "out.vtu"});
+  EXPECT_NE(
+      result.err.find("this mesh looks like centimetres or millimetres; give --config a file with {\"mesh\": "
+                      "{\"scale_to_metres\": 0.01 or 0.001}}, which makes it 0.3464 m or 0.03464 m long"),
+      std::string::npos)
+      << result.err;
   result = run({"cut", "--mesh", "cube", "--poses", "m.csv", "--blade", kBlade, "--out", "out.vtu"});
   EXPECT_EQ(result.err.find("millimetres"), std::string::npos) << result.err;
 }
@@ -574,6 +585,22 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
   EXPECT_EQ(result.exit_code, 3);
   EXPECT_NE(result.err.find("warning: nothing was cut: the blade swept (0.2"), std::string::npos)
       << result.err;
+}
+
+TEST_F(Incise, ABladeMuchLongerThanTheBodyIsRefused) {
+  write_cube_and_sweep();
+  const std::string fault = " is 120 m long, the body 0.1732 m: this looks like millimetres; divide by 1000";
+  expect_error(
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", "0,0,0:0,0,-120", "--out", "out.vtu"}),
+      2, {"--blade" + fault});
+  write("long.json", R"({"blade": {"heel": [0, 0, 0], "tip": [0, 0, -120]}, "mesh": {"path": "cube.node"}})");
+  expect_error(
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--config", "long.json", "--out", "out.vtu"}), 1,
+      {"the blade" + fault});
+  expect_error(run({"convert", "sweep.csv", "--config", "long.json", "--out", "out.capture"}), 1,
+               {"the blade" + fault});
+  EXPECT_FALSE(std::filesystem::exists(dir_ / "out.vtu"));
+  EXPECT_FALSE(std::filesystem::exists(dir_ / "out.capture"));
 }
 
 TEST_F(Incise, NothingThatIsReadIsOverwritten) {

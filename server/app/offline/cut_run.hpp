@@ -31,7 +31,7 @@ enum class Engage {
   kAlways,
   kConfigured  // as the configuration says; a motion without buttons holds the one that engages
 };
-// Limits are raised to suit the motion.
+// Limits are raised to suit the motion. Throws std::runtime_error if a blade is much too long for the body.
 CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion motion, Config config,
                    std::shared_ptr<const mesh_io::LoadedMesh> loaded, Engage engage = Engage::kAlways);
 

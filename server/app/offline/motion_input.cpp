@@ -3,6 +3,7 @@
 #include <memory>
 #include <utility>
 
+#include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 
 namespace incise::app {
@@ -23,6 +24,10 @@ CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& pr
       load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
   options.fields = files.fields;
   auto loaded = mesh_io::load_mesh(files.mesh, options);
+  if (!files.blade.empty()) {
+    const std::string fault = blade_fault(config, motion, box_of(loaded.mesh).diagonal());
+    if (!fault.empty()) throw client::UsageError("--blade " + fault);
+  }
   return cut_input(files.mesh.string(), files.motion.string(), std::move(motion), std::move(config),
                    std::make_shared<const mesh_io::LoadedMesh>(std::move(loaded)), engage);
 }

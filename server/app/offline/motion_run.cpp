@@ -17,6 +17,10 @@ constexpr double kMaxJumps = 0.1, kTimesUsualSpeed = 20, kTimesUsualGap = 5;
 constexpr double kMaxBody_m = 1, kBodiesPerSecond = 10;
 // If a motion spans so many times the body, or the other way round, one of them is probably in millimetres.
 constexpr double kMinUnitError = 150, kMaxUnitError = 7000;
+// So many times: the body may be in centimetres.
+constexpr double kMinCentimetres = 50, kMaxCentimetres = 700;
+// Of the body's diagonal; the protocol limits operators' blades to the same. With one of about 500 nothing is cut any more.
+constexpr double kMostBladeLengths = 100;
 
 double middle(std::vector<double> values) {
   if (values.empty()) return 0;
@@ -58,6 +62,21 @@ double share_beyond(const std::vector<double>& values, double limit) {
 
 std::string raised(const char* key, double from, double to, const char* unit) {
   return std::string(key) + " from " + short_number(from) + " to " + short_number(to) + " " + unit;
+}
+
+// What unit a mesh seems to be in whose size is so many times the tool's way, and what makes metres of it; empty: none.
+std::string scale_hint(double times, double body_size_m) {
+  const bool centimetres = times > kMinCentimetres && times < kMaxCentimetres;
+  const bool millimetres = times > kMinUnitError && times < kMaxUnitError;
+  const auto choose = [&](const std::string& first, const std::string& second) {
+    return (centimetres ? first : "") + (centimetres && millimetres ? " or " : "") +
+           (millimetres ? second : "");
+  };
+  if (!centimetres && !millimetres) return {};
+  return "this mesh looks like " + choose("centimetres", "millimetres") +
+         R"(; give --config a file with {"mesh": {"scale_to_metres": )" + choose("0.01", "0.001") +
+         "}}, which makes it " +
+         choose(short_number(0.01 * body_size_m) + " m", short_number(0.001 * body_size_m) + " m") + " long";
 }
 
 }  // namespace
@@ -105,6 +124,19 @@ std::string suit_limits(Config& config, const RecordedMotion& motion, double bod
             raised("cut.speed_limit_m_s", defaults.speed_limit_m_s, cut.speed_limit_m_s, "m/s");
   }
   return text;
+}
+
+std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m) {
+  double longest_m = 0;
+  for (const MotionEvent& event : motion.events) {
+    const core::Blade& blade = event.blade ? *event.blade : blade_of(config, event.source);
+    longest_m = std::max(longest_m, core::distance(blade.heel, blade.tip));
+  }
+  const double most_m = kMostBladeLengths * body_size_m;
+  if (longest_m <= most_m) return {};
+  return "is " + short_number(longest_m) + " m long, the body " + short_number(body_size_m) + " m: " +
+         (longest_m <= 1000 * most_m ? "this looks like millimetres; divide by 1000"
+                                     : "accepted is at most 100 times the body");
 }
 
 void MotionRun::run(const Options& options, Progress& progress) {
@@ -200,12 +232,9 @@ std::string MotionRun::units_hint(bool nothing_met, const Box& body) const {
                             " m, the body " + short_number(body.diagonal()) + " m: ";
   if (times > kMinUnitError && times < kMaxUnitError)
     return spans + "these poses look like millimetres; divide x, y and z by 1000";
-  if (nothing_met && 1 / times > kMinUnitError && 1 / times < kMaxUnitError) {
-    return spans +
-           "this mesh looks like millimetres; give --config a file with {\"mesh\": {\"scale_to_metres\": "
-           "0.001}}";
-  }
-  return {};
+  if (!nothing_met) return {};
+  const std::string scale = scale_hint(1 / times, body.diagonal());
+  return scale.empty() ? scale : spans + scale;
 }
 
 }  // namespace incise::app

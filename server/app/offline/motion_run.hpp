@@ -34,6 +34,9 @@ void hold_button(RecordedMotion& motion, const Config& config);
 // Returns what was raised, for messages; empty: nothing.
 std::string suit_limits(Config& config, const RecordedMotion& motion, double body_size_m);
 
+// What is wrong with a blade that is more than 100 times as long as the body, to follow its name; empty: none is.
+std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m);
+
 // Applies a motion to a session.
 class MotionRun {
  public:
@@ -57,7 +60,7 @@ class MotionRun {
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
   // Of these, poses rejected and jumps.
   std::vector<std::string> pose_warnings() const;
-  // That poses or the mesh look like millimetres; else empty. `nothing_met`: the blade met nothing.
+  // That poses look like millimetres, or the mesh like those or centimetres; else empty. `nothing_met`: the blade met nothing.
   std::string units_hint(bool nothing_met, const Box& body) const;
 
  private:

@@ -15,6 +15,11 @@ void add_strict(CLI::App& command, protocol::Times& times) {
       "Refuse a motion whose times do not rise, instead of skipping samples");
 }
 
+constexpr const char* kBladeHelp =
+    "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres; the configuration's or the capture's if "
+    "not "
+    "given, without one 5 cm long below the tool (0,0,0:0,0,-0.05)";
+
 void add_cut(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<CutCommand>();
   CLI::App* sub = app.add_subcommand(
@@ -23,8 +28,7 @@ void add_cut(CLI::App& app, int& exit_code) {
                   "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
       ->required();
   sub->add_option("--poses", command->poses, "The motion: a capture, TUM or CSV")->required();
-  sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres")
-      ->check(client::blade_edge());
+  sub->add_option("--blade", command->blade, kBladeHelp)->check(client::blade_edge());
   sub->add_option("--config", command->config, "A configuration: its sections cut, blade and mesh are used");
   sub->add_option("--policy", command->policy,
                   "conforming or croll; compare: a table of all policies, and no mesh")
@@ -50,8 +54,7 @@ void add_feel(CLI::App& app, int& exit_code) {
   sub->add_option("--mesh", command->mesh,
                   "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
       ->required();
-  sub->add_option("--blade", command->blade, "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres")
-      ->check(client::blade_edge());
+  sub->add_option("--blade", command->blade, kBladeHelp)->check(client::blade_edge());
   sub->add_option("--config", command->config,
                   "A configuration: its sections haptics, materials, cut, blade and mesh are used; without "
                   "one the blade is always engaged");
