@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/tet_files.hpp"
@@ -147,7 +148,7 @@ void write_tetgen(const std::filesystem::path& path, std::span<const core::Vec3>
     }
     text += '\n';
   }
-  write_whole_file(paths.node, text);
+  const std::string nodes = std::exchange(text, {});
   text = std::to_string(tets.size()) + (regions.empty() ? " 4 0\n" : " 4 1\n");
   for (std::size_t i = 0; i < tets.size(); ++i) {
     append_number(text, static_cast<std::int64_t>(i));
@@ -161,7 +162,7 @@ void write_tetgen(const std::filesystem::path& path, std::span<const core::Vec3>
     }
     text += '\n';
   }
-  write_whole_file(paths.ele, text);
+  write_whole_files({{paths.node, nodes}, {paths.ele, text}});  // one alone is of no use
 }
 
 }  // namespace incise::mesh_io

@@ -9,6 +9,8 @@
 #include <cstring>
 #include <fstream>
 #include <memory>
+#include <utility>
+#include <vector>
 
 #include "server/mesh_io/mesh_error.hpp"
 
@@ -17,6 +19,43 @@ namespace {
 
 struct CloseFile {
   void operator()(std::FILE* file) const { std::fclose(file); }
+};
+
+// A file under a temporary name, which goes with this unless it got its own.
+class Unfinished {
+ public:
+  explicit Unfinished(std::filesystem::path path) : path_(std::move(path)), temporary_(path_) {
+    static std::atomic<unsigned> count{0};  // two threads may write the same file
+    temporary_ += ".tmp" + std::to_string(::getpid()) + "-" + std::to_string(count++);
+  }
+  Unfinished(Unfinished&& other) noexcept
+      : path_(std::move(other.path_)), temporary_(std::exchange(other.temporary_, {})) {}
+  Unfinished(const Unfinished&) = delete;
+  Unfinished& operator=(const Unfinished&) = delete;
+  ~Unfinished() {
+    std::error_code ignored;
+    if (!temporary_.empty()) std::filesystem::remove(temporary_, ignored);
+  }
+
+  void write(std::string_view bytes) const {
+    std::unique_ptr<std::FILE, CloseFile> file(std::fopen(temporary_.c_str(), "wb"));
+    if (!file) fail(std::strerror(errno));
+    if (std::fwrite(bytes.data(), 1, bytes.size(), file.get()) != bytes.size()) fail(std::strerror(errno));
+    if (std::fclose(file.release()) != 0) fail(std::strerror(errno));
+  }
+  void rename() {
+    std::error_code error;
+    std::filesystem::rename(temporary_, path_, error);
+    if (error) fail(error.message());
+    temporary_.clear();
+  }
+
+ private:
+  [[noreturn]] void fail(const std::string& reason) const {
+    throw MeshError(path_.string() + ": cannot be written: " + reason);
+  }
+
+  std::filesystem::path path_, temporary_;
 };
 
 }  // namespace
@@ -59,21 +98,13 @@ std::string read_whole_file(const std::filesystem::path& path) {
 }
 
 void write_whole_file(const std::filesystem::path& path, std::string_view bytes) {
-  auto temporary = path;
-  static std::atomic<unsigned> count{0};  // two threads may write the same file
-  temporary += ".tmp" + std::to_string(::getpid()) + "-" + std::to_string(count++);
-  const auto fail = [&](const std::string& reason) {
-    std::error_code ignored;
-    std::filesystem::remove(temporary, ignored);
-    throw MeshError(path.string() + ": cannot be written: " + reason);
-  };
-  std::unique_ptr<std::FILE, CloseFile> file(std::fopen(temporary.c_str(), "wb"));
-  if (!file) fail(std::strerror(errno));
-  if (std::fwrite(bytes.data(), 1, bytes.size(), file.get()) != bytes.size()) fail(std::strerror(errno));
-  if (std::fclose(file.release()) != 0) fail(std::strerror(errno));
-  std::error_code error;
-  std::filesystem::rename(temporary, path, error);
-  if (error) fail(error.message());
+  write_whole_files({{path, bytes}});
+}
+
+void write_whole_files(std::initializer_list<FileToWrite> files) {
+  std::vector<Unfinished> written;
+  for (const auto& [path, bytes] : files) written.emplace_back(path).write(bytes);
+  for (Unfinished& file : written) file.rename();
 }
 
 void append_number(std::string& text, double number) {

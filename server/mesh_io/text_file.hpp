@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <initializer_list>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -15,6 +16,13 @@ std::string read_whole_file(const std::filesystem::path& path);
 // Writes `bytes` to a temporary file beside `path` and renames it there, so that a reader never sees half a
 // file. Throws MeshError naming the path and the system's reason.
 void write_whole_file(const std::filesystem::path& path, std::string_view bytes);
+
+struct FileToWrite {
+  const std::filesystem::path& path;
+  std::string_view bytes;
+};
+// As write_whole_file; none is renamed before all are written: on a full disk none is there.
+void write_whole_files(std::initializer_list<FileToWrite> files);
 
 // Appends a number: a double in 17 significant digits, which read back as the same double.
 void append_number(std::string& text, double number);

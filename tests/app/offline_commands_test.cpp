@@ -2,10 +2,12 @@
 
 #include <arpa/inet.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <cmath>
+#include <csignal>
 #include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -854,6 +856,41 @@ TEST_F(Incise, FilesWithMaterialsHaveThoseOfTheRegions) {
   const RunResult without = run({"export", "a.capture", "--out", "c.glb"});
   EXPECT_EQ(without.exit_code, 0);
   EXPECT_NE(without.err.find("name its file with --config"), std::string::npos) << without.err;
+}
+
+TEST_F(Incise, WhatCannotBeWrittenToItsEndIsRemoved) {
+  write_cube_and_sweep();
+  const std::vector<std::string> cut = {"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade};
+  const auto with = [](std::vector<std::string> all, const std::vector<std::string>& more) {
+    all.insert(all.end(), more.begin(), more.end());
+    return all;
+  };
+  ASSERT_EQ(run(with(cut, {"--out", "whole", "--report", "whole.json"})).exit_code, 0);
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "whole.capture"}).exit_code, 0);
+  // A limit on the size of files stands for a full disk.
+  const auto limited = [&](std::uintmax_t bytes, const std::vector<std::string>& arguments) {
+    rlimit before{};
+    ::getrlimit(RLIMIT_FSIZE, &before);
+    const rlimit less{bytes, before.rlim_max};
+    const auto handler = std::signal(SIGXFSZ, SIG_IGN);
+    ::setrlimit(RLIMIT_FSIZE, &less);
+    const RunResult result = run(arguments);
+    ::setrlimit(RLIMIT_FSIZE, &before);
+    std::signal(SIGXFSZ, handler);
+    return result;
+  };
+  ASSERT_LT(fs::file_size(dir_ / "whole.node"), fs::file_size(dir_ / "whole.ele"));
+  expect_error(limited(fs::file_size(dir_ / "whole.ele") - 1, with(cut, {"--out", "part"})), 1,
+               {"part.ele: cannot be written"});
+  expect_error(limited(fs::file_size(dir_ / "whole.json") / 2,
+                       with(cut, {"--policy", "compare", "--report", "part.json"})),
+               1, {"part.json: cannot be written"});
+  EXPECT_EQ(limited(fs::file_size(dir_ / "whole.capture") / 2,
+                    {"convert", "sweep.csv", "--mesh", "cube", "--out", "part.capture"})
+                .exit_code,
+            1);
+  for (const auto& entry : fs::directory_iterator(dir_))
+    EXPECT_FALSE(entry.path().filename().string().starts_with("part")) << entry.path();
 }
 
 TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <bit>
+#include <cerrno>
 #include <fstream>
 #include <system_error>
 
@@ -138,13 +139,24 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_
                       fields != nullptr ? fields->exported(mesh) : std::vector<mesh_io::Field>{});
 }
 
+void finish_writing(std::ofstream& out, const fs::path& path) {
+  const bool opened = out.is_open();
+  out.close();
+  if (out) return;
+  const int reason = errno;
+  if (opened) remove_unfinished(path);
+  throw std::runtime_error(path.string() + ": cannot be written: " + std::generic_category().message(reason));
+}
+
 void write_text(const fs::path& path, const std::string& text) {
   std::ofstream out(path, std::ios::binary);
   out << text;
-  out.close();
-  if (!out)
-    throw std::runtime_error(path.string() +
-                             ": cannot be written: " + std::generic_category().message(errno));
+  finish_writing(out, path);
+}
+
+void remove_unfinished(const fs::path& path) {
+  std::error_code ignored;
+  if (fs::is_regular_file(path, ignored)) fs::remove(path, ignored);
 }
 
 }  // namespace incise::app

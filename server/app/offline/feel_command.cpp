@@ -1,10 +1,7 @@
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
-#include <system_error>
 
 #include "client/cli/usage.hpp"
 #include "server/app/offline/commands.hpp"
@@ -169,10 +166,7 @@ void write_csv(const std::filesystem::path& path, const std::vector<FeltPose>& p
     out << exact_seconds(p.time_ns) << ',' << exact_seconds(p.pose_t_ns) << ',' << csv_field(names[p.source])
         << ',' << text;
   }
-  out.close();
-  if (!out)
-    throw std::runtime_error(path.string() +
-                             ": cannot be written: " + std::generic_category().message(errno));
+  finish_writing(out, path);
 }
 
 std::vector<std::string> source_names(const Config& config) {

@@ -1,3 +1,5 @@
+#include <unistd.h>
+
 #include <cinttypes>
 #include <cstdio>
 #include <functional>
@@ -182,6 +184,22 @@ struct Conversion {
   std::uint64_t batches = 0, state_hash = 0;
 };
 
+// Removes a capture that could not be written to its end, but not one that could not even be opened.
+class UnfinishedCapture {
+ public:
+  explicit UnfinishedCapture(std::filesystem::path path) : path_(std::move(path)) {}
+  UnfinishedCapture(const UnfinishedCapture&) = delete;
+  UnfinishedCapture& operator=(const UnfinishedCapture&) = delete;
+  ~UnfinishedCapture() {
+    if (!finished_ && ::access(path_.c_str(), W_OK) == 0) remove_unfinished(path_);
+  }
+  void finish() { finished_ = true; }
+
+ private:
+  const std::filesystem::path path_;
+  bool finished_ = false;
+};
+
 Config convert_config(const ConvertCommand& command, const RecordedMotion& motion) {
   Config config;
   if (!command.config.empty()) {
@@ -221,6 +239,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
   header.session = 1;
   header.software = kSoftware;
   header.config_json = compact(config);
+  UnfinishedCapture unfinished(command.out);
   CaptureJournal capture(command.out.string(), header);
   core::CutSession session(body.loaded.mesh, config.cut);
   MotionRun run(session, motion, config, command.motion.string());
@@ -235,6 +254,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
            .commit = [&](const core::Delta& delta, double) { capture.write(loop::commit_record(delta)); }},
           progress);
   capture.close();
+  unfinished.finish();
 
   Conversion done{motion.warnings, motion.poses(), session.revision(), session.mesh().state_hash()};
   for (std::string& warning : run.warnings(core::measure(session.mesh()).cut_faces, box))
