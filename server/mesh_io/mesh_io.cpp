@@ -73,6 +73,9 @@ std::string_view mesh_file_endings() {
 std::string_view surface_file_endings() {
   return ".stl, .ply, .off, .obj, .vtp";
 }
+std::string_view surface_input_endings() {
+  return ".stl, .ply, .off, .obj, .glb";
+}
 bool is_mesh_input(const std::filesystem::path& path) {
   const std::string ending = lowercase_ending(path);
   return is_one_of(ending, {".node", ".ele"}) || parser_of(ending) != nullptr;

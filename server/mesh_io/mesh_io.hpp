@@ -61,6 +61,7 @@ bool is_surface_file(const std::filesystem::path& path);
 // ".vtu, .node, .ele" and so on, for messages and --help.
 std::string_view mesh_file_endings();
 std::string_view surface_file_endings();
+std::string_view surface_input_endings();  // of those that are read
 
 // Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data` and `fields`; with the array named
 // "region" .node and .ele (as the attribute), .msh (Gmsh 4.1) and .msh2 (Gmsh 2.2; as the physical group), .mesh (as

@@ -893,6 +893,18 @@ TEST_F(Incise, WhatCannotBeWrittenToItsEndIsRemoved) {
     EXPECT_FALSE(entry.path().filename().string().starts_with("part")) << entry.path();
 }
 
+TEST_F(Incise, InfoNamesOnlyWhatItReads) {
+  write("a.xyz", "nothing");
+  const RunResult result = run({"info", "a.xyz"});
+  expect_error(result, 1, {"it knows a mesh", ".glb"});
+  EXPECT_EQ(result.err.find(".vtp"), std::string::npos) << result.err;
+}
+
+TEST_F(Incise, AMonitoredDeviceThatIsNotConnectedIsNamed) {
+  expect_error(run({"devices", "--monitor", "--device", "1234:abcd"}), 1,
+               {"--device 1234:abcd: is not connected"});
+}
+
 TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
   // A port that is in use, a processor that does not exist, a place that cannot be written to.
   const int s = ::socket(AF_INET, SOCK_STREAM, 0);

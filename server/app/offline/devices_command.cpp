@@ -252,6 +252,11 @@ int monitor(const std::vector<Candidate>& found, const DevicesCommand& command) 
     if (!candidate.profile && command.device.empty()) continue;
     if (auto one = watch(candidate)) watched.push_back(std::move(one));
   }
+  if (found.empty() && !command.device.empty()) {
+    throw std::runtime_error(
+        "--device " + command.device +
+        ": is not connected, or this user may not access it; incise devices lists what is there");
+  }
   if (watched.empty()) {
     throw std::runtime_error(
         "no device to show; incise devices lists them, and --device names one without a profile");

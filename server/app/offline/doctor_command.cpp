@@ -29,13 +29,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-enum class Verdict { kGood, kWarning, kFault };
+enum class Verdict { kGood, kNote, kWarning, kFault };
 
 struct Finding {
   std::string what;
   Verdict verdict = Verdict::kGood;
   std::string found;
-  std::string remedy;  // empty if all is good
+  std::string remedy;  // empty if there is nothing to fix
 };
 
 constexpr const char* kUdevRemedy =
@@ -266,8 +266,10 @@ void check_devices(const Config& config, std::vector<Finding>& findings) {
           {"device " + interface.identity(), Verdict::kWarning, interface.trouble, kUdevRemedy});
     }
   }
-  findings.push_back({"devices", Verdict::kGood,
-                      std::to_string(usable) + " that can be opened (incise devices lists them)", ""});
+  findings.push_back(
+      {"devices", usable > 0 ? Verdict::kGood : Verdict::kNote,
+       (usable > 0 ? std::to_string(usable) : "none") + " that can be opened (incise devices lists them)",
+       ""});
 }
 
 Finding check_tetgen() {
@@ -350,7 +352,8 @@ std::vector<Finding> examine(const DoctorCommand& command) {
 }
 
 const char* word(Verdict verdict) {
-  return verdict == Verdict::kGood ? "good" : verdict == Verdict::kWarning ? "warning" : "fault";
+  constexpr const char* kWords[] = {"good", "note", "warning", "fault"};
+  return kWords[static_cast<std::size_t>(verdict)];
 }
 
 }  // namespace

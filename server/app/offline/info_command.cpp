@@ -163,8 +163,8 @@ Json describe_config(const fs::path& file) {
 
 std::string known_files() {
   return "a mesh (" + std::string(mesh_io::mesh_file_endings()) + ", .veg), a surface (" +
-         std::string(mesh_io::surface_file_endings()) +
-         ", .glb), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a "
+         std::string(mesh_io::surface_input_endings()) +
+         "), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a "
          "capture, "
          "or a "
          "configuration";
