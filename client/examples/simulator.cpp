@@ -1,11 +1,12 @@
 // The outline of a host simulation: follows the mesh, sends back where its vertices are now: simulator [PORT].
 #include <cstdio>
 #include <cstdlib>
+#include <exception>
 #include <vector>
 
 #include "client/client.hpp"
 
-int main(int argc, char** argv) {
+int main(int argc, char** argv) try {
   using namespace incise;
   const auto port = static_cast<std::uint16_t>(argc > 1 ? std::atoi(argv[1]) : 7450);
   client::Callbacks callbacks;
@@ -37,4 +38,7 @@ int main(int argc, char** argv) {
     client->send_positions(message);
     if (!client->wait_for_revision(revision + 1, 5)) return 1;
   }
+} catch (const std::exception& error) {
+  std::fprintf(stderr, "%s: %s\n", argv[0], error.what());
+  return 1;
 }
