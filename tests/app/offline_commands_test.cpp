@@ -874,7 +874,7 @@ TEST_F(Incise, WhatCannotBeWrittenToItsEndIsRemoved) {
     const rlimit less{bytes, before.rlim_max};
     const auto handler = std::signal(SIGXFSZ, SIG_IGN);
     ::setrlimit(RLIMIT_FSIZE, &less);
-    const RunResult result = run(arguments);
+    RunResult result = run(arguments);
     ::setrlimit(RLIMIT_FSIZE, &before);
     std::signal(SIGXFSZ, handler);
     return result;
