@@ -156,6 +156,14 @@ class SameAsTheCommand(Folder):
                 incise.cut(body, poses, config=config)
             self.assertEqual(f"incise: {caught.exception}\n", done.stderr)
 
+    def test_a_blade_much_longer_than_the_body_is_refused(self):
+        body, poses = incise.Body.phantom("slab", 1000), [(0, 0, 0, 0), (1, 0, 0, 1)]
+        blade = {"heel": [0, 0, 0], "tip": [0, 0, -120]}
+        for cut in (lambda: incise.cut(body, poses, blade=((0, 0, 0), (0, 0, -120))),
+                    lambda: incise.Session(body, config={"blade": blade}).cut(poses)):
+            with self.assertRaisesRegex(incise.Error, r"^the blade is 120 m long, the body .* m: this looks like millimetres"):
+                cut()
+
 
 class SameAsAServer(Folder):
     def test_states_of_recorded_sessions(self):

@@ -1,4 +1,6 @@
 // Cutting by a whole motion: incise.cut() and Session.cut().
+#include <stdexcept>
+
 #include "server/app/python/arrays.hpp"
 #include "server/app/python/session.hpp"
 
@@ -58,6 +60,9 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
   {
     const py::gil_scoped_release release;
     const app::RecordedMotion events = opened(motion, session->config);
+    const app::Box body = app::box_of(session->body->loaded->mesh);
+    if (const std::string fault = app::blade_fault(session->config, events, body.diagonal()); !fault.empty())
+      throw std::runtime_error("the blade " + fault);
     app::MotionRun run(use.core(), events, session->config, motion.name);
     Silent progress;
     std::uint32_t cut_faces = 0;
@@ -69,7 +74,7 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
                    recorder.commit(use.core(), delta);
                  }},
             progress);
-    cut.warnings = run.warnings(cut_faces, app::box_of(session->body->loaded->mesh));
+    cut.warnings = run.warnings(cut_faces, body);
   }
   recorder.finish(cut);
   return cut;
