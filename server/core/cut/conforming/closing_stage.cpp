@@ -155,10 +155,7 @@ void ClosingStage::consider(HalfFace h) {
 // Before the blade all hangs together that it is about to part.
 bool ClosingStage::has_to_wait(HalfFace h) {
   if (!cut_.has_front) return false;
-  // What is large there waits longer for the blade, too, and reaches farther.
-  double width_m = cut_.h;
-  for (VertexId v : mesh_.face_vertices(h)) width_m = std::max(width_m, mesh_.local_h(v));
-  const double far_m = kFar_h * width_m;
+  const double far_m = kFar_h * cut_.h;
   const Vec3& p = mesh_.position(mesh_.face_vertices(h)[0]);
   const double d2 = squared_distance_to_segment(p, cut_.front.heel, cut_.front.tip);
   if (d2 >= far_m * far_m) return false;

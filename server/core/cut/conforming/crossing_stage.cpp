@@ -74,8 +74,9 @@ void CrossingStage::handle(std::uint32_t index) {
 // Whether there is anything to deal with. Brings the crossing up to date.
 bool CrossingStage::still_crosses(Crossing& crossing) {
   const VertexId a = crossing.a, b = crossing.b;
+  const bool a_on = cut_.on_surface(a), b_on = cut_.on_surface(b);
   // Dealt with by a snap of one end, as a rule; verification finds the exceptions.
-  if (round_ == 0 && (cut_.on_surface(a) || cut_.on_surface(b))) return false;
+  if (round_ == 0 && (a_on || b_on)) return false;
   if (!mesh_.alive(crossing.tet) || mesh_.local_index(crossing.tet, a) < 0 ||
       mesh_.local_index(crossing.tet, b) < 0) {
     crossing.tet = mesh_.find_edge(a, b);
@@ -83,7 +84,10 @@ bool CrossingStage::still_crosses(Crossing& crossing) {
     if (crossing.tet == kNone) return false;
   }
   if (round_ == 0 && crossing.batch == cut_.batch) return true;
-  return cut_.find_crossing(a, b, crossing.triangle, crossing.at);
+  if (!cut_.find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, crossing.triangle, crossing.at))
+    return false;
+  const double length_m = distance(mesh_.position(a), mesh_.position(b));
+  return !cut_.meets_end(a, crossing.at, length_m) && !cut_.meets_end(b, 1 - crossing.at, length_m);
 }
 
 // Snaps an end of the edge whose star is good then.

@@ -34,38 +34,19 @@ double CutContext::worst_at(const VertexStar& star, const Vec3& p, double limit,
   return worst;
 }
 
-namespace {
-
-// Where the surface crosses the segment a b: the first such place, in the tree's order, that `counts` accepts.
-template <class Counts>
-bool find_crossing_if(const CutContext& cut, const Vec3& a, bool a_on, const Vec3& b, bool b_on,
-                      std::uint32_t& triangle, double& t, Counts counts) {
-  cut.work += cost::kFindCrossing;
-  return cut.surface().any_between(Points<2>({a, b}), cut.clear_m, [&](std::uint32_t i) {
-    const SweptTriangle& s = cut.surface()[i];
+bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
+                               double& t) const {
+  work += cost::kFindCrossing;
+  return surface().any_between(Points<2>({a, b}), clear_m, [&](std::uint32_t i) {
+    const SweptTriangle& s = surface()[i];
     const double da = s.signed_distance(a), db = s.signed_distance(b);
     // An end on the surface is where the edge meets it.
-    if ((a_on && std::abs(da) <= cut.clear_m) || (b_on && std::abs(db) <= cut.clear_m)) return false;
+    if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
     double at;
-    if (!crosses(a, b, da, db, s, cut.clear_m, at) || !counts(at)) return false;
+    if (!crosses(a, b, da, db, s, clear_m, at)) return false;
     triangle = i;
     t = at;
     return true;
-  });
-}
-
-}  // namespace
-
-bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
-                               double& t) const {
-  return find_crossing_if(*this, a, a_on, b, b_on, triangle, t, [](double) { return true; });
-}
-
-bool CutContext::find_crossing(VertexId a, VertexId b, std::uint32_t& triangle, double& t) const {
-  const Vec3 &p = mesh.position(a), &q = mesh.position(b);
-  const double length_m = distance(p, q);
-  return find_crossing_if(*this, p, on_surface(a), q, on_surface(b), triangle, t, [&](double at) {
-    return !meets_end(a, at, length_m) && !meets_end(b, 1 - at, length_m);
   });
 }
 

@@ -81,9 +81,6 @@ struct CutContext {
   // surface, which is then no crossing.
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
-  // The same for the edge (a, b), but for what is as good as at an end of it: beside a bend it may cross the surface there and again
-  // farther on.
-  bool find_crossing(VertexId a, VertexId b, std::uint32_t& triangle, double& t) const;
   // The worst of the tetrahedra that splitting the edge (a, b) of `tet` makes; stops beyond `limit`.
   double worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const;
 

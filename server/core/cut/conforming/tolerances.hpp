@@ -96,8 +96,7 @@ inline constexpr double kRib_h = 0.21;
 inline constexpr double kLeastPart_h3 = 0.25;
 // A tetrahedron this near to the surface may be on either side of it.
 inline constexpr double kBeside_h = 0.1;
-// A face nearer to the blade than this waits: what the blade is about to part hangs together before it. In the
-// larger of h and the width of the elements there.
+// A face nearer to the blade than this waits: what the blade is about to part hangs together before it.
 inline constexpr double kFar_h = 4;
 // The largest part that counts as small, and the farthest that a search looks for a way from one side of a face to the other, in
 // tetrahedra.
