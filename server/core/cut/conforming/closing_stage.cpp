@@ -429,11 +429,14 @@ bool ClosingStage::open(WorkBudget& budget) {
 }
 
 void ClosingStage::archive(Archive& io) {
-  io.list(waiting_, 12, [&](Waiting& w) {
+  io.list(waiting_, 13, [&](Waiting& w) {
     io(w.face);
     io(w.ripe_at_m);
+    // Another blade may have taken the mark, and this one lists the face again.
+    bool marked = !io.reads() && is_marked(w.face);
+    io(marked);
     io.demand(tet_of(w.face) < mesh_.tet_slots(), "a waiting face of no tetrahedron");
-    if (io.reads() && !io.failed()) set_waits(w.face, true);
+    if (io.reads() && !io.failed() && marked) set_waits(w.face, true);
   });
 }
 

@@ -125,6 +125,7 @@ void CrossingStage::make_do(const Crossing& crossing) {
   const double by_split = best_[i].worst <= kSnapFloor || !may_split
                               ? kInverted
                               : cut_.worst_after_split(crossing.tet, a, b, crossing.at, floor);
+  if (!exact && best_[i].worst > kSnapFloor && by_split > kSnapFloor && take_as_met(crossing)) return;
   if (best_[i].worst <= kSnapFloor || (best_[i].worst <= by_split && best_[i].worst <= floor)) {
     ++cut_.counts.events;
     editor_.snap(stars_[i], ends_[i], best_[i].target);
@@ -136,6 +137,23 @@ void CrossingStage::make_do(const Crossing& crossing) {
     editor_.fail(b);
     ++cut_.counts.failed;
   }
+}
+
+// What lies near enough to the crossing is as good as a needle there: an end on the surface, or else a boundary vertex, which
+// stands for the surface where it is. Needles beget others wherever a hand comes by again.
+bool CrossingStage::take_as_met(const Crossing& crossing) {
+  const double met_m = kMetForNeedle_h * cut_.h;
+  const double length_m = distance(mesh_.position(crossing.a), mesh_.position(crossing.b));
+  if ((cut_.on_surface(crossing.a) && crossing.at * length_m < met_m) ||
+      (cut_.on_surface(crossing.b) && (1 - crossing.at) * length_m < met_m))
+    return true;
+  for (int k = 0; k < 2; ++k) {
+    if (cut_.on_surface(ends_[k]) || !places_.stands_for_needle(stars_[k])) continue;
+    ++cut_.counts.events;
+    editor_.snap(stars_[k], ends_[k], stars_[k].position());
+    return true;
+  }
+  return false;
 }
 
 void CrossingStage::split(const Crossing& crossing) {

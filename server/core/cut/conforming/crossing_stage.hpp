@@ -13,7 +13,7 @@ namespace incise::core {
 
 // Deals with crossings that need not wait for the blade any more, nearest first: the nearer end of the edge is snapped onto the
 // surface, else the farther end, else the edge is split. What a first pass cannot do well waits for a second one, when its
-// neighbours have been dealt with.
+// neighbours have been dealt with. Where only needles would be left, what is near the crossing stands for it.
 class CrossingStage {
  public:
   CrossingStage(CutContext& cut, Crossings& crossings, MeshEditor& editor)
@@ -30,6 +30,7 @@ class CrossingStage {
   bool still_crosses(Crossing& crossing);
   bool snap_well(const Crossing& crossing, const Vec3& at);
   void make_do(const Crossing& crossing);
+  bool take_as_met(const Crossing& crossing);
   void split(const Crossing& crossing);
 
   CutContext& cut_;

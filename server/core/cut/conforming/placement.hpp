@@ -23,6 +23,8 @@ class PlaceFinder {
                   bool search);
   // Whether a boundary vertex may stand for the surface where it is, and better than at `placement`, which is then replaced.
   bool stay(const VertexStar& star, Placement& placement);
+  // Whether a boundary vertex is so near the surface that it may stand for it, however its boundary runs, where all else leaves a needle.
+  bool stands_for_needle(const VertexStar& star) const;
   // Looks around for a better place than `placement`, until its measure is at most `goal`, within the boundary, and within the
   // surface where the vertex is `on_surface`, near `triangle`. What is off the surface stays on its side. `thickness_m`: what
   // counts as flat; below 0: nothing.

@@ -143,6 +143,9 @@ inline constexpr double kFlatOff_h = 0.1;
 // h and the local width counts.
 inline constexpr double kStay_h = 0.08;
 inline constexpr double kCosAlong = 0.94;  // 20 degrees
+// Where snaps and splits would leave angles below kSnapFloor, a crossing this near to an end on the surface is dealt with; and
+// a vertex this near to the surface stands for it, at an older cut and at the skin.
+inline constexpr double kMetForNeedle_h = 0.35, kCutForNeedle_h = 0.2, kSkinForNeedle_h = 0.1;
 
 // Which way a vertex is free to go: boundary faces within this angle of a first one make a smooth patch, which fixes one
 // direction; more than one patch make a crease or a corner.
