@@ -185,7 +185,7 @@ void add_watch(CLI::App& app, int& exit_code, const FindServer& find) {
 
 }  // namespace
 
-void add_network_commands(CLI::App& app, int& exit_code, FindServer find) {
+void add_network_commands(CLI::App& app, int& exit_code, const FindServer& find) {
   add_stream(app, exit_code, find);
   add_watch(app, exit_code, find);
 }

@@ -67,7 +67,7 @@ int run_watch(const WatchCommand& command);
 // Makes what --to and SERVER name into an address; `to_watch`: no blade is wanted there.
 using FindServer = std::function<std::string(const std::string& named, bool to_watch)>;
 // Adds the commands to `incise`; the one that runs sets the program's exit code. `find`: a program that knows directories looks there.
-void add_network_commands(CLI::App& app, int& exit_code, FindServer find = nullptr);
+void add_network_commands(CLI::App& app, int& exit_code, const FindServer& find = nullptr);
 
 // Client::connect, and where nobody listens there, what to do about it. Throws ConnectError.
 std::unique_ptr<Client> connect(const Address& where, const Options& options, Callbacks callbacks);
