@@ -85,16 +85,21 @@ class CommandsTest : public ::testing::Test {
     return out;
   }
 
+  StreamCommand stream_of(const char* file, double speed) const {
+    StreamCommand command;
+    command.poses = directory / file;
+    command.server.address = address();
+    command.speed = speed;
+    command.json = true;
+    return command;
+  }
+
   fs::path directory = fs::temp_directory_path() / ("incise_commands_" + std::to_string(::getpid()));
   TestServer test{6, stream::test_config(), providers()};
 };
 
 TEST_F(CommandsTest, StreamPlaysAMotionAndSumsUp) {
-  StreamCommand command;
-  command.poses = directory / "motion.csv";
-  command.server.address = address();
-  command.speed = 4;
-  command.json = true;
+  StreamCommand command = stream_of("motion.csv", 4);
   ::testing::internal::CaptureStdout();
   EXPECT_EQ(run_stream(command), 0);
   const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
@@ -225,11 +230,7 @@ TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWas
 
 // The same motion played twice in one session: the capture's clock goes back in between. The second source has a clock of its own.
 TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
-  StreamCommand command;
-  command.poses = directory / "two.capture";
-  command.server.address = address();
-  command.speed = 0;
-  command.json = true;
+  StreamCommand command = stream_of("two.capture", 0);
   {
     protocol::FileSink sink(command.poses.string(), true);
     protocol::CaptureHeader header;
@@ -411,11 +412,7 @@ TEST_F(CommandsTest, OfACaptureTheFirstSourceIsPlayed) {
 }
 
 TEST_F(CommandsTest, AtATenthOfTheSpeedItTakesTenTimesAsLong) {
-  StreamCommand command;
-  command.poses = directory / "motion.csv";  // of 0.2 s
-  command.server.address = address();
-  command.speed = 0.1;
-  command.json = true;
+  StreamCommand command = stream_of("motion.csv", 0.1);  // of 0.2 s
   ::testing::internal::CaptureStdout();
   EXPECT_EQ(run_stream(command), 0);
   EXPECT_GE(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["seconds"], 1.99);

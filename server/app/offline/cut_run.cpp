@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <stdexcept>
 
 #include "server/base/hex.hpp"
 #include "server/core/mesh/measure.hpp"
@@ -116,8 +115,7 @@ CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion
   in.warnings = in.motion.warnings;
   in.warnings.insert(in.warnings.end(), in.loaded->warnings.begin(), in.loaded->warnings.end());
   in.body = box_of(in.loaded->mesh);
-  if (const std::string fault = blade_fault(in.config, in.motion, in.body.diagonal()); !fault.empty())
-    throw std::runtime_error("the blade " + fault);
+  check_blade(in.config, in.motion, in.body.diagonal());
   in.raised_limits = suit_limits(in.config, in.motion, in.body.diagonal());
   return in;
 }

@@ -4,6 +4,7 @@
 #include <bit>
 #include <chrono>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 namespace incise::app {
@@ -137,6 +138,11 @@ std::string blade_fault(const Config& config, const RecordedMotion& motion, doub
   return "is " + short_number(longest_m) + " m long, the body " + short_number(body_size_m) + " m: " +
          (longest_m <= 1000 * most_m ? "this looks like millimetres; divide by 1000"
                                      : "accepted is at most 100 times the body");
+}
+
+void check_blade(const Config& config, const RecordedMotion& motion, double body_size_m) {
+  if (const std::string fault = blade_fault(config, motion, body_size_m); !fault.empty())
+    throw std::runtime_error("the blade " + fault);
 }
 
 void MotionRun::run(const Options& options, Progress& progress) {

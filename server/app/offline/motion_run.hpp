@@ -36,6 +36,8 @@ std::string suit_limits(Config& config, const RecordedMotion& motion, double bod
 
 // What is wrong with a blade that is more than 100 times as long as the body, to follow its name; empty: none is.
 std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m);
+// Throws std::runtime_error if there is such a fault.
+void check_blade(const Config& config, const RecordedMotion& motion, double body_size_m);
 
 // Applies a motion to a session.
 class MotionRun {

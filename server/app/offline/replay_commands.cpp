@@ -227,8 +227,7 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
   progress.stage("loading the mesh");
   const Body body = load_body(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
   const Box box = box_of(body.loaded.mesh);
-  if (const std::string fault = blade_fault(config, motion, box.diagonal()); !fault.empty())
-    throw std::runtime_error("the blade " + fault);
+  check_blade(config, motion, box.diagonal());
   hold_button(motion, config);
   const std::string raised = suit_limits(config, motion, box.diagonal());
 

@@ -1,6 +1,4 @@
 // Cutting by a whole motion: incise.cut() and Session.cut().
-#include <stdexcept>
-
 #include "server/app/python/arrays.hpp"
 #include "server/app/python/session.hpp"
 
@@ -61,8 +59,7 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
     const py::gil_scoped_release release;
     const app::RecordedMotion events = opened(motion, session->config);
     const app::Box body = app::box_of(session->body->loaded->mesh);
-    if (const std::string fault = app::blade_fault(session->config, events, body.diagonal()); !fault.empty())
-      throw std::runtime_error("the blade " + fault);
+    app::check_blade(session->config, events, body.diagonal());
     app::MotionRun run(use.core(), events, session->config, motion.name);
     Silent progress;
     std::uint32_t cut_faces = 0;

@@ -179,10 +179,8 @@ bool PlaceFinder::stands_for_needle(const VertexStar& star) const {
   if (!star.on_boundary()) return false;
   const bool at_cut = std::ranges::any_of(star.walls(), &VertexStar::Wall::cut);
   const double reach_m = (at_cut ? kCutForNeedle_h : kSkinForNeedle_h) * std::min(cut_.h, star.local_h());
-  Vec3 closest;
-  std::uint32_t triangle = 0;
   cut_.work += cost::kNearby;
-  return cut_.surface().near(star.position(), reach_m, closest, triangle);
+  return cut_.surface().is_within(star.position(), reach_m);
 }
 
 }  // namespace incise::core
