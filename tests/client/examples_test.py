@@ -54,10 +54,15 @@ class Examples(unittest.TestCase):
         printed = self.run_example(sys.executable, SOURCE / "client/examples/first_client.py")
         self.assertRegex(printed, r"^[1-9]\d* [1-9]\d* \(\d+, 3\) True\n$")
 
-    def test_simulator(self):
-        printed = self.run_example(BUILD / "examples/simulator")
+    def check_simulator(self, printed):
         self.assertEqual(len(re.findall(r"^revision \d+: [1-9]\d* vertices moved$", printed, re.MULTILINE)), 20, printed)
         self.assertIn("0 vertices held", printed)
+
+    def test_simulator(self):
+        self.check_simulator(self.run_example(BUILD / "examples/simulator"))
+
+    def test_simulator_in_python(self):
+        self.check_simulator(self.run_example(sys.executable, SOURCE / "client/examples/simulator.py"))
 
     def test_contact(self):
         printed = self.run_example(BUILD / "examples/contact")

@@ -15,7 +15,7 @@ import flatbuffers
 import numpy as np
 
 import incise_client
-from incise.wire import (Body, Delta, ErrorCode, Force, Hello, LocalContact, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
+from incise.wire import (BladeLoad, Body, Delta, Error, ErrorCode, Force, Hello, LocalContact, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
                          SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, Vec3, View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
@@ -401,6 +401,66 @@ class Session(unittest.TestCase):
         self.assertEqual((others.Frame(), others.First(), others.Revision()), (2, 0, 0))
         self.assertEqual((others.F32Length(), others.F64Length()), (0, 6))
         self.assertEqual(list(others.IdsAsNumpy()), [3, 9])
+
+    def test_numbers_that_are_none_are_not_sent(self):
+        port = self.serve(self.messages("Welcome"))
+        nan = float("nan")
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Operator) as client:
+            good = incise_client.Pose(1, (0.0, 0.0, 0.0))
+            with self.assertRaisesRegex(ValueError, r"poses: number 1 has position \[ 0. nan  0.\]"):
+                client.send_poses([good, incise_client.Pose(2, (0.0, nan, 0.0))])
+            with self.assertRaisesRegex(ValueError, "poses: number 0 .* accepted are finite numbers"):
+                client.send_poses([incise_client.Pose(2, (0.0, 0.0, 0.0), (float("inf"), 0.0, 0.0, 0.0)), good])
+            for bad in (nan, 1.1e6):
+                with self.assertRaisesRegex(ValueError, "positions: row 1 is "):
+                    client.send_positions([[0, 0, 0], [0, 0, bad]])
+            load = BladeLoad.BladeLoad()
+            with self.assertRaisesRegex(ValueError, "point, normal, .* accepted are finite numbers"):
+                client.send_model(load, (nan, 0, 0), (0, 0, 1), np.eye(3))
+        self.thread.join()
+        kinds = [Message.Message.GetRootAs(data, 0).BodyType() for data in self.received]
+        self.assertEqual([kind for kind in kinds if kind], [Body.Body.Hello, Body.Body.Bye])
+
+    def test_a_refusal_reaches_the_callback_and_who_waits_for_it(self):
+        builder = flatbuffers.Builder(0)
+        text = builder.CreateString("PoseBatch: only operators send poses")
+        Error.Start(builder)
+        Error.AddCode(builder, ErrorCode.ErrorCode.Forbidden)
+        Error.AddText(builder, text)
+        Error.AddInReplyTo(builder, 2)
+        body = Error.End(builder)
+        Message.Start(builder)
+        Message.AddBodyType(builder, Body.Body.Error)
+        Message.AddBody(builder, body)
+        builder.Finish(Message.End(builder), file_identifier=b"INC1")
+        refusal = bytes(builder.Output())
+        heard = []
+        port = self.serve(self.messages("Welcome") + struct.pack("<I", len(refusal)) + refusal)
+        with incise_client.connect("127.0.0.1", port) as client:
+            client.on_error = lambda who, error: heard.append((who, error.Code(), error.Text(), error.InReplyTo()))
+            sequence = client.send_poses([incise_client.Pose(1, (0.0, 0.0, 0.0))])
+            with self.assertRaisesRegex(incise_client.RequestError, "only operators send poses") as raised:
+                client.wait_for_report(sequence)
+            self.assertEqual((raised.exception.code, raised.exception.sequence), (ErrorCode.ErrorCode.Forbidden, 2))
+            self.assertEqual(heard, [(client, ErrorCode.ErrorCode.Forbidden, b"PoseBatch: only operators send poses", 2)])
+            self.assertFalse(client.wait_for_report(sequence, 0.05), "was raised once")
+        self.thread.join()
+
+    def test_a_server_that_refuses_says_why(self):
+        port = self.serve(self.messages("Error"))
+        with self.assertRaisesRegex(incise_client.ConnectError, "is held by session 3") as raised:
+            incise_client.connect("127.0.0.1", port)
+        self.assertEqual(raised.exception.code, ErrorCode.ErrorCode.BladeTaken)
+        self.thread.join()
+
+    def test_a_server_that_is_gone_is_a_connect_error_for_who_sends(self):
+        port = self.serve(self.messages("Welcome"))
+        client = incise_client.connect("127.0.0.1", port, role=Role.Role.Operator)
+        client._socket.shutdown(socket.SHUT_RDWR)
+        with self.assertRaisesRegex(incise_client.ConnectError, "the connection has ended: "):
+            client.send_poses([incise_client.Pose(1, (0.0, 0.0, 0.0))])
+        client.close()
+        self.thread.join()
 
     def test_a_length_that_no_message_has_ends_the_connection(self):
         for size in (15, (64 << 20) + 1):

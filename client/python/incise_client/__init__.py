@@ -12,14 +12,15 @@ build makes from ``protocol/incise.fbs``::
 """
 
 from .carry import carry, carry_tets
-from .client import Client, ConnectError, Pose, connect
+from .client import Client, Pose, connect
 from .contact import ContactRenderer
+from .errors import ConnectError, RequestError
 from .part import Rows, Surface, VolumePart
 from .replica import ApplyError, Replica
 from .state_hash import element_hashes, surface_vertex_hashes, tet_hashes, triangle_hashes, vertex_hashes, xor_of
 from .surface_asset import SurfaceAsset
 
 __all__ = [
-    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "Rows", "Surface", "SurfaceAsset", "VolumePart",
+    "ApplyError", "Client", "ConnectError", "ContactRenderer", "Pose", "Replica", "RequestError", "Rows", "Surface", "SurfaceAsset", "VolumePart",
     "carry", "carry_tets", "connect", "element_hashes", "surface_vertex_hashes", "tet_hashes", "triangle_hashes", "vertex_hashes", "xor_of",
 ]

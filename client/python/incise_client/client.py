@@ -17,19 +17,17 @@ from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta
                          StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
 from .carry import carry, carry_tets
+from .errors import ConnectError, RequestError
 from .part import Surface, VolumePart
 from .replica import ApplyError, Replica
 
 MAX_MESSAGE_BYTES = 64 << 20
 MAX_POSES_PER_BATCH = 8192
+MAX_COORDINATE_M = 1_000_000
 
 # The schema's struct PoseSample, byte for byte.
 POSE_DTYPE = np.dtype([("source_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("buttons", "<u4"),
                        ("reserved", "<u4")])
-
-
-class ConnectError(Exception):
-    """The server could not be reached or refused us, or the connection has ended. The text says why."""
 
 
 @dataclass
@@ -58,6 +56,21 @@ class Client:
     ``replica`` is a Replica for view Volume, a Surface for view Surface. With ``box``, two corners ((x, y, z), (x, y, z)) in
     metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade`` is an operator's own: heel and
     tip in the tool's frame, metres. ``fields`` names those to hold ("*": all), with view Volume and no box. ``resume`` is a client that was connected to the same server: its state is continued.
+
+    Callbacks are attributes, None until you set them; set right after connect() they miss nothing. All are called within poll() and the waits, on the thread that calls these, with
+    the client first; they may send, but neither poll nor wait. What they raise comes out of poll(), after the message was dealt with.
+
+    - ``on_delta(client, delta)``: the replica has taken a step, a wire.Delta (view Surface: wire.SurfaceDelta). It is at the new revision.
+    - ``on_field(client, name)``: somebody has set the field of that name; ``vertex_fields`` or ``tet_fields`` has it.
+    - ``on_force(client, force)``: role Operator: a wire.Force, for ContactRenderer.take.
+    - ``on_positions_report(client, report)``: role Simulator: what became of positions, a wire.PositionsReport.
+    - ``on_blade_load(client, load)``: role Simulator, with ``load_rate_hz``: what a blade does to the body, a wire.BladeLoad.
+    - ``on_error(client, error)``: the server refused one message, or has news such as NotRecorded: a wire.Error, with ``Code()`` (a
+      wire.ErrorCode), ``Text()`` (bytes) and ``InReplyTo()``, the number of the refused message or 0. ``error`` keeps the last one.
+
+    Errors: ConnectError where the server cannot be reached, refuses the client or has ended the connection, from the constructor,
+    poll(), the waits and the send functions. RequestError from a wait for a message that the server refused. ValueError, before anything
+    is sent, for numbers or shapes that no server takes.
     """
 
     def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
@@ -79,17 +92,19 @@ class Client:
         self.report: Any = None  # the last wire.PoseReport: what became of an operator's poses
         self.recording: int = Recording.Recording.Off  # whether the server records poses, by the last message that says so
         self.error: Any = None  # the last wire.Error that was not fatal
+        self.on_error: Optional[Callable[["Client", Any], None]] = None
+        self._refused: dict[int, RequestError] = {}  # by the number of the message; the newest ones
         self.resyncs = 0
         self.snapshots = 0
         self.on_delta: Optional[Callable[["Client", Any], None]] = None
         self.positions_report: Any = None  # the last wire.PositionsReport: what became of a simulator's positions
         self.on_positions_report: Optional[Callable[["Client", Any], None]] = None
-        # A wire.BladeLoad: what a blade does to the body, for a simulator that asked with load_rate_hz.
         self.on_blade_load: Optional[Callable[["Client", Any], None]] = None
-        self.on_field: Optional[Callable[["Client", str], None]] = None  # somebody has set the field of that name
-        self.on_force: Optional[Callable[["Client", Any], None]] = None  # a wire.Force; for ContactRenderer.take
+        self.on_field: Optional[Callable[["Client", str], None]] = None
+        self.on_force: Optional[Callable[["Client", Any], None]] = None
         self._sequence = 0
         self._frame = 0
+        self._frame_sequence = 0  # of the message with the positions of _frame
         self._input = bytearray()
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
         self._awaiting_snapshot = False
@@ -102,15 +117,15 @@ class Client:
         except OSError as error:
             raise ConnectError(f"{host}:{port}: {error}") from error
         session = held.welcome.Session() if held else 0
-        self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz,
-                         fields)
         end = time.monotonic() + timeout_s
         try:
+            self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz, fields)
             while self.welcome is None:
                 if time.monotonic() > end:
                     raise ConnectError(f"{host}:{port}: no Welcome in time")
-                self.poll(0.1)
-        except (ConnectError, OSError):
+                if not self._handle_next():
+                    self._receive(0.1)
+        except ConnectError:
             self._socket.close()
             raise
 
@@ -124,7 +139,7 @@ class Client:
         """Says goodbye and closes."""
         try:
             self._send(Body.Body.Bye, lambda b: _table(b, Bye, [("Reason", 1)]))
-        except OSError:
+        except ConnectError:
             pass
         self._socket.close()
 
@@ -132,47 +147,61 @@ class Client:
 
     def poll(self, timeout_s: float = 0.0) -> int:
         """Handles what has arrived, waiting at most ``timeout_s`` for the first byte. Returns the number of messages."""
+        handled = int(self._handle_next())  # one that came with Welcome
+        self._receive(0.0 if handled else timeout_s)
+        while self._handle_next():
+            handled += 1
+        return handled
+
+    def _receive(self, timeout_s: float) -> None:
         self._socket.settimeout(max(timeout_s, 1e-6))
         try:
             data = self._socket.recv(1 << 20)
-            if not data:
-                raise ConnectError("the server has closed the connection")
-            self._input += data
         except (TimeoutError, tls.SSLWantReadError):
-            pass
-        handled = 0
-        while len(self._input) >= 4:
-            (size,) = struct.unpack_from("<I", self._input)
-            if not 16 <= size <= MAX_MESSAGE_BYTES:
-                raise ConnectError(f"a message of {size} bytes")
-            if len(self._input) < 4 + size:
-                break
-            body = bytes(self._input[4:4 + size])
-            del self._input[:4 + size]
-            self._handle(body)
-            handled += 1
-        return handled
+            return
+        except OSError as error:
+            raise ConnectError(f"the connection has ended: {error}") from error
+        if not data:
+            raise ConnectError("the server has closed the connection")
+        self._input += data
+
+    def _handle_next(self) -> bool:
+        """Handles the next message, if it is there whole."""
+        if len(self._input) < 4:
+            return False
+        (size,) = struct.unpack_from("<I", self._input)
+        if not 16 <= size <= MAX_MESSAGE_BYTES:
+            raise ConnectError(f"a message of {size} bytes")
+        if len(self._input) < 4 + size:
+            return False
+        body = bytes(self._input[4:4 + size])
+        del self._input[:4 + size]
+        self._handle(body)
+        return True
 
     def wait_for_revision(self, revision: int, timeout_s: float = 10.0) -> bool:
         """Polls until the replica is at the revision or beyond. False if the time is over first."""
         return self._wait(lambda: self.snapshots_or_resumed and self.replica.revision >= revision, timeout_s)
 
     def wait_for_report(self, sequence: int, timeout_s: float = 10.0) -> bool:
-        """Polls until the server has dealt with all poses up to the message of that number."""
-        return self._wait(lambda: self.report is not None and self.report.ThroughSequence() >= sequence, timeout_s)
+        """Polls until the server has dealt with all poses up to the message of that number. Raises RequestError if it refused it."""
+        return self._wait(lambda: self.report is not None and self.report.ThroughSequence() >= sequence, timeout_s, sequence)
 
     def wait_for_positions_report(self, frame: int, timeout_s: float = 10.0) -> bool:
-        """Polls until the server has dealt with the positions of that frame, or of a later one."""
-        return self._wait(lambda: self.positions_report is not None and self.positions_report.Frame() >= frame, timeout_s)
+        """Polls until the server has dealt with the positions of that frame, or of a later one. Raises RequestError if it refused them."""
+        return self._wait(lambda: self.positions_report is not None and self.positions_report.Frame() >= frame, timeout_s,
+                          self._frame_sequence if frame == self._frame else 0)
 
     @property
     def snapshots_or_resumed(self) -> bool:
         """Whether the replica holds a state of this session."""
         return self.snapshots > 0 or bool(self.welcome and self.welcome.Resumed())
 
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+    def _wait(self, done: Callable[[], bool], timeout_s: float, sequence: int = 0) -> bool:
         end = time.monotonic() + timeout_s
         while not done():
+            if sequence in self._refused:
+                raise self._refused.pop(sequence)
             left = end - time.monotonic()
             if left <= 0:
                 return False
@@ -200,8 +229,14 @@ class Client:
             self._send(Body.Body.Pong, lambda b: _table(b, Pong, pairs))
         elif kind == Body.Body.Error:
             if body.Fatal():
-                raise ConnectError(_text(body.Text()))
+                raise ConnectError(_text(body.Text()), body.Code())
             self.error = body
+            if body.InReplyTo():
+                self._refused[body.InReplyTo()] = RequestError(_text(body.Text()), body.Code(), body.InReplyTo())
+                if len(self._refused) > 100:
+                    del self._refused[next(iter(self._refused))]
+            if self.on_error:
+                self.on_error(self, body)
         elif kind == Body.Body.Bye:
             raise ConnectError(_text(body.Text()) or "the server said goodbye")
         elif kind == Body.Body.PoseReport:
@@ -229,8 +264,8 @@ class Client:
             self._snapshot[1].append(body)
         elif kind == Body.Body.FieldValues and (self._snapshot or not self._awaiting_snapshot):
             self._values.setdefault(body.Field(), []).append(body)
-            if not self._snapshot and body.Last():
-                self._try_change(lambda: self._renew_field(body))
+            if not self._snapshot and body.Last() and self._try_change(lambda: self._renew_field(body)) and self.on_field:
+                self.on_field(self, _text(self.welcome.Fields(body.Field()).Name()))
         elif kind == Body.Body.SnapshotEnd and self._snapshot:
             self._try_change(lambda: self._end_snapshot(body))
 
@@ -253,8 +288,8 @@ class Client:
         for k in range(begin.FieldsLength() if begin else 0):
             self._take_field(begin.Fields(k))
 
-    def _take_field(self, place: int) -> str:
-        """Makes a field of the values that have come. Returns its name."""
+    def _take_field(self, place: int) -> None:
+        """Makes a field of the values that have come."""
         facts = self.welcome.Fields(place)
         parts = [part.I32AsNumpy() if facts.Whole() else part.F32AsNumpy() for part in self._values.pop(place, [])]
         flat = np.concatenate(parts)
@@ -264,14 +299,11 @@ class Client:
         if len(rows) < len(self.replica.positions if on_vertices else self.replica.tets):
             raise ApplyError(f"the field {name} came with {len(rows)} rows")
         (self.vertex_fields if on_vertices else self.tet_fields)[name] = rows.copy()
-        return name
 
     def _renew_field(self, last: Any) -> None:
         if last.Revision() != self.replica.revision:
             raise ApplyError(f"a field at revision {last.Revision()}, at {self.replica.revision}")
-        name = self._take_field(last.Field())
-        if self.on_field:
-            self.on_field(self, name)
+        self._take_field(last.Field())
 
     def _apply(self, delta: Any) -> None:
         self.replica.apply(delta)
@@ -293,12 +325,20 @@ class Client:
     # ---- Sending ----
 
     def send_poses(self, poses: Iterable[Pose]) -> int:
-        """Sends poses in time order. Returns the sequence for wait_for_report()."""
+        """Sends poses in time order. Returns the sequence for wait_for_report(). Raises ValueError for a pose with NaN or infinity;
+        the server passes over others that it cannot use, and ``report`` counts them.
+        """
         rows = [(p.source_ns, p.position, p.orientation, p.buttons, 0) for p in poses]
         return self.send_pose_array(np.array(rows, POSE_DTYPE))
 
     def send_pose_array(self, poses: Any) -> int:
         """The same from an array of POSE_DTYPE."""
+        poses = np.asarray(poses, POSE_DTYPE)
+        finite = np.isfinite(poses["position"]).all(axis=-1) & np.isfinite(poses["orientation"]).all(axis=-1)
+        if not finite.all():
+            k = int(np.argmin(finite))
+            raise ValueError(f"poses: number {k} has position {poses['position'][k]} and orientation {poses['orientation'][k]}; "
+                             "accepted are finite numbers")
         for first in range(0, len(poses), MAX_POSES_PER_BATCH):
             part = np.ascontiguousarray(poses[first:first + MAX_POSES_PER_BATCH], POSE_DTYPE)
 
@@ -315,7 +355,7 @@ class Client:
         """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` ((n,), ascending),
         or ``first``, ``first + 1``, ... ``revision`` is that of the state they were computed with, by default the replica's.
         Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back. Raises ValueError
-        for another shape, masked numbers, or ids that are no whole numbers of 32 bits.
+        for another shape, masked numbers, coordinates that are not finite or beyond 1,000 km, or ids that are no whole numbers of 32 bits.
         """
         if np.ma.is_masked(positions):
             raise ValueError("positions: found an array with masked numbers; accepted are arrays in which all numbers count")
@@ -324,6 +364,9 @@ class Client:
             raise ValueError(f"positions: found shape {array.shape} of {array.dtype}; accepted is (n, 3) of real numbers")
         single = array.dtype == np.float32
         flat = array.astype("<f4" if single else "<f8", copy=False).reshape(-1)
+        if not (np.abs(flat) <= MAX_COORDINATE_M).all():
+            k = int(np.argmin(np.abs(flat) <= MAX_COORDINATE_M)) // 3
+            raise ValueError(f"positions: row {k} is {array[k]}; accepted are finite numbers of at most {MAX_COORDINATE_M:,} m")
         if ids is not None:
             ids = np.asarray(ids)
             if ids.shape != (len(array),) or ids.dtype.kind not in "iu" or (ids.size and (ids.min() < 0 or ids.max() >= 2**32)):
@@ -339,6 +382,7 @@ class Client:
                 ("SourceNs", time.monotonic_ns()), ("First", first)])
 
         self._send(Body.Body.Positions, build, flat.nbytes + (0 if ids is None else 4 * len(ids)))
+        self._frame_sequence = self._sequence
         return self._frame
 
     def send_model(self, load: Any, point: Sequence[float], normal: Sequence[float], stiffness: Any, *, damping: float = 0.0,
@@ -351,6 +395,9 @@ class Client:
         matrix3 = np.ascontiguousarray(stiffness, "<f8")
         if matrix3.shape != (3, 3):
             raise ValueError(f"stiffness: found shape {matrix3.shape}; accepted is (3, 3)")
+        if not np.isfinite([*point, *normal, *matrix3.flat, damping, resistance, valid_s]).all():
+            raise ValueError(f"point, normal, stiffness, damping, resistance, valid_s: found {point}, {normal}, {matrix3.tolist()}, "
+                             f"{damping}, {resistance}, {valid_s}; accepted are finite numbers")
         flat = matrix3.reshape(-1)
 
         def build(b: Any) -> int:
@@ -447,7 +494,10 @@ class Client:
         builder.Finish(message, file_identifier=b"INC1")
         data = bytes(builder.Output())
         self._socket.settimeout(10)
-        self._socket.sendall(struct.pack("<I", len(data)) + data)
+        try:
+            self._socket.sendall(struct.pack("<I", len(data)) + data)
+        except OSError as error:
+            raise ConnectError(f"the connection has ended: {error}") from error
 
 
 def _table(builder: Any, module: Any, fields: list[tuple[str, Any]]) -> int:

@@ -1,0 +1,29 @@
+"""The outline of a host simulation: follows the mesh, sends back where its vertices are now: simulator.py [PORT]."""
+import sys
+
+import incise_client
+from incise.wire import Role
+
+
+def on_delta(client, delta):
+    # Update the solver here. Elements: delta.RemovedTets, delta.Tets. Its fields on the vertices: incise_client.carry().
+    # Vertices in delta.RestIds stand for other material than before: client.replica.rest_positions says which.
+    print(f"revision {delta.Revision()}: {delta.MovedIdsLength()} vertices moved")
+
+
+def on_positions_report(client, report):
+    # These vertices did not move, or not all the way: they would have inverted an element, or touch the blade.
+    print(f"{report.HeldLength()} vertices held")
+
+
+port = int(sys.argv[1]) if len(sys.argv) > 1 else 7450
+with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+    client.on_delta = on_delta
+    client.on_positions_report = on_positions_report
+    if not client.wait_for_revision(0, 30):
+        sys.exit("no snapshot came")
+    for step in range(1, 21):
+        positions = client.replica.rest_positions * (1 + 0.001 * step, 1, 1)  # of all vertices, or of some, with ids=
+        frame = client.send_positions(positions.astype("float32"))
+        if not client.wait_for_positions_report(frame, 5) or not client.wait_for_revision(client.positions_report.Revision(), 5):
+            sys.exit("the server does not answer")
