@@ -69,13 +69,17 @@ protocol::Motion read_capture_poses(protocol::CaptureReader& capture, const Stre
   protocol::CaptureRecord record;
   std::optional<std::uint32_t> source = command.from_source;
   PosesOfSources sources;
-  while (capture.next(record) == protocol::CaptureReader::Status::Record) {
+  using Status = protocol::CaptureReader::Status;
+  Status status = Status::Record;
+  while ((status = capture.next(record)) == Status::Record) {
     const auto* pose = std::get_if<protocol::PoseRecord>(&record);
     if (!pose) continue;
     ++sources[pose->source];
     if (!source) source = pose->source;
     if (pose->source == *source) samples.add(pose->pose);
   }
+  if (status != Status::End)
+    warn(command.poses.string() + ": " + capture.error() + "; the poses before that are sent");
   check_sources(command, source, std::move(sources));
   protocol::Motion motion;
   motion.has_buttons = true;

@@ -59,7 +59,7 @@ stream::Documents look_of(const Replayable& opened, const fs::path& config_file,
 }
 
 void make(const fs::path& capture, const fs::path& directory, const fs::path& config_file) {
-  const Replayable opened = open_capture(capture, {});
+  const Replayable opened = open_capture(capture, {}, IfDamaged::kRefuse);
   const core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
   fs::create_directories(directory);
   std::vector<std::string> warnings;

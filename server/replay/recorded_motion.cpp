@@ -94,6 +94,13 @@ struct RecordReader {
   }
   void operator()(const protocol::EndRecord&) {}
 
+  // "12 poses, up to revision 3"
+  std::string text() const {
+    const std::size_t poses = motion.poses();
+    return std::to_string(poses) + (poses == 1 ? " pose" : " poses") + ", up to revision " +
+           std::to_string(motion.marks.empty() ? 0 : motion.marks.back().revision);
+  }
+
   void check_source(std::uint32_t source) const {
     if (source < core::kMaxSources) return;
     throw std::runtime_error(name + ": record " + std::to_string(motion.records) + ": source " +
@@ -104,7 +111,8 @@ struct RecordReader {
 
 }  // namespace
 
-RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start) {
+RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start,
+                            IfDamaged if_damaged) {
   RecordedMotion motion;
   motion.format = "capture";
   protocol::CaptureReader reader(in);
@@ -128,7 +136,13 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, const Cap
     motion.records = reader.records();
     std::visit(read, record);
   }
-  if (status == Status::Corrupt || !motion.header) throw std::runtime_error(name + ": " + reader.error());
+  if (!motion.header) throw std::runtime_error(name + ": " + reader.error());
+  if (status == Status::Corrupt) {
+    if (if_damaged == IfDamaged::kRefuse) throw DamagedCapture(name + ": " + reader.error());
+    motion.end_error = reader.error();
+    motion.warnings.push_back(name + ": damaged (" + reader.error() +
+                              "); what is before is used: " + read.text());
+  }
   if (status == Status::Torn) {
     motion.end_error = reader.error();
     motion.warnings.push_back(name + ": cut off at its end (" + reader.error() +

@@ -4,6 +4,7 @@
 #include <iosfwd>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -49,7 +50,7 @@ struct RecordedMotion {
     std::string text;  // how many, where, and why
   };
   std::optional<Gap> gap;
-  std::string end_error;  // if it is torn: at which byte and how
+  std::string end_error;  // if it is torn or damaged: at which byte and how
 
   std::size_t poses() const { return count(MotionEvent::Kind::kPose); }
   std::size_t count(MotionEvent::Kind kind) const;
@@ -61,9 +62,16 @@ struct CaptureStart {
   std::uint64_t checkpoint = 0;           // its id
   std::uint64_t session = 0;              // there
 };
+// Wrong bytes before the end of a capture: an error, or the end, with a warning that says how much is before them.
+enum class IfDamaged : std::uint8_t { kRefuse, kEndThere };
+// Such an error; what is before can be read.
+struct DamagedCapture : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
 // Reads a capture up to a torn end, which is a warning; from `start`, if given: then header is empty if there is no such record. `name`
-// is the capture in messages. Throws std::runtime_error: wrong bytes before the end.
-RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start = nullptr);
+// is the capture in messages. Throws std::runtime_error: wrong bytes before the end, DamagedCapture if the header is good.
+RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start = nullptr,
+                            IfDamaged if_damaged = IfDamaged::kRefuse);
 
 core::Pose to_core(const protocol::PoseSample& sample);
 core::Blade to_core(const protocol::BladeEdge& blade);

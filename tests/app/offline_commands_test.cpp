@@ -721,7 +721,51 @@ TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
   std::string corrupt = whole;
   corrupt[whole.size() / 2] = static_cast<char>(corrupt[whole.size() / 2] ^ 0x10);
   write("corrupt.capture", corrupt);
-  expect_error(run({"replay", "corrupt.capture"}), 1, {"corrupt.capture"});
+  expect_error(run({"replay", "corrupt.capture"}), 1, {"corrupt.capture", "--until-damage"});
+  expect_error(run({"export", "corrupt.capture", "--out", "a.vtu"}), 1,
+               {"corrupt.capture", "--until-damage"});
+}
+
+TEST_F(Incise, WhatIsBeforeTheDamageOfACaptureIsUsedWhereThatIsAskedFor) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  const std::string whole = tests::read_file(dir_ / "a.capture");
+  std::string damaged = whole;
+  damaged[whole.size() / 2] = static_cast<char>(damaged[whole.size() / 2] ^ 0x10);
+  write("damaged.capture", damaged);
+  const RunResult all = run({"replay", "a.capture", "--json"});
+  const RunResult result = run({"replay", "damaged.capture", "--until-damage", "--verify", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json facts = json::parse(result.out);
+  EXPECT_TRUE(facts["verified"]);
+  EXPECT_GT(facts["poses"], 0);
+  EXPECT_LT(facts["poses"], json::parse(all.out)["poses"]);
+  const auto poses = std::to_string(facts["poses"].get<int>());
+  EXPECT_NE(result.err.find("warning: damaged.capture: damaged (offset "), std::string::npos) << result.err;
+  EXPECT_NE(result.err.find("what is before is used: " + poses + " poses, up to revision "),
+            std::string::npos)
+      << result.err;
+  // The revision before the damage is the same in either; a capture made of what is left is whole.
+  ASSERT_EQ(run({"export", "damaged.capture", "--until-damage", "--out", "left.vtu"}).exit_code, 0);
+  const std::string compared = std::to_string(facts["compared"].get<int>());
+  ASSERT_EQ(run({"export", "damaged.capture", "--until-damage", "--revision", compared, "--out", "a.vtu"})
+                .exit_code,
+            0);
+  ASSERT_EQ(run({"export", "a.capture", "--revision", compared, "--out", "b.vtu"}).exit_code, 0);
+  EXPECT_EQ(tests::read_file(dir_ / "a.vtu"), tests::read_file(dir_ / "b.vtu"));
+  ASSERT_EQ(run({"convert", "damaged.capture", "--until-damage", "--mesh", "cube", "--out", "left.capture"})
+                .exit_code,
+            0);
+  const RunResult left = run({"replay", "left.capture", "--verify", "--json"});
+  ASSERT_EQ(left.exit_code, 0) << left.err;
+  EXPECT_EQ(json::parse(left.out)["poses"], facts["poses"]);
+  // Without a good header there is nothing before it.
+  std::string headless = whole;
+  headless[30] = static_cast<char>(headless[30] ^ 0x10);
+  write("headless.capture", headless);
+  const RunResult none = run({"replay", "headless.capture", "--until-damage"});
+  EXPECT_EQ(none.exit_code, 1);
+  EXPECT_EQ(none.err.find("--until-damage"), std::string::npos) << none.err;
 }
 
 TEST_F(Incise, InfoKnowsWhatAFileIs) {

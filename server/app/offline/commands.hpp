@@ -10,6 +10,7 @@
 #include <string>
 
 #include "protocol/motion.hpp"
+#include "server/app/offline/recorded_motion.hpp"
 
 namespace CLI {
 class App;
@@ -45,6 +46,7 @@ int run_feel(const FeelCommand& command);
 struct ReplayCommand {
   std::filesystem::path capture;
   std::filesystem::path mesh;  // instead of the one that the capture names
+  IfDamaged if_damaged = IfDamaged::kRefuse;
   bool verify = false;
   bool json = false;
 };
@@ -73,6 +75,7 @@ struct ExportCommand {
   std::filesystem::path capture, mesh, out;
   std::filesystem::path config;           // whose looks a file with materials has; empty: the capture's
   std::optional<std::uint64_t> revision;  // nothing: the last
+  IfDamaged if_damaged = IfDamaged::kRefuse;
   bool json = false;
 };
 // Replays a capture up to a revision and writes the mesh there.
@@ -81,6 +84,7 @@ int run_export(const ExportCommand& command);
 struct ConvertCommand {
   std::filesystem::path motion, out, config, mesh;
   protocol::Times times = protocol::Times::kSkip;
+  IfDamaged if_damaged = IfDamaged::kRefuse;
   bool json = false;
 };
 // Turns a motion (TUM, CSV, or a capture, whose configuration then is the default) into a capture of cutting a mesh with

@@ -15,6 +15,12 @@ void add_strict(CLI::App& command, protocol::Times& times) {
       "Refuse a motion whose times do not rise, instead of skipping samples");
 }
 
+void add_until_damage(CLI::App& command, IfDamaged& if_damaged) {
+  command.add_flag_callback(
+      "--until-damage", [&if_damaged] { if_damaged = IfDamaged::kEndThere; },
+      "Where a capture has wrong bytes, use what is before them, and say how much that is");
+}
+
 constexpr const char* kBladeHelp =
     "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres; the configuration's or the capture's if "
     "not "
@@ -71,6 +77,7 @@ void add_replay(CLI::App& app, int& exit_code) {
   sub->add_option("capture", command->capture, "The capture")->required();
   sub->add_option("--mesh", command->mesh, "The mesh, if the capture's has moved");
   sub->add_flag("--verify", command->verify, "Stop at the first batch that differs, and fail");
+  add_until_damage(*sub, command->if_damaged);
   sub->add_flag("--json", command->json, "Print the result as JSON");
   sub->callback([command, &exit_code] { exit_code = run_replay(*command); });
 }
@@ -115,6 +122,7 @@ void add_export(CLI::App& app, int& exit_code) {
   sub->add_option("--out", command->out,
                   "Where to write it: .vtu, .vtk, .msh, .msh2, .mesh, .node, a surface's ending, or .glb")
       ->required();
+  add_until_damage(*sub, command->if_damaged);
   sub->add_flag("--json", command->json, "Print the facts as JSON");
   sub->callback([command, &exit_code] { exit_code = run_export(*command); });
 }
@@ -122,12 +130,13 @@ void add_export(CLI::App& app, int& exit_code) {
 void add_convert(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<ConvertCommand>();
   CLI::App* sub = app.add_subcommand("convert", "Turn a motion into a capture of cutting a mesh with it");
-  sub->add_option("motion", command->motion, "The motion: TUM or CSV")->required();
+  sub->add_option("motion", command->motion, "The motion: TUM, CSV, or a capture")->required();
   sub->add_option("--mesh", command->mesh, "The mesh; the configuration's if not given");
   sub->add_option("--config", command->config,
                   "A configuration; without one the blade is always engaged, 5 cm long below the tool");
   sub->add_option("--out", command->out, "Where to write the capture")->required();
   add_strict(*sub, command->times);
+  add_until_damage(*sub, command->if_damaged);
   sub->add_flag("--json", command->json, "Print the facts as JSON");
   sub->callback([command, &exit_code] { exit_code = run_convert(*command); });
 }

@@ -17,9 +17,9 @@ bool mesh_is_there(const std::filesystem::path& path) {
 }  // namespace
 
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
-                        bool fields) {
+                        IfDamaged if_damaged, bool fields) {
   Replayable opened;
-  opened.motion = read_whole_capture(capture);
+  opened.motion = read_whole_capture(capture, if_damaged);
   const protocol::CaptureHeader& header = *opened.motion.header;
   opened.config = config_of(header, capture.string());
   if (!mesh.empty()) {

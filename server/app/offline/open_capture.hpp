@@ -18,6 +18,6 @@ struct Replayable {
 // Reads a capture, and the mesh that it was recorded with: `mesh`, or where the capture says, or beside it. Throws std::runtime_error, also
 // where that is another mesh. `fields`: with the mesh's fields.
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
-                        bool fields = false);
+                        IfDamaged if_damaged, bool fields = false);
 
 }  // namespace incise::app

@@ -44,13 +44,23 @@ std::ifstream open_file(const std::string& name) {
   return in;
 }
 
+RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged if_damaged) {
+  try {
+    return replay::read_capture(in, name, nullptr, if_damaged);
+  } catch (const replay::DamagedCapture& damage) {
+    throw std::runtime_error(std::string(damage.what()) +
+                             "; incise replay, export and convert use what is before it with --until-damage");
+  }
+}
+
 }  // namespace
 
-RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol::Times times) {
+RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol::Times times,
+                                    IfDamaged if_damaged) {
   const std::string name = path.string();
   std::ifstream in = open_file(name);
   if (begins_as_capture(in)) {
-    RecordedMotion motion = replay::read_capture(in, name);
+    RecordedMotion motion = read_capture(in, name, if_damaged);
     if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
   }
@@ -79,7 +89,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
   return motion;
 }
 
-RecordedMotion read_whole_capture(const std::filesystem::path& path) {
+RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged) {
   const std::string name = path.string();
   std::ifstream in = open_file(name);
   if (!begins_as_capture(in)) {
@@ -87,7 +97,7 @@ RecordedMotion read_whole_capture(const std::filesystem::path& path) {
                              ": is not a capture; incised records one (capture.path), and incise convert "
                              "makes one of a motion");
   }
-  return replay::read_capture(in, name);
+  return read_capture(in, name, if_damaged);
 }
 
 std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path,

@@ -15,6 +15,7 @@
 namespace incise::app {
 
 using replay::CaptureStart;
+using replay::IfDamaged;
 using replay::MotionEvent;
 using replay::positions_of;
 using replay::RecordedMotion;
@@ -25,9 +26,10 @@ using replay::to_core;
 // rise. kSkip keeps those of a capture, since a replay needs everything that was recorded. Throws
 // protocol::MotionError or std::runtime_error: one line.
 RecordedMotion read_recorded_motion(const std::filesystem::path& path,
-                                    protocol::Times times = protocol::Times::kSkip);
+                                    protocol::Times times = protocol::Times::kSkip,
+                                    IfDamaged if_damaged = IfDamaged::kRefuse);
 // The same for a capture; throws if it is not one.
-RecordedMotion read_whole_capture(const std::filesystem::path& path);
+RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged);
 
 // The rest of a capture after that place; nothing if there is no such record. The cost does not depend on what lies
 // before it. Throws std::runtime_error.

@@ -43,7 +43,7 @@ void replay(core::CutSession& session, const Replayable& opened,
 }  // namespace
 
 int run_replay(const ReplayCommand& command) {
-  const Replayable opened = open_capture(command.capture, command.mesh);
+  const Replayable opened = open_capture(command.capture, command.mesh, command.if_damaged);
   std::map<std::uint64_t, protocol::BatchMark> marks;
   for (const protocol::BatchMark& mark : opened.motion.marks) marks[mark.revision] = mark;
 
@@ -115,7 +115,8 @@ int run_replay(const ReplayCommand& command) {
 int run_export(const ExportCommand& command) {
   require_mesh_output(command.out, "--out");
   require_not_read(command.out, {command.capture, command.mesh}, "--out");
-  Replayable opened = open_capture(command.capture, command.mesh, keeps_fields(command.out));
+  Replayable opened =
+      open_capture(command.capture, command.mesh, command.if_damaged, keeps_fields(command.out));
   std::vector<RegionMaterials> regions;
   if (keeps_materials(command.out)) {
     const bool other = !command.config.empty();
@@ -222,7 +223,7 @@ Config convert_config(const ConvertCommand& command, const RecordedMotion& motio
 }
 
 Conversion convert(const ConvertCommand& command, Progress& progress) {
-  RecordedMotion motion = read_recorded_motion(command.motion, command.times);
+  RecordedMotion motion = read_recorded_motion(command.motion, command.times, command.if_damaged);
   Config config = convert_config(command, motion);
   progress.stage("loading the mesh");
   const Body body = load_body(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
