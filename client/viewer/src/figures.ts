@@ -19,6 +19,8 @@ export class Figures {
   progress: Progress | null = null;
   readonly latency = new Latency();
   private looksWithoutPose = 0;
+  private agrees: boolean | null = null; // null: no state yet
+  private live = true;
   private last = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
   private readonly charts = {
     latency: new Chart(element<HTMLCanvasElement>("latency-chart"), 20, 2, kNoticed_ms),
@@ -49,10 +51,25 @@ export class Figures {
    * again.
    */
   showTrust(agrees: boolean): void {
-    element("hash-row").dataset.agrees = String(agrees);
-    element("hash-text").textContent = agrees
-      ? "Checked: it agrees with the server"
-      : "It differs from the server: loading it again";
+    this.agrees = agrees;
+    this.drawTrust();
+  }
+
+  /** Whether the server answers: without it nothing is checked, and the figures are the last ones. */
+  showLive(live: boolean): void {
+    document.body.dataset.live = live ? "yes" : "no";
+    this.live = live;
+    this.drawTrust();
+  }
+
+  private drawTrust(): void {
+    if (this.agrees === null) return;
+    element("hash-row").dataset.agrees = this.live ? String(this.agrees) : "unknown";
+    element("hash-text").textContent = !this.live
+      ? "Not checked: no answer"
+      : this.agrees
+        ? "Checked: it agrees with the server"
+        : "It differs from the server: loading it again";
   }
 
   showCutArea(area_m2: number): void {

@@ -141,14 +141,15 @@ export class Look {
   measureCover(): void {
     const player = element("player").hidden ? null : element("player");
     const panel = document.body.dataset.panel !== "closed" && !this.narrow;
+    // First, since it gives the tools their width, and so their lines.
+    document.body.style.setProperty("--free-middle", `${(panel ? element("panel").offsetLeft : innerWidth) / 2}px`);
+    document.body.style.setProperty("--tools-top", `${innerHeight - element("tools").offsetTop}px`);
     this.stage.setCover({
       left: 0,
       right: panel ? innerWidth - element("panel").offsetLeft : 0,
       top: 0.6 * element("title").offsetHeight,
       bottom: innerHeight - (player ?? element("tools")).offsetTop,
     });
-    document.body.style.setProperty("--tools-top", `${innerHeight - element("tools").offsetTop}px`);
-    document.body.style.setProperty("--free-middle", `${(panel ? element("panel").offsetLeft : innerWidth) / 2}px`);
   }
 
   private get storedTheme(): string {

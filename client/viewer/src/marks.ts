@@ -3,6 +3,8 @@ import type * as THREE from "three";
 const kFont = '600 13px ui-sans-serif, system-ui, "Segoe UI", Arial, sans-serif';
 const kPad_px = 7;
 const kHeight_px = 22;
+const kLabelStep_px = kHeight_px + 3;
+const kMostLabelSteps = 6;
 
 /** Lines, dots and labels over the picture, in the colours of the page. Drawn without drawing the body again. */
 export class Marks {
@@ -13,6 +15,7 @@ export class Marks {
   private pen: CanvasRenderingContext2D;
   private colours = { accent: "", ground: "", ink: "" };
   private used = false;
+  private labels: { x: number; y: number; width: number }[] = []; // of this drawing
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -30,6 +33,7 @@ export class Marks {
       this.canvas.height = height * scale;
     }
     this.used = false;
+    this.labels = [];
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of [...this.layers, ...this.tools]) layer(this);
     // Chromium 156 without a graphics card goes on showing a canvas that was cleared and got nothing new.
@@ -40,6 +44,7 @@ export class Marks {
   drawOn(sheet: CanvasRenderingContext2D, scale: number): void {
     const { pen, used } = this;
     this.pen = sheet;
+    this.labels = [];
     sheet.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of this.layers) layer(this);
     sheet.resetTransform();
@@ -111,7 +116,7 @@ export class Marks {
     this.pen.stroke();
   }
 
-  /** A label beside this place, inside the picture. border: in CSS, else the accent's. */
+  /** A label beside this place, inside the picture, above or below the labels that are there. border: in CSS, else the accent's. */
   label(at: THREE.Vector3, text: string, border?: string): void {
     const place = this.onScreen(at);
     if (!place) return;
@@ -119,7 +124,8 @@ export class Marks {
     this.pen.font = kFont;
     const width = this.pen.measureText(text).width + 2 * kPad_px;
     const x = Math.max(4, Math.min(place[0] + 12, this.canvas.clientWidth - width - 4));
-    const y = Math.max(4, Math.min(place[1] - kHeight_px - 8, this.canvas.clientHeight - kHeight_px - 4));
+    const y = this.freeHeight(x, place[1] - kHeight_px - 8, width);
+    this.labels.push({ x, y, width });
     this.pen.beginPath();
     this.pen.roundRect(x, y, width, kHeight_px, 6);
     this.pen.fillStyle = ground;
@@ -130,6 +136,17 @@ export class Marks {
     this.pen.fillStyle = ink;
     this.pen.textBaseline = "middle";
     this.pen.fillText(text, x + kPad_px, y + kHeight_px / 2 + 0.5);
+  }
+
+  /** The height nearest to `y` where a label covers no other; that of `y` where all are taken. */
+  private freeHeight(x: number, y: number, width: number): number {
+    const inside = (at: number) => Math.max(4, Math.min(at, this.canvas.clientHeight - kHeight_px - 4));
+    const free = (at: number) =>
+      this.labels.every((l) => Math.abs(l.y - at) >= kHeight_px || x >= l.x + l.width || l.x >= x + width);
+    for (let step = 0; step <= kMostLabelSteps; ++step) {
+      for (const at of [inside(y - step * kLabelStep_px), inside(y + step * kLabelStep_px)]) if (free(at)) return at;
+    }
+    return inside(y);
   }
 
   private begin(): { accent: string; ground: string; ink: string } {

@@ -351,6 +351,7 @@ export class Page {
 
   private showConnection(): void {
     const { stage, text } = this.viewState;
+    this.figures.showLive(stage === "open");
     const replaying = this.replay.facts !== null && stage === "open";
     element("connection").dataset.stage = replaying ? "replay" : stage;
     element("connection-text").textContent = replaying ? "Replay (a copy)" : stage === "open" ? kOpenText : text;

@@ -15,6 +15,7 @@ const {
   Operator,
   Measure,
   BodyMesh,
+  Marks,
   allocateCorners,
   notice,
   Vector3,
@@ -28,6 +29,7 @@ const {
   "operator",
   "measure",
   "body_mesh",
+  "marks",
   "corner_buffers",
   "notices",
   "../node_modules/three",
@@ -82,6 +84,42 @@ test("a question mark opens the help, which lists every key once", () => {
   );
 });
 
+// ---- Labels ----
+
+test("labels that would cover each other lie above or below one another, inside the picture", () => {
+  const boxes = [];
+  const pen = new Proxy(
+    {},
+    {
+      get: (_, name) =>
+        name === "roundRect" ? (...box) => boxes.push(box) : name === "measureText" ? () => ({ width: 40 }) : () => {},
+      set: () => true,
+    },
+  );
+  const canvas = { clientWidth: 200, clientHeight: 100, style: {}, getContext: () => pen };
+  globalThis.devicePixelRatio ??= 1;
+  globalThis.getComputedStyle ??= () => ({ getPropertyValue: () => "" });
+  const camera = new PerspectiveCamera(50, 2, 0.1, 10);
+  camera.position.z = 1;
+  camera.updateMatrixWorld();
+  const marks = new Marks(canvas, camera);
+  marks.layers.push(() => {
+    for (const name of ["one", "two", "three"]) marks.label(new Vector3(0, 0, 0), name);
+    marks.label(new Vector3(-0.6, 0, 0), "elsewhere");
+  });
+  for (let drawing = 0; drawing < 2; ++drawing) {
+    boxes.length = 0;
+    marks.draw();
+    assert.equal(boxes.length, 4);
+    for (const [i, [x, y, width, height]] of boxes.entries()) {
+      assert.ok(x >= 0 && y >= 0 && x + width <= 200 && y + height <= 100);
+      for (const [u, v, w, h] of boxes.slice(0, i))
+        assert.ok(x >= u + w || u >= x + width || y >= v + h || v >= y + height, "labels cover each other");
+    }
+    assert.equal(boxes[3][1], boxes[0][1], "a label with room keeps its height");
+  }
+});
+
 // ---- Figures ----
 
 const progress = {
@@ -106,6 +144,22 @@ test("the light of the hash is green where hashes agree, and only there", () => 
   figures.show(progress); // of a patch from before
   assert.equal(byId("hash-row").dataset.agrees, "false");
   assert.match(byId("hash-text").textContent, /differs/);
+});
+
+test("without the server nothing is checked: the light is neutral, and as before when it is back", () => {
+  const figures = new Figures();
+  figures.showLive(false); // while the page connects
+  figures.showTrust(true);
+  assert.equal(byId("hash-row").dataset.agrees, "unknown");
+  figures.showLive(true);
+  assert.equal(byId("hash-row").dataset.agrees, "true");
+  figures.showLive(false);
+  assert.equal(byId("hash-row").dataset.agrees, "unknown");
+  assert.match(byId("hash-text").textContent, /Not checked/);
+  assert.equal(document.body.dataset.live, "no");
+  figures.showTrust(false);
+  figures.showLive(true);
+  assert.equal(byId("hash-row").dataset.agrees, "false");
 });
 
 test("the frame budget is the share of the frames since the last look", () => {
