@@ -43,13 +43,15 @@ void Client::Impl::start() {
   // connect_timeout_s runs in the coroutine; a resolver that hangs is the one thing it cannot end.
   const bool answered = wait([this] { return started; }, options.connect_timeout_s + 1);
   std::string why;
+  protocol::ErrorCode code{};
   {
     const std::scoped_lock lock(mutex);
     if (current_status == Status::kConnected) return;
+    code = refusal;
     why = answered ? error_text : host + ":" + std::to_string(port) + ": no answer in time";
   }
   stop();
-  throw ConnectError(why);
+  throw ConnectError(why, code);
 }
 
 void Client::Impl::close() {

@@ -25,9 +25,12 @@
 
 namespace incise::client {
 
-// The server could not be reached, or refused us. The message says which server and why.
+// The server could not be reached, or refused us. The message says which server and why; `code` is the reason of a server that
+// gave one.
 struct ConnectError : std::runtime_error {
-  using std::runtime_error::runtime_error;
+  explicit ConnectError(const std::string& what, protocol::ErrorCode why = protocol::ErrorCode::Unknown)
+      : std::runtime_error(what), code(why) {}
+  protocol::ErrorCode code;
 };
 
 enum class TransportKind : std::uint8_t { kTcp, kWebSocket };

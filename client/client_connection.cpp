@@ -30,6 +30,8 @@ asio::awaitable<void> Client::Impl::live() {
       why = take_failure();
     } catch (const ConnectError& error) {
       why = error.what();
+      const std::scoped_lock lock(mutex);
+      refusal = error.code;
     }
     const bool again = end_connection(why);
     if (!again) break;
@@ -54,10 +56,10 @@ std::string Client::Impl::take_failure() {
   return std::exchange(failure, {});
 }
 
-void Client::Impl::throw_failure(const std::string& what) {
+void Client::Impl::throw_failure(const std::string& what, protocol::ErrorCode code) {
   std::string why = take_failure();
   if (why.empty()) why = what;
-  throw ConnectError(host + ":" + std::to_string(port) + ": " + why);
+  throw ConnectError(host + ":" + std::to_string(port) + ": " + why, code);
 }
 
 bool Client::Impl::end_connection(const std::string& why) {
@@ -127,7 +129,8 @@ asio::awaitable<void> Client::Impl::connect_once() {
   last_received_ns = monotonic_ns();
   const protocol::DecodeResult decoded = protocol::decode(received.body);
   if (!decoded) throw_failure(decoded.error);
-  if (const auto* error = std::get_if<protocol::Error>(&decoded.message->body)) throw_failure(error->text);
+  if (const auto* error = std::get_if<protocol::Error>(&decoded.message->body))
+    throw_failure(error->text, error->code);
   if (const auto* bye = std::get_if<protocol::Bye>(&decoded.message->body)) throw_failure(bye->text);
   const auto* welcome = std::get_if<protocol::Welcome>(&decoded.message->body);
   if (!welcome) throw_failure(std::string("Welcome expected, received ") + name_of(decoded.message->body));

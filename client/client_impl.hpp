@@ -69,7 +69,8 @@ struct Client::Impl {
   // The first reason for the connection's end counts.
   void note_failure(const std::string& why);
   std::string take_failure();
-  [[noreturn]] void throw_failure(const std::string& what);
+  [[noreturn]] void throw_failure(const std::string& what,
+                                  protocol::ErrorCode code = protocol::ErrorCode::Unknown);
 
   // ---- The client's thread: messages (client_messages.cpp) ----
 
@@ -131,6 +132,7 @@ struct Client::Impl {
   bool started = false;  // the first attempt has ended, in success or not
   bool closed = false;   // by close()
   std::string error_text, failure;
+  protocol::ErrorCode refusal = protocol::ErrorCode::Unknown;  // why the last attempt to connect was refused
   protocol::Welcome last_welcome;
   protocol::PoseReport last_report;
   Counters counts;

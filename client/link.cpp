@@ -104,8 +104,15 @@ asio::awaitable<std::unique_ptr<Link>> finish(NetStream stream, std::shared_ptr<
   const error_code ec = co_await link->shake_hands(name);
   if (ec) {
     const bool silent = ec == beast::http::error::end_of_stream || ec == asio::error::eof;
+    const bool no_http = ec == beast::http::error::bad_version || ec == beast::http::error::bad_status ||
+                         ec == beast::http::error::bad_line_ending;
     fail(host, port,
-         "cannot open a WebSocket: " + (silent && !tls_used ? std::string(kMaybeTls) : ec.message()));
+         "cannot open a WebSocket: " +
+             (silent && !tls_used ? std::string(kMaybeTls)
+              : no_http
+                  ? "the port does not speak HTTP: use incised's HTTP port (7480 where its configuration "
+                    "says nothing else), or no ws:// before this one"
+                  : ec.message()));
   }
   co_return link;
 }

@@ -37,14 +37,19 @@ protocol::Times times_of(const StreamCommand& command) {
   return command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip;
 }
 
+// "1 pose", "2 poses"
+std::string counted(std::uint64_t n, const char* what) {
+  return std::to_string(n) + " " + what + (n == 1 ? "" : "s");
+}
+
 using PosesOfSources = std::map<std::uint32_t, std::uint64_t>;
 
 // "source 1 (200 poses), source 2 (1 pose)"
 std::string listed(const PosesOfSources& sources) {
   std::string text;
   for (const auto& [source, poses] : sources) {
-    text += (text.empty() ? "source " : ", source ") + std::to_string(source) + " (" + std::to_string(poses) +
-            (poses == 1 ? " pose)" : " poses)");
+    text += (text.empty() ? "source " : ", source ") + std::to_string(source) + " (" +
+            counted(poses, "pose") + ")";
   }
   return text;
 }
@@ -143,11 +148,20 @@ class Player {
     const bool settled = wait_until_settled();
     seconds_ = std::chrono::duration<double>(steady_clock::now() - began).count();
     print(settled);
-    if (!connected()) throw std::runtime_error(command_.server.address + ": " + client_.last_error());
+    if (!connected()) {
+      throw std::runtime_error(command_.server.address + ": " + client_.last_error() + "; it acknowledged " +
+                               std::to_string(acknowledged()) + " of " + counted(sent_, "pose") + " sent");
+    }
     return settled ? 0 : 1;
   }
 
  private:
+  // Poses that the server has reported, taken or not.
+  std::uint64_t acknowledged() const {
+    const protocol::PoseReport r = client_.report();
+    return r.accepted + r.not_finite + r.not_unit + r.time_not_rising + r.queue_full;
+  }
+
   bool connected() const { return client_.status() == Status::kConnected; }
 
   bool restarts_at(std::size_t pose) const {
@@ -258,9 +272,10 @@ class Player {
                   " with a time that does not rise, %" PRIu64 " queue full)",
                   r.not_finite, r.not_unit, r.time_not_rising, r.queue_full);
     }
-    std::printf("; %" PRIu64 " new strokes by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
-                r.too_fast, welcome_.revision, revision);
-    if (!settled) std::printf("the server has not received and cut all of them within %.0f s\n", kPatience_s);
+    std::printf("; %s by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
+                counted(r.too_fast, "new stroke").c_str(), welcome_.revision, revision);
+    if (!settled && connected())
+      std::printf("the server has not received and cut all of them within %.0f s\n", kPatience_s);
   }
 
   const StreamCommand& command_;
@@ -300,6 +315,18 @@ void reset_body(const Address& where, Options options) {
   }
 }
 
+std::unique_ptr<Client> connect_operator(const Address& where, const Options& options, Callbacks callbacks) {
+  try {
+    return connect(where, options, std::move(callbacks));
+  } catch (const ConnectError& error) {
+    if (error.code != protocol::ErrorCode::BladeTaken || options.take_over) throw;
+    throw ConnectError(
+        std::string(error.what()) +
+            "; --source NAME uses a blade of your own, --take-over takes this one from its holder",
+        error.code);
+  }
+}
+
 }  // namespace
 
 int run_stream(const StreamCommand& command) {
@@ -332,7 +359,7 @@ int run_stream(const StreamCommand& command) {
       if (step.cut_area_m2 > 0) seen.faces = true;
     }
   };
-  const auto client = connect(where, options, std::move(callbacks));
+  const auto client = connect_operator(where, options, std::move(callbacks));
   return Player(command, *client, std::move(recorded), seen).run();
 }
 

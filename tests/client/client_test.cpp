@@ -234,13 +234,20 @@ TEST(Client, SaysWhyItCannotConnect) {
     gone = test.server.tcp_port();
     Options web;
     web.transport = TransportKind::kWebSocket;
-    EXPECT_NE(problem("127.0.0.1", test.server.tcp_port(), web), "") << "a WebSocket on the TCP port";
+    const std::string tcp = problem("127.0.0.1", test.server.tcp_port(), web);
+    EXPECT_NE(tcp.find("the port does not speak HTTP: use incised's HTTP port"), std::string::npos) << tcp;
     EXPECT_NE(problem("127.0.0.1", test.server.http_port()), "") << "TCP on the HTTP port";
     test.loop.start();
     Options op = options(Role::Operator);
     const auto first = Client::connect("127.0.0.1", gone, op);
     const std::string taken = problem("127.0.0.1", gone, op);
     EXPECT_NE(taken.find("held by another operator"), std::string::npos) << taken;
+    try {
+      Client::connect("127.0.0.1", gone, op);
+      ADD_FAILURE() << "two hold a blade";
+    } catch (const ConnectError& error) {
+      EXPECT_EQ(error.code, protocol::ErrorCode::BladeTaken);
+    }
   }
   EXPECT_NE(problem("127.0.0.1", gone).find("127.0.0.1:" + std::to_string(gone)), std::string::npos);
 }

@@ -445,8 +445,8 @@ struct PlayedTo {
     ::testing::internal::CaptureStderr();
     try {
       status = run_stream(command);
-    } catch (const std::runtime_error&) {
-      // It has gone.
+    } catch (const std::runtime_error& error) {
+      thrown = error.what();  // it has gone
     }
     thread.join();
     printed = ::testing::internal::GetCapturedStdout();
@@ -454,7 +454,7 @@ struct PlayedTo {
   }
   static inline std::uint64_t sequence = 0;  // of the last batch
   int status = -1;
-  std::string printed;
+  std::string printed, thrown;
 };
 
 // Between two rounds lies half a second of source time, at any speed: the server begins a new stroke there.
@@ -504,6 +504,44 @@ TEST_F(CommandsTest, EveryPoseThatTheServerRejectsIsCounted) {
   EXPECT_EQ(
       summary["rejected"],
       (nlohmann::json{{"not_finite", 1}, {"not_unit", 20}, {"time_not_rising", 300}, {"queue_full", 4000}}));
+}
+
+TEST_F(CommandsTest, AServerThatDiesIsNamedWithWhatItAcknowledged) {
+  StreamCommand command;
+  command.poses = directory / "motion.csv";
+  command.speed = 0;
+  const PlayedTo played(
+      [](stream::RawPeer& peer) {
+        PlayedTo::poses(peer, 200);
+        protocol::PoseReport report;
+        report.through_sequence = PlayedTo::sequence - 1;
+        report.accepted = 120;
+        report.not_unit = 3;
+        report.too_fast = 1;
+        peer.send(report);
+      },
+      command);
+  EXPECT_EQ(played.status, -1);
+  EXPECT_NE(played.thrown.find("; it acknowledged 123 of 200 poses sent"), std::string::npos)
+      << played.thrown;
+  EXPECT_NE(played.printed.find("; 1 new stroke by speed or gap\n"), std::string::npos) << played.printed;
+  EXPECT_EQ(played.printed.find("within 10 s"), std::string::npos) << played.printed;
+}
+
+TEST_F(CommandsTest, ABladeThatIsHeldComesWithWhatToDo) {
+  const StreamCommand command = stream_of("motion.csv", 0);
+  Options options;
+  options.role = protocol::Role::Operator;
+  options.source_name = command.source_name;
+  const auto holder = Client::connect("127.0.0.1", test.server.tcp_port(), options);
+  try {
+    run_stream(command);
+    ADD_FAILURE() << "two hold a blade";
+  } catch (const ConnectError& error) {
+    EXPECT_NE(std::string(error.what()).find("; --source NAME uses a blade of your own, --take-over takes"),
+              std::string::npos)
+        << error.what();
+  }
 }
 
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
