@@ -46,10 +46,10 @@ std::string_view trim(std::string_view text) {
   return text.substr(first, text.find_last_not_of(kSpace) - first + 1);
 }
 
-std::vector<std::string_view> split_commas(std::string_view line) {
+std::vector<std::string_view> split_at(char separator, std::string_view line) {
   std::vector<std::string_view> fields;
-  for (std::size_t comma; (comma = line.find(',')) != std::string_view::npos; line.remove_prefix(comma + 1)) {
-    fields.push_back(trim(line.substr(0, comma)));
+  for (std::size_t end; (end = line.find(separator)) != std::string_view::npos; line.remove_prefix(end + 1)) {
+    fields.push_back(trim(line.substr(0, end)));
   }
   fields.push_back(trim(line));
   return fields;
@@ -107,7 +107,10 @@ class MotionReader {
       if (line.starts_with('#')) continue;
       if (!known_) {
         known_ = true;
-        motion_.csv = line.find(',') != std::string_view::npos;
+        // Spreadsheets that write decimal commas separate by semicolons.
+        const std::size_t end = line.find_first_of(",;");
+        motion_.csv = end != std::string_view::npos;
+        if (motion_.csv) separator_ = line[end];
         if (motion_.csv) {
           read_names(line);
           continue;
@@ -115,7 +118,7 @@ class MotionReader {
         check_first_tum(line);
         motion_.has_orientation = true;
       }
-      const auto fields = motion_.csv ? split_commas(line) : split_spaces(line);
+      const auto fields = motion_.csv ? split_at(separator_, line) : split_spaces(line);
       motion_.csv ? take_csv(fields) : take_tum(fields);
       add_sample();
     }
@@ -174,7 +177,11 @@ class MotionReader {
   }
 
   void read_names(std::string_view line) {
-    const auto names = split_commas(line);
+    const auto names = split_at(separator_, line);
+    if (parse_number(names.front())) {
+      fail_unknown("the first line of a CSV has the columns' names, in any order; it should be " +
+                   std::string(kCsvHeader) + ", found " + in_quotes(line));
+    }
     for (std::size_t i = 0; i < names.size(); ++i) {
       const auto known = std::find(kNames.begin(), kNames.end(), names[i]);
       if (known == kNames.end()) continue;
@@ -215,13 +222,18 @@ class MotionReader {
   void take(Column column, std::string_view text) {
     if (column == kT) {
       const auto ns = parse_seconds(text);
-      if (!ns) fail("t_s is " + in_quotes(text) + ", accepted are seconds within +-9e9");
+      if (!ns) {
+        fail("t_s is " + in_quotes(text) + ", accepted are seconds within +-9e9" +
+             (text.find(',') != std::string_view::npos ? " with a decimal point" : ""));
+      }
       sample_.source_ns = *ns;
       return;
     }
     const auto value = parse_number(text);
-    if (!value)
-      fail(std::string(kNames[column]) + " is " + in_quotes(text) + ", accepted are finite numbers");
+    if (!value) {
+      fail(std::string(kNames[column]) + " is " + in_quotes(text) + ", accepted are finite numbers" +
+           (text.find(',') != std::string_view::npos ? " with a decimal point" : ""));
+    }
     if (column >= kX && column <= kZ && std::abs(*value) > kMaxCoordinate) {
       fail(std::string(kNames[column]) + " is " + std::string(text) +
            ", accepted are coordinates within +-1e6 m");
@@ -276,7 +288,8 @@ class MotionReader {
   RisingSamples samples_;
   std::size_t line_number_ = 0;
   std::string text_;
-  bool known_ = false;  // the format
+  bool known_ = false;    // the format
+  char separator_ = ',';  // of a CSV
   std::array<std::optional<std::size_t>, kColumns> place_;
   std::size_t names_ = 0;
   PoseSample sample_;

@@ -58,6 +58,13 @@ TEST(Motion, ReadsCsvByTheNamesOfItsColumns) {
   EXPECT_EQ(m.samples[1].buttons, 0x80000000u);
 }
 
+TEST(Motion, ReadsCsvThatIsSeparatedBySemicolons) {
+  const Motion m = read("t_s;x_m;y_m;z_m;comment\n0;1;2;3;a, b\n0.5;1;2;4;\n");
+  ASSERT_EQ(m.samples.size(), 2u);
+  EXPECT_EQ(m.samples[1].position, (Vec3{1, 2, 4}));
+  EXPECT_EQ(read("t_s,x_m,y_m,z_m,comment\n0,1,2,3,a; b\n").samples.size(), 1u);
+}
+
 TEST(Motion, PositionsAloneAreEnough) {
   const Motion m = read("t_s,x_m,y_m,z_m\n-0.25,0,0,0\n0,0,0,1\n+0.000000001,0,0,2\n");
   ASSERT_EQ(m.samples.size(), 3u);
@@ -170,7 +177,14 @@ TEST(Motion, ErrorsNameFileLineAndWhatIsAccepted) {
       {"root:x:0:0\n", "m.csv:1: not a motion: it begins with 'root:x:0:0'"},
       {"0\n", "m.csv:1: 1 field, accepted are 8"},
       {"t_s,x_m,y_m\n", "m.csv:1: no column z_m; accepted are t_s,x_m"},
-      {"0,1,2,3\n", "m.csv:1: no column t_s"},
+      {"0,1,2,3\n",
+       "m.csv:1: the first line of a CSV has the columns' names, in any order; it should be t_s,x_m"},
+      {"0;1;2;3\n", "m.csv:1: the first line of a CSV has the columns' names"},
+      {"a,b\n", "m.csv:1: no column t_s"},
+      {"t_s;x_m;y_m;z_m\n0;0,5;0;0\n",
+       "m.csv:2: x_m is '0,5', accepted are finite numbers with a decimal point"},
+      {"t_s;x_m;y_m;z_m\n0,5;1;0;0\n",
+       "m.csv:2: t_s is '0,5', accepted are seconds within +-9e9 with a decimal point"},
       {"t_s,x_m,y_m,z_m,x_m\n", "m.csv:1: column x_m twice"},
       {"t_s,x_m,y_m,z_m,qw\n", "m.csv:1: only some of the columns qw, qx, qy, qz"},
       {head + "0,0,0,0,1,0,0,0\n", "m.csv:2: 8 fields where the header has 9"},
