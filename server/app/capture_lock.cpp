@@ -59,7 +59,8 @@ std::string process_text(int fd) {
 
 }  // namespace
 
-CaptureLock::CaptureLock(const std::filesystem::path& capture, IfHeld if_held) : file_(lock_file(capture)) {
+CaptureLock::CaptureLock(const std::filesystem::path& capture, IfHeld if_held, const std::string& setting)
+    : file_(lock_file(capture)) {
   for (;;) {
     const int fd = open_file(file_);
     const int error = fd < 0 ? errno : lock(fd);
@@ -77,8 +78,8 @@ CaptureLock::CaptureLock(const std::filesystem::path& capture, IfHeld if_held) :
       return;
     }
     if (if_held == IfHeld::kGoOn) return;
-    throw ConfigError("capture.path: " + capture.string() + " is being written by another incised" + process +
-                      "; give each server its own");
+    throw ConfigError(setting + ": " + capture.string() + " is being written by another incised" + process +
+                      "; give each its own");
   }
 }
 

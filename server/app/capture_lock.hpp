@@ -13,8 +13,10 @@ class CaptureLock {
   // Where a lease says who writes (failover), the lock of an instance that only stands still must not keep others out.
   enum class IfHeld { kRefuse, kGoOn };
   // Takes the lock, before anything is done to the capture. Throws ConfigError if another process, or another CaptureLock
-  // of this one, has it. Where files cannot be locked, goes on without; trouble() says why.
-  explicit CaptureLock(const std::filesystem::path& capture, IfHeld if_held = IfHeld::kRefuse);
+  // of this one, has it: the message calls the capture `setting`. Where files cannot be locked, goes on without; trouble()
+  // says why.
+  explicit CaptureLock(const std::filesystem::path& capture, IfHeld if_held = IfHeld::kRefuse,
+                       const std::string& setting = "capture.path");
   ~CaptureLock();
   CaptureLock(const CaptureLock&) = delete;
   CaptureLock& operator=(const CaptureLock&) = delete;

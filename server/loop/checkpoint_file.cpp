@@ -92,6 +92,12 @@ void write_checkpoint(const std::string& path, const Checkpoint& checkpoint) {
   if (folder.fd < 0 || ::fsync(folder.fd) != 0) fail(parent.string());
 }
 
+bool begins_as_checkpoint(const std::string& path) {
+  std::array<char, sizeof kMagic> first{};
+  std::ifstream in(path, std::ios::binary);
+  return in.read(first.data(), first.size()) && std::memcmp(first.data(), kMagic, sizeof kMagic) == 0;
+}
+
 std::optional<Checkpoint> read_checkpoint(const std::string& path, std::string& error) {
   error.clear();
   const auto refuse = [&](const char* what) {

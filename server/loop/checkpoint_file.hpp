@@ -27,6 +27,8 @@ std::string checkpoint_path(const std::string& journal, int number);
 // std::system_error.
 void write_checkpoint(const std::string& path, const Checkpoint& checkpoint);
 
+// Whether a file begins as a checkpoint does.
+bool begins_as_checkpoint(const std::string& path);
 // Reads and checks a checkpoint; the bytes of its state remain untrusted. Returns nothing if the file is not a whole
 // checkpoint, with one line in `error`, or does not exist, without.
 std::optional<Checkpoint> read_checkpoint(const std::string& path, std::string& error);

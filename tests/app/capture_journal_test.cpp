@@ -141,7 +141,7 @@ TEST_F(CaptureJournalTest, OnlyOneWritesACapture) {
     } catch (const ConfigError& error) {
       EXPECT_EQ(std::string(error.what()), "capture.path: " + path_ +
                                                " is being written by another incised (process " +
-                                               std::to_string(::getpid()) + "); give each server its own");
+                                               std::to_string(::getpid()) + "); give each its own");
     }
     EXPECT_EQ(poses(), 1u);
     // A start moves the old capture away, and a failover replaces it: the lock stays.

@@ -12,8 +12,10 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "server/app/capture_lock.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
+#include "server/loop/checkpoint_file.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/support/bodies.hpp"
 #include "tests/support/images.hpp"
@@ -768,6 +770,20 @@ TEST_F(Incise, WhatIsBeforeTheDamageOfACaptureIsUsedWhereThatIsAskedFor) {
   EXPECT_EQ(none.err.find("--until-damage"), std::string::npos) << none.err;
 }
 
+TEST_F(Incise, ACaptureThatAServerWritesIsNotOverwritten) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  const std::string before = tests::read_file(dir_ / "a.capture");
+  {
+    const CaptureLock server(dir_ / "a.capture");
+    expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}), 1,
+                 {"--out: a.capture is being written by another incised (process "});
+    EXPECT_EQ(tests::read_file(dir_ / "a.capture"), before);
+  }
+  EXPECT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  EXPECT_FALSE(fs::exists(dir_ / "a.capture.lock"));
+}
+
 TEST_F(Incise, InfoKnowsWhatAFileIs) {
   write_cube_and_sweep();
   const auto facts = [&](const std::string& file) {
@@ -789,6 +805,17 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
   EXPECT_EQ(capture["poses"], 400);
   EXPECT_TRUE(capture["closed"]);
   ASSERT_EQ(run({"phantom", "slab", "--size", "600", "--out", "slab.stl"}).exit_code, 0);
+  loop::Checkpoint checkpoint;
+  checkpoint.revision = 7;
+  checkpoint.state.resize(100);
+  loop::write_checkpoint((dir_ / "a.capture.checkpoint-0").string(), checkpoint);
+  const json resumed = facts("a.capture.checkpoint-0");
+  EXPECT_EQ(resumed["kind"], "checkpoint of a capture");
+  EXPECT_EQ(resumed["revision"], 7);
+  std::string damaged = tests::read_file(dir_ / "a.capture.checkpoint-0");
+  damaged.back() = 1;
+  write("damaged.checkpoint-0", damaged);
+  expect_error(run({"info", "damaged.checkpoint-0"}), 1, {"damaged.checkpoint-0: is damaged", "--resume"});
   json surface = facts("slab.stl");
   EXPECT_EQ(surface["kind"], "surface");
   EXPECT_TRUE(surface["fillable"]);

@@ -269,8 +269,7 @@ TEST_F(Incised, ACaptureHasOneServer) {
       if (resume) arguments.emplace_back("--resume");
       const RunResult refused = run(arguments);
       EXPECT_EQ(refused.exit_code, 1);
-      EXPECT_NE(refused.err.find(refusal + std::to_string(pid) + "); give each server its own\n"),
-                std::string::npos)
+      EXPECT_NE(refused.err.find(refusal + std::to_string(pid) + "); give each its own\n"), std::string::npos)
           << refused.err;
       EXPECT_EQ(tests::read_file(dir_ / "session.capture"), before);
       EXPECT_FALSE(fs::exists(dir_ / "session.capture.old"));

@@ -12,8 +12,10 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
+#include "server/base/hex.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/input/hid/device_profile.hpp"
+#include "server/loop/checkpoint_file.hpp"
 #include "server/mesh_io/phantom.hpp"
 #include "server/mesh_io/surface_check.hpp"
 
@@ -170,8 +172,25 @@ std::string known_files() {
          "configuration";
 }
 
-// Decides by the contents: a configuration, a capture, or a motion.
+Json describe_checkpoint(const loop::Checkpoint& checkpoint) {
+  return {
+      {"kind", "checkpoint of a capture"},
+      {"for", "incised --resume, which reads it beside its capture; incise info and replay describe that"},
+      {"revision", checkpoint.revision},
+      {"state_hash", hex(checkpoint.state_hash)},
+      {"capture_bytes_before", checkpoint.offset},
+      {"capture_records_before", checkpoint.records},
+      {"state_bytes", checkpoint.state.size()}};
+}
+
+// Decides by the contents: a configuration, a checkpoint, a capture, or a motion.
 Json describe_contents(const fs::path& file) {
+  if (loop::begins_as_checkpoint(file.string())) {
+    std::string why;
+    if (const auto checkpoint = loop::read_checkpoint(file.string(), why))
+      return describe_checkpoint(*checkpoint);
+    throw std::runtime_error(why + "; incised --resume does without it");
+  }
   if (looks_like_config(file)) {
     const Json json = Json::parse(std::ifstream(file), nullptr, false, true);
     if (json.is_object() && json.contains("tools")) {

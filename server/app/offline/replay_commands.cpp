@@ -5,11 +5,13 @@
 #include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <stdexcept>
 
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
+#include "server/app/capture_lock.hpp"
 #include "server/app/look.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
@@ -273,6 +275,10 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
 int run_convert(const ConvertCommand& command) {
   require_writable(command.out, "--out");
   require_not_read(command.out, {command.motion, command.mesh}, "--out");
+  std::optional<CaptureLock> lock;  // a device has none
+  std::error_code error;
+  if (!std::filesystem::exists(command.out, error) || std::filesystem::is_regular_file(command.out, error))
+    lock.emplace(command.out, CaptureLock::IfHeld::kRefuse, "--out");
   const Conversion done = [&] {
     Progress progress("reading " + command.motion.filename().string());
     return convert(command, progress);
