@@ -78,7 +78,24 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
   state_.state_hash = session.mesh().state_hash();
   state_.live_tets = session.mesh().live_tets();
   state_.vertices = session.mesh().vertex_slots();
+  if (session.revision() > 0) count_first_cuts();
   stats_.state.store(state_);
+}
+
+void FrameLoop::count_first_cuts() {
+  const core::TetMesh& mesh = session_->mesh();
+  std::uint64_t sides = 0;
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    for (int face = 0; face < 4; ++face) {
+      if ((mesh.cut_mask(t) >> face & 1) == 0) continue;
+      ++sides;
+      first_cut_area_m2_ += 0.25 * length(mesh.twice_area(core::half_face(t, face)));
+    }
+  }
+  first_cut_faces_ = (sides + 1) / 2;
+  state_.cut_faces = first_cut_faces_;
+  state_.cut_area_m2 = first_cut_area_m2_;
 }
 
 void FrameLoop::run(const std::stop_token& stop) noexcept {
@@ -321,6 +338,8 @@ void FrameLoop::reset() {
   undo_wanted_.store(0, std::memory_order_relaxed);  // what it was to undo is gone
   begin_next_undo();
   cuts_to_note_.clear();
+  first_cut_faces_ = 0;
+  first_cut_area_m2_ = 0;
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
   replace(std::move(fresh), {}, record, reset_done_);
@@ -376,8 +395,8 @@ void FrameLoop::undo(std::int64_t now_ns) {
   LoopState state;
   state.revision = undone->before.revision;
   state.strokes = undone->before.strokes;
-  state.cut_faces = undone->before.cut_faces;
-  state.cut_area_m2 = undone->before.cut_area_m2;
+  state.cut_faces = first_cut_faces_ + undone->before.cut_faces;
+  state.cut_area_m2 = first_cut_area_m2_ + undone->before.cut_area_m2;
   cuts_to_note_ = std::move(undone->cuts);
   replace(std::move(undone->session), state, record, undo_done_);
 }

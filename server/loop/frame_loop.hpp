@@ -113,6 +113,8 @@ class FrameLoop {
   // Forgets how far the last one was.
   void begin_next_undo();
   // Goes on with another session. `done` gives its id.
+  // What the session's body has been cut before. O(mesh).
+  void count_first_cuts();
   void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
                const ResetDone& done);
   bool in_stroke() const;
@@ -155,6 +157,9 @@ class FrameLoop {
   std::vector<Stamp> stamps_;
   std::size_t first_stamp_ = 0, stamp_count_ = 0;
   LoopState state_;
+  // Of the body that the session began with: a session that goes on, with the cuts of before.
+  std::uint64_t first_cut_faces_ = 0;
+  double first_cut_area_m2_ = 0;
   BladesNow blades_now_{};
   bool blades_moved_ = false;  // in this frame
   LoopStats stats_;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "server/base/clock.hpp"
+#include "server/core/mesh/measure.hpp"
 #include "tests/loop/rig.hpp"
 #include "tests/support/bodies.hpp"
 
@@ -16,6 +17,26 @@ namespace {
 using core::Policy;
 using input::PoseSources;
 using input::TimedPose;
+
+// As after a restart: what was cut before counts, as it does for a viewer that joins.
+TEST(FrameLoop, ASessionThatGoesOnBeginsWithTheCutsOfItsBody) {
+  core::CutSession session(tests::cube(4), config(core::Policy::kConforming));
+  for (int i = 0; i < 100; ++i) session.push(0, {1 + i * 1'000'000, {0.05, -0.02 + 1.4e-3 * i, 0.11}, {}, 1});
+  session.end_stroke(0);
+  core::Delta delta;
+  auto budget = core::WorkBudget::unlimited();
+  while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
+  }
+  const core::CutReport there = core::measure(session.mesh());
+  ASSERT_GT(there.cut_faces, 10u);
+  input::PoseSources sources(tests::long_blade(), {});
+  Kept kept;
+  FrameLoop loop(session, sources, kept, nullptr, {});
+  const LoopState state = loop.stats().state.load();
+  EXPECT_EQ(state.cut_faces, there.cut_faces);
+  EXPECT_NEAR(state.cut_area_m2, there.cut_area, 1e-12);
+  EXPECT_EQ(state.strokes, 0u);
+}
 
 // Forces only look: a session cuts the same with and without them.
 TEST(FrameLoop, ForcesChangeNoCut) {
