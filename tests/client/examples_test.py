@@ -3,6 +3,7 @@
 import os
 import pathlib
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -63,6 +64,19 @@ class Examples(unittest.TestCase):
 
     def test_simulator_in_python(self):
         self.check_simulator(self.run_example(sys.executable, SOURCE / "client/examples/simulator.py"))
+
+    @unittest.skipUnless(shutil.which("umockdev-run"), "umockdev-run is not installed")
+    def test_simulated_controller(self):
+        with tempfile.TemporaryDirectory() as folder:
+            subprocess.run([sys.executable, SOURCE / "client/examples/simulated_controller.py", folder], check=True)
+            files = [f"{folder}/controller.{ending}" for ending in ("umockdev", "ioctl", "script")]
+            done = subprocess.run(["umockdev-run", "-d", files[0], "-i", f"/dev/hidraw0={files[1]}", "-s", f"/dev/hidraw0={files[2]}", "--",
+                                   BUILD / "bin/incise", "devices", "--monitor", "--for", "3"],
+                                  capture_output=True, text=True, timeout=60, check=False)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("1234:abcd", done.stdout)
+        self.assertIn("report 1, 14 bytes: 01 00 00 5e 01 00", done.stdout)  # pushed along y
+        self.assertRegex(done.stdout, r"of [1-9]\d+ reports: 0 too short, 0 of other numbers, 0 with bad values")
 
     def test_contact(self):
         printed = self.run_example(BUILD / "examples/contact")
