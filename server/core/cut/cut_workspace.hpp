@@ -28,6 +28,7 @@ struct CutWorkspace {
     std::uint32_t tried = 0;           // the repairs in which moving it, as its star is now, was of no use
     std::uint32_t moves = 0;           // how often a blade has moved it (SeenEdges)
     bool hot = false;                  // in ActiveSet's scan: it is near the blade
+    bool listed = false;               // in the list of a blade (PinchedEdges)
   };
   struct TetMarks {
     std::uint32_t pass = 0;    // the last pass that has it (TetPass)
@@ -52,6 +53,7 @@ struct CutWorkspace {
       if (mesh.is_new(v) && mesh.provenance(v).a == mesh.provenance(v).b) {
         marks = vertices[mesh.provenance(v).a];
         marks.crossings = marks.looked_at = 0;
+        marks.listed = false;
       }
       vertices.push_back(marks);
     }

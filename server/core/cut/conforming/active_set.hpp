@@ -19,8 +19,9 @@ class ActiveSet {
 
   explicit ActiveSet(CutContext& cut) : cut_(cut) {}
 
+  bool has(TetId t) const { return cut_.workspace.tets[t].active == cut_.stroke; }
   void add(TetId t) {
-    if (cut_.workspace.tets[t].active != cut_.stroke) append(t);
+    if (!has(t)) append(t);
   }
   void clear() {
     entries_.clear();

@@ -88,6 +88,7 @@ bool ClosingStage::collect(WorkBudget& budget) {
     mesh_.star(around_[next_], star_);
     cut_.work.add(star_.size(), cost::kStarCornersAUnit);
     for (Corner c : star_) consider_faces(tet_of(c));
+    pinched_.list(around_[next_]);
   }
   waited_.swap(waiting_);
   for (const Waiting& w : waited_) {
@@ -420,12 +421,21 @@ bool ClosingStage::open(WorkBudget& budget) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const std::size_t end = std::min(next_ + kOpenChunk, faces_.size());
-    editor_.open(std::span<const HalfFace>(faces_.data() + next_, end - next_));
+    std::span<const HalfFace> faces(faces_.data() + next_, end - next_);
+    for (HalfFace h : faces) others_.push_back(mesh_.opposite(h));
+    editor_.open(faces);
+    for (HalfFace h : faces) list_pinched(h);
+    for (HalfFace h : others_) list_pinched(h);
+    others_.clear();
     next_ = end;
   }
   faces_.clear();
   doubtful_.clear();
   return true;
+}
+
+void ClosingStage::list_pinched(HalfFace opened) {
+  for (VertexId v : mesh_.face_vertices(opened)) pinched_.list(v);
 }
 
 void ClosingStage::archive(Archive& io) {

@@ -8,6 +8,7 @@
 
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
+#include "server/core/cut/conforming/pinched_edges.hpp"
 #include "server/core/cut/conforming/two_sides.hpp"
 
 namespace incise::core {
@@ -17,8 +18,8 @@ namespace incise::core {
 // its two sides hang together in no other way near by.
 class ClosingStage {
  public:
-  ClosingStage(CutContext& cut, MeshEditor& editor)
-      : cut_(cut), mesh_(cut.mesh), editor_(editor), pass_(cut.workspace), sides_(cut) {}
+  ClosingStage(CutContext& cut, MeshEditor& editor, PinchedEdges& pinched)
+      : cut_(cut), mesh_(cut.mesh), editor_(editor), pinched_(pinched), pass_(cut.workspace), sides_(cut) {}
 
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
@@ -98,10 +99,12 @@ class ClosingStage {
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
+  void list_pinched(HalfFace opened);
 
   CutContext& cut_;
   const TetMesh& mesh_;
   MeshEditor& editor_;
+  PinchedEdges& pinched_;
 
   Phase phase_ = Phase::kCollect;
   bool with_ribs_ = false;        // the second time round, when the stroke ends
@@ -116,9 +119,10 @@ class ClosingStage {
   std::vector<TetId> queue_;             // of part_of()
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
-  std::vector<Waiting> waited_;  // scratch
-  std::vector<TetId> ring_;      // scratch
-  std::vector<Corner> star_;     // scratch
+  std::vector<Waiting> waited_;   // scratch
+  std::vector<HalfFace> others_;  // scratch
+  std::vector<TetId> ring_;       // scratch
+  std::vector<Corner> star_;      // scratch
 };
 
 }  // namespace incise::core

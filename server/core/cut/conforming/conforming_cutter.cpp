@@ -16,7 +16,8 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
       repair_(cut_, editor_),
       verify_(cut_, active_, crossings_, editor_),
       opening_(cut_, active_, editor_),
-      closing_(cut_, editor_) {}
+      pinched_(cut_, editor_),
+      closing_(cut_, editor_, pinched_) {}
 
 void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   cut_.stroke = stroke;
@@ -27,6 +28,7 @@ void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   rim_.clear();
   joining_.clear();
   closing_.clear();
+  pinched_.clear();
 }
 
 void ConformingCutter::begin(const Batch& batch) {
@@ -46,6 +48,7 @@ void ConformingCutter::begin_search() {
   cut_.path.forget_before(active_.needed_since_m());
   cut_.path.build();
   cut_.oldest_batch = cut_.path.oldest_batch();
+  editor_.begin_batch();
   repair_.begin_batch();
   crossings_.begin_batch();
   cut_.work += static_cast<std::int64_t>(cut_.surface().size() / cost::kTrianglesAUnit +
@@ -72,7 +75,6 @@ bool ConformingCutter::advance(WorkBudget& budget) {
       case Stage::kRim:
         if (!rim_.advance(budget)) break;
         round_ = refinements_ = 0;
-        editor_.begin_batch();
         crossing_stage_.begin(round_);
         stage_ = Stage::kCrossings;
         break;
@@ -112,6 +114,11 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         break;
       case Stage::kClosing:
         if (!closing_.advance(budget)) break;
+        pinched_.begin();
+        stage_ = Stage::kPinched;
+        break;
+      case Stage::kPinched:
+        if (!pinched_.advance(budget)) break;
         finish();
         break;
       case Stage::kIdle:
@@ -131,6 +138,7 @@ void ConformingCutter::finish() {
     crossings_.clear();
     rim_.clear();
     closing_.clear();
+    pinched_.clear();
   }
   stage_ = Stage::kIdle;
 }
@@ -153,6 +161,7 @@ void ConformingCutter::archive(Archive& io) {
   rim_.archive(io);
   joining_.archive(io);
   closing_.archive(io);
+  pinched_.archive(io);
 }
 
 }  // namespace incise::core

@@ -10,6 +10,7 @@
 #include "server/core/cut/conforming/joining_stage.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 #include "server/core/cut/conforming/opening_stage.hpp"
+#include "server/core/cut/conforming/pinched_edges.hpp"
 #include "server/core/cut/conforming/repair_stage.hpp"
 #include "server/core/cut/conforming/rim_stage.hpp"
 #include "server/core/cut/conforming/search_stage.hpp"
@@ -31,6 +32,7 @@ namespace incise::core {
 //   opening     a face opens exactly when the line between the reference points of its two tetrahedra crosses the
 //               surface; each vertex gets one copy for each component of its star.
 //   closing     where that comes upon an older cut or the boundary, faces that would still hold the two sides together open.
+//   pinched     an edge around which the tissue hangs together in two fans gets a vertex in one of them.
 //
 // All but the search keep one element behind the blade: a tetrahedron with a vertex near the blade's present line
 // waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is sampled.
@@ -53,7 +55,18 @@ class ConformingCutter final : public Cutter {
   void archive(Archive& io) override;
 
  private:
-  enum class Stage { kIdle, kJoining, kSearch, kRim, kCrossings, kRepair, kVerify, kOpening, kClosing };
+  enum class Stage {
+    kIdle,
+    kJoining,
+    kSearch,
+    kRim,
+    kCrossings,
+    kRepair,
+    kVerify,
+    kOpening,
+    kClosing,
+    kPinched
+  };
 
   void begin_stroke(std::uint32_t stroke);
   void begin_search();
@@ -71,6 +84,7 @@ class ConformingCutter final : public Cutter {
   RepairStage repair_;
   VerifyStage verify_;
   OpeningStage opening_;
+  PinchedEdges pinched_;
   ClosingStage closing_;
 
   Stage stage_ = Stage::kIdle;

@@ -31,8 +31,12 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
 }
 
 bool may_be_film(const CutContext& cut, TetId t) {
-  return std::ranges::all_of(cut.mesh.vertices(t),
-                             [&](VertexId v) { return cut.mesh.at_boundary(v) || cut.on_surface(v); });
+  const TetMesh& mesh = cut.mesh;
+  return std::ranges::all_of(mesh.vertices(t), [&](VertexId v) {
+    if (mesh.at_boundary(v) || cut.on_surface(v)) return true;
+    cut.work += cost::kSurfaceQuery;
+    return cut.surface().is_within(mesh.position(v), kOne_h * cut.h);
+  });
 }
 
 namespace {

@@ -15,7 +15,8 @@ Vec3 reference_point(const CutContext& cut, TetId t);
 // Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
 bool is_shallow(const CutContext& cut, TetId t, double reach);
 
-// Whether it may be part of a film: none of it is inside the tissue.
+// Whether it may be part of a film: none of it is inside the tissue, but for what is so near to the surface that it is one with it. Hands leave
+// films of many small tetrahedra.
 bool may_be_film(const CutContext& cut, TetId t);
 
 // Whether `count` tetrahedra may be a film or a part of one, when `inner` of them reach into the tissue.

@@ -87,6 +87,24 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
   return m;
 }
 
+void MeshEditor::split_fan(TetId tet, VertexId a, VertexId b, double t) {
+  mesh_.ring(tet, a, b, ring_);
+  const TetId first = mesh_.tet_slots();
+  const VertexId m = mesh_.split_edge(tet, a, b, t);
+  cut_.work += cost::kSplit * static_cast<std::int64_t>(ring_.size());
+  cut_.workspace.grow(mesh_);
+  if (cut_.on_surface(a) && cut_.on_surface(b)) {
+    cut_.workspace.vertices[m].surface = cut_.stroke;
+    cut_.workspace.vertices[m].batch = cut_.batch;
+  }
+  for (std::size_t i = 0; i < ring_.size(); ++i) {
+    const TetId n = first + static_cast<TetId>(i);
+    enter(n);
+    if (active_.has(ring_[i])) active_.add(n);
+  }
+  ++cut_.counts.splits;
+}
+
 void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId w) {
   mesh_.ring(t, v, w, ring_);
   for (TetId& r : ring_) r = mesh_.neighbor(r, mesh_.local_index(r, v));
@@ -129,6 +147,8 @@ void MeshEditor::remove_flat(TetId t) {
     }
   }
   const VertexId first_copy = mesh_.vertex_slots();
+  const auto vertices = mesh_.vertices(t);
+  bared_.insert(bared_.end(), vertices.begin(), vertices.end());
   mesh_.remove_tet(t);
   cut_.work += cost::kRemoveFlat;
   ++cut_.counts.removed_tets;
@@ -139,7 +159,10 @@ void MeshEditor::remove_flat(TetId t) {
     remove_crumb(n);
   }
   // What is poor may be at a copy now, of a vertex that was put on the surface before.
-  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) changed_.push_back({copy});
+  for (VertexId copy = first_copy; copy < mesh_.vertex_slots(); ++copy) {
+    changed_.push_back({copy});
+    bared_.push_back(copy);
+  }
 }
 
 // Whether a film hangs together with the rest by t alone, which is behind the face to n. Nearly always n reaches into the tissue, which is seen at once.

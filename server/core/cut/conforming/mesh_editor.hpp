@@ -22,6 +22,7 @@ namespace incise::core {
 //                               the surface now
 //   move          its star      failed ones                  -            its star     -
 //   split         the ring      the ring, new ones           new ones     -            the new vertex
+//   split_fan     -             new ones, where the ring is  new ones     -            -
 //   collapse      its star      its star                     its star and its star     -
 //                                                            behind it
 //   replace       new ones      new ones                     new ones     new ones     -
@@ -53,13 +54,20 @@ class MeshEditor {
   void stand(VertexId v);
   // v, whose star that is, goes to a better place.
   void move(const VertexStar& star, VertexId v, const Vec3& target);
-  // No vertex has been put in a bend yet.
-  void begin_batch() { in_bend_.clear(); }
+  // No vertex has been put in a bend yet, and no tetrahedron taken out.
+  void begin_batch() {
+    in_bend_.clear();
+    bared_.clear();
+  }
+  // The vertices of what has been taken out in this batch, with their copies.
+  const std::vector<VertexId>& bared() const { return bared_; }
   // Whether v was put there by this batch: without it, the chord of the bend that it splits is back.
   bool is_in_bend(VertexId v) const { return std::ranges::find(in_bend_, v) != in_bend_.end(); }
   // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a). kInBend: it has to stay, so repairs do not merge it.
   enum class NewVertex { kOnSurface, kNotYet, kInBend };
   VertexId split(TetId tet, VertexId a, VertexId b, double t, NewVertex is = NewVertex::kOnSurface);
+  // Puts a vertex on the edge (a, b) of `tet`, at a + t (b - a), in that tetrahedron's fan around it, where all is decided: see PinchedEdges.
+  void split_fan(TetId tet, VertexId a, VertexId b, double t);
   // Merges v, whose star that is, into w along an edge of t. TetMesh::may_collapse() must hold.
   void collapse(const VertexStar& star, TetId t, VertexId v, VertexId w);
   // TetMesh::replace(). The new tetrahedra; none where the two sets do not match.
@@ -93,7 +101,7 @@ class MeshEditor {
   CutContext& cut_;
   ActiveSet& active_;
   std::vector<Changed> changed_;
-  std::vector<VertexId> in_bend_;
+  std::vector<VertexId> in_bend_, bared_;
   TetPass film_pass_;
   std::vector<TetId> flat_, crumb_, film_, ring_, new_tets_;  // scratch
   std::vector<std::uint32_t> star_;                           // scratch

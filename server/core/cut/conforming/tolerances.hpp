@@ -216,6 +216,12 @@ inline constexpr double kSurfaceReach_h = 4, kSurfaceNear_h = 0.125;
 // Faces opened between two looks at the budget.
 inline constexpr std::size_t kOpenChunk = 16;
 
+// ---- Parting edges (pinched_edges.cpp).
+
+// An edge around which the tissue hangs together in several fans is parted once the blade has gone on for so long. Parted four h behind the
+// blade, hands added 1.19 new tetrahedra a cut face instead of 1.17.
+inline constexpr double kPinchedWait_h = 100;
+
 // ---- Prefetching.
 
 // Tetrahedra: what is active as a rule, and some layers around it. 30 us.
