@@ -73,7 +73,7 @@ void StreamPositionsInput::offer(const protocol::Positions& positions, std::int6
 std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_name,
                                                      const std::optional<protocol::BladeEdge>& own_edge) {
   std::optional<core::Blade> own;
-  if (own_edge) own = to_core(*own_edge);
+  if (own_edge) own = replay::to_core(*own_edge);
   auto source = sources_.open(source_name.empty() ? "blade" : source_name, own);
   if (!source) return nullptr;
   const core::Blade blade = own ? *own : blade_of(config_, source->number());

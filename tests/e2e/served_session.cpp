@@ -227,9 +227,9 @@ void CaptureFollower::operator()(const protocol::CaptureRecord& record, std::str
       session_->set_blade(stroke->source, app::blade_of(served_.config(), stroke->source));
     if (stroke->action == protocol::StrokeAction::End) session_->end_stroke(stroke->source);
   } else if (const auto* opened = std::get_if<protocol::BladeRecord>(&record)) {
-    session_->set_blade(opened->source, app::to_core(opened->blade));
+    session_->set_blade(opened->source, replay::to_core(opened->blade));
   } else if (const auto* positions = std::get_if<protocol::PositionsRecord>(&record)) {
-    session_->deform(app::positions_of(*positions));
+    session_->deform(replay::positions_of(*positions));
     ++deformations_;
   } else if (const auto* mark = std::get_if<protocol::BatchMark>(&record)) {
     const auto computed = hashes_.find(mark->revision);

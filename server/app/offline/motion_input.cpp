@@ -18,7 +18,8 @@ CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& pr
   } else {
     engage = Engage::kAlways;
   }
-  if (!files.blade.empty()) set_blade(to_core(protocol::parse_blade("--blade", files.blade)), config, motion);
+  if (!files.blade.empty())
+    set_blade(replay::to_core(protocol::parse_blade("--blade", files.blade)), config, motion);
   progress.stage("loading " + files.mesh.filename().string());
   mesh_io::LoadOptions options =
       load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); });

@@ -79,7 +79,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
       motion.events.push_back({MotionEvent::Kind::kEndStroke, 0, {}, sample.source_ns});
       ++restart;
     }
-    motion.events.push_back({MotionEvent::Kind::kPose, 0, to_core(sample), sample.source_ns});
+    motion.events.push_back({MotionEvent::Kind::kPose, 0, replay::to_core(sample), sample.source_ns});
   }
   if (!text.warning.empty()) motion.warnings.push_back(text.warning);
   if (!text.has_orientation) {

@@ -17,9 +17,7 @@ namespace incise::app {
 using replay::CaptureStart;
 using replay::IfDamaged;
 using replay::MotionEvent;
-using replay::positions_of;
 using replay::RecordedMotion;
-using replay::to_core;
 
 // Reads a capture, a TUM trajectory or a CSV motion; their contents decide which. A capture is read up to a torn end,
 // which is a warning; wrong bytes before the end are an error. `times`: what to do with poses whose time does not

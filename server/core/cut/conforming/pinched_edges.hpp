@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <tuple>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -38,7 +39,7 @@ class PinchedEdges {
   struct Fan {
     std::size_t size;
     TetId tet;  // one of it
-    auto operator<=>(const Fan&) const = default;
+    bool operator<(const Fan& other) const { return std::tie(size, tet) < std::tie(other.size, other.tet); }
   };
   bool is_ripe(double ripe_at_m) const { return !cut_.has_front || cut_.path.travel_m() >= ripe_at_m; }
   void find_pinched(VertexId v);
