@@ -1,13 +1,18 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstdlib>
+#include <fstream>
 #include <initializer_list>
+#include <map>
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "protocol/motion.hpp"
 #include "server/core/session/session_state.hpp"
@@ -320,6 +325,64 @@ TEST(MeetingTheSkin, AllThatWasHeldIsJudgedAgain) {
   const OnceWrong meetings[] = {
       {"armadillo_3717", "ellipse", 20007}, {"brain_81833", "grid", 60000}, {"brain_81833", "grid", 70001}};
   come_apart(meetings);
+}
+
+// A ball given by few triangles and filled with tetrahedra a quarter as long as these.
+core::MeshData ball_with_a_coarse_skin() {
+  const double golden = (1 + std::sqrt(5.0)) / 2;
+  std::vector<Vec3> points;
+  for (const double a : {-1.0, 1.0}) {
+    for (const double b : {-golden, golden}) points.insert(points.end(), {{0, a, b}, {a, b, 0}, {b, 0, a}});
+  }
+  // The icosahedron's triangles, each in four: neighbours are 2 apart.
+  std::vector<std::array<std::size_t, 3>> triangles;
+  const std::size_t corners = points.size();
+  std::map<std::pair<std::size_t, std::size_t>, std::size_t> middles;
+  const auto are_near = [&](std::size_t a, std::size_t b) { return distance(points[a], points[b]) < 2.1; };
+  const auto middle = [&](std::size_t a, std::size_t b) {
+    const auto [at, added] = middles.try_emplace(std::minmax(a, b), points.size());
+    if (added) points.push_back(0.5 * (points[a] + points[b]));
+    return at->second;
+  };
+  for (std::size_t a = 0; a < corners; ++a) {
+    for (std::size_t b = a + 1; b < corners; ++b) {
+      for (std::size_t c = b + 1; c < corners; ++c) {
+        if (!are_near(a, b) || !are_near(b, c) || !are_near(a, c)) continue;
+        const bool outwards = dot(cross(points[b] - points[a], points[c] - points[a]), points[a]) > 0;
+        const std::size_t q = outwards ? b : c, r = outwards ? c : b;
+        const std::size_t aq = middle(a, q), qr = middle(q, r), ra = middle(r, a);
+        triangles.insert(triangles.end(), {{a, aq, ra}, {q, qr, aq}, {r, ra, qr}, {aq, qr, ra}});
+      }
+    }
+  }
+  const std::string file = testing::TempDir() + "ball_with_a_coarse_skin.off";
+  {
+    std::ofstream out(file);
+    out << "OFF\n" << points.size() << ' ' << triangles.size() << " 0\n";
+    for (const Vec3& p : points) {
+      const Vec3 on_ball = 0.05 * normalized(p);
+      out << on_ball.x << ' ' << on_ball.y << ' ' << on_ball.z << '\n';
+    }
+    for (const auto& t : triangles) out << "3 " << t[0] << ' ' << t[1] << ' ' << t[2] << '\n';
+  }
+  mesh_io::LoadOptions options;
+  options.fill.tetgen_switches = "pYq1.3/10a3e-8";
+  options.fill.use_cache = false;
+  return mesh_io::load_mesh(file, options).mesh;
+}
+
+// A stroke that ran half an element beyond where the next one began was open only as far as an element before its end: the next one found no
+// wall, and no end of it near enough, and a corner of the square held.
+TEST(MeetingWhereElementsAreLarge, AStrokeIsMetBeforeItsEnd) {
+  const core::MeshData ball = ball_with_a_coarse_skin();
+  const Body loaded(ball);
+  for (const std::uint64_t seed : {2, 31, 38, 44, 46, 50}) {
+    const Meeting meeting = random_meeting(ball, loaded.h, "square", seed);
+    core::CutSession session(ball, meeting_config(meeting));
+    cut(meeting, session);
+    const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
 }
 
 // In elements as large as the loop, faces with all vertices on the sweep were chords of it.

@@ -35,7 +35,10 @@ void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* line
   const double length_m = (end.last_part - end.first_part) * distance(lines[0].heel, lines[0].tip);
   end.part_count = static_cast<std::uint32_t>(std::clamp(std::ceil(length_m / part_m), 1.0, 1.0 * kMaxParts));
   end.low = end.high = end.at(0, 0);
-  extend(end.at(0, end.part_count), end.low, end.high);
+  for (std::size_t k = 0; k < end.line_count; ++k) {
+    extend(end.at(k, 0), end.low, end.high);
+    extend(end.at(k, end.part_count), end.low, end.high);
+  }
   if (ends_.size() == kMaxEnds) ends_.erase(ends_.begin());
   ends_.push_back(end);
 }

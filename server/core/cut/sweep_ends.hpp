@@ -12,7 +12,7 @@ namespace incise::core {
 
 // Where a sweep began or ended, and a strip of what was swept there.
 struct SweepEnd {
-  static constexpr std::size_t kMaxLines = 8;
+  static constexpr std::size_t kMaxLines = 16;
 
   std::uint32_t stroke = 0;
   double travel_m = 0;  // of the blade in that stroke, then
@@ -22,7 +22,7 @@ struct SweepEnd {
   double first_part = 0, last_part = 1;  // what of the blade, from heel to tip, was near the tissue
   std::uint32_t part_count = 0;          // into which that is divided, kMaxParts at most
   std::uint64_t taken = 0;               // bit k: a later sweep has taken up part k
-  Vec3 low, high;                        // a box around the first line's
+  Vec3 low, high;                        // a box around all lines'
 
   // A point of line k, at the beginning of a part.
   Vec3 at(std::size_t line, std::uint32_t part) const {

@@ -70,7 +70,7 @@ TEST(SweepEnds, ComeBackAsTheyWereSaved) {
 
   // A count of lines that no end has.
   auto damaged = bytes;
-  damaged[8 + 4 + 8] = std::byte{9};
+  damaged[8 + 4 + 8] = std::byte{SweepEnd::kMaxLines + 1};
   SweepEnds refused;
   Archive bad(damaged);
   refused.archive(bad);

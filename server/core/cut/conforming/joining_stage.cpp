@@ -32,6 +32,7 @@ void JoiningStage::begin(const Batch& batch) {
   swept_.clear();
   beside_.clear();
   next_ = next_end_ = walls_end_ = 0;
+  next_end_part_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
   first_line_ = batch.lines.front();
@@ -66,10 +67,15 @@ void JoiningStage::begin(const Batch& batch) {
 }
 
 bool JoiningStage::advance(WorkBudget& budget) {
-  for (; next_end_ < cut_.workspace.ends.size(); ++next_end_) {
-    cut_.work.charge(budget);
-    if (budget.spent()) return false;
-    take_up(cut_.workspace.ends[next_end_]);
+  for (; next_end_ < cut_.workspace.ends.size(); ++next_end_, next_end_part_ = 0) {
+    SweepEnd& end = cut_.workspace.ends[next_end_];
+    if (!comes_near(end)) continue;
+    for (; next_end_part_ < end.part_count; ++next_end_part_) {
+      cut_.work.charge(budget);
+      if (budget.spent()) return false;
+      cut_.work += cost::kLook;
+      if (!(end.taken >> next_end_part_ & 1)) take_up(end, next_end_part_);
+    }
   }
   while (next_ < parts_.size()) {
     cut_.work.charge(budget);
@@ -154,36 +160,61 @@ void JoiningStage::end_strip(const BladeLine& line) {
   strip_.clear();
 }
 
-// Where what is swept now comes near the end of an older sweep.
-void JoiningStage::take_up(SweepEnd& end) {
-  cut_.work += cost::kLook;
-  if (swept_.empty()) return;
-  if (end.stroke == cut_.stroke && cut_.path.travel_m() - end.travel_m < kFar_h * cut_.h) return;
+// Whether what is swept now may come near the strip at an older sweep's end.
+bool JoiningStage::comes_near(const SweepEnd& end) const {
+  if (swept_.empty()) return false;
+  if (end.stroke == cut_.stroke && cut_.path.travel_m() - end.travel_m < kFar_h * cut_.h) return false;
   const double reach = kJoinReach_h * cut_.h;
-  const auto apart = [reach](double low, double high, double other_low, double other_high) {
-    return low - reach > other_high || high + reach < other_low;
+  const auto meet = [reach](double low, double high, double other_low, double other_high) {
+    return low - reach <= other_high && high + reach >= other_low;
   };
-  if (apart(end.low.x, end.high.x, low_.x, high_.x) || apart(end.low.y, end.high.y, low_.y, high_.y) ||
-      apart(end.low.z, end.high.z, low_.z, high_.z))
-    return;
-  for (std::uint32_t part = 0; part < end.part_count; ++part) {
-    if (!(end.taken >> part & 1)) take_up(end, part);
-  }
+  return meet(end.low.x, end.high.x, low_.x, high_.x) && meet(end.low.y, end.high.y, low_.y, high_.y) &&
+         meet(end.low.z, end.high.z, low_.z, high_.z);
 }
 
 void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   const Vec3 a = end.at(0, part), b = end.at(0, part + 1);
   const Vec3 direction = direction_of(end.lines[1], end.lines[0]);
   double ahead_m = -std::numeric_limits<double>::infinity();
-  bool near = false;
-  for (const Vec3& p : {a, lerp(a, b, 0.5), b}) near = sweep_ahead(p, direction, ahead_m) || near;
-  if (!near) return;
+  bool at_end = false;
+  for (const Vec3& p : {a, lerp(a, b, 0.5), b}) at_end = sweep_ahead(p, direction, ahead_m) || at_end;
+  if (!at_end && !meets_gap(end, part)) return;
   end.taken |= std::uint64_t{1} << part;
   for (std::uint32_t k = 0; k + 1 < end.line_count; ++k)
     cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part),
                         false);
   cut_.meets_cut = true;
-  extend(a, b, direction, ahead_m);
+  if (at_end) extend(a, b, direction, ahead_m);
+}
+
+// Whether what is swept now comes near the strip where the tissue still hangs together: large elements open only so far before a sweep's end.
+bool JoiningStage::meets_gap(const SweepEnd& end, std::uint32_t part) {
+  double ahead_m = 0;
+  for (std::uint32_t k = 1; k < end.line_count; ++k) {
+    const Vec3 p = lerp(end.at(k, part), end.at(k, part + 1), 0.5);
+    if (sweep_ahead(p, {}, ahead_m) && !is_open(p)) return true;
+  }
+  return false;
+}
+
+bool JoiningStage::is_open(const Vec3& p) {
+  const double reach = kOpen_h * cut_.h;
+  const Vec3 r{reach, reach, reach};
+  bool open = false;
+  gathered_.begin();
+  cut_.workspace.grid.visit_box(p - r, p + r, [&](TetId t) {
+    if (open || !gathered_.insert(t)) return;
+    cut_.work += cost::kLook;
+    if (!mesh_.alive(t)) return;
+    const unsigned mask = mesh_.cut_mask(t);
+    for (int f = 0; f < 4 && !open; ++f) {
+      if (!(mask >> f & 1)) continue;
+      const auto v = mesh_.face_vertices(half_face(t, f));
+      const Vec3 q = closest_point(p, mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]));
+      open = squared_length(q - p) <= reach * reach;
+    }
+  });
+  return open;
 }
 
 // Whether what is swept now comes near p, and how far ahead that is, at most.

@@ -11,7 +11,8 @@ namespace incise::core {
 
 // Continues sweeps so that they meet: what is nearer than a quarter of an element is one. A sweep that begins or ends near an older
 // cut, or before the body's boundary, goes on until it is through; to either side, where the boundary beside it is near. Where an older one
-// ended near what is swept now, its last strip is part of what is swept, and goes on likewise.
+// ended near what is swept now, its last strip is part of what is swept, and goes on likewise; and where large elements have left a gap in that
+// strip.
 class JoiningStage {
  public:
   explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh), gathered_(cut.workspace) {}
@@ -58,8 +59,10 @@ class JoiningStage {
   void follow_strip(const BladeLine& line);
   void end_strip(const BladeLine& line);
   void keep_beginning();
-  void take_up(SweepEnd& end);
+  bool comes_near(const SweepEnd& end) const;
   void take_up(SweepEnd& end, std::uint32_t part);
+  bool meets_gap(const SweepEnd& end, std::uint32_t part);
+  bool is_open(const Vec3& p);
   void gather_walls();
   double wall_ahead(const Vec3& p, const Vec3& direction) const;
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
@@ -80,7 +83,8 @@ class JoiningStage {
   BladeLine first_line_;         // where the batch begins ...
   double farthest_m_ = 0;        // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
-  std::vector<Wall> walls_;  // near the parts before walls_end_
+  std::uint32_t next_end_part_ = 0;  // of that end
+  std::vector<Wall> walls_;          // near the parts before walls_end_
   std::size_t walls_end_ = 0;
   TetPass gathered_;
 };

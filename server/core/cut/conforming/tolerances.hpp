@@ -80,8 +80,9 @@ inline constexpr double kCosFacing = 0.5;  // 60 degrees
 inline constexpr double kSinAlong = 0.17, kLeastAhead_h = 0.02;  // 10 degrees
 // Straight ahead is a slanted wall's face where the blade meets its plane no farther beside the face than this.
 inline constexpr double kAimOff_h = 0.1;
-// What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart.
-inline constexpr double kStrip_h = 1, kStripStep_h = 0.1;
+// What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart. Where no face of a cut is this near to it,
+// the tissue hangs together across it.
+inline constexpr double kStrip_h = 3, kStripStep_h = 0.2, kOpen_h = 0.1;
 // Strips narrower than this part of kJoinBeyond_h are not added.
 inline constexpr double kLeastJoin = 0.1;
 // A face that closes a gap between the end of a sweep and a wall ahead of it is no farther than this from what the blade has swept: as far as
