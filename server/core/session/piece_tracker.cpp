@@ -180,6 +180,7 @@ void PieceTracker::claim(NodeId node, std::uint32_t group) {
   g.last = at;
   g.tets += clusters_[node].tets;
   visited_.push_back({node, kNone});
+  clusters_.prefetch_beside(node);
 }
 
 // The group reaches a node: it claims it, or merges with the group that has it.

@@ -1,6 +1,7 @@
 #include "server/core/session/tet_clusters.hpp"
 
 #include <algorithm>
+#include <cstring>
 #include <utility>
 
 #include "server/core/util/room.hpp"
@@ -10,21 +11,33 @@ namespace incise::core {
 TetClusters::TetClusters(const TetMesh& mesh) : mesh_(mesh) {
   reserve_room(cluster_of_, mesh.tet_slots());
   cluster_of_.resize(mesh.tet_slots(), kNone);
-  reserve_room(next_member_, mesh.tet_slots());
-  next_member_.resize(mesh.tet_slots(), kNone);
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (mesh.alive(t) && !has(t)) form({t, 0});
   }
+  pack_members();
   for (std::uint32_t c = 0; c < clusters_.size(); ++c) {
-    if (clusters_[c].first != kNone) find_links(c);
+    if (clusters_[c].node.tets != 0) find_links(c);
   }
   form_blocks();
+}
+
+// Without the room that clusters were formed in: most of them no step ever touches.
+void TetClusters::pack_members() {
+  std::vector<TetId> packed;
+  reserve_room(packed, mesh_.live_tets());
+  for (Cluster& c : clusters_) {
+    const auto members = members_of(c);
+    c.room = c.node.tets;
+    c.members = static_cast<std::uint32_t>(packed.size());
+    packed.insert(packed.end(), members.begin(), members.end());
+  }
+  members_.swap(packed);
 }
 
 TetClusters::TetClusters(const TetMesh& copy, const TetClusters& other)
     : mesh_(copy),
       cluster_of_(copy_with_room(other.cluster_of_)),
-      next_member_(copy_with_room(other.next_member_)),
+      members_(copy_with_room(other.members_)),
       clusters_(other.clusters_),
       free_(other.free_),
       blocks_(other.blocks_),
@@ -33,7 +46,6 @@ TetClusters::TetClusters(const TetMesh& copy, const TetClusters& other)
 
 void TetClusters::grow() {
   cluster_of_.resize(mesh_.tet_slots(), kNone);
-  next_member_.resize(mesh_.tet_slots(), kNone);
 }
 
 // ------------------------------------------------------------------------------------------------ clusters
@@ -47,39 +59,48 @@ std::int64_t TetClusters::form(const Loose& loose) {
   } else {
     c = free_.back();
     free_.pop_back();
-    clusters_[c] = {};
   }
-  const TetId first = loose.tet;
-  cluster_of_[first] = c;
-  next_member_[first] = kNone;
-  TetId last = first;
+  if (clusters_[c].room < kFull) take_room(clusters_[c], kFull);
+  TetId* const members = members_.data() + clusters_[c].members;
+  cluster_of_[loose.tet] = c;
+  members[0] = loose.tet;
   std::uint32_t size = 1;
-  for (TetId t = first; t != kNone && size < kFull; t = next_member_[t]) {
+  for (std::uint32_t i = 0; i < size && size < kFull; ++i) {
     for (int f = 0; f < 4 && size < kFull; ++f) {
-      const TetId n = mesh_.neighbor(t, f);
+      const TetId n = mesh_.neighbor(members[i], f);
       if (n == kNone || has(n)) continue;
       cluster_of_[n] = c;
-      next_member_[n] = kNone;
-      next_member_[last] = n;
-      last = n;
-      ++size;
+      mesh_.prefetch(n);
+      members[size++] = n;
     }
   }
-  clusters_[c].first = first;
   // What hangs together now did so before the step.
   clusters_[c].node = {size, loose.piece, 0, 0};
-  if (size < kFew && join_cluster(c, last)) {
-    clusters_[c] = {};
-    free_.push_back(c);
-  }
+  if (size < kFew && join_cluster(c)) free(c);
   return 1 + size / 3;
 }
 
+// Behind all others: memory that no step has used yet has to be cleared first, so most go where others have been.
+void TetClusters::take_room(Cluster& c, std::uint32_t count) {
+  c.members = static_cast<std::uint32_t>(members_.size());
+  c.room = count;
+  members_.resize(members_.size() + count);
+}
+
+void TetClusters::free(std::uint32_t cluster) {
+  Cluster& c = clusters_[cluster];
+  const std::uint32_t members = c.members, room = c.room;
+  c = {};
+  c.members = members;
+  c.room = room;
+  free_.push_back(cluster);
+}
+
 // Puts the members of a cluster before those of the smallest one beside it that has room and that a step has touched, too.
-bool TetClusters::join_cluster(std::uint32_t cluster, TetId last) {
+bool TetClusters::join_cluster(std::uint32_t cluster) {
   const Cluster& few = clusters_[cluster];
   std::uint32_t into = kNone;
-  for (TetId t = few.first; t != kNone; t = next_member_[t]) {
+  for (const TetId t : members_of(few)) {
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
       const std::uint32_t beside = n == kNone ? kNone : cluster_of_[n];
@@ -89,16 +110,20 @@ bool TetClusters::join_cluster(std::uint32_t cluster, TetId last) {
     }
   }
   if (into == kNone) return false;
-  for (TetId t = few.first; t != kNone; t = next_member_[t]) cluster_of_[t] = into;
-  next_member_[last] = clusters_[into].first;
-  clusters_[into].first = few.first;
-  clusters_[into].node.tets += few.node.tets;
+  for (const TetId t : members_of(few)) cluster_of_[t] = into;
+  Cluster& joined = clusters_[into];
+  const std::uint32_t were_at = joined.members, count = joined.node.tets;
+  joined.node.tets += few.node.tets;
+  if (joined.room < joined.node.tets) take_room(joined, kMax);
+  TetId* const members = members_.data() + joined.members;
+  std::memmove(members + few.node.tets, members_.data() + were_at, count * sizeof(TetId));
+  std::ranges::copy(members_of(few), members);
   return true;
 }
 
 void TetClusters::find_links(std::uint32_t cluster) {
   const auto begin = static_cast<std::ptrdiff_t>(links_.size());
-  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
+  for (const TetId t : members_of(clusters_[cluster])) {
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
       if (n == kNone || cluster_of_[n] == cluster) continue;
@@ -122,12 +147,15 @@ std::int64_t TetClusters::dissolve(TetId tet, std::vector<Loose>& loose) {
     units += 4;
   }
   const std::uint32_t piece = clusters_[cluster].node.piece;
-  for (TetId t = clusters_[cluster].first; t != kNone; t = next_member_[t]) {
+  const auto members = members_of(clusters_[cluster]);
+  for (const TetId t : members) {
+    mesh_.prefetch(t);
     cluster_of_[t] = kNone;
+  }
+  for (const TetId t : members) {
     if (mesh_.alive(t)) loose.push_back({t, piece});
   }
-  clusters_[cluster] = {};
-  free_.push_back(cluster);
+  free(cluster);
   return units;
 }
 
@@ -136,7 +164,7 @@ std::int64_t TetClusters::dissolve(TetId tet, std::vector<Loose>& loose) {
 // All clusters are in blocks then.
 void TetClusters::form_blocks() {
   for (std::uint32_t seed = 0; seed < clusters_.size(); ++seed) {
-    if (clusters_[seed].first == kNone || clusters_[seed].block != kNone) continue;
+    if (clusters_[seed].node.tets == 0 || clusters_[seed].block != kNone) continue;
     const std::uint32_t block = begin_block(seed);
     std::uint32_t last = seed, size = 1;
     for (std::uint32_t c = seed; c != kNone && size < kFull; c = clusters_[c].next_in_block) {
@@ -211,7 +239,7 @@ void TetClusters::archive(Archive& io, std::uint32_t pieces) {
   if (!io.reads() || io.failed()) return;
   io.demand(restore(listed, pieces), "clusters that are not the tetrahedra, each once");
   grow_to(cluster_of_, mesh_.tet_slots());
-  grow_to(next_member_, mesh_.tet_slots());
+  grow_to(members_, members_.size());
 }
 
 // How many clusters there are; each: size and whether it is linked, piece, members; then each block: how many clusters, which.
@@ -221,9 +249,7 @@ std::vector<std::uint32_t> TetClusters::list() const {
   // In the order of their first members: a restored session assigns other slots.
   std::vector<std::pair<TetId, std::uint32_t>> in_order;
   for (std::uint32_t number = 0; number < clusters_.size(); ++number) {
-    const TetId first = clusters_[number].first;
-    if (first < cluster_of_.size() && has(first) && cluster_of_[first] == number)
-      in_order.emplace_back(first, number);
+    if (clusters_[number].node.tets != 0) in_order.emplace_back(members_[clusters_[number].members], number);
   }
   std::sort(in_order.begin(), in_order.end());
   for (const auto& [first, number] : in_order) {
@@ -231,7 +257,8 @@ std::vector<std::uint32_t> TetClusters::list() const {
     place[number] = listed[0]++;
     listed.push_back(c.node.tets | (c.links != kNone ? kLinked : 0));
     listed.push_back(piece(first));
-    for (TetId t = c.first; t != kNone; t = next_member_[t]) listed.push_back(t);
+    const auto members = members_of(c);
+    listed.insert(listed.end(), members.begin(), members.end());
   }
   for (const Block& block : blocks_) {
     if (block.first == kNone) continue;
@@ -252,7 +279,7 @@ bool TetClusters::restore(std::span<const std::uint32_t> listed, std::uint32_t p
   links_.clear();
   block_links_.clear();
   cluster_of_.assign(mesh_.tet_slots(), kNone);
-  next_member_.assign(mesh_.tet_slots(), kNone);
+  members_.clear();
   if (listed.empty()) return false;
   const std::uint32_t count = listed[0];
   listed = listed.subspan(1);
@@ -268,10 +295,11 @@ bool TetClusters::restore(std::span<const std::uint32_t> listed, std::uint32_t p
       const TetId t = listed[i];
       if (t >= mesh_.tet_slots() || !mesh_.alive(t) || has(t)) return false;
       cluster_of_[t] = c;
-      next_member_[t] = i + 1 < size ? listed[i + 1] : kNone;
     }
     clusters_.emplace_back();
-    clusters_[c].first = listed[0];
+    clusters_[c].members = static_cast<std::uint32_t>(members_.size());
+    members_.insert(members_.end(), listed.begin(), listed.begin() + size);
+    clusters_[c].room = size;
     clusters_[c].node = {size, piece, 0, 0};
     members += size;
     listed = listed.subspan(size);

@@ -49,6 +49,16 @@ class TetClusters {
   const Node& operator[](NodeId node) const {
     return node & kBlock ? blocks_[node & ~kBlock].node : clusters_[node].node;
   }
+  // For a node that is visited soon.
+  void prefetch_beside(NodeId node) const {
+    if (node & kBlock) {
+      __builtin_prefetch(block_links_.data() + blocks_[node & ~kBlock].links);
+    } else if (clusters_[node].links != kNone) {
+      __builtin_prefetch(links_.data() + clusters_[node].links);
+    } else {
+      __builtin_prefetch(members_.data() + clusters_[node].members);
+    }
+  }
   std::uint32_t piece(TetId t) const { return (*this)[node_of(t)].piece; }
 
   // The cluster of t is no more, nor is its block; its living tetrahedra are appended to `loose`. Returns units of work.
@@ -70,8 +80,9 @@ class TetClusters {
   static constexpr std::uint32_t kBlock = 1u << 31, kLinked = 1u << 31;
 
   struct Cluster {
-    Node node;
-    TetId first = kNone;                         // member; kNone: the slot is free
+    Node node;                                   // of no tetrahedra: the slot is free
+    std::uint32_t members = 0;                   // where in members_
+    std::uint32_t room = 0;                      // for so many, also while the slot is free
     std::uint32_t links = kNone, links_end = 0;  // kNone: some step has touched it
     std::uint32_t block = kNone;
     std::uint32_t next_in_block = kNone;
@@ -88,7 +99,13 @@ class TetClusters {
   }
   template <class Visit>
   std::int64_t visit_beside_cluster(std::uint32_t cluster, Visit visit) const;
-  bool join_cluster(std::uint32_t cluster, TetId last);
+  std::span<const TetId> members_of(const Cluster& c) const {
+    return {members_.data() + c.members, c.node.tets};
+  }
+  void free(std::uint32_t cluster);
+  void pack_members();
+  void take_room(Cluster& c, std::uint32_t count);
+  bool join_cluster(std::uint32_t cluster);
   bool join_block(std::uint32_t block, std::uint32_t last);
   void find_links(std::uint32_t cluster);
   void form_blocks();
@@ -100,7 +117,7 @@ class TetClusters {
 
   const TetMesh& mesh_;
   std::vector<std::uint32_t> cluster_of_;  // by tetrahedron
-  std::vector<TetId> next_member_;         // by tetrahedron
+  std::vector<TetId> members_;             // of each cluster side by side: what comes next is fetched
   std::vector<Cluster> clusters_;
   std::vector<std::uint32_t> free_;
   std::vector<Block> blocks_;
@@ -146,10 +163,12 @@ std::int64_t TetClusters::visit_beside_cluster(std::uint32_t cluster, Visit visi
   // First collect all neighbours, without branches: most of the time goes into waiting for memory.
   std::uint32_t beside[4 * kMax];
   std::size_t count = 0;
-  for (TetId t = c.first; t != kNone; t = next_member_[t]) {
+  for (const TetId t : members_of(c)) mesh_.prefetch(t);
+  for (const TetId t : members_of(c)) {
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
       beside[count] = cluster_of_[n == kNone ? t : n];
+      __builtin_prefetch(&clusters_[beside[count]]);
       count += beside[count] != cluster;
     }
   }
