@@ -165,13 +165,13 @@ void TetMesh::split_initial_vertices() {
   if (!any) return;
   begin_noting(4 * tets_.size());
   for (TetId t = 0; t < tet_slots(); ++t) {
-    for (std::uint32_t i = 0; i < 4; ++i) {
-      if (pinched[tets_[t].vertices[i]]) note_corner(tets_[t].vertices[i], 4 * t + i);
+    for (int i = 0; i < 4; ++i) {
+      if (pinched[tets_[t].vertices[i]]) note_side(tets_[t].vertices[i], half_face(t, i ^ 1));
     }
   }
   // The component of the star that comes first in the file keeps the vertex; the others get copies.
   for (const Noted::Star& noted : noted_.stars)
-    vertices_[noted.vertex].tet = tet_of(noted_.corners[noted.first].corner);
+    vertices_[noted.vertex].tet = tet_of(noted_.sides[noted.first].side);
   const std::uint32_t slots = vertex_slots();
   split_noted_stars();
   initial_vertex_copies_ = vertex_slots() - slots;

@@ -220,21 +220,48 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
   at_boundary_[w] |= std::exchange(at_boundary_[v], std::uint8_t{0});
 }
 
-void TetMesh::begin_noting(std::size_t max_corners) {
-  noted_.first_mark = vertex_marks_.fresh(static_cast<std::uint32_t>(max_corners));
-  noted_.stars.clear();
-  noted_.corners.clear();
+// Whether an edge of tetrahedron `from` has tetrahedra all around it.
+bool TetMesh::is_inside(TetId from, VertexId a, VertexId b) const {
+  if (!at_boundary(a) || !at_boundary(b)) return true;
+  VertexId off[2];
+  int n = 0;
+  for (VertexId v : tets_[from].vertices) {
+    if (v != a && v != b) off[n++] = v;
+  }
+  VertexId behind = off[0], ahead = off[1];
+  for (TetId t = from;;) {
+    const HalfFace h = tets_[t].opposite[local_index(t, behind)];
+    if (h == kNone) return false;
+    t = tet_of(h);
+    if (t == from) return true;
+    behind = ahead;
+    ahead = tets_[t].vertices[face_of(h)];
+  }
 }
 
-void TetMesh::note_corner(VertexId v, Corner corner) {
-  const auto at = static_cast<std::uint32_t>(noted_.corners.size());
-  noted_.corners.push_back({corner, kNone});
+// Bit k: the face's edge from its k-th vertex to the next one is.
+unsigned TetMesh::edges_inside(HalfFace h) const {
+  const auto v = face_vertices(h);
+  unsigned inside = 0;
+  for (std::size_t k = 0; k < 3; ++k) inside |= (is_inside(tet_of(h), v[k], v[(k + 1) % 3]) ? 1u : 0u) << k;
+  return inside;
+}
+
+void TetMesh::begin_noting(std::size_t max_stars) {
+  noted_.first_mark = vertex_marks_.fresh(static_cast<std::uint32_t>(max_stars));
+  noted_.stars.clear();
+  noted_.sides.clear();
+}
+
+void TetMesh::note_side(VertexId v, HalfFace side) {
+  const auto at = static_cast<std::uint32_t>(noted_.sides.size());
+  noted_.sides.push_back({side, kNone});
   const std::uint32_t star = vertex_marks_[v] - noted_.first_mark;
   if (vertex_marks_[v] < noted_.first_mark) {
     vertex_marks_[v] = noted_.first_mark + static_cast<std::uint32_t>(noted_.stars.size());
     noted_.stars.push_back({v, at, at});
   } else {
-    noted_.corners[noted_.stars[star].last].next = at;
+    noted_.sides[noted_.stars[star].last].next = at;
     noted_.stars[star].last = at;
   }
 }
@@ -244,9 +271,48 @@ void TetMesh::open_side(HalfFace side) {
   log_.touch_tet(*this, t);
   tets_[t].opposite[face_of(side)] = kNone;
   cut_masks_[t] |= static_cast<std::uint8_t>(1u << face_of(side));
-  for (const int i : kFaceVertices[face_of(side)])
-    note_corner(tets_[t].vertices[i], 4 * t + static_cast<std::uint32_t>(i));
-  for (const VertexId v : face_vertices(side)) at_boundary_[v] = 1;
+  for (const VertexId v : face_vertices(side)) {
+    note_side(v, side);
+    at_boundary_[v] = 1;
+  }
+}
+
+// Whether the faces that open_faces() has opened may part a star. Around an edge that was inside the tissue, and at which no other one
+// opens, a face's sides hang together still: it parts nothing, so its other edge may be such a one to the next. Faces around a vertex
+// open in several turns, as a rule, and only the last of them parts its star.
+bool TetMesh::may_part(const Noted::Star& star) const {
+  struct Opened {
+    VertexId ends[2];
+    bool inside[2];  // the edges to them were
+  };
+  constexpr std::size_t kMax = 16;
+  Opened opened[kMax];
+  std::size_t count = 0;
+  // Both sides of each face are noted one after the other, six times in all.
+  for (std::uint32_t s = star.first; s != kNone; s = noted_.sides[noted_.sides[s].next].next) {
+    if (count == kMax) return true;
+    const auto v = face_vertices(noted_.sides[s].side);
+    const unsigned inside = edges_inside_[s / 6];
+    const std::size_t k = v[0] == star.vertex ? 0 : v[1] == star.vertex ? 1 : 2;
+    const std::size_t next = (k + 1) % 3, last = (k + 2) % 3;
+    opened[count++] = {{v[next], v[last]}, {(inside >> k & 1) != 0, (inside >> last & 1) != 0}};
+  }
+  const auto hangs_together = [&](const Opened& face, int e) {
+    if (!face.inside[e]) return false;
+    int faces = 0;
+    for (std::size_t i = 0; i < count; ++i)
+      faces += opened[i].ends[0] == face.ends[e] || opened[i].ends[1] == face.ends[e] ? 1 : 0;
+    return faces == 1;
+  };
+  for (std::size_t i = 0; i < count;) {
+    if (hangs_together(opened[i], 0) || hangs_together(opened[i], 1)) {
+      opened[i] = opened[--count];
+      i = 0;
+    } else {
+      ++i;
+    }
+  }
+  return count > 0;
 }
 
 void TetMesh::split_noted_stars() {
@@ -255,8 +321,8 @@ void TetMesh::split_noted_stars() {
     const VertexId v = noted.vertex;
     star_scratch_.clear();
     component(v, vertices_[v].tet, mark, star_scratch_);
-    for (std::uint32_t c = noted.first; c != kNone; c = noted_.corners[c].next) {
-      const TetId t = tet_of(noted_.corners[c].corner);
+    for (std::uint32_t s = noted.first; s != kNone; s = noted_.sides[s].next) {
+      const TetId t = tet_of(noted_.sides[s].side);
       if (tet_marks_[t] == mark) continue;
       star_scratch_.clear();
       component(v, t, mark, star_scratch_);
@@ -273,14 +339,18 @@ void TetMesh::split_noted_stars() {
 
 std::uint32_t TetMesh::open_faces(std::span<const HalfFace> faces) {
   begin_noting(6 * faces.size());
+  edges_inside_.clear();
+  for (HalfFace h : faces) edges_inside_.push_back(static_cast<std::uint8_t>(edges_inside(h)));
   std::uint32_t opened = 0;
-  for (HalfFace h : faces) {
-    const HalfFace o = opposite(h);
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    const HalfFace h = faces[i], o = opposite(h);
     if (o == kNone) continue;
-    ++opened;
+    edges_inside_[opened++] = edges_inside_[i];
     open_side(h);
     open_side(o);
   }
+  // Before any vertex has a copy.
+  std::erase_if(noted_.stars, [this](const Noted::Star& star) { return !may_part(star); });
   split_noted_stars();
   return opened;
 }

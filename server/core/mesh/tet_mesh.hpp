@@ -102,9 +102,31 @@ class TetMesh {
   // Whether a face at v has nothing on its other side. O(1).
   bool at_boundary(VertexId v) const { return at_boundary_[v] != 0; }
 
-  // For what will be read soon.
+  // For what will be read soon. Functions that only do this, and that GCC does not inline by itself, have to be inlined by force: it takes
+  // one without any effect for one that need not be called.
   void prefetch(TetId t) const { __builtin_prefetch(&tets_[t]); }
   void prefetch_position(VertexId v) const { __builtin_prefetch(&vertices_[v]); }
+  // Where v's star begins: v has to be in the caches by now.
+  void prefetch_star(VertexId v) const {
+    if (vertices_[v].tet == kNone) return;
+    __builtin_prefetch(&tets_[vertices_[v].tet]);
+    __builtin_prefetch(&tet_marks_[vertices_[v].tet]);
+  }
+  // The same for its next tetrahedra.
+  [[gnu::always_inline]] void prefetch_around_first(VertexId v) const {
+    if (vertices_[v].tet == kNone) return;
+    for (const HalfFace h : tets_[vertices_[v].tet].opposite) {
+      if (h == kNone) continue;
+      __builtin_prefetch(&tets_[tet_of(h)]);
+      __builtin_prefetch(&tet_marks_[tet_of(h)]);
+    }
+  }
+  // For what will be changed soon.
+  void prefetch_to_change(TetId t) const {
+    prefetch(t);
+    __builtin_prefetch(&cut_masks_[t]);
+    log_.prefetch(t);
+  }
   // Prefetches some tetrahedra and those around them, which are appended until there are `most`.
   void prefetch_around(std::vector<TetId>& tets, std::size_t most) const;
 
@@ -249,20 +271,20 @@ class TetMesh {
     std::array<VertexId, 4> vertices;
     std::array<HalfFace, 4> opposite;
   };
-  // Where vertices may belong to more than one component of their star: they are noted with corners, then each gets one copy for
-  // each face-connected component but the one that holds the tetrahedron that it names.
+  // Where vertices may belong to more than one component of their star: they are noted with the sides of faces at them that have opened,
+  // then each gets one copy for each face-connected component but the one that holds the tetrahedron that it names.
   struct Noted {
-    struct NotedCorner {
-      Corner corner;
+    struct Side {
+      HalfFace side;
       std::uint32_t next;  // the next one at the same vertex
     };
     struct Star {
       VertexId vertex;
-      std::uint32_t first, last;  // into corners
+      std::uint32_t first, last;  // into sides
     };
     std::uint32_t first_mark = 0;  // of stars[0]; the others count on
     std::vector<Star> stars;
-    std::vector<NotedCorner> corners;
+    std::vector<Side> sides;
   };
   struct LinkMarks;     // of may_collapse()
   struct BoundaryLink;  // likewise
@@ -285,9 +307,12 @@ class TetMesh {
   void kill_tet(TetId t);
   void mark_link_of(VertexId w, const LinkMarks& marks) const;
   bool edges_are_around(TetId t, VertexId v, const LinkMarks& marks) const;
-  void begin_noting(std::size_t max_corners);
-  void note_corner(VertexId v, Corner corner);
+  bool is_inside(TetId from, VertexId a, VertexId b) const;
+  unsigned edges_inside(HalfFace h) const;
+  void begin_noting(std::size_t max_stars);
+  void note_side(VertexId v, HalfFace side);
   void open_side(HalfFace side);
+  bool may_part(const Noted::Star& star) const;
   void split_noted_stars();
   // mesh_deform.cpp
   Vec3 rest_at(VertexId v, const Vec3& position) const;
@@ -311,6 +336,7 @@ class TetMesh {
   // Scratch, kept so that a warm step allocates nothing.
   mutable FreshMarks tet_marks_, vertex_marks_;
   Noted noted_;
+  std::vector<std::uint8_t> edges_inside_;  // of each face that opens
   mutable std::vector<Corner> star_scratch_;
   mutable std::vector<TetId> ring_scratch_;
 };
