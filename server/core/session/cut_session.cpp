@@ -196,12 +196,22 @@ bool CutSession::measure(WorkBudget& budget) {
     if (budget.spent()) return false;
     budget.charge(2);
     const TetState& tet = made_.upserted[next_upserted_];
+    if (next_upserted_ + 4 < made_.upserted.size()) {
+      const TetState& soon = made_.upserted[next_upserted_ + 4];
+      __builtin_prefetch(&workspace_.tets[soon.id]);
+      mesh_.prefetch(soon.id);
+      for (VertexId v : soon.vertices) mesh_.prefetch_position(v);
+    }
     look_at(tet.id);
     // The policy `croll` does not use the grid itself.
     if (config_.policy == Policy::kCroll && tet.boundary_mask != 0) workspace_.grid.add(mesh_, tet.id);
   }
   for (; next_moved_ < made_.moved.size(); ++next_moved_) {
     if (budget.spent()) return false;
+    if (next_moved_ + 4 < made_.moved.size()) {
+      mesh_.prefetch_position(made_.moved[next_moved_ + 4]);
+      mesh_.prefetch_star(made_.moved[next_moved_ + 2]);
+    }
     mesh_.star(made_.moved[next_moved_], star_);
     budget.charge(static_cast<std::int64_t>(star_.size() + 1));
     for (std::uint32_t corner : star_) look_at(tet_of(corner));

@@ -85,6 +85,10 @@ bool ClosingStage::collect(WorkBudget& budget) {
   for (; next_ < around_.size(); ++next_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
+    if (next_ + 4 < around_.size()) {
+      mesh_.prefetch_position(around_[next_ + 4]);
+      mesh_.prefetch_star(around_[next_ + 2]);
+    }
     mesh_.star(around_[next_], star_);
     cut_.work.add(star_.size(), cost::kStarCornersAUnit);
     for (Corner c : star_) consider_faces(tet_of(c));

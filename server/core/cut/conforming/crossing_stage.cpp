@@ -10,6 +10,7 @@ void CrossingStage::begin(int round) {
   round_ = round;
   order_.clear();
   next_ordered_ = 0;
+  sealed_ = false;
   ordered_ = false;
 }
 
@@ -22,11 +23,19 @@ bool CrossingStage::order(WorkBudget& budget) {
     const Crossing& c = crossings_[i];
     if (!c.done && !cut_.hot(c.a) && !cut_.hot(c.b)) order_.push({c.nearness, c.a, c.b, i});
   }
-  order_.seal();
+  if (!sealed_) {
+    order_.seal();
+    sealed_ = true;
+    in_turn_.clear();
+  }
+  while (!order_.empty()) {
+    if (budget.spent()) return false;
+    budget.charge(cost::kLook);
+    in_turn_.push_back(order_.take().index);
+  }
   ordered_ = true;
   pass_ = 0;
-  again_.clear();
-  next_again_ = 0;
+  next_in_turn_ = 0;
   retry_.clear();
   return true;
 }
@@ -37,17 +46,36 @@ bool CrossingStage::advance(WorkBudget& budget) {
     return false;
   }
   for (;;) {
-    while (pass_ == 0 ? !order_.empty() : next_again_ < again_.size()) {
+    while (next_in_turn_ < in_turn_.size()) {
       cut_.work.charge(budget);
       if (budget.spent()) return false;
-      handle(pass_ == 0 ? order_.take().index : again_[next_again_++]);
+      const std::size_t at = next_in_turn_++;
+      fetch_ahead(at);
+      handle(in_turn_[at]);
     }
     if (retry_.empty()) return true;
     ++pass_;
-    again_.swap(retry_);
+    in_turn_.swap(retry_);
     retry_.clear();
-    next_again_ = 0;
+    next_in_turn_ = 0;
   }
+}
+
+// Those that come next lie anywhere along the cut, in no cache as a rule.
+[[gnu::always_inline]] inline void CrossingStage::fetch_ahead(std::size_t at) {
+  if (at + 6 >= in_turn_.size()) return;
+  __builtin_prefetch(&crossings_[in_turn_[at + 6]]);
+  const Crossing& soon = crossings_[in_turn_[at + 4]];
+  __builtin_prefetch(&cut_.workspace.vertices[soon.a]);
+  __builtin_prefetch(&cut_.workspace.vertices[soon.b]);
+  mesh_.prefetch_position(soon.a);
+  mesh_.prefetch_position(soon.b);
+  const Crossing& next = crossings_[in_turn_[at + 2]];
+  if (!cut_.on_surface(next.a) && !cut_.on_surface(next.b))
+    mesh_.prefetch_star(next.at <= 0.5 ? next.a : next.b);
+  const Crossing& first = crossings_[in_turn_[at + 1]];
+  if (!cut_.on_surface(first.a) && !cut_.on_surface(first.b))
+    mesh_.prefetch_around_first(first.at <= 0.5 ? first.a : first.b);
 }
 
 void CrossingStage::handle(std::uint32_t index) {
@@ -101,7 +129,7 @@ bool CrossingStage::snap_well(const Crossing& crossing, const Vec3& at) {
     best_[i] = places_.place(stars_[i], ends_[i], crossing, at, kGood, pass_ > 0);
     if (best_[i].worst <= kGood) {
       ++cut_.counts.events;
-      editor_.snap(stars_[i], ends_[i], best_[i].target);
+      editor_.snap(stars_[i], ends_[i], best_[i].target, best_[i].worst, places_.flat());
       return true;
     }
   }

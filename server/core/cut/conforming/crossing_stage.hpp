@@ -26,6 +26,7 @@ class CrossingStage {
 
  private:
   bool order(WorkBudget& budget);
+  void fetch_ahead(std::size_t at);
   void handle(std::uint32_t index);
   bool still_crosses(Crossing& crossing);
   bool snap_well(const Crossing& crossing, const Vec3& at);
@@ -52,11 +53,11 @@ class CrossingStage {
   };
   RunSorter<Key> order_;
   std::size_t next_ordered_ = 0;  // in crossings_, until all are in order
-  bool ordered_ = false;
+  bool sealed_ = false, ordered_ = false;
   int round_ = 0;
   int pass_ = 0;
-  std::vector<std::uint32_t> again_;  // that this pass works on, after the first
-  std::size_t next_again_ = 0;
+  std::vector<std::uint32_t> in_turn_;  // that this pass works on
+  std::size_t next_in_turn_ = 0;
   std::vector<std::uint32_t> retry_;  // that the next one will
 
   // The crossing at work: its ends, the nearer first, their stars, and where they would go.

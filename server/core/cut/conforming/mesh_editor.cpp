@@ -21,6 +21,11 @@ void MeshEditor::judge_again(const VertexStar& star, VertexId v) {
 
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = cut_.worst_at(star, target, kInverted, kFlat_local * star.local_h(), flat_);
+  snap(star, v, target, worst, flat_);
+}
+
+void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target, double worst,
+                      std::span<const TetId> flat) {
   mesh_.move_vertex(v, target);
   ++cut_.workspace.vertices[v].moves;
   cut_.workspace.vertices[v].surface = cut_.stroke;
@@ -32,8 +37,8 @@ void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
       active_.add(c.tet);
   }
   judge_again(star, v);
-  if (worst > kGood || !flat_.empty()) changed_.push_back({v});
-  for (TetId t : flat_) remove_flat(t);
+  if (worst > kGood || !flat.empty()) changed_.push_back({v});
+  for (TetId t : flat) remove_flat(t);
 }
 
 void MeshEditor::snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target) {

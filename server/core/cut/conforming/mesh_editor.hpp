@@ -48,6 +48,9 @@ class MeshEditor {
 
   // v, whose star that is, goes onto the surface. What becomes flat is removed.
   void snap(const VertexStar& star, VertexId v, const Vec3& target);
+  // The same, where the star's worst measure there is known, and what becomes flat.
+  void snap(const VertexStar& star, VertexId v, const Vec3& target, double worst,
+            std::span<const TetId> flat);
   // The same, where the sweep ends.
   void snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target);
   // v lies on the surface, or stands for it, where it is. Before verification.

@@ -58,6 +58,7 @@ bool OpeningStage::select(WorkBudget& budget) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const std::size_t i = next_++;
+    active_.fetch_ahead(i);
     const TetId t = active_[i].tet;
     cut_.work += cost::kLook;
     if (!mesh_.alive(t)) continue;
@@ -230,6 +231,14 @@ bool OpeningStage::open(WorkBudget& budget) {
     for (std::size_t i = next_; i < end; ++i) {
       opened_.push_back(faces_[i]);
       opened_.push_back(mesh_.opposite(faces_[i]));
+    }
+    for (std::size_t i = end; i < std::min(end + kOpenChunk, faces_.size()); ++i) {
+      const TetId one = tet_of(faces_[i]), other = tet_of(mesh_.opposite(faces_[i]));
+      mesh_.prefetch_to_change(one);
+      mesh_.prefetch_to_change(other);
+      __builtin_prefetch(&cut_.workspace.tets[one]);
+      __builtin_prefetch(&cut_.workspace.tets[other]);
+      for (VertexId v : mesh_.face_vertices(faces_[i])) mesh_.prefetch_star(v);
     }
     editor_.open(std::span<const HalfFace>(faces_.data() + next_, end - next_));
     next_ = end;

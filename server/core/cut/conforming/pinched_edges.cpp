@@ -23,6 +23,10 @@ bool PinchedEdges::advance(WorkBudget& budget) {
   for (; next_vertex_ < vertices_.size() && is_ripe(vertices_[next_vertex_].ripe_at_m); ++next_vertex_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
+    if (next_vertex_ + 4 < vertices_.size()) {
+      mesh_.prefetch_position(vertices_[next_vertex_ + 4].vertex);
+      mesh_.prefetch_star(vertices_[next_vertex_ + 2].vertex);
+    }
     find_pinched(vertices_[next_vertex_].vertex);
   }
   for (; next_edge_ < edges_.size() && is_ripe(edges_[next_edge_].ripe_at_m); ++next_edge_) {

@@ -21,6 +21,8 @@ class PlaceFinder {
   // star. `search`: also looks around for a better place.
   Placement place(VertexStar& star, VertexId v, const Crossing& crossing, const Vec3& at, double limit,
                   bool search);
+  // What becomes flat at the place that it has just found, where the worst measure is at most `limit`.
+  const std::vector<TetId>& flat() const { return flat_; }
   // Whether a boundary vertex may stand for the surface where it is, and better than at `placement`, which is then replaced.
   bool stay(const VertexStar& star, Placement& placement);
   // Whether a boundary vertex is so near the surface that it may stand for it, however its boundary runs, where all else leaves a needle.
@@ -39,7 +41,7 @@ class PlaceFinder {
                 Placement& placement);
 
   CutContext& cut_;
-  std::vector<TetId> flat_;  // scratch
+  std::vector<TetId> flat_;  // at the place that was looked at last
 };
 
 }  // namespace incise::core

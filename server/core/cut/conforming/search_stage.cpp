@@ -7,6 +7,13 @@ namespace incise::core {
 
 using namespace tolerance;
 
+namespace {
+
+// So many tetrahedra ahead of the search memory is fetched.
+constexpr std::size_t kAhead = 8;
+
+}  // namespace
+
 void SearchStage::begin() {
   searched_.begin();
   queue_.clear();
@@ -99,6 +106,19 @@ void SearchStage::spread(WorkBudget& budget) {
   while (queue_next_ < queue_.size()) {
     if (!work_left(budget)) return;
     const TetId t = queue_[queue_next_++];
+    // What lies beside those that come next is in no cache, as a rule.
+    if (queue_next_ + kAhead < queue_.size()) {
+      for (int f = 0; f < 4; ++f) {
+        const HalfFace beyond = mesh_.opposite(half_face(queue_[queue_next_ + kAhead], f));
+        const HalfFace beside = mesh_.opposite(half_face(queue_[queue_next_ + kAhead / 2], f));
+        if (beyond != kNone) {
+          __builtin_prefetch(&cut_.workspace.tets[tet_of(beyond)]);
+          __builtin_prefetch(&mesh_.vertices(tet_of(beyond)));
+        }
+        if (beside != kNone)
+          __builtin_prefetch(&mesh_.position(mesh_.vertices(tet_of(beside))[face_of(beside)]));
+      }
+    }
     active_.add(t);
     // What it opens itself it leaves behind.
     cut_.meets_cut = cut_.meets_cut || mesh_.cut_mask(t) != 0;

@@ -21,6 +21,7 @@ bool VerifyStage::advance(WorkBudget& budget) {
   while (next_ < active_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
+    active_.fetch_ahead(next_);
     ActiveSet::Entry& entry = active_[next_++];
     cut_.work += cost::kLook;
     const TetId t = entry.tet;
