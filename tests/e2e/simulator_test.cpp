@@ -492,7 +492,14 @@ TEST(SoftBodyTest, ACutOpensAlsoAfterUndoResetAndRestart) {
   EXPECT_TRUE(wait_for([&] { return slab.viewer->revision() == 0; }));
   opens("reset");
 
-  const Held before = held(*slab.viewer);
+  // Steps that were still on their way to the capture would be gone.
+  Held before = held(*slab.viewer);
+  EXPECT_TRUE(wait_for([&] {
+    const Held last = before;
+    std::this_thread::sleep_for(milliseconds(500));
+    before = held(*slab.viewer);
+    return before == last;
+  }));
   slab.session.kill();
   ASSERT_TRUE(slab.session.start(true)) << slab.session.log();
   slab.connect();
