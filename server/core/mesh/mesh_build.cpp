@@ -166,6 +166,7 @@ void TetMesh::split_initial_vertices() {
   begin_noting(4 * tets_.size());
   for (TetId t = 0; t < tet_slots(); ++t) {
     for (int i = 0; i < 4; ++i) {
+      // With any face at it: only the tetrahedron counts here.
       if (pinched[tets_[t].vertices[i]]) note_side(tets_[t].vertices[i], half_face(t, i ^ 1));
     }
   }

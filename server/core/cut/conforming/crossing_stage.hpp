@@ -52,8 +52,9 @@ class CrossingStage {
     }
   };
   RunSorter<Key> order_;
-  std::size_t next_ordered_ = 0;  // in crossings_, until all are in order
-  bool sealed_ = false, ordered_ = false;
+  std::size_t next_ordered_ = 0;  // in crossings_, until all are listed
+  bool sealed_ = false;           // all are listed
+  bool ordered_ = false;          // and in in_turn_
   int round_ = 0;
   int pass_ = 0;
   std::vector<std::uint32_t> in_turn_;  // that this pass works on
