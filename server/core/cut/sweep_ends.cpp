@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/core/stroke/swept_triangle.hpp"
+
 namespace incise::core {
 namespace {
 
@@ -24,6 +26,20 @@ bool clip(const Vec3& a, const Vec3& b, const Vec3& low, const Vec3& high, doubl
 
 }  // namespace
 
+std::uint32_t SweepEnd::straight_to(std::uint32_t k, std::uint32_t part, double tolerance_m) const {
+  std::uint32_t farthest = k + 1;
+  for (bool straight = true; farthest + 1 < line_count; ++farthest) {
+    for (std::uint32_t side = part; side <= part + 1; ++side) {
+      for (std::uint32_t i = k + 1; i <= farthest; ++i)
+        straight =
+            straight && squared_distance_to_segment(at(i, side), at(k, side), at(farthest + 1, side)) <=
+                            tolerance_m * tolerance_m;
+    }
+    if (!straight) break;
+  }
+  return farthest;
+}
+
 void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count,
                     double part_m, const Vec3& low, const Vec3& high) {
   SweepEnd end;
@@ -33,7 +49,8 @@ void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* line
   end.line_count = static_cast<std::uint32_t>(std::min(count, SweepEnd::kMaxLines));
   std::copy_n(lines, end.line_count, end.lines.begin());
   const double length_m = (end.last_part - end.first_part) * distance(lines[0].heel, lines[0].tip);
-  end.part_count = static_cast<std::uint32_t>(std::clamp(std::ceil(length_m / part_m), 1.0, 1.0 * kMaxParts));
+  end.part_count =
+      static_cast<std::uint32_t>(std::clamp(std::ceil(length_m / part_m), 1.0, 1.0 * SweepEnd::kMaxParts));
   end.low = end.high = end.at(0, 0);
   for (std::size_t k = 0; k < end.line_count; ++k) {
     extend(end.at(k, 0), end.low, end.high);
@@ -61,8 +78,11 @@ void SweepEnds::archive(Archive& io) {
     io(end.taken);
     io(end.low);
     io(end.high);
-    io.demand(end.part_count >= 1 && end.part_count <= kMaxParts && end.first_part >= 0 && end.last_part <= 1,
+    io.demand(end.part_count >= 1 && end.part_count <= SweepEnd::kMaxParts && end.first_part >= 0 &&
+                  end.last_part <= 1,
               "the end of a sweep has no parts");
+    if (io.failed()) return;
+    for (std::uint32_t i = 0; i < end.part_count; ++i) io(end.open[i]);
   });
   io.demand(ends_.size() <= kMaxEnds, "more ends of sweeps than are kept");
   if (io.reads()) ends_.reserve(kMaxEnds);

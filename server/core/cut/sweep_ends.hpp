@@ -13,6 +13,7 @@ namespace incise::core {
 // Where a sweep began or ended, and a strip of what was swept there.
 struct SweepEnd {
   static constexpr std::size_t kMaxLines = 16;
+  static constexpr std::uint32_t kMaxParts = 64;
 
   std::uint32_t stroke = 0;
   double travel_m = 0;  // of the blade in that stroke, then
@@ -22,13 +23,18 @@ struct SweepEnd {
   double first_part = 0, last_part = 1;  // what of the blade, from heel to tip, was near the tissue
   std::uint32_t part_count = 0;          // into which that is divided, kMaxParts at most
   std::uint64_t taken = 0;               // bit k: a later sweep has taken up part k
-  Vec3 low, high;                        // a box around all lines'
+  // Bit k of a part: amid it and at line k, the mesh has a face of a cut. Asked where a later sweep comes near.
+  std::array<std::uint16_t, kMaxParts> open{};
+  Vec3 low, high;  // a box around all lines'
 
+  // Where a part begins on the blade, from heel to tip.
+  double along(double part) const { return first_part + (last_part - first_part) * part / part_count; }
   // A point of line k, at the beginning of a part.
   Vec3 at(std::size_t line, std::uint32_t part) const {
-    const double u = first_part + (last_part - first_part) * part / part_count;
-    return lerp(lines[line].heel, lines[line].tip, u);
+    return lerp(lines[line].heel, lines[line].tip, along(part));
   }
+  // The farthest line to which the part goes straight from line k, to within the tolerance.
+  std::uint32_t straight_to(std::uint32_t k, std::uint32_t part, double tolerance_m) const;
 };
 
 // The newest ends of what all blades have swept in a body: enough for a part that is cut out by dozens of strokes. Between
@@ -50,7 +56,6 @@ class SweepEnds {
 
  private:
   static constexpr std::size_t kMaxEnds = 64;
-  static constexpr std::uint32_t kMaxParts = 64;
 
   std::vector<SweepEnd> ends_;  // the oldest first
 };

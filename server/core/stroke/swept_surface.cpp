@@ -2,8 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace incise::core {
+
+namespace {
+
+// Of a squared reach: far more than arithmetic loses, far less than anything that matters.
+constexpr double kRounded = 1e-6;
+
+}  // namespace
 
 void SweptSurface::add_quad(const BladeLine& from, const BladeLine& to, int rows, int columns,
                             std::uint32_t batch, bool first, const Vec3& low, const Vec3& high) {
@@ -75,21 +83,24 @@ void SweptSurface::build(std::size_t latest) {
 }
 
 std::size_t SweptSurface::drop_before(std::uint32_t oldest) {
-  const std::size_t dropped =
-      std::erase_if(triangles_, [oldest](const SweptTriangle& t) { return t.batch < oldest; });
-  if (dropped > 0) built_ = 0;
-  return dropped;
+  while (first_ < triangles_.size() && triangles_[first_].batch < oldest) ++first_;
+  // The tree is built anew when a quarter of it is forgotten, and not each time.
+  if (first_ == 0 || 4 * first_ < triangles_.size()) return 0;
+  triangles_.erase(triangles_.begin(), triangles_.begin() + static_cast<std::ptrdiff_t>(first_));
+  built_ = 0;
+  return std::exchange(first_, 0);
 }
 
 void SweptSurface::clear() {
   triangles_.clear();
-  built_ = 0;
+  first_ = built_ = 0;
   build();
 }
 
 bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
-  if (triangle < triangles_.size()) {
-    const SweptTriangle& s = triangles_[triangle];
+  const std::uint32_t likely = triangle;
+  if (has(likely)) {
+    const SweptTriangle& s = triangles_[likely];
     const double d = s.signed_distance(p);
     bool above = std::abs(d) < reach;
     for (int k = 0; k < 3; ++k) above = above && dot(s.inward[k], p) >= s.inward_offset[k];
@@ -98,16 +109,22 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
       return true;
     }
   }
-  return closest(p, reach, point, triangle);
+  return closest(p, reach, point, triangle, likely);
 }
 
-bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
+bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle,
+                           std::uint32_t likely) const {
   double best = reach * reach;
+  // The closest is no farther than the likely one, but for what is rounded: which it is, the search decides.
+  if (has(likely)) {
+    const double d2 = squared_length(closest_point(p, triangles_[likely]) - p);
+    best = std::min(best, d2 + kRounded * best);
+  }
   bool found = false;
   all_.each_near(p, best, [&](std::uint32_t i) {
     const SweptTriangle& s = triangles_[i];
     const double plane = s.signed_distance(p);
-    if (plane * plane >= best) return;
+    if (i < first_ || plane * plane >= best) return;
     const Vec3 q = closest_point(p, s);
     const double d2 = squared_length(q - p);
     if (d2 >= best) return;
@@ -132,7 +149,7 @@ bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) 
   bool found = false;
   all_.each_near(p, left, [&](std::uint32_t i) {
     const SweptTriangle& s = triangles_[i];
-    if (found || (s.rim & without) != 0) return;
+    if (found || i < first_ || (s.rim & without) != 0) return;
     const double plane = s.signed_distance(p);
     if (plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
     found = true;
@@ -143,6 +160,8 @@ bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) 
 
 void SweptSurface::archive(Archive& io) {
   if (io.reads()) built_ = 0;
+  std::uint64_t first = first_;
+  io(first);
   io.list(triangles_, 253, [&](SweptTriangle& t) {
     for (Vec3& corner : t.corners) io(corner);
     io(t.normal);
@@ -154,6 +173,8 @@ void SweptSurface::archive(Archive& io) {
     io(t.batch);
     io(t.rim);
   });
+  io.demand(first <= triangles_.size(), "more triangles forgotten than swept");
+  first_ = io.failed() ? 0 : first;
 }
 
 }  // namespace incise::core

@@ -28,19 +28,24 @@ class SweptSurface {
                  bool continues);
   // `latest`: the first triangle of the last batch.
   void build(std::size_t latest = SIZE_MAX);
-  // Forgets all triangles of batches before `oldest`; returns how many. Call build() before the next query.
+  // Forgets all triangles of batches before `oldest`; returns by how much the others' indices become less. Call build() before the next query.
   std::size_t drop_before(std::uint32_t oldest);
   void clear();
 
+  // One more than the last triangle's index.
   std::size_t size() const { return triangles_.size(); }
   const SweptTriangle& operator[](std::size_t i) const { return triangles_[i]; }
-  std::span<const SweptTriangle> triangles() const { return triangles_; }
+  // Those that are not forgotten.
+  std::span<const SweptTriangle> triangles() const {
+    return std::span<const SweptTriangle>(triangles_).subspan(first_);
+  }
 
   // Calls visit(index) for each triangle whose box comes nearer than `slack_m` to that around two or four points, in order, until it returns
   // true; returns whether one did. Leaves some of those out on one side of whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
   bool any_between(const Points<N>& points, double slack_m, Visit visit) const {
-    return all_.any_between(points, slack_m, visit);
+    return all_.any_between(points, slack_m,
+                            [&](std::uint32_t index) { return index >= first_ && visit(index); });
   }
   // The same for the triangles of the last batch alone.
   template <std::size_t N, class Visit>
@@ -52,8 +57,9 @@ class SweptSurface {
   void archive(Archive& io);
 
   // The closest point of the surface, as it was when it was built, within `reach` of p and its triangle; false if
-  // nothing is within reach.
-  bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
+  // nothing is within reach. `likely`: a triangle near p, if one is known, so that less is looked at.
+  bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle,
+               std::uint32_t likely = UINT32_MAX) const;
   // Whether there is one.
   bool is_within(const Vec3& p, double reach) const;
   // Whether there is one that a blade has swept.
@@ -66,7 +72,11 @@ class SweptSurface {
   // Leaves out those with one of these bits in `rim`.
   bool is_within(const Vec3& p, double reach, std::uint8_t without) const;
 
+  // Whether a query may find that triangle.
+  bool has(std::uint32_t index) const { return index >= first_ && index < built_; }
+
   std::vector<SweptTriangle> triangles_;
+  std::size_t first_ = 0;  // those before are forgotten: still in all_, but not visited
   std::size_t built_ = 0;  // so many of them are in all_ as they are
   SweptTree all_, latest_;
 };

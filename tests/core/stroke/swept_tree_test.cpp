@@ -157,6 +157,14 @@ TEST(SweptSurface, FindsWhatIsLeftAfterDropping) {
       std::uint32_t triangle = 0;
       ASSERT_TRUE(surface.closest(p, 100, point, triangle));
       EXPECT_DOUBLE_EQ(distance(point, p), least);
+      // One that is known to be near makes no difference, unless it is forgotten.
+      for (std::uint32_t likely : {triangle, static_cast<std::uint32_t>(hand.below(surface.size() + 9))}) {
+        Vec3 same;
+        std::uint32_t same_triangle = 0;
+        ASSERT_TRUE(surface.closest(p, 100, same, same_triangle, likely));
+        EXPECT_EQ(same, point);
+        EXPECT_EQ(same_triangle, triangle);
+      }
       std::uint32_t first = UINT32_MAX;
       surface.any_latest_between(Points<2>({p, p}), 100, [&](std::uint32_t i) {
         first = std::min(first, i);

@@ -51,7 +51,7 @@ void ConformingCutter::begin_search() {
   editor_.begin_batch();
   repair_.begin_batch();
   crossings_.begin_batch();
-  cut_.work += static_cast<std::int64_t>(cut_.surface().size() / cost::kTrianglesAUnit +
+  cut_.work += static_cast<std::int64_t>(cut_.surface().triangles().size() / cost::kTrianglesAUnit +
                                          crossings_.size() / cost::kCrossingsAUnit +
                                          active_.size() / cost::kActiveAUnit);
   search_.begin();

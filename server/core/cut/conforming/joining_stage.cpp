@@ -164,12 +164,14 @@ void JoiningStage::end_strip(const BladeLine& line) {
 bool JoiningStage::comes_near(const SweepEnd& end) const {
   if (swept_.empty()) return false;
   if (end.stroke == cut_.stroke && cut_.path.travel_m() - end.travel_m < kFar_h * cut_.h) return false;
+  return is_in_reach(end.low, end.high);
+}
+
+// Whether the box of what is swept now is.
+bool JoiningStage::is_in_reach(const Vec3& low, const Vec3& high) const {
   const double reach = kJoinReach_h * cut_.h;
-  const auto meet = [reach](double low, double high, double other_low, double other_high) {
-    return low - reach <= other_high && high + reach >= other_low;
-  };
-  return meet(end.low.x, end.high.x, low_.x, high_.x) && meet(end.low.y, end.high.y, low_.y, high_.y) &&
-         meet(end.low.z, end.high.z, low_.z, high_.z);
+  return low.x - reach <= high_.x && high.x + reach >= low_.x && low.y - reach <= high_.y &&
+         high.y + reach >= low_.y && low.z - reach <= high_.z && high.z + reach >= low_.z;
 }
 
 void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
@@ -180,19 +182,27 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   for (const Vec3& p : {a, lerp(a, b, 0.5), b}) at_end = sweep_ahead(p, direction, ahead_m) || at_end;
   if (!at_end && !meets_gap(end, part)) return;
   end.taken |= std::uint64_t{1} << part;
-  for (std::uint32_t k = 0; k + 1 < end.line_count; ++k)
-    cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(k + 1, part + 1), end.at(k + 1, part),
+  const double tolerance_m = cut_.config.chord_tolerance_h * cut_.h;
+  for (std::uint32_t k = 0, next; k + 1 < end.line_count; k = next) {
+    next = end.straight_to(k, part, tolerance_m);
+    cut_.path.add_strip(end.at(k, part), end.at(k, part + 1), end.at(next, part + 1), end.at(next, part),
                         false);
+  }
   cut_.meets_cut = true;
   if (at_end) extend(a, b, direction, ahead_m);
 }
 
 // Whether what is swept now comes near the strip where the tissue still hangs together: large elements open only so far before a sweep's end.
-bool JoiningStage::meets_gap(const SweepEnd& end, std::uint32_t part) {
+// What is open stays so.
+bool JoiningStage::meets_gap(SweepEnd& end, std::uint32_t part) {
   double ahead_m = 0;
+  const double amid = end.along(part + 0.5);
   for (std::uint32_t k = 1; k < end.line_count; ++k) {
-    const Vec3 p = lerp(end.at(k, part), end.at(k, part + 1), 0.5);
-    if (sweep_ahead(p, {}, ahead_m) && !is_open(p)) return true;
+    if (end.open[part] >> k & 1) continue;
+    const Vec3 p = lerp(end.lines[k].heel, end.lines[k].tip, amid);
+    if (!sweep_ahead(p, {}, ahead_m)) continue;
+    if (!is_open(p)) return true;
+    end.open[part] |= static_cast<std::uint16_t>(1U << k);
   }
   return false;
 }
@@ -220,6 +230,7 @@ bool JoiningStage::is_open(const Vec3& p) {
 // Whether what is swept now comes near p, and how far ahead that is, at most.
 bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const {
   const double reach = kJoinReach_h * cut_.h;
+  if (!is_in_reach(p, p)) return false;
   // All that is swept lies near the line where it begins, and most ends of sweeps do not.
   const double far = reach + farthest_m_ + cut_.clear_m;
   if (squared_distance_to_segment(p, first_line_.heel, first_line_.tip) > far * far) return false;

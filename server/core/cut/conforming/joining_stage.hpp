@@ -60,8 +60,9 @@ class JoiningStage {
   void end_strip(const BladeLine& line);
   void keep_beginning();
   bool comes_near(const SweepEnd& end) const;
+  bool is_in_reach(const Vec3& low, const Vec3& high) const;
   void take_up(SweepEnd& end, std::uint32_t part);
-  bool meets_gap(const SweepEnd& end, std::uint32_t part);
+  bool meets_gap(SweepEnd& end, std::uint32_t part);
   bool is_open(const Vec3& p);
   void gather_walls();
   double wall_ahead(const Vec3& p, const Vec3& direction) const;

@@ -160,7 +160,7 @@ bool PlaceFinder::stay(const VertexStar& star, Placement& placement) {
   const Vec3& p = star.position();
   const double h = std::min(cut_.h, star.local_h());
   Vec3 closest;
-  std::uint32_t triangle = 0;
+  std::uint32_t triangle = kNone;
   cut_.work += cost::kNearby;
   if (!star.on_boundary() || !surface.near(p, kOne_h * h, closest, triangle)) return false;
   const auto runs_along = [&](const VertexStar::Wall& wall) {

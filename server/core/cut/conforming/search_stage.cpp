@@ -211,32 +211,46 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
   unsigned edges = kEdgesAcross[FourPoints::from(d, 0)];
   if (edges == 0) return false;
-  // How far inside each of the triangle's edges; outside one with all corners is outside.
-  double inside[3][4];
-  for (int k = 0; k < 3; ++k) {
-    p.along(triangle.inward[k], triangle.inward_offset[k], inside[k]);
-    if (FourPoints::most(inside[k]) < -clear) return false;
-  }
-  // The same for the corners of the section with the plane.
-  bool beside[3] = {true, true, true};
-  for (; edges != 0; edges &= edges - 1) {
+  // It misses the triangle where all its corners are outside of one side, or all places where its edges cross the plane. The latter decides
+  // for what lies behind the blade: corners off the plane reach over the line that the sweep went on from, and nothing in the plane does.
+  double inside[4];
+  p.along(triangle.inward[0], triangle.inward_offset[0], inside);
+  if (FourPoints::most(inside) < -clear) return false;
+  int ends[4][2], count = 0;
+  double at[4], least[4];  // where on the edge, and how far inside the nearest side
+  double most = -INFINITY;
+  for (; edges != 0; edges &= edges - 1, ++count) {
     const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
-    const double at = d[i] / (d[i] - d[j]);
-    double least = INFINITY;
-    for (int k = 0; k < 3; ++k) {
-      const double x = inside[k][i] + at * (inside[k][j] - inside[k][i]);
-      beside[k] = beside[k] && x < 0;
-      least = std::min(least, x);
+    ends[count][0] = i;
+    ends[count][1] = j;
+    at[count] = d[i] / (d[i] - d[j]);
+    least[count] = inside[i] + at[count] * (inside[j] - inside[i]);
+    most = std::max(most, least[count]);
+  }
+  bool beside = most < 0;
+  for (int k = 1; k < 3; ++k) {
+    if (most < -clear) return false;
+    p.along(triangle.inward[k], triangle.inward_offset[k], inside);
+    if (FourPoints::most(inside) < -clear) return false;
+    most = -INFINITY;
+    for (int e = 0; e < count; ++e) {
+      const double from = inside[ends[e][0]], x = from + at[e] * (inside[ends[e][1]] - from);
+      least[e] = std::min(least[e], x);
+      most = std::max(most, x);
     }
-    if (least < -clear) continue;
+    beside = beside || most < 0;
+  }
+  for (int e = 0; e < count; ++e) {
+    if (least[e] < -clear) continue;
+    const int i = ends[e][0], j = ends[e][1];
     if ((cut_.on_surface(v[i]) && std::abs(d[i]) <= clear) ||
         (cut_.on_surface(v[j]) && std::abs(d[j]) <= clear))
       continue;
-    const bool sure = least > clear && std::abs(d[i]) > clear && std::abs(d[j]) > clear;
+    const bool sure = least[e] > clear && std::abs(d[i]) > clear && std::abs(d[j]) > clear;
     if (sure || crosses(mesh_.position(v[i]), mesh_.position(v[j]), triangle))
-      crossings_.add(v[i], v[j], t, index, at);
+      crossings_.add(v[i], v[j], t, index, at[e]);
   }
-  return !(beside[0] || beside[1] || beside[2]);
+  return !beside;
 }
 
 }  // namespace incise::core
