@@ -405,6 +405,11 @@ TEST(MeetingFilms, WhatWasAPartStaysOne) {
   const OnceWrong shaved[] = {{"armadillo_3717", "along", 1004}};
   come_apart(shaved);
 }
+// Parts of a dozen large tetrahedra, thin in the mean, were taken for films or for islands.
+TEST(MeetingFilms, AreNoSmallParts) {
+  const OnceWrong small_parts[] = {{"wound_1476", "cone", 90006}, {"wound_1476", "square", 90005}};
+  come_apart(small_parts);
+}
 // Its two faces at the skin were taken for a rib that holds two parts: near the older cut it lay along, not near the stroke that just ended.
 TEST(MeetingFilms, HangByNoRib) {
   const OnceWrong along_older_cut[] = {{"wound_1476", "crosses", 3}};

@@ -408,7 +408,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
                        : is_film(cut_, extent, queue_))
     return Part::kCrumb;
   if (extent.volume_m3 < kSlab_h * cut_.h * 0.5 * extent.area_m2 &&
-      !is_deep(cut_, queue_, kLeastDeep_h3, Cuts::kAll))
+      !is_deep(cut_, queue_, extent.least_deep_h3(cut_.h), Cuts::kAll))
     return Part::kCrumb;
   const auto reaches_off = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, reaches_off) ? Part::kSmall : Part::kCrumb;

@@ -78,20 +78,29 @@ bool is_near_cut(const CutContext& cut, const Vec3& p, double reach, Cuts cuts) 
 
 }  // namespace
 
-// By a point amid each of their quarters.
+// By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
+// quarters alone.
 bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts) {
   const TetMesh& mesh = cut.mesh;
   const double least_m3 = least_h3 * cut.h * cut.h * cut.h;
+  const auto is_off = [&](TetId t, const Vec3& p) {
+    return !is_near_own_cut(mesh, t, p, kDeep_h * cut.h) && !is_near_cut(cut, p, kDeep_h * cut.h, cuts);
+  };
   double sum_m3 = 0;
   for (TetId t : tets) {
+    const auto& v = mesh.vertices(t);
     const Vec3 middle = mesh.barycentre(t);
-    int deep = 0;
-    for (VertexId v : mesh.vertices(t)) {
-      const Vec3 p = lerp(middle, mesh.position(v), 0.5);
-      if (!is_near_own_cut(mesh, t, p, kDeep_h * cut.h) && !is_near_cut(cut, p, kDeep_h * cut.h, cuts))
-        ++deep;
+    int deep = 0, points = 4;
+    for (VertexId w : v) deep += is_off(t, lerp(middle, mesh.position(w), 0.5));
+    if (cuts == Cuts::kAll && mesh.volume(t) > least_m3 / 4) {
+      for (const auto& edge : kEdgeVertices) {
+        const Vec3 there = lerp(mesh.position(v[edge[0]]), mesh.position(v[edge[1]]), 0.5);
+        deep += is_off(t, lerp(middle, there, 0.5));
+      }
+      deep += is_off(t, middle);
+      points = 11;
     }
-    sum_m3 += 0.25 * deep * mesh.volume(t);
+    sum_m3 += mesh.volume(t) * deep / points;
     if (sum_m3 >= least_m3) return true;
   }
   return false;
@@ -109,7 +118,7 @@ bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId>
   };
   // What a sweep that is alone takes off is a part of the body where it reaches that far, however little of it does.
   if (!cut.meets_cut && std::ranges::any_of(tets, is_far)) return false;
-  return !is_deep(cut, tets, kLeastDeep_h3, Cuts::kAll);
+  return !is_deep(cut, tets, extent.least_deep_h3(cut.h), Cuts::kAll);
 }
 
 void Islands::spare(HalfFace side) {
@@ -154,7 +163,8 @@ bool Islands::is_island(TetId first) {
     const bool film = may_be_film(inner, members_.size());
     if (members_.size() > (thin || film ? kMaxSheetIsland : kMaxRaggedIsland)) return false;
   }
-  const bool ragged = !clean && members_.size() <= kMaxRaggedIsland;
+  const bool ragged =
+      !clean && members_.size() <= kMaxRaggedIsland && !is_deep(cut_, members_, kLeastPart_h3, Cuts::kAll);
   const bool film = may_be_film(inner, members_.size());
   return ragged || thin || (film && is_film(cut_, extent, members_));
 }

@@ -42,6 +42,11 @@ struct Extent {
     const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
     return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
   }
+  // What is no film holds so much, at least, farther from the cuts than kDeep_h. A large film does so in places.
+  double least_deep_h3(double h) const {
+    return std::clamp(tolerance::kDeepPart * volume_m3 / (h * h * h), tolerance::kLeastDeep_h3,
+                      tolerance::kLeastPart_h3);
+  }
   // Of one that lies along a cut, if no part of it is deep.
   double shallow_m3(double h) const {
     if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
