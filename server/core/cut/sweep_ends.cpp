@@ -27,16 +27,17 @@ bool clip(const Vec3& a, const Vec3& b, const Vec3& low, const Vec3& high, doubl
 }  // namespace
 
 std::uint32_t SweepEnd::straight_to(std::uint32_t k, std::uint32_t part, double tolerance_m) const {
-  std::uint32_t farthest = k + 1;
-  for (bool straight = true; farthest + 1 < line_count; ++farthest) {
-    for (std::uint32_t side = part; side <= part + 1; ++side) {
-      for (std::uint32_t i = k + 1; i <= farthest; ++i)
-        straight =
-            straight && squared_distance_to_segment(at(i, side), at(k, side), at(farthest + 1, side)) <=
-                            tolerance_m * tolerance_m;
+  const auto is_straight = [&](std::uint32_t to) {
+    for (std::uint32_t side : {part, part + 1}) {
+      const Vec3 a = at(k, side), b = at(to, side);
+      for (std::uint32_t i = k + 1; i < to; ++i) {
+        if (squared_distance_to_segment(at(i, side), a, b) > tolerance_m * tolerance_m) return false;
+      }
     }
-    if (!straight) break;
-  }
+    return true;
+  };
+  std::uint32_t farthest = k + 1;
+  while (farthest + 1 < line_count && is_straight(farthest + 1)) ++farthest;
   return farthest;
 }
 

@@ -23,7 +23,7 @@ struct SweepEnd {
   double first_part = 0, last_part = 1;  // what of the blade, from heel to tip, was near the tissue
   std::uint32_t part_count = 0;          // into which that is divided, kMaxParts at most
   std::uint64_t taken = 0;               // bit k: a later sweep has taken up part k
-  // Bit k of a part: amid it and at line k, the mesh has a face of a cut. Asked where a later sweep comes near.
+  // Bit k of a part: amid it and at line k, the mesh has a face of a cut. Found out as later sweeps come near.
   std::array<std::uint16_t, kMaxParts> open{};
   Vec3 low, high;  // a box around all lines'
 

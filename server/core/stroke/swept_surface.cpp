@@ -76,7 +76,7 @@ void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const 
 }
 
 void SweptSurface::build(std::size_t latest) {
-  all_.build(triangles_, 0, built_);
+  all_.build(triangles_, 0, built_, first_);
   built_ = triangles_.size();
   const std::size_t from = std::min(latest, triangles_.size());
   latest_.build(triangles_, from, from);
@@ -84,7 +84,7 @@ void SweptSurface::build(std::size_t latest) {
 
 std::size_t SweptSurface::drop_before(std::uint32_t oldest) {
   while (first_ < triangles_.size() && triangles_[first_].batch < oldest) ++first_;
-  // The tree is built anew when a quarter of it is forgotten, and not each time.
+  // Rebuilding the tree in every batch would be up to a tenth of what a wandering hand costs.
   if (first_ == 0 || 4 * first_ < triangles_.size()) return 0;
   triangles_.erase(triangles_.begin(), triangles_.begin() + static_cast<std::ptrdiff_t>(first_));
   built_ = 0;
@@ -98,9 +98,8 @@ void SweptSurface::clear() {
 }
 
 bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
-  const std::uint32_t likely = triangle;
-  if (has(likely)) {
-    const SweptTriangle& s = triangles_[likely];
+  if (has(triangle)) {
+    const SweptTriangle& s = triangles_[triangle];
     const double d = s.signed_distance(p);
     bool above = std::abs(d) < reach;
     for (int k = 0; k < 3; ++k) above = above && dot(s.inward[k], p) >= s.inward_offset[k];
@@ -109,7 +108,7 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
       return true;
     }
   }
-  return closest(p, reach, point, triangle, likely);
+  return closest(p, reach, point, triangle, triangle);
 }
 
 bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle,
@@ -124,7 +123,7 @@ bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32
   all_.each_near(p, best, [&](std::uint32_t i) {
     const SweptTriangle& s = triangles_[i];
     const double plane = s.signed_distance(p);
-    if (i < first_ || plane * plane >= best) return;
+    if (plane * plane >= best) return;
     const Vec3 q = closest_point(p, s);
     const double d2 = squared_length(q - p);
     if (d2 >= best) return;
@@ -149,7 +148,7 @@ bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) 
   bool found = false;
   all_.each_near(p, left, [&](std::uint32_t i) {
     const SweptTriangle& s = triangles_[i];
-    if (found || i < first_ || (s.rim & without) != 0) return;
+    if (found || (s.rim & without) != 0) return;
     const double plane = s.signed_distance(p);
     if (plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
     found = true;

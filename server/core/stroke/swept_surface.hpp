@@ -44,8 +44,7 @@ class SweptSurface {
   // true; returns whether one did. Leaves some of those out on one side of whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
   bool any_between(const Points<N>& points, double slack_m, Visit visit) const {
-    return all_.any_between(points, slack_m,
-                            [&](std::uint32_t index) { return index >= first_ && visit(index); });
+    return all_.any_between(points, slack_m, visit);
   }
   // The same for the triangles of the last batch alone.
   template <std::size_t N, class Visit>
@@ -76,7 +75,7 @@ class SweptSurface {
   bool has(std::uint32_t index) const { return index >= first_ && index < built_; }
 
   std::vector<SweptTriangle> triangles_;
-  std::size_t first_ = 0;  // those before are forgotten: still in all_, but not visited
+  std::size_t first_ = 0;  // those before are forgotten, but still in all_
   std::size_t built_ = 0;  // so many of them are in all_ as they are
   SweptTree all_, latest_;
 };

@@ -13,9 +13,11 @@ Vec3 motion_of(const SweptTriangle& triangle, const Vec3& normal) {
 
 }  // namespace
 
-void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same) {
+void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same,
+                      std::size_t visited) {
   triangles_ = triangles;
   from_ = static_cast<std::uint32_t>(from);
+  visited_ = static_cast<std::uint32_t>(visited);
   std::size_t children = triangles.size() - from, same_children = same - from, levels = 0;
   for (std::size_t n = children; n > (levels == 0 ? 0u : 1u); ++levels) n = (n + kChildren - 1) / kChildren;
   levels_.resize(levels);

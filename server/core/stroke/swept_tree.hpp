@@ -20,8 +20,9 @@ namespace incise::core {
 class SweptTree {
  public:
   // Over triangles[from] and all after it. Those before triangles[same] are what they were when this was last called, with the same
-  // `from`. O(new triangles).
-  void build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same);
+  // `from`. Those before triangles[visited] are in the tree, but no query visits them. O(new triangles).
+  void build(std::span<const SweptTriangle> triangles, std::size_t from, std::size_t same,
+             std::size_t visited = 0);
   bool empty() const { return levels_.empty(); }
 
   // Calls visit(index) for each triangle whose box comes nearer than `slack_m` to that around some points, until it returns true; returns
@@ -104,7 +105,8 @@ class SweptTree {
       if (level == 0) {
         const std::uint32_t first = from_ + kChildren * index;
         for (; bits != 0; bits &= bits - 1) {
-          if (visit(first + static_cast<std::uint32_t>(std::countr_zero(bits)))) return true;
+          const std::uint32_t triangle = first + static_cast<std::uint32_t>(std::countr_zero(bits));
+          if (triangle >= visited_ && visit(triangle)) return true;
         }
         continue;
       }
@@ -120,7 +122,7 @@ class SweptTree {
   }
 
   std::span<const SweptTriangle> triangles_;  // while it is built
-  std::uint32_t from_ = 0;
+  std::uint32_t from_ = 0, visited_ = 0;
   std::vector<std::vector<Node>> levels_;  // the one above the triangles first, the root last
   bool has_slabs_ = false;
   // The first triangle's motion, its normal, and across both; and where all triangles lie along these.

@@ -90,9 +90,10 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
   for (TetId t : tets) {
     const auto& v = mesh.vertices(t);
     const Vec3 middle = mesh.barycentre(t);
+    const double volume_m3 = mesh.volume(t);
     int deep = 0, points = 4;
     for (VertexId w : v) deep += is_off(t, lerp(middle, mesh.position(w), 0.5));
-    if (cuts == Cuts::kAll && mesh.volume(t) > least_m3 / 4) {
+    if (cuts == Cuts::kAll && volume_m3 > least_m3 / 4) {
       for (const auto& edge : kEdgeVertices) {
         const Vec3 there = lerp(mesh.position(v[edge[0]]), mesh.position(v[edge[1]]), 0.5);
         deep += is_off(t, lerp(middle, there, 0.5));
@@ -100,7 +101,7 @@ bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3
       deep += is_off(t, middle);
       points = 11;
     }
-    sum_m3 += mesh.volume(t) * deep / points;
+    sum_m3 += volume_m3 * deep / points;
     if (sum_m3 >= least_m3) return true;
   }
   return false;

@@ -167,7 +167,7 @@ bool JoiningStage::comes_near(const SweepEnd& end) const {
   return is_in_reach(end.low, end.high);
 }
 
-// Whether the box of what is swept now is.
+// Whether what is swept now may come within reach of something in this box.
 bool JoiningStage::is_in_reach(const Vec3& low, const Vec3& high) const {
   const double reach = kJoinReach_h * cut_.h;
   return low.x - reach <= high_.x && high.x + reach >= low_.x && low.y - reach <= high_.y &&

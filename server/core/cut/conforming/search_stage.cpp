@@ -211,33 +211,28 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
   unsigned edges = kEdgesAcross[FourPoints::from(d, 0)];
   if (edges == 0) return false;
-  // It misses the triangle where all its corners are outside of one side, or all places where its edges cross the plane. The latter decides
-  // for what lies behind the blade: corners off the plane reach over the line that the sweep went on from, and nothing in the plane does.
-  double inside[4];
-  p.along(triangle.inward[0], triangle.inward_offset[0], inside);
-  if (FourPoints::most(inside) < -clear) return false;
+  // It misses the triangle if all its corners are outside one side, or all places where its edges cross the plane. The second test is for what
+  // lies behind the blade: its corners reach over the line that the sweep went on from, its section with the plane does not.
   int ends[4][2], count = 0;
   double at[4], least[4];  // where on the edge, and how far inside the nearest side
-  double most = -INFINITY;
-  for (; edges != 0; edges &= edges - 1, ++count) {
-    const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
-    ends[count][0] = i;
-    ends[count][1] = j;
-    at[count] = d[i] / (d[i] - d[j]);
-    least[count] = inside[i] + at[count] * (inside[j] - inside[i]);
-    most = std::max(most, least[count]);
-  }
-  bool beside = most < 0;
-  for (int k = 1; k < 3; ++k) {
-    if (most < -clear) return false;
+  bool beside = false;
+  for (int k = 0; k < 3; ++k) {
+    double inside[4], most = -INFINITY;
     p.along(triangle.inward[k], triangle.inward_offset[k], inside);
     if (FourPoints::most(inside) < -clear) return false;
-    most = -INFINITY;
+    for (; edges != 0; edges &= edges - 1, ++count) {
+      const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
+      ends[count][0] = i;
+      ends[count][1] = j;
+      at[count] = d[i] / (d[i] - d[j]);
+      least[count] = INFINITY;
+    }
     for (int e = 0; e < count; ++e) {
       const double from = inside[ends[e][0]], x = from + at[e] * (inside[ends[e][1]] - from);
       least[e] = std::min(least[e], x);
       most = std::max(most, x);
     }
+    if (most < -clear) return false;
     beside = beside || most < 0;
   }
   for (int e = 0; e < count; ++e) {
