@@ -104,9 +104,9 @@ class Judge {
     const IsNear is_near = [this](const Vec3& p, double reach, std::uint32_t stroke, double travel) {
       return body_.boundary.is_within(p, reach) || has_other(p, reach, stroke, travel);
     };
-    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kClosed_h * h_, low, high, is_near))
+    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kClosed_h * h_, low, high, false, is_near))
       block(closed_, t);
-    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kMayClose_h * h_, low, high, is_near))
+    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kMayClose_h * h_, low, high, true, is_near))
       block(may_close_, t);
   }
 

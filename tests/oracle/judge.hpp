@@ -18,7 +18,7 @@
 // - Two parts must be apart where the surfaces, with all gaps of up to kClosed_h closed, separate them, and each has at
 //   least kDeepVolume_h3 that is farther from every surface than kDeep_h.
 // - A part must stay connected if its connection runs through points farther than kNeck_h from every surface, and through no gap
-//   that may be closed (kMayClose_h).
+//   that may be closed (kMayClose_h; also where a blade turns back before a surface and its stroke goes on).
 //
 // A piece of the mesh that is no part of the geometry after any of the strokes, or only one that is thinner than kThick_h, is a crumb (of kCrumb tetrahedra or fewer) or a fragment.
 namespace incise::oracle {

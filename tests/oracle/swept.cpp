@@ -172,7 +172,7 @@ std::vector<SweptPart> swept_surface(std::span<const Stroke> strokes, double siz
 }
 
 std::vector<Triangle> rim_fins(std::span<const Stroke> strokes, double size, double reach, const Vec3& low,
-                               const Vec3& high, const IsNear& is_near) {
+                               const Vec3& high, bool turns, const IsNear& is_near) {
   const Box box{low, high};
   std::vector<Triangle> out;
   Fins fins(size, reach, box, is_near, out);
@@ -186,13 +186,16 @@ std::vector<Triangle> rim_fins(std::span<const Stroke> strokes, double size, dou
     double travelled = 0;
     bool begun = false;
     BladeLine last;
-    Vec3 last_normal;
+    Vec3 last_normal, last_ahead;
     double last_travel = 0;
     for (std::size_t i = 0; i + 1 < lines.size(); ++i) {
       if (sweeps(lines[i], lines[i + 1], normal)) {
-        if (!begun)
-          fins.line(lines[i], travelled, normal, -normalized(cross(normal, lines[i].tip - lines[i].heel)));
+        const Vec3 ahead = normalized(cross(normal, lines[i].tip - lines[i].heel));
+        if (!begun) fins.line(lines[i], travelled, normal, -ahead);
+        if (turns && begun && dot(ahead, last_ahead) < 0)
+          fins.line(lines[i], travelled, last_normal, last_ahead);
         begun = true;
+        last_ahead = ahead;
         last = lines[i + 1];
         last_normal = normal;
         last_travel = travelled;

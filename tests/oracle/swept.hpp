@@ -37,8 +37,9 @@ using IsNear = std::function<bool(const Vec3& p, double reach, std::uint32_t str
 
 // What closes gaps of up to `reach`: fins along the rims of each stroke (the paths of heel and tip, first and last line), one
 // that continues the surface and one to either side of it, in parts no longer than `size`, where is_near() says so. A rim that
-// ends this near to another surface, or to the body's boundary, reaches it with one of them.
+// ends this near to another surface, or to the body's boundary, reaches it with one of them. `turns`: also where the blade turns back within
+// a stroke.
 std::vector<Triangle> rim_fins(std::span<const Stroke> strokes, double size, double reach, const Vec3& low,
-                               const Vec3& high, const IsNear& is_near);
+                               const Vec3& high, bool turns, const IsNear& is_near);
 
 }  // namespace incise::oracle
