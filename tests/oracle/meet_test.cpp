@@ -425,6 +425,37 @@ TEST(MeetingFilms, StayUnderTheSkin) {
   }
 }
 
+// Parts of tens of h^3 hung by a face or two at the skin, up to 0.45 h off the sweep, or beside it where an older one has been.
+TEST(MeetingNecks, ComeApartWhereTheyWereSwept) {
+  const Meeting meeting = random_meeting(mesh(), body().h, "polygon", 80004);
+  core::CutSession session(mesh(), meeting_config(meeting));
+  cut(meeting, session);
+  const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+  EXPECT_TRUE(v.right()) << to_string(v);
+}
+// As many faces hang together by more than themselves.
+TEST(MeetingNecks, OfLobesStay) {
+  const std::pair<const char*, std::uint64_t> meetings[] = {
+      {"circle", 80006}, {"lasso", 80003}, {"plunge", 80001}};
+  for (const auto& [kind, seed] : meetings) {
+    const Meeting meeting = random_meeting(mesh(), body().h, kind, seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    cut(meeting, session);
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << kind << ' ' << seed << ": " << to_string(v);
+  }
+}
+TEST(MeetingNecks, ComeApartInCoarseBodies) {
+  const OnceWrong necks[] = {{"wound_1476", "square", 100004}, {"wound_1476", "circle", 90006}};
+  come_apart(necks);
+}
+
+// The gap between such a place and an older cut may be closed.
+TEST(MeetingTurns, MayCloseAGap) {
+  const OnceWrong lassos[] = {{"seed_1720", "lasso", 130006}};
+  come_apart(lassos);
+}
+
 class MeetingHands : public ::testing::Test {
  protected:
   void SetUp() override {

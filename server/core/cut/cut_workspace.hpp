@@ -6,6 +6,7 @@
 
 #include "server/core/cut/held_faces.hpp"
 #include "server/core/cut/sweep_ends.hpp"
+#include "server/core/cut/swept_memory.hpp"
 #include "server/core/mesh/boundary_grid.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/util/archive.hpp"
@@ -64,8 +65,10 @@ struct CutWorkspace {
   void archive(Archive& io, const TetMesh& mesh) {
     grid.archive(io, mesh);
     ends.archive(io);
+    swept.archive(io);
     held.archive(io, mesh);
     ribs.archive(io, mesh);
+    necks.archive(io, mesh);
     io.list(vertices, 20, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
@@ -84,8 +87,10 @@ struct CutWorkspace {
 
   BoundaryGrid grid;
   SweepEnds ends;
+  SweptMemory swept;
   HeldFaces held;
-  HeldFaces ribs;  // between a sweep and the boundary: both sides are on one side of the sweep
+  HeldFaces ribs;   // between a sweep and the boundary: both sides are on one side of the sweep
+  HeldFaces necks;  // the same, or less is known of them: what was swept has to part their sides
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection

@@ -113,7 +113,9 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   describe(delta);
   mover_.commit(delta);
   workspace_.ends.clear();
+  workspace_.swept.clear();
   workspace_.held.clear();
+  workspace_.necks.clear();
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE
   const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);

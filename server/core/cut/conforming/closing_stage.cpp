@@ -40,7 +40,8 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   gaps_.clear();
   faces_.clear();
   doubtful_.clear();
-  with_ribs_ = false;
+  necks_seen_ = 0;
+  round_ = Kind::kAcross;
   pass_.begin();
   go(Phase::kCollect);
 }
@@ -49,10 +50,15 @@ bool ClosingStage::advance(WorkBudget& budget) {
   switch (phase_) {
     case Phase::kCollect:
       if (!collect(budget)) return false;
+      waited_.swap(waiting_);
+      go(Phase::kCollectWaiting);
+      return false;
+    case Phase::kCollectWaiting:
+      if (!collect_waiting(budget)) return false;
       go(Phase::kCollectHeld);
       return false;
     case Phase::kCollectHeld:
-      if (!cut_.has_front && !collect_held(cut_.workspace.held, false, budget)) return false;
+      if (!cut_.has_front && !collect_held(cut_.workspace.held, Kind::kAcross, budget)) return false;
       std::sort(gaps_.begin(), gaps_.end());
       go(Phase::kJudge);
       return false;
@@ -68,19 +74,24 @@ bool ClosingStage::advance(WorkBudget& budget) {
     case Phase::kOpen:
       if (!open(budget)) return false;
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
-      if (cut_.has_front || !cut_.meets_cut || with_ribs_ || cut_.workspace.ribs.empty()) return true;
-      with_ribs_ = true;
+      if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
+      if (round_ == Kind::kRib && cut_.workspace.necks.empty()) return true;
+      round_ = round_ == Kind::kAcross ? Kind::kRib : Kind::kNeck;
       go(Phase::kCollectRibs);
       return false;
     case Phase::kCollectRibs:
-      if (!collect_held(cut_.workspace.ribs, true, budget)) return false;
+      if (!collect_held(cut_.workspace.ribs, Kind::kRib, budget)) return false;
+      go(round_ == Kind::kNeck ? Phase::kCollectNecks : Phase::kCollectHeld);
+      return false;
+    case Phase::kCollectNecks:
+      if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
       go(Phase::kCollectHeld);
       return false;
   }
   return true;
 }
 
-// The faces around the vertices of what has opened, and those that have waited.
+// The faces around the vertices of what has opened.
 bool ClosingStage::collect(WorkBudget& budget) {
   for (; next_ < around_.size(); ++next_) {
     cut_.work.charge(budget);
@@ -94,8 +105,16 @@ bool ClosingStage::collect(WorkBudget& budget) {
     for (Corner c : star_) consider_faces(tet_of(c));
     pinched_.list(around_[next_]);
   }
-  waited_.swap(waiting_);
-  for (const Waiting& w : waited_) {
+  return true;
+}
+
+// Those that have waited.
+bool ClosingStage::collect_waiting(WorkBudget& budget) {
+  while (next_ < waited_.size()) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    const Waiting w = waited_[next_++];
+    cut_.work += cost::kLook;
     if (cut_.has_front && cut_.path.travel_m() < w.ripe_at_m) {
       waiting_.push_back(w);
       continue;
@@ -109,7 +128,7 @@ bool ClosingStage::collect(WorkBudget& budget) {
 }
 
 // The end of a stroke may have parted, elsewhere, what held these faces closed.
-bool ClosingStage::collect_held(HeldFaces& held, bool ribs, WorkBudget& budget) {
+bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) {
   for (; next_ < held.size(); ++next_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
@@ -120,7 +139,7 @@ bool ClosingStage::collect_held(HeldFaces& held, bool ribs, WorkBudget& budget) 
       continue;
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
-    gaps_.push_back({off_m, h, meets, true, ribs});
+    gaps_.push_back({off_m, h, meets, true, kind});
   }
   held.clear();
   return true;
@@ -146,9 +165,12 @@ void ClosingStage::consider_faces(TetId t) {
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
-  Gap gap{0, h, false, false, false};
-  if (!may_close(gap)) return;
-  if (gap.is_rib) {
+  Gap gap{0, h, false, false, Kind::kAcross};
+  if (!may_close(gap)) {
+    gap = {0, h, false, false, Kind::kNeck};
+    if (!may_be_neck(gap)) return;
+  }
+  if (gap.kind != Kind::kAcross) {
     hold(gap);
     return;
   }
@@ -187,17 +209,34 @@ bool ClosingStage::may_close(Gap& gap) {
   const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
   const auto v = mesh_.face_vertices(h);
   const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
-  gap.is_rib = beside && !is_at_end(middle);
+  const bool is_rib = beside && !is_at_end(middle);
+  gap.kind = is_rib ? Kind::kRib : Kind::kAcross;
   bool continues = false;
-  if (gap.is_rib && (!near || edges_at_boundary(h, continues) < 2)) return false;
+  if (is_rib && (!near || edges_at_boundary(h, continues) < 2)) return false;
   // Where the sweep runs along an older cut, what is between them is a film.
-  if (gap.is_rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
+  if (is_rib && std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); })) return false;
   for (VertexId w : v) {
     const bool older = cut_.stands(w) || (!cut_.on_surface(w) && cut_.at_cut(w));
     gap.meets = gap.meets || older;
     if (!older && !lies_near(w)) return false;
   }
   return true;
+}
+
+// Whether a face that is farther off, or of which less is known, may be a rib for all that.
+bool ClosingStage::may_be_neck(Gap& gap) {
+  const auto v = mesh_.face_vertices(gap.face);
+  if (std::ranges::none_of(v, [this](VertexId w) { return cut_.on_surface(w); })) return false;
+  for (VertexId w : v) {
+    if (cut_.on_surface(w)) continue;
+    Vec3 closest;
+    std::uint32_t triangle = 0;
+    cut_.work += cost::kNearby;
+    if (!cut_.surface().closest(mesh_.position(w), kNeckOff_h * cut_.h, closest, triangle)) return false;
+    gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
+  }
+  bool continues = false;
+  return edges_at_boundary(gap.face, continues) >= kNeckEdges;
 }
 
 // How many of a face's edges are at the boundary. `continues` becomes true where a cut goes on beyond one of them.
@@ -332,17 +371,19 @@ bool ClosingStage::judge(WorkBudget& budget) {
     const Part near = part_of(tet_of(o), tet_of(h), gap, kNearWay);
     const Part one = is_part(near) ? part_of(tet_of(h), tet_of(o), gap, kMaxWay) : near;
     const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap, kMaxWay) : one;
-    const bool sure = one == Part::kSmall || other == Part::kSmall;
-    if (is_part(other) && (sure || gap.meets || gap.off_m <= kAtSkin_h * cut_.h)) {
+    const bool sure =
+        one == Part::kSmall || other == Part::kSmall || gap.meets || gap.off_m <= kAtSkin_h * cut_.h;
+    if (is_part(other) && sure && !stays_a_neck(gap)) {
       faces_.push_back(h);
       continue;
     }
-    if (other == Part::kLarge && !cut_.has_front) {
+    if (other == Part::kLarge && !sure && !cut_.has_front) {
       doubtful_.push_back(gap);
       continue;
     }
     keep_closed(gap);
-    if (other != Part::kCrumb) hold(gap);
+    // What is a crumb while all necks count as open may be a part later.
+    if (other != Part::kCrumb || (round_ == Kind::kNeck && gap.kind != Kind::kNeck)) hold(gap);
   }
   gaps_.clear();
   return true;
@@ -362,7 +403,13 @@ bool ClosingStage::look_far(WorkBudget& budget) {
       case TwoSides::Outcome::kGoesOn:
         continue;
       case TwoSides::Outcome::kApart:
-        faces_.push_back(gap.face);
+        if (stays_a_neck(gap)) {
+          keep_closed(gap);
+          hold(gap);
+        } else {
+          faces_.push_back(gap.face);
+        }
+        if (gap.kind == Kind::kNeck) sides_.forget();
         break;
       case TwoSides::Outcome::kTogether:
         keep_closed(gap);
@@ -374,10 +421,18 @@ bool ClosingStage::look_far(WorkBudget& budget) {
   return true;
 }
 
+// Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does.
+bool ClosingStage::stays_a_neck(const Gap& gap) {
+  return gap.kind == Kind::kNeck && (++necks_seen_ > kMaxNecks || !neck_.is_closed(gap.face));
+}
+
 void ClosingStage::hold(const Gap& gap) {
   cut_.work += cost::kLook;
-  (gap.is_rib ? cut_.workspace.ribs : cut_.workspace.held)
-      .push({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
+  CutWorkspace& workspace = cut_.workspace;
+  HeldFaces& list = gap.kind == Kind::kAcross ? workspace.held
+                    : gap.kind == Kind::kRib  ? workspace.ribs
+                                              : workspace.necks;
+  list.push({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
 }
 
 // Follows the faces that stay closed from `from`: whether they lead to `other`, and if not, what they hold together: a crumb, a small part
@@ -399,7 +454,7 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
   }
   const Extent extent = extent_of(cut_, queue_);
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
-  if (gap.is_rib) {
+  if (gap.kind != Kind::kAcross) {
     const bool is_part =
         is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) && !is_film(cut_, extent, queue_);
     return is_part ? Part::kSmall : Part::kCrumb;

@@ -8,6 +8,7 @@
 
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
+#include "server/core/cut/conforming/neck.hpp"
 #include "server/core/cut/conforming/pinched_edges.hpp"
 #include "server/core/cut/conforming/two_sides.hpp"
 
@@ -19,7 +20,13 @@ namespace incise::core {
 class ClosingStage {
  public:
   ClosingStage(CutContext& cut, MeshEditor& editor, PinchedEdges& pinched)
-      : cut_(cut), mesh_(cut.mesh), editor_(editor), pinched_(pinched), pass_(cut.workspace), sides_(cut) {}
+      : cut_(cut),
+        mesh_(cut.mesh),
+        editor_(editor),
+        pinched_(pinched),
+        pass_(cut.workspace),
+        sides_(cut),
+        neck_(cut) {}
 
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
@@ -30,8 +37,20 @@ class ClosingStage {
   void archive(Archive& io);
 
  private:
-  enum class Phase { kCollect, kCollectHeld, kJudge, kLookFar, kOpen, kCollectRibs };
+  enum class Phase {
+    kCollect,
+    kCollectWaiting,
+    kCollectHeld,
+    kJudge,
+    kLookFar,
+    kOpen,
+    kCollectRibs,
+    kCollectNecks
+  };
   enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
+  // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it; what was
+  // swept has to part its sides (Neck).
+  enum class Kind { kAcross, kRib, kNeck };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
   struct Gap {
@@ -40,7 +59,7 @@ class ClosingStage {
     bool meets;  // an older cut
     // Judged before, or left by an older cut: then a film is told by its mean thickness alone.
     bool by_thickness;
-    bool is_rib;  // between a sweep and the boundary: both sides are on one side of the sweep
+    Kind kind;
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
@@ -57,7 +76,8 @@ class ClosingStage {
     next_ = 0;
   }
   bool collect(WorkBudget& budget);
-  bool collect_held(HeldFaces& held, bool ribs, WorkBudget& budget);
+  bool collect_waiting(WorkBudget& budget);
+  bool collect_held(HeldFaces& held, Kind kind, WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
@@ -80,6 +100,7 @@ class ClosingStage {
   }
   bool all_at_boundary(HalfFace h) const;
   bool may_close(Gap& gap);
+  bool may_be_neck(Gap& gap);
   // Whether both sides of a face are on one side of a surface that they are so far off.
   bool is_beside(double one_m, double other_m) const {
     return (one_m >= 0) == (other_m >= 0) &&
@@ -99,6 +120,7 @@ class ClosingStage {
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
+  bool stays_a_neck(const Gap& gap);
   void list_pinched(HalfFace opened);
 
   CutContext& cut_;
@@ -107,7 +129,7 @@ class ClosingStage {
   PinchedEdges& pinched_;
 
   Phase phase_ = Phase::kCollect;
-  bool with_ribs_ = false;        // the second time round, when the stroke ends
+  Kind round_ = Kind::kAcross;    // when the stroke ends: without ribs, with these, and with necks
   std::size_t next_ = 0;          // how far the phase is, in its list
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;
@@ -119,7 +141,9 @@ class ClosingStage {
   std::vector<TetId> queue_;             // of part_of()
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
-  std::vector<Waiting> waited_;   // scratch
+  Neck neck_;
+  std::size_t necks_seen_ = 0;    // by that
+  std::vector<Waiting> waited_;   // those that this batch looks at
   std::vector<HalfFace> others_;  // scratch
   std::vector<TetId> ring_;       // scratch
   std::vector<Corner> star_;      // scratch

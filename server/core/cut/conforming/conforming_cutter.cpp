@@ -40,6 +40,8 @@ void ConformingCutter::begin(const Batch& batch) {
   cut_.has_front = !batch.ends_stroke;
   const BoundaryGrid& grid = cut_.workspace.grid;
   cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
+  cut_.workspace.swept.add(batch.lines, cut_.stroke, cut_.path.travel_before_batch_m(),
+                           tolerance::kRemembered_h * cut_.h);
   joining_.begin(batch);
   stage_ = Stage::kJoining;
 }

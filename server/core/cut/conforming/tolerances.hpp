@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 
@@ -91,6 +92,18 @@ inline constexpr double kFarGap_h = kJoinReach_h + kOne_h;
 // How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
+// A face at the skin, with no vertex farther than this from what is swept now and so many edges at the boundary, may hold together two parts that a
+// surface passes by. Neck decides: in a box that reaches so far, and farther where one part has less than kNeckPart_h3 in it, with so many points along each
+// axis. Parts hang together that share this part of their points. kNeckRim_h: the parts of a rim that are looked at one by one.
+inline constexpr double kNeckOff_h = 0.5;
+inline constexpr int kNeckEdges = 2;
+inline constexpr std::array<double, 2> kNeckReach_h{1.5, 2.5};
+inline constexpr int kNeckPoints = 25;
+inline constexpr double kNeckPart_h3 = 0.75, kNeckShared = 0.1, kNeckRim_h = 0.125;
+// So many are looked at when a stroke ends; others stay closed.
+inline constexpr std::size_t kMaxNecks = 64;
+// Chords that stand for what was swept are no shorter than this.
+inline constexpr double kRemembered_h = 0.2;
 // How thick a rib between a sweep and the boundary may be, where it is parted far from the ends of a sweep.
 inline constexpr double kRib_h = 0.21;
 // The least volume of a part.
@@ -257,6 +270,10 @@ inline constexpr std::int64_t kNearby = 2;  // a query that has to look around
 inline constexpr std::int64_t kFindCrossing = 2;
 inline constexpr std::int64_t kFindEdge = 10;
 inline constexpr std::int64_t kPlace = 4;
+
+// A neck: a box of points, and what was swept by all strokes.
+inline constexpr std::int64_t kNeck = 4000;
+inline constexpr std::size_t kQuadsAUnit = 8;
 
 // Operations on the mesh.
 inline constexpr std::int64_t kTrySplit = 2;  // each tetrahedron around the edge

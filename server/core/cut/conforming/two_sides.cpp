@@ -6,9 +6,8 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void TwoSides::begin() {
+void TwoSides::forget() {
   follows_ = together_ = false;
-  all_seen_ = 0;
   seen_.begin();
 }
 

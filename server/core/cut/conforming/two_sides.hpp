@@ -16,7 +16,12 @@ class TwoSides {
   explicit TwoSides(CutContext& cut) : cut_(cut), seen_(cut.workspace), other_seen_(cut.workspace) {}
 
   // Knows of nothing.
-  void begin();
+  void begin() {
+    all_seen_ = 0;
+    forget();
+  }
+  // The same in the middle of its work: another pass has taken its marks.
+  void forget();
   // Goes on with these two, or begins with them; some microseconds of work. kTogether, too, where both are too large (kMaxFarWay).
   Outcome follow(TetId one, TetId other);
 

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "server/core/cut/conforming/cut_context.hpp"
+
+namespace incise::core {
+
+// The tissue around a face that alone holds two parts together, as points on a grid, and the ways between them that the swept surfaces block, those of
+// older strokes as well, and the boundary. Says what the mesh cannot: whether the parts hang together by more than that face would have it. A lobe of the
+// body as it grew hangs together by a face at the skin as well.
+class Neck {
+ public:
+  explicit Neck(CutContext& cut) : cut_(cut), mesh_(cut.mesh), pass_(cut.workspace) {}
+
+  // Whether the surfaces part what lies on the two sides of a face, which hang together in no other way than through faces that are about
+  // to open. Some 0.5 ms.
+  bool is_closed(HalfFace h);
+
+ private:
+  static constexpr int kPoints = tolerance::kNeckPoints;  // along an axis
+  // Point i + kPoints (j + kPoints k) is at low_ + step_m_ (i, j, k).
+  static constexpr std::size_t kAll = std::size_t{kPoints} * kPoints * kPoints;
+  static constexpr std::array<std::size_t, 3> kStep{1, kPoints, kPoints* kPoints};
+
+  struct Corners {
+    Vec3 a, b, c;
+  };
+  // How many points lie on each side.
+  using Counts = std::array<std::size_t, 2>;
+
+  bool meets(const Vec3& low, const Vec3& high) const;
+  Vec3 to_grid(const Vec3& p) const { return (1 / step_m_) * (p - low_); }
+  void lay_out(const Vec3& middle, double reach_m);
+  std::size_t fill(TetId from, std::uint8_t side);
+  std::size_t fill_tet(TetId t, std::uint8_t side);
+  void block_swept();
+  void lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
+               const SweptMemory::Quad& sweep);
+  bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
+  void block(const Vec3& a, const Vec3& b, const Vec3& c);
+  void block(const Corners& t) { block(t.a, t.b, t.c); }
+  bool hang_together(const Counts& counts);
+  Counts follow(std::size_t first);
+
+  CutContext& cut_;
+  const TetMesh& mesh_;
+  TetPass pass_;
+
+  Vec3 low_, high_;
+  double step_m_ = 1;
+  std::vector<std::uint8_t>
+      sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
+  std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked
+  std::vector<Corners> skin_;        // of the tissue there
+  std::vector<const SweptMemory::Quad*> near_;  // what was swept there
+  std::vector<TetId> tets_;                     // scratch
+  std::vector<std::size_t> queue_;              // scratch
+};
+
+}  // namespace incise::core

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "server/core/stroke/blade.hpp"
+#include "server/core/util/archive.hpp"
+
+namespace incise::core {
+
+// The newest of what all blades have swept in a body at rest, as quads between two lines: what a later stroke parts may hang together where an
+// older one has been, and the surface of that one is gone. Some hundred h of a blade's way.
+class SweptMemory {
+ public:
+  struct Quad {
+    BladeLine from, to;
+    std::uint32_t stroke = 0;
+    double travel_m = 0;    // of the blade in that stroke, before
+    bool has_rims = false;  // the heel's and the tip's ways; else it leads from a sweep's end to a wall
+  };
+
+  SweptMemory() { quads_.reserve(kMost); }
+
+  std::span<const Quad> quads() const { return quads_; }
+  // What a blade has swept from the first of these lines to the last, by chords no shorter than `chord_m`, but for the last one.
+  void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m);
+  void add(const Quad& quad);
+  // The body has moved, the quads have not.
+  void clear() {
+    quads_.clear();
+    oldest_ = 0;
+  }
+
+  void archive(Archive& io);
+
+ private:
+  static constexpr std::size_t kMost = 2048;
+
+  std::vector<Quad> quads_;
+  std::size_t oldest_ = 0;  // when there are kMost: which the next one takes the place of
+};
+
+}  // namespace incise::core

@@ -1,0 +1,78 @@
+#include "server/core/cut/swept_memory.hpp"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+namespace incise::core {
+namespace {
+
+// A blade along z that has come along x to `x`.
+BladeLine line_at(double x) {
+  return {{x, 0, -1}, {x, 0, 1}};
+}
+
+TEST(SweptMemory, KeepsChordsOfWhatWasSwept) {
+  SweptMemory memory;
+  const std::vector<BladeLine> lines{line_at(0), line_at(0.1), line_at(0.2), line_at(0.3), line_at(0.35)};
+  memory.add(lines, 7, 5, 0.15);
+  ASSERT_EQ(memory.quads().size(), 2u);
+  EXPECT_EQ(memory.quads()[0].from, line_at(0));
+  EXPECT_EQ(memory.quads()[0].to, line_at(0.2));
+  EXPECT_EQ(memory.quads()[0].travel_m, 5);
+  // The rest, though it is shorter.
+  EXPECT_EQ(memory.quads()[1].from, line_at(0.2));
+  EXPECT_EQ(memory.quads()[1].to, line_at(0.35));
+  EXPECT_EQ(memory.quads()[1].travel_m, 5.2);
+  EXPECT_EQ(memory.quads()[1].stroke, 7u);
+  EXPECT_TRUE(memory.quads()[1].has_rims);
+}
+
+TEST(SweptMemory, KeepsNothingOfABladeThatRests) {
+  SweptMemory memory;
+  memory.add(std::vector<BladeLine>{line_at(1), line_at(1), line_at(1)}, 1, 0, 0.1);
+  memory.add(std::vector<BladeLine>{line_at(1)}, 1, 0, 0.1);
+  EXPECT_TRUE(memory.quads().empty());
+}
+
+TEST(SweptMemory, ForgetsTheOldest) {
+  SweptMemory memory;
+  for (std::uint32_t i = 1; i <= 3000; ++i) memory.add({line_at(0), line_at(1), i, 0, true});
+  ASSERT_EQ(memory.quads().size(), 2048u);
+  std::vector<bool> kept(3001, false);
+  for (const SweptMemory::Quad& quad : memory.quads()) kept[quad.stroke] = true;
+  for (std::uint32_t i = 1; i <= 3000; ++i) EXPECT_EQ(kept[i], i > 952) << i;
+}
+
+TEST(SweptMemory, ComesBackAsItWasSaved) {
+  SweptMemory memory;
+  for (std::uint32_t i = 1; i <= 2100; ++i) memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0});
+  Archive out;
+  memory.archive(out);
+  const auto bytes = out.take();
+  SweptMemory back;
+  Archive in(bytes);
+  back.archive(in);
+  ASSERT_FALSE(in.failed()) << in.error();
+  // Whatever comes next takes the same place.
+  for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false});
+  ASSERT_EQ(back.quads().size(), memory.quads().size());
+  for (std::size_t i = 0; i < back.quads().size(); ++i) {
+    EXPECT_EQ(back.quads()[i].stroke, memory.quads()[i].stroke) << i;
+    EXPECT_EQ(back.quads()[i].to, memory.quads()[i].to) << i;
+    EXPECT_EQ(back.quads()[i].travel_m, memory.quads()[i].travel_m) << i;
+    EXPECT_EQ(back.quads()[i].has_rims, memory.quads()[i].has_rims) << i;
+  }
+
+  // A place that it does not have.
+  auto damaged = bytes;
+  damaged[1] = std::byte{0x10};
+  SweptMemory refused;
+  Archive bad(damaged);
+  refused.archive(bad);
+  EXPECT_EQ(bad.error(), "the oldest quad of those that were swept is none");
+  EXPECT_TRUE(refused.quads().empty());
+}
+
+}  // namespace
+}  // namespace incise::core
