@@ -75,17 +75,17 @@ bool ClosingStage::advance(WorkBudget& budget) {
       if (!open(budget)) return false;
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
       if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
-      if (round_ == Kind::kRib && cut_.workspace.necks.empty()) return true;
       round_ = round_ == Kind::kAcross ? Kind::kRib : Kind::kNeck;
-      go(Phase::kCollectRibs);
+      go(round_ == Kind::kRib ? Phase::kCollectRibs : Phase::kCollectNecks);
       return false;
     case Phase::kCollectRibs:
       if (!collect_held(cut_.workspace.ribs, Kind::kRib, budget)) return false;
-      go(round_ == Kind::kNeck ? Phase::kCollectNecks : Phase::kCollectHeld);
+      go(Phase::kCollectHeld);
       return false;
     case Phase::kCollectNecks:
       if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
-      go(Phase::kCollectHeld);
+      std::sort(gaps_.begin(), gaps_.end());
+      go(Phase::kJudge);
       return false;
   }
   return true;
@@ -382,8 +382,7 @@ bool ClosingStage::judge(WorkBudget& budget) {
       continue;
     }
     keep_closed(gap);
-    // What is a crumb while all necks count as open may be a part later.
-    if (other != Part::kCrumb || (round_ == Kind::kNeck && gap.kind != Kind::kNeck)) hold(gap);
+    if (other != Part::kCrumb) hold(gap);
   }
   gaps_.clear();
   return true;

@@ -40,8 +40,9 @@ void ConformingCutter::begin(const Batch& batch) {
   cut_.has_front = !batch.ends_stroke;
   const BoundaryGrid& grid = cut_.workspace.grid;
   cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
+  const Vec3 around{cut_.h, cut_.h, cut_.h};
   cut_.workspace.swept.add(batch.lines, cut_.stroke, cut_.path.travel_before_batch_m(),
-                           tolerance::kRemembered_h * cut_.h);
+                           tolerance::kRemembered_h * cut_.h, grid.low() - around, grid.high() + around);
   joining_.begin(batch);
   stage_ = Stage::kJoining;
 }

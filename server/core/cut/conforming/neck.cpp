@@ -86,9 +86,9 @@ std::size_t Neck::fill(TetId from, std::uint8_t side) {
       const HalfFace o = mesh_.opposite(half_face(t, f));
       if (o == kNone) {
         const auto v = mesh_.face_vertices(half_face(t, f));
-        const Corners corners{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])};
-        block(corners);
-        if (!(mesh_.cut_mask(t) >> f & 1)) skin_.push_back(corners);
+        const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
+        block(a, b, c);
+        if (!(mesh_.cut_mask(t) >> f & 1)) skin_.push_back({a, b, c, around({a, b, c})});
         continue;
       }
       if (cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
@@ -115,16 +115,26 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
     if (dot(inward[f], p[f] - a) < 0) inward[f] = -inward[f];
     offset[f] = dot(inward[f], a);
   }
-  const auto is = range(low.x, high.x), js = range(low.y, high.y), ks = range(low.z, high.z);
+  const auto js = range(low.y, high.y), ks = range(low.z, high.z);
   std::size_t count = 0;
   for (int k = ks[0]; k <= ks[1]; ++k) {
     for (int j = js[0]; j <= js[1]; ++j) {
+      // What of the row is inside.
+      double first = low.x, last = high.x;
+      for (int f = 0; f < 4; ++f) {
+        const double rest = offset[f] - inward[f].y * j - inward[f].z * k;
+        if (inward[f].x > 0) {
+          first = std::max(first, rest / inward[f].x);
+        } else if (inward[f].x < 0) {
+          last = std::min(last, rest / inward[f].x);
+        } else if (rest > 0) {
+          last = -1;
+        }
+      }
+      const auto is = range(first, last);
       for (int i = is[0]; i <= is[1]; ++i) {
-        const Vec3 q{static_cast<double>(i), static_cast<double>(j), static_cast<double>(k)};
-        bool inside = true;
-        for (int f = 0; f < 4 && inside; ++f) inside = dot(inward[f], q) >= offset[f];
         std::uint8_t& at = sides_[point(i, j, k)];
-        if (!inside || at != 0) continue;
+        if (at != 0) continue;
         at = side;
         ++count;
       }
@@ -136,23 +146,22 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
 // Blocks the ways through what was swept, and those through gaps to the skin or another sweep that are no wider than what is one.
 void Neck::block_swept() {
   near_.clear();
-  const Vec3 around{kOne_h * cut_.h, kOne_h * cut_.h, kOne_h * cut_.h};
+  const Vec3 gap{kOne_h * cut_.h, kOne_h * cut_.h, kOne_h * cut_.h};
   for (const SweptMemory::Quad& quad : cut_.workspace.swept.quads()) {
-    Vec3 low = quad.from.heel, high = low;
-    for (const Vec3& p : {quad.from.tip, quad.to.heel, quad.to.tip}) extend(p, low, high);
-    if (!meets(low - around, high + around)) continue;
-    near_.push_back(&quad);
+    if (!quad.meets(low_ - gap, high_ + gap)) continue;
+    near_.push_back({&quad, around({quad.from.heel, quad.from.tip, quad.to.heel, quad.to.tip})});
     each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) { block(a, b, c); });
   }
   cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
-  for (const SweptMemory::Quad* quad : near_) {
-    if (!quad->has_rims) continue;
-    const BladeLine &from = quad->from, &to = quad->to;
+  for (const Swept& swept : near_) {
+    const SweptMemory::Quad& quad = *swept.quad;
+    if (!quad.has_rims) continue;
+    const BladeLine &from = quad.from, &to = quad.to;
     const Vec3 along = normalized((from.tip - from.heel) + (to.tip - to.heel));
     const Vec3 motion = (to.heel - from.heel) + (to.tip - from.tip);
     const Vec3 normal = normalized(cross(along, motion));
-    lead_on(from.heel, to.heel, -along, normal, *quad);
-    lead_on(from.tip, to.tip, along, normal, *quad);
+    lead_on(from.heel, to.heel, -along, normal, quad);
+    lead_on(from.tip, to.tip, along, normal, quad);
   }
   SweepEnds& ends = cut_.workspace.ends;
   for (std::size_t i = 0; i < ends.size(); ++i) {
@@ -163,6 +172,13 @@ void Neck::block_swept() {
     lead_on(line.heel, line.tip, away, cross(along, away),
             {line, line, ends[i].stroke, ends[i].travel_m, true});
   }
+}
+
+Neck::Box Neck::around(std::initializer_list<Vec3> points) const {
+  const Vec3 gap{kOne_h * cut_.h, kOne_h * cut_.h, kOne_h * cut_.h};
+  Vec3 low = *points.begin(), high = low;
+  for (const Vec3& p : points) extend(p, low, high);
+  return {low - gap, high + gap};
 }
 
 // Leads a rim from a to b on to what is near.
@@ -194,15 +210,19 @@ bool Neck::is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const {
     return squared_length(closest_point(p, a, b, c) - p) <= reach_m * reach_m;
   };
   cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
-  return std::ranges::any_of(skin_, [&](const Corners& t) { return is_near(t.a, t.b, t.c); }) ||
-         std::ranges::any_of(near_, [&](const SweptMemory::Quad* other) {
-           if (other->stroke == sweep.stroke && std::abs(other->travel_m - sweep.travel_m) <= kFar_h * cut_.h)
-             return false;
-           bool near = false;
-           each_triangle(
-               *other, [&](const Vec3& a, const Vec3& b, const Vec3& c) { near = near || is_near(a, b, c); });
-           return near;
-         });
+  const auto is_other = [&](const SweptMemory::Quad& quad) {
+    return quad.stroke != sweep.stroke || std::abs(quad.travel_m - sweep.travel_m) > kFar_h * cut_.h;
+  };
+  const auto is_near_skin = [&](const Skin& t) { return t.around.has(p) && is_near(t.a, t.b, t.c); };
+  const auto is_near_swept = [&](const Swept& swept) {
+    bool near = false;
+    if (swept.around.has(p) && is_other(*swept.quad)) {
+      each_triangle(*swept.quad,
+                    [&](const Vec3& a, const Vec3& b, const Vec3& c) { near = near || is_near(a, b, c); });
+    }
+    return near;
+  };
+  return std::ranges::any_of(skin_, is_near_skin) || std::ranges::any_of(near_, is_near_swept);
 }
 
 // Blocks the ways between neighbouring points that a triangle crosses; also at its edges, so that none slips through between two that share one.
@@ -218,26 +238,36 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
     }
     const double area = (pu[1] - pu[0]) * (pw[2] - pw[0]) - (pw[1] - pw[0]) * (pu[2] - pu[0]);
     if (std::abs(area) < kEdge) continue;
-    const auto us = range(std::min({pu[0], pu[1], pu[2]}) - kEdge, std::max({pu[0], pu[1], pu[2]}) + kEdge);
     const auto ws = range(std::min({pw[0], pw[1], pw[2]}) - kEdge, std::max({pw[0], pw[1], pw[2]}) + kEdge);
+    const std::size_t step = kStep[static_cast<std::size_t>(axis)];
+    const std::size_t along = kStep[static_cast<std::size_t>(u)], across = kStep[static_cast<std::size_t>(w)];
     for (int y = ws[0]; y <= ws[1]; ++y) {
-      for (int x = us[0]; x <= us[1]; ++x) {
-        double at = 0;
-        bool inside = true;
-        for (int i = 0; i < 3 && inside; ++i) {
-          const int j = (i + 1) % 3, k = (i + 2) % 3;
-          const double weight = ((pu[j] - x) * (pw[k] - y) - (pw[j] - y) * (pu[k] - x)) / area;
-          inside = weight >= -kEdge;
-          at += weight * coordinate(p[i], axis);
+      // What of the row the triangle covers, and where it is there: at_0 + slope x.
+      double first = 0, last = kPoints - 1, at_0 = 0, slope = 0;
+      for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        const double weight_0 = (pu[j] * (pw[k] - y) - pu[k] * (pw[j] - y)) / area;
+        const double more = (pw[j] - pw[k]) / area;
+        at_0 += weight_0 * coordinate(p[i], axis);
+        slope += more * coordinate(p[i], axis);
+        const double end = (-kEdge - weight_0) / more;
+        if (more > 0) {
+          first = std::max(first, end);
+        } else if (more < 0) {
+          last = std::min(last, end);
+        } else if (weight_0 < -kEdge) {
+          last = -1;
         }
-        if (!inside || at < 0 || at >= kPoints - 1) continue;
-        const auto n = static_cast<std::size_t>(at);
-        const auto s = static_cast<std::size_t>(axis), t = static_cast<std::size_t>(u),
-                   r = static_cast<std::size_t>(w);
-        walls_[n * kStep[s] + static_cast<std::size_t>(x) * kStep[t] +
-               static_cast<std::size_t>(y) * kStep[r]] |= static_cast<std::uint8_t>(1u << axis);
+      }
+      const auto xs = range(first, last);
+      for (int x = xs[0]; x <= xs[1]; ++x) {
+        const double at = at_0 + slope * x;
+        if (at < 0 || at >= kPoints - 1) continue;
+        walls_[static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
+               static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(1u << axis);
       }
     }
+    cut_.work.add(static_cast<std::size_t>(std::max(0, ws[1] - ws[0] + 1)), cost::kRowsAUnit);
   }
 }
 

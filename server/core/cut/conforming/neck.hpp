@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -17,7 +18,7 @@ class Neck {
   explicit Neck(CutContext& cut) : cut_(cut), mesh_(cut.mesh), pass_(cut.workspace) {}
 
   // Whether the surfaces part what lies on the two sides of a face, which hang together in no other way than through faces that are about
-  // to open. Some 0.5 ms.
+  // to open. Some 0.5 ms, up to 3 where a hand has been at it for long.
   bool is_closed(HalfFace h);
 
  private:
@@ -26,8 +27,20 @@ class Neck {
   static constexpr std::size_t kAll = std::size_t{kPoints} * kPoints * kPoints;
   static constexpr std::array<std::size_t, 3> kStep{1, kPoints, kPoints* kPoints};
 
-  struct Corners {
+  struct Box {
+    Vec3 low, high;
+    bool has(const Vec3& p) const {
+      return p.x >= low.x && p.y >= low.y && p.z >= low.z && p.x <= high.x && p.y <= high.y && p.z <= high.z;
+    }
+  };
+  // What a rim may be led on to, and all that is as near to it as that.
+  struct Skin {
     Vec3 a, b, c;
+    Box around;
+  };
+  struct Swept {
+    const SweptMemory::Quad* quad;
+    Box around;
   };
   // How many points lie on each side.
   using Counts = std::array<std::size_t, 2>;
@@ -42,7 +55,7 @@ class Neck {
                const SweptMemory::Quad& sweep);
   bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c);
-  void block(const Corners& t) { block(t.a, t.b, t.c); }
+  Box around(std::initializer_list<Vec3> points) const;
   bool hang_together(const Counts& counts);
   Counts follow(std::size_t first);
 
@@ -55,10 +68,10 @@ class Neck {
   std::vector<std::uint8_t>
       sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
   std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked
-  std::vector<Corners> skin_;        // of the tissue there
-  std::vector<const SweptMemory::Quad*> near_;  // what was swept there
-  std::vector<TetId> tets_;                     // scratch
-  std::vector<std::size_t> queue_;              // scratch
+  std::vector<Skin> skin_;           // of the tissue there
+  std::vector<Swept> near_;          // what was swept there
+  std::vector<TetId> tets_;          // scratch
+  std::vector<std::size_t> queue_;   // scratch
 };
 
 }  // namespace incise::core

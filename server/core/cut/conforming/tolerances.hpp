@@ -101,7 +101,7 @@ inline constexpr std::array<double, 2> kNeckReach_h{1.5, 2.5};
 inline constexpr int kNeckPoints = 25;
 inline constexpr double kNeckPart_h3 = 0.75, kNeckShared = 0.1, kNeckRim_h = 0.125;
 // So many are looked at when a stroke ends; others stay closed.
-inline constexpr std::size_t kMaxNecks = 64;
+inline constexpr std::size_t kMaxNecks = 16;
 // Chords that stand for what was swept are no shorter than this.
 inline constexpr double kRemembered_h = 0.2;
 // How thick a rib between a sweep and the boundary may be, where it is parted far from the ends of a sweep.
@@ -273,7 +273,7 @@ inline constexpr std::int64_t kPlace = 4;
 
 // A neck: a box of points, and what was swept by all strokes.
 inline constexpr std::int64_t kNeck = 4000;
-inline constexpr std::size_t kQuadsAUnit = 8;
+inline constexpr std::size_t kQuadsAUnit = 8, kRowsAUnit = 2;
 
 // Operations on the mesh.
 inline constexpr std::int64_t kTrySplit = 2;  // each tetrahedron around the edge
