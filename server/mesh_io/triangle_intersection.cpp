@@ -4,18 +4,17 @@
 #include <cmath>
 #include <cstdint>
 
+#include "server/core/geometry/box.hpp"
 #include "server/core/geometry/predicates.hpp"
 
 namespace incise::mesh_io {
 namespace {
 
+using core::Box;
+using core::coordinate;
 using core::Vec3;
 using core::VertexId;
 using Triangle = std::array<VertexId, 3>;
-
-double coordinate(const Vec3& p, int axis) {
-  return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
-}
 
 // core::orient3d, with a shortcut for a case that is frequent with the plane faces of boxes and cylinders:
 // the exact evaluation takes microseconds.
@@ -105,19 +104,6 @@ bool separated_by_edge(const std::vector<Vec3>& p, const Triangle& s, const Tria
   }
   return false;
 }
-
-struct Box {
-  Vec3 low, high;
-
-  bool meets(const Box& other) const {
-    return low.x <= other.high.x && other.low.x <= high.x && low.y <= other.high.y && other.low.y <= high.y &&
-           low.z <= other.high.z && other.low.z <= high.z;
-  }
-  void add(const Box& other) {
-    low = {std::min(low.x, other.low.x), std::min(low.y, other.low.y), std::min(low.z, other.low.z)};
-    high = {std::max(high.x, other.high.x), std::max(high.y, other.high.y), std::max(high.z, other.high.z)};
-  }
-};
 
 // A tree of boxes over the triangles of a surface, split at the median along the longest side.
 class BoxTree {

@@ -240,6 +240,15 @@ TEST_F(MeetingInACoarseBody, WhatWasHeldComesApartWithALaterStroke) {
   EXPECT_TRUE(v.right()) << to_string(v);
 }
 
+// Makes a meeting in a body at rest; what comes off is what geometry says.
+void expect_right(const core::MeshData& shape, const Body& loaded, const char* kind, std::uint64_t seed) {
+  const Meeting meeting = random_meeting(shape, loaded.h, kind, seed);
+  core::CutSession session(shape, meeting_config(meeting));
+  cut(meeting, session);
+  const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
+  EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+}
+
 struct OnceWrong {
   const char* mesh;
   const char* kind;
@@ -376,13 +385,7 @@ core::MeshData ball_with_a_coarse_skin() {
 TEST(MeetingWhereElementsAreLarge, AStrokeIsMetBeforeItsEnd) {
   const core::MeshData ball = ball_with_a_coarse_skin();
   const Body loaded(ball);
-  for (const std::uint64_t seed : {2, 31, 38, 44, 46, 50}) {
-    const Meeting meeting = random_meeting(ball, loaded.h, "square", seed);
-    core::CutSession session(ball, meeting_config(meeting));
-    cut(meeting, session);
-    const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
-    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
-  }
+  for (const std::uint64_t seed : {2, 31, 38, 44, 46, 50}) expect_right(ball, loaded, "square", seed);
 }
 
 // In elements as large as the loop, faces with all vertices on the sweep were chords of it.
@@ -416,41 +419,25 @@ TEST(MeetingFilms, HangByNoRib) {
   come_apart(along_older_cut);
 }
 TEST(MeetingFilms, StayUnderTheSkin) {
-  for (const std::uint64_t seed : {1010, 1012}) {
-    const Meeting meeting = random_meeting(mesh(), body().h, "starts_in", seed);
-    core::CutSession session(mesh(), meeting_config(meeting));
-    cut(meeting, session);
-    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
-    EXPECT_TRUE(v.right()) << seed << ": " << to_string(v);
-  }
+  for (const std::uint64_t seed : {1010, 1012}) expect_right(mesh(), body(), "starts_in", seed);
 }
 
 // Parts of tens of h^3 hung by a face or two at the skin, up to 0.45 h off the sweep, or beside it where an older one has been.
 TEST(MeetingNecks, ComeApartWhereTheyWereSwept) {
-  const Meeting meeting = random_meeting(mesh(), body().h, "polygon", 80004);
-  core::CutSession session(mesh(), meeting_config(meeting));
-  cut(meeting, session);
-  const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
-  EXPECT_TRUE(v.right()) << to_string(v);
+  expect_right(mesh(), body(), "polygon", 80004);
 }
 // As many faces hang together by more than themselves.
 TEST(MeetingNecks, OfLobesStay) {
-  const std::pair<const char*, std::uint64_t> meetings[] = {
-      {"circle", 80006}, {"lasso", 80003}, {"plunge", 80001}};
-  for (const auto& [kind, seed] : meetings) {
-    const Meeting meeting = random_meeting(mesh(), body().h, kind, seed);
-    core::CutSession session(mesh(), meeting_config(meeting));
-    cut(meeting, session);
-    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
-    EXPECT_TRUE(v.right()) << kind << ' ' << seed << ": " << to_string(v);
-  }
+  expect_right(mesh(), body(), "circle", 80006);
+  expect_right(mesh(), body(), "lasso", 80003);
+  expect_right(mesh(), body(), "plunge", 80001);
 }
 TEST(MeetingNecks, ComeApartInCoarseBodies) {
   const OnceWrong necks[] = {{"wound_1476", "square", 100004}, {"wound_1476", "circle", 90006}};
   come_apart(necks);
 }
 
-// The gap between such a place and an older cut may be closed.
+// The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {
   const OnceWrong lassos[] = {{"seed_1720", "lasso", 130006}};
   come_apart(lassos);

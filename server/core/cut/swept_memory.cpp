@@ -3,25 +3,18 @@
 namespace incise::core {
 
 void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
-                      const Vec3& low, const Vec3& high) {
+                      const Box& box) {
   std::size_t from = 0;
   double chord_travel_m = 0;
   for (std::size_t i = 1; i < lines.size(); ++i) {
     chord_travel_m += travel(lines[i - 1], lines[i]);
     if (chord_travel_m == 0 || (chord_travel_m < chord_m && i + 1 < lines.size())) continue;
     const Quad quad{lines[from], lines[i], stroke, travel_m, true};
-    if (quad.meets(low, high)) add(quad);
+    if (quad.box().meets(box)) add(quad);
     travel_m += chord_travel_m;
     chord_travel_m = 0;
     from = i;
   }
-}
-
-bool SweptMemory::Quad::meets(const Vec3& box_low, const Vec3& box_high) const {
-  Vec3 low = from.heel, high = low;
-  for (const Vec3& p : {from.tip, to.heel, to.tip}) extend(p, low, high);
-  return low.x <= box_high.x && low.y <= box_high.y && low.z <= box_high.z && high.x >= box_low.x &&
-         high.y >= box_low.y && high.z >= box_low.z;
 }
 
 void SweptMemory::add(const Quad& quad) {

@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "server/core/geometry/box.hpp"
 #include "server/core/stroke/blade.hpp"
 #include "server/core/util/archive.hpp"
 
@@ -20,17 +21,16 @@ class SweptMemory {
     double travel_m = 0;    // of the blade in that stroke, before
     bool has_rims = false;  // the heel's and the tip's ways; else it leads from a sweep's end to a wall
 
-    // Whether its box meets another one.
-    bool meets(const Vec3& box_low, const Vec3& box_high) const;
+    Box box() const { return Box::around({from.heel, from.tip, to.heel, to.tip}); }
   };
 
   SweptMemory() { quads_.reserve(kMost); }
 
   std::span<const Quad> quads() const { return quads_; }
-  // What a blade has swept from the first of these lines to the last in the box from `low` to `high`, that of the tissue, by chords no shorter than
+  // What a blade has swept from the first of these lines to the last in a box, that of the tissue, by chords no shorter than
   // `chord_m`, but for the last one.
   void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
-           const Vec3& low, const Vec3& high);
+           const Box& box);
   void add(const Quad& quad);
   // The body has moved, the quads have not.
   void clear() {

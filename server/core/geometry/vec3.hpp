@@ -52,6 +52,10 @@ inline Vec3 normalized(const Vec3& a) {
   const double l = length(a);
   return l > 0 ? (1.0 / l) * a : Vec3{};
 }
+// 0: x, 1: y, 2: z.
+inline double coordinate(const Vec3& p, int axis) {
+  return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
+}
 // Extends the box from `low` to `high` by p.
 inline void extend(const Vec3& p, Vec3& low, Vec3& high) noexcept {
   low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};

@@ -8,10 +8,6 @@
 namespace incise::core {
 namespace {
 
-double coordinate(const Vec3& p, int axis) {
-  return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
-}
-
 constexpr double kMaxCells = 16e6;
 // Of a body that deforms: a tetrahedron's other vertices were as far from their anchors when it was entered, and a cut may
 // let a vertex slide by a quarter of a cell besides.

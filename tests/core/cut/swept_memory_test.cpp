@@ -7,7 +7,7 @@
 namespace incise::core {
 namespace {
 
-const Vec3 kLow{-0.5, -0.5, -0.5}, kHigh{0.5, 0.5, 0.5};
+const Box kTissue{{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
 
 // A blade along z that has come along x to `x`.
 BladeLine line_at(double x) {
@@ -17,7 +17,7 @@ BladeLine line_at(double x) {
 TEST(SweptMemory, KeepsChordsOfWhatWasSwept) {
   SweptMemory memory;
   const std::vector<BladeLine> lines{line_at(0), line_at(0.1), line_at(0.2), line_at(0.3), line_at(0.35)};
-  memory.add(lines, 7, 5, 0.15, kLow, kHigh);
+  memory.add(lines, 7, 5, 0.15, kTissue);
   ASSERT_EQ(memory.quads().size(), 2u);
   EXPECT_EQ(memory.quads()[0].from, line_at(0));
   EXPECT_EQ(memory.quads()[0].to, line_at(0.2));
@@ -32,15 +32,15 @@ TEST(SweptMemory, KeepsChordsOfWhatWasSwept) {
 
 TEST(SweptMemory, KeepsNothingOfABladeThatRests) {
   SweptMemory memory;
-  memory.add(std::vector<BladeLine>{line_at(0), line_at(0), line_at(0)}, 1, 0, 0.1, kLow, kHigh);
-  memory.add(std::vector<BladeLine>{line_at(0)}, 1, 0, 0.1, kLow, kHigh);
+  memory.add(std::vector<BladeLine>{line_at(0), line_at(0), line_at(0)}, 1, 0, 0.1, kTissue);
+  memory.add(std::vector<BladeLine>{line_at(0)}, 1, 0, 0.1, kTissue);
   EXPECT_TRUE(memory.quads().empty());
 }
 
 TEST(SweptMemory, KeepsNothingOfABladeInTheAir) {
   SweptMemory memory;
   memory.add(std::vector<BladeLine>{line_at(2), line_at(1), line_at(0), line_at(-1), line_at(-2)}, 1, 0, 0.5,
-             kLow, kHigh);
+             kTissue);
   ASSERT_EQ(memory.quads().size(), 2u);
   EXPECT_EQ(memory.quads()[0].from, line_at(1));
   EXPECT_EQ(memory.quads()[0].travel_m, 1);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/hole_finder.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 #include "server/core/cut/conforming/neck.hpp"
 #include "server/core/cut/conforming/pinched_edges.hpp"
@@ -26,7 +27,8 @@ class ClosingStage {
         pinched_(pinched),
         pass_(cut.workspace),
         sides_(cut),
-        neck_(cut) {}
+        neck_(cut),
+        holes_(cut) {}
 
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
@@ -101,20 +103,8 @@ class ClosingStage {
   bool all_at_boundary(HalfFace h) const;
   bool may_close(Gap& gap);
   bool may_be_neck(Gap& gap);
-  // Whether both sides of a face are on one side of a surface that they are so far off.
-  bool is_beside(double one_m, double other_m) const {
-    return (one_m >= 0) == (other_m >= 0) &&
-           std::min(std::abs(one_m), std::abs(other_m)) > tolerance::kBeside_h * cut_.h;
-  }
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
-  int edges_at_boundary(HalfFace h, bool& continues);
-  bool is_hole(HalfFace h);
-  bool ends_at_boundary(HalfFace h, VertexId a, VertexId b, bool& continues);
-  HalfFace face_beyond(HalfFace h, VertexId a, VertexId b) const;
-  bool lies_at_cut(HalfFace h);
-  bool is_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
-  bool lies_beyond(HalfFace other, HalfFace h, VertexId a, VertexId b) const;
   Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
   bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
@@ -142,10 +132,10 @@ class ClosingStage {
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
   Neck neck_;
+  HoleFinder holes_;
   std::size_t necks_seen_ = 0;    // by that
   std::vector<Waiting> waited_;   // those that this batch looks at
   std::vector<HalfFace> others_;  // scratch
-  std::vector<TetId> ring_;       // scratch
   std::vector<Corner> star_;      // scratch
 };
 

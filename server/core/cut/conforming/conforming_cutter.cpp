@@ -40,9 +40,8 @@ void ConformingCutter::begin(const Batch& batch) {
   cut_.has_front = !batch.ends_stroke;
   const BoundaryGrid& grid = cut_.workspace.grid;
   cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
-  const Vec3 around{cut_.h, cut_.h, cut_.h};
   cut_.workspace.swept.add(batch.lines, cut_.stroke, cut_.path.travel_before_batch_m(),
-                           tolerance::kRemembered_h * cut_.h, grid.low() - around, grid.high() + around);
+                           tolerance::kRemembered_h * cut_.h, cut_.near_tissue());
   joining_.begin(batch);
   stage_ = Stage::kJoining;
 }

@@ -9,6 +9,7 @@
 #include "server/core/cut/cut_config.hpp"
 #include "server/core/cut/cut_workspace.hpp"
 #include "server/core/cut/cutter.hpp"
+#include "server/core/geometry/box.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/mesh/vertex_star.hpp"
 #include "server/core/util/work_budget.hpp"
@@ -50,6 +51,14 @@ struct CutContext {
   }
   // Whether a crossing at v could not be dealt with.
   bool failed(VertexId v) const { return workspace.vertices[v].failed == stroke; }
+
+  // A box around all that is near the tissue.
+  Box near_tissue() const { return Box{workspace.grid.low(), workspace.grid.high()}.widened(h); }
+  // Whether both sides of a face are on one side of a surface that they are so far off.
+  bool is_beside(double one_m, double other_m) const {
+    return (one_m >= 0) == (other_m >= 0) &&
+           std::min(std::abs(one_m), std::abs(other_m)) > tolerance::kBeside_h * h;
+  }
 
   // Whether v is near the blade, and by how much.
   bool hot(VertexId v, double* by_m = nullptr) const {

@@ -145,10 +145,9 @@ void JoiningStage::follow_strip(const BladeLine& line) {
 }
 
 void JoiningStage::keep_beginning() {
-  const Vec3 reach{cut_.h, cut_.h, cut_.h};
-  const BoundaryGrid& grid = cut_.workspace.grid;
+  const Box tissue = cut_.near_tissue();
   cut_.workspace.ends.add(cut_.stroke, cut_.path.travel_m(), strip_.data(), strip_.size(),
-                          kJoinPart_h * cut_.h, grid.low() - reach, grid.high() + reach);
+                          kJoinPart_h * cut_.h, tissue.low, tissue.high);
   begins_ = false;
 }
 
@@ -279,14 +278,10 @@ void JoiningStage::list(const BladeLine& line, const Vec3& direction, bool aside
            : i == count ? line.tip
                         : lerp(line.heel, line.tip, static_cast<double>(i) / count);
   };
-  const Vec3 reach{cut_.h, cut_.h, cut_.h};
-  const Vec3 low = cut_.workspace.grid.low() - reach, high = cut_.workspace.grid.high() + reach;
+  const Box tissue = cut_.near_tissue();
   for (int i = 0; i < count; ++i) {
     const Vec3 a = at(i), b = at(i + 1);
-    if (std::max(a.x, b.x) < low.x || std::max(a.y, b.y) < low.y || std::max(a.z, b.z) < low.z ||
-        std::min(a.x, b.x) > high.x || std::min(a.y, b.y) > high.y || std::min(a.z, b.z) > high.z)
-      continue;
-    parts_.push_back({a, b, direction, aside});
+    if (Box::around({a, b}).meets(tissue)) parts_.push_back({a, b, direction, aside});
   }
 }
 

@@ -9,10 +9,6 @@ using namespace tolerance;
 
 namespace {
 
-double coordinate(const Vec3& p, int axis) {
-  return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
-}
-
 // The whole numbers from `low` to `high` that number points: first and last.
 std::array<int, 2> range(double low, double high) {
   const double last = kNeckPoints - 1;
@@ -59,17 +55,10 @@ bool Neck::is_closed(HalfFace h) {
 void Neck::lay_out(const Vec3& middle, double reach_m) {
   cut_.work += cost::kNeck;
   step_m_ = 2 * reach_m / (kPoints - 1);
-  const Vec3 r{reach_m, reach_m, reach_m};
-  low_ = middle - r;
-  high_ = middle + r;
+  box_ = Box{middle, middle}.widened(reach_m);
   sides_.assign(kAll, 0);
   walls_.assign(kAll, 0);
   skin_.clear();
-}
-
-bool Neck::meets(const Vec3& low, const Vec3& high) const {
-  return low.x <= high_.x && low.y <= high_.y && low.z <= high_.z && high.x >= low_.x && high.y >= low_.y &&
-         high.z >= low_.z;
 }
 
 // Marks the points in what hangs together with a tetrahedron in the box, and blocks the ways through the boundary there. Returns how many there
@@ -88,13 +77,14 @@ std::size_t Neck::fill(TetId from, std::uint8_t side) {
         const auto v = mesh_.face_vertices(half_face(t, f));
         const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
         block(a, b, c);
-        if (!(mesh_.cut_mask(t) >> f & 1)) skin_.push_back({a, b, c, around({a, b, c})});
+        if (!(mesh_.cut_mask(t) >> f & 1))
+          skin_.push_back({a, b, c, Box::around({a, b, c}).widened(gap_m())});
         continue;
       }
       if (cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
-      Vec3 low = mesh_.position(mesh_.vertices(tet_of(o))[0]), high = low;
-      for (VertexId v : mesh_.vertices(tet_of(o))) extend(mesh_.position(v), low, high);
-      if (!meets(low, high)) continue;
+      const auto& v = mesh_.vertices(tet_of(o));
+      const auto at = [&](std::size_t k) { return mesh_.position(v[k]); };
+      if (!Box::around({at(0), at(1), at(2), at(3)}).meets(box_)) continue;
       pass_.add(tet_of(o));
       tets_.push_back(tet_of(o));
     }
@@ -146,10 +136,10 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
 // Blocks the ways through what was swept, and those through gaps to the skin or another sweep that are no wider than what is one.
 void Neck::block_swept() {
   near_.clear();
-  const Vec3 gap{kOne_h * cut_.h, kOne_h * cut_.h, kOne_h * cut_.h};
   for (const SweptMemory::Quad& quad : cut_.workspace.swept.quads()) {
-    if (!quad.meets(low_ - gap, high_ + gap)) continue;
-    near_.push_back({&quad, around({quad.from.heel, quad.from.tip, quad.to.heel, quad.to.tip})});
+    const Box around = quad.box().widened(gap_m());
+    if (!around.meets(box_)) continue;
+    near_.push_back({&quad, around});
     each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) { block(a, b, c); });
   }
   cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
@@ -174,29 +164,18 @@ void Neck::block_swept() {
   }
 }
 
-Neck::Box Neck::around(std::initializer_list<Vec3> points) const {
-  const Vec3 gap{kOne_h * cut_.h, kOne_h * cut_.h, kOne_h * cut_.h};
-  Vec3 low = *points.begin(), high = low;
-  for (const Vec3& p : points) extend(p, low, high);
-  return {low - gap, high + gap};
-}
-
 // Leads a rim from a to b on to what is near.
 void Neck::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
                    const SweptMemory::Quad& sweep) {
-  const double by_m = kOne_h * cut_.h;
-  const Vec3 around{by_m, by_m, by_m};
-  Vec3 low = a, high = a;
-  extend(b, low, high);
-  if (!meets(low - around, high + around)) return;
+  if (!Box::around({a, b}).widened(gap_m()).meets(box_)) return;
   const int count = std::max(1, static_cast<int>(std::ceil(distance(a, b) / (kNeckRim_h * cut_.h))));
   for (int i = 0; i < count; ++i) {
     const Vec3 p = lerp(a, b, static_cast<double>(i) / count),
                q = lerp(a, b, static_cast<double>(i + 1) / count);
     const Vec3 middle = lerp(p, q, 0.5);
-    if (!meets(middle - around, middle + around) || !is_near_other(middle, sweep)) continue;
+    if (!Box{middle, middle}.widened(gap_m()).meets(box_) || !is_near_other(middle, sweep)) continue;
     for (const Vec3& direction : {away, normal, -normal}) {
-      const Vec3 by = by_m * direction;
+      const Vec3 by = gap_m() * direction;
       block(p, q, q + by);
       block(p, q + by, p + by);
     }
@@ -205,9 +184,8 @@ void Neck::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& n
 
 // Whether the skin is near, or another sweep, or quite another part of this one.
 bool Neck::is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const {
-  const double reach_m = kOne_h * cut_.h;
   const auto is_near = [&](const Vec3& a, const Vec3& b, const Vec3& c) {
-    return squared_length(closest_point(p, a, b, c) - p) <= reach_m * reach_m;
+    return squared_length(closest_point(p, a, b, c) - p) <= gap_m() * gap_m();
   };
   cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
   const auto is_other = [&](const SweptMemory::Quad& quad) {
@@ -271,7 +249,7 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
   }
 }
 
-// Whether open ways connect most of both sides.
+// Whether open ways connect enough of both sides.
 bool Neck::hang_together(const Counts& counts) {
   for (std::size_t i = 0; i < kAll; ++i) {
     if (sides_[i] == 0) continue;

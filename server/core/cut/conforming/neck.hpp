@@ -3,7 +3,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <initializer_list>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -23,16 +22,10 @@ class Neck {
 
  private:
   static constexpr int kPoints = tolerance::kNeckPoints;  // along an axis
-  // Point i + kPoints (j + kPoints k) is at low_ + step_m_ (i, j, k).
+  // Point i + kPoints (j + kPoints k) is at box_.low + step_m_ (i, j, k).
   static constexpr std::size_t kAll = std::size_t{kPoints} * kPoints * kPoints;
   static constexpr std::array<std::size_t, 3> kStep{1, kPoints, kPoints* kPoints};
 
-  struct Box {
-    Vec3 low, high;
-    bool has(const Vec3& p) const {
-      return p.x >= low.x && p.y >= low.y && p.z >= low.z && p.x <= high.x && p.y <= high.y && p.z <= high.z;
-    }
-  };
   // What a rim may be led on to, and all that is as near to it as that.
   struct Skin {
     Vec3 a, b, c;
@@ -45,8 +38,8 @@ class Neck {
   // How many points lie on each side.
   using Counts = std::array<std::size_t, 2>;
 
-  bool meets(const Vec3& low, const Vec3& high) const;
-  Vec3 to_grid(const Vec3& p) const { return (1 / step_m_) * (p - low_); }
+  double gap_m() const { return tolerance::kOne_h * cut_.h; }
+  Vec3 to_grid(const Vec3& p) const { return (1 / step_m_) * (p - box_.low); }
   void lay_out(const Vec3& middle, double reach_m);
   std::size_t fill(TetId from, std::uint8_t side);
   std::size_t fill_tet(TetId t, std::uint8_t side);
@@ -55,7 +48,6 @@ class Neck {
                const SweptMemory::Quad& sweep);
   bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c);
-  Box around(std::initializer_list<Vec3> points) const;
   bool hang_together(const Counts& counts);
   Counts follow(std::size_t first);
 
@@ -63,7 +55,7 @@ class Neck {
   const TetMesh& mesh_;
   TetPass pass_;
 
-  Vec3 low_, high_;
+  Box box_;
   double step_m_ = 1;
   std::vector<std::uint8_t>
       sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
