@@ -46,7 +46,8 @@ void Client::Impl::start() {
   protocol::ErrorCode code{};
   {
     const std::scoped_lock lock(mutex);
-    if (current_status == Status::kConnected) return;
+    // Reconnecting: it was welcomed, and lost the connection before this thread woke.
+    if (current_status == Status::kConnected || (answered && current_status == Status::kReconnecting)) return;
     code = refusal;
     why = answered ? error_text : host + ":" + std::to_string(port) + ": no answer in time";
   }

@@ -126,7 +126,10 @@ class Watcher {
   // Whether the server has been gone for too long. Says so when it goes and when it comes back.
   bool given_up(steady_clock::time_point now) {
     if (client_->status() != Status::kReconnecting) {
-      if (gone_since_) std::fprintf(stderr, "incise: connected again\n");
+      // Counted, as it may have come back between two looks.
+      const std::uint64_t reconnects = client_->counters().reconnects;
+      if (std::exchange(reconnects_, reconnects) != reconnects)
+        std::fprintf(stderr, "incise: connected again\n");
       gone_since_.reset();
       return false;
     }
@@ -360,7 +363,7 @@ class Watcher {
   std::atomic<const Client*> connected_{nullptr};
   std::optional<steady_clock::time_point> gone_since_;  // without a connection
   steady_clock::time_point heard_ = steady_clock::now(), frame_ = heard_;
-  std::uint64_t messages_ = 0, frames_ = 0;
+  std::uint64_t messages_ = 0, frames_ = 0, reconnects_ = 0;
   Counters before_;
   steady_clock::time_point printed_ = steady_clock::now();
   std::unique_ptr<Client> client_;  // last: its thread calls into all above

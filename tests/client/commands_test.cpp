@@ -286,15 +286,13 @@ TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
   watch.server.address = address();
   watch.give_up_after_s = 0.3;
   watch.save = directory / "last";
-  std::thread stopping([&] {
-    while (test.server.counters().peers == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
-    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  const std::jthread stopping([&] {
+    stream::eventually([&] { return test.server.counters().snapshots > 0; });
     test.server.stop();
   });
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
   EXPECT_EQ(run_watch(watch), 1);
-  stopping.join();
   ::testing::internal::GetCapturedStdout();
   const std::string told = ::testing::internal::GetCapturedStderr();
   EXPECT_NE(told.find("is gone; trying to connect again for 0.3 s"), std::string::npos) << told;
@@ -306,7 +304,7 @@ TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
 struct Watched {
   explicit Watched(const std::function<void(const stream::Listener&)>& server) {
     const stream::Listener listener;
-    std::thread thread([&] { server(listener); });
+    const std::jthread thread([&] { server(listener); });
     WatchCommand watch;
     watch.server.address = "127.0.0.1:" + std::to_string(listener.port());
     watch.until_revision = recording().steps.size();
@@ -316,7 +314,6 @@ struct Watched {
     ::testing::internal::CaptureStdout();
     ::testing::internal::CaptureStderr();
     status = run_watch(watch);
-    thread.join();
     std::istringstream text(::testing::internal::GetCapturedStdout());
     for (std::string line; std::getline(text, line);) lines.push_back(nlohmann::json::parse(line));
     told = ::testing::internal::GetCapturedStderr();
@@ -364,7 +361,6 @@ TEST(Watch, AServerThatComesBackIsSaidToOnce) {
       if (!peer->receive_until<protocol::Hello>()) return;
       play(*peer, Watched::recording().welcome);
       peer->receive_until<protocol::Ping>();
-      std::this_thread::sleep_for(std::chrono::seconds(1));  // until connect() has returned
     }
     const auto peer = listener.accept();
     if (!peer->receive_until<protocol::Hello>()) return;

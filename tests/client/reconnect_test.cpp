@@ -42,11 +42,10 @@ Options operator_options() {
 TEST(Reconnect, AnOperatorTakesItsBladeBackAndForgetsTheLastReport) {
   const stream::Listener listener;
   std::vector<protocol::Hello> hellos;
-  std::promise<void> connected, reported;
+  std::promise<void> reported;
   std::thread server([&] {
     {
       const auto peer = welcome(listener, hellos);
-      connected.get_future().wait();
       protocol::PoseReport report;
       report.through_sequence = 9;
       peer->send(report);
@@ -55,7 +54,6 @@ TEST(Reconnect, AnOperatorTakesItsBladeBackAndForgetsTheLastReport) {
     welcome(listener, hellos)->receive_until<protocol::Bye>();
   });
   auto client = Client::connect("127.0.0.1", listener.port(), operator_options());
-  connected.set_value();
   EXPECT_TRUE(client->wait_for_report(9, kPatience_s));
   reported.set_value();
   EXPECT_TRUE(eventually([&] { return client->counters().reconnects == 1; }));
@@ -67,15 +65,28 @@ TEST(Reconnect, AnOperatorTakesItsBladeBackAndForgetsTheLastReport) {
   EXPECT_TRUE(hellos[1].take_over) << "the server may still count the blade as held";
 }
 
+// The welcome and the connection's end come at once, before connect() looks: it has been connected, and will be again.
+TEST(Reconnect, AConnectionLostRightAfterTheWelcomeIsMadeAgain) {
+  const stream::Listener listener;
+  std::vector<protocol::Hello> hellos;
+  const std::jthread server([&] {
+    welcome(listener, hellos)->shut_down();
+    welcome(listener, hellos)->receive_until<protocol::Bye>();
+  });
+  Options options = operator_options();
+  options.background = false;  // then connect() handles all that has come before it looks
+  const auto client = Client::connect("127.0.0.1", listener.port(), options);
+  EXPECT_TRUE(eventually([&] { return client->poll(0.01) && client->counters().reconnects == 1; }));
+}
+
 // Poses wait for a network that is behind, up to a bound; with the connection they are gone, and so is the bound.
 TEST(Reconnect, WhatWaitedForALostConnectionIsForgotten) {
   const stream::Listener listener;
   std::vector<protocol::Hello> hellos;
-  std::promise<void> connected, full;
+  std::promise<void> full;
   std::thread server([&] {
     {
       const auto peer = welcome(listener, hellos);
-      connected.get_future().wait();
       full.get_future().wait();  // and reads nothing
     }
     welcome(listener, hellos)->receive_until<protocol::Bye>();
@@ -83,7 +94,6 @@ TEST(Reconnect, WhatWaitedForALostConnectionIsForgotten) {
   Options options = operator_options();
   options.max_outbox_bytes = 1u << 20;
   auto client = Client::connect("127.0.0.1", listener.port(), options);
-  connected.set_value();
   const std::vector<protocol::PoseSample> poses(protocol::kMaxPosesPerBatch);
   int accepted = 0;
   while (accepted < 100 && client->send_poses(poses) != 0) ++accepted;
