@@ -436,6 +436,37 @@ TEST(MeetingNecks, ComeApartInCoarseBodies) {
   const OnceWrong necks[] = {{"wound_1476", "square", 100004}, {"wound_1476", "circle", 90006}};
   come_apart(necks);
 }
+// In large elements the third vertex is farther off, and half of the smaller part's points within 2.5 h are on the wrong side of what was swept.
+TEST(MeetingNecks, OfLargeElementsAreSeenFromAfar) {
+  const OnceWrong necks[] = {{"wound_1476", "circle", 190000},
+                             {"wound_1476", "plunge", 190005},
+                             {"wound_1476", "nested", 190005},
+                             {"wound_1476", "halves", 190001}};
+  come_apart(necks);
+}
+// Seen from there, these look parted, and hang together.
+TEST(MeetingNecks, OfSmallLobesAreSeenFromNear) {
+  const OnceWrong lobes[] = {{"wound_1476", "lasso", 100007},
+                             {"wound_1476", "circle", 140006},
+                             {"armadillo_3717", "crosses", 130003},
+                             {"armadillo_3717", "grid", 190004}};
+  come_apart(lobes);
+}
+// Two faces that close a gap, and two at the skin: neither pair parts anything while the other stays.
+TEST(MeetingNecks, ComeApartTogetherWithGaps) {
+  const OnceWrong both[] = {{"wound_1476", "plunge", 190007}};
+  come_apart(both);
+}
+// Seen before the blade had come near, it counted as 0.3 h off.
+TEST(MeetingNecks, MayLieOnWhatWasSweptSince) {
+  const OnceWrong late[] = {{"armadillo_3717", "square", 150005}};
+  come_apart(late);
+}
+// A face from one turn of a spiral to the next has all its edges at cuts, and is the tissue between them.
+TEST(MeetingHoles, LeadThroughTheTissue) {
+  const OnceWrong turns[] = {{"wound_1476", "spiral", 190000}, {"wound_1476", "spiral", 190004}};
+  come_apart(turns);
+}
 
 // The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {

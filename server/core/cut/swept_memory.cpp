@@ -29,6 +29,7 @@ void SweptMemory::add(const Quad& quad) {
 void SweptMemory::archive(Archive& io) {
   std::uint64_t oldest = oldest_;
   io(oldest);
+  io(is_whole_);
   io.list(quads_, 109, [&](Quad& quad) {
     for (BladeLine* line : {&quad.from, &quad.to}) {
       io(line->heel);
@@ -41,7 +42,7 @@ void SweptMemory::archive(Archive& io) {
   io.demand(quads_.size() <= kMost, "more is remembered of what was swept than is kept");
   io.demand(oldest == 0 || oldest < quads_.size(), "the oldest quad of those that were swept is none");
   if (!io.reads()) return;
-  if (io.failed()) clear();
+  if (io.failed()) quads_.clear();
   oldest_ = io.failed() ? 0 : oldest;
   quads_.reserve(kMost);
 }

@@ -34,9 +34,12 @@ class SweptMemory {
   void add(const Quad& quad);
   // The body has moved, the quads have not.
   void clear() {
+    is_whole_ = is_whole_ && quads_.empty();
     quads_.clear();
     oldest_ = 0;
   }
+  // Whether nothing but the oldest of what was swept in this body has been forgotten.
+  bool is_whole() const { return is_whole_; }
 
   void archive(Archive& io);
 
@@ -45,6 +48,7 @@ class SweptMemory {
 
   std::vector<Quad> quads_;
   std::size_t oldest_ = 0;  // when there are kMost: which the next one takes the place of
+  bool is_whole_ = true;
 };
 
 }  // namespace incise::core

@@ -56,8 +56,23 @@ TEST(SweptMemory, ForgetsTheOldest) {
   for (std::uint32_t i = 1; i <= 3000; ++i) EXPECT_EQ(kept[i], i > 952) << i;
 }
 
+TEST(SweptMemory, IsNotWholeWhereABodyThatWasCutHasMoved) {
+  SweptMemory memory;
+  memory.clear();
+  EXPECT_TRUE(memory.is_whole()) << "nothing was cut yet";
+  memory.add({line_at(0), line_at(1), 1, 0, true});
+  EXPECT_TRUE(memory.is_whole());
+  memory.clear();
+  EXPECT_FALSE(memory.is_whole());
+  memory.add({line_at(0), line_at(1), 2, 0, true});
+  memory.clear();
+  EXPECT_FALSE(memory.is_whole());
+}
+
 TEST(SweptMemory, ComesBackAsItWasSaved) {
   SweptMemory memory;
+  memory.add({line_at(0), line_at(1), 1, 0, true});
+  memory.clear();
   for (std::uint32_t i = 1; i <= 2100; ++i) memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0});
   Archive out;
   memory.archive(out);
@@ -66,6 +81,7 @@ TEST(SweptMemory, ComesBackAsItWasSaved) {
   Archive in(bytes);
   back.archive(in);
   ASSERT_FALSE(in.failed()) << in.error();
+  EXPECT_FALSE(back.is_whole());
   // Whatever comes next takes the same place.
   for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false});
   ASSERT_EQ(back.quads().size(), memory.quads().size());

@@ -38,8 +38,10 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
     }
   }
   gaps_.clear();
+  rest_.clear();
   faces_.clear();
   doubtful_.clear();
+  together_.clear();
   necks_seen_ = 0;
   round_ = Kind::kAcross;
   pass_.begin();
@@ -69,6 +71,14 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kLookFar:
       if (!look_far(budget)) return false;
+      doubtful_.clear();
+      if (!rest_.empty() && !faces_.empty()) {
+        gaps_.swap(rest_);
+        std::sort(gaps_.begin(), gaps_.end());
+        go(Phase::kJudge);
+        return false;
+      }
+      keep_rest_closed();
       go(Phase::kOpen);
       return false;
     case Phase::kOpen:
@@ -84,8 +94,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kCollectNecks:
       if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
-      std::sort(gaps_.begin(), gaps_.end());
-      go(Phase::kJudge);
+      go(gaps_.empty() ? Phase::kOpen : Phase::kCollectRibs);
       return false;
   }
   return true;
@@ -137,9 +146,15 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone || cut_.is_pending(h) || !all_at_boundary(h) ||
         distance(mesh_.face_middle(h), middle) > kSameFace_h * cut_.h)
       continue;
+    Gap gap{off_m, h, meets, true, kind};
+    // What was farther off when it was seen may lie on what has been swept since.
+    Gap now{0, h, false, false, Kind::kAcross};
+    if (kind == Kind::kNeck && may_close(now)) gap = now;
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
-    gaps_.push_back({off_m, h, meets, true, kind});
+    // With the necks, what was held before may be all that is left.
+    const bool waits_for_necks = round_ == Kind::kNeck && kind != Kind::kNeck;
+    (waits_for_necks ? rest_ : gaps_).push_back(gap);
   }
   held.clear();
   return true;
@@ -232,7 +247,9 @@ bool ClosingStage::may_be_neck(Gap& gap) {
     Vec3 closest;
     std::uint32_t triangle = 0;
     cut_.work += cost::kNearby;
-    if (!cut_.surface().closest(mesh_.position(w), kNeckOff_h * cut_.h, closest, triangle)) return false;
+    const double reach_m =
+        std::clamp(kNeckOff_local * mesh_.local_h(w), kNeckOff_h * cut_.h, kNeckFar_h * cut_.h);
+    if (!cut_.surface().closest(mesh_.position(w), reach_m, closest, triangle)) return false;
     gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
   }
   bool continues = false;
@@ -279,7 +296,7 @@ bool ClosingStage::judge(WorkBudget& budget) {
     const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap, kMaxWay) : one;
     const bool sure =
         one == Part::kSmall || other == Part::kSmall || gap.meets || gap.off_m <= kAtSkin_h * cut_.h;
-    if (is_part(other) && sure && !stays_a_neck(gap)) {
+    if (is_part(other) && sure && !stays_closed(gap)) {
       faces_.push_back(h);
       continue;
     }
@@ -299,6 +316,14 @@ void ClosingStage::keep_closed(const Gap& gap) {
   cut_.clear_pending(mesh_.opposite(gap.face));
 }
 
+void ClosingStage::keep_rest_closed() {
+  for (const Gap& gap : rest_) {
+    keep_closed(gap);
+    hold(gap);
+  }
+  rest_.clear();
+}
+
 bool ClosingStage::look_far(WorkBudget& budget) {
   while (next_ < doubtful_.size()) {
     cut_.work.charge(budget);
@@ -308,7 +333,7 @@ bool ClosingStage::look_far(WorkBudget& budget) {
       case TwoSides::Outcome::kGoesOn:
         continue;
       case TwoSides::Outcome::kApart:
-        if (stays_a_neck(gap)) {
+        if (stays_closed(gap)) {
           keep_closed(gap);
           hold(gap);
         } else {
@@ -326,9 +351,24 @@ bool ClosingStage::look_far(WorkBudget& budget) {
   return true;
 }
 
-// Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does.
-bool ClosingStage::stays_a_neck(const Gap& gap) {
-  return gap.kind == Kind::kNeck && (++necks_seen_ > kMaxNecks || !neck_.is_closed(gap.face));
+// Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does. What may be a neck has to be parted
+// by what was swept; a hole opens unless it is seen to lead through the tissue.
+bool ClosingStage::stays_closed(const Gap& gap) {
+  const bool is_neck = gap.kind == Kind::kNeck;
+  if (!is_neck && !may_lead_through(gap)) return false;
+  if (std::ranges::find(together_, gap.face) != together_.end()) return true;
+  if (++necks_seen_ > kMaxNecks) return is_neck;
+  const Neck::Answer answer = neck_.judge(gap.face);
+  if (answer == Neck::Answer::kTogether) together_.push_back(gap.face);
+  return is_neck ? answer != Neck::Answer::kApart : answer == Neck::Answer::kTogether;
+}
+
+// Whether a face between vertices at cuts may be a way from one cut to another, across what lies between them.
+bool ClosingStage::may_lead_through(const Gap& gap) {
+  if (!gap.meets || gap.kind != Kind::kAcross || cut_.has_front || !cut_.workspace.swept.is_whole())
+    return false;
+  double off_m = 0;
+  return !is_near(mesh_.face_middle(gap.face), off_m);
 }
 
 void ClosingStage::hold(const Gap& gap) {
@@ -394,7 +434,6 @@ bool ClosingStage::open(WorkBudget& budget) {
     next_ = end;
   }
   faces_.clear();
-  doubtful_.clear();
   return true;
 }
 

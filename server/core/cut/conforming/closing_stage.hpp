@@ -50,8 +50,7 @@ class ClosingStage {
     kCollectNecks
   };
   enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
-  // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it; what was
-  // swept has to part its sides (Neck).
+  // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it.
   enum class Kind { kAcross, kRib, kNeck };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
   // closed, and the others are judged with it.
@@ -110,7 +109,9 @@ class ClosingStage {
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
-  bool stays_a_neck(const Gap& gap);
+  bool stays_closed(const Gap& gap);
+  bool may_lead_through(const Gap& gap);
+  void keep_rest_closed();
   void list_pinched(HalfFace opened);
 
   CutContext& cut_;
@@ -124,19 +125,21 @@ class ClosingStage {
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
-  std::vector<HalfFace> faces_;          // to open
-  std::vector<Gap> doubtful_;            // between two large parts, when the stroke ends
-  TetPass pass_;                         // whose faces have been considered; then what part_of() has reached
-  std::uint32_t nearest_ = 0;            // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;             // of part_of()
+  std::vector<Gap> rest_;        // in the round of the necks: what is judged only where one of these opens
+  std::vector<HalfFace> faces_;  // to open
+  std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
+  TetPass pass_;                 // whose faces have been considered; then what part_of() has reached
+  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
+  std::vector<TetId> queue_;     // of part_of()
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
   Neck neck_;
   HoleFinder holes_;
-  std::size_t necks_seen_ = 0;    // by that
-  std::vector<Waiting> waited_;   // those that this batch looks at
-  std::vector<HalfFace> others_;  // scratch
-  std::vector<Corner> star_;      // scratch
+  std::size_t necks_seen_ = 0;      // by that, in this batch
+  std::vector<HalfFace> together_;  // what hangs together, as it says
+  std::vector<Waiting> waited_;     // those that this batch looks at
+  std::vector<HalfFace> others_;    // scratch
+  std::vector<Corner> star_;        // scratch
 };
 
 }  // namespace incise::core

@@ -30,14 +30,14 @@ void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
 
 }  // namespace
 
-// Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then.
-bool Neck::is_closed(HalfFace h) {
+// Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then. And where much of it
+// is parted, though not all: where elements are large, their faces lie as far beside a surface as its way into the other side is wide.
+Neck::Answer Neck::judge(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   const Vec3 middle = mesh_.face_middle(h);
   double face_m = 0;
   for (VertexId v : mesh_.face_vertices(h)) face_m = std::max(face_m, distance(mesh_.position(v), middle));
-  // Of a larger one too little would be seen.
-  if (face_m > kNeckReach_h[0] * cut_.h) return false;
+  if (face_m > kNeckReach_h[0] * cut_.h) return Answer::kUnknown;
   bool together = true;
   for (double reach_h : kNeckReach_h) {
     lay_out(middle, reach_h * cut_.h);
@@ -45,11 +45,14 @@ bool Neck::is_closed(HalfFace h) {
     pass_.add(tet_of(o));
     const Counts counts{fill(tet_of(h), 1), fill(tet_of(o), 2)};
     block_swept();
-    together = hang_together(counts);
-    const double point_h3 = std::pow(step_m_ / cut_.h, 3);
-    if (static_cast<double>(std::min(counts[0], counts[1])) * point_h3 >= kNeckPart_h3) break;
+    const double share = shared(counts);
+    together = share >= kNeckShared;
+    const double least_h3 =
+        static_cast<double>(std::min(counts[0], counts[1])) * std::pow(step_m_ / cut_.h, 3);
+    const bool sees_enough = reach_h > kNeckReach_h[0] || least_h3 >= kNeckPart_h3;
+    if (share >= kNeckSure || (sees_enough && (!together || share >= kNeckDoubtful))) break;
   }
-  return !together;
+  return together ? Answer::kTogether : Answer::kApart;
 }
 
 void Neck::lay_out(const Vec3& middle, double reach_m) {
@@ -249,16 +252,17 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
   }
 }
 
-// Whether open ways connect enough of both sides.
-bool Neck::hang_together(const Counts& counts) {
+// The largest part of both sides that open ways connect. Of a side without a point nothing is known.
+double Neck::shared(const Counts& counts) {
+  if (std::min(counts[0], counts[1]) == 0) return 1;
+  double most = 0;
   for (std::size_t i = 0; i < kAll; ++i) {
     if (sides_[i] == 0) continue;
     const Counts part = follow(i);
-    if (static_cast<double>(part[0]) >= kNeckShared * static_cast<double>(counts[0]) &&
-        static_cast<double>(part[1]) >= kNeckShared * static_cast<double>(counts[1]))
-      return true;
+    most = std::max(most, std::min(static_cast<double>(part[0]) / static_cast<double>(counts[0]),
+                                   static_cast<double>(part[1]) / static_cast<double>(counts[1])));
   }
-  return false;
+  return most;
 }
 
 Neck::Counts Neck::follow(std::size_t first) {

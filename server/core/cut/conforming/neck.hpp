@@ -16,9 +16,10 @@ class Neck {
  public:
   explicit Neck(CutContext& cut) : cut_(cut), mesh_(cut.mesh), pass_(cut.workspace) {}
 
+  enum class Answer { kApart, kTogether, kUnknown };
   // Whether the surfaces part what lies on the two sides of a face, which hang together in no other way than through faces that are about
-  // to open. Some 0.5 ms, up to 3 where a hand has been at it for long.
-  bool is_closed(HalfFace h);
+  // to open. Some 0.5 ms, up to 3 where a hand has been at it for long. kUnknown: the face is so large that too little would be seen of what is around it.
+  Answer judge(HalfFace h);
 
  private:
   static constexpr int kPoints = tolerance::kNeckPoints;  // along an axis
@@ -48,7 +49,7 @@ class Neck {
                const SweptMemory::Quad& sweep);
   bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c);
-  bool hang_together(const Counts& counts);
+  double shared(const Counts& counts);
   Counts follow(std::size_t first);
 
   CutContext& cut_;

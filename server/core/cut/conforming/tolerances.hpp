@@ -93,14 +93,17 @@ inline constexpr double kFarGap_h = kJoinReach_h + kOne_h;
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
 // A face at the skin, with no vertex farther than this from what is swept now and so many edges at the boundary, may hold together two parts that a
-// surface passes by. Neck decides: in a box that reaches so far, and farther where one part has less than kNeckPart_h3 in it, with so many points along each
-// axis. Parts hang together that share this part of their points. kNeckRim_h: the parts of a rim that are looked at one by one.
-inline constexpr double kNeckOff_h = 0.5;
+// surface passes by: Neck decides. Where elements are large it may be this part of their edges, up to kNeckFar_h.
+inline constexpr double kNeckOff_h = 0.5, kNeckOff_local = 0.42, kNeckFar_h = 0.75;
 inline constexpr int kNeckEdges = 2;
-inline constexpr std::array<double, 2> kNeckReach_h{1.5, 2.5};
+// It looks in a box that reaches so far, with so many points along each axis. Parts hang together that share kNeckShared of their points. It looks
+// farther where they share less than kNeckDoubtful, and from the first box, where one of them has less than kNeckPart_h3 in it, unless they share kNeckSure.
+inline constexpr std::array<double, 3> kNeckReach_h{1.5, 2.5, 4};
 inline constexpr int kNeckPoints = 25;
-inline constexpr double kNeckPart_h3 = 0.75, kNeckShared = 0.1, kNeckRim_h = 0.125;
-// So many are looked at when a stroke ends; others stay closed.
+inline constexpr double kNeckShared = 0.1, kNeckDoubtful = 0.5, kNeckSure = 0.95, kNeckPart_h3 = 0.75;
+// The parts of a rim that are looked at one by one.
+inline constexpr double kNeckRim_h = 0.125;
+// So many faces are looked at in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
 // Chords that stand for what was swept are no shorter than this.
 inline constexpr double kRemembered_h = 0.2;
