@@ -4,13 +4,39 @@
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/this_coro.hpp>
 #include <boost/asio/use_awaitable.hpp>
-#include <boost/beast/websocket/teardown.hpp>
+#include <chrono>
+#include <memory>
 
 namespace incise::net {
 namespace {
 
 using asio::ip::tcp;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
+constexpr std::chrono::seconds kTearDown{1};
+
+// Reads until the other end has closed, or the stream's deadline. Owns nothing but its buffer.
+struct Drain {
+  using executor_type = NetStream::executor_type;
+  executor_type get_executor() const { return tcp->get_executor(); }
+
+  void operator()(error_code error, std::size_t) {
+    if (!error) {
+      read();
+      return;
+    }
+    error_code ignored;
+    if (error != asio::error::operation_aborted) tcp->socket().close(ignored);
+    done(error == asio::error::eof ? error_code() : error, 0);
+  }
+  void read() {
+    const asio::mutable_buffer into = asio::buffer(*rest);
+    tcp->async_read_some(into, std::move(*this));
+  }
+
+  NetStream::Tcp* tcp;
+  IoHandler done;
+  std::unique_ptr<std::array<char, 2048>> rest = std::make_unique<std::array<char, 2048>>();
+};
 
 }  // namespace
 
@@ -41,8 +67,11 @@ void NetStream::write_some(const Pieces<asio::const_buffer>& pieces, IoHandler h
   }
 }
 
+// Beast's own waits for the other end as long as that likes, which may be one that has just broken the rules.
 void NetStream::tear_down(boost::beast::role_type role, IoHandler handler) {
-  boost::beast::websocket::async_teardown(role, tcp().socket(), std::move(handler));
+  if (role == boost::beast::role_type::server) shut_down(tcp::socket::shutdown_send);
+  tcp().expires_after(kTearDown);
+  Drain{&tcp(), std::move(handler)}.read();
 }
 
 void NetStream::shut_down(tcp::socket::shutdown_type how) {
