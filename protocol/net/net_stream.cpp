@@ -14,7 +14,7 @@ using asio::ip::tcp;
 constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 constexpr std::chrono::seconds kTearDown{1};
 
-// Reads until the other end has closed, or the stream's deadline. Owns nothing but its buffer.
+// Reads until the other end has closed, or until the stream's deadline.
 struct Drain {
   using executor_type = NetStream::executor_type;
   executor_type get_executor() const { return tcp->get_executor(); }

@@ -258,14 +258,7 @@ TEST(Client, AWebSocketNamesItsHostAndPort) {
                                     {"::ffff:127.0.0.1", "[::ffff:127.0.0.1]"}}) {
     const stream::Listener listener;
     std::string request;
-    std::thread server([&] {
-      const auto peer = listener.accept();
-      while (request.find("\r\n\r\n") == std::string::npos) {
-        const std::string more = peer->read_all(1);
-        if (more.empty()) break;
-        request += more;
-      }
-    });
+    std::thread server([&] { request = listener.accept()->read_head(); });
     EXPECT_THROW(Client::connect(host, listener.port(), options(Role::Viewer, TransportKind::kWebSocket)),
                  ConnectError);
     server.join();

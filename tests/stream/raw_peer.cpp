@@ -6,6 +6,8 @@
 #include <sys/time.h>
 #include <unistd.h>
 
+#include <cerrno>
+#include <system_error>
 #include <utility>
 
 namespace incise::stream {
@@ -110,6 +112,16 @@ std::string RawPeer::read_all(std::size_t enough) {
   return out;
 }
 
+std::string RawPeer::read_head() {
+  std::string head;
+  while (head.find("\r\n\r\n") == std::string::npos) {
+    const std::string more = read_all(1);
+    if (more.empty()) break;
+    head += more;
+  }
+  return head;
+}
+
 void RawPeer::vanish() {
   const linger now{1, 0};
   ::setsockopt(fd_, SOL_SOCKET, SO_LINGER, &now, sizeof now);
@@ -124,8 +136,8 @@ Listener::Listener() : fd_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
   const timeval patience{20, 0};  // for accept()
   ::setsockopt(fd_, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
   sockaddr_in address = loopback(0);
-  ::bind(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address);
-  ::listen(fd_, 4);
+  if (::bind(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0 || ::listen(fd_, 4) != 0)
+    throw std::system_error(errno, std::generic_category(), "a listener on 127.0.0.1");
   socklen_t size = sizeof address;
   ::getsockname(fd_, reinterpret_cast<sockaddr*>(&address), &size);
   port_ = ntohs(address.sin_port);

@@ -53,6 +53,8 @@ class RawPeer {
   bool closes();
   // All that comes until the server closes, or until `enough` bytes are there.
   std::string read_all(std::size_t enough = SIZE_MAX);
+  // All that comes until an HTTP head is complete, or the stream ends.
+  std::string read_head();
   // Ends the connection with a reset, as a peer does that crashes.
   void vanish();
   // Ends both directions; a receive() in another thread returns. The only call that another thread may make.

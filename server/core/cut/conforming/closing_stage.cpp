@@ -329,23 +329,16 @@ bool ClosingStage::look_far(WorkBudget& budget) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     const Gap& gap = doubtful_[next_];
-    switch (sides_.follow(tet_of(gap.face), tet_of(mesh_.opposite(gap.face)))) {
-      case TwoSides::Outcome::kGoesOn:
-        continue;
-      case TwoSides::Outcome::kApart:
-        if (stays_closed(gap)) {
-          keep_closed(gap);
-          hold(gap);
-        } else {
-          faces_.push_back(gap.face);
-        }
-        if (gap.kind == Kind::kNeck) sides_.forget();
-        break;
-      case TwoSides::Outcome::kTogether:
-        keep_closed(gap);
-        hold(gap);
-        break;
+    const TwoSides::Outcome outcome = sides_.follow(tet_of(gap.face), tet_of(mesh_.opposite(gap.face)));
+    if (outcome == TwoSides::Outcome::kGoesOn) continue;
+    const bool apart = outcome == TwoSides::Outcome::kApart;
+    if (apart && !stays_closed(gap)) {
+      faces_.push_back(gap.face);
+    } else {
+      keep_closed(gap);
+      hold(gap);
     }
+    if (apart && gap.kind == Kind::kNeck) sides_.forget();
     ++next_;
   }
   return true;

@@ -120,7 +120,7 @@ class ClosingStage {
   PinchedEdges& pinched_;
 
   Phase phase_ = Phase::kCollect;
-  Kind round_ = Kind::kAcross;    // when the stroke ends: without ribs, with these, then necks alone
+  Kind round_ = Kind::kAcross;    // when the stroke ends: without ribs, with these, then the necks
   std::size_t next_ = 0;          // how far the phase is, in its list
   std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
   std::vector<Waiting> waiting_;

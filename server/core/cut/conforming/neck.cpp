@@ -30,8 +30,8 @@ void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
 
 }  // namespace
 
-// Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then. And where much of it
-// is parted, though not all: where elements are large, their faces lie as far beside a surface as its way into the other side is wide.
+// Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then. And where most of
+// it is parted, but not all: faces of large elements lie beside what was swept, and put tissue near them on the wrong side.
 Neck::Answer Neck::judge(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   const Vec3 middle = mesh_.face_middle(h);
