@@ -468,6 +468,53 @@ TEST(MeetingHoles, LeadThroughTheTissue) {
   come_apart(turns);
 }
 
+// Faces that are larger than the box that was looked at, and holes that are found while the blade is still cutting.
+TEST(MeetingHoles, LeadThroughLargeElements) {
+  const OnceWrong holes[] = {{"wound_1476", "ends_in", 250004}, {"wound_1476", "spiral", 270004}};
+  come_apart(holes);
+}
+TEST(MeetingHoles, LeadThroughTheTissueBeforeAStrokeEnds) {
+  const OnceWrong holes[] = {{"wound_1476", "nested", 260004}, {"wound_1476", "crosses", 270002}};
+  come_apart(holes);
+}
+
+// Corners and limbs of up to 25 h^3 came off by faces that would have closed a gap, 0.1 to 0.25 h off the sweep: they hang together by more than those.
+TEST(MeetingParts, HangTogetherByMoreThanAGap) {
+  const OnceWrong parts[] = {{"armadillo_3717", "ends_in", 100006},
+                             {"armadillo_3717", "spiral", 140003},
+                             {"armadillo_3717", "ellipse", 160008},
+                             {"armadillo_3717", "lasso", 250004}};
+  come_apart(parts);
+}
+// The same while the blade is still cutting; and of more than 400 tetrahedra, by gaps at an older cut.
+TEST(MeetingParts, HangTogetherBeforeAStrokeEnds) {
+  const OnceWrong parts[] = {{"armadillo_3717", "spiral", 130001}};
+  come_apart(parts);
+}
+TEST(MeetingParts, HangTogetherThatAreLarge) {
+  const OnceWrong parts[] = {{"armadillo_3717", "square", 230002}};
+  come_apart(parts);
+}
+// These do come apart: next to nothing lies beside the gap before something else holds it, or the way through is thinner than what is closed.
+TEST(MeetingParts, ComeApartAllTheSame) {
+  const OnceWrong parts[] = {{"armadillo_3717", "plunge", 190006},
+                             {"armadillo_3717", "ellipse", 180006},
+                             {"armadillo_3717", "starts_in", 100007},
+                             {"wound_1476", "nested", 110007},
+                             {"wound_1476", "circle", 110000}};
+  come_apart(parts);
+}
+// No sweep meets another one, and a single rib is all that holds 38 and 7 h^3.
+TEST(MeetingRibs, ComeApartWhereNothingMeets) {
+  const OnceWrong ribs[] = {{"wound_1476", "halves", 240008}, {"armadillo_3717", "spiral", 140000}};
+  come_apart(ribs);
+}
+// Repairs had made faces beside those that were held, and nothing considered them.
+TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
+  const OnceWrong gaps[] = {{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}};
+  come_apart(gaps);
+}
+
 // The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {
   const OnceWrong lassos[] = {{"seed_1720", "lasso", 130006}};

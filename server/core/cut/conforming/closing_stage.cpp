@@ -30,28 +30,37 @@ Extent extent_of(const CutContext& cut, std::span<const TetId> tets) {
 }  // namespace
 
 void ClosingStage::begin(std::span<const HalfFace> opened) {
-  around_.clear();
-  const std::uint32_t scan = cut_.workspace.next_serial();
-  for (HalfFace h : opened) {
-    for (VertexId v : mesh_.face_vertices(h)) {
-      if (std::exchange(cut_.workspace.vertices[v].looked_at, scan) != scan) around_.push_back(v);
-    }
-  }
+  begin_around();
+  for (HalfFace h : opened) list_around(h);
   gaps_.clear();
   rest_.clear();
   faces_.clear();
   doubtful_.clear();
   together_.clear();
-  necks_seen_ = 0;
+  hangs_between_ = false;
+  asked_ = 0;
+  apart_ = kNone;
   round_ = Kind::kAcross;
   pass_.begin();
   go(Phase::kCollect);
+}
+
+void ClosingStage::begin_around() {
+  around_.clear();
+  scan_ = cut_.workspace.next_serial();
+}
+
+void ClosingStage::list_around(HalfFace h) {
+  for (VertexId v : mesh_.face_vertices(h)) {
+    if (std::exchange(cut_.workspace.vertices[v].looked_at, scan_) != scan_) around_.push_back(v);
+  }
 }
 
 bool ClosingStage::advance(WorkBudget& budget) {
   switch (phase_) {
     case Phase::kCollect:
       if (!collect(budget)) return false;
+      begin_around();
       waited_.swap(waiting_);
       go(Phase::kCollectWaiting);
       return false;
@@ -61,6 +70,11 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kCollectHeld:
       if (!cut_.has_front && !collect_held(cut_.workspace.held, Kind::kAcross, budget)) return false;
+      go(Phase::kCollectAroundHeld);
+      return false;
+    case Phase::kCollectAroundHeld:
+      if (!collect(budget)) return false;
+      around_.clear();
       std::sort(gaps_.begin(), gaps_.end());
       go(Phase::kJudge);
       return false;
@@ -72,7 +86,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
     case Phase::kLookFar:
       if (!look_far(budget)) return false;
       doubtful_.clear();
-      if (!rest_.empty() && !faces_.empty()) {
+      if (!rest_.empty() && (!faces_.empty() || hangs_between_)) {
         gaps_.swap(rest_);
         std::sort(gaps_.begin(), gaps_.end());
         go(Phase::kJudge);
@@ -83,9 +97,9 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
-      // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
-      if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
-      round_ = round_ == Kind::kAcross ? Kind::kRib : Kind::kNeck;
+      if (cut_.has_front || round_ == Kind::kNeck) return true;
+      hangs_between_ = false;
+      round_ = round_ == Kind::kAcross && cut_.meets_cut ? Kind::kRib : Kind::kNeck;
       go(round_ == Kind::kRib ? Phase::kCollectRibs : Phase::kCollectNecks);
       return false;
     case Phase::kCollectRibs:
@@ -94,13 +108,13 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kCollectNecks:
       if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
-      go(gaps_.empty() ? Phase::kOpen : Phase::kCollectRibs);
+      go(gaps_.empty() && cut_.meets_cut ? Phase::kOpen : Phase::kCollectRibs);
       return false;
   }
   return true;
 }
 
-// The faces around the vertices of what has opened.
+// The faces around the vertices of what has opened, or is held.
 bool ClosingStage::collect(WorkBudget& budget) {
   for (; next_ < around_.size(); ++next_) {
     cut_.work.charge(budget);
@@ -153,8 +167,12 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
     // With the necks, what was held before may be all that is left.
-    const bool waits_for_necks = round_ == Kind::kNeck && kind != Kind::kNeck;
+    const bool waits_for_necks = round_ == Kind::kNeck && !is_neck(gap);
     (waits_for_necks ? rest_ : gaps_).push_back(gap);
+    // Repairs may have made faces beside it since that nothing has considered.
+    const auto v = mesh_.face_vertices(h);
+    if (round_ == Kind::kAcross && std::ranges::any_of(v, [this](VertexId w) { return cut_.on_surface(w); }))
+      list_around(h);
   }
   held.clear();
   return true;
@@ -294,15 +312,20 @@ bool ClosingStage::judge(WorkBudget& budget) {
     const Part near = part_of(tet_of(o), tet_of(h), gap, kNearWay);
     const Part one = is_part(near) ? part_of(tet_of(h), tet_of(o), gap, kMaxWay) : near;
     const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap, kMaxWay) : one;
-    const bool sure =
-        one == Part::kSmall || other == Part::kSmall || gap.meets || gap.off_m <= kAtSkin_h * cut_.h;
-    if (is_part(other) && sure && !stays_closed(gap)) {
-      faces_.push_back(h);
-      continue;
-    }
-    if (other == Part::kLarge && !sure && !cut_.has_front) {
+    const bool is_small = one == Part::kSmall || other == Part::kSmall;
+    const bool lies_off = gap.off_m > kAtSkin_h * cut_.h;
+    // Of two large parts one may turn out to hang by it alone.
+    if (other == Part::kLarge && !is_small && lies_off && !cut_.has_front) {
       doubtful_.push_back(gap);
       continue;
+    }
+    if (is_part(other) && (is_small || !lies_off)) {
+      if (is_small && other != Part::kSmall) part_of(tet_of(h), tet_of(o), gap, kMaxWay);
+      if (!(is_small ? stays_closed(gap, other == Part::kSmall ? h : o, queue_) : stays_closed(gap))) {
+        faces_.push_back(h);
+        continue;
+      }
+      hangs_between_ = hangs_between_ || (one == Part::kSmall && other == Part::kSmall);
     }
     keep_closed(gap);
     if (other != Part::kCrumb) hold(gap);
@@ -332,13 +355,19 @@ bool ClosingStage::look_far(WorkBudget& budget) {
     const TwoSides::Outcome outcome = sides_.follow(tet_of(gap.face), tet_of(mesh_.opposite(gap.face)));
     if (outcome == TwoSides::Outcome::kGoesOn) continue;
     const bool apart = outcome == TwoSides::Outcome::kApart;
-    if (apart && !stays_closed(gap)) {
-      faces_.push_back(gap.face);
+    const HalfFace h = gap.face, o = mesh_.opposite(h);
+    const std::size_t asked = asked_;
+    // Where they hang together elsewhere nothing comes off, and cuts that meet are to be open where they do.
+    const bool opens = apart ? !stays_closed(gap, sides_.is_in_part(tet_of(h)) ? o : h, sides_.part())
+                             : gap.meets && !may_lead_through(gap);
+    if (opens) {
+      faces_.push_back(h);
+      if (asked_ != asked) sides_.mark_again();
     } else {
       keep_closed(gap);
       hold(gap);
+      if (apart) sides_.forget();
     }
-    if (apart && gap.kind == Kind::kNeck) sides_.forget();
     ++next_;
   }
   return true;
@@ -347,19 +376,34 @@ bool ClosingStage::look_far(WorkBudget& budget) {
 // Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does. What may be a neck has to be parted
 // by what was swept; a hole opens unless it is seen to lead through the tissue.
 bool ClosingStage::stays_closed(const Gap& gap) {
-  const bool is_neck = gap.kind == Kind::kNeck;
-  if (!is_neck && !may_lead_through(gap)) return false;
+  if (!is_neck(gap) && !may_lead_through(gap)) return false;
   if (std::ranges::find(together_, gap.face) != together_.end()) return true;
-  if (++necks_seen_ > kMaxNecks) return is_neck;
+  if (++asked_ > kMaxNecks) return is_neck(gap);
   const Neck::Answer answer = neck_.judge(gap.face);
   if (answer == Neck::Answer::kTogether) together_.push_back(gap.face);
-  return is_neck ? answer != Neck::Answer::kApart : answer == Neck::Answer::kTogether;
+  return is_neck(gap) ? answer != Neck::Answer::kApart : answer == Neck::Answer::kTogether;
+}
+
+// The same where the part on the other side of h, which is the gap, is known to its end.
+bool ClosingStage::stays_closed(const Gap& gap, HalfFace h, std::span<const TetId> part) {
+  if (part.size() > kMaxPart || !cut_.workspace.swept.is_whole()) return stays_closed(gap);
+  // It may have several faces, and all of them open then. What is small at these belongs now to it, now to the other side.
+  const TetId largest = *std::ranges::max_element(part, {}, [this](TetId t) { return mesh_.volume(t); });
+  if (largest == apart_ && part.size() <= kSamePart * apart_size_ && apart_size_ <= kSamePart * part.size())
+    return false;
+  if (asked_ >= kMaxNecks) return stays_closed(gap);
+  ++asked_;
+  const Neck::Answer answer = neck_.judge(h, part);
+  if (answer == Neck::Answer::kTogether) return true;
+  if ((answer == Neck::Answer::kUnknown || is_neck(gap)) && stays_closed(gap)) return true;
+  apart_ = largest;
+  apart_size_ = part.size();
+  return false;
 }
 
 // Whether a face between vertices at cuts may be a way from one cut to another, across what lies between them.
 bool ClosingStage::may_lead_through(const Gap& gap) {
-  if (!gap.meets || gap.kind != Kind::kAcross || cut_.has_front || !cut_.workspace.swept.is_whole())
-    return false;
+  if (!gap.meets || gap.kind != Kind::kAcross || !cut_.workspace.swept.is_whole()) return false;
   double off_m = 0;
   return !is_near(mesh_.face_middle(gap.face), off_m);
 }

@@ -43,6 +43,7 @@ class ClosingStage {
     kCollect,
     kCollectWaiting,
     kCollectHeld,
+    kCollectAroundHeld,
     kJudge,
     kLookFar,
     kOpen,
@@ -76,6 +77,8 @@ class ClosingStage {
     phase_ = phase;
     next_ = 0;
   }
+  void begin_around();
+  void list_around(HalfFace h);
   bool collect(WorkBudget& budget);
   bool collect_waiting(WorkBudget& budget);
   bool collect_held(HeldFaces& held, Kind kind, WorkBudget& budget);
@@ -106,10 +109,15 @@ class ClosingStage {
   bool is_at_end(const Vec3& p);
   Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
   bool grows_as_film(std::size_t i);
+  // A sweep that is alone leaves ribs, too: what hangs together by one is a lobe of the body as it grew, unless Neck knows better.
+  bool is_neck(const Gap& gap) const {
+    return gap.kind == Kind::kNeck || (gap.kind == Kind::kRib && !cut_.meets_cut);
+  }
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
   bool stays_closed(const Gap& gap);
+  bool stays_closed(const Gap& gap, HalfFace h, std::span<const TetId> part);
   bool may_lead_through(const Gap& gap);
   void keep_rest_closed();
   void list_pinched(HalfFace opened);
@@ -122,20 +130,27 @@ class ClosingStage {
   Phase phase_ = Phase::kCollect;
   Kind round_ = Kind::kAcross;    // when the stroke ends: without ribs, with these, then the necks
   std::size_t next_ = 0;          // how far the phase is, in its list
-  std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides
+  std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides; then of those held
+  std::uint32_t scan_ = 0;        // marks what is in around_
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
-  std::vector<Gap> rest_;        // in the round of the necks: what is judged only where one of these opens
-  std::vector<HalfFace> faces_;  // to open
-  std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
-  TetPass pass_;                 // whose faces have been considered; then what part_of() has reached
-  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;     // of part_of()
+  // In the round of the necks: what is judged only where one of these opens, or where something small between two parts stays with one of them: it may hang
+  // by some of these with the other.
+  std::vector<Gap> rest_;
+  bool hangs_between_ = false;
+  std::vector<HalfFace> faces_;          // to open
+  std::vector<Gap> doubtful_;            // between two large parts, when the stroke ends
+  TetPass pass_;                         // whose faces have been considered; then what part_of() has reached
+  std::uint32_t nearest_ = 0;            // the surface's triangle that is_near() has found
+  std::vector<TetId> queue_;             // of part_of()
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
   Neck neck_;
   HoleFinder holes_;
-  std::size_t necks_seen_ = 0;      // by that, in this batch
+  std::size_t asked_ = 0;  // so many faces, in this batch
+  // The largest tetrahedron of a part that is apart, as Neck says, and how many that part has.
+  TetId apart_ = kNone;
+  std::size_t apart_size_ = 0;
   std::vector<HalfFace> together_;  // what hangs together, as it says
   std::vector<Waiting> waited_;     // those that this batch looks at
   std::vector<HalfFace> others_;    // scratch

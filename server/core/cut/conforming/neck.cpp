@@ -9,18 +9,6 @@ using namespace tolerance;
 
 namespace {
 
-// The whole numbers from `low` to `high` that number points: first and last.
-std::array<int, 2> range(double low, double high) {
-  const double last = kNeckPoints - 1;
-  return {static_cast<int>(std::clamp(std::ceil(low), 0.0, last + 1)),
-          static_cast<int>(std::clamp(std::floor(high), -1.0, last))};
-}
-
-std::size_t point(int i, int j, int k) {
-  const auto at = [](int n) { return static_cast<std::size_t>(n); };
-  return at(i) + kNeckPoints * (at(j) + kNeckPoints * at(k));
-}
-
 // A ruled quad as two triangles.
 template <class Visit>
 void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
@@ -33,63 +21,119 @@ void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
 // Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then. And where most of
 // it is parted, but not all: faces of large elements lie beside what was swept, and put tissue near them on the wrong side.
 Neck::Answer Neck::judge(HalfFace h) {
-  const HalfFace o = mesh_.opposite(h);
   const Vec3 middle = mesh_.face_middle(h);
   double face_m = 0;
   for (VertexId v : mesh_.face_vertices(h)) face_m = std::max(face_m, distance(mesh_.position(v), middle));
-  if (face_m > kNeckReach_h[0] * cut_.h) return Answer::kUnknown;
-  bool together = true;
+  Answer answer = Answer::kUnknown;
   for (double reach_h : kNeckReach_h) {
-    lay_out(middle, reach_h * cut_.h);
+    const double reach_m = reach_h * cut_.h;
+    if (face_m > reach_m) continue;
+    lay_out(Box{middle, middle}.widened(reach_m), 2 * reach_m / (kBoxPoints - 1));
+    const TetId other = tet_of(mesh_.opposite(h));
     pass_.begin();
-    pass_.add(tet_of(o));
-    const Counts counts{fill(tet_of(h), 1), fill(tet_of(o), 2)};
+    pass_.add(other);
+    const Counts counts{fill(tet_of(h), 1), fill(other, 2)};
     block_swept();
     const double share = shared(counts);
-    together = share >= kNeckShared;
+    const bool together = share >= kNeckShared;
+    answer = together ? Answer::kTogether : Answer::kApart;
     const double least_h3 =
         static_cast<double>(std::min(counts[0], counts[1])) * std::pow(step_m_ / cut_.h, 3);
     const bool sees_enough = reach_h > kNeckReach_h[0] || least_h3 >= kNeckPart_h3;
     if (share >= kNeckSure || (sees_enough && (!together || share >= kNeckDoubtful))) break;
   }
-  return together ? Answer::kTogether : Answer::kApart;
+  return answer;
 }
 
-void Neck::lay_out(const Vec3& middle, double reach_m) {
-  cut_.work += cost::kNeck;
-  step_m_ = 2 * reach_m / (kPoints - 1);
-  box_ = Box{middle, middle}.widened(reach_m);
-  sides_.assign(kAll, 0);
-  walls_.assign(kAll, 0);
+// What is thinner than two steps is left out: it is no neck, and whether points lie in it is chance. Looks farther where next to nothing of what is beside
+// the part is near.
+Neck::Answer Neck::judge(HalfFace h, std::span<const TetId> part) {
+  const Vec3& p = mesh_.position(mesh_.vertices(part[0])[0]);
+  Box box{p, p};
+  for (TetId t : part) {
+    for (VertexId v : mesh_.vertices(t)) extend(mesh_.position(v), box.low, box.high);
+  }
+  Answer answer = Answer::kUnknown;
+  for (double around_h : kPartAround_h) {
+    if (!lay_out_finely(box.widened(around_h * cut_.h))) break;
+    pass_.begin();
+    for (TetId t : part) pass_.add(t);
+    Counts counts{fill(tet_of(h), 1), fill(part, 2)};
+    block_swept();
+    leave_out_thin(counts);
+    const double beside_h3 = static_cast<double>(counts[0]) * std::pow(kPartStep_h, 3);
+    if (counts[1] == 0 || beside_h3 < kPartBeside_h3) continue;
+    const double share = shared(counts);
+    answer = share >= kPartShared  ? Answer::kTogether
+             : share < kNeckShared ? Answer::kApart
+                                   : Answer::kUnknown;
+    if (beside_h3 >= kNeckPart_h3) break;
+  }
+  return answer;
+}
+
+// The whole numbers from `low` to `high` that number points along an axis: first and last.
+std::array<int, 2> Neck::range(double low, double high, int axis) const {
+  const double last = points_[static_cast<std::size_t>(axis)] - 1;
+  return {static_cast<int>(std::clamp(std::ceil(low), 0.0, last + 1)),
+          static_cast<int>(std::clamp(std::floor(high), -1.0, last))};
+}
+
+bool Neck::lay_out_finely(const Box& box) {
+  const double step_m = kPartStep_h * cut_.h;
+  const Vec3 size = (1 / step_m) * (box.high - box.low);
+  if ((size.x + 1) * (size.y + 1) * (size.z + 1) > kMaxPartPoints) return false;
+  lay_out(box, step_m);
+  return true;
+}
+
+void Neck::lay_out(const Box& box, double step_m) {
+  box_ = box;
+  step_m_ = step_m;
+  const Vec3 size = to_grid(box.high);
+  std::size_t count = 1;
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto a = static_cast<std::size_t>(axis);
+    points_[a] = static_cast<int>(std::lround(coordinate(size, axis))) + 1;
+    step_[a] = count;
+    count *= static_cast<std::size_t>(points_[a]);
+  }
+  cut_.work.add(count, cost::kNeckPointsAUnit);
+  sides_.assign(count, 0);
+  walls_.assign(count, 0);
   skin_.clear();
 }
 
 // Marks the points in what hangs together with a tetrahedron in the box, and blocks the ways through the boundary there. Returns how many there
 // are.
 std::size_t Neck::fill(TetId from, std::uint8_t side) {
-  std::size_t count = 0;
   tets_.assign(1, from);
   pass_.add(from);
   for (std::size_t i = 0; i < tets_.size(); ++i) {
-    const TetId t = tets_[i];
-    cut_.work += cost::kLook;
-    count += fill_tet(t, side);
     for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(t, f));
-      if (o == kNone) {
-        const auto v = mesh_.face_vertices(half_face(t, f));
-        const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
-        block(a, b, c);
-        if (!(mesh_.cut_mask(t) >> f & 1))
-          skin_.push_back({a, b, c, Box::around({a, b, c}).widened(gap_m())});
-        continue;
-      }
-      if (cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
+      const HalfFace o = mesh_.opposite(half_face(tets_[i], f));
+      if (o == kNone || cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
       const auto& v = mesh_.vertices(tet_of(o));
       const auto at = [&](std::size_t k) { return mesh_.position(v[k]); };
       if (!Box::around({at(0), at(1), at(2), at(3)}).meets(box_)) continue;
       pass_.add(tet_of(o));
       tets_.push_back(tet_of(o));
+    }
+  }
+  return fill(tets_, side);
+}
+
+std::size_t Neck::fill(std::span<const TetId> tets, std::uint8_t side) {
+  std::size_t count = 0;
+  for (TetId t : tets) {
+    cut_.work += cost::kLook;
+    count += fill_tet(t, side);
+    for (int f = 0; f < 4; ++f) {
+      if (mesh_.opposite(half_face(t, f)) != kNone) continue;
+      const auto v = mesh_.face_vertices(half_face(t, f));
+      const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
+      block(a, b, c);
+      if (!(mesh_.cut_mask(t) >> f & 1)) skin_.push_back({a, b, c, Box::around({a, b, c}).widened(gap_m())});
     }
   }
   return count;
@@ -108,7 +152,7 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
     if (dot(inward[f], p[f] - a) < 0) inward[f] = -inward[f];
     offset[f] = dot(inward[f], a);
   }
-  const auto js = range(low.y, high.y), ks = range(low.z, high.z);
+  const auto js = range(low.y, high.y, 1), ks = range(low.z, high.z, 2);
   std::size_t count = 0;
   for (int k = ks[0]; k <= ks[1]; ++k) {
     for (int j = js[0]; j <= js[1]; ++j) {
@@ -124,7 +168,7 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
           last = -1;
         }
       }
-      const auto is = range(first, last);
+      const auto is = range(first, last, 0);
       for (int i = is[0]; i <= is[1]; ++i) {
         std::uint8_t& at = sides_[point(i, j, k)];
         if (at != 0) continue;
@@ -164,6 +208,21 @@ void Neck::block_swept() {
     const Vec3 away = normalized(motion - dot(motion, along) * along);
     lead_on(line.heel, line.tip, away, cross(along, away),
             {line, line, ends[i].stroke, ends[i].travel_m, true});
+  }
+}
+
+// Leaves out the points that lie between two blocked ways of an axis.
+void Neck::leave_out_thin(Counts& counts) {
+  for (std::size_t at = 0; at < sides_.size(); ++at) {
+    if (sides_[at] == 0) continue;
+    bool thin = false;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const std::size_t place = at / step_[axis] % static_cast<std::size_t>(points_[axis]);
+      thin = thin || ((walls_[at] >> axis & 1) && place > 0 && (walls_[at - step_[axis]] >> axis & 1));
+    }
+    if (!thin) continue;
+    --counts[sides_[at] - 1u];
+    sides_[at] = 0;
   }
 }
 
@@ -219,12 +278,14 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
     }
     const double area = (pu[1] - pu[0]) * (pw[2] - pw[0]) - (pw[1] - pw[0]) * (pu[2] - pu[0]);
     if (std::abs(area) < kEdge) continue;
-    const auto ws = range(std::min({pw[0], pw[1], pw[2]}) - kEdge, std::max({pw[0], pw[1], pw[2]}) + kEdge);
-    const std::size_t step = kStep[static_cast<std::size_t>(axis)];
-    const std::size_t along = kStep[static_cast<std::size_t>(u)], across = kStep[static_cast<std::size_t>(w)];
+    const auto ws =
+        range(std::min({pw[0], pw[1], pw[2]}) - kEdge, std::max({pw[0], pw[1], pw[2]}) + kEdge, w);
+    const std::size_t step = step_[static_cast<std::size_t>(axis)];
+    const std::size_t along = step_[static_cast<std::size_t>(u)], across = step_[static_cast<std::size_t>(w)];
+    const double farthest = points_[static_cast<std::size_t>(axis)] - 1;
     for (int y = ws[0]; y <= ws[1]; ++y) {
       // What of the row the triangle covers, and where it is there: at_0 + slope x.
-      double first = 0, last = kPoints - 1, at_0 = 0, slope = 0;
+      double first = 0, last = points_[static_cast<std::size_t>(u)] - 1, at_0 = 0, slope = 0;
       for (int i = 0; i < 3; ++i) {
         const int j = (i + 1) % 3, k = (i + 2) % 3;
         const double weight_0 = (pu[j] * (pw[k] - y) - pu[k] * (pw[j] - y)) / area;
@@ -240,10 +301,10 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
           last = -1;
         }
       }
-      const auto xs = range(first, last);
+      const auto xs = range(first, last, u);
       for (int x = xs[0]; x <= xs[1]; ++x) {
         const double at = at_0 + slope * x;
-        if (at < 0 || at >= kPoints - 1) continue;
+        if (at < 0 || at >= farthest) continue;
         walls_[static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
                static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(1u << axis);
       }
@@ -256,7 +317,7 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
 double Neck::shared(const Counts& counts) {
   if (std::min(counts[0], counts[1]) == 0) return 1;
   double most = 0;
-  for (std::size_t i = 0; i < kAll; ++i) {
+  for (std::size_t i = 0; i < sides_.size(); ++i) {
     if (sides_[i] == 0) continue;
     const Counts part = follow(i);
     most = std::max(most, std::min(static_cast<double>(part[0]) / static_cast<double>(counts[0]),
@@ -279,8 +340,9 @@ Neck::Counts Neck::follow(std::size_t first) {
     const std::size_t at = queue_.back();
     queue_.pop_back();
     for (std::size_t axis = 0; axis < 3; ++axis) {
-      const std::size_t step = kStep[axis], place = at / step % kPoints;
-      if (place + 1 < kPoints && !(walls_[at] >> axis & 1)) take(at + step);
+      const auto points = static_cast<std::size_t>(points_[axis]);
+      const std::size_t step = step_[axis], place = at / step % points;
+      if (place + 1 < points && !(walls_[at] >> axis & 1)) take(at + step);
       if (place > 0 && !(walls_[at - step] >> axis & 1)) take(at - step);
     }
   }

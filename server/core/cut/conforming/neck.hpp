@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -18,14 +19,15 @@ class Neck {
 
   enum class Answer { kApart, kTogether, kUnknown };
   // Whether the surfaces part what lies on the two sides of a face, which hang together in no other way than through faces that are about
-  // to open. Some 0.5 ms, up to 3 where a hand has been at it for long. kUnknown: the face is so large that too little would be seen of what is around it.
+  // to open. Looks around the face. Some 0.5 ms, up to 3 where a hand has been at it for long. kUnknown: the face is so large that too little would be seen
+  // of what is around it.
   Answer judge(HalfFace h);
+  // The same where one of the sides is known to its end: `part`, on the other side of h. Looks at all of it, some 0.1 ms for a cubic h. kUnknown: it is too
+  // large for that, or there is next to nothing of one of the sides.
+  Answer judge(HalfFace h, std::span<const TetId> part);
 
  private:
-  static constexpr int kPoints = tolerance::kNeckPoints;  // along an axis
-  // Point i + kPoints (j + kPoints k) is at box_.low + step_m_ (i, j, k).
-  static constexpr std::size_t kAll = std::size_t{kPoints} * kPoints * kPoints;
-  static constexpr std::array<std::size_t, 3> kStep{1, kPoints, kPoints* kPoints};
+  static constexpr int kBoxPoints = tolerance::kNeckPoints;
 
   // What a rim may be led on to, and all that is as near to it as that.
   struct Skin {
@@ -41,10 +43,18 @@ class Neck {
 
   double gap_m() const { return tolerance::kOne_h * cut_.h; }
   Vec3 to_grid(const Vec3& p) const { return (1 / step_m_) * (p - box_.low); }
-  void lay_out(const Vec3& middle, double reach_m);
+  std::array<int, 2> range(double low, double high, int axis) const;
+  std::size_t point(int i, int j, int k) const {
+    const auto at = [](int n) { return static_cast<std::size_t>(n); };
+    return at(i) + step_[1] * at(j) + step_[2] * at(k);
+  }
+  void lay_out(const Box& box, double step_m);
+  bool lay_out_finely(const Box& box);
   std::size_t fill(TetId from, std::uint8_t side);
+  std::size_t fill(std::span<const TetId> tets, std::uint8_t side);
   std::size_t fill_tet(TetId t, std::uint8_t side);
   void block_swept();
+  void leave_out_thin(Counts& counts);
   void lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
                const SweptMemory::Quad& sweep);
   bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
@@ -56,8 +66,11 @@ class Neck {
   const TetMesh& mesh_;
   TetPass pass_;
 
+  // Point (i, j, k) is at box_.low + step_m_ (i, j, k), and number i + step_[1] j + step_[2] k.
   Box box_;
   double step_m_ = 1;
+  std::array<int, 3> points_{};  // along each axis
+  std::array<std::size_t, 3> step_{};
   std::vector<std::uint8_t>
       sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
   std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked

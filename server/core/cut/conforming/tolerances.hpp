@@ -96,14 +96,22 @@ inline constexpr double kAtSkin_h = 0.1;
 // surface passes by: Neck decides. Where elements are large it may be this part of their edges, up to kNeckFar_h.
 inline constexpr double kNeckOff_h = 0.5, kNeckOff_local = 0.42, kNeckFar_h = 0.75;
 inline constexpr int kNeckEdges = 2;
-// It looks in a box that reaches so far, with so many points along each axis. Parts hang together that share kNeckShared of their points. It looks
+// Of a part that is known to its end it looks at all, and so far around it, at points that are so far apart: farther where what is beside the part has less
+// than kNeckPart_h3 there, and where that is less than kPartBeside_h3 it says nothing. Parts hang together that share kPartShared of their points. No part has
+// more tetrahedra than kMaxPart, and no box more points than kMaxPartPoints.
+inline constexpr std::array<double, 2> kPartAround_h{0.75, 2};
+inline constexpr double kPartStep_h = 0.125, kPartShared = 0.5, kPartBeside_h3 = 0.2, kMaxPartPoints = 6e5;
+inline constexpr std::size_t kMaxPart = 8000;
+// A part is the same as before if it has no more than so many times as many tetrahedra, or as few.
+inline constexpr std::size_t kSamePart = 2;
+// Otherwise it looks in a box that reaches so far, with so many points along each axis. Parts hang together that share kNeckShared of their points. It looks
 // farther where they share less than kNeckDoubtful, and from the first box, where one of them has less than kNeckPart_h3 in it, unless they share kNeckSure.
 inline constexpr std::array<double, 3> kNeckReach_h{1.5, 2.5, 4};
 inline constexpr int kNeckPoints = 25;
 inline constexpr double kNeckShared = 0.1, kNeckDoubtful = 0.5, kNeckSure = 0.95, kNeckPart_h3 = 0.75;
 // The parts of a rim that are looked at one by one.
 inline constexpr double kNeckRim_h = 0.125;
-// So many faces are looked at in a batch.
+// So many faces are asked about in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
 // Chords that stand for what was swept are no shorter than this.
 inline constexpr double kRemembered_h = 0.2;
@@ -275,8 +283,7 @@ inline constexpr std::int64_t kFindEdge = 10;
 inline constexpr std::int64_t kPlace = 4;
 
 // A neck: a box of points, and what was swept by all strokes.
-inline constexpr std::int64_t kNeck = 4000;
-inline constexpr std::size_t kQuadsAUnit = 8, kRowsAUnit = 2;
+inline constexpr std::size_t kNeckPointsAUnit = 4, kQuadsAUnit = 8, kRowsAUnit = 2;
 
 // Operations on the mesh.
 inline constexpr std::int64_t kTrySplit = 2;  // each tetrahedron around the edge

@@ -11,6 +11,11 @@ void TwoSides::forget() {
   seen_.begin();
 }
 
+void TwoSides::mark_again() {
+  seen_.begin();
+  for (TetId t : queue_) seen_.add(t);
+}
+
 TwoSides::Outcome TwoSides::follow(TetId one, TetId other) {
   if (!follows_) {
     // What was seen to its end last is apart at all of its faces; what hung together last hangs together at all of them.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -20,10 +21,15 @@ class TwoSides {
     all_seen_ = 0;
     forget();
   }
-  // The same in the middle of its work: another pass has taken its marks.
+  // The same in the middle of its work.
   void forget();
+  // After kApart: another pass has taken marks of the part's.
+  void mark_again();
   // Goes on with these two, or begins with them; some microseconds of work. kTogether, too, where both are too large (kMaxFarWay).
   Outcome follow(TetId one, TetId other);
+  // After kApart: the side that has been seen to its end.
+  std::span<const TetId> part() const { return queue_; }
+  bool is_in_part(TetId t) const { return seen_.has(t); }
 
  private:
   Outcome step();
