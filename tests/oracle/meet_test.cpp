@@ -504,11 +504,6 @@ TEST(MeetingParts, ComeApartAllTheSame) {
                              {"wound_1476", "circle", 110000}};
   come_apart(parts);
 }
-// No sweep meets another one, and a single rib is all that holds 38 and 7 h^3.
-TEST(MeetingRibs, ComeApartWhereNothingMeets) {
-  const OnceWrong ribs[] = {{"wound_1476", "halves", 240008}, {"armadillo_3717", "spiral", 140000}};
-  come_apart(ribs);
-}
 // Repairs had made faces beside those that were held, and nothing considered them.
 TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
   const OnceWrong gaps[] = {{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}};

@@ -97,9 +97,10 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
-      if (cut_.has_front || round_ == Kind::kNeck) return true;
+      // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
+      if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
       hangs_between_ = false;
-      round_ = round_ == Kind::kAcross && cut_.meets_cut ? Kind::kRib : Kind::kNeck;
+      round_ = round_ == Kind::kAcross ? Kind::kRib : Kind::kNeck;
       go(round_ == Kind::kRib ? Phase::kCollectRibs : Phase::kCollectNecks);
       return false;
     case Phase::kCollectRibs:
@@ -108,7 +109,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kCollectNecks:
       if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
-      go(gaps_.empty() && cut_.meets_cut ? Phase::kOpen : Phase::kCollectRibs);
+      go(gaps_.empty() ? Phase::kOpen : Phase::kCollectRibs);
       return false;
   }
   return true;
@@ -167,7 +168,7 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
     // With the necks, what was held before may be all that is left.
-    const bool waits_for_necks = round_ == Kind::kNeck && !is_neck(gap);
+    const bool waits_for_necks = round_ == Kind::kNeck && kind != Kind::kNeck;
     (waits_for_necks ? rest_ : gaps_).push_back(gap);
     // Repairs may have made faces beside it since that nothing has considered.
     const auto v = mesh_.face_vertices(h);
@@ -376,12 +377,13 @@ bool ClosingStage::look_far(WorkBudget& budget) {
 // Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does. What may be a neck has to be parted
 // by what was swept; a hole opens unless it is seen to lead through the tissue.
 bool ClosingStage::stays_closed(const Gap& gap) {
-  if (!is_neck(gap) && !may_lead_through(gap)) return false;
+  const bool is_neck = gap.kind == Kind::kNeck;
+  if (!is_neck && !may_lead_through(gap)) return false;
   if (std::ranges::find(together_, gap.face) != together_.end()) return true;
-  if (++asked_ > kMaxNecks) return is_neck(gap);
+  if (++asked_ > kMaxNecks) return is_neck;
   const Neck::Answer answer = neck_.judge(gap.face);
   if (answer == Neck::Answer::kTogether) together_.push_back(gap.face);
-  return is_neck(gap) ? answer != Neck::Answer::kApart : answer == Neck::Answer::kTogether;
+  return is_neck ? answer != Neck::Answer::kApart : answer == Neck::Answer::kTogether;
 }
 
 // The same where the part on the other side of h, which is the gap, is known to its end.
@@ -395,7 +397,7 @@ bool ClosingStage::stays_closed(const Gap& gap, HalfFace h, std::span<const TetI
   ++asked_;
   const Neck::Answer answer = neck_.judge(h, part);
   if (answer == Neck::Answer::kTogether) return true;
-  if ((answer == Neck::Answer::kUnknown || is_neck(gap)) && stays_closed(gap)) return true;
+  if ((answer == Neck::Answer::kUnknown || gap.kind == Kind::kNeck) && stays_closed(gap)) return true;
   apart_ = largest;
   apart_size_ = part.size();
   return false;

@@ -109,10 +109,6 @@ class ClosingStage {
   bool is_at_end(const Vec3& p);
   Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
   bool grows_as_film(std::size_t i);
-  // A sweep that is alone leaves ribs, too: what hangs together by one is a lobe of the body as it grew, unless Neck knows better.
-  bool is_neck(const Gap& gap) const {
-    return gap.kind == Kind::kNeck || (gap.kind == Kind::kRib && !cut_.meets_cut);
-  }
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
