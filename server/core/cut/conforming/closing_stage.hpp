@@ -143,11 +143,11 @@ class ClosingStage {
   TwoSides sides_;
   Neck neck_;
   HoleFinder holes_;
-  std::size_t asked_ = 0;  // so many faces, in this batch
+  std::size_t asked_ = 0;  // how many faces Neck was asked about in this batch
   // The largest tetrahedron of a part that is apart, as Neck says, and how many that part has.
   TetId apart_ = kNone;
   std::size_t apart_size_ = 0;
-  std::vector<HalfFace> together_;  // what hangs together, as it says
+  std::vector<HalfFace> together_;  // faces whose sides hang together, as it says
   std::vector<Waiting> waited_;     // those that this batch looks at
   std::vector<HalfFace> others_;    // scratch
   std::vector<Corner> star_;        // scratch

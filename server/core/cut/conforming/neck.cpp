@@ -28,7 +28,7 @@ Neck::Answer Neck::judge(HalfFace h) {
   for (double reach_h : kNeckReach_h) {
     const double reach_m = reach_h * cut_.h;
     if (face_m > reach_m) continue;
-    lay_out(Box{middle, middle}.widened(reach_m), 2 * reach_m / (kBoxPoints - 1));
+    lay_out(Box{middle, middle}.widened(reach_m), 2 * reach_m / (kNeckPoints - 1));
     const TetId other = tet_of(mesh_.opposite(h));
     pass_.begin();
     pass_.add(other);
@@ -48,11 +48,8 @@ Neck::Answer Neck::judge(HalfFace h) {
 // What is thinner than two steps is left out: it is no neck, and whether points lie in it is chance. Looks farther where next to nothing of what is beside
 // the part is near.
 Neck::Answer Neck::judge(HalfFace h, std::span<const TetId> part) {
-  const Vec3& p = mesh_.position(mesh_.vertices(part[0])[0]);
-  Box box{p, p};
-  for (TetId t : part) {
-    for (VertexId v : mesh_.vertices(t)) extend(mesh_.position(v), box.low, box.high);
-  }
+  Box box = box_of(part[0]);
+  for (TetId t : part) box.add(box_of(t));
   Answer answer = Answer::kUnknown;
   for (double around_h : kPartAround_h) {
     if (!lay_out_finely(box.widened(around_h * cut_.h))) break;
@@ -70,6 +67,12 @@ Neck::Answer Neck::judge(HalfFace h, std::span<const TetId> part) {
     if (beside_h3 >= kNeckPart_h3) break;
   }
   return answer;
+}
+
+Box Neck::box_of(TetId t) const {
+  const auto& v = mesh_.vertices(t);
+  const auto at = [&](std::size_t k) { return mesh_.position(v[k]); };
+  return Box::around({at(0), at(1), at(2), at(3)});
 }
 
 // The whole numbers from `low` to `high` that number points along an axis: first and last.
@@ -113,9 +116,7 @@ std::size_t Neck::fill(TetId from, std::uint8_t side) {
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(tets_[i], f));
       if (o == kNone || cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
-      const auto& v = mesh_.vertices(tet_of(o));
-      const auto at = [&](std::size_t k) { return mesh_.position(v[k]); };
-      if (!Box::around({at(0), at(1), at(2), at(3)}).meets(box_)) continue;
+      if (!box_of(tet_of(o)).meets(box_)) continue;
       pass_.add(tet_of(o));
       tets_.push_back(tet_of(o));
     }

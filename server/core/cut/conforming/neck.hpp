@@ -27,8 +27,6 @@ class Neck {
   Answer judge(HalfFace h, std::span<const TetId> part);
 
  private:
-  static constexpr int kBoxPoints = tolerance::kNeckPoints;
-
   // What a rim may be led on to, and all that is as near to it as that.
   struct Skin {
     Vec3 a, b, c;
@@ -42,6 +40,7 @@ class Neck {
   using Counts = std::array<std::size_t, 2>;
 
   double gap_m() const { return tolerance::kOne_h * cut_.h; }
+  Box box_of(TetId t) const;
   Vec3 to_grid(const Vec3& p) const { return (1 / step_m_) * (p - box_.low); }
   std::array<int, 2> range(double low, double high, int axis) const;
   std::size_t point(int i, int j, int k) const {
