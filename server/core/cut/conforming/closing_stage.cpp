@@ -27,6 +27,14 @@ Extent extent_of(const CutContext& cut, std::span<const TetId> tets) {
   return extent;
 }
 
+// Mixes all bits of a number (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).
+std::uint64_t mixed(std::uint64_t x) {
+  x += 0x9e3779b97f4a7c15;
+  x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9;
+  x = (x ^ x >> 27) * 0x94d049bb133111eb;
+  return x ^ x >> 31;
+}
+
 }  // namespace
 
 void ClosingStage::begin(std::span<const HalfFace> opened) {
@@ -40,6 +48,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   hangs_between_ = false;
   asked_ = 0;
   apart_ = kNone;
+  judged_.clear();
   round_ = Kind::kAcross;
   pass_.begin();
   go(Phase::kCollect);
@@ -97,6 +106,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
+      judged_.clear();
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
       if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
       hangs_between_ = false;
@@ -436,6 +446,19 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     }
     if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) return Part::kLarge;
   }
+  std::uint64_t hash = queue_.size();
+  for (TetId t : queue_) hash += mixed(std::uint64_t{t} << 4 | cut_.workspace.tets[t].pending);
+  const bool across = gap.kind == Kind::kAcross;
+  const auto known = std::ranges::find_if(judged_, [&](const Judged& j) {
+    return j.hash == hash && j.across == across && j.by_thickness == gap.by_thickness;
+  });
+  if (known != judged_.end()) return known->part;
+  judged_.push_back({hash, across, gap.by_thickness, judge_part(gap)});
+  return judged_.back().part;
+}
+
+// What it has followed to the end.
+ClosingStage::Part ClosingStage::judge_part(const Gap& gap) {
   const Extent extent = extent_of(cut_, queue_);
   if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
   if (gap.kind != Kind::kAcross) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -67,6 +68,14 @@ class ClosingStage {
     }
   };
 
+  // A part that has been followed to its end: a hash of its tetrahedra and of their faces that are about to open, in whatever order, and what it is. Most are
+  // met again, from another of their faces.
+  struct Judged {
+    std::uint64_t hash;
+    bool across, by_thickness;
+    Part part;
+  };
+
   // A face near the blade. While this has travelled less in the stroke, its sides may hang together before the blade.
   struct Waiting {
     HalfFace face;
@@ -108,6 +117,7 @@ class ClosingStage {
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
   Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
+  Part judge_part(const Gap& gap);
   bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
@@ -139,6 +149,7 @@ class ClosingStage {
   TetPass pass_;                         // whose faces have been considered; then what part_of() has reached
   std::uint32_t nearest_ = 0;            // the surface's triangle that is_near() has found
   std::vector<TetId> queue_;             // of part_of()
+  std::vector<Judged> judged_;           // since faces last opened
   std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
   TwoSides sides_;
   Neck neck_;

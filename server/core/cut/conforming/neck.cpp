@@ -77,9 +77,12 @@ Box Neck::box_of(TetId t) const {
 
 // The whole numbers from `low` to `high` that number points along an axis: first and last.
 std::array<int, 2> Neck::range(double low, double high, int axis) const {
+  // By hand: std::ceil and std::floor are calls on processors that have no instruction for them.
   const double last = points_[static_cast<std::size_t>(axis)] - 1;
-  return {static_cast<int>(std::clamp(std::ceil(low), 0.0, last + 1)),
-          static_cast<int>(std::clamp(std::floor(high), -1.0, last))};
+  low = std::clamp(low, 0.0, last + 1);
+  high = std::clamp(high, -1.0, last);
+  const int from = static_cast<int>(low), to = static_cast<int>(high);
+  return {from + (from < low ? 1 : 0), to - (to > high ? 1 : 0)};
 }
 
 bool Neck::lay_out_finely(const Box& box) {
@@ -95,11 +98,13 @@ void Neck::lay_out(const Box& box, double step_m) {
   step_m_ = step_m;
   const Vec3 size = to_grid(box.high);
   std::size_t count = 1;
+  first_ = 0;
   for (int axis = 0; axis < 3; ++axis) {
     const auto a = static_cast<std::size_t>(axis);
     points_[a] = static_cast<int>(std::lround(coordinate(size, axis))) + 1;
     step_[a] = count;
-    count *= static_cast<std::size_t>(points_[a]);
+    first_ += count;
+    count *= static_cast<std::size_t>(points_[a]) + 2;
   }
   cut_.work.add(count, cost::kNeckPointsAUnit);
   sides_.assign(count, 0);
@@ -146,14 +151,16 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
   const auto& v = mesh_.vertices(t);
   for (int i = 0; i < 4; ++i) p[i] = to_grid(mesh_.position(v[i]));
   Vec3 low = p[0], high = p[0];
+  for (int i = 1; i < 4; ++i) extend(p[i], low, high);
+  // Of the small ones beside cuts many have no point.
+  const auto across = range(low.x, high.x, 0), js = range(low.y, high.y, 1), ks = range(low.z, high.z, 2);
+  if (across[0] > across[1] || js[0] > js[1] || ks[0] > ks[1]) return 0;
   for (int f = 0; f < 4; ++f) {
-    extend(p[f], low, high);
     const Vec3& a = p[(f + 1) % 4];
     inward[f] = cross(p[(f + 2) % 4] - a, p[(f + 3) % 4] - a);
     if (dot(inward[f], p[f] - a) < 0) inward[f] = -inward[f];
     offset[f] = dot(inward[f], a);
   }
-  const auto js = range(low.y, high.y, 1), ks = range(low.z, high.z, 2);
   std::size_t count = 0;
   for (int k = ks[0]; k <= ks[1]; ++k) {
     for (int j = js[0]; j <= js[1]; ++j) {
@@ -216,12 +223,9 @@ void Neck::block_swept() {
 void Neck::leave_out_thin(Counts& counts) {
   for (std::size_t at = 0; at < sides_.size(); ++at) {
     if (sides_[at] == 0) continue;
-    bool thin = false;
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      const std::size_t place = at / step_[axis] % static_cast<std::size_t>(points_[axis]);
-      thin = thin || ((walls_[at] >> axis & 1) && place > 0 && (walls_[at - step_[axis]] >> axis & 1));
-    }
-    if (!thin) continue;
+    unsigned thin = 0;
+    for (std::size_t axis = 0; axis < 3; ++axis) thin |= walls_[at] & walls_[at - step_[axis]] & 1u << axis;
+    if (thin == 0) continue;
     --counts[sides_[at] - 1u];
     sides_[at] = 0;
   }
@@ -230,13 +234,16 @@ void Neck::leave_out_thin(Counts& counts) {
 // Leads a rim from a to b on to what is near.
 void Neck::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
                    const SweptMemory::Quad& sweep) {
-  if (!Box::around({a, b}).widened(gap_m()).meets(box_)) return;
+  const Box rim = Box::around({a, b});
+  if (!rim.widened(gap_m()).meets(box_)) return;
+  list_beside(rim, sweep);
+  if (beside_.empty()) return;
   const int count = std::max(1, static_cast<int>(std::ceil(distance(a, b) / (kNeckRim_h * cut_.h))));
   for (int i = 0; i < count; ++i) {
     const Vec3 p = lerp(a, b, static_cast<double>(i) / count),
                q = lerp(a, b, static_cast<double>(i + 1) / count);
     const Vec3 middle = lerp(p, q, 0.5);
-    if (!Box{middle, middle}.widened(gap_m()).meets(box_) || !is_near_other(middle, sweep)) continue;
+    if (!Box{middle, middle}.widened(gap_m()).meets(box_) || !is_near_beside(middle)) continue;
     for (const Vec3& direction : {away, normal, -normal}) {
       const Vec3 by = gap_m() * direction;
       block(p, q, q + by);
@@ -245,25 +252,28 @@ void Neck::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& n
   }
 }
 
-// Whether the skin is near, or another sweep, or quite another part of this one.
-bool Neck::is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const {
-  const auto is_near = [&](const Vec3& a, const Vec3& b, const Vec3& c) {
-    return squared_length(closest_point(p, a, b, c) - p) <= gap_m() * gap_m();
-  };
+// Lists what a rim may be led on to: the skin, another sweep, or quite another part of this one.
+void Neck::list_beside(const Box& rim, const SweptMemory::Quad& sweep) {
+  beside_.clear();
   cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
-  const auto is_other = [&](const SweptMemory::Quad& quad) {
-    return quad.stroke != sweep.stroke || std::abs(quad.travel_m - sweep.travel_m) > kFar_h * cut_.h;
-  };
-  const auto is_near_skin = [&](const Skin& t) { return t.around.has(p) && is_near(t.a, t.b, t.c); };
-  const auto is_near_swept = [&](const Swept& swept) {
-    bool near = false;
-    if (swept.around.has(p) && is_other(*swept.quad)) {
-      each_triangle(*swept.quad,
-                    [&](const Vec3& a, const Vec3& b, const Vec3& c) { near = near || is_near(a, b, c); });
-    }
-    return near;
-  };
-  return std::ranges::any_of(skin_, is_near_skin) || std::ranges::any_of(near_, is_near_swept);
+  for (const Triangle& t : skin_) {
+    if (t.around.meets(rim)) beside_.push_back(t);
+  }
+  for (const Swept& swept : near_) {
+    const SweptMemory::Quad& quad = *swept.quad;
+    const bool is_other =
+        quad.stroke != sweep.stroke || std::abs(quad.travel_m - sweep.travel_m) > kFar_h * cut_.h;
+    if (!is_other || !swept.around.meets(rim)) continue;
+    each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) {
+      beside_.push_back({a, b, c, swept.around});
+    });
+  }
+}
+
+bool Neck::is_near_beside(const Vec3& p) const {
+  return std::ranges::any_of(beside_, [&](const Triangle& t) {
+    return t.around.has(p) && squared_length(closest_point(p, t.a, t.b, t.c) - p) <= gap_m() * gap_m();
+  });
 }
 
 // Blocks the ways between neighbouring points that a triangle crosses; also at its edges, so that none slips through between two that share one.
@@ -284,19 +294,20 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
     const std::size_t step = step_[static_cast<std::size_t>(axis)];
     const std::size_t along = step_[static_cast<std::size_t>(u)], across = step_[static_cast<std::size_t>(w)];
     const double farthest = points_[static_cast<std::size_t>(axis)] - 1;
+    double more[3];
+    for (int i = 0; i < 3; ++i) more[i] = (pw[(i + 1) % 3] - pw[(i + 2) % 3]) / area;
     for (int y = ws[0]; y <= ws[1]; ++y) {
       // What of the row the triangle covers, and where it is there: at_0 + slope x.
       double first = 0, last = points_[static_cast<std::size_t>(u)] - 1, at_0 = 0, slope = 0;
       for (int i = 0; i < 3; ++i) {
         const int j = (i + 1) % 3, k = (i + 2) % 3;
         const double weight_0 = (pu[j] * (pw[k] - y) - pu[k] * (pw[j] - y)) / area;
-        const double more = (pw[j] - pw[k]) / area;
         at_0 += weight_0 * coordinate(p[i], axis);
-        slope += more * coordinate(p[i], axis);
-        const double end = (-kEdge - weight_0) / more;
-        if (more > 0) {
+        slope += more[i] * coordinate(p[i], axis);
+        const double end = (-kEdge - weight_0) / more[i];
+        if (more[i] > 0) {
           first = std::max(first, end);
-        } else if (more < 0) {
+        } else if (more[i] < 0) {
           last = std::min(last, end);
         } else if (weight_0 < -kEdge) {
           last = -1;
@@ -306,7 +317,7 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
       for (int x = xs[0]; x <= xs[1]; ++x) {
         const double at = at_0 + slope * x;
         if (at < 0 || at >= farthest) continue;
-        walls_[static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
+        walls_[first_ + static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
                static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(1u << axis);
       }
     }
@@ -341,10 +352,9 @@ Neck::Counts Neck::follow(std::size_t first) {
     const std::size_t at = queue_.back();
     queue_.pop_back();
     for (std::size_t axis = 0; axis < 3; ++axis) {
-      const auto points = static_cast<std::size_t>(points_[axis]);
-      const std::size_t step = step_[axis], place = at / step % points;
-      if (place + 1 < points && !(walls_[at] >> axis & 1)) take(at + step);
-      if (place > 0 && !(walls_[at - step] >> axis & 1)) take(at - step);
+      const std::size_t step = step_[axis];
+      if (!(walls_[at] >> axis & 1)) take(at + step);
+      if (!(walls_[at - step] >> axis & 1)) take(at - step);
     }
   }
   return counts;

@@ -27,8 +27,8 @@ class Neck {
   Answer judge(HalfFace h, std::span<const TetId> part);
 
  private:
-  // What a rim may be led on to, and all that is as near to it as that.
-  struct Skin {
+  // What a rim may be led on to, and a box around all that is as near to it as that.
+  struct Triangle {
     Vec3 a, b, c;
     Box around;
   };
@@ -45,7 +45,7 @@ class Neck {
   std::array<int, 2> range(double low, double high, int axis) const;
   std::size_t point(int i, int j, int k) const {
     const auto at = [](int n) { return static_cast<std::size_t>(n); };
-    return at(i) + step_[1] * at(j) + step_[2] * at(k);
+    return first_ + at(i) + step_[1] * at(j) + step_[2] * at(k);
   }
   void lay_out(const Box& box, double step_m);
   bool lay_out_finely(const Box& box);
@@ -56,7 +56,8 @@ class Neck {
   void leave_out_thin(Counts& counts);
   void lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
                const SweptMemory::Quad& sweep);
-  bool is_near_other(const Vec3& p, const SweptMemory::Quad& sweep) const;
+  void list_beside(const Box& rim, const SweptMemory::Quad& sweep);
+  bool is_near_beside(const Vec3& p) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c);
   double shared(const Counts& counts);
   Counts follow(std::size_t first);
@@ -65,16 +66,19 @@ class Neck {
   const TetMesh& mesh_;
   TetPass pass_;
 
-  // Point (i, j, k) is at box_.low + step_m_ (i, j, k), and number i + step_[1] j + step_[2] k.
+  // Point (i, j, k) is at box_.low + step_m_ (i, j, k), and number first_ + i + step_[1] j + step_[2] k. Around them is a layer of points on neither
+  // side, at which every way ends.
   Box box_;
   double step_m_ = 1;
   std::array<int, 3> points_{};  // along each axis
   std::array<std::size_t, 3> step_{};
+  std::size_t first_ = 0;
   std::vector<std::uint8_t>
       sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
   std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked
-  std::vector<Skin> skin_;           // of the tissue there
+  std::vector<Triangle> skin_;       // of the tissue there
   std::vector<Swept> near_;          // what was swept there
+  std::vector<Triangle> beside_;     // of these, what one rim may be led on to
   std::vector<TetId> tets_;          // scratch
   std::vector<std::size_t> queue_;   // scratch
 };
