@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "protocol/state_hash.hpp"
 #include "server/core/cut/conforming/islands.hpp"
 
 namespace incise::core {
@@ -25,14 +26,6 @@ Extent extent_of(const CutContext& cut, std::span<const TetId> tets) {
     }
   }
   return extent;
-}
-
-// Mixes all bits of a number (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).
-std::uint64_t mixed(std::uint64_t x) {
-  x += 0x9e3779b97f4a7c15;
-  x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9;
-  x = (x ^ x >> 27) * 0x94d049bb133111eb;
-  return x ^ x >> 31;
 }
 
 }  // namespace
@@ -446,8 +439,12 @@ ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap
     }
     if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) return Part::kLarge;
   }
-  std::uint64_t hash = queue_.size();
-  for (TetId t : queue_) hash += mixed(std::uint64_t{t} << 4 | cut_.workspace.tets[t].pending);
+  std::uint64_t hash = 0;
+  for (TetId t : queue_) {
+    protocol::ElementHash tet(cut_.workspace.tets[t].pending);
+    tet.add(t);
+    hash ^= tet.value();
+  }
   const bool across = gap.kind == Kind::kAcross;
   const auto known = std::ranges::find_if(judged_, [&](const Judged& j) {
     return j.hash == hash && j.across == across && j.by_thickness == gap.by_thickness;
