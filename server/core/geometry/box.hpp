@@ -23,6 +23,8 @@ struct Box {
   bool has(const Vec3& p) const {
     return p.x >= low.x && p.y >= low.y && p.z >= low.z && p.x <= high.x && p.y <= high.y && p.z <= high.z;
   }
+  // Whether p is in it, or beside it within `by_m` along each axis.
+  bool has(const Vec3& p, double by_m) const { return widened(by_m).has(p); }
   bool meets(const Box& other) const {
     return low.x <= other.high.x && other.low.x <= high.x && low.y <= other.high.y && other.low.y <= high.y &&
            low.z <= other.high.z && other.low.z <= high.z;

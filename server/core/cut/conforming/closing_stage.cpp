@@ -5,30 +5,11 @@
 #include <cmath>
 #include <utility>
 
-#include "protocol/state_hash.hpp"
-#include "server/core/cut/conforming/islands.hpp"
+#include "server/core/cut/conforming/films.hpp"
 
 namespace incise::core {
 
 using namespace tolerance;
-
-namespace {
-
-// Of tetrahedra that the faces around them, open or about to open, part from all others.
-Extent extent_of(const CutContext& cut, std::span<const TetId> tets) {
-  Extent extent;
-  for (TetId t : tets) {
-    cut.work += cost::kLook;
-    extent.volume_m3 += cut.mesh.volume(t);
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace h = half_face(t, f), o = cut.mesh.opposite(h);
-      if (o == kNone || cut.is_pending(o)) extent.add_face(cut.mesh, h);
-    }
-  }
-  return extent;
-}
-
-}  // namespace
 
 void ClosingStage::begin(std::span<const HalfFace> opened) {
   begin_around();
@@ -41,7 +22,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   hangs_between_ = false;
   asked_ = 0;
   apart_ = kNone;
-  judged_.clear();
+  parts_.begin();
   round_ = Kind::kAcross;
   pass_.begin();
   go(Phase::kCollect);
@@ -99,7 +80,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
-      judged_.clear();
+      parts_.begin();
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
       if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
       hangs_between_ = false;
@@ -312,10 +293,13 @@ bool ClosingStage::judge(WorkBudget& budget) {
     if (budget.spent()) return false;
     const Gap gap = gaps_[next_++];
     const HalfFace h = gap.face, o = mesh_.opposite(h);
+    const auto rule = gap.kind != Kind::kAcross ? Parts::Rule::kBeside
+                      : gap.by_thickness        ? Parts::Rule::kThick
+                                                : Parts::Rule::kInside;
     // Most are decided by what is nearest: a crumb, beside something large as a rule, or a way round.
-    const Part near = part_of(tet_of(o), tet_of(h), gap, kNearWay);
-    const Part one = is_part(near) ? part_of(tet_of(h), tet_of(o), gap, kMaxWay) : near;
-    const Part other = is_part(one) ? part_of(tet_of(o), tet_of(h), gap, kMaxWay) : one;
+    const Part near = parts_.look(tet_of(o), tet_of(h), rule, kNearWay);
+    const Part one = is_part(near) ? parts_.look(tet_of(h), tet_of(o), rule, kMaxWay) : near;
+    const Part other = is_part(one) ? parts_.look(tet_of(o), tet_of(h), rule, kMaxWay) : one;
     const bool is_small = one == Part::kSmall || other == Part::kSmall;
     const bool lies_off = gap.off_m > kAtSkin_h * cut_.h;
     // Of two large parts one may turn out to hang by it alone.
@@ -324,8 +308,8 @@ bool ClosingStage::judge(WorkBudget& budget) {
       continue;
     }
     if (is_part(other) && (is_small || !lies_off)) {
-      if (is_small && other != Part::kSmall) part_of(tet_of(h), tet_of(o), gap, kMaxWay);
-      if (!(is_small ? stays_closed(gap, other == Part::kSmall ? h : o, queue_) : stays_closed(gap))) {
+      if (is_small && other != Part::kSmall) parts_.look(tet_of(h), tet_of(o), rule, kMaxWay);
+      if (!(is_small ? stays_closed(gap, other == Part::kSmall ? h : o, parts_.seen()) : stays_closed(gap))) {
         faces_.push_back(h);
         continue;
       }
@@ -420,63 +404,6 @@ void ClosingStage::hold(const Gap& gap) {
                     : gap.kind == Kind::kRib  ? workspace.ribs
                                               : workspace.necks;
   list.push({gap.face, mesh_.face_middle(gap.face), gap.off_m, gap.meets});
-}
-
-// Follows the faces that stay closed from `from`: whether they lead to `other`, and if not, what they hold together: a crumb, a small part
-// of the tissue (seen to its end), or a large one, of more than `most` tetrahedra.
-ClosingStage::Part ClosingStage::part_of(TetId from, TetId other, const Gap& gap, std::size_t most) {
-  pass_.begin();
-  pass_.add(from);
-  queue_.assign(1, from);
-  inner_ = counted_ = 0;
-  for (std::size_t i = 0; i < queue_.size(); ++i) {
-    cut_.work += cost::kLook;
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(queue_[i], f));
-      if (o == kNone || cut_.is_pending(o)) continue;
-      if (tet_of(o) == other) return Part::kHangsTogether;
-      if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
-    }
-    if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) return Part::kLarge;
-  }
-  std::uint64_t hash = 0;
-  for (TetId t : queue_) {
-    protocol::ElementHash tet(cut_.workspace.tets[t].pending);
-    tet.add(t);
-    hash ^= tet.value();
-  }
-  const bool across = gap.kind == Kind::kAcross;
-  const auto known = std::ranges::find_if(judged_, [&](const Judged& j) {
-    return j.hash == hash && j.across == across && j.by_thickness == gap.by_thickness;
-  });
-  if (known != judged_.end()) return known->part;
-  judged_.push_back({hash, across, gap.by_thickness, judge_part(gap)});
-  return judged_.back().part;
-}
-
-// What it has followed to the end.
-ClosingStage::Part ClosingStage::judge_part(const Gap& gap) {
-  const Extent extent = extent_of(cut_, queue_);
-  if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
-  if (gap.kind != Kind::kAcross) {
-    const bool is_part =
-        is_deep(cut_, queue_, kLeastPart_h3, Cuts::kThisStroke) && !is_film(cut_, extent, queue_);
-    return is_part ? Part::kSmall : Part::kCrumb;
-  }
-  if (gap.by_thickness ? extent.volume_m3 < kOne_h * cut_.h * 0.5 * extent.area_m2
-                       : is_film(cut_, extent, queue_))
-    return Part::kCrumb;
-  if (extent.volume_m3 < kSlab_h * cut_.h * 0.5 * extent.area_m2 &&
-      !is_deep(cut_, queue_, extent.least_deep_h3(cut_.h), Cuts::kAll))
-    return Part::kCrumb;
-  const auto reaches_off = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
-  return std::ranges::any_of(queue_, reaches_off) ? Part::kSmall : Part::kCrumb;
-}
-
-// Whether what part_of() has followed, as far as its i-th tetrahedron, may still turn out to be a film.
-bool ClosingStage::grows_as_film(std::size_t i) {
-  for (; counted_ <= i; ++counted_) inner_ += may_be_film(cut_, queue_[counted_]) ? 0 : 1;
-  return queue_.size() <= kMaxSheetIsland && may_be_film(inner_, counted_);
 }
 
 bool ClosingStage::open(WorkBudget& budget) {

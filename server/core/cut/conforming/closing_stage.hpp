@@ -1,7 +1,5 @@
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -11,6 +9,7 @@
 #include "server/core/cut/conforming/hole_finder.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 #include "server/core/cut/conforming/neck.hpp"
+#include "server/core/cut/conforming/parts.hpp"
 #include "server/core/cut/conforming/pinched_edges.hpp"
 #include "server/core/cut/conforming/two_sides.hpp"
 
@@ -27,6 +26,7 @@ class ClosingStage {
         editor_(editor),
         pinched_(pinched),
         pass_(cut.workspace),
+        parts_(cut),
         sides_(cut),
         neck_(cut),
         holes_(cut) {}
@@ -51,7 +51,7 @@ class ClosingStage {
     kCollectRibs,
     kCollectNecks
   };
-  enum class Part { kHangsTogether, kCrumb, kSmall, kLarge };
+  using Part = Parts::Part;
   // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it.
   enum class Kind { kAcross, kRib, kNeck };
   // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
@@ -66,14 +66,6 @@ class ClosingStage {
     bool operator<(const Gap& other) const {
       return off_m != other.off_m ? off_m > other.off_m : face < other.face;
     }
-  };
-
-  // A part that has been followed to its end: a hash of its tetrahedra and of their faces that are about to open, in whatever order, and what it is. Most are
-  // met again, from another of their faces.
-  struct Judged {
-    std::uint64_t hash;
-    bool across, by_thickness;
-    Part part;
   };
 
   // A face near the blade. While this has travelled less in the stroke, its sides may hang together before the blade.
@@ -116,9 +108,6 @@ class ClosingStage {
   bool may_be_neck(Gap& gap);
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
-  Part part_of(TetId from, TetId other, const Gap& gap, std::size_t most);
-  Part judge_part(const Gap& gap);
-  bool grows_as_film(std::size_t i);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
@@ -144,13 +133,11 @@ class ClosingStage {
   // by some of these with the other.
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
-  std::vector<HalfFace> faces_;          // to open
-  std::vector<Gap> doubtful_;            // between two large parts, when the stroke ends
-  TetPass pass_;                         // whose faces have been considered; then what part_of() has reached
-  std::uint32_t nearest_ = 0;            // the surface's triangle that is_near() has found
-  std::vector<TetId> queue_;             // of part_of()
-  std::vector<Judged> judged_;           // since faces last opened
-  std::size_t inner_ = 0, counted_ = 0;  // of these, so many reach into the tissue
+  std::vector<HalfFace> faces_;  // to open
+  std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
+  TetPass pass_;                 // whose faces have been considered
+  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
+  Parts parts_;
   TwoSides sides_;
   Neck neck_;
   HoleFinder holes_;

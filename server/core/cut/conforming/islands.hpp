@@ -1,65 +1,10 @@
 #pragma once
 
-#include <algorithm>
-#include <cstddef>
-#include <span>
 #include <vector>
 
-#include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/films.hpp"
 
 namespace incise::core {
-
-// A point that stands for the side of the surface that a tetrahedron is on.
-Vec3 reference_point(const CutContext& cut, TetId t);
-
-// Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
-bool is_shallow(const CutContext& cut, TetId t, double reach);
-
-// Whether it may be part of a film: none of it is inside the tissue, but for what is so near to the surface that it is one with it. Hands leave
-// films of many small tetrahedra.
-bool may_be_film(const CutContext& cut, TetId t);
-
-// Whether `count` tetrahedra may be a film or a part of one, when `inner` of them reach into the tissue.
-inline bool may_be_film(std::size_t inner, std::size_t count) {
-  return inner <=
-         count / tolerance::kFilmToInner + (count > tolerance::kMaxRaggedIsland ? tolerance::kFilmInner : 0);
-}
-
-// The size of some tetrahedra that hang together, by which a film is told from a part of the tissue.
-struct Extent {
-  double volume_m3 = 0, area_m2 = 0, cut_area_m2 = 0;
-
-  // A face of its surface, at the boundary or about to open.
-  void add_face(const TetMesh& mesh, HalfFace h) {
-    const double face_m2 = 0.5 * length(mesh.twice_area(h));
-    area_m2 += face_m2;
-    const bool opens = mesh.opposite(h) != kNone;
-    if (opens || (mesh.cut_mask(tet_of(h)) >> face_of(h) & 1) != 0) cut_area_m2 += face_m2;
-  }
-  // The largest volume that a film with that surface has. A film has two sides, and one of them at least is a cut: what sticks out of the
-  // body may be as thin.
-  double film_m3(double h) const {
-    const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
-    return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
-  }
-  // What is no film holds so much, at least, farther from the cuts than kDeep_h. A large film does so in places.
-  double least_deep_h3(double h) const {
-    return std::clamp(tolerance::kDeepPart * volume_m3 / (h * h * h), tolerance::kLeastDeep_h3,
-                      tolerance::kLeastPart_h3);
-  }
-  // Of one that lies along a cut, if no part of it is deep.
-  double shallow_m3(double h) const {
-    if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
-    return tolerance::kOne_h * h * std::min(0.5 * area_m2, cut_area_m2);
-  }
-};
-
-// Whether so much of some tetrahedra is farther than kDeep_h from the cuts. Older ones cost many times as much to look for.
-enum class Cuts { kThisStroke, kAll };
-bool is_deep(const CutContext& cut, std::span<const TetId> tets, double least_h3, Cuts cuts);
-
-// Whether tetrahedra that hang together are a film.
-bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId> tets);
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
 // neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out
@@ -67,11 +12,14 @@ bool is_film(const CutContext& cut, const Extent& extent, std::span<const TetId>
 class Islands {
  public:
   explicit Islands(CutContext& cut)
-      : cut_(cut), mesh_(cut.mesh), inland_(cut.workspace), seen_(cut.workspace) {
+      : cut_(cut), mesh_(cut.mesh), inland_(cut.workspace), seen_(cut.workspace), films_(cut) {
     members_.reserve(tolerance::kMaxSheetIsland + 4);
   }
 
-  void begin() { inland_.begin(); }
+  void begin() {
+    inland_.begin();
+    films_.begin();
+  }
   // Looks at what lies behind a face that is about to open.
   void spare(HalfFace side);
 
@@ -89,6 +37,7 @@ class Islands {
   const TetMesh& mesh_;
   TetPass inland_;  // looked at from another face, and found to be no island
   TetPass seen_;    // the members, then what is around them
+  Films films_;
   std::vector<TetId> members_, around_;
 };
 

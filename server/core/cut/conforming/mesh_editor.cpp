@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "server/core/cut/conforming/islands.hpp"
+#include "server/core/cut/conforming/films.hpp"
 
 namespace incise::core {
 

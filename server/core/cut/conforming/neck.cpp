@@ -16,6 +16,22 @@ void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
   visit(quad.from.heel, quad.to.tip, quad.to.heel);
 }
 
+// A value that is linear in two numbers.
+struct Linear {
+  double first = 0, by_j = 0, by_k = 0;
+  double at(double j, double k) const { return first + by_j * j + by_k * k; }
+  Linear times(double factor) const { return {factor * first, factor * by_j, factor * by_k}; }
+};
+
+// The first whole number from one that is not negative.
+int first_whole(double from) {
+  const int whole = static_cast<int>(from);
+  return whole + (whole < from ? 1 : 0);
+}
+
+// What is at so small an angle to a row does not bound it.
+constexpr double kAlongRow = 1e-12;
+
 }  // namespace
 
 // Looks farther where one of the sides has little of itself near the face: how it lies beside a surface says little about it then. And where most of
@@ -146,8 +162,7 @@ std::size_t Neck::fill(std::span<const TetId> tets, std::uint8_t side) {
 }
 
 std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
-  Vec3 p[4], inward[4];
-  double offset[4];
+  Vec3 p[4];
   const auto& v = mesh_.vertices(t);
   for (int i = 0; i < 4; ++i) p[i] = to_grid(mesh_.position(v[i]));
   Vec3 low = p[0], high = p[0];
@@ -155,32 +170,33 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
   // Of the small ones beside cuts many have no point.
   const auto across = range(low.x, high.x, 0), js = range(low.y, high.y, 1), ks = range(low.z, high.z, 2);
   if (across[0] > across[1] || js[0] > js[1] || ks[0] > ks[1]) return 0;
+  // Where a row along the first axis comes in and goes out, and what rows it passes by: values at (j, k), by faces.
+  std::array<Linear, 4> in, out, beside;
+  std::size_t ins = 0, outs = 0, besides = 0;
   for (int f = 0; f < 4; ++f) {
     const Vec3& a = p[(f + 1) % 4];
-    inward[f] = cross(p[(f + 2) % 4] - a, p[(f + 3) % 4] - a);
-    if (dot(inward[f], p[f] - a) < 0) inward[f] = -inward[f];
-    offset[f] = dot(inward[f], a);
+    Vec3 inward = cross(p[(f + 2) % 4] - a, p[(f + 3) % 4] - a);
+    if (dot(inward, p[f] - a) < 0) inward = -inward;
+    const Linear rest{dot(inward, a), -inward.y, -inward.z};
+    if (std::abs(inward.x) <= kAlongRow * (std::abs(inward.y) + std::abs(inward.z))) {
+      beside[besides++] = rest;
+    } else {
+      (inward.x > 0 ? in[ins++] : out[outs++]) = rest.times(1 / inward.x);
+    }
   }
   std::size_t count = 0;
   for (int k = ks[0]; k <= ks[1]; ++k) {
     for (int j = js[0]; j <= js[1]; ++j) {
-      // What of the row is inside.
-      double first = low.x, last = high.x;
-      for (int f = 0; f < 4; ++f) {
-        const double rest = offset[f] - inward[f].y * j - inward[f].z * k;
-        if (inward[f].x > 0) {
-          first = std::max(first, rest / inward[f].x);
-        } else if (inward[f].x < 0) {
-          last = std::min(last, rest / inward[f].x);
-        } else if (rest > 0) {
-          last = -1;
-        }
-      }
-      const auto is = range(first, last, 0);
-      for (int i = is[0]; i <= is[1]; ++i) {
-        std::uint8_t& at = sides_[point(i, j, k)];
-        if (at != 0) continue;
-        at = side;
+      double first = across[0], last = across[1];
+      for (std::size_t i = 0; i < ins; ++i) first = std::max(first, in[i].at(j, k));
+      for (std::size_t i = 0; i < outs; ++i) last = std::min(last, out[i].at(j, k));
+      for (std::size_t i = 0; i < besides; ++i) last = beside[i].at(j, k) > 0 ? -1 : last;
+      if (first > last) continue;
+      const int end = static_cast<int>(last);
+      std::uint8_t* row = sides_.data() + point(0, j, k);
+      for (int i = first_whole(first); i <= end; ++i) {
+        if (row[i] != 0) continue;
+        row[i] = side;
         ++count;
       }
     }
@@ -198,8 +214,13 @@ void Neck::block_swept() {
     each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) { block(a, b, c); });
   }
   cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
-  for (const Swept& swept : near_) {
-    const SweptMemory::Quad& quad = *swept.quad;
+  for (std::size_t i = 0; i < near_.size(); ++i) {
+    if (i % kRimBlock == 0) {
+      Box around = near_[i].around;
+      for (std::size_t j = i + 1; j < std::min(i + kRimBlock, near_.size()); ++j) around.add(near_[j].around);
+      list_walls(around);
+    }
+    const SweptMemory::Quad& quad = *near_[i].quad;
     if (!quad.has_rims) continue;
     const BladeLine &from = quad.from, &to = quad.to;
     const Vec3 along = normalized((from.tip - from.heel) + (to.tip - to.heel));
@@ -214,6 +235,7 @@ void Neck::block_swept() {
     const Vec3 along = normalized(line.tip - line.heel);
     const Vec3 motion = (line.heel - before.heel) + (line.tip - before.tip);
     const Vec3 away = normalized(motion - dot(motion, along) * along);
+    list_walls(Box::around({line.heel, line.tip}));
     lead_on(line.heel, line.tip, away, cross(along, away),
             {line, line, ends[i].stroke, ends[i].travel_m, true});
   }
@@ -252,21 +274,30 @@ void Neck::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& n
   }
 }
 
-// Lists what a rim may be led on to: the skin, another sweep, or quite another part of this one.
-void Neck::list_beside(const Box& rim, const SweptMemory::Quad& sweep) {
-  beside_.clear();
-  cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
+// Lists what is near some rims: the skin, and sweeps.
+void Neck::list_walls(const Box& rims) {
+  walls_beside_.clear();
   for (const Triangle& t : skin_) {
-    if (t.around.meets(rim)) beside_.push_back(t);
+    if (t.around.meets(rims)) walls_beside_.push_back({t, nullptr});
   }
   for (const Swept& swept : near_) {
-    const SweptMemory::Quad& quad = *swept.quad;
-    const bool is_other =
-        quad.stroke != sweep.stroke || std::abs(quad.travel_m - sweep.travel_m) > kFar_h * cut_.h;
-    if (!is_other || !swept.around.meets(rim)) continue;
-    each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) {
-      beside_.push_back({a, b, c, swept.around});
+    if (!swept.around.meets(rims)) continue;
+    each_triangle(*swept.quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) {
+      walls_beside_.push_back({{a, b, c, swept.around}, swept.quad});
     });
+  }
+  cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
+}
+
+// Of these, what one rim may be led on to: the skin, another sweep, or quite another part of this one.
+void Neck::list_beside(const Box& rim, const SweptMemory::Quad& sweep) {
+  beside_.clear();
+  cut_.work.add(walls_beside_.size(), cost::kWallsAUnit);
+  for (const Wall& wall : walls_beside_) {
+    if (!wall.triangle.around.meets(rim)) continue;
+    const bool is_other = wall.quad == nullptr || wall.quad->stroke != sweep.stroke ||
+                          std::abs(wall.quad->travel_m - sweep.travel_m) > kFar_h * cut_.h;
+    if (is_other) beside_.push_back(wall.triangle);
   }
 }
 
@@ -287,41 +318,51 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
       pu[i] = coordinate(p[i], u);
       pw[i] = coordinate(p[i], w);
     }
-    const double area = (pu[1] - pu[0]) * (pw[2] - pw[0]) - (pw[1] - pw[0]) * (pu[2] - pu[0]);
-    if (std::abs(area) < kEdge) continue;
+    const auto us =
+        range(std::min({pu[0], pu[1], pu[2]}) - kEdge, std::max({pu[0], pu[1], pu[2]}) + kEdge, u);
     const auto ws =
         range(std::min({pw[0], pw[1], pw[2]}) - kEdge, std::max({pw[0], pw[1], pw[2]}) + kEdge, w);
+    // Many are so small that no way is near.
+    if (us[0] > us[1] || ws[0] > ws[1]) continue;
+    const double area = (pu[1] - pu[0]) * (pw[2] - pw[0]) - (pw[1] - pw[0]) * (pu[2] - pu[0]);
+    if (std::abs(area) < kEdge) continue;
     const std::size_t step = step_[static_cast<std::size_t>(axis)];
     const std::size_t along = step_[static_cast<std::size_t>(u)], across = step_[static_cast<std::size_t>(w)];
     const double farthest = points_[static_cast<std::size_t>(axis)] - 1;
-    double more[3];
-    for (int i = 0; i < 3; ++i) more[i] = (pw[(i + 1) % 3] - pw[(i + 2) % 3]) / area;
-    for (int y = ws[0]; y <= ws[1]; ++y) {
-      // What of the row the triangle covers, and where it is there: at_0 + slope x.
-      double first = 0, last = points_[static_cast<std::size_t>(u)] - 1, at_0 = 0, slope = 0;
-      for (int i = 0; i < 3; ++i) {
-        const int j = (i + 1) % 3, k = (i + 2) % 3;
-        const double weight_0 = (pu[j] * (pw[k] - y) - pu[k] * (pw[j] - y)) / area;
-        at_0 += weight_0 * coordinate(p[i], axis);
-        slope += more[i] * coordinate(p[i], axis);
-        const double end = (-kEdge - weight_0) / more[i];
-        if (more[i] > 0) {
-          first = std::max(first, end);
-        } else if (more[i] < 0) {
-          last = std::min(last, end);
-        } else if (weight_0 < -kEdge) {
-          last = -1;
-        }
+    // A corner's weight at (x, y) of the plane across the axis is linear there, and so is where the triangle is along the axis. It covers what no weight
+    // is negative at: of a row, what lies between where they are 0.
+    Linear along_axis;
+    std::array<Linear, 3> in, out, beside;
+    std::size_t ins = 0, outs = 0, besides = 0;
+    for (int i = 0; i < 3; ++i) {
+      const int j = (i + 1) % 3, k = (i + 2) % 3;
+      const Linear weight =
+          Linear{pu[j] * pw[k] - pu[k] * pw[j], pw[j] - pw[k], pu[k] - pu[j]}.times(1 / area);
+      const double at = coordinate(p[i], axis);
+      along_axis = {along_axis.first + at * weight.first, along_axis.by_j + at * weight.by_j,
+                    along_axis.by_k + at * weight.by_k};
+      const Linear rest{-kEdge - weight.first, 0, -weight.by_k};
+      if (std::abs(weight.by_j) <= kAlongRow) {
+        beside[besides++] = rest;
+      } else {
+        (weight.by_j > 0 ? in[ins++] : out[outs++]) = rest.times(1 / weight.by_j);
       }
-      const auto xs = range(first, last, u);
-      for (int x = xs[0]; x <= xs[1]; ++x) {
-        const double at = at_0 + slope * x;
+    }
+    for (int y = ws[0]; y <= ws[1]; ++y) {
+      double first = us[0], last = us[1];
+      for (std::size_t i = 0; i < ins; ++i) first = std::max(first, in[i].at(0, y));
+      for (std::size_t i = 0; i < outs; ++i) last = std::min(last, out[i].at(0, y));
+      for (std::size_t i = 0; i < besides; ++i) last = beside[i].at(0, y) > 0 ? -1 : last;
+      if (first > last) continue;
+      const int end = static_cast<int>(last);
+      for (int x = first_whole(first); x <= end; ++x) {
+        const double at = along_axis.at(x, y);
         if (at < 0 || at >= farthest) continue;
         walls_[first_ + static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
                static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(1u << axis);
       }
     }
-    cut_.work.add(static_cast<std::size_t>(std::max(0, ws[1] - ws[0] + 1)), cost::kRowsAUnit);
+    cut_.work.add(static_cast<std::size_t>(ws[1] - ws[0]) + 1, cost::kRowsAUnit);
   }
 }
 

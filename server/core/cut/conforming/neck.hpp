@@ -36,6 +36,11 @@ class Neck {
     const SweptMemory::Quad* quad;
     Box around;
   };
+  // What is near some rims: of the skin, or of a sweep's quad.
+  struct Wall {
+    Triangle triangle;
+    const SweptMemory::Quad* quad;
+  };
   // How many points lie on each side.
   using Counts = std::array<std::size_t, 2>;
 
@@ -56,6 +61,7 @@ class Neck {
   void leave_out_thin(Counts& counts);
   void lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
                const SweptMemory::Quad& sweep);
+  void list_walls(const Box& rims);
   void list_beside(const Box& rim, const SweptMemory::Quad& sweep);
   bool is_near_beside(const Vec3& p) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c);
@@ -78,6 +84,7 @@ class Neck {
   std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked
   std::vector<Triangle> skin_;       // of the tissue there
   std::vector<Swept> near_;          // what was swept there
+  std::vector<Wall> walls_beside_;   // of both, what is near some rims
   std::vector<Triangle> beside_;     // of these, what one rim may be led on to
   std::vector<TetId> tets_;          // scratch
   std::vector<std::size_t> queue_;   // scratch

@@ -111,6 +111,8 @@ inline constexpr int kNeckPoints = 25;
 inline constexpr double kNeckShared = 0.1, kNeckDoubtful = 0.5, kNeckSure = 0.95, kNeckPart_h3 = 0.75;
 // The parts of a rim that are looked at one by one.
 inline constexpr double kNeckRim_h = 0.125;
+// So many quads' rims that follow each other are looked at with the walls near all of them.
+inline constexpr std::size_t kRimBlock = 8;
 // So many faces are asked about in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
 // Chords that stand for what was swept are no shorter than this.

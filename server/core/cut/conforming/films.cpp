@@ -1,0 +1,102 @@
+#include "server/core/cut/conforming/films.hpp"
+
+#include <cmath>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+// Amid its vertices off the surface: the barycentre of one that lies in a bend may be beyond it.
+Vec3 reference_point(const CutContext& cut, TetId t) {
+  Vec3 sum{};
+  int count = 0;
+  for (VertexId v : cut.mesh.vertices(t)) {
+    if (cut.on_surface(v)) continue;
+    sum += cut.mesh.position(v);
+    ++count;
+  }
+  return count == 0 ? cut.mesh.barycentre(t) : (1.0 / count) * sum;
+}
+
+bool is_shallow(const CutContext& cut, TetId t, double reach) {
+  const TetMesh& mesh = cut.mesh;
+  for (int f = 0; f < 4; ++f) {
+    if (!(mesh.cut_mask(t) >> f & 1)) continue;
+    // The middle is a quarter as far from a face as the apex.
+    if (6 * mesh.volume(t) <= 4 * reach * length(mesh.twice_area(half_face(t, f)))) return true;
+  }
+  cut.work += cost::kNearby;
+  return cut.surface().is_within(mesh.barycentre(t), reach);
+}
+
+bool may_be_film(const CutContext& cut, TetId t) {
+  const TetMesh& mesh = cut.mesh;
+  return std::ranges::all_of(mesh.vertices(t), [&](VertexId v) {
+    if (mesh.at_boundary(v) || cut.on_surface(v)) return true;
+    cut.work += cost::kSurfaceQuery;
+    return cut.surface().is_within(mesh.position(v), kOne_h * cut.h);
+  });
+}
+
+namespace {
+
+// Whether a point is that near to a cut face of its tetrahedron.
+bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
+  for (int f = 0; f < 4; ++f) {
+    if (!(mesh.cut_mask(t) >> f & 1)) continue;
+    const Vec3 n = mesh.twice_area(half_face(t, f));
+    if (std::abs(dot(n, p - mesh.position(mesh.face_vertices(half_face(t, f))[0]))) <= reach * length(n))
+      return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+// Whether a cut is that near to a point of a tetrahedron. Older ones cost more to look for.
+bool Films::is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts) {
+  if (is_near_own_cut(mesh_, t, p, reach)) return true;
+  cut_.work += cost::kNearby;
+  return cut_.surface().is_within(p, reach) || (cuts == Cuts::kAll && faces_.is_within(p, reach));
+}
+
+// By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
+// quarters alone.
+bool Films::is_deep(std::span<const TetId> tets, double least_h3, Cuts cuts) {
+  const double least_m3 = least_h3 * cut_.h * cut_.h * cut_.h;
+  const auto is_off = [&](TetId t, const Vec3& p) { return !is_near_cut(t, p, kDeep_h * cut_.h, cuts); };
+  double sum_m3 = 0;
+  for (TetId t : tets) {
+    const auto& v = mesh_.vertices(t);
+    const Vec3 middle = mesh_.barycentre(t);
+    const double volume_m3 = mesh_.volume(t);
+    int deep = 0, points = 4;
+    for (VertexId w : v) deep += is_off(t, lerp(middle, mesh_.position(w), 0.5));
+    if (cuts == Cuts::kAll && volume_m3 > least_m3 / 4) {
+      for (const auto& edge : kEdgeVertices) {
+        const Vec3 there = lerp(mesh_.position(v[edge[0]]), mesh_.position(v[edge[1]]), 0.5);
+        deep += is_off(t, lerp(middle, there, 0.5));
+      }
+      deep += is_off(t, middle);
+      points = 11;
+    }
+    sum_m3 += volume_m3 * deep / points;
+    if (sum_m3 >= least_m3) return true;
+  }
+  return false;
+}
+
+bool Films::is_film(const Extent& extent, std::span<const TetId> tets) {
+  if (extent.volume_m3 <= extent.film_m3(cut_.h)) return true;
+  if (extent.volume_m3 > extent.shallow_m3(cut_.h)) return false;
+  const auto is_far = [&](TetId t) {
+    return std::ranges::any_of(mesh_.vertices(t), [&](VertexId v) {
+      return !is_near_cut(t, mesh_.position(v), kFilmReach_h * cut_.h, Cuts::kAll);
+    });
+  };
+  // What a sweep that is alone takes off is a part of the body where it reaches that far, however little of it does.
+  if (!cut_.meets_cut && std::ranges::any_of(tets, is_far)) return false;
+  return !is_deep(tets, extent.least_deep_h3(cut_.h), Cuts::kAll);
+}
+
+}  // namespace incise::core
