@@ -568,6 +568,17 @@ TEST_F(MeetingHands, LeaveNoFilms) {
   cut_and_judge("wound_1476", "geomagic_liver", {201});
   // Finely divided inside: a third of their tetrahedra have a vertex there.
   cut_and_judge("sofa_liver2.msh", "tum_fr1_xyz", {401});
+  // It hung by a tetrahedron that a snap left flat, and that was removed.
+  cut_and_judge("wound_1476", "dvrk_psm2", {1601});
+  cut_and_judge("sofa_liver2.msh", "geomagic_liver", {1500});
+  cut_and_judge("liver_6564", "geomagic_liver", {1600});
+  // It had been looked at before, when it was not one yet.
+  cut_and_judge("bullet_ditto.vtk", "tum_fr1_xyz", {1602, 1900});
+}
+
+// Ten h^3 that are thinner than a film in the mean, but not everywhere.
+TEST_F(MeetingHands, PartWhatIsThickInPlaces) {
+  cut_and_judge("bullet_ditto.vtk", "geomagic_liver", {2100});
 }
 
 // Every segment of a trembling hand counted as a turn, and each turn split elements along the whole blade: 1.3 to 1.5 new ones a cut face.

@@ -127,7 +127,10 @@ bool CrossingStage::snap_well(const Crossing& crossing, const Vec3& at) {
   for (int i = 0; i < 2; ++i) {
     if (cut_.on_surface(ends_[i])) continue;
     best_[i] = places_.place(stars_[i], ends_[i], crossing, at, kGood, pass_ > 0);
-    if (best_[i].worst <= kGood) {
+    if (best_[i].worst > kGood) continue;
+    if (editor_.tears_film(ends_[i], best_[i].target, places_.flat())) {
+      best_[i] = {};
+    } else {
       ++cut_.counts.events;
       editor_.snap(stars_[i], ends_[i], best_[i].target, best_[i].worst, places_.flat());
       return true;
@@ -149,6 +152,10 @@ void CrossingStage::make_do(const Crossing& crossing) {
         i = best_[k].worst < best_[i].worst ? k : i;
     }
   }
+  for (int k = 0; k < 2 && best_[i].worst < kInverted && tears_film(i, best_[i].target); ++k) {
+    best_[i] = {};
+    i = 1 - i;
+  }
   const bool may_split = cut_.config.prefer != Preference::kNoGrowth;
   const double by_split = best_[i].worst <= kSnapFloor || !may_split
                               ? kInverted
@@ -167,6 +174,12 @@ void CrossingStage::make_do(const Crossing& crossing) {
   }
 }
 
+// Whether a film would come off if an end went there.
+bool CrossingStage::tears_film(int end, const Vec3& target) {
+  cut_.worst_at(stars_[end], target, kInverted, kFlat_local * stars_[end].local_h(), flat_);
+  return editor_.tears_film(ends_[end], target, flat_);
+}
+
 // What lies near enough to the crossing is as good as a needle there: an end on the surface, or else a boundary vertex, which
 // stands for the surface where it is. Needles beget others wherever a hand comes by again.
 bool CrossingStage::take_as_met(const Crossing& crossing) {
@@ -176,9 +189,10 @@ bool CrossingStage::take_as_met(const Crossing& crossing) {
       (cut_.on_surface(crossing.b) && (1 - crossing.at) * length_m < met_m))
     return true;
   for (int k = 0; k < 2; ++k) {
-    if (cut_.on_surface(ends_[k]) || !places_.stands_for_needle(stars_[k])) continue;
+    const Vec3 here = stars_[k].position();
+    if (cut_.on_surface(ends_[k]) || !places_.stands_for_needle(stars_[k]) || tears_film(k, here)) continue;
     ++cut_.counts.events;
-    editor_.snap(stars_[k], ends_[k], stars_[k].position());
+    editor_.snap(stars_[k], ends_[k], here);
     return true;
   }
   return false;

@@ -30,6 +30,7 @@ class CrossingStage {
   void handle(std::uint32_t index);
   bool still_crosses(Crossing& crossing);
   bool snap_well(const Crossing& crossing, const Vec3& at);
+  bool tears_film(int end, const Vec3& target);
   void make_do(const Crossing& crossing);
   bool take_as_met(const Crossing& crossing);
   void split(const Crossing& crossing);
@@ -65,6 +66,7 @@ class CrossingStage {
   VertexId ends_[2]{};
   VertexStar stars_[2];
   Placement best_[2];
+  std::vector<TetId> flat_;  // scratch
 };
 
 }  // namespace incise::core

@@ -51,13 +51,29 @@ bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) 
   return false;
 }
 
+// Whether a cut face of one of its neighbours is.
+bool is_near_cut_beside(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
+  for (int f = 0; f < 4; ++f) {
+    const TetId n = mesh.neighbor(t, f);
+    if (n == kNone) continue;
+    for (int g = 0; g < 4; ++g) {
+      if (!(mesh.cut_mask(n) >> g & 1)) continue;
+      const auto v = mesh.face_vertices(half_face(n, g));
+      const Vec3 q = closest_point(p, mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]));
+      if (squared_length(q - p) <= reach * reach) return true;
+    }
+  }
+  return false;
+}
+
 }  // namespace
 
-// Whether a cut is that near to a point of a tetrahedron. Older ones cost more to look for.
+// Whether a cut is that near to a point of a tetrahedron. Older ones cost more to look for, where none is beside it.
 bool Films::is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts) {
   if (is_near_own_cut(mesh_, t, p, reach)) return true;
   cut_.work += cost::kNearby;
-  return cut_.surface().is_within(p, reach) || (cuts == Cuts::kAll && faces_.is_within(p, reach));
+  if (cut_.surface().is_within(p, reach)) return true;
+  return cuts == Cuts::kAll && (is_near_cut_beside(mesh_, t, p, reach) || faces_.is_within(p, reach));
 }
 
 // By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
@@ -87,7 +103,10 @@ bool Films::is_deep(std::span<const TetId> tets, double least_h3, Cuts cuts) {
 }
 
 bool Films::is_film(const Extent& extent, std::span<const TetId> tets) {
-  if (extent.volume_m3 <= extent.film_m3(cut_.h)) return true;
+  // A large one may be a part of the tissue in places.
+  if (extent.volume_m3 <= extent.film_m3(cut_.h))
+    return extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h ||
+           !is_deep(tets, kLeastPart_h3, Cuts::kAll);
   if (extent.volume_m3 > extent.shallow_m3(cut_.h)) return false;
   const auto is_far = [&](TetId t) {
     return std::ranges::any_of(mesh_.vertices(t), [&](VertexId v) {

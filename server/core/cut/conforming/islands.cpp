@@ -82,6 +82,7 @@ bool Islands::join_larger_side() {
     if (!seen_.has(tet_of(o)) || is_above(h) != (above >= below)) return;
     cut_.clear_pending(h);
     cut_.clear_pending(o);
+    joined_ = true;
   });
   return true;
 }

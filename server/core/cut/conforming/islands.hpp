@@ -1,5 +1,6 @@
 #pragma once
 
+#include <utility>
 #include <vector>
 
 #include "server/core/cut/conforming/films.hpp"
@@ -18,10 +19,16 @@ class Islands {
 
   void begin() {
     inland_.begin();
+    joined_ = false;
     films_.begin();
   }
   // Looks at what lies behind a face that is about to open.
   void spare(HalfFace side);
+  // Whether something has stayed with a neighbour since this was last asked: that may have become an island by it, and all faces are to be looked at again.
+  bool look_again() {
+    inland_.begin();
+    return std::exchange(joined_, false);
+  }
 
  private:
   bool is_island(TetId first);
@@ -38,6 +45,7 @@ class Islands {
   TetPass inland_;  // looked at from another face, and found to be no island
   TetPass seen_;    // the members, then what is around them
   Films films_;
+  bool joined_ = false;
   std::vector<TetId> members_, around_;
 };
 

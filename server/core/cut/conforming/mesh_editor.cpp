@@ -1,6 +1,7 @@
 #include "server/core/cut/conforming/mesh_editor.hpp"
 
 #include <algorithm>
+#include <array>
 
 #include "server/core/cut/conforming/films.hpp"
 
@@ -38,7 +39,10 @@ void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target, do
   }
   judge_again(star, v);
   if (worst > kGood || !flat.empty()) changed_.push_back({v});
-  for (TetId t : flat) remove_flat(t);
+  for (TetId t : flat) {
+    // It may have gone with another one.
+    if (mesh_.alive(t)) remove_flat(t, mesh_.worst_dihedral(t) <= kFloor);
+  }
 }
 
 void MeshEditor::snap_to_rim(const VertexStar& star, VertexId v, const Vec3& target) {
@@ -142,15 +146,24 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
   return new_tets_;
 }
 
-void MeshEditor::remove_flat(TetId t) {
-  if (!mesh_.alive(t)) return;  // it went with another one
+// Whether a film hangs together with the rest by tetrahedra that a snap would leave too flat to be kept.
+bool MeshEditor::tears_film(VertexId v, const Vec3& target, std::span<const TetId> flat) {
+  too_flat_.clear();
+  // There is none beside a sweep that is alone.
+  if (!cut_.meets_cut) return false;
+  for (TetId t : flat) {
+    Vec3 p[4];
+    const auto& vertices = mesh_.vertices(t);
+    for (std::size_t i = 0; i < 4; ++i) p[i] = vertices[i] == v ? target : mesh_.position(vertices[i]);
+    if (worst_dihedral(p[0], p[1], p[2], p[3]) > kFloor) too_flat_.push_back(t);
+  }
+  return !too_flat_.empty() && film_hangs_by(too_flat_);
+}
+
+void MeshEditor::remove_flat(TetId t, bool may_stay) {
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
-  if (mesh_.worst_dihedral(t) <= kFloor) {
-    for (TetId n : neighbors) {
-      if (n != kNone && film_hangs_by(t, n)) return;
-    }
-  }
+  if (may_stay && film_hangs_by({&t, 1})) return;
   const VertexId first_copy = mesh_.vertex_slots();
   const auto vertices = mesh_.vertices(t);
   bared_.insert(bared_.end(), vertices.begin(), vertices.end());
@@ -170,11 +183,66 @@ void MeshEditor::remove_flat(TetId t) {
   }
 }
 
-// Whether a film hangs together with the rest by t alone, which is behind the face to n. Nearly always n reaches into the tissue, which is seen at once.
-bool MeshEditor::film_hangs_by(TetId t, TetId n) {
+// Whether a film hangs together with the rest by these alone. Nearly always what is beside them is seen to hang together around their edges.
+bool MeshEditor::film_hangs_by(std::span<const TetId> flat) {
+  if (std::ranges::all_of(flat, [&](TetId t) { return hangs_together_around(t, flat); })) return false;
+  for (TetId t : flat) {
+    for (int f = 0; f < 4; ++f) {
+      const TetId n = mesh_.neighbor(t, f);
+      if (n != kNone && std::ranges::find(flat, n) == flat.end() && is_film_without(flat, n)) return true;
+    }
+  }
+  return false;
+}
+
+// Whether the neighbours of t hang together around its edges without `flat`.
+bool MeshEditor::hangs_together_around(TetId t, std::span<const TetId> flat) {
+  const auto is_flat = [flat](TetId n) { return std::ranges::find(flat, n) != flat.end(); };
+  const auto& v = mesh_.vertices(t);
+  std::array<TetId, 4> neighbors;
+  unsigned apart = 0, first = 4;  // bit f: whether neighbour f is known to hang together with the first one
+  for (unsigned f = 0; f < 4; ++f) {
+    neighbors[f] = mesh_.neighbor(t, static_cast<int>(f));
+    if (neighbors[f] == kNone) continue;
+    if (is_flat(neighbors[f])) return false;
+    if (first == 4) {
+      first = f;
+    } else {
+      apart |= 1u << f;
+    }
+  }
+  unsigned together = first < 4 ? 1u << first : 0;
+  // The faces opposite to two vertices meet at the edge between the others.
+  const auto meet_around_edge = [&](unsigned f, unsigned g) {
+    VertexId ends[2];
+    int n = 0;
+    for (unsigned i = 0; i < 4; ++i) {
+      if (i != f && i != g) ends[n++] = v[i];
+    }
+    mesh_.ring(t, ends[0], ends[1], ring_);
+    const bool is_closed =
+        ring_.front() == t && (ring_.back() == neighbors[f] || ring_.back() == neighbors[g]);
+    return is_closed && std::none_of(ring_.begin() + 1, ring_.end(), is_flat);
+  };
+  cut_.work += cost::kLook;
+  for (bool found = true; found && apart != 0;) {
+    found = false;
+    for (unsigned g = 0; g < 4 && !found; ++g) {
+      if (!(apart >> g & 1)) continue;
+      for (unsigned f = 0; f < 4 && !found; ++f) found = (together >> f & 1) != 0 && meet_around_edge(f, g);
+      if (!found) continue;
+      together |= 1u << g;
+      apart &= ~(1u << g);
+    }
+  }
+  return apart == 0;
+}
+
+// Whether what n hangs together with is a film without some tetrahedra. Nearly always n reaches into the tissue, which is seen at once.
+bool MeshEditor::is_film_without(std::span<const TetId> flat, TetId n) {
   film_.assign(1, n);
   film_pass_.begin();
-  film_pass_.add(t);
+  for (TetId t : flat) film_pass_.add(t);
   film_pass_.add(n);
   Extent extent;
   std::size_t inner = 0;
@@ -192,7 +260,9 @@ bool MeshEditor::film_hangs_by(TetId t, TetId n) {
     }
     if (film_.size() > kMaxSheetIsland || (i >= kMaxRaggedIsland && !may_be_film(inner, i + 1))) return false;
   }
-  if (!may_be_film(inner, film_.size()) || extent.volume_m3 > extent.film_m3(cut_.h)) return false;
+  if (!may_be_film(inner, film_.size())) return false;
+  films_.begin();
+  if (!films_.is_film(extent, film_)) return false;
   return film_.size() > kMaxRaggedIsland || !is_crumb(film_);
 }
 
@@ -219,7 +289,7 @@ void MeshEditor::remove_crumb(TetId t) {
 
 void MeshEditor::remove_film(TetId t) {
   may_move_again(mesh_.vertices(t));
-  remove_flat(t);
+  remove_flat(t, true);
   ++cut_.counts.repairs;
 }
 

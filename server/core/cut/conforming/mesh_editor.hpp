@@ -7,6 +7,7 @@
 
 #include "server/core/cut/conforming/active_set.hpp"
 #include "server/core/cut/conforming/cut_context.hpp"
+#include "server/core/cut/conforming/films.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/mesh/vertex_star.hpp"
 
@@ -36,7 +37,7 @@ namespace incise::core {
 class MeshEditor {
  public:
   MeshEditor(TetMesh& mesh, CutContext& cut, ActiveSet& active)
-      : mesh_(mesh), cut_(cut), active_(active), film_pass_(cut.workspace) {}
+      : mesh_(mesh), cut_(cut), active_(active), film_pass_(cut.workspace), films_(cut) {}
 
   // A vertex that was put on the surface by this batch, or made by that, whose star may not be good.
   struct Changed {
@@ -76,10 +77,12 @@ class MeshEditor {
   // TetMesh::replace(). The new tetrahedra; none where the two sets do not match.
   std::span<const TetId> replace(std::span<const TetId> removed,
                                  std::span<const std::array<VertexId, 4>> added);
-  // Takes out a tetrahedron that is part of the surface, unless a film hangs by it alone.
-  void remove_flat(TetId t);
+  // Takes out a tetrahedron that is part of the surface. `may_stay`: unless a film hangs by it alone.
+  void remove_flat(TetId t, bool may_stay);
   // The same, as a repair.
   void remove_film(TetId t);
+  // Whether a film would come off if v went to `target`, where these become flat: it hangs by what would be too flat to be kept. O(1) as a rule.
+  bool tears_film(VertexId v, const Vec3& target, std::span<const TetId> flat);
   void open(std::span<const HalfFace> faces);
 
   // A crossing at v could not be dealt with: ragged faces may open around it.
@@ -95,7 +98,9 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
-  bool film_hangs_by(TetId t, TetId n);
+  bool film_hangs_by(std::span<const TetId> flat);
+  bool hangs_together_around(TetId t, std::span<const TetId> flat);
+  bool is_film_without(std::span<const TetId> flat, TetId n);
   bool is_crumb(std::span<const TetId> tets) const;
   void remove_crumb(TetId t);
   void account(HalfFace h);
@@ -106,8 +111,9 @@ class MeshEditor {
   std::vector<Changed> changed_;
   std::vector<VertexId> in_bend_, bared_;
   TetPass film_pass_;
-  std::vector<TetId> flat_, crumb_, film_, ring_, new_tets_;  // scratch
-  std::vector<std::uint32_t> star_;                           // scratch
+  Films films_;
+  std::vector<TetId> flat_, too_flat_, crumb_, film_, ring_, new_tets_;  // scratch
+  std::vector<std::uint32_t> star_;                                      // scratch
 };
 
 }  // namespace incise::core

@@ -216,6 +216,7 @@ bool OpeningStage::spare_islands(WorkBudget& budget) {
     const HalfFace h = faces_[next_++];
     islands_.spare(h);
     islands_.spare(mesh_.opposite(h));
+    if (next_ == faces_.size() && islands_.look_again()) next_ = 0;
   }
   std::erase_if(faces_, [this](HalfFace h) { return !cut_.is_pending(h); });
   return true;

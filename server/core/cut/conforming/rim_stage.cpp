@@ -127,6 +127,7 @@ bool RimStage::put(VertexId v, const Piercing& piercing, double limit, bool& fai
     const double worst = cut_.worst_at(star_, target, kSnapFloor, kFlat_local * h, flat_);
     fair = fair || worst <= kSnapFloor;
     if (worst > limit) continue;
+    if (editor_.tears_film(v, target, flat_)) continue;
     editor_.snap_to_rim(star_, v, target);
     return true;
   }
