@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <array>
 
-#include "server/core/cut/conforming/films.hpp"
-
 namespace incise::core {
 
 using namespace tolerance;
@@ -160,6 +158,7 @@ bool MeshEditor::tears_film(VertexId v, const Vec3& target, std::span<const TetI
   return !too_flat_.empty() && film_hangs_by(too_flat_);
 }
 
+// Takes out a tetrahedron that is part of the surface. `may_stay`: unless a film hangs by it alone.
 void MeshEditor::remove_flat(TetId t, bool may_stay) {
   TetId neighbors[4];
   for (int f = 0; f < 4; ++f) neighbors[f] = mesh_.neighbor(t, f);
@@ -200,18 +199,13 @@ bool MeshEditor::hangs_together_around(TetId t, std::span<const TetId> flat) {
   const auto is_flat = [flat](TetId n) { return std::ranges::find(flat, n) != flat.end(); };
   const auto& v = mesh_.vertices(t);
   std::array<TetId, 4> neighbors;
-  unsigned apart = 0, first = 4;  // bit f: whether neighbour f is known to hang together with the first one
+  unsigned all = 0;  // bit f: there is a neighbour behind face f
   for (unsigned f = 0; f < 4; ++f) {
     neighbors[f] = mesh_.neighbor(t, static_cast<int>(f));
     if (neighbors[f] == kNone) continue;
     if (is_flat(neighbors[f])) return false;
-    if (first == 4) {
-      first = f;
-    } else {
-      apart |= 1u << f;
-    }
+    all |= 1u << f;
   }
-  unsigned together = first < 4 ? 1u << first : 0;
   // The faces opposite to two vertices meet at the edge between the others.
   const auto meet_around_edge = [&](unsigned f, unsigned g) {
     VertexId ends[2];
@@ -225,17 +219,17 @@ bool MeshEditor::hangs_together_around(TetId t, std::span<const TetId> flat) {
     return is_closed && std::none_of(ring_.begin() + 1, ring_.end(), is_flat);
   };
   cut_.work += cost::kLook;
-  for (bool found = true; found && apart != 0;) {
-    found = false;
-    for (unsigned g = 0; g < 4 && !found; ++g) {
-      if (!(apart >> g & 1)) continue;
-      for (unsigned f = 0; f < 4 && !found; ++f) found = (together >> f & 1) != 0 && meet_around_edge(f, g);
-      if (!found) continue;
-      together |= 1u << g;
-      apart &= ~(1u << g);
+  unsigned together = all & (~all + 1);  // with the first one
+  for (unsigned before = 0; before != together && together != all;) {
+    before = together;
+    for (unsigned f = 0; f < 4; ++f) {
+      for (unsigned g = 0; g < 4; ++g) {
+        const bool is_open = (together >> f & 1) != 0 && ((all & ~together) >> g & 1) != 0;
+        if (is_open && meet_around_edge(f, g)) together |= 1u << g;
+      }
     }
   }
-  return apart == 0;
+  return together == all;
 }
 
 // Whether what n hangs together with is a film without some tetrahedra. Nearly always n reaches into the tissue, which is seen at once.

@@ -77,9 +77,7 @@ class MeshEditor {
   // TetMesh::replace(). The new tetrahedra; none where the two sets do not match.
   std::span<const TetId> replace(std::span<const TetId> removed,
                                  std::span<const std::array<VertexId, 4>> added);
-  // Takes out a tetrahedron that is part of the surface. `may_stay`: unless a film hangs by it alone.
-  void remove_flat(TetId t, bool may_stay);
-  // The same, as a repair.
+  // Takes out a tetrahedron that is part of the surface, as a repair, unless a film hangs by it alone.
   void remove_film(TetId t);
   // Whether a film would come off if v went to `target`, where these become flat: it hangs by what would be too flat to be kept. O(1) as a rule.
   bool tears_film(VertexId v, const Vec3& target, std::span<const TetId> flat);
@@ -98,6 +96,7 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
+  void remove_flat(TetId t, bool may_stay);
   bool film_hangs_by(std::span<const TetId> flat);
   bool hangs_together_around(TetId t, std::span<const TetId> flat);
   bool is_film_without(std::span<const TetId> flat, TetId n);

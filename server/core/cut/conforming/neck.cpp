@@ -23,14 +23,35 @@ struct Linear {
   Linear times(double factor) const { return {factor * first, factor * by_j, factor * by_k}; }
 };
 
-// The first whole number from one that is not negative.
-int first_whole(double from) {
-  const int whole = static_cast<int>(from);
-  return whole + (whole < from ? 1 : 0);
-}
+// The points of rows along an axis that are inside some planes.
+class Rows {
+ public:
+  // Inside is where `along` times the place in row (j, k) is `rest` at least. `scale`: of what `along` is a part of; next to nothing of it says nothing
+  // about the place.
+  void add(double along, const Linear& rest, double scale) {
+    if (std::abs(along) <= kAlongRow * scale) {
+      beside_[besides_++] = rest;
+    } else {
+      (along > 0 ? in_[ins_++] : out_[outs_++]) = rest.times(1 / along);
+    }
+  }
+  // Calls visit(i) for the points of row (j, k) from first to last, which are not negative, that are inside.
+  template <class Visit>
+  void each_inside(double j, double k, double first, double last, Visit visit) const {
+    for (std::size_t i = 0; i < ins_; ++i) first = std::max(first, in_[i].at(j, k));
+    for (std::size_t i = 0; i < outs_; ++i) last = std::min(last, out_[i].at(j, k));
+    for (std::size_t i = 0; i < besides_; ++i) last = beside_[i].at(j, k) > 0 ? -1 : last;
+    if (first > last) return;
+    const int begin = static_cast<int>(first), end = static_cast<int>(last);
+    for (int i = begin + (begin < first ? 1 : 0); i <= end; ++i) visit(i);
+  }
 
-// What is at so small an angle to a row does not bound it.
-constexpr double kAlongRow = 1e-12;
+ private:
+  static constexpr double kAlongRow = 1e-12;
+
+  std::array<Linear, 4> in_, out_, beside_;  // where a row comes in and goes out, and what rows it passes by
+  std::size_t ins_ = 0, outs_ = 0, besides_ = 0;
+};
 
 }  // namespace
 
@@ -170,35 +191,22 @@ std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {
   // Of the small ones beside cuts many have no point.
   const auto across = range(low.x, high.x, 0), js = range(low.y, high.y, 1), ks = range(low.z, high.z, 2);
   if (across[0] > across[1] || js[0] > js[1] || ks[0] > ks[1]) return 0;
-  // Where a row along the first axis comes in and goes out, and what rows it passes by: values at (j, k), by faces.
-  std::array<Linear, 4> in, out, beside;
-  std::size_t ins = 0, outs = 0, besides = 0;
+  Rows rows;
   for (int f = 0; f < 4; ++f) {
     const Vec3& a = p[(f + 1) % 4];
     Vec3 inward = cross(p[(f + 2) % 4] - a, p[(f + 3) % 4] - a);
     if (dot(inward, p[f] - a) < 0) inward = -inward;
-    const Linear rest{dot(inward, a), -inward.y, -inward.z};
-    if (std::abs(inward.x) <= kAlongRow * (std::abs(inward.y) + std::abs(inward.z))) {
-      beside[besides++] = rest;
-    } else {
-      (inward.x > 0 ? in[ins++] : out[outs++]) = rest.times(1 / inward.x);
-    }
+    rows.add(inward.x, {dot(inward, a), -inward.y, -inward.z}, std::abs(inward.y) + std::abs(inward.z));
   }
   std::size_t count = 0;
   for (int k = ks[0]; k <= ks[1]; ++k) {
     for (int j = js[0]; j <= js[1]; ++j) {
-      double first = across[0], last = across[1];
-      for (std::size_t i = 0; i < ins; ++i) first = std::max(first, in[i].at(j, k));
-      for (std::size_t i = 0; i < outs; ++i) last = std::min(last, out[i].at(j, k));
-      for (std::size_t i = 0; i < besides; ++i) last = beside[i].at(j, k) > 0 ? -1 : last;
-      if (first > last) continue;
-      const int end = static_cast<int>(last);
       std::uint8_t* row = sides_.data() + point(0, j, k);
-      for (int i = first_whole(first); i <= end; ++i) {
-        if (row[i] != 0) continue;
+      rows.each_inside(j, k, across[0], across[1], [&](int i) {
+        if (row[i] != 0) return;
         row[i] = side;
         ++count;
-      }
+      });
     }
   }
   return count;
@@ -332,8 +340,7 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
     // A corner's weight at (x, y) of the plane across the axis is linear there, and so is where the triangle is along the axis. It covers what no weight
     // is negative at: of a row, what lies between where they are 0.
     Linear along_axis;
-    std::array<Linear, 3> in, out, beside;
-    std::size_t ins = 0, outs = 0, besides = 0;
+    Rows rows;
     for (int i = 0; i < 3; ++i) {
       const int j = (i + 1) % 3, k = (i + 2) % 3;
       const Linear weight =
@@ -341,26 +348,15 @@ void Neck::block(const Vec3& a, const Vec3& b, const Vec3& c) {
       const double at = coordinate(p[i], axis);
       along_axis = {along_axis.first + at * weight.first, along_axis.by_j + at * weight.by_j,
                     along_axis.by_k + at * weight.by_k};
-      const Linear rest{-kEdge - weight.first, 0, -weight.by_k};
-      if (std::abs(weight.by_j) <= kAlongRow) {
-        beside[besides++] = rest;
-      } else {
-        (weight.by_j > 0 ? in[ins++] : out[outs++]) = rest.times(1 / weight.by_j);
-      }
+      rows.add(weight.by_j, {-kEdge - weight.first, 0, -weight.by_k}, 1);
     }
     for (int y = ws[0]; y <= ws[1]; ++y) {
-      double first = us[0], last = us[1];
-      for (std::size_t i = 0; i < ins; ++i) first = std::max(first, in[i].at(0, y));
-      for (std::size_t i = 0; i < outs; ++i) last = std::min(last, out[i].at(0, y));
-      for (std::size_t i = 0; i < besides; ++i) last = beside[i].at(0, y) > 0 ? -1 : last;
-      if (first > last) continue;
-      const int end = static_cast<int>(last);
-      for (int x = first_whole(first); x <= end; ++x) {
+      rows.each_inside(0, y, us[0], us[1], [&](int x) {
         const double at = along_axis.at(x, y);
-        if (at < 0 || at >= farthest) continue;
+        if (at < 0 || at >= farthest) return;
         walls_[first_ + static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
                static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(1u << axis);
-      }
+      });
     }
     cut_.work.add(static_cast<std::size_t>(ws[1] - ws[0]) + 1, cost::kRowsAUnit);
   }
