@@ -8,6 +8,7 @@
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
 #include "tests/bench/random_cut.hpp"
+#include "tests/oracle/judge.hpp"
 
 // Random cuts right through any mesh, judged by geometry: pieces, deviation, growth, angles, time.
 namespace incise::bench {
@@ -38,12 +39,10 @@ struct Options {
 struct Outcome {
   core::CutReport after;
   SessionTotals totals;
-  RandomCut::Pieces expected;
-  std::uint32_t mixed = 0;  // pieces with tetrahedra well on both sides
+  oracle::Verdict verdict;
   double seconds = 0;
-  double max_deviation_h = 0, mean_deviation_h = 0, growth = 0;
-  double volume_change = 0;  // by the volume
-  double body_h = 0;         // how far a vertex of the body's own boundary lies off what that was
+  double max_deviation_h = 0, mean_deviation_h = 0;
+  double body_h = 0;  // how far a vertex of the body's own boundary lies off what that was
   std::uint64_t hash = 0;
 };
 
@@ -80,7 +79,7 @@ double farthest_off(const core::TetMesh& from, const core::TetMesh& to) {
   return farthest;
 }
 
-Outcome run_one(const NamedMesh& mesh, const core::TetMesh& uncut, const core::CutReport& before,
+Outcome run_one(const NamedMesh& mesh, const core::TetMesh& uncut, const oracle::Body& body,
                 const RandomCut& cut, const Setting& setting) {
   core::CutConfig config = bench_config(setting.policy);
   config.prefer = setting.prefer;
@@ -93,18 +92,14 @@ Outcome run_one(const NamedMesh& mesh, const core::TetMesh& uncut, const core::C
   const core::TetMesh& cut_mesh = session.mesh();
   const double h = cut_mesh.mean_edge_length();
   outcome.after = core::measure(cut_mesh);
-  outcome.expected = cut.pieces(mesh.mesh, 0.75 * h, 0.1 * h);
+  const oracle::Stroke stroke{cut.lines()};
+  outcome.verdict = oracle::judge(body, {&stroke, 1}, cut_mesh);
   outcome.hash = cut_mesh.state_hash();
 
-  std::uint32_t count = 0;
-  const auto labels = core::label_pieces(cut_mesh, &count);
-  std::vector<std::uint8_t> sides(count, 0);
   std::uint64_t samples = 0;
   double sum = 0;
   for (core::TetId t = 0; t < cut_mesh.tet_slots(); ++t) {
     if (!cut_mesh.alive(t)) continue;
-    const double side = cut.side(cut_mesh.barycentre(t));
-    if (std::abs(side) > 0.75 * h) sides[labels[t]] |= side > 0 ? 1 : 2;
     for (int f = 0; f < 4; ++f) {
       if (!(cut_mesh.cut_mask(t) >> f & 1)) continue;
       for (core::VertexId v : cut_mesh.face_vertices(core::half_face(t, f))) {
@@ -115,12 +110,8 @@ Outcome run_one(const NamedMesh& mesh, const core::TetMesh& uncut, const core::C
       }
     }
   }
-  for (std::uint8_t s : sides) outcome.mixed += s == 3;
-  outcome.volume_change = std::abs(outcome.after.volume / before.volume - 1);
   outcome.body_h = std::max(farthest_off(cut_mesh, uncut), farthest_off(uncut, cut_mesh)) / h;
   outcome.mean_deviation_h = samples > 0 ? sum / static_cast<double>(samples) : 0;
-  outcome.growth =
-      (static_cast<double>(outcome.after.tets) - before.tets) / std::max(outcome.after.cut_faces, 1u);
   return outcome;
 }
 
@@ -144,7 +135,7 @@ void run(const Options& options, Report& report) {
                 {"units"}});
   for (const NamedMesh& mesh : meshes) {
     const core::TetMesh uncut(mesh.mesh);
-    const core::CutReport before = core::measure(uncut);
+    const oracle::Body body(mesh.mesh);
     for (const Setting& setting : kSettings) {
       if (std::find(options.settings.begin(), options.settings.end(), setting.name) == options.settings.end())
         continue;
@@ -154,34 +145,28 @@ void run(const Options& options, Report& report) {
         for (int segments : options.segments) {
           std::int64_t wrong = 0, islands = 0, inverted = 0, faces = 0, units = 0;
           std::vector<double> growths, angles, seconds, event_us;
-          double mean = 0, max = 0, body = 0, volume = 0;
+          double mean = 0, max = 0, body_h = 0, volume = 0;
           for (int i = 0; i < options.cuts; ++i) {
             const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
             const Outcome o =
-                run_one(mesh, uncut, before, RandomCut(mesh.mesh, shape, segments, seed), setting);
-            const bool right =
-                o.after.pieces >= o.expected.least && o.after.pieces <= o.expected.most && o.mixed == 0;
-            wrong += !right;
+                run_one(mesh, uncut, body, RandomCut(mesh.mesh, shape, segments, seed), setting);
+            wrong += !o.verdict.right();
             islands += o.after.islands;
             inverted += o.after.inverted;
             faces += o.after.cut_faces;
             units += o.totals.work_units;
-            growths.push_back(o.growth);
+            growths.push_back(o.verdict.growth);
             angles.push_back(o.after.min_dihedral_deg);
             seconds.push_back(o.seconds);
             event_us.push_back(1e6 * o.seconds / std::max(o.totals.counts.events, 1u));
             mean += o.mean_deviation_h / options.cuts;
             max = std::max(max, o.max_deviation_h);
-            body = std::max(body, o.body_h);
-            volume = std::max(volume, o.volume_change);
-            if (!right || options.each) {
-              std::fprintf(stderr,
-                           "%s %s %s, %d segments, seed %llu: %u pieces, expected %u to %u, %u mixed; "
-                           "deviation %.3f h, "
-                           "angle %.2f degrees, growth %.2f, body %.3f h, hash %s\n",
+            body_h = std::max(body_h, o.body_h);
+            volume = std::max(volume, std::abs(o.verdict.volume_change));
+            if (!o.verdict.right() || options.each) {
+              std::fprintf(stderr, "%s %s %s, %d segments, seed %llu: %s; body %.3f h, hash %s\n",
                            mesh.name.c_str(), setting.name.c_str(), to_string(shape), segments,
-                           static_cast<unsigned long long>(seed), o.after.pieces, o.expected.least,
-                           o.expected.most, o.mixed, o.max_deviation_h, o.after.min_dihedral_deg, o.growth,
+                           static_cast<unsigned long long>(seed), oracle::to_string(o.verdict).c_str(),
                            o.body_h, std::get<std::string>(hex(o.hash)).c_str());
             }
           }
@@ -198,9 +183,9 @@ void run(const Options& options, Report& report) {
                       percentile(growths, 1),
                       mean,
                       max,
-                      body,
+                      body_h,
                       1e6 * volume,
-                      before.min_dihedral_deg,
+                      body.min_angle_deg,
                       percentile(angles, 0.5),
                       *std::min_element(angles.begin(), angles.end()),
                       1e3 * percentile(seconds, 0.5),

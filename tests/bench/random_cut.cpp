@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <numeric>
 #include <random>
 
 #include "server/base/check.hpp"
@@ -105,51 +104,10 @@ double RandomCut::side(const Vec3& p) const {
   return core::dot(p - heel, core::normalized(core::cross(ahead_, tip - heel)));
 }
 
-RandomCut::Pieces RandomCut::pieces(const core::MeshData& uncut, double thin_m, double off_m) const {
-  std::vector<double> sides(uncut.positions.size());
-  for (std::size_t v = 0; v < sides.size(); ++v) sides[v] = side(uncut.positions[v]);
-  std::vector<std::uint32_t> root(sides.size());
-  const auto find = [&root](std::uint32_t v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  };
-  // The parts of the body on side `sign` of the surface moved by `off` towards that side.
-  const auto parts = [&](double sign, double off) {
-    const auto within = [&](std::uint32_t v) { return sign * sides[v] > off; };
-    std::iota(root.begin(), root.end(), 0u);
-    std::vector<char> used(sides.size(), 0);
-    for (const auto& tet : uncut.tets) {
-      for (int i = 0; i < 4; ++i) {
-        used[tet[i]] = 1;
-        for (int j = 0; j < i; ++j) {
-          if (within(tet[i]) && within(tet[j])) root[find(tet[i])] = find(tet[j]);
-        }
-      }
-    }
-    std::vector<double> farthest(sides.size(), 0);
-    for (std::uint32_t v = 0; v < sides.size(); ++v) {
-      if (within(v)) farthest[find(v)] = std::max(farthest[find(v)], std::abs(sides[v]));
-    }
-    Pieces pieces;
-    for (std::uint32_t v = 0; v < sides.size(); ++v) {
-      if (!used[v] || !within(v) || find(v) != v) continue;
-      ++pieces.most;
-      if (farthest[v] > thin_m) ++pieces.least;
-    }
-    return pieces;
-  };
-  Pieces all;
-  for (const double sign : {1.0, -1.0}) {
-    Pieces of_side = parts(sign, 0);
-    for (const double share : {-1.0, -0.5, 0.5, 1.0}) {
-      const Pieces there = parts(sign, share * off_m);
-      of_side.least = std::min(of_side.least, there.least);
-      of_side.most = std::max(of_side.most, there.most);
-    }
-    all.least += of_side.least;
-    all.most += of_side.most;
-  }
-  return all;
+std::vector<core::BladeLine> RandomCut::lines() const {
+  std::vector<core::BladeLine> lines;
+  for (int i = 0; i <= segments_; ++i) lines.push_back(line(static_cast<double>(i) / segments_));
+  return lines;
 }
 
 }  // namespace incise::bench

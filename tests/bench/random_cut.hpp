@@ -28,13 +28,8 @@ class RandomCut {
   // distance is at most its magnitude.
   double side(const core::Vec3& p) const;
 
-  // How many pieces the cut should make of `uncut`: the components of the body's parts on either side. Components nowhere
-  // farther than `thin_m` from the surface may come off or not: they count only into `most`. So do those joined by
-  // a neck that is cut or not when the surface is moved by up to `off_m` to either side.
-  struct Pieces {
-    std::uint32_t least = 0, most = 0;
-  };
-  Pieces pieces(const core::MeshData& uncut, double thin_m, double off_m) const;
+  // Where the blade is at each pose.
+  std::vector<core::BladeLine> lines() const;
 
  private:
   core::BladeLine line(double s) const;  // s from 0 to 1, on the ideal sweep
