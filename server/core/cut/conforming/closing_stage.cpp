@@ -256,7 +256,8 @@ bool ClosingStage::may_be_neck(Gap& gap) {
     gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
   }
   bool continues = false;
-  return holes_.edges_at_boundary(gap.face, continues) >= kNeckEdges;
+  // What is several faces wide has some with one edge there.
+  return holes_.edges_at_boundary(gap.face, continues) >= (gap.off_m > 0 ? 1 : 2);
 }
 
 // Whether a sweep begins or ends near p.

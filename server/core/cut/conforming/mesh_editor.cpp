@@ -37,9 +37,12 @@ void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target, do
   }
   judge_again(star, v);
   if (worst > kGood || !flat.empty()) changed_.push_back({v});
-  for (TetId t : flat) {
-    // It may have gone with another one.
-    if (mesh_.alive(t)) remove_flat(t, mesh_.worst_dihedral(t) <= kFloor);
+  // First what cannot stay, by which no film hangs: then what may stay is all that one may hang by.
+  for (const bool may_stay : {false, true}) {
+    for (TetId t : flat) {
+      // It may have gone with another one.
+      if (mesh_.alive(t) && (mesh_.worst_dihedral(t) <= kFloor) == may_stay) remove_flat(t, may_stay);
+    }
   }
 }
 

@@ -69,7 +69,8 @@ Neck::Answer Neck::judge(HalfFace h) {
     const TetId other = tet_of(mesh_.opposite(h));
     pass_.begin();
     pass_.add(other);
-    const Counts counts{fill(tet_of(h), 1), fill(other, 2)};
+    Counts counts{fill(tet_of(h), 1), fill(other, 2)};
+    counts[2] = fill_between();
     block_swept();
     const double share = shared(counts);
     const bool together = share >= kNeckShared;
@@ -93,6 +94,7 @@ Neck::Answer Neck::judge(HalfFace h, std::span<const TetId> part) {
     pass_.begin();
     for (TetId t : part) pass_.add(t);
     Counts counts{fill(tet_of(h), 1), fill(part, 2)};
+    counts[2] = fill_between();
     block_swept();
     leave_out_thin(counts);
     const double beside_h3 = static_cast<double>(counts[0]) * std::pow(kPartStep_h, 3);
@@ -147,6 +149,7 @@ void Neck::lay_out(const Box& box, double step_m) {
   sides_.assign(count, 0);
   walls_.assign(count, 0);
   skin_.clear();
+  filled_.clear();
 }
 
 // Marks the points in what hangs together with a tetrahedron in the box, and blocks the ways through the boundary there. Returns how many there
@@ -168,6 +171,7 @@ std::size_t Neck::fill(TetId from, std::uint8_t side) {
 
 std::size_t Neck::fill(std::span<const TetId> tets, std::uint8_t side) {
   std::size_t count = 0;
+  filled_.insert(filled_.end(), tets.begin(), tets.end());
   for (TetId t : tets) {
     cut_.work += cost::kLook;
     count += fill_tet(t, side);
@@ -180,6 +184,22 @@ std::size_t Neck::fill(std::span<const TetId> tets, std::uint8_t side) {
     }
   }
   return count;
+}
+
+// What hangs together with the two sides through faces that are about to open: a way may lead through it.
+std::size_t Neck::fill_between() {
+  tets_.clear();
+  const auto take_beyond = [this](TetId t) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace o = mesh_.opposite(half_face(t, f));
+      if (o == kNone || pass_.has(tet_of(o)) || !box_of(tet_of(o)).meets(box_)) continue;
+      pass_.add(tet_of(o));
+      tets_.push_back(tet_of(o));
+    }
+  };
+  for (TetId t : filled_) take_beyond(t);
+  for (std::size_t i = 0; i < tets_.size(); ++i) take_beyond(tets_[i]);
+  return fill(tets_, 3);
 }
 
 std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {

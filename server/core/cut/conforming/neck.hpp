@@ -41,8 +41,8 @@ class Neck {
     Triangle triangle;
     const SweptMemory::Quad* quad;
   };
-  // How many points lie on each side.
-  using Counts = std::array<std::size_t, 2>;
+  // How many points lie on each side, and between other faces that are about to open.
+  using Counts = std::array<std::size_t, 3>;
 
   double gap_m() const { return tolerance::kOne_h * cut_.h; }
   Box box_of(TetId t) const;
@@ -56,6 +56,7 @@ class Neck {
   bool lay_out_finely(const Box& box);
   std::size_t fill(TetId from, std::uint8_t side);
   std::size_t fill(std::span<const TetId> tets, std::uint8_t side);
+  std::size_t fill_between();
   std::size_t fill_tet(TetId t, std::uint8_t side);
   void block_swept();
   void leave_out_thin(Counts& counts);
@@ -79,13 +80,14 @@ class Neck {
   std::array<int, 3> points_{};  // along each axis
   std::array<std::size_t, 3> step_{};
   std::size_t first_ = 0;
-  std::vector<std::uint8_t>
-      sides_;  // by point: 1 or 2, 0 where there is neither, or the point has been followed
+  // By point: 1 or 2, 3 between other faces that are about to open, 0 where there is no tissue, or the point has been followed.
+  std::vector<std::uint8_t> sides_;
   std::vector<std::uint8_t> walls_;  // by point: bit a, the way to the next one along axis a is blocked
   std::vector<Triangle> skin_;       // of the tissue there
   std::vector<Swept> near_;          // what was swept there
   std::vector<Wall> walls_beside_;   // of both, what is near some rims
   std::vector<Triangle> beside_;     // of these, what one rim may be led on to
+  std::vector<TetId> filled_;        // the tetrahedra whose points are laid out
   std::vector<TetId> tets_;          // scratch
   std::vector<std::size_t> queue_;   // scratch
 };

@@ -51,19 +51,19 @@ int PlaceFinder::freedom(const VertexStar& star, const Vec3* surface_normal, Vec
 }
 
 // A pattern search that halves its step.
-void PlaceFinder::search(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
-                         double thickness_m, Placement& placement) {
+void PlaceFinder::look_around(const VertexStar& star, bool on_surface, std::uint32_t triangle,
+                              const Search& search, Placement& placement) {
   Vec3 basis[3];
   const int count = freedom(star, on_surface ? &cut_.surface()[triangle].normal : nullptr, basis);
   if (count == 0) return;
   double step = kSearchStep_local * star.local_h();
-  for (int level = 0; level < kSearchLevels && placement.worst > goal; ++level, step *= 0.5) {
-    for (int turn = 0; turn < kSearchTurns; ++turn) {
+  for (int level = 0; level < search.levels && placement.worst > search.goal; ++level, step *= 0.5) {
+    for (int turn = 0; turn < search.turns; ++turn) {
       const Vec3 origin = placement.target;
       bool better = false;
-      for (int k = 0; k < 2 * count && placement.worst > goal; ++k) {
+      for (int k = 0; k < 2 * count && placement.worst > search.goal; ++k) {
         const Vec3 p = origin + (k % 2 == 0 ? step : -step) * basis[k / 2];
-        better = try_step(star, on_surface, triangle, thickness_m, p, placement) || better;
+        better = try_step(star, on_surface, triangle, search.thickness_m, p, placement) || better;
       }
       if (!better) break;
     }
@@ -109,7 +109,7 @@ Placement PlaceFinder::place(VertexStar& star, VertexId v, const Crossing& cross
     if (worst < best.worst) best = {target, worst};
   }
   if (search_around && best.worst > limit && best.worst < kInverted)
-    search(star, true, triangle, limit, thickness_m, best);
+    look_around(star, true, triangle, {limit, thickness_m}, best);
   return best;
 }
 

@@ -12,6 +12,13 @@ struct Placement {
   double worst = kInverted;  // the star's worst measure there
 };
 
+// How a better place is looked for: until the measure there is at most `goal`, by `levels` steps, each half of the one before,
+// that are each taken in every direction `turns` times at most. `thickness_m`: what counts as flat; below 0: nothing.
+struct Search {
+  double goal, thickness_m;
+  int levels = tolerance::kSearchLevels, turns = tolerance::kSearchTurns;
+};
+
 // Where a vertex may go, and where its star is best. Changes nothing.
 class PlaceFinder {
  public:
@@ -27,11 +34,10 @@ class PlaceFinder {
   bool stay(const VertexStar& star, Placement& placement);
   // Whether a boundary vertex is so near the surface that it may stand for it, however its boundary runs, where all else leaves a needle.
   bool stands_for_needle(const VertexStar& star) const;
-  // Looks around for a better place than `placement`, until its measure is at most `goal`, within the boundary, and within the
-  // surface where the vertex is `on_surface`, near `triangle`. What is off the surface stays on its side. `thickness_m`: what
-  // counts as flat; below 0: nothing.
-  void search(const VertexStar& star, bool on_surface, std::uint32_t triangle, double goal,
-              double thickness_m, Placement& placement);
+  // Looks around for a better place than `placement`, within the boundary, and within the surface where the vertex is
+  // `on_surface`, near `triangle`. What is off the surface stays on its side.
+  void look_around(const VertexStar& star, bool on_surface, std::uint32_t triangle, const Search& search,
+                   Placement& placement);
 
  private:
   int freedom(const VertexStar& star, const Vec3* surface_normal, Vec3 (&basis)[3]) const;

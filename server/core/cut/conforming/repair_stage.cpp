@@ -103,7 +103,9 @@ void RepairStage::try_moving(VertexId v) {
   std::uint32_t triangle = 0;
   const bool on = cut_.on_surface(v);
   if (on && !cut_.surface().closest(place.target, kMoveOff_h * cut_.h, closest, triangle)) return;
-  places_.search(star_, on, triangle, kGood, -1, place);
+  places_.look_around(star_, on, triangle, {kGood, -1}, place);
+  if (cut_.meets_cut && place.worst > kSnapFloor)
+    places_.look_around(star_, on, triangle, {kSnapFloor, -1, kNeedleLevels, kNeedleTurns}, place);
   if (place.worst >= before) return;
   editor_.move(star_, v, place.target);
   // A move that helps the worst tetrahedron may make others poor.

@@ -92,10 +92,9 @@ inline constexpr double kFarGap_h = kJoinReach_h + kOne_h;
 // How far a face that closes a gap may be off the surface where it lies at no older cut and neither of the parts that it holds together
 // is known to be apart from the other.
 inline constexpr double kAtSkin_h = 0.1;
-// A face at the skin, with no vertex farther than this from what is swept now and so many edges at the boundary, may hold together two parts that a
-// surface passes by: Neck decides. Where elements are large it may be this part of their edges, up to kNeckFar_h.
+// A face at the skin, with no vertex farther than this from what is swept now, may hold together two parts that a surface passes by: Neck decides. Where
+// elements are large it may be this part of their edges, up to kNeckFar_h.
 inline constexpr double kNeckOff_h = 0.5, kNeckOff_local = 0.42, kNeckFar_h = 0.75;
-inline constexpr int kNeckEdges = 2;
 // Of a part that is known to its end it looks at all, and so far around it, at points that are so far apart: farther where what is beside the part has less
 // than kNeckPart_h3 there, and where that is less than kPartBeside_h3 it says nothing. Parts hang together that share kPartShared of their points. No part has
 // more tetrahedra than kMaxPart, and no box more points than kMaxPartPoints.
@@ -185,6 +184,9 @@ inline constexpr double kFirstPatchOff = 0.05, kNextPatchOff = 0.34;
 // trial point may be to be put back on it.
 inline constexpr double kSearchStep_local = 0.25;
 inline constexpr int kSearchLevels = 3, kSearchTurns = 2;
+// Where the sweep has come upon a cut there is little room. What a repair leaves worse than kSnapFloor there is looked for once more, so
+// finely: otherwise hands leave 1.6 times as many needles.
+inline constexpr int kNeedleLevels = 8, kNeedleTurns = 8;
 inline constexpr double kSearchReach_local = 0.2;
 
 // ---- Repairs (repair_stage.cpp, flips.cpp).
