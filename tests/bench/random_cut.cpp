@@ -69,8 +69,8 @@ core::BladeLine RandomCut::line(double s) const {
 void RandomCut::push(core::CutSession& session) const {
   // The tool's frame: z along the blade, x ahead.
   session.set_blade(0, {{0, 0, -reach_}, {0, 0, reach_}});
-  for (int i = 0; i <= segments_; ++i) {
-    const core::BladeLine at = line(static_cast<double>(i) / segments_);
+  std::int64_t t_ns = 0;
+  for (const core::BladeLine& at : lines()) {
     const Vec3 z = core::normalized(at.tip - at.heel), x = ahead_, y = core::cross(z, x);
     // The rotation with these columns, as a quaternion (Shepperd 1978): the branch with the largest component.
     core::Quat q;
@@ -86,10 +86,10 @@ void RandomCut::push(core::CutSession& session) const {
     }
     const double l = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
     core::Pose pose;
-    pose.t_ns = 1'000'000ll * (i + 1);
+    pose.t_ns = t_ns += 1'000'000;
     pose.position = 0.5 * (at.heel + at.tip);
     pose.orientation = {q.w / l, q.x / l, q.y / l, q.z / l};
-    INCISE_CHECK(core::accepted(session.push(0, pose)), i);
+    INCISE_CHECK(core::accepted(session.push(0, pose)), t_ns);
   }
   session.end_stroke(0);
 }

@@ -157,15 +157,7 @@ void Neck::lay_out(const Box& box, double step_m) {
 std::size_t Neck::fill(TetId from, std::uint8_t side) {
   tets_.assign(1, from);
   pass_.add(from);
-  for (std::size_t i = 0; i < tets_.size(); ++i) {
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(tets_[i], f));
-      if (o == kNone || cut_.is_pending(o) || pass_.has(tet_of(o))) continue;
-      if (!box_of(tet_of(o)).meets(box_)) continue;
-      pass_.add(tet_of(o));
-      tets_.push_back(tet_of(o));
-    }
-  }
+  for (std::size_t i = 0; i < tets_.size(); ++i) take_beyond(tets_[i], false);
   return fill(tets_, side);
 }
 
@@ -189,17 +181,20 @@ std::size_t Neck::fill(std::span<const TetId> tets, std::uint8_t side) {
 // What hangs together with the two sides through faces that are about to open: a way may lead through it.
 std::size_t Neck::fill_between() {
   tets_.clear();
-  const auto take_beyond = [this](TetId t) {
-    for (int f = 0; f < 4; ++f) {
-      const HalfFace o = mesh_.opposite(half_face(t, f));
-      if (o == kNone || pass_.has(tet_of(o)) || !box_of(tet_of(o)).meets(box_)) continue;
-      pass_.add(tet_of(o));
-      tets_.push_back(tet_of(o));
-    }
-  };
-  for (TetId t : filled_) take_beyond(t);
-  for (std::size_t i = 0; i < tets_.size(); ++i) take_beyond(tets_[i]);
+  for (TetId t : filled_) take_beyond(t, true);
+  for (std::size_t i = 0; i < tets_.size(); ++i) take_beyond(tets_[i], true);
   return fill(tets_, 3);
+}
+
+// Adds the neighbours of t that are in the box and in no list yet; `through`: those beyond a face that is about to open, too.
+void Neck::take_beyond(TetId t, bool through) {
+  for (int f = 0; f < 4; ++f) {
+    const HalfFace o = mesh_.opposite(half_face(t, f));
+    if (o == kNone || (!through && cut_.is_pending(o)) || pass_.has(tet_of(o))) continue;
+    if (!box_of(tet_of(o)).meets(box_)) continue;
+    pass_.add(tet_of(o));
+    tets_.push_back(tet_of(o));
+  }
 }
 
 std::size_t Neck::fill_tet(TetId t, std::uint8_t side) {

@@ -57,6 +57,7 @@ class Neck {
   std::size_t fill(TetId from, std::uint8_t side);
   std::size_t fill(std::span<const TetId> tets, std::uint8_t side);
   std::size_t fill_between();
+  void take_beyond(TetId t, bool through);
   std::size_t fill_tet(TetId t, std::uint8_t side);
   void block_swept();
   void leave_out_thin(Counts& counts);
