@@ -412,7 +412,7 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   deforming_.reset();
   stamp_count_ = 0;
-  batch_work_ns_ = 0;
+  batch_work_ns_ = delta_work_ns_ = 0;
   const LoopState before = std::exchange(state_, state);
   state_.frames = before.frames;
   state_.skipped_frames = before.skipped_frames;
@@ -461,7 +461,7 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
     std::int64_t units = cost_.units_in(std::max<std::int64_t>(slice, 0));
     if (options_.units_per_frame > 0) units = units_left;
     core::WorkBudget budget{units};
-    const std::size_t segments = session_->backlog_segments();
+    const std::size_t segments = session_->backlog_segments(), batches = session_->backlog_batches();
     const auto progress = session_->advance(budget, out->delta);
     const std::int64_t then = now, used = units - budget.left;
     now = monotonic_ns();
@@ -469,14 +469,17 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
     if (moves) step_ns_ = std::min(now - then, kLongestStep_ns);
     units_left -= used;
     batch_work_ns_ += now - then;
+    delta_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
+      const bool is_whole = session_->backlog_batches() < batches;
       const std::size_t done = segments - session_->backlog_segments();
-      if (out->delta.stroke != 0) {
+      if (is_whole && out->delta.stroke != 0) {
         ns_per_segment_ +=
             0.1 * (static_cast<double>(batch_work_ns_) / static_cast<double>(std::max<std::size_t>(1, done)) -
                    ns_per_segment_);
       }
-      commit(*out, now);
+      if (is_whole) batch_work_ns_ = 0;
+      commit(*out, is_whole, now);
       pool_.published();
       ready_.push_back(std::exchange(out, nullptr));
       start_deformation(now);
@@ -490,28 +493,30 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
   }
 }
 
-void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
+void FrameLoop::commit(PublishedDelta& out, bool is_whole, std::int64_t now_ns) {
   const core::Delta& delta = out.delta;
   const Stamp stamp = stamps_[first_stamp_];
-  first_stamp_ = (first_stamp_ + 1) % stamps_.size();
-  --stamp_count_;
+  if (is_whole) {
+    first_stamp_ = (first_stamp_ + 1) % stamps_.size();
+    --stamp_count_;
+  }
   out.arrival_ns = stamp.arrival_ns;
   out.drain_ns = stamp.drain_ns;
   out.cut_ns = now_ns;
 
   if (delta.stroke != 0) {
-    if (batches_before_step_ > 0) --batches_before_step_;
-    stats_.batch_cut.record(batch_work_ns_);
+    if (is_whole && batches_before_step_ > 0) --batches_before_step_;
+    stats_.batch_cut.record(delta_work_ns_);
     stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
     stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
     bump(stats_.batches);
   } else {
-    stats_.deform.record(batch_work_ns_);
+    stats_.deform.record(delta_work_ns_);
     bump(stats_.deformations);
     stats_.vertices_moved.fetch_add(delta.deformation.moved, std::memory_order_relaxed);
     stats_.vertices_held.fetch_add(delta.deformation.held.size(), std::memory_order_relaxed);
   }
-  batch_work_ns_ = 0;
+  delta_work_ns_ = 0;
   state_.revision = delta.revision;
   state_.state_hash = delta.state_hash;
   state_.live_tets = session_->mesh().live_tets();

@@ -100,7 +100,7 @@ class FrameLoop {
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
   void cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std::int64_t latest_ns);
   bool wait(std::int64_t deadline_ns) noexcept;
-  void commit(PublishedDelta& out, std::int64_t now_ns);
+  void commit(PublishedDelta& out, bool is_whole, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
@@ -153,7 +153,7 @@ class FrameLoop {
   double ns_per_segment_ = 20'000;  // of whole batches, measured: for the estimate of the backlog
   DeltaPool pool_;
   std::vector<std::shared_ptr<const PublishedDelta>> ready_;  // committed in this frame
-  std::int64_t batch_work_ns_ = 0;                            // on the batch at work, so far
+  std::int64_t batch_work_ns_ = 0, delta_work_ns_ = 0;  // on the batch at work, so far; since its last part
   std::vector<Stamp> stamps_;
   std::size_t first_stamp_ = 0, stamp_count_ = 0;
   LoopState state_;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "tests/loop/rig.hpp"
+#include "tests/oracle/meetings.hpp"
 
 namespace incise::loop {
 namespace {
@@ -68,6 +69,42 @@ TEST(FrameAccounts, ADeltaHasTheArrivalOfThePoseThatCompletedIt) {
     if (delta->delta.stroke_ended) continue;  // by no pose
     ASSERT_EQ(delta->arrival_ns, delta->delta.to_t_ns) << "revision " << delta->delta.revision;
   }
+}
+
+// Also where batches come in parts, whose deltas have the times of the whole.
+TEST(FrameAccounts, PartsOfABatchHaveTheArrivalOfItsLastPose) {
+  const core::MeshData body = tests::cube(6);
+  const double h = core::TetMesh(body).mean_edge_length();
+  const oracle::Meeting meeting = oracle::random_meeting(body, h, "square", 17);
+  core::CutSession session(body, oracle::meeting_config(meeting));
+  input::PoseSources sources(meeting.blade);
+  Kept kept;
+  LoopOptions options;
+  options.units_per_frame = 5000;
+  FrameLoop loop(session, sources, kept, nullptr, options);
+  auto source = sources.open("blade");
+  for (const auto& stroke : meeting.strokes) {
+    for (const core::Pose& pose : stroke) {
+      while (source->enqueue(std::vector<TimedPose>{{pose, pose.t_ns}}) == 0) loop.frame(monotonic_ns());
+    }
+  }
+  loop.finish();
+  std::size_t parts = 0;
+  for (std::size_t i = 0; i < kept.deltas.size(); ++i) {
+    const PublishedDelta& now = *kept.deltas[i];
+    if (i > 0) {
+      const PublishedDelta& before = *kept.deltas[i - 1];
+      const bool is_part = now.delta.stroke == before.delta.stroke && now.delta.batch == before.delta.batch;
+      parts += is_part;
+      if (is_part) EXPECT_EQ(now.arrival_ns, before.arrival_ns);
+    }
+    // What ends a stroke has been completed by a pose of the next one, or by the end.
+    const bool is_last = i + 1 == kept.deltas.size() || kept.deltas[i + 1]->delta.stroke != now.delta.stroke;
+    if (!is_last && now.delta.batch < kept.deltas[i + 1]->delta.batch)
+      EXPECT_EQ(now.arrival_ns, now.delta.to_t_ns) << "revision " << now.delta.revision;
+  }
+  EXPECT_GE(parts, 1u);
+  EXPECT_EQ(loop.stats().state.load().backlog_batches, 0u);
 }
 
 // With a budget of a microsecond the first look at the clock is the last one.

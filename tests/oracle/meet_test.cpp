@@ -53,6 +53,47 @@ TEST_P(Meet, LeavesThePartsThatGeometrySays) {
   }
 }
 
+// Where a batch takes long what is cut is seen before all is judged that may close, and where its parts end depends on the body and the motion alone.
+TEST(MeetingParts, ALongBatchComesInPartsWhateverTheBudget) {
+  const Meeting meeting = random_meeting(mesh(), body().h, "square", 11);
+  std::vector<std::uint64_t> expected;
+  for (std::int64_t units : {INT64_MAX, std::int64_t{7}, std::int64_t{400}, std::int64_t{9000}}) {
+    core::CutSession session(mesh(), meeting_config(meeting));
+    std::vector<std::uint64_t> hashes;
+    core::Delta delta, before;
+    int parts = 0;
+    const auto work = [&] {
+      while (session.backlog_batches() > 0) {
+        core::WorkBudget budget{units};
+        if (session.advance(budget, delta) != core::CutSession::Progress::kCommitted) continue;
+        hashes.push_back(delta.state_hash);
+        EXPECT_EQ(delta.revision, hashes.size());
+        EXPECT_EQ(delta.from, before.revision > 0 && delta.stroke == before.stroke ? before.to : delta.from);
+        if (delta.stroke == before.stroke && delta.batch == before.batch) {
+          ++parts;
+          EXPECT_FALSE(before.stroke_ended);
+          EXPECT_EQ(delta.to, before.to);
+          EXPECT_EQ(delta.from_t_ns, before.to_t_ns);
+          EXPECT_EQ(delta.to_t_ns, before.to_t_ns);
+        }
+        before = delta;
+      }
+    };
+    for (const auto& stroke : meeting.strokes) {
+      for (const core::Pose& pose : stroke) {
+        session.push(0, pose);
+        work();
+      }
+      session.end_stroke(0);
+      work();
+      EXPECT_TRUE(delta.stroke_ended);
+    }
+    EXPECT_GE(parts, 2) << units;
+    if (expected.empty()) expected = hashes;
+    EXPECT_EQ(hashes, expected) << units;
+  }
+}
+
 // What a stroke knows beyond its batches (where it began, what waits for the blade to go on) is saved with it.
 TEST_P(Meet, GoesOnAfterItWasSavedHalfway) {
   const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), 3);

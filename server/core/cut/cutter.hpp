@@ -25,15 +25,19 @@ struct CutCounts {
 };
 
 // A cut policy at work for one source. A batch is begun once, then advanced until it is done; each return leaves a
-// valid mesh. What is done never depends on the budgets.
+// valid mesh. What is done, and where parts end, never depends on the budgets.
 class Cutter {
  public:
   virtual ~Cutter() = default;
   // Takes the next batch; the one before must be done.
   virtual void begin(const Batch& batch) = 0;
-  // Works until the batch is done (true) or the budget is spent (false).
-  virtual bool advance(WorkBudget& budget) = 0;
-  // Of the batch begun last.
+  enum class Progress {
+    kSpent,  // the budget is spent; work is left
+    kPart,   // a part of the batch is done that is worth a delta of its own; work is left
+    kDone
+  };
+  virtual Progress advance(WorkBudget& budget) = 0;
+  // Of the batch begun last, or of its last part.
   virtual const CutCounts& counts() const = 0;
   // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
   // not be moved until it is done.

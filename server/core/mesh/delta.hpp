@@ -57,7 +57,7 @@ struct Delta {
   std::uint64_t revision = 0;
   std::uint32_t source = 0;  // which blade
   std::uint32_t stroke = 0;  // counts the strokes of all sources, from 1; 0: no cut, the body deformed
-  std::uint32_t batch = 0;   // within the stroke, from 1
+  std::uint32_t batch = 0;   // within the stroke, from 1; a long one comes in several steps
   bool stroke_ended = false;
   // A stroke changed the mesh: its blade was not in the air, nor in a cut that was there.
   bool has_cut() const { return stroke != 0 && !(upserted.empty() && removed.empty() && moved.empty()); }

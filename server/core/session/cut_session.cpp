@@ -125,6 +125,21 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   return Progress::kCommitted;
 }
 
+// The oldest batch, or a part of it: the first one has the motion, the last one may end the stroke.
+void CutSession::take_committed() {
+  if (is_whole_) {
+    queue_.pop(committed_);
+  } else {
+    committed_ = queue_.front();
+    committed_.ends_stroke = false;
+  }
+  if (parts_ > 0) {
+    committed_.lines.assign(1, BladeLine(committed_.lines.back()));
+    committed_.from_t_ns = committed_.to_t_ns;
+  }
+  parts_ = is_whole_ ? 0 : parts_ + 1;
+}
+
 // The identifying fields of a delta.
 void CutSession::describe(Delta& delta) {
   delta.revision = ++revision_;
@@ -151,7 +166,9 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta,
     stage_ = Stage::kCutting;
   }
   if (stage_ == Stage::kCutting) {
-    if (!cutter.advance(budget)) return Progress::kSpent;
+    const Cutter::Progress progress = cutter.advance(budget);
+    if (progress == Cutter::Progress::kSpent) return Progress::kSpent;
+    is_whole_ = progress == Cutter::Progress::kDone;
     workspace_.grow(mesh_);
 #ifdef INCISE_VALIDATE
     const std::string problem = validate_near(mesh_, mesh_.touched_tets(), config_.policy != Policy::kCroll);
@@ -161,8 +178,8 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta,
     stage_ = Stage::kPieces;
   }
   if (!finish(budget)) return Progress::kSpent;
-  stage_ = Stage::kWaiting;
-  queue_.pop(committed_);
+  stage_ = is_whole_ ? Stage::kWaiting : Stage::kCutting;
+  take_committed();
   committed_counts_ = cutter.counts();
   describe(made_);
   made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;

@@ -50,7 +50,7 @@ class CutSession {
   enum class Progress {
     kIdle,       // no batch waits
     kSpent,      // the budget is spent; work is left
-    kCommitted,  // a batch is done: `delta` takes the mesh to revision()
+    kCommitted,  // a batch is done, or a part of a long one: `delta` takes the mesh to revision()
   };
   // Works on the oldest batch until it is done or the budget is spent. On kCommitted `delta` is overwritten (its
   // arrays keep their capacity: reuse it); call again for the next batch.
@@ -83,7 +83,8 @@ class CutSession {
   const std::vector<GaveWay>& gave_way() const { return mover_.gave_way(); }
   // Tetrahedra that deformations have looked at.
   std::uint64_t tets_checked() const { return mover_.checked(); }
-  // The batch of the last kCommitted, and what it did. Its stroke is 0 if it was a deformation.
+  // The batch of the last kCommitted, or its part, and what it did. Its stroke is 0 if it was a deformation. Of a batch that is done in parts, the
+  // first one has the motion, and the last one ends the stroke if the batch does.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
   // What the current batch has done so far.
@@ -101,6 +102,7 @@ class CutSession {
   bool finish(WorkBudget& budget);
   bool measure(WorkBudget& budget);
   Progress advance_deformation(WorkBudget& budget, Delta& delta, const std::vector<GaveWay>* known);
+  void take_committed();
   void describe(Delta& delta);
   void archive_source(Archive& io, std::uint32_t number);
 
@@ -115,6 +117,8 @@ class CutSession {
   // The stage of the oldest batch: it is cut, its pieces are found, its delta is made, its quality is measured.
   enum class Stage { kWaiting, kCutting, kPieces, kCommitting, kMeasuring };
   Stage stage_ = Stage::kWaiting;
+  bool is_whole_ = false;                           // nothing is left of it to be cut
+  int parts_ = 0;                                   // of it that are committed
   Delta made_;                                      // while it is being made
   std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
   TetPass measured_;

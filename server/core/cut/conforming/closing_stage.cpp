@@ -290,8 +290,7 @@ bool ClosingStage::all_at_boundary(HalfFace h) const {
 
 bool ClosingStage::judge(WorkBudget& budget) {
   while (next_ < gaps_.size()) {
-    cut_.work.charge(budget);
-    if (budget.spent()) return false;
+    if (!goes_on(budget)) return false;
     const Gap gap = gaps_[next_++];
     const HalfFace h = gap.face, o = mesh_.opposite(h);
     const auto rule = gap.kind != Kind::kAcross ? Parts::Rule::kBeside
@@ -323,6 +322,11 @@ bool ClosingStage::judge(WorkBudget& budget) {
   return true;
 }
 
+bool ClosingStage::goes_on(WorkBudget& budget) {
+  cut_.work.charge(budget);
+  return !budget.spent() && !cut_.part_is_full();
+}
+
 void ClosingStage::keep_closed(const Gap& gap) {
   cut_.clear_pending(gap.face);
   cut_.clear_pending(mesh_.opposite(gap.face));
@@ -338,8 +342,7 @@ void ClosingStage::keep_rest_closed() {
 
 bool ClosingStage::look_far(WorkBudget& budget) {
   while (next_ < doubtful_.size()) {
-    cut_.work.charge(budget);
-    if (budget.spent()) return false;
+    if (!goes_on(budget)) return false;
     const Gap& gap = doubtful_[next_];
     const TwoSides::Outcome outcome = sides_.follow(tet_of(gap.face), tet_of(mesh_.opposite(gap.face)));
     if (outcome == TwoSides::Outcome::kGoesOn) continue;
@@ -409,8 +412,7 @@ void ClosingStage::hold(const Gap& gap) {
 
 bool ClosingStage::open(WorkBudget& budget) {
   while (next_ < faces_.size()) {
-    cut_.work.charge(budget);
-    if (budget.spent()) return false;
+    if (!goes_on(budget)) return false;
     const std::size_t end = std::min(next_ + kOpenChunk, faces_.size());
     std::span<const HalfFace> faces(faces_.data() + next_, end - next_);
     for (HalfFace h : faces) others_.push_back(mesh_.opposite(h));

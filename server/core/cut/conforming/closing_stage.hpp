@@ -34,7 +34,7 @@ class ClosingStage {
   void clear() { waiting_.clear(); }
   // `opened`: the faces that this batch has opened, both sides of each.
   void begin(std::span<const HalfFace> opened);
-  // True: done; false: the budget is spent, or more is to do.
+  // True: done; false: the budget is spent, a part of the batch is full, or more is to do.
   bool advance(WorkBudget& budget);
 
   void archive(Archive& io);
@@ -86,6 +86,7 @@ class ClosingStage {
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
+  bool goes_on(WorkBudget& budget);
   void consider_faces(TetId t);
   void consider(HalfFace h);
   bool has_to_wait(HalfFace h);

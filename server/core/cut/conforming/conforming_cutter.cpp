@@ -1,5 +1,7 @@
 #include "server/core/cut/conforming/conforming_cutter.hpp"
 
+#include <utility>
+
 #include "server/base/check.hpp"
 
 namespace incise::core {
@@ -33,7 +35,7 @@ void ConformingCutter::begin_stroke(std::uint32_t stroke) {
 
 void ConformingCutter::begin(const Batch& batch) {
   INCISE_CHECK(stage_ == Stage::kIdle);
-  cut_.counts = {};
+  begin_part();
   if (batch.stroke != cut_.stroke) begin_stroke(batch.stroke);
   cut_.batch = batch.number;
   cut_.front = batch.lines.back();
@@ -44,6 +46,17 @@ void ConformingCutter::begin(const Batch& batch) {
                            tolerance::kRemembered_h * cut_.h, cut_.near_tissue());
   joining_.begin(batch);
   stage_ = Stage::kJoining;
+}
+
+void ConformingCutter::begin_part() {
+  cut_.counts = {};
+  cut_.part_judging = 0;
+}
+
+// Whether enough has been done for a delta of its own.
+bool ConformingCutter::end_part() {
+  part_ends_ = cut_.part_is_full();
+  return part_ends_;
 }
 
 void ConformingCutter::begin_search() {
@@ -60,10 +73,11 @@ void ConformingCutter::begin_search() {
   stage_ = Stage::kSearch;
 }
 
-bool ConformingCutter::advance(WorkBudget& budget) {
+ConformingCutter::Progress ConformingCutter::advance(WorkBudget& budget) {
+  if (std::exchange(part_ends_, false)) begin_part();
   while (stage_ != Stage::kIdle) {
     cut_.work.charge(budget);
-    if (budget.spent()) return false;
+    if (budget.spent()) return Progress::kSpent;
     switch (stage_) {
       case Stage::kJoining:
         if (!joining_.advance(budget)) break;
@@ -101,6 +115,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         // In a body that moves, vertices that were put on the surface may be off it by now.
         opening_.begin(!cut_.mesh.deformed() && refinements_ < tolerance::kMaxRefinements);
         stage_ = Stage::kOpening;
+        if (end_part()) return Progress::kPart;
         break;
       case Stage::kOpening:
         if (!opening_.advance(budget)) break;
@@ -115,9 +130,12 @@ bool ConformingCutter::advance(WorkBudget& budget) {
         stage_ = Stage::kClosing;
         break;
       case Stage::kClosing:
-        if (!closing_.advance(budget)) break;
-        pinched_.begin();
-        stage_ = Stage::kPinched;
+        if (closing_.advance(budget)) {
+          pinched_.begin();
+          stage_ = Stage::kPinched;
+        } else if (end_part()) {
+          return Progress::kPart;
+        }
         break;
       case Stage::kPinched:
         if (!pinched_.advance(budget)) break;
@@ -128,7 +146,7 @@ bool ConformingCutter::advance(WorkBudget& budget) {
     }
   }
   cut_.work.charge(budget);
-  return true;
+  return Progress::kDone;
 }
 
 void ConformingCutter::finish() {

@@ -38,6 +38,8 @@ namespace incise::core {
 // waits, for what is swept next may cross it too. So the result hardly depends on how finely the motion is sampled.
 // At the stroke's end nothing waits any more.
 //
+// A batch that takes long is done in parts, which end before the opening and in the closing, so that what is open is seen.
+//
 // Each operation leaves a valid mesh, and the budget is looked at after each. A stage keeps how far it is in its own members:
 // begin() resets them, advance() goes on.
 class ConformingCutter final : public Cutter {
@@ -46,7 +48,7 @@ class ConformingCutter final : public Cutter {
   ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const CutConfig& config);
 
   void begin(const Batch& batch) override;
-  bool advance(WorkBudget& budget) override;
+  Progress advance(WorkBudget& budget) override;
   const CutCounts& counts() const override { return cut_.counts; }
   void clinging(std::vector<VertexId>& out) const override;
   void prefetch() override { active_.prefetch(); }
@@ -69,6 +71,8 @@ class ConformingCutter final : public Cutter {
   };
 
   void begin_stroke(std::uint32_t stroke);
+  void begin_part();
+  bool end_part();
   void begin_search();
   void finish();
 
@@ -90,6 +94,7 @@ class ConformingCutter final : public Cutter {
   Stage stage_ = Stage::kIdle;
   int round_ = 0;        // of crossings, repair and verification
   int refinements_ = 0;  // of chords, in this batch
+  bool part_ends_ = false;
 };
 
 }  // namespace incise::core

@@ -70,6 +70,7 @@ bool is_near_cut_beside(const TetMesh& mesh, TetId t, const Vec3& p, double reac
 
 // Whether a cut is that near to a point of a tetrahedron. Older ones cost more to look for, where none is beside it.
 bool Films::is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts) {
+  cut_.part_judging += cost::kPartFilmPoint;
   if (is_near_own_cut(mesh_, t, p, reach)) return true;
   cut_.work += cost::kNearby;
   if (cut_.surface().is_within(p, reach)) return true;

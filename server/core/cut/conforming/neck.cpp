@@ -146,6 +146,7 @@ void Neck::lay_out(const Box& box, double step_m) {
     count *= static_cast<std::size_t>(points_[a]) + 2;
   }
   cut_.work.add(count, cost::kNeckPointsAUnit);
+  cut_.part_judging += count * cost::kPartNeckPoint;
   sides_.assign(count, 0);
   walls_.assign(count, 0);
   skin_.clear();

@@ -21,8 +21,12 @@ Parts::Part Parts::look(TetId from, TetId other, Rule rule, std::size_t most) {
       if (tet_of(o) == other) return Part::kHangsTogether;
       if (pass_.insert(tet_of(o))) queue_.push_back(tet_of(o));
     }
-    if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) return Part::kLarge;
+    if (queue_.size() > most && (most < kMaxWay || !grows_as_film(i))) {
+      cut_.part_judging += queue_.size();
+      return Part::kLarge;
+    }
   }
+  cut_.part_judging += queue_.size();
   std::uint64_t hash = 0;
   for (TetId t : queue_) {
     protocol::ElementHash tet(cut_.workspace.tets[t].pending);

@@ -50,6 +50,7 @@ TwoSides::Outcome TwoSides::step() {
   for (const std::size_t end = next_ + kFarChunk; next_ < end; ++next_) {
     if (next_ == queue_.size()) return Outcome::kApart;
     cut_.work += cost::kLook;
+    ++cut_.part_judging;
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = cut_.mesh.opposite(half_face(queue_[next_], f));
       if (o == kNone || cut_.is_pending(o)) continue;

@@ -74,13 +74,13 @@ void CrollCutter::begin(const Batch& batch) {
   for (std::size_t i = 1; i < batch.lines.size(); ++i) add_segment(batch.lines[i - 1], batch.lines[i]);
 }
 
-bool CrollCutter::advance(WorkBudget& budget) {
+CrollCutter::Progress CrollCutter::advance(WorkBudget& budget) {
   for (; next_ < sweeps_.size(); ++next_) {
-    if (budget.spent()) return false;
+    if (budget.spent()) return Progress::kSpent;
     budget.charge(static_cast<std::int64_t>(mesh_.vertex_slots()) + mesh_.tet_slots());
     cut(sweeps_[next_]);
   }
-  return true;
+  return Progress::kDone;
 }
 
 void CrollCutter::cut(const Sweep& sweep) {

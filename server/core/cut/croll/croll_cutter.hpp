@@ -45,7 +45,7 @@ class CrollCutter final : public Cutter {
   explicit CrollCutter(TetMesh& mesh) : mesh_(mesh) {}
   void begin(const Batch& batch) override;
   // O(vertices + tetrahedra) for each plane, and charges as much.
-  bool advance(WorkBudget& budget) override;
+  Progress advance(WorkBudget& budget) override;
   // events: tetrahedra that the cut plane intersects; snaps: vertices moved. max_deviation_h is from the
   // plane.
   const CutCounts& counts() const override { return counts_; }

@@ -17,7 +17,7 @@ CutCounts cut(TetMesh& mesh, const std::vector<BladeLine>& lines) {
   batch.lines = lines;
   cutter.begin(batch);
   WorkBudget budget = WorkBudget::unlimited();
-  EXPECT_TRUE(cutter.advance(budget));
+  EXPECT_EQ(cutter.advance(budget), Cutter::Progress::kDone);
   return cutter.counts();
 }
 
@@ -207,11 +207,11 @@ TEST(CrollCutter, TheBudgetDecidesWhenNotWhat) {
   in_one.begin(batch);
   in_steps.begin(batch);
   WorkBudget unlimited = WorkBudget::unlimited();
-  ASSERT_TRUE(in_one.advance(unlimited));
+  ASSERT_EQ(in_one.advance(unlimited), Cutter::Progress::kDone);
   EXPECT_LE(INT64_MAX - unlimited.left, 8 * 2 * (stepped.vertex_slots() + 200 + stepped.tet_slots()));
   EXPECT_GE(INT64_MAX - unlimited.left, 8 * (stepped.vertex_slots() + stepped.tet_slots()));
   int calls = 1;
-  for (WorkBudget one{1}; !in_steps.advance(one); one = {1}) {
+  for (WorkBudget one{1}; in_steps.advance(one) != Cutter::Progress::kDone; one = {1}) {
     ++calls;
     expect_valid(stepped);
   }
