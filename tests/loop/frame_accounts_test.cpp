@@ -73,9 +73,9 @@ TEST(FrameAccounts, ADeltaHasTheArrivalOfThePoseThatCompletedIt) {
 
 // Also where batches come in parts, whose deltas have the times of the whole.
 TEST(FrameAccounts, PartsOfABatchHaveTheArrivalOfItsLastPose) {
-  const core::MeshData body = tests::cube(6);
+  const core::MeshData body = tests::cube(8);
   const double h = core::TetMesh(body).mean_edge_length();
-  const oracle::Meeting meeting = oracle::random_meeting(body, h, "square", 17);
+  const oracle::Meeting meeting = oracle::random_meeting(body, h, "square", 8);
   core::CutSession session(body, oracle::meeting_config(meeting));
   input::PoseSources sources(meeting.blade);
   Kept kept;

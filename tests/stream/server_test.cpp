@@ -261,7 +261,7 @@ TEST(Server, ASlowReaderIsCaughtUpAndHurtsNobody) {
   ReadingViewer reading(test.server.tcp_port());
   ASSERT_TRUE(slow.follow(0));
   // More than the kernel's buffers hold, while the slow one reads nothing.
-  for (int i = 0; i < 60; ++i) test.cut(2);
+  for (int i = 0; i < 40; ++i) test.cut(2);
   ASSERT_TRUE(eventually([&] { return reading.at(test.loop.revision()); }));
   const Viewer& other = reading.stop();
   ASSERT_TRUE(slow.follow(test.loop.revision()));

@@ -291,7 +291,7 @@ inline constexpr std::size_t kNeckPointsAUnit = 4, kQuadsAUnit = 8, kRowsAUnit =
 
 // A part of a batch that is worth a delta of its own, some 5 ms, and what it is estimated to have cost: by the events, the faces that have opened,
 // the points that films are told by, and those of necks.
-inline constexpr std::size_t kPart = 40'000, kPartEvent = 1'000, kPartFace = 250, kPartFilmPoint = 16,
+inline constexpr std::size_t kPart = 60'000, kPartEvent = 1'000, kPartFace = 250, kPartFilmPoint = 16,
                              kPartNeckPoint = 1;
 
 // Operations on the mesh.
