@@ -129,7 +129,7 @@ tetrahedra are never used again. A step is a batch of a stroke, or a deformation
          "int: the number of steps since the body was loaded, this one included.");
   number("source", &Delta::source, "int: which blade.");
   number("stroke", &Delta::stroke, "int: counts the strokes of all blades from 1; 0: the body deformed.");
-  number("batch", &Delta::batch, "int: within the stroke, from 1.");
+  number("batch", &Delta::batch, "int: within the stroke, from 1; a long one comes in several deltas.");
   number("stroke_ended", &Delta::stroke_ended, "bool: nothing more of this stroke will come.");
   number("first_added", &Delta::first_added, "int: the id of the first new vertex.");
   number("cut_faces", &Delta::cut_faces, "int: faces laid open, one side of them.");
