@@ -545,6 +545,14 @@ TEST(MeetingParts, ComeApartAllTheSame) {
                              {"wound_1476", "circle", 110000}};
   come_apart(parts);
 }
+// Tips of toes and claws, that a sweep passes close by.
+TEST(MeetingParts, DoNotComeOffThatAreTips) {
+  const OnceWrong parts[] = {{"armadillo_3717", "ends_in", 380004},
+                             {"armadillo_3717", "along", 381004},
+                             {"armadillo_3717", "ellipse", 381006},
+                             {"armadillo_3717", "ends_in", 381016}};
+  come_apart(parts);
+}
 // Repairs had made faces beside those that were held, and nothing considered them.
 TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
   const OnceWrong gaps[] = {{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}};

@@ -18,7 +18,8 @@ void Islands::spare(HalfFace side) {
 }
 
 // Whether what hangs together behind the faces that are about to open is no part of the tissue: a few tetrahedra with a face that is
-// off the surface, a sheet near the surface, or a film all of whose vertices are at cuts and at the boundary.
+// off the surface, the tip of something slender that the surface passes close by, a sheet near the surface, or a film all of whose vertices
+// are at cuts and at the boundary.
 bool Islands::is_island(TetId first) {
   seen_.begin();
   members_.assign(1, first);
@@ -52,7 +53,13 @@ bool Islands::is_island(TetId first) {
   const bool ragged = !clean && members_.size() <= kMaxRaggedIsland &&
                       !films_.is_deep(members_, kLeastPart_h3, Films::Cuts::kAll);
   const bool film = may_be_film(inner, members_.size());
-  return ragged || thin || (film && films_.is_film(extent, members_));
+  return ragged || thin || is_tip(extent.volume_m3) || (film && films_.is_film(extent, members_));
+}
+
+// Whether the members are too few and too small for a part, and none of them has its middle well away from the surface.
+bool Islands::is_tip(double volume_m3) const {
+  return members_.size() <= kMaxRaggedIsland && volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h &&
+         std::ranges::all_of(members_, [this](TetId t) { return is_shallow(cut_, t, kDeep_h * cut_.h); });
 }
 
 // Keeps the members together with their neighbours on one side of the surface: with both they would be a bridge. Nor with two
@@ -108,14 +115,15 @@ bool Islands::is_above(HalfFace h) const {
          cut_.surface()[triangle].signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h)))) >= 0;
 }
 
-// Whether behind a face on the surface its tetrahedron reaches well away from it: the common case, no island.
+// Whether behind a face on the surface its tetrahedron reaches well away from it and into the body: the common case, no island.
 bool Islands::stands_clear(HalfFace h) const {
   if (!cut_.face_on_surface(h) || mesh_.cut_mask(tet_of(h)) != 0) return false;
   const VertexId apex = mesh_.vertices(tet_of(h))[face_of(h)];
   // Between this sweep and an older one there may be a film.
   if (cut_.workspace.vertices[apex].surface != 0) return false;
   for (int f = 0; f < 4; ++f) {
-    if (is_ragged(half_face(tet_of(h), f))) return false;
+    // A tip has the boundary around it.
+    if (mesh_.neighbor(tet_of(h), f) == kNone || is_ragged(half_face(tet_of(h), f))) return false;
   }
   const Vec3 n = mesh_.twice_area(h);
   return std::abs(dot(n, mesh_.position(apex) - mesh_.position(mesh_.face_vertices(h)[0]))) >

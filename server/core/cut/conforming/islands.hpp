@@ -8,7 +8,7 @@
 namespace incise::core {
 
 // Tetrahedra that the sweep would cut off on all sides, though no part of the tissue lies there, stay with their
-// neighbours: some that hang together by ragged faces, or a sheet of them between two layers of the surface. Takes faces out
+// neighbours: some that hang together by ragged faces, the tip of a toe, or a sheet of them between two layers of the surface. Takes faces out
 // of those that are about to open (TetMarks::pending).
 class Islands {
  public:
@@ -32,6 +32,7 @@ class Islands {
 
  private:
   bool is_island(TetId first);
+  bool is_tip(double volume_m3) const;
   bool join_larger_side();
   void reach_around(TetId first);
   bool is_above(HalfFace h) const;

@@ -235,7 +235,7 @@ inline constexpr std::size_t kFilmToInner = 8, kFilmInner = 16;
 // no more than so many.
 inline constexpr double kShallow_h = 0.125;
 inline constexpr std::size_t kMaxCrumb = 64;
-// Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face, and in a sheet or a film.
+// Tetrahedra that stay with a neighbour although the sweep cuts them off on all sides: with a ragged face or in a tip, and in a sheet or a film.
 inline constexpr std::size_t kMaxRaggedIsland = 16, kMaxSheetIsland = 2000;
 // How many tetrahedra around one of these neighbours are looked at for the others.
 inline constexpr std::size_t kMaxAround = 12;

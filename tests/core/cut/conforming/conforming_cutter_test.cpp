@@ -516,6 +516,28 @@ TEST(ConformingCutter, corner_cut_off) {
   EXPECT_EQ(pieces(cut), 2u);
 }
 
+// Too small for a part, and its middle not 0.3 h off the sweep. More than half of a longer one comes off.
+TEST(ConformingCutter, the_tip_of_a_spike_stays_on) {
+  struct Spike {
+    double height, cut_at;
+    std::uint32_t pieces;
+  };
+  for (const Spike& spike : {Spike{2, 1, 1}, Spike{2, 1.3, 1}, Spike{4, 1.5, 2}}) {
+    MeshData mesh = box(3, 3, 3);
+    const auto top = [](int i, int j) { return static_cast<VertexId>((3 * 4 + j) * 4 + i); };
+    const auto apex = static_cast<VertexId>(mesh.positions.size());
+    mesh.positions.push_back({1.6, 1.3, 3 + spike.height});
+    mesh.tets.push_back({apex, top(1, 1), top(2, 2), top(2, 1)});
+    Cut cut(mesh, 5);
+    cut.sweep({-1, -1, 3 + spike.cut_at}, {4, -1, 3 + spike.cut_at}, {0, 1, 0}, 20);
+    cut.lift();
+    cut.expect_sound();
+    EXPECT_EQ(measure(cut.mesh()).pieces, spike.pieces)
+        << "height " << spike.height << ", cut at " << spike.cut_at;
+    EXPECT_EQ(cut.totals().cut_faces > 0, spike.pieces > 1);
+  }
+}
+
 TEST(ConformingCutter, along_the_surface_outside_cuts_nothing) {
   const MeshData mesh = box(6, 6, 6);
   Cut cut(mesh, 10);
