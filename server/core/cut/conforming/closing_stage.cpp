@@ -76,11 +76,19 @@ bool ClosingStage::advance(WorkBudget& budget) {
         return false;
       }
       keep_rest_closed();
+      begin_around();
       go(Phase::kOpen);
       return false;
     case Phase::kOpen:
       if (!open(budget)) return false;
       parts_.begin();
+      // A face beside what has opened may be all that holds two parts together now.
+      if (!around_.empty() && !cut_.has_front) {
+        pass_.begin();
+        go(Phase::kCollectAroundHeld);
+        return false;
+      }
+      around_.clear();
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
       if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
       hangs_between_ = false;
@@ -252,8 +260,11 @@ bool ClosingStage::may_be_neck(Gap& gap) {
     cut_.work += cost::kNearby;
     const double reach_m =
         std::clamp(kNeckOff_local * mesh_.local_h(w), kNeckOff_h * cut_.h, kNeckFar_h * cut_.h);
-    if (!cut_.surface().closest(mesh_.position(w), reach_m, closest, triangle)) return false;
-    gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
+    if (cut_.surface().closest(mesh_.position(w), reach_m, closest, triangle)) {
+      gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
+    } else if (!cut_.at_cut(w)) {  // There it lies on what was swept before, by this stroke as well.
+      return false;
+    }
   }
   bool continues = false;
   // What is several faces wide has some with one edge there.
@@ -388,7 +399,7 @@ bool ClosingStage::stays_closed(const Gap& gap, HalfFace h, std::span<const TetI
   ++asked_;
   const Neck::Answer answer = neck_.judge(h, part);
   if (answer == Neck::Answer::kTogether) return true;
-  if ((answer == Neck::Answer::kUnknown || gap.kind == Kind::kNeck) && stays_closed(gap)) return true;
+  if (answer == Neck::Answer::kUnknown && stays_closed(gap)) return true;
   apart_ = largest;
   apart_size_ = part.size();
   return false;
@@ -417,8 +428,12 @@ bool ClosingStage::open(WorkBudget& budget) {
     std::span<const HalfFace> faces(faces_.data() + next_, end - next_);
     for (HalfFace h : faces) others_.push_back(mesh_.opposite(h));
     editor_.open(faces);
-    for (HalfFace h : faces) list_pinched(h);
-    for (HalfFace h : others_) list_pinched(h);
+    for (std::span<const HalfFace> opened : {faces, std::span<const HalfFace>(others_)}) {
+      for (HalfFace h : opened) {
+        list_pinched(h);
+        list_around(h);
+      }
+    }
     others_.clear();
     next_ = end;
   }

@@ -124,10 +124,11 @@ class ClosingStage {
   PinchedEdges& pinched_;
 
   Phase phase_ = Phase::kCollect;
-  Kind round_ = Kind::kAcross;    // when the stroke ends: without ribs, with these, then the necks
-  std::size_t next_ = 0;          // how far the phase is, in its list
-  std::vector<VertexId> around_;  // of the faces that this batch has opened, both sides; then of those held
-  std::uint32_t scan_ = 0;        // marks what is in around_
+  Kind round_ = Kind::kAcross;  // when the stroke ends: without ribs, with these, then the necks
+  std::size_t next_ = 0;        // how far the phase is, in its list
+  std::vector<VertexId>
+      around_;  // of the faces that this batch has opened, both sides; then of those held; then of those opened here
+  std::uint32_t scan_ = 0;  // marks what is in around_
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
   // In the round of the necks: what is judged only where one of these opens, or where something small between two parts stays with one of them: it may hang

@@ -100,9 +100,9 @@ Neck::Answer Neck::judge(HalfFace h, std::span<const TetId> part) {
     const double beside_h3 = static_cast<double>(counts[0]) * std::pow(kPartStep_h, 3);
     if (counts[1] == 0 || beside_h3 < kPartBeside_h3) continue;
     const double share = shared(counts);
-    answer = share >= kPartShared  ? Answer::kTogether
-             : share < kNeckShared ? Answer::kApart
-                                   : Answer::kUnknown;
+    answer = share >= kPartShared ? Answer::kTogether
+             : share < kPartApart ? Answer::kApart
+                                  : Answer::kUnknown;
     if (beside_h3 >= kNeckPart_h3) break;
   }
   return answer;

@@ -96,10 +96,11 @@ inline constexpr double kAtSkin_h = 0.1;
 // elements are large it may be this part of their edges, up to kNeckFar_h.
 inline constexpr double kNeckOff_h = 0.5, kNeckOff_local = 0.42, kNeckFar_h = 0.75;
 // Of a part that is known to its end it looks at all, and so far around it, at points that are so far apart: farther where what is beside the part has less
-// than kNeckPart_h3 there, and where that is less than kPartBeside_h3 it says nothing. Parts hang together that share kPartShared of their points. No part has
-// more tetrahedra than kMaxPart, and no box more points than kMaxPartPoints.
+// than kNeckPart_h3 there, and where that is less than kPartBeside_h3 it says nothing. Parts hang together that share kPartShared of their points, and are apart
+// if they share less than kPartApart. No part has more tetrahedra than kMaxPart, and no box more points than kMaxPartPoints.
 inline constexpr std::array<double, 2> kPartAround_h{0.75, 2};
-inline constexpr double kPartStep_h = 0.125, kPartShared = 0.5, kPartBeside_h3 = 0.2, kMaxPartPoints = 6e5;
+inline constexpr double kPartStep_h = 0.125, kPartShared = 0.5, kPartApart = 0.02, kPartBeside_h3 = 0.2,
+                        kMaxPartPoints = 6e5;
 inline constexpr std::size_t kMaxPart = 8000;
 // A part is the same as before if it has no more than so many times as many tetrahedra, or as few.
 inline constexpr std::size_t kSamePart = 2;
