@@ -96,12 +96,15 @@ TEST(FrameAccounts, PartsOfABatchHaveTheArrivalOfItsLastPose) {
       const PublishedDelta& before = *kept.deltas[i - 1];
       const bool is_part = now.delta.stroke == before.delta.stroke && now.delta.batch == before.delta.batch;
       parts += is_part;
-      if (is_part) EXPECT_EQ(now.arrival_ns, before.arrival_ns);
+      if (is_part) {
+        EXPECT_EQ(now.arrival_ns, before.arrival_ns);
+      }
     }
     // What ends a stroke has been completed by a pose of the next one, or by the end.
     const bool is_last = i + 1 == kept.deltas.size() || kept.deltas[i + 1]->delta.stroke != now.delta.stroke;
-    if (!is_last && now.delta.batch < kept.deltas[i + 1]->delta.batch)
+    if (!is_last && now.delta.batch < kept.deltas[i + 1]->delta.batch) {
       EXPECT_EQ(now.arrival_ns, now.delta.to_t_ns) << "revision " << now.delta.revision;
+    }
   }
   EXPECT_GE(parts, 1u);
   EXPECT_EQ(loop.stats().state.load().backlog_batches, 0u);

@@ -8,9 +8,12 @@
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/core/stroke/swept_surface.hpp"
+#include "tests/oracle/fewest_faces.hpp"
 
 namespace incise::oracle {
 namespace {
+
+constexpr std::size_t kMostHeldBy = 64;
 
 using core::kNone;
 using core::TetId;
@@ -213,8 +216,23 @@ class Judge {
         if (volume <= verdict_.joined_h3) continue;
         verdict_.joined_h3 = volume;
         verdict_.joined_at = body_.grid.point(somewhere[part]);
+        find_held_by(parts, part, piece.first);
       }
     }
+  }
+
+  // What holds a part and others of its piece together.
+  void find_held_by(const Parts& parts, std::uint32_t part, std::uint32_t piece) {
+    std::vector<End> ends(mesh_.tet_slots(), End::kNone);
+    for_each_live_tet(mesh_, [&](TetId t, const Vec3(&p)[4]) {
+      if (labels_[t] != piece) return;
+      body_.grid.in_tet(p, [&](std::size_t at) {
+        if (parts.of[at] != kNone && is_deep(at)) ends[t] = parts.of[at] == part ? End::kOne : End::kOther;
+      });
+    });
+    const std::vector<core::HalfFace> faces = fewest_faces_between(mesh_, ends, kMostHeldBy);
+    verdict_.held_by = static_cast<std::uint32_t>(faces.size());
+    if (!faces.empty()) verdict_.joined_at = mesh_.face_middle(faces.front());
   }
 
   // What hangs together far from every surface, and not through a gap that may be closed, and lies in several pieces.
@@ -406,14 +424,15 @@ Verdict judge(const Body& body, std::span<const Stroke> strokes, const core::Tet
 }
 
 std::string to_string(const Verdict& v) {
+  const std::string held_by = v.held_by > 0 ? ", by " + std::to_string(v.held_by) + " faces" : "";
   char text[512];
   std::snprintf(text, sizeof text,
-                "%u pieces, %u parts: %u joined (%.2f h^3), %u torn, %u crumbs, %u fragments; %u inverted; "
+                "%u pieces, %u parts: %u joined (%.2f h^3%s), %u torn, %u crumbs, %u fragments; %u inverted; "
                 "volume %+.4f %%, "
                 "growth %.2f, angle %.2f degrees, deviation alone %.3f (mean %.4f), merged %.3f h, %lld "
                 "crowded edges%s%s",
-                v.pieces, v.parts, v.joined, v.joined_h3, v.torn, v.crumbs, v.fragments, v.inverted,
-                100 * v.volume_change, v.growth, v.min_angle_deg, v.alone_max_h, v.alone_mean_h,
+                v.pieces, v.parts, v.joined, v.joined_h3, held_by.c_str(), v.torn, v.crumbs, v.fragments,
+                v.inverted, 100 * v.volume_change, v.growth, v.min_angle_deg, v.alone_max_h, v.alone_mean_h,
                 v.merged_max_h, static_cast<long long>(v.crowded_edges), v.invalid.empty() ? "" : "; ",
                 v.invalid.c_str());
   return text;

@@ -58,11 +58,12 @@ struct Body {
 struct Verdict {
   std::string invalid;  // what is wrong with the mesh; empty: nothing
   std::uint32_t inverted = 0;
-  std::uint32_t pieces = 0;  // of the mesh
-  std::uint32_t parts = 0;   // that must be apart
-  std::uint32_t joined = 0;  // parts that lie in a piece with another part
-  double joined_h3 = 0;      // the volume of the largest of them
-  std::uint32_t torn = 0;    // pieces too many that hold what must hang together
+  std::uint32_t pieces = 0;   // of the mesh
+  std::uint32_t parts = 0;    // that must be apart
+  std::uint32_t joined = 0;   // parts that lie in a piece with another part
+  double joined_h3 = 0;       // the volume of the largest of them
+  std::uint32_t held_by = 0;  // the fewest faces that hold it and another one together; 0: more than 64
+  std::uint32_t torn = 0;     // pieces too many that hold what must hang together
   std::uint32_t crumbs = 0, small_crumbs = 0, fragments = 0;  // small: of three tetrahedra or fewer
   double volume_change = 0;                                   // by the volume
   double growth = 0;                                          // new tetrahedra a cut face
@@ -71,7 +72,7 @@ struct Verdict {
   std::int64_t crowded_edges = 0;  // edges with more than two boundary faces, more than the body had
   // Of cut faces' vertices and centroids from all that was swept, by the mean edge length.
   double alone_max_h = 0, alone_mean_h = 0, merged_max_h = 0;
-  Vec3 joined_at, torn_at, crumb_at, far_at;  // examples
+  Vec3 joined_at, torn_at, crumb_at, far_at;  // examples; joined_at: at one of held_by
 
   bool parted() const { return joined == 0 && torn == 0; }
   bool right() const { return invalid.empty() && inverted == 0 && parted() && crumbs == 0 && fragments == 0; }

@@ -101,14 +101,14 @@ TEST(Oracle, OneFaceThatHoldsIsFound) {
   const Stroke strokes[] = {plane_at(0.05)};
   core::TetMesh bridged(cube());
   std::vector<core::HalfFace> faces;
-  bool spared = false;
+  Vec3 spared{};
   for (core::TetId t = 0; t < bridged.tet_slots(); ++t) {
     for (int f = 0; f < 4; ++f) {
       const core::TetId n = bridged.neighbor(t, f);
       if (n == core::kNone || n < t) continue;
       if ((bridged.barycentre(t).x > 0.05) == (bridged.barycentre(n).x > 0.05)) continue;
-      if (!spared) {
-        spared = true;
+      if (spared == Vec3{}) {
+        spared = bridged.face_middle(core::half_face(t, f));
         continue;
       }
       faces.push_back(core::half_face(t, f));
@@ -119,6 +119,8 @@ TEST(Oracle, OneFaceThatHoldsIsFound) {
   EXPECT_EQ(v.pieces, 1u);
   EXPECT_EQ(v.joined, 1u) << to_string(v);
   EXPECT_GT(v.joined_h3, 100);
+  EXPECT_EQ(v.held_by, 1u);
+  EXPECT_LT(core::distance(v.joined_at, spared), 1e-12);
 }
 
 TEST(Oracle, WhatNoBladeSeparatesMustHangTogether) {
