@@ -461,7 +461,7 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
     std::int64_t units = cost_.units_in(std::max<std::int64_t>(slice, 0));
     if (options_.units_per_frame > 0) units = units_left;
     core::WorkBudget budget{units};
-    const std::size_t segments = session_->backlog_segments(), batches = session_->backlog_batches();
+    const std::size_t segments = session_->backlog_segments();
     const auto progress = session_->advance(budget, out->delta);
     const std::int64_t then = now, used = units - budget.left;
     now = monotonic_ns();
@@ -471,15 +471,16 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
     batch_work_ns_ += now - then;
     delta_work_ns_ += now - then;
     if (progress == core::CutSession::Progress::kCommitted) {
-      const bool is_whole = session_->backlog_batches() < batches;
       const std::size_t done = segments - session_->backlog_segments();
-      if (is_whole && out->delta.stroke != 0) {
-        ns_per_segment_ +=
-            0.1 * (static_cast<double>(batch_work_ns_) / static_cast<double>(std::max<std::size_t>(1, done)) -
-                   ns_per_segment_);
+      if (session_->committed_whole()) {
+        if (out->delta.stroke != 0) {
+          ns_per_segment_ += 0.1 * (static_cast<double>(batch_work_ns_) /
+                                        static_cast<double>(std::max<std::size_t>(1, done)) -
+                                    ns_per_segment_);
+        }
+        batch_work_ns_ = 0;
       }
-      if (is_whole) batch_work_ns_ = 0;
-      commit(*out, is_whole, now);
+      commit(*out, now);
       pool_.published();
       ready_.push_back(std::exchange(out, nullptr));
       start_deformation(now);
@@ -493,8 +494,9 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
   }
 }
 
-void FrameLoop::commit(PublishedDelta& out, bool is_whole, std::int64_t now_ns) {
+void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   const core::Delta& delta = out.delta;
+  const bool is_whole = session_->committed_whole();
   const Stamp stamp = stamps_[first_stamp_];
   if (is_whole) {
     first_stamp_ = (first_stamp_ + 1) % stamps_.size();
@@ -505,11 +507,13 @@ void FrameLoop::commit(PublishedDelta& out, bool is_whole, std::int64_t now_ns) 
   out.cut_ns = now_ns;
 
   if (delta.stroke != 0) {
-    if (is_whole && batches_before_step_ > 0) --batches_before_step_;
     stats_.batch_cut.record(delta_work_ns_);
     stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
     stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
-    bump(stats_.batches);
+    if (is_whole) {
+      if (batches_before_step_ > 0) --batches_before_step_;
+      bump(stats_.batches);
+    }
   } else {
     stats_.deform.record(delta_work_ns_);
     bump(stats_.deformations);

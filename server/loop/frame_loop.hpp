@@ -100,7 +100,7 @@ class FrameLoop {
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
   void cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std::int64_t latest_ns);
   bool wait(std::int64_t deadline_ns) noexcept;
-  void commit(PublishedDelta& out, bool is_whole, std::int64_t now_ns);
+  void commit(PublishedDelta& out, std::int64_t now_ns);
   void publish();
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);

@@ -103,7 +103,7 @@ struct LoopStats {
   Histogram force;
   Histogram cut;
   Histogram publish;
-  Histogram batch_cut;      // work on one batch, over all its frames
+  Histogram batch_cut;      // work on one batch or a part of it, over all its frames
   Histogram pose_to_force;  // arrival of a blade's newest pose until its force was there
   Histogram deform;         // work on one deformation, likewise
   Histogram pose_to_drain;  // arrival of a batch's last pose until the loop took it

@@ -107,6 +107,7 @@ TEST(FrameAccounts, PartsOfABatchHaveTheArrivalOfItsLastPose) {
     }
   }
   EXPECT_GE(parts, 1u);
+  EXPECT_EQ(loop.stats().batches, kept.deltas.size() - parts);
   EXPECT_EQ(loop.stats().state.load().backlog_batches, 0u);
 }
 

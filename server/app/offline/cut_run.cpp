@@ -15,14 +15,15 @@ using Json = nlohmann::ordered_json;
 // What a session did with a motion, batch by batch.
 struct Tally {
   const double tolerance_m;  // of the swept surface that the cut is compared with
-  core::CutCounts sum;
-  std::uint64_t batches = 0;
-  std::vector<double> batch_us;
-  core::SweptSurface swept;
+  core::CutCounts sum = {};
+  std::vector<double> batch_us = {};
+  bool goes_on = false;  // what was added last is a part of a batch, of which more comes
+  core::SweptSurface swept = {};
 
-  void add(const core::Batch& batch, const core::CutCounts& counts, double us) {
-    ++batches;
-    batch_us.push_back(us);
+  void add(const core::Batch& batch, const core::CutCounts& counts, bool whole, double us) {
+    if (!goes_on) batch_us.push_back(0);
+    batch_us.back() += us;
+    goes_on = !whole;
     sum.events += counts.events;
     sum.snaps += counts.snaps;
     sum.splits += counts.splits;
@@ -78,7 +79,7 @@ Json report_of(const CutInput& in, const Config& config, const core::TetMesh& me
   report["speed_limit_m_s"] = config.cut.speed_limit_m_s;
   report["gap_limit_s"] = config.cut.gap_limit_s;
   if (!in.raised_limits.empty()) report["raised_limits"] = in.raised_limits;
-  report["batches"] = tally.batches;
+  report["batches"] = tally.batch_us.size();
   report["cut_time_us"] = {{"all", tally.sum_us()},
                            {"p50", tally.quantile_us(0.5)},
                            {"p99", tally.quantile_us(0.99)},
@@ -130,7 +131,7 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
     warnings.push_back(in.mesh_name + ": " + counted(copies, "vertex", "vertices") +
                        " joined parts that only touch there; now each part has its own");
   }
-  Tally tally{0.001 * session.mesh().mean_edge_length(), {}, 0, {}, {}};
+  Tally tally{.tolerance_m = 0.001 * session.mesh().mean_edge_length()};
   progress.stage("cutting");
   MotionRun run(session, in.motion, config, in.poses_name);
   run.run({.deformations = false,  // they name vertices of another mesh
@@ -140,7 +141,8 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
                },
            .commit =
                [&](const core::Delta& delta, double us) {
-                 tally.add(session.committed_batch(), session.committed_counts(), us);
+                 tally.add(session.committed_batch(), session.committed_counts(), session.committed_whole(),
+                           us);
                  if (hooks.commit) hooks.commit(session, delta);
                }},
           progress);

@@ -87,6 +87,8 @@ class CutSession {
   // first one has the motion, and the last one ends the stroke if the batch does.
   const Batch& committed_batch() const { return committed_; }
   const CutCounts& committed_counts() const { return committed_counts_; }
+  // Whether nothing of that batch is left to be cut.
+  bool committed_whole() const { return parts_ == 0; }
   // What the current batch has done so far.
   CutCounts running_counts() const;
 
