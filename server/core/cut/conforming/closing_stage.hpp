@@ -126,8 +126,8 @@ class ClosingStage {
   Phase phase_ = Phase::kCollect;
   Kind round_ = Kind::kAcross;  // when the stroke ends: without ribs, with these, then the necks
   std::size_t next_ = 0;        // how far the phase is, in its list
-  std::vector<VertexId>
-      around_;  // of the faces that this batch has opened, both sides; then of those held; then of those opened here
+  // Of the faces that this batch has opened, both sides; then of those held; then of those opened here.
+  std::vector<VertexId> around_;
   std::uint32_t scan_ = 0;  // marks what is in around_
   std::vector<Waiting> waiting_;
   std::vector<Gap> gaps_;
