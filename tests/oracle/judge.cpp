@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <map>
+#include <utility>
 
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
@@ -13,11 +14,11 @@
 namespace incise::oracle {
 namespace {
 
-constexpr std::size_t kMostHeldBy = 64;
-
 using core::kNone;
 using core::TetId;
 using core::VertexId;
+
+constexpr std::size_t kMostHeldBy = 64;
 
 std::array<Vec3, 2> bounds(const core::MeshData& mesh) {
   Vec3 low = mesh.positions.at(0), high = low;
@@ -205,6 +206,7 @@ class Judge {
           in_piece[{piece, body_.parts[somewhere[part]]}].push_back(part);
       }
     }
+    std::pair<std::uint32_t, std::uint32_t> largest_joined;  // the part, and its piece
     for (const auto& [piece, list] : in_piece) {
       const auto largest = *std::max_element(list.begin(), list.end(), [&](std::uint32_t a, std::uint32_t b) {
         return parts.points[a] < parts.points[b];
@@ -216,9 +218,10 @@ class Judge {
         if (volume <= verdict_.joined_h3) continue;
         verdict_.joined_h3 = volume;
         verdict_.joined_at = body_.grid.point(somewhere[part]);
-        find_held_by(parts, part, piece.first);
+        largest_joined = {part, piece.first};
       }
     }
+    if (verdict_.joined > 0) find_held_by(parts, largest_joined.first, largest_joined.second);
   }
 
   // What holds a part and others of its piece together.
@@ -424,7 +427,8 @@ Verdict judge(const Body& body, std::span<const Stroke> strokes, const core::Tet
 }
 
 std::string to_string(const Verdict& v) {
-  const std::string held_by = v.held_by > 0 ? ", by " + std::to_string(v.held_by) + " faces" : "";
+  const std::string held_by =
+      v.held_by > 0 ? ", by " + std::to_string(v.held_by) + (v.held_by == 1 ? " face" : " faces") : "";
   char text[512];
   std::snprintf(text, sizeof text,
                 "%u pieces, %u parts: %u joined (%.2f h^3%s), %u torn, %u crumbs, %u fragments; %u inverted; "

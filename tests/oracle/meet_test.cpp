@@ -9,7 +9,6 @@
 #include <initializer_list>
 #include <map>
 #include <optional>
-#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -297,7 +296,7 @@ struct OnceWrong {
   const char* kind;
   std::uint64_t seed;
 };
-void come_apart(std::span<const OnceWrong> meetings) {
+void come_apart(std::initializer_list<OnceWrong> meetings) {
   const char* folder = std::getenv("INCISE_DATA");
   if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
   for (const OnceWrong& once : meetings) {
@@ -317,66 +316,62 @@ void come_apart(std::span<const OnceWrong> meetings) {
 // The sweep was continued to the wall's nearest point, which is not straight ahead where the wall is slanted, and not as far as an edge of
 // the body between the points that were looked at.
 TEST(MeetingTheSkin, SweepsThatBeginUnderASlantedWallReachIt) {
-  const OnceWrong meetings[] = {{"seed_1720", "lasso", 5006}, {"wound_1476", "square", 5002}};
-  come_apart(meetings);
+  come_apart({{"seed_1720", "lasso", 5006}, {"wound_1476", "square", 5002}});
 }
 
 // The skin was not straight ahead of the sweep's first or last line, but beside it: a strip of tissue, as long as the line, held the parts.
 TEST(MeetingTheSkin, SweepsThatBeginBesideItReachIt) {
-  const OnceWrong meetings[] = {
-      {"seed_1720", "lasso", 1018},   {"seed_1720", "nested", 20008}, {"seed_3234", "spiral", 20008},
-      {"seed_3234", "plunge", 20008}, {"bunny_27226", "halves", 1},   {"wound_1476", "plunge", 4},
+  come_apart({
+      {"seed_1720", "lasso", 1018},
+      {"seed_1720", "nested", 20008},
+      {"seed_3234", "spiral", 20008},
+      {"seed_3234", "plunge", 20008},
+      {"bunny_27226", "halves", 1},
+      {"wound_1476", "plunge", 4},
       {"wound_1476", "cone", 20008},
-  };
-  come_apart(meetings);
+  });
 }
 
 // A face near the outer end of the strip that leads on to the skin, far off all that was swept, took a corner of the body off; the other one hangs
 // by no more than a gap that may be closed.
 TEST(MeetingTheSkin, NoCornerIsTakenOffBeyondASweepsEnd) {
-  const OnceWrong meetings[] = {{"seed_3234", "square", 3008}, {"seed_3234", "square", 3005}};
-  come_apart(meetings);
+  come_apart({{"seed_3234", "square", 3008}, {"seed_3234", "square", 3005}});
 }
 
 // A film that such a strip would have taken off.
 TEST(MeetingTheSkin, NothingThinIsTakenOffBesideASweep) {
-  const OnceWrong meetings[] = {{"seed_1720", "square", 20000}};
-  come_apart(meetings);
+  come_apart({{"seed_1720", "square", 20000}});
 }
 
 // A rib of tissue was left between the skin and a sweep that begins just under it. Both parts are larger than what is looked at while the
 // stroke goes on.
 TEST(MeetingTheSkin, NoRibHoldsLargePartsTogether) {
-  const OnceWrong meetings[] = {{"seed_1720", "polygon", 1019},
-                                {"seed_1720", "spiral", 1013},
-                                {"seed_3234", "lasso", 1014},
-                                {"seed_3234", "spiral", 1011},
-                                {"liver_80298", "lasso", 3}};
-  come_apart(meetings);
+  come_apart({{"seed_1720", "polygon", 1019},
+              {"seed_1720", "spiral", 1013},
+              {"seed_3234", "lasso", 1014},
+              {"seed_3234", "spiral", 1011},
+              {"liver_80298", "lasso", 3}});
 }
 
 // A face of the second stroke's surface was left in the corner between that, the skin and the third stroke, too far off the third's.
 TEST(MeetingTheSkin, NoFaceOfAnOlderCutIsLeftWhereItEnds) {
-  const OnceWrong meetings[] = {{"liver_80298", "square", 2}};
-  come_apart(meetings);
+  come_apart({{"liver_80298", "square", 2}});
 }
 
 // The same between the skin and the middle of a sweep, far from where that begins or ends; in one face or two, and where only a later
 // stroke parts what else holds it.
 TEST(MeetingTheSkin, NoRibHoldsPartsTogetherBesideASweep) {
-  const OnceWrong meetings[] = {{"armadillo_3717", "circle", 1019},
-                                {"armadillo_3717", "grid", 1009},
-                                {"armadillo_3717", "halves", 1012},
-                                {"armadillo_3717", "polygon", 1012},
-                                {"wound_1476", "polygon", 1014}};
-  come_apart(meetings);
+  come_apart({{"armadillo_3717", "circle", 1019},
+              {"armadillo_3717", "grid", 1009},
+              {"armadillo_3717", "halves", 1012},
+              {"armadillo_3717", "polygon", 1012},
+              {"wound_1476", "polygon", 1014}});
 }
 
 // More faces had to stay closed at first than were judged again when the stroke ended.
 TEST(MeetingTheSkin, AllThatWasHeldIsJudgedAgain) {
-  const OnceWrong meetings[] = {
-      {"armadillo_3717", "ellipse", 20007}, {"brain_81833", "grid", 60000}, {"brain_81833", "grid", 70001}};
-  come_apart(meetings);
+  come_apart(
+      {{"armadillo_3717", "ellipse", 20007}, {"brain_81833", "grid", 60000}, {"brain_81833", "grid", 70001}});
 }
 
 // A ball given by few triangles and filled with tetrahedra a quarter as long as these.
@@ -433,33 +428,32 @@ TEST(MeetingWhereElementsAreLarge, AStrokeIsMetBeforeItsEnd) {
 
 // In elements as large as the loop, faces with all vertices on the sweep were chords of it.
 TEST(MeetingBends, AreFollowedInLargeElements) {
-  const OnceWrong meetings[] = {{"wound_1476", "cone", 1003},   {"wound_1476", "cone", 1006},
-                                {"wound_1476", "cone", 1009},   {"wound_1476", "cone", 20005},
-                                {"wound_1476", "cone", 40002},  {"wound_1476", "polygon", 40003},
-                                {"wound_1476", "spiral", 1002}, {"bunny_27226", "cone", 2}};
-  come_apart(meetings);
+  come_apart({{"wound_1476", "cone", 1003},
+              {"wound_1476", "cone", 1006},
+              {"wound_1476", "cone", 1009},
+              {"wound_1476", "cone", 20005},
+              {"wound_1476", "cone", 40002},
+              {"wound_1476", "polygon", 40003},
+              {"wound_1476", "spiral", 1002},
+              {"bunny_27226", "cone", 2}});
 }
 
 // A film along a cut stays with a neighbour, whether it lies under the skin or beside an older cut, and though some of its tetrahedra
 // have a vertex inside it.
 TEST(MeetingFilms, StayWithANeighbour) {
-  const OnceWrong between_cuts[] = {{"wound_1476", "along", 1003}, {"wound_1476", "starts_in", 40000}};
-  come_apart(between_cuts);
+  come_apart({{"wound_1476", "along", 1003}, {"wound_1476", "starts_in", 40000}});
 }
 // The first stroke takes off a splinter, which the second one shaves: what is left on either side of it hangs together.
 TEST(MeetingFilms, WhatWasAPartStaysOne) {
-  const OnceWrong shaved[] = {{"armadillo_3717", "along", 1004}};
-  come_apart(shaved);
+  come_apart({{"armadillo_3717", "along", 1004}});
 }
 // Parts of a dozen large tetrahedra, thin in the mean, were taken for films or for islands.
 TEST(MeetingFilms, AreNoSmallParts) {
-  const OnceWrong small_parts[] = {{"wound_1476", "cone", 90006}, {"wound_1476", "square", 90005}};
-  come_apart(small_parts);
+  come_apart({{"wound_1476", "cone", 90006}, {"wound_1476", "square", 90005}});
 }
 // Its two faces at the skin were taken for a rib that holds two parts: near the older cut it lay along, not near the stroke that just ended.
 TEST(MeetingFilms, HangByNoRib) {
-  const OnceWrong along_older_cut[] = {{"wound_1476", "crosses", 3}};
-  come_apart(along_older_cut);
+  come_apart({{"wound_1476", "crosses", 3}});
 }
 TEST(MeetingFilms, StayUnderTheSkin) {
   for (const std::uint64_t seed : {1010, 1012}) expect_right(mesh(), body(), "starts_in", seed);
@@ -476,104 +470,88 @@ TEST(MeetingNecks, OfLobesStay) {
   expect_right(mesh(), body(), "plunge", 80001);
 }
 TEST(MeetingNecks, ComeApartInCoarseBodies) {
-  const OnceWrong necks[] = {{"wound_1476", "square", 100004}, {"wound_1476", "circle", 90006}};
-  come_apart(necks);
+  come_apart({{"wound_1476", "square", 100004}, {"wound_1476", "circle", 90006}});
 }
 // In large elements the third vertex is farther off, and half of the smaller part's points within 2.5 h are on the wrong side of what was swept.
 TEST(MeetingNecks, OfLargeElementsAreSeenFromAfar) {
-  const OnceWrong necks[] = {{"wound_1476", "circle", 190000},
-                             {"wound_1476", "plunge", 190005},
-                             {"wound_1476", "nested", 190005},
-                             {"wound_1476", "halves", 190001}};
-  come_apart(necks);
+  come_apart({{"wound_1476", "circle", 190000},
+              {"wound_1476", "plunge", 190005},
+              {"wound_1476", "nested", 190005},
+              {"wound_1476", "halves", 190001}});
 }
 // Seen from there, these look parted, and hang together.
 TEST(MeetingNecks, OfSmallLobesAreSeenFromNear) {
-  const OnceWrong lobes[] = {{"wound_1476", "lasso", 100007},
-                             {"wound_1476", "circle", 140006},
-                             {"armadillo_3717", "crosses", 130003},
-                             {"armadillo_3717", "grid", 190004}};
-  come_apart(lobes);
+  come_apart({{"wound_1476", "lasso", 100007},
+              {"wound_1476", "circle", 140006},
+              {"armadillo_3717", "crosses", 130003},
+              {"armadillo_3717", "grid", 190004}});
 }
 // Two faces that close a gap, and two at the skin: neither pair parts anything while the other stays.
 TEST(MeetingNecks, ComeApartTogetherWithGaps) {
-  const OnceWrong both[] = {{"wound_1476", "plunge", 190007}};
-  come_apart(both);
+  come_apart({{"wound_1476", "plunge", 190007}});
 }
 // Seen before the blade had come near, it counted as 0.3 h off.
 TEST(MeetingNecks, MayLieOnWhatWasSweptSince) {
-  const OnceWrong late[] = {{"armadillo_3717", "square", 150005}};
-  come_apart(late);
+  come_apart({{"armadillo_3717", "square", 150005}});
 }
 // A face from one turn of a spiral to the next has all its edges at cuts, and is the tissue between them.
 TEST(MeetingHoles, LeadThroughTheTissue) {
-  const OnceWrong turns[] = {{"wound_1476", "spiral", 190000}, {"wound_1476", "spiral", 190004}};
-  come_apart(turns);
+  come_apart({{"wound_1476", "spiral", 190000}, {"wound_1476", "spiral", 190004}});
 }
 
 // Faces that are larger than the box that was looked at, and holes that are found while the blade is still cutting.
 TEST(MeetingHoles, LeadThroughLargeElements) {
-  const OnceWrong holes[] = {{"wound_1476", "ends_in", 250004}, {"wound_1476", "spiral", 270004}};
-  come_apart(holes);
+  come_apart({{"wound_1476", "ends_in", 250004}, {"wound_1476", "spiral", 270004}});
 }
 TEST(MeetingHoles, LeadThroughTheTissueBeforeAStrokeEnds) {
-  const OnceWrong holes[] = {{"wound_1476", "nested", 260004}, {"wound_1476", "crosses", 270002}};
-  come_apart(holes);
+  come_apart({{"wound_1476", "nested", 260004}, {"wound_1476", "crosses", 270002}});
 }
 
 // Corners and limbs of up to 25 h^3 came off by faces that would have closed a gap, 0.1 to 0.25 h off the sweep: they hang together by more than those.
 TEST(MeetingParts, HangTogetherByMoreThanAGap) {
-  const OnceWrong parts[] = {{"armadillo_3717", "ends_in", 100006},
-                             {"armadillo_3717", "spiral", 140003},
-                             {"armadillo_3717", "ellipse", 160008},
-                             {"armadillo_3717", "lasso", 250004}};
-  come_apart(parts);
+  come_apart({{"armadillo_3717", "ends_in", 100006},
+              {"armadillo_3717", "spiral", 140003},
+              {"armadillo_3717", "ellipse", 160008},
+              {"armadillo_3717", "lasso", 250004}});
 }
 // The same while the blade is still cutting; and of more than 400 tetrahedra, by gaps at an older cut.
 TEST(MeetingParts, HangTogetherBeforeAStrokeEnds) {
-  const OnceWrong parts[] = {{"armadillo_3717", "spiral", 130001}};
-  come_apart(parts);
+  come_apart({{"armadillo_3717", "spiral", 130001}});
 }
 TEST(MeetingParts, HangTogetherThatAreLarge) {
-  const OnceWrong parts[] = {{"armadillo_3717", "square", 230002}};
-  come_apart(parts);
+  come_apart({{"armadillo_3717", "square", 230002}});
 }
 // These do come apart: next to nothing lies beside the gap before something else holds it, or the way through is thinner than what is closed.
 TEST(MeetingParts, ComeApartAllTheSame) {
-  const OnceWrong parts[] = {{"armadillo_3717", "plunge", 190006},
-                             {"armadillo_3717", "ellipse", 180006},
-                             {"armadillo_3717", "starts_in", 100007},
-                             {"wound_1476", "nested", 110007},
-                             {"wound_1476", "circle", 110000}};
-  come_apart(parts);
+  come_apart({{"armadillo_3717", "plunge", 190006},
+              {"armadillo_3717", "ellipse", 180006},
+              {"armadillo_3717", "starts_in", 100007},
+              {"wound_1476", "nested", 110007},
+              {"wound_1476", "circle", 110000}});
 }
 // Tips of toes and claws, that a sweep passes close by.
 TEST(MeetingParts, DoNotComeOffThatAreTips) {
-  const OnceWrong parts[] = {{"armadillo_3717", "ends_in", 380004},
-                             {"armadillo_3717", "along", 381004},
-                             {"armadillo_3717", "ellipse", 381006},
-                             {"armadillo_3717", "ends_in", 381016}};
-  come_apart(parts);
+  come_apart({{"armadillo_3717", "ends_in", 380004},
+              {"armadillo_3717", "along", 381004},
+              {"armadillo_3717", "ellipse", 381006},
+              {"armadillo_3717", "ends_in", 381016}});
 }
-// A part was apart, but for 0.2 % of its points, and a look from near said it was not. A face beside what opened last was not looked at.
+// A part was apart, but for 0.2 % of its points, and a look from near said it was not.
 TEST(MeetingParts, AreNotHeldByWhatALookFromNearSays) {
-  const OnceWrong parts[] = {{"wound_1476", "halves", 384012}};
-  come_apart(parts);
+  come_apart({{"wound_1476", "halves", 384012}});
 }
+// A face beside what opened last was not looked at.
 TEST(MeetingGaps, AreFoundBesideWhatOpensWhenAStrokeEnds) {
-  const OnceWrong gaps[] = {{"armadillo_3717", "cone", 380017}};
-  come_apart(gaps);
+  come_apart({{"armadillo_3717", "cone", 380017}});
 }
 // Repairs had made faces beside those that were held, and nothing considered them.
 TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
-  const OnceWrong gaps[] = {{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}};
-  come_apart(gaps);
+  come_apart({{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}});
 }
 
 // The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {
-  const OnceWrong lassos[] = {{"seed_1720", "lasso", 130006}};
-  come_apart(lassos);
+  come_apart({{"seed_1720", "lasso", 130006}});
 }
 
 class MeetingHands : public ::testing::Test {

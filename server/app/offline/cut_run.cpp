@@ -17,7 +17,7 @@ struct Tally {
   const double tolerance_m;  // of the swept surface that the cut is compared with
   core::CutCounts sum = {};
   std::vector<double> batch_us = {};
-  bool goes_on = false;  // what was added last is a part of a batch, of which more comes
+  bool goes_on = false;  // the last batch is not complete: its next part adds to its time
   core::SweptSurface swept = {};
 
   void add(const core::Batch& batch, const core::CutCounts& counts, bool whole, double us) {

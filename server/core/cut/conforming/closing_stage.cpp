@@ -57,7 +57,6 @@ bool ClosingStage::advance(WorkBudget& budget) {
       return false;
     case Phase::kCollectAroundHeld:
       if (!collect(budget)) return false;
-      around_.clear();
       std::sort(gaps_.begin(), gaps_.end());
       go(Phase::kJudge);
       return false;
@@ -88,7 +87,6 @@ bool ClosingStage::advance(WorkBudget& budget) {
         go(Phase::kCollectAroundHeld);
         return false;
       }
-      around_.clear();
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
       if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
       hangs_between_ = false;

@@ -106,8 +106,7 @@ bool Films::is_deep(std::span<const TetId> tets, double least_h3, Cuts cuts) {
 bool Films::is_film(const Extent& extent, std::span<const TetId> tets) {
   // A large one may be a part of the tissue in places.
   if (extent.volume_m3 <= extent.film_m3(cut_.h))
-    return extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h ||
-           !is_deep(tets, kLeastPart_h3, Cuts::kAll);
+    return extent.is_crumb(cut_.h) || !is_deep(tets, kLeastPart_h3, Cuts::kAll);
   if (extent.volume_m3 > extent.shallow_m3(cut_.h)) return false;
   const auto is_far = [&](TetId t) {
     return std::ranges::any_of(mesh_.vertices(t), [&](VertexId v) {

@@ -36,6 +36,8 @@ struct Extent {
     const bool opens = mesh.opposite(h) != kNone;
     if (opens || (mesh.cut_mask(tet_of(h)) >> face_of(h) & 1) != 0) cut_area_m2 += face_m2;
   }
+  // Whether they are too small to be a part of the tissue, whatever their shape.
+  bool is_crumb(double h) const { return volume_m3 < tolerance::kLeastPart_h3 * h * h * h; }
   // The largest volume that a film with that surface has. A film has two sides, and one of them at least is a cut: what sticks out of the
   // body may be as thin.
   double film_m3(double h) const {

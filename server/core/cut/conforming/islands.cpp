@@ -53,12 +53,12 @@ bool Islands::is_island(TetId first) {
   const bool ragged = !clean && members_.size() <= kMaxRaggedIsland &&
                       !films_.is_deep(members_, kLeastPart_h3, Films::Cuts::kAll);
   const bool film = may_be_film(inner, members_.size());
-  return ragged || thin || is_tip(extent.volume_m3) || (film && films_.is_film(extent, members_));
+  return ragged || thin || is_tip(extent) || (film && films_.is_film(extent, members_));
 }
 
 // Whether the members are too few and too small for a part, and none of them has its middle well away from the surface.
-bool Islands::is_tip(double volume_m3) const {
-  return members_.size() <= kMaxRaggedIsland && volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h &&
+bool Islands::is_tip(const Extent& extent) const {
+  return members_.size() <= kMaxRaggedIsland && extent.is_crumb(cut_.h) &&
          std::ranges::all_of(members_, [this](TetId t) { return is_shallow(cut_, t, kDeep_h * cut_.h); });
 }
 

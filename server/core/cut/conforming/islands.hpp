@@ -32,7 +32,7 @@ class Islands {
 
  private:
   bool is_island(TetId first);
-  bool is_tip(double volume_m3) const;
+  bool is_tip(const Extent& extent) const;
   bool join_larger_side();
   void reach_around(TetId first);
   bool is_above(HalfFace h) const;

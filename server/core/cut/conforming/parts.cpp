@@ -43,7 +43,7 @@ Parts::Part Parts::look(TetId from, TetId other, Rule rule, std::size_t most) {
 // What it has followed to the end.
 Parts::Part Parts::judge(Rule rule) {
   const Extent extent = this->extent();
-  if (extent.volume_m3 < kLeastPart_h3 * cut_.h * cut_.h * cut_.h) return Part::kCrumb;
+  if (extent.is_crumb(cut_.h)) return Part::kCrumb;
   if (rule == Rule::kBeside) {
     const bool is_part =
         films_.is_deep(queue_, kLeastPart_h3, Films::Cuts::kThisStroke) && !films_.is_film(extent, queue_);
