@@ -540,6 +540,10 @@ TEST(MeetingParts, DoNotComeOffThatAreTips) {
 TEST(MeetingParts, AreNotHeldByWhatALookFromNearSays) {
   come_apart({{"wound_1476", "halves", 384012}});
 }
+// A cone whose lines come upon its beginning: a slit of 0.07 h was left there, and an edge went through it.
+TEST(MeetingGaps, AreNoneWhereABladeComesUponItsOwnSweep) {
+  come_apart({{"armadillo_3717", "cone", 382014}, {"wound_1476", "cone", 380002}});
+}
 // A face beside what opened last was not looked at.
 TEST(MeetingGaps, AreFoundBesideWhatOpensWhenAStrokeEnds) {
   come_apart({{"armadillo_3717", "cone", 380017}});

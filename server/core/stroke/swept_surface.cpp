@@ -97,6 +97,21 @@ void SweptSurface::clear() {
   build();
 }
 
+bool SweptSurface::is_over(const Vec3& p, double reach, double clear_m) const {
+  double left = reach * reach;
+  bool found = false;
+  all_.each_near(p, left, [&](std::uint32_t i) {
+    const SweptTriangle& s = triangles_[i];
+    if (found || std::abs(s.signed_distance(p)) >= reach) return;
+    for (int k = 0; k < 3; ++k) {
+      if (dot(s.inward[k], p) < s.inward_offset[k] - clear_m) return;
+    }
+    found = true;
+    left = -1;  // no more is asked
+  });
+  return found;
+}
+
 bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
   if (has(triangle)) {
     const SweptTriangle& s = triangles_[triangle];

@@ -63,6 +63,8 @@ class SweptSurface {
   bool is_within(const Vec3& p, double reach) const;
   // Whether there is one that a blade has swept.
   bool was_swept_within(const Vec3& p, double reach) const;
+  // Whether some of it is straight above or below p, to within `clear_m`, and within `reach`.
+  bool is_over(const Vec3& p, double reach, double clear_m) const;
   // A point of the surface straight above or below p, within `reach`: on the triangle that is passed in where p is
   // over that, else the closest point of all.
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;

@@ -15,6 +15,10 @@ Vec3 normal_between(const BladeLine& from, const BladeLine& to) {
   return normalized(cross(from.tip - from.heel, dot(heel, tip) < 0 ? tip - heel : tip + heel));
 }
 
+BladeLine lerp(const BladeLine& from, const BladeLine& to, double part) {
+  return {incise::core::lerp(from.heel, to.heel, part), incise::core::lerp(from.tip, to.tip, part)};
+}
+
 // What a blade sweeps that goes straight from one line to another.
 class Chord {
  public:
@@ -60,9 +64,17 @@ void StrokePath::add(const Batch& batch, const Tissue& tissue, WorkMeter& work) 
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
     travel_m_ += travel(from, to);
-    if (!retrace(from, to, tissue, work)) {
+    const Covered covered = covers(from, to, tissue, work);
+    if (covered == Covered::kNo || retraced_.empty() || retraced_.size() == kMaxRetraced) {
       sweep_retraced();
       sweep(from, to, columns, tissue);
+      if (covered == Covered::kOver) retraced_.push_back(to);
+    } else {
+      retraced_.push_back(to);
+      if (covered == Covered::kNear) continue;
+      // Back over the surface: it went out and came back, or a slit is between.
+      if (!is_over(retraced_.front(), to, tissue, work)) sweep_retraced();
+      retraced_.assign(1, to);
     }
   }
   if (batch.ends_stroke) sweep_retraced();
@@ -92,38 +104,50 @@ void StrokePath::forget_before(double limit_m) {
 
 // A blade that trembles in place, or goes back in its own cut, sweeps again what it has swept: where the surface covers all
 // between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on.
-// What leads to a line that lies straight above or below the surface throughout is left out for good, for what follows
-// overlaps there; what comes after the last such line is swept if the blade leaves the surface from there: no gap is left.
-bool StrokePath::retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work) {
-  if (tissue.deformed || retraced_.size() == kMaxRetraced) return false;
-  const double reach_m = kRetrace_h * h_, clear_m = kClear_h * h_;
-  const double travel_m = travel(from, to);
-  const int rows = static_cast<int>(std::clamp(std::ceil(travel_m / reach_m), 1.0, kMaxRetraceRows));
-  const int columns =
-      static_cast<int>(std::clamp(std::ceil(distance(to.heel, to.tip) / h_), 1.0, kMaxRetraceColumns));
-  const Vec3 &low = tissue.low, &high = tissue.high;
-  bool over = true;
+// What comes upon the surface is swept until a line lies straight above or below that throughout: no slit is left between. What leads from one such line
+// to another is left out for good, for what follows overlaps there, unless there is a slit between; what comes after the last such line is swept if the
+// blade leaves the surface from there.
+StrokePath::Covered StrokePath::covers(const BladeLine& from, const BladeLine& to, const Tissue& tissue,
+                                       WorkMeter& work) {
+  if (tissue.deformed) return Covered::kNo;
+  const int rows = retrace_rows(from, to);
+  Covered covered = Covered::kOver;
   for (int row = rows; row > 0; --row) {
-    const Vec3 heel = lerp(from.heel, to.heel, static_cast<double>(row) / rows);
-    const Vec3 tip = lerp(from.tip, to.tip, static_cast<double>(row) / rows);
-    for (int column = 0; column <= columns; ++column) {
-      const Vec3 p = lerp(heel, tip, static_cast<double>(column) / columns);
-      if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
-      Vec3 closest;
-      std::uint32_t triangle = 0;
-      work += cost::kRetraceSample;
-      if (!surface_.closest(p, reach_m, closest, triangle)) return false;
-      const double off = surface_[triangle].signed_distance(p);
-      over = over && (row < rows || squared_length(p - closest) - off * off <= clear_m * clear_m);
-    }
+    const Covered line = covers(lerp(from, to, static_cast<double>(row) / rows), tissue, work);
+    if (line == Covered::kNo) return line;
+    if (row == rows) covered = line;
   }
-  if (over) {
-    retraced_.clear();
-  } else if (retraced_.empty()) {
-    retraced_.push_back(from);
+  return covered;
+}
+
+bool StrokePath::is_over(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work) {
+  const int rows = retrace_rows(from, to);
+  for (int row = 1; row < rows; ++row) {
+    if (covers(lerp(from, to, static_cast<double>(row) / rows), tissue, work) != Covered::kOver) return false;
   }
-  retraced_.push_back(to);
   return true;
+}
+
+int StrokePath::retrace_rows(const BladeLine& from, const BladeLine& to) const {
+  return static_cast<int>(std::clamp(std::ceil(travel(from, to) / (kRetrace_h * h_)), 1.0, kMaxRetraceRows));
+}
+
+StrokePath::Covered StrokePath::covers(const BladeLine& line, const Tissue& tissue, WorkMeter& work) {
+  const int columns =
+      static_cast<int>(std::clamp(std::ceil(distance(line.heel, line.tip) / h_), 1.0, kMaxRetraceColumns));
+  const Vec3 &low = tissue.low, &high = tissue.high;
+  const double reach_m = kRetrace_h * h_;
+  Covered covered = Covered::kOver;
+  for (int column = 0; column <= columns; ++column) {
+    const Vec3 p = lerp(line.heel, line.tip, static_cast<double>(column) / columns);
+    if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
+    work += cost::kRetraceSample;
+    if (surface_.is_over(p, reach_m, kClear_h * h_)) continue;
+    work += cost::kRetraceSample;
+    if (!surface_.is_within(p, reach_m)) return Covered::kNo;
+    covered = Covered::kNear;
+  }
+  return covered;
 }
 
 // The way of the blade from its last bend to `to` is a chord: where it leaves that by more than the tolerance it bends, and if it turns by enough

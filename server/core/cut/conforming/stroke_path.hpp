@@ -62,7 +62,14 @@ class StrokePath {
   static constexpr std::size_t kMaxRetraced = tolerance::kMaxRetraced;
 
   void sweep(const BladeLine& from, const BladeLine& to, int columns, const Tissue& tissue);
-  bool retrace(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  // Whether the surface, as it was before the batch, is near all that the blade sweeps between two lines, and the second line lies straight above or below it
+  // throughout.
+  enum class Covered { kNo, kNear, kOver };
+  Covered covers(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  Covered covers(const BladeLine& line, const Tissue& tissue, WorkMeter& work);
+  // Whether all lines between them lie so.
+  bool is_over(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  int retrace_rows(const BladeLine& from, const BladeLine& to) const;
   void go_on(const BladeLine& to);
 
   struct Swept {
@@ -81,7 +88,7 @@ class StrokePath {
   SweptSurface surface_;
   std::size_t first_latest_ = 0;
   std::vector<Swept> swept_;  // the batches of surface_
-  // Lines between which the surface covers what the blade has swept, from one that is on it.
+  // Lines between which the surface covers what the blade has swept, from one that lies over it; none: it has left the surface.
   std::vector<BladeLine> retraced_;
   double travel_m_ = 0;
   std::vector<WayLine> way_;  // since the last bend

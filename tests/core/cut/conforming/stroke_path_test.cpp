@@ -92,6 +92,69 @@ TEST(StrokePathTurns, AWideArcIsNoneAndATightOneIsFollowed) {
   EXPECT_GE(turns_of(arc(0.5), 4).size(), 2u);
 }
 
+// A blade that goes along `lines`, in batches of `count` segments. The body does not move.
+void go(StrokePath& path, const std::vector<BladeLine>& lines, std::size_t count) {
+  WorkMeter work;
+  for (std::size_t first = 0; first + 1 < lines.size(); first += count) {
+    const std::size_t last = std::min(first + count, lines.size() - 1);
+    Batch batch;
+    batch.lines.assign(lines.begin() + static_cast<std::ptrdiff_t>(first),
+                       lines.begin() + static_cast<std::ptrdiff_t>(last) + 1);
+    batch.ends_stroke = last + 1 == lines.size();
+    path.add(batch, {{-1, -1, -1}, {1, 1, 1}}, work);
+    path.build();
+  }
+}
+
+// Round a square, and on over its own beginning: wherever the poses lie there, no slit is left.
+TEST(StrokePathRetraces, WithoutASlitWhereItComesUponItsOwnSweep) {
+  for (const double step_h : {0.02, 0.05, 0.13}) {
+    for (const double from_h : {0.0, 0.03, 0.07, 0.11}) {
+      for (const std::size_t count : {1, 4}) {
+        std::vector<BladeLine> lines = along({{0, 0}, {3, 0}, {3, 3}, {-3, 3}, {-3, 0}});
+        for (double x_h = -2.9 + from_h; x_h < 1; x_h += step_h) lines.push_back(upright(kH * x_h, 0));
+        const CutConfig config;
+        StrokePath path(config, kH);
+        go(path, lines, count);
+        for (double x_h = -1; x_h < 1; x_h += 0.005) {
+          const Vec3 p{kH * x_h, 0, 0.013};
+          EXPECT_TRUE(path.surface().is_within(p, 1e-6 * kH)) << x_h << ": " << step_h << ", " << from_h;
+        }
+      }
+    }
+  }
+}
+
+// The triangles that two batches of `count` segments add, which look at the surface as it was before them: of three cells a segment.
+std::size_t of_two_batches(std::size_t count) {
+  return 2 * 6 * count;
+}
+
+// Out over the rim of its own sweep and back, less far than what counts as swept: next to nothing is added, however often.
+TEST(StrokePathRetraces, WithoutSweepingWhatItLeavesByLittle) {
+  std::vector<BladeLine> lines = along({{0, 0}, {3, 0}});
+  const CutConfig config;
+  StrokePath path(config, kH);
+  go(path, lines, 3);
+  const std::size_t before = path.surface().size();
+  lines.clear();
+  for (int i = 0; i < 300; ++i) lines.push_back(upright(kH * (2.9 + 0.14 * std::sin(0.2 * i)), 0));
+  go(path, lines, 3);
+  EXPECT_LE(path.surface().size(), before + of_two_batches(3));
+}
+
+TEST(StrokePathRetraces, WithoutSweepingItAgain) {
+  const auto once = along({{0, 0}, {3, 0}, {3, 3}, {0, 3}});
+  const auto again = along({{0, 0}, {3, 0}, {3, 3}, {0, 3}, {3, 3}, {3, 0}, {0, 0}, {3, 0}});
+  for (const std::size_t count : {1, 4}) {
+    const CutConfig config;
+    StrokePath path(config, kH), longer(config, kH);
+    go(path, once, count);
+    go(longer, again, count);
+    EXPECT_LE(longer.surface().size(), path.surface().size() + of_two_batches(count));
+  }
+}
+
 TEST(StrokePathTurns, StraightBackIsNone) {
   EXPECT_TRUE(turns_of(along({{0, 0}, {4, 0}, {1, 0}, {5, 0}}), 3).empty());
 }
