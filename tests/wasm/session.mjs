@@ -1,10 +1,14 @@
 // A session in Node, as the tests of the module and its measurement use it.
 
 import { execFileSync } from "node:child_process";
+import { webcrypto } from "node:crypto";
 import { mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { load } from "../viewer/unit/modules.mjs";
+
+// A global of pages; Node.js has it since 19, and Debian 12 has 18.
+globalThis.crypto ??= webcrypto;
 
 const build = new URL("../../build/release/", import.meta.url).pathname;
 export const bin = process.env.INCISE_BIN_DIR ?? join(build, "bin");
