@@ -600,48 +600,38 @@ test("more pieces than a row of the texture holds get a larger one, and each is 
   assert.deepEqual([...out.subarray(0, 3)], [3, 4, 5]);
 });
 
-test("the trail of a long stroke does not join its end to its beginning", () => {
-  const real = performance.now;
-  performance.now = () => 5000; // nothing of the trail has faded
-  try {
-    const blade = new BladeView(1, false);
-    for (let i = 0; i < 300; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
-    blade.update(new Vector3(0, 0, 5));
-    const { geometry } = blade.trail;
-    assert.equal(geometry.drawRange.count, 6 * 255); // between the 256 samples that are kept
-    const { array } = geometry.getAttribute("position");
-    for (let i = 0; i < 6 * 255; i += 6) {
-      const xs = [0, 1, 2, 3, 4, 5].map((k) => array[3 * (i + k)]);
-      assert.equal(Math.max(...xs) - Math.min(...xs), 1);
-    }
-  } finally {
-    performance.now = real;
+test("the trail of a long stroke does not join its end to its beginning", (t) => {
+  t.mock.method(performance, "now", () => 5000); // nothing of the trail has faded
+  const blade = new BladeView(1, false);
+  for (let i = 0; i < 300; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
+  blade.update(new Vector3(0, 0, 5));
+  const { geometry } = blade.trail;
+  assert.equal(geometry.drawRange.count, 6 * 255); // between the 256 samples that are kept
+  const { array } = geometry.getAttribute("position");
+  for (let i = 0; i < 6 * 255; i += 6) {
+    const xs = [0, 1, 2, 3, 4, 5].map((k) => array[3 * (i + k)]);
+    assert.equal(Math.max(...xs) - Math.min(...xs), 1);
   }
 });
 
-test("the trails of two strokes are not joined", () => {
-  const real = performance.now;
-  performance.now = () => 5000;
-  try {
-    const blade = new BladeView(1, false);
-    for (const from of [0, 100]) {
-      for (let i = from; i < from + 3; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
-      blade.endStroke();
-    }
-    blade.update(new Vector3(0, 0, 5));
-    const { geometry } = blade.trail;
-    const { array } = geometry.getAttribute("position");
-    const xs = Array.from({ length: geometry.drawRange.count }, (_, i) => array[3 * i]);
-    assert.deepEqual(
-      [...new Set(xs)].sort((a, b) => a - b),
-      [0, 1, 2, 100, 101, 102],
-    );
-    for (let i = 0; i < xs.length; i += 6) {
-      const six = xs.slice(i, i + 6);
-      assert.equal(Math.max(...six) - Math.min(...six), 1);
-    }
-  } finally {
-    performance.now = real;
+test("the trails of two strokes are not joined", (t) => {
+  t.mock.method(performance, "now", () => 5000);
+  const blade = new BladeView(1, false);
+  for (const from of [0, 100]) {
+    for (let i = from; i < from + 3; ++i) blade.move([i, 0, 0], [i, 0, -1], true);
+    blade.endStroke();
+  }
+  blade.update(new Vector3(0, 0, 5));
+  const { geometry } = blade.trail;
+  const { array } = geometry.getAttribute("position");
+  const xs = Array.from({ length: geometry.drawRange.count }, (_, i) => array[3 * i]);
+  assert.deepEqual(
+    [...new Set(xs)].sort((a, b) => a - b),
+    [0, 1, 2, 100, 101, 102],
+  );
+  for (let i = 0; i < xs.length; i += 6) {
+    const six = xs.slice(i, i + 6);
+    assert.equal(Math.max(...six) - Math.min(...six), 1);
   }
 });
 
