@@ -98,28 +98,14 @@ void SweptSurface::clear() {
 }
 
 bool SweptSurface::is_over(const Vec3& p, double reach, double clear_m) const {
-  double left = reach * reach;
-  bool found = false;
-  all_.each_near(p, left, [&](std::uint32_t i) {
-    const SweptTriangle& s = triangles_[i];
-    if (found || std::abs(s.signed_distance(p)) >= reach) return;
-    for (int k = 0; k < 3; ++k) {
-      if (dot(s.inward[k], p) < s.inward_offset[k] - clear_m) return;
-    }
-    found = true;
-    left = -1;  // no more is asked
-  });
-  return found;
+  return any_near(p, reach, [&](const SweptTriangle& s) { return s.is_under(p, reach, clear_m); });
 }
 
 bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const {
   if (has(triangle)) {
     const SweptTriangle& s = triangles_[triangle];
-    const double d = s.signed_distance(p);
-    bool above = std::abs(d) < reach;
-    for (int k = 0; k < 3; ++k) above = above && dot(s.inward[k], p) >= s.inward_offset[k];
-    if (above) {
-      point = p - d * s.normal;
+    if (s.is_under(p, reach, 0)) {
+      point = p - s.signed_distance(p) * s.normal;
       return true;
     }
   }
@@ -159,13 +145,20 @@ bool SweptSurface::was_swept_within(const Vec3& p, double reach) const {
 }
 
 bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) const {
+  const double reach2 = reach * reach;
+  return any_near(p, reach, [&](const SweptTriangle& s) {
+    if ((s.rim & without) != 0) return false;
+    const double plane = s.signed_distance(p);
+    return plane * plane < reach2 && squared_length(closest_point(p, s) - p) < reach2;
+  });
+}
+
+template <class Is>
+bool SweptSurface::any_near(const Vec3& p, double reach, Is is) const {
   double left = reach * reach;
   bool found = false;
   all_.each_near(p, left, [&](std::uint32_t i) {
-    const SweptTriangle& s = triangles_[i];
-    if (found || (s.rim & without) != 0) return;
-    const double plane = s.signed_distance(p);
-    if (plane * plane >= left || squared_length(closest_point(p, s) - p) >= left) return;
+    if (found || !is(triangles_[i])) return;
     found = true;
     left = -1;  // nothing is as near
   });

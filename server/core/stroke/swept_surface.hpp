@@ -70,6 +70,9 @@ class SweptSurface {
   bool near(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle) const;
 
  private:
+  // Whether `is` says so of a triangle that may be within `reach` of p.
+  template <class Is>
+  bool any_near(const Vec3& p, double reach, Is is) const;
   // Leaves out those with one of these bits in `rim`.
   bool is_within(const Vec3& p, double reach, std::uint8_t without) const;
 

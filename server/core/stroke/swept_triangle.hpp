@@ -27,6 +27,12 @@ struct SweptTriangle {
   static constexpr std::uint8_t kContinues = 8, kStarts = 16, kTurns = 32;
 
   double signed_distance(const Vec3& p) const { return dot(normal, p) - offset; }
+  // Whether p is straight above or below it, to within `clear_m`, and nearer to its plane than `reach`.
+  bool is_under(const Vec3& p, double reach, double clear_m) const {
+    bool under = std::abs(signed_distance(p)) < reach;
+    for (std::size_t k = 0; k < 3; ++k) under = under && dot(inward[k], p) >= inward_offset[k] - clear_m;
+    return under;
+  }
 };
 
 // Makes the triangle; false where its corners lie on a line (a blade that turns about its heel, or moves along

@@ -73,7 +73,7 @@ void StrokePath::add(const Batch& batch, const Tissue& tissue, WorkMeter& work) 
       retraced_.push_back(to);
       if (covered == Covered::kNear) continue;
       // Back over the surface: it went out and came back, or a slit is between.
-      if (!is_over(retraced_.front(), to, tissue, work)) sweep_retraced();
+      if (!is_over_between(retraced_.front(), to, tissue, work)) sweep_retraced();
       retraced_.assign(1, to);
     }
   }
@@ -111,19 +111,17 @@ StrokePath::Covered StrokePath::covers(const BladeLine& from, const BladeLine& t
                                        WorkMeter& work) {
   if (tissue.deformed) return Covered::kNo;
   const int rows = retrace_rows(from, to);
-  Covered covered = Covered::kOver;
   for (int row = rows; row > 0; --row) {
-    const Covered line = covers(lerp(from, to, static_cast<double>(row) / rows), tissue, work);
-    if (line == Covered::kNo) return line;
-    if (row == rows) covered = line;
+    if (!is_near(lerp(from, to, static_cast<double>(row) / rows), tissue, work)) return Covered::kNo;
   }
-  return covered;
+  return is_over(to, tissue, work) ? Covered::kOver : Covered::kNear;
 }
 
-bool StrokePath::is_over(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work) {
+bool StrokePath::is_over_between(const BladeLine& from, const BladeLine& to, const Tissue& tissue,
+                                 WorkMeter& work) {
   const int rows = retrace_rows(from, to);
   for (int row = 1; row < rows; ++row) {
-    if (covers(lerp(from, to, static_cast<double>(row) / rows), tissue, work) != Covered::kOver) return false;
+    if (!is_over(lerp(from, to, static_cast<double>(row) / rows), tissue, work)) return false;
   }
   return true;
 }
@@ -132,22 +130,28 @@ int StrokePath::retrace_rows(const BladeLine& from, const BladeLine& to) const {
   return static_cast<int>(std::clamp(std::ceil(travel(from, to) / (kRetrace_h * h_)), 1.0, kMaxRetraceRows));
 }
 
-StrokePath::Covered StrokePath::covers(const BladeLine& line, const Tissue& tissue, WorkMeter& work) {
+bool StrokePath::is_near(const BladeLine& line, const Tissue& tissue, WorkMeter& work) const {
+  return everywhere(line, tissue, work,
+                    [this](const Vec3& p) { return surface_.is_within(p, kRetrace_h * h_); });
+}
+
+bool StrokePath::is_over(const BladeLine& line, const Tissue& tissue, WorkMeter& work) const {
+  return everywhere(line, tissue, work,
+                    [this](const Vec3& p) { return surface_.is_over(p, kRetrace_h * h_, kClear_h * h_); });
+}
+
+template <class Is>
+bool StrokePath::everywhere(const BladeLine& line, const Tissue& tissue, WorkMeter& work, Is is) const {
   const int columns =
       static_cast<int>(std::clamp(std::ceil(distance(line.heel, line.tip) / h_), 1.0, kMaxRetraceColumns));
   const Vec3 &low = tissue.low, &high = tissue.high;
-  const double reach_m = kRetrace_h * h_;
-  Covered covered = Covered::kOver;
   for (int column = 0; column <= columns; ++column) {
     const Vec3 p = lerp(line.heel, line.tip, static_cast<double>(column) / columns);
     if (p.x < low.x || p.y < low.y || p.z < low.z || p.x > high.x || p.y > high.y || p.z > high.z) continue;
     work += cost::kRetraceSample;
-    if (surface_.is_over(p, reach_m, kClear_h * h_)) continue;
-    work += cost::kRetraceSample;
-    if (!surface_.is_within(p, reach_m)) return Covered::kNo;
-    covered = Covered::kNear;
+    if (!is(p)) return false;
   }
-  return covered;
+  return true;
 }
 
 // The way of the blade from its last bend to `to` is a chord: where it leaves that by more than the tolerance it bends, and if it turns by enough

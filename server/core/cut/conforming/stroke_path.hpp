@@ -66,10 +66,15 @@ class StrokePath {
   // throughout.
   enum class Covered { kNo, kNear, kOver };
   Covered covers(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
-  Covered covers(const BladeLine& line, const Tissue& tissue, WorkMeter& work);
   // Whether all lines between them lie so.
-  bool is_over(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  bool is_over_between(const BladeLine& from, const BladeLine& to, const Tissue& tissue, WorkMeter& work);
+  // How many lines a motion is looked at by.
   int retrace_rows(const BladeLine& from, const BladeLine& to) const;
+  // Of a line, all that is in the tissue.
+  bool is_near(const BladeLine& line, const Tissue& tissue, WorkMeter& work) const;
+  bool is_over(const BladeLine& line, const Tissue& tissue, WorkMeter& work) const;
+  template <class Is>
+  bool everywhere(const BladeLine& line, const Tissue& tissue, WorkMeter& work, Is is) const;
   void go_on(const BladeLine& to);
 
   struct Swept {

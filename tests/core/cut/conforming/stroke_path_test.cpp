@@ -17,19 +17,27 @@ BladeLine upright(double x, double y) {
   return {{x, y, -0.05}, {x, y, 0.05}};
 }
 
+std::vector<Batch> batches_of(const std::vector<BladeLine>& lines, std::size_t count) {
+  std::vector<Batch> batches;
+  for (std::size_t first = 0; first + 1 < lines.size(); first += count) {
+    const std::size_t last = std::min(first + count, lines.size() - 1);
+    Batch batch;
+    batch.number = static_cast<std::uint32_t>(batches.size());
+    batch.lines.assign(lines.begin() + static_cast<std::ptrdiff_t>(first),
+                       lines.begin() + static_cast<std::ptrdiff_t>(last) + 1);
+    batch.ends_stroke = last + 1 == lines.size();
+    batches.push_back(batch);
+  }
+  return batches;
+}
+
 // Takes the lines in batches of `count` segments; where the blade turns sharply, as soon as it is known.
 std::vector<BladeLine> turns_of(const std::vector<BladeLine>& lines, std::size_t count) {
   const CutConfig config;
   StrokePath path(config, kH);
   WorkMeter work;
   std::vector<BladeLine> turns;
-  std::uint32_t number = 0;
-  for (std::size_t first = 0; first + 1 < lines.size(); first += count) {
-    Batch batch;
-    batch.number = number++;
-    const std::size_t last = std::min(first + count, lines.size() - 1);
-    batch.lines.assign(lines.begin() + static_cast<std::ptrdiff_t>(first),
-                       lines.begin() + static_cast<std::ptrdiff_t>(last) + 1);
+  for (const Batch& batch : batches_of(lines, count)) {
     path.add(batch, {{-1, -1, -1}, {1, 1, 1}, true}, work);
     turns.insert(turns.end(), path.late_turns().begin(), path.late_turns().end());
     for (std::size_t i = path.first_latest(); i < path.surface().size(); ++i) {
@@ -95,12 +103,7 @@ TEST(StrokePathTurns, AWideArcIsNoneAndATightOneIsFollowed) {
 // A blade that goes along `lines`, in batches of `count` segments. The body does not move.
 void go(StrokePath& path, const std::vector<BladeLine>& lines, std::size_t count) {
   WorkMeter work;
-  for (std::size_t first = 0; first + 1 < lines.size(); first += count) {
-    const std::size_t last = std::min(first + count, lines.size() - 1);
-    Batch batch;
-    batch.lines.assign(lines.begin() + static_cast<std::ptrdiff_t>(first),
-                       lines.begin() + static_cast<std::ptrdiff_t>(last) + 1);
-    batch.ends_stroke = last + 1 == lines.size();
+  for (const Batch& batch : batches_of(lines, count)) {
     path.add(batch, {{-1, -1, -1}, {1, 1, 1}}, work);
     path.build();
   }
