@@ -31,11 +31,14 @@ void SweptTree::build(std::span<const SweptTriangle> triangles, std::size_t from
   }
   for (std::size_t level = 0; level < levels; ++level) {
     std::vector<Node>& nodes = levels_[level];
+    const std::size_t had = nodes.size();
     nodes.resize((children + kChildren - 1) / kChildren);
     for (std::size_t i = same_children / kChildren; i < nodes.size(); ++i) {
-      nodes[i] = empty_node();
-      for (std::uint32_t k = 0; k < kChildren && kChildren * i + k < children; ++k)
-        set_child(nodes[i], k, level, kChildren * i + k);
+      // The first of them may have children that are as they were: with planes of their own, they cost the most.
+      const std::size_t first = i < had ? std::max(kChildren * i, same_children) : kChildren * i;
+      if (first == kChildren * i) nodes[i] = empty_node();
+      for (std::size_t child = first; child < std::min(kChildren * (i + 1), children); ++child)
+        set_child(nodes[i], static_cast<std::uint32_t>(child % kChildren), level, child);
     }
     children = nodes.size();
     same_children /= kChildren;

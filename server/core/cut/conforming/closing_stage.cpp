@@ -254,11 +254,10 @@ bool ClosingStage::may_be_neck(Gap& gap) {
   for (VertexId w : v) {
     if (cut_.on_surface(w)) continue;
     Vec3 closest;
-    std::uint32_t triangle = 0;
     cut_.work += cost::kNearby;
     const double reach_m =
         std::clamp(kNeckOff_local * mesh_.local_h(w), kNeckOff_h * cut_.h, kNeckFar_h * cut_.h);
-    if (cut_.surface().closest(mesh_.position(w), reach_m, closest, triangle)) {
+    if (cut_.surface().closest(mesh_.position(w), reach_m, closest, nearest_, nearest_)) {
       gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
     } else if (!cut_.at_cut(w)) {  // There it lies on what was swept before, by this stroke as well.
       return false;
@@ -283,8 +282,8 @@ bool ClosingStage::is_at_end(const Vec3& p) {
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {
   Vec3 closest;
   cut_.work += cost::kNearby;
-  nearest_ = 0;
-  if (!cut_.surface().closest(p, kOne_h * cut_.h, closest, nearest_)) return false;
+  // What was asked last was near, as a rule.
+  if (!cut_.surface().closest(p, kOne_h * cut_.h, closest, nearest_, nearest_)) return false;
   // What leads on to a wall may end beyond it, in the air.
   if ((cut_.surface()[nearest_].rim & SweptTriangle::kContinues) != 0 &&
       !cut_.surface().was_swept_within(p, kFarGap_h * cut_.h))
