@@ -31,6 +31,8 @@ void JoiningStage::begin(const Batch& batch) {
   parts_.clear();
   swept_.clear();
   beside_.clear();
+  ahead_.clear();
+  free_.clear();
   next_ = next_end_ = walls_end_ = 0;
   next_end_part_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
@@ -89,24 +91,59 @@ bool JoiningStage::advance(WorkBudget& budget) {
     // An edge of the body may be farther ahead than both.
     const double amid = wall_ahead(lerp(part.from, part.to, 0.5), part.direction);
     const double ahead_m = std::max({at_from, amid, ahead_at_end_m_});
-    if (!follows) close_beside();
-    if (!part.aside) {
-      extend(part.from, part.to, part.direction, ahead_m);
+    if (!follows) close_last();
+    if (!part.aside && ahead_m == -std::numeric_limits<double>::infinity()) {
+      free_.push_back(next_ - 1);
+    } else if (!part.aside) {
+      ahead_.push_back({next_ - 1, ahead_m});
     } else if (ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h) {
       beside_.push_back({next_ - 1, ahead_m});
     } else {
       close_beside();
     }
   }
-  close_beside();
+  close_last();
   return true;
+}
+
+// Continues the last parts, that follow each other.
+void JoiningStage::close_last() {
+  close_ahead();
+  close_beside();
+}
+
+// Continues those that have a wall ahead, if that closes anything: most of what is in the tissue has one. Where a blade enters or leaves the
+// body at a slant, the boundary is near beside that place alone, and what opens there parts nothing. In a body that moves nothing that was swept
+// before is known, and no later stage closes what is left here.
+void JoiningStage::close_ahead() {
+  if (!ahead_.empty() && (mesh_.deformed() || !most_are_free())) {
+    for (const Walled& ahead : ahead_) {
+      const Part& part = parts_[ahead.part];
+      extend(part.from, part.to, part.direction, ahead.ahead_m);
+    }
+  }
+  ahead_.clear();
+  free_.clear();
+}
+
+// Whether too many of the last parts are in the tissue without a wall ahead.
+bool JoiningStage::most_are_free() const {
+  double in_tissue = 0;
+  for (std::size_t i : free_) {
+    std::int64_t looked_at = 0;
+    const Vec3 amid = lerp(parts_[i].from, parts_[i].to, 0.5);
+    in_tissue += cut_.workspace.grid.locate(mesh_, amid, &looked_at) != kNone ? 1 : 0;
+    cut_.work += cost::kLocate + looked_at;
+    if (in_tissue > kMostFree * static_cast<double>(ahead_.size())) return true;
+  }
+  return false;
 }
 
 // Closes what is left to the boundary beside the last parts. Where that is no longer than an element, it is a rib of a face or two, or the
 // tip of a splinter.
 void JoiningStage::close_beside() {
   if (beside_.size() >= kLeastBeside) {
-    for (const Beside& beside : beside_) {
+    for (const Walled& beside : beside_) {
       const Part& part = parts_[beside.part];
       extend(part.from, part.to, part.direction, beside.ahead_m);
     }

@@ -48,8 +48,8 @@ class JoiningStage {
   struct Triangle {
     Vec3 a, b, c;
   };
-  // A part of a line with the boundary beside it, so far away.
-  struct Beside {
+  // A part of a line with a wall ahead, so far away.
+  struct Walled {
     std::size_t part;
     double ahead_m;
   };
@@ -68,6 +68,9 @@ class JoiningStage {
   double wall_ahead(const Vec3& p, const Vec3& direction) const;
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
   bool is_ahead(const Wall& wall, bool is_cut, const Part& part) const;
+  void close_last();
+  void close_ahead();
+  bool most_are_free() const;
   void close_beside();
   void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
 
@@ -80,9 +83,11 @@ class JoiningStage {
   double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
-  std::vector<Beside> beside_;   // the last parts, that follow each other
-  BladeLine first_line_;         // where the batch begins ...
-  double farthest_m_ = 0;        // ... and how far from there the blade came
+  // Of the last parts, that follow each other.
+  std::vector<Walled> ahead_, beside_;
+  std::vector<std::size_t> free_;  // these have no wall ahead
+  BladeLine first_line_;           // where the batch begins ...
+  double farthest_m_ = 0;          // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::uint32_t next_end_part_ = 0;  // of that end
   std::vector<Wall> walls_;          // near the parts before walls_end_

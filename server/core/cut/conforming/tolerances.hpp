@@ -68,6 +68,8 @@ inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
 inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
 // The parts of a line that are looked at one by one: how long each is, and how many there are at most.
 inline constexpr double kJoinPart_h = 0.25, kMaxJoinParts = 4096;
+// A sweep's end goes on to the walls ahead of it unless more of its parts in the tissue have none: so many for each that has one.
+inline constexpr double kMostFree = 0.3;
 // So many parts that follow each other, at least, are closed against the boundary beside them.
 inline constexpr std::size_t kLeastBeside = 3;
 // So many parts that follow each other are looked at with the walls near all of them.
