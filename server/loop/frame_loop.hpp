@@ -112,9 +112,9 @@ class FrameLoop {
   void undo(std::int64_t now_ns);
   // Forgets how far the last one was.
   void begin_next_undo();
-  // Goes on with another session. `done` gives its id.
   // What the session's body has been cut before. O(mesh).
   void count_first_cuts();
+  // Goes on with another session. `done` gives its id.
   void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
                const ResetDone& done);
   bool in_stroke() const;
