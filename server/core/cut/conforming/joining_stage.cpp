@@ -112,11 +112,11 @@ void JoiningStage::close_last() {
   close_beside();
 }
 
-// Continues those that have a wall ahead, if that closes anything: most of what is in the tissue has one. Where a blade enters or leaves the
+// Continues those that have a wall ahead, if that closes anything: what is in the tissue has one, but for a few. Where a blade enters or leaves the
 // body at a slant, the boundary is near beside that place alone, and what opens there parts nothing. In a body that moves nothing that was swept
 // before is known, and no later stage closes what is left here.
 void JoiningStage::close_ahead() {
-  if (!ahead_.empty() && (mesh_.deformed() || !most_are_free())) {
+  if (!ahead_.empty() && (mesh_.deformed() || !too_many_are_free())) {
     for (const Walled& ahead : ahead_) {
       const Part& part = parts_[ahead.part];
       extend(part.from, part.to, part.direction, ahead.ahead_m);
@@ -126,8 +126,8 @@ void JoiningStage::close_ahead() {
   free_.clear();
 }
 
-// Whether too many of the last parts are in the tissue without a wall ahead.
-bool JoiningStage::most_are_free() const {
+// Whether so many of the last parts are in the tissue without a wall ahead that it hangs together there anyhow.
+bool JoiningStage::too_many_are_free() const {
   double in_tissue = 0;
   for (std::size_t i : free_) {
     std::int64_t looked_at = 0;

@@ -70,7 +70,7 @@ class JoiningStage {
   bool is_ahead(const Wall& wall, bool is_cut, const Part& part) const;
   void close_last();
   void close_ahead();
-  bool most_are_free() const;
+  bool too_many_are_free() const;
   void close_beside();
   void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
 
