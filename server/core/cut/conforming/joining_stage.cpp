@@ -10,6 +10,9 @@ using namespace tolerance;
 
 namespace {
 
+// Where no wall is within reach: how far ahead it is.
+constexpr double kNoWall = -std::numeric_limits<double>::infinity();
+
 // Which way the blade moves, across itself: a unit vector, or 0 where it moves along itself, or hardly at all.
 Vec3 direction_of(const BladeLine& from, const BladeLine& to) {
   const Vec3 motion = (to.heel - from.heel) + (to.tip - from.tip);
@@ -30,8 +33,7 @@ void JoiningStage::clear() {
 void JoiningStage::begin(const Batch& batch) {
   parts_.clear();
   swept_.clear();
-  beside_.clear();
-  ahead_.clear();
+  walled_.clear();
   free_.clear();
   next_ = next_end_ = walls_end_ = 0;
   next_end_part_ = 0;
@@ -92,38 +94,38 @@ bool JoiningStage::advance(WorkBudget& budget) {
     const double amid = wall_ahead(lerp(part.from, part.to, 0.5), part.direction);
     const double ahead_m = std::max({at_from, amid, ahead_at_end_m_});
     if (!follows) close_last();
-    if (!part.aside && ahead_m == -std::numeric_limits<double>::infinity()) {
-      free_.push_back(next_ - 1);
-    } else if (!part.aside) {
-      ahead_.push_back({next_ - 1, ahead_m});
-    } else if (ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h) {
-      beside_.push_back({next_ - 1, ahead_m});
+    if (part.aside ? ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h : ahead_m != kNoWall) {
+      walled_.push_back({next_ - 1, ahead_m});
+    } else if (part.aside) {
+      close_last();
     } else {
-      close_beside();
+      free_.push_back(next_ - 1);
     }
   }
   close_last();
   return true;
 }
 
-// Continues the last parts, that follow each other.
+// Continues the last parts that have a wall ahead, if that closes anything.
 void JoiningStage::close_last() {
-  close_ahead();
-  close_beside();
+  if (!walled_.empty() && is_closed_by_walls()) {
+    for (const Walled& walled : walled_) {
+      const Part& part = parts_[walled.part];
+      extend(part.from, part.to, part.direction, walled.ahead_m);
+    }
+    // What two of a sweep's sides take off is no lobe of the body as it grew.
+    cut_.meets_cut = cut_.meets_cut || parts_[walled_[0].part].aside;
+  }
+  walled_.clear();
+  free_.clear();
 }
 
-// Continues those that have a wall ahead, if that closes anything: what is in the tissue has one, but for a few. Where a blade enters or leaves the
-// body at a slant, the boundary is near beside that place alone, and what opens there parts nothing. In a body that moves nothing that was swept
-// before is known, and no later stage closes what is left here.
-void JoiningStage::close_ahead() {
-  if (!ahead_.empty() && (mesh_.deformed() || !too_many_are_free())) {
-    for (const Walled& ahead : ahead_) {
-      const Part& part = parts_[ahead.part];
-      extend(part.from, part.to, part.direction, ahead.ahead_m);
-    }
-  }
-  ahead_.clear();
-  free_.clear();
+// What is left to the boundary beside a sweep and no longer than an element is a rib of a face or two, or the tip of a splinter. Straight ahead, what
+// is in the tissue has a wall, but for a few parts: where a blade enters or leaves the body at a slant, the boundary is near beside that place alone, and
+// what opens there parts nothing. In a body that moves nothing that was swept before is known, and no later stage closes what is left here.
+bool JoiningStage::is_closed_by_walls() const {
+  if (parts_[walled_[0].part].aside) return walled_.size() >= kLeastBeside;
+  return mesh_.deformed() || !too_many_are_free();
 }
 
 // Whether so many of the last parts are in the tissue without a wall ahead that it hangs together there anyhow.
@@ -134,23 +136,9 @@ bool JoiningStage::too_many_are_free() const {
     const Vec3 amid = lerp(parts_[i].from, parts_[i].to, 0.5);
     in_tissue += cut_.workspace.grid.locate(mesh_, amid, &looked_at) != kNone ? 1 : 0;
     cut_.work += cost::kLocate + looked_at;
-    if (in_tissue > kMostFree * static_cast<double>(ahead_.size())) return true;
+    if (in_tissue > kMostFree * static_cast<double>(walled_.size())) return true;
   }
   return false;
-}
-
-// Closes what is left to the boundary beside the last parts. Where that is no longer than an element, it is a rib of a face or two, or the
-// tip of a splinter.
-void JoiningStage::close_beside() {
-  if (beside_.size() >= kLeastBeside) {
-    for (const Walled& beside : beside_) {
-      const Part& part = parts_[beside.part];
-      extend(part.from, part.to, part.direction, beside.ahead_m);
-    }
-    // What two of its sides take off is no lobe of the body as it grew.
-    cut_.meets_cut = true;
-  }
-  beside_.clear();
 }
 
 // Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.
@@ -362,11 +350,11 @@ bool JoiningStage::is_ahead(const Wall& wall, bool is_cut, const Part& part) con
   return !is_cut && wall.facing >= kCosFacing && dot(wall.normal, part.direction) > 0;
 }
 
-// How far ahead of p a wall is. Less than 0 where p is beyond it, -infinity where there is none within reach. The stroke's own faces open farther
+// How far ahead of p a wall is. Less than 0 where p is beyond it. The stroke's own faces open farther
 // behind the blade.
 double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
   const double reach = kJoinReach_h * cut_.h;
-  double ahead = -std::numeric_limits<double>::infinity();
+  double ahead = kNoWall;
   cut_.work.add(walls_.size(), cost::kWallsAUnit);
   for (const Wall& wall : walls_) {
     if (!wall.is_within(reach, p, p)) continue;

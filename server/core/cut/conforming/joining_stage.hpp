@@ -69,9 +69,8 @@ class JoiningStage {
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
   bool is_ahead(const Wall& wall, bool is_cut, const Part& part) const;
   void close_last();
-  void close_ahead();
+  bool is_closed_by_walls() const;
   bool too_many_are_free() const;
-  void close_beside();
   void extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m);
 
   CutContext& cut_;
@@ -84,8 +83,8 @@ class JoiningStage {
   std::vector<Triangle> swept_;  // by the batch
   Vec3 low_, high_;              // a box around it
   // Of the last parts, that follow each other.
-  std::vector<Walled> ahead_, beside_;
-  std::vector<std::size_t> free_;  // these have no wall ahead
+  std::vector<Walled> walled_;
+  std::vector<std::size_t> free_;  // straight ahead of these there is no wall
   BladeLine first_line_;           // where the batch begins ...
   double farthest_m_ = 0;          // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
