@@ -304,7 +304,8 @@ TEST_F(Feel, WhatCannotBeReadOrWrittenGetsOneLine) {
                {"--out no/f.csv: the directory no does not exist"});
   expect_error(feel("press.csv", {"--out", "press.csv"}), 2, {"would overwrite"});
   expect_error(feel("press.csv", {"--svg", "./slab.ele"}), 2, {"would overwrite"});
-  expect_error(feel("press.csv", {"--out", "f", "--svg", "./f"}), 2, {"--svg ./f: is --out, too"});
+  expect_error(feel("press.csv", {"--out", "f", "--svg", "./f"}), 2,
+               {"--svg ./f: would overwrite f, which --out writes; choose another name"});
   write("bad.json", R"({"haptics": {"stiffness_n_m": -1}})");
   expect_error(feel("press.csv", {"--config", "bad.json"}), 1, {"bad.json: haptics.stiffness_n_m", "-1"});
 }

@@ -619,8 +619,78 @@ TEST_F(Incise, NothingThatIsReadIsOverwritten) {
                  {"would overwrite", "choose another name"});
   }
   expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "sweep.csv"}), 2, {"would overwrite"});
+  write("c.json", R"({"mesh": {"path": "cube.node"}})");
+  const std::string config = bytes("c.json");
+  for (const char* out : {"c.json", "cube.ele"}) {
+    expect_error(run({"convert", "sweep.csv", "--config", "c.json", "--out", out}), 2,
+                 {"--out " + std::string(out) + ": would overwrite"});
+  }
+  fs::create_hard_link(dir_ / "sweep.csv", dir_ / "same.csv");
+  for (const char* report : {"cube.node", "cube.ele", "sweep.csv", "same.csv", "c.json"}) {
+    expect_error(
+        run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--config", "c.json", "--out", "out.vtu",
+             "--report", report}),
+        2, {"--report " + std::string(report) + ": would overwrite", "which is read; choose another name"});
+  }
+  EXPECT_EQ(bytes("c.json"), config);
   EXPECT_EQ(bytes("sweep.csv"), motion);
   EXPECT_EQ(bytes("cube.node"), mesh);
+}
+
+TEST_F(Incise, NoOutputOverwritesAnother) {
+  write_cube_and_sweep();
+  for (const auto& [out, report] : {std::pair{"out.vtu", "./out.vtu"},
+                                    {"out", "out.ele"},
+                                    {"out.node", "out.ele"},
+                                    {"out.obj", "out.mtl"}}) {
+    expect_error(
+        run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out, "--report",
+             report}),
+        2,
+        {"--report " + std::string(report) + ": would overwrite", "which --out writes; choose another name"});
+    EXPECT_FALSE(fs::exists(dir_ / out));
+  }
+}
+
+// A mesh or a capture replaces what had its name: a device would be gone, or get two files beside it.
+TEST_F(Incise, OnlyRegularFilesAreReplaced) {
+  write_cube_and_sweep();
+  fs::create_symlink("/dev/null", dir_ / "null");
+  fs::create_symlink("/dev/null", dir_ / "null.vtu");
+  fs::create_directory(dir_ / "pair.ele");
+  for (const auto& [out, fault] : {std::pair{"null", "is a device or a pipe; accepted is"},
+                                   {"null.vtu", "is a device or a pipe; accepted is"},
+                                   {"pair", "pair.ele: is a directory"}}) {
+    expect_error(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out}), 1,
+                 {"--out ", fault});
+    expect_error(run({"phantom", "slab", "--size", "500", "--out", out}), 1, {"--out ", fault});
+  }
+  expect_error(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "null"}), 1,
+               {"--out null: is a device or a pipe"});
+  EXPECT_FALSE(fs::exists(dir_ / "null.node"));
+  EXPECT_TRUE(fs::is_symlink(dir_ / "null.vtu"));
+  // A report is only written, so it may go to one.
+  EXPECT_EQ(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "out.vtu",
+                 "--report", "null"})
+                .exit_code,
+            0);
+}
+
+TEST_F(Incise, TheFilesThatWereWrittenAreNamed) {
+  write_cube_and_sweep();
+  for (const auto& [out, written] : {std::pair{"o", "o.node, o.ele"},
+                                     {"p.ele", "p.node, p.ele"},
+                                     {"q.vtu", "q.vtu"},
+                                     {"r.obj", "r.obj, r.mtl"}}) {
+    const RunResult result =
+        run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_NE(result.out.find("written                " + std::string(written) + "\n"), std::string::npos)
+        << result.out;
+    std::istringstream names(written);
+    for (std::string name; std::getline(names >> std::ws, name, ',');)
+      EXPECT_TRUE(fs::exists(dir_ / name)) << name;
+  }
 }
 
 TEST_F(Incise, CutSaysWhatIsWrongWithWhatItIsGiven) {

@@ -125,7 +125,9 @@ int finish(const CutCommand& command, const std::vector<Json>& reports) {
     print_comparison(reports);
   } else {
     print(reports[0]);
-    print_row("written", command.out.string());
+    std::vector<std::filesystem::path> files = files_of_mesh(command.out);
+    if (!command.report.empty()) files.push_back(command.report);
+    print_written(files);
   }
   const bool any =
       std::any_of(reports.begin(), reports.end(), [](const Json& r) { return r["cut_faces"] > 0; });
@@ -138,13 +140,10 @@ int run_cut(const CutCommand& command) {
   const bool compares = command.policy == "compare";
   if (!compares && command.out.empty())
     throw client::UsageError("--out is required: where the cut mesh goes");
-  if (!command.out.empty()) {
-    if (compares)
-      throw client::UsageError("--policy compare writes no mesh: leave out --out, or name one policy");
-    require_mesh_output(command.out, "--out");
-    require_not_read(command.out, {command.mesh, command.poses}, "--out");
-  }
-  if (!command.report.empty()) require_writable(command.report, "--report");
+  if (compares && !command.out.empty())
+    throw client::UsageError("--policy compare writes no mesh: leave out --out, or name one policy");
+  require_outputs({{command.out, "--out", Output::Kind::kMesh}, {command.report, "--report"}},
+                  {command.mesh, command.poses, command.config});
   std::vector<Json> reports;
   {
     Progress progress("reading " + command.poses.filename().string());

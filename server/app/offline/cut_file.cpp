@@ -1,13 +1,14 @@
 #include "server/app/offline/cut_file.hpp"
 
-#include <array>
 #include <bit>
 #include <cerrno>
 #include <fstream>
 #include <system_error>
 
 #include "client/cli/usage.hpp"
+#include "server/app/offline/terminal.hpp"
 #include "server/core/geometry/quality.hpp"
+#include "server/mesh_io/write_materials.hpp"
 
 namespace incise::app {
 
@@ -25,49 +26,126 @@ bool is_glb_file(const fs::path& path) {
   return lowercase_ending(path) == ".glb";
 }
 
-}  // namespace
-
-void require_writable(const fs::path& path, const std::string& option) {
-  std::error_code error;
-  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
-  if (!fs::is_directory(parent, error)) {
-    throw std::runtime_error(option + " " + path.string() + ": the directory " + parent.string() +
-                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
-  }
-  if (path.empty() || !path.has_filename() || fs::is_directory(path, error)) {
-    throw std::runtime_error(option + " " + path.string() + ": is a directory; accepted is a file's name");
-  }
+// `path`: one of the two, or their base.
+std::vector<fs::path> tetgen_pair(const fs::path& path) {
+  const std::string ending = lowercase_ending(path);
+  const std::string base =
+      ending == ".node" || ending == ".ele" ? fs::path(path).replace_extension().string() : path.string();
+  return {base + ".node", base + ".ele"};
 }
 
-void require_not_read(const fs::path& out, std::initializer_list<fs::path> read, const std::string& option) {
-  const auto files = [](const fs::path& path) {
-    const bool of_pair = path.extension() == ".node" || path.extension() == ".ele";
-    const std::string base = of_pair ? fs::path(path).replace_extension().string() : path.string();
-    return std::array{path, fs::path(base + ".node"), fs::path(base + ".ele")};
+std::vector<fs::path> files_of(const Output& out) {
+  if (out.path.empty()) return {};
+  return out.kind == Output::Kind::kMesh ? files_of_mesh(out.path) : std::vector{out.path};
+}
+
+// An input can be the base of a TetGen mesh, and an .obj has a library of materials. Only files that are there.
+std::vector<fs::path> files_read(const fs::path& input) {
+  if (input.empty()) return {};
+  std::vector<fs::path> files = tetgen_pair(input);
+  files.push_back(input);
+  if (lowercase_ending(input) == ".obj") files.push_back(mesh_io::material_library_of(input));
+  std::erase_if(files, [](const fs::path& file) {
+    std::error_code error;
+    return !fs::exists(file, error);
+  });
+  return files;
+}
+
+// Also where the file is not there yet.
+bool same_file(const fs::path& a, const fs::path& b) {
+  const auto place = [](const fs::path& path) {
+    std::error_code error;
+    return fs::weakly_canonical(fs::absolute(path, error), error);
   };
-  for (const fs::path& input : read) {
-    for (const fs::path& from : files(input)) {
-      for (const fs::path& to : files(out)) {
-        std::error_code error;
-        if (!from.empty() && fs::equivalent(from, to, error))
-          throw client::UsageError(option + " " + out.string() + ": would overwrite " + from.string() +
-                                   ", which is read; choose another name");
-      }
+  std::error_code error;
+  return fs::equivalent(a, b, error) || place(a) == place(b);
+}
+
+// Throws if `out` would overwrite one of `files`; `why` follows its name.
+void require_apart(const Output& out, const std::vector<fs::path>& files, const std::string& why) {
+  for (const fs::path& to : files_of(out)) {
+    for (const fs::path& file : files) {
+      if (same_file(to, file))
+        throw client::UsageError(out.option + " " + out.path.string() + ": would overwrite " + file.string() +
+                                 why + "; choose another name");
     }
   }
 }
 
-void require_mesh_output(const fs::path& path, const std::string& option) {
-  if (path.has_extension() && !mesh_io::is_mesh_file(path) && !mesh_io::is_surface_file(path) &&
-      !is_glb_file(path)) {
+// Throws if `path`, of this output, cannot become what it is to be.
+void require_writable(const Output& out, const fs::path& path) {
+  std::error_code error;
+  const std::string name = out.option + " " + path.string();
+  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
+  if (!fs::is_directory(parent, error)) {
+    throw std::runtime_error(name + ": the directory " + parent.string() +
+                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
+  }
+  if (!path.has_filename() || fs::is_directory(path, error))
+    throw std::runtime_error(name + ": is a directory; accepted is a file's name");
+  if (out.kind != Output::Kind::kText && fs::exists(path, error) && !fs::is_regular_file(path, error)) {
+    throw std::runtime_error(name +
+                             ": is a device or a pipe; accepted is the name of a new file, or of a regular "
+                             "one, which is replaced");
+  }
+}
+
+void require_kind(const Output& out) {
+  const fs::path& path = out.path;
+  if (out.kind == Output::Kind::kMesh && path.has_extension() && !mesh_io::is_mesh_file(path) &&
+      !mesh_io::is_surface_file(path) && !is_glb_file(path)) {
     throw client::UsageError(
-        option + " " + path.string() + ": cannot write \"" + path.extension().string() + "\"; choose " +
+        out.option + " " + path.string() + ": cannot write \"" + path.extension().string() + "\"; choose " +
         std::string(mesh_io::mesh_file_endings()) + " for tetrahedra, " +
         std::string(mesh_io::surface_file_endings()) +
         " for the surface, .glb for the surface with its textures, or no ending for TetGen's pair");
   }
-  require_writable(path, option);
-  if (lowercase_ending(path) == ".obj") mesh_io::require_own_materials(path);
+  require_writable(out, path);
+  std::error_code error;
+  if (out.kind == Output::Kind::kMesh && !path.has_extension() && fs::exists(path, error)) {
+    throw client::UsageError(out.option + " " + path.string() +
+                             ": is a file; without an ending it names TetGen's pair beside that, " +
+                             path.string() + ".node and .ele; choose another name or an ending");
+  }
+  for (const fs::path& file : files_of(out)) require_writable(out, file);
+  if (out.kind == Output::Kind::kMesh && lowercase_ending(path) == ".obj")
+    mesh_io::require_own_materials(path);
+}
+
+}  // namespace
+
+void require_outputs(const std::vector<Output>& outputs, const std::vector<fs::path>& read) {
+  for (const Output& out : outputs) {
+    if (out.path.empty()) continue;
+    require_kind(out);
+    require_not_read(out, read);
+    for (const Output& other : outputs) {
+      if (&other == &out) break;
+      require_apart(out, files_of(other), ", which " + other.option + " writes");
+    }
+  }
+}
+
+void require_not_read(const Output& out, const std::vector<fs::path>& read) {
+  for (const fs::path& input : read) require_apart(out, files_read(input), ", which is read");
+}
+
+void require_mesh_output(const fs::path& path, const std::string& option) {
+  require_kind({path, option, Output::Kind::kMesh});
+}
+
+std::vector<fs::path> files_of_mesh(const fs::path& path) {
+  const std::string ending = lowercase_ending(path);
+  if (ending.empty() || ending == ".node" || ending == ".ele") return tetgen_pair(path);
+  if (ending == ".obj") return {path, mesh_io::material_library_of(path)};
+  return {path};
+}
+
+void print_written(const std::vector<fs::path>& files) {
+  std::string names;
+  for (const fs::path& file : files) names += (names.empty() ? "" : ", ") + file.string();
+  print_row("written", names);
 }
 
 bool keeps_fields(const fs::path& path) {

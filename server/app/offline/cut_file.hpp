@@ -2,7 +2,6 @@
 
 #include <cstdint>
 #include <filesystem>
-#include <initializer_list>
 #include <iosfwd>
 #include <string>
 #include <vector>
@@ -15,14 +14,29 @@
 
 namespace incise::app {
 
-// Throws std::runtime_error if `path` cannot become a file: its directory is missing, or it is a directory. Call it before
-// the work whose result goes there. `option` names the path in the message.
-void require_writable(const std::filesystem::path& path, const std::string& option);
-// Throws UsageError if `out` is one of the files that are read (a TetGen mesh can also be named by its base).
-void require_not_read(const std::filesystem::path& out, std::initializer_list<std::filesystem::path> read,
-                      const std::string& option);
-// As require_writable; also throws UsageError if write_cut_mesh cannot write this ending: a mesh's, a surface's or none (TetGen).
+// What a command writes.
+struct Output {
+  enum class Kind : std::uint8_t {
+    kText,  // may be a pipe or a device
+    kFile,  // replaced when it is whole
+    kMesh   // by write_cut_mesh()
+  };
+  std::filesystem::path path;  // empty: nothing
+  std::string option;          // names it in messages
+  Kind kind = Kind::kText;
+};
+// Call it before the work whose results go there. Throws std::runtime_error if one cannot become a file: its directory is
+// missing, or it is something else; UsageError if write_cut_mesh() cannot write its ending, or if it would overwrite one of the files that are
+// read, or another output.
+void require_outputs(const std::vector<Output>& outputs, const std::vector<std::filesystem::path>& read);
+// The part of it about what is read: for files that only the first ones name.
+void require_not_read(const Output& out, const std::vector<std::filesystem::path>& read);
+// As require_outputs for one mesh.
 void require_mesh_output(const std::filesystem::path& path, const std::string& option);
+// The files that write_cut_mesh() makes of that path, but for the images of an .obj: a TetGen mesh is two.
+std::vector<std::filesystem::path> files_of_mesh(const std::filesystem::path& path);
+// The row "written" on stdout for these.
+void print_written(const std::vector<std::filesystem::path>& files);
 
 // Whether write_cut_mesh() writes fields to a file of this name.
 bool keeps_fields(const std::filesystem::path& path);

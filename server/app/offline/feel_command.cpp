@@ -206,25 +206,11 @@ Json report_of(const FeelCommand& command, const CutInput& in, const FeelRun& ru
   return report;
 }
 
-void check_outputs(const FeelCommand& command) {
-  const std::pair<const std::filesystem::path&, const char*> outputs[] = {{command.out, "--out"},
-                                                                          {command.svg, "--svg"}};
-  for (const auto& [path, option] : outputs) {
-    if (path.empty()) continue;
-    require_writable(path, option);
-    require_not_read(path, {command.mesh, command.motion, command.config}, option);
-  }
-  const auto place = [](const std::filesystem::path& path) {
-    return std::filesystem::weakly_canonical(std::filesystem::absolute(path));
-  };
-  if (!command.out.empty() && !command.svg.empty() && place(command.out) == place(command.svg))
-    throw client::UsageError("--svg " + command.svg.string() + ": is --out, too; choose another name");
-}
-
 }  // namespace
 
 int run_feel(const FeelCommand& command) {
-  check_outputs(command);
+  require_outputs({{command.out, "--out"}, {command.svg, "--svg"}},
+                  {command.mesh, command.motion, command.config});
   Json report;
   {
     Progress progress("reading " + command.motion.filename().string());

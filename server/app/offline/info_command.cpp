@@ -297,9 +297,11 @@ int run_phantom(const PhantomCommand& command) {
   require_mesh_output(command.out, "--out");
   Json facts;
   std::vector<std::string> warnings;
+  std::vector<fs::path> files;
   if (mesh_io::is_surface_file(command.out)) {
     const mesh_io::Surface surface = mesh_io::make_phantom_surface(*kind, command.size);
     mesh_io::write_surface(command.out, surface);
+    files = {command.out};  // it has no materials
     facts = {
         {"kind", "surface"}, {"vertices", surface.positions.size()}, {"triangles", surface.triangles.size()}};
   } else {
@@ -311,17 +313,19 @@ int run_phantom(const PhantomCommand& command) {
     if (command.capsule) mesh_io::add_capsule(data, 1);
     const core::TetMesh mesh(data);
     write_cut_mesh(command.out, mesh);
+    files = files_of_mesh(command.out);
     facts = {{"kind", "tetrahedral mesh"},
              {"vertices", data.positions.size()},
              {"tets", data.tets.size()},
              {"min_dihedral_deg", core::measure(mesh).min_dihedral_deg}};
   }
-  facts["out"] = command.out.string();
   facts["warnings"] = warnings;
   if (command.json) {
+    facts["out"] = command.out.string();
     std::printf("%s\n", facts.dump(2).c_str());
   } else {
     print(facts);
+    print_written(files);
   }
   return 0;
 }

@@ -115,10 +115,11 @@ int run_replay(const ReplayCommand& command) {
 }
 
 int run_export(const ExportCommand& command) {
-  require_mesh_output(command.out, "--out");
-  require_not_read(command.out, {command.capture, command.mesh}, "--out");
+  const Output out{command.out, "--out", Output::Kind::kMesh};
+  require_outputs({out}, {command.capture, command.mesh, command.config});
   Replayable opened =
       open_capture(command.capture, command.mesh, command.if_damaged, keeps_fields(command.out));
+  require_not_read(out, {opened.config.mesh.path});
   std::vector<RegionMaterials> regions;
   if (keeps_materials(command.out)) {
     const bool other = !command.config.empty();
@@ -151,7 +152,7 @@ int run_export(const ExportCommand& command) {
   print_row("revision", std::to_string(session.revision()));
   print_row("tetrahedra", std::to_string(session.mesh().live_tets()));
   print_row("state hash", hex(session.mesh().state_hash()));
-  print_row("written", command.out.string());
+  print_written(files_of_mesh(command.out));
   return 0;
 }
 
@@ -224,9 +225,10 @@ Config convert_config(const ConvertCommand& command, const RecordedMotion& motio
   return config;
 }
 
-Conversion convert(const ConvertCommand& command, Progress& progress) {
+Conversion convert(const ConvertCommand& command, const Output& out, Progress& progress) {
   RecordedMotion motion = read_recorded_motion(command.motion, command.times, command.if_damaged);
   Config config = convert_config(command, motion);
+  if (!config.mesh.path.empty()) require_not_read(out, {config.resolve(config.mesh.path)});
   progress.stage("loading the mesh");
   const Body body = load_body(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
   const Box box = box_of(body.loaded.mesh);
@@ -273,15 +275,15 @@ Conversion convert(const ConvertCommand& command, Progress& progress) {
 }  // namespace
 
 int run_convert(const ConvertCommand& command) {
-  require_writable(command.out, "--out");
-  require_not_read(command.out, {command.motion, command.mesh}, "--out");
+  const Output out{command.out, "--out", Output::Kind::kFile};
+  require_outputs({out}, {command.motion, command.mesh, command.config});
   std::optional<CaptureLock> lock;  // a device has none
   std::error_code error;
   if (!std::filesystem::exists(command.out, error) || std::filesystem::is_regular_file(command.out, error))
     lock.emplace(command.out, CaptureLock::IfHeld::kRefuse, "--out");
   const Conversion done = [&] {
     Progress progress("reading " + command.motion.filename().string());
-    return convert(command, progress);
+    return convert(command, out, progress);
   }();
   print_warnings(done.warnings);
   if (command.json) {
