@@ -1,8 +1,5 @@
 #include "server/mesh_io/text_file.hpp"
 
-#include <unistd.h>
-
-#include <atomic>
 #include <cerrno>
 #include <charconv>
 #include <cmath>
@@ -12,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "server/base/unfinished_file.hpp"
 #include "server/mesh_io/mesh_error.hpp"
 
 namespace incise::mesh_io {
@@ -21,42 +19,16 @@ struct CloseFile {
   void operator()(std::FILE* file) const { std::fclose(file); }
 };
 
-// A file under a temporary name, which goes with this unless it got its own.
-class Unfinished {
- public:
-  explicit Unfinished(std::filesystem::path path) : path_(std::move(path)), temporary_(path_) {
-    static std::atomic<unsigned> count{0};  // two threads may write the same file
-    temporary_ += ".tmp" + std::to_string(::getpid()) + "-" + std::to_string(count++);
-  }
-  Unfinished(Unfinished&& other) noexcept
-      : path_(std::move(other.path_)), temporary_(std::exchange(other.temporary_, {})) {}
-  Unfinished(const Unfinished&) = delete;
-  Unfinished& operator=(const Unfinished&) = delete;
-  ~Unfinished() {
-    std::error_code ignored;
-    if (!temporary_.empty()) std::filesystem::remove(temporary_, ignored);
-  }
+[[noreturn]] void fail_to_write(const std::filesystem::path& path, const std::string& reason) {
+  throw MeshError(path.string() + ": cannot be written: " + reason);
+}
 
-  void write(std::string_view bytes) const {
-    std::unique_ptr<std::FILE, CloseFile> file(std::fopen(temporary_.c_str(), "wb"));
-    if (!file) fail(std::strerror(errno));
-    if (std::fwrite(bytes.data(), 1, bytes.size(), file.get()) != bytes.size()) fail(std::strerror(errno));
-    if (std::fclose(file.release()) != 0) fail(std::strerror(errno));
-  }
-  void rename() {
-    std::error_code error;
-    std::filesystem::rename(temporary_, path_, error);
-    if (error) fail(error.message());
-    temporary_.clear();
-  }
-
- private:
-  [[noreturn]] void fail(const std::string& reason) const {
-    throw MeshError(path_.string() + ": cannot be written: " + reason);
-  }
-
-  std::filesystem::path path_, temporary_;
-};
+void write_temporary(const UnfinishedFile& to, std::string_view bytes) {
+  std::unique_ptr<std::FILE, CloseFile> file(std::fopen(to.temporary().c_str(), "wb"));
+  if (!file || std::fwrite(bytes.data(), 1, bytes.size(), file.get()) != bytes.size() ||
+      std::fclose(file.release()) != 0)
+    fail_to_write(to.path(), std::strerror(errno));
+}
 
 }  // namespace
 
@@ -102,9 +74,11 @@ void write_whole_file(const std::filesystem::path& path, std::string_view bytes)
 }
 
 void write_whole_files(std::initializer_list<FileToWrite> files) {
-  std::vector<Unfinished> written;
-  for (const auto& [path, bytes] : files) written.emplace_back(path).write(bytes);
-  for (Unfinished& file : written) file.rename();
+  std::vector<UnfinishedFile> written;
+  for (const auto& [path, bytes] : files) write_temporary(written.emplace_back(path), bytes);
+  for (UnfinishedFile& file : written) {
+    if (const std::error_code error = file.finish()) fail_to_write(file.path(), error.message());
+  }
 }
 
 void append_number(std::string& text, double number) {

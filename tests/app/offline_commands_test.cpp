@@ -669,6 +669,10 @@ TEST_F(Incise, OnlyRegularFilesAreReplaced) {
                {"--out null: is a device or a pipe"});
   EXPECT_FALSE(fs::exists(dir_ / "null.node"));
   EXPECT_TRUE(fs::is_symlink(dir_ / "null.vtu"));
+  // A file of that name is not what an OUT without an ending writes.
+  write("plain", "");
+  expect_error(run({"phantom", "slab", "--size", "500", "--out", "plain"}), 2,
+               {"--out plain: is a file; without an ending it names TetGen's pair", "plain.node and .ele"});
   // A report is only written, so it may go to one.
   EXPECT_EQ(run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "out.vtu",
                  "--report", "null"})
@@ -752,6 +756,71 @@ TEST_F(Incise, ConvertReplayAndExportAgree) {
   expect_error(run({"replay", "sweep.csv"}), 1, {"sweep.csv", "capture", "convert"});
   mesh_io::write_mesh(dir_ / "other.node", tests::cube(5));
   expect_error(run({"replay", "sweep.capture", "--mesh", "other"}), 1, {"another mesh", "--mesh"});
+}
+
+// Whatever ends it: the capture that was there stays, and nothing else does, but where it is killed outright.
+TEST_F(Incise, AnInterruptedConversionLeavesTheCaptureThatWasThere) {
+  write_cube_and_sweep(0.37, 100'000);
+  write("keep.capture", "what was there");
+  for (const int signal : {SIGINT, SIGTERM, SIGKILL}) {
+    const tests::Started started =
+        tests::start_program("incise", {"convert", "sweep.csv", "--mesh", "cube", "--out", "keep.capture"},
+                             dir_, dir_ / "stdout.txt");
+    const auto parts = [&] {
+      return std::count_if(fs::directory_iterator(dir_), fs::directory_iterator(), [](const auto& entry) {
+        return entry.path().filename().string().starts_with("keep.capture.tmp");
+      });
+    };
+    for (int i = 0; i < 60'000 && parts() == 0; ++i) ::usleep(1000);
+    ASSERT_EQ(parts(), 1);
+    ::kill(started.child, signal);
+    const RunResult result = tests::end_of(started);
+    if (signal == SIGKILL) {
+      EXPECT_EQ(result.exit_code, 128 + SIGKILL);
+    } else {
+      expect_error(result, 1, {"interrupted: keep.capture was not written"});
+      EXPECT_EQ(parts(), 0);
+      EXPECT_FALSE(fs::exists(dir_ / "keep.capture.lock"));
+    }
+    EXPECT_EQ(tests::read_file(dir_ / "keep.capture"), "what was there");
+  }
+}
+
+TEST_F(Incise, ALinkIsFollowed) {
+  write_cube_and_sweep();
+  fs::create_directory(dir_ / "elsewhere");
+  for (const char* name : {"out.vtu", "out.capture"}) {
+    write(std::string("elsewhere/") + name, "what was there");
+    fs::create_symlink(fs::path("elsewhere") / name, dir_ / name);
+  }
+  ASSERT_EQ(
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "out.vtu"}).exit_code,
+      0);
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "out.capture"}).exit_code, 0);
+  for (const char* name : {"out.vtu", "out.capture"}) {
+    EXPECT_TRUE(fs::is_symlink(dir_ / name));
+    EXPECT_GT(fs::file_size(dir_ / "elsewhere" / name), 100u);
+  }
+}
+
+TEST_F(Incise, ACaptureThatWasNotClosedIsAWarning) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  EXPECT_EQ(run({"replay", "a.capture", "--verify"}).err, "");
+  // Without its last record, the end mark.
+  const std::string whole = tests::read_file(dir_ / "a.capture");
+  std::size_t end = whole.size();
+  do {
+    write("open.capture", whole.substr(0, --end));
+  } while (!json::parse(run({"info", "open.capture", "--json"}).out)["warnings"].empty());
+  for (const std::vector<std::string>& how : {std::vector<std::string>{}, {"--verify"}, {"--json"}}) {
+    std::vector<std::string> arguments{"replay", "open.capture"};
+    arguments.insert(arguments.end(), how.begin(), how.end());
+    const RunResult result = run(arguments);
+    EXPECT_EQ(result.exit_code, 0);
+    EXPECT_NE(result.err.find("warning: open.capture: was not closed"), std::string::npos) << result.err;
+    EXPECT_EQ(std::count(result.err.begin(), result.err.end(), '\n'), 1) << result.err;
+  }
 }
 
 TEST_F(Incise, ReplayNamesTheFirstBatchThatDiffers) {

@@ -26,10 +26,16 @@ inline std::string read_file(const std::filesystem::path& path) {
   return text.str();
 }
 
-// Runs a built program to its end, without a terminal. `arguments` are passed as they are.
-inline RunResult run_program(const std::string& name, const std::vector<std::string>& arguments,
-                             const std::filesystem::path& directory) {
-  const auto err = directory / "stderr.txt", out = directory / "stdout.txt";
+// A program that runs in `directory`, and where it prints.
+struct Started {
+  pid_t child = -1;
+  std::filesystem::path out, err;
+  std::string error;  // why it could not be started
+};
+// Starts a built program, without a terminal. `arguments` are passed as they are; `out` is its standard output.
+inline Started start_program(const std::string& name, const std::vector<std::string>& arguments,
+                             const std::filesystem::path& directory, const std::filesystem::path& out) {
+  const auto err = directory / "stderr.txt";
   const std::string program = std::string(INCISE_BIN_DIR) + "/" + name;
   std::vector<char*> argv{const_cast<char*>(program.c_str())};
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
@@ -42,17 +48,29 @@ inline RunResult run_program(const std::string& name, const std::vector<std::str
   posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, out.c_str(), kAnew, 0644);
   posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, err.c_str(), kAnew, 0644);
   posix_spawn_file_actions_addchdir_np(&actions, directory.c_str());
-  pid_t child = -1;
-  const int error = ::posix_spawn(&child, program.c_str(), &actions, nullptr, argv.data(), environ);
+  Started started{-1, out, err, {}};
+  const int error = ::posix_spawn(&started.child, program.c_str(), &actions, nullptr, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
-  if (error != 0) return {-1, {}, program + ": " + std::strerror(error)};
+  if (error != 0) started.error = program + ": " + std::strerror(error);
+  return started;
+}
+
+// Waits for its end.
+inline RunResult end_of(const Started& started) {
+  if (!started.error.empty()) return {-1, {}, started.error};
   int status = 0;
-  ::waitpid(child, &status, 0);
+  ::waitpid(started.child, &status, 0);
   RunResult result;
   result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-  result.out = read_file(out);
-  result.err = read_file(err);
+  if (std::filesystem::is_regular_file(started.out)) result.out = read_file(started.out);
+  result.err = read_file(started.err);
   return result;
+}
+
+// Runs a built program to its end.
+inline RunResult run_program(const std::string& name, const std::vector<std::string>& arguments,
+                             const std::filesystem::path& directory) {
+  return end_of(start_program(name, arguments, directory, directory / "stdout.txt"));
 }
 
 // An empty directory of this test's own, under the build's temporary directory.

@@ -91,6 +91,12 @@ void require_writable(const Output& out, const fs::path& path) {
   }
 }
 
+// Removes a file that could not be written to its end. A pipe or device stays.
+void remove_unfinished(const fs::path& path) {
+  std::error_code ignored;
+  if (fs::is_regular_file(path, ignored)) fs::remove(path, ignored);
+}
+
 void require_kind(const Output& out) {
   const fs::path& path = out.path;
   if (out.kind == Output::Kind::kMesh && path.has_extension() && !mesh_io::is_mesh_file(path) &&
@@ -230,11 +236,6 @@ void write_text(const fs::path& path, const std::string& text) {
   std::ofstream out(path, std::ios::binary);
   out << text;
   finish_writing(out, path);
-}
-
-void remove_unfinished(const fs::path& path) {
-  std::error_code ignored;
-  if (fs::is_regular_file(path, ignored)) fs::remove(path, ignored);
 }
 
 }  // namespace incise::app

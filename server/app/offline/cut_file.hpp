@@ -56,8 +56,6 @@ void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh
 
 // Closes a file of text. If something could not be written, removes what is there. Throws std::runtime_error.
 void finish_writing(std::ofstream& out, const std::filesystem::path& path);
-// Removes a file that could not be written to its end. A pipe or device stays.
-void remove_unfinished(const std::filesystem::path& path);
 // Writes a text file. Throws std::runtime_error.
 void write_text(const std::filesystem::path& path, const std::string& text);
 

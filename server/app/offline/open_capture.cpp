@@ -22,6 +22,11 @@ Replayable open_capture(const std::filesystem::path& capture, const std::filesys
   opened.motion = read_whole_capture(capture, if_damaged);
   const protocol::CaptureHeader& header = *opened.motion.header;
   opened.config = config_of(header, capture.string());
+  if (!opened.motion.closed && opened.motion.end_error.empty()) {
+    opened.motion.warnings.push_back(capture.string() +
+                                     ": was not closed, since what recorded it was killed or records still; "
+                                     "the session may have gone on after its end");
+  }
   if (!mesh.empty()) {
     opened.config.mesh.phantom.clear();
     opened.config.mesh.path = std::filesystem::absolute(mesh).string();

@@ -1,5 +1,3 @@
-#include <unistd.h>
-
 #include <cinttypes>
 #include <cstdio>
 #include <functional>
@@ -7,7 +5,9 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
+#include <system_error>
 
+#include "client/cli/commands.hpp"
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/capture_journal.hpp"
@@ -19,6 +19,7 @@
 #include "server/app/offline/open_capture.hpp"
 #include "server/app/version.hpp"
 #include "server/base/hex.hpp"
+#include "server/base/unfinished_file.hpp"
 #include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
@@ -188,22 +189,6 @@ struct Conversion {
   std::uint64_t batches = 0, state_hash = 0;
 };
 
-// Removes a capture that could not be written to its end, but not one that could not even be opened.
-class UnfinishedCapture {
- public:
-  explicit UnfinishedCapture(std::filesystem::path path) : path_(std::move(path)) {}
-  UnfinishedCapture(const UnfinishedCapture&) = delete;
-  UnfinishedCapture& operator=(const UnfinishedCapture&) = delete;
-  ~UnfinishedCapture() {
-    if (!finished_ && ::access(path_.c_str(), W_OK) == 0) remove_unfinished(path_);
-  }
-  void finish() { finished_ = true; }
-
- private:
-  const std::filesystem::path path_;
-  bool finished_ = false;
-};
-
 Config convert_config(const ConvertCommand& command, const RecordedMotion& motion) {
   Config config;
   if (!command.config.empty()) {
@@ -225,6 +210,28 @@ Config convert_config(const ConvertCommand& command, const RecordedMotion& motio
   return config;
 }
 
+// Runs a motion and records it. A capture that was there stays until the new one is whole; an interruption leaves no part of that. Throws
+// std::system_error if it cannot be written.
+void write_capture(const std::filesystem::path& out, const protocol::CaptureHeader& header,
+                   const Config& config, MotionRun& run, bool deformations, Progress& progress) {
+  client::interrupted();  // from here on a signal does not end the process
+  UnfinishedFile file(out);
+  CaptureJournal capture(file.temporary().string(), header);
+  std::uint64_t written = 0;
+  run.run({.deformations = deformations,
+           .event =
+               [&](const MotionEvent& event, core::PoseVerdict) {
+                 if (client::interrupted())
+                   throw std::runtime_error("interrupted: " + out.string() + " was not written");
+                 capture.write(record_of(event, config));
+                 if (++written % 64 == 0) capture.flush();
+               },
+           .commit = [&](const core::Delta& delta, double) { capture.write(loop::commit_record(delta)); }},
+          progress);
+  capture.close();
+  if (const std::error_code error = file.finish()) throw std::system_error(error);
+}
+
 Conversion convert(const ConvertCommand& command, const Output& out, Progress& progress) {
   RecordedMotion motion = read_recorded_motion(command.motion, command.times, command.if_damaged);
   Config config = convert_config(command, motion);
@@ -243,22 +250,14 @@ Conversion convert(const ConvertCommand& command, const Output& out, Progress& p
   header.session = 1;
   header.software = kSoftware;
   header.config_json = compact(config);
-  UnfinishedCapture unfinished(command.out);
-  CaptureJournal capture(command.out.string(), header);
   core::CutSession session(body.loaded.mesh, config.cut);
   MotionRun run(session, motion, config, command.motion.string());
   progress.stage("converting");
-  std::uint64_t written = 0;
-  run.run({.deformations = command.mesh.empty(),
-           .event =
-               [&](const MotionEvent& event, core::PoseVerdict) {
-                 capture.write(record_of(event, config));
-                 if (++written % 64 == 0) capture.flush();
-               },
-           .commit = [&](const core::Delta& delta, double) { capture.write(loop::commit_record(delta)); }},
-          progress);
-  capture.close();
-  unfinished.finish();
+  try {
+    write_capture(command.out, header, config, run, command.mesh.empty(), progress);
+  } catch (const std::system_error& error) {
+    throw std::runtime_error(command.out.string() + ": cannot be written: " + error.code().message());
+  }
 
   Conversion done{motion.warnings, motion.poses(), session.revision(), session.mesh().state_hash()};
   for (std::string& warning : run.warnings(core::measure(session.mesh()).cut_faces, box))
@@ -277,10 +276,7 @@ Conversion convert(const ConvertCommand& command, const Output& out, Progress& p
 int run_convert(const ConvertCommand& command) {
   const Output out{command.out, "--out", Output::Kind::kFile};
   require_outputs({out}, {command.motion, command.mesh, command.config});
-  std::optional<CaptureLock> lock;  // a device has none
-  std::error_code error;
-  if (!std::filesystem::exists(command.out, error) || std::filesystem::is_regular_file(command.out, error))
-    lock.emplace(command.out, CaptureLock::IfHeld::kRefuse, "--out");
+  const CaptureLock lock(command.out, CaptureLock::IfHeld::kRefuse, "--out");
   const Conversion done = [&] {
     Progress progress("reading " + command.motion.filename().string());
     return convert(command, out, progress);
