@@ -15,6 +15,7 @@
 #include "server/app/manual.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/version.hpp"
+#include "server/base/standard_output.hpp"
 #if INCISE_NETWORK_COMMANDS
 #include "client/cli/commands.hpp"
 #endif
@@ -73,9 +74,7 @@ std::string problem(const CLI::App& app, int argc, char** argv, const std::strin
   return otherwise;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app("Cut tetrahedral meshes with a moving blade: on files, or with a running incised.", "incise");
   app.set_version_flag("--version", incise::app::kSoftware);
   app.require_subcommand(0, 1);
@@ -105,4 +104,10 @@ int main(int argc, char** argv) {
     return incise::client::kFailed;
   }
   return exit_code;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return incise::end_standard_output("incise", run(argc, argv));
 }

@@ -14,8 +14,11 @@
 #include "server/app/recording.hpp"
 #include "server/app/server_run.hpp"
 #include "server/app/version.hpp"
+#include "server/base/standard_output.hpp"
 
-int main(int argc, char** argv) {
+namespace {
+
+int run(int argc, char** argv) {
   CLI::App app("The cut server: holds one mesh, reads blade poses, cuts, and streams what changed.",
                "incised");
   app.set_version_flag("--version", incise::app::kSoftware);
@@ -74,4 +77,10 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "incised: %s\n", error.what());
     return incise::client::kFailed;
   }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return incise::end_standard_output("incised", run(argc, argv));
 }

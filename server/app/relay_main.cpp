@@ -13,6 +13,7 @@
 #include "server/app/manual.hpp"
 #include "server/app/relay_run.hpp"
 #include "server/app/version.hpp"
+#include "server/base/standard_output.hpp"
 #include "server/cluster/session_subjects.hpp"
 
 namespace {
@@ -50,9 +51,7 @@ void override_with(const Given& given, Config& config) {
   if (given.upstream_http_port != -2) config.relay.upstream_http_port = given.upstream_http_port;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app(
       "A relay: follows a cut server, or another relay, and serves its session to any number of viewers "
       "as that server would. Operators here hold blades there.",
@@ -131,4 +130,10 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "incise-relay: %s\n", error.what());
     return incise::client::kFailed;
   }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return incise::end_standard_output("incise-relay", run(argc, argv));
 }

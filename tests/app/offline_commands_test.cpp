@@ -1103,6 +1103,28 @@ TEST_F(Incise, WhatCannotBeWrittenToItsEndIsRemoved) {
     EXPECT_FALSE(entry.path().filename().string().starts_with("part")) << entry.path();
 }
 
+TEST_F(Incise, WhatCannotBePrintedIsAFailure) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  const std::vector<std::string> cut = {"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade};
+  auto compare = cut, report = cut;
+  compare.insert(compare.end(), {"--policy", "compare"});
+  report.insert(report.end(), {"--out", "out.vtu", "--json"});
+  for (const std::vector<std::string>& arguments : {std::vector<std::string>{"--help"},
+                                                    {"--version"},
+                                                    {"cut", "--help"},
+                                                    {},
+                                                    {"info", "a.capture", "--json"},
+                                                    {"replay", "a.capture"},
+                                                    {"feel", "sweep.csv", "--mesh", "cube", "--json"},
+                                                    compare,
+                                                    report}) {
+    SCOPED_TRACE(arguments.empty() ? "nothing" : arguments[0]);
+    expect_error(tests::end_of(tests::start_program("incise", arguments, dir_, "/dev/full")), 1,
+                 {"incise: the standard output could not be written to its end"});
+  }
+}
+
 TEST_F(Incise, InfoNamesOnlyWhatItReads) {
   write("a.xyz", "nothing");
   const RunResult result = run({"info", "a.xyz"});

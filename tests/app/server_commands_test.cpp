@@ -86,6 +86,16 @@ TEST_F(Incised, WithoutArgumentsShowsItsOptions) {
   EXPECT_EQ(run({"--resume"}).exit_code, 2);
 }
 
+TEST_F(Incised, WhatCannotBePrintedIsAFailure) {
+  for (const char* option : {"--print-config", "--help", "--version"}) {
+    const RunResult full = tests::end_of(tests::start_program("incised", {option}, dir_, "/dev/full"));
+    EXPECT_EQ(full.exit_code, 1) << option;
+    EXPECT_EQ(full.err.rfind("incised: the standard output could not be written to its end", 0), 0u)
+        << full.err;
+    EXPECT_EQ(std::count(full.err.begin(), full.err.end(), '\n'), 1) << full.err;
+  }
+}
+
 TEST_F(Incised, PrintConfigPrintsAFileThatItTakes) {
   const RunResult printed = run({"--print-config"});
   ASSERT_EQ(printed.exit_code, 0);

@@ -46,6 +46,8 @@ TEST_F(RelayProgram, SaysWhatItTakes) {
     EXPECT_NE(help.out.find(option), std::string::npos) << option;
   EXPECT_EQ(run({"--frob"}).exit_code, 2);
   EXPECT_EQ(run({"--to", "here:and:there"}).exit_code, 2);
+  EXPECT_EQ(
+      tests::end_of(tests::start_program("incise-relay", {"--help"}, directory_, "/dev/full")).exit_code, 1);
   const tests::RunResult printed = run({"--print-config"});
   ASSERT_EQ(printed.exit_code, 0);
   EXPECT_NE(printed.out.find("\"upstream\": \"\""), std::string::npos);
