@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <charconv>
 #include <cmath>
 #include <cstdint>
@@ -9,7 +10,9 @@
 #include <istream>
 #include <limits>
 #include <optional>
+#include <sstream>
 #include <string_view>
+#include <system_error>
 #include <utility>
 
 #include "protocol/limits.hpp"
@@ -398,9 +401,18 @@ Motion read_motion(std::istream& in, const std::string& name, Times times) {
 }
 
 Motion read_motion(const std::string& path, Times times) {
-  std::ifstream in(path, std::ios::binary);
-  if (!in) throw MotionError(path + ": cannot be opened");
-  return read_motion(in, path, times);
+  return read_motion(*open_motion(path), path, times);
+}
+
+std::unique_ptr<std::istream> open_motion(const std::string& path) {
+  auto file = std::make_unique<std::ifstream>(path, std::ios::binary);
+  if (!*file) throw MotionError(path + ": cannot be opened: " + std::generic_category().message(errno));
+  if (file->tellg() != std::streampos(-1)) return file;
+  file->clear();
+  auto bytes = std::make_unique<std::stringstream>();
+  *bytes << file->rdbuf();
+  bytes->clear();  // nothing came
+  return bytes;
 }
 
 BladeEdge parse_blade(const std::string& option, const std::string& text) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <iosfwd>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -91,6 +92,9 @@ class RisingSamples {
 Motion read_motion(std::istream& in, const std::string& name, Times times = Times::kSkip);
 // The same from a file.
 Motion read_motion(const std::string& path, Times times = Times::kSkip);
+// Opens the file of a motion, text or capture, so that one can go back to its beginning: a pipe is first read to its end,
+// into memory. Throws MotionError.
+std::unique_ptr<std::istream> open_motion(const std::string& path);
 
 // "12.345 s": nanoseconds as a file has them, in seconds, every digit.
 std::string seconds_text(std::int64_t ns);

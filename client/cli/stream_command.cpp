@@ -4,8 +4,9 @@
 #include <chrono>
 #include <cinttypes>
 #include <cstdio>
-#include <fstream>
+#include <istream>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -100,13 +101,16 @@ struct RecordedPoses {
 
 RecordedPoses read_poses(const StreamCommand& command) {
   const std::string name = command.poses.string();
-  std::ifstream in(command.poses, std::ios::binary);
-  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
-  protocol::CaptureReader capture(in);
+  const std::unique_ptr<std::istream> in = protocol::open_motion(name);
+  protocol::CaptureReader capture(*in);
   if (!capture.header_ok() && command.from_source)
     throw UsageError("--from-source: " + name + " is no capture; its poses have one source");
-  protocol::Motion motion = capture.header_ok() ? read_capture_poses(capture, command)
-                                                : protocol::read_motion(name, times_of(command));
+  const auto read_text = [&] {
+    in->clear();
+    in->seekg(0);
+    return protocol::read_motion(*in, name, times_of(command));
+  };
+  protocol::Motion motion = capture.header_ok() ? read_capture_poses(capture, command) : read_text();
   if (!motion.warning.empty()) warn(motion.warning);
   RecordedPoses recorded{std::move(motion.samples), std::move(motion.restarts), motion.has_buttons};
   if (recorded.poses.empty()) throw std::runtime_error(name + ": there is no pose in it");

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cmath>
@@ -548,6 +549,39 @@ TEST_F(Incise, TheReportsDeviationIsWhatAJudgeMeasures) {
   EXPECT_GT(worst / h, 1e-3);
   EXPECT_NEAR(report["deviation_max_h"].get<double>(), worst / h, 1e-6);
   EXPECT_NEAR(report["deviation_mean_h"].get<double>(), sum / static_cast<double>(samples) / h, 1e-9);
+}
+
+// As a shell's <(command) gives them.
+TEST_F(Incise, MotionsAndCapturesComeThroughPipes) {
+  write_cube_and_sweep();
+  write("empty.tum", "");
+  write("c.json", "{}");
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  ASSERT_EQ(::mkfifo((dir_ / "pipe").c_str(), 0600), 0);
+  const auto through_pipe = [&](const std::string& file, const std::vector<std::string>& arguments) {
+    const tests::Started started = tests::start_program("incise", arguments, dir_, dir_ / "stdout.txt");
+    std::ofstream(dir_ / "pipe", std::ios::binary) << tests::read_file(dir_ / file);
+    return tests::end_of(started);
+  };
+  const std::vector<std::string> cut = {"cut",   "--mesh", "cube",   "--blade", kBlade,
+                                        "--out", "o.vtu",  "--json", "--poses"};
+  const auto of = [&](const std::string& name) {
+    auto all = cut;
+    all.push_back(name);
+    return all;
+  };
+  for (const char* file : {"sweep.csv", "a.capture"}) {
+    const RunResult piped = through_pipe(file, of("pipe")), direct = run(of(file));
+    ASSERT_EQ(piped.exit_code, 0) << piped.err;
+    EXPECT_EQ(json::parse(piped.out)["state_hash"], json::parse(direct.out)["state_hash"]);
+    const RunResult info = through_pipe(file, {"info", "pipe", "--json"});
+    ASSERT_EQ(info.exit_code, 0) << info.err;
+    EXPECT_EQ(json::parse(info.out)["poses"], 400);
+  }
+  EXPECT_EQ(through_pipe("a.capture", {"replay", "pipe", "--mesh", "cube", "--verify"}).exit_code, 0);
+  expect_error(through_pipe("empty.tum", of("pipe")), 1, {"pipe: the file is empty"});
+  expect_error(through_pipe("c.json", {"info", "pipe"}), 1,
+               {"pipe: not a motion or a capture; save anything else"});
 }
 
 TEST_F(Incise, CutComparesThePolicies) {

@@ -183,15 +183,17 @@ Json describe_checkpoint(const loop::Checkpoint& checkpoint) {
       {"state_bytes", checkpoint.state.size()}};
 }
 
-// Decides by the contents: a configuration, a checkpoint, a capture, or a motion.
+// Decides by the contents: a configuration, a checkpoint, a capture, or a motion; from a pipe only one of the last two.
 Json describe_contents(const fs::path& file) {
-  if (loop::begins_as_checkpoint(file.string())) {
+  std::error_code ignored;
+  const bool pipe = !fs::is_regular_file(file, ignored);  // can be read once
+  if (!pipe && loop::begins_as_checkpoint(file.string())) {
     std::string why;
     if (const auto checkpoint = loop::read_checkpoint(file.string(), why))
       return describe_checkpoint(*checkpoint);
     throw std::runtime_error(why + "; incised --resume does without it");
   }
-  if (looks_like_config(file)) {
+  if (!pipe && looks_like_config(file)) {
     const Json json = Json::parse(std::ifstream(file), nullptr, false, true);
     if (json.is_object() && json.contains("tools")) {
       return {{"kind", "device profile"}, {"name", input::load_profile(file).name}};
@@ -205,7 +207,10 @@ Json describe_contents(const fs::path& file) {
     const std::string name = file.string() + ": ";
     throw std::runtime_error(name + "holds no poses: " + std::string(error.what()).substr(name.size()));
   } catch (const protocol::NotAMotion&) {
-    throw std::runtime_error(file.string() + ": not a file that incise knows; it knows " + known_files());
+    throw std::runtime_error(
+        file.string() +
+        (pipe ? ": not a motion or a capture; save anything else that comes from a pipe to a file"
+              : ": not a file that incise knows; it knows " + known_files()));
   }
 }
 

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <array>
-#include <fstream>
+#include <istream>
 
 #include "protocol/motion.hpp"
 #include "server/mesh_io/mesh_io.hpp"
@@ -35,21 +35,21 @@ void refuse_unless_rising(const RecordedMotion& motion, const std::string& name)
   }
 }
 
-std::ifstream open_file(const std::string& name) {
+std::unique_ptr<std::istream> open_file(const std::string& name) {
   std::error_code error;
   if (std::filesystem::is_directory(name, error))
     throw std::runtime_error(name + ": is a directory; accepted is a file");
-  std::ifstream in(name, std::ios::binary);
-  if (!in) throw std::runtime_error(name + ": cannot be opened: " + std::generic_category().message(errno));
-  return in;
+  return protocol::open_motion(name);
 }
 
 RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged if_damaged) {
   try {
     return replay::read_capture(in, name, nullptr, if_damaged);
   } catch (const replay::DamagedCapture& damage) {
-    throw std::runtime_error(std::string(damage.what()) +
-                             "; incise replay, export and convert use what is before it with --until-damage");
+    throw std::runtime_error(
+        std::string(damage.what()) +
+        "; incise replay and export use what is before it with --until-damage, and incise "
+        "convert --until-damage makes a whole capture of that for all else");
   }
 }
 
@@ -58,16 +58,16 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged
 RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol::Times times,
                                     IfDamaged if_damaged) {
   const std::string name = path.string();
-  std::ifstream in = open_file(name);
-  if (begins_as_capture(in)) {
-    RecordedMotion motion = read_capture(in, name, if_damaged);
+  const std::unique_ptr<std::istream> in = open_file(name);
+  if (begins_as_capture(*in)) {
+    RecordedMotion motion = read_capture(*in, name, if_damaged);
     if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
   }
   if (mesh_io::is_mesh_input(path) || mesh_io::is_surface_file(path) || mesh_io::is_surface_input(path)) {
     throw std::runtime_error(name + ": is a mesh by its ending; accepted is a motion: a capture, TUM or CSV");
   }
-  const protocol::Motion text = protocol::read_motion(in, name, times);
+  const protocol::Motion text = protocol::read_motion(*in, name, times);
   RecordedMotion motion;
   motion.format = text.csv ? "CSV" : "TUM";
   motion.has_orientation = text.has_orientation;
@@ -91,26 +91,26 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
 
 RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged) {
   const std::string name = path.string();
-  std::ifstream in = open_file(name);
-  if (!begins_as_capture(in)) {
+  const std::unique_ptr<std::istream> in = open_file(name);
+  if (!begins_as_capture(*in)) {
     throw std::runtime_error(name +
                              ": is not a capture; incised records one (capture.path), and incise convert "
                              "makes one of a motion");
   }
-  return read_capture(in, name, if_damaged);
+  return read_capture(*in, name, if_damaged);
 }
 
 std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path,
                                                 const CaptureStart& start) {
-  std::ifstream in = open_file(path.string());
-  RecordedMotion motion = replay::read_capture(in, path.string(), &start);
+  const std::unique_ptr<std::istream> in = open_file(path.string());
+  RecordedMotion motion = replay::read_capture(*in, path.string(), &start);
   if (!motion.header) return std::nullopt;
   return motion;
 }
 
 protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
-  std::ifstream in = open_file(path.string());
-  const protocol::CaptureReader reader(in);
+  const std::unique_ptr<std::istream> in = open_file(path.string());
+  const protocol::CaptureReader reader(*in);
   if (!reader.header_ok())
     throw std::runtime_error(path.string() + ": is not a capture of incised: " + reader.error());
   return reader.header();
