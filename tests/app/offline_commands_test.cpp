@@ -625,6 +625,26 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
       << result.err;
 }
 
+TEST_F(Incise, CuttingAgainWhereABodyIsCutIsAWarningThatSaysSo) {
+  write_cube_and_sweep();
+  const auto cut = [&](const std::string& mesh, const std::string& out, const std::string& blade) {
+    return run({"cut", "--mesh", mesh, "--poses", "sweep.csv", "--blade", blade, "--out", out});
+  };
+  ASSERT_EQ(cut("cube", "once", kBlade).exit_code, 0);
+  const RunResult again = cut("once", "twice", kBlade);
+  EXPECT_EQ(again.exit_code, 3);
+  EXPECT_NE(
+      again.err.find(
+          "warning: nothing was cut: the blade of sweep.csv met the body, but what it swept is cut already"),
+      std::string::npos)
+      << again.err;
+  EXPECT_EQ(again.err.find("check the blade"), std::string::npos) << again.err;
+  // One that ends above the body met nothing.
+  const RunResult above = cut("once", "twice", "0,0,0:0,0,-0.001");
+  EXPECT_EQ(above.exit_code, 3);
+  EXPECT_NE(above.err.find("check the blade, units and frames"), std::string::npos) << above.err;
+}
+
 TEST_F(Incise, ABladeMuchLongerThanTheBodyIsRefused) {
   write_cube_and_sweep();
   const std::string fault = " is 120 m long, the body 0.1732 m: this looks like millimetres; divide by 1000";

@@ -14,13 +14,11 @@ using Json = nlohmann::ordered_json;
 
 // What a session did with a motion, batch by batch.
 struct Tally {
-  const double tolerance_m;  // of the swept surface that the cut is compared with
   core::CutCounts sum = {};
   std::vector<double> batch_us = {};
   bool goes_on = false;  // the last batch is not complete: its next part adds to its time
-  core::SweptSurface swept = {};
 
-  void add(const core::Batch& batch, const core::CutCounts& counts, bool whole, double us) {
+  void add(const core::CutCounts& counts, bool whole, double us) {
     if (!goes_on) batch_us.push_back(0);
     batch_us.back() += us;
     goes_on = !whole;
@@ -29,7 +27,6 @@ struct Tally {
     sum.splits += counts.splits;
     sum.failed += counts.failed;
     sum.removed_tets += counts.removed_tets;
-    core::add_sweep(swept, batch.lines, tolerance_m);
   }
   double sum_us() const { return std::accumulate(batch_us.begin(), batch_us.end(), 0.0); }
   double quantile_us(double q) const {
@@ -41,12 +38,11 @@ struct Tally {
   }
 };
 
-// The result for the mesh; `tally` is complete.
+// The result for the mesh, of a whole motion.
 Json report_of(const CutInput& in, const Config& config, const core::TetMesh& mesh,
-               const core::CutReport& before, Tally& tally) {
+               const core::CutReport& before, const Tally& tally, const core::SweptSurface& swept) {
   const core::CutReport after = core::measure(mesh);
-  tally.swept.build();
-  const core::Deviation deviation = core::deviation(mesh, tally.swept);
+  const core::Deviation deviation = core::deviation(mesh, swept);
   const bool croll = config.cut.policy == core::Policy::kCroll;
   Json report;
   report["mesh"] = in.mesh_name;
@@ -131,7 +127,7 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
     warnings.push_back(in.mesh_name + ": " + counted(copies, "vertex", "vertices") +
                        " joined parts that only touch there; now each part has its own");
   }
-  Tally tally{.tolerance_m = 0.001 * session.mesh().mean_edge_length()};
+  Tally tally;
   progress.stage("cutting");
   MotionRun run(session, in.motion, config, in.poses_name);
   run.run({.deformations = false,  // they name vertices of another mesh
@@ -141,13 +137,12 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
                },
            .commit =
                [&](const core::Delta& delta, double us) {
-                 tally.add(session.committed_batch(), session.committed_counts(), session.committed_whole(),
-                           us);
+                 tally.add(session.committed_counts(), session.committed_whole(), us);
                  if (hooks.commit) hooks.commit(session, delta);
                }},
           progress);
   progress.stage("measuring");
-  out.report = report_of(in, config, session.mesh(), before, tally);
+  out.report = report_of(in, config, session.mesh(), before, tally, run.swept());
   out.report["poses_taken"] = run.poses_taken();
   for (std::string& warning : run.warnings(out.report["cut_faces"].get<std::uint32_t>(), in.body))
     warnings.push_back(std::move(warning));

@@ -20,6 +20,8 @@ constexpr double kMaxBody_m = 1, kBodiesPerSecond = 10;
 constexpr double kMinUnitError = 150, kMaxUnitError = 7000;
 // So many times: the body may be in centimetres.
 constexpr double kMinCentimetres = 50, kMaxCentimetres = 700;
+// How far the surface that the blade is said to have swept may be from where it was, in h.
+constexpr double kSweepTolerance_h = 0.001;
 // Of the body's diagonal; the protocol limits operators' blades to the same. With one of about 500 nothing is cut any more.
 constexpr double kMostBladeLengths = 100;
 
@@ -159,6 +161,7 @@ void MotionRun::run(const Options& options, Progress& progress) {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
     if (used[source]) handle({MotionEvent::Kind::kEndStroke, source, {}, 0}, options);
   }
+  swept_.build();
 }
 
 void MotionRun::handle(const MotionEvent& event, const Options& options) {
@@ -188,10 +191,12 @@ void MotionRun::commit_all(const Options& options) {
     if (batch.stroke > 0) {
       ++batches_;
       for (const core::BladeLine& line : batch.lines) {
-        swept_.add(line.heel);
-        swept_.add(line.tip);
+        lines_.add(line.heel);
+        lines_.add(line.tip);
       }
     }
+    crossed_an_edge_ = crossed_an_edge_ || session_.committed_counts().events > 0;
+    core::add_sweep(swept_, batch.lines, kSweepTolerance_h * h_m_);
     options.commit(delta_, us.count());
   }
 }
@@ -228,8 +233,27 @@ std::string MotionRun::why_nothing_was_cut(const Box& body) const {
     return "every step of " + name_ + " counts as a jump; raise the limits in the configuration";
   }
   if (batches_ == 0) return "the blade of " + name_ + " never moved";
-  return "the blade swept " + swept_.text() + ", the mesh fills " + body.text() +
+  if (met_the_body()) {
+    return "the blade of " + name_ +
+           " met the body, but what it swept is cut already, or is less than a tetrahedron deep";
+  }
+  return "the blade swept " + lines_.text() + ", the mesh fills " + body.text() +
          " (metres); check the blade, units and frames";
+}
+
+// Whether the blade crossed an edge, or a vertex lies where it swept, as those of an earlier cut there do.
+bool MotionRun::met_the_body() const {
+  if (crossed_an_edge_) return true;
+  const core::TetMesh& mesh = session_.mesh();
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    for (const core::VertexId v : mesh.vertices(t)) {
+      core::Vec3 closest;
+      std::uint32_t triangle = 0;
+      if (swept_.closest(mesh.position(v), 2 * kSweepTolerance_h * h_m_, closest, triangle)) return true;
+    }
+  }
+  return false;
 }
 
 std::string MotionRun::units_hint(bool nothing_met, const Box& body) const {

@@ -8,6 +8,7 @@
 #include "server/app/config.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 #include "server/app/offline/terminal.hpp"
+#include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/mesh_data.hpp"
 #include "server/core/session/cut_session.hpp"
 
@@ -44,7 +45,11 @@ class MotionRun {
  public:
   // All must outlive this. `name` is the motion in warnings.
   MotionRun(core::CutSession& session, const RecordedMotion& motion, const Config& config, std::string name)
-      : session_(session), motion_(motion), config_(config), name_(std::move(name)) {}
+      : session_(session),
+        motion_(motion),
+        config_(config),
+        name_(std::move(name)),
+        h_m_(session.mesh().mean_edge_length()) {}
 
   struct Options {
     bool deformations = true;  // false: skip them, because they name another mesh's vertices
@@ -60,6 +65,8 @@ class MotionRun {
   std::uint64_t poses_taken() const { return count(core::PoseVerdict::kAccepted) + jumps(); }
   // Poses rejected, jumps, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut.
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
+  // What the blade swept in all batches. After run().
+  const core::SweptSurface& swept() const { return swept_; }
   // Of these, poses rejected and jumps.
   std::vector<std::string> pose_warnings() const;
   // That poses look like millimetres, or the mesh like those or centimetres; else empty. `nothing_met`: the blade met nothing.
@@ -73,16 +80,20 @@ class MotionRun {
   }
   std::uint64_t jumps() const { return count(core::PoseVerdict::kNewStroke); }
   std::string why_nothing_was_cut(const Box& body) const;
+  bool met_the_body() const;
 
   core::CutSession& session_;
   const RecordedMotion& motion_;
   const Config& config_;
   const std::string name_;
+  const double h_m_;  // before any cut
   core::Delta delta_;
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts_{};
   std::uint64_t batches_ = 0;
   bool engaged_ = false;  // some pose was
-  Box tool_, swept_;      // of the poses' positions; of the blade's lines in all batches
+  Box tool_, lines_;      // of the poses' positions; of the blade's lines in all batches
+  core::SweptSurface swept_;
+  bool crossed_an_edge_ = false;
 };
 
 }  // namespace incise::app
