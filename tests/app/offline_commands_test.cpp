@@ -916,7 +916,14 @@ TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
   std::string corrupt = whole;
   corrupt[whole.size() / 2] = static_cast<char>(corrupt[whole.size() / 2] ^ 0x10);
   write("corrupt.capture", corrupt);
-  expect_error(run({"replay", "corrupt.capture"}), 1, {"corrupt.capture", "--until-damage"});
+  for (const char* command : {"replay", "feel", "cut"}) {
+    std::vector<std::string> arguments{command, "corrupt.capture", "--mesh", "cube"};
+    if (command[0] == 'c')
+      arguments = {"cut", "--poses", "corrupt.capture", "--mesh", "cube", "--out", "o.vtu"};
+    expect_error(run(arguments), 1,
+                 {"corrupt.capture", "incise replay and export use what is before it with --until-damage",
+                  "incise convert --until-damage makes a whole capture of that"});
+  }
   expect_error(run({"export", "corrupt.capture", "--out", "a.vtu"}), 1,
                {"corrupt.capture", "--until-damage"});
 }
@@ -1183,6 +1190,7 @@ TEST_F(Incise, InfoNamesOnlyWhatItReads) {
   write("a.xyz", "nothing");
   const RunResult result = run({"info", "a.xyz"});
   expect_error(result, 1, {"it knows a mesh", ".glb"});
+  expect_error(run({"info", ""}), 2, {"FILE is empty; name a file"});
   EXPECT_EQ(result.err.find(".vtp"), std::string::npos) << result.err;
 }
 

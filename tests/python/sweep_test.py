@@ -214,6 +214,30 @@ class Sweep(unittest.TestCase):
                 self.assertIn(text, errors)
                 self.assertRegex(errors, r"\Aincise: [^\n]*\n\Z")
         self.assertIn("No such file", self.run_sweep("none.json", "--out", out, status=1))
+        (self.folder / "empty.json").write_text("")
+        self.assertIn("empty.json: is no JSON (Expecting value: line 1 column 1 (char 0)); client/CLIENTS.md shows what a SPEC is",
+                      self.run_sweep(self.folder / "empty.json", "--out", out, status=1))
+        for place, why in (("empty.json", "File exists"), ("empty.json/below", "Not a directory")):
+            self.assertIn(f"{place}: cannot be the data set's directory: {why}; choose another",
+                          self.run_sweep(self.spec(), "--out", self.folder / place, status=1))
+        out.mkdir()
+        (out / "manifest.json").write_text("{")
+        self.assertRegex(self.run_sweep(self.spec(), "--out", out, status=1), r"manifest.json: cannot be read \(.*\); remove it")
+        (out / "manifest.json").unlink()
+        with open("/dev/full", "w", encoding="ascii") as full:
+            done = subprocess.run([BUILD / "bin/incise", "sweep", self.spec(), "--sample", "0"], stdout=full, stderr=subprocess.PIPE, text=True,
+                                  check=False)
+        self.assertEqual((done.returncode, done.stderr),
+                         (1, "incise: the standard output could not be written to its end: No space left on device\n"))
+        body = self.folder / "body.vtu"
+        incise.Body.phantom("slab", 800).save(body)
+        for read in (body, self.folder / "spec.json"):
+            errors = self.run_sweep(self.spec(bodies=[str(body)]), "--sample", "0", "--out", read, status=1)
+            self.assertIn("would overwrite", errors)
+        with self.assertRaisesRegex(incise.Error, r"is a device or a pipe; accepted is"):
+            incise.Session(incise.Body.load(body)).save("/dev/null")
+        with self.assertRaisesRegex(incise.Error, r"/dev/full/a: cannot be written: Not a directory; when it can, start the sweep again"):
+            incise.sweep.write_whole(pathlib.Path("/dev/full/a"), b"")
         self.run_sweep(self.spec(), status=2)
         self.assertIn("accepted is 0 to 79", self.run_sweep(self.spec(), "--sample", "80", status=1))
         self.assertRegex(self.run_sweep(self.spec(), "--out", out, "--dask", "tcp://127.0.0.1:1", status=1),

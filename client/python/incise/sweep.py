@@ -28,6 +28,7 @@ Needs python3-h5py, and python3-distributed for --dask.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import fcntl
 import functools
 import hashlib
@@ -76,8 +77,10 @@ def read_plan(path: pathlib.Path) -> Plan:
     """The plan of a SPEC, checked: all that a worker needs. Raises incise.Error."""
     try:
         spec = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise incise.Error(f"{path}: {error.strerror if isinstance(error, OSError) else error}") from None
+    except OSError as error:
+        raise incise.Error(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise incise.Error(f"{path}: is no JSON ({error}); client/CLIENTS.md shows what a SPEC is") from None
     where = str(path)
     if not isinstance(spec, dict):
         _refuse(where, spec, "an object {...}")
@@ -286,11 +289,16 @@ def _shard_file(out: pathlib.Path, shard: int) -> pathlib.Path:
 def write_whole(path: pathlib.Path, content: bytes) -> None:
     """Writes a file that is there with all of its content or not at all, also if the machine stops."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with open(part, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+    try:
+        with open(part, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise incise.Error(f"{path}: cannot be written: {error.strerror}; when it can, start the sweep again, and it goes on") from None
 
 
 def _state_hashes(plan: Plan, path: pathlib.Path, shard: int) -> list[str]:
@@ -304,6 +312,14 @@ def _state_hashes(plan: Plan, path: pathlib.Path, shard: int) -> list[str]:
             return [file[f"{number:08}"].attrs["state_hash"] for number in _samples_of(plan, shard)]
     except (OSError, KeyError) as error:
         raise incise.Error(f"{path}: cannot be read ({error}); remove it, and its samples are made again") from None
+
+
+def _digest(manifest: pathlib.Path) -> str | None:
+    """Of the plan that a manifest is of."""
+    try:
+        return json.loads(manifest.read_text()).get("digest")
+    except (OSError, ValueError, AttributeError) as error:
+        raise incise.Error(f"{manifest}: cannot be read ({error}); remove it, and it is made again") from None
 
 
 def _write_manifest(plan: Plan, out: pathlib.Path, done: dict[int, list[str]]) -> None:
@@ -389,12 +405,28 @@ def run_dask(plan: Plan, out: pathlib.Path, wanted: list[int], address: str, fin
 # --- The command ----------------------------------------------------------------------------------------------------
 
 
+def _require_not_read(plan: Plan, spec: pathlib.Path, out: pathlib.Path) -> None:
+    """Raises incise.Error if a mesh that is written as `out` would overwrite what the sweep reads. A TetGen mesh is two files."""
+    def files(path: pathlib.Path) -> list[pathlib.Path]:
+        base = path.with_suffix("") if path.suffix in (".node", ".ele") else path
+        return [file for file in (path, pathlib.Path(f"{base}.node"), pathlib.Path(f"{base}.ele")) if file.exists()]
+
+    named = [entry for entry in plan["spec"]["bodies"] + plan["spec"]["motions"] if isinstance(entry, str)]
+    for file in itertools.chain([spec], *(files(pathlib.Path(plan["directory"]) / name) for name in named)):
+        if any(file.samefile(written) for written in files(out)):
+            raise incise.Error(f"--out {out}: would overwrite {file}, which is read; choose another name")
+
+
 def sweep(spec: pathlib.Path, out: pathlib.Path, workers: int, dask: str | None) -> dict:
     """Makes what is missing of a data set; returns figures. Raises incise.Error."""
     begun = time.monotonic()
     plan = read_plan(spec)
-    out.mkdir(parents=True, exist_ok=True)
-    with open(out / ".lock", "w", encoding="ascii") as lock:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = open(out / ".lock", "w", encoding="ascii")
+    except OSError as error:
+        raise incise.Error(f"--out {out}: cannot be the data set's directory: {error.strerror}; choose another") from None
+    with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -404,7 +436,7 @@ def sweep(spec: pathlib.Path, out: pathlib.Path, workers: int, dask: str | None)
 
 def _continue(plan: Plan, out: pathlib.Path, workers: int, dask: str | None, lock: int, begun: float) -> dict:
     manifest = out / "manifest.json"
-    if manifest.exists() and json.loads(manifest.read_text()).get("digest") != plan["digest"]:
+    if manifest.exists() and _digest(manifest) != plan["digest"]:
         raise incise.Error(f"{out}: holds a sweep of another SPEC, body, motion or version; choose another --out")
     for part in out.glob(".*.part"):  # of a sweep that was killed
         part.unlink()
@@ -447,6 +479,7 @@ def main(arguments: list[str] | None = None) -> int:
                 raise incise.Error(f"--sample {options.sample}: accepted is 0 to {plan['samples'] - 1}")
             attributes, _, cut = make_sample(plan, options.sample, [])
             if options.out:
+                _require_not_read(plan, options.spec, options.out)
                 cut.session.save(options.out)
             result = {key: json.loads(attributes[key]) for key in ("body", "motion", "parameters", "report")}
             print(json.dumps(result, indent=2) if options.json else
@@ -456,7 +489,14 @@ def main(arguments: list[str] | None = None) -> int:
             figures = sweep(options.spec, options.out, options.workers, options.dask)
             print(json.dumps(figures, indent=2) if options.json else
                   f"{figures['samples']} samples in {figures['shards']} shards; {figures['made']} made now in {figures['seconds']:.1f} s")
-    except (incise.Error, OSError, ValueError) as error:
+        sys.stdout.flush()
+    except OSError as error:
+        if error.filename is None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries once more at its end
+        what = "the standard output could not be written to its end" if error.filename is None else f"{error.filename}: cannot be used"
+        print(f"incise: {what}: {error.strerror}", file=sys.stderr)
+        return 1
+    except (incise.Error, ValueError) as error:
         print(f"incise: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:

@@ -266,6 +266,7 @@ void print(const Json& facts) {
 
 int run_info(const InfoCommand& command) {
   const fs::path& file = command.file;
+  if (file.empty()) throw client::UsageError("FILE is empty; name a file");
   std::error_code error;
   fs::path node = file;
   node += ".node";
