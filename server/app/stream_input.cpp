@@ -21,6 +21,27 @@ void fill(core::VertexPositions& buffer, std::span<const Number> numbers) {
     buffer.positions[i] = {numbers[3 * i], numbers[3 * i + 1], numbers[3 * i + 2]};
 }
 
+const char* why_not(loop::UndoEnd end) {
+  switch (end) {
+    case loop::UndoEnd::kInStroke:
+      return "a blade was in its stroke all the time, so nothing was undone: end the stroke (buttons up, or "
+             "StrokeControl "
+             "End) and ask again";
+    case loop::UndoEnd::kBehind:
+      return "the server was behind with its cuts all the time, so nothing was undone: ask again when they "
+             "are done";
+    case loop::UndoEnd::kReset:
+      return "the mesh was reset first: there is no stroke to undo";
+    case loop::UndoEnd::kNoStroke:
+      return "there is no stroke to undo";
+    case loop::UndoEnd::kOtherBlade:
+      return "the last stroke is that of another blade: its operator or an admin may undo it";
+    case loop::UndoEnd::kDone:
+      break;
+  }
+  return "";
+}
+
 }  // namespace
 
 std::size_t StreamPoseInput::enqueue(std::span<const protocol::PoseSample> poses, std::int64_t arrival_ns) {
@@ -80,15 +101,21 @@ std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_nam
   return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
 }
 
-std::string StreamInput::undo(std::optional<std::uint32_t> source, const Later& /*later*/) {
+std::string StreamInput::undo(std::optional<std::uint32_t> source, const Answer& answer) {
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
   if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";
   const loop::Checkpointer::Undoable undoable = checkpointer_->undoable();
-  if (undoable.strokes == 0) return "there is no stroke to undo";
-  if (source && undoable.source != *source)
-    return "the last stroke is that of another blade: its operator or an admin may undo it";
-  return loop_->request_undo() ? "" : "this server does not offer it";
+  if (undoable.strokes == 0) return why_not(loop::UndoEnd::kNoStroke);
+  if (source && undoable.source != *source) return why_not(loop::UndoEnd::kOtherBlade);
+  const bool waits = loop_->request_undo(source, [answer](loop::UndoEnd end) {
+    if (end == loop::UndoEnd::kDone) {
+      answer(std::nullopt);
+    } else {
+      answer(stream::Refusal{protocol::ErrorCode::NotAvailable, std::string("Undo: ") + why_not(end)});
+    }
+  });
+  return waits ? "" : "too many wait already: ask again when these are done";
 }
 
 std::unique_ptr<stream::PositionsInput> StreamInput::open_positions() {

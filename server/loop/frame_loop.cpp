@@ -33,9 +33,7 @@ constexpr std::int64_t kJitterPart = 4;
 constexpr double kLatest = 0.95;
 // The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
-// An undo that could not be done for so long, since blades cut all the time, is given up.
-constexpr std::int64_t kUndoPatience_ns = 10'000'000'000;
-constexpr std::uint32_t kMostUndos = 100;  // that may wait
+constexpr std::size_t kMostUndos = 128;  // that may wait
 // After an undo so many cuts a frame are entered for the forces.
 constexpr std::size_t kCutsNoted = 512;
 
@@ -64,6 +62,7 @@ const char* to_string(LateCause cause) {
 FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, DeltaSink& sink, Journal* journal,
                      const LoopOptions& options)
     : session_(&session),
+      undo_requests_(kMostUndos),
       input_(input),
       sink_(sink),
       journal_(journal),
@@ -139,7 +138,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   input_.doorbell().forget();
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
-  if (undo_wanted_.load(std::memory_order_relaxed) > 0) undo(start);
+  if (take_undo_request()) undo(start);
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(for_cuts_.left_ns())));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
@@ -335,8 +334,7 @@ void FrameLoop::reset() {
     reset_wanted_.store(true, std::memory_order_relaxed);
     return;
   }
-  undo_wanted_.store(0, std::memory_order_relaxed);  // what it was to undo is gone
-  begin_next_undo();
+  while (take_undo_request()) answer_undo(UndoEnd::kReset);
   cuts_to_note_.clear();
   first_cut_faces_ = 0;
   first_cut_area_m2_ = 0;
@@ -350,15 +348,22 @@ void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
   undo_done_ = std::move(done);
 }
 
-bool FrameLoop::request_undo() {
+bool FrameLoop::request_undo(std::optional<std::uint32_t> source, UndoAnswered answered) {
   if (!take_undone_) return false;
-  if (undo_wanted_.load(std::memory_order_relaxed) < kMostUndos)
-    undo_wanted_.fetch_add(1, std::memory_order_relaxed);
+  return undo_requests_.push({source, std::move(answered), monotonic_ns() + options_.undo_patience_ns});
+}
+
+bool FrameLoop::take_undo_request() {
+  if (undo_) return true;
+  UndoRequest next;
+  if (!undo_requests_.pop(next)) return false;
+  undo_ = std::move(next);
   return true;
 }
 
-void FrameLoop::begin_next_undo() {
-  undo_until_ns_ = 0;
+void FrameLoop::answer_undo(UndoEnd end) {
+  if (undo_->answered) undo_->answered(end);
+  undo_.reset();
   undo_asked_ = false;
 }
 
@@ -369,13 +374,12 @@ bool FrameLoop::in_stroke() const {
 }
 
 void FrameLoop::undo(std::int64_t now_ns) {
-  if (undo_until_ns_ == 0) undo_until_ns_ = now_ns + kUndoPatience_ns;
-  if (now_ns > undo_until_ns_) {
-    undo_wanted_.store(0, std::memory_order_relaxed);
-    begin_next_undo();
+  const bool stroking = in_stroke();
+  if (now_ns > undo_->until_ns) {
+    answer_undo(stroking ? UndoEnd::kInStroke : UndoEnd::kBehind);
     return;
   }
-  if (in_stroke() || session_->backlog_batches() > 0) return;
+  if (stroking || session_->backlog_batches() > 0) return;
   if (!undo_asked_ || undo_strokes_ != strokes_begun_) {
     undo_asked_ = journal_->want_undo(++undo_request_);
     undo_strokes_ = strokes_begun_;
@@ -383,22 +387,30 @@ void FrameLoop::undo(std::int64_t now_ns) {
   }
   auto undone = take_undone_();
   if (!undone || undone->request != undo_request_) return;  // an older one is from before the last stroke
-  undo_wanted_.fetch_sub(1, std::memory_order_relaxed);
-  begin_next_undo();
-  if (!undone->session) return;
+  if (!undone->session) {
+    answer_undo(UndoEnd::kNoStroke);
+  } else if (undo_->source && *undo_->source != undone->before.source) {
+    answer_undo(UndoEnd::kOtherBlade);  // it began while this waited
+  } else {
+    answer_undo(UndoEnd::kDone);
+    go_back(std::move(*undone));
+  }
+}
+
+void FrameLoop::go_back(Undone undone) {
   JournalRecord record;
   record.kind = JournalRecord::Kind::kUndo;
-  record.source = undone->before.source;
-  record.pose.t_ns = undone->before.t_ns;
-  record.posed_ns = undone->before.arrival_ns;
-  record.revision = undone->before.revision;
+  record.source = undone.before.source;
+  record.pose.t_ns = undone.before.t_ns;
+  record.posed_ns = undone.before.arrival_ns;
+  record.revision = undone.before.revision;
   LoopState state;
-  state.revision = undone->before.revision;
-  state.strokes = undone->before.strokes;
-  state.cut_faces = first_cut_faces_ + undone->before.cut_faces;
-  state.cut_area_m2 = first_cut_area_m2_ + undone->before.cut_area_m2;
-  cuts_to_note_ = std::move(undone->cuts);
-  replace(std::move(undone->session), state, record, undo_done_);
+  state.revision = undone.before.revision;
+  state.strokes = undone.before.strokes;
+  state.cut_faces = first_cut_faces_ + undone.before.cut_faces;
+  state.cut_area_m2 = first_cut_area_m2_ + undone.before.cut_area_m2;
+  cuts_to_note_ = std::move(undone.cuts);
+  replace(std::move(undone.session), state, record, undo_done_);
 }
 
 void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,

@@ -13,6 +13,7 @@
 #include "server/haptics/force_stage.hpp"
 #include "server/input/pose_sources.hpp"
 #include "server/input/positions_slot.hpp"
+#include "server/input/spsc_queue.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
 #include "server/loop/frame_share.hpp"
@@ -33,6 +34,18 @@ struct LoopOptions {
   std::size_t most_unread_deltas = 1u << 16;
   // How long finish() may cut; what is left then is in the capture, if there is one.
   std::int64_t longest_finish_ns = INT64_MAX;
+  // How long an undo waits for the strokes that are under way to end.
+  std::int64_t undo_patience_ns = 10'000'000'000;
+};
+
+// What became of an undo.
+enum class UndoEnd {
+  kDone,
+  kInStroke,    // a blade did not end its stroke in time
+  kBehind,      // the cut, or the checkpointer, did not catch up in time
+  kReset,       // the mesh was reset first
+  kNoStroke,    // there was none to undo
+  kOtherBlade,  // the last stroke was not of the blade whose it had to be
 };
 
 // The real-time loop. A frame begins when poses arrive, and one period after the last one where none do. Each frame, in this order: drains the queued poses, checks and batches them, updates the
@@ -64,9 +77,12 @@ class FrameLoop {
   using TakeUndone = std::function<std::unique_ptr<Undone>()>;
   using UndoDone = ResetDone;
   void offer_undo(TakeUndone take, UndoDone done);
-  // Asks for it: all is as it was before the last stroke that cut something began, at a new session id. Done between strokes, so it waits while a blade
-  // cuts, for ten seconds at most. Several that are asked for are done one after the other. False where it was not offered. From any thread.
-  bool request_undo();
+  // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a `source` only if that stroke is that
+  // blade's. Done between strokes, so it waits while a blade cuts, but not beyond LoopOptions::undo_patience_ns. Several that are asked for are done one
+  // after the other. `answered`, which may be empty, is called once, on the loop's thread and before `done`; never where the loop ends first. False where
+  // it was not offered, or too many wait. From one thread.
+  using UndoAnswered = std::function<void(UndoEnd)>;
+  bool request_undo(std::optional<std::uint32_t> source, UndoAnswered answered);
 
   // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
   // cuts so far. `sink`, `slots` and `link` may be null; otherwise they must outlive this.
@@ -109,9 +125,17 @@ class FrameLoop {
   // Whether the journal has it.
   bool write(const JournalRecord& record);
   void reset();
+  struct UndoRequest {
+    std::optional<std::uint32_t> source;
+    UndoAnswered answered;
+    std::int64_t until_ns = 0;
+  };
   void undo(std::int64_t now_ns);
-  // Forgets how far the last one was.
-  void begin_next_undo();
+  // Whether there is one to be done: the oldest, in undo_.
+  bool take_undo_request();
+  // Of the one in undo_; then it is the next one's turn.
+  void answer_undo(UndoEnd end);
+  void go_back(Undone undone);
   // What the session's body has been cut before. O(mesh).
   void count_first_cuts();
   // Goes on with another session. `done` gives its id.
@@ -124,13 +148,13 @@ class FrameLoop {
   Restart restart_;
   ResetDone reset_done_;
   std::atomic<bool> reset_wanted_{false};
-  std::atomic<std::uint32_t> undo_wanted_{0};
+  input::SpscQueue<UndoRequest> undo_requests_;
+  std::optional<UndoRequest> undo_;  // the one at work
   TakeUndone take_undone_;
   UndoDone undo_done_;
   std::uint64_t undo_request_ = 0,
-                undo_strokes_ = 0;  // the number of the last one; strokes begun when it was made
-  bool undo_asked_ = false;         // it was made, and is not answered
-  std::int64_t undo_until_ns_ = 0;
+                undo_strokes_ = 0;   // the number of the last one; strokes begun when it was made
+  bool undo_asked_ = false;          // it was made, and is not answered
   std::uint64_t strokes_begun_ = 0;  // whatever was undone
   std::vector<core::HalfFace> cuts_to_note_;
   std::int64_t last_start_ns_ = 0;                                    // of the frame before

@@ -208,13 +208,17 @@ void OperatorLink::undo(const stream::PeerInput::Later& later) {
 
 namespace {
 
-// Waits for the origin to refuse what was asked, or for the pong behind it.
+// Longer than the origin lets an undo wait for strokes to end.
+constexpr std::chrono::seconds kLongestUndo{15};
+
+// Waits for the origin to refuse what was asked. A reset it refuses before the pong behind it; an undo it may refuse later.
 class Errand final : public std::enable_shared_from_this<Errand>, private Connection::Owner {
  public:
   Errand(asio::io_context& io, const Origin& origin, protocol::Body what, stream::PeerInput::Later later)
       : connection_(std::make_shared<Connection>(io, origin, static_cast<Connection::Owner&>(*this))),
         what_(std::move(what)),
-        later_(std::move(later)) {}
+        later_(std::move(later)),
+        patience_(io) {}
 
   void start(const Origin& origin) {
     self_ = shared_from_this();
@@ -224,17 +228,34 @@ class Errand final : public std::enable_shared_from_this<Errand>, private Connec
  private:
   void on_message(const protocol::Message& message) override {
     if (std::holds_alternative<protocol::Welcome>(message.body)) {
-      sequence_ = connection_->send(what_);
-      connection_->send(protocol::Ping{kNonce, 0});
+      if (sequence_ == 0) ask();  // the second one comes with what was asked, or what somebody else did
     } else if (const auto* error = std::get_if<protocol::Error>(&message.body)) {
-      if (error->in_reply_to == sequence_) later_({error->code, error->text});
+      if (error->in_reply_to != sequence_) return;
+      later_({error->code, error->text});
+      end();
     } else if (const auto* pong = std::get_if<protocol::Pong>(&message.body); pong && pong->nonce == kNonce) {
-      connection_->close();
-      self_.reset();
+      end();
     }
+  }
+  void ask() {
+    sequence_ = connection_->send(what_);
+    if (!std::holds_alternative<protocol::Undo>(what_)) {
+      connection_->send(protocol::Ping{kNonce, 0});
+      return;
+    }
+    patience_.expires_after(kLongestUndo);
+    patience_.async_wait([self = shared_from_this()](boost::system::error_code error) {
+      if (!error) self->end();
+    });
+  }
+  void end() {
+    patience_.cancel();
+    connection_->close();
+    self_.reset();
   }
   void on_end(const Connection::End& end, bool /*welcomed*/) override {
     later_({ErrorCode::NotAvailable, "the server that cuts does not do it for this relay: " + end.text});
+    patience_.cancel();
     self_.reset();
   }
 
@@ -242,7 +263,8 @@ class Errand final : public std::enable_shared_from_this<Errand>, private Connec
   const std::shared_ptr<Connection> connection_;
   const protocol::Body what_;
   const stream::PeerInput::Later later_;
-  std::uint64_t sequence_ = 0;
+  asio::steady_timer patience_;
+  std::uint64_t sequence_ = 0;  // 0: not asked yet
   std::shared_ptr<Errand> self_;
 };
 

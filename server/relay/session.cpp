@@ -472,19 +472,19 @@ bool Session::reset(const Later& later) {
   return true;
 }
 
-std::string Session::undo(std::optional<std::uint32_t> source, const Later& later) {
+std::string Session::undo(std::optional<std::uint32_t> source, const Answer& answer) {
   if (source) {
     const std::scoped_lock lock(mutex_);
     for (const auto& weak : links_) {
       const auto link = weak.lock();
       if (!link || link->opening() || link->ended() || link->number() != *source) continue;
-      link->undo(while_served(later));
+      link->undo(while_served(answer));
       return {};
     }
   }
   const std::optional<Origin> origin = upstream_->origin();
   if (source || !origin) return "there is no connection to the server that cuts";
-  asio::post(io_, [this, origin = *origin, later = while_served(later)] {
+  asio::post(io_, [this, origin = *origin, later = while_served(answer)] {
     ask_origin(io_, origin, protocol::Undo{}, later);
   });
   return {};

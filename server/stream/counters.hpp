@@ -17,7 +17,7 @@ struct StreamCounters {
   std::uint64_t wrong_tokens = 0,
                 tokens_not_looked_at = 0;      // among the refused; the latter from addresses that guess
   std::uint64_t resets = 0;                    // of the mesh
-  std::uint64_t undos = 0;                     // that were asked for
+  std::uint64_t undos = 0;                     // that were done; a relay passes them on, and counts none
   std::uint64_t takeovers = 0, handovers = 0;  // of blades
   std::uint64_t deltas = 0;                    // applied to the mirror
   std::uint64_t queued = 0;                    // published, not yet applied

@@ -235,10 +235,29 @@ void Peer::on_model(const protocol::BladeModel& model, std::uint64_t sequence) {
 
 PeerInput::Later Peer::refuse_later(std::uint64_t sequence) {
   return [weak = weak_from_this(), &io = context_.io, sequence](Refusal refusal) {
-    asio::post(io, [weak, sequence, refusal = std::move(refusal)] {
-      const auto self = weak.lock();
-      if (self && self->open())
-        self->outbox_.complain(refusal.code, refusal.text.substr(0, protocol::kMaxTextBytes), sequence);
+    asio::post(io, [weak, sequence, refusal = std::move(refusal)] { complain_to(weak, refusal, sequence); });
+  };
+}
+
+void Peer::complain_to(const std::weak_ptr<Peer>& peer, const Refusal& refusal, std::uint64_t sequence) {
+  const auto self = peer.lock();
+  if (self && self->open())
+    self->outbox_.complain(refusal.code, refusal.text.substr(0, protocol::kMaxTextBytes), sequence);
+}
+
+// Who asked may have gone by then: what was done is counted and logged all the same.
+PeerInput::Answer Peer::answer_undo(std::uint64_t sequence) {
+  return [weak = weak_from_this(), &context = context_, sequence, address = ticket_.address().address(),
+          who = described()](std::optional<Refusal> refusal) {
+    asio::post(context.io, [weak, &context, sequence, address, who, refusal = std::move(refusal)] {
+      if (refusal) {
+        context.audit(Audit::kReset, address,
+                      "the undo that " + who + " asked for is not done: " + refusal->text);
+        complain_to(weak, *refusal, sequence);
+      } else {
+        ++context.counters->undos;
+        context.audit(Audit::kReset, address, "the last stroke is undone for " + who);
+      }
     });
   };
 }
@@ -261,11 +280,10 @@ void Peer::on_undo(std::uint64_t sequence) {
   }
   std::optional<std::uint32_t> source;
   if (role_ != Role::Admin) source = blade_.input()->number();
-  if (const std::string refusal = context_.input.undo(source, refuse_later(sequence)); !refusal.empty()) {
+  if (const std::string refusal = context_.input.undo(source, answer_undo(sequence)); !refusal.empty()) {
     outbox_.complain(ErrorCode::NotAvailable, "Undo: " + refusal, sequence);
   } else {
-    ++context_.counters->undos;
-    context_.audit(Audit::kReset, ticket_.address().address(), "the last stroke is undone by " + described());
+    context_.audit(Audit::kReset, ticket_.address().address(), "an undo is asked for by " + described());
   }
 }
 

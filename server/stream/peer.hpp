@@ -99,6 +99,8 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   void on_field_values(const protocol::FieldValues& values, std::uint64_t sequence);
   void on_model(const protocol::BladeModel& model, std::uint64_t sequence);
   PeerInput::Later refuse_later(std::uint64_t sequence);
+  static void complain_to(const std::weak_ptr<Peer>& peer, const Refusal& refusal, std::uint64_t sequence);
+  PeerInput::Answer answer_undo(std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
   void on_undo(std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);

@@ -77,6 +77,8 @@ class PeerInput {
  public:
   // Says that what was asked for cannot be, once that is known. From any thread; may never be called.
   using Later = std::function<void(Refusal)>;
+  // The same, and nothing where it has been done. A relay does not say that.
+  using Answer = std::function<void(std::optional<Refusal>)>;
 
   virtual ~PeerInput() = default;
   // Opens a blade by its source's name, with the server's shape or the operator's own. Null where it is held, or no
@@ -99,9 +101,9 @@ class PeerInput {
     return false;
   }
   // Asks for the state before the last stroke: for the blade of `source`, whose stroke it has to be, or without one for an admin. Server::
-  // publish_reset() follows when it is done. Empty, or why it cannot be.
-  virtual std::string undo(std::optional<std::uint32_t> source, const Later& later) {
-    static_cast<void>(source), static_cast<void>(later);
+  // publish_reset() follows when it is done. Empty and an answer later, or why it cannot be.
+  virtual std::string undo(std::optional<std::uint32_t> source, const Answer& answer) {
+    static_cast<void>(source), static_cast<void>(answer);
     return "this server does not offer it";
   }
 };

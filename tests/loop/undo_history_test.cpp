@@ -196,7 +196,9 @@ class UndoLoop : public ::testing::Test {
     journal_ = std::make_unique<Journal>(
         std::make_unique<Memory>(records_), Journal::Options{}, [](const std::string&) {},
         std::move(checkpointer));
-    loop_ = std::make_unique<FrameLoop>(session_, sources_, kept_, journal_.get(), LoopOptions{});
+    LoopOptions loop_options;
+    loop_options.undo_patience_ns = 500'000'000;
+    loop_ = std::make_unique<FrameLoop>(session_, sources_, kept_, journal_.get(), loop_options);
     loop_->offer_undo(
         [this] {
           const std::scoped_lock lock(mutex_);
@@ -221,9 +223,10 @@ class UndoLoop : public ::testing::Test {
     clock_ns_ += 1'000'000'000;
     send(up);
   }
-  void send(const core::Pose& pose) {
+  void send(const core::Pose& pose) { send(pose, *source_); }
+  void send(const core::Pose& pose, input::PoseSource& source) {
     const input::TimedPose timed{pose, monotonic_ns()};
-    source_->enqueue(std::span(&timed, 1));
+    source.enqueue(std::span(&timed, 1));
     loop_->frame(monotonic_ns());
   }
   bool frames_until(const std::function<bool()>& condition) {
@@ -238,6 +241,16 @@ class UndoLoop : public ::testing::Test {
     return frames_until(
         [&] { return checkpointer_->undoable().strokes == strokes && state().backlog_batches == 0; });
   }
+  bool ask(std::optional<std::uint32_t> source = std::nullopt) {
+    return loop_->request_undo(source, [this](UndoEnd end) { answers_.push_back(end); });
+  }
+  // Half of a stroke: the blade is still in it.
+  void cut_halfway(double x, input::PoseSource& source) {
+    for (const core::Pose& pose : tests::sweep_through(150, 1000, x, 0.1, clock_ns_)) {
+      if (pose.t_ns - clock_ns_ < 75'000'000) send(pose, source);
+    }
+    clock_ns_ += 1'000'000'000;
+  }
   LoopState state() const { return loop_->stats().state.load(); }
 
   const core::MeshData mesh_ = tests::cube(5);
@@ -248,6 +261,7 @@ class UndoLoop : public ::testing::Test {
   std::mutex mutex_;
   std::unique_ptr<Undone> undone_;
   std::uint64_t undos_ = 0;
+  std::vector<UndoEnd> answers_;
   std::filesystem::path folder_ =
       std::filesystem::temp_directory_path() / ("incise_undo_" + std::to_string(::getpid()));
   Checkpointer* checkpointer_ = nullptr;
@@ -264,8 +278,8 @@ TEST_F(UndoLoop, GoesBackAndCutsOnAndTwoAtOnceAreTwo) {
   cut(0.2);
   cut(0.8);
   ASSERT_TRUE(caught_up(3));
-  EXPECT_TRUE(loop_->request_undo());
-  EXPECT_TRUE(loop_->request_undo());
+  EXPECT_TRUE(ask());
+  EXPECT_TRUE(ask());
   ASSERT_TRUE(frames_until([&] { return undos_ == 2; }));
   EXPECT_EQ(state().state_hash, one.state_hash);
   EXPECT_EQ(state().revision, one.revision);
@@ -276,16 +290,18 @@ TEST_F(UndoLoop, GoesBackAndCutsOnAndTwoAtOnceAreTwo) {
   cut(0.35);
   ASSERT_TRUE(caught_up(2));
   EXPECT_GT(state().revision, one.revision);
-  EXPECT_TRUE(loop_->request_undo());
+  EXPECT_TRUE(ask());
   ASSERT_TRUE(frames_until([&] { return undos_ == 3; }));
   EXPECT_EQ(state().state_hash, one.state_hash);
   // One more than there are strokes: nothing happens.
-  EXPECT_TRUE(loop_->request_undo());
-  EXPECT_TRUE(loop_->request_undo());
+  EXPECT_TRUE(ask());
+  EXPECT_TRUE(ask());
   ASSERT_TRUE(frames_until([&] { return undos_ == 4; }));
-  for (int i = 0; i < 100; ++i) loop_->frame(monotonic_ns());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 5; }));
   EXPECT_EQ(undos_, 4u);
   EXPECT_EQ(state().revision, 0u);
+  EXPECT_EQ(answers_, (std::vector{UndoEnd::kDone, UndoEnd::kDone, UndoEnd::kDone, UndoEnd::kDone,
+                                   UndoEnd::kNoStroke}));
 }
 
 // Asked for in the middle of a stroke: it waits for the stroke's end, and undoes that one.
@@ -295,7 +311,7 @@ TEST_F(UndoLoop, WaitsForTheStrokeToEnd) {
   const LoopState one = state();
   const auto poses = tests::sweep_through(150, 1000, 0.2, 0.1, clock_ns_);
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    if (i == 75) loop_->request_undo();
+    if (i == 75) ask();
     send(poses[i]);
   }
   EXPECT_EQ(undos_, 0u);
@@ -305,11 +321,61 @@ TEST_F(UndoLoop, WaitsForTheStrokeToEnd) {
   EXPECT_EQ(state().state_hash, one.state_hash);
 }
 
+// What waits in vain is answered, each in its turn, and what is asked for afterwards is done.
+TEST_F(UndoLoop, IsGivenUpWhereTheStrokeDoesNotEnd) {
+  cut(0.5);
+  ASSERT_TRUE(caught_up(1));
+  cut_halfway(0.2, *source_);
+  const std::uint64_t hash = state().state_hash;
+  ask();
+  ask(source_->number());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 2; }));
+  EXPECT_EQ(answers_, (std::vector{UndoEnd::kInStroke, UndoEnd::kInStroke}));
+  EXPECT_EQ(undos_, 0u);
+  EXPECT_EQ(state().state_hash, hash);
+  lift();
+  ask();
+  ASSERT_TRUE(frames_until([&] { return undos_ == 1; }));
+  EXPECT_EQ(answers_.back(), UndoEnd::kDone);
+}
+
+TEST_F(UndoLoop, AResetThatOvertakesItIsItsAnswer) {
+  loop_->offer_reset(
+      [this] { return std::make_unique<core::CutSession>(mesh_, config(core::Policy::kConforming)); },
+      [](std::unique_ptr<core::CutSession>) { return 50; });
+  cut(0.5);
+  ASSERT_TRUE(caught_up(1));
+  cut_halfway(0.2, *source_);
+  ask();
+  ask();
+  loop_->frame(monotonic_ns());
+  EXPECT_TRUE(loop_->request_reset());
+  loop_->frame(monotonic_ns());
+  EXPECT_EQ(answers_, (std::vector{UndoEnd::kReset, UndoEnd::kReset}));
+  EXPECT_EQ(undos_, 0u);
+  EXPECT_EQ(state().revision, 0u);
+}
+
+// An operator may undo its own strokes only, also where another's begins while it waits.
+TEST_F(UndoLoop, AnotherBladesStrokeThatEndsMeanwhileIsNotUndone) {
+  auto other = sources_.open("another");
+  cut(0.5);
+  ASSERT_TRUE(caught_up(1));
+  cut_halfway(0.2, *other);
+  ask(source_->number());
+  ask(other->number());
+  ask(source_->number());
+  other->end_stroke(monotonic_ns());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 3; }));
+  EXPECT_EQ(answers_, (std::vector{UndoEnd::kOtherBlade, UndoEnd::kDone, UndoEnd::kDone}));
+  EXPECT_EQ(state().revision, 0u);
+}
+
 // The journal says what a replay needs to come to the same: up to the pose that it names, and on from there.
 TEST_F(UndoLoop, TheJournalReplaysToTheSame) {
   for (const double x : {0.5, 0.2}) cut(x);
   ASSERT_TRUE(caught_up(2));
-  loop_->request_undo();
+  ask();
   ASSERT_TRUE(frames_until([&] { return undos_ == 1; }));
   cut(0.8);
   loop_->finish();

@@ -20,6 +20,28 @@ using e2e::wait_for;
 using protocol::Role;
 using protocol::View;
 
+// An administrator, and the last refusal that it got: the sequence that it answers, and why.
+struct Admin {
+  explicit Admin(std::uint16_t port) {
+    client::Options options;
+    options.role = Role::Admin;
+    options.view = View::None;
+    client::Callbacks callbacks;
+    callbacks.on_error = [this](const protocol::Error& error) {
+      const std::scoped_lock lock(mutex);
+      refusal = std::to_string(error.in_reply_to) + ' ' + error.text;
+    };
+    link = client::Client::connect("127.0.0.1", port, options, callbacks);
+  }
+  std::string said() {
+    const std::scoped_lock lock(mutex);
+    return refusal;
+  }
+  std::mutex mutex;
+  std::string refusal;
+  std::unique_ptr<client::Client> link;
+};
+
 // An operator that cuts straight across the body.
 struct Hand {
   Hand(const ServedSession& session, std::uint16_t port, const std::string& blade, bool take_over = false) {
@@ -258,36 +280,51 @@ TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
   EXPECT_EQ(viewer.went_back(), 0) << "it goes back in another epoch only";
 
   // An administrator, too.
-  client::Options options;
-  options.role = Role::Admin;
-  options.view = View::None;
-  std::mutex mutex;
-  std::string refusal;
-  client::Callbacks callbacks;
-  callbacks.on_error = [&](const protocol::Error& error) {
-    const std::scoped_lock lock(mutex);
-    refusal = std::to_string(error.in_reply_to) + ' ' + error.text;
-  };
-  const auto admin = client::Client::connect("127.0.0.1", served.relay->tcp_port(), options, callbacks);
-  admin->undo();
+  Admin admin(served.relay->tcp_port());
+  admin.link->undo();
   EXPECT_TRUE(wait_for([&] { return viewer.epochs() == 2; }));
   EXPECT_EQ(served.settled(viewer.client()), before[0]);
   // The server may not have counted the last undo yet: then the next one does nothing.
   const auto refused = [&] {
-    const std::scoped_lock lock(mutex);
-    return refusal.ends_with("Undo: there is no stroke to undo") && !refusal.starts_with("0 ");
+    return admin.said().ends_with("Undo: there is no stroke to undo") && !admin.said().starts_with("0 ");
   };
   for (int i = 0; i < 20 && !refused(); ++i) {
-    admin->undo();
+    admin.link->undo();
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
   }
-  EXPECT_TRUE(refused()) << refusal;
+  EXPECT_TRUE(refused()) << admin.said();
   ASSERT_TRUE(hand.cut(0.5));
   ASSERT_GT(served.settled(viewer.client()).revision, 0u);
-  admin->reset();
+  admin.link->reset();
   EXPECT_TRUE(wait_for([&] { return viewer.epochs() >= 3 && viewer.client().revision() == 0; }));
   EXPECT_EQ(e2e::held(viewer.client()), before[0]);
   EXPECT_EQ(viewer.went_back(), 0);
+}
+
+// What the origin refuses only later comes back, too: here a reset overtakes undos that wait for a stroke to end.
+TEST(RelayOperator, ALateRefusalOfAnUndoComesBack) {
+  Served served("relay_late_undo");
+  Witness viewer(served.relay->tcp_port());
+  ASSERT_TRUE(viewer.client().wait_for_revision(0, 60));
+  Hand hand(served.session, served.relay->tcp_port(), "blade");
+  ASSERT_TRUE(hand.cut(0.3));
+  ASSERT_GT(served.settled(viewer.client()).revision, 0u);
+  ASSERT_TRUE(hand.cut(0.6, false, 0.5));
+  Admin admin(served.relay->tcp_port());
+  hand.link->undo();
+  admin.link->undo();
+  const std::string line = "an undo is asked for by ";
+  const auto asked = [&] {
+    const std::string log = served.session.log();
+    return log.find(line) != log.rfind(line);
+  };
+  EXPECT_TRUE(wait_for(asked)) << served.session.log();
+  Admin(served.session.tcp_port()).link->reset();
+  const std::string refusal = "Undo: the mesh was reset first: there is no stroke to undo";
+  EXPECT_TRUE(wait_for([&] { return hand.said() == refusal; })) << hand.said();
+  EXPECT_TRUE(wait_for([&] { return admin.said().ends_with(refusal); })) << admin.said();
+  EXPECT_FALSE(admin.said().starts_with("0 ")) << "it names what it answers";
+  EXPECT_EQ(served.session.stat("/access/undos"), 0.0);
 }
 
 TEST(RelayOperator, SimulatorsAreSentToTheOrigin) {

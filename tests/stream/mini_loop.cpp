@@ -272,6 +272,17 @@ bool MiniLoop::reset(const Later& /*later*/) {
   return reset_ = true;
 }
 
+std::string MiniLoop::undo(std::optional<std::uint32_t> /*source*/, const Answer& answer) {
+  const std::scoped_lock lock(mutex_);
+  undos_.push_back(answer);
+  return {};
+}
+
+std::vector<PeerInput::Answer> MiniLoop::asked_undos() const {
+  const std::scoped_lock lock(mutex_);
+  return undos_;
+}
+
 std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;

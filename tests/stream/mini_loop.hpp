@@ -53,6 +53,9 @@ class MiniLoop final : public PeerInput {
   std::unique_ptr<PoseInput> open(std::string_view source_name,
                                   const std::optional<protocol::BladeEdge>& blade) override;
   bool reset(const Later& later) override;
+  // Is neither done nor refused until a test answers.
+  std::string undo(std::optional<std::uint32_t> source, const Answer& answer) override;
+  std::vector<Answer> asked_undos() const;
 
   std::uint64_t revision() const { return revision_; }
   std::uint64_t state_hash() const;
@@ -82,6 +85,7 @@ class MiniLoop final : public PeerInput {
   std::atomic<bool> running_{false}, held_{false}, recorded_{false}, reset_{false};
   mutable std::mutex mutex_;
   std::array<Slot, core::kMaxSources> slots_;  // guarded by mutex_
+  std::vector<Answer> undos_;                  // likewise
   std::thread thread_;
 };
 

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <mutex>
 #include <optional>
 #include <string>
 #include <utility>
@@ -76,6 +77,50 @@ TEST(Roles, EachMayWhatItIsForAndNothingElse) {
     EXPECT_EQ(answer(test, role, protocol::PoseReport{}), ErrorCode::BadState);
     EXPECT_EQ(answer(test, role, hello(role, protocol::View::None)), ErrorCode::BadState);
   }
+}
+
+// An undo is counted when it is done, whoever is there to see it; a refusal that comes later names what it answers.
+TEST(Roles, AnUndoIsAnsweredWhenItIsDoneOrCannotBe) {
+  std::mutex mutex;
+  std::vector<std::string> audited;
+  Providers providers;
+  providers.audit = [&](Audit kind, const std::string&, const std::string& line) {
+    const std::scoped_lock lock(mutex);
+    if (kind == Audit::kReset) audited.push_back(line.substr(0, line.find('"')));
+  };
+  const auto lines = [&] {
+    const std::scoped_lock lock(mutex);
+    return audited;
+  };
+  TestServer test(2, test_config(), std::move(providers));
+  RawPeer stays(test.server.tcp_port());
+  stays.send(hello(Role::Admin, protocol::View::None));
+  ASSERT_TRUE(stays.receive_until<protocol::Welcome>());
+  stays.send(protocol::Undo{}, 17);
+  ASSERT_TRUE(eventually([&] { return test.loop.asked_undos().size() == 1; }));
+  {
+    RawPeer leaves(test.server.tcp_port());
+    leaves.send(hello(Role::Admin, protocol::View::None));
+    ASSERT_TRUE(leaves.receive_until<protocol::Welcome>());
+    for (const std::uint64_t sequence : {2, 3}) leaves.send(protocol::Undo{}, sequence);
+    ASSERT_TRUE(eventually([&] { return test.loop.asked_undos().size() == 3; }));
+  }
+  ASSERT_TRUE(eventually([&] { return test.server.counters().peers == 1; }));
+  EXPECT_EQ(test.server.counters().undos, 0u) << "none is done yet";
+  const auto undos = test.loop.asked_undos();
+  undos[1](Refusal{ErrorCode::NotAvailable, "Undo: not now"});
+  undos[2](std::nullopt);
+  undos[0](Refusal{ErrorCode::NotAvailable, "Undo: not now"});
+  const auto received = stays.receive_until<protocol::Error>();
+  ASSERT_TRUE(received);
+  const auto& error = std::get<protocol::Error>(received->message.body);
+  EXPECT_EQ(error.in_reply_to, 17u);
+  EXPECT_EQ(error.text, "Undo: not now");
+  EXPECT_FALSE(error.fatal);
+  EXPECT_EQ(test.server.counters().undos, 1u);
+  const std::string asked = "an undo is asked for by ", refused = "the undo that ";
+  EXPECT_EQ(lines(), (std::vector<std::string>{asked, asked, asked, refused, "the last stroke is undone for ",
+                                               refused}));
 }
 
 // What a simulator may send positions of: vertices that exist, at a revision that exists.
