@@ -4,9 +4,9 @@
 
 namespace incise::app {
 
-NetworkSources::NetworkSources(const Config& config, input::PoseSources& sources, haptics::ForceSlots& forces,
-                               [[maybe_unused]] stream::Server& server,
-                               const std::function<void()>& on_thread) {
+NetworkSources::NetworkSources(const Config& config, input::PoseSources& sources,
+                               [[maybe_unused]] stream::Server& server)
+    : config_(config), sources_(sources) {
 #ifdef INCISE_OPENIGTLINK
   if (config.openigtlink.wanted()) {
     input::OpenIgtLinkOptions options = config.openigtlink;
@@ -17,10 +17,16 @@ NetworkSources::NetworkSources(const Config& config, input::PoseSources& sources
                            [&server](auto ready) { server.request_surface(std::move(ready)); }});
   }
 #endif
-  if (!config.haply.url.empty()) {
-    input::HaplyOptions options = config.haply;
+}
+
+void NetworkSources::start(haptics::ForceSlots& forces, const std::function<void()>& on_thread) {
+#ifdef INCISE_OPENIGTLINK
+  if (openigtlink_) openigtlink_->start();
+#endif
+  if (!config_.haply.url.empty()) {
+    input::HaplyOptions options = config_.haply;
     options.on_thread = on_thread;
-    haply_ = std::make_unique<input::HaplyInput>(sources, forces, std::move(options));
+    haply_ = std::make_unique<input::HaplyInput>(sources_, forces, std::move(options));
   }
 }
 

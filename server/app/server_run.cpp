@@ -32,6 +32,7 @@
 #include "server/base/clock.hpp"
 #include "server/base/thread_name.hpp"
 #include "server/loop/realtime.hpp"
+#include "server/stream/ports.hpp"
 
 namespace incise::app {
 namespace {
@@ -131,7 +132,10 @@ stream::RecordingNow recording_now(const loop::Journal* journal) {
 class RunningServer {
  public:
   RunningServer(const Config& config, bool resume, ClusterLink& cluster);
-  ~RunningServer() { cluster_.stop(); }
+  ~RunningServer() {
+    cluster_.stop();
+    network_.stop();
+  }
   RunningServer(const RunningServer&) = delete;
   RunningServer& operator=(const RunningServer&) = delete;
   // Opens the ports and starts the loop, then prints where the server listens.
@@ -157,6 +161,10 @@ class RunningServer {
   const Config& config_;
   ClusterLink& cluster_;
   const std::int64_t started_ns_ = monotonic_ns(), started_unix_ns_ = unix_ns();
+  // Ports first: a start that fails must not have touched the last capture.
+  std::unique_ptr<stream::Ports> ports_;  // until the server has them
+  input::PoseSources sources_;
+  NetworkSources network_;
   Body body_;
   ServedSurface surface_;
   stream::InitialState as_loaded_;  // what viewers are shown of the body; nothing where a session is resumed
@@ -164,7 +172,6 @@ class RunningServer {
   // A session that has been cut a lot takes seconds to prepare: these two run side by side.
   SavedState saved_;
   std::future<std::unique_ptr<haptics::Tissue>> tissue_;
-  input::PoseSources sources_;
   UndoneSlot undone_;                       // the journal's thread writes it
   std::unique_ptr<loop::Journal> journal_;  // null: nothing is recorded
   input::PositionsSlot positions_;
@@ -182,20 +189,21 @@ class RunningServer {
   haptics::ForceSlots forces_;
   ForceOutput force_output_;
   std::unique_ptr<input::HidInput> devices_;
-  std::optional<NetworkSources> network_;
   std::jthread loop_thread_;
 };
 
 RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& cluster)
     : config_(config),
       cluster_(cluster),
+      ports_(std::make_unique<stream::Ports>(stream_config(config))),
+      sources_(config.cut.blade, declared_sources(config)),
+      network_(config, sources_, server_),
       body_(load_and_log(config)),
       surface_(serve_surface(config, body_)),
       as_loaded_(build(body_, resume)),
       recording_(open_recording(config, body_, as_loaded_, resume, cluster.may_write(), started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
-      sources_(config.cut.blade, declared_sources(config)),
       undone_(body_.origins),
       journal_(make_journal(
           config, body_, recording_, saved_,
@@ -208,7 +216,7 @@ RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& clu
       stream_input_(sources_, positions_, config),
       library_(config.resolve(config.capture.library), body_),
       spare_(body_, config.cut, as_loaded_),
-      server_(stream_config(config), facts(), recording_.shown.before, stream_input_, providers()),
+      server_(std::move(ports_), facts(), recording_.shown.before, stream_input_, providers()),
       output_(server_),
       frames_(session(), sources_, output_, journal_.get(), loop_options(config)),
       force_output_(server_, static_cast<std::int64_t>(config.haptics.contact_valid_ms * 1e6),
@@ -280,8 +288,8 @@ void RunningServer::open_inputs() {
         input::HidInput::Options{device_profiles(config_), config_.devices.overrides, on_thread});
     telemetry_->join([this] { return devices_->status(); });
   }
-  network_.emplace(config_, sources_, forces_, server_, on_thread);
-  telemetry_->join_network([this] { return network_->status(); });
+  network_.start(forces_, on_thread);
+  telemetry_->join_network([this] { return network_.status(); });
 }
 
 void RunningServer::start() {
@@ -327,7 +335,7 @@ void RunningServer::print_places() const {
     return port == 0 ? std::string("off") : config_.listen.address + ":" + std::to_string(port);
   };
   std::printf("listening tcp=%s http=%s%s\n", place(server_.tcp_port()).c_str(),
-              place(server_.http_port()).c_str(), network_->place(config_).c_str());
+              place(server_.http_port()).c_str(), network_.place(config_).c_str());
   std::fflush(stdout);
 }
 
@@ -343,7 +351,7 @@ const char* RunningServer::watch(const EndSignals& signals) {
 void RunningServer::stop() {
   const std::int64_t ending_ns = monotonic_ns();
   if (devices_) devices_->stop();  // forces go to zero first
-  network_->stop();
+  network_.stop();
   loop_thread_.request_stop();
   loop_thread_.join();  // drains the queues, ends the strokes, cuts and publishes, for 20 s at most
   server_.stop();

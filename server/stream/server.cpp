@@ -25,7 +25,7 @@
 #include "server/stream/http.hpp"
 #include "server/stream/pause.hpp"
 #include "server/stream/peers.hpp"
-#include "server/stream/tls.hpp"
+#include "server/stream/ports.hpp"
 
 namespace incise::stream {
 namespace {
@@ -40,43 +40,12 @@ using Published =
     std::variant<std::monostate, std::shared_ptr<const PublishedDelta>, std::shared_ptr<const ReceivedDelta>,
                  std::shared_ptr<const InitialState>, NewFieldValues, protocol::Force>;
 
-void check_safe(const StreamConfig& config, const asio::ip::address& address) {
-  const bool tls = !config.certificate_file.empty();
-  if (tls == config.private_key_file.empty()) {
-    throw std::runtime_error(
-        "listen: TLS needs both certificate_file and private_key_file, found only one of the two");
-  }
-  if (address.is_loopback() || config.insecure || (tls && !config.tokens.empty())) return;
-  throw std::runtime_error("listen.address: " + config.address +
-                           " is not loopback: give tokens and a TLS certificate, " +
-                           "or set listen.insecure, which lets everybody on that network cut and watch");
-}
-
-tcp::acceptor listen(asio::io_context& io, const asio::ip::address& address, int port, const char* what) {
-  if (port > 65535) {
-    throw std::runtime_error(std::string("listen.") + what + ": " + std::to_string(port) +
-                             ", accepted are -1 (off) to 65535");
-  }
-  try {
-    tcp::acceptor acceptor(io);
-    const tcp::endpoint endpoint(address, static_cast<std::uint16_t>(port));
-    acceptor.open(endpoint.protocol());
-    acceptor.set_option(tcp::acceptor::reuse_address(true));
-    acceptor.bind(endpoint);
-    acceptor.listen(512);
-    return acceptor;
-  } catch (const boost::system::system_error& error) {
-    throw std::runtime_error(std::string("listen.") + what + ": cannot listen on " + address.to_string() +
-                             ":" + std::to_string(port) + ": " + error.code().message());
-  }
-}
-
 }  // namespace
 
 struct Server::Impl {
-  Impl(StreamConfig given, ServerFacts facts, const InitialState& initial, PeerInput& input,
+  Impl(std::unique_ptr<Ports> given, ServerFacts facts, const InitialState& initial, PeerInput& input,
        Providers providers)
-      : config(std::move(given)),
+      : ports(std::move(given)),
         files(config.viewer_directory),
         event_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
         wake(io),
@@ -85,19 +54,7 @@ struct Server::Impl {
         peers(context) {
     if (event_fd < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
     wake.assign(event_fd);
-    error_code error;
-    const asio::ip::address address = asio::ip::make_address(config.address, error);
-    if (error) {
-      throw std::runtime_error("listen.address: \"" + config.address +
-                               "\", accepted is an IP address such as 127.0.0.1");
-    }
-    check_safe(config, address);
-    if (!config.certificate_file.empty()) {
-      tls.emplace(asio::ssl::context::tls_server);
-      load_certificate(*tls, config.certificate_file, config.private_key_file);
-    }
-    if (config.tcp_port >= 0) tcp_acceptor.emplace(listen(io, address, config.tcp_port, "tcp_port"));
-    if (config.http_port >= 0) http_acceptor.emplace(listen(io, address, config.http_port, "http_port"));
+    ports->listen();
     if (tcp_acceptor) tcp_port = tcp_acceptor->local_endpoint().port();
     if (http_acceptor) http_port = http_acceptor->local_endpoint().port();
     peers.reset(std::make_shared<const InitialState>(initial));
@@ -266,16 +223,17 @@ struct Server::Impl {
         });
   }
 
-  const StreamConfig config;
+  const std::unique_ptr<Ports> ports;
+  const StreamConfig& config = ports->config;
+  asio::io_context& io = ports->io;
+  std::optional<asio::ssl::context>& tls = ports->tls;
+  std::optional<tcp::acceptor>&tcp_acceptor = ports->tcp_acceptor, &http_acceptor = ports->http_acceptor;
   const StaticFiles files;
-  asio::io_context io{1};
   int event_fd;
   asio::posix::stream_descriptor wake;  // owns event_fd
   std::uint64_t wake_count = 0;
   std::atomic<bool> awake{false};
   HandoffQueue<Published> queue;
-  std::optional<asio::ssl::context> tls;
-  std::optional<tcp::acceptor> tcp_acceptor, http_acceptor;
   std::uint16_t tcp_port = 0, http_port = 0;
   asio::steady_timer stop_timer{io};
   PeerContext context;
@@ -286,8 +244,13 @@ struct Server::Impl {
 
 Server::Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
                Providers providers)
-    : impl_(std::make_unique<Impl>(std::move(config), std::move(facts), initial, input,
-                                   std::move(providers))) {}
+    : Server(std::make_unique<Ports>(std::move(config)), std::move(facts), initial, input,
+             std::move(providers)) {}
+
+Server::Server(std::unique_ptr<Ports> ports, ServerFacts facts, const InitialState& initial, PeerInput& input,
+               Providers providers)
+    : impl_(
+          std::make_unique<Impl>(std::move(ports), std::move(facts), initial, input, std::move(providers))) {}
 
 Server::~Server() {
   stop();

@@ -18,6 +18,7 @@
 
 namespace incise::stream {
 
+struct Ports;
 struct ReceivedDelta;
 
 // The network side of incised: a mirror of the mesh, the peers (TCP, WebSocket) and HTTP.
@@ -29,6 +30,9 @@ class Server {
   // Listens at once; serves from start() on. Throws std::runtime_error where it cannot listen at the address or the
   // configuration is not safe. `input` must outlive the server.
   Server(StreamConfig config, ServerFacts facts, const InitialState& initial, PeerInput& input,
+         Providers providers = {});
+  // The same with ports that were taken before.
+  Server(std::unique_ptr<Ports> ports, ServerFacts facts, const InitialState& initial, PeerInput& input,
          Providers providers = {});
   ~Server();
   Server(const Server&) = delete;

@@ -310,5 +310,53 @@ TEST_F(Incised, APortInUseIsAnErrorThatNamesIt) {
   EXPECT_EQ(stop(pid, SIGTERM), 0);
 }
 
+// A recording is somebody's work: what keeps a server from starting is found before that is moved away, or gone on with.
+TEST_F(Incised, AStartThatFailsLeavesTheCaptureAsItIs) {
+  std::string motion = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,button\n";
+  for (const core::Pose& pose : tests::sweep_through(50, 1000, 0.37)) {
+    motion += std::to_string(static_cast<double>(pose.t_ns) * 1e-9) + ',' + std::to_string(pose.position.x) +
+              ',' + std::to_string(pose.position.y) + ',' + std::to_string(pose.position.z) + ",1,0,0,0,1\n";
+  }
+  write("motion.csv", motion);
+  write("c.json", config());
+  const RunResult made = tests::run_program(
+      "incise", {"convert", "motion.csv", "--mesh", "cube", "--config", "c.json", "--out", "session.capture"},
+      dir_);
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  const std::string capture = tests::read_file(dir_ / "session.capture");
+  write("session.capture.old", "the one before");
+  write("no.pem", "no certificate");
+  write("no.node", "no mesh");
+  const stream::Listener taken;
+  const std::string port = std::to_string(taken.port());
+  const auto with = [&](const std::string& listen, const std::string& more = "",
+                        const char* mesh = "cube.node") {
+    return R"({"mesh": {"path": ")" + std::string(mesh) + R"("}, "listen": {)" + listen +
+           R"(}, "capture": {"path": "session.capture"})" + more + "}";
+  };
+  const std::string free = R"("tcp_port": 0, "http_port": 0)";
+  const std::string configs[] = {
+      with(R"("http_port": 0, "tcp_port": )" + port),
+      with(R"("tcp_port": 0, "http_port": )" + port),
+      with(free + R"(, "token_file": "none.json")"),
+      with(free + R"(, "certificate_file": "no.pem", "private_key_file": "no.pem")"),
+      with(free, "", "no.node"),
+#ifdef INCISE_OPENIGTLINK
+      with(free, R"(, "openigtlink": {"port": )" + port + "}"),
+#endif
+  };
+  for (const std::string& one : configs) {
+    write("d.json", one);
+    for (const bool resume : {false, true}) {
+      std::vector<std::string> arguments{"--config", "d.json"};
+      if (resume) arguments.emplace_back("--resume");
+      const RunResult failed = run(arguments);
+      EXPECT_EQ(failed.exit_code, 1) << one << failed.err;
+      EXPECT_EQ(tests::read_file(dir_ / "session.capture"), capture) << one << failed.err;
+      EXPECT_EQ(tests::read_file(dir_ / "session.capture.old"), "the one before") << one << failed.err;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace incise::app

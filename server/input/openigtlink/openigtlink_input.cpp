@@ -42,7 +42,11 @@ constexpr std::chrono::seconds kConnectTime{5}, kRetry{2};
 struct OpenIgtLinkInput::Impl {
   Impl(PoseSources& sources, OpenIgtLinkOptions given, SurfaceFeed feed)
       : options(std::move(given)), context{io, sources, options}, surfaces(context, std::move(feed), peers) {
-    if (options.port >= 0) listen();
+    if (options.port >= 0) take_port();
+  }
+
+  void start() {
+    if (acceptor) acceptor->listen();
     if (acceptor) asio::co_spawn(io, accept(), asio::detached);
     for (const std::string& place : options.connect)
       asio::co_spawn(io, keep_connected(place), asio::detached);
@@ -50,11 +54,13 @@ struct OpenIgtLinkInput::Impl {
     thread = std::thread([this] { io.run(); });
   }
 
-  void listen() {
+  void take_port() {
     try {
       const tcp::endpoint endpoint(asio::ip::make_address(options.address),
                                    static_cast<std::uint16_t>(options.port));
-      acceptor.emplace(io, endpoint);
+      acceptor.emplace(io, endpoint.protocol());
+      acceptor->set_option(tcp::acceptor::reuse_address(true));
+      acceptor->bind(endpoint);
       port = acceptor->local_endpoint().port();
     } catch (const boost::system::system_error& error) {
       throw std::runtime_error("openigtlink: cannot listen on " + options.address + ":" +
@@ -206,6 +212,10 @@ OpenIgtLinkInput::OpenIgtLinkInput(PoseSources& sources, OpenIgtLinkOptions opti
 
 OpenIgtLinkInput::~OpenIgtLinkInput() {
   stop();
+}
+
+void OpenIgtLinkInput::start() {
+  impl_->start();
 }
 
 void OpenIgtLinkInput::stop() {

@@ -51,9 +51,11 @@ struct SurfaceFeed {
 // Thread: made and destroyed by one; status() by any. Owns: a thread with all sockets, and one that packs surfaces.
 class OpenIgtLinkInput {
  public:
-  // Listens at once. Throws std::runtime_error if the address is not available. `sources` must outlive this.
+  // Takes its port. Throws std::runtime_error if the address is not available. `sources` must outlive this.
   OpenIgtLinkInput(PoseSources& sources, OpenIgtLinkOptions options, SurfaceFeed surfaces);
   ~OpenIgtLinkInput();
+  // Listens and connects, once.
+  void start();
   // Releases all blades and closes all connections, for good.
   void stop();
 

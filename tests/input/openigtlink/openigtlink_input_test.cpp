@@ -37,6 +37,7 @@ class OpenIgtLink : public ::testing::Test {
                                                              ++requests;
                                                              test.server.request_surface(std::move(ready));
                                                            }});
+    input->start();
   }
   std::uint64_t count(const std::string& what) const {
     for (const auto& [name, value] : input->status().counts) {
