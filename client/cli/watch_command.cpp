@@ -62,6 +62,8 @@ double cut_area_of(const protocol::SurfaceReplica& surface) {
 
 // A server sends statistics once a second and answers pings: less often heard, and it does not run.
 constexpr double kUnheard_s = 2.5;
+// A rate over less is that of a single snapshot or delta.
+constexpr double kShortestRate_s = 0.5;
 
 // Two percentiles of what was measured; nothing of nothing.
 std::string milliseconds(std::vector<double>& values) {
@@ -106,6 +108,7 @@ class Watcher {
       if (given_up(now)) break;
       if (command_.for_s > 0 && now - began >= std::chrono::duration<double>(command_.for_s)) break;
     }
+    count_area_ = true;  // the snapshot may be here already, and its callback not yet
     print_line();
     if (terminal_ && !command_.json) std::printf("\n");
     save();
@@ -246,7 +249,7 @@ class Watcher {
   // What one line tells.
   struct Figures {
     std::uint64_t revision = 0;
-    double steps_s = 0, deltas_s = 0, bytes_s = 0;  // since the line before
+    std::optional<double> steps_s, deltas_s, bytes_s;  // since the line before, where that is long enough
     Window window;
     std::uint32_t tets = 0;
     std::size_t pieces = 0;
@@ -260,9 +263,11 @@ class Watcher {
     measure(f.tets, f.pieces);
     f.counters = client_->counters();
     const auto time = steady_clock::now();
-    const double seconds = std::max(1e-3, std::chrono::duration<double>(time - printed_).count());
+    const double seconds = std::chrono::duration<double>(time - printed_).count();
     printed_ = time;
-    const auto rate = [&](std::uint64_t a, std::uint64_t b) { return static_cast<double>(a - b) / seconds; };
+    const auto rate = [&](std::uint64_t a, std::uint64_t b) {
+      return seconds < kShortestRate_s ? std::nullopt : std::optional(static_cast<double>(a - b) / seconds);
+    };
     f.steps_s = rate(f.counters.steps, before_.steps);
     f.deltas_s = rate(f.counters.deltas, before_.deltas);
     f.bytes_s = rate(f.counters.bytes_in, before_.bytes_in);
@@ -288,6 +293,10 @@ class Watcher {
     std::fflush(stdout);
   }
 
+  static nlohmann::ordered_json or_null(const std::optional<double>& value) {
+    return value ? nlohmann::ordered_json(*value) : nlohmann::ordered_json(nullptr);
+  }
+
   void print_json(Figures& f) const {
     const auto percentiles = [](std::vector<double>& values) {
       return nlohmann::ordered_json{{"p50", percentile(values, 50)}, {"p99", percentile(values, 99)}};
@@ -296,9 +305,9 @@ class Watcher {
                                 {"connected", client_->status() == Status::kConnected},
                                 {"unheard_s", unheard_s()},
                                 {"stalled_s", stalled_s()},
-                                {"revisions_per_s", f.steps_s},
-                                {"deltas_per_s", f.deltas_s},
-                                {"bytes_per_s", f.bytes_s},
+                                {"revisions_per_s", or_null(f.steps_s)},
+                                {"deltas_per_s", or_null(f.deltas_s)},
+                                {"bytes_per_s", or_null(f.bytes_s)},
                                 {"pose_to_cut_ms", percentiles(f.window.pose_to_cut_ms)},
                                 {"cut_to_here_ms", percentiles(f.window.cut_to_here_ms)},
                                 {"pose_to_here_ms", percentiles(f.window.pose_to_here_ms)},
@@ -331,11 +340,12 @@ class Watcher {
     } else if (stalled_s() > kUnheard_s) {
       std::printf("the server's loop has stood for %.0f s", stalled_s());
     } else {
-      std::printf(
-          "%.0f/s  pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2  %.1f kB/s",
-          f.steps_s, milliseconds(f.window.pose_to_cut_ms).c_str(),
-          milliseconds(f.window.cut_to_here_ms).c_str(), f.tets > 0 ? std::to_string(f.tets).c_str() : "-",
-          f.pieces, 1e4 * f.cut_area_m2, 1e-3 * f.bytes_s);
+      if (f.steps_s) std::printf("%.0f/s  ", *f.steps_s);
+      std::printf("pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2",
+                  milliseconds(f.window.pose_to_cut_ms).c_str(),
+                  milliseconds(f.window.cut_to_here_ms).c_str(),
+                  f.tets > 0 ? std::to_string(f.tets).c_str() : "-", f.pieces, 1e4 * f.cut_area_m2);
+      if (f.bytes_s) std::printf("  %.1f kB/s", 1e-3 * *f.bytes_s);
     }
     if (!terminal_) std::printf("\n");
   }
