@@ -71,7 +71,7 @@ std::string stream_metrics(const SharedCounters& c) {
   metric(out, "tokens_not_looked_at_total", "counter",
          "Tokens not looked at, from addresses that had guessed too often.", c.tokens_not_looked_at);
   metric(out, "resets_total", "counter", "Resets by an admin.", c.resets);
-  metric(out, "undos_total", "counter", "Strokes that operators and admins asked to undo.", c.undos);
+  metric(out, "undos_total", "counter", "Strokes that operators and admins have undone.", c.undos);
   metric(out, "takeovers_total", "counter", "Blades that an operator took from another.", c.takeovers);
   metric(out, "handovers_total", "counter", "Blades that their operators handed over.", c.handovers);
   metric(out, "deltas_total", "counter", "Deltas encoded.", c.deltas);
@@ -269,13 +269,14 @@ asio::awaitable<std::optional<HttpRequest>> read_request(NetStream& stream, beas
   if (ec == http::error::header_limit || ec == http::error::body_limit ||
       (ec.category() == make_error_code(http::error::end_of_stream).category() &&
        ec != http::error::end_of_stream && ec != http::error::partial_message)) {
-    const bool large = ec == http::error::header_limit || ec == http::error::body_limit;
+    const http::status status = ec == http::error::header_limit
+                                    ? http::status::request_header_fields_too_large
+                                : ec == http::error::body_limit ? http::status::payload_too_large
+                                                                : http::status::bad_request;
     HttpRequest none;
     none.version(11);
     none.keep_alive(false);
-    co_await send_text(stream, none,
-                       large ? http::status::request_header_fields_too_large : http::status::bad_request,
-                       "the request could not be read\n");
+    co_await send_text(stream, none, status, "the request could not be read\n");
   }
   co_return std::nullopt;
 }

@@ -19,7 +19,8 @@ std::optional<Refusal> SimulatorPositions::offer(const protocol::Positions& posi
                        ", at a revision up to " + std::to_string(mirror.revision())};
   }
   if (!input_) input_ = input.open_positions();
-  if (!input_) return Refusal{ErrorCode::NotAvailable, "Positions: another simulator sets them"};
+  if (!input_)
+    return Refusal{ErrorCode::NotAvailable, "Positions: another simulator sets them; stop that one first"};
   input_->offer(positions, arrival_ns);
   return std::nullopt;
 }

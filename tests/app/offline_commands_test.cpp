@@ -13,7 +13,9 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "server/app/capture_journal.hpp"
 #include "server/app/capture_lock.hpp"
+#include "server/app/offline/recorded_motion.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/loop/checkpoint_file.hpp"
@@ -902,6 +904,26 @@ TEST_F(Incise, ReplayNamesTheFirstBatchThatDiffers) {
   EXPECT_EQ(result.exit_code, 1);
   EXPECT_NE(result.err.find("is the first that differs"), std::string::npos) << result.err;
   EXPECT_NE(result.err.find("batch "), std::string::npos);
+}
+
+// Nothing is left to be compared, which is as it should be.
+TEST_F(Incise, ACaptureWhoseStrokesWereAllResetIsVerified) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  const std::string path = (dir_ / "a.capture").string();
+  const RecordedMotion motion = read_recorded_motion(path);
+  {
+    CaptureJournal journal(path, motion.good_bytes, motion.records);
+    loop::JournalRecord reset;
+    reset.kind = loop::JournalRecord::Kind::kReset;
+    reset.session = motion.session + 1;
+    journal.write(reset);
+    journal.flush();
+  }
+  const RunResult result = run({"replay", "a.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 0) << result.out << result.err;
+  EXPECT_NE(result.out.find("verified: all strokes were undone or reset"), std::string::npos) << result.out;
+  EXPECT_EQ(result.err.find("no batch marks"), std::string::npos) << result.err;
 }
 
 TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {

@@ -141,6 +141,8 @@ TEST_F(HttpTest, RefusesTheRest) {
   EXPECT_EQ(status_of(http(port(), "/ws")), "HTTP/1.1 426 Upgrade Required");
   EXPECT_EQ(status_of(http(port(), "/", "GET", "X: " + std::string(40'000, 'x') + "\r\n")).substr(0, 12),
             "HTTP/1.1 431");
+  EXPECT_EQ(status_of(http(port(), "/stats", "POST", "Content-Length: 99999999999\r\n")),
+            "HTTP/1.1 413 Payload Too Large");
   RawPeer garbage(port());
   garbage.send(std::string_view("\x16\x03\x01\x02\0\x01nonsense\r\n\r\n", 18));
   EXPECT_EQ(garbage.read_all().substr(0, 12), "HTTP/1.1 400");

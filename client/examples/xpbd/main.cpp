@@ -81,6 +81,7 @@ class Simulation {
   client::Callbacks callbacks();
   void load();
   void step();
+  void complain(const protocol::Error& error);
   // Does what may wake the body.
   template <class F>
   void told(F&& f);
@@ -92,6 +93,10 @@ class Simulation {
   const steady_clock::time_point began_ = steady_clock::now();
   steady_clock::time_point next_ = began_;
   std::uint64_t frame_ = 0;
+  // Positions up to this message may be of a state that was replaced; all are while `replaced_`.
+  std::uint64_t sent_ = 0, outdated_ = 0;
+  bool replaced_ = false;
+  std::string complaint_;  // the last one
 };
 
 template <class F>
@@ -106,6 +111,7 @@ void Simulation::told(F&& f) {
 // All of these are called within poll().
 client::Callbacks Simulation::callbacks() {
   client::Callbacks callbacks;
+  callbacks.on_welcome = [this](const protocol::Welcome&) { replaced_ = true; };
   callbacks.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) {
     if (client_) load();
   };
@@ -115,15 +121,26 @@ client::Callbacks Simulation::callbacks() {
   callbacks.on_positions_report = [this](const protocol::PositionsReport& outcome) {
     client_->read([&](const protocol::Replica& mesh) { stepper_.hold(mesh, outcome.held); });
     report_.take(outcome);
+    complaint_.clear();
   };
   callbacks.on_disconnect = [this](const std::string&) { told([&] { stepper_.release_blades(); }); };
-  callbacks.on_error = [](const protocol::Error& error) { std::fprintf(stderr, "%s\n", error.text.c_str()); };
+  callbacks.on_error = [this](const protocol::Error& error) { complain(error); };
   return callbacks;
 }
 
 // Another state: as served, after a reset or an undo, or of a server that was started again.
 void Simulation::load() {
+  replaced_ = false;
+  outdated_ = sent_;
   client_->read([this](const protocol::Replica& mesh) { told([&] { stepper_.load(mesh); }); });
+}
+
+// Once where each message is refused, and not where positions have crossed a reset or an undo.
+void Simulation::complain(const protocol::Error& error) {
+  const bool outdated = replaced_ || error.in_reply_to <= outdated_;
+  if (error.code == protocol::ErrorCode::BadRequest && outdated) return;
+  if (error.text != complaint_) std::fprintf(stderr, "%s\n", error.text.c_str());
+  complaint_ = error.text;
 }
 
 void Simulation::step() {
@@ -140,7 +157,10 @@ void Simulation::step() {
     positions.revision = client_->revision();
     positions.source_ns = std::chrono::nanoseconds(start - began_).count();
     positions.f32 = stepper_.positions();
-    if (client_->send_positions(positions) != 0) stepper_.note_sent();
+    if (const std::uint64_t sent = client_->send_positions(positions)) {
+      sent_ = sent;
+      stepper_.note_sent();
+    }
   }
   report_.print(stepper_.tets(), !stepper_.awake());
 }

@@ -66,6 +66,8 @@ int run_replay(const ReplayCommand& command) {
                   {"replayed_hash", hex(delta.state_hash)}};
     return !command.verify;  // the first one decides
   });
+  // All that was cut was undone, or reset: what is left is the body as loaded.
+  const bool nothing_left = session.revision() == 0 && opened.motion.resets + opened.motion.undos > 0;
   const std::uint64_t last_mark = marks.empty() ? 0 : marks.rbegin()->first;
   const bool short_of = difference.is_null() && session.revision() < last_mark;
   const bool verified = difference.is_null() && !short_of && !opened.motion.gap;
@@ -81,7 +83,7 @@ int run_replay(const ReplayCommand& command) {
   result["verified"] = verified;
   result["first_difference"] = difference;
   std::vector<std::string> warnings = opened.motion.warnings;
-  if (compared == 0)
+  if (compared == 0 && !nothing_left)
     warnings.push_back(command.capture.string() + ": has no batch marks; nothing was compared");
   result["warnings"] = warnings;
   print_warnings(warnings);
@@ -110,9 +112,12 @@ int run_replay(const ReplayCommand& command) {
   if (opened.motion.gap)
     std::fprintf(stderr, "%s: has a gap; revisions after %" PRIu64 " cannot be verified\n",
                  command.capture.c_str(), session.revision());
-  if (command.verify && verified && compared > 0 && !command.json)
-    std::printf("verified: every recorded hash is the replayed one\n");
-  return command.verify && (!verified || compared == 0) ? 1 : 0;
+  if (command.verify && verified && !command.json && (compared > 0 || nothing_left)) {
+    std::printf(compared > 0
+                    ? "verified: every recorded hash is the replayed one\n"
+                    : "verified: all strokes were undone or reset; what is left is the body as loaded\n");
+  }
+  return command.verify && (!verified || (compared == 0 && !nothing_left)) ? 1 : 0;
 }
 
 int run_export(const ExportCommand& command) {
