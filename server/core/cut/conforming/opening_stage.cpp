@@ -1,6 +1,7 @@
 #include "server/core/cut/conforming/opening_stage.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace incise::core {
 
@@ -103,8 +104,32 @@ bool OpeningStage::is_chord(HalfFace h) const {
   const auto v = mesh_.face_vertices(h);
   if (!cut_.face_on_surface(h) || std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); }))
     return false;
+  const Vec3 middle = mesh_.face_middle(h);
   cut_.work += cost::kNearby;
-  return !cut_.surface().is_within(mesh_.face_middle(h), kChord_h * cut_.h);
+  if (cut_.surface().is_within(middle, kChord_h * cut_.h)) return false;
+  cut_.work += cost::kNearby;
+  return !cut_.surface().is_within(middle, kChordBeside_h * cut_.h) || is_alone(middle);
+}
+
+// Whether nothing was swept near p, which is near the surface, but what is nearest to it.
+bool OpeningStage::is_alone(const Vec3& p) const {
+  Vec3 closest;
+  std::uint32_t nearest = 0;
+  cut_.work += cost::kNearby;
+  if (!cut_.closest_on_surface(p, closest, nearest)) return false;
+  const double travel_m = cut_.path.travel_before_m(cut_.surface()[nearest].batch);
+  const double reach = kAlone_h * cut_.h;
+  const Box around = Box::around({p}).widened(reach);
+  const std::span<const SweptMemory::Quad> quads = cut_.workspace.swept.quads();
+  cut_.work.add(quads.size(), cost::kQuadsAUnit);
+  return std::ranges::none_of(quads, [&](const SweptMemory::Quad& quad) {
+    if (quad.stroke == cut_.stroke && std::abs(quad.travel_m - travel_m) < kOwnSweep_h * cut_.h) return false;
+    const auto is_near = [&](const Vec3& b, const Vec3& c) {
+      return squared_length(closest_point(p, quad.from.heel, b, c) - p) < reach * reach;
+    };
+    return quad.box().meets(around) &&
+           (is_near(quad.from.tip, quad.to.tip) || is_near(quad.to.tip, quad.to.heel));
+  });
 }
 
 // Takes back the selection, and splits the chords where they are farthest off the surface: what then crosses it is dealt with like other
@@ -129,7 +154,7 @@ bool OpeningStage::refine(WorkBudget& budget) {
 
 void OpeningStage::split_chord(const std::array<VertexId, 3>& face) {
   VertexId a = kNone, b = kNone;
-  double farthest_m = kChord_h * cut_.h;
+  double farthest_m = kChordEdge_h * cut_.h;
   for (std::size_t k = 0; k < 3; ++k) {
     const VertexId v = face[k], w = face[(k + 1) % 3];
     Vec3 closest;

@@ -43,6 +43,7 @@ class OpeningStage {
   Way separates(HalfFace h) const;
   Way way_along(const std::array<Vec3, 4>& way) const;
   bool is_chord(HalfFace h) const;
+  bool is_alone(const Vec3& p) const;
   bool refine(WorkBudget& budget);
   void split_chord(const std::array<VertexId, 3>& face);
   bool spare_islands(WorkBudget& budget);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -53,6 +54,10 @@ class StrokePath {
   // How far the blade has travelled in this stroke, and how far it had before the last batch, m.
   double travel_m() const { return travel_m_; }
   double travel_before_batch_m() const { return swept_.back().travel_m; }
+  // How far it had before one of the batches of the surface, m.
+  double travel_before_m(std::uint32_t batch) const {
+    return std::ranges::lower_bound(swept_, batch, {}, &Swept::batch)->travel_m;
+  }
 
   // Two parts, in the order of the file format.
   void archive_surface(Archive& io);

@@ -219,8 +219,11 @@ inline constexpr int kMaxRounds = 3;
 
 // Where the line between two tetrahedra passes their face: this part of the way from its middle to their reference points.
 inline constexpr double kPass = 0.25;
-// A face on the surface whose middle is farther off it is a chord of a bend, and is split; so often in a batch at most.
-inline constexpr double kChord_h = 0.2;
+// A face on the surface whose middle is farther off it is a chord of a bend, and is split, where one of its edges is farther off than kChordEdge_h; so
+// often in a batch at most. kChord_h: where the sweep is alone, since nothing else was swept within kAlone_h: by no other stroke, nor by this one more
+// than kOwnSweep_h before or after. Where it is not, hands would add 0.15 more new tetrahedra a cut face, and kChordBeside_h holds.
+inline constexpr double kChord_h = 0.1, kChordEdge_h = 0.05, kChordBeside_h = 0.2;
+inline constexpr double kAlone_h = 1, kOwnSweep_h = 4;
 inline constexpr int kMaxRefinements = 4;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
