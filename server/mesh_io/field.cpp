@@ -12,9 +12,9 @@
 namespace incise::mesh_io {
 namespace {
 
-// What write_cut_mesh() adds for each tetrahedron.
-constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece", "cut_mask",
-                                     "cut_faces", "min_dihedral_deg", "volume"};
+constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece",   "cut_mask",
+                                     "cut_faces", "min_dihedral_deg", "volume",  "origin_0",
+                                     "origin_1",  "origin_2",         "origin_3"};
 
 std::string title(Field::On on, std::string_view name) {
   return (on == Field::On::kVertices ? "the vertex field " : "the tetrahedron field ") + in_quotes(name);
@@ -25,6 +25,10 @@ std::string title(Field::On on, std::string_view name) {
 bool has_control_character(std::string_view name) {
   return std::any_of(name.begin(), name.end(),
                      [](unsigned char c) { return c < 0x20 && c != '\t' && c != '\n' && c != '\r'; });
+}
+
+bool is_own_array(std::string_view name) {
+  return std::ranges::find(kOwn, name) != std::end(kOwn);
 }
 
 std::string title(const Field& field) {
@@ -38,9 +42,11 @@ void FieldCollector::leave_out(Field::On on, std::string_view name, const std::s
 void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
                          const std::vector<std::uint32_t>* pick) {
   if (!wanted()) return;
-  if (on == Field::On::kTets && std::find(std::begin(kOwn), std::end(kOwn), array.name) != std::end(kOwn))
-    return;
   const auto refuse = [&](const std::string& why) { leave_out(on, array.name, why); };
+  if (on == Field::On::kTets && is_own_array(array.name)) {
+    if (!own_file_) refuse("results have an array of this name of their own; rename it");
+    return;
+  }
   if (array.name.empty() || array.name.size() > core::kMaxFieldName)
     return refuse("its name has " + std::to_string(array.name.size()) + " bytes; accepted are 1 to " +
                   std::to_string(core::kMaxFieldName));

@@ -15,6 +15,9 @@ using core::Field;
 // Whether a name has a character that XML cannot have, escaped or not: control characters but tab and the ends of lines.
 bool has_control_character(std::string_view name);
 
+// Whether write_cut_mesh() adds an array of this name, for each tetrahedron.
+bool is_own_array(std::string_view name);
+
 // "the vertex field 'temperature'", for messages.
 std::string title(const Field& field);
 
@@ -28,7 +31,7 @@ struct RawArray {
 
 // Turns arrays of a file into fields. What cannot be one is left out, and a warning says why: a name that is empty, longer than
 // kMaxFieldName, with control characters or there twice; more than kMaxFieldComponents; another number of values than `rows`; a whole number beyond 32
-// bits. Numbers with a fraction become floats. Arrays on tetrahedra that Incise itself writes (tet_id, region, ...) are no fields.
+// bits. Numbers with a fraction become floats. Arrays on tetrahedra of names that Incise itself writes (tet_id, region, ...) are no fields.
 class FieldCollector {
  public:
   // Null: nothing is kept.
@@ -36,6 +39,8 @@ class FieldCollector {
       : fields_(fields), file_(file), warnings_(warnings) {}
 
   bool wanted() const { return fields_ != nullptr; }
+  // Incise wrote the file: no warning for the arrays that it adds.
+  void note_own_file() { own_file_ = true; }
   // `pick`: the rows that become the field's, where the file has others, too.
   void add(Field::On on, RawArray array, std::size_t rows, const std::vector<std::uint32_t>* pick = nullptr);
   // That an array was left out.
@@ -45,6 +50,7 @@ class FieldCollector {
   std::vector<Field>* fields_;
   std::string file_;
   std::vector<std::string>& warnings_;
+  bool own_file_ = false;
 };
 
 }  // namespace incise::mesh_io

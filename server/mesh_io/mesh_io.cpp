@@ -6,6 +6,7 @@
 #include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "server/mesh_io/surface_files.hpp"
+#include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/tet_repair.hpp"
 #include "server/mesh_io/tetgen_files.hpp"
@@ -175,6 +176,7 @@ std::string mesh_hash(const core::MeshData& mesh) {
   hash.add(mesh.positions);
   hash.add(mesh.tets);
   hash.add(mesh.regions);
+  if (!mesh.cut_masks.empty()) hash.add(mesh.cut_masks);  // so that all others keep their hash
   return hash.hex();
 }
 
@@ -202,6 +204,7 @@ void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
                 std::span<const Field> fields) {
   std::vector<CellArray> cell_data;
   if (!mesh.regions.empty()) cell_data.push_back({"region", mesh.regions});
+  if (!mesh.cut_masks.empty()) cell_data.push_back({std::string(kCutMask), mesh.cut_masks});
   write_mesh(path, mesh.positions, mesh.tets, cell_data, fields);
 }
 

@@ -368,8 +368,8 @@ class VtkReader {
     const auto type = number_type(type_name);
     if (!type)
       in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
-    const bool keep =
-        of_cells_ && components == 1 && tuples == types_.size() && find_region_array({&name, 1}) >= 0;
+    const bool keep = of_cells_ && components == 1 && tuples == types_.size() &&
+                      (name == kCutMask || find_region_array({&name, 1}) >= 0);
     const bool is_field = !keep && fields_.wanted() && (of_cells_ || of_points_) && !name.empty();
     if (binary_) in_.set_binary(std::endian::big);
     if (is_field) {
@@ -401,6 +401,7 @@ class VtkReader {
     for (std::size_t i = 0; i < types_.size(); ++i) {
       if (vtk_tet_nodes(types_[i]) > 0) tet_cells.push_back(static_cast<std::uint32_t>(i));
     }
+    if (std::ranges::find(names_, kCutMask) != names_.end()) fields_.note_own_file();
     for (RawArray& array : of_vertices_)
       fields_.add(Field::On::kVertices, std::move(array), out_.node_count());
     for (RawArray& array : of_tets_)
@@ -419,6 +420,7 @@ class VtkReader {
       throw MeshError(in_.file_name() + ": there are cells and no 'CELL_TYPES'");
     }
     const int chosen = find_region_array(names_);
+    const auto masks = static_cast<std::size_t>(std::ranges::find(names_, kCutMask) - names_.begin());
     for (std::size_t i = 0; i < types_.size(); ++i) {
       const int nodes = vtk_tet_nodes(types_[i]);
       if (nodes == 0) {
@@ -439,6 +441,7 @@ class VtkReader {
       std::array<core::VertexId, 4> corners;
       for (std::size_t k = 0; k < 4; ++k) corners[k] = out_.vertex(points_[first + k]);
       out_.add_tet(corners, chosen < 0 ? 0 : to_region(arrays_[static_cast<std::size_t>(chosen)][i]));
+      if (masks < names_.size() && arrays_[masks][i] != 0) out_.note_cut_faces(arrays_[masks][i]);
     }
   }
 

@@ -28,6 +28,8 @@ class VtuReader {
     ++pieces_;
   }
   core::MeshData finish() {
+    if (std::ranges::any_of(cell_data_, [](const Joined& joined) { return joined.array.name == kCutMask; }))
+      fields_.note_own_file();
     add_fields(Field::On::kVertices, point_data_, out_.node_count(), nullptr);
     add_fields(Field::On::kTets, cell_data_, cells_, &tet_cells_);
     return out_.finish(warnings_,
@@ -90,6 +92,7 @@ class VtuReader {
     check_size(offsets, piece.cells, "the offsets of cells");
     check_size(types, piece.cells, "the types of cells");
     const VtkXmlArray* regions = region_array(piece);
+    const VtkXmlArray* masks = cut_mask_array(piece);
     double begin = 0;
     for (std::size_t i = 0; i < piece.cells; ++i) {
       const double end = offsets.values[i];
@@ -99,13 +102,13 @@ class VtuReader {
       }
       const auto from = static_cast<std::size_t>(begin), size = static_cast<std::size_t>(end) - from;
       add_cell(i, types.values[i], {connectivity.values.data() + from, size}, first_point, piece.points,
-               regions ? regions->values[i] : 0);
+               regions ? regions->values[i] : 0, masks ? masks->values[i] : 0);
       begin = end;
     }
   }
 
   void add_cell(std::size_t index, double type, std::span<const double> points, std::size_t first_point,
-                std::size_t point_count, double region) {
+                std::size_t point_count, double region, double cut_mask) {
     const std::string cell = "cell " + std::to_string(index);
     const int nodes = type >= 0 && type <= 255 ? vtk_tet_nodes(static_cast<std::int64_t>(type)) : -1;
     if (nodes < 0) {
@@ -134,6 +137,7 @@ class VtuReader {
            " is out of range; accepted are -2147483648 to 2147483647");
     }
     out_.add_tet(corners, static_cast<std::int64_t>(region));
+    if (cut_mask != 0) out_.note_cut_faces(cut_mask);
     if (fields_.wanted()) tet_cells_.push_back(static_cast<std::uint32_t>(cells_ + index));
   }
 
@@ -152,6 +156,13 @@ class VtuReader {
     const VtkXmlArray& array = piece.cell_data[static_cast<std::size_t>(found)];
     check_size(array, piece.cells, "the array '" + array.name + "'");
     return &array;
+  }
+
+  const VtkXmlArray* cut_mask_array(const VtkXmlPiece& piece) const {
+    for (const VtkXmlArray& array : piece.cell_data) {
+      if (array.name == kCutMask && array.values.size() == piece.cells) return &array;
+    }
+    return nullptr;
   }
 
   void check_size(const VtkXmlArray& array, std::size_t size, const std::string& what) const {

@@ -1,6 +1,7 @@
 #include "server/mesh_io/tet_collector.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "server/mesh_io/mesh_error.hpp"
@@ -73,6 +74,12 @@ void TetCollector::add_tet(const std::array<core::VertexId, 4>& corners, std::in
   mesh_.regions.push_back(checked_region(region));
 }
 
+void TetCollector::note_cut_faces(double mask) {
+  misread_cut_faces_ = misread_cut_faces_ || !(mask >= 0 && mask <= 15 && mask == std::floor(mask));
+  mesh_.cut_masks.resize(mesh_.tets.size());
+  if (!misread_cut_faces_) mesh_.cut_masks.back() = static_cast<std::uint8_t>(mask);
+}
+
 core::MeshData TetCollector::finish(std::vector<std::string>& warnings, std::string_view skipped) {
   if (mesh_.tets.empty()) {
     throw MeshError(in_.file_name() + ": there is no tetrahedron in it" + std::string(skipped) +
@@ -82,6 +89,14 @@ core::MeshData TetCollector::finish(std::vector<std::string>& warnings, std::str
     warnings.push_back(in_.file_name() + ": " + std::to_string(higher_order_) +
                        " tetrahedra of higher order: the corners are kept, the edges become straight");
   }
+  if (misread_cut_faces_) {
+    warnings.push_back(in_.file_name() + ": the array '" + std::string(kCutMask) +
+                       "' has other numbers than 0 to 15: older cuts are taken for the body's boundary");
+  }
+  if (misread_cut_faces_ || std::ranges::all_of(mesh_.cut_masks, [](std::uint8_t mask) { return mask == 0; }))
+    mesh_.cut_masks.clear();
+  // The last piece of a file may have none.
+  if (!mesh_.cut_masks.empty()) mesh_.cut_masks.resize(mesh_.tets.size());
   if (std::all_of(mesh_.regions.begin(), mesh_.regions.end(), [](std::int32_t r) { return r == 0; })) {
     mesh_.regions.clear();
   }

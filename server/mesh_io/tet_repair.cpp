@@ -30,6 +30,11 @@ constexpr std::size_t kMaxBadCount = 16;
 // Vertices, of what is to be fetched: in a file the tetrahedra of a star lie anywhere.
 constexpr VertexId kStarsAhead = 2;
 
+// Of faces 2 and 3, whose vertices have changed places.
+void exchange_last_two(std::uint8_t& mask) {
+  mask = static_cast<std::uint8_t>((mask & 3u) | (mask >> 2 & 1u) << 3 | (mask >> 3 & 1u) << 2);
+}
+
 class TetRepair {
  public:
   TetRepair(MeshData& mesh, const std::string& file, int index_base, std::vector<std::string>& warnings)
@@ -59,7 +64,8 @@ class TetRepair {
     }
     const bool loose = note_loose_vertices();
     drop_unused_vertices();
-    note_coincident_vertices();
+    // The two sides of a cut lie on each other.
+    if (mesh_.cut_masks.empty()) note_coincident_vertices();
     mesh_.opposite.clear();
     if (!loose) mesh_.opposite = topology_.opposites();
   }
@@ -157,6 +163,7 @@ class TetRepair {
       for (const TetId t : body) {
         if ((flip[t] ^ turn) == 0) continue;
         std::swap(mesh_.tets[t][2], mesh_.tets[t][3]);
+        if (!mesh_.cut_masks.empty()) exchange_last_two(mesh_.cut_masks[t]);
         if (flipped++ == 0 || t < first_flipped) first_flipped = t;
       }
     }
@@ -313,6 +320,7 @@ class TetRepair {
       kept_.tets[kept] = t;
       mesh_.tets[kept] = mesh_.tets[t];
       if (!mesh_.regions.empty()) mesh_.regions[kept] = mesh_.regions[t];
+      if (!mesh_.cut_masks.empty()) mesh_.cut_masks[kept] = mesh_.cut_masks[t];
       ++kept;
     }
     if (kept == mesh_.tets.size()) return;
@@ -320,6 +328,7 @@ class TetRepair {
     mesh_.tets.resize(kept);
     kept_.tets.resize(kept);
     if (!mesh_.regions.empty()) mesh_.regions.resize(kept);
+    if (!mesh_.cut_masks.empty()) mesh_.cut_masks.resize(kept);
     topology_.match_faces();
     topology_.list_stars();
   }

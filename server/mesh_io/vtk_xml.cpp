@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/token_reader.hpp"
@@ -331,7 +332,8 @@ class VtkXmlReader {
       const std::string name(tag.get("Name"));
       const bool region = tag.get("NumberOfComponents", "1") == "1" && find_region_array({&name, 1}) >= 0;
       const bool field = fields_ && converter(tag.get("type")) != nullptr;
-      if (parent == "CellData" && (region || field)) piece.cell_data.push_back(read_array(tag, !region));
+      const bool wanted = region || field || name == kCutMask;
+      if (parent == "CellData" && wanted) piece.cell_data.push_back(read_array(tag, !region));
       if (parent == "PointData" && field) piece.point_data.push_back(read_array(tag, true));
     }
   }

@@ -38,6 +38,7 @@ core::MeshData mesh_of(const protocol::Replica& replica) {
   replica.for_each_tet([&](std::uint32_t t) {
     mesh.tets.push_back(replica.vertices(t));
     mesh.regions.push_back(replica.region(t));
+    mesh.cut_masks.push_back(replica.cut_mask(t));
   });
   return mesh;
 }

@@ -12,6 +12,7 @@
 #include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <numbers>
 
 #include "server/app/capture_journal.hpp"
 #include "server/app/capture_lock.hpp"
@@ -645,6 +646,44 @@ TEST_F(Incise, CuttingAgainWhereABodyIsCutIsAWarningThatSaysSo) {
   const RunResult above = cut("once", "twice", "0,0,0:0,0,-0.001");
   EXPECT_EQ(above.exit_code, 3);
   EXPECT_NE(above.err.find("check the blade, units and frames"), std::string::npos) << above.err;
+}
+
+// A slit under a lid, and in another run a stroke around the lid that ends in the slit. What comes with the saved body is no part of the second report.
+TEST_F(Incise, ACutOnASavedCutIsJoinedToIt) {
+  mesh_io::write_mesh(dir_ / "cube.node", tests::cube(12));
+  std::string slit, around;
+  for (int i = 0; i <= 30; ++i) {
+    char line[128];
+    std::snprintf(line, sizeof line, "%g %g 0.02 0.053 %.17g 0 0 %.17g\n", 0.02 * i, 0.02 + 0.002 * i,
+                  std::sqrt(0.5), std::sqrt(0.5));
+    slit += line;
+  }
+  for (int i = 0; i <= 80; ++i) {
+    const double angle = 2 * std::numbers::pi * i / 80;
+    char line[128];
+    std::snprintf(line, sizeof line, "%g %.9g %.9g 0.113 0 0 0 1\n", 0.02 * i, 0.05 + 0.025 * std::cos(angle),
+                  0.05 + 0.025 * std::sin(angle));
+    around += line;
+  }
+  write("slit.tum", slit);
+  write("around.tum", around);
+  const auto cut = [&](const std::string& mesh, const std::string& poses, const std::string& out) {
+    const RunResult result =
+        run({"cut", "--mesh", mesh, "--poses", poses, "--blade", "0,0,0:0,0,-0.06", "--out", out, "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_EQ(result.err, "");
+    return json::parse(result.out);
+  };
+  for (const std::string ending : {".vtu", ".vtk"}) {
+    const json first = cut("cube", "slit.tum", "slit" + ending);
+    EXPECT_EQ(first["pieces"], 1);
+    const json second = cut("slit" + ending, "around.tum", "lid" + ending);
+    EXPECT_EQ(second["pieces"], 2) << ending;
+    // The lid's side: 2 pi 2.5 cm by 4.7 cm.
+    EXPECT_NEAR(second["cut_area"].get<double>(), 0.00738, 0.0004);
+    EXPECT_LE(second["deviation_max_h"], 0.3);
+    EXPECT_LE(second["deviation_mean_h"], 0.02);
+  }
 }
 
 TEST_F(Incise, ABladeMuchLongerThanTheBodyIsRefused) {

@@ -53,6 +53,23 @@ bool warns(const LoadedMesh& loaded, const std::string& text) {
                      [&](const std::string& w) { return w.find(text) != w.npos; });
 }
 
+TEST(Fields, OfNamesThatResultsHaveOfTheirOwnAreLeftOut) {
+  const TestDirectory directory;
+  const core::MeshData mesh = cube_mesh(2);
+  const std::vector<double> ones(mesh.tets.size(), 1);
+  for (const char* name : {"a.vtu", "a.vtk"}) {
+    write_mesh(directory / name, mesh.positions, mesh.tets, std::vector<CellArray>{{"volume", ones}});
+    const LoadedMesh theirs = load_mesh(directory / name, with_fields());
+    EXPECT_TRUE(warns(theirs, "'volume' is left out: results have an array of this name")) << name;
+    const std::vector<std::uint8_t> masks(mesh.tets.size(), 0);
+    write_mesh(directory / name, mesh.positions, mesh.tets,
+               std::vector<CellArray>{{"volume", ones}, {"cut_mask", masks}});
+    const LoadedMesh ours = load_mesh(directory / name, with_fields());
+    EXPECT_TRUE(ours.warnings.empty()) << ours.warnings.front();
+    EXPECT_TRUE(ours.fields.empty());
+  }
+}
+
 TEST(Fields, WhatIsWrittenIsReadBackToTheLastBit) {
   const TestDirectory directory;
   core::MeshData mesh = cube_mesh(2);
@@ -215,7 +232,8 @@ TEST(Fields, OfVtuThatCannotBeKept) {
   const Floats& x = floats(kept, On::kVertices, "x");
   EXPECT_TRUE(std::isnan(x[1]) && x[2] > 1e38f && x[3] < -1e38f);
   EXPECT_EQ(kept.fields.size(), 1u) << "what Incise writes itself is no field";
-  EXPECT_TRUE(kept.warnings.empty());
+  ASSERT_EQ(kept.warnings.size(), 1u);
+  EXPECT_TRUE(warns(kept, "'tet_id' is left out"));
 }
 
 }  // namespace

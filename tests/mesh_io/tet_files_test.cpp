@@ -1,6 +1,7 @@
 // Gmsh, VTK, Medit and VegaFEM files: what other programs wrote is read as it is, and they read what we write.
 
 #include "server/mesh_io/tet_files.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 
 #include <gtest/gtest.h>
 
@@ -255,6 +256,41 @@ TEST(TetFiles, GmshReadsAndWritesOurFiles) {
       for (const auto region : again.mesh.regions) ++found[region];
       EXPECT_EQ(found, expected);
     }
+  }
+}
+
+// What opened faces before the mesh was saved goes with the tetrahedra, also where their vertices change places.
+TEST(TetFiles, FacesOfEarlierCutsAreReadBack) {
+  const TestDirectory directory;
+  core::MeshData mesh = cube_mesh(2);
+  const core::TetMesh built(mesh);
+  std::vector<std::uint8_t> masks;
+  for (core::TetId t = 0; t < mesh.tets.size(); ++t) masks.push_back(built.boundary_mask(t));
+  for (const char* name : {"a.vtu", "a.vtk"}) {
+    SCOPED_TRACE(name);
+    write_mesh(directory / name, mesh.positions, mesh.tets, std::vector<CellArray>{{"cut_mask", masks}});
+    const core::MeshData loaded = load_mesh(directory / name).mesh;
+    EXPECT_EQ(loaded.cut_masks, masks);
+    write_mesh(directory / name, loaded);
+    EXPECT_EQ(load_mesh(directory / name).mesh.cut_masks, masks);
+    auto turned = mesh.tets;
+    auto turned_masks = masks;
+    for (std::size_t t = 0; t < turned.size(); ++t) {
+      std::swap(turned[t][2], turned[t][3]);
+      turned_masks[t] = static_cast<std::uint8_t>((masks[t] & 3) | (masks[t] & 4) << 1 | (masks[t] & 8) >> 1);
+    }
+    write_mesh(directory / name, mesh.positions, turned, std::vector<CellArray>{{"cut_mask", turned_masks}});
+    EXPECT_EQ(load_mesh(directory / name).mesh.cut_masks, masks);
+    // Inside the body there is no face of a cut.
+    write_mesh(directory / name, mesh.positions, mesh.tets,
+               std::vector<CellArray>{{"cut_mask", std::vector<std::uint8_t>(masks.size(), 15)}});
+    EXPECT_EQ(core::TetMesh(load_mesh(directory / name).mesh).export_data().cut_masks, masks);
+    write_mesh(directory / name, mesh.positions, mesh.tets,
+               std::vector<CellArray>{{"cut_mask", std::vector<double>(masks.size(), 2.5)}});
+    const LoadedMesh odd = load_mesh(directory / name);
+    EXPECT_TRUE(odd.mesh.cut_masks.empty());
+    ASSERT_EQ(odd.warnings.size(), 1u);
+    EXPECT_NE(odd.warnings[0].find("other numbers than 0 to 15"), std::string::npos);
   }
 }
 

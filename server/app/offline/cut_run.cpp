@@ -40,9 +40,10 @@ struct Tally {
 
 // The result for the mesh, of a whole motion.
 Json report_of(const CutInput& in, const Config& config, const core::TetMesh& mesh,
-               const core::CutReport& before, const Tally& tally, const core::SweptSurface& swept) {
+               const core::CutReport& before, const core::SweptSurface& older, const Tally& tally,
+               const core::SweptSurface& swept) {
   const core::CutReport after = core::measure(mesh);
-  const core::Deviation deviation = core::deviation(mesh, swept);
+  const core::Deviation deviation = core::deviation(mesh, swept, older);
   const bool croll = config.cut.policy == core::Policy::kCroll;
   Json report;
   report["mesh"] = in.mesh_name;
@@ -57,8 +58,9 @@ Json report_of(const CutInput& in, const Config& config, const core::TetMesh& me
   report["pieces_before"] = before.pieces;
   report["pieces"] = after.pieces;
   report["islands"] = after.islands;
-  report["cut_faces"] = after.cut_faces;
-  report["cut_area"] = after.cut_area;
+  // What the body came with is not counted.
+  report["cut_faces"] = after.cut_faces - std::min(before.cut_faces, after.cut_faces);
+  report["cut_area"] = std::max(after.cut_area - before.cut_area, 0.0);
   report["events"] = tally.sum.events;
   report["snaps"] = tally.sum.snaps;
   report["splits"] = tally.sum.splits;
@@ -122,6 +124,7 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
   CutOutcome out{std::make_unique<core::CutSession>(in.loaded->mesh, config.cut, in.loaded->fields), {}};
   core::CutSession& session = *out.session;
   const core::CutReport before = core::measure(session.mesh());
+  const core::SweptSurface older = core::cut_surface(session.mesh());
   std::vector<std::string> warnings = in.warnings;
   if (const auto copies = session.mesh().initial_vertex_copies(); copies > 0) {
     warnings.push_back(in.mesh_name + ": " + counted(copies, "vertex", "vertices") +
@@ -142,7 +145,7 @@ CutOutcome cut(const CutInput& in, const Config& config, Progress& progress, con
                }},
           progress);
   progress.stage("measuring");
-  out.report = report_of(in, config, session.mesh(), before, tally, run.swept());
+  out.report = report_of(in, config, session.mesh(), before, older, tally, run.swept());
   out.report["poses_taken"] = run.poses_taken();
   for (std::string& warning : run.warnings(out.report["cut_faces"].get<std::uint32_t>(), in.body))
     warnings.push_back(std::move(warning));

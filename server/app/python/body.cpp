@@ -53,6 +53,11 @@ Body from_arrays(const py::object& given_points, const py::object& given_tets,
   using mesh_io::Field;
   add_fields(vertex_fields, "vertex_fields", Field::On::kVertices, mesh.positions.size(), loaded->fields);
   add_fields(tet_fields, "tet_fields", Field::On::kTets, mesh.tets.size(), loaded->fields);
+  for (const Field& field : loaded->fields) {
+    if (field.on == Field::On::kTets && mesh_io::is_own_array(field.name))
+      throw py::value_error("tet_fields: \"" + field.name +
+                            "\" is the name of an array that results have of their own; choose another name");
+  }
   {
     const py::gil_scoped_release release;
     mesh_io::KeptElements kept;

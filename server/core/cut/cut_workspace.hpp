@@ -45,6 +45,8 @@ struct CutWorkspace {
     reserve_room(vertices, mesh.vertex_slots());
     reserve_room(tets, mesh.tet_slots());
     grow(mesh);
+    // What made the cuts that a body comes with is not known.
+    if (mesh.came_cut()) swept.lack_what_was_before();
   }
 
   // Takes in what has been added to the mesh: a copy of a vertex lies on the surfaces that the vertex lay on.

@@ -38,6 +38,7 @@ class SweptMemory {
     quads_.clear();
     oldest_ = 0;
   }
+  void lack_what_was_before() { is_whole_ = false; }
   // Whether nothing but the oldest of what was swept in this body has been forgotten.
   bool is_whole() const { return is_whole_; }
 

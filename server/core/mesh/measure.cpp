@@ -95,7 +95,22 @@ void add_sweep(SweptSurface& surface, std::span<const BladeLine> lines, double t
   }
 }
 
-Deviation deviation(const TetMesh& mesh, const SweptSurface& surface) {
+SweptSurface cut_surface(const TetMesh& mesh) {
+  SweptSurface surface;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    for (int f = 0; f < 4; ++f) {
+      if (!mesh.alive(t) || !is_cut(mesh, t, f)) continue;
+      const auto v = mesh.face_vertices(half_face(t, f));
+      surface.add_strip(mesh.position(v[0]), mesh.position(v[1]), mesh.position(v[2]), mesh.position(v[2]), 0,
+                        false);
+    }
+  }
+  surface.build();
+  return surface;
+}
+
+Deviation deviation(const TetMesh& mesh, const SweptSurface& surface, const SweptSurface& older) {
+  constexpr double kSame_h = 0.01;  // cuts move the vertices of older ones a little
   Deviation result;
   const double h = mesh.mean_edge_length();
   if (surface.size() == 0 || !(h > 0)) return result;
@@ -115,7 +130,7 @@ Deviation deviation(const TetMesh& mesh, const SweptSurface& surface) {
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (!mesh.alive(t)) continue;
     for (int f = 0; f < 4; ++f) {
-      if (!is_cut(mesh, t, f)) continue;
+      if (!is_cut(mesh, t, f) || older.is_within(mesh.face_middle(half_face(t, f)), kSame_h * h)) continue;
       const auto face = mesh.face_vertices(half_face(t, f));
       // 28 points: where cuts cross, the farthest point of a face need not be a vertex.
       constexpr int kRows = 6;

@@ -57,7 +57,9 @@ struct Deviation {
   double max_m = 0;
 };
 // One pass over the mesh, then O(F log T) for F cut faces and T triangles. No samples where there are no cut
-// faces or no triangles.
-Deviation deviation(const TetMesh& mesh, const SweptSurface& surface);
+// faces or no triangles. `older`: the cuts that the body came with; a face that lies in these does not count.
+Deviation deviation(const TetMesh& mesh, const SweptSurface& surface, const SweptSurface& older = {});
+// The cut faces as a surface.
+SweptSurface cut_surface(const TetMesh& mesh);
 
 }  // namespace incise::core

@@ -35,6 +35,10 @@ TetMesh::TetMesh(const MeshData& data) {
     throw MeshError("regions given for " + std::to_string(data.regions.size()) + " of " +
                     std::to_string(tet_count) + " tetrahedra");
   }
+  if (!data.cut_masks.empty() && data.cut_masks.size() != tet_count) {
+    throw MeshError("faces of cuts given for " + std::to_string(data.cut_masks.size()) + " of " +
+                    std::to_string(tet_count) + " tetrahedra");
+  }
   reserve_room(vertices_, vertex_count);
   for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
   reserve_room(tets_, tet_count);
@@ -59,6 +63,9 @@ TetMesh::TetMesh(const MeshData& data) {
   } else {
     take_adjacency(data.opposite);
   }
+  for (TetId t = 0; t < data.cut_masks.size(); ++t)
+    cut_masks_[t] = static_cast<std::uint8_t>(data.cut_masks[t] & boundary_mask(t));
+  came_cut_ = std::ranges::any_of(cut_masks_, [](std::uint8_t mask) { return mask != 0; });
   find_boundary();
   if (data.opposite.empty()) split_initial_vertices();
   if (initial_vertex_copies_ > 0) find_boundary();
@@ -84,6 +91,7 @@ TetMesh::TetMesh(const TetMesh& other)
       region_(other.region_),
       live_tets_(other.live_tets_),
       has_regions_(other.has_regions_),
+      came_cut_(other.came_cut_),
       initial_vertex_copies_(other.initial_vertex_copies_),
       mean_edge_length_(other.mean_edge_length_) {
   vertex_marks_.grow_to(vertices_.size());
@@ -195,7 +203,10 @@ MeshData TetMesh::export_data() const {
     const auto& v = tets_[t].vertices;
     data.tets.push_back({renumbered[v[0]], renumbered[v[1]], renumbered[v[2]], renumbered[v[3]]});
     data.regions.push_back(region(t));
+    data.cut_masks.push_back(cut_mask(t));
   }
+  if (std::ranges::all_of(data.cut_masks, [](std::uint8_t mask) { return mask == 0; }))
+    data.cut_masks.clear();
   return data;
 }
 

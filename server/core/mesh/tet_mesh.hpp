@@ -141,6 +141,8 @@ class TetMesh {
   std::int32_t region(TetId t) const { return regions_.empty() ? region_ : regions_[t]; }
   // Whether there is more than one.
   bool has_regions() const { return has_regions_; }
+  // Whether it had faces of older cuts when it was loaded (MeshData::cut_masks). A session that is restored does not know.
+  bool came_cut() const { return came_cut_; }
   std::uint8_t cut_mask(TetId t) const { return cut_masks_[t]; }
   std::uint8_t boundary_mask(TetId t) const {
     unsigned mask = 0;
@@ -328,6 +330,7 @@ class TetMesh {
   std::int32_t region_ = 0;
   std::uint32_t live_tets_ = 0;
   bool has_regions_ = false;
+  bool came_cut_ = false;
   std::uint32_t initial_vertex_copies_ = 0;
   double mean_edge_length_ = 0;
 

@@ -930,6 +930,11 @@ TEST(TetMeshExport, RoundTrip) {
   EXPECT_NEAR(measure(again).volume, measure(mesh).volume, 1e-12);
   EXPECT_EQ(measure(again).pieces, measure(mesh).pieces);
   EXPECT_EQ(again.initial_vertex_copies(), 0u) << "a cut mesh has no pinched vertex";
+  // The faces of cuts stay such.
+  EXPECT_FALSE(mesh.came_cut());
+  EXPECT_TRUE(again.came_cut());
+  EXPECT_EQ(measure(again).cut_sides, measure(mesh).cut_sides);
+  EXPECT_EQ(measure(TetMesh(again)).cut_sides, measure(mesh).cut_sides);
 }
 
 // A real organ: adjacency, stars, and no vertex that only one of them knows.
