@@ -9,6 +9,9 @@ using namespace tolerance;
 
 namespace {
 
+// How far points are moved aside, of a step: far more than what is rounded.
+constexpr double kAside = 1e-3;
+
 // A ruled quad as two triangles.
 template <class Visit>
 void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
@@ -132,8 +135,11 @@ bool Neck::lay_out_finely(const Box& box) {
   return true;
 }
 
+// Not from the box's corner: that lies as far from what parts the tissue there as is a whole number of steps, and a layer of points in the plane of a sweep
+// would be on this side of some of its triangles and on that side of others, as they are rounded.
 void Neck::lay_out(const Box& box, double step_m) {
-  box_ = box;
+  const Vec3 aside = kAside * step_m * Vec3{1, 0.62, 0.38};
+  box_ = {box.low - aside, box.high - aside};
   step_m_ = step_m;
   const Vec3 size = to_grid(box.high);
   std::size_t count = 1;
