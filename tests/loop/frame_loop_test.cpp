@@ -18,15 +18,19 @@ using core::Policy;
 using input::PoseSources;
 using input::TimedPose;
 
-// As after a restart: what was cut before counts, as it does for a viewer that joins.
-TEST(FrameLoop, ASessionThatGoesOnBeginsWithTheCutsOfItsBody) {
-  core::CutSession session(tests::cube(4), config(core::Policy::kConforming));
+void cut_through(core::CutSession& session) {
   for (int i = 0; i < 100; ++i) session.push(0, {1 + i * 1'000'000, {0.05, -0.02 + 1.4e-3 * i, 0.11}, {}, 1});
   session.end_stroke(0);
   core::Delta delta;
   auto budget = core::WorkBudget::unlimited();
   while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
   }
+}
+
+// As after a restart: what was cut before counts, as it does for a viewer that joins.
+TEST(FrameLoop, ASessionThatGoesOnBeginsWithTheCutsOfItsBody) {
+  core::CutSession session(tests::cube(4), config(core::Policy::kConforming));
+  cut_through(session);
   const core::CutReport there = core::measure(session.mesh());
   ASSERT_GT(there.cut_faces, 10u);
   input::PoseSources sources(tests::long_blade(), {});
@@ -36,6 +40,22 @@ TEST(FrameLoop, ASessionThatGoesOnBeginsWithTheCutsOfItsBody) {
   EXPECT_EQ(state.cut_faces, there.cut_faces);
   EXPECT_NEAR(state.cut_area_m2, there.cut_area, 1e-12);
   EXPECT_EQ(state.strokes, 0u);
+}
+
+TEST(FrameLoop, CutsThatABodyComesWithCountAtTheStartAndAfterAReset) {
+  core::CutSession session(tests::cube(4), config(Policy::kConforming));
+  cut_through(session);
+  const core::CutReport there = core::measure(session.mesh());
+  const core::MeshData body = session.mesh().export_data();
+  Rig rig(Policy::kConforming, body);
+  EXPECT_EQ(rig.loop.stats().state.load().cut_faces, there.cut_faces);
+  rig.loop.offer_reset([&] { return std::make_unique<core::CutSession>(body, config(Policy::kConforming)); },
+                       [](std::unique_ptr<core::CutSession>) { return 1; });
+  ASSERT_TRUE(rig.loop.request_reset());
+  rig.loop.frame(monotonic_ns());
+  rig.loop.frame(monotonic_ns());
+  EXPECT_EQ(rig.loop.stats().state.load().cut_faces, there.cut_faces);
+  EXPECT_NEAR(rig.loop.stats().state.load().cut_area_m2, there.cut_area, 1e-12);
 }
 
 // Forces only look: a session cuts the same with and without them.
