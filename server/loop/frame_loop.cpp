@@ -77,13 +77,15 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
   state_.state_hash = session.mesh().state_hash();
   state_.live_tets = session.mesh().live_tets();
   state_.vertices = session.mesh().vertex_slots();
-  if (session.revision() > 0 || session.mesh().came_cut()) count_first_cuts();
+  count_first_cuts();
   stats_.state.store(state_);
 }
 
 void FrameLoop::count_first_cuts() {
   const core::TetMesh& mesh = session_->mesh();
+  first_cut_faces_ = 0;
   first_cut_area_m2_ = 0;
+  if (session_->revision() == 0 && !mesh.came_cut()) return;
   std::uint64_t sides = 0;
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (!mesh.alive(t)) continue;
@@ -337,12 +339,10 @@ void FrameLoop::reset() {
   }
   while (take_undo_request()) answer_undo(UndoEnd::kReset);
   cuts_to_note_.clear();
-  first_cut_faces_ = 0;
-  first_cut_area_m2_ = 0;
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
   replace(std::move(fresh), {}, record, reset_done_);
-  if (session_->mesh().came_cut()) count_first_cuts();
+  count_first_cuts();
 }
 
 void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {

@@ -136,7 +136,7 @@ class FrameLoop {
   // Of the one in undo_; then it is the next one's turn.
   void answer_undo(UndoEnd end);
   void go_back(Undone undone);
-  // What the session's body has been cut before. O(mesh).
+  // What the session's body has been cut before. O(mesh) where it has been.
   void count_first_cuts();
   // Goes on with another session. `done` gives its id.
   void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,

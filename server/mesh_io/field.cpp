@@ -12,7 +12,7 @@
 namespace incise::mesh_io {
 namespace {
 
-constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece",   "cut_mask",
+constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece",   kCutMask,
                                      "cut_faces", "min_dihedral_deg", "volume",  "origin_0",
                                      "origin_1",  "origin_2",         "origin_3"};
 

@@ -15,6 +15,8 @@ using core::Field;
 // Whether a name has a character that XML cannot have, escaped or not: control characters but tab and the ends of lines.
 bool has_control_character(std::string_view name);
 
+// The array, on tetrahedra, in which write_cut_mesh() says which faces cuts have opened, as MeshData::cut_masks does.
+inline constexpr std::string_view kCutMask = "cut_mask";
 // Whether write_cut_mesh() adds an array of this name, for each tetrahedron.
 bool is_own_array(std::string_view name);
 

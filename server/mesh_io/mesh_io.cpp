@@ -6,7 +6,6 @@
 #include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "server/mesh_io/surface_files.hpp"
-#include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/tet_repair.hpp"
 #include "server/mesh_io/tetgen_files.hpp"

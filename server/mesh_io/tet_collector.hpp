@@ -11,9 +11,6 @@
 
 namespace incise::mesh_io {
 
-// The array, on tetrahedra, in which Incise writes what note_cut_faces() takes.
-inline constexpr std::string_view kCutMask = "cut_mask";
-
 // Builds a mesh from a file: node numbers become indices, whatever number the file starts at.
 class TetCollector {
  public:
@@ -29,7 +26,7 @@ class TetCollector {
 
   core::VertexId vertex(std::int64_t number) const;  // fails if there is no such node
   void add_tet(const std::array<core::VertexId, 4>& corners, std::int64_t region);
-  // Which faces of the last tetrahedron an earlier cut opened, as write_cut_mesh() says it: MeshData::cut_masks.
+  // Which faces of the last tetrahedron an earlier cut opened, as the array kCutMask says it: MeshData::cut_masks.
   void note_cut_faces(double mask);
   // Reads the number of a region or material: an integer or a whole float.
   std::int32_t checked_region(std::int64_t region) const;

@@ -10,7 +10,6 @@
 #include <limits>
 
 #include "server/mesh_io/mesh_error.hpp"
-#include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/token_reader.hpp"

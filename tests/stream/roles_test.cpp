@@ -79,7 +79,7 @@ TEST(Roles, EachMayWhatItIsForAndNothingElse) {
   }
 }
 
-// An undo is counted when it is done, whoever is there to see it; a refusal that comes later names what it answers.
+// An undo counts once it is done, also where its asker has gone. A late refusal says which request it answers.
 TEST(Roles, AnUndoIsAnsweredWhenItIsDoneOrCannotBe) {
   std::mutex mutex;
   std::vector<std::string> audited;

@@ -208,7 +208,7 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_
   }
   std::vector<mesh_io::CellArray> arrays = {
       {"tet_id", std::move(ids)},      {"region", data.regions},
-      {"piece", std::move(piece)},     {"cut_mask", std::move(mask)},
+      {"piece", std::move(piece)},     {std::string(mesh_io::kCutMask), std::move(mask)},
       {"cut_faces", std::move(faces)}, {"min_dihedral_deg", std::move(dihedral)},
       {"volume", std::move(volume)}};
   if (from != nullptr) {
