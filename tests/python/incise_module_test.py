@@ -509,6 +509,40 @@ class BadInput(unittest.TestCase):
                 call()
         self.assertEqual(len(incise.Body(np.ma.masked_array(tet), one).points), 4)  # nothing is masked
 
+    def test_objects_that_were_never_made_are_refused(self):
+        classes = [incise.Body, incise.Motion, incise.Delta, incise.Session, incise.Cut]
+        takes_one = ("save", "cut", "push", "deform", "carry", "carry_tets")
+        for kind in classes:
+            made_by = r"this incise\." + kind.__name__ + " is empty.*; make one with "
+            names = {name for name, member in vars(kind).items() if not isinstance(member, staticmethod)}
+            for name in (names - {name for name in names if name.startswith("__")}) | names & {"__len__", "__repr__"}:
+                with self.subTest(f"{kind.__name__}.{name}"), self.assertRaisesRegex(TypeError, made_by):
+                    member = getattr(kind.__new__(kind), name)
+                    member(*["x.vtu"] * (name in takes_one))
+        body, motion, session = (kind.__new__(kind) for kind in (incise.Body, incise.Motion, incise.Session))
+        whole = incise.Body.phantom("slab", 600)
+        for call in (lambda: incise.Session(body), lambda: incise.cut(body, THROUGH), lambda: incise.cut(whole, motion),
+                     lambda: incise.Session(whole).cut(motion), lambda: session.cut(THROUGH)):
+            with self.assertRaisesRegex(TypeError, "is empty"):
+                call()
+
+        class Early(incise.Body):
+            def __init__(self):
+                self.before = str(self.assert_empty())
+                super().__init__(np.eye(4)[:, :3], [[0, 1, 2, 3]])
+
+            def assert_empty(self):
+                try:
+                    return self.points
+                except TypeError as error:
+                    return error
+
+        early = Early()
+        self.assertIn("super().__init__() first", early.before)
+        self.assertEqual(len(early.points), 4)
+        body.__init__(np.eye(4)[:, :3], [[0, 1, 2, 3]])
+        self.assertEqual(incise.Session(body).measure()["tets"], 1)
+
     def test_poses_that_are_rejected(self):
         session = incise.Session(incise.Body.phantom("slab", 600))
         self.assertEqual(session.push((0, 2e4, 0, 0, 0, 0, 0, 1)), "not finite")

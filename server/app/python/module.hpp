@@ -12,6 +12,7 @@
 
 #include "server/app/config.hpp"
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/app/python/made.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
