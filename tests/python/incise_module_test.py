@@ -11,6 +11,7 @@ import json
 import os
 import pathlib
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -49,6 +50,31 @@ def allocated_bytes():
 
 def run_incise(*arguments):
     return subprocess.run([BUILD / "bin/incise", *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120)
+
+
+def vtk_array(path, name):
+    """An array of uint32 of a VTK XML file that Incise has written."""
+    xml, _, data = path.read_bytes().partition(b'<AppendedData encoding="raw">\n_')
+    at = int(re.search(rf'Name="{name}"[^>]*offset="(\d+)"', xml.decode()).group(1))
+    return np.frombuffer(data, "<u4", int.from_bytes(data[at:at + 8], "little") // 4, at + 8)
+
+
+def glb_points(path):
+    """The vertices of each node of a .glb, in the body's frame: z upwards."""
+    data = path.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    gltf, binary = json.loads(data[20:20 + size]), data[28 + size:]
+    out = {}
+    for node in gltf["nodes"]:
+        if "mesh" not in node:
+            continue
+        rows = []
+        for primitive in gltf["meshes"][node["mesh"]]["primitives"]:
+            accessor = gltf["accessors"][primitive["attributes"]["POSITION"]]
+            view = gltf["bufferViews"][accessor["bufferView"]]
+            rows.append(np.frombuffer(binary, "<f4", 3 * accessor["count"], view["byteOffset"]).reshape(-1, 3))
+        out[node["name"]] = np.vstack(rows)
+    return out
 
 
 class Folder(unittest.TestCase):
@@ -379,6 +405,33 @@ class Deltas(unittest.TestCase):
         corners = session.positions()[faces["vertices"]]
         volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6  # outward
         self.assertAlmostEqual(volume, session.measure()["volume"], 12)
+
+    def test_files_number_the_pieces_as_the_session_does(self):
+        small, large = incise.Body.phantom("slab", 500), incise.Body.phantom("slab", 2_000)
+        body = incise.Body(np.vstack([small.points + (0, 0.5, 0), large.points]),
+                           np.vstack([small.tets.astype(int), large.tets.astype(int) + len(small.points)]))
+        session = incise.Session(body, blade=BLADE)
+        with tempfile.TemporaryDirectory() as folder:
+            for cuts, x in enumerate((None, 0.03, 0.01)):
+                if cuts:
+                    session.cut(incise.Motion.lines([((x, y, 0.05), (x, y, -0.05)) for y in (-0.1, 0.1)]))
+                pieces = session.pieces()
+                self.assertEqual(np.unique(pieces).tolist(), list(range(cuts + 2)))
+                self.assertEqual(session.measure()["pieces"], cuts + 2)
+                for name in ("cut.vtu", "cut.glb"):
+                    session.save(pathlib.Path(folder) / name)
+                np.testing.assert_array_equal(vtk_array(pathlib.Path(folder) / "cut.vtu", "piece"), pieces)
+                faces = session.faces()
+                of_face = pieces[np.searchsorted(session.tets()["id"], faces["tet"])]
+                nodes = glb_points(pathlib.Path(folder) / "cut.glb")
+                self.assertEqual(list(nodes), [f"piece_{n}" for n in range(cuts + 2)])
+                for number in range(cuts + 2):
+                    corners = session.positions()[np.unique(faces["vertices"][of_face == number])]
+                    points = nodes[f"piece_{number}"]
+                    np.testing.assert_allclose(points.min(axis=0), corners.min(axis=0), rtol=0, atol=1e-6)
+                    np.testing.assert_allclose(points.max(axis=0), corners.max(axis=0), rtol=0, atol=1e-6)
+            body.save(pathlib.Path(folder) / "body.glb")
+            self.assertEqual(list(glb_points(pathlib.Path(folder) / "body.glb")), ["piece_0", "piece_1"])
 
     def test_the_texture_of_a_surface_stays_on_the_outside(self):
         # A tetrahedron of 10 cm whose texture is its place: u is x, v is y, but for the slanted side.

@@ -167,8 +167,7 @@ int run_cut(const CutCommand& command) {
       }
       const CutOutcome out = cut(in, in.config, progress);
       progress.stage("writing " + command.out.filename().string());
-      write_cut_mesh(command.out, out.session->mesh(), in.loaded->surface.get(), &out.session->fields(),
-                     &regions);
+      write_cut_mesh(command.out, *out.session, in.loaded->surface.get(), &regions);
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
       reports.push_back(out.report);
     }

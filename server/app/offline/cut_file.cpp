@@ -8,6 +8,7 @@
 #include "client/cli/usage.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/core/geometry/quality.hpp"
+#include "server/core/session/piece_numbers.hpp"
 #include "server/mesh_io/write_materials.hpp"
 
 namespace incise::app {
@@ -163,10 +164,14 @@ bool keeps_materials(const fs::path& path) {
   return is_glb_file(path) || lowercase_ending(path) == ".obj";
 }
 
-void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from,
-                    const core::CarriedFields* fields, const std::vector<RegionMaterials>* regions) {
+namespace {
+
+// `pieces`: core::piece_numbers().
+void write_mesh_and_pieces(const fs::path& path, const core::TetMesh& mesh,
+                           const std::vector<std::uint32_t>& pieces, const mesh_io::Surface* from,
+                           const core::CarriedFields* fields, const std::vector<RegionMaterials>* regions) {
   const auto shown = [&] {
-    return cut_surface(mesh, from,
+    return cut_surface(mesh, pieces, from,
                        regions != nullptr ? *regions : region_materials({}, mesh.export_data(), ""));
   };
   if (is_glb_file(path)) {
@@ -193,7 +198,6 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_
     mesh_io::write_mesh(node, data);
     return;
   }
-  const std::vector<std::uint32_t> pieces = core::label_pieces(mesh);
   std::vector<std::uint32_t> ids, piece;
   std::vector<std::uint8_t> mask, faces;
   std::vector<double> dihedral, volume;
@@ -221,6 +225,17 @@ void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_
   }
   mesh_io::write_mesh(path, data.positions, data.tets, arrays,
                       fields != nullptr ? fields->exported(mesh) : std::vector<mesh_io::Field>{});
+}
+
+}  // namespace
+
+void write_cut_mesh(const fs::path& path, const core::CutSession& session, const mesh_io::Surface* from,
+                    const std::vector<RegionMaterials>* regions) {
+  write_mesh_and_pieces(path, session.mesh(), core::piece_numbers(session), from, &session.fields(), regions);
+}
+
+void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from) {
+  write_mesh_and_pieces(path, mesh, core::piece_numbers(mesh), from, nullptr, nullptr);
 }
 
 void finish_writing(std::ofstream& out, const fs::path& path) {

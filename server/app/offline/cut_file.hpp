@@ -9,7 +9,7 @@
 #include "server/app/offline/cut_surface.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
-#include "server/core/session/carried_fields.hpp"
+#include "server/core/session/cut_session.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 
 namespace incise::app {
@@ -44,15 +44,18 @@ bool keeps_fields(const std::filesystem::path& path);
 // Whether write_cut_mesh() writes materials to a file of this name.
 bool keeps_materials(const std::filesystem::path& path);
 
-// Writes a cut mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
-// region, piece (numbered by lowest tetrahedron), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
-// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
+// Writes a session's mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
+// region, piece (core::piece_numbers()), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
+// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume, and with the fields; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
-// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates. `fields` go into .vtu and .vtk. Either may
-// be null. .glb and .obj (with a .mtl and its images beside it) show `regions`; null: as viewers do where nothing is configured. Throws MeshError.
-void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
-                    const mesh_io::Surface* from = nullptr, const core::CarriedFields* fields = nullptr,
+// and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates; may be null.
+// .glb and .obj (with a .mtl and its images beside it) show `regions`; null: as viewers do where nothing is configured. Throws MeshError.
+void write_cut_mesh(const std::filesystem::path& path, const core::CutSession& session,
+                    const mesh_io::Surface* from = nullptr,
                     const std::vector<RegionMaterials>* regions = nullptr);
+// The same of a mesh that no session cuts, without fields.
+void write_cut_mesh(const std::filesystem::path& path, const core::TetMesh& mesh,
+                    const mesh_io::Surface* from = nullptr);
 
 // Closes a file of text. If something could not be written, removes what is there. Throws std::runtime_error.
 void finish_writing(std::ofstream& out, const std::filesystem::path& path);

@@ -9,7 +9,6 @@
 #include "server/app/look.hpp"
 #include "server/app/offline/seam_split.hpp"
 #include "server/app/surface_asset.hpp"
-#include "server/core/mesh/measure.hpp"
 #include "server/mesh_io/surface.hpp"
 
 namespace incise::app {
@@ -114,8 +113,8 @@ std::vector<RegionMaterials> region_materials(const Config& config, const core::
   return out;
 }
 
-CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
-                       const std::vector<RegionMaterials>& regions) {
+CutSurface cut_surface(const core::TetMesh& mesh, const std::vector<std::uint32_t>& pieces,
+                       const mesh_io::Surface* from, const std::vector<RegionMaterials>& regions) {
   CutSurface out;
   const core::MeshData data = mesh.export_data();
   std::vector<core::HalfFace> faces;  // of the exported tetrahedra, then of the mesh's
@@ -124,7 +123,6 @@ CutSurface cut_surface(const core::TetMesh& mesh, const mesh_io::Surface* from,
   for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
     if (mesh.alive(t)) ids.push_back(t);
   }
-  const std::vector<std::uint32_t> pieces = core::label_pieces(mesh);
   for (core::HalfFace& face : faces) {
     const core::TetId tet = ids[core::tet_of(face)];
     face = 4 * tet + static_cast<std::uint32_t>(core::face_of(face));

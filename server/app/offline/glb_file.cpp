@@ -134,7 +134,7 @@ class GlbFile {
       Json primitives = Json::array();
       for (const auto& [material, members] : by_material)
         primitives.push_back(add_primitive(primitive(members), number_.at(material)));
-      const std::string name = "piece_" + std::to_string(nodes.size());
+      const std::string name = "piece_" + std::to_string(piece);
       children.push_back(nodes.size());
       nodes.push_back({{"name", name}, {"mesh", nodes.size() - 1}});
       json_["meshes"].push_back({{"name", name}, {"primitives", primitives}});

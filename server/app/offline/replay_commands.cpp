@@ -143,7 +143,7 @@ int run_export(const ExportCommand& command) {
                              "; accepted are 0 to " + std::to_string(session.revision()) +
                              ", which is where " + command.capture.string() + " ends");
   }
-  write_cut_mesh(command.out, session.mesh(), opened.body.loaded.surface.get(), &session.fields(), &regions);
+  write_cut_mesh(command.out, session, opened.body.loaded.surface.get(), &regions);
   print_warnings(opened.motion.warnings);
   if (keeps_fields(command.out)) print_warnings(opened.body.loaded.warnings);
   if (command.json) {

@@ -106,7 +106,8 @@ void add_arrays(py::class_<Delta, std::shared_ptr<Delta>>& type) {
   def_view(type, "pieces", &Delta::pieces,
            "(n,) of (id, tet, tets) uint32: pieces that came off or changed their name: the id, one of the "
            "tetrahedra, and how many "
-           "hang together with that. The largest part keeps its id; what was never cut off is piece 0.");
+           "hang together with that. The largest part keeps its id; what was never cut off is piece 0. "
+           "Session.pieces() and files have the same ids.");
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include "server/app/offline/cut_surface.hpp"
 #include "server/app/python/arrays.hpp"
 #include "server/core/mesh/measure.hpp"
+#include "server/core/session/piece_numbers.hpp"
 
 namespace incise::python {
 namespace {
@@ -151,9 +152,10 @@ py::dict fields_of(Session& session, Field::On on) {
 
 py::array pieces_of(Session& session) {
   return owned(with_core(session, [](const core::CutSession& core) {
+    const std::vector<std::uint32_t> numbers = core::piece_numbers(core);
     std::vector<std::uint32_t> all;
     all.reserve(core.mesh().live_tets());
-    for_each_tet(core.mesh(), [&](core::TetId t) { all.push_back(core.piece(t)); });
+    for_each_tet(core.mesh(), [&](core::TetId t) { all.push_back(numbers[t]); });
     return all;
   }));
 }
@@ -223,7 +225,7 @@ void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
   with_core(session, [&](const core::CutSession& core) {
-    app::write_cut_mesh(path, core.mesh(), session.body->loaded->surface.get(), &core.fields());
+    app::write_cut_mesh(path, core, session.body->loaded->surface.get());
   });
 }
 
@@ -294,7 +296,12 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
            "tetrahedra by id. "
            "tets()[\"vertices\"] is (m, 4).")
       .def("pieces", &pieces_of,
-           "pieces() -> (m,) uint32: the piece of each row of tets(); 0 is what was never cut off.")
+           "pieces() -> (m,) uint32: the piece of each row of tets(), a number for each part that hangs "
+           "together, as in what save() writes: "
+           "the id that Delta.pieces names, 0 for what was never cut off. Of the parts that the body came "
+           "with, which are all piece 0 until a cut "
+           "touches them, the largest is 0 and the others are numbered behind the highest id, so theirs may "
+           "change with a cut. O(mesh).")
       .def("faces", &faces_of,
            "faces() -> (k,) of (tet, vertices[3], cut): the boundary, outward; cut: a cut opened the face.")
       .def("origins", &origins_of,
@@ -313,8 +320,8 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
            "volume (m^3), inverted, min_dihedral_deg. O(mesh).")
       .def("save", &save, py::arg("path"), R"(save(path)
 
-Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece, cut faces, angles and
-more, and the fields.)")
+Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece (numbered as pieces()), cut faces,
+angles and more, and the fields; .glb has a node piece_N for each piece N.)")
       .def("current_body", &current_body,
            "current_body() -> Body: the mesh as it is now, renumbered without gaps in the order of ids.")
       .def_property_readonly(
