@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <exception>
+#include <memory>
 #include <numeric>
 #include <string>
 #include <string_view>
@@ -49,22 +50,27 @@ std::string meant(const std::string& word, const std::vector<std::string>& known
   return best;
 }
 
+std::string unknown(const std::string& what, const std::string& word, const std::vector<std::string>& known) {
+  const std::string probably = meant(word, known);
+  return "unknown " + what + " " + word + (probably.empty() ? "" : " (did you mean " + probably + "?)");
+}
+
+std::vector<std::string> commands_of(const CLI::App& app) {
+  std::vector<std::string> commands;
+  for (const CLI::App* sub : app.get_subcommands([](const CLI::App*) { return true; }))
+    commands.push_back(sub->get_name());
+  return commands;
+}
+
 // What is wrong with a command line. An unknown option or command comes first, since other faults often follow from it.
 std::string problem(const CLI::App& app, int argc, char** argv, const std::string& otherwise) {
   const bool called = !app.get_subcommands().empty();
   const CLI::App& command = called ? *app.get_subcommands().front() : app;
-  const auto unknown = [](const std::string& what, const std::string& word,
-                          const std::vector<std::string>& known) {
-    const std::string probably = meant(word, known);
-    return "unknown " + what + " " + word + (probably.empty() ? "" : " (did you mean " + probably + "?)");
-  };
-  std::vector<std::string> options, commands;
+  std::vector<std::string> options;
   for (const CLI::Option* option : command.get_options()) {
     for (const std::string& name : option->get_lnames()) options.push_back("--" + name);
   }
-  for (const CLI::App* sub : app.get_subcommands([](const CLI::App*) { return true; }))
-    commands.push_back(sub->get_name());
-  if (!called && argc > 1 && argv[1][0] != '-') return unknown("command", argv[1], commands);
+  if (!called && argc > 1 && argv[1][0] != '-') return unknown("command", argv[1], commands_of(app));
   for (int i = 1; i < argc; ++i) {
     const std::string word = std::string(argv[i]).substr(0, std::string(argv[i]).find('='));
     if (word == "--") break;
@@ -72,6 +78,24 @@ std::string problem(const CLI::App& app, int argc, char** argv, const std::strin
       return unknown("option", word, options);
   }
   return otherwise;
+}
+
+// `incise help`, which many try first: what --help prints.
+void add_help(CLI::App& app) {
+  CLI::App* const sub = app.add_subcommand("help", "Print this help, or that of a command");
+  auto name = std::make_shared<std::string>();
+  sub->add_option("command", *name, "The command");
+  sub->callback([&app, name] {
+    std::string text;
+    // App::help() gives the help of the command that was called: this one.
+    if (name->empty())
+      text = app.get_formatter()->make_help(&app, app.get_name(), CLI::AppFormatMode::Normal);
+    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
+      if (command->get_name() == *name) text = command->help(app.get_name());
+    if (text.empty())
+      throw incise::client::UsageError(unknown("command", *name, commands_of(app)) + "; see incise --help");
+    std::fputs(text.c_str(), stdout);
+  });
 }
 
 int run(int argc, char** argv) {
@@ -85,6 +109,7 @@ int run(int argc, char** argv) {
   incise::client::add_network_commands(app, exit_code, incise::app::find_session);
   incise::app::add_cluster_commands(app, exit_code);
 #endif
+  add_help(app);
   incise::app::add_manual_options(app, 1);
   try {
     app.parse(argc, argv);

@@ -89,6 +89,19 @@ TEST_F(Incise, WithoutArgumentsShowsItsCommands) {
   EXPECT_EQ(run({"--version"}).out.rfind("incise ", 0), 0u);
 }
 
+TEST_F(Incise, TheCommandHelpPrintsWhatTheOptionDoes) {
+  EXPECT_EQ(run({"help"}).out, run({"--help"}).out);
+  EXPECT_EQ(run({"help"}).exit_code, 0);
+  for (const char* command : {"cut", "info", "help"}) {
+    const RunResult result = run({"help", command});
+    EXPECT_EQ(result.exit_code, 0);
+    EXPECT_EQ(result.out, run({command, "--help"}).out);
+    EXPECT_EQ(result.err, "");
+  }
+  expect_error(run({"help", "exprot"}), 2, {"unknown command exprot (did you mean export?)"});
+  expect_error(run({"help", "--frob"}), 2, {"unknown option --frob", "incise help --help"});
+}
+
 TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
   expect_error(run({"cot"}), 2, {"cot", "incise --help"});
   expect_error(run({"cut"}), 2, {"--mesh is required", "incise cut --help"});
