@@ -282,6 +282,32 @@ std::size_t size_of(VoxelType type) {
   }
 }
 
+const char* to_string(VoxelType type) {
+  switch (type) {
+    case VoxelType::kInt8:
+      return "int8";
+    case VoxelType::kUint8:
+      return "uint8";
+    case VoxelType::kInt16:
+      return "int16";
+    case VoxelType::kUint16:
+      return "uint16";
+    case VoxelType::kInt32:
+      return "int32";
+    case VoxelType::kUint32:
+      return "uint32";
+    case VoxelType::kInt64:
+      return "int64";
+    case VoxelType::kUint64:
+      return "uint64";
+    case VoxelType::kFloat:
+      return "float32";
+    case VoxelType::kDouble:
+      return "float64";
+  }
+  return "";
+}
+
 bool is_volume_image(const fs::path& path) {
   return !lower_ending(path).empty();
 }
@@ -316,6 +342,7 @@ VolumeImage read_volume_image(const fs::path& path) {
   }
   image.mm_from_unit = after(header.mm_from_index, index_from_unit);
   image.anatomical = header.anatomical;
+  image.file_type = header.type;
   image.values = read_voxels(header, image.size);
   return image;
 }

@@ -24,6 +24,11 @@ Affine inverse(const Affine& affine, const std::string& name);
 // At most so many samples along each axis: larger images are averaged.
 inline constexpr std::uint32_t kMaxImageSide = 256;
 
+enum class VoxelType { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kInt64, kUint64, kFloat, kDouble };
+std::size_t size_of(VoxelType type);
+// As NumPy names it: "int16", "float32".
+const char* to_string(VoxelType type);
+
 struct VolumeImage {
   std::array<std::uint32_t, 3> size{};  // of the samples here
   std::vector<float> values;            // x fastest; finite
@@ -32,6 +37,7 @@ struct VolumeImage {
   bool anatomical =
       false;  // those millimetres are LPS: x to the left, y to the back, z to the head. Else the file does not say
   std::array<std::uint32_t, 3> file_size{};  // before averaging
+  VoxelType file_type = VoxelType::kUint8;   // of the numbers in the file
 };
 
 // Reads .nrrd, .nhdr (NRRD 1 to 5, encodings raw and gzip), .nii and .nii.gz (NIfTI-1): one number a voxel, of any type, three axes. Numbers that are
@@ -40,9 +46,6 @@ VolumeImage read_volume_image(const std::filesystem::path& path);
 bool is_volume_image(const std::filesystem::path& path);
 
 // ------------------------------------------------------------------------------------------------ for the readers of the two formats
-
-enum class VoxelType { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kInt64, kUint64, kFloat, kDouble };
-std::size_t size_of(VoxelType type);
 
 // What a header says.
 struct ImageHeader {

@@ -269,8 +269,8 @@ Convert converter(std::string_view type) {
 
 class VtkXmlReader {
  public:
-  VtkXmlReader(std::string_view bytes, const std::string& file, bool fields)
-      : file_(file), bytes_(bytes), xml_(bytes, file), fields_(fields) {}
+  VtkXmlReader(std::string_view bytes, const std::string& file, bool fields, VtkXmlKind kind)
+      : file_(file), bytes_(bytes), xml_(bytes, file), fields_(fields), kind_(kind) {}
 
   std::vector<VtkXmlPiece> read() {
     find_appended();
@@ -322,7 +322,12 @@ class VtkXmlReader {
     } else if (tag.name == "Piece") {
       VtkXmlPiece piece;
       piece.points = count(tag, "NumberOfPoints");
-      piece.cells = count(tag, "NumberOfCells");
+      if (kind_ == VtkXmlKind::kPolyData) {
+        for (const char* cells : {"NumberOfVerts", "NumberOfLines", "NumberOfStrips", "NumberOfPolys"})
+          if (tag.attributes.contains(std::string_view(cells))) piece.cells += count(tag, cells);
+      } else {
+        piece.cells = count(tag, "NumberOfCells");
+      }
       pieces_.push_back(std::move(piece));
     } else if (tag.name == "DataArray" && !pieces_.empty()) {
       VtkXmlPiece& piece = pieces_.back();
@@ -339,8 +344,9 @@ class VtkXmlReader {
 
   void read_file_tag(const Tag& tag) {
     has_file_tag_ = true;
-    if (tag.get("type") != "UnstructuredGrid") {
-      xml_.fail("a VTK file of the type " + in_quotes(tag.get("type")) + "; UnstructuredGrid is accepted");
+    const std::string accepted = kind_ == VtkXmlKind::kPolyData ? "PolyData" : "UnstructuredGrid";
+    if (tag.get("type") != accepted) {
+      xml_.fail("a VTK file of the type " + in_quotes(tag.get("type")) + "; " + accepted + " is accepted");
     }
     const std::string_view order = tag.get("byte_order", "LittleEndian"),
                            header = tag.get("header_type", "UInt32"), compressor = tag.get("compressor");
@@ -383,7 +389,8 @@ class VtkXmlReader {
         1, tag.attributes.contains("NumberOfComponents") ? count(tag, "NumberOfComponents") : 1);
     const std::string what = xml_.where() + ": the array " + in_quotes(array.name);
     const Convert convert_bytes = converter(tag.get("type"));
-    array.whole = !tag.get("type").starts_with("Float");
+    array.type = tag.get("type");
+    array.whole = !array.type.starts_with("Float");
     if (!convert_bytes)
       throw MeshError(what + " is of type " + in_quotes(tag.get("type")) + ", which is not known");
     const std::string_view format = tag.get("format", "ascii");
@@ -456,6 +463,7 @@ class VtkXmlReader {
   std::string_view bytes_;
   XmlScanner xml_;
   bool fields_;
+  VtkXmlKind kind_;
   std::vector<VtkXmlPiece> pieces_;
   std::string_view appended_;
   bool has_appended_ = false, appended_base64_ = false, has_file_tag_ = false;
@@ -465,8 +473,9 @@ class VtkXmlReader {
 
 }  // namespace
 
-std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields) {
-  return VtkXmlReader(bytes, file, fields).read();
+std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields,
+                                      VtkXmlKind kind) {
+  return VtkXmlReader(bytes, file, fields, kind).read();
 }
 
 }  // namespace incise::mesh_io

@@ -257,6 +257,54 @@ TEST_F(Incise, CutWritesWhatItsReportSays) {
   }
 }
 
+TEST_F(Incise, InfoDescribesSurfacesOfVtk) {
+  mesh_io::Surface triangle;
+  triangle.positions = {{0, 0, 0}, {1, 0, 0}, {0, 2, 0}};
+  triangle.triangles = {{0, 1, 2}};
+  const mesh_io::CellArray piece[] = {{"piece", std::vector<std::uint32_t>{7}}};
+  mesh_io::write_surface(dir_ / "a.vtp", triangle, piece);
+  const RunResult result = run({"info", "a.vtp", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json facts = json::parse(result.out);
+  EXPECT_EQ(facts["kind"], "surface, VTK poly data");
+  EXPECT_EQ(facts["vertices"], 3);
+  EXPECT_EQ(facts["faces"], 1);
+  EXPECT_EQ(facts["box_file_units"]["max"], json::array({1.0, 2.0, 0.0}));
+  EXPECT_EQ(facts["fields"].dump(), R"([{"components":1,"name":"piece","on":"faces","type":"uint32"}])");
+  EXPECT_EQ(facts["fillable"], false);
+  EXPECT_NE(run({"info", "a.vtp"}).out.find("piece, on faces, 1 uint32"), std::string::npos);
+  const std::string bytes = tests::read_file(dir_ / "a.vtp");
+  write("cut_off.vtp", bytes.substr(0, bytes.size() / 2));
+  expect_error(run({"info", "cut_off.vtp"}), 1, {"cut_off.vtp"});
+  mesh_io::write_mesh(dir_ / "tets.vtu", tests::cube(2));
+  fs::rename(dir_ / "tets.vtu", dir_ / "tets.vtp");
+  expect_error(run({"info", "tets.vtp"}), 1, {"type 'UnstructuredGrid'; PolyData is accepted"});
+}
+
+TEST_F(Incise, InfoDescribesVolumeImages) {
+  // 3 x 2 x 1 voxels of 0.5 x 1 x 2 mm.
+  const std::string header =
+      "NRRD0004\ntype: short\ndimension: 3\nspace: RAS\nsizes: 3 2 1\nspace directions: (0.5,0,0) (0,1,0) "
+      "(0,0,2)\nspace origin: (0,0,0)\nendian: little\nencoding: raw\n\n";
+  write("ct.nrrd", header + std::string("\x00\x00\x01\x00\x02\x00\x03\x00\x04\x00\xff\xff", 12));
+  const RunResult result = run({"info", "ct.nrrd", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json facts = json::parse(result.out);
+  EXPECT_EQ(facts["kind"], "volume image");
+  EXPECT_EQ(facts["voxels"], json::array({3, 2, 1}));
+  EXPECT_EQ(facts["type"], "int16");
+  EXPECT_EQ(facts["spacing_mm"], json::array({0.5, 1.0, 2.0}));
+  EXPECT_EQ(facts["space"], "LPS");
+  EXPECT_EQ(facts["box_mm"]["min"], json::array({-1.25, -1.5, -1.0}));
+  EXPECT_EQ(facts["box_mm"]["max"], json::array({0.25, 0.5, 1.0}));
+  EXPECT_EQ(facts["values"], json::array({-1.0, 4.0}));
+  const RunResult text = run({"info", "ct.nrrd"});
+  EXPECT_NE(text.out.find("0.5, 1, 2"), std::string::npos) << text.out;
+  write("short.nrrd", header + "ab");
+  expect_error(run({"info", "short.nrrd"}), 1, {"short.nrrd: has", "the header says 12 bytes"});
+  expect_error(run({"info", "nothing.nii.gz"}), 1, {"nothing.nii.gz: No such file"});
+}
+
 TEST_F(Incise, CutIsTheSameEveryTimeAndInEveryFormat) {
   write_cube_and_sweep();
   std::vector<std::string> hashes;
@@ -1260,12 +1308,10 @@ TEST_F(Incise, WhatCannotBePrintedIsAFailure) {
   }
 }
 
-TEST_F(Incise, InfoNamesOnlyWhatItReads) {
+TEST_F(Incise, InfoNamesWhatItDescribes) {
   write("a.xyz", "nothing");
-  const RunResult result = run({"info", "a.xyz"});
-  expect_error(result, 1, {"it knows a mesh", ".glb"});
+  expect_error(run({"info", "a.xyz"}), 1, {"it knows a mesh", ".glb", ".vtp", ".nii.gz", "a capture"});
   expect_error(run({"info", ""}), 2, {"FILE is empty; name a file"});
-  EXPECT_EQ(result.err.find(".vtp"), std::string::npos) << result.err;
 }
 
 TEST_F(Incise, AMonitoredDeviceThatIsNotConnectedIsNamed) {

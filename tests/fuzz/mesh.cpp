@@ -15,6 +15,7 @@
 #include "server/mesh_io/tet_files.hpp"
 #include "server/mesh_io/tet_repair.hpp"
 #include "server/mesh_io/tetgen_files.hpp"
+#include "server/mesh_io/vtk_xml.hpp"
 #include "tests/fuzz/fuzz_check.hpp"
 
 using namespace incise;
@@ -90,6 +91,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   try {
     if (ending == "stl" || ending == "ply" || ending == "off" || ending == "obj" || ending == "glb") {
       check_surface_file(ending, bytes);
+    } else if (ending == "vtp") {
+      for (const VtkXmlPiece& piece : read_vtk_xml(bytes, "mesh", true, VtkXmlKind::kPolyData))
+        FUZZ_CHECK(piece.cell_arrays.empty());
     } else {
       std::vector<std::string> warnings;
       std::vector<Field> fields;

@@ -16,8 +16,12 @@
 #include "server/core/mesh/measure.hpp"
 #include "server/input/hid/device_profile.hpp"
 #include "server/loop/checkpoint_file.hpp"
+#include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/phantom.hpp"
 #include "server/mesh_io/surface_check.hpp"
+#include "server/mesh_io/text_file.hpp"
+#include "server/mesh_io/volume_image.hpp"
+#include "server/mesh_io/vtk_xml.hpp"
 
 namespace incise::app {
 namespace {
@@ -87,6 +91,80 @@ Json describe_surface(const fs::path& file) {
     facts["problem"] = error.what();
   }
   facts["warnings"] = warnings;
+  return facts;
+}
+
+// The ending with which write_surface() makes VTK's poly data.
+bool is_poly_data(const fs::path& file) {
+  std::string ending = file.extension().string();
+  std::transform(ending.begin(), ending.end(), ending.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return ending == ".vtp";
+}
+
+Json describe_poly_data(const fs::path& file) {
+  const std::string bytes = mesh_io::read_whole_file(file);
+  const auto pieces = mesh_io::read_vtk_xml(bytes, file.string(), true, mesh_io::VtkXmlKind::kPolyData);
+  std::size_t vertices = 0, cells = 0;
+  Box bounds;
+  for (const mesh_io::VtkXmlPiece& piece : pieces) {
+    const std::size_t numbers = piece.point_arrays.empty() ? 0 : piece.point_arrays[0].values.size();
+    if (numbers != 3 * piece.points)
+      throw mesh_io::MeshError(file.string() + ": the points are " + std::to_string(numbers) +
+                               " numbers; the piece declares " + std::to_string(3 * piece.points));
+    for (std::size_t i = 0; i < numbers; i += 3) {
+      const double* const x = &piece.point_arrays[0].values[i];
+      bounds.add({x[0], x[1], x[2]});
+    }
+    vertices += piece.points;
+    cells += piece.cells;
+  }
+  Json facts;
+  facts["kind"] = "surface, VTK poly data";
+  facts["vertices"] = vertices;
+  facts["faces"] = cells;
+  if (vertices > 0) facts["box_file_units"] = corners(bounds);
+  const auto list = [&](const std::vector<mesh_io::VtkXmlArray>& arrays, const char* on) {
+    for (const mesh_io::VtkXmlArray& array : arrays) {
+      std::string type = array.type;
+      std::transform(type.begin(), type.end(), type.begin(),
+                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+      facts["fields"].push_back(
+          {{"name", array.name}, {"on", on}, {"components", array.components}, {"type", type}});
+    }
+  };
+  if (!pieces.empty()) {
+    list(pieces[0].point_data, "vertices");
+    list(pieces[0].cell_data, "faces");
+  }
+  facts["fillable"] = false;
+  facts["problem"] = "incise writes .vtp, but fills only " + std::string(mesh_io::surface_input_endings());
+  facts["warnings"] = Json::array();
+  return facts;
+}
+
+Json describe_image(const fs::path& file) {
+  const mesh_io::VolumeImage image = mesh_io::read_volume_image(file);
+  const mesh_io::Affine& m = image.mm_from_unit;
+  Json facts;
+  facts["kind"] = "volume image";
+  facts["voxels"] = image.file_size;
+  facts["type"] = mesh_io::to_string(image.file_type);
+  Json spacing;
+  for (std::size_t i = 0; i < 3; ++i)
+    spacing.push_back(core::length({m[0][i], m[1][i], m[2][i]}) / image.file_size[i]);
+  facts["spacing_mm"] = spacing;
+  facts["space"] = image.anatomical ? "LPS" : "not named";
+  Box bounds;
+  for (int corner = 0; corner < 8; ++corner) {
+    bounds.add(mesh_io::apply(m, {static_cast<double>(corner & 1), static_cast<double>(corner >> 1 & 1),
+                                  static_cast<double>(corner >> 2)}));
+  }
+  facts["box_mm"] = corners(bounds);
+  if (image.size != image.file_size) facts["averaged_to"] = image.size;
+  const auto [least, most] = std::minmax_element(image.values.begin(), image.values.end());
+  facts["values"] = {static_cast<double>(*least), static_cast<double>(*most)};
+  facts["warnings"] = Json::array();
   return facts;
 }
 
@@ -166,7 +244,8 @@ Json describe_config(const fs::path& file) {
 std::string known_files() {
   return "a mesh (" + std::string(mesh_io::mesh_file_endings()) + ", .veg), a surface (" +
          std::string(mesh_io::surface_input_endings()) +
-         "), a motion (TUM lines t x y z qx qy qz qw, or CSV with the header t_s,x_m,y_m,z_m...), a "
+         ", .vtp), a volume image (.nrrd, .nhdr, .nii, .nii.gz), a motion (TUM lines t x y z qx qy qz qw, or "
+         "CSV with the header t_s,x_m,y_m,z_m...), a "
          "capture, "
          "or a "
          "configuration";
@@ -254,6 +333,11 @@ void print(const Json& facts) {
         line += ")";
       }
       print_row(name, line);
+    } else if (value.is_array() && !value.empty() && value[0].is_number_float()) {
+      std::string line;
+      for (const Json& number : value)
+        line += (line.empty() ? "" : ", ") + short_number(number.get<double>());
+      print_row(name, line);
     } else {
       print_row(name, value.is_string()         ? value.get<std::string>()
                       : value.is_number_float() ? short_number(value.get<double>())
@@ -272,7 +356,11 @@ int run_info(const InfoCommand& command) {
   node += ".node";
   const Config config = command.config.empty() ? Config{} : load_config(command.config);
   Json facts;
-  if (mesh_io::is_surface_input(file) || mesh_io::is_surface_file(file)) {
+  if (is_poly_data(file)) {
+    facts = describe_poly_data(file);
+  } else if (mesh_io::is_volume_image(file)) {
+    facts = describe_image(file);
+  } else if (mesh_io::is_surface_input(file) || mesh_io::is_surface_file(file)) {
     facts = describe_surface(file);
   } else if (mesh_io::is_mesh_input(file) || (!fs::exists(file, error) && fs::exists(node, error))) {
     mesh_io::LoadOptions options = load_options(config);

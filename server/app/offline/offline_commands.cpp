@@ -84,8 +84,8 @@ void add_replay(CLI::App& app, int& exit_code) {
 
 void add_info(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<InfoCommand>();
-  CLI::App* sub =
-      app.add_subcommand("info", "Describe a file: mesh, surface, motion, capture or configuration");
+  CLI::App* sub = app.add_subcommand(
+      "info", "Describe a file: mesh, surface, volume image, motion, capture or configuration");
   sub->add_option("file", command->file, "The file")->required();
   sub->add_option("--config", command->config, "A configuration: how to read a mesh");
   sub->add_flag("--json", command->json, "Print the facts as JSON");
