@@ -1,13 +1,28 @@
 #include "server/app/end_signals.hpp"
 
+#include <array>
 #include <ctime>
+#include <utility>
 
 namespace incise::app {
+namespace {
+
+constexpr std::array<std::pair<int, const char*>, 3> kEnds{
+    {{SIGINT, "SIGINT"}, {SIGTERM, "SIGTERM"}, {SIGHUP, "SIGHUP"}}};
+
+// As under nohup, which wants the server to outlive its terminal. Blocked, the signal would come all the same.
+bool ignored(int signal) {
+  struct sigaction now {};
+  return sigaction(signal, nullptr, &now) == 0 && now.sa_handler == SIG_IGN;
+}
+
+}  // namespace
 
 EndSignals::EndSignals() {
   sigemptyset(&set_);
-  sigaddset(&set_, SIGINT);
-  sigaddset(&set_, SIGTERM);
+  for (const auto& [signal, name] : kEnds) {
+    if (signal != SIGHUP || !ignored(signal)) sigaddset(&set_, signal);
+  }
   pthread_sigmask(SIG_BLOCK, &set_, nullptr);
   // A peer that has gone shows as an error of the write.
   std::signal(SIGPIPE, SIG_IGN);
@@ -17,13 +32,20 @@ EndSignals::EndSignals() {
 
 const char* EndSignals::wait() const {
   const timespec second{1, 0};
-  const int signal = sigtimedwait(&set_, nullptr, &second);
-  return signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : nullptr;
+  const int come = sigtimedwait(&set_, nullptr, &second);
+  for (const auto& [signal, name] : kEnds) {
+    if (signal == come) return name;
+  }
+  return nullptr;
 }
 
 bool EndSignals::pending() const {
   sigset_t come{};
-  return sigpending(&come) == 0 && (sigismember(&come, SIGINT) == 1 || sigismember(&come, SIGTERM) == 1);
+  if (sigpending(&come) != 0) return false;
+  for (const auto& [signal, name] : kEnds) {
+    if (sigismember(&set_, signal) == 1 && sigismember(&come, signal) == 1) return true;
+  }
+  return false;
 }
 
 }  // namespace incise::app

@@ -4,7 +4,7 @@
 
 namespace incise::app {
 
-// Runs a relay until SIGINT or SIGTERM. Throws where it cannot start.
+// Runs a relay until SIGINT, SIGTERM or SIGHUP. Throws where it cannot start.
 void run_relay(const Config& config);
 
 }  // namespace incise::app

@@ -2,9 +2,9 @@
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
-#include <signal.h>
 #include <spawn.h>
 
+#include <csignal>
 #include <nlohmann/json.hpp>
 #include <thread>
 
@@ -204,7 +204,7 @@ TEST_F(Incised, WithTokensTheFiguresAreForTheirHolders) {
 
 TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
   write("c.json", config());
-  for (const int signal : {SIGTERM, SIGINT}) {
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
     const pid_t pid = start({"--config", (dir_ / "c.json").string()});
     ASSERT_GT(pid, 0);
     EXPECT_EQ(stop(pid, signal), 0);
@@ -214,7 +214,20 @@ TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
     const RunResult info = tests::run_program("incise", {"info", "session.capture", "--json"}, dir_);
     ASSERT_EQ(info.exit_code, 0) << info.err;
     EXPECT_TRUE(json::parse(info.out)["closed"]);
+    EXPECT_FALSE(fs::exists(dir_ / "session.capture.lock"));
   }
+}
+
+TEST_F(Incised, UnderNohupAHangUpDoesNotEndIt) {
+  write("c.json", config());
+  const auto before = std::signal(SIGHUP, SIG_IGN);  // a child inherits it
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  std::signal(SIGHUP, before);
+  ASSERT_GT(pid, 0);
+  kill(pid, SIGHUP);
+  std::this_thread::sleep_for(std::chrono::milliseconds(1500));  // it looks for signals once a second
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  EXPECT_NE(tests::read_file(dir_ / "log.txt").find("SIGTERM: ending"), std::string::npos);
 }
 
 TEST_F(Incised, TheDoctorKnowsARunningServerByItsAnswer) {

@@ -122,7 +122,7 @@ TEST_F(RelayProgram, ServesSeveralSessionsAndWaitsForThoseThatAreNotThere) {
   first.kill();
   EXPECT_TRUE(wait_for([&] { return e2e::stat(one.http, "/relay/connected") == 0.0; }));
   EXPECT_EQ(e2e::stat(two.http, "/relay/connected"), 1.0);
-  relay.signal(SIGTERM);
+  relay.signal(SIGHUP);
   EXPECT_EQ(relay.wait(), 0) << "it ends cleanly";
 }
 
