@@ -28,17 +28,6 @@ constexpr std::uint64_t kMaxSkippedBytes = std::uint64_t{1}
 constexpr int kMaxFaults = 32;                     // in a row: after that the peer speaks something else
 constexpr std::int64_t kSecond_ns = 1'000'000'000, kWriteTime_ns = 30 * kSecond_ns;
 
-// Source time of a pose: the peer's clock, if it gives one. A clock that was set back continues from where it was.
-std::int64_t source_time(Tool& tool, std::int64_t stamp_ns, std::int64_t arrival_ns, Counts& counts) {
-  const std::int64_t passed = std::max<std::int64_t>(arrival_ns - tool.arrival_ns, 1);
-  if (stamp_ns == 0) return tool.arrival_ns == 0 ? arrival_ns : tool.source_ns + passed;
-  if (tool.arrival_ns != 0 && stamp_ns + tool.offset_ns < tool.source_ns - kSecond_ns) {
-    tool.offset_ns = tool.source_ns + passed - stamp_ns;
-    ++counts.clock_restarts;
-  }
-  return stamp_ns + tool.offset_ns;
-}
-
 std::string text_of(const error_code& error) {
   return error == asio::error::eof ? "the peer closed it" : error.message();
 }
@@ -299,7 +288,8 @@ asio::awaitable<bool> Peer::open_source(Tool& tool, const std::string& name) {
                            std::to_string(core::kMaxSources) + " are");
     co_return false;
   }
-  tool.arrival_ns = tool.offset_ns = 0;
+  tool.arrival_ns = 0;
+  tool.clock.begin();
   co_return true;
 }
 
@@ -309,12 +299,13 @@ asio::awaitable<void> Peer::enqueue(const ToolPose& pose, std::int64_t stamp_ns,
   if (!tool->source && !co_await open_source(*tool, pose.name)) co_return;
   TimedPose timed;
   timed.arrival_ns = arrival_ns;
-  timed.pose.t_ns = source_time(*tool, stamp_ns, arrival_ns, context_.counts);
+  const std::uint64_t restarts = tool->clock.restarts();
+  timed.pose.t_ns = tool->clock.time_of(stamp_ns, arrival_ns);
+  context_.counts.clock_restarts += tool->clock.restarts() - restarts;
   timed.pose.position = world_from_device(context_.options.world, pose.position);
   timed.pose.orientation = world_from_device(context_.options.world, pose.orientation);
   timed.pose.buttons = tool->engaged ? context_.options.engage_buttons : 0;
   tool->arrival_ns = arrival_ns;
-  tool->source_ns = timed.pose.t_ns;
   ++context_.counts.poses;
   // A full queue: the loop is far behind. The rest waits in the socket.
   while (tool->source && !closed_ && tool->source->enqueue(std::span(&timed, 1)) == 0) {

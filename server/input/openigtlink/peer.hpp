@@ -16,6 +16,7 @@
 #include "server/input/limited_log.hpp"
 #include "server/input/openigtlink/message.hpp"
 #include "server/input/openigtlink/openigtlink_input.hpp"
+#include "server/input/openigtlink/pose_clock.hpp"
 #include "server/input/pose_sources.hpp"
 
 namespace incise::input::openigtlink {
@@ -60,8 +61,7 @@ struct Tool {
   bool waiting = false;  // for room in the queue
   std::int64_t released_ns = 0;
   std::int64_t arrival_ns = 0;  // of the last pose; 0: there was none
-  std::int64_t source_ns = 0;   // of the last pose
-  std::int64_t offset_ns = 0;   // from the peer's clock to source time
+  PoseClock clock;
 
   void release();
 };
