@@ -20,13 +20,10 @@ Json origin_json(const std::string& text) {
   return json.is_object() ? json : Json::object();
 }
 
-Json relay_json(const relay::Session& session, const relay::Figures& figures, const Json& origin) {
-  // An origin that is a relay has one of its own.
-  const Json& before = origin.contains("relay") ? origin["relay"] : Json();
-  const bool relayed = before.is_object() && before.value("hops", Json()).is_number_integer();
+Json relay_json(const relay::Session& session, const relay::Figures& figures) {
   Json json{{"session", session.name()},
             {"upstream", figures.upstream},
-            {"hops", relayed ? before["hops"].get<int>() + 1 : 1},
+            {"hops", figures.hops},
             {"connected", figures.connected},
             {"trouble", figures.trouble},
             {"round_trip_ms", figures.round_trip_ms},
@@ -51,7 +48,7 @@ std::string relay_stats_json(const relay::Session& session) {
   const relay::Figures figures = session.figures();
   const stream::StreamCounters counters = session.counters();
   Json root = origin_json(figures.origin.json);
-  Json relay = relay_json(session, figures, root);
+  Json relay = relay_json(session, figures);
   root["software"] = kSoftware;
   root["revision"] = counters.revision;
   root["state_hash"] = hex(counters.state_hash);

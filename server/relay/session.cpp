@@ -6,6 +6,7 @@
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/post.hpp>
 #include <exception>
+#include <nlohmann/json.hpp>
 #include <utility>
 
 #include "protocol/limits.hpp"
@@ -48,6 +49,17 @@ std::string documents_key(const protocol::Welcome& welcome) {
 std::string look_text(const stream::Documents& documents) {
   const auto look = documents.find("/look.json");
   return look == documents.end() ? std::string() : *look->second.body;
+}
+
+// Of the one that says so, to the server: 0 for a server. What is nested deep is passed over, since reading it takes as deep a stack.
+int hops_of(const std::string& stats) {
+  using Json = nlohmann::json;
+  const auto shallow = [](int depth, Json::parse_event_t, Json&) { return depth < 3; };
+  const Json json = Json::parse(stats, shallow, false);
+  if (!json.is_object() || !json.contains("relay") || !json["relay"].is_object()) return 0;
+  const Json hops = json["relay"].value("hops", Json());
+  if (!hops.is_number_integer()) return 0;
+  return static_cast<int>(std::clamp<std::int64_t>(hops.get<std::int64_t>(), 0, kMaxHops));
 }
 
 void rethrow(const std::exception_ptr& error) {
@@ -131,10 +143,7 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
     *place = *pose;
     place->arrival_ns -= ahead_ns;
   } else if (const auto* stats = std::get_if<protocol::Stats>(&body)) {
-    const std::scoped_lock lock(mutex_);
-    figures_.origin = *stats;
-    figures_.round_trip_ms = 1e-6 * static_cast<double>(upstream_->round_trip().count());
-    recording_ = stats->recording;
+    on(*stats);
   } else if (const auto* welcome = std::get_if<protocol::Welcome>(&body)) {
     on(*welcome);
   } else if (const auto* begin = std::get_if<protocol::SnapshotBegin>(&body)) {
@@ -148,9 +157,37 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
   }
 }
 
+// The statistics of a relay say how far the server is from it.
+void Session::on(const protocol::Stats& stats) {
+  const int hops = hops_of(stats.json) + 1;
+  const bool cycle = hops > kMaxHops;
+  std::string text, before;
+  if (cycle) {
+    text = "relays follow each other in a cycle, or are more than " + std::to_string(kMaxHops) +
+           " in a row: give one of them a server as its upstream";
+  }
+  {
+    const std::scoped_lock lock(mutex_);
+    figures_.hops = std::min(hops, kMaxHops + 1);
+    figures_.origin = stats;
+    figures_.round_trip_ms = 1e-6 * static_cast<double>(upstream_->round_trip().count());
+    recording_ = stats.recording;
+    before = std::exchange(cycle_, text);
+    if (!cycle && !before.empty() && figures_.trouble == before) figures_.trouble.clear();
+  }
+  if (cycle && before.empty()) spdlog::error("{}: {}: {}", name_, upstream_->name(), text);
+  if (!cycle && !before.empty()) spdlog::info("{}: {} leads to a server again", name_, upstream_->name());
+  if (cycle) upstream_->leave(text);
+}
+
 void Session::on_lost(const std::string& why) {
   {
     const std::scoped_lock lock(mutex_);
+    if (why == cycle_) {  // logged when it was found
+      figures_.connected = false;
+      figures_.trouble = why;
+      return;
+    }
     if (!figures_.connected && figures_.trouble.ends_with(why)) return;
     figures_.connected = false;
   }
@@ -173,8 +210,9 @@ void Session::on(const protocol::Welcome& welcome) {
     const std::scoped_lock lock(mutex_);
     if (!figures_.connected) {
       ++figures_.welcomes;
-      spdlog::info("{}: connected to {}, {}", name_, upstream_->name(),
-                   welcome.resumed ? "nothing is missing" : "waiting for its state");
+      // In a cycle it is only to see whether that is over.
+      spdlog::log(cycle_.empty() ? spdlog::level::info : spdlog::level::debug, "{}: connected to {}, {}",
+                  name_, upstream_->name(), welcome.resumed ? "nothing is missing" : "waiting for its state");
     } else if (another) {
       ++figures_.epochs;
     }
@@ -273,7 +311,15 @@ void Session::refuse(const protocol::ApplyResult& result) {
 
 void Session::set_trouble(std::string trouble) {
   const std::scoped_lock lock(mutex_);
-  figures_.trouble = std::move(trouble);
+  figures_.trouble = trouble.empty() ? cycle_ : std::move(trouble);
+}
+
+std::optional<Origin> Session::origin() const {
+  {
+    const std::scoped_lock lock(mutex_);
+    if (!cycle_.empty()) return std::nullopt;
+  }
+  return upstream_->origin();
 }
 
 // ---- The server ----
@@ -441,10 +487,10 @@ std::unique_ptr<stream::PoseInput> Session::take_over(std::string_view source_na
 }
 
 std::unique_ptr<stream::PoseInput> Session::open_link(OperatorLink::Wanted wanted) {
-  auto link = std::make_shared<OperatorLink>(io_, upstream_->origin(), std::move(wanted),
-                                             [this](const protocol::Force& force) {
-                                               if (server_) server_->publish_force(force);
-                                             });
+  auto link =
+      std::make_shared<OperatorLink>(io_, origin(), std::move(wanted), [this](const protocol::Force& force) {
+        if (server_) server_->publish_force(force);
+      });
   link->start();
   const std::scoped_lock lock(mutex_);
   std::erase_if(links_, [](const auto& other) { return other.expired(); });
@@ -464,9 +510,9 @@ stream::PeerInput::Later Session::while_served(const Later& later) const {
 }
 
 bool Session::reset(const Later& later) {
-  const std::optional<Origin> origin = upstream_->origin();
-  if (!origin) return false;
-  asio::post(io_, [this, origin = *origin, later = while_served(later)] {
+  const std::optional<Origin> where = origin();
+  if (!where) return false;
+  asio::post(io_, [this, origin = *where, later = while_served(later)] {
     ask_origin(io_, origin, protocol::Reset{}, later);
   });
   return true;
@@ -482,9 +528,9 @@ std::string Session::undo(std::optional<std::uint32_t> source, const Answer& ans
       return {};
     }
   }
-  const std::optional<Origin> origin = upstream_->origin();
-  if (source || !origin) return "there is no connection to the server that cuts";
-  asio::post(io_, [this, origin = *origin, later = while_served(answer)] {
+  const std::optional<Origin> where = origin();
+  if (source || !where) return "there is no connection to the server that cuts";
+  asio::post(io_, [this, origin = *where, later = while_served(answer)] {
     ask_origin(io_, origin, protocol::Undo{}, later);
   });
   return {};

@@ -22,11 +22,15 @@
 
 namespace incise::relay {
 
+// Relays in a row from the server. More is a cycle: each relay in it counts one more than the one before.
+inline constexpr int kMaxHops = 16;
+
 // What a relay's session has done, for reports.
 struct Figures {
   std::string upstream;  // its name
   std::string body;      // the mesh's, once it has come
   bool connected = false;
+  int hops = 1;                // to the server; kMaxHops + 1: more than that
   std::string trouble;         // why viewers may be behind; "": they are not
   std::uint64_t welcomes = 0;  // connections that were welcomed
   std::uint64_t resumed = 0;   // of these, without a snapshot
@@ -96,6 +100,7 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   void on(const protocol::SnapshotEnd& end);
   void on(const protocol::FieldValues& values);
   void on(const protocol::Delta& delta, std::int64_t ahead_ns);
+  void on(const protocol::Stats& stats);
   // What came does not fit.
   void refuse(const protocol::ApplyResult& result);
   // Makes the state what viewers follow.
@@ -107,7 +112,10 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   asio::awaitable<void> fetch();
   // After a loss: an origin that was started with another configuration may look otherwise.
   asio::awaitable<void> check_look();
+  // "": none but that of a cycle.
   void set_trouble(std::string trouble);
+  // Where operators and administrators are sent. Nothing in a cycle, which would send them round until no session is left.
+  std::optional<Origin> origin() const;
 
   const std::string name_;
   stream::StreamConfig config_;
@@ -131,6 +139,7 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   mutable std::mutex mutex_;                // of all below
   std::shared_ptr<stream::Server> server_;  // changed by the session's thread
   Figures figures_;
+  std::string cycle_;  // the trouble of following a cycle; "": we do not
   protocol::Recording recording_ = protocol::Recording::Off;
   std::vector<protocol::BladePose> blades_;
   std::vector<std::weak_ptr<OperatorLink>> links_;

@@ -98,6 +98,12 @@ void TcpUpstream::resync(const std::string& reason) {
       protocol::Resync{held.revision, held.state_hash, reason.substr(0, protocol::kMaxTextBytes)});
 }
 
+void TcpUpstream::leave(const std::string& why) {
+  if (!connection_) return;
+  connection_->close();
+  on_end({protocol::ErrorCode::NotAvailable, {}, why}, false);
+}
+
 std::chrono::nanoseconds TcpUpstream::round_trip() const {
   return std::chrono::nanoseconds(connection_ ? connection_->clock().round_trip_ns() : 0);
 }

@@ -23,6 +23,7 @@ class TcpUpstream final : public Upstream, private Connection::Owner {
   void start(Sink& sink) override;
   void stop() override;
   void resync(const std::string& reason) override;
+  void leave(const std::string& why) override;
   std::optional<Origin> origin() const override { return server_; }
   std::string name() const override { return name_; }
   std::chrono::nanoseconds round_trip() const override;

@@ -63,6 +63,9 @@ class Upstream {
   virtual void stop() = 0;
   // What came was wrong: a snapshot is needed. Deltas until it begins are passed over.
   virtual void resync(const std::string& reason) = 0;
+  // What comes cannot be followed: lets go of it, and looks again after a while. The sink hears on_lost(why). One that reads what only
+  // servers publish need not.
+  virtual void leave(const std::string& why) { static_cast<void>(why); }
   // Nothing while it is not known, or if there is none. From any thread.
   virtual std::optional<Origin> origin() const = 0;
   // For people, in logs and /stats: "tcp://host:7450". From any thread.

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "protocol/coalesce.hpp"
+#include "server/relay/session.hpp"
 #include "tests/e2e/recovery.hpp"
 #include "tests/e2e/served_session.hpp"
 #include "tests/relay/relay_process.hpp"
@@ -89,6 +90,52 @@ TEST(RelayFaults, RelaysAreKilledUnderCutting) {
   ASSERT_TRUE(driver.settle());
   EXPECT_EQ(driver.accepted(), driver.sent()) << "the origin and its operator notice nothing";
   expect_all_there(session, {&a, &b, &c});
+}
+
+// Nobody there has a server, and what one asks of the next comes back to it.
+TEST(RelayFaults, ACycleIsNoticedAndLeftOnceItIsMended) {
+  ServedSession session("relay_cycle", 3000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  RelayProcess near(place(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(near.start()) << near.log();
+  RelayProcess far(near.place(), near.http_port());
+  ASSERT_TRUE(far.start()) << far.log();
+  near.kill();
+  near.follow(far.place(), far.http_port());
+  ASSERT_TRUE(near.start()) << near.log();
+  const auto health = [&](int code) { return near.health() == code && far.health() == code; };
+  const auto noticed = [&] { return health(503); };
+  ASSERT_TRUE(wait_for(noticed) || wait_for(noticed)) << near.log() << far.log();
+  EXPECT_NE(stream::http(far.http_port(), "/healthz").find("relays follow each other in a cycle"),
+            std::string::npos);
+  // It stays so, also when they look again.
+  for (int i = 0; i < 24; ++i) {
+    std::this_thread::sleep_for(milliseconds(500));
+    EXPECT_TRUE(health(503));
+  }
+  EXPECT_EQ(near.stat("/relay/hops"), kMaxHops + 1.0);
+  EXPECT_EQ(far.stat("/relay/hops"), kMaxHops + 1.0);
+  stream::RawPeer operator_there(far.tcp_port());
+  protocol::Hello hello;
+  hello.role = protocol::Role::Operator;
+  hello.view = View::None;
+  hello.source_name = "blade";
+  operator_there.send(hello);
+  const auto refused = operator_there.receive_until<protocol::Error>();
+  ASSERT_TRUE(refused);
+  EXPECT_EQ(std::get<protocol::Error>(refused->message.body).code, protocol::ErrorCode::NotAvailable)
+      << "nobody is sent round";
+  for (const RelayProcess* relay : {&near, &far}) {
+    const std::string log = relay->log();
+    const std::size_t said = log.find("in a cycle");
+    ASSERT_NE(said, std::string::npos) << log;
+    EXPECT_EQ(log.find("in a cycle", said + 1), std::string::npos) << log;
+  }
+  near.kill();
+  near.follow(place(session.tcp_port()), session.http_port());
+  ASSERT_TRUE(near.start()) << near.log();
+  EXPECT_TRUE(wait_for([&] { return health(200); })) << near.log() << far.log();
+  EXPECT_EQ(far.stat("/relay/hops"), 2.0);
 }
 
 TEST(RelayFaults, AnOriginThatIsAwayForAWhileIsWaitedFor) {

@@ -31,6 +31,11 @@ class RelayProcess {
   // False where it does not listen within a minute.
   bool start();
   void kill();
+  // Whom it follows from its next start on.
+  void follow(const std::string& upstream, std::uint16_t upstream_http_port) {
+    upstream_ = upstream;
+    upstream_http_port_ = upstream_http_port;
+  }
   e2e::Process& process() { return *process_; }
   std::uint16_t tcp_port() const { return tcp_port_; }
   std::uint16_t http_port() const { return http_port_; }
