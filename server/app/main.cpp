@@ -8,12 +8,14 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
+#include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/recording.hpp"
 #include "server/app/server_run.hpp"
 #include "server/app/version.hpp"
+#include "server/base/clock.hpp"
 #include "server/base/standard_output.hpp"
 
 namespace {
@@ -39,6 +41,7 @@ int run(int argc, char** argv) {
     std::fprintf(stderr, "incised: %s; see incised --help\n", error.what());
     return incise::client::kWrongUsage;
   }
+  const std::int64_t now_s = incise::unix_ns() / 1'000'000'000;
   try {
     if (print_config) {
       std::fputs(incise::app::commented({}).c_str(), stdout);
@@ -48,7 +51,10 @@ int run(int argc, char** argv) {
       const incise::app::Config config = incise::app::load_config(check_file);
       incise::app::check_config(config, check_file);
       incise::app::check_recording(config, check_file);
-      for (const std::string& warning : incise::app::check_body(config, check_file))
+      std::vector<std::string> warnings = incise::app::check_body(config, check_file);
+      for (std::string& warning : incise::app::certificate_warnings(config, now_s))
+        warnings.push_back(std::move(warning));
+      for (const std::string& warning : warnings)
         std::printf("%s: warning: %s\n", check_file.c_str(), warning.c_str());
       std::printf("%s: good\n", check_file.c_str());
       return 0;
@@ -65,6 +71,8 @@ int run(int argc, char** argv) {
     incise::app::check_config(config, config_file);
     incise::app::check_recording(config, config_file);
     incise::app::start_log(config.log, "incised");
+    for (const std::string& warning : incise::app::certificate_warnings(config, now_s))
+      spdlog::warn("{}", warning);
     try {
       incise::app::run_server(config, resume);
     } catch (...) {

@@ -7,12 +7,14 @@
 #include <exception>
 
 #include "client/cli/usage.hpp"
+#include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
 #include "server/app/freed_memory.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/relay_run.hpp"
 #include "server/app/version.hpp"
+#include "server/base/clock.hpp"
 #include "server/base/standard_output.hpp"
 #include "server/cluster/session_subjects.hpp"
 
@@ -96,13 +98,17 @@ int run(int argc, char** argv) {
     std::fprintf(stderr, "incise-relay: %s; see incise-relay --help\n", error.what());
     return incise::client::kWrongUsage;
   }
+  const std::int64_t now_s = incise::unix_ns() / 1'000'000'000;
   try {
     if (print_config) {
       std::fputs(incise::app::commented({}, Program::kRelay).c_str(), stdout);
       return 0;
     }
     if (!check_file.empty()) {
-      incise::app::check_relay_config(incise::app::load_config(check_file, Program::kRelay), check_file);
+      const Config config = incise::app::load_config(check_file, Program::kRelay);
+      incise::app::check_relay_config(config, check_file);
+      for (const std::string& warning : incise::app::certificate_warnings(config, now_s))
+        std::printf("%s: warning: %s\n", check_file.c_str(), warning.c_str());
       std::printf("%s: good\n", check_file.c_str());
       return 0;
     }
@@ -114,6 +120,8 @@ int run(int argc, char** argv) {
     override_with(given, config);
     incise::app::check_relay_config(config, config_file.empty() ? "incise-relay" : config_file);
     incise::app::start_log(config.log, "incise-relay");
+    for (const std::string& warning : incise::app::certificate_warnings(config, now_s))
+      spdlog::warn("{}", warning);
     incise::app::return_freed_memory();
     try {
       incise::app::run_relay(config);

@@ -8,7 +8,9 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
+#include "server/base/clock.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/stream/raw_peer.hpp"
 #include "tests/support/bodies.hpp"
@@ -169,6 +171,52 @@ TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
     ASSERT_NE(fault(cube, rest).find(named), std::string::npos) << rest << " (a server would start and stay)";
     EXPECT_EQ(fault(phantom, rest), run({"--config", "c.json"}).err) << rest;
   }
+}
+
+// Clients refuse it, so whoever runs the server is told while there is time.
+TEST_F(Incised, ACertificateThatIsNotValidForLongIsWarnedOf) {
+  const auto make = [&](const std::string& days) {
+    const std::string command =
+        "cd " + dir_.string() +
+        " && openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj /CN=here "
+        "-keyout server.key -out server.pem -days " +
+        days + " >/dev/null 2>&1";
+    return std::system(command.c_str()) == 0;
+  };
+  if (!make("30")) GTEST_SKIP() << "the openssl program is not there";
+  const std::string tls = R"(, "listen": {"tcp_port": 0, "http_port": 0, "certificate_file": "server.pem",
+                              "private_key_file": "server.key"})";
+  write("c.json",
+        R"({"mesh": {"path": "cube.node"}, "loop": {"realtime_priority": 0, "lock_memory": false})" + tls +
+            "}");
+  write("r.json", R"({"relay": {"upstream": "a"})" + tls + "}");
+  EXPECT_EQ(run({"--check", "c.json"}).out, "c.json: good\n");
+  const Config config = load_config(dir_ / "c.json");
+  constexpr std::int64_t kDay_s = 86'400;
+  const std::int64_t now_s = unix_ns() / 1'000'000'000;
+  const auto said = [&](std::int64_t days) {
+    const std::vector<std::string> warnings = certificate_warnings(config, now_s + days * kDay_s);
+    return warnings.empty() ? std::string() : warnings.front();
+  };
+  EXPECT_EQ(said(15), "");
+  EXPECT_NE(said(17).find("listen.certificate_file"), std::string::npos) << said(17);
+  EXPECT_NE(said(17).find("it expires on 20"), std::string::npos) << said(17);
+  EXPECT_NE(said(31).find("it expired on 20"), std::string::npos) << said(31);
+  EXPECT_NE(said(-1).find("it is not valid before 20"), std::string::npos) << said(-1);
+
+  ASSERT_TRUE(make("2"));
+  const std::string warning = "server.pem: it expires on 20";
+  EXPECT_NE(run({"--check", "c.json"}).out.find("c.json: warning: listen.certificate_file: " + warning),
+            std::string::npos);
+  EXPECT_NE(tests::run_program("incise", {"doctor", "--config", "c.json"}, dir_).out.find(warning),
+            std::string::npos);
+  EXPECT_NE(tests::run_program("incise-relay", {"--check", "r.json"}, dir_)
+                .out.find("r.json: warning: listen.certificate_file: " + warning),
+            std::string::npos);
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  EXPECT_NE(tests::read_file(dir_ / "log.txt").find(warning), std::string::npos);
 }
 
 TEST_F(Incised, WithTokensTheFiguresAreForTheirHolders) {

@@ -17,10 +17,12 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
 #include "server/app/nats_options.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/terminal.hpp"
+#include "server/base/clock.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/mesh_io/tetgen_process.hpp"
 
@@ -342,6 +344,8 @@ std::vector<Finding> examine(const DoctorCommand& command) {
   Config config;
   const Program program = program_of(command.config);
   std::vector<Finding> findings{check_configuration(command, program, config)};
+  for (const std::string& warning : certificate_warnings(config, unix_ns() / 1'000'000'000))
+    findings.push_back({"certificate", Verdict::kWarning, warning, ""});
   if (program == Program::kRelay) {
     examine_relay(config, findings);
   } else {
