@@ -7,6 +7,8 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
+#include <optional>
+#include <stdexcept>
 #include <system_error>
 #include <utility>
 
@@ -14,6 +16,7 @@
 #include "server/app/advertised.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/nats_options.hpp"
+#include "server/app/standby_answers.hpp"
 #include "server/app/stream_setup.hpp"
 #include "server/app/version.hpp"
 #include "server/base/clock.hpp"
@@ -65,12 +68,30 @@ bool ClusterLink::acquire(const EndSignals& signals) {
         std::fflush(stderr);
         _exit(client::kFailed);
       });
-  if (!lease_->acquire([&] { return signals.pending(); })) return false;
+  if (!stand_by(signals)) return false;
   spdlog::info("the session {} is ours (instance {})", config_.cluster.name, lease_->fence());
   if (lease_->crashed_before()) take_over_capture();
   publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config_), log_line, may_write(),
                                                         lease_->fence());
   return true;
+}
+
+// Until the lease is ours. False: a signal came first.
+bool ClusterLink::stand_by(const EndSignals& signals) {
+  std::optional<StandbyAnswers> answers;
+  bool tried = false;
+  // A free port that the system chooses is one that nobody asks at.
+  bool answer = config_.listen.http_port > 0;
+  return lease_->acquire([&] {
+    if (std::exchange(tried, true) && std::exchange(answer, false)) {
+      try {
+        answers.emplace(stream_config(config_), config_.cluster.name);
+      } catch (const std::runtime_error& error) {
+        spdlog::warn("{}; /healthz does not answer while this instance stands by", error.what());
+      }
+    }
+    return signals.pending();
+  });
 }
 
 // The instance before may only have stood still, with a write on its way: it has the old file open, and this is another.

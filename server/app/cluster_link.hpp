@@ -41,6 +41,7 @@ class ClusterLink {
   std::string sessions_json() const { return directory_->json(); }
 
  private:
+  bool stand_by(const EndSignals& signals);
   void take_over_capture() const;
   const Config& config_;
   std::unique_ptr<cluster::Lease> lease_;

@@ -1,10 +1,14 @@
 """Two instances of a session, one capture: at most one writes, whatever is killed, stopped, wiped or started at once."""
 
+import json
 import signal
+import socket
 import subprocess
 import threading
 import time
 import unittest
+import urllib.error
+import urllib.request
 
 import incise_client
 from harness import BIN, ClusterTest, Nats, main, stroke, wait_for
@@ -58,6 +62,41 @@ class FailoverTest(ClusterTest):
         self.assertNotIn("taking it over", a.log(), "the other has given it up")
         self.assert_published(nats, a)
         self.whole()
+
+    def test_one_that_stands_by_answers_its_probe(self):
+        nats = self.nats()
+        a = self.instance(nats, "a").start()
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        b = self.incised({"nats": nats.url, "name": "liver", "failover": True, "lease_s": LEASE_S}, name="b", capture=self.capture,
+                        more={"listen": {"http_port": port}})
+        b.start(wait=False)
+        b.http = port
+
+        def get(path):
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10) as answer:
+                    return answer.status, answer.read().decode()
+            except urllib.error.HTTPError as error:
+                return error.code, error.read().decode()
+
+        def health():
+            try:
+                return get("/healthz")
+            except OSError:
+                return None
+
+        status, text = wait_for("it answers", health)
+        self.assertEqual(status, 200)
+        self.assertIn("standing by", json.loads(text)["status"])
+        for path in ("/stats", "/", "/ws"):
+            self.assertEqual(get(path)[0], 503, path)
+        a.kill()
+        wait_for("the other has it: " + b.log(), b.listens)
+        self.assertEqual(b.http, port)
+        self.assertEqual(json.loads(get("/healthz")[1])["status"], "ok")
+        self.assertEqual(b.stop(), 0)
 
     def test_stopped_and_continued(self):
         nats = self.nats()
