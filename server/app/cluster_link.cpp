@@ -25,6 +25,8 @@
 namespace incise::app {
 namespace {
 
+constexpr std::int64_t kAskTime_ms = 1000;
+
 cluster::PublisherOptions publisher_options(const Config& config) {
   const Config::Cluster& cluster = config.cluster;
   cluster::PublisherOptions options;
@@ -50,7 +52,10 @@ ClusterLink::ClusterLink(const Config& config) : config_(config) {
 }
 
 bool ClusterLink::acquire(const EndSignals& signals) {
-  if (!config_.cluster.failover) return true;
+  if (!config_.cluster.failover) {
+    refuse_name_in_use();
+    return true;
+  }
   cluster::LeaseOptions options;
   options.nats = nats_options(config_);
   options.session = config_.cluster.name;
@@ -74,6 +79,34 @@ bool ClusterLink::acquire(const EndSignals& signals) {
   publisher_ = std::make_unique<cluster::FeedPublisher>(publisher_options(config_), log_line, may_write(),
                                                         lease_->fence());
   return true;
+}
+
+// Where NATS cannot be asked, the session starts all the same; the directory notices the other one later.
+void ClusterLink::refuse_name_in_use() const {
+  if (config_.cluster.nats.empty()) return;
+  const std::int64_t port = config_.listen.tcp_port;
+  const std::string own =
+      port > 0 ? advertised(config_, static_cast<std::uint16_t>(port), false) : std::string();
+  std::optional<cluster::DirectoryEntry> other;
+  try {
+    const cluster::NatsClient client(nats_options(config_), kAskTime_ms);
+    other = cluster::find_live_server(client, config_.cluster.name, own,
+                                      static_cast<int>(config_.cluster.replicas));
+  } catch (const cluster::NatsError&) {
+    return;
+  }
+  if (!other) return;
+  throw std::runtime_error("cluster.name: session " + config_.cluster.name + " is published on " +
+                           config_.cluster.nats + " by another incised (" +
+                           (other->tcp.empty() ? other->http : other->tcp) +
+                           "); give each server a name of its own, or both cluster.failover");
+}
+
+cluster::PublisherCounters ClusterLink::counters() const {
+  cluster::PublisherCounters counters = publisher_->counters();
+  const std::string rival = directory_->rival();
+  if (counters.trouble.empty() && !rival.empty()) counters.trouble = "another server publishes " + rival;
+  return counters;
 }
 
 // Until the lease is ours. False: a signal came first.

@@ -15,13 +15,14 @@ namespace incise::app {
 
 // A server's part on NATS: its lease, what it publishes, its entry in the directory. Without cluster.nats it has none, and does nothing.
 //
-// Thread: the main thread; listener(), publisher() and sessions_json() from any. Outlives the server, and stop() comes before that ends.
+// Thread: the main thread; listener(), counters() and sessions_json() from any. Outlives the server, and stop() comes before that ends.
 class ClusterLink {
  public:
   explicit ClusterLink(const Config& config);
 
-  // With cluster.failover: waits until the session is this process's. False: a signal came first. Throws NatsError if waiting
-  // would not help. Once it has the session, the process ends at once, with a line on stderr, if it loses it.
+  // Without cluster.failover: throws std::runtime_error where another server publishes under the same name.
+  // With it: waits until the session is this process's. False: a signal came first. Throws NatsError if waiting would not help. Once it
+  // has the session, the process ends at once, with a line on stderr, if it loses it.
   bool acquire(const EndSignals& signals);
   // Whether the session goes on with its capture, though --resume was not given.
   bool resumes() const;
@@ -37,10 +38,12 @@ class ClusterLink {
 
   explicit operator bool() const { return publisher_ != nullptr; }
   stream::FeedListener* listener() { return publisher_.get(); }
-  const cluster::FeedPublisher& publisher() const { return *publisher_; }
+  // The publisher's, and who else publishes the session.
+  cluster::PublisherCounters counters() const;
   std::string sessions_json() const { return directory_->json(); }
 
  private:
+  void refuse_name_in_use() const;
   bool stand_by(const EndSignals& signals);
   void take_over_capture() const;
   const Config& config_;

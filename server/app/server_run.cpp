@@ -254,7 +254,7 @@ void RunningServer::join_loop() {
   watch_.emplace(frames_.stats());
   telemetry_.emplace(frames_.stats(), sources_, journal_.get(), config_.loop.rate_hz);
   telemetry_->join_stream([this] { return server_.counters(); });
-  if (cluster_) telemetry_->join_cluster([this] { return cluster_.publisher().counters(); });
+  if (cluster_) telemetry_->join_cluster([this] { return cluster_.counters(); });
   frames_.offer_deformation(positions_);
   if (config_.haptics.forces)
     frames_.offer_forces(config_.haptics.force, tissue_.get(), &force_output_, &forces_, &simulation_.link());

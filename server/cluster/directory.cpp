@@ -15,6 +15,7 @@ using Json = nlohmann::ordered_json;
 constexpr const char* kBucket = "incise_sessions";
 constexpr double kExpires_s = 10;
 constexpr std::chrono::seconds kRenew{3};
+constexpr std::chrono::milliseconds kLookAgain{250};
 constexpr std::int64_t kList_ms = 2000;
 
 std::string key_of(const DirectoryEntry& entry) {
@@ -68,8 +69,8 @@ bool parse_entry(const std::string& text, DirectoryEntry& entry) {
   return !entry.session.empty();
 }
 
-std::vector<DirectoryEntry> list_directory(const NatsClient& client) {
-  const KeyValueStore store = client.bucket(kBucket, kExpires_s, 1);
+std::vector<DirectoryEntry> list_directory(const NatsClient& client, int replicas) {
+  const KeyValueStore store = client.bucket(kBucket, kExpires_s, replicas);
   kvWatchOptions options;
   kvWatchOptions_Init(&options);
   options.IgnoreDeletes = true;
@@ -86,14 +87,34 @@ std::vector<DirectoryEntry> list_directory(const NatsClient& client) {
     DirectoryEntry read;
     if (parse_entry(std::string(static_cast<const char*>(kvEntry_Value(one)),
                                 static_cast<std::size_t>(kvEntry_ValueLen(one))),
-                    read))
+                    read)) {
+      read.renewal = kvEntry_Revision(one);
       out.push_back(std::move(read));
+    }
   }
   std::sort(out.begin(), out.end(), [](const DirectoryEntry& a, const DirectoryEntry& b) {
     return std::forward_as_tuple(a.session, b.kind, a.instance) <
            std::forward_as_tuple(b.session, a.kind, b.instance);
   });
   return out;
+}
+
+std::optional<DirectoryEntry> find_live_server(const NatsClient& client, const std::string& session,
+                                               const std::string& own_tcp, int replicas) {
+  std::map<std::string, std::uint64_t> first;
+  const auto end = std::chrono::steady_clock::now() + kRenew + std::chrono::seconds(1);
+  for (;;) {
+    bool any = false;
+    for (DirectoryEntry& entry : list_directory(client, replicas)) {
+      if (entry.session != session || entry.kind != "server") continue;
+      if (!own_tcp.empty() && entry.tcp == own_tcp) continue;
+      any = true;
+      const auto [seen, is_new] = first.try_emplace(entry.instance, entry.renewal);
+      if (seen->second != entry.renewal) return std::move(entry);
+    }
+    if (!any || std::chrono::steady_clock::now() > end) return std::nullopt;
+    std::this_thread::sleep_for(kLookAgain);
+  }
 }
 
 std::string sessions_json(const std::vector<DirectoryEntry>& entries) {
@@ -151,6 +172,41 @@ std::vector<DirectoryEntry> Directory::entries() const {
   return all_;
 }
 
+std::string Directory::rival() const {
+  const std::scoped_lock lock(mutex_);
+  return rival_;
+}
+
+// One whose entry is renewed: that of a server that was killed only stays for some seconds.
+void Directory::look_for_rival(const std::vector<DirectoryEntry>& all) {
+  std::map<std::string, std::uint64_t> others;
+  std::string rival;
+  for (const DirectoryEntry& entry : all) {
+    const std::string key = key_of(entry);
+    const std::string ours = entry.session + ".server.";
+    const auto is_ours = [&](const std::string& k) { return k.starts_with(ours); };
+    if (entry.kind != "server" || std::find(keys_.begin(), keys_.end(), key) != keys_.end() ||
+        std::none_of(keys_.begin(), keys_.end(), is_ours))
+      continue;
+    const auto before = others_.find(key);
+    others[key] = before == others_.end() ? entry.renewal : before->second;
+    if (others[key] != entry.renewal)
+      rival = "session " + entry.session + ": " + (entry.tcp.empty() ? entry.http : entry.tcp);
+  }
+  others_ = std::move(others);
+  std::string before;
+  {
+    const std::scoped_lock lock(mutex_);
+    before = std::exchange(rival_, rival);
+  }
+  if (!rival.empty() && rival != before) {
+    log_(true, nats_.url + ": another server publishes " + rival +
+                   "; viewers see now one body, now the other: give each server a cluster.name of its own");
+  } else if (rival.empty() && !before.empty()) {
+    log_(false, nats_.url + ": no other server publishes " + before + " any more");
+  }
+}
+
 void Directory::renew(const NatsClient& client, const KeyValueStore& store) {
   std::vector<std::string> keys;
   for (const DirectoryEntry& entry : ours_()) {
@@ -178,7 +234,8 @@ void Directory::run() {
         store = client->bucket(kBucket, kExpires_s, replicas_);
       }
       renew(*client, store);
-      all = list_directory(*client);
+      all = list_directory(*client, replicas_);
+      look_for_rival(all);
     } catch (const NatsError& error) {
       store.reset();
       client.reset();

@@ -3,7 +3,9 @@
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -26,6 +28,7 @@ struct DirectoryEntry {
   std::vector<std::string> blades;  // the sources that are held
   double frame_p99_us = 0;          // of the loop's work; a relay has none
   std::int64_t started_unix_s = 0;
+  std::uint64_t renewal = 0;  // rises each time that it is renewed; not in its JSON
 
   std::string json() const;
 };
@@ -33,7 +36,12 @@ struct DirectoryEntry {
 bool parse_entry(const std::string& json, DirectoryEntry& entry);
 
 // All entries that have not expired, by session, then servers before relays. Throws NatsError.
-std::vector<DirectoryEntry> list_directory(const NatsClient& client);
+// `replicas`: of the bucket, where there is none yet.
+std::vector<DirectoryEntry> list_directory(const NatsClient& client, int replicas = 1);
+// The server of a session that is alive: its entry is renewed while this looks, for up to 4 s where there is one. The entry of a server that
+// was killed stays for some seconds, too; one at `own_tcp` is such, since we have its place. Throws NatsError.
+std::optional<DirectoryEntry> find_live_server(const NatsClient& client, const std::string& session,
+                                               const std::string& own_tcp, int replicas);
 // For GET /sessions and `incise sessions --json`: [{"name": ..., "people": ..., "places": [...]}, ...], one object a session.
 std::string sessions_json(const std::vector<DirectoryEntry>& entries);
 
@@ -54,9 +62,12 @@ class Directory {
   // As of three seconds ago at most, while NATS can be reached; [] before.
   std::string json() const;
   std::vector<DirectoryEntry> entries() const;
+  // Where another server is that publishes a session of ours, as a person would say it; "": nowhere. Both would overwrite each other.
+  std::string rival() const;
 
  private:
   void run();
+  void look_for_rival(const std::vector<DirectoryEntry>& all);
   void renew(const NatsClient& client, const KeyValueStore& store);
 
   const NatsOptions nats_;
@@ -64,9 +75,12 @@ class Directory {
   const int replicas_;
   Entries ours_;
   std::vector<std::string> keys_;  // the thread's: that we have written
+  // The thread's: of other servers of our sessions, by key, the first renewal that was seen.
+  std::map<std::string, std::uint64_t> others_;
   mutable std::mutex mutex_;
   std::condition_variable wake_;
   std::vector<DirectoryEntry> all_;  // guarded by mutex_
+  std::string rival_;                // guarded by mutex_
   bool stopping_ = false;            // guarded by mutex_
   std::thread thread_;
 };

@@ -385,8 +385,10 @@ void FeedPublisher::look_after_snapshots() {
       throw;
     }
     ++failures_;
-    log_(true, options_.nats.url + ": stream " + subjects_.stream() +
-                   " has lost its newest snapshot; publishing another one");
+    log_(true,
+         options_.nats.url + ": stream " + subjects_.stream() +
+             " has lost its newest snapshot (it was purged, or another server publishes under this name); "
+             "publishing another one");
     lose(view);
   }
 }

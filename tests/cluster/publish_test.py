@@ -124,6 +124,33 @@ class PublishTest(ClusterTest):
         wait_for("it says so", lambda: "stream incise_liver: insufficient" in server.cluster()["trouble"])
         self.assertGreater(stroke(server), 0)
 
+    def test_a_name_has_one_server(self):
+        nats = self.nats()
+        first = self.start(nats)
+        wait_for("it is listed", lambda: "liver" in first.get("/sessions"))
+        second = self.incised({"nats": nats.url, "name": "liver"}, name="second")
+        second.start(wait=False)
+        self.assertEqual(second.end(), 1)
+        self.assertIn(f"session liver is published on {nats.url} by another incised (tcp://127.0.0.1:{first.tcp})", second.log())
+        # One that was killed is none, though it is listed for a while.
+        first.kill()
+        second.start()
+        self.assert_published(nats, second)
+
+    def test_two_servers_that_could_not_see_each_other_say_so(self):
+        nats = self.nats()
+        nats.kill()
+        both = [self.incised({"nats": nats.url, "name": "liver"}, name=name) for name in ("a", "b")]
+        for one in both:
+            one.start()
+        nats.start()
+        for one in both:
+            wait_for("it says so: " + one.log(), lambda: "another server publishes session liver" in one.cluster()["trouble"])
+            self.assertEqual(one.log().count("another server publishes session liver"), 1)
+        both[0].stop()
+        wait_for("it is over", lambda: both[1].cluster()["trouble"] == "")
+        self.assert_published(nats, both[1])
+
     def test_the_stream_is_deleted_and_purged(self):
         nats = self.nats()
         server = self.start(nats)
