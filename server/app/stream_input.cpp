@@ -21,6 +21,10 @@ void fill(core::VertexPositions& buffer, std::span<const Number> numbers) {
     buffer.positions[i] = {numbers[3 * i], numbers[3 * i + 1], numbers[3 * i + 2]};
 }
 
+std::string_view name_or_default(std::string_view source_name) {
+  return source_name.empty() ? "blade" : source_name;
+}
+
 const char* why_not(loop::UndoEnd end) {
   switch (end) {
     case loop::UndoEnd::kInStroke:
@@ -95,10 +99,14 @@ std::unique_ptr<stream::PoseInput> StreamInput::open(std::string_view source_nam
                                                      const std::optional<protocol::BladeEdge>& own_edge) {
   std::optional<core::Blade> own;
   if (own_edge) own = replay::to_core(*own_edge);
-  auto source = sources_.open(source_name.empty() ? "blade" : source_name, own);
+  auto source = sources_.open(name_or_default(source_name), own);
   if (!source) return nullptr;
   const core::Blade blade = own ? *own : blade_of(config_, source->number());
   return std::make_unique<StreamPoseInput>(std::move(*source), blade, loop_ ? &loop_->stats() : nullptr);
+}
+
+bool StreamInput::is_held(std::string_view source_name) const {
+  return sources_.is_held(name_or_default(source_name));
 }
 
 std::string StreamInput::undo(std::optional<std::uint32_t> source, const Answer& answer) {

@@ -66,6 +66,7 @@ class StreamInput final : public stream::PeerInput {
   std::unique_ptr<stream::PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& own_edge) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
+  bool is_held(std::string_view source_name) const override;
   std::string undo(std::optional<std::uint32_t> source, const Answer& answer) override;
   bool reset(const Later& /*later*/) override { return loop_ && loop_->request_reset(); }
 

@@ -114,6 +114,14 @@ bool PoseSources::is_open(std::string_view name) const {
   return false;
 }
 
+bool PoseSources::is_held(std::string_view name) const {
+  const std::scoped_lock lock(mutex_);
+  for (const auto& slot : slots_) {
+    if (slot->name == name && slot->state.load(std::memory_order_acquire) == State::kOpen) return true;
+  }
+  return false;
+}
+
 void PoseSources::count(std::uint32_t source, core::PoseVerdict verdict) {
   // One writer: a load and a store, not a locked addition.
   auto& counter = slots_[source]->counted[static_cast<std::size_t>(verdict)];

@@ -105,6 +105,8 @@ class PoseSources {
                                  const std::optional<core::Blade>& own_blade = std::nullopt);
   // Whether a source of that name is open.
   bool is_open(std::string_view name) const;
+  // The same, but for one whose owner has closed it and whose last poses the loop has yet to take.
+  bool is_held(std::string_view name) const;
   // From here on open() and enqueue() refuse. Call before the last drain.
   void close() { closed_.store(true, std::memory_order_release); }
 

@@ -111,6 +111,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   asio::awaitable<std::optional<Refusal>> check_token(const protocol::Hello& hello);
   asio::awaitable<std::optional<Refusal>> take_blade(const protocol::Hello& hello);
   asio::awaitable<std::unique_ptr<PoseInput>> take_over(const protocol::Hello& hello);
+  std::string why_taken(const std::string& source_name) const;
   asio::awaitable<std::optional<Refusal>> wait_until_open(std::unique_ptr<PoseInput>& input);
   void send_welcome(bool resumed);
   void complain_of_fields(std::uint64_t sequence);

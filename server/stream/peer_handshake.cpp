@@ -139,14 +139,21 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
   }
   if (!input) {
     if (refusal) co_return refusal;
-    co_return Refusal{
-        ErrorCode::BladeTaken,
-        others_.holder(hello.source_name)
-            ? "the blade \"" + hello.source_name + "\" is held by another operator"
-            : "no blade is free for \"" + hello.source_name + "\": all are held by other sources"};
+    co_return Refusal{ErrorCode::BladeTaken, why_taken(hello.source_name)};
   }
   blade_.hold(std::move(input), hello.source_name);
   co_return std::nullopt;
+}
+
+std::string Peer::why_taken(const std::string& source_name) const {
+  const std::string name = '"' + source_name + '"';
+  if (others_.holder(source_name)) return "the blade " + name + " is held by another operator";
+  if (context_.input.is_held(source_name)) {
+    return "the blade " + name +
+           " is held by a device at the server (OpenIGTLink, HID or Haply) and cannot be taken over; "
+           "choose another name";
+  }
+  return "no blade is free for " + name + ": all are held by other sources";
 }
 
 // Where another server has the blade: waits for its answer. No input is left if that is no.

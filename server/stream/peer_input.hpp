@@ -85,7 +85,12 @@ class PeerInput {
   // blade is free.
   virtual std::unique_ptr<PoseInput> open(std::string_view source_name,
                                           const std::optional<protocol::BladeEdge>& blade) = 0;
-  // The same, once this server's own operator has left the blade to another, who asked to take it over.
+  // Whether a source of that name has its blade now: an operator, or a device of this server.
+  virtual bool is_held(std::string_view source_name) const {
+    static_cast<void>(source_name);
+    return false;
+  }
+  // As open(), once this server's own operator has left the blade to another, who asked to take it over.
   virtual std::unique_ptr<PoseInput> take_over(std::string_view source_name,
                                                const std::optional<protocol::BladeEdge>& blade) {
     return open(source_name, blade);

@@ -78,7 +78,10 @@ TEST(PoseSources, ANameHasOneOwnerAtATime) {
   ASSERT_TRUE(first);
   EXPECT_FALSE(sources.open("blade"));
   EXPECT_TRUE(sources.is_open("blade"));
+  EXPECT_TRUE(sources.is_held("blade"));
   first.reset();
+  EXPECT_TRUE(sources.is_open("blade"));
+  EXPECT_FALSE(sources.is_held("blade")) << "its owner has left it";
   EXPECT_FALSE(sources.open("blade")) << "the loop has not yet ended its stroke";
   drain(sources);
   EXPECT_FALSE(sources.is_open("blade"));

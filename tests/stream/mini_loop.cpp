@@ -283,6 +283,14 @@ std::vector<PeerInput::Answer> MiniLoop::asked_undos() const {
   return undos_;
 }
 
+bool MiniLoop::is_held(std::string_view source_name) const {
+  const std::scoped_lock lock(mutex_);
+  for (const Slot& slot : slots_) {
+    if (slot.open && !slot.closing && slot.name == source_name) return true;
+  }
+  return false;
+}
+
 std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;

@@ -786,6 +786,26 @@ TEST(Server, ASecondOperatorIsRefusedOrTakesOver) {
   EXPECT_EQ(test.loop.strokes_ended(), 1u) << "the stroke of who held the blade has ended";
 }
 
+// A blade that no operator holds cannot be taken over, and the reason says so.
+TEST(Server, ABladeOfADeviceIsRefusedAsThat) {
+  TestServer test;
+  test.loop.start();
+  const auto device = test.loop.open("same", std::nullopt);
+  for (const bool take_over : {false, true}) {
+    RawPeer peer(test.server.tcp_port());
+    protocol::Hello wish = hello(Role::Operator, View::None);
+    wish.source_name = "same";
+    wish.take_over = take_over;
+    peer.send(wish);
+    const auto error = peer.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    EXPECT_EQ(std::get<protocol::Error>(error->message.body).code, ErrorCode::BladeTaken);
+    const std::string text(std::get<protocol::Error>(error->message.body).text);
+    EXPECT_NE(text.find("\"same\" is held by a device"), std::string::npos) << text;
+  }
+  EXPECT_EQ(test.loop.open_count(), 1u);
+}
+
 TEST(Server, AVanishedOperatorEndsItsStroke) {
   TestServer test;
   test.loop.start();
