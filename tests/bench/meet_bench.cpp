@@ -26,7 +26,7 @@ struct Options {
   std::uint64_t seed = 1;
   int poses = 1000;
   double batch_h = 0;  // 0: each meeting's own
-  bool at_once = false, each = false;
+  bool at_once = false, along_axes = false, each = false;
 };
 
 // What the rows of one table add up.
@@ -133,8 +133,8 @@ void print(const NamedMesh& mesh, const std::string& name, const Verdict& v, boo
 void run_meetings(const Options& options, const NamedMesh& mesh, const oracle::Body& body,
                   const std::string& kind, Totals& totals) {
   for (int i = 0; i < options.count; ++i) {
-    auto meeting =
-        oracle::random_meeting(mesh.mesh, body.h, kind, options.seed + static_cast<std::uint64_t>(i));
+    auto meeting = oracle::random_meeting(mesh.mesh, body.h, kind,
+                                          options.seed + static_cast<std::uint64_t>(i), options.along_axes);
     if (options.batch_h > 0) meeting.batch_h = options.batch_h;
     core::CutSession session(mesh.mesh, oracle::meeting_config(meeting));
     const double start = thread_cpu_s();
@@ -232,6 +232,8 @@ void add_meet_bench(CLI::App& app, Report& report) {
   command->add_option("--batch", options->batch_h, "cut.batch_h of all; without: each one's own")
       ->check(CLI::Range(0.05, 2.0));
   command->add_flag("--at-once", options->at_once, "All strokes at once, each by a blade of its own");
+  command->add_flag("--along-axes", options->along_axes,
+                    "Blades and strokes along the axes, in planes of vertices");
   command->add_flag("--each", options->each, "Say a line about each, not only about wrong ones");
   command->callback([options, &report] { run(*options, report); });
 }

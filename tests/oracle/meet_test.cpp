@@ -639,7 +639,7 @@ TEST_F(MeetingHands, AddFewTetrahedra) {
 // Faces that are chords of a bend lay 0.17 to 0.3 h off a sweep that is alone.
 TEST_F(MeetingHands, FollowBendsWhereTheSweepIsAlone) {
   cut_and_judge("armadillo_3717", "dvrk_psm2", {3204}, 4, 0.1);
-  cut_and_judge("liver_6564", "tum_fr1_xyz", {3308}, 4, 0.1);
+  cut_and_judge("liver_6564", "tum_fr1_xyz", {3308}, 4, 0.17);  // there a heel's way is led on to the skin
   cut_and_judge("bullet_ditto.vtk", "geomagic_liver", {3306}, 4, 0.1);
   cut_and_judge("seed_1720", "dvrk_psm2", {3308}, 4, 0.1);
 }
@@ -689,6 +689,95 @@ TEST(MeetingAxes, LidsOverASlitAlongTheAxesComeOff) {
         }
       }
     }
+  }
+}
+
+// In planes of vertices, where what lies on a plane and what beside it is decided by rounding.
+TEST(MeetingAxes, AllKindsComeApartAlongThem) {
+  const core::MeshData cube = tests::cube(9);
+  const Body loaded(cube);
+  for (const std::string_view kind : kMeetingKinds) {
+    for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+      const Meeting meeting = random_meeting(cube, loaded.h, kind, seed, true);
+      core::CutSession session(cube, meeting_config(meeting));
+      cut(meeting, session);
+      const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
+      EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+    }
+  }
+}
+
+// A through-cut but for its tip, which ends so far before the far side of a cube. Returns how many pieces there are.
+std::uint32_t pieces_of_a_cut_short_of_the_skin(const core::MeshData& cube, double at_m, double short_h) {
+  const double h = core::TetMesh(cube).mean_edge_length();
+  core::CutConfig config;
+  config.blade = {{0, 0, 0.13}, {0, 0, short_h * h}};
+  config.always_engaged = true;
+  config.speed_limit_m_s = config.gap_limit_s = 1e9;
+  core::CutSession session(cube, config);
+  core::Pose pose;
+  for (int i = 0; i <= 40; ++i) {
+    pose.t_ns += 20'000'000;
+    pose.position = {at_m, -0.03 + 0.16 * i / 40, 0};
+    EXPECT_TRUE(core::accepted(session.push(0, pose)));
+    drain(session);
+  }
+  session.end_stroke(0);
+  drain(session);
+  return core::measure(session.mesh()).pieces;
+}
+
+// A sweep's first and last line were led on to the skin before them, the ways of its heel and its tip were not: of 10 such cuts in a cube 6 to 10 left it whole.
+TEST(MeetingTheSkin, ATipThatEndsShortOfItPartsTheBody) {
+  for (std::uint32_t n : {8, 10}) {
+    const core::MeshData cube = tests::cube(n);
+    for (double short_h : {0.0, 0.1, 0.2}) {
+      for (double at_m : {0.0203, 0.0337, 0.047, 0.0603, 0.0737}) {
+        EXPECT_EQ(pieces_of_a_cut_short_of_the_skin(cube, at_m, short_h), 2)
+            << n << ", at " << at_m << " m, " << short_h << " h short";
+      }
+    }
+  }
+}
+
+// The same where the blade ends that far inside: farther than what is one.
+TEST(MeetingTheSkin, ATipThatEndsFarInsideLeavesTheBodyWhole) {
+  const core::MeshData cube = tests::cube(10);
+  for (double at_m : {0.0203, 0.0337, 0.047})
+    EXPECT_EQ(pieces_of_a_cut_short_of_the_skin(cube, at_m, 0.6), 1) << at_m;
+}
+
+// What comes with a cut that ends inside it: a slit just at that end takes the part off, as in one session. The slit, of two poses, was left out over most of its plane.
+TEST(MeetingSavedCuts, ACoreComesOffAfterItsUndercut) {
+  const core::MeshData cube = tests::cube(10);
+  core::CutConfig config;
+  config.always_engaged = true;
+  config.speed_limit_m_s = config.gap_limit_s = 1e9;
+  core::Pose pose;
+  const auto push = [&](core::CutSession& session, const Vec3& at) {
+    pose.t_ns += 20'000'000;
+    pose.position = at;
+    EXPECT_TRUE(core::accepted(session.push(0, pose)));
+    drain(session);
+  };
+  const double radius_m = 0.025, end_m = 0.07, middle_m = 0.05;
+  config.blade = {{0, 0, 0.06}, {0, 0, 0}};
+  core::CutSession core_cut(cube, config);
+  for (int i = 0; i <= 64; ++i) {
+    const double angle = 2 * std::numbers::pi * i / 64;
+    push(core_cut, {middle_m + radius_m * std::cos(angle), middle_m + radius_m * std::sin(angle), end_m});
+  }
+  core_cut.end_stroke(0);
+  drain(core_cut);
+  for (int steps : {1, 4, 30}) {
+    const double reach_m = 0.032;
+    config.blade = {{-reach_m, 0, 0}, {reach_m, 0, 0}};
+    core::CutSession again(core_cut.mesh().export_data(), config);
+    for (int i = 0; i <= steps; ++i)
+      push(again, {middle_m, middle_m - reach_m + 2 * reach_m * i / steps, end_m});
+    again.end_stroke(0);
+    drain(again);
+    EXPECT_EQ(core::measure(again.mesh()).pieces, 2) << steps << " steps";
   }
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <numbers>
+#include <optional>
 
 #include "server/base/check.hpp"
 
@@ -24,7 +25,7 @@ using Way = std::vector<Point>;
 // Makes the strokes of one meeting.
 class Maker {
  public:
-  Maker(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed)
+  Maker(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed, bool along_axes)
       : random_(seed * 1'000'003 + kind_number(kind)), h_(h) {
     Vec3 low = mesh.positions.at(0), high = low;
     for (const Vec3& p : mesh.positions) core::extend(p, low, high);
@@ -43,6 +44,8 @@ class Maker {
     meeting_.batch_h = random_.one_of({0.1, 0.25, 1.0});
     meeting_.blade = {{0, 0, 0}, {0, 0, 2.4 * size_}};
     radius_h_ = random_.uniform(2, std::clamp(0.25 * size_ / h_, 2.5, 6.0));
+    meeting_.along_axes = along_axes;
+    if (along_axes) lie_along_axes(mesh);
   }
 
   Meeting make() {
@@ -67,6 +70,12 @@ class Maker {
       grid();
     } else if (kind == "square") {
       square(o);
+    } else if (kind == "lid") {
+      slit();
+      loop(circle(radius_h_, 1), random_.one_of({0.0, 0.5}), false, o);
+    } else if (kind == "box") {
+      square(random_.one_of({0.0, 0.5, 2.0}), o);
+      slit();
     } else if (kind == "halves") {
       stroke(arc(radius_h_, 0, 0.5, o));
       stroke(arc(radius_h_, 0.5, 0.5, o));
@@ -84,11 +93,50 @@ class Maker {
   }
   Vec3 at(const Point& p) const { return centre_ + (h_ * p.x) * u_ + (h_ * p.y) * v_; }
 
+  // Turns the frame to the axes, and moves its centre and its radius to planes of vertices, or leaves them between two.
+  void lie_along_axes(const core::MeshData& mesh) {
+    const Vec3 unit[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    const std::size_t first = random_.below(3), way = 1 + random_.below(2);
+    axis_ = (random_.below(2) == 0 ? 1 : -1) * unit[first];
+    u_ = unit[(first + way) % 3];
+    v_ = unit[(first + 3 - way) % 3];
+    const auto component = [](Vec3& p, std::size_t axis) -> double& {
+      return axis == 0 ? p.x : axis == 1 ? p.y : p.z;
+    };
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      double& coordinate = component(centre_, axis);
+      const double wanted = coordinate;
+      if (random_.below(2) == 0) continue;
+      coordinate = INFINITY;
+      for (Vec3 p : mesh.positions) {
+        if (std::abs(component(p, axis) - wanted) < std::abs(coordinate - wanted))
+          coordinate = component(p, axis);
+      }
+    }
+    if (random_.below(2) == 0) return;
+    double nearest = INFINITY;
+    for (const Vec3& p : mesh.positions) {
+      const double radius = std::abs(core::dot(p - centre_, u_)) / h_;
+      if (std::abs(radius - radius_h_) < std::abs(nearest - radius_h_)) nearest = radius;
+    }
+    if (nearest > 1.5) radius_h_ = nearest;
+  }
+  // Where a way around begins: anywhere, or on an axis.
+  double turn() {
+    const double angle = random_.uniform(0, kTurn);
+    return meeting_.along_axes ? kTurn / 4 * std::floor(4 * angle / kTurn) : angle;
+  }
+  // Of the steps of a way around, in whole quarters along the axes.
+  int around(double turns, double radius) const {
+    const double n = turns * kTurn * radius / meeting_.step_h;
+    return meeting_.along_axes ? 4 * static_cast<int>(std::ceil(n / 4)) : static_cast<int>(std::ceil(n));
+  }
+
   // A closed way that begins and ends at one point.
   Way circle(double radius, double ratio) {
-    const double from = random_.uniform(0, kTurn);
+    const double from = turn();
     Way way;
-    const int n = static_cast<int>(std::ceil(kTurn * radius / meeting_.step_h));
+    const int n = around(1, radius);
     for (int i = 0; i <= n; ++i) {
       const double angle = from + kTurn * i / n;
       way.push_back({radius * std::cos(angle), ratio * radius * std::sin(angle)});
@@ -110,7 +158,7 @@ class Maker {
   }
   Way polygon() {
     const std::size_t corners = 3 + random_.below(4);
-    const double from = random_.uniform(0, kTurn), start = random_.uniform(0.1, 0.9);
+    const double from = turn(), start = random_.uniform(0.1, 0.9);
     std::vector<Point> corner;
     for (std::size_t i = 0; i < corners; ++i) {
       const double angle = from + kTurn * static_cast<double>(i) / static_cast<double>(corners);
@@ -125,7 +173,7 @@ class Maker {
     return way;
   }
   Way lasso(double overlap) {
-    const double r = radius_h_, from = random_.uniform(0, kTurn);
+    const double r = radius_h_, from = turn();
     const double tail = std::min(r + 2, 0.4 * size_ / h_);
     // In along a tangent and around; then on along the first turn, or out across the way in.
     Way way{turned({-tail, -r}, from)};
@@ -141,8 +189,8 @@ class Maker {
     return way;
   }
   Way spiral(double overlap) {
-    const double pitch = 1.5, from = random_.uniform(0, kTurn), turns = 1.25;
-    const int n = static_cast<int>(std::ceil(kTurn * turns * radius_h_ / meeting_.step_h));
+    const double pitch = 1.5, from = turn(), turns = 1.25;
+    const int n = around(turns, radius_h_);
     Way way;
     for (int i = 0; i <= n; ++i) {
       const double s = turns * i / n, r = radius_h_ + pitch - pitch * s;
@@ -167,7 +215,7 @@ class Maker {
   }
 
   // A closed way, left off short of its end or gone on with by the overlap.
-  void loop(Way way, double overlap, bool plunge) {
+  void loop(Way way, double overlap, bool plunge, std::optional<double> depth = {}) {
     const Way once = way;
     for (std::size_t i = 1; overlap > 0; ++i) {
       const Point &a = once[i - 1], &b = once[i];
@@ -182,7 +230,7 @@ class Maker {
       if (l > -overlap) way.push_back(between(b, way.back(), -overlap / l));
       overlap += l;
     }
-    stroke(way, plunge);
+    stroke(way, plunge, depth);
   }
 
   void begin_stroke() { meeting_.strokes.emplace_back(); }
@@ -191,10 +239,13 @@ class Maker {
     pose.buttons = 1;
     meeting_.strokes.back().push_back(pose);
   }
-  void stroke(const Way& way, bool plunge = false) {
+  // How far before a point the heel is, by the blade's length, where the tip is `depth` h beyond the point; without: well outside of the body at either end, as the blade is straight.
+  double heel_before(std::optional<double> depth) const {
+    return depth ? meeting_.blade.tip.z - h_ * *depth : 1.2 * size_;
+  }
+  void stroke(const Way& way, bool plunge = false, std::optional<double> depth = {}) {
     begin_stroke();
-    // Well outside of the body at either end, as the blade is straight.
-    const Vec3 up = -1.2 * size_ * axis_;
+    const Vec3 up = -heel_before(depth) * axis_;
     const double out = 1.3 * size_, step = 20 * meeting_.step_h * h_;
     for (double d = out; plunge && d > 0; d -= step)
       push(pose_along(at(way.front()) + up - d * axis_, axis_));
@@ -209,7 +260,7 @@ class Maker {
     const double r = size_ / h_;  // of the heel's way where the overlap counts: half of the blade is inside
     const double turns = 1 + 2 * overlap / (r * slope * kTurn);
     const int n = static_cast<int>(std::ceil(kTurn * r / std::max(meeting_.step_h, 0.1)));
-    const double from = random_.uniform(0, kTurn);
+    const double from = turn();
     for (int i = 0; i <= n; ++i) {
       const double angle = from + kTurn * turns * i / n;
       const Vec3 d = normalized(axis_ + slope * (std::cos(angle) * u_ + std::sin(angle) * v_));
@@ -217,18 +268,19 @@ class Maker {
     }
   }
   // Straight, from one point to another, by a blade of its own direction.
-  void straight(const Vec3& from, const Vec3& to, const Vec3& direction) {
+  void straight(const Vec3& from, const Vec3& to, const Vec3& direction, std::optional<double> depth = {}) {
     begin_stroke();
     const double way = core::distance(from, to) / h_;
     const int n = std::max(1, static_cast<int>(std::ceil(way / meeting_.step_h)));
     for (int i = 0; i <= n; ++i)
-      push(pose_along(core::lerp(from, to, static_cast<double>(i) / n) - 1.2 * size_ * direction, direction));
+      push(pose_along(core::lerp(from, to, static_cast<double>(i) / n) - heel_before(depth) * direction,
+                      direction));
   }
   void straight(const Point& a, const Point& b) { straight(at(a), at(b), axis_); }
 
   void grid() {
     const std::size_t across[2] = {2 + random_.below(2), 2 + random_.below(2)};
-    const double far = size_ / h_, angle = random_.uniform(0, kTurn);
+    const double far = size_ / h_, angle = turn();
     for (int way = 0; way < 2; ++way) {
       double x = random_.uniform(-3, 0);
       for (std::size_t i = 0; i < across[way]; ++i, x += random_.uniform(2, 3.5)) {
@@ -238,18 +290,29 @@ class Maker {
       }
     }
   }
-  void square(double overlap) {
-    const double angle = random_.uniform(0, kTurn), a = radius_h_, e = a + overlap;
+  void square(double overlap, std::optional<double> depth = {}) {
+    const double angle = turn(), a = radius_h_, e = a + overlap;
     for (const auto& [from, to] :
          {std::pair{Point{-e, -a}, Point{e, -a}}, std::pair{Point{a, -e}, Point{a, e}},
           std::pair{Point{e, a}, Point{-e, a}}, std::pair{Point{-a, e}, Point{-a, -e}}})
-      straight(turned(from, angle), turned(to, angle));
+      straight(at(turned(from, angle)), at(turned(to, angle)), axis_, depth);
+  }
+  // Under a lid or a box of the radius: the blade comes in from one side, and its tip ends in the body beyond the other.
+  void slit() {
+    const double out =
+        radius_h_ * (meeting_.kind == "box" ? std::numbers::sqrt2 : 1) + random_.one_of({0.0, 0.5, 1.5});
+    const bool flip = random_.below(2) == 0;
+    const Vec3 direction = flip ? v_ : u_;
+    const Point tip[2] = {flip ? Point{-out, out} : Point{out, -out}, {out, out}};
+    straight(at(tip[0]), at(tip[1]), direction, 0);
   }
   // One cut right through, then another that meets it.
   void pair(const std::string& kind, double overlap) {
     const double far = size_ / h_;
     straight(Point{0, -far}, Point{0, far});
-    const double angle = random_.uniform(0.15, 0.85) * 0.5 * kTurn;
+    const double angle = (meeting_.along_axes ? 0.25 * static_cast<double>(1 + random_.below(3))
+                                              : random_.uniform(0.15, 0.85)) *
+                         0.5 * kTurn;
     // At `angle` from the first one's way.
     const Point away{far * std::sin(angle), far * std::cos(angle)};
     const double past = overlap / std::sin(angle) / far;
@@ -265,11 +328,15 @@ class Maker {
       if (random_.below(2) == 0) std::swap(a, b);
       straight(a, b);
     } else {
-      const Vec3 direction =
-          normalized(axis_ + random_.uniform(-0.7, 0.7) * u_ + random_.uniform(-0.7, 0.7) * v_);
+      const Vec3 direction = normalized(axis_ + slant() * u_ + slant() * v_);
       const Point back{-away.x, -away.y};
       straight(at(away), at(back), direction);
     }
+  }
+
+  double slant() {
+    const double s = random_.uniform(-0.7, 0.7);
+    return meeting_.along_axes ? 0.5 * std::round(2 * s) : s;
   }
 
   Random random_;
@@ -302,13 +369,15 @@ core::Pose pose_along(const Vec3& heel, const Vec3& direction) {
 
 std::string Meeting::name() const {
   char text[160];
-  std::snprintf(text, sizeof text, "%s, seed %llu, overlap %g h, poses %g h apart, batches of %g h",
-                kind.c_str(), static_cast<unsigned long long>(seed), overlap_h, step_h, batch_h);
+  std::snprintf(text, sizeof text, "%s%s, seed %llu, overlap %g h, poses %g h apart, batches of %g h",
+                kind.c_str(), along_axes ? " along the axes" : "", static_cast<unsigned long long>(seed),
+                overlap_h, step_h, batch_h);
   return text;
 }
 
-Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed) {
-  return Maker(mesh, h, kind, seed).make();
+Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed,
+                       bool along_axes) {
+  return Maker(mesh, h, kind, seed, along_axes).make();
 }
 
 core::CutConfig meeting_config(const Meeting& meeting) {

@@ -29,22 +29,27 @@ inline constexpr std::string_view kMeetingKinds[] = {
     "starts_in",
     "along",    // over an older cut again, up to 0.2 h off it
     "crosses",  // two strokes at any angle
+    "lid",      // a slit that ends in the body, and a circle down to it
+    "box",      // four strokes that end in the body, and a slit under them
 };
 
 struct Meeting {
   std::string kind;
   std::uint64_t seed = 0;
   double overlap_h = 0;
-  double step_h = 0;   // between poses
-  double batch_h = 0;  // CutConfig's
+  double step_h = 0;        // between poses
+  double batch_h = 0;       // CutConfig's
+  bool along_axes = false;  // as random_meeting() was asked for
   core::Blade blade;
   std::vector<std::vector<core::Pose>> strokes;  // source times rise throughout
 
   std::string name() const;
 };
 
-// Depends on the body, the kind and the seed alone.
-Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed);
+// Depends on what it is given alone. `along_axes`: blades and strokes lie along the body's axes, in the planes of some of its
+// vertices, as they do in a first script.
+Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed,
+                       bool along_axes = false);
 
 // A configuration whose stroke rules nothing runs into.
 core::CutConfig meeting_config(const Meeting& meeting);

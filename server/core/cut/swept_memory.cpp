@@ -1,5 +1,9 @@
 #include "server/core/cut/swept_memory.hpp"
 
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
 namespace incise::core {
 
 void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
@@ -9,7 +13,18 @@ void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, do
   for (std::size_t i = 1; i < lines.size(); ++i) {
     chord_travel_m += travel(lines[i - 1], lines[i]);
     if (chord_travel_m == 0 || (chord_travel_m < chord_m && i + 1 < lines.size())) continue;
-    const Quad quad{lines[from], lines[i], stroke, travel_m, true};
+    Quad quad{lines[from], lines[i], stroke, travel_m, true};
+    for (End end : {kHeel, kTip}) {
+      const double way_m =
+          end == kTip ? distance(quad.from.tip, quad.to.tip) : distance(quad.from.heel, quad.to.heel);
+      Rim& rim = quad.rims[end];
+      rim.parts =
+          static_cast<std::uint8_t>(std::clamp(std::ceil(way_m / chord_m), 1.0, double{Rim::kMaxParts}));
+      for (std::uint32_t k = 0; k < rim.parts; ++k) {
+        const auto [a, b] = quad.part(end, k);
+        if (Box::around({a, b}).meets(box)) rim.free |= std::uint64_t{1} << k;
+      }
+    }
     if (quad.box().meets(box)) add(quad);
     travel_m += chord_travel_m;
     chord_travel_m = 0;
@@ -20,17 +35,53 @@ void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, do
 void SweptMemory::add(const Quad& quad) {
   if (quads_.size() < kMost) {
     quads_.push_back(quad);
+    enclose((quads_.size() - 1) / kBlock);
     return;
   }
   quads_[oldest_] = quad;
+  enclose(oldest_ / kBlock);
   oldest_ = (oldest_ + 1) % kMost;
+}
+
+void SweptMemory::enclose(std::size_t block) {
+  blocks_.resize(std::max(blocks_.size(), block + 1));
+  std::optional<Box>& box = blocks_[block];
+  box.reset();
+  for (std::size_t i = block * kBlock; i < std::min(quads_.size(), (block + 1) * kBlock); ++i) {
+    for (End end : {kHeel, kTip}) {
+      for (std::uint64_t free = quads_[i].rims[end].free; free != 0; free &= free - 1) {
+        const auto [a, b] = quads_[i].part(end, static_cast<std::uint32_t>(std::countr_zero(free)));
+        const Box around = Box::around({a, b});
+        box ? box->add(around) : void(box = around);
+      }
+    }
+  }
+}
+
+std::size_t SweptMemory::next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const {
+  while (quad < quads_.size()) {
+    const std::size_t block = quad / kBlock;
+    ++looked_at;
+    if (!blocks_[block] || !blocks_[block]->meets(box)) {
+      quad = (block + 1) * kBlock;
+      continue;
+    }
+    for (; quad < quads_.size() && quad / kBlock == block; ++quad) {
+      if (quads_[quad].has_free_rims()) return quad;
+    }
+  }
+  return quads_.size();
+}
+
+void SweptMemory::take(std::size_t quad, End end, std::uint32_t part) {
+  quads_[quad].rims[end].free &= ~(std::uint64_t{1} << part);
 }
 
 void SweptMemory::archive(Archive& io) {
   std::uint64_t oldest = oldest_;
   io(oldest);
   io(is_whole_);
-  io.list(quads_, 109, [&](Quad& quad) {
+  io.list(quads_, 127, [&](Quad& quad) {
     for (BladeLine* line : {&quad.from, &quad.to}) {
       io(line->heel);
       io(line->tip);
@@ -38,6 +89,12 @@ void SweptMemory::archive(Archive& io) {
     io(quad.stroke);
     io(quad.travel_m);
     io(quad.has_rims);
+    for (Rim& rim : quad.rims) {
+      io(rim.parts);
+      io(rim.free);
+      io.demand(rim.parts >= Rim::kMaxParts ? rim.parts == Rim::kMaxParts : rim.free >> rim.parts == 0,
+                "a rim with a part that it does not have");
+    }
   });
   io.demand(quads_.size() <= kMost, "more is remembered of what was swept than is kept");
   io.demand(oldest == 0 || oldest < quads_.size(), "the oldest quad of those that were swept is none");
@@ -45,6 +102,8 @@ void SweptMemory::archive(Archive& io) {
   if (io.failed()) quads_.clear();
   oldest_ = io.failed() ? 0 : oldest;
   quads_.reserve(kMost);
+  blocks_.clear();
+  for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
 }
 
 }  // namespace incise::core

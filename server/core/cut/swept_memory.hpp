@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -15,20 +17,39 @@ namespace incise::core {
 // older one has been, and the surface of that one is gone. Some hundred h of a blade's way.
 class SweptMemory {
  public:
+  // The way of the heel or the tip between two lines, in parts of equal length.
+  struct Rim {
+    static constexpr std::uint32_t kMaxParts = 64;
+    std::uint8_t parts = 0;
+    std::uint64_t free = 0;  // bit k: part k is near the tissue, and no later sweep has taken it up
+  };
+  enum End : std::uint8_t { kHeel, kTip };
   struct Quad {
     BladeLine from, to;
     std::uint32_t stroke = 0;
-    double travel_m = 0;    // of the blade in that stroke, before
-    bool has_rims = false;  // the heel's and the tip's ways; else it leads from a sweep's end to a wall
+    double travel_m = 0;        // of the blade in that stroke, before
+    bool has_rims = false;      // the heel's and the tip's ways; else it leads from a sweep to a wall
+    std::array<Rim, 2> rims{};  // the heel's and the tip's
 
     Box box() const { return Box::around({from.heel, from.tip, to.heel, to.tip}); }
+    // Part k of a rim, from the one line to the other.
+    std::array<Vec3, 2> part(End end, std::uint32_t k) const {
+      const Vec3 &a = end == kTip ? from.tip : from.heel, &b = end == kTip ? to.tip : to.heel;
+      const double parts = rims[end].parts;
+      return {lerp(a, b, k / parts), lerp(a, b, (k + 1) / parts)};
+    }
+    bool has_free_rims() const { return (rims[kHeel].free | rims[kTip].free) != 0; }
   };
 
   SweptMemory() { quads_.reserve(kMost); }
 
   std::span<const Quad> quads() const { return quads_; }
+  // From this quad on, the next one with a free rim in a block of which some may meet the box; `looked_at` counts the blocks. quads().size(): none.
+  std::size_t next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const;
+  // A part of a rim is taken up; it may be one that is not free.
+  void take(std::size_t quad, End end, std::uint32_t part);
   // What a blade has swept from the first of these lines to the last in a box, that of the tissue, by chords no shorter than
-  // `chord_m`, but for the last one.
+  // `chord_m`, but for the last one; the parts of rims are as long, or longer where there would be more than Rim::kMaxParts.
   void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
            const Box& box);
   void add(const Quad& quad);
@@ -36,6 +57,7 @@ class SweptMemory {
   void clear() {
     is_whole_ = is_whole_ && quads_.empty();
     quads_.clear();
+    blocks_.clear();
     oldest_ = 0;
   }
   void lack_what_was_before() { is_whole_ = false; }
@@ -45,10 +67,13 @@ class SweptMemory {
   void archive(Archive& io);
 
  private:
-  static constexpr std::size_t kMost = 2048;
+  static constexpr std::size_t kMost = 2048, kBlock = 16;
+
+  void enclose(std::size_t block);
 
   std::vector<Quad> quads_;
-  std::size_t oldest_ = 0;  // when there are kMost: which the next one takes the place of
+  std::vector<std::optional<Box>> blocks_;  // around the free rims of kBlock quads each
+  std::size_t oldest_ = 0;                  // when there are kMost: which the next one takes the place of
   bool is_whole_ = true;
 };
 

@@ -49,31 +49,72 @@ TEST(SweptMemory, KeepsNothingOfABladeInTheAir) {
 
 TEST(SweptMemory, ForgetsTheOldest) {
   SweptMemory memory;
-  for (std::uint32_t i = 1; i <= 3000; ++i) memory.add({line_at(0), line_at(1), i, 0, true});
+  for (std::uint32_t i = 1; i <= 3000; ++i) memory.add({line_at(0), line_at(1), i, 0, true, {}});
   ASSERT_EQ(memory.quads().size(), 2048u);
   std::vector<bool> kept(3001, false);
   for (const SweptMemory::Quad& quad : memory.quads()) kept[quad.stroke] = true;
   for (std::uint32_t i = 1; i <= 3000; ++i) EXPECT_EQ(kept[i], i > 952) << i;
 }
 
+// The numbers of the quads that may have a free rim in a box.
+std::vector<std::size_t> with_free_rim(const SweptMemory& memory, const Box& box) {
+  std::vector<std::size_t> all;
+  std::size_t looked_at = 0;
+  for (std::size_t i = 0; (i = memory.next_with_free_rim(i, box, looked_at)) < memory.quads().size(); ++i)
+    all.push_back(i);
+  EXPECT_LE(looked_at, memory.quads().size() / 16 + 2 * all.size() + 1) << "it goes by blocks";
+  return all;
+}
+
+TEST(SweptMemory, FindsTheRimsInTheTissueThatAreFree) {
+  SweptMemory memory;
+  const Box above{{-9, -9, 0.9}, {9, 9, 1.1}}, below{{-9, -9, -1.1}, {9, 9, -0.9}};
+  memory.add(std::vector<BladeLine>{line_at(0), line_at(0.2), line_at(0.4)}, 1, 0, 0.1, above);
+  EXPECT_EQ(with_free_rim(memory, above), (std::vector<std::size_t>{0, 1})) << "the tip's ways";
+  EXPECT_TRUE(with_free_rim(memory, below).empty()) << "the heel's are out of the tissue";
+  ASSERT_EQ(memory.quads()[0].rims[SweptMemory::kTip].parts, 2) << "as long as the chords";
+  memory.take(0, SweptMemory::kTip, 0);
+  EXPECT_EQ(with_free_rim(memory, above), (std::vector<std::size_t>{0, 1})) << "half of the first one";
+  memory.take(0, SweptMemory::kTip, 1);
+  EXPECT_EQ(with_free_rim(memory, above), std::vector<std::size_t>{1});
+  memory.clear();
+  EXPECT_TRUE(with_free_rim(memory, above).empty());
+}
+
+TEST(SweptMemory, FindsFreeRimsAmongManyAndAfterOldOnesAreForgotten) {
+  SweptMemory memory;
+  for (std::uint32_t i = 0; i < 3000; ++i)
+    memory.add({line_at(i), line_at(i + 0.5), i + 1, 0, true, {{{}, {1, i % 100 == 0 ? 1u : 0u}}}});
+  const auto around = [](double x) { return Box{{x - 0.1, -9, -9}, {x + 0.1, 9, 9}}; };
+  const auto strokes_near = [&](double x) {
+    std::vector<std::uint32_t> strokes;
+    for (std::size_t i : with_free_rim(memory, around(x))) strokes.push_back(memory.quads()[i].stroke);
+    return strokes;
+  };
+  EXPECT_EQ(strokes_near(2900), std::vector<std::uint32_t>{2901});
+  EXPECT_EQ(strokes_near(1000), std::vector<std::uint32_t>{1001});
+  EXPECT_TRUE(strokes_near(900).empty()) << "forgotten";
+}
+
 TEST(SweptMemory, IsNotWholeWhereABodyThatWasCutHasMoved) {
   SweptMemory memory;
   memory.clear();
   EXPECT_TRUE(memory.is_whole()) << "nothing was cut yet";
-  memory.add({line_at(0), line_at(1), 1, 0, true});
+  memory.add({line_at(0), line_at(1), 1, 0, true, {}});
   EXPECT_TRUE(memory.is_whole());
   memory.clear();
   EXPECT_FALSE(memory.is_whole());
-  memory.add({line_at(0), line_at(1), 2, 0, true});
+  memory.add({line_at(0), line_at(1), 2, 0, true, {}});
   memory.clear();
   EXPECT_FALSE(memory.is_whole());
 }
 
 TEST(SweptMemory, ComesBackAsItWasSaved) {
   SweptMemory memory;
-  memory.add({line_at(0), line_at(1), 1, 0, true});
+  memory.add({line_at(0), line_at(1), 1, 0, true, {}});
   memory.clear();
-  for (std::uint32_t i = 1; i <= 2100; ++i) memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0});
+  for (std::uint32_t i = 1; i <= 2100; ++i)
+    memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0, {{{3, i % 8}, {64, i}}}});
   Archive out;
   memory.archive(out);
   const auto bytes = out.take();
@@ -83,13 +124,17 @@ TEST(SweptMemory, ComesBackAsItWasSaved) {
   ASSERT_FALSE(in.failed()) << in.error();
   EXPECT_FALSE(back.is_whole());
   // Whatever comes next takes the same place.
-  for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false});
+  for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false, {}});
   ASSERT_EQ(back.quads().size(), memory.quads().size());
   for (std::size_t i = 0; i < back.quads().size(); ++i) {
     EXPECT_EQ(back.quads()[i].stroke, memory.quads()[i].stroke) << i;
     EXPECT_EQ(back.quads()[i].to, memory.quads()[i].to) << i;
     EXPECT_EQ(back.quads()[i].travel_m, memory.quads()[i].travel_m) << i;
     EXPECT_EQ(back.quads()[i].has_rims, memory.quads()[i].has_rims) << i;
+    for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
+      EXPECT_EQ(back.quads()[i].rims[end].parts, memory.quads()[i].rims[end].parts) << i;
+      EXPECT_EQ(back.quads()[i].rims[end].free, memory.quads()[i].rims[end].free) << i;
+    }
   }
 
   // A place that it does not have.

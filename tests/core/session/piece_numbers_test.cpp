@@ -85,8 +85,9 @@ TEST(PieceNumbers, AreTheIdsOfTheSession) {
     EXPECT_EQ(session.piece(small), 0u);
     EXPECT_EQ(numbers[small], cuts + 1) << "behind the highest id";
     for (TetId t = 0; t < session.mesh().tet_slots(); ++t) {
-      if (session.mesh().alive(t) && numbers[t] != numbers[small])
+      if (session.mesh().alive(t) && numbers[t] != numbers[small]) {
         ASSERT_EQ(numbers[t], session.piece(t)) << t;
+      }
     }
     EXPECT_EQ(session.pieces().size(), cuts);
     for (const Delta::Piece& piece : session.pieces()) EXPECT_EQ(numbers[piece.tet], piece.id);

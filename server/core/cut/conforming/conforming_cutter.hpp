@@ -21,7 +21,7 @@ namespace incise::core {
 
 // The policy `conforming`, for one blade. Each batch goes through these stages:
 //
-//   joining     a first or last line near an older cut or the boundary is continued through it.
+//   joining     a first or last line, or the way of heel or tip, near an older cut or the boundary is continued through it.
 //   search      which tetrahedra the new swept triangles meet. They join the active ones.
 //   rim         where the sweep's rim pierces a face, a vertex is put on the rim.
 //   crossings   where the surface crosses an edge of an active tetrahedron, a vertex is put on the surface: the nearer

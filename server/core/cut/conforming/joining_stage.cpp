@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <limits>
 
 namespace incise::core {
@@ -35,7 +36,7 @@ void JoiningStage::begin(const Batch& batch) {
   swept_.clear();
   walled_.clear();
   free_.clear();
-  next_ = next_end_ = walls_end_ = 0;
+  next_ = next_end_ = next_quad_ = walls_end_ = 0;
   next_end_part_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
@@ -68,6 +69,7 @@ void JoiningStage::begin(const Batch& batch) {
     list(batch.lines.back(), direction_);
     end_strip(batch.lines.back());
   }
+  list_rims(batch);
 }
 
 bool JoiningStage::advance(WorkBudget& budget) {
@@ -81,12 +83,18 @@ bool JoiningStage::advance(WorkBudget& budget) {
       if (!(end.taken >> next_end_part_ & 1)) take_up(end, next_end_part_);
     }
   }
+  if (!take_up_rims(budget)) return false;
   while (next_ < parts_.size()) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     if (next_ == walls_end_) gather_walls();
     const Part& part = parts_[next_++];
     cut_.work += cost::kLook;
+    if (part.kind == Part::kRim) {
+      close_last();
+      extend_rim(part);
+      continue;
+    }
     const bool follows = next_ > 1 && parts_[next_ - 2].precedes(part);
     const double at_from = follows ? ahead_at_end_m_ : wall_ahead(part.from, part.direction);
     ahead_at_end_m_ = wall_ahead(part.to, part.direction);
@@ -94,9 +102,9 @@ bool JoiningStage::advance(WorkBudget& budget) {
     const double amid = wall_ahead(lerp(part.from, part.to, 0.5), part.direction);
     const double ahead_m = std::max({at_from, amid, ahead_at_end_m_});
     if (!follows) close_last();
-    if (part.aside ? ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h : ahead_m != kNoWall) {
+    if (part.kind == Part::kAside ? ahead_m > 0 && ahead_m <= kJoinReach_h * cut_.h : ahead_m != kNoWall) {
       walled_.push_back({next_ - 1, ahead_m});
-    } else if (part.aside) {
+    } else if (part.kind == Part::kAside) {
       close_last();
     } else {
       free_.push_back(next_ - 1);
@@ -114,7 +122,7 @@ void JoiningStage::close_last() {
       extend(part.from, part.to, part.direction, walled.ahead_m);
     }
     // What two of a sweep's sides take off is no lobe of the body as it grew.
-    cut_.meets_cut = cut_.meets_cut || parts_[walled_[0].part].aside;
+    cut_.meets_cut = cut_.meets_cut || parts_[walled_[0].part].kind == Part::kAside;
   }
   walled_.clear();
   free_.clear();
@@ -124,7 +132,7 @@ void JoiningStage::close_last() {
 // is in the tissue has a wall, but for a few parts: where a blade enters or leaves the body at a slant, the boundary is near beside that place alone, and
 // what opens there parts nothing. In a body that moves nothing that was swept before is known, and no later stage closes what is left here.
 bool JoiningStage::is_closed_by_walls() const {
-  if (parts_[walled_[0].part].aside) return walled_.size() >= kLeastBeside;
+  if (parts_[walled_[0].part].kind == Part::kAside) return walled_.size() >= kLeastBeside;
   return mesh_.deformed() || !too_many_are_free();
 }
 
@@ -141,13 +149,36 @@ bool JoiningStage::too_many_are_free() const {
   return false;
 }
 
+// Before an older cut the sweep goes on wherever that is in reach. The boundary is near, too, where the blade comes out of the body at a slant, and nothing is
+// parted there: it has to run along the heel's or the tip's way.
+void JoiningStage::extend_rim(const Part& part) {
+  const auto ahead = [&](double at, Of of) {
+    return wall_ahead(lerp(part.from, part.to, at), part.direction, of);
+  };
+  double ahead_m = std::max({ahead(0, Of::kCuts), ahead(0.5, Of::kCuts), ahead(1, Of::kCuts)});
+  if (ahead_m == kNoWall) {
+    double first_at = 2, last_at = -1, first_m = 0, last_m = 0;
+    for (const double at : {0.0, 0.5, 1.0}) {
+      const double skin_m = ahead(at, Of::kSkin);
+      if (skin_m == kNoWall) continue;
+      if (first_at > 1) first_at = at, first_m = skin_m;
+      last_at = at, last_m = skin_m;
+      ahead_m = std::max(ahead_m, skin_m);
+    }
+    const double way_m = (last_at - first_at) * distance(part.from, part.to);
+    if (way_m <= 0 || ahead_m > kOne_h * cut_.h) return;
+    if (std::abs(last_m - first_m) > kRimSlope * way_m + kLeastAhead_h * cut_.h) return;
+  }
+  extend(part.from, part.to, part.direction, ahead_m);
+}
+
 // Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.
 void JoiningStage::extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m) {
   const double beyond_m = kJoinBeyond_h * cut_.h, by_m = ahead_m + beyond_m;
   if (by_m < kLeastJoin * beyond_m) return;
   const Vec3 by = by_m * direction;
   cut_.path.add_strip(a, b, b + by, a + by, true);
-  cut_.workspace.swept.add({{a, b}, {a + by, b + by}, cut_.stroke, cut_.path.travel_m(), false});
+  cut_.workspace.swept.add({{a, b}, {a + by, b + by}, cut_.stroke, cut_.path.travel_m(), false, {}});
 }
 
 // ------------------------------------------------------------------------------------------------ where sweeps end
@@ -215,6 +246,47 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   }
   cut_.meets_cut = true;
   if (at_end) extend(a, b, direction, ahead_m);
+}
+
+// The ways of heels and tips of older sweeps that what is swept now comes near. True: done; false: the budget is spent.
+bool JoiningStage::take_up_rims(WorkBudget& budget) {
+  if (swept_.empty()) return true;
+  SweptMemory& memory = cut_.workspace.swept;
+  const Box in_reach = Box{low_, high_}.widened(kJoinReach_h * cut_.h);
+  for (;; ++next_quad_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    std::size_t looked_at = 0;
+    next_quad_ = memory.next_with_free_rim(next_quad_, in_reach, looked_at);
+    cut_.work.add(looked_at, cost::kQuadsAUnit);
+    if (next_quad_ == memory.quads().size()) return true;
+    const SweptMemory::Quad quad = memory.quads()[next_quad_];
+    // Of a hand that is at it for long, this stroke's own would be more and more.
+    if (quad.stroke == cut_.stroke) continue;
+    for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
+      for (std::uint64_t free = quad.rims[end].free; free != 0; free &= free - 1) {
+        const auto part = static_cast<std::uint32_t>(std::countr_zero(free));
+        cut_.work += cost::kLook;
+        if (take_up(quad, end, part)) memory.take(next_quad_, end, part);
+      }
+    }
+  }
+}
+
+// Where what is swept now runs before the way of an older sweep's heel or tip, that sweep goes on until it is through. With its last strip before
+// that way, for large elements open only so far before it.
+bool JoiningStage::take_up(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part) {
+  const auto [a, b] = quad.part(end, part);
+  const Vec3 along = normalized((quad.from.tip - quad.from.heel) + (quad.to.tip - quad.to.heel));
+  const Vec3 direction = end == SweptMemory::kTip ? along : -along;
+  double ahead_m = kNoWall;
+  for (const Vec3& p : {a, lerp(a, b, 0.5), b}) sweep_ahead(p, direction, ahead_m);
+  if (ahead_m == kNoWall) return false;
+  const Vec3 back = -std::min(kStrip_h * cut_.h, distance(quad.from.heel, quad.from.tip)) * direction;
+  cut_.path.add_strip(a + back, b + back, b, a, false);
+  cut_.meets_cut = true;
+  extend(a, b, direction, ahead_m);
+  return true;
 }
 
 // Whether what is swept now comes near the strip where the tissue still hangs together: large elements open only so far before a sweep's end.
@@ -285,28 +357,43 @@ void JoiningStage::archive(Archive& io) {
 // Lists a line at which the sweep ends, and would go on in that direction. Under a boundary that runs along the sweep, the way out is to
 // one of its sides.
 void JoiningStage::list(const BladeLine& line, const Vec3& direction) {
-  list(line, direction, false);
+  list(line.heel, line.tip, direction, Part::kEnd);
   // In a body that moves, that may be elsewhere by the time the blade has left.
   if (mesh_.deformed()) return;
   // The direction is across the line before, from which this one may have turned.
   const Vec3 aside = normalized(cross(direction, line.tip - line.heel));
-  list(line, aside, true);
-  list(line, -aside, true);
+  list(line.heel, line.tip, aside, Part::kAside);
+  list(line.heel, line.tip, -aside, Part::kAside);
 }
 
 // Lists its parts that are near the tissue.
-void JoiningStage::list(const BladeLine& line, const Vec3& direction, bool aside) {
+void JoiningStage::list(const Vec3& from, const Vec3& to, const Vec3& direction, Part::Kind kind) {
   const int count = static_cast<int>(
-      std::clamp(std::ceil(distance(line.heel, line.tip) / (kJoinPart_h * cut_.h)), 1.0, kMaxJoinParts));
+      std::clamp(std::ceil(distance(from, to) / (kJoinPart_h * cut_.h)), 1.0, kMaxJoinParts));
   const auto at = [&](int i) {
-    return i == 0       ? line.heel
-           : i == count ? line.tip
-                        : lerp(line.heel, line.tip, static_cast<double>(i) / count);
+    return i == 0 ? from : i == count ? to : lerp(from, to, static_cast<double>(i) / count);
   };
   const Box tissue = cut_.near_tissue();
   for (int i = 0; i < count; ++i) {
     const Vec3 a = at(i), b = at(i + 1);
-    if (Box::around({a, b}).meets(tissue)) parts_.push_back({a, b, direction, aside});
+    if (Box::around({a, b}).meets(tissue)) parts_.push_back({a, b, direction, kind});
+  }
+}
+
+// Lists the ways of the heel and the tip, by the chords by which what was swept is remembered: the sweep would go on along the blade.
+void JoiningStage::list_rims(const Batch& batch) {
+  std::size_t from = 0;
+  double travel_m = 0;
+  for (std::size_t i = 1; i < batch.lines.size(); ++i) {
+    travel_m += travel(batch.lines[i - 1], batch.lines[i]);
+    if (travel_m == 0 || (travel_m < kRemembered_h * cut_.h && i + 1 < batch.lines.size())) continue;
+    const BladeLine &a = batch.lines[from], &b = batch.lines[i];
+    from = i;
+    travel_m = 0;
+    if (squared_length(direction_of(a, b)) == 0) continue;
+    const Vec3 along = normalized((a.tip - a.heel) + (b.tip - b.heel));
+    list(a.heel, b.heel, -along, Part::kRim);
+    list(a.tip, b.tip, along, Part::kRim);
   }
 }
 
@@ -330,7 +417,12 @@ void JoiningStage::gather_walls() {
     for (int f = 0; f < 4; ++f) {
       if (!(mask >> f & 1)) continue;
       const auto v = mesh_.face_vertices(half_face(t, f));
-      Wall wall{{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])}, {}, {}, {}, 0};
+      Wall wall{{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])},
+                {},
+                {},
+                {},
+                0,
+                (mesh_.cut_mask(t) >> f & 1) != 0};
       const auto& [a, b, c] = wall.corners;
       wall.low = wall.high = a;
       core::extend(b, wall.low, wall.high);
@@ -338,25 +430,30 @@ void JoiningStage::gather_walls() {
       if (!wall.is_within(reach, low, high)) continue;
       wall.normal = mesh_.twice_area(half_face(t, f));
       wall.facing = std::abs(dot(wall.normal, first.direction)) / length(wall.normal);
-      if (is_ahead(wall, (mesh_.cut_mask(t) >> f & 1) != 0, first)) walls_.push_back(wall);
+      if (is_ahead(wall, first)) walls_.push_back(wall);
     }
   });
 }
 
 // An older cut, or the body's own boundary where this faces a blade that moves in that direction: not where the blade enters the body.
 // Beside the sweep, the boundary alone counts, from inside: along an older cut the sweep is one with it.
-bool JoiningStage::is_ahead(const Wall& wall, bool is_cut, const Part& part) const {
-  if (!part.aside) return is_cut || wall.facing >= kCosFacing;
+bool JoiningStage::is_ahead(const Wall& wall, const Part& part) const {
+  const bool is_cut = wall.is_cut;
+  if (part.kind == Part::kRim) {
+    return is_cut || (wall.facing >= kCosFacing && dot(wall.normal, part.direction) > 0);
+  }
+  if (part.kind == Part::kEnd) return is_cut || wall.facing >= kCosFacing;
   return !is_cut && wall.facing >= kCosFacing && dot(wall.normal, part.direction) > 0;
 }
 
 // How far ahead of p a wall is. Less than 0 where p is beyond it. The stroke's own faces open farther
 // behind the blade.
-double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction) const {
+double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction, Of of) const {
   const double reach = kJoinReach_h * cut_.h;
   double ahead = kNoWall;
   cut_.work.add(walls_.size(), cost::kWallsAUnit);
   for (const Wall& wall : walls_) {
+    if (of != Of::kAll && wall.is_cut != (of == Of::kCuts)) continue;
     if (!wall.is_within(reach, p, p)) continue;
     const auto& [a, b, c] = wall.corners;
     const Vec3 q = closest_point(p, a, b, c);

@@ -10,9 +10,9 @@
 namespace incise::core {
 
 // Continues sweeps so that they meet: what is nearer than a quarter of an element is one. A sweep that begins or ends near an older
-// cut, or before the body's boundary, goes on until it is through; to either side, where the boundary beside it is near. Where an older one
-// ended near what is swept now, its last strip is part of what is swept, and goes on likewise; and where large elements have left a gap in that
-// strip.
+// cut, or before the body's boundary, goes on until it is through; to either side, where the boundary beside it is near; and along the blade, where its
+// heel or its tip runs before one of them. Where an older one ended near what is swept now, or had its heel or its tip there, its last strip is part of
+// what is swept, and goes on likewise; and where large elements have left a gap in the strip at an end.
 class JoiningStage {
  public:
   explicit JoiningStage(CutContext& cut) : cut_(cut), mesh_(cut.mesh), gathered_(cut.workspace) {}
@@ -25,12 +25,16 @@ class JoiningStage {
   void archive(Archive& io);
 
  private:
-  // A part of a line at which the sweep begins or ends, and where it would go on from there.
+  // A part of the sweep's edge, and where it would go on from there.
   struct Part {
+    // kEnd: of a line at which it begins or ends, straight ahead; kAside: to the boundary beside it; kRim: of the heel's or the tip's way, along the blade.
+    enum Kind : std::uint8_t { kEnd, kAside, kRim };
     Vec3 from, to, direction;
-    bool aside;  // to the boundary beside the sweep, not straight ahead
+    Kind kind;
     // Whether the other one begins where this ends.
-    bool precedes(const Part& other) const { return to == other.from && direction == other.direction; }
+    bool precedes(const Part& other) const {
+      return to == other.from && direction == other.direction && kind == other.kind;
+    }
   };
   // A face of an older cut or of the boundary, in front of a blade that moves on.
   struct Wall {
@@ -38,6 +42,7 @@ class JoiningStage {
     Vec3 low, high;  // bounding box
     Vec3 normal;     // twice its area long
     double facing;   // how far the direction is off its plane: the sine
+    bool is_cut;
     // Not surely farther than `reach` from all of a box.
     bool is_within(double reach, const Vec3& from, const Vec3& to) const {
       const double r = (1 + 1e-9) * reach;
@@ -54,7 +59,8 @@ class JoiningStage {
     double ahead_m;
   };
   void list(const BladeLine& line, const Vec3& direction);
-  void list(const BladeLine& line, const Vec3& direction, bool aside);
+  void list(const Vec3& from, const Vec3& to, const Vec3& direction, Part::Kind kind);
+  void list_rims(const Batch& batch);
   void begin_strip(const BladeLine& line);
   void follow_strip(const BladeLine& line);
   void end_strip(const BladeLine& line);
@@ -62,12 +68,16 @@ class JoiningStage {
   bool comes_near(const SweepEnd& end) const;
   bool is_in_reach(const Vec3& low, const Vec3& high) const;
   void take_up(SweepEnd& end, std::uint32_t part);
+  bool take_up_rims(WorkBudget& budget);
+  bool take_up(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part);
   bool meets_gap(SweepEnd& end, std::uint32_t part);
   bool is_open(const Vec3& p);
   void gather_walls();
-  double wall_ahead(const Vec3& p, const Vec3& direction) const;
+  enum class Of { kAll, kCuts, kSkin };
+  double wall_ahead(const Vec3& p, const Vec3& direction, Of of = Of::kAll) const;
+  void extend_rim(const Part& part);
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
-  bool is_ahead(const Wall& wall, bool is_cut, const Part& part) const;
+  bool is_ahead(const Wall& wall, const Part& part) const;
   void close_last();
   bool is_closed_by_walls() const;
   bool too_many_are_free() const;
@@ -89,6 +99,7 @@ class JoiningStage {
   double farthest_m_ = 0;          // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::uint32_t next_end_part_ = 0;  // of that end
+  std::size_t next_quad_ = 0;        // of what is remembered, whose rims are looked at
   std::vector<Wall> walls_;          // near the parts before walls_end_
   std::size_t walls_end_ = 0;
   TetPass gathered_;

@@ -81,6 +81,8 @@ inline constexpr double kCosFacing = 0.5;  // 60 degrees
 // A blade whose motion is off the plane of an older cut's face by less than this runs along it, and meets it only where it is ahead
 // by more than this.
 inline constexpr double kSinAlong = 0.17, kLeastAhead_h = 0.02;  // 10 degrees
+// The way of a heel or a tip goes on to the boundary ahead of it where the way to there changes by no more than this part of it along it.
+inline constexpr double kRimSlope = 0.3;
 // Straight ahead is a slanted wall's face where the blade meets its plane no farther beside the face than this.
 inline constexpr double kAimOff_h = 0.1;
 // What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart. Where no face of a cut is this near to it,
