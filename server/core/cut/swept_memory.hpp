@@ -41,7 +41,10 @@ class SweptMemory {
     bool has_free_rims() const { return (rims[kHeel].free | rims[kTip].free) != 0; }
   };
 
-  SweptMemory() { quads_.reserve(kMost); }
+  SweptMemory() {
+    quads_.reserve(kMost);
+    blocks_.reserve(kMost / kBlock);
+  }
 
   std::span<const Quad> quads() const { return quads_; }
   // From this quad on, the next one with a free rim in a block of which some may meet the box; `looked_at` counts the blocks. quads().size(): none.

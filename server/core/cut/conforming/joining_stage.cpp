@@ -1,8 +1,8 @@
 #include "server/core/cut/conforming/joining_stage.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
-#include <cstdlib>
 #include <limits>
 
 namespace incise::core {
@@ -248,7 +248,7 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   if (at_end) extend(a, b, direction, ahead_m);
 }
 
-// The ways of heels and tips of older sweeps that what is swept now comes near. True: done; false: the budget is spent.
+// Takes up the ways of heels and tips of older sweeps that what is swept now comes near. True: done; false: the budget is spent.
 bool JoiningStage::take_up_rims(WorkBudget& budget) {
   if (swept_.empty()) return true;
   SweptMemory& memory = cut_.workspace.swept;
