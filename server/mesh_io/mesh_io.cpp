@@ -16,10 +16,7 @@ namespace incise::mesh_io {
 namespace {
 
 std::string lowercase_ending(const std::filesystem::path& path) {
-  std::string ending = path.extension().string();
-  std::transform(ending.begin(), ending.end(), ending.begin(),
-                 [](unsigned char c) { return static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c); });
-  return ending;
+  return lowercase(path.extension().string());
 }
 
 bool is_one_of(std::string_view ending, std::initializer_list<std::string_view> endings) {

@@ -10,6 +10,7 @@
 
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/read_materials.hpp"
+#include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/volume_image.hpp"
 
 namespace incise::mesh_io {
@@ -21,12 +22,6 @@ std::string trimmed(std::string_view text) {
   const std::size_t begin = text.find_first_not_of(" \t\r");
   if (begin == text.npos) return {};
   return std::string(text.substr(begin, text.find_last_not_of(" \t\r") + 1 - begin));
-}
-
-std::string lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return text;
 }
 
 std::string shown(const std::string& text) {
@@ -81,7 +76,7 @@ class Fields {
     if (colon == line.npos)
       throw MeshError(name_ + ": the header has the line " + shown(line) + "; accepted is \"field: value\"");
     if (line.compare(colon, 2, ":=") == 0) return;  // a key of somebody's own
-    std::string field = lower(trimmed(line.substr(0, colon)));
+    std::string field = lowercase(trimmed(line.substr(0, colon)));
     static const std::map<std::string, std::string> other_names = {{"datafile", "data file"},
                                                                    {"lineskip", "line skip"},
                                                                    {"byteskip", "byte skip"},
@@ -191,7 +186,7 @@ VoxelType type_of(const Fields& fields) {
       {"float", VoxelType::kFloat},
       {"double", VoxelType::kDouble},
   };
-  const auto found = types.find(lower(fields.at("type")));
+  const auto found = types.find(lowercase(fields.at("type")));
   if (found == types.end()) fields.refuse("type", "a whole number of 8 to 64 bits, float or double");
   return found->second;
 }
@@ -225,7 +220,7 @@ Axes axes_of(const Fields& fields, const std::string& name) {
   }
   std::vector<std::string> kinds(count, "???");
   if (fields.find("kinds")) {
-    kinds = words(lower(fields.at("kinds")));
+    kinds = words(lowercase(fields.at("kinds")));
     if (kinds.size() != count)
       fields.refuse("kinds", "a word for each of the " + std::to_string(count) + " dimensions");
   }
@@ -260,7 +255,7 @@ Vector units_of(const Fields& fields, const Axes& axes) {
   for (std::size_t at = text->find('"'); at != text->npos; at = text->find('"', at)) {
     const std::size_t close = text->find('"', at + 1);
     if (close == text->npos) break;
-    found.push_back(lower(text->substr(at + 1, close - at - 1)));
+    found.push_back(lowercase(text->substr(at + 1, close - at - 1)));
     at = close + 1;
   }
   for (std::size_t i = 0; i < 3; ++i) {
@@ -280,7 +275,7 @@ void place(const Fields& fields, const Axes& axes, ImageHeader& image) {
   };
   Vector to_lps = {1, 1, 1};
   if (const std::string* space = fields.find("space")) {
-    const auto known = spaces.find(lower(*space));
+    const auto known = spaces.find(lowercase(*space));
     image.anatomical = known != spaces.end();
     if (image.anatomical) to_lps = known->second;
     if (space->find("-time") != space->npos || space->ends_with("T"))
@@ -298,7 +293,7 @@ void place(const Fields& fields, const Axes& axes, ImageHeader& image) {
     if (fields.find("spacings")) spacings = words(fields.at("spacings"));
     if (spacings.size() != axes.sizes.size()) fields.refuse("spacings", "a number for each dimension");
     for (std::size_t j = 0; j < 3; ++j) {
-      const std::string text = lower(spacings[axes.space[j]]);
+      const std::string text = lowercase(spacings[axes.space[j]]);
       const std::optional<double> spacing = text == "nan" ? 1.0 : number(text);
       if (!spacing || *spacing == 0) fields.refuse("spacings", "numbers other than 0, or NaN");
       m[j][j] = to_lps[j] * mm[j] * *spacing;
@@ -313,7 +308,7 @@ void place(const Fields& fields, const Axes& axes, ImageHeader& image) {
 // Where the voxels begin: in this file, or in one beside it.
 void find_data(const Fields& fields, const std::filesystem::path& path, ImageHeader& image) {
   const std::string name = path.string();
-  const std::string encoding = lower(fields.at("encoding"));
+  const std::string encoding = lowercase(fields.at("encoding"));
   image.gzip = encoding == "gzip" || encoding == "gz";
   if (!image.gzip && encoding != "raw") fields.refuse("encoding", "raw or gzip");
   image.data = path;
@@ -358,7 +353,7 @@ ImageHeader parse_nrrd(const std::string& head, const std::filesystem::path& pat
   for (std::size_t i = 0; i < 3; ++i) image.size[i] = axes.sizes[axes.space[i]];
   image.type = type_of(fields);
   if (size_of(image.type) > 1) {
-    const std::string endian = lower(fields.at("endian"));
+    const std::string endian = lowercase(fields.at("endian"));
     if (endian != "little" && endian != "big") fields.refuse("endian", "little or big");
     image.big_endian = endian == "big";
   }

@@ -34,6 +34,12 @@ void write_temporary(const UnfinishedFile& to, std::string_view bytes) {
 
 const char* const kFit = " fit in the rest of the file: it is cut short, or the number is wrong";
 
+std::string lowercase(std::string_view text) {
+  std::string lower(text);
+  for (char& c : lower) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return lower;
+}
+
 std::string in_quotes(std::string_view field) {
   std::string text = "'";
   for (const char c : field.substr(0, 40)) text += c >= ' ' && c <= '~' ? c : '?';

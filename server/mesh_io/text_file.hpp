@@ -28,6 +28,9 @@ void write_whole_files(std::initializer_list<FileToWrite> files);
 void append_number(std::string& text, double number);
 void append_number(std::string& text, std::int64_t number);
 
+// With A to Z as a to z; nothing else changes.
+std::string lowercase(std::string_view text);
+
 // The end of a message about a count that is too large for the rest of a file.
 extern const char* const kFit;
 

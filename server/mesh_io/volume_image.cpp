@@ -12,6 +12,7 @@
 #include <memory>
 
 #include "server/mesh_io/mesh_error.hpp"
+#include "server/mesh_io/text_file.hpp"
 
 namespace incise::mesh_io {
 namespace {
@@ -215,9 +216,7 @@ bool is_finite(const Affine& affine) {
 }
 
 std::string lower_ending(const fs::path& path) {
-  std::string name = path.filename().string();
-  std::transform(name.begin(), name.end(), name.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const std::string name = lowercase(path.filename().string());
   for (const char* ending : {".nrrd", ".nhdr", ".nii", ".nii.gz"})
     if (name.ends_with(ending)) return ending;
   return {};

@@ -173,7 +173,7 @@ TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
   }
 }
 
-// Clients refuse it, so whoever runs the server is told while there is time.
+// Clients refuse an expired certificate, so the operator is warned two weeks ahead.
 TEST_F(Incised, ACertificateThatIsNotValidForLongIsWarnedOf) {
   const auto make = [&](const std::string& days) {
     const std::string command =

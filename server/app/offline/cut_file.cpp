@@ -9,6 +9,7 @@
 #include "server/app/offline/terminal.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/session/piece_numbers.hpp"
+#include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/write_materials.hpp"
 
 namespace incise::app {
@@ -18,9 +19,7 @@ namespace fs = std::filesystem;
 namespace {
 
 std::string lowercase_ending(const fs::path& path) {
-  std::string ending = path.extension().string();
-  for (char& c : ending) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
-  return ending;
+  return mesh_io::lowercase(path.extension().string());
 }
 
 bool is_glb_file(const fs::path& path) {

@@ -96,10 +96,7 @@ Json describe_surface(const fs::path& file) {
 
 // The ending with which write_surface() makes VTK's poly data.
 bool is_poly_data(const fs::path& file) {
-  std::string ending = file.extension().string();
-  std::transform(ending.begin(), ending.end(), ending.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return ending == ".vtp";
+  return mesh_io::lowercase(file.extension().string()) == ".vtp";
 }
 
 Json describe_poly_data(const fs::path& file) {
@@ -126,11 +123,10 @@ Json describe_poly_data(const fs::path& file) {
   if (vertices > 0) facts["box_file_units"] = corners(bounds);
   const auto list = [&](const std::vector<mesh_io::VtkXmlArray>& arrays, const char* on) {
     for (const mesh_io::VtkXmlArray& array : arrays) {
-      std::string type = array.type;
-      std::transform(type.begin(), type.end(), type.begin(),
-                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-      facts["fields"].push_back(
-          {{"name", array.name}, {"on", on}, {"components", array.components}, {"type", type}});
+      facts["fields"].push_back({{"name", array.name},
+                                 {"on", on},
+                                 {"components", array.components},
+                                 {"type", mesh_io::lowercase(array.type)}});
     }
   };
   if (!pieces.empty()) {

@@ -8,12 +8,8 @@ namespace incise::core {
 
 void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
                       const Box& box) {
-  std::size_t from = 0;
-  double chord_travel_m = 0;
-  for (std::size_t i = 1; i < lines.size(); ++i) {
-    chord_travel_m += travel(lines[i - 1], lines[i]);
-    if (chord_travel_m == 0 || (chord_travel_m < chord_m && i + 1 < lines.size())) continue;
-    Quad quad{lines[from], lines[i], stroke, travel_m, true};
+  for_each_chord(lines, chord_m, [&](const BladeLine& from, const BladeLine& to, double chord_travel_m) {
+    Quad quad{from, to, stroke, travel_m, true};
     for (End end : {kHeel, kTip}) {
       const double way_m =
           end == kTip ? distance(quad.from.tip, quad.to.tip) : distance(quad.from.heel, quad.to.heel);
@@ -27,9 +23,7 @@ void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, do
     }
     if (quad.box().meets(box)) add(quad);
     travel_m += chord_travel_m;
-    chord_travel_m = 0;
-    from = i;
-  }
+  });
 }
 
 void SweptMemory::add(const Quad& quad) {

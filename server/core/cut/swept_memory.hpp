@@ -47,7 +47,8 @@ class SweptMemory {
   }
 
   std::span<const Quad> quads() const { return quads_; }
-  // From this quad on, the next one with a free rim in a block of which some may meet the box; `looked_at` counts the blocks. quads().size(): none.
+  // The next quad, from this one on, that has a free rim and lies in a block whose free rims may meet the box; quads().size(): none. `looked_at`: increased by
+  // the blocks that were looked at.
   std::size_t next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const;
   // A part of a rim is taken up; it may be one that is not free.
   void take(std::size_t quad, End end, std::uint32_t part);
@@ -79,5 +80,20 @@ class SweptMemory {
   std::size_t oldest_ = 0;                  // when there are kMost: which the next one takes the place of
   bool is_whole_ = true;
 };
+
+// What a blade sweeps by these lines, in chords no shorter than `chord_m`, but for the last one: visit(its first line, its last one, the blade's way
+// between them). A blade that rests makes none.
+template <class Visit>
+void for_each_chord(std::span<const BladeLine> lines, double chord_m, Visit&& visit) {
+  std::size_t from = 0;
+  double way_m = 0;
+  for (std::size_t i = 1; i < lines.size(); ++i) {
+    way_m += travel(lines[i - 1], lines[i]);
+    if (way_m == 0 || (way_m < chord_m && i + 1 < lines.size())) continue;
+    visit(lines[from], lines[i], way_m);
+    way_m = 0;
+    from = i;
+  }
+}
 
 }  // namespace incise::core

@@ -260,7 +260,7 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
     next_quad_ = memory.next_with_free_rim(next_quad_, in_reach, looked_at);
     cut_.work.add(looked_at, cost::kQuadsAUnit);
     if (next_quad_ == memory.quads().size()) return true;
-    const SweptMemory::Quad quad = memory.quads()[next_quad_];
+    const SweptMemory::Quad quad = memory.quads()[next_quad_];  // a copy: what is led on is remembered, too
     // Of a hand that is at it for long, this stroke's own would be more and more.
     if (quad.stroke == cut_.stroke) continue;
     for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
@@ -382,19 +382,12 @@ void JoiningStage::list(const Vec3& from, const Vec3& to, const Vec3& direction,
 
 // Lists the ways of the heel and the tip, by the chords by which what was swept is remembered: the sweep would go on along the blade.
 void JoiningStage::list_rims(const Batch& batch) {
-  std::size_t from = 0;
-  double travel_m = 0;
-  for (std::size_t i = 1; i < batch.lines.size(); ++i) {
-    travel_m += travel(batch.lines[i - 1], batch.lines[i]);
-    if (travel_m == 0 || (travel_m < kRemembered_h * cut_.h && i + 1 < batch.lines.size())) continue;
-    const BladeLine &a = batch.lines[from], &b = batch.lines[i];
-    from = i;
-    travel_m = 0;
-    if (squared_length(direction_of(a, b)) == 0) continue;
+  for_each_chord(batch.lines, kRemembered_h * cut_.h, [&](const BladeLine& a, const BladeLine& b, double) {
+    if (squared_length(direction_of(a, b)) == 0) return;
     const Vec3 along = normalized((a.tip - a.heel) + (b.tip - b.heel));
     list(a.heel, b.heel, -along, Part::kRim);
     list(a.tip, b.tip, along, Part::kRim);
-  }
+  });
 }
 
 // The walls near the next parts, as far as these follow each other.
