@@ -17,6 +17,8 @@ bool has_control_character(std::string_view name);
 
 // The array, on tetrahedra, in which write_cut_mesh() says which faces cuts have opened, as MeshData::cut_masks does.
 inline constexpr std::string_view kCutMask = "cut_mask";
+// The field data of a file in which MeshData::cut_memory is, byte by byte.
+inline constexpr std::string_view kCutMemory = "incise_cut_memory";
 // Whether write_cut_mesh() adds an array of this name, for each tetrahedron.
 bool is_own_array(std::string_view name);
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/core/cut/cut_memory.hpp"
 #include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/surface_check.hpp"
 #include "server/mesh_io/surface_files.hpp"
@@ -152,6 +153,12 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
     const auto& rows = of_vertices ? kept.vertices : kept.tets;
     if (rows.size() != (of_vertices ? vertices : tets)) field = rows_of(field, rows);
   }
+  if (!loaded.mesh.cut_memory.empty() && !core::has_its_cut_memory(loaded.mesh)) {
+    loaded.mesh.cut_memory.clear();
+    loaded.warnings.push_back(file +
+                              ": the mesh has been changed since it was saved with its cuts: they are kept, "
+                              "but not where the blades that made them have been");
+  }
   loaded.content_hash = mesh_hash(loaded.mesh);
   return loaded;
 }
@@ -172,18 +179,20 @@ std::string mesh_hash(const core::MeshData& mesh) {
   hash.add(mesh.positions);
   hash.add(mesh.tets);
   hash.add(mesh.regions);
-  if (!mesh.cut_masks.empty()) hash.add(mesh.cut_masks);  // so that all others keep their hash
+  // So that all others keep their hash.
+  if (!mesh.cut_masks.empty()) hash.add(mesh.cut_masks);
+  if (!mesh.cut_memory.empty()) hash.add(mesh.cut_memory);
   return hash.hex();
 }
 
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                 std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data,
-                std::span<const Field> fields) {
+                std::span<const Field> fields, std::span<const std::byte> cut_memory) {
   const std::string ending = lowercase_ending(path);
   if (ending == ".vtu") {
-    write_vtu(path, positions, tets, cell_data, fields);
+    write_vtu(path, positions, tets, cell_data, fields, cut_memory);
   } else if (ending == ".vtk") {
-    write_vtk_legacy(path, positions, tets, cell_data, fields);
+    write_vtk_legacy(path, positions, tets, cell_data, fields, cut_memory);
   } else if (is_one_of(ending, {".msh", ".msh2"})) {
     write_gmsh(path, positions, tets, regions_in(cell_data), ending == ".msh");
   } else if (ending == ".mesh") {
@@ -201,7 +210,7 @@ void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
   std::vector<CellArray> cell_data;
   if (!mesh.regions.empty()) cell_data.push_back({"region", mesh.regions});
   if (!mesh.cut_masks.empty()) cell_data.push_back({std::string(kCutMask), mesh.cut_masks});
-  write_mesh(path, mesh.positions, mesh.tets, cell_data, fields);
+  write_mesh(path, mesh.positions, mesh.tets, cell_data, fields, mesh.cut_memory);
 }
 
 void write_surface(const std::filesystem::path& path, const Surface& surface,

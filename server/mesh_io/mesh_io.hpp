@@ -63,13 +63,14 @@ std::string_view mesh_file_endings();
 std::string_view surface_file_endings();
 std::string_view surface_input_endings();  // of those that are read
 
-// Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data` and `fields`; with the array named
+// Writes a tetrahedral mesh by the ending of `path`: .vtu and .vtk with all of `cell_data` and `fields`, and `cut_memory` (MeshData's); with the array named
 // "region" .node and .ele (as the attribute), .msh (Gmsh 4.1) and .msh2 (Gmsh 2.2; as the physical group), .mesh (as
 // the reference). Each array has one value a tetrahedron. Throws MeshError.
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                 std::span<const std::array<core::VertexId, 4>> tets,
-                std::span<const CellArray> cell_data = {}, std::span<const Field> fields = {});
-// The same for a mesh as loaded: positions, tetrahedra, regions.
+                std::span<const CellArray> cell_data = {}, std::span<const Field> fields = {},
+                std::span<const std::byte> cut_memory = {});
+// The same for a mesh as loaded: positions, tetrahedra, regions, older cuts.
 void write_mesh(const std::filesystem::path& path, const core::MeshData& mesh,
                 std::span<const Field> fields = {});
 

@@ -364,6 +364,7 @@ class VtkReader {
       in_.fail("the type " + in_quotes(type_name) + " of the array " + in_quotes(name) + " is not known");
     const bool keep = of_cells_ && components == 1 && tuples == types_.size() &&
                       (name == kCutMask || find_region_array({&name, 1}) >= 0);
+    const bool is_memory = name == kCutMemory && !of_cells_ && !of_points_ && components == 1;
     const bool is_field = !keep && fields_.wanted() && (of_cells_ || of_points_) && !name.empty();
     if (binary_) in_.set_binary(std::endian::big);
     if (is_field) {
@@ -374,6 +375,12 @@ class VtkReader {
         array.values.push_back(binary_ ? read_number(*type, what) : in_.any_number(what));
       }
       (of_cells_ ? of_tets_ : of_vertices_).push_back(std::move(array));
+    } else if (is_memory) {
+      std::vector<double> memory;
+      memory.reserve(count);
+      for (std::size_t i = 0; i < count; ++i)
+        memory.push_back(read_number(*type, "a byte of the array " + in_quotes(name)));
+      out_.note_cut_memory(memory);
     } else if (!keep) {
       if (binary_) {
         in_.take(count * size_of(*type), "the values of an array");

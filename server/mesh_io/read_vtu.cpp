@@ -27,6 +27,7 @@ class VtuReader {
     cells_ += piece.cells;
     ++pieces_;
   }
+  void note_cut_memory(const VtkXmlArray& memory) { out_.note_cut_memory(memory.values); }
   core::MeshData finish() {
     if (std::ranges::any_of(cell_data_, [](const Joined& joined) { return joined.array.name == kCutMask; }))
       fields_.note_own_file();
@@ -187,7 +188,9 @@ class VtuReader {
 core::MeshData parse_vtu(std::string_view bytes, const std::string& file, std::vector<std::string>& warnings,
                          std::vector<Field>* fields) {
   VtuReader reader(file, warnings, fields);
-  for (const VtkXmlPiece& piece : read_vtk_xml(bytes, file, fields != nullptr)) reader.add(piece);
+  const VtkXmlContent content = read_vtk_xml(bytes, file, fields != nullptr);
+  for (const VtkXmlPiece& piece : content.pieces) reader.add(piece);
+  for (const VtkXmlArray& memory : content.field_data) reader.note_cut_memory(memory);
   return reader.finish();
 }
 

@@ -80,6 +80,13 @@ void TetCollector::note_cut_faces(double mask) {
   if (!misread_cut_faces_) mesh_.cut_masks.back() = static_cast<std::uint8_t>(mask);
 }
 
+void TetCollector::note_cut_memory(std::span<const double> bytes) {
+  mesh_.cut_memory.clear();
+  for (const double byte : bytes) {
+    mesh_.cut_memory.push_back(byte >= 0 && byte <= 255 ? static_cast<std::byte>(byte) : std::byte{});
+  }
+}
+
 core::MeshData TetCollector::finish(std::vector<std::string>& warnings, std::string_view skipped) {
   if (mesh_.tets.empty()) {
     throw MeshError(in_.file_name() + ": there is no tetrahedron in it" + std::string(skipped) +

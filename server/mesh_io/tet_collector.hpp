@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -28,6 +29,8 @@ class TetCollector {
   void add_tet(const std::array<core::VertexId, 4>& corners, std::int64_t region);
   // Which faces of the last tetrahedron an earlier cut opened, as the array kCutMask says it: MeshData::cut_masks.
   void note_cut_faces(double mask);
+  // MeshData::cut_memory, from the array kCutMemory. Values that are no bytes are none.
+  void note_cut_memory(std::span<const double> bytes);
   // Reads the number of a region or material: an integer or a whole float.
   std::int32_t checked_region(std::int64_t region) const;
   void note_higher_order() { ++higher_order_; }

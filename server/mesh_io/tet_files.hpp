@@ -49,10 +49,11 @@ int find_region_array(std::span<const std::string> names);
 // fewer dimensions, skipped; -1: another cell of three dimensions.
 int vtk_tet_nodes(std::int64_t type);
 
-// Legacy VTK 3.0, binary, with `cell_data` as scalars and fields as field data of points and cells.
+// Legacy VTK 3.0, binary, with `cell_data` as scalars, fields as field data of points and cells, and `cut_memory`, where there is any, as field data.
 void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                       std::span<const std::array<core::VertexId, 4>> tets,
-                      std::span<const CellArray> cell_data, std::span<const Field> fields = {});
+                      std::span<const CellArray> cell_data, std::span<const Field> fields = {},
+                      std::span<const std::byte> cut_memory = {});
 // Gmsh MSH, ASCII: version 2.2 or 4.1. Each region is a volume and, where it is not 0, its physical group (Gmsh reads a
 // negative group as the positive one with its volume turned over).
 void write_gmsh(const std::filesystem::path& path, std::span<const core::Vec3> positions,

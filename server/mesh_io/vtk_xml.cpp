@@ -272,7 +272,7 @@ class VtkXmlReader {
   VtkXmlReader(std::string_view bytes, const std::string& file, bool fields, VtkXmlKind kind)
       : file_(file), bytes_(bytes), xml_(bytes, file), fields_(fields), kind_(kind) {}
 
-  std::vector<VtkXmlPiece> read() {
+  VtkXmlContent read() {
     find_appended();
     Tag tag;
     std::vector<std::string> open;
@@ -285,14 +285,15 @@ class VtkXmlReader {
       }
       if (open.empty() && tag.name != "VTKFile")
         xml_.fail("a VTK XML file starts with '<VTKFile', found " + in_quotes("<" + tag.name));
-      if (tag.name == "AppendedData") return std::move(pieces_);  // what follows is not XML
+      if (tag.name == "AppendedData")
+        return {std::move(pieces_), std::move(field_data_)};  // what follows is not XML
       open_tag(tag, open.empty() ? "" : open.back());
       if (!tag.empty) open.push_back(tag.name);
       if (open.size() > kMaxDepth) xml_.fail("more than 64 tags inside of each other");
     }
     if (!open.empty()) throw MeshError(file_ + ": ends inside <" + open.back() + ">: the file is cut short");
     if (!has_file_tag_) throw MeshError(file_ + ": a VTK XML file starts with '<VTKFile'");
-    return std::move(pieces_);
+    return {std::move(pieces_), std::move(field_data_)};
   }
 
  private:
@@ -329,6 +330,8 @@ class VtkXmlReader {
         piece.cells = count(tag, "NumberOfCells");
       }
       pieces_.push_back(std::move(piece));
+    } else if (tag.name == "DataArray" && parent == "FieldData") {
+      if (tag.get("Name") == kCutMemory) field_data_.push_back(read_array(tag, true));
     } else if (tag.name == "DataArray" && !pieces_.empty()) {
       VtkXmlPiece& piece = pieces_.back();
       if (parent == "Points") piece.point_arrays.push_back(read_array(tag));
@@ -465,6 +468,7 @@ class VtkXmlReader {
   bool fields_;
   VtkXmlKind kind_;
   std::vector<VtkXmlPiece> pieces_;
+  std::vector<VtkXmlArray> field_data_;
   std::string_view appended_;
   bool has_appended_ = false, appended_base64_ = false, has_file_tag_ = false;
   bool swap_ = false, compressed_ = false;
@@ -473,8 +477,7 @@ class VtkXmlReader {
 
 }  // namespace
 
-std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields,
-                                      VtkXmlKind kind) {
+VtkXmlContent read_vtk_xml(std::string_view bytes, const std::string& file, bool fields, VtkXmlKind kind) {
   return VtkXmlReader(bytes, file, fields, kind).read();
 }
 

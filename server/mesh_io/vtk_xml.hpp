@@ -25,11 +25,16 @@ struct VtkXmlPiece {
   std::vector<VtkXmlArray> point_data;    // with fields
 };
 
+struct VtkXmlContent {
+  std::vector<VtkXmlPiece> pieces;
+  std::vector<VtkXmlArray> field_data;  // kCutMemory, if the file has it
+};
+
 enum class VtkXmlKind { kUnstructuredGrid, kPolyData };
 
 // Reads a VTK XML file of that kind (for grids see parse_vtu in tet_files.hpp). Every array is checked against what its
 // bytes can hold before anything is allocated. `fields`: all data of points and cells that are numbers are wanted. Throws MeshError with the file and the line, or the array's name.
-std::vector<VtkXmlPiece> read_vtk_xml(std::string_view bytes, const std::string& file, bool fields = false,
-                                      VtkXmlKind kind = VtkXmlKind::kUnstructuredGrid);
+VtkXmlContent read_vtk_xml(std::string_view bytes, const std::string& file, bool fields = false,
+                           VtkXmlKind kind = VtkXmlKind::kUnstructuredGrid);
 
 }  // namespace incise::mesh_io

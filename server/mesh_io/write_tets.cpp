@@ -189,11 +189,17 @@ std::string vtk_fields(std::span<const Field> fields, Field::On on, std::size_t 
 }  // namespace
 
 void write_vtk_legacy(const std::filesystem::path& path, std::span<const core::Vec3> positions, Tets tets,
-                      std::span<const CellArray> cell_data, std::span<const Field> fields) {
+                      std::span<const CellArray> cell_data, std::span<const Field> fields,
+                      std::span<const std::byte> cut_memory) {
   const std::string cells = std::to_string(tets.size());
-  std::string bytes =
-      "# vtk DataFile Version 3.0\nincise, metres\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS " +
-      std::to_string(positions.size()) + " double\n";
+  std::string bytes = "# vtk DataFile Version 3.0\nincise, metres\nBINARY\nDATASET UNSTRUCTURED_GRID\n";
+  if (!cut_memory.empty()) {
+    bytes += "FIELD FieldData 1\n" + std::string(kCutMemory) + " 1 " + std::to_string(cut_memory.size()) +
+             " unsigned_char\n";
+    bytes.append(reinterpret_cast<const char*>(cut_memory.data()), cut_memory.size());
+    bytes += "\n";
+  }
+  bytes += "POINTS " + std::to_string(positions.size()) + " double\n";
   for (const core::Vec3& p : positions) {
     for (const double x : {p.x, p.y, p.z}) append_big(bytes, x);
   }

@@ -38,11 +38,14 @@ class VtkXmlFile {
 
   void add(const std::string& xml) { xml_ += xml; }
 
+  // `tuples`: said where neither points nor cells do.
   template <class T>
-  void add_array(const std::string& name, const T* values, std::size_t count, int components = 1) {
+  void add_array(const std::string& name, const T* values, std::size_t count, int components = 1,
+                 std::size_t tuples = 0) {
     xml_ += "<DataArray type=\"" + std::string(kTypeName<T>) + "\" Name=\"" + escaped(name) +
-            "\" NumberOfComponents=\"" + std::to_string(components) + "\" format=\"appended\" offset=\"" +
-            std::to_string(data_.size()) + "\"/>\n";
+            "\" NumberOfComponents=\"" + std::to_string(components) +
+            (tuples == 0 ? "" : "\" NumberOfTuples=\"" + std::to_string(tuples)) +
+            "\" format=\"appended\" offset=\"" + std::to_string(data_.size()) + "\"/>\n";
     const std::uint64_t bytes = count * sizeof(T);
     append(&bytes, sizeof bytes);
     append(values, bytes);
@@ -132,8 +135,14 @@ void add_points(VtkXmlFile& file, std::span<const core::Vec3> positions) {
 
 void write_vtu(const std::filesystem::path& path, std::span<const core::Vec3> positions,
                std::span<const std::array<core::VertexId, 4>> tets, std::span<const CellArray> cell_data,
-               std::span<const Field> fields) {
+               std::span<const Field> fields, std::span<const std::byte> cut_memory) {
   VtkXmlFile file("UnstructuredGrid");
+  if (!cut_memory.empty()) {
+    file.add("<FieldData>\n");
+    file.add_array(std::string(kCutMemory), reinterpret_cast<const std::uint8_t*>(cut_memory.data()),
+                   cut_memory.size(), 1, cut_memory.size());
+    file.add("</FieldData>\n");
+  }
   file.add("<Piece NumberOfPoints=\"" + std::to_string(positions.size()) + "\" NumberOfCells=\"" +
            std::to_string(tets.size()) + "\">\n");
   file.add("<PointData>\n");

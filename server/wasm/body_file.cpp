@@ -3,7 +3,9 @@
 #include <ostream>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <variant>
+#include <vector>
 
 #include "protocol/framing.hpp"
 #include "protocol/replica.hpp"
@@ -19,12 +21,30 @@ void write(std::ostream& out, const protocol::Body& body) {
             static_cast<std::streamsize>(frame.tcp().size()));
 }
 
+void write_cut_memory(std::ostream& out, std::span<const std::byte> memory) {
+  for (unsigned bits = 0; bits < 64; bits += 8)
+    out.put(static_cast<char>(std::uint64_t{memory.size()} >> bits));
+  out.write(reinterpret_cast<const char*>(memory.data()), static_cast<std::streamsize>(memory.size()));
+}
+
 void demand(bool met, const std::string& otherwise) {
   if (!met) throw std::runtime_error("the body's file: " + otherwise);
 }
 
 void demand(const protocol::ApplyResult& result) {
   demand(static_cast<bool>(result), result.text);
+}
+
+// Leaves the rest in `bytes`.
+std::vector<std::byte> read_cut_memory(std::span<const std::byte>& bytes) {
+  std::uint64_t size = 0;
+  demand(bytes.size() >= sizeof size, "it is cut off");
+  for (unsigned i = 0; i < sizeof size; ++i) size |= std::to_integer<std::uint64_t>(bytes[i]) << 8 * i;
+  bytes = bytes.subspan(sizeof size);
+  demand(size <= bytes.size(), "it is cut off");
+  const auto memory = bytes.first(size);
+  bytes = bytes.subspan(size);
+  return {memory.begin(), memory.end()};
 }
 
 core::MeshData mesh_of(const protocol::Replica& replica) {
@@ -52,6 +72,7 @@ void write_body(std::ostream& out, protocol::Welcome welcome, const core::CutSes
          "no client could hold this body");
   welcome.revision = 0;
   welcome.state_hash = replica.state_hash();
+  write_cut_memory(out, session.export_data().cut_memory);
   write(out, welcome);
   protocol::SnapshotWriter writer(replica, protocol::SnapshotCause::Join);
   write(out, writer.begin());
@@ -66,6 +87,7 @@ void write_body(std::ostream& out, protocol::Welcome welcome, const core::CutSes
 
 BodyFile read_body(std::span<const std::byte> bytes) {
   BodyFile file;
+  std::vector<std::byte> cut_memory = read_cut_memory(bytes);
   protocol::Replica replica;
   protocol::FrameReader reader;
   bool welcomed = false, complete = false;
@@ -90,6 +112,7 @@ BodyFile read_body(std::span<const std::byte> bytes) {
   demand(welcomed && complete && !reader.failed() && reader.pending_bytes() == 0,
          reader.failed() ? reader.error() : "it is cut off");
   file.mesh = mesh_of(replica);
+  file.mesh.cut_memory = std::move(cut_memory);
   return file;
 }
 

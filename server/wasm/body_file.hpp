@@ -11,8 +11,8 @@
 
 namespace incise::wasm {
 
-// A body as a file: the messages with which a server would greet a viewer of the view Volume, one after the other as on
-// TCP: Welcome, and the snapshot of revision 0. Behind them, for a body that was filled from a surface, that surface (its triangles alone), in which boundary
+// A body as a file. First what blades have left in it (core::MeshData::cut_memory): the number of its bytes, little-endian in eight, and these. Then the
+// messages with which a server would greet a viewer of the view Volume, one after the other as on TCP: Welcome, and the snapshot of revision 0. Behind them, for a body that was filled from a surface, that surface (its triangles alone), in which boundary
 // faces have their origins.
 
 // `welcome`: everything but revision and hash, which are the session's. `session` is at revision 0. `surface`: null where there is none.

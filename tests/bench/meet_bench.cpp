@@ -26,7 +26,7 @@ struct Options {
   std::uint64_t seed = 1;
   int poses = 1000;
   double batch_h = 0;  // 0: each meeting's own
-  bool at_once = false, along_axes = false, each = false;
+  bool at_once = false, saved = false, along_axes = false, each = false;
 };
 
 // What the rows of one table add up.
@@ -136,12 +136,16 @@ void run_meetings(const Options& options, const NamedMesh& mesh, const oracle::B
     auto meeting = oracle::random_meeting(mesh.mesh, body.h, kind,
                                           options.seed + static_cast<std::uint64_t>(i), options.along_axes);
     if (options.batch_h > 0) meeting.batch_h = options.batch_h;
-    core::CutSession session(mesh.mesh, oracle::meeting_config(meeting));
+    auto session = std::make_unique<core::CutSession>(mesh.mesh, oracle::meeting_config(meeting));
     const double start = thread_cpu_s();
-    options.at_once ? oracle::cut_at_once(meeting, session) : oracle::cut(meeting, session);
+    if (options.saved) {
+      session = oracle::cut_saved(meeting, mesh.mesh);
+    } else {
+      options.at_once ? oracle::cut_at_once(meeting, *session) : oracle::cut(meeting, *session);
+    }
     totals.seconds.push_back(thread_cpu_s() - start);
     const auto strokes = oracle::strokes_of(meeting);
-    const Verdict v = oracle::judge(body, strokes, session.mesh());
+    const Verdict v = oracle::judge(body, strokes, session->mesh());
     totals.add(v, body);
     print(mesh, meeting.name(), v, options.each);
   }
@@ -232,6 +236,10 @@ void add_meet_bench(CLI::App& app, Report& report) {
   command->add_option("--batch", options->batch_h, "cut.batch_h of all; without: each one's own")
       ->check(CLI::Range(0.05, 2.0));
   command->add_flag("--at-once", options->at_once, "All strokes at once, each by a blade of its own");
+  command
+      ->add_flag("--saved", options->saved,
+                 "Each stroke in a session of its own, in the body that the one before has left")
+      ->excludes("--at-once");
   command->add_flag("--along-axes", options->along_axes,
                     "Blades and strokes along the axes, in planes of vertices");
   command->add_flag("--each", options->each, "Say a line about each, not only about wrong ones");

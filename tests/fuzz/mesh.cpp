@@ -92,7 +92,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     if (ending == "stl" || ending == "ply" || ending == "off" || ending == "obj" || ending == "glb") {
       check_surface_file(ending, bytes);
     } else if (ending == "vtp") {
-      for (const VtkXmlPiece& piece : read_vtk_xml(bytes, "mesh", true, VtkXmlKind::kPolyData))
+      for (const VtkXmlPiece& piece : read_vtk_xml(bytes, "mesh", true, VtkXmlKind::kPolyData).pieces)
         FUZZ_CHECK(piece.cell_arrays.empty());
     } else {
       std::vector<std::string> warnings;

@@ -2,6 +2,7 @@
 
 #include "server/mesh_io/tet_files.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/cut_session.hpp"
 
 #include <gtest/gtest.h>
 
@@ -291,6 +292,48 @@ TEST(TetFiles, FacesOfEarlierCutsAreReadBack) {
     EXPECT_TRUE(odd.mesh.cut_masks.empty());
     ASSERT_EQ(odd.warnings.size(), 1u);
     EXPECT_NE(odd.warnings[0].find("other numbers than 0 to 15"), std::string::npos);
+  }
+}
+
+// What blades have left in a body goes with it through these formats, and is left out where it belongs to another mesh.
+TEST(TetFiles, WhatBladesHaveLeftIsReadBack) {
+  const TestDirectory directory;
+  core::CutConfig config;
+  config.blade = {{0, 0, -1}, {0, 0, 2}};
+  config.always_engaged = true;
+  config.speed_limit_m_s = config.gap_limit_s = 1e9;
+  core::CutSession session(cube_mesh(3), config);
+  core::Delta delta;
+  core::WorkBudget budget = core::WorkBudget::unlimited();
+  for (int i = 0; i < 20; ++i) {
+    session.push(0, {4'000'000 * (i + 1), {0.03 * i, 0.45, 0}, {}, 0});
+    while (session.advance(budget, delta) != core::CutSession::Progress::kIdle) {
+    }
+  }
+  core::MeshData saved = session.export_data();
+  saved.regions.clear();  // as where all are 0
+  ASSERT_FALSE(saved.cut_memory.empty());
+  for (const char* name : {"a.vtu", "a.vtk"}) {
+    SCOPED_TRACE(name);
+    write_mesh(directory / name, saved);
+    const LoadedMesh loaded = load_mesh(directory / name, {1, {}, true});
+    EXPECT_EQ(loaded.mesh.cut_memory, saved.cut_memory);
+    EXPECT_EQ(loaded.content_hash, mesh_hash(saved));
+    EXPECT_TRUE(loaded.warnings.empty()) << loaded.warnings[0];
+    EXPECT_TRUE(loaded.fields.empty());
+    core::MeshData other = saved;
+    other.positions[0].x += 0.001;
+    write_mesh(directory / name, other);
+    for (const LoadedMesh& left_out :
+         {load_mesh(directory / name), load_mesh(directory / name, {1, {}, true})}) {
+      EXPECT_TRUE(left_out.mesh.cut_memory.empty());
+      EXPECT_EQ(left_out.mesh.cut_masks, saved.cut_masks);
+      ASSERT_EQ(left_out.warnings.size(), 1u);
+      EXPECT_NE(left_out.warnings[0].find("has been changed since it was saved with its cuts"),
+                std::string::npos);
+    }
+    write_mesh(directory / name, saved);
+    EXPECT_TRUE(load_mesh(directory / name, {0.001, {}, false}).mesh.cut_memory.empty()) << "in other units";
   }
 }
 

@@ -781,6 +781,16 @@ TEST(MeetingSavedCuts, ACoreComesOffAfterItsUndercut) {
   }
 }
 
+// In a body that is saved and loaded between strokes the blades find what those before have left, as in one session.
+TEST_P(Meet, LeavesTheSamePartsByWayOfSavedBodies) {
+  for (std::uint64_t seed = 1; seed <= 7; ++seed) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    if (meeting.strokes.size() == 1) continue;
+    const Verdict v = judge(body(), strokes_of(meeting), cut_saved(meeting, mesh())->mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
 // Where a blade that has begun in the tissue comes out of it at a slant the boundary is near, before the sweep as beside it, and nothing is parted there: the
 // cut went on for half an element.
 TEST(MeetingTheSkin, NothingOpensBeforeASweepThatBeginsAtASlant) {

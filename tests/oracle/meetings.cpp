@@ -397,15 +397,31 @@ void drain(core::CutSession& session, std::int64_t budget_units) {
   }
 }
 
-void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
-  for (const auto& stroke : meeting.strokes) {
-    for (const core::Pose& pose : stroke) {
-      INCISE_CHECK(core::accepted(session.push(0, pose)));
-      drain(session, budget_units);
-    }
-    session.end_stroke(0);
+namespace {
+
+void cut(std::span<const core::Pose> stroke, core::CutSession& session, std::int64_t budget_units) {
+  for (const core::Pose& pose : stroke) {
+    INCISE_CHECK(core::accepted(session.push(0, pose)));
     drain(session, budget_units);
   }
+  session.end_stroke(0);
+  drain(session, budget_units);
+}
+
+}  // namespace
+
+void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
+  for (const auto& stroke : meeting.strokes) cut(stroke, session, budget_units);
+}
+
+std::unique_ptr<core::CutSession> cut_saved(const Meeting& meeting, const core::MeshData& mesh) {
+  std::unique_ptr<core::CutSession> session;
+  for (const auto& stroke : meeting.strokes) {
+    session =
+        std::make_unique<core::CutSession>(session ? session->export_data() : mesh, meeting_config(meeting));
+    cut(stroke, *session, INT64_MAX);
+  }
+  return session;
 }
 
 void cut_at_once(const Meeting& meeting, core::CutSession& session) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <random>
 #include <string>
 #include <string_view>
@@ -59,6 +60,8 @@ void drain(core::CutSession& session, std::int64_t budget_units = INT64_MAX);
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
 // The same with all strokes at once, pose by pose in turn, each by a blade of its own.
 void cut_at_once(const Meeting& meeting, core::CutSession& session);
+// The same with each stroke in a session of its own, which begins with the body as the one before has left it.
+std::unique_ptr<core::CutSession> cut_saved(const Meeting& meeting, const core::MeshData& mesh);
 // What the judge is told.
 std::vector<Stroke> strokes_of(const Meeting& meeting);
 

@@ -278,6 +278,7 @@ class Fields(Folder):
         cut = incise.cut(body, THROUGH, blade=BLADE, deltas=True)
         in_process = cut.session.current_body()
         np.testing.assert_array_equal(from_file.points, in_process.points)
+        self.assertEqual(from_file.content_hash, in_process.content_hash)  # of what blades have left in it, too
         for one, other in ((from_file.vertex_fields, in_process.vertex_fields), (from_file.tet_fields, in_process.tet_fields)):
             self.assertEqual(sorted(one), sorted(other))
             for name, values in one.items():

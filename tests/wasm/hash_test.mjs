@@ -42,6 +42,26 @@ for (const phantom of ["liver", "cylinder", "slab"]) {
   });
 }
 
+test("a motion in a body that was cut and saved before", () => {
+  const motion = join(root, "config/demo_motion.csv");
+  const file = (name) => join(directory, name);
+  const blade = { heel: [0, 0, 0], tip: [0, 0, -0.12] };
+  writeFileSync(file("whole.json"), JSON.stringify({ mesh: { phantom: "liver", target_tets: 6000 }, blade }));
+  incise("convert", motion, "--config", file("whole.json"), "--out", file("whole.capture"), "--json");
+  incise("export", file("whole.capture"), "--out", file("saved.vtu"));
+  writeFileSync(file("saved.json"), JSON.stringify({ mesh: { path: "saved.vtu" }, blade }));
+  incise("convert", motion, "--config", file("saved.json"), "--out", file("saved.capture"), "--json");
+  const bytes = readFileSync(file("saved.capture"));
+  assertSameHashes(sessionOf(file("saved.capture")).replay(bytes), "in the saved body");
+  // What blades have left in it counts.
+  const { header, body } = sessionFiles(file("saved.capture"));
+  const size = Number(new DataView(body.buffer, body.byteOffset).getBigUint64(0, true));
+  assert.ok(size > 1000);
+  const forgetful = emptySession();
+  forgetful.begin(header, Buffer.concat([Buffer.alloc(8), body.subarray(8 + size)]));
+  assert.ok(forgetful.replay(bytes).differs > 0);
+});
+
 test("bad input is an error with a text, and the session goes on", () => {
   const capture = join(root, "tests/replay/planar_conforming.capture");
   const { header, body } = sessionFiles(capture);

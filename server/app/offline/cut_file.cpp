@@ -165,12 +165,14 @@ bool keeps_materials(const fs::path& path) {
 
 namespace {
 
-// `pieces`: core::piece_numbers().
-void write_mesh_and_pieces(const fs::path& path, const core::TetMesh& mesh,
-                           const std::vector<std::uint32_t>& pieces, const mesh_io::Surface* from,
-                           const core::CarriedFields* fields, const std::vector<RegionMaterials>* regions) {
+// `session`: whose mesh it is; null where it is none's.
+void write_mesh_of(const fs::path& path, const core::TetMesh& mesh, const core::CutSession* session,
+                   const mesh_io::Surface* from, const std::vector<RegionMaterials>* regions) {
+  const auto piece_of = [&] {
+    return session != nullptr ? core::piece_numbers(*session) : core::piece_numbers(mesh);
+  };
   const auto shown = [&] {
-    return cut_surface(mesh, pieces, from,
+    return cut_surface(mesh, piece_of(), from,
                        regions != nullptr ? *regions : region_materials({}, mesh.export_data(), ""));
   };
   if (is_glb_file(path)) {
@@ -186,7 +188,7 @@ void write_mesh_and_pieces(const fs::path& path, const core::TetMesh& mesh,
     mesh_io::write_surface(path, cut.surface, arrays);
     return;
   }
-  const core::MeshData data = mesh.export_data();
+  const core::MeshData data = session != nullptr ? session->export_data() : mesh.export_data();
   if (mesh_io::is_surface_file(path)) {
     mesh_io::write_surface(path, mesh_io::boundary_surface(data.positions, data.tets));
     return;
@@ -197,6 +199,7 @@ void write_mesh_and_pieces(const fs::path& path, const core::TetMesh& mesh,
     mesh_io::write_mesh(node, data);
     return;
   }
+  const std::vector<std::uint32_t> pieces = piece_of();
   std::vector<std::uint32_t> ids, piece;
   std::vector<std::uint8_t> mask, faces;
   std::vector<double> dihedral, volume;
@@ -223,18 +226,19 @@ void write_mesh_and_pieces(const fs::path& path, const core::TetMesh& mesh,
     }
   }
   mesh_io::write_mesh(path, data.positions, data.tets, arrays,
-                      fields != nullptr ? fields->exported(mesh) : std::vector<mesh_io::Field>{});
+                      session != nullptr ? session->fields().exported(mesh) : std::vector<mesh_io::Field>{},
+                      data.cut_memory);
 }
 
 }  // namespace
 
 void write_cut_mesh(const fs::path& path, const core::CutSession& session, const mesh_io::Surface* from,
                     const std::vector<RegionMaterials>* regions) {
-  write_mesh_and_pieces(path, session.mesh(), core::piece_numbers(session), from, &session.fields(), regions);
+  write_mesh_of(path, session.mesh(), &session, from, regions);
 }
 
 void write_cut_mesh(const fs::path& path, const core::TetMesh& mesh, const mesh_io::Surface* from) {
-  write_mesh_and_pieces(path, mesh, core::piece_numbers(mesh), from, nullptr, nullptr);
+  write_mesh_of(path, mesh, nullptr, from, nullptr);
 }
 
 void finish_writing(std::ofstream& out, const fs::path& path) {

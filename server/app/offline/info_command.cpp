@@ -48,6 +48,8 @@ Json describe_mesh(const mesh_io::LoadedMesh& loaded) {
   facts["tets"] = report.tets;
   facts["boundary_faces"] = report.boundary_faces;
   facts["pieces"] = report.pieces;
+  if (mesh.came_cut()) facts["cut_faces"] = report.cut_faces;
+  if (!loaded.mesh.cut_memory.empty()) facts["cut_memory_bytes"] = loaded.mesh.cut_memory.size();
   facts["regions"] = regions;
   facts["volume_m3"] = report.volume;
   facts["mean_edge_length_m"] = mesh.mean_edge_length();
@@ -101,7 +103,8 @@ bool is_poly_data(const fs::path& file) {
 
 Json describe_poly_data(const fs::path& file) {
   const std::string bytes = mesh_io::read_whole_file(file);
-  const auto pieces = mesh_io::read_vtk_xml(bytes, file.string(), true, mesh_io::VtkXmlKind::kPolyData);
+  const auto pieces =
+      mesh_io::read_vtk_xml(bytes, file.string(), true, mesh_io::VtkXmlKind::kPolyData).pieces;
   std::size_t vertices = 0, cells = 0;
   Box bounds;
   for (const mesh_io::VtkXmlPiece& piece : pieces) {

@@ -232,7 +232,7 @@ void save(Session& session, const py::object& given) {
 Body current_body(Session& session) {
   auto loaded = std::make_shared<mesh_io::LoadedMesh>();
   with_core(session, [&](const core::CutSession& core) {
-    loaded->mesh = core.mesh().export_data();
+    loaded->mesh = core.export_data();
     loaded->fields = core.fields().exported(core.mesh());
     loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
   });

@@ -4,7 +4,6 @@
 #include <utility>
 #include <vector>
 
-#include "server/core/cut/cut_ends.hpp"
 #include "server/core/cut/held_faces.hpp"
 #include "server/core/cut/sweep_ends.hpp"
 #include "server/core/cut/swept_memory.hpp"
@@ -46,10 +45,6 @@ struct CutWorkspace {
     reserve_room(vertices, mesh.vertex_slots());
     reserve_room(tets, mesh.tet_slots());
     grow(mesh);
-    // What made the cuts that a body comes with is not known.
-    if (!mesh.came_cut()) return;
-    swept.lack_what_was_before();
-    remember_cut_ends(mesh, swept);
   }
 
   // Takes in what has been added to the mesh: a copy of a vertex lies on the surfaces that the vertex lay on.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -20,6 +21,9 @@ struct MeshData {
   // Of each tetrahedron, bit f: an earlier cut opened face f, which is on the boundary (elsewhere it means nothing). Empty: none. What a stroke joins to a
   // cut, it joins to such faces, too.
   std::vector<std::uint8_t> cut_masks = {};
+  // What blades have left in it beside these cuts, as CutSession::export_data() gives it (cut_memory.hpp). Empty: not known. Where points or
+  // tetrahedra are others than it was saved with, it means nothing.
+  std::vector<std::byte> cut_memory = {};
   // What lies behind each face: entry 4 t + f is 4 n + g where face f of t is face g of n, kNone on the boundary. Readers that have found
   // this out leave it here where the tetrahedra at each vertex hang together through faces, which saves TetMesh a third of its time. Empty:
   // not known. Whoever changes `tets` clears it.

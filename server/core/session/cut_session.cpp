@@ -6,6 +6,8 @@
 #include "server/base/check.hpp"
 #include "server/core/cut/conforming/conforming_cutter.hpp"
 #include "server/core/cut/croll/croll_cutter.hpp"
+#include "server/core/cut/cut_ends.hpp"
+#include "server/core/cut/cut_memory.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/validate.hpp"
 #include "server/core/session/session_state.hpp"
@@ -19,7 +21,9 @@ CutSession::CutSession(const MeshData& mesh, const CutConfig& config, std::span<
       pieces_(mesh_),
       fields_(fields, mesh, mesh_),
       measured_(workspace_),
-      mover_(mesh_, workspace_) {}
+      mover_(mesh_, workspace_) {
+  recall(has_its_cut_memory(mesh) ? std::span(mesh.cut_memory) : std::span<const std::byte>());
+}
 
 CutSession::CutSession(const LoadedBody& body, const CutConfig& config)
     : mesh_(body.mesh()),
@@ -28,9 +32,25 @@ CutSession::CutSession(const LoadedBody& body, const CutConfig& config)
       pieces_(mesh_, body.clusters()),
       fields_(body.fields()),
       measured_(workspace_),
-      mover_(mesh_, workspace_) {}
+      mover_(mesh_, workspace_) {
+  recall(body.cut_memory());
+}
 
 CutSession::~CutSession() = default;
+
+// What blades have left in the body that it begins with.
+void CutSession::recall(std::span<const std::byte> cut_memory) {
+  if (!cut_memory.empty() && restore_cut_memory(cut_memory, mesh_, workspace_, stroke_counter_)) return;
+  if (!mesh_.came_cut()) return;
+  workspace_.swept.lack_what_was_before();
+  remember_cut_ends(mesh_, workspace_.swept);
+}
+
+MeshData CutSession::export_data() const {
+  MeshData data = mesh_.export_data();
+  data.cut_memory = save_cut_memory(workspace_, mesh_, stroke_counter_, data);
+  return data;
+}
 
 CutSession::Source& CutSession::source(std::uint32_t number) {
   if (!sources_[number]) set_blade(number, config_.blade);

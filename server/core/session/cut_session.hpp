@@ -60,6 +60,8 @@ class CutSession {
   void prefetch();
 
   const TetMesh& mesh() const { return mesh_; }
+  // The mesh as it is now, renumbered without gaps in the order of ids, with what a later session has to know of the cuts in it. O(mesh).
+  MeshData export_data() const;
   // Where the mesh's boundary is, cut faces included, as of the last operation.
   const BoundaryGrid& boundary() const { return workspace_.grid; }
   // Which piece of the body a living tetrahedron is in (Delta::pieces), as of revision().
@@ -100,6 +102,7 @@ class CutSession {
     StrokeBuilder builder;
     std::unique_ptr<Cutter> cutter;
   };
+  void recall(std::span<const std::byte> cut_memory);
   Source& source(std::uint32_t number);
   bool finish(WorkBudget& budget);
   bool measure(WorkBudget& budget);

@@ -2,7 +2,9 @@
 
 #include <optional>
 #include <span>
+#include <vector>
 
+#include "server/core/cut/cut_memory.hpp"
 #include "server/core/mesh/boundary_grid.hpp"
 #include "server/core/mesh/field.hpp"
 #include "server/core/mesh/mesh_data.hpp"
@@ -26,7 +28,9 @@ class LoadedBody {
   // The same in two halves that take about as long: form_clusters() once, before the first copy. Meanwhile the mesh can be used.
   struct ClustersLater {};
   LoadedBody(const MeshData& data, std::span<const Field> fields, ClustersLater)
-      : mesh_(data), grid_(mesh_), fields_(fields, data, mesh_) {}
+      : mesh_(data), grid_(mesh_), fields_(fields, data, mesh_) {
+    if (has_its_cut_memory(data)) cut_memory_ = data.cut_memory;
+  }
   void form_clusters() { clusters_.emplace(mesh_); }
   LoadedBody(const LoadedBody&) = delete;
   LoadedBody& operator=(const LoadedBody&) = delete;
@@ -35,12 +39,15 @@ class LoadedBody {
   const BoundaryGrid& grid() const { return grid_; }
   const TetClusters& clusters() const { return *clusters_; }
   const CarriedFields& fields() const { return fields_; }
+  // MeshData::cut_memory; empty where it does not belong to the mesh.
+  std::span<const std::byte> cut_memory() const { return cut_memory_; }
 
  private:
   const TetMesh mesh_;
   const BoundaryGrid grid_;
   std::optional<const TetClusters> clusters_;
   const CarriedFields fields_;
+  std::vector<std::byte> cut_memory_;
 };
 
 }  // namespace incise::core

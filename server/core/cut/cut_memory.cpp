@@ -1,0 +1,125 @@
+#include "server/core/cut/cut_memory.hpp"
+
+#include <bit>
+#include <utility>
+
+#include "server/core/util/archive.hpp"
+
+namespace incise::core {
+namespace {
+
+constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kMostStrokes = 1U << 31;
+
+// FNV-1a, of words.
+class Fingerprint {
+ public:
+  void add(std::uint64_t word) { value_ = (value_ ^ word) * 0x100000001b3; }
+  std::uint64_t value() const { return value_; }
+
+ private:
+  std::uint64_t value_ = 0xcbf29ce484222325;
+};
+
+std::uint64_t fingerprint(const MeshData& mesh) {
+  Fingerprint print;
+  print.add(mesh.positions.size());
+  for (const Vec3& p : mesh.positions) {
+    for (const double x : {p.x, p.y, p.z}) print.add(std::bit_cast<std::uint64_t>(x));
+  }
+  for (const auto& tet : mesh.tets) {
+    for (const VertexId v : tet) print.add(v);
+  }
+  return print.value();
+}
+
+struct Header {
+  std::uint32_t version = kVersion;
+  std::uint64_t fingerprint = 0;
+  std::uint32_t strokes = 0;
+
+  void archive(Archive& io) {
+    io(version);
+    io(fingerprint);
+    io(strokes);
+    io.demand(version == kVersion, "it is of another version");
+    io.demand(strokes <= kMostStrokes, "there were more strokes than are counted");
+  }
+};
+
+struct Memory {
+  SweepEnds ends;
+  SweptMemory swept;
+  HeldFaces held, ribs, necks;
+
+  void archive(Archive& io, const TetMesh& mesh) {
+    ends.archive(io);
+    swept.archive(io);
+    for (HeldFaces* faces : {&held, &ribs, &necks}) faces->archive(io, mesh);
+  }
+};
+
+// The number that each tetrahedron has once those before it that are gone are left out.
+std::vector<TetId> numbers_without_gaps(const TetMesh& mesh) {
+  std::vector<TetId> numbers(mesh.tet_slots(), kNone);
+  TetId next = 0;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (mesh.alive(t)) numbers[t] = next++;
+  }
+  return numbers;
+}
+
+HeldFaces renumbered(const HeldFaces& faces, std::span<const TetId> numbers) {
+  HeldFaces to;
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    HeldFace held = faces[i];
+    const TetId t = numbers[tet_of(held.face)];
+    if (t == kNone) continue;
+    held.face = half_face(t, face_of(held.face));
+    to.push(held);
+  }
+  return to;
+}
+
+}  // namespace
+
+std::vector<std::byte> save_cut_memory(const CutWorkspace& workspace, const TetMesh& mesh,
+                                       std::uint32_t strokes, const MeshData& exported) {
+  if (workspace.swept.quads().empty() && workspace.ends.size() == 0) return {};
+  const std::vector<TetId> numbers = numbers_without_gaps(mesh);
+  Memory memory{workspace.ends, workspace.swept, renumbered(workspace.held, numbers),
+                renumbered(workspace.ribs, numbers), renumbered(workspace.necks, numbers)};
+  Header header{kVersion, fingerprint(exported), strokes};
+  Archive out;
+  header.archive(out);
+  memory.archive(out, mesh);
+  return out.take();
+}
+
+bool has_its_cut_memory(const MeshData& mesh) {
+  if (mesh.cut_memory.empty()) return false;
+  Archive in(mesh.cut_memory);
+  Header header;
+  header.archive(in);
+  return !in.failed() && header.fingerprint == fingerprint(mesh);
+}
+
+bool restore_cut_memory(std::span<const std::byte> bytes, const TetMesh& mesh, CutWorkspace& workspace,
+                        std::uint32_t& strokes) {
+  Archive in(bytes);
+  Header header;
+  Memory memory;
+  header.archive(in);
+  memory.archive(in, mesh);
+  in.demand(in.at_end(), "something follows its end");
+  if (in.failed()) return false;
+  strokes = header.strokes;
+  workspace.ends = std::move(memory.ends);
+  workspace.swept = std::move(memory.swept);
+  workspace.held = std::move(memory.held);
+  workspace.ribs = std::move(memory.ribs);
+  workspace.necks = std::move(memory.necks);
+  return true;
+}
+
+}  // namespace incise::core
