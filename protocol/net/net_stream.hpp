@@ -16,6 +16,11 @@
 
 #include "protocol/net/io_handler.hpp"
 
+// Else there are two copies of Beast's error categories in a program, and what compares them goes wrong: requests of more than 512 bytes got 400.
+#if !defined(BOOST_ASIO_SEPARATE_COMPILATION) || !defined(BOOST_BEAST_SEPARATE_COMPILATION)
+#error "link to incise_net, which Asio and Beast are compiled into"
+#endif
+
 namespace incise::net {
 
 // The first buffers of a sequence, of one type whatever the sequence's is. Reads and writes of "some" may stop there.
