@@ -817,6 +817,39 @@ TEST(MeetingTheSkin, NothingOpensBeforeASweepThatBeginsAtASlant) {
   EXPECT_LE(v.alone_max_h, 0.15) << to_string(v);
 }
 
+// A blade that turns about its tip, in a slit that its heel follows: both of its ends are where something was swept, and all between them is new. From 0.7 to
+// 0.95 h of length nothing was cut.
+TEST(MeetingSlits, ALidThatAShortBladeTurnsOverComesOff) {
+  const core::MeshData cube = tests::cube(10);
+  const double h = core::TetMesh(cube).mean_edge_length();
+  const Vec3 middle{0.0503, 0.0496, 0.0507};
+  core::CutConfig config;
+  config.always_engaged = true;
+  config.speed_limit_m_s = config.gap_limit_s = 1e9;
+  for (double radius_h : {0.5, 0.7, 0.8, 0.9, 0.95, 1.0, 1.2}) {
+    const double radius_m = radius_h * h;
+    core::CutSession session(cube, config);
+    core::Pose pose;
+    // A turn about an axis along z, with a blade along z or towards the axis.
+    const auto turn = [&](const core::Blade& blade) {
+      session.set_blade(0, blade);
+      for (int i = 0; i <= 64; ++i) {
+        const double angle = 0.3 + 2 * std::numbers::pi * i / 64;
+        pose.t_ns += 20'000'000;
+        pose.position = middle;
+        pose.orientation = {std::cos(angle / 2), 0, 0, std::sin(angle / 2)};
+        EXPECT_TRUE(core::accepted(session.push(0, pose)));
+        drain(session);
+      }
+      session.end_stroke(0);
+      drain(session);
+    };
+    turn({{radius_m, 0, 0.06}, {radius_m, 0, 0}});
+    turn({{radius_m, 0, 0}, {0, 0, 0}});
+    EXPECT_EQ(core::measure(session.mesh()).pieces, 2) << radius_h << " h";
+  }
+}
+
 // A blade that goes through the same slit ten times, up to a tenth of an element beside it.
 TEST(MeetingSlits, GoingOverOneAgainAddsNextToNothing) {
   const core::MeshData cube = tests::cube(12);

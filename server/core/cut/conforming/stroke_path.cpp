@@ -142,8 +142,9 @@ bool StrokePath::is_over(const BladeLine& line, const Tissue& tissue, WorkMeter&
 
 template <class Is>
 bool StrokePath::everywhere(const BladeLine& line, const Tissue& tissue, WorkMeter& work, Is is) const {
+  // Amid a short blade, too: where it turns about its tip in a slit, both of its ends are where something was swept.
   const int columns =
-      static_cast<int>(std::clamp(std::ceil(distance(line.heel, line.tip) / h_), 1.0, kMaxRetraceColumns));
+      static_cast<int>(std::clamp(std::ceil(distance(line.heel, line.tip) / h_), 2.0, kMaxRetraceColumns));
   const Vec3 &low = tissue.low, &high = tissue.high;
   for (int column = 0; column <= columns; ++column) {
     const Vec3 p = lerp(line.heel, line.tip, static_cast<double>(column) / columns);
