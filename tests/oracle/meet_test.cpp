@@ -186,7 +186,7 @@ TEST_P(Meet, InABodyThatIsBent) {
 
 // The body turns and drifts between the strokes, and the hand goes with it.
 TEST_P(Meet, InABodyThatMovesBetweenStrokes) {
-  for (const std::uint64_t seed : {21, 22, 23}) {
+  for (const std::uint64_t seed : {21, 22, 23, 24, 25, 26, 27}) {
     const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
     core::CutSession session(mesh(), meeting_config(meeting));
     Turned turned{0.5 * (body().low + body().high), 0};
@@ -201,6 +201,25 @@ TEST_P(Meet, InABodyThatMovesBetweenStrokes) {
       drain(session);
     }
     deform(session, [](const Vec3& p) { return p; });
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
+// What blades have swept goes with the tissue: a simulation that has the body where it is changes nothing, whatever comes next.
+TEST_P(Meet, WhereASimulationLeavesTheBodyAsItIs) {
+  for (std::uint64_t seed = 1; seed <= 7; ++seed) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    for (const auto& stroke : meeting.strokes) {
+      for (const core::Pose& pose : stroke) {
+        session.push(0, pose);
+        drain(session);
+      }
+      session.end_stroke(0);
+      drain(session);
+      deform(session, [](const Vec3& p) { return p; });
+    }
     const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
     EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
   }

@@ -89,6 +89,8 @@ std::vector<std::byte> save_cut_memory(const CutWorkspace& workspace, const TetM
   const std::vector<TetId> numbers = numbers_without_gaps(mesh);
   Memory memory{workspace.ends, workspace.swept, renumbered(workspace.held, numbers),
                 renumbered(workspace.ribs, numbers), renumbered(workspace.necks, numbers)};
+  memory.ends.lose_anchors();
+  memory.swept.lose_anchors();
   Header header{kVersion, fingerprint(exported), strokes};
   Archive out;
   header.archive(out);
@@ -113,6 +115,8 @@ bool restore_cut_memory(std::span<const std::byte> bytes, const TetMesh& mesh, C
   memory.archive(in, mesh);
   in.demand(in.at_end(), "something follows its end");
   if (in.failed()) return false;
+  memory.ends.lose_anchors();
+  memory.swept.lose_anchors();
   strokes = header.strokes;
   workspace.ends = std::move(memory.ends);
   workspace.swept = std::move(memory.swept);

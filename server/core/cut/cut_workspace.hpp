@@ -78,6 +78,11 @@ struct CutWorkspace {
     });
     io.list(tets, 4, [&](TetMarks& marks) { io(marks.active); });
     if (!io.reads()) return;
+    const auto check = [&](const BladeLine&, const LineAnchor& anchor) {
+      io.demand(anchor.is_of(mesh.vertex_slots()), "an anchor at a vertex that does not exist");
+    };
+    ends.each_line(check);
+    swept.each_line(check);
     io.demand(vertices.size() == mesh.vertex_slots() && tets.size() == mesh.tet_slots(),
               "stamps and mesh differ in size");
     if (io.failed()) return;

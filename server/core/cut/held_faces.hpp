@@ -23,6 +23,8 @@ class HeldFaces {
  public:
   // In the folds of a brain a stroke holds some 2,000.
   static constexpr std::size_t kMost = 4096;
+  // One that is looked at again is the same if its middle has moved no farther than this by itself.
+  static constexpr double kSame_h = 0.1;
 
   HeldFaces() : table_(kTable, 0) { faces_.reserve(kMost); }
 
@@ -48,6 +50,18 @@ class HeldFaces {
   void clear() {
     faces_.clear();
     enter_all();
+  }
+
+  // Before the body moves: leaves out what is another face by now. Afterwards: where they are.
+  void leave_out_changed(const TetMesh& mesh, double same_m) {
+    const std::size_t before = faces_.size();
+    std::erase_if(faces_, [&](const HeldFace& held) {
+      return !mesh.alive(tet_of(held.face)) || distance(mesh.face_middle(held.face), held.middle) > same_m;
+    });
+    if (faces_.size() != before) enter_all();
+  }
+  void note_middles(const TetMesh& mesh) {
+    for (HeldFace& held : faces_) held.middle = mesh.face_middle(held.face);
   }
 
   void archive(Archive& io, const TetMesh& mesh) {

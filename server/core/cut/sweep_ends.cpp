@@ -41,6 +41,14 @@ std::uint32_t SweepEnd::straight_to(std::uint32_t k, std::uint32_t part, double 
   return farthest;
 }
 
+void SweepEnd::enclose() {
+  low = high = at(0, 0);
+  for (std::size_t k = 0; k < line_count; ++k) {
+    extend(at(k, 0), low, high);
+    extend(at(k, part_count), low, high);
+  }
+}
+
 void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count,
                     double part_m, const Vec3& low, const Vec3& high) {
   SweepEnd end;
@@ -52,17 +60,13 @@ void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* line
   const double length_m = (end.last_part - end.first_part) * distance(lines[0].heel, lines[0].tip);
   end.part_count =
       static_cast<std::uint32_t>(std::clamp(std::ceil(length_m / part_m), 1.0, 1.0 * SweepEnd::kMaxParts));
-  end.low = end.high = end.at(0, 0);
-  for (std::size_t k = 0; k < end.line_count; ++k) {
-    extend(end.at(k, 0), end.low, end.high);
-    extend(end.at(k, end.part_count), end.low, end.high);
-  }
+  end.enclose();
   if (ends_.size() == kMaxEnds) ends_.erase(ends_.begin());
   ends_.push_back(end);
 }
 
 void SweepEnds::archive(Archive& io) {
-  io.list(ends_, 60, [&](SweepEnd& end) {
+  io.list(ends_, 61, [&](SweepEnd& end) {
     io(end.stroke);
     io(end.travel_m);
     io(end.line_count);
@@ -73,6 +77,7 @@ void SweepEnds::archive(Archive& io) {
       io(end.lines[i].heel);
       io(end.lines[i].tip);
     }
+    archive_anchors(io, end.anchors);
     io(end.first_part);
     io(end.last_part);
     io(end.part_count);

@@ -5,12 +5,13 @@
 #include <cstdint>
 #include <vector>
 
+#include "server/core/cut/line_anchor.hpp"
 #include "server/core/stroke/blade.hpp"
 #include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
-// Where a sweep began or ended, and a strip of what was swept there.
+// Where a sweep began or ended, and a strip of what was swept there, which goes with the tissue as it moves (SweptFollower).
 struct SweepEnd {
   static constexpr std::size_t kMaxLines = 16;
   static constexpr std::uint32_t kMaxParts = 64;
@@ -19,6 +20,7 @@ struct SweepEnd {
   double travel_m = 0;  // of the blade in that stroke, then
   std::array<BladeLine, kMaxLines>
       lines;  // the first one is where it ended, the others follow the sweep from there
+  std::array<LineAnchor, kMaxLines> anchors{};
   std::uint32_t line_count = 0;
   double first_part = 0, last_part = 1;  // what of the blade, from heel to tip, was near the tissue
   std::uint32_t part_count = 0;          // into which that is divided, kMaxParts at most
@@ -27,6 +29,7 @@ struct SweepEnd {
   std::array<std::uint16_t, kMaxParts> open{};
   Vec3 low, high;  // a box around all lines'
 
+  void enclose();  // sets low and high
   // Where a part begins on the blade, from heel to tip.
   double along(double part) const { return first_part + (last_part - first_part) * part / part_count; }
   // A point of line k, at the beginning of a part.
@@ -49,8 +52,17 @@ class SweepEnds {
   // parts are `part_m` long, or longer where there are too many.
   void add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count, double part_m,
            const Vec3& low, const Vec3& high);
-  // The body has moved, the ends have not.
-  void clear() { ends_.clear(); }
+  // Calls visit(line, anchor) for all lines, which it may move; then enclose() of each end is due.
+  template <class Visit>
+  void each_line(Visit visit) {
+    for (SweepEnd& end : ends_) {
+      for (std::size_t k = 0; k < end.line_count; ++k) visit(end.lines[k], end.anchors[k]);
+    }
+  }
+  // Nothing has an anchor: the numbers of vertices are others.
+  void lose_anchors() {
+    for (SweepEnd& end : ends_) end.anchors = {};
+  }
 
   void archive(Archive& io);
 

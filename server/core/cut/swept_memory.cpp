@@ -75,7 +75,7 @@ void SweptMemory::archive(Archive& io) {
   std::uint64_t oldest = oldest_;
   io(oldest);
   io(is_whole_);
-  io.list(quads_, 127, [&](Quad& quad) {
+  io.list(quads_, 128, [&](Quad& quad) {
     for (BladeLine* line : {&quad.from, &quad.to}) {
       io(line->heel);
       io(line->tip);
@@ -83,6 +83,7 @@ void SweptMemory::archive(Archive& io) {
     io(quad.stroke);
     io(quad.travel_m);
     io(quad.has_rims);
+    archive_anchors(io, quad.anchors);
     for (Rim& rim : quad.rims) {
       io(rim.parts);
       io(rim.free);
@@ -97,7 +98,7 @@ void SweptMemory::archive(Archive& io) {
   oldest_ = io.failed() ? 0 : oldest;
   quads_.reserve(kMost);
   blocks_.clear();
-  for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
+  enclose();
 }
 
 }  // namespace incise::core

@@ -7,13 +7,14 @@
 #include <span>
 #include <vector>
 
+#include "server/core/cut/line_anchor.hpp"
 #include "server/core/geometry/box.hpp"
 #include "server/core/stroke/blade.hpp"
 #include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
-// The newest of what all blades have swept in a body at rest, as quads between two lines: what a later stroke parts may hang together where an
+// The newest of what all blades have swept in a body, as quads between two lines, which go with the tissue as it moves (SweptFollower): what a later stroke parts may hang together where an
 // older one has been, and the surface of that one is gone. Some hundred h of a blade's way.
 class SweptMemory {
  public:
@@ -30,6 +31,7 @@ class SweptMemory {
     double travel_m = 0;        // of the blade in that stroke, before
     bool has_rims = false;      // the heel's and the tip's ways; else it leads from a sweep to a wall
     std::array<Rim, 2> rims{};  // the heel's and the tip's
+    std::array<LineAnchor, 2> anchors{};
 
     Box box() const { return Box::around({from.heel, from.tip, to.heel, to.tip}); }
     // Part k of a rim, from the one line to the other.
@@ -57,12 +59,20 @@ class SweptMemory {
   void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
            const Box& box);
   void add(const Quad& quad);
-  // The body has moved, the quads have not.
-  void clear() {
-    is_whole_ = is_whole_ && quads_.empty();
-    quads_.clear();
-    blocks_.clear();
-    oldest_ = 0;
+  // Calls visit(line, anchor) for both lines of each quad, which it may move; then enclose() is due.
+  template <class Visit>
+  void each_line(Visit visit) {
+    for (Quad& quad : quads_) {
+      visit(quad.from, quad.anchors[0]);
+      visit(quad.to, quad.anchors[1]);
+    }
+  }
+  void enclose() {
+    for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
+  }
+  // Nothing has an anchor: the numbers of vertices are others.
+  void lose_anchors() {
+    for (Quad& quad : quads_) quad.anchors = {};
   }
   void lack_what_was_before() { is_whole_ = false; }
   // Whether nothing but the oldest of what was swept in this body has been forgotten.

@@ -98,6 +98,8 @@ class TetMesh {
   // A tetrahedron that has v; kNone where none is left.
   TetId vertex_tet(VertexId v) const { return vertices_[v].tet; }
   // Mean length of the edges at v when v came into being, m.
+  // Whether any tetrahedron has v.
+  bool is_used(VertexId v) const { return vertices_[v].tet != kNone; }
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
   // Whether a face at v has nothing on its other side. O(1).
   bool at_boundary(VertexId v) const { return at_boundary_[v] != 0; }

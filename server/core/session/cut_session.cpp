@@ -21,7 +21,8 @@ CutSession::CutSession(const MeshData& mesh, const CutConfig& config, std::span<
       pieces_(mesh_),
       fields_(fields, mesh, mesh_),
       measured_(workspace_),
-      mover_(mesh_, workspace_) {
+      mover_(mesh_, workspace_),
+      follower_(mesh_, workspace_) {
   recall(has_its_cut_memory(mesh) ? std::span(mesh.cut_memory) : std::span<const std::byte>());
 }
 
@@ -32,7 +33,8 @@ CutSession::CutSession(const LoadedBody& body, const CutConfig& config)
       pieces_(mesh_, body.clusters()),
       fields_(body.fields()),
       measured_(workspace_),
-      mover_(mesh_, workspace_) {
+      mover_(mesh_, workspace_),
+      follower_(mesh_, workspace_) {
   recall(body.cut_memory());
 }
 
@@ -118,8 +120,10 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
       if (source) source->cutter->clinging(clinging_);
     }
     mover_.begin(*queue_.front().deformation, clinging_, known);
+    follower_.begin();
     begun_ = true;
   }
+  if (!follower_.advance(budget)) return Progress::kSpent;
   if (!mover_.advance(budget)) return Progress::kSpent;
   // Moving them takes some 2 ns a vertex and cannot be interrupted: the caller may want to start it at a better time.
   if (!moves_next_ && budget.left < static_cast<std::int64_t>(mover_.moving())) {
@@ -131,11 +135,9 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   queue_.pop(committed_);
   committed_counts_ = {};
   describe(delta);
+  follower_.note();
   mover_.commit(delta);
-  workspace_.ends.clear();
-  workspace_.swept.clear();
-  workspace_.held.clear();
-  workspace_.necks.clear();
+  follower_.follow();
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE
   const std::string problem = validate(mesh_, config_.policy != Policy::kCroll);

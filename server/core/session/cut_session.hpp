@@ -8,6 +8,7 @@
 #include "server/core/cut/cut_config.hpp"
 #include "server/core/cut/cut_workspace.hpp"
 #include "server/core/cut/cutter.hpp"
+#include "server/core/cut/swept_follower.hpp"
 #include "server/core/mesh/delta.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/carried_fields.hpp"
@@ -129,6 +130,7 @@ class CutSession {
   TetPass measured_;
   double worst_ = 0;
   VertexMover mover_;
+  SweptFollower follower_;
   std::size_t deformations_ = 0;  // in the queue
   bool begun_ = false;            // the oldest one is under way
   bool moves_next_ = false;       // and all is known

@@ -100,16 +100,32 @@ TEST(CutMemory, GoesThroughASessionThatCutsNothing) {
   EXPECT_EQ(CutSession(saved, config()).export_data().cut_memory, saved.cut_memory);
 }
 
-TEST(CutMemory, IsForgottenWhereTheBodyMoves) {
+// What blades have left goes with the tissue, and is the saved body's, wherever that is.
+TEST(CutMemory, GoesWithABodyThatMoves) {
   CutSession session(cut_box(), config());
+  const Vec3 by{0.02, -0.01, 0.03};
   auto positions = std::make_shared<VertexPositions>();
   positions->revision = session.revision();
   for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v)
-    positions->positions.push_back(session.mesh().position(v) + Vec3{0, 0, 1e-4});
+    positions->positions.push_back(session.mesh().position(v) + by);
   session.deform(positions);
   Delta delta;
   drain(session, delta);
-  EXPECT_TRUE(session.export_data().cut_memory.empty());
+  const MeshData moved = session.export_data();
+  EXPECT_TRUE(has_its_cut_memory(moved));
+  const TetMesh rest(cut_box()), now(moved);
+  std::uint32_t strokes = 0;
+  CutWorkspace before(rest), after(now);
+  ASSERT_TRUE(restore_cut_memory(cut_box().cut_memory, rest, before, strokes));
+  ASSERT_TRUE(restore_cut_memory(moved.cut_memory, now, after, strokes));
+  ASSERT_EQ(before.swept.quads().size(), after.swept.quads().size());
+  for (std::size_t i = 0; i < before.swept.quads().size(); ++i) {
+    const auto &was = before.swept.quads()[i], &is = after.swept.quads()[i];
+    for (const auto& [from, to] : {std::pair{was.from, is.from}, std::pair{was.to, is.to}}) {
+      EXPECT_LT(distance(from.heel + by, to.heel), 1e-9) << i;
+      EXPECT_LT(distance(from.tip + by, to.tip), 1e-9) << i;
+    }
+  }
 }
 
 // The bytes are a file's. Whatever they are, the body can be cut.

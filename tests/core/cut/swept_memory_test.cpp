@@ -49,7 +49,7 @@ TEST(SweptMemory, KeepsNothingOfABladeInTheAir) {
 
 TEST(SweptMemory, ForgetsTheOldest) {
   SweptMemory memory;
-  for (std::uint32_t i = 1; i <= 3000; ++i) memory.add({line_at(0), line_at(1), i, 0, true, {}});
+  for (std::uint32_t i = 1; i <= 3000; ++i) memory.add({line_at(0), line_at(1), i, 0, true, {}, {}});
   ASSERT_EQ(memory.quads().size(), 2048u);
   std::vector<bool> kept(3001, false);
   for (const SweptMemory::Quad& quad : memory.quads()) kept[quad.stroke] = true;
@@ -77,14 +77,14 @@ TEST(SweptMemory, FindsTheRimsInTheTissueThatAreFree) {
   EXPECT_EQ(with_free_rim(memory, above), (std::vector<std::size_t>{0, 1})) << "half of the first one";
   memory.take(0, SweptMemory::kTip, 1);
   EXPECT_EQ(with_free_rim(memory, above), std::vector<std::size_t>{1});
-  memory.clear();
+  memory = {};
   EXPECT_TRUE(with_free_rim(memory, above).empty());
 }
 
 TEST(SweptMemory, FindsFreeRimsAmongManyAndAfterOldOnesAreForgotten) {
   SweptMemory memory;
   for (std::uint32_t i = 0; i < 3000; ++i)
-    memory.add({line_at(i), line_at(i + 0.5), i + 1, 0, true, {{{}, {1, i % 100 == 0 ? 1u : 0u}}}});
+    memory.add({line_at(i), line_at(i + 0.5), i + 1, 0, true, {{{}, {1, i % 100 == 0 ? 1u : 0u}}}, {}});
   const auto around = [](double x) { return Box{{x - 0.1, -9, -9}, {x + 0.1, 9, 9}}; };
   const auto strokes_near = [&](double x) {
     std::vector<std::uint32_t> strokes;
@@ -96,25 +96,11 @@ TEST(SweptMemory, FindsFreeRimsAmongManyAndAfterOldOnesAreForgotten) {
   EXPECT_TRUE(strokes_near(900).empty()) << "forgotten";
 }
 
-TEST(SweptMemory, IsNotWholeWhereABodyThatWasCutHasMoved) {
-  SweptMemory memory;
-  memory.clear();
-  EXPECT_TRUE(memory.is_whole()) << "nothing was cut yet";
-  memory.add({line_at(0), line_at(1), 1, 0, true, {}});
-  EXPECT_TRUE(memory.is_whole());
-  memory.clear();
-  EXPECT_FALSE(memory.is_whole());
-  memory.add({line_at(0), line_at(1), 2, 0, true, {}});
-  memory.clear();
-  EXPECT_FALSE(memory.is_whole());
-}
-
 TEST(SweptMemory, ComesBackAsItWasSaved) {
   SweptMemory memory;
-  memory.add({line_at(0), line_at(1), 1, 0, true, {}});
-  memory.clear();
+  memory.lack_what_was_before();
   for (std::uint32_t i = 1; i <= 2100; ++i)
-    memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0, {{{3, i % 8}, {64, i}}}});
+    memory.add({line_at(i), line_at(i + 1), i, 0.5 * i, i % 2 == 0, {{{3, i % 8}, {64, i}}}, {}});
   Archive out;
   memory.archive(out);
   const auto bytes = out.take();
@@ -124,7 +110,7 @@ TEST(SweptMemory, ComesBackAsItWasSaved) {
   ASSERT_FALSE(in.failed()) << in.error();
   EXPECT_FALSE(back.is_whole());
   // Whatever comes next takes the same place.
-  for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false, {}});
+  for (SweptMemory* one : {&memory, &back}) one->add({line_at(0), line_at(1), 9999, 0, false, {}, {}});
   ASSERT_EQ(back.quads().size(), memory.quads().size());
   for (std::size_t i = 0; i < back.quads().size(); ++i) {
     EXPECT_EQ(back.quads()[i].stroke, memory.quads()[i].stroke) << i;

@@ -149,7 +149,7 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     const auto& [h, middle, off_m, meets] = held[next_];
     cut_.work += cost::kLook;
     if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone || cut_.is_pending(h) || !all_at_boundary(h) ||
-        distance(mesh_.face_middle(h), middle) > kSameFace_h * cut_.h)
+        distance(mesh_.face_middle(h), middle) > HeldFaces::kSame_h * cut_.h)
       continue;
     Gap gap{off_m, h, meets, true, kind};
     // What was farther off when it was seen may lie on what has been swept since.

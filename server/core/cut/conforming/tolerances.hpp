@@ -137,9 +137,6 @@ inline constexpr std::size_t kNearWay = 32;
 // When a stroke ends, so many are looked at besides, both sides together; so many of one side before the other's turn; and so many for
 // all faces, after which no more are begun.
 inline constexpr std::size_t kMaxFarWay = 100000, kFarChunk = 32, kMaxFarWays = 200000;
-// A face that had to stay closed and is judged again when a stroke ends is the same if its middle has moved no farther than this.
-inline constexpr double kSameFace_h = 0.1;
-
 // ---- Waiting for the blade.
 
 // A vertex nearer than this to the blade's present line waits: what is swept next may concern it too.

@@ -1,0 +1,230 @@
+#include "server/core/cut/swept_follower.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "server/core/geometry/box.hpp"
+
+namespace incise::core {
+namespace {
+
+// How far around a point vertices are looked for: the first one that has any.
+constexpr std::array kReach_h = {0.25, 1.0, 4.0};
+constexpr double kReachAll_h = 1e6;
+// Two points of a line that are nearer than this go together.
+constexpr double kApart = 1e-3;
+// Of the tetrahedra that are looked at so many make a unit of work.
+constexpr std::int64_t kTetsAUnit = 4;
+
+// What of a line lies in a box, as parts of it; all of it where nothing does.
+std::array<float, 2> clip(const BladeLine& line, const Box& box) {
+  double first = 0, last = 1;
+  const auto clip_axis = [&](double from, double to, double low, double high) {
+    const double way = to - from;
+    if (way == 0) return;
+    const double s = (low - from) / way, t = (high - from) / way;
+    first = std::max(first, std::min(s, t));
+    last = std::min(last, std::max(s, t));
+  };
+  clip_axis(line.heel.x, line.tip.x, box.low.x, box.high.x);
+  clip_axis(line.heel.y, line.tip.y, box.low.y, box.high.y);
+  clip_axis(line.heel.z, line.tip.z, box.low.z, box.high.z);
+  if (!(first < last)) return {0, 1};
+  return {static_cast<float>(first), static_cast<float>(last)};
+}
+
+// The rigid motion that takes some points to others best, by least squares.
+class RigidMotion {
+ public:
+  void add(const Vec3& from, const Vec3& to) {
+    from_[count_] = from;
+    to_[count_++] = to;
+  }
+  std::size_t count() const { return count_; }
+  void fit() {
+    for (std::size_t i = 0; i < count_; ++i) {
+      from_middle_ += (1 / static_cast<double>(count_)) * from_[i];
+      to_middle_ += (1 / static_cast<double>(count_)) * to_[i];
+    }
+    // Each time by the turn that is best while it is small.
+    for (int i = 0; i < kTurns; ++i) turn();
+  }
+  Vec3 operator()(const Vec3& p) const { return to_middle_ + rotate(rotation_, p - from_middle_); }
+
+ private:
+  static constexpr int kTurns = 3;
+  // Points in a line say nothing about a turn around that: then there is none.
+  static constexpr double kStiff = 1e-6;
+
+  void turn() {
+    Vec3 columns[3] = {}, sum{};
+    for (std::size_t i = 0; i < count_; ++i) {
+      const Vec3 r = rotate(rotation_, from_[i] - from_middle_);
+      const double l2 = squared_length(r);
+      columns[0] += Vec3{l2, 0, 0} - r.x * r;
+      columns[1] += Vec3{0, l2, 0} - r.y * r;
+      columns[2] += Vec3{0, 0, l2} - r.z * r;
+      sum += cross(r, to_[i] - to_middle_);
+    }
+    const double stiff = kStiff * (columns[0].x + columns[1].y + columns[2].z);
+    columns[0].x += stiff;
+    columns[1].y += stiff;
+    columns[2].z += stiff;
+    const double det = dot(columns[0], cross(columns[1], columns[2]));
+    if (!(det > 0)) return;
+    const Vec3 half =
+        (0.5 / det) * Vec3{dot(sum, cross(columns[1], columns[2])), dot(sum, cross(columns[2], columns[0])),
+                           dot(sum, cross(columns[0], columns[1]))};
+    const Quat& q = rotation_;
+    const Vec3 u{q.x, q.y, q.z}, v = q.w * half + u + cross(half, u);
+    const double w = q.w - dot(half, u), length = std::sqrt(w * w + squared_length(v));
+    rotation_ = {w / length, v.x / length, v.y / length, v.z / length};
+  }
+
+  std::array<Vec3, 2 * LineAnchor::kVertices> from_, to_;
+  std::size_t count_ = 0;
+  Vec3 from_middle_{}, to_middle_{};
+  Quat rotation_;
+};
+
+}  // namespace
+
+// Calls visit(line, anchor) for all lines that have one.
+template <class Visit>
+void SweptFollower::each_line(Visit visit) {
+  workspace_.swept.each_line(visit);
+  workspace_.ends.each_line(visit);
+}
+
+bool SweptFollower::advance(WorkBudget& budget) {
+  std::size_t at = 0;
+  bool done = true;
+  const BladeLine* line_before = nullptr;
+  const LineAnchor* anchor_before = nullptr;
+  each_line([&](const BladeLine& line, LineAnchor& anchor) {
+    // Quads that follow each other share a line.
+    if (at++ >= next_ && done) {
+      if (!anchor.is_set()) {
+        if (budget.spent()) {
+          done = false;
+          return;
+        }
+        if (line_before != nullptr && *line_before == line) {
+          anchor = *anchor_before;
+        } else {
+          set(anchor, line, budget);
+        }
+      }
+      next_ = at;
+    }
+    line_before = &line;
+    anchor_before = &anchor;
+  });
+  return done;
+}
+
+void SweptFollower::set(LineAnchor& anchor, const BladeLine& line, WorkBudget& budget) {
+  const std::array<float, 2> parts = clip(line, {workspace_.grid.low(), workspace_.grid.high()});
+  for (std::size_t i = 0; i < 2; ++i) {
+    anchor.points[i].part = parts[i];
+    find_near(lerp(line.heel, line.tip, static_cast<double>(parts[i])), anchor.points[i], budget);
+  }
+}
+
+// The vertices of the boundary, cuts included: what was swept has left one.
+void SweptFollower::find_near(const Vec3& p, LineAnchor::Point& point, WorkBudget& budget) {
+  near_.clear();
+  std::int64_t looked_at = 0;
+  const auto look = [&](double reach_m) {
+    const Vec3 reach{reach_m, reach_m, reach_m};
+    workspace_.grid.visit_box(p - reach, p + reach, [&](TetId t) {
+      ++looked_at;
+      if (!mesh_.alive(t)) return;
+      for (const VertexId v : mesh_.vertices(t)) {
+        const Near near{squared_length(mesh_.position(v) - p), v};
+        if (near_.size() == LineAnchor::kVertices && !(near < near_.back())) continue;
+        const auto place = std::lower_bound(near_.begin(), near_.end(), near);
+        if (place != near_.end() && place->vertex == v) continue;
+        near_.insert(place, near);
+        if (near_.size() > LineAnchor::kVertices) near_.pop_back();
+      }
+    });
+  };
+  for (const double reach_h : kReach_h) {
+    if (near_.empty()) look(reach_h * mesh_.mean_edge_length());
+  }
+  if (near_.empty()) look(kReachAll_h * mesh_.mean_edge_length());
+  for (std::size_t i = 0; i < near_.size(); ++i) point.near[i] = near_[i].vertex;
+  budget.charge(1 + looked_at / kTetsAUnit);
+}
+
+// Where the vertices near each line are: kNear for each, those that are gone left out.
+void SweptFollower::note() {
+  before_.clear();
+  each_line([&](const BladeLine&, const LineAnchor& anchor) {
+    for (const LineAnchor::Point& point : anchor.points) {
+      for (const VertexId v : point.near) before_.push_back(is_there(v) ? mesh_.position(v) : Vec3{});
+    }
+  });
+  const double same_m = HeldFaces::kSame_h * mesh_.mean_edge_length();
+  for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks})
+    held->leave_out_changed(mesh_, same_m);
+}
+
+void SweptFollower::follow() {
+  const Vec3* before = before_.data();
+  each_line([&](BladeLine& line, LineAnchor& anchor) {
+    move(line, anchor, before);
+    before += 2 * LineAnchor::kVertices;
+  });
+  workspace_.swept.enclose();
+  for (std::size_t i = 0; i < workspace_.ends.size(); ++i) workspace_.ends[i].enclose();
+  for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks}) held->note_middles(mesh_);
+}
+
+// A point goes as the vertices near both points would if they were rigid, and then by what those near it deviate from that, in the mean.
+void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before) const {
+  RigidMotion motion;
+  for (std::size_t i = 0; i < 2; ++i) {
+    for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
+      const VertexId v = anchor.points[i].near[k];
+      if (is_there(v)) motion.add(before[i * LineAnchor::kVertices + k], mesh_.position(v));
+    }
+  }
+  if (motion.count() == 0) {
+    anchor = {};
+    return;
+  }
+  motion.fit();
+  Vec3 ends[2];
+  bool lost = false;
+  for (std::size_t i = 0; i < 2; ++i) {
+    const LineAnchor::Point& point = anchor.points[i];
+    Vec3 deviation{};
+    double count = 0;
+    for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
+      if (!is_there(point.near[k])) continue;
+      deviation += mesh_.position(point.near[k]) - motion(before[i * LineAnchor::kVertices + k]);
+      ++count;
+    }
+    ends[i] = motion(lerp(line.heel, line.tip, static_cast<double>(point.part)));
+    if (count > 0) ends[i] += (1 / count) * deviation;
+    lost = lost || count == 0;
+  }
+  const double from = static_cast<double>(anchor.points[0].part),
+               to = static_cast<double>(anchor.points[1].part);
+  // Others are looked for the next time.
+  if (lost) anchor = {};
+  if (to - from < kApart || squared_length(ends[1] - ends[0]) == 0) {
+    line = {motion(line.heel), motion(line.tip)};
+    return;
+  }
+  // It stays as long as it was.
+  const double length_m = distance(line.heel, line.tip), amid = 0.5 * (from + to);
+  const Vec3 along = normalized(ends[1] - ends[0]), middle = lerp(ends[0], ends[1], 0.5);
+  line.heel = middle - (amid * length_m) * along;
+  line.tip = middle + ((1 - amid) * length_m) * along;
+}
+
+}  // namespace incise::core
