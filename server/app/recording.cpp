@@ -85,8 +85,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
     Start start;
     start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
     const std::int64_t before = monotonic_ns();
-    auto rest =
-        read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
+    const CaptureStart place{checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session};
+    auto rest = read_capture_from(path, place);
     start.read_s = seconds_since(before);
     if (!rest) {
       spdlog::warn(
@@ -103,6 +103,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
                    start.session ? "revision or hash is another" : error);
       continue;
     }
+    // Else what is recorded from here on could be read by no tool: they begin at the beginning.
+    check_capture_before(path, place);
     return start;
   }
   return std::nullopt;
