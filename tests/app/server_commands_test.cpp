@@ -266,6 +266,25 @@ TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
   }
 }
 
+// A single thread that does not block them, such as the log's, gets one that comes while the main thread does not wait for
+// signals, and the process is killed.
+TEST_F(Incised, AllItsThreadsLeaveTheEndSignalsToTheMainThread) {
+  write("c.json", config());
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  constexpr std::uint64_t kEnds = 1u << (SIGTERM - 1) | 1u << (SIGINT - 1) | 1u << (SIGHUP - 1);
+  int threads = 0;
+  for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(pid) + "/task")) {
+    const std::string status = tests::read_file(task.path() / "status");
+    const std::size_t blocked = status.find("SigBlk:");
+    if (blocked == std::string::npos || task.path().filename() == std::to_string(pid)) continue;
+    EXPECT_EQ(std::stoull(status.substr(blocked + 7), nullptr, 16) & kEnds, kEnds) << status.substr(0, 40);
+    ++threads;
+  }
+  EXPECT_GE(threads, 3);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+}
+
 TEST_F(Incised, UnderNohupAHangUpDoesNotEndIt) {
   write("c.json", config());
   const auto before = std::signal(SIGHUP, SIG_IGN);  // a child inherits it
