@@ -4,7 +4,8 @@
 
 namespace incise::app {
 
-// Blocks the signals that end the server, in this thread and in all threads that it starts, so that wait() gets them.
+// Blocks the signals that end the server, in this thread and in all threads that it starts, so that wait() gets them. Made
+// before any other thread, the log's included: a signal goes to whichever thread does not block it, and ends the process there.
 class EndSignals {
  public:
   EndSignals();

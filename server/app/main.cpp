@@ -10,6 +10,7 @@
 #include "server/app/body.hpp"
 #include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
+#include "server/app/end_signals.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
 #include "server/app/recording.hpp"
@@ -70,11 +71,12 @@ int run(int argc, char** argv) {
     const incise::app::Config config = incise::app::load_config(config_file);
     incise::app::check_config(config, config_file);
     incise::app::check_recording(config, config_file);
+    const incise::app::EndSignals signals;
     incise::app::start_log(config.log, "incised");
     for (const std::string& warning : incise::app::certificate_warnings(config, now_s))
       spdlog::warn("{}", warning);
     try {
-      incise::app::run_server(config, resume);
+      incise::app::run_server(config, resume, signals);
     } catch (...) {
       spdlog::shutdown();  // so that the log comes before the reason
       throw;

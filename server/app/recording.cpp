@@ -85,8 +85,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
     Start start;
     start.next_checkpoint = (number + 1) % loop::kCheckpointFiles;
     const std::int64_t before = monotonic_ns();
-    auto rest =
-        read_capture_from(path, {checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session});
+    const CaptureStart place{checkpoint.offset, checkpoint.records, checkpoint.id, checkpoint.session};
+    auto rest = read_capture_from(path, place);
     start.read_s = seconds_since(before);
     if (!rest) {
       spdlog::warn(
@@ -103,6 +103,8 @@ std::optional<Start> from_checkpoint(const Config& config, const std::string& pa
                    start.session ? "revision or hash is another" : error);
       continue;
     }
+    // Else what is recorded from here on could be read by no tool: they begin at the beginning.
+    check_capture_before(path, place);
     return start;
   }
   return std::nullopt;
@@ -160,7 +162,66 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
   return records + more - journal.position().records;
 }
 
-// Whether the file may be worth keeping: it has poses, or bytes that are not a capture.
+// Whether a file begins as a capture does; one that a crash left empty, or with a part of the first word, counts.
+bool begins_as_capture(const std::filesystem::path& path) {
+  constexpr std::string_view kFirst = "INCISCAP";
+  std::string first(kFirst.size(), '\0');
+  std::ifstream in(path, std::ios::binary);
+  in.read(first.data(), static_cast<std::streamsize>(first.size()));
+  first.resize(static_cast<std::size_t>(in.gcount()));
+  return kFirst.starts_with(first);
+}
+
+// A file that is not a capture and that a start would move away or write over: which, and what to do. Empty: there is none.
+std::string foreign_file(const std::filesystem::path& path) {
+  std::error_code error;
+  std::filesystem::path old = path;
+  old += ".old";
+  for (const std::filesystem::path& file : {path, old}) {
+    if (!std::filesystem::is_regular_file(file, error) || begins_as_capture(file)) continue;
+    return file.string() + " is not a capture" +
+           (file == old ? ", and the next start would write the last one there" : "") +
+           "; name a file that does not exist, or move this one away";
+  }
+  return {};
+}
+
+// The file that the configuration reads under this path, by its key; empty if there is none.
+std::string read_under(const Config& config, const std::string& config_file,
+                       const std::filesystem::path& path) {
+  const auto same = [&](const std::filesystem::path& other) {
+    std::error_code error;
+    return std::filesystem::equivalent(path, other, error);
+  };
+  if (same(config_file)) return "the configuration itself";
+  // Without its ending a path names two files of TetGen.
+  for (const char* ending : {"", ".node", ".ele"}) {
+    if (!config.mesh.path.empty() && same(config.resolve(config.mesh.path + ending)))
+      return "a file of mesh.path";
+  }
+  const std::filesystem::path mesh = config.resolve(config.mesh.path);
+  if (mesh.extension() == ".node" || mesh.extension() == ".ele") {
+    for (const char* ending : {".node", ".ele"}) {
+      if (same(std::filesystem::path(mesh).replace_extension(ending))) return "a file of mesh.path";
+    }
+  }
+  const Config::Listen& listen = config.listen;
+  const Config::Cluster& cluster = config.cluster;
+  for (const auto& [key, value] :
+       {std::pair<const char*, const std::string&>{"mesh.image", config.mesh.image},
+        {"listen.token_file", listen.token_file},
+        {"listen.certificate_file", listen.certificate_file},
+        {"listen.private_key_file", listen.private_key_file},
+        {"cluster.credentials_file", cluster.credentials_file},
+        {"cluster.ca_file", cluster.ca_file},
+        {"cluster.certificate_file", cluster.certificate_file},
+        {"cluster.private_key_file", cluster.private_key_file}}) {
+    if (!value.empty() && same(config.resolve(value))) return std::string("the file of ") + key;
+  }
+  return {};
+}
+
+// Whether the file may be worth keeping: it has poses, or a capture's beginning with wrong bytes behind it.
 bool worth_keeping(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   protocol::CaptureReader reader(in);
@@ -218,6 +279,9 @@ void check_recording(const Config& config, const std::string& file) {
     refuse(parent.string() + ": " + std::generic_category().message(errno) +
            "; a directory that this user may write is accepted");
   }
+  if (const std::string other = read_under(config, file, path); !other.empty())
+    refuse(path.string() + " is " + other + "; name a file of the capture's own");
+  if (const std::string foreign = foreign_file(path); !foreign.empty()) refuse(foreign);
 }
 
 Recording begin_recording(const Config& config, const Body& body, const stream::InitialState& shown) {
@@ -228,6 +292,9 @@ Recording begin_recording(const Config& config, const Body& body, const stream::
   recording.shown.before.epoch = recording.session_id;
   if (config.capture.path.empty()) return recording;
   const std::filesystem::path path = config.resolve(config.capture.path);
+  // Again: an instance that stood by may have done so for days since check_recording().
+  if (const std::string foreign = foreign_file(path); !foreign.empty())
+    throw ConfigError("capture.path: " + foreign);
   std::error_code error;
   // A recording is somebody's work, so the last one is kept under another name. But not one without a pose: a server that is
   // started again and again must not replace the last good recording by empty ones.

@@ -26,7 +26,8 @@ struct Recording {
       shown;  // what clients see at the start: a state, and the steps from there to the session's
 };
 
-// Throws ConfigError, its text beginning with `file`, if capture.path cannot be written.
+// Throws ConfigError, its text beginning with `file`, if capture.path cannot be written, or if that would cost a file that is
+// not a capture. `file`: the configuration's.
 void check_recording(const Config& config, const std::string& file);
 
 // A fresh session. An existing capture is kept under another name, with its checkpoints. Throws ConfigError,

@@ -9,6 +9,7 @@
 #include "client/cli/usage.hpp"
 #include "server/app/certificate_check.hpp"
 #include "server/app/config.hpp"
+#include "server/app/end_signals.hpp"
 #include "server/app/freed_memory.hpp"
 #include "server/app/log_setup.hpp"
 #include "server/app/manual.hpp"
@@ -119,12 +120,13 @@ int run(int argc, char** argv) {
     Config config = config_file.empty() ? Config() : incise::app::load_config(config_file, Program::kRelay);
     override_with(given, config);
     incise::app::check_relay_config(config, config_file.empty() ? "incise-relay" : config_file);
+    const incise::app::EndSignals signals;
     incise::app::start_log(config.log, "incise-relay");
     for (const std::string& warning : incise::app::certificate_warnings(config, now_s))
       spdlog::warn("{}", warning);
     incise::app::return_freed_memory();
     try {
-      incise::app::run_relay(config);
+      incise::app::run_relay(config, signals);
     } catch (...) {
       spdlog::shutdown();  // so that the log comes before the reason
       throw;

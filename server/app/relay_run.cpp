@@ -198,8 +198,7 @@ void RunningRelay::stop() {
 
 }  // namespace
 
-void run_relay(const Config& config) {
-  const EndSignals signals;
+void run_relay(const Config& config, const EndSignals& signals) {
   raise_descriptor_limit();
   RunningRelay relay(config);
   relay.start();

@@ -400,10 +400,12 @@ std::unique_ptr<CaptureLock> lock_capture(const Config& config) {
 
 }  // namespace
 
-void run_server(const Config& config, bool resume) {
-  const EndSignals signals;
+void run_server(const Config& config, bool resume, const EndSignals& signals) {
   ClusterLink cluster(config);
-  if (!cluster.acquire(signals)) return;
+  if (!cluster.acquire(signals)) {
+    spdlog::info("{}: ending; another instance had the session", signals.wait());
+    return;
+  }
   {
     const auto lock = lock_capture(config);  // until the server has closed the capture
     raise_descriptor_limit();

@@ -16,6 +16,9 @@ constexpr std::string_view kOwn[] = {"tet_id",    "region",           "piece",  
                                      "cut_faces", "min_dihedral_deg", "volume",  "origin_0",
                                      "origin_1",  "origin_2",         "origin_3"};
 
+// What the four of these begin with that write_cut_mesh() adds for a body that was filled from a surface.
+constexpr std::string_view kOrigins = "origin_";
+
 std::string title(Field::On on, std::string_view name) {
   return (on == Field::On::kVertices ? "the vertex field " : "the tetrahedron field ") + in_quotes(name);
 }
@@ -44,7 +47,13 @@ void FieldCollector::add(Field::On on, RawArray array, std::size_t rows,
   if (!wanted()) return;
   const auto refuse = [&](const std::string& why) { leave_out(on, array.name, why); };
   if (on == Field::On::kTets && is_own_array(array.name)) {
-    if (!own_file_) refuse("results have an array of this name of their own; rename it");
+    if (!own_file_) return refuse("results have an array of this name of their own; rename it");
+    if (!array.name.starts_with(kOrigins) || std::exchange(origins_seen_, true)) return;
+    warnings_.push_back(
+        file_ +
+        ": origin_0 to origin_3 are left out: they name triangles of the surface that the body "
+        "was filled from, which this file does not hold; to keep the surface's texture, cut the "
+        "surface file itself, with all strokes in one motion");
     return;
   }
   if (array.name.empty() || array.name.size() > core::kMaxFieldName)

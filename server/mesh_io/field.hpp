@@ -43,7 +43,7 @@ class FieldCollector {
       : fields_(fields), file_(file), warnings_(warnings) {}
 
   bool wanted() const { return fields_ != nullptr; }
-  // Incise wrote the file: no warning for the arrays that it adds.
+  // Incise wrote the file: no warning for the arrays that it adds, but one where the link to a surface's texture is lost.
   void note_own_file() { own_file_ = true; }
   // `pick`: the rows that become the field's, where the file has others, too.
   void add(Field::On on, RawArray array, std::size_t rows, const std::vector<std::uint32_t>* pick = nullptr);
@@ -54,7 +54,7 @@ class FieldCollector {
   std::vector<Field>* fields_;
   std::string file_;
   std::vector<std::string>& warnings_;
-  bool own_file_ = false;
+  bool own_file_ = false, origins_seen_ = false;
 };
 
 }  // namespace incise::mesh_io

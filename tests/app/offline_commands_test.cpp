@@ -1106,6 +1106,51 @@ TEST_F(Incise, ACaptureThatAServerWritesIsNotOverwritten) {
   EXPECT_FALSE(fs::exists(dir_ / "a.capture.lock"));
 }
 
+// Holders of a blade have clocks of their own, and a capture has poses that were rejected, too.
+TEST_F(Incise, InfoSumsTheMotionOfEachHolder) {
+  constexpr std::int64_t kMs = 1'000'000;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  protocol::FileSink sink((dir_ / "a.capture").string(), true);
+  protocol::CaptureWriter writer(sink, {});
+  const auto pose = [&](std::int64_t t_ns, double x, std::uint32_t source = 0) {
+    protocol::PoseRecord record;
+    record.source = source;
+    record.pose.source_ns = t_ns;
+    record.pose.position = {x, 0, 0};
+    record.pose.orientation = {1, 0, 0, 0};
+    writer.append(record);
+  };
+  for (const std::int64_t origin : {1'000'000 * kMs, 10 * kMs, 5'000'000 * kMs}) {
+    if (origin == 10 * kMs) writer.append(protocol::StrokeRecord{0, protocol::StrokeAction::HandOver, 0, 0});
+    if (origin == 5'000'000 * kMs) writer.append(protocol::BladeRecord{0, 0, {}});
+    for (int i = 0; i <= 100; ++i) {
+      pose(origin + i * kMs, 1e-3 * i);
+      if (i == 50) pose(origin + i * kMs, 7);  // again at that time: rejected
+    }
+    pose(origin + 150 * kMs, nan);
+  }
+  pose(std::numeric_limits<std::int64_t>::min(), 0, 1);
+  pose(std::numeric_limits<std::int64_t>::max(), 0.5, 1);
+  pose(1, nan, 2);
+  EXPECT_FALSE(writer.flush());
+  const RunResult result = run({"info", "a.capture", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const json sources = json::parse(result.out)["sources"];
+  ASSERT_EQ(sources.size(), 3u);
+  EXPECT_EQ(sources[0]["poses"], 3 * 103);
+  EXPECT_EQ(sources[0]["poses_not_finite"], 3);
+  EXPECT_NEAR(sources[0]["duration_s"].get<double>(), 0.3, 1e-9);
+  EXPECT_NEAR(sources[0]["longest_gap_s"].get<double>(), 1e-3, 1e-9);
+  EXPECT_NEAR(sources[0]["rate_hz"].get<double>(), 1000, 1);
+  EXPECT_NEAR(sources[0]["path_m"].get<double>(), 0.3, 1e-9);
+  EXPECT_NEAR(sources[0]["fastest_m_s"].get<double>(), 1, 1e-6);
+  EXPECT_NEAR(sources[1]["duration_s"].get<double>(), 0x1p64 * 1e-9, 1e3);
+  EXPECT_NEAR(sources[1]["path_m"].get<double>(), 0.5, 1e-9);
+  EXPECT_FALSE(sources[1].contains("poses_not_finite"));
+  EXPECT_EQ(sources[2]["path_m"], 0.0);
+  EXPECT_EQ(sources[2]["poses_not_finite"], 1);
+}
+
 TEST_F(Incise, InfoKnowsWhatAFileIs) {
   write_cube_and_sweep();
   const auto facts = [&](const std::string& file) {

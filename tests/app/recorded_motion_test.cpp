@@ -60,6 +60,51 @@ TEST_F(RecordedMotionTest, OnlyWhatCameAfterTheLastResetIsReplayed) {
   EXPECT_EQ(motion.events_before, (std::vector<std::size_t>{2, 2}));
 }
 
+// A start from a checkpoint does not need what is before it, but every offline tool does.
+TEST_F(RecordedMotionTest, DamageBeforeACheckpointIsFound) {
+  protocol::FileSink sink(path_, true);
+  protocol::CaptureWriter writer(sink, {});
+  std::vector<std::uint64_t> offsets;
+  const auto append = [&](const protocol::CaptureRecord& record) {
+    EXPECT_FALSE(writer.flush());
+    offsets.push_back(writer.written_bytes());
+    writer.append(record);
+  };
+  for (int i = 0; i < 40; ++i) append(pose(i));
+  // As long as what is looked at behind wrong bytes: from there it seems to be the end.
+  for (int i = 0; i < 4; ++i) append(protocol::NoteRecord{std::string(500'000, ' ')});
+  append(protocol::CheckpointRecord{7});
+  append(pose(100));
+  EXPECT_FALSE(writer.flush());
+  const CaptureStart start{offsets[44], 44, 7, 0};
+  EXPECT_NO_THROW(check_capture_before(path_, start));
+  const auto flip = [&](std::uint64_t at) {
+    std::fstream file(path_, std::ios::binary | std::ios::in | std::ios::out);
+    file.seekg(static_cast<std::streamoff>(at));
+    const char byte = static_cast<char>(file.get() ^ 1);
+    file.seekp(static_cast<std::streamoff>(at));
+    file.put(byte);
+  };
+  for (const std::size_t damaged : {0, 20, 41}) {
+    for (const std::uint64_t behind : {0, 12}) {  // the record's length, and its contents
+      flip(offsets[damaged] + behind);
+      try {
+        check_capture_before(path_, start);
+        ADD_FAILURE() << damaged;
+      } catch (const std::runtime_error& error) {
+        const std::string text = error.what();
+        EXPECT_NE(text.find(path_ + ": offset " + std::to_string(offsets[damaged]) + ": "), std::string::npos)
+            << text;
+        EXPECT_NE(text.find("--until-damage"), std::string::npos) << text;
+      }
+      EXPECT_TRUE(read_capture_from(path_, start)) << "it can be started from";
+      flip(offsets[damaged] + behind);
+    }
+  }
+  fs::resize_file(path_, fs::file_size(path_) - 5);  // what a kill leaves
+  EXPECT_NO_THROW(check_capture_before(path_, start));
+}
+
 protocol::UndoRecord undo(std::int64_t t_ns, std::uint64_t revision) {
   protocol::UndoRecord record;
   record.session = 9;

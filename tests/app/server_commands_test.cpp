@@ -266,6 +266,25 @@ TEST_F(Incised, EndsCleanlyOnItsSignalsAndClosesItsCapture) {
   }
 }
 
+// A single thread that does not block them, such as the log's, gets one that comes while the main thread does not wait for
+// signals, and the process is killed.
+TEST_F(Incised, AllItsThreadsLeaveTheEndSignalsToTheMainThread) {
+  write("c.json", config());
+  const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  constexpr std::uint64_t kEnds = 1u << (SIGTERM - 1) | 1u << (SIGINT - 1) | 1u << (SIGHUP - 1);
+  int threads = 0;
+  for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(pid) + "/task")) {
+    const std::string status = tests::read_file(task.path() / "status");
+    const std::size_t blocked = status.find("SigBlk:");
+    if (blocked == std::string::npos || task.path().filename() == std::to_string(pid)) continue;
+    EXPECT_EQ(std::stoull(status.substr(blocked + 7), nullptr, 16) & kEnds, kEnds) << status.substr(0, 40);
+    ++threads;
+  }
+  EXPECT_GE(threads, 3);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+}
+
 TEST_F(Incised, UnderNohupAHangUpDoesNotEndIt) {
   write("c.json", config());
   const auto before = std::signal(SIGHUP, SIG_IGN);  // a child inherits it
@@ -323,6 +342,54 @@ TEST_F(Incised, ResumesAfterKill) {
   ASSERT_NE(refused.err.find("incise info session.capture --json"), std::string::npos) << refused.err;
   const RunResult info = tests::run_program("incise", {"info", "session.capture", "--json"}, dir_);
   EXPECT_EQ(json::parse(info.out)["config"]["cut"]["batch_h"], 0.25) << info.out;
+}
+
+// A start moves the file away and writes another in its place, and the next start replaces what was moved: two of them would
+// destroy a file that was named by mistake.
+TEST_F(Incised, AFileThatIsNoCaptureIsNotRecordedOver) {
+  mesh_io::write_mesh(dir_ / "body.vtu", tests::cube(4));
+  write("notes.txt", "my notes\n");
+  fs::create_symlink("notes.txt", dir_ / "link");
+  write("x.capture.old", "other notes\n");
+  write("good.capture.old", "INCISCAP and more");
+  write("empty.capture", "");
+  write("torn.capture", "INCIS");
+  const auto with = [](const std::string& mesh, const std::string& capture) {
+    return R"({"mesh": {"path": ")" + mesh + R"("}, "listen": {"tcp_port": 0, "http_port": 0},
+               "loop": {"realtime_priority": 0, "lock_memory": false}, "capture": {"path": ")" +
+           capture + R"("}})";
+  };
+  const std::vector<std::array<std::string, 3>> refused{
+      {"body.vtu", "notes.txt", "notes.txt is not a capture"},
+      {"body.vtu", "link", "link is not a capture"},
+      {"body.vtu", "body.vtu", "body.vtu is a file of mesh.path"},
+      {"cube.node", "cube.ele", "cube.ele is a file of mesh.path"},
+      {"cube", "cube.node", "cube.node is a file of mesh.path"},
+      {"body.vtu", "c.json", "c.json is the configuration itself"},
+      {"body.vtu", "x.capture", "x.capture.old is not a capture"}};
+  for (const auto& [mesh, capture, why] : refused) {
+    write("c.json", with(mesh, capture));
+    const std::string before = capture == "x.capture" ? "" : tests::read_file(dir_ / capture);
+    for (const std::vector<std::string>& arguments : {std::vector<std::string>{"--check", "c.json"},
+                                                      {"--config", "c.json"},
+                                                      {"--config", "c.json", "--resume"}}) {
+      const RunResult result = run(arguments);
+      EXPECT_EQ(result.exit_code, 1) << capture;
+      EXPECT_EQ(result.err.rfind("incised: c.json: capture.path: ", 0), 0u) << result.err;
+      EXPECT_NE(result.err.find(why), std::string::npos) << result.err;
+      EXPECT_EQ(std::count(result.err.begin(), result.err.end(), '\n'), 1) << result.err;
+      EXPECT_EQ(capture == "x.capture" ? "" : tests::read_file(dir_ / capture), before);
+    }
+  }
+  EXPECT_EQ(tests::read_file(dir_ / "x.capture.old"), "other notes\n");
+  EXPECT_FALSE(fs::exists(dir_ / "x.capture"));
+  for (const char* capture : {"empty.capture", "torn.capture", "good.capture"}) {
+    write("c.json", with("body.vtu", capture));
+    EXPECT_EQ(run({"--check", "c.json"}).exit_code, 0) << capture;
+    const pid_t pid = start({"--config", (dir_ / "c.json").string()});
+    ASSERT_GT(pid, 0) << capture;
+    EXPECT_EQ(stop(pid, SIGTERM), 0) << capture;
+  }
 }
 
 // A second server would move the first one's capture away, or with --resume write into it.

@@ -225,8 +225,15 @@ class FailoverTest(ClusterTest):
 
     def test_a_signal_ends_the_wait(self):
         nats = self.nats()
-        _, b = self.pair(nats)
-        self.assertIn(b.stop(), (0, -signal.SIGTERM))
+        a, b = self.pair(nats)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            b.signal(number)
+            self.assertEqual(b.end(), 0, b.log())
+            self.assertIn(f"{number.name}: ending; another instance had the session", b.log())
+            stood_by = b.log().count("standing by")
+            b.start(wait=False)
+            wait_for("it stands by again", lambda: b.log().count("standing by") > stood_by)
+        self.assertTrue(a.listens())
 
     def test_wrong_configurations(self):
         nats = self.nats()

@@ -413,5 +413,46 @@ TEST(Recovery, DamagedCheckpointsFallBackToTheOneBeforeAndToTheBeginning) {
   EXPECT_FALSE(fs::exists(session.capture() + ".checkpoint-0"));
 }
 
+// It would go on, and what it records then could be read by no offline tool.
+TEST(Recovery, ACaptureThatIsDamagedBeforeItsCheckpointIsRefused) {
+  ServedSession session("early", 4000, R"(, "checkpoint_replay_s": 0.0001)");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  {
+    const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+    PoseDriver driver(session, 500, 0.2);
+    ASSERT_TRUE(wait_for([&] { return session.stat("/checkpoints/written").value_or(0) >= 2; }))
+        << session.log();
+    settle(session, driver, *viewer);
+  }
+  session.kill();
+  std::string error;
+  const auto checkpoint = loop::read_checkpoint(loop::checkpoint_path(session.capture(), 0), error);
+  ASSERT_TRUE(checkpoint) << error;
+  std::ifstream in(session.capture(), std::ios::binary);
+  const protocol::CaptureReader reader(in);
+  const auto place = static_cast<std::streamoff>(reader.good_bytes()) + 12;  // in the first record
+  ASSERT_GT(static_cast<std::streamoff>(checkpoint->offset), place);
+  const auto flip = [&] {
+    std::fstream file(session.capture(), std::ios::binary | std::ios::in | std::ios::out);
+    file.seekg(place);
+    const char byte = static_cast<char>(file.get() ^ 1);
+    file.seekp(place);
+    file.put(byte);
+  };
+  flip();
+  const auto length = fs::file_size(session.capture());
+  EXPECT_FALSE(session.start(true)) << session.log();
+  EXPECT_EQ(session.server().wait(), 1);
+  const std::string said = session.capture() + ": offset " + std::to_string(reader.good_bytes()) +
+                           ": a record's checksum is wrong";
+  EXPECT_NE(session.log().find(said), std::string::npos) << session.log();
+  EXPECT_NE(session.log().find("--until-damage"), std::string::npos) << session.log();
+  EXPECT_EQ(fs::file_size(session.capture()), length);
+  flip();
+  fs::resize_file(session.capture(), length - 5);  // a crash may leave that, and it is no damage
+  ASSERT_TRUE(session.start(true)) << session.log();
+  EXPECT_NE(session.log().find("from the checkpoint"), std::string::npos) << session.log();
+}
+
 }  // namespace
 }  // namespace incise::e2e

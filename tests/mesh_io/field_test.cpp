@@ -70,6 +70,24 @@ TEST(Fields, OfNamesThatResultsHaveOfTheirOwnAreLeftOut) {
   }
 }
 
+// The texture of the surface is lost in a second run, and that must not come as a surprise.
+TEST(Fields, OriginsOfFacesAreLeftOutWithOneWarning) {
+  const TestDirectory directory;
+  const core::MeshData mesh = cube_mesh(2);
+  const std::vector<std::uint32_t> origins(mesh.tets.size(), 7);
+  const std::vector<std::uint8_t> masks(mesh.tets.size(), 0);
+  for (const char* name : {"a.vtu", "a.vtk"}) {
+    std::vector<CellArray> arrays{{"cut_mask", masks}};
+    for (const char* origin : {"origin_0", "origin_1", "origin_2", "origin_3"})
+      arrays.push_back({origin, origins});
+    write_mesh(directory / name, mesh.positions, mesh.tets, arrays);
+    const LoadedMesh loaded = load_mesh(directory / name, with_fields());
+    ASSERT_EQ(loaded.warnings.size(), 1u) << name;
+    EXPECT_TRUE(warns(loaded, ": origin_0 to origin_3 are left out: ")) << loaded.warnings[0];
+    EXPECT_TRUE(loaded.fields.empty());
+  }
+}
+
 TEST(Fields, WhatIsWrittenIsReadBackToTheLastBit) {
   const TestDirectory directory;
   core::MeshData mesh = cube_mesh(2);

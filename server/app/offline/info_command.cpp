@@ -5,6 +5,7 @@
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "client/cli/usage.hpp"
@@ -167,6 +168,57 @@ Json describe_image(const fs::path& file) {
   return facts;
 }
 
+// What a source did. Path and times are of the poses that a session takes, and each holder's are summed: the clocks of two
+// have nothing to do with each other, and the blade did not go from one to the other.
+class SourceFigures {
+ public:
+  // The next pose is another holder's.
+  void begin_clock() { last_.reset(); }
+
+  void add(const core::Pose& pose) {
+    ++poses_;
+    if (pose.buttons != 0) ++held_;
+    const core::Quat& q = pose.orientation;
+    if (!std::isfinite(core::length(pose.position)) || !std::isfinite(q.w + q.x + q.y + q.z)) {
+      ++not_finite_;
+      return;
+    }
+    if (last_ && pose.t_ns <= last_->t_ns) return;
+    if (last_) {
+      // Up to 2^64 - 1 ns: more than the signed difference can hold.
+      const std::uint64_t dt_ns =
+          static_cast<std::uint64_t>(pose.t_ns) - static_cast<std::uint64_t>(last_->t_ns);
+      const double dt_s = static_cast<double>(dt_ns) * 1e-9;
+      const double step_m = core::distance(pose.position, last_->position);
+      duration_s_ += dt_s;
+      path_m_ += step_m;
+      fastest_m_s_ = std::max(fastest_m_s_, step_m / dt_s);
+      gaps_s_.push_back(dt_s);
+    }
+    last_ = pose;
+  }
+
+  Json json(std::uint32_t number) {
+    std::sort(gaps_s_.begin(), gaps_s_.end());
+    Json facts{{"source", number},
+               {"poses", poses_},
+               {"duration_s", duration_s_},
+               {"rate_hz", gaps_s_.empty() ? 0.0 : 1 / gaps_s_[gaps_s_.size() / 2]},
+               {"longest_gap_s", gaps_s_.empty() ? 0.0 : gaps_s_.back()},
+               {"path_m", path_m_},
+               {"fastest_m_s", fastest_m_s_},
+               {"poses_with_a_button", held_}};
+    if (not_finite_ > 0) facts["poses_not_finite"] = not_finite_;
+    return facts;
+  }
+
+ private:
+  std::size_t poses_ = 0, held_ = 0, not_finite_ = 0;
+  double duration_s_ = 0, path_m_ = 0, fastest_m_s_ = 0;
+  std::vector<double> gaps_s_;
+  std::optional<core::Pose> last_;
+};
+
 Json describe_motion(const RecordedMotion& motion) {
   Json facts;
   facts["kind"] = motion.format == "capture" ? "capture" : "motion, " + motion.format;
@@ -184,41 +236,25 @@ Json describe_motion(const RecordedMotion& motion) {
   }
   facts["poses"] = motion.poses();
   if (const std::size_t n = motion.count(MotionEvent::Kind::kDeform); n > 0) facts["deformations"] = n;
-  std::map<std::uint32_t, std::vector<const core::Pose*>> by_source;
+  std::map<std::uint32_t, SourceFigures> by_source;
   Box bounds;
+  bool bounded = false;
   for (const MotionEvent& event : motion.events) {
+    // Where the clock of a text motion restarts, its stroke ends.
+    const bool other_clock = event.kind == MotionEvent::Kind::kOpened ||
+                             (event.kind == MotionEvent::Kind::kEndStroke && !motion.header);
+    if (const auto there = by_source.find(event.source); other_clock && there != by_source.end())
+      there->second.begin_clock();
     if (event.kind != MotionEvent::Kind::kPose) continue;
-    by_source[event.source].push_back(&event.pose);
+    by_source[event.source].add(event.pose);
+    if (!core::is_finite(event.pose.position)) continue;
     bounds.add(event.pose.position);
+    bounded = true;
   }
   Json sources = Json::array();
-  for (const auto& [number, poses] : by_source) {
-    double path = 0, fastest = 0;
-    std::size_t held = poses.front()->buttons != 0;
-    std::vector<double> gaps;
-    for (std::size_t i = 1; i < poses.size(); ++i) {
-      const double dt = static_cast<double>(poses[i]->t_ns - poses[i - 1]->t_ns) * 1e-9;
-      const double step = core::distance(poses[i]->position, poses[i - 1]->position);
-      path += step;
-      if (dt > 0) {
-        fastest = std::max(fastest, step / dt);
-        gaps.push_back(dt);
-      }
-      held += poses[i]->buttons != 0;
-    }
-    std::sort(gaps.begin(), gaps.end());
-    const double duration = static_cast<double>(poses.back()->t_ns - poses.front()->t_ns) * 1e-9;
-    sources.push_back({{"source", number},
-                       {"poses", poses.size()},
-                       {"duration_s", duration},
-                       {"rate_hz", gaps.empty() ? 0.0 : 1 / gaps[gaps.size() / 2]},
-                       {"longest_gap_s", gaps.empty() ? 0.0 : gaps.back()},
-                       {"path_m", path},
-                       {"fastest_m_s", fastest},
-                       {"poses_with_a_button", held}});
-  }
+  for (auto& [number, figures] : by_source) sources.push_back(figures.json(number));
   facts["sources"] = sources;
-  if (!by_source.empty()) facts["box_m"] = corners(bounds);
+  if (bounded) facts["box_m"] = corners(bounds);
   facts["warnings"] = motion.warnings;
   return facts;
 }

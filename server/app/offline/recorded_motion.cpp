@@ -42,14 +42,18 @@ std::unique_ptr<std::istream> open_file(const std::string& name) {
   return protocol::open_motion(name);
 }
 
-RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged if_damaged) {
+[[noreturn]] void refuse_damaged(const std::string& damage) {
+  throw std::runtime_error(damage +
+                           "; incise replay and export use what is before it with --until-damage, and incise "
+                           "convert --until-damage makes a whole capture of that for all else");
+}
+
+RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged if_damaged,
+                            const CaptureStart* start = nullptr) {
   try {
-    return replay::read_capture(in, name, nullptr, if_damaged);
+    return replay::read_capture(in, name, start, if_damaged);
   } catch (const replay::DamagedCapture& damage) {
-    throw std::runtime_error(
-        std::string(damage.what()) +
-        "; incise replay and export use what is before it with --until-damage, and incise "
-        "convert --until-damage makes a whole capture of that for all else");
+    refuse_damaged(damage.what());
   }
 }
 
@@ -103,9 +107,25 @@ RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged i
 std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path,
                                                 const CaptureStart& start) {
   const std::unique_ptr<std::istream> in = open_file(path.string());
-  RecordedMotion motion = replay::read_capture(*in, path.string(), &start);
+  RecordedMotion motion = read_capture(*in, path.string(), IfDamaged::kRefuse, &start);
   if (!motion.header) return std::nullopt;
   return motion;
+}
+
+void check_capture_before(const std::filesystem::path& path, const CaptureStart& start) {
+  using Status = protocol::CaptureReader::Status;
+  const std::unique_ptr<std::istream> in = open_file(path.string());
+  protocol::CaptureReader reader(*in);
+  protocol::CaptureRecord record;
+  Status status = Status::Record;
+  while (reader.good_bytes() <= start.offset && (status = reader.next(record)) == Status::Record) {
+  }
+  // What looks torn, because nothing good is near behind it, is damage as well: the start's own record is behind it.
+  if (status != Status::Record) refuse_damaged(path.string() + ": " + reader.error());
+  const auto* checkpoint = std::get_if<protocol::CheckpointRecord>(&record);
+  if (checkpoint != nullptr && checkpoint->id == start.checkpoint) return;
+  refuse_damaged(path.string() + ": offset " + std::to_string(start.offset) +
+                 ": not the record of a checkpoint that begins there, counted from the beginning");
 }
 
 protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {

@@ -33,6 +33,9 @@ RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged i
 // before it. Throws std::runtime_error.
 std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path, const CaptureStart& start);
 
+// Checks what a start from there does not read: throws std::runtime_error, with the place, if wrong bytes are before it.
+void check_capture_before(const std::filesystem::path& path, const CaptureStart& start);
+
 // Throws std::runtime_error if it is not a capture.
 protocol::CaptureHeader read_capture_header(const std::filesystem::path& path);
 
