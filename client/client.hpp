@@ -138,7 +138,8 @@ class Client {
   // Administrators: restores the mesh as it was loaded, for everyone.
   bool reset();
   // Operators with a blade, and administrators: goes back to the state before the last stroke that cut something, for everyone. A
-  // refusal comes as an error, as late as ten seconds after: the server waits while a blade cuts.
+  // refusal comes as an error, as late as ten seconds after: the server waits while a blade cuts. Refused, too, where a stroke
+  // begins before it is done: wait for Callbacks::on_welcome.
   bool undo();
 
   Status status() const;

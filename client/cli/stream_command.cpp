@@ -244,9 +244,10 @@ class Player {
     }
     if (settled && !seen_.faces) {
       warn(std::string("nothing was cut: ") +
-           (r.too_fast > 0
-                ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
-                : "the blade missed the mesh, never moved, or no pose held the button that engages it"));
+           (r.too_fast > 0 ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
+                           : "the blade missed the mesh, never moved, or no pose held the button that "
+                             "engages it, or all of it "
+                             "was cut before"));
     }
     if (command_.json) {
       const nlohmann::ordered_json summary{{"poses_sent", sent_},
@@ -272,8 +273,9 @@ class Player {
     std::printf("sent %" PRIu64 " poses in %.2f s: %" PRIu64 " accepted, %" PRIu64 " rejected", sent_,
                 seconds_, r.accepted, rejected);
     if (rejected > 0) {
-      std::printf(" (%" PRIu64 " not finite, %" PRIu64 " without a unit quaternion, %" PRIu64
-                  " with a time that does not rise, %" PRIu64 " queue full)",
+      std::printf(" (%" PRIu64 " not finite or more than 10 km away, %" PRIu64
+                  " without a unit quaternion, %" PRIu64 " with a time that does not rise, %" PRIu64
+                  " queue full)",
                   r.not_finite, r.not_unit, r.time_not_rising, r.queue_full);
     }
     std::printf("; %s by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",

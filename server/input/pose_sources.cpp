@@ -144,6 +144,12 @@ void PoseSources::acknowledge_recorded(std::uint32_t source, std::uint32_t owner
   slot.recorded.fetch_add(1, std::memory_order_release);
 }
 
+PoseSources::Marks PoseSources::queued() const {
+  Marks marks{};
+  for (std::size_t i = 0; i < slots_.size(); ++i) marks[i] = slots_[i]->queue.pushed();
+  return marks;
+}
+
 std::size_t PoseSources::waiting() const {
   std::size_t waiting = 0;
   for (const auto& slot : slots_) waiting += slot->queue.size();

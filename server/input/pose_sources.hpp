@@ -124,6 +124,12 @@ class PoseSources {
   void acknowledge(std::uint32_t source, core::PoseVerdict verdict, std::int64_t source_ns);
   // For the journal, before acknowledge(): an accepted pose of the owner with this number was written.
   void acknowledge_recorded(std::uint32_t source, std::uint32_t owner, std::int64_t source_ns);
+  // How many events each source has queued so far, over all its owners: tells later which of its events came before
+  // this call. From any thread.
+  using Marks = std::array<std::uint64_t, core::kMaxSources>;
+  Marks queued() const;
+  // For the loop: how many of these it has taken.
+  std::uint64_t taken(std::uint32_t source) const { return slots_[source]->queue.popped(); }
   // Queued events of all sources.
   std::size_t waiting() const;
   // Sources that are open.

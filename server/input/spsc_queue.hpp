@@ -15,7 +15,7 @@ namespace incise::input {
 // cache line so that the line is fetched only when the queue looks full or empty). Full is an answer, not an
 // error: what to do then is up to the caller.
 //
-// Thread: push() from one thread, pop() from one thread; size() from any.
+// Thread: push() from one thread, pop() from one thread; size(), pushed() and popped() from any.
 template <class T>
 class SpscQueue {
  public:
@@ -68,6 +68,10 @@ class SpscQueue {
     const std::size_t head = head_.load(std::memory_order_acquire);
     return std::min(tail_.load(std::memory_order_acquire) - head, capacity());
   }
+
+  // How many were pushed, and how many of these popped, since the queue was made.
+  std::size_t pushed() const { return tail_.load(std::memory_order_acquire); }
+  std::size_t popped() const { return head_.load(std::memory_order_acquire); }
 
  private:
   static constexpr std::size_t kCacheLine = 64;

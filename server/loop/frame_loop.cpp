@@ -233,6 +233,7 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
       if (record.begins_stroke) {
         ++state_.strokes;
         ++strokes_begun_;
+        last_begun_[source] = input_.taken(source);
       }
       record.verdict = verdict;
       input_.count(source, verdict);
@@ -352,7 +353,8 @@ void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
 
 bool FrameLoop::request_undo(std::optional<std::uint32_t> source, UndoAnswered answered) {
   if (!take_undone_) return false;
-  return undo_requests_.push({source, std::move(answered), monotonic_ns() + options_.undo_patience_ns});
+  return undo_requests_.push(
+      {source, std::move(answered), monotonic_ns() + options_.undo_patience_ns, input_.queued()});
 }
 
 bool FrameLoop::take_undo_request() {
@@ -375,13 +377,30 @@ bool FrameLoop::in_stroke() const {
   return false;
 }
 
+bool FrameLoop::begun_since() const {
+  for (std::size_t source = 0; source < last_begun_.size(); ++source)
+    if (last_begun_[source] > undo_->asked[source]) return true;
+  return false;
+}
+
+bool FrameLoop::drained_before() const {
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
+    if (input_.taken(source) < undo_->asked[source]) return false;
+  return true;
+}
+
 void FrameLoop::undo(std::int64_t now_ns) {
+  // Who asked meant an older stroke than this one, which would be the one that is removed.
+  if (begun_since()) {
+    answer_undo(UndoEnd::kBegun);
+    return;
+  }
   const bool stroking = in_stroke();
   if (now_ns > undo_->until_ns) {
     answer_undo(stroking ? UndoEnd::kInStroke : UndoEnd::kBehind);
     return;
   }
-  if (stroking || session_->backlog_batches() > 0) return;
+  if (stroking || session_->backlog_batches() > 0 || !drained_before()) return;
   if (!undo_asked_ || undo_strokes_ != strokes_begun_) {
     undo_asked_ = journal_->want_undo(++undo_request_);
     undo_strokes_ = strokes_begun_;

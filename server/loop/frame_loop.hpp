@@ -44,6 +44,7 @@ enum class UndoEnd {
   kInStroke,    // a blade did not end its stroke in time
   kBehind,      // the cut, or the checkpointer, did not catch up in time
   kReset,       // the mesh was reset first
+  kBegun,       // a stroke began after it was asked for, and before it was done
   kNoStroke,    // there was none to undo
   kOtherBlade,  // the last stroke was not of the blade whose it had to be
 };
@@ -78,7 +79,8 @@ class FrameLoop {
   using UndoDone = ResetDone;
   void offer_undo(TakeUndone take, UndoDone done);
   // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a `source` only if that stroke is that
-  // blade's. Done between strokes, so it waits while a blade cuts, but not beyond LoopOptions::undo_patience_ns. Several that are asked for are done one
+  // blade's. Done between strokes, so it waits while a blade cuts, but not beyond LoopOptions::undo_patience_ns. It is for the strokes whose first pose was
+  // queued before this call: where another one begins before it is done, it is given up. Several that are asked for are done one
   // after the other. `answered`, which may be empty, is called once, on the loop's thread and before `done`; never where the loop ends first. False where
   // it was not offered, or too many wait. From one thread.
   using UndoAnswered = std::function<void(UndoEnd)>;
@@ -129,8 +131,13 @@ class FrameLoop {
     std::optional<std::uint32_t> source;
     UndoAnswered answered;
     std::int64_t until_ns = 0;
+    input::PoseSources::Marks asked{};  // what was queued when it was asked for
   };
   void undo(std::int64_t now_ns);
+  // Whether a stroke has begun with a pose that was queued after the one in undo_ was asked for.
+  bool begun_since() const;
+  // Whether all that was queued before it is drained.
+  bool drained_before() const;
   // Whether there is one to be done: the oldest, in undo_.
   bool take_undo_request();
   // Of the one in undo_; then it is the next one's turn.
@@ -156,6 +163,8 @@ class FrameLoop {
                 undo_strokes_ = 0;   // the number of the last one; strokes begun when it was made
   bool undo_asked_ = false;          // it was made, and is not answered
   std::uint64_t strokes_begun_ = 0;  // whatever was undone
+  input::PoseSources::Marks
+      last_begun_{};  // counts each source's events up to the one that began its last stroke
   std::vector<core::HalfFace> cuts_to_note_;
   std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made

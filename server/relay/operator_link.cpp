@@ -150,11 +150,11 @@ std::size_t OperatorLink::enqueue(std::span<const protocol::PoseSample> poses) {
   const std::size_t count = std::min(poses.size(), kMaxWaitingPoses - waiting_poses_);
   if (count == 0) return 0;
   poses = poses.first(count);
-  if (waiting_.empty() || waiting_.back().empty() ||
-      waiting_.back().size() + count > protocol::kMaxPosesPerBatch) {
+  if (waiting_.empty() || waiting_.back().poses.empty() ||
+      waiting_.back().poses.size() + count > protocol::kMaxPosesPerBatch) {
     waiting_.emplace_back();
   }
-  waiting_.back().insert(waiting_.back().end(), poses.begin(), poses.end());
+  waiting_.back().poses.insert(waiting_.back().poses.end(), poses.begin(), poses.end());
   waiting_poses_ += count;
   last_source_ns_ = poses.back().source_ns;
   if (!std::exchange(sending_, true)) asio::post(io_, [self = shared_from_this()] { self->send_waiting(); });
@@ -162,10 +162,19 @@ std::size_t OperatorLink::enqueue(std::span<const protocol::PoseSample> poses) {
 }
 
 bool OperatorLink::end_stroke() {
-  const std::scoped_lock lock(mutex_);
-  waiting_.emplace_back();
-  if (!std::exchange(sending_, true)) asio::post(io_, [self = shared_from_this()] { self->send_waiting(); });
+  add({});
   return true;
+}
+
+// In its place among the poses: it is for the strokes before it.
+void OperatorLink::undo(const stream::PeerInput::Later& later) {
+  add({{}, later});
+}
+
+void OperatorLink::add(Work work) {
+  const std::scoped_lock lock(mutex_);
+  waiting_.push_back(std::move(work));
+  if (!std::exchange(sending_, true)) asio::post(io_, [self = shared_from_this()] { self->send_waiting(); });
 }
 
 void OperatorLink::send_waiting() {
@@ -186,22 +195,17 @@ void OperatorLink::send_waiting() {
     last_source_ns = last_source_ns_;
   }
   if (!connection_) return;
-  for (const Work& poses : work) {
-    if (poses.empty()) {
+  for (const Work& next : work) {
+    if (next.undo) {
+      // What is done is not answered.
+      if (undos_.size() >= kMaxUndos) undos_.erase(undos_.begin());
+      undos_[connection_->send(protocol::Undo{})] = next.undo;
+    } else if (next.poses.empty()) {
       connection_->send(protocol::StrokeControl{protocol::StrokeAction::End, last_source_ns});
     } else {
-      connection_->send(protocol::PoseBatch{poses});
+      connection_->send(protocol::PoseBatch{next.poses});
     }
   }
-}
-
-void OperatorLink::undo(const stream::PeerInput::Later& later) {
-  asio::post(io_, [self = shared_from_this(), later] {
-    if (!self->connection_) return;
-    // What is done is not answered.
-    if (self->undos_.size() >= kMaxUndos) self->undos_.erase(self->undos_.begin());
-    self->undos_[self->connection_->send(protocol::Undo{})] = later;
-  });
 }
 
 // ---- Administrators ----

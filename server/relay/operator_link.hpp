@@ -52,8 +52,12 @@ class OperatorLink final : public std::enable_shared_from_this<OperatorLink>, pr
   std::chrono::nanoseconds round_trip() const;
 
  private:
-  // Poses, and the end of a stroke where there are none.
-  using Work = std::vector<protocol::PoseSample>;
+  // What waits to be sent, in the order in which the operator sent it: poses, or an undo, or else the end of a stroke.
+  struct Work {
+    std::vector<protocol::PoseSample> poses;
+    stream::PeerInput::Later undo;
+  };
+  void add(Work work);
   void connect();
   void send_waiting();
   void on_message(const protocol::Message& message) override;

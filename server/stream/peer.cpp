@@ -234,8 +234,13 @@ void Peer::on_model(const protocol::BladeModel& model, std::uint64_t sequence) {
 }
 
 PeerInput::Later Peer::refuse_later(std::uint64_t sequence) {
-  return [weak = weak_from_this(), &io = context_.io, sequence](Refusal refusal) {
-    asio::post(io, [weak, sequence, refusal = std::move(refusal)] { complain_to(weak, refusal, sequence); });
+  return [weak = weak_from_this(), &context = context_, sequence, address = ticket_.address().address(),
+          who = described()](Refusal refusal) {
+    asio::post(context.io, [weak, &context, sequence, address, who, refusal = std::move(refusal)] {
+      context.audit(Audit::kReset, address,
+                    "the reset that " + who + " asked for is not done: " + refusal.text);
+      complain_to(weak, refusal, sequence);
+    });
   };
 }
 
@@ -269,7 +274,8 @@ void Peer::on_reset(std::uint64_t sequence) {
     outbox_.complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
   } else {
     ++context_.counters->resets;
-    context_.audit(Audit::kReset, ticket_.address().address(), "the mesh is reset by " + described());
+    context_.audit(Audit::kReset, ticket_.address().address(),
+                   "a reset of the mesh is asked for by " + described());
   }
 }
 

@@ -126,7 +126,10 @@ asio::awaitable<std::optional<Refusal>> Peer::check_token(const protocol::Hello&
   co_return refusal;
 }
 
-asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& hello) {
+asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& greeting) {
+  // Named here, so that the next one who asks for it by either name finds its holder (PROTOCOL.md, section 7).
+  protocol::Hello hello = greeting;
+  if (hello.source_name.empty()) hello.source_name = "blade";
   if (hello.blade) {
     std::optional<Refusal> refusal = check_blade(*hello.blade, context_.facts.mesh.box);
     if (refusal) co_return refusal;

@@ -223,8 +223,10 @@ void LocalServer::on_hello(std::uint32_t number, Peer& peer, const protocol::Hel
 
 // ------------------------------------------------------------------------------------------------ blades
 
-bool LocalServer::take_blade(std::uint32_t number, Peer& peer, const protocol::Hello& hello,
+bool LocalServer::take_blade(std::uint32_t number, Peer& peer, const protocol::Hello& greeting,
                              std::uint64_t sequence) {
+  protocol::Hello hello = greeting;
+  if (hello.source_name.empty()) hello.source_name = "blade";
   const auto holder = std::find_if(peers_.begin(), peers_.end(), [&](const auto& entry) {
     return entry.second.source && entry.second.source_name == hello.source_name;
   });

@@ -689,6 +689,21 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
       << result.err;
 }
 
+TEST_F(Incise, PosesTooFarAwayAreRejectedAsThat) {
+  write_cube_and_sweep();
+  write("far.tum", "0 20000 0 0 0 0 0 1\n0.01 20000.01 0 0 0 0 0 1\n");
+  const RunResult result =
+      run({"cut", "--mesh", "cube", "--poses", "far.tum", "--blade", kBlade, "--out", "out"});
+  EXPECT_NE(result.err.find("2 poses were rejected: not finite or more than 10 km from the origin"),
+            std::string::npos)
+      << result.err;
+  EXPECT_NE(
+      result.err.find("nothing was cut: the poses of far.tum that were not rejected do not move the blade"),
+      std::string::npos)
+      << result.err;
+  EXPECT_EQ(result.err.find("never moved"), std::string::npos) << result.err;
+}
+
 TEST_F(Incise, CuttingAgainWhereABodyIsCutIsAWarningThatSaysSo) {
   write_cube_and_sweep();
   const auto cut = [&](const std::string& mesh, const std::string& out, const std::string& blade) {

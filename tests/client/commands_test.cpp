@@ -496,9 +496,9 @@ TEST_F(CommandsTest, EveryPoseThatTheServerRejectsIsCounted) {
   };
   const PlayedTo text(server, command);
   EXPECT_EQ(text.status, 0);
-  EXPECT_NE(text.printed.find(
-                ": 98765 accepted, 4321 rejected (1 not finite, 20 without a unit quaternion, 300 with a "
-                "time that does not rise, 4000 queue full); 7 new strokes"),
+  EXPECT_NE(text.printed.find(": 98765 accepted, 4321 rejected (1 not finite or more than 10 km away, 20 "
+                              "without a unit quaternion, 300 with a "
+                              "time that does not rise, 4000 queue full); 7 new strokes"),
             std::string::npos)
       << text.printed;
   command.json = true;

@@ -55,6 +55,21 @@ TEST(PoseSources, ASourceSaysThatItOpensThenItsPosesThenThatTheStrokeEnds) {
   EXPECT_EQ(sources.open_count(), 0u);
 }
 
+TEST(PoseSources, MarksTellWhatCameBeforeThem) {
+  PoseSources sources(core::Blade{}, {}, 8);
+  for (int owner = 0; owner < 5; ++owner) {
+    auto source = sources.open("s");
+    source->enqueue(poses(1, 2));
+    const PoseSources::Marks marks = sources.queued();
+    source->enqueue(poses(3, 2));
+    sources.drain([&](std::uint32_t number, const InputEvent& event) {
+      if (event.kind == Kind::kPose)
+        EXPECT_EQ(sources.taken(number) <= marks[number], event.pose.pose.t_ns <= 2) << event.pose.pose.t_ns;
+      return true;
+    });
+  }
+}
+
 TEST(PoseSources, AFullQueueTakesAPartAndLosesNothing) {
   PoseSources sources(core::Blade{}, {}, 8);
   auto source = sources.open("s");  // its opening is in the queue as well

@@ -371,6 +371,44 @@ TEST_F(UndoLoop, AnotherBladesStrokeThatEndsMeanwhileIsNotUndone) {
   EXPECT_EQ(state().revision, 0u);
 }
 
+// Who goes on cutting at once does not lose that stroke instead of the one before.
+TEST_F(UndoLoop, AStrokeThatBeginsMeanwhileIsNotUndone) {
+  cut(0.5);
+  ASSERT_TRUE(caught_up(1));
+  const LoopState one = state();
+  cut(0.2);
+  ASSERT_TRUE(caught_up(2));
+  ask(source_->number());
+  ask();
+  cut(0.8);
+  ASSERT_TRUE(caught_up(3));
+  EXPECT_EQ(answers_, (std::vector{UndoEnd::kBegun, UndoEnd::kBegun}));
+  EXPECT_EQ(undos_, 0u);
+  // Asked for again it is that stroke's turn, and then the turn of the one that was meant.
+  ask(source_->number());
+  ask(source_->number());
+  ASSERT_TRUE(frames_until([&] { return undos_ == 2; }));
+  EXPECT_EQ(state().state_hash, one.state_hash);
+}
+
+// What was sent before it counts, even if the loop comes to it only afterwards.
+TEST_F(UndoLoop, AStrokeThatWaitsInTheQueueIsTheOneThatIsUndone) {
+  cut(0.5);
+  ASSERT_TRUE(caught_up(1));
+  const LoopState one = state();
+  std::vector<input::TimedPose> waiting;
+  for (const core::Pose& pose : tests::sweep_through(150, 1000, 0.2, 0.1, clock_ns_))
+    waiting.push_back({pose, monotonic_ns()});
+  clock_ns_ += 1'000'000'000;
+  ASSERT_EQ(source_->enqueue(waiting), waiting.size());
+  ASSERT_TRUE(source_->end_stroke(monotonic_ns()));
+  ask();
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 1; }));
+  EXPECT_EQ(answers_, std::vector{UndoEnd::kDone});
+  EXPECT_EQ(state().state_hash, one.state_hash);
+  EXPECT_EQ(state().strokes, 1u);
+}
+
 // The journal says what a replay needs to come to the same: up to the pose that it names, and on from there.
 TEST_F(UndoLoop, TheJournalReplaysToTheSame) {
   for (const double x : {0.5, 0.2}) cut(x);

@@ -327,6 +327,25 @@ TEST(RelayOperator, ALateRefusalOfAnUndoComesBack) {
   EXPECT_EQ(served.session.stat("/access/undos"), 0.0);
 }
 
+// Through a relay, too, an undo is for the strokes that were sent before it: what comes behind it is never removed.
+TEST(RelayOperator, AStrokeBehindAnUndoStays) {
+  Served served("relay_undo_order");
+  Witness viewer(served.relay->tcp_port());
+  ASSERT_TRUE(viewer.client().wait_for_revision(0, 60));
+  Hand hand(served.session, served.relay->tcp_port(), "blade");
+  for (const double x : {0.3, 0.6}) ASSERT_TRUE(hand.cut(x));
+  const Held before = served.settled(viewer.client());
+  const std::uint64_t epoch = viewer.client().welcome().session;
+  const auto is_answered = [&] { return !hand.said().empty() || viewer.client().welcome().session != epoch; };
+  hand.link->undo();
+  ASSERT_TRUE(hand.cut(0.8));
+  EXPECT_TRUE(wait_for(is_answered));
+  EXPECT_NE(served.settled(viewer.client()).hash, before.hash) << "it is the last stroke that was removed";
+  if (viewer.client().welcome().session != epoch) return;  // it was done before the stroke began
+  EXPECT_TRUE(hand.said().starts_with("Undo: a stroke has begun since, so nothing was undone"))
+      << hand.said();
+}
+
 TEST(RelayOperator, SimulatorsAreSentToTheOrigin) {
   Served served("relay_simulator");
   client::Options options;

@@ -192,7 +192,7 @@ TEST_F(AccessTest, ResetsTakeoversAndHandOversAreCountedAndLogged) {
   ASSERT_TRUE(admin.receive_until<protocol::Welcome>());
   admin.send(protocol::Reset{}, 2);
   ASSERT_TRUE(admin.receive_until<protocol::Welcome>());
-  EXPECT_TRUE(told("the mesh is reset by", "at 127.0.0.1:"));
+  EXPECT_TRUE(told("a reset of the mesh is asked for by", "at 127.0.0.1:"));
   const StreamCounters c = test->server.counters();
   EXPECT_EQ(c.takeovers, 1u);
   EXPECT_EQ(c.handovers, 2u);

@@ -786,6 +786,33 @@ TEST(Server, ASecondOperatorIsRefusedOrTakesOver) {
   EXPECT_EQ(test.loop.strokes_ended(), 1u) << "the stroke of who held the blade has ended";
 }
 
+// Without a name it is "blade", whichever way it is asked for.
+TEST(Server, ABladeWithoutANameIsHeldUnderItsDefault) {
+  TestServer test;
+  test.loop.start();
+  const auto greeting = [](const std::string& name, bool take_over) {
+    protocol::Hello wish = hello(Role::Operator, View::None);
+    wish.source_name = name;
+    wish.take_over = take_over;
+    return wish;
+  };
+  for (const auto& [held, asked] : {std::pair{"", "blade"}, {"blade", ""}}) {
+    RawPeer first(test.server.tcp_port());
+    first.send(greeting(held, true));
+    ASSERT_TRUE(first.receive_until<protocol::Welcome>());
+    RawPeer second(test.server.tcp_port());
+    second.send(greeting(asked, false));
+    const auto error = second.receive_until<protocol::Error>();
+    ASSERT_TRUE(error);
+    EXPECT_EQ(std::get<protocol::Error>(error->message.body).text,
+              "the blade \"blade\" is held by another operator");
+    RawPeer third(test.server.tcp_port());
+    third.send(greeting(asked, true));
+    EXPECT_TRUE(third.receive_until<protocol::Welcome>());
+    EXPECT_TRUE(first.receive_until<protocol::Bye>());
+  }
+}
+
 // A blade that no operator holds cannot be taken over, and the reason says so.
 TEST(Server, ABladeOfADeviceIsRefusedAsThat) {
   TestServer test;

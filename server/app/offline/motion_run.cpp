@@ -147,6 +147,11 @@ void check_blade(const Config& config, const RecordedMotion& motion, double body
     throw std::runtime_error("the blade " + fault);
 }
 
+std::string explained(PoseVerdict verdict) {
+  if (verdict != PoseVerdict::kNotFinite) return core::to_string(verdict);
+  return "not finite or more than " + short_number(core::kFarthest_m / 1000) + " km from the origin";
+}
+
 void MotionRun::run(const Options& options, Progress& progress) {
   std::array<bool, core::kMaxSources> used{};
   const auto& events = motion_.events;
@@ -207,7 +212,7 @@ std::vector<std::string> MotionRun::pose_warnings() const {
     const auto verdict = static_cast<PoseVerdict>(i);
     if (verdicts_[i] == 0 || core::accepted(verdict)) continue;
     all.push_back(name_ + ": " + counted(verdicts_[i], "pose was", "poses were") +
-                  " rejected: " + core::to_string(verdict));
+                  " rejected: " + explained(verdict));
   }
   if (jumps() > 0) {
     all.push_back(name_ + ": " + counted(jumps(), "jump", "jumps") + " began a new stroke: faster than " +
@@ -232,6 +237,11 @@ std::string MotionRun::why_nothing_was_cut(const Box& body) const {
   if (batches_ == 0 && jumps() > 0) {
     return "every step of " + name_ + " counts as a jump; raise the limits in the configuration";
   }
+  std::uint64_t rejected = 0;
+  for (std::size_t i = 0; i < verdicts_.size(); ++i)
+    if (!core::accepted(static_cast<PoseVerdict>(i))) rejected += verdicts_[i];
+  if (batches_ == 0 && rejected > 0)
+    return "the poses of " + name_ + " that were not rejected do not move the blade";
   if (batches_ == 0) return "the blade of " + name_ + " never moved";
   if (met_the_body()) {
     return "the blade of " + name_ +

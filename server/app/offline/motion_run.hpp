@@ -14,6 +14,9 @@
 
 namespace incise::app {
 
+// A pose's verdict for people; core::to_string() has the names that programs read in /stats and metrics.
+std::string explained(core::PoseVerdict verdict);
+
 // Cutting a mesh by a recorded motion, without a server: common to `incise cut`, `incise feel` and `incise convert`, with the same
 // warnings.
 

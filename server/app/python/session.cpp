@@ -8,6 +8,7 @@
 
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/cut_surface.hpp"
+#include "server/app/offline/motion_run.hpp"
 #include "server/app/python/arrays.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/session/piece_numbers.hpp"
@@ -63,7 +64,7 @@ std::string push(Session& session, const py::object& given, std::uint32_t button
     const core::PoseVerdict verdict = core.push(number, pose);
     if (session.forces)
       session.forces->event(session.config, {app::MotionEvent::Kind::kPose, number, pose, pose.t_ns});
-    return core::to_string(verdict);
+    return app::explained(verdict);
   });
 }
 
@@ -254,7 +255,7 @@ than cut.gap_limit_s in the configuration begins a new stroke, and Cut.warnings 
            R"(push(pose, buttons=1, source=0) -> str
 
 Takes one pose: t, x, y, z, qx, qy, qz, qw (seconds, metres, unit quaternion) of a blade (source 0 to 7). Returns "accepted", or
-why a new stroke began or the pose was rejected. Nothing is cut before advance().)")
+why a new stroke began or the pose was rejected ("not finite or more than 10 km from the origin", "time not increasing"). Nothing is cut before advance().)")
       .def(
           "end_stroke",
           [](Session& self, std::int64_t source) {
