@@ -18,8 +18,7 @@ namespace {
 
 using core::Vec3;
 
-// Three seconds, and a little: one of the bodies needs 181 steps.
-constexpr int kStepsToRest = 3 * SoftBench::kRate_hz + 5;
+constexpr int kStepsToRest = 3 * SoftBench::kRate_hz;
 // Of a single vertex in a step, while the rest of the body is still, m.
 constexpr double kJump_m = 8e-4, kStill_m = 1e-4;
 

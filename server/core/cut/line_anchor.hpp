@@ -19,6 +19,8 @@ struct LineAnchor {
     std::array<VertexId, kVertices> near{kNone, kNone, kNone, kNone};  // the nearest first; fewer: kNone
   };
   std::array<Point, 2> points;
+  // How far these vertices have gone apart since, over all steps, m.
+  double strain_m = 0;
 
   bool is_set() const { return points[0].near[0] != kNone; }
   // Whether all of its vertices are among the first `vertices`.
@@ -31,6 +33,8 @@ struct LineAnchor {
     return true;
   }
   void archive(Archive& io) {
+    io(strain_m);
+    io.demand(strain_m >= 0, "an anchor with less strain than none");
     for (Point& point : points) {
       io(point.part);
       for (VertexId& v : point.near) io(v);

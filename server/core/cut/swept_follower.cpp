@@ -14,6 +14,8 @@ constexpr std::array kReach_h = {0.25, 1.0, 4.0};
 constexpr double kReachAll_h = 1e6;
 // Two points of a line that are nearer than this go together.
 constexpr double kApart = 1e-3;
+// Where the vertices near a line have gone apart by more than this, it is not known where what was swept there is.
+constexpr double kStrain_h = 0.1;
 // Of the tetrahedra that are looked at so many make a unit of work.
 constexpr std::int64_t kTetsAUnit = 4;
 
@@ -178,7 +180,14 @@ void SweptFollower::follow() {
     move(line, anchor, before);
     before += 2 * LineAnchor::kVertices;
   });
-  workspace_.swept.enclose();
+  // Where a cut gapes, what was swept is on neither of its sides.
+  const double most_m = kStrain_h * mesh_.mean_edge_length();
+  const auto is_lost = [most_m](const auto& anchors) {
+    return std::ranges::any_of(anchors,
+                               [most_m](const LineAnchor& anchor) { return anchor.strain_m > most_m; });
+  };
+  workspace_.swept.forget_if(is_lost);
+  workspace_.ends.forget_if(is_lost);
   for (std::size_t i = 0; i < workspace_.ends.size(); ++i) workspace_.ends[i].enclose();
   for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks}) held->note_middles(mesh_);
 }
@@ -193,19 +202,22 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
     }
   }
   if (motion.count() == 0) {
-    anchor = {};
+    anchor.points = {};
     return;
   }
   motion.fit();
   Vec3 ends[2];
   bool lost = false;
+  double apart2_m2 = 0;
   for (std::size_t i = 0; i < 2; ++i) {
     const LineAnchor::Point& point = anchor.points[i];
     Vec3 deviation{};
     double count = 0;
     for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
       if (!is_there(point.near[k])) continue;
-      deviation += mesh_.position(point.near[k]) - motion(before[i * LineAnchor::kVertices + k]);
+      const Vec3 by = mesh_.position(point.near[k]) - motion(before[i * LineAnchor::kVertices + k]);
+      apart2_m2 = std::max(apart2_m2, squared_length(by));
+      deviation += by;
       ++count;
     }
     ends[i] = motion(lerp(line.heel, line.tip, static_cast<double>(point.part)));
@@ -214,8 +226,9 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
   }
   const double from = static_cast<double>(anchor.points[0].part),
                to = static_cast<double>(anchor.points[1].part);
+  anchor.strain_m += std::sqrt(apart2_m2);
   // Others are looked for the next time.
-  if (lost) anchor = {};
+  if (lost) anchor.points = {};
   if (to - from < kApart || squared_length(ends[1] - ends[0]) == 0) {
     line = {motion(line.heel), motion(line.tip)};
     return;

@@ -10,7 +10,8 @@
 namespace incise::core {
 
 // Takes what blades have swept along when a host simulation moves the body: later strokes then find it where the tissue is that it went through. Each line
-// goes as the vertices near two of its points do, and stays straight. What lies in the air goes with the tissue that is nearest.
+// goes as the vertices near two of its points do, and stays straight. What lies in the air goes with the tissue that is nearest. Where
+// that has gone apart, as at a cut that gapes, it is forgotten.
 class SweptFollower {
  public:
   SweptFollower(const TetMesh& mesh, CutWorkspace& workspace) : mesh_(mesh), workspace_(workspace) {}

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -69,6 +70,15 @@ class SweptMemory {
   }
   void enclose() {
     for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
+  }
+  // Forgets the quads of which is_lost(anchors) is true.
+  template <class IsLost>
+  void forget_if(IsLost is_lost) {
+    std::rotate(quads_.begin(), quads_.begin() + static_cast<std::ptrdiff_t>(oldest_), quads_.end());
+    oldest_ = 0;
+    if (std::erase_if(quads_, [&](const Quad& quad) { return is_lost(quad.anchors); }) > 0) is_whole_ = false;
+    blocks_.clear();
+    enclose();
   }
   // Nothing has an anchor: the numbers of vertices are others.
   void lose_anchors() {
