@@ -246,8 +246,7 @@ class Player {
       warn(std::string("nothing was cut: ") +
            (r.too_fast > 0 ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
                            : "the blade missed the mesh, never moved, or no pose held the button that "
-                             "engages it, or all of it "
-                             "was cut before"));
+                             "engages it, or all of it was cut before"));
     }
     if (command_.json) {
       const nlohmann::ordered_json summary{{"poses_sent", sent_},

@@ -38,8 +38,7 @@ const char* why_not(loop::UndoEnd end) {
       return "the mesh was reset first: there is no stroke to undo";
     case loop::UndoEnd::kBegun:
       return "a stroke has begun since, so nothing was undone: ask again when no blade cuts, and begin the "
-             "next "
-             "stroke when it is done";
+             "next stroke when it is done";
     case loop::UndoEnd::kNoStroke:
       return "there is no stroke to undo";
     case loop::UndoEnd::kOtherBlade:

@@ -212,12 +212,7 @@ TEST_P(Meet, WhereASimulationLeavesTheBodyAsItIs) {
     const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
     core::CutSession session(mesh(), meeting_config(meeting));
     for (const auto& stroke : meeting.strokes) {
-      for (const core::Pose& pose : stroke) {
-        session.push(0, pose);
-        drain(session);
-      }
-      session.end_stroke(0);
-      drain(session);
+      cut(stroke, session);
       deform(session, [](const Vec3& p) { return p; });
     }
     const Verdict v = judge(body(), strokes_of(meeting), session.mesh());

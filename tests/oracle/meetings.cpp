@@ -397,8 +397,6 @@ void drain(core::CutSession& session, std::int64_t budget_units) {
   }
 }
 
-namespace {
-
 void cut(std::span<const core::Pose> stroke, core::CutSession& session, std::int64_t budget_units) {
   for (const core::Pose& pose : stroke) {
     INCISE_CHECK(core::accepted(session.push(0, pose)));
@@ -407,8 +405,6 @@ void cut(std::span<const core::Pose> stroke, core::CutSession& session, std::int
   session.end_stroke(0);
   drain(session, budget_units);
 }
-
-}  // namespace
 
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
   for (const auto& stroke : meeting.strokes) cut(stroke, session, budget_units);

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <random>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -56,6 +57,9 @@ Meeting random_meeting(const core::MeshData& mesh, double h, std::string_view ki
 core::CutConfig meeting_config(const Meeting& meeting);
 // Works until nothing waits, so much at a time.
 void drain(core::CutSession& session, std::int64_t budget_units = INT64_MAX);
+// Cuts with poses of source 0, then ends their stroke, so much work at a time.
+void cut(std::span<const core::Pose> stroke, core::CutSession& session,
+         std::int64_t budget_units = INT64_MAX);
 // Cuts it, stroke by stroke, into a session that has meeting_config(), so much work at a time.
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
 // The same with all strokes at once, pose by pose in turn, each by a blade of its own.

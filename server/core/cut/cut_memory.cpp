@@ -1,8 +1,8 @@
 #include "server/core/cut/cut_memory.hpp"
 
-#include <bit>
 #include <utility>
 
+#include "protocol/state_hash.hpp"
 #include "server/core/util/archive.hpp"
 
 namespace incise::core {
@@ -11,26 +11,15 @@ namespace {
 constexpr std::uint32_t kVersion = 1;
 constexpr std::uint32_t kMostStrokes = 1U << 31;
 
-// FNV-1a, of words.
-class Fingerprint {
- public:
-  void add(std::uint64_t word) { value_ = (value_ ^ word) * 0x100000001b3; }
-  std::uint64_t value() const { return value_; }
-
- private:
-  std::uint64_t value_ = 0xcbf29ce484222325;
-};
-
 std::uint64_t fingerprint(const MeshData& mesh) {
-  Fingerprint print;
-  print.add(mesh.positions.size());
+  protocol::ElementHash hash(static_cast<std::uint32_t>(mesh.positions.size()));
   for (const Vec3& p : mesh.positions) {
-    for (const double x : {p.x, p.y, p.z}) print.add(std::bit_cast<std::uint64_t>(x));
+    for (const double x : {p.x, p.y, p.z}) hash.add(x);
   }
   for (const auto& tet : mesh.tets) {
-    for (const VertexId v : tet) print.add(v);
+    for (const VertexId v : tet) hash.add(v);
   }
-  return print.value();
+  return hash.value();
 }
 
 struct Header {

@@ -3,29 +3,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/core/geometry/clip.hpp"
 #include "server/core/stroke/swept_triangle.hpp"
 
 namespace incise::core {
-namespace {
-
-// What of the segment a b lies in a box, as a range of its length; false where nothing does.
-bool clip(const Vec3& a, const Vec3& b, const Vec3& low, const Vec3& high, double& first, double& last) {
-  first = 0;
-  last = 1;
-  const auto clip_axis = [&](double from, double to, double least, double most) {
-    const double way = to - from;
-    if (way == 0) return from >= least && from <= most;
-    const double s = (least - from) / way, t = (most - from) / way;
-    first = std::max(first, std::min(s, t));
-    last = std::min(last, std::max(s, t));
-    return first < last;
-  };
-  return clip_axis(a.x, b.x, low.x, high.x) && clip_axis(a.y, b.y, low.y, high.y) &&
-         clip_axis(a.z, b.z, low.z, high.z);
-}
-
-}  // namespace
-
 std::uint32_t SweepEnd::straight_to(std::uint32_t k, std::uint32_t part, double tolerance_m) const {
   const auto is_straight = [&](std::uint32_t to) {
     for (std::uint32_t side : {part, part + 1}) {
@@ -52,7 +33,7 @@ void SweepEnd::enclose() {
 void SweepEnds::add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count,
                     double part_m, const Vec3& low, const Vec3& high) {
   SweepEnd end;
-  if (!clip(lines[0].heel, lines[0].tip, low, high, end.first_part, end.last_part)) return;
+  if (!clip(lines[0].heel, lines[0].tip, {low, high}, end.first_part, end.last_part)) return;
   end.stroke = stroke;
   end.travel_m = travel_m;
   end.line_count = static_cast<std::uint32_t>(std::min(count, SweepEnd::kMaxLines));

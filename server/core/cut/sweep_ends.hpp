@@ -59,7 +59,7 @@ class SweepEnds {
       for (std::size_t k = 0; k < end.line_count; ++k) visit(end.lines[k], end.anchors[k]);
     }
   }
-  // Forgets the ends of which is_lost(anchors) is true.
+  // Forgets the ends for which is_lost(anchors) holds.
   template <class IsLost>
   void forget_if(IsLost is_lost) {
     std::erase_if(ends_, [&](const SweepEnd& end) { return is_lost(end.anchors); });

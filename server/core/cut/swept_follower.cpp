@@ -4,7 +4,7 @@
 #include <array>
 #include <cmath>
 
-#include "server/core/geometry/box.hpp"
+#include "server/core/geometry/clip.hpp"
 
 namespace incise::core {
 namespace {
@@ -18,23 +18,6 @@ constexpr double kApart = 1e-3;
 constexpr double kStrain_h = 0.1;
 // Of the tetrahedra that are looked at so many make a unit of work.
 constexpr std::int64_t kTetsAUnit = 4;
-
-// What of a line lies in a box, as parts of it; all of it where nothing does.
-std::array<float, 2> clip(const BladeLine& line, const Box& box) {
-  double first = 0, last = 1;
-  const auto clip_axis = [&](double from, double to, double low, double high) {
-    const double way = to - from;
-    if (way == 0) return;
-    const double s = (low - from) / way, t = (high - from) / way;
-    first = std::max(first, std::min(s, t));
-    last = std::min(last, std::max(s, t));
-  };
-  clip_axis(line.heel.x, line.tip.x, box.low.x, box.high.x);
-  clip_axis(line.heel.y, line.tip.y, box.low.y, box.high.y);
-  clip_axis(line.heel.z, line.tip.z, box.low.z, box.high.z);
-  if (!(first < last)) return {0, 1};
-  return {static_cast<float>(first), static_cast<float>(last)};
-}
 
 // The rigid motion that takes some points to others best, by least squares.
 class RigidMotion {
@@ -127,11 +110,15 @@ bool SweptFollower::advance(WorkBudget& budget) {
 }
 
 void SweptFollower::set(LineAnchor& anchor, const BladeLine& line, WorkBudget& budget) {
-  const std::array<float, 2> parts = clip(line, {workspace_.grid.low(), workspace_.grid.high()});
-  for (std::size_t i = 0; i < 2; ++i) {
-    anchor.points[i].part = parts[i];
-    find_near(lerp(line.heel, line.tip, static_cast<double>(parts[i])), anchor.points[i], budget);
+  double first, last;
+  if (!clip(line.heel, line.tip, {workspace_.grid.low(), workspace_.grid.high()}, first, last)) {
+    first = 0;
+    last = 1;
   }
+  anchor.points[0].part = static_cast<float>(first);
+  anchor.points[1].part = static_cast<float>(last);
+  for (LineAnchor::Point& point : anchor.points)
+    find_near(lerp(line.heel, line.tip, static_cast<double>(point.part)), point, budget);
 }
 
 // The vertices of the boundary, cuts included: what was swept has left one.

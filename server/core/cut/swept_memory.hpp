@@ -71,7 +71,7 @@ class SweptMemory {
   void enclose() {
     for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
   }
-  // Forgets the quads of which is_lost(anchors) is true.
+  // Forgets the quads for which is_lost(anchors) holds.
   template <class IsLost>
   void forget_if(IsLost is_lost) {
     std::rotate(quads_.begin(), quads_.begin() + static_cast<std::ptrdiff_t>(oldest_), quads_.end());
