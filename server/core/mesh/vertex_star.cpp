@@ -196,6 +196,16 @@ double VertexStar::volume() const {
   return volume_;
 }
 
+bool VertexStar::ends_cut() const {
+  constexpr double kCosFacing = -0.9;
+  for (std::size_t i = 0; i < walls_.size(); ++i) {
+    for (std::size_t k = 0; walls_[i].cut && k < i; ++k) {
+      if (walls_[k].cut && dot(walls_[i].normal, walls_[k].normal) < kCosFacing) return true;
+    }
+  }
+  return false;
+}
+
 bool VertexStar::keeps_boundary(const Vec3& p) const {
   constexpr double kDistance_local = 0.05;
   constexpr double kVolume_local3 = 0.001;

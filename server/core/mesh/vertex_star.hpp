@@ -51,6 +51,8 @@ class VertexStar {
   // The sum of their area vectors, m^2.
   const Vec3& wall_area() const { return wall_area_; }
   bool on_boundary() const { return !walls_.empty(); }
+  // Whether a cut ends at the vertex: the faces of both its sides are here.
+  bool ends_cut() const;
 
   // The worst measure (quality.hpp) in the star with the vertex at p; stops early beyond `limit`. Tetrahedra that
   // would be flat on the surface do not count: they are appended to `flat`. `thickness` is what counts as flat, m.

@@ -102,6 +102,8 @@ void RepairStage::try_moving(VertexId v) {
   Vec3 closest;
   std::uint32_t triangle = 0;
   const bool on = cut_.on_surface(v);
+  // An older cut would be longer than its blade has been, though no tissue would be lost.
+  if (!on && star_.ends_cut()) return;
   if (on && !cut_.surface().closest(place.target, kMoveOff_h * cut_.h, closest, triangle)) return;
   places_.look_around(star_, on, triangle, {kGood, -1}, place);
   if (cut_.meets_cut && place.worst > kSnapFloor)
