@@ -1,6 +1,7 @@
 #include "tests/oracle/meetings.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <numbers>
@@ -26,7 +27,7 @@ using Way = std::vector<Point>;
 class Maker {
  public:
   Maker(const core::MeshData& mesh, double h, std::string_view kind, std::uint64_t seed, bool along_axes)
-      : random_(seed * 1'000'003 + kind_number(kind)), h_(h) {
+      : random_(seed * 1'000'003 + kind_number(kind)), mesh_(mesh), h_(h) {
     Vec3 low = mesh.positions.at(0), high = low;
     for (const Vec3& p : mesh.positions) core::extend(p, low, high);
     size_ = core::distance(low, high);
@@ -76,6 +77,10 @@ class Maker {
     } else if (kind == "box") {
       square(random_.one_of({0.0, 0.5, 2.0}), o);
       slit();
+    } else if (kind == "rows" || kind == "strips") {
+      rows();
+    } else if (kind == "helix") {
+      helix();
     } else if (kind == "halves") {
       stroke(arc(radius_h_, 0, 0.5, o));
       stroke(arc(radius_h_, 0.5, 0.5, o));
@@ -339,7 +344,54 @@ class Maker {
     return meeting_.along_axes ? 0.5 * std::round(2 * s) : s;
   }
 
+  // From where to where the body is along a direction, in h from the centre, and an element more.
+  std::array<double, 2> extent(const Vec3& direction) const {
+    std::array<double, 2> out{INFINITY, -INFINITY};
+    for (const Vec3& p : mesh_.positions) {
+      const double at = core::dot(p - centre_, direction) / h_;
+      out = {std::min(out[0], at - 1), std::max(out[1], at + 1)};
+    }
+    return out;
+  }
+  // A blade of 0.6 to 3 elements; returns how far below one row the next one is.
+  double shorten_blade() {
+    const double blade_h = random_.uniform(0.6, 3);
+    meeting_.blade.tip.z = blade_h * h_;
+    meeting_.overlap_h = random_.one_of({0.0, 0.15, 0.3, 0.5});
+    meeting_.step_h = std::max(meeting_.step_h, 0.1);
+    return std::max(blade_h - meeting_.overlap_h, 0.3);
+  }
+  void rows() {
+    const double pitch = shorten_blade();
+    const auto [left, right] = extent(u_);
+    const auto [top, bottom] = extent(axis_);
+    const int n = static_cast<int>(std::ceil((right - left) / meeting_.step_h));
+    bool back = false;
+    if (meeting_.kind == "rows") begin_stroke();
+    for (double z = top; z < bottom; z += pitch, back = !back) {
+      if (meeting_.kind == "strips") begin_stroke();
+      for (int i = 0; i <= n; ++i) {
+        const double part = static_cast<double>(back ? n - i : i) / n;
+        push(pose_along(at({left + part * (right - left), 0}) + h_ * z * axis_, axis_));
+      }
+    }
+  }
+  void helix() {
+    const double pitch = shorten_blade();
+    const auto [top, bottom] = extent(axis_);
+    const int n = around(1, radius_h_);
+    const double from = turn();
+    begin_stroke();
+    for (int i = 0; top + pitch * (i - n) / n < bottom; ++i) {
+      const double angle = from + kTurn * i / n;
+      push(pose_along(
+          at({radius_h_ * std::cos(angle), radius_h_ * std::sin(angle)}) + h_ * (top + pitch * i / n) * axis_,
+          axis_));
+    }
+  }
+
   Random random_;
+  const core::MeshData& mesh_;
   double h_, size_ = 0, radius_h_ = 0;
   Vec3 centre_{}, axis_, u_, v_;
   std::int64_t count_ = 0;

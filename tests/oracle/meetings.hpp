@@ -33,6 +33,9 @@ inline constexpr std::string_view kMeetingKinds[] = {
     "crosses",  // two strokes at any angle
     "lid",      // a slit that ends in the body, and a circle down to it
     "box",      // four strokes that end in the body, and a slit under them
+    "rows",  // one stroke, to and fro through the body, by a short blade: each row below the one before, which it overlaps by 0 to 0.5 h
+    "strips",  // the same, each row a stroke
+    "helix",   // one stroke by a short blade, around and down through the body
 };
 
 struct Meeting {

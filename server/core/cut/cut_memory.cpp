@@ -8,6 +8,8 @@
 namespace incise::core {
 namespace {
 
+// A vertex this near to what was swept was put there.
+constexpr double kPut_h = 0.02;
 constexpr std::uint32_t kVersion = 1;
 constexpr std::uint32_t kMostStrokes = 1U << 31;
 
@@ -112,6 +114,10 @@ bool restore_cut_memory(std::span<const std::byte> bytes, const TetMesh& mesh, C
   workspace.held = std::move(memory.held);
   workspace.ribs = std::move(memory.ribs);
   workspace.necks = std::move(memory.necks);
+  std::size_t looked_at = 0;
+  for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
+    workspace.vertices[v].surface =
+        workspace.swept.stroke_at(mesh.position(v), kPut_h * mesh.mean_edge_length(), looked_at);
   return true;
 }
 

@@ -4,6 +4,8 @@
 #include <bit>
 #include <cmath>
 
+#include "server/core/stroke/swept_triangle.hpp"
+
 namespace incise::core {
 
 void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
@@ -37,16 +39,18 @@ void SweptMemory::add(const Quad& quad) {
   oldest_ = (oldest_ + 1) % kMost;
 }
 
-void SweptMemory::enclose(std::size_t block) {
-  blocks_.resize(std::max(blocks_.size(), block + 1));
-  std::optional<Box>& box = blocks_[block];
-  box.reset();
-  for (std::size_t i = block * kBlock; i < std::min(quads_.size(), (block + 1) * kBlock); ++i) {
+void SweptMemory::enclose(std::size_t number) {
+  blocks_.resize(std::max(blocks_.size(), number + 1));
+  Block& block = blocks_[number];
+  block.all = quads_[number * kBlock].box();
+  block.free_rims.reset();
+  for (std::size_t i = number * kBlock; i < std::min(quads_.size(), (number + 1) * kBlock); ++i) {
+    block.all.add(quads_[i].box());
     for (End end : {kHeel, kTip}) {
       for (std::uint64_t free = quads_[i].rims[end].free; free != 0; free &= free - 1) {
         const auto [a, b] = quads_[i].part(end, static_cast<std::uint32_t>(std::countr_zero(free)));
         const Box around = Box::around({a, b});
-        box ? box->add(around) : void(box = around);
+        block.free_rims ? block.free_rims->add(around) : void(block.free_rims = around);
       }
     }
   }
@@ -56,7 +60,7 @@ std::size_t SweptMemory::next_with_free_rim(std::size_t quad, const Box& box, st
   while (quad < quads_.size()) {
     const std::size_t block = quad / kBlock;
     ++looked_at;
-    if (!blocks_[block] || !blocks_[block]->meets(box)) {
+    if (!blocks_[block].free_rims || !blocks_[block].free_rims->meets(box)) {
       quad = (block + 1) * kBlock;
       continue;
     }
@@ -65,6 +69,32 @@ std::size_t SweptMemory::next_with_free_rim(std::size_t quad, const Box& box, st
     }
   }
   return quads_.size();
+}
+
+bool SweptMemory::crosses(const Vec3& a, const Vec3& b, std::size_t& looked_at) const {
+  const auto is_across = [&](const std::array<Vec3, 3>& triangle) {
+    const auto& [p, q, r] = triangle;
+    const Vec3 normal = cross(q - p, r - p);
+    const double from = dot(normal, a - p), to = dot(normal, b - p);
+    if ((from >= 0) == (to >= 0)) return false;
+    const Vec3 x = lerp(a, b, from / (from - to));
+    return dot(cross(q - p, x - p), normal) >= 0 && dot(cross(r - q, x - q), normal) >= 0 &&
+           dot(cross(p - r, x - r), normal) >= 0;
+  };
+  return any_in(Box::around({a, b}), looked_at,
+                [&](const Quad& quad) { return std::ranges::any_of(quad.triangles(), is_across); });
+}
+
+std::uint32_t SweptMemory::stroke_at(const Vec3& p, double reach_m, std::size_t& looked_at) const {
+  std::uint32_t stroke = 0;
+  any_in(Box::around({p}).widened(reach_m), looked_at, [&](const Quad& quad) {
+    const bool is_near = std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& t) {
+      return squared_length(closest_point(p, t[0], t[1], t[2]) - p) <= reach_m * reach_m;
+    });
+    if (is_near) stroke = quad.stroke;
+    return is_near;
+  });
+  return stroke;
 }
 
 void SweptMemory::take(std::size_t quad, End end, std::uint32_t part) {

@@ -35,6 +35,10 @@ class SweptMemory {
     std::array<LineAnchor, 2> anchors{};
 
     Box box() const { return Box::around({from.heel, from.tip, to.heel, to.tip}); }
+    // As what a batch sweeps is cut.
+    std::array<std::array<Vec3, 3>, 2> triangles() const {
+      return {{{from.heel, from.tip, to.tip}, {from.heel, to.tip, to.heel}}};
+    }
     // Part k of a rim, from the one line to the other.
     std::array<Vec3, 2> part(End end, std::uint32_t k) const {
       const Vec3 &a = end == kTip ? from.tip : from.heel, &b = end == kTip ? to.tip : to.heel;
@@ -53,6 +57,25 @@ class SweptMemory {
   // The next quad, from this one on, that has a free rim and lies in a block whose free rims may meet the box; quads().size(): none. `looked_at`: increased by
   // the blocks that were looked at.
   std::size_t next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const;
+  // Calls visit(quad) for those whose boxes meet this one, until it says true; returns that. `looked_at`: increased by the blocks and the
+  // quads that were looked at.
+  template <class Visit>
+  bool any_in(const Box& box, std::size_t& looked_at, Visit visit) const {
+    looked_at += blocks_.size();
+    for (std::size_t block = 0; block < blocks_.size(); ++block) {
+      if (!blocks_[block].all.meets(box)) continue;
+      const std::size_t end = std::min(quads_.size(), (block + 1) * kBlock);
+      looked_at += end - block * kBlock;
+      for (std::size_t i = block * kBlock; i < end; ++i) {
+        if (quads_[i].box().meets(box) && visit(quads_[i])) return true;
+      }
+    }
+    return false;
+  }
+  // Whether a blade has gone across the segment from a to b.
+  bool crosses(const Vec3& a, const Vec3& b, std::size_t& looked_at) const;
+  // A stroke that has swept within `reach_m` of p; 0: none.
+  std::uint32_t stroke_at(const Vec3& p, double reach_m, std::size_t& looked_at) const;
   // A part of a rim is taken up; it may be one that is not free.
   void take(std::size_t quad, End end, std::uint32_t part);
   // What a blade has swept from the first of these lines to the last in a box, that of the tissue, by chords no shorter than
@@ -93,11 +116,16 @@ class SweptMemory {
  private:
   static constexpr std::size_t kMost = 2048, kBlock = 16;
 
+  struct Block {
+    Box all;                       // around kBlock quads
+    std::optional<Box> free_rims;  // around their free rims
+  };
+
   void enclose(std::size_t block);
 
   std::vector<Quad> quads_;
-  std::vector<std::optional<Box>> blocks_;  // around the free rims of kBlock quads each
-  std::size_t oldest_ = 0;                  // when there are kMost: which the next one takes the place of
+  std::vector<Block> blocks_;
+  std::size_t oldest_ = 0;  // when there are kMost: which the next one takes the place of
   bool is_whole_ = true;
 };
 

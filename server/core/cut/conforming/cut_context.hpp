@@ -34,6 +34,8 @@ struct CutContext {
     const CutWorkspace::VertexMarks& marks = workspace.vertices[v];
     return marks.surface == stroke && marks.batch >= oldest_batch;
   }
+  // Or on what was swept before, by any stroke. It may have been moved since.
+  bool was_on_surface(VertexId v) const { return workspace.vertices[v].surface != 0; }
   // All three vertices of a face.
   bool face_on_surface(HalfFace face) const {
     const auto v = mesh.face_vertices(face);

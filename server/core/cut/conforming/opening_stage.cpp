@@ -120,16 +120,15 @@ bool OpeningStage::is_alone(const Vec3& p) const {
   const double travel_m = cut_.path.travel_before_m(cut_.surface()[nearest].batch);
   const double reach = kAlone_h * cut_.h;
   const Box around = Box::around({p}).widened(reach);
-  const std::span<const SweptMemory::Quad> quads = cut_.workspace.swept.quads();
-  cut_.work.add(quads.size(), cost::kQuadsAUnit);
-  return std::ranges::none_of(quads, [&](const SweptMemory::Quad& quad) {
+  std::size_t looked_at = 0;
+  const bool has_other = cut_.workspace.swept.any_in(around, looked_at, [&](const SweptMemory::Quad& quad) {
     if (quad.stroke == cut_.stroke && std::abs(quad.travel_m - travel_m) < kOwnSweep_h * cut_.h) return false;
-    const auto is_near = [&](const Vec3& b, const Vec3& c) {
-      return squared_length(closest_point(p, quad.from.heel, b, c) - p) < reach * reach;
-    };
-    return quad.box().meets(around) &&
-           (is_near(quad.from.tip, quad.to.tip) || is_near(quad.to.tip, quad.to.heel));
+    return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& t) {
+      return squared_length(closest_point(p, t[0], t[1], t[2]) - p) < reach * reach;
+    });
   });
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  return !has_other;
 }
 
 // Takes back the selection, and splits the chords where they are farthest off the surface: what then crosses it is dealt with like other
@@ -175,13 +174,13 @@ void OpeningStage::split_chord(const std::array<VertexId, 3>& face) {
   editor_.split(t, a, b, 0.5, MeshEditor::NewVertex::kInBend);
 }
 
-// The faces of t that may separate: those with all vertices on the surface, or one at which a crossing could not be dealt
-// with. Bit f: face f.
+// The faces of t that may separate: those with all vertices on the surface, or put on what was swept before, or one at which a crossing could not
+// be dealt with. Bit f: face f.
 unsigned OpeningStage::may_separate(TetId t) const {
   const auto& v = mesh_.vertices(t);
   unsigned off = 0, failed = 0;
   for (unsigned i = 0; i < 4; ++i) {
-    off |= (cut_.on_surface(v[i]) ? 0u : 1u) << i;
+    off |= (cut_.was_on_surface(v[i]) ? 0u : 1u) << i;
     failed |= (cut_.failed(v[i]) ? 1u : 0u) << i;
   }
   unsigned faces = 0;
@@ -195,14 +194,17 @@ unsigned OpeningStage::may_separate(TetId t) const {
 // Whether the surface separates the two tetrahedra at an interior face, so that it has to open: whether it crosses the
 // way from one reference point to the other. Any choice of ways, one for each face, separates what the surface
 // separates. A face on the surface is passed close by its middle, so that none opens beyond the rim; another one by its
-// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge.
+// own vertices off the surface, and only where a crossing near it could not be dealt with: better ragged than a bridge. A face larger than the blade
+// has some of its vertices where this sweep has not been: what all sweeps together have swept separates its sides.
 OpeningStage::Way OpeningStage::separates(HalfFace h) const {
   const TetId a = tet_of(h), b = tet_of(mesh_.opposite(h));
   Vec3 middle{}, off{};
   int off_count = 0;
+  bool all_on = true;
   for (VertexId v : mesh_.face_vertices(h)) {
     middle += (1.0 / 3.0) * mesh_.position(v);
-    if (cut_.on_surface(v)) continue;
+    all_on = all_on && cut_.on_surface(v);
+    if (cut_.was_on_surface(v)) continue;
     off += mesh_.position(v);
     ++off_count;
   }
@@ -211,7 +213,31 @@ OpeningStage::Way OpeningStage::separates(HalfFace h) const {
     const Vec3 by = (1.0 / off_count) * off;
     return way_along({from, by, by, to});
   }
-  return way_along({from, lerp(middle, from, kPass), lerp(middle, to, kPass), to});
+  if (all_on) return way_along({from, lerp(middle, from, kPass), lerp(middle, to, kPass), to});
+  return was_swept_across(middle, from, to) && lies_in_what_was_swept(h) ? Way::kCrossedHere : Way::kFree;
+}
+
+// Whether a blade has gone across the way from one reference point to the other, close by the middle of the face.
+bool OpeningStage::was_swept_across(const Vec3& middle, const Vec3& from, const Vec3& to) const {
+  const auto close_by = [&](const Vec3& end) {
+    return lerp(middle, end, std::max(kPass, std::min(1.0, kChord_h * cut_.h / distance(middle, end))));
+  };
+  std::size_t looked_at = 0;
+  const bool crossed = cut_.workspace.swept.crosses(close_by(from), close_by(to), looked_at);
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  return crossed;
+}
+
+// Whether those of its vertices are there that this sweep has not put where they are: they may have been moved since.
+bool OpeningStage::lies_in_what_was_swept(HalfFace h) const {
+  return std::ranges::all_of(mesh_.face_vertices(h), [this](VertexId v) {
+    if (cut_.on_surface(v)) return true;
+    std::size_t looked_at = 0;
+    const bool lies =
+        cut_.workspace.swept.stroke_at(mesh_.position(v), kLiesInSwept_h * cut_.h, looked_at) != 0;
+    cut_.work.add(looked_at, cost::kQuadsAUnit);
+    return lies;
+  });
 }
 
 // Where the surface crosses a way of three parts: in the middle one, if it does so there. All are looked at together.

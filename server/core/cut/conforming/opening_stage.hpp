@@ -42,6 +42,8 @@ class OpeningStage {
   enum class Way { kCrossedHere, kCrossedAside, kFree };
   Way separates(HalfFace h) const;
   Way way_along(const std::array<Vec3, 4>& way) const;
+  bool was_swept_across(const Vec3& middle, const Vec3& from, const Vec3& to) const;
+  bool lies_in_what_was_swept(HalfFace h) const;
   bool is_chord(HalfFace h) const;
   bool is_alone(const Vec3& p) const;
   bool refine(WorkBudget& budget);

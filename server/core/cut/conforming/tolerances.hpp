@@ -218,6 +218,8 @@ inline constexpr int kMaxRounds = 3;
 
 // Where the line between two tetrahedra passes their face: this part of the way from its middle to their reference points.
 inline constexpr double kPass = 0.25;
+// A vertex that an older sweep has put in place is still there where chords of what was swept pass it by this.
+inline constexpr double kLiesInSwept_h = 0.05;
 // A face on the surface whose middle is farther off it is a chord of a bend, and is split, where one of its edges is farther off than kChordEdge_h; so
 // often in a batch at most. kChord_h: where the sweep is alone, since nothing else was swept within kAlone_h: by no other stroke, nor by this one more
 // than kOwnSweep_h before or after. Where it is not, hands would add 0.15 more new tetrahedra a cut face, and kChordBeside_h holds.
