@@ -287,7 +287,7 @@ class Textures(unittest.TestCase):
 class Session(unittest.TestCase):
     """A client against a server that says what the vectors say."""
 
-    def serve(self, stream):
+    def serve(self, stream, *later):
         listener = socket.create_server(("127.0.0.1", 0))
         self.received = []
 
@@ -298,6 +298,9 @@ class Session(unittest.TestCase):
                 self.received.append(peer.recv(size, socket.MSG_WAITALL))
                 for i in range(0, len(stream), 7):  # in bits that end anywhere
                     peer.sendall(stream[i:i + 7])
+                for when, more in later:
+                    when.wait(20)
+                    peer.sendall(more)
                 while True:
                     head = peer.recv(4, socket.MSG_WAITALL)
                     if len(head) < 4:
@@ -327,6 +330,30 @@ class Session(unittest.TestCase):
         self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
+
+    def test_after_an_undo_it_waits_for_the_state_of_the_new_session(self):
+        volume = [struct.pack("<I", len(body)) + body for body in split((VECTORS / "streams" / "volume.bin").read_bytes())]
+        kinds = [Message.Message.GetRootAs(data, 4).BodyType() for data in volume]
+        ended = kinds.index(Body.Body.SnapshotEnd) + 1
+        self.assertEqual(kinds[0], Body.Body.Welcome)
+        undone, sent = threading.Event(), threading.Event()
+        port = self.serve(b"".join(volume[:ended]), (undone, volume[0]), (sent, b"".join(volume[1:ended])))
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+            self.assertTrue(client.wait_for_revision(0))
+            before, welcome = client.replica, client.welcome
+            undone.set()
+            while client.welcome is welcome:
+                client.poll(0.01)
+            self.assertFalse(client.snapshots_or_resumed)
+            self.assertFalse(client.wait_for_revision(0, 0.2))
+            with self.assertRaisesRegex(ValueError, r"no state of the body has come yet.*wait_for_revision\(0\)"):
+                client.send_positions(before.positions)
+            sent.set()
+            self.assertTrue(client.wait_for_revision(0))
+            self.assertEqual(client.replica.canonical_bytes(), before.canonical_bytes())
+            self.assertIsNot(client.replica, before)
+            client.send_positions(client.replica.positions)
+        self.thread.join()
 
     def messages(self, *names):
         bodies = [(VECTORS / "messages" / f"{name}.bin").read_bytes() for name in names]
@@ -386,7 +413,7 @@ class Session(unittest.TestCase):
         port = self.serve(self.messages("Welcome"))
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
             client.send_positions(np.zeros((2, 3), np.float32), first=7, revision=5)
-            client.send_positions(np.ones((2, 3)), ids=[3, 9])
+            client.send_positions(np.ones((2, 3)), ids=[3, 9], revision=0)
             for positions, ids, text in ((np.ones((3, 2)), None, r"found shape \(3, 2\)"), (np.ones(6), None, r"accepted is \(n, 3\)"),
                                          (np.ones((1, 3), complex), None, "complex128"), (np.ones((1, 3)), [-1], "ids: "),
                                          (np.ones((1, 3)), [2**32], "ids: "), (np.ones((1, 3)), [1.5], "ids: found .* float64"),
