@@ -17,6 +17,7 @@
 #include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
+#include "server/base/clock.hpp"
 #include "tests/client/recorded_session.hpp"
 #include "tests/stream/mini_loop.hpp"
 
@@ -359,6 +360,31 @@ TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
   EXPECT_LT(p99, steps + 0.5);
   EXPECT_GT(p99, steps - 1.5);
   EXPECT_GT(p50, 1.5);
+}
+
+// As where the server's clock is estimated a little too far behind.
+TEST(Watch, NothingComesBeforeItWasCut) {
+  const Watched watched([](const stream::Listener& listener) {
+    const auto peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, Watched::recording().welcome);
+    play(*peer, Watched::recording().snapshot);
+    for (const auto& step : Watched::recording().steps) {
+      auto delta = std::get<protocol::Delta>(step.message.body);
+      delta.steps[0].cut_ns = monotonic_ns() + 3'600'000'000'000;
+      delta.steps[0].arrival_ns = delta.steps[0].cut_ns - 2'000'000;
+      peer->send(delta);
+    }
+    peer->receive_until<protocol::Bye>();
+  });
+  EXPECT_EQ(watched.status, 0) << watched.told;
+  double most_ms = 0;
+  for (const auto& line : watched.lines) {
+    EXPECT_GE(line["cut_to_here_ms"]["p50"].get<double>(), 0);
+    EXPECT_GE(line["pose_to_here_ms"]["p50"].get<double>(), 0);
+    most_ms = std::max(most_ms, line["pose_to_here_ms"]["p99"].get<double>());
+  }
+  EXPECT_NEAR(most_ms, 2, 1e-3);
 }
 
 TEST(Watch, AServerThatComesBackIsSaidToOnce) {
