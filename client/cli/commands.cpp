@@ -95,6 +95,8 @@ std::unique_ptr<Client> connect(const Address& where, const Options& options, Ca
     return Client::connect(where.host, where.port, options, std::move(callbacks));
   } catch (const ConnectError& error) {
     const std::string text = error.what();
+    if (error.code == protocol::ErrorCode::Unauthorized && options.token.empty())
+      throw ConnectError(text + "; give one with --token-file FILE or in INCISE_TOKEN", error.code);
     if (text.find("Connection refused") == std::string::npos) throw;
     throw ConnectError(text + "; does incised run there, on that port? It prints its ports when it starts");
   }

@@ -150,6 +150,20 @@ TEST_F(Incised, CheckWithoutAFileChecksThatOfConfig) {
   EXPECT_EQ(tests::run_program("incise-relay", {"--check"}, dir_).exit_code, 2);
 }
 
+TEST_F(Incised, APortInUseComesWithWhatToDo) {
+  const stream::Listener taken;
+  write("c.json", R"({"mesh": {"path": "cube.node"}, "loop": {"realtime_priority": 0, "lock_memory": false},
+                      "listen": {"http_port": 0, "tcp_port": )" +
+                      std::to_string(taken.port()) + "}}");
+  const RunResult result = run({"--config", "c.json"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(
+      result.err.find("Address already in use; end the server that runs there (ss -ltnp shows it), or choose "
+                      "another listen.tcp_port (0: any free one)\n"),
+      std::string::npos)
+      << result.err;
+}
+
 TEST_F(Incised, TheTemplateSaysThatItNeedsABody) {
   write("c.json", run({"--print-config"}).out);
   const RunResult result = run({"--check", "c.json"});

@@ -573,6 +573,27 @@ TEST_F(CommandsTest, ABladeThatIsHeldComesWithWhatToDo) {
   }
 }
 
+TEST_F(CommandsTest, AMissingTokenComesWithWhereToGiveOne) {
+  stream::StreamConfig config = stream::test_config();
+  config.tokens = {{"sixteen letters or more", {protocol::Role::Viewer}}};
+  TestServer guarded(2, config);
+  const auto problem = [&](const std::string& token) {
+    Options options;
+    options.token = token;
+    try {
+      connect({.host = "127.0.0.1", .port = guarded.server.tcp_port()}, options, {});
+    } catch (const ConnectError& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_TRUE(problem("").ends_with(
+      "role viewer needs a token, and none was given; give one with --token-file FILE or in INCISE_TOKEN"))
+      << problem("");
+  EXPECT_TRUE(problem("another token of some").ends_with("does not open role viewer"))
+      << problem("another token of some");
+}
+
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
   std::ofstream(directory / "nonsense.csv") << "a,b\n1,2\n";
   StreamCommand command;

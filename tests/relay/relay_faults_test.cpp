@@ -357,6 +357,14 @@ TEST(RelayFaults, TokensAreCheckedAtTheEdge) {
   std::ofstream(last.file("token")) << "hands-on-000000001\n";
   ASSERT_TRUE(last.start()) << last.log();
 
+  RelayProcess bare(guarded.place(), guarded.http_port());
+  ASSERT_TRUE(bare.start()) << bare.log();
+  EXPECT_TRUE(wait_for([&] {
+    return bare.log().find(
+               "none was given; give one as relay.token_file, with --token-file FILE or in INCISE_TOKEN") !=
+           std::string::npos;
+  })) << bare.log();
+
   const auto verdict = [](std::uint16_t port, protocol::Role role, const std::string& token) {
     stream::RawPeer raw(port);
     protocol::Hello hello;
