@@ -8,6 +8,8 @@ import os
 import pathlib
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import unittest
 
@@ -40,6 +42,22 @@ def parse(data):
     body = table()
     body.Init(message.Body().Bytes, message.Body().Pos)
     return body
+
+
+class Module(unittest.TestCase):
+    def test_what_is_missing_is_named(self):
+        for name in ("numpy", "flatbuffers"):
+            done = subprocess.run([sys.executable, "-c", f"import sys; sys.modules[{name!r}] = None; import incise_client"],
+                                  capture_output=True, text=True, check=False)
+            self.assertEqual(done.returncode, 1)
+            self.assertIn(f"ModuleNotFoundError: incise_client needs NumPy and flatbuffers, and {name} is missing: pip install", done.stderr)
+            self.assertNotIn("During handling", done.stderr)
+
+    def test_all_that_is_named_is_there(self):
+        for name in incise_client.__all__:
+            self.assertTrue(hasattr(incise_client, name), name)
+        self.assertIn("incise_client.POSE_DTYPE", incise_client.Client.send_pose_array.__doc__)
+        self.assertEqual(incise_client.POSE_DTYPE.itemsize, 72)
 
 
 class Hashes(unittest.TestCase):

@@ -336,7 +336,7 @@ class Client:
         return self.send_pose_array(np.array(rows, POSE_DTYPE))
 
     def send_pose_array(self, poses: Any) -> int:
-        """The same from an array of POSE_DTYPE."""
+        """The same from an array of ``incise_client.POSE_DTYPE``: source_ns, position, orientation (w x y z), buttons, reserved (0)."""
         poses = np.asarray(poses, POSE_DTYPE)
         finite = np.isfinite(poses["position"]).all(axis=-1) & np.isfinite(poses["orientation"]).all(axis=-1)
         if not finite.all():
