@@ -148,7 +148,8 @@ std::string names_of(X509* certificate) {
     std::string one;
     if (name->type == GEN_DNS) {
       // The server's bytes: what a terminal cannot show is left out.
-      for (std::size_t i = 0; i < size; ++i) one += bytes[i] > ' ' && bytes[i] < 127 ? char(bytes[i]) : '?';
+      for (std::size_t i = 0; i < size; ++i)
+        one += bytes[i] > ' ' && bytes[i] < 127 ? static_cast<char>(bytes[i]) : '?';
     } else if (asio::ip::address_v4::bytes_type v4{}; size == v4.size()) {
       std::copy_n(bytes, size, v4.begin());
       one = asio::ip::address_v4(v4).to_string();
