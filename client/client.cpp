@@ -167,8 +167,7 @@ std::int64_t Client::round_trip_ns() const {
 }
 
 bool Client::wait_for_revision(std::uint64_t revision, double timeout_s) {
-  return impl_->wait([&] { return impl_->counts.snapshots > 0 && impl_->state.revision() >= revision; },
-                     timeout_s);
+  return impl_->wait([&] { return impl_->state.whole() && impl_->state.revision() >= revision; }, timeout_s);
 }
 
 bool Client::wait_for_report(std::uint64_t sequence, double timeout_s) {

@@ -178,8 +178,8 @@ class Client {
     return function(part());
   }
 
-  // Wait until the replica is at `revision` or later, or until the server has dealt with all poses up to a message.
-  // False when the time is over or the client is closed.
+  // Wait until the replica holds a state of this session (a reset or an undo begins another), at `revision` or later, or until the server
+  // has dealt with all poses up to a message. False when the time is over or the client is closed.
   bool wait_for_revision(std::uint64_t revision, double timeout_s);
   bool wait_for_report(std::uint64_t sequence, double timeout_s);
 

@@ -30,6 +30,11 @@ bool Client::Impl::on(const protocol::Welcome& welcome, const Arrival&) {
 }
 
 void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
+  // First: who has seen this Welcome and waits for a revision must not be content with the state before.
+  if (!welcome.resumed) {
+    state.forget();
+    state.await_snapshot();
+  }
   {
     const std::scoped_lock lock(mutex);
     last_welcome = welcome;
@@ -41,10 +46,6 @@ void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
     changed.notify_all();
   }
   epoch = welcome.session;
-  if (!welcome.resumed) {
-    state.forget();
-    state.await_snapshot();
-  }
   reconnecting = true;  // so is any connection after this one
   call(callbacks.on_welcome, welcome);
 }

@@ -57,10 +57,10 @@ protocol::ApplyResult HeldState::end(const protocol::SnapshotEnd& end) {
     return ended ? fields_.end(volume_) : ended;
   });
   if (!result) return result;
-  whole_ = true;
   awaiting_snapshot_ = false;
   revision_ = end.revision;
   state_hash_ = end.state_hash;
+  whole_ = true;  // after the revision, as others read both
   return result;
 }
 

@@ -41,14 +41,14 @@ class HeldState {
   void forget() { whole_ = false; }
 
   bool awaiting_snapshot() const { return awaiting_snapshot_; }
-  bool whole() const { return whole_; }
   bool in_snapshot() const { return in_snapshot_; }
   protocol::View view() const { return view_; }
   bool boxed() const { return boxed_; }
   std::uint32_t chunks_done() const { return chunks_done_; }
   std::uint32_t chunks_total() const { return chunks_total_; }
   protocol::SnapshotCause snapshot_cause() const { return snapshot_cause_; }
-  // From any thread.
+  // From any thread. Where whole() holds, revision() is of the present epoch.
+  bool whole() const { return whole_; }
   std::uint64_t revision() const { return revision_; }
   // The whole mesh's hash at that revision, as the server announced it.
   std::uint64_t state_hash() const { return state_hash_; }
@@ -73,7 +73,7 @@ class HeldState {
 
   protocol::View view_;  // in force
   bool boxed_ = false;   // likewise: the snapshot was of what touches a box
-  bool whole_ = false;
+  std::atomic<bool> whole_{false};
   bool awaiting_snapshot_ = false;
   bool in_snapshot_ = false;                          // between its beginning and its end
   std::uint32_t chunks_done_ = 0, chunks_total_ = 0;  // of the last snapshot

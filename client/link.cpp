@@ -23,6 +23,7 @@ constexpr auto kTuple = asio::as_tuple(asio::use_awaitable);
 // A TLS stream refers to this.
 struct TlsContext {
   ssl::context context{ssl::context::tls_client};
+  std::string certified_names;  // of a certificate that is for other names than the server's
 };
 
 class TcpLink final : public Link {
@@ -130,16 +131,64 @@ std::shared_ptr<TlsContext> make_tls(const std::string& host, std::uint16_t port
   return tls;
 }
 
+// The names and addresses that a certificate is for, as far as a message has room for them.
+std::string names_of(X509* certificate) {
+  constexpr int kMaxNames = 8;
+  std::string text;
+  const std::unique_ptr<GENERAL_NAMES, decltype(&GENERAL_NAMES_free)> names(
+      static_cast<GENERAL_NAMES*>(X509_get_ext_d2i(certificate, NID_subject_alt_name, nullptr, nullptr)),
+      &GENERAL_NAMES_free);
+  const int count = names ? sk_GENERAL_NAME_num(names.get()) : 0;
+  for (int k = 0; k < std::min(count, kMaxNames); ++k) {
+    const GENERAL_NAME* const name = sk_GENERAL_NAME_value(names.get(), k);
+    if (name->type != GEN_DNS && name->type != GEN_IPADD) continue;
+    const ASN1_STRING* const value = name->type == GEN_DNS ? name->d.dNSName : name->d.iPAddress;
+    const unsigned char* const bytes = ASN1_STRING_get0_data(value);
+    const auto size = static_cast<std::size_t>(ASN1_STRING_length(value));
+    std::string one;
+    if (name->type == GEN_DNS) {
+      // The server's bytes: what a terminal cannot show is left out.
+      for (std::size_t i = 0; i < size; ++i)
+        one += bytes[i] > ' ' && bytes[i] < 127 ? static_cast<char>(bytes[i]) : '?';
+    } else if (asio::ip::address_v4::bytes_type v4{}; size == v4.size()) {
+      std::copy_n(bytes, size, v4.begin());
+      one = asio::ip::address_v4(v4).to_string();
+    } else if (asio::ip::address_v6::bytes_type v6{}; size == v6.size()) {
+      std::copy_n(bytes, size, v6.begin());
+      one = asio::ip::address_v6(v6).to_string();
+    }
+    if (!one.empty()) text += (text.empty() ? "" : ", ") + one;
+  }
+  return count > kMaxNames ? text + ", ..." : text;
+}
+
+// As ssl::host_name_verification, and keeps the names of a certificate that is trusted but for others.
+void verify_name(NetStream::Tls& stream, const std::string& host, TlsContext& tls) {
+  stream.set_verify_callback(
+      [check = ssl::host_name_verification(host), &tls](bool trusted, ssl::verify_context& verify) {
+        if (check(trusted, verify)) return true;
+        if (trusted) {
+          X509_STORE_CTX_set_error(verify.native_handle(), X509_V_ERR_HOSTNAME_MISMATCH);
+          tls.certified_names = names_of(X509_STORE_CTX_get_current_cert(verify.native_handle()));
+        }
+        return false;
+      });
+}
+
 // Why TLS failed, and what to do.
-std::string tls_failure(const error_code& ec, SSL* connection, const std::string& host) {
+std::string tls_failure(const error_code& ec, SSL* connection, const std::string& host,
+                        const std::string& certified_names) {
   const long verdict = SSL_get_verify_result(connection);
+  if (verdict == X509_V_ERR_HOSTNAME_MISMATCH) {
+    return "TLS: the server's certificate is not for " + host +
+           (certified_names.empty() ? std::string(": it names no host; it needs a subjectAltName")
+                                    : "; it is for " + certified_names);
+  }
   if (verdict != X509_V_OK) {
     return std::string("TLS: the server's certificate is not trusted: ") +
            X509_verify_cert_error_string(verdict) + "; give the file of the authority that signed it (--ca)";
   }
   std::string what = "TLS: " + ec.message();
-  if (what.find("certificate verify failed") != std::string::npos)
-    return what + ": the certificate is not for the name " + host;
   if (what.find("wrong version number") != std::string::npos) return what + ": the server does not use TLS";
   return what;
 }
@@ -160,9 +209,9 @@ asio::awaitable<OpenStream> open_stream(std::string host, std::uint16_t port, co
   NetStream secured(std::move(tcp), tls->context);
   SSL* const connection = secured.tls()->native_handle();
   SSL_set_tlsext_host_name(connection, host.c_str());
-  secured.tls()->set_verify_callback(ssl::host_name_verification(host));
+  verify_name(*secured.tls(), host, *tls);
   const error_code tls_error = co_await secured.secure(ssl::stream_base::client);
-  if (tls_error) fail(host, port, tls_failure(tls_error, connection, host));
+  if (tls_error) fail(host, port, tls_failure(tls_error, connection, host, tls->certified_names));
   OpenStream opened{std::move(tls), std::move(secured)};
   co_return opened;
 }

@@ -29,7 +29,7 @@ void on_signal(int) {
 
 void add_server_options(CLI::App& command, ServerOptions& server) {
   command.add_option("--token-file", server.token_file,
-                     "file whose first line is the access token; else $INCISE_TOKEN");
+                     "File whose first line is the access token; else $INCISE_TOKEN");
   command.add_option("--ca", server.ca_file,
                      "PEM file of the authority that signed the server's certificate");
 }
@@ -95,6 +95,8 @@ std::unique_ptr<Client> connect(const Address& where, const Options& options, Ca
     return Client::connect(where.host, where.port, options, std::move(callbacks));
   } catch (const ConnectError& error) {
     const std::string text = error.what();
+    if (error.code == protocol::ErrorCode::Unauthorized && options.token.empty())
+      throw ConnectError(text + "; give one with --token-file FILE or in INCISE_TOKEN", error.code);
     if (text.find("Connection refused") == std::string::npos) throw;
     throw ConnectError(text + "; does incised run there, on that port? It prints its ports when it starts");
   }
@@ -131,26 +133,26 @@ const char* address_help(const FindServer& find) {
 
 void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
   auto command = std::make_shared<StreamCommand>();
-  CLI::App* sub = app.add_subcommand("stream", "play a motion against a running server, at its own rate");
-  sub->add_option("poses", command->poses, "a motion (TUM or CSV) or a capture")->required();
+  CLI::App* sub = app.add_subcommand("stream", "Play a motion against a running server, at its own rate");
+  sub->add_option("poses", command->poses, "A motion (TUM or CSV) or a capture")->required();
   sub->add_option("--to", command->server.address, address_help(find))->required();
-  sub->add_option("--speed", command->speed, "times the recorded rate; 0: as fast as the server takes them")
+  sub->add_option("--speed", command->speed, "Times the recorded rate; 0: as fast as the server takes them")
       ->check(number_from(0, 1000))
       ->capture_default_str();
-  sub->add_flag("--loop", command->loop, "over and over, until interrupted");
+  sub->add_flag("--loop", command->loop, "Over and over, until interrupted");
   sub->add_option("--from-source", command->from_source,
-                  "of a capture with several sources, the one to play; without, the first that has poses");
-  sub->add_option("--source", command->source_name, "name of the blade")->capture_default_str();
+                  "Of a capture with several sources, the one to play; without, the first that has poses");
+  sub->add_option("--source", command->source_name, "Name of the blade")->capture_default_str();
   sub->add_option(
          "--blade", command->blade,
          "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade")
       ->check(blade_edge());
-  sub->add_flag("--take-over", command->take_over, "take the blade from the client that holds it");
+  sub->add_flag("--take-over", command->take_over, "Take the blade from the client that holds it");
   sub->add_flag("--strict", command->strict,
-                "refuse a motion whose times do not rise, instead of skipping samples");
+                "Refuse a motion whose times do not rise, instead of skipping samples");
   sub->add_flag("--reset", command->reset,
-                "first reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
-  sub->add_flag("--json", command->json, "print the summary as JSON");
+                "First reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
+  sub->add_flag("--json", command->json, "Print the summary as JSON");
   add_server_options(*sub, command->server);
   sub->callback([command, find, &exit_code] {
     if (find) command->server.address = find(command->server.address, false);
@@ -160,22 +162,22 @@ void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
 
 void add_watch(CLI::App& app, int& exit_code, const FindServer& find) {
   auto command = std::make_shared<WatchCommand>();
-  CLI::App* sub = app.add_subcommand("watch", "follow a running server: revisions, rates, latency");
+  CLI::App* sub = app.add_subcommand("watch", "Follow a running server: revisions, rates, latency");
   sub->add_option("server", command->server.address, address_help(find))->required();
-  sub->add_option("--view", command->view, "what to hold a replica of")
+  sub->add_option("--view", command->view, "What to hold a replica of")
       ->check(CLI::IsMember({"volume", "surface"}))
       ->capture_default_str();
-  sub->add_option("--max-rate", command->max_rate_hz, "deltas a second at most; 0: one for each revision")
+  sub->add_option("--max-rate", command->max_rate_hz, "Deltas a second at most; 0: one for each revision")
       ->check(number_from(0, 10'000));
-  sub->add_option("--for", command->for_s, "seconds; 0: until interrupted")->check(number_from(0));
+  sub->add_option("--for", command->for_s, "Seconds; 0: until interrupted")->check(number_from(0));
   sub->add_option("--give-up-after", command->give_up_after_s,
-                  "seconds to try to connect again when the server has gone; 0: for ever")
+                  "Seconds to try to connect again when the server has gone; 0: for ever")
       ->check(number_from(0))
       ->capture_default_str();
-  sub->add_option("--until-revision", command->until_revision, "end when the replica is there")
+  sub->add_option("--until-revision", command->until_revision, "End when the replica is there")
       ->check(whole_number());
-  sub->add_option("--save", command->save, "write the replica's canonical bytes to this file at the end");
-  sub->add_flag("--json", command->json, "print JSON lines");
+  sub->add_option("--save", command->save, "Write the replica's canonical bytes to this file at the end");
+  sub->add_flag("--json", command->json, "Print JSON lines");
   add_server_options(*sub, command->server);
   sub->callback([command, find, &exit_code] {
     if (find) command->server.address = find(command->server.address, true);

@@ -209,9 +209,13 @@ class Watcher {
     const std::scoped_lock lock(mutex_);
     for (const protocol::Step& step : steps) {
       cut_area_ += step.cut_area_m2;
-      window_.pose_to_cut_ms.push_back(1e-6 * static_cast<double>(step.cut_ns - step.arrival_ns));
-      window_.cut_to_here_ms.push_back(1e-6 * (here_ns - static_cast<double>(step.cut_ns)));
-      window_.pose_to_here_ms.push_back(1e-6 * (here_ns - static_cast<double>(step.arrival_ns)));
+      // The estimate of the server's clock is wrong by up to half a round trip, more than the way here may take: nothing comes before
+      // it was sent.
+      const double pose_to_cut_ms = 1e-6 * static_cast<double>(step.cut_ns - step.arrival_ns);
+      const double cut_to_here_ms = std::max(0.0, 1e-6 * (here_ns - static_cast<double>(step.cut_ns)));
+      window_.pose_to_cut_ms.push_back(pose_to_cut_ms);
+      window_.cut_to_here_ms.push_back(cut_to_here_ms);
+      window_.pose_to_here_ms.push_back(pose_to_cut_ms + cut_to_here_ms);
     }
   }
 

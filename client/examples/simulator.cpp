@@ -23,8 +23,9 @@ int main(int argc, char** argv) try {
   client::Options options;
   options.role = protocol::Role::Simulator;
   const auto client = client::Client::connect("127.0.0.1", port, options, callbacks);
-  if (!client->wait_for_revision(0, 30)) return 1;
   for (int step = 1; step <= 20; ++step) {
+    if (!client->wait_for_revision(0, 30)) return 1;  // after a reset or an undo the body comes again
+    const std::uint64_t session = client->welcome().session;
     std::vector<float> positions;  // of all vertices, or of some, with Positions::ids
     const std::uint64_t revision = client->read([&](const protocol::Replica& mesh) {
       positions.assign(mesh.rest_positions().begin(), mesh.rest_positions().end());
@@ -36,7 +37,7 @@ int main(int argc, char** argv) try {
     message.revision = revision;
     message.f32 = positions;
     client->send_positions(message);
-    if (!client->wait_for_revision(revision + 1, 5)) return 1;
+    if (!client->wait_for_revision(revision + 1, 5) && client->welcome().session == session) return 1;
   }
 } catch (const std::exception& error) {
   std::fprintf(stderr, "%s: %s\n", argv[0], error.what());

@@ -80,14 +80,14 @@ int run_sessions(const SessionsCommand& command) {
 
 void add_cluster_commands(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<SessionsCommand>();
-  CLI::App* sub = app.add_subcommand("sessions", "list the sessions that are published on NATS");
+  CLI::App* sub = app.add_subcommand("sessions", "List the sessions that are published on NATS");
   sub->add_option("nats", command->nats, "nats://HOST[:PORT] or tls://HOST[:PORT]; without a port 4222")
       ->required();
   sub->add_option("--credentials", command->credentials_file,
-                  "who we are there, as cluster.credentials_file; else $INCISE_NATS_CREDENTIALS");
+                  "Who we are there, as cluster.credentials_file; else $INCISE_NATS_CREDENTIALS");
   sub->add_option("--ca", command->ca_file,
                   "PEM file of the authority that signed its certificate; else $INCISE_NATS_CA");
-  sub->add_flag("--json", command->json, "print a JSON list, as GET /sessions");
+  sub->add_flag("--json", command->json, "Print a JSON list, as GET /sessions");
   sub->callback([command, &exit_code] { exit_code = run_sessions(*command); });
 }
 

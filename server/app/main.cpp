@@ -9,6 +9,7 @@
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/certificate_check.hpp"
+#include "server/app/check_option.hpp"
 #include "server/app/config.hpp"
 #include "server/app/end_signals.hpp"
 #include "server/app/log_setup.hpp"
@@ -30,8 +31,7 @@ int run(int argc, char** argv) {
   bool print_config = false, resume = false;
   app.add_option("--config", config_file, "Run with this configuration");
   app.add_flag("--resume", resume, "With --config: continue the session that capture.path recorded");
-  app.add_option("--check", check_file,
-                 "Check a configuration and the files that it names, and say what is wrong");
+  const CLI::Option* const check = incise::app::add_check_option(app, check_file);
   app.add_flag("--print-config", print_config,
                "Print a configuration with all keys, their defaults and meanings");
   incise::app::add_manual_options(app, 8);
@@ -40,6 +40,11 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);
     std::fprintf(stderr, "incised: %s; see incised --help\n", error.what());
+    return incise::client::kWrongUsage;
+  }
+  const std::string wrong_check = incise::app::find_checked_file(*check, config_file, check_file);
+  if (!wrong_check.empty()) {
+    std::fprintf(stderr, "incised: %s; see incised --help\n", wrong_check.c_str());
     return incise::client::kWrongUsage;
   }
   const std::int64_t now_s = incise::unix_ns() / 1'000'000'000;

@@ -32,7 +32,8 @@ std::vector<const CLI::Option*> shown_options(const CLI::App& app) {
 }
 
 std::string placeholder(const CLI::Option& option) {
-  return option.get_expected_min() == 0 || option.get_type_size() == 0 ? "" : option.get_type_name();
+  if (option.get_expected_max() == 0 || option.get_type_size() == 0) return "";
+  return option.get_expected_min() == 0 ? "[" + option.get_type_name() + "]" : option.get_type_name();
 }
 
 std::string names(const CLI::Option& option) {

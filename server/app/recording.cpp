@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <fstream>
 #include <optional>
 #include <vector>
@@ -279,6 +280,15 @@ void check_recording(const Config& config, const std::string& file) {
     refuse(parent.string() + ": " + std::generic_category().message(errno) +
            "; a directory that this user may write is accepted");
   }
+  // Permissions do not say all: /proc/x.capture, or a file system that is full of files.
+  std::string probe = (parent / "incise-check-XXXXXX").string();
+  const int made = mkstemp(probe.data());
+  if (made < 0) {
+    refuse(parent.string() + ": files cannot be made there (" + std::generic_category().message(errno) +
+           "); choose another directory");
+  }
+  close(made);
+  unlink(probe.c_str());
   if (const std::string other = read_under(config, file, path); !other.empty())
     refuse(path.string() + " is " + other + "; name a file of the capture's own");
   if (const std::string foreign = foreign_file(path); !foreign.empty()) refuse(foreign);

@@ -8,6 +8,7 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/certificate_check.hpp"
+#include "server/app/check_option.hpp"
 #include "server/app/config.hpp"
 #include "server/app/end_signals.hpp"
 #include "server/app/freed_memory.hpp"
@@ -87,8 +88,7 @@ int run(int argc, char** argv) {
                  "File whose first line is the token for that server; else $INCISE_TOKEN");
   app.add_option("--ca", given.ca_file,
                  "PEM file of the authority that signed that server's certificate, and that of NATS");
-  app.add_option("--check", check_file,
-                 "Check a configuration and the files that it names, and say what is wrong");
+  const CLI::Option* const check = incise::app::add_check_option(app, check_file);
   app.add_flag("--print-config", print_config,
                "Print a configuration with all keys, their defaults and meanings");
   incise::app::add_manual_options(app, 8);
@@ -97,6 +97,11 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);
     std::fprintf(stderr, "incise-relay: %s; see incise-relay --help\n", error.what());
+    return incise::client::kWrongUsage;
+  }
+  const std::string wrong_check = incise::app::find_checked_file(*check, config_file, check_file);
+  if (!wrong_check.empty()) {
+    std::fprintf(stderr, "incise-relay: %s; see incise-relay --help\n", wrong_check.c_str());
     return incise::client::kWrongUsage;
   }
   const std::int64_t now_s = incise::unix_ns() / 1'000'000'000;

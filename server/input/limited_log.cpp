@@ -63,9 +63,9 @@ void LimitedLog::flush(std::int64_t now_ns) {
 void LimitedLog::write_left_out(Address& address) {
   address.tokens -= 1;
   const std::uint64_t others = address.left_out - 1;
-  write_(address.level, others == 0
-                            ? address.last_line
-                            : fmt::format("{} ({} lines like this left out)", address.last_line, others));
+  write_(address.level, others == 0 ? address.last_line
+                                    : fmt::format("{} ({} {} like this left out)", address.last_line, others,
+                                                  others == 1 ? "line" : "lines"));
   address.left_out = 0;
   address.last_line.clear();
 }

@@ -57,7 +57,11 @@ void GlbDocument::split() {
   }
   if (bytes_.size() < kHeader) fail("ends inside its header: the file is cut short");
   const auto version = load<std::uint32_t>(bytes_.data() + 4);
-  if (version != 2) fail("is glTF " + std::to_string(version) + ": save it as glTF 2.0");
+  if (version == 1) fail("is glTF 1: save it as glTF 2.0");
+  if (version != 2) {
+    fail("says in its header that it is of version " + std::to_string(version) +
+         ": it is damaged, or newer than glTF 2.0, which is read");
+  }
   const std::size_t length = load<std::uint32_t>(bytes_.data() + 8);
   if (length > bytes_.size()) {
     fail("has " + std::to_string(bytes_.size()) + " bytes; its header says " + std::to_string(length) +

@@ -20,6 +20,7 @@ namespace {
 // Deflate packs at most 1,032 bytes in one (RFC 1951: 258 bytes in two bits).
 constexpr std::size_t kMostInflation = 1032;
 constexpr std::size_t kMaxDepth = 64;
+constexpr std::size_t kMaxShown = 40;  // characters of what is wrong
 
 // By character; 0xff: no digit.
 constexpr std::array<std::uint8_t, 256> kBase64 = [] {
@@ -198,6 +199,7 @@ class XmlScanner {
     while (true) {
       const std::string key(word(inside));
       if (key.empty()) break;
+      if (!is_name(key)) fail("is damaged, or not XML: a tag holds " + in_quotes(key.substr(0, kMaxShown)));
       if (!inside.starts_with('=')) fail("the attribute " + in_quotes(key) + " has no value");
       inside.remove_prefix(1);
       const char quote = inside.empty() ? '\0' : inside[0];
@@ -206,6 +208,14 @@ class XmlScanner {
       tag.attributes[key] = unescaped(inside.substr(1, end - 1));
       inside.remove_prefix(end + 1);
     }
+  }
+
+  // Of an attribute, as VTK's files have them: ASCII.
+  static bool is_name(std::string_view text) {
+    return std::all_of(text.begin(), text.end(), [](char c) {
+      return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' ||
+             c == ':' || c == '-' || c == '.';
+    });
   }
 
   // The '>' that ends the tag: not one inside quotes.

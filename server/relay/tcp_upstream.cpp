@@ -81,7 +81,10 @@ void TcpUpstream::on_end(const Connection::End& end, bool welcomed) {
   retry_.async_wait([this](boost::system::error_code error) {
     if (!error && sink_) connect();
   });
-  sink_->on_lost(end.text);
+  const bool tokenless = end.code == protocol::ErrorCode::Unauthorized && server_.options.token.empty();
+  sink_->on_lost(tokenless
+                     ? end.text + "; give one as relay.token_file, with --token-file FILE or in INCISE_TOKEN"
+                     : end.text);
 }
 
 void TcpUpstream::resync(const std::string& reason) {

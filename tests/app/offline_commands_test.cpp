@@ -7,12 +7,14 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <cctype>
 #include <cmath>
 #include <csignal>
 #include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <sstream>
 
 #include "server/app/capture_journal.hpp"
 #include "server/app/capture_lock.hpp"
@@ -97,6 +99,19 @@ TEST_F(Incise, TheCommandHelpPrintsWhatTheOptionDoes) {
     EXPECT_EQ(result.exit_code, 0);
     EXPECT_EQ(result.out, run({command, "--help"}).out);
     EXPECT_EQ(result.err, "");
+  }
+  // Every option is described by a sentence, or by the form of its value.
+  for (const char* command : {"cut", "replay", "stream", "watch", "sessions"}) {
+    std::istringstream lines(run({"help", command}).out);
+    std::size_t described = 0;
+    for (std::string line; std::getline(lines, line);) {
+      if (line.size() < 31 || line[0] != ' ' || line[2] == ' ') continue;
+      const std::string text = line.substr(30);
+      if (line[29] != ' ' || text[0] == ' ' || text.starts_with("nats:") || text.starts_with("hx,")) continue;
+      ++described;
+      EXPECT_FALSE(std::islower(static_cast<unsigned char>(text[0]))) << command << ": " << line;
+    }
+    EXPECT_GT(described, 2u) << command;
   }
   expect_error(run({"help", "exprot"}), 2, {"unknown command exprot (did you mean export?)"});
   expect_error(run({"help", "--frob"}), 2, {"unknown option --frob", "incise help --help"});

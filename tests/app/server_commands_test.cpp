@@ -128,6 +128,50 @@ TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
   EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);
 }
 
+TEST_F(Incised, CheckWithoutAFileChecksThatOfConfig) {
+  write("c.json", config());
+  write("v.json", R"({"version": 6})");
+  for (const std::vector<std::string>& one :
+       {std::vector<std::string>{"--config", "c.json", "--check"}, {"--check", "--config", "c.json"}}) {
+    EXPECT_EQ(run(one).out, "c.json: good\n") << run(one).err;
+  }
+  RunResult result = run({"--config", "nope.json", "--check", "v.json"});
+  EXPECT_EQ(result.exit_code, 2);
+  EXPECT_EQ(result.err,
+            "incised: --check v.json and --config nope.json: choose one; either checks a file, the second as "
+            "--config FILE --check; see incised --help\n");
+  result = run({"--check"});
+  EXPECT_EQ(result.exit_code, 2);
+  EXPECT_EQ(result.err,
+            "incised: --check needs a file: --check FILE, or --config FILE --check; see incised --help\n");
+  write("r.json", R"({"relay": {"upstream": "a"}})");
+  EXPECT_EQ(tests::run_program("incise-relay", {"--config", "r.json", "--check"}, dir_).out,
+            "r.json: good\n");
+  EXPECT_EQ(tests::run_program("incise-relay", {"--check"}, dir_).exit_code, 2);
+}
+
+TEST_F(Incised, APortInUseComesWithWhatToDo) {
+  const stream::Listener taken;
+  write("c.json", R"({"mesh": {"path": "cube.node"}, "loop": {"realtime_priority": 0, "lock_memory": false},
+                      "listen": {"http_port": 0, "tcp_port": )" +
+                      std::to_string(taken.port()) + "}}");
+  const RunResult result = run({"--config", "c.json"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(
+      result.err.find("Address already in use; end the server that runs there (ss -ltnp shows it), or choose "
+                      "another listen.tcp_port (0: any free one)\n"),
+      std::string::npos)
+      << result.err;
+}
+
+TEST_F(Incised, TheTemplateSaysThatItNeedsABody) {
+  write("c.json", run({"--print-config"}).out);
+  const RunResult result = run({"--check", "c.json"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("what --print-config prints leaves the body to you"), std::string::npos)
+      << result.err;
+}
+
 // --check finds the same faults as the start does, and the start finds them before it works on the mesh.
 TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
   const auto fault = [&](const std::string& mesh, const std::string& rest) {
@@ -165,6 +209,7 @@ TEST_F(Incised, CheckLooksAtTheFilesThatAreNamed) {
       {R"(, "listen": {"address": "localhost"})", "listen.address"},
       {R"(, "capture": {"path": "nowhere/a.capture"})", "capture.path"},
       {R"(, "capture": {"path": "place"})", "capture.path"},
+      {R"(, "capture": {"path": "/proc/x.capture"})", "capture.path"},
       {R"(, "capture": {"library": "server.pem"})", "capture.library"},
       {R"(, "devices": {"profiles": "nowhere"})", "devices.profiles"}};
   for (const auto& [rest, named] : faults) {

@@ -17,6 +17,7 @@
 #include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
+#include "server/base/clock.hpp"
 #include "tests/client/recorded_session.hpp"
 #include "tests/stream/mini_loop.hpp"
 
@@ -361,6 +362,31 @@ TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
   EXPECT_GT(p50, 1.5);
 }
 
+// As where the server's clock is estimated a little too far behind.
+TEST(Watch, NothingComesBeforeItWasCut) {
+  const Watched watched([](const stream::Listener& listener) {
+    const auto peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, Watched::recording().welcome);
+    play(*peer, Watched::recording().snapshot);
+    for (const auto& step : Watched::recording().steps) {
+      auto delta = std::get<protocol::Delta>(step.message.body);
+      delta.steps[0].cut_ns = monotonic_ns() + 3'600'000'000'000;
+      delta.steps[0].arrival_ns = delta.steps[0].cut_ns - 2'000'000;
+      peer->send(delta);
+    }
+    peer->receive_until<protocol::Bye>();
+  });
+  EXPECT_EQ(watched.status, 0) << watched.told;
+  double most_ms = 0;
+  for (const auto& line : watched.lines) {
+    EXPECT_GE(line["cut_to_here_ms"]["p50"].get<double>(), 0);
+    EXPECT_GE(line["pose_to_here_ms"]["p50"].get<double>(), 0);
+    most_ms = std::max(most_ms, line["pose_to_here_ms"]["p99"].get<double>());
+  }
+  EXPECT_NEAR(most_ms, 2, 1e-3);
+}
+
 TEST(Watch, AServerThatComesBackIsSaidToOnce) {
   const Watched watched([](const stream::Listener& listener) {
     {
@@ -545,6 +571,27 @@ TEST_F(CommandsTest, ABladeThatIsHeldComesWithWhatToDo) {
               std::string::npos)
         << error.what();
   }
+}
+
+TEST_F(CommandsTest, AMissingTokenComesWithWhereToGiveOne) {
+  stream::StreamConfig config = stream::test_config();
+  config.tokens = {{"sixteen letters or more", {protocol::Role::Viewer}}};
+  TestServer guarded(2, config);
+  const auto problem = [&](const std::string& token) {
+    Options options;
+    options.token = token;
+    try {
+      connect({.host = "127.0.0.1", .port = guarded.server.tcp_port()}, options, {});
+    } catch (const ConnectError& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_TRUE(problem("").ends_with(
+      "role viewer needs a token, and none was given; give one with --token-file FILE or in INCISE_TOKEN"))
+      << problem("");
+  EXPECT_TRUE(problem("another token of some").ends_with("does not open role viewer"))
+      << problem("another token of some");
 }
 
 TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {

@@ -8,6 +8,8 @@ import os
 import pathlib
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import unittest
 
@@ -40,6 +42,22 @@ def parse(data):
     body = table()
     body.Init(message.Body().Bytes, message.Body().Pos)
     return body
+
+
+class Module(unittest.TestCase):
+    def test_what_is_missing_is_named(self):
+        for name in ("numpy", "flatbuffers"):
+            done = subprocess.run([sys.executable, "-c", f"import sys; sys.modules[{name!r}] = None; import incise_client"],
+                                  capture_output=True, text=True, check=False)
+            self.assertEqual(done.returncode, 1)
+            self.assertIn(f"ModuleNotFoundError: incise_client needs NumPy and flatbuffers, and {name} is missing: pip install", done.stderr)
+            self.assertNotIn("During handling", done.stderr)
+
+    def test_all_that_is_named_is_there(self):
+        for name in incise_client.__all__:
+            self.assertTrue(hasattr(incise_client, name), name)
+        self.assertIn("incise_client.POSE_DTYPE", incise_client.Client.send_pose_array.__doc__)
+        self.assertEqual(incise_client.POSE_DTYPE.itemsize, 72)
 
 
 class Hashes(unittest.TestCase):
@@ -287,7 +305,7 @@ class Textures(unittest.TestCase):
 class Session(unittest.TestCase):
     """A client against a server that says what the vectors say."""
 
-    def serve(self, stream):
+    def serve(self, stream, *later):
         listener = socket.create_server(("127.0.0.1", 0))
         self.received = []
 
@@ -298,6 +316,9 @@ class Session(unittest.TestCase):
                 self.received.append(peer.recv(size, socket.MSG_WAITALL))
                 for i in range(0, len(stream), 7):  # in bits that end anywhere
                     peer.sendall(stream[i:i + 7])
+                for when, more in later:
+                    when.wait(20)
+                    peer.sendall(more)
                 while True:
                     head = peer.recv(4, socket.MSG_WAITALL)
                     if len(head) < 4:
@@ -327,6 +348,30 @@ class Session(unittest.TestCase):
         self.assertIn(struct.pack("<q7dII", 5, 1, 2, 3, 1, 0, 0, 0, 1, 0), self.received[1])
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
+
+    def test_after_an_undo_it_waits_for_the_state_of_the_new_session(self):
+        volume = [struct.pack("<I", len(body)) + body for body in split((VECTORS / "streams" / "volume.bin").read_bytes())]
+        kinds = [Message.Message.GetRootAs(data, 4).BodyType() for data in volume]
+        ended = kinds.index(Body.Body.SnapshotEnd) + 1
+        self.assertEqual(kinds[0], Body.Body.Welcome)
+        undone, sent = threading.Event(), threading.Event()
+        port = self.serve(b"".join(volume[:ended]), (undone, volume[0]), (sent, b"".join(volume[1:ended])))
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+            self.assertTrue(client.wait_for_revision(0))
+            before, welcome = client.replica, client.welcome
+            undone.set()
+            while client.welcome is welcome:
+                client.poll(0.01)
+            self.assertFalse(client.snapshots_or_resumed)
+            self.assertFalse(client.wait_for_revision(0, 0.2))
+            with self.assertRaisesRegex(ValueError, r"no state of the body has come yet.*wait_for_revision\(0\)"):
+                client.send_positions(before.positions)
+            sent.set()
+            self.assertTrue(client.wait_for_revision(0))
+            self.assertEqual(client.replica.canonical_bytes(), before.canonical_bytes())
+            self.assertIsNot(client.replica, before)
+            client.send_positions(client.replica.positions)
+        self.thread.join()
 
     def messages(self, *names):
         bodies = [(VECTORS / "messages" / f"{name}.bin").read_bytes() for name in names]
@@ -386,7 +431,7 @@ class Session(unittest.TestCase):
         port = self.serve(self.messages("Welcome"))
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
             client.send_positions(np.zeros((2, 3), np.float32), first=7, revision=5)
-            client.send_positions(np.ones((2, 3)), ids=[3, 9])
+            client.send_positions(np.ones((2, 3)), ids=[3, 9], revision=0)
             for positions, ids, text in ((np.ones((3, 2)), None, r"found shape \(3, 2\)"), (np.ones(6), None, r"accepted is \(n, 3\)"),
                                          (np.ones((1, 3), complex), None, "complex128"), (np.ones((1, 3)), [-1], "ids: "),
                                          (np.ones((1, 3)), [2**32], "ids: "), (np.ones((1, 3)), [1.5], "ids: found .* float64"),

@@ -60,6 +60,36 @@ TEST(Resync, AWrongHashIsAnsweredByAskingForTheWholeState) {
   EXPECT_FALSE(asked->reason.empty());
 }
 
+// As after an undo, which goes back to a revision that the client has had already.
+TEST(Resync, AnotherSessionIsWaitedForUntilItsStateIsHere) {
+  const Recording recording;
+  ASSERT_GT(recording.steps.size(), 4u);
+  const stream::Listener listener;
+  std::atomic<bool> welcomed{false}, held_back{true};
+  std::thread server([&] {
+    const std::unique_ptr<RawPeer> peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, recording.welcome);
+    play(*peer, recording.snapshot);
+    play(*peer, recording.steps);
+    play(*peer, recording.welcome);
+    stream::eventually([&] { return !held_back; });
+    play(*peer, recording.snapshot);
+    peer->receive_until<protocol::Bye>();
+  });
+  int welcomes = 0;
+  Callbacks callbacks;
+  callbacks.on_welcome = [&](const protocol::Welcome&) { welcomed = ++welcomes == 2; };
+  auto client = Client::connect("127.0.0.1", listener.port(), Options{}, callbacks);
+  EXPECT_TRUE(stream::eventually([&] { return welcomed.load(); }));
+  EXPECT_FALSE(client->wait_for_revision(0, 0.2)) << "it holds the state of the session before";
+  held_back = false;
+  EXPECT_TRUE(client->wait_for_revision(0, kPatience_s));
+  EXPECT_EQ(client->revision(), 0u);
+  client.reset();
+  server.join();
+}
+
 // The connection is lost before the snapshot that was asked for came: the client must not go on from what it holds.
 TEST(Resync, AStateThatWasRefusedIsNotResumed) {
   const Recording recording;

@@ -77,6 +77,27 @@ TEST_F(TlsTest, NobodyTalksToAStranger) {
   EXPECT_TRUE(good->wait_for_revision(0, 20));
 }
 
+TEST_F(TlsTest, ACertificateForOtherNamesSaysForWhich) {
+  stream::StreamConfig config = stream::test_config();
+  config.certificate_file = file("server.pem");
+  config.private_key_file = file("server.key");
+  TestServer test(2, config);
+  for (const TransportKind kind : {TransportKind::kTcp, TransportKind::kWebSocket}) {
+    std::string problem;
+    try {
+      Client::connect("localhost",
+                      kind == TransportKind::kTcp ? test.server.tcp_port() : test.server.http_port(),
+                      options(kind));
+    } catch (const ConnectError& error) {
+      problem = error.what();
+    }
+    EXPECT_NE(problem.find("the server's certificate is not for localhost; it is for 127.0.0.1"),
+              std::string::npos)
+        << problem;
+    EXPECT_EQ(problem.find("--ca"), std::string::npos) << problem;
+  }
+}
+
 TEST_F(TlsTest, FilesThatAreNoneAreNamed) {
   stream::MiniLoop loop(stream::box_mesh(2));
   stream::StreamConfig config = stream::test_config();

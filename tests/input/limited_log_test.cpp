@@ -41,6 +41,12 @@ TEST_F(LimitedLogTest, WhatWasLeftOutIsWrittenInTimeWithoutAnotherLine) {
   EXPECT_EQ(lines.size(), 11u) << "once";
 }
 
+TEST_F(LimitedLogTest, OneMoreThanTheLastIsALine) {
+  flood("a", 12, 0);
+  log.flush(5 * kSecond);
+  EXPECT_EQ(lines.back(), "a refused (1 line like this left out)");
+}
+
 TEST_F(LimitedLogTest, ASingleLineLeftOutIsWrittenAsItIs) {
   flood("a", 11, 0);
   log.flush(5 * kSecond);

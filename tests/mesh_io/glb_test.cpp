@@ -438,6 +438,10 @@ TEST_F(GlbFiles, WhatIsWrongIsNamed) {
   std::string old = cube_glb().bytes();
   old[4] = 1;
   EXPECT_NE(error(old).find("is glTF 1: save it as glTF 2.0"), std::string::npos);
+  old[7] = '\xd8';
+  EXPECT_NE(error(old).find("says in its header that it is of version 3623878657: it is damaged"),
+            std::string::npos)
+      << error(old);
   directory_.write("b.gltf", "{\"asset\": {\"version\": \"2.0\"}}");
   EXPECT_NE(error_of([&] { load_mesh(directory_ / "b.gltf"); }).find("save it as binary glTF 2.0 (.glb)"),
             std::string::npos);

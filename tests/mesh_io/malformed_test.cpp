@@ -282,6 +282,7 @@ const BadFile kBadTetFiles[] = {
      "ends where the coord"},
     {"vtu", "hello", "a.vtu: a VTK XML file starts with '<VTKFile'"},
     {"vtu", "<html></html>", "a.vtu:1: a VTK XML file starts with '<VTKFile', found '<html'"},
+    {"vtu", "\x9e\x01<q\xff\x90z \xd8\x12|L\x01 >", "a.vtu:1: is damaged, or not XML: a tag holds '??|L?'"},
     {"vtu", "<VTKFile type='PolyData'>", "a VTK file of the type 'PolyData'"},
     {"vtu", VTU("compressor='vtkLZ4DataCompressor'"), "the compressor 'vtkLZ4DataCompressor'"},
     {"vtu", VTU("byte_order='Middle'"), "the byte order 'Middle'"},

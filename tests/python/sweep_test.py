@@ -55,6 +55,10 @@ class Sweep(unittest.TestCase):
         path.write_text(json.dumps(SPEC | changes))
         return path
 
+    def test_a_single_sample_and_shard(self):
+        spec = self.spec(bodies=[{"phantom": "slab", "tets": 800}], motions=[{"random_cuts": 1, "seed": 5}], parameters={}, store=["states"])
+        self.assertRegex(self.run_sweep(spec, "--out", self.folder / "one"), r"^1 sample in 1 shard; 1 made now in [\d.]+ s\n$")
+
     def start(self, *arguments):
         return subprocess.Popen([BUILD / "bin/incise", "sweep", *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                                 text=True)

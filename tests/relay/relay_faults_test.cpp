@@ -357,6 +357,20 @@ TEST(RelayFaults, TokensAreCheckedAtTheEdge) {
   std::ofstream(last.file("token")) << "hands-on-000000001\n";
   ASSERT_TRUE(last.start()) << last.log();
 
+  // One without a token does not come as far as listening.
+  e2e::Process bare({"/bin/sh", "-c",
+                     "exec " + std::string(INCISE_BIN_DIR) + "/incise-relay --to " + guarded.place() +
+                         " --port 0 --http-port 0 2>&1"});
+  std::string said;
+  for (std::string line = bare.line("2"); !line.empty(); line = bare.line("2", 20)) {
+    said += line + "\n";
+    if (line.find("no connection to") != std::string::npos) break;
+  }
+  EXPECT_NE(
+      said.find("none was given; give one as relay.token_file, with --token-file FILE or in INCISE_TOKEN"),
+      std::string::npos)
+      << said;
+
   const auto verdict = [](std::uint16_t port, protocol::Role role, const std::string& token) {
     stream::RawPeer raw(port);
     protocol::Hello hello;

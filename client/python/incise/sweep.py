@@ -462,6 +462,10 @@ def _continue(plan: Plan, out: pathlib.Path, workers: int, dask: str | None, loc
     return figures
 
 
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """`incise sweep`."""
     parser = argparse.ArgumentParser("incise sweep")
@@ -488,7 +492,7 @@ def main(arguments: list[str] | None = None) -> int:
         else:
             figures = sweep(options.spec, options.out, options.workers, options.dask)
             print(json.dumps(figures, indent=2) if options.json else
-                  f"{figures['samples']} samples in {figures['shards']} shards; {figures['made']} made now in {figures['seconds']:.1f} s")
+                  f"{_count(figures['samples'], 'sample')} in {_count(figures['shards'], 'shard')}; {figures['made']} made now in {figures['seconds']:.1f} s")
         sys.stdout.flush()
     except OSError as error:
         if error.filename is None:

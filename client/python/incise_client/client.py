@@ -53,7 +53,7 @@ _MODULES = {
 class Client:
     """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it.
 
-    ``replica`` is a Replica for view Volume, a Surface for view Surface. With ``box``, two corners ((x, y, z), (x, y, z)) in
+    ``replica`` is a Replica for view Volume, a Surface for view Surface; each snapshot, as after an undo, brings another object. With ``box``, two corners ((x, y, z), (x, y, z)) in
     metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade`` is an operator's own: heel and
     tip in the tool's frame, metres. ``fields`` names those to hold ("*": all), with view Volume and no box. ``resume`` is a client that was connected to the same server: its state is continued.
 
@@ -108,6 +108,7 @@ class Client:
         self._input = bytearray()
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
         self._awaiting_snapshot = False
+        self._holds_state = False  # of the session that Welcome names
         self._state_hash = held._state_hash if held else 0  # of the whole mesh at the replica's revision, as announced
         try:
             self._socket: Any = socket.create_connection((host, port), timeout_s)
@@ -180,7 +181,7 @@ class Client:
         return True
 
     def wait_for_revision(self, revision: int, timeout_s: float = 10.0) -> bool:
-        """Polls until the replica is at the revision or beyond. False if the time is over first."""
+        """Polls until the replica holds a state of this session, at the revision or beyond. False if the time is over first."""
         return self._wait(lambda: self.snapshots_or_resumed and self.replica.revision >= revision, timeout_s)
 
     def wait_for_report(self, sequence: int, timeout_s: float = 10.0) -> bool:
@@ -194,8 +195,8 @@ class Client:
 
     @property
     def snapshots_or_resumed(self) -> bool:
-        """Whether the replica holds a state of this session."""
-        return self.snapshots > 0 or bool(self.welcome and self.welcome.Resumed())
+        """Whether the replica holds a state of this session. A reset and an undo begin another one: then it does when the snapshot is here."""
+        return self._holds_state
 
     def _wait(self, done: Callable[[], bool], timeout_s: float, sequence: int = 0) -> bool:
         end = time.monotonic() + timeout_s
@@ -221,8 +222,10 @@ class Client:
         if kind == Body.Body.Welcome:
             self.welcome = body
             self.recording = body.Recording()
+            self._holds_state = body.Resumed()
             if not body.Resumed():
                 self.replica = Replica()
+                self._snapshot = None
                 self._awaiting_snapshot = True
         elif kind == Body.Body.Ping:
             pairs = [("Nonce", body.Nonce()), ("PingSentNs", body.SentNs()), ("ReceivedNs", time.monotonic_ns())]
@@ -282,6 +285,7 @@ class Client:
         self.snapshots += 1
         self._state_hash = end.StateHash()
         self._awaiting_snapshot = False
+        self._holds_state = True
 
     def _take_fields(self, begin: Any) -> None:
         self.vertex_fields, self.tet_fields = {}, {}
@@ -332,7 +336,7 @@ class Client:
         return self.send_pose_array(np.array(rows, POSE_DTYPE))
 
     def send_pose_array(self, poses: Any) -> int:
-        """The same from an array of POSE_DTYPE."""
+        """The same from an array of ``incise_client.POSE_DTYPE``: source_ns, position, orientation (w x y z), buttons, reserved (0)."""
         poses = np.asarray(poses, POSE_DTYPE)
         finite = np.isfinite(poses["position"]).all(axis=-1) & np.isfinite(poses["orientation"]).all(axis=-1)
         if not finite.all():
@@ -355,7 +359,8 @@ class Client:
         """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` ((n,), ascending),
         or ``first``, ``first + 1``, ... ``revision`` is that of the state they were computed with, by default the replica's.
         Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back. Raises ValueError
-        for another shape, masked numbers, coordinates that are not finite or beyond 1,000 km, or ids that are no whole numbers of 32 bits.
+        for another shape, masked numbers, coordinates that are not finite or beyond 1,000 km, or ids that are no whole numbers of 32 bits;
+        without ``revision`` also while no state is held: after connect(), and after a reset or an undo, wait_for_revision(0) waits for it.
         """
         if np.ma.is_masked(positions):
             raise ValueError("positions: found an array with masked numbers; accepted are arrays in which all numbers count")
@@ -371,6 +376,9 @@ class Client:
             ids = np.asarray(ids)
             if ids.shape != (len(array),) or ids.dtype.kind not in "iu" or (ids.size and (ids.min() < 0 or ids.max() >= 2**32)):
                 raise ValueError(f"ids: found shape {ids.shape} of {ids.dtype}; accepted is ({len(array)},) of whole numbers of 32 bits")
+        if revision is None and not self.snapshots_or_resumed:
+            raise ValueError("positions: no state of the body has come yet, as just after a connection, a reset or an undo; "
+                             "wait_for_revision(0) waits for it")
         self._frame += 1
 
         def build(b: Any) -> int:

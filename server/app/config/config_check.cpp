@@ -220,7 +220,9 @@ cluster::NatsOptions nats_options(const Config& config) {
 
 void check_config(const Config& config, const std::string& file) {
   if (config.mesh.path.empty() && config.mesh.phantom.empty()) {
-    refuse(file, "mesh.path", "nothing", "the path of a mesh, or mesh.phantom instead");
+    refuse(file, "mesh.path", "nothing",
+           "the path of a mesh, or for a generated body mesh.phantom (\"liver\"); what --print-config prints "
+           "leaves the body to you");
   }
   check_files(config, file);
   check_cluster(config, file);

@@ -63,8 +63,13 @@ struct OpenIgtLinkInput::Impl {
       acceptor->bind(endpoint);
       port = acceptor->local_endpoint().port();
     } catch (const boost::system::system_error& error) {
-      throw std::runtime_error("openigtlink: cannot listen on " + options.address + ":" +
-                               std::to_string(options.port) + ": " + error.code().message());
+      throw std::runtime_error(
+          "openigtlink: cannot listen on " + options.address + ":" + std::to_string(options.port) + ": " +
+          error.code().message() +
+          (error.code() == asio::error::address_in_use
+               ? "; end the program that listens there (ss -ltnp shows it), or choose another "
+                 "openigtlink.port"
+               : ""));
     }
   }
 
