@@ -170,9 +170,11 @@ TEST(Capture, ATornTailIsToldAtEveryOffset) {
 TEST(Capture, ATornRecordIsSaidInWhole) {
   const std::string bytes = sample_capture();
   const Outcome outcome = read_all(bytes.substr(0, bytes.size() - 1));
-  EXPECT_NE(outcome.error.find("the last record is incomplete (by its own account it has "), std::string::npos)
+  EXPECT_NE(outcome.error.find("the last record is incomplete (by its own account it has "),
+            std::string::npos)
       << outcome.error;
-  EXPECT_NE(outcome.error.find(" bytes from there on hold no good record"), std::string::npos) << outcome.error;
+  EXPECT_NE(outcome.error.find(" bytes from there on hold no good record"), std::string::npos)
+      << outcome.error;
 }
 
 TEST(Capture, ATailOfZerosIsTorn) {
