@@ -459,8 +459,9 @@ CaptureReader::Status CaptureReader::bad_record(std::size_t claimed, const std::
     if (i + kRecordHeadBytes + head.length > rest.size() || !crc_matches(head, &rest[i])) continue;
     return stop(Status::Corrupt, what + "; a good record follows at offset " + std::to_string(good_ + i));
   }
-  return stop(Status::Torn, what + "; nothing good follows in the " + std::to_string(rest.size()) +
-                                " bytes behind (" + std::to_string(claimed) + " claimed)");
+  return stop(Status::Torn, what + " (by its own account it has " + std::to_string(claimed) +
+                                " bytes); the " + std::to_string(rest.size()) +
+                                " bytes from there on hold no good record");
 }
 
 CaptureReader::Status CaptureReader::next(CaptureRecord& record) {

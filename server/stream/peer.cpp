@@ -368,8 +368,7 @@ void Peer::warn_not_recorded() {
 void Peer::tick(std::int64_t now_ns) {
   switch (stage_) {
     case Stage::kHandshake:
-      if (now_ns - opened_ns_ > to_ns(context_.config.handshake_timeout_s))
-        finish(ByeReason::HandshakeTimeout, missing_);
+      tick_handshake(now_ns);
       break;
     case Stage::kOpen:
       tick_open(now_ns);
@@ -380,6 +379,20 @@ void Peer::tick(std::int64_t now_ns) {
     case Stage::kClosed:
       break;
   }
+}
+
+void Peer::tick_handshake(std::int64_t now_ns) {
+  // A client that waits as long as we do began before us: it has to hear why before it gives up.
+  constexpr double kShareForOrigin = 0.8;
+  const double share = waits_for_origin_ ? kShareForOrigin : 1;
+  if (now_ns - opened_ns_ <= to_ns(share * context_.config.handshake_timeout_s)) return;
+  std::string why = "no Hello in time";
+  if (waits_for_origin_) {
+    why = "the server that has the blade does not answer";
+    const auto& trouble = context_.providers.trouble;
+    if (const std::string text = trouble ? trouble() : ""; !text.empty()) why += ": " + text;
+  }
+  finish(ByeReason::HandshakeTimeout, why.substr(0, protocol::kMaxTextBytes));
 }
 
 void Peer::tick_open(std::int64_t now_ns) {

@@ -126,6 +126,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   void on_state_replaced() override;
   void on_replay_advanced() override { follower_.advance(); }
 
+  void tick_handshake(std::int64_t now_ns);
   void tick_open(std::int64_t now_ns);
   void end_with_blade(const BladeEnd& end);
   // What one of its messages may be long.
@@ -142,7 +143,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   std::unique_ptr<Transport> transport_;
   Ticket ticket_;
   Stage stage_ = Stage::kHandshake;
-  const char* missing_ = "no Hello in time";  // where the handshake takes too long
+  bool waits_for_origin_ = false;  // for another server's blade, in the handshake
   const std::string address_;
   std::string client_name_;
   protocol::Role role_ = protocol::Role::Viewer;

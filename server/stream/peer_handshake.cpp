@@ -161,7 +161,7 @@ std::string Peer::why_taken(const std::string& source_name) const {
 
 // Where another server has the blade: waits for its answer. No input is left if that is no.
 asio::awaitable<std::optional<Refusal>> Peer::wait_until_open(std::unique_ptr<PoseInput>& input) {
-  missing_ = "the server that has the blade does not answer";
+  waits_for_origin_ = true;
   while (input && input->opening() && stage_ == Stage::kHandshake) co_await pause(kQueueRetry);
   if (!input || stage_ != Stage::kHandshake) co_return std::nullopt;
   const std::optional<BladeEnd> end = input->ended();

@@ -133,6 +133,62 @@ TEST_F(Feel, APressedBladeFeelsTheMaterialsConstants) {
   }
 }
 
+// Two poses on either side of the body are felt as the motion between them, sampled by a device, is.
+TEST_F(Feel, ACoarseMotionIsFeltBetweenItsPoses) {
+  write_slab();
+  const char* const format = "%.3f %.17g 0.03 0.06 %.17g 0 0 %.17g\n";
+  const auto motion = [&](int steps) {
+    std::string text;
+    for (int i = 0; i <= steps; ++i) {
+      const double u = static_cast<double>(i) / steps, half_angle = 0.2 * u;
+      char line[160];
+      std::snprintf(line, sizeof line, format, u, -0.05 + 0.2 * u, std::sin(half_angle),
+                    std::cos(half_angle));
+      text += line;
+    }
+    return text;
+  };
+  const auto feel = [&](int steps) {
+    write("pass.tum", motion(steps));
+    const RunResult result = run({"feel", "pass.tum", "--mesh", "slab", "--out", "f.csv", "--json"});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_EQ(rows("f.csv").size(), 1001u);
+    const json report = json::parse(result.out);
+    EXPECT_EQ(report["interpolated_poses"], 1000 - steps);
+    return report["blades"][0];
+  };
+  const json fine = feel(1000);
+  EXPECT_GT(fine["peak_force_n"].get<double>(), 0.5);
+  for (const int steps : {1, 5}) {
+    const json coarse = feel(steps);
+    for (const char* key : {"peak_force_n", "mean_force_in_contact_n", "inside_s", "work_by_hand_j"})
+      EXPECT_NEAR(coarse[key].get<double>(), fine[key].get<double>(), 0.02 * fine[key].get<double>()) << key;
+  }
+}
+
+// Nothing is felt on the way of a jump, nor does a button count as held before it is at both ends.
+TEST_F(Feel, AJumpIsNotInterpolated) {
+  write_slab();
+  std::string text = "t_s,x_m,y_m,z_m,button\n";
+  for (int i = 0; i < 40; ++i) {
+    char line[96];
+    const bool far = i >= 20;
+    std::snprintf(line, sizeof line, "%.3f,%.3f,0.03,0.06,%d\n", 0.01 * i + (far ? 5 : 0), far ? 0.3 : -0.2,
+                  i % 2);
+    text += line;
+  }
+  write("jump.csv", text);
+  write("c.json", "{}");
+  const RunResult result =
+      run({"feel", "jump.csv", "--mesh", "slab", "--config", "c.json", "--out", "f.csv", "--json"});
+  EXPECT_EQ(result.exit_code, 3) << result.err;
+  const auto table = rows("f.csv");
+  EXPECT_EQ(table.size(), 40u + 38u * 9u);
+  std::size_t engaged = 0;
+  for (const auto& row : table) engaged += row.at("engaged") != 0;
+  EXPECT_EQ(engaged, 20u);
+}
+
 // An engaged point holds up to the puncture force.
 TEST_F(Feel, APunctureIsFoundAtItsForce) {
   write_slab();
@@ -274,7 +330,7 @@ TEST_F(Feel, WithoutContactItSaysSo) {
   EXPECT_NE(result.out.find("no contact"), std::string::npos) << result.out;
   EXPECT_NE(result.err.find("warning: no contact: the blade was in (0.5"), std::string::npos) << result.err;
   const auto table = rows("f.csv");
-  ASSERT_EQ(table.size(), 3u);
+  ASSERT_EQ(table.size(), 201u);
   for (const auto& row : table) {
     for (const char* zero : {"f_n", "fx_n", "fy_n", "fz_n", "tissue_f_n", "depth_m", "contact", "inside"})
       EXPECT_EQ(row.at(zero), 0) << zero;

@@ -149,7 +149,9 @@ cat > "$bin/incised" << 'END'
 import json, os, signal, socket, sys, time
 config = json.load(open(sys.argv[sys.argv.index("--config") + 1]))
 calls = open(os.environ["CALLS"], "a", buffering=1)
+open(os.environ["CALLS"] + ".server", "w").write(str(os.getpid()))
 def stop(*_):
+    time.sleep(float(os.environ.get("CLOSE_S", 0)))
     print("incised stopped", file=calls)
     sys.exit(0)
 signal.signal(signal.SIGTERM, stop)
@@ -159,7 +161,13 @@ sockets = [socket.create_server(("127.0.0.1", port)) for port in config["listen"
 while True:
     time.sleep(1)
 END
-printf '#!/bin/bash\necho "incise $*" >> "$CALLS"; [[ $1 != stream ]] || exec sleep "${MOTION_S:-0}"\n' > "$bin/incise"
+cat > "$bin/incise" << 'END'
+#!/bin/bash
+echo "incise $*" >> "$CALLS"
+[[ $1 == stream ]] || exit 0
+[[ -z ${MOTION_ENDS_SERVER:-} ]] || { kill -TERM "$(cat "$CALLS.server")"; exit 1; }
+exec sleep "${MOTION_S:-0}"
+END
 printf '#!/bin/bash\necho "incise-xpbd $*" >> "$CALLS"; exec sleep 60\n' > "$bin/incise-xpbd"
 chmod +x "$bin/incised" "$bin/incise" "$bin/incise-xpbd"
 read -r tcp_port http_port < <(python3 -c '
@@ -217,6 +225,29 @@ passes="$(grep '^incise stream' "$CALLS" | head -n 2 | sed 's/.* --to [^ ]* *//'
 [[ $passes == ',--reset' ]] || { echo "the demo's first two passes have the options '$passes'"; failures=$((failures + 1)); }
 kill -TERM "$!"
 wait "$!" || true
+# A server that ends is named as the cause: in a pass, in the pause after one, and where it lets go of the motion before it ends.
+expect_named_end() { # STATUS OF incised, WHEN
+  wait "$!" && { echo "the demo ended with 0 though its server ended $2"; failures=$((failures + 1)); }
+  if [[ $(tail -n 1 "$work/demo.out") != "dev: incised ended with status $1; see build/demo/incised.log" ]] ||
+    grep -qE 'Killed|no such job' "$work/demo.out"; then
+    echo "the demo whose server ended $2 printed:"
+    cat "$work/demo.out"
+    failures=$((failures + 1))
+  fi
+}
+for motion_s in 60 0; do
+  : > "$CALLS"
+  MOTION_S="$motion_s" "$work/dev" demo > "$work/demo.out" 2>&1 &
+  for ((tick = 0; tick < 200; tick++)); do
+    if grep -q '^incise stream' "$CALLS"; then break; fi
+    sleep 0.1
+  done
+  sleep 1
+  kill -KILL "$(cat "$CALLS.server")"
+  expect_named_end 137 "beside a motion of $motion_s s"
+done
+MOTION_ENDS_SERVER=1 CLOSE_S=1 "$work/dev" demo > "$work/demo.out" 2>&1 &
+expect_named_end 0 'after the motion'
 # Without a motion it only waits.
 : > "$CALLS"
 "$work/dev" demo --still > "$work/demo.out" 2>&1 &

@@ -167,6 +167,16 @@ TEST(Capture, ATornTailIsToldAtEveryOffset) {
   EXPECT_EQ(read_all("").status, Status::Corrupt);
 }
 
+TEST(Capture, ATornRecordIsSaidInWhole) {
+  const std::string bytes = sample_capture();
+  const Outcome outcome = read_all(bytes.substr(0, bytes.size() - 1));
+  EXPECT_NE(outcome.error.find("the last record is incomplete (by its own account it has "),
+            std::string::npos)
+      << outcome.error;
+  EXPECT_NE(outcome.error.find(" bytes from there on hold no good record"), std::string::npos)
+      << outcome.error;
+}
+
 TEST(Capture, ATailOfZerosIsTorn) {
   // What some file systems leave after a loss of power: the length is there, the data is not.
   const std::string bytes = sample_capture();

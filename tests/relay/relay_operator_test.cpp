@@ -258,6 +258,24 @@ TEST(RelayOperator, LeavesWhenTheOriginGoesAndComesBackWithIt) {
   EXPECT_TRUE(hand->wait_for_report(hand->send_poses(std::span(&pose, 1)), 20));
 }
 
+// Before the client's own deadline, which began earlier.
+TEST(RelayOperator, HearsWhyItsBladeDoesNotOpen) {
+  Served served("relay_origin_away");
+  served.session.kill();
+  ASSERT_TRUE(wait_for([&] { return served.relay->health() == 503; }));
+  client::Options options;
+  options.role = Role::Operator;
+  options.view = View::None;
+  try {
+    client::Client::connect("127.0.0.1", served.relay->tcp_port(), options);
+    ADD_FAILURE() << "the blade opened without its server";
+  } catch (const std::exception& error) {
+    const std::string why = error.what();
+    EXPECT_NE(why.find("the server that has the blade does not answer: no connection to"), std::string::npos)
+        << why;
+  }
+}
+
 TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
   Served served("relay_undo");
   Witness viewer(served.relay->tcp_port());

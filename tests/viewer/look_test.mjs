@@ -183,6 +183,7 @@ test("keys work in capitals and without focus, and a question mark lists them", 
   await page.keyboard.press("?");
   await page.locator("#help-dialog[open]").waitFor();
   await shot(page, "help");
+  assert.ok(await page.evaluate(() => keys.scrollHeight <= keys.clientHeight), "all keys are seen at a height of 800");
   // In a low window the keys are rolled, and the button is always there.
   await page.setViewportSize({ width: 1280, height: 500 });
   const [dialog, close] = await Promise.all(
@@ -437,6 +438,44 @@ test("a phone shows it all, and a finger cuts", async (t) => {
   await shot(page, "phone");
   await page.locator("#panel-toggle").click();
   await shot(page, "phone_panel");
+  assert.deepEqual(faults, []);
+});
+
+test("a window that becomes narrow is as one that was opened narrow, and back", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url, { width: 1200, height: 800 });
+  await bladeIsReady(page);
+  const panel = () => page.evaluate(() => document.body.dataset.panel);
+  assert.equal(await panel(), "open");
+  await page.setViewportSize({ width: 400, height: 800 });
+  await until(page, () => document.body.dataset.panel === "closed");
+  assert.ok(await page.locator("#tools").isVisible());
+  const whole = () =>
+    page.evaluate(() => {
+      const { stage } = window.incise;
+      stage.camera.updateMatrixWorld();
+      return [0, 1, 2, 3, 4, 5, 6, 7].every((k) => {
+        const corner = stage.camera.position.clone();
+        corner
+          .fromArray([0, 1, 2].map((axis) => ((k >> axis) & 1 ? stage.max : stage.min)[axis]))
+          .project(stage.camera);
+        return Math.abs(corner.x) <= 1.05 && Math.abs(corner.y) <= 1.05;
+      });
+    });
+  await until(page, () => window.incise.stage.atRest);
+  assert.ok(await whole(), "the body stays in view");
+  await page.locator("#panel-toggle").click();
+  assert.equal(await panel(), "open");
+  await page.setViewportSize({ width: 400, height: 700 }); // as by a keyboard on the screen
+  assert.equal(await panel(), "open");
+  await page.locator("#panel-toggle").click();
+  await page.setViewportSize({ width: 1200, height: 800 });
+  await until(page, () => document.body.dataset.panel === "open");
+  await page.locator("#panel-toggle").click();
+  await page.setViewportSize({ width: 400, height: 800 });
+  await page.setViewportSize({ width: 1200, height: 800 });
+  await page.waitForTimeout(200);
+  assert.equal(await panel(), "closed", "what the user has closed stays closed");
   assert.deepEqual(faults, []);
 });
 

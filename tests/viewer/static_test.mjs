@@ -49,6 +49,8 @@ test("the mouse cuts the liver in two, and incise replay of the saved recording 
   await quiet(page);
   const shown = await progress(page);
   assert.equal(shown.hashAgrees, true);
+  assert.equal(await page.textContent("#hash-text"), "Checked: it agrees with the session in this page");
+  assert.equal(await page.textContent("#blades"), "mouse (you)");
   await page.locator("#open").fill("0.5");
   await openPanel(page);
   await shot(page, "static_cut");

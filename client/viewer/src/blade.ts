@@ -107,6 +107,7 @@ export class Blade {
         heel: vec(welcome.bladeHeel()),
         tip: vec(welcome.bladeTip()),
         source: this.source,
+        name: this.name,
         engageButton: welcome.engageButton(),
         maxSpeed_m_s: welcome.maxSpeedMS(),
       },

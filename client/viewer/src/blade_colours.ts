@@ -20,6 +20,11 @@ export class BladeNames {
     }
   }
 
+  /** Under which name this page cuts: a session without a server has no statistics of blades. */
+  set(source: number, name: string): void {
+    this.names.set(source, name);
+  }
+
   of(source: number): string {
     return this.names.get(source) || `blade ${source + 1}`;
   }

@@ -12,10 +12,11 @@ export class Chart {
     private readonly limit = Infinity,
   ) {}
 
-  push(value: number): void {
+  /** `shown` is the figure beside the chart, which is marked above the limit: it may outlast the value. */
+  push(value: number, shown = value): void {
     this.values.push(Number.isFinite(value) ? value : 0);
     if (this.values.length > kSeconds * this.perSecond) this.values.shift();
-    this.canvas.dataset.over = String(value > this.limit);
+    this.canvas.dataset.over = String(shown > this.limit);
     this.draw();
   }
 

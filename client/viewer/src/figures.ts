@@ -19,7 +19,9 @@ export class Figures {
   progress: Progress | null = null;
   readonly latency = new Latency();
   private looksWithoutPose = 0;
+  private shownLatency_ms = NaN; // NaN: none is shown
   private agrees: boolean | null = null; // null: no state yet
+  private readonly source: string;
   private live = true;
   private last = { deltas: 0, bytes: 0, work_us: 0, frames: 0 };
   private readonly charts = {
@@ -29,7 +31,11 @@ export class Figures {
     deltas: new Chart(element<HTMLCanvasElement>("deltas-chart"), 5),
   };
 
-  constructor() {
+  /** local: a session in this page computes the hashes that those of the picture are compared with, not a server. */
+  constructor(local = false) {
+    this.source = local ? "session in this page" : "server";
+    element("hash-row").title =
+      `This page computes a hash of what it shows, and compares it with that of the ${this.source}`;
     setInterval(() => this.showRates(), kEvery_ms);
     element("details").addEventListener("toggle", () => this.draw());
   }
@@ -68,8 +74,8 @@ export class Figures {
     element("hash-text").textContent = !this.live
       ? "Not checked: no answer"
       : this.agrees
-        ? "Checked: it agrees with the server"
-        : "It differs from the server: loading it again";
+        ? `Checked: it agrees with the ${this.source}`
+        : `It differs from the ${this.source}: loading it again`;
   }
 
   showCutArea(area_m2: number): void {
@@ -115,8 +121,9 @@ export class Figures {
     element("deltas").textContent = deltas > 0 ? `${number(deltas)}/s, ${number(bytes / 1024)} KiB/s` : "none";
     const median = this.latency.takeMedian();
     this.looksWithoutPose = median === undefined ? this.looksWithoutPose + 1 : 0;
-    if (median !== undefined) element("latency").textContent = `${number(median)} ms`;
-    else if (this.looksWithoutPose >= kLatencyStays) element("latency").textContent = "–";
-    this.charts.latency.push(median ?? 0);
+    if (median !== undefined) this.shownLatency_ms = median;
+    else if (this.looksWithoutPose >= kLatencyStays) this.shownLatency_ms = NaN;
+    element("latency").textContent = Number.isNaN(this.shownLatency_ms) ? "–" : `${number(this.shownLatency_ms)} ms`;
+    this.charts.latency.push(median ?? 0, this.shownLatency_ms);
   }
 }

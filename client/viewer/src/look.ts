@@ -15,6 +15,8 @@ export class Look {
   readonly handle: SectionHandle;
   private colouring: Colouring = "tissue";
   private image = false; // wanted
+  private roomy = innerWidth > kPanelOpen_px;
+  private makesRoom = false; // the panel was open before the window became narrower
 
   /** redraw: called when the charts' size or colours have changed. */
   constructor(
@@ -33,13 +35,29 @@ export class Look {
     element("panel-toggle").onclick = () => this.togglePanel();
     element("theme").onclick = () => this.setTheme(this.theme === "light" ? "dark" : "light");
     matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.setTheme(this.storedTheme));
-    addEventListener("resize", () => this.measureCover());
+    addEventListener("resize", () => this.resized());
     this.setTheme(this.storedTheme);
-    this.togglePanel(innerWidth > kPanelOpen_px);
+    this.togglePanel(this.roomy);
   }
 
   get narrow(): boolean {
     return innerWidth <= kNarrow_px;
+  }
+
+  /** The panel closes where the window would start without it, and comes back with the room; the body stays in view. */
+  private resized(): void {
+    this.followWidth();
+    this.measureCover();
+    this.stage.refit();
+  }
+
+  private followWidth(): void {
+    const roomy = innerWidth > kPanelOpen_px;
+    if (roomy === this.roomy) return;
+    this.roomy = roomy;
+    const comesBack = this.makesRoom;
+    this.makesRoom = !roomy && document.body.dataset.panel === "open";
+    if (!roomy || comesBack) this.togglePanel(roomy);
   }
 
   /** What a link keeps of it. */

@@ -15,7 +15,9 @@ export class Marks {
   private pen: CanvasRenderingContext2D;
   private colours = { accent: "", ground: "", ink: "" };
   private used = false;
-  private labels: { x: number; y: number; width: number }[] = []; // of this drawing
+  private labels: { x: number; y: number; width: number; height: number }[] = []; // of this drawing
+  /** What lies over the picture, where a label would not be read. */
+  covered: () => readonly DOMRect[] = () => [];
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -33,7 +35,7 @@ export class Marks {
       this.canvas.height = height * scale;
     }
     this.used = false;
-    this.labels = [];
+    this.labels = this.covered().map(({ x, y, width, height }) => ({ x, y, width, height }));
     this.pen.setTransform(scale, 0, 0, scale, 0, 0);
     for (const layer of [...this.layers, ...this.tools]) layer(this);
     // Chromium 156 without a graphics card goes on showing a canvas that was cleared and got nothing new.
@@ -125,7 +127,7 @@ export class Marks {
     const width = this.pen.measureText(text).width + 2 * kPad_px;
     const x = Math.max(4, Math.min(place[0] + 12, this.canvas.clientWidth - width - 4));
     const y = this.freeHeight(x, place[1] - kHeight_px - 8, width);
-    this.labels.push({ x, y, width });
+    this.labels.push({ x, y, width, height: kHeight_px });
     this.pen.beginPath();
     this.pen.roundRect(x, y, width, kHeight_px, 6);
     this.pen.fillStyle = ground;
@@ -138,11 +140,13 @@ export class Marks {
     this.pen.fillText(text, x + kPad_px, y + kHeight_px / 2 + 0.5);
   }
 
-  /** The height nearest to `y` where a label covers no other; that of `y` where all are taken. */
+  /** The height nearest to `y` where a label covers no other and nothing covers it; that of `y` where all are taken. */
   private freeHeight(x: number, y: number, width: number): number {
     const inside = (at: number) => Math.max(4, Math.min(at, this.canvas.clientHeight - kHeight_px - 4));
     const free = (at: number) =>
-      this.labels.every((l) => Math.abs(l.y - at) >= kHeight_px || x >= l.x + l.width || l.x >= x + width);
+      this.labels.every(
+        (l) => at >= l.y + l.height || l.y >= at + kHeight_px || x >= l.x + l.width || l.x >= x + width,
+      );
     for (let step = 0; step <= kMostLabelSteps; ++step) {
       for (const at of [inside(y - step * kLabelStep_px), inside(y + step * kLabelStep_px)]) if (free(at)) return at;
     }

@@ -27,6 +27,7 @@ export interface BladeFacts {
   heel: Vec3;
   tip: Vec3;
   source: number;
+  name: string;
   engageButton: number;
   maxSpeed_m_s: number;
 }

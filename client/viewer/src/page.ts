@@ -39,7 +39,7 @@ export class Page {
   readonly forces = new ForceArrows(this.stage.marks, () => this.stage.bodySize_m);
   readonly operator = new Operator(this.stage, (message, transfer) => this.send(message, transfer));
   readonly replay = new Replay((message) => this.send(message), kLocalSession && `${kLocalSession}captures.json`);
-  readonly figures = new Figures();
+  readonly figures = new Figures(kLocalSession !== undefined);
   readonly blades = new BladeNames();
   readonly bladeName = new BladeName((name) => this.send({ kind: "name-blade", name }));
   readonly live = new LiveStrokes(this.blades);
@@ -76,6 +76,7 @@ export class Page {
       const shown = this.figures.latency.drawn();
       if (shown) requestAnimationFrame(() => shown(now_ms())); // it is on the screen when the next frame begins
     };
+    this.stage.marks.covered = () => ["title", "corner"].map((id) => element(id).getBoundingClientRect());
     this.stage.marks.layers.push((marks) => this.measure.draw(marks));
     this.stage.marks.layers.push((marks) => this.stage.labelBlades(marks, (source) => this.nameOf(source)));
     this.operator.onTool = (tool) => {
@@ -145,6 +146,7 @@ export class Page {
       case "link":
         return this.onLink(message.which, message.state);
       case "blade":
+        this.blades.set(message.facts.source, message.facts.name);
         return this.operator.onBlade(message.facts);
       case "blade-pose":
         this.livePoses_ms.set(message.source, performance.now());

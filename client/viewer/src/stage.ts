@@ -217,6 +217,7 @@ export class Stage {
     const free = Math.max(0.2, Math.min(height - top - bottom, 0.8 * (width - left - right)) / (height || 1));
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * free;
     const distance = Math.max((0.4 * this.bodySize_m) / half, this.wholeFrom(direction.normalize(), half));
+    this.fittedFrom_m = distance;
     const to = direction.multiplyScalar(distance).add(this.centre);
     if (at_once || this.calm.matches) return this.placeCamera(to, this.centre);
     const { target } = this.controls;
@@ -224,6 +225,16 @@ export class Stage {
     this.flight = new Flight(from, { position: to, target: this.centre }, performance.now());
     this.draw();
   }
+
+  /** The window's size has changed: a body that was fitted into the picture, and at most turned since, is fitted again. */
+  refit(): void {
+    const { target } = this.controls;
+    const arm = this.camera.position.clone().sub(target);
+    const near_m = 1e-3 * this.fittedFrom_m;
+    if (Math.abs(arm.length() - this.fittedFrom_m) < near_m && target.distanceTo(this.centre) < near_m)
+      this.fit(true, arm);
+  }
+  private fittedFrom_m = 0; // the camera's distance from the body's centre
 
   /** From how far away in this direction all of the body's box is seen. half: tangent of half the angle that it may fill upwards. */
   private wholeFrom(direction: THREE.Vector3, half: number): number {

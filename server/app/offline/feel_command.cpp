@@ -8,6 +8,7 @@
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/feel_plot.hpp"
 #include "server/app/offline/feel_run.hpp"
+#include "server/app/offline/force_rate.hpp"
 
 namespace incise::app {
 namespace {
@@ -126,6 +127,8 @@ void print_blade(const Json& blade) {
 
 void print(const Json& report) {
   print_row("duration", short_number(report["duration_s"].get<double>()) + " s");
+  if (const auto added = report["interpolated_poses"].get<std::uint64_t>(); added > 0)
+    print_row("interpolated", counted(added, "pose", "poses") + " between those of the motion");
   const Json& blades = report["blades"];
   for (const Json& blade : blades) {
     if (blades.size() > 1) std::printf("\n%s\n", blade["name"].get<std::string>().c_str());
@@ -178,7 +181,7 @@ std::vector<std::string> source_names(const Config& config) {
 }
 
 Json report_of(const FeelCommand& command, const CutInput& in, const FeelRun& run,
-               const std::vector<std::string>& names) {
+               const std::vector<std::string>& names, std::size_t interpolated) {
   std::array<Summary, core::kMaxSources> sums;
   std::int64_t end_ns = 0;
   for (const FeltPose& pose : run.poses()) {
@@ -190,6 +193,7 @@ Json report_of(const FeelCommand& command, const CutInput& in, const FeelRun& ru
   Json report{{"mesh", command.mesh.string()},
               {"motion", command.motion.string()},
               {"duration_s", seconds(end_ns)},
+              {"interpolated_poses", interpolated},
               {"contact", run.touched()}};
   report["blades"] = Json::array();
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
@@ -214,9 +218,10 @@ int run_feel(const FeelCommand& command) {
   Json report;
   {
     Progress progress("reading " + command.motion.filename().string());
-    const CutInput in =
+    CutInput in =
         read_motion_input({command.motion, command.mesh, command.config, command.blade, command.times},
                           Engage::kConfigured, progress);
+    const std::size_t interpolated = interpolate_to_force_rate(in);
     const std::vector<std::string> names = source_names(in.config);
     progress.stage("preparing");
     FeelRun run(in, command.motion.string());
@@ -225,7 +230,7 @@ int run_feel(const FeelCommand& command) {
     progress.stage("writing");
     if (!command.out.empty()) write_csv(command.out, run.poses(), names);
     if (!command.svg.empty()) write_text(command.svg, force_plot(run.poses(), names));
-    report = report_of(command, in, run, names);
+    report = report_of(command, in, run, names, interpolated);
   }
   print_warnings(report["warnings"]);
   if (command.json) {

@@ -53,9 +53,11 @@ void add_cut(CLI::App& app, int& exit_code) {
 
 void add_feel(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<FeelCommand>();
-  CLI::App* sub = app.add_subcommand(
-      "feel",
-      "Compute the force on the hand of a recorded motion, without a device; exits with 3 without contact");
+  CLI::App* sub =
+      app.add_subcommand("feel",
+                         "Compute the force on the hand of a recorded motion, without a device: at each "
+                         "pose, and in TUM and CSV each "
+                         "millisecond between two poses, interpolated; exits with 3 without contact");
   sub->add_option("motion", command->motion, "The motion: a capture, TUM or CSV")->required();
   sub->add_option("--mesh", command->mesh,
                   "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
@@ -64,7 +66,7 @@ void add_feel(CLI::App& app, int& exit_code) {
   sub->add_option("--config", command->config,
                   "A configuration: its sections haptics, materials, cut, blade and mesh are used; without "
                   "one the blade is always engaged");
-  sub->add_option("--out", command->out, "Where to write the force at each pose: CSV");
+  sub->add_option("--out", command->out, "Where to write the force over time: CSV");
   sub->add_option("--svg", command->svg, "Where to plot the force over time: SVG");
   add_strict(*sub, command->times);
   sub->add_flag("--json", command->json, "Print the figures as JSON");

@@ -120,6 +120,28 @@ test("labels that would cover each other lie above or below one another, inside 
   }
 });
 
+test("a label lies beside what covers the picture, not under it", () => {
+  const boxes = [];
+  const pen = new Proxy(
+    {},
+    {
+      get: (_, name) =>
+        name === "roundRect" ? (...box) => boxes.push(box) : name === "measureText" ? () => ({ width: 40 }) : () => {},
+      set: () => true,
+    },
+  );
+  const canvas = { clientWidth: 200, clientHeight: 300, style: {}, getContext: () => pen };
+  const camera = new PerspectiveCamera(50, 2 / 3, 0.1, 10);
+  camera.position.z = 1;
+  camera.updateMatrixWorld();
+  const marks = new Marks(canvas, camera);
+  marks.covered = () => [{ x: 100, y: 12, width: 90, height: 40 }];
+  marks.layers.push(() => marks.label(new Vector3(0.1, 0.42, 0), "mouse"));
+  marks.draw();
+  const [[x, y, width]] = boxes;
+  assert.ok(x + width > 100 && y >= 52, `${boxes}`);
+});
+
 // ---- Figures ----
 
 const progress = {
@@ -144,6 +166,15 @@ test("the light of the hash is green where hashes agree, and only there", () => 
   figures.show(progress); // of a patch from before
   assert.equal(byId("hash-row").dataset.agrees, "false");
   assert.match(byId("hash-text").textContent, /differs/);
+});
+
+test("without a server the hash agrees with that of the session in the page", () => {
+  const figures = new Figures(true);
+  figures.showTrust(true);
+  assert.equal(byId("hash-text").textContent, "Checked: it agrees with the session in this page");
+  assert.doesNotMatch(byId("hash-row").title, /server/);
+  figures.showTrust(false);
+  assert.doesNotMatch(byId("hash-text").textContent, /server/);
 });
 
 test("without the server nothing is checked: the light is neutral, and as before when it is back", () => {
@@ -175,6 +206,25 @@ test("the frame budget is the share of the frames since the last look", () => {
   assert.equal(byId("budget-chart").dataset.over, "false");
   figures.showStats(stats(350_000 + 1_050_000, 2500)); // 1,050 us a frame
   assert.deepEqual([byId("budget").textContent, byId("budget-chart").dataset.over], ["105%", "true"]);
+});
+
+test("the latency is marked above its line as long as it is shown", () => {
+  const timers = [];
+  const { setInterval } = globalThis;
+  globalThis.setInterval = (look) => timers.push(look);
+  const figures = new Figures();
+  globalThis.setInterval = setInterval;
+  const [look] = timers;
+  const shown = () => [byId("latency").textContent, byId("latency-chart").dataset.over];
+  figures.show(progress);
+  figures.latency.expect(1000);
+  figures.latency.drawn()(2449);
+  for (let i = 0; i < 4; ++i) {
+    look();
+    assert.deepEqual(shown(), ["1,449 ms", "true"]);
+  }
+  look();
+  assert.deepEqual(shown(), ["–", "false"]);
 });
 
 test("the latency goes when there are no poses any more", () => {
