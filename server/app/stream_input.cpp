@@ -116,9 +116,6 @@ std::string StreamInput::undo(std::optional<std::uint32_t> source, const Answer&
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
   if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";
-  const loop::Checkpointer::Undoable undoable = checkpointer_->undoable();
-  if (undoable.strokes == 0) return why_not(loop::UndoEnd::kNoStroke);
-  if (source && undoable.source != *source) return why_not(loop::UndoEnd::kOtherBlade);
   const bool waits = loop_->request_undo(source, [answer](loop::UndoEnd end) {
     if (end == loop::UndoEnd::kDone) {
       answer(std::nullopt);

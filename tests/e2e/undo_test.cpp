@@ -29,8 +29,9 @@ struct Hand {
     };
     link = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
   }
-  // Lifts the blade at the end.
-  void cut(double x) {
+  void cut(double x) { EXPECT_TRUE(link->wait_for_report(send_cut(x), 60)); }
+  // Lifts the blade at the end. Returns the number of the message.
+  std::uint64_t send_cut(double x) {
     std::vector<protocol::PoseSample> poses;
     for (int i = 0; i <= 200; ++i) {
       const double s = i / 200.0;
@@ -41,7 +42,7 @@ struct Hand {
            i < 200 ? 1u : 0u,
            0});
     }
-    EXPECT_TRUE(link->wait_for_report(link->send_poses(poses), 60));
+    return link->send_poses(poses);
   }
   // What it says to Undo; empty: it is done.
   std::string undo(const client::Client& viewer) {
@@ -121,6 +122,21 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
     session.kill();
     ASSERT_TRUE(session.start(true)) << session.log();
     EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
+  }
+}
+
+// The server has not cut the stroke yet when it is asked, and has to know of it all the same: it said that there was none.
+TEST(Recovery, AnUndoRightBehindAStrokeIsOfThatStroke) {
+  ServedSession session("undo_at_once", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  const Held before = held(*viewer);
+  Hand hand(session, "blade");
+  for (const double x : {0.3, 0.6}) {
+    hand.send_cut(x);
+    EXPECT_EQ(hand.undo(*viewer), "");
+    EXPECT_EQ(settled(session, *viewer), before);
   }
 }
 
