@@ -32,7 +32,7 @@ SET = {
     "live": ["live", "--seconds", "20"],
     "live_simulated": ["live", "--seconds", "20", "--viewers", "1", "--simulate", "60"],
     "stream": ["stream", "--rounds", "1"],
-    "meet": ["meet", "--count", "23"],  # 23 of 15 kinds in three bodies
+    "meet": ["meet", "--count", "23"],  # of each kind, in three bodies
 }
 # Programs beside incise-bench that print a list of rows: bench, the columns that name a row, command.
 SCRIPTS = [

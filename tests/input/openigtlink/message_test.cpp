@@ -239,7 +239,7 @@ TEST(OpenIgtLinkMessage, TheLibraryReadsWhatWeEncode) {
 
 TEST(OpenIgtLinkMessage, TheSurfaceOfACutBodyIsReadByTheLibrary) {
   stream::TestServer test;  // a cube of 60 mm
-  test.cut(2);  // what the first one cuts off is thinner than a quarter of an element, and stays
+  test.cut(2);              // what the first one cuts off is thinner than a quarter of an element, and stays
   std::promise<stream::Server::SharedFrames> promise;
   test.server.request_surface([&](auto frames) { promise.set_value(std::move(frames)); });
   auto future = promise.get_future();
