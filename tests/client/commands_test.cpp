@@ -173,7 +173,9 @@ TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
     for (std::string text; std::getline(lines, text);) line = nlohmann::json::parse(text);
     EXPECT_EQ(line["revision"], test.loop.revision());
     EXPECT_GT(line["cut_area_m2"], 0) << "also where it ends as soon as the snapshot is there";
-    if (at_once) EXPECT_TRUE(line["bytes_per_s"].is_null()) << line;
+    if (at_once) {
+      EXPECT_TRUE(line["bytes_per_s"].is_null()) << line;
+    }
   }
   const auto bytes = [&](const char* name) {
     std::ifstream in(directory / name, std::ios::binary);

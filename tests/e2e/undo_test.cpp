@@ -221,9 +221,10 @@ TEST(Recovery, FieldsGoWithTheMaterialThroughUndoAndResume) {
     EXPECT_EQ(std::get<1>(loaded[3].second), region);
     FieldsHeld once;
     {
-      Process python({"/usr/bin/env", "PYTHONPATH=" INCISE_SOURCE_DIR "/client/python:" INCISE_PYTHON_DIR,
-                      "/usr/bin/python3", INCISE_SOURCE_DIR "/tests/e2e/python_fields.py",
-                      std::to_string(session.tcp_port())});
+      const std::string path =
+          std::string("PYTHONPATH=") + INCISE_SOURCE_DIR + "/client/python:" + INCISE_PYTHON_DIR;
+      Process python({"/usr/bin/env", path, "/usr/bin/python3",
+                      INCISE_SOURCE_DIR "/tests/e2e/python_fields.py", std::to_string(session.tcp_port())});
       ASSERT_EQ(python.line("joined"), "joined");
       Hand hand(session, "blade");
       hand.cut(0.3);

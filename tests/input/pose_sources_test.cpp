@@ -63,8 +63,9 @@ TEST(PoseSources, MarksTellWhatCameBeforeThem) {
     const PoseSources::Marks marks = sources.queued();
     source->enqueue(poses(3, 2));
     sources.drain([&](std::uint32_t number, const InputEvent& event) {
-      if (event.kind == Kind::kPose)
+      if (event.kind == Kind::kPose) {
         EXPECT_EQ(sources.taken(number) <= marks[number], event.pose.pose.t_ns <= 2) << event.pose.pose.t_ns;
+      }
       return true;
     });
   }
