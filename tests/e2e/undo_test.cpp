@@ -223,8 +223,8 @@ TEST(Recovery, FieldsGoWithTheMaterialThroughUndoAndResume) {
     {
       const std::string path =
           std::string("PYTHONPATH=") + INCISE_SOURCE_DIR + "/client/python:" + INCISE_PYTHON_DIR;
-      Process python({"/usr/bin/env", path, "/usr/bin/python3",
-                      INCISE_SOURCE_DIR "/tests/e2e/python_fields.py", std::to_string(session.tcp_port())});
+      const std::string script = std::string(INCISE_SOURCE_DIR) + "/tests/e2e/python_fields.py";
+      Process python({"/usr/bin/env", path, "/usr/bin/python3", script, std::to_string(session.tcp_port())});
       ASSERT_EQ(python.line("joined"), "joined");
       Hand hand(session, "blade");
       hand.cut(0.3);
