@@ -37,7 +37,7 @@ const Body& body() {
   return loaded;
 }
 
-// All but "helix", of which one in twenty still hangs together by a face or two.
+// All kinds except "helix": a face or two still holds about one in twenty of those together.
 std::vector<std::string_view> kinds() {
   std::vector<std::string_view> out(std::begin(kMeetingKinds), std::end(kMeetingKinds));
   std::erase(out, "helix");

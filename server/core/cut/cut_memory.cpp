@@ -114,10 +114,10 @@ bool restore_cut_memory(std::span<const std::byte> bytes, const TetMesh& mesh, C
   workspace.held = std::move(memory.held);
   workspace.ribs = std::move(memory.ribs);
   workspace.necks = std::move(memory.necks);
+  const double reach_m = kPut_h * mesh.mean_edge_length();
   std::size_t looked_at = 0;
   for (VertexId v = 0; v < mesh.vertex_slots(); ++v)
-    workspace.vertices[v].surface =
-        workspace.swept.stroke_at(mesh.position(v), kPut_h * mesh.mean_edge_length(), looked_at);
+    workspace.vertices[v].surface = workspace.swept.stroke_at(mesh.position(v), reach_m, looked_at);
   return true;
 }
 

@@ -12,13 +12,6 @@ namespace {
 // How far points are moved aside, of a step: far more than what is rounded.
 constexpr double kAside = 1e-3;
 
-// A ruled quad as two triangles.
-template <class Visit>
-void each_triangle(const SweptMemory::Quad& quad, Visit visit) {
-  visit(quad.from.heel, quad.from.tip, quad.to.tip);
-  visit(quad.from.heel, quad.to.tip, quad.to.heel);
-}
-
 // A value that is linear in two numbers.
 struct Linear {
   double first = 0, by_j = 0, by_k = 0;
@@ -241,7 +234,7 @@ void Neck::block_swept() {
     const Box around = quad.box().widened(gap_m());
     if (!around.meets(box_)) continue;
     near_.push_back({&quad, around});
-    each_triangle(quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) { block(a, b, c); });
+    for (const auto& [a, b, c] : quad.triangles()) block(a, b, c);
   }
   cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
   for (std::size_t i = 0; i < near_.size(); ++i) {
@@ -312,9 +305,8 @@ void Neck::list_walls(const Box& rims) {
   }
   for (const Swept& swept : near_) {
     if (!swept.around.meets(rims)) continue;
-    each_triangle(*swept.quad, [&](const Vec3& a, const Vec3& b, const Vec3& c) {
+    for (const auto& [a, b, c] : swept.quad->triangles())
       walls_beside_.push_back({{a, b, c, swept.around}, swept.quad});
-    });
   }
   cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
 }
