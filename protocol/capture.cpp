@@ -19,9 +19,8 @@
 namespace incise::protocol {
 namespace {
 
-constexpr char kMagic[8] = {'I', 'N', 'C', 'I', 'S', 'C', 'A', 'P'};
 constexpr std::size_t kPreambleBytes =
-    sizeof kMagic + 4 + 4 + 4;                       // magic, version, header length, header CRC
+    kCaptureMagic.size() + 4 + 4 + 4;                // magic, version, header length, header CRC
 constexpr std::size_t kRecordHeadBytes = 4 + 4 + 1;  // length, CRC, type
 // Flags of a PositionsRecord.
 constexpr std::uint8_t kWithIds = 1, kSingle = 2;
@@ -240,6 +239,20 @@ bool crc_matches(const Head& head, const std::byte* bytes) {
 
 }  // namespace
 
+CaptureBeginning capture_beginning(std::string_view first) {
+  if (first.starts_with(kCaptureMagic)) return CaptureBeginning::Whole;
+  return kCaptureMagic.starts_with(first) ? CaptureBeginning::Torn : CaptureBeginning::Other;
+}
+
+CaptureBeginning capture_beginning(std::istream& in) {
+  std::string first(kCaptureMagic.size(), '\0');
+  in.read(first.data(), static_cast<std::streamsize>(first.size()));
+  first.resize(static_cast<std::size_t>(in.gcount()));
+  in.clear();
+  in.seekg(0);
+  return capture_beginning(first);
+}
+
 // ---- Sinks ----
 
 FileSink::FileSink(const std::string& path, bool fresh)
@@ -289,7 +302,7 @@ CaptureWriter::CaptureWriter(CaptureSink& sink, const CaptureHeader& header) : s
     throw std::invalid_argument("capture header of " + std::to_string(text.size()) +
                                 " bytes, accepted are at most " + std::to_string(kMaxCaptureHeaderBytes));
   }
-  const std::span<const std::byte> magic = std::as_bytes(std::span(kMagic));
+  const std::span<const std::byte> magic = std::as_bytes(std::span(kCaptureMagic));
   buffer_.assign(magic.begin(), magic.end());
   Put put(buffer_);
   put(kCaptureVersion);
@@ -387,9 +400,10 @@ bool CaptureReader::fill(std::size_t bytes) {
 
 void CaptureReader::read_header() {
   fill(kPreambleBytes);
-  const std::size_t have = std::min(window_.size(), sizeof kMagic);
-  if (have == 0 || std::memcmp(window_.data(), kMagic, have) != 0) {
-    stop(Status::Corrupt, "does not begin with INCISCAP");
+  const std::string_view magic(reinterpret_cast<const char*>(window_.data()),
+                               std::min(window_.size(), kCaptureMagic.size()));
+  if (magic.empty() || capture_beginning(magic) == CaptureBeginning::Other) {
+    stop(Status::Corrupt, "does not begin with " + std::string(kCaptureMagic));
     return;
   }
   if (window_.size() < kPreambleBytes) {

@@ -9,6 +9,7 @@
 #include <iosfwd>
 #include <span>
 #include <string>
+#include <string_view>
 #include <system_error>
 #include <variant>
 #include <vector>
@@ -17,7 +18,19 @@
 
 namespace incise::protocol {
 
+// The first bytes of every capture.
+inline constexpr std::string_view kCaptureMagic = "INCISCAP";
 inline constexpr std::uint32_t kCaptureVersion = 1;
+
+enum class CaptureBeginning {
+  Whole,  // as every capture begins
+  Torn,   // with a part of that, or empty: a crash may have left it
+  Other,  // this is no capture
+};
+// Of a file by its first bytes: kCaptureMagic.size() of them, or all that there are.
+CaptureBeginning capture_beginning(std::string_view first);
+// Of a stream, which is at its beginning before and after.
+CaptureBeginning capture_beginning(std::istream& in);
 
 // What a capture is of. On disk it is JSON, so that later versions may add keys.
 struct CaptureHeader {

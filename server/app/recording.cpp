@@ -163,23 +163,15 @@ std::uint64_t replay(const Config& config, const std::string& path, Start& start
   return records + more - journal.position().records;
 }
 
-// Whether a file begins as a capture does; one that a crash left empty, or with a part of the first word, counts.
-bool begins_as_capture(const std::filesystem::path& path) {
-  constexpr std::string_view kFirst = "INCISCAP";
-  std::string first(kFirst.size(), '\0');
-  std::ifstream in(path, std::ios::binary);
-  in.read(first.data(), static_cast<std::streamsize>(first.size()));
-  first.resize(static_cast<std::size_t>(in.gcount()));
-  return kFirst.starts_with(first);
-}
-
 // A file that is not a capture and that a start would move away or write over: which, and what to do. Empty: there is none.
 std::string foreign_file(const std::filesystem::path& path) {
   std::error_code error;
   std::filesystem::path old = path;
   old += ".old";
   for (const std::filesystem::path& file : {path, old}) {
-    if (!std::filesystem::is_regular_file(file, error) || begins_as_capture(file)) continue;
+    if (!std::filesystem::is_regular_file(file, error)) continue;
+    std::ifstream in(file, std::ios::binary);
+    if (protocol::capture_beginning(in) != protocol::CaptureBeginning::Other) continue;
     return file.string() + " is not a capture" +
            (file == old ? ", and the next start would write the last one there" : "") +
            "; name a file that does not exist, or move this one away";

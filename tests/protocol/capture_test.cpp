@@ -236,6 +236,20 @@ TEST(Capture, RefusesWhatIsNoCapture) {
   }
 }
 
+TEST(Capture, IsToldByItsFirstBytes) {
+  std::istringstream good(sample_capture()), other("time x y z\n"), empty("");
+  EXPECT_EQ(capture_beginning(good), CaptureBeginning::Whole);
+  EXPECT_EQ(capture_beginning(other), CaptureBeginning::Other);
+  EXPECT_EQ(capture_beginning(empty), CaptureBeginning::Torn) << "a crash may have left nothing";
+  EXPECT_EQ(capture_beginning("INCIS"), CaptureBeginning::Torn);
+  EXPECT_EQ(capture_beginning("INCISION"), CaptureBeginning::Other);
+  // Whoever asked can read on, also where the file was shorter than the first bytes.
+  EXPECT_TRUE(CaptureReader(good).header_ok());
+  std::string word;
+  EXPECT_TRUE(other >> word && word == "time");
+  EXPECT_EQ(empty.tellg(), 0);
+}
+
 // A record as bytes, its checksum right.
 std::string record_bytes(std::uint8_t type, const std::string& payload) {
   const std::string body = static_cast<char>(type) + payload;

@@ -10,13 +10,8 @@
 namespace incise::app {
 namespace {
 
-bool begins_as_capture(std::istream& in) {
-  std::array<char, 8> head{};
-  in.read(head.data(), head.size());
-  const auto got = in.gcount();
-  in.clear();
-  in.seekg(0);
-  return std::string_view(head.data(), static_cast<std::size_t>(got)) == "INCISCAP";
+bool is_capture(std::istream& in) {
+  return protocol::capture_beginning(in) == protocol::CaptureBeginning::Whole;
 }
 
 // Throws if a pose is not later than the one before of the same source; a source that is opened again has a new
@@ -63,7 +58,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
                                     IfDamaged if_damaged) {
   const std::string name = path.string();
   const std::unique_ptr<std::istream> in = open_file(name);
-  if (begins_as_capture(*in)) {
+  if (is_capture(*in)) {
     RecordedMotion motion = read_capture(*in, name, if_damaged);
     if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
@@ -96,7 +91,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
 RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged) {
   const std::string name = path.string();
   const std::unique_ptr<std::istream> in = open_file(name);
-  if (!begins_as_capture(*in)) {
+  if (!is_capture(*in)) {
     throw std::runtime_error(name +
                              ": is not a capture; incised records one (capture.path), and incise convert "
                              "makes one of a motion");
