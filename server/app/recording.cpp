@@ -16,6 +16,7 @@
 #include "server/base/clock.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
+#include "server/mesh_io/tetgen_files.hpp"
 
 namespace incise::app {
 namespace {
@@ -187,16 +188,10 @@ std::string read_under(const Config& config, const std::string& config_file,
     return std::filesystem::equivalent(path, other, error);
   };
   if (same(config_file)) return "the configuration itself";
-  // Without its ending a path names two files of TetGen.
-  for (const char* ending : {"", ".node", ".ele"}) {
-    if (!config.mesh.path.empty() && same(config.resolve(config.mesh.path + ending)))
-      return "a file of mesh.path";
-  }
-  const std::filesystem::path mesh = config.resolve(config.mesh.path);
-  if (mesh.extension() == ".node" || mesh.extension() == ".ele") {
-    for (const char* ending : {".node", ".ele"}) {
-      if (same(std::filesystem::path(mesh).replace_extension(ending))) return "a file of mesh.path";
-    }
+  if (!config.mesh.path.empty()) {
+    const std::filesystem::path mesh = config.resolve(config.mesh.path);
+    const auto [node, ele] = mesh_io::tetgen_paths(mesh);
+    if (same(mesh) || same(node) || same(ele)) return "a file of mesh.path";
   }
   const Config::Listen& listen = config.listen;
   const Config::Cluster& cluster = config.cluster;

@@ -828,6 +828,7 @@ TEST_F(Incise, NoOutputOverwritesAnother) {
   for (const auto& [out, report] : {std::pair{"out.vtu", "./out.vtu"},
                                     {"out", "out.ele"},
                                     {"out.node", "out.ele"},
+                                    {"out.NODE", "out.NODE.ele"},
                                     {"out.obj", "out.mtl"}}) {
     expect_error(
         run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", out, "--report",

@@ -9,6 +9,7 @@
 #include "server/app/offline/terminal.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/session/piece_numbers.hpp"
+#include "server/mesh_io/tetgen_files.hpp"
 #include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/write_materials.hpp"
 
@@ -26,14 +27,6 @@ bool is_glb_file(const fs::path& path) {
   return lowercase_ending(path) == ".glb";
 }
 
-// `path`: one of the two, or their base.
-std::vector<fs::path> tetgen_pair(const fs::path& path) {
-  const std::string ending = lowercase_ending(path);
-  const std::string base =
-      ending == ".node" || ending == ".ele" ? fs::path(path).replace_extension().string() : path.string();
-  return {base + ".node", base + ".ele"};
-}
-
 std::vector<fs::path> files_of(const Output& out) {
   if (out.path.empty()) return {};
   return out.kind == Output::Kind::kMesh ? files_of_mesh(out.path) : std::vector{out.path};
@@ -42,8 +35,8 @@ std::vector<fs::path> files_of(const Output& out) {
 // An input can be the base of a TetGen mesh, and an .obj has a library of materials. Only files that are there.
 std::vector<fs::path> files_read(const fs::path& input) {
   if (input.empty()) return {};
-  std::vector<fs::path> files = tetgen_pair(input);
-  files.push_back(input);
+  const auto [node, ele] = mesh_io::tetgen_paths(input);
+  std::vector<fs::path> files{input, node, ele};
   if (lowercase_ending(input) == ".obj") files.push_back(mesh_io::material_library_of(input));
   std::erase_if(files, [](const fs::path& file) {
     std::error_code error;
@@ -143,7 +136,10 @@ void require_mesh_output(const fs::path& path, const std::string& option) {
 
 std::vector<fs::path> files_of_mesh(const fs::path& path) {
   const std::string ending = lowercase_ending(path);
-  if (ending.empty() || ending == ".node" || ending == ".ele") return tetgen_pair(path);
+  if (ending.empty() || ending == ".node" || ending == ".ele") {
+    const auto [node, ele] = mesh_io::tetgen_paths(path);
+    return {node, ele};
+  }
   if (ending == ".obj") return {path, mesh_io::material_library_of(path)};
   return {path};
 }
