@@ -17,6 +17,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "protocol/blade_name.hpp"
 #include "protocol/fields.hpp"
 #include "protocol/messages.hpp"
 #include "protocol/replica.hpp"
@@ -43,9 +44,9 @@ struct Options {
   protocol::View view = protocol::View::Volume;
   std::string token;
   std::string client_name = "incise_client";
-  std::string source_name = "blade";         // operator: which blade
-  bool take_over = false;                    // operator: take it from the operator who holds it
-  std::optional<protocol::BladeEdge> blade;  // operator: bring this blade instead of the server's
+  std::string source_name{protocol::kDefaultBladeName};  // operator: which blade
+  bool take_over = false;                                // operator: take it from the operator who holds it
+  std::optional<protocol::BladeEdge> blade;              // operator: bring this blade instead of the server's
   float load_rate_hz = 0;  // simulator: BladeLoad at most so often for each blade, 60 to 1000; 0: none
   std::optional<protocol::Box> box;  // of either view only what touches it; for Volume use read_part()
   // Names of the fields to hold ("*": all), with view Volume and no box: read_fields(). What there is, Welcome::fields lists.

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "client/client.hpp"
+#include "protocol/blade_name.hpp"
 
 namespace CLI {
 class App;
@@ -40,7 +41,7 @@ struct StreamCommand {
   double speed = 1;  // times the recorded one; 0: as fast as they are taken
   bool loop = false;
   std::optional<std::uint32_t> from_source;  // of a capture; nothing: the first that has poses
-  std::string source_name = "blade";
+  std::string source_name{protocol::kDefaultBladeName};
   std::string blade;  // hx,hy,hz:tx,ty,tz; empty: the server's
   bool take_over = false;
   bool strict = false;  // refuse a motion whose times do not rise

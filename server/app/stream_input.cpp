@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 
+#include "protocol/blade_name.hpp"
 #include "server/app/offline/recorded_motion.hpp"
 
 namespace incise::app {
@@ -22,7 +23,7 @@ void fill(core::VertexPositions& buffer, std::span<const Number> numbers) {
 }
 
 std::string_view name_or_default(std::string_view source_name) {
-  return source_name.empty() ? "blade" : source_name;
+  return source_name.empty() ? protocol::kDefaultBladeName : source_name;
 }
 
 const char* why_not(loop::UndoEnd end) {

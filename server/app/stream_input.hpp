@@ -55,7 +55,7 @@ class StreamPositionsInput final : public stream::PositionsInput {
 // Connects what peers send to the pose sources, the positions' slot and the loop.
 class StreamInput final : public stream::PeerInput {
  public:
-  // All must outlive this. A source without a name is called "blade".
+  // All must outlive this. A source without a name is called protocol::kDefaultBladeName.
   StreamInput(input::PoseSources& sources, input::PositionsSlot& positions, const Config& config)
       : sources_(sources), positions_(positions), config_(config) {}
   // The loop that uses the poses, for its backlog and for resets; call before the first session.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "protocol/blade_name.hpp"
 #include "protocol/role_names.hpp"
 #include "server/base/clock.hpp"
 #include "server/stream/pause.hpp"
@@ -129,7 +130,7 @@ asio::awaitable<std::optional<Refusal>> Peer::check_token(const protocol::Hello&
 asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& greeting) {
   // Named here, so that the next one who asks for it by either name finds its holder (PROTOCOL.md, section 7).
   protocol::Hello hello = greeting;
-  if (hello.source_name.empty()) hello.source_name = "blade";
+  if (hello.source_name.empty()) hello.source_name = protocol::kDefaultBladeName;
   if (hello.blade) {
     std::optional<Refusal> refusal = check_blade(*hello.blade, context_.facts.mesh.box);
     if (refusal) co_return refusal;

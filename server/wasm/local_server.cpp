@@ -6,6 +6,7 @@
 #include <sstream>
 #include <variant>
 
+#include "protocol/blade_name.hpp"
 #include "protocol/framing.hpp"
 #include "protocol/surface.hpp"
 #include "server/replay/session_view.hpp"
@@ -226,7 +227,7 @@ void LocalServer::on_hello(std::uint32_t number, Peer& peer, const protocol::Hel
 bool LocalServer::take_blade(std::uint32_t number, Peer& peer, const protocol::Hello& greeting,
                              std::uint64_t sequence) {
   protocol::Hello hello = greeting;
-  if (hello.source_name.empty()) hello.source_name = "blade";
+  if (hello.source_name.empty()) hello.source_name = protocol::kDefaultBladeName;
   const auto holder = std::find_if(peers_.begin(), peers_.end(), [&](const auto& entry) {
     return entry.second.source && entry.second.source_name == hello.source_name;
   });
