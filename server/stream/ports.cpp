@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "protocol/net/listen_error.hpp"
 #include "server/stream/tls.hpp"
 
 namespace incise::stream {
@@ -25,13 +26,8 @@ void check_safe(const StreamConfig& config, const asio::ip::address& address) {
 
 std::runtime_error cannot_listen(const char* what, const tcp::endpoint& endpoint,
                                  const boost::system::system_error& error) {
-  return std::runtime_error(
-      std::string("listen.") + what + ": cannot listen on " + endpoint.address().to_string() + ":" +
-      std::to_string(endpoint.port()) + ": " + error.code().message() +
-      (error.code() == asio::error::address_in_use
-           ? "; end the server that runs there (ss -ltnp shows it), or choose another listen." +
-                 std::string(what) + " (0: any free one)"
-           : ""));
+  return net::cannot_listen(std::string("listen.") + what, endpoint.address().to_string(), endpoint.port(),
+                            error.code());
 }
 
 tcp::acceptor bound(asio::io_context& io, const asio::ip::address& address, int port, const char* what) {

@@ -158,8 +158,8 @@ TEST_F(Incised, APortInUseComesWithWhatToDo) {
   const RunResult result = run({"--config", "c.json"});
   EXPECT_EQ(result.exit_code, 1);
   EXPECT_NE(
-      result.err.find("Address already in use; end the server that runs there (ss -ltnp shows it), or choose "
-                      "another listen.tcp_port (0: any free one)\n"),
+      result.err.find("Address already in use; end the program that listens there (ss -ltnp shows it), or "
+                      "choose another listen.tcp_port (0: any free one)\n"),
       std::string::npos)
       << result.err;
 }

@@ -14,10 +14,10 @@
 #include <chrono>
 #include <mutex>
 #include <set>
-#include <stdexcept>
 #include <thread>
 #include <utility>
 
+#include "protocol/net/listen_error.hpp"
 #include "protocol/net/net_stream.hpp"
 #include "server/base/clock.hpp"
 #include "server/input/openigtlink/peer.hpp"
@@ -46,8 +46,7 @@ struct OpenIgtLinkInput::Impl {
   }
 
   void start() {
-    if (acceptor) acceptor->listen();
-    if (acceptor) asio::co_spawn(io, accept(), asio::detached);
+    if (acceptor) listen();
     for (const std::string& place : options.connect)
       asio::co_spawn(io, keep_connected(place), asio::detached);
     tick();
@@ -63,14 +62,16 @@ struct OpenIgtLinkInput::Impl {
       acceptor->bind(endpoint);
       port = acceptor->local_endpoint().port();
     } catch (const boost::system::system_error& error) {
-      throw std::runtime_error(
-          "openigtlink: cannot listen on " + options.address + ":" + std::to_string(options.port) + ": " +
-          error.code().message() +
-          (error.code() == asio::error::address_in_use
-               ? "; end the program that listens there (ss -ltnp shows it), or choose another "
-                 "openigtlink.port"
-               : ""));
+      throw net::cannot_listen("openigtlink.port", options.address, options.port, error.code());
     }
+  }
+
+  void listen() {
+    error_code error;
+    acceptor->listen(asio::socket_base::max_listen_connections, error);
+    // Two programs can take the same port, but not both listen.
+    if (error) throw net::cannot_listen("openigtlink.port", options.address, port, error);
+    asio::co_spawn(io, accept(), asio::detached);
   }
 
   void stop() {

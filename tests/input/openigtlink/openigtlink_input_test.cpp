@@ -458,16 +458,29 @@ TEST_F(OpenIgtLink, ConnectsToServersAndAsksThemForPoses) {
   EXPECT_TRUE(stream::eventually([&] { return count("connections") == 2; }));
 }
 
-TEST_F(OpenIgtLink, AnAddressThatIsTakenIsNamed) {
-  start();
+TEST_F(OpenIgtLink, APortInUseComesWithWhatToDo) {
+  const SurfaceFeed none{[] { return std::uint64_t{0}; }, [](auto) {}};
   OpenIgtLinkOptions options;
-  options.port = input->port();
-  try {
-    OpenIgtLinkInput second(pose_sources, options, {[] { return std::uint64_t{0}; }, [](auto) {}});
-    FAIL() << "two listeners at one port";
-  } catch (const std::runtime_error& error) {
-    EXPECT_NE(std::string(error.what()).find("127.0.0.1:" + std::to_string(options.port)), std::string::npos);
-  }
+  options.port = 0;
+  OpenIgtLinkInput first(pose_sources, options, none);
+  options.port = first.port();
+  const std::string expected =
+      "openigtlink.port: cannot listen on 127.0.0.1:" + std::to_string(first.port()) +
+      ": Address already in use; end the program that listens there (ss -ltnp "
+      "shows it), or choose another openigtlink.port (0: any free one)";
+  const auto expect_refused = [&](const auto& listen) {
+    try {
+      listen();
+      FAIL() << "two listeners at one port";
+    } catch (const std::runtime_error& error) {
+      EXPECT_EQ(error.what(), expected);
+    }
+  };
+  // As long as neither listens, both have the port.
+  OpenIgtLinkInput second(pose_sources, options, none);
+  first.start();
+  expect_refused([&] { second.start(); });
+  expect_refused([&] { OpenIgtLinkInput(pose_sources, options, none); });
 }
 
 TEST_F(OpenIgtLink, StoppedInTheMiddleOfEverything) {

@@ -1,0 +1,13 @@
+#pragma once
+
+#include <boost/system/error_code.hpp>
+#include <stdexcept>
+#include <string>
+
+namespace incise::net {
+
+// What to throw where a port cannot be listened on: why, and what to do about it. `key` is the configuration's name of the port.
+std::runtime_error cannot_listen(const std::string& key, const std::string& address, int port,
+                                 const boost::system::error_code& error);
+
+}  // namespace incise::net
