@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "server/core/stroke/jump.hpp"
+
 namespace incise::haptics {
 namespace {
 
@@ -36,18 +38,11 @@ void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_
                     pose.orientation == hand.pose.orientation && pose.buttons == hand.pose.buttons;
   if (!same) hand.moved_ns = arrival_ns;
   hand.pressed_again = hand.pressed_again || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
-  hand.jumped = hand.jumped || jumped || (hand.has_pose && too_far(hand.blade, hand.pose, pose));
+  // The rule for strokes, applied to blades that do not cut, too.
+  hand.jumped = hand.jumped || jumped || (hand.has_pose && is_jump(cut_, hand.blade, hand.pose, pose));
   hand.pose = pose;
   hand.arrival_ns = arrival_ns;
   hand.has_pose = true;
-}
-
-// Whether the blade jumped there instead of moving: the rule for strokes, applied to blades that do not cut, too.
-bool ForceStage::too_far(const core::Blade& blade, const core::Pose& from,
-                         const core::Pose& to) const noexcept {
-  const core::BladeLine a = core::blade_line(blade, from), b = core::blade_line(blade, to);
-  const double dt = static_cast<double>(to.t_ns - from.t_ns) * 1e-9;
-  return dt > cut_.gap_limit_s || travel(a, b) > cut_.speed_limit_m_s * dt;
 }
 
 void ForceStage::cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept {

@@ -101,7 +101,6 @@ class ForceStage {
   bool engaged(const core::Pose& pose) const noexcept {
     return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
   }
-  bool too_far(const core::Blade& blade, const core::Pose& from, const core::Pose& to) const noexcept;
   void tell_simulation(Hand& hand, const BladeForce& force, std::int64_t now_ns) noexcept;
   BladeForce feel(std::uint32_t source, Hand& hand, std::int64_t now_ns, std::int64_t late_ns) noexcept;
 

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "server/app/offline/motion_run.hpp"
+#include "server/core/stroke/jump.hpp"
 
 namespace incise::app {
 namespace {
@@ -14,18 +15,6 @@ using core::Quat;
 
 constexpr std::uint64_t kPeriod_ns = 1'000'000;
 constexpr std::uint64_t kMaxAdded = 1'000'000;  // which bounds memory where times are seconds of years
-
-// From `a` to `b`, which is later.
-std::uint64_t elapsed_ns(const Pose& a, const Pose& b) {
-  return static_cast<std::uint64_t>(b.t_ns) - static_cast<std::uint64_t>(a.t_ns);
-}
-
-// As StrokeBuilder::push() decides, which then ends the stroke.
-bool is_jump(const core::CutConfig& cut, const core::Blade& blade, const Pose& a, const Pose& b) {
-  const double dt_s = static_cast<double>(elapsed_ns(a, b)) * 1e-9;
-  const double step_m = core::travel(core::blade_line(blade, a), core::blade_line(blade, b));
-  return !(dt_s <= cut.gap_limit_s && step_m <= cut.speed_limit_m_s * dt_s);
-}
 
 // Along the shorter arc. Both are of about unit length; `u` from 0 to 1.
 Quat slerp(const Quat& a, Quat b, double u) {

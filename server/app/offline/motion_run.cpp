@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "server/core/stroke/jump.hpp"
+
 namespace incise::app {
 namespace {
 
@@ -50,9 +52,7 @@ Steps steps_of(const Config& config, const RecordedMotion& motion) {
     if (!previous || event.pose.t_ns <= previous->t_ns || !engaged(config.cut, *previous)) continue;
     const core::Blade& blade = blade_of(config, event.source);
     const double way_m = travel(core::blade_line(blade, *previous), core::blade_line(blade, event.pose));
-    steps.gaps_s.push_back(static_cast<double>(static_cast<std::uint64_t>(event.pose.t_ns) -
-                                               static_cast<std::uint64_t>(previous->t_ns)) *
-                           1e-9);
+    steps.gaps_s.push_back(static_cast<double>(core::elapsed_ns(*previous, event.pose)) * 1e-9);
     if (way_m > 0) steps.speeds_m_s.push_back(way_m / steps.gaps_s.back());
   }
   return steps;

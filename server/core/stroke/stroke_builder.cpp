@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/core/stroke/jump.hpp"
+
 namespace incise::core {
 namespace {
 
@@ -88,16 +90,9 @@ PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out) {
   const bool engaged = config_.always_engaged || (pose.buttons & config_.engage_buttons) != 0;
   const TimedLine now{blade_line(config_.blade, pose), pose.t_ns};
   PoseVerdict verdict = PoseVerdict::kAccepted;
-  if (in_stroke_) {
-    // Later than the last one, by up to 2^64 - 1 ns: more than the signed difference can hold.
-    const std::uint64_t dt_ns =
-        static_cast<std::uint64_t>(pose.t_ns) - static_cast<std::uint64_t>(last_pose_.t_ns);
-    const double dt_s = static_cast<double>(dt_ns) * 1e-9;
-    const double step_m = travel(blade_line(config_.blade, last_pose_), now.line);
-    if (dt_s > config_.gap_limit_s || step_m > config_.speed_limit_m_s * dt_s) {
-      end_stroke(out);
-      if (engaged) verdict = PoseVerdict::kNewStroke;
-    }
+  if (in_stroke_ && is_jump(config_, config_.blade, last_pose_, pose)) {
+    end_stroke(out);
+    if (engaged) verdict = PoseVerdict::kNewStroke;
   }
   if (engaged && !in_stroke_) {
     begin_stroke(now);

@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <vector>
 
+#include "server/core/stroke/jump.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
 
 namespace incise::core {
@@ -42,6 +44,28 @@ TEST(StrokeLimits, AGapOfExactlyTheLimitIsNone) {
     const PoseVerdict verdict = builder.push({(1000 + gap_ms) * kMs, {0.001, 0, 0}, {}, 0}, s.queue);
     EXPECT_EQ(verdict, gap_ms == 250 ? PoseVerdict::kAccepted : PoseVerdict::kNewStroke);
   }
+}
+
+TEST(StrokeLimits, AJumpIsTooLateOrTooFar) {
+  CutConfig config;
+  config.speed_limit_m_s = 2;
+  config.gap_limit_s = 0.25;
+  const Blade blade{{0, 0, 0}, {0, 0, -0.05}};
+  const Quat half_turn{0, 1, 0, 0};
+  const auto jumps = [&](const Pose& to) { return is_jump(config, blade, {}, to); };
+  EXPECT_FALSE(jumps({100 * kMs, {0.2, 0, 0}, {}, 0}));
+  EXPECT_TRUE(jumps({100 * kMs, {std::nextafter(0.2, 1), 0, 0}, {}, 0}));
+  EXPECT_FALSE(jumps({50 * kMs, {}, half_turn, 0})) << "its tip moves by 0.1 m";
+  EXPECT_TRUE(jumps({49 * kMs, {}, half_turn, 0}));
+  EXPECT_FALSE(jumps({250 * kMs, {}, {}, 0}));
+  EXPECT_TRUE(jumps({250 * kMs + 1, {}, {}, 0})) << "also where it did not move";
+  EXPECT_TRUE(jumps({kMs, {std::nan(""), 0, 0}, {}, 0}));
+  // A source's clock may have any origin.
+  Pose first, last;
+  first.t_ns = std::numeric_limits<std::int64_t>::min();
+  last.t_ns = std::numeric_limits<std::int64_t>::max();
+  EXPECT_EQ(elapsed_ns(first, last), std::numeric_limits<std::uint64_t>::max());
+  EXPECT_TRUE(is_jump(config, blade, first, last));
 }
 
 // A quaternion that is a little off unit length turns the blade and does not stretch it.
