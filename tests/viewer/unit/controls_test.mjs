@@ -274,6 +274,13 @@ test("every control and every figure of the page has a tooltip", () => {
   );
 });
 
+test("the figures' tooltips hold for a page without a server, too", () => {
+  const page = readFileSync(new URL("../../../client/viewer/index.html", import.meta.url), "utf8");
+  const figures = page.match(/<aside id="panel".*?<section id="live-strokes"/s)[0];
+  assert.match(figures, /Frame budget used/);
+  assert.doesNotMatch(figures, /server/);
+});
+
 test("a first look at the frames shows no share yet; areas are in square centimetres", () => {
   byId("budget").textContent = "-";
   const figures = new Figures();
