@@ -33,7 +33,6 @@ constexpr std::int64_t kJitterPart = 4;
 constexpr double kLatest = 0.95;
 // The part of a frame's budget that draining poses may use: after a burst the rest is for cutting.
 constexpr double kInputShare = 0.5;
-constexpr std::size_t kMostUndos = 128;  // that may wait
 // After an undo so many cuts a frame are entered for the forces.
 constexpr std::size_t kCutsNoted = 512;
 
@@ -45,24 +44,10 @@ void sleep_until(std::int64_t ns) {
 
 }  // namespace
 
-const char* to_string(LateCause cause) {
-  switch (cause) {
-    case LateCause::kWakeUp:
-      return "wake-up";
-    case LateCause::kInput:
-      return "input";
-    case LateCause::kCut:
-      return "cut";
-    case LateCause::kPublish:
-      return "publish";
-  }
-  return "?";
-}
-
 FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, DeltaSink& sink, Journal* journal,
                      const LoopOptions& options)
     : session_(&session),
-      undo_requests_(kMostUndos),
+      undos_(input, journal, options.undo_patience_ns),
       input_(input),
       sink_(sink),
       journal_(journal),
@@ -70,8 +55,7 @@ FrameLoop::FrameLoop(core::CutSession& session, input::PoseSources& input, Delta
       period_ns_(static_cast<std::int64_t>(1e9 / options.rate_hz)),
       for_cuts_(options.budget_fraction, period_ns_),
       for_steps_(options.budget_fraction + kStepPart * (1 - options.budget_fraction), period_ns_),
-      pool_(64, options.most_unread_deltas),
-      stamps_(64) {
+      pool_(64, options.most_unread_deltas) {
   ready_.reserve(1024);
   state_.revision = session.revision();
   state_.state_hash = session.mesh().state_hash();
@@ -141,7 +125,7 @@ void FrameLoop::frame(std::int64_t deadline_ns) noexcept {
   input_.doorbell().forget();
   state_.flags = 0;
   if (reset_wanted_.load(std::memory_order_relaxed)) reset();
-  if (take_undo_request()) undo(start);
+  if (auto undone = undos_.advance(*session_, start)) go_back(std::move(*undone));
   drain(start, start + static_cast<std::int64_t>(kInputShare * static_cast<double>(for_cuts_.left_ns())));
   start_deformation(start);
   const std::int64_t drained = monotonic_ns();
@@ -232,8 +216,7 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
           session_->in_stroke(source) && (!stroking || verdict == core::PoseVerdict::kNewStroke);
       if (record.begins_stroke) {
         ++state_.strokes;
-        ++strokes_begun_;
-        last_begun_[source] = input_.taken(source);
+        undos_.note_stroke(source);
       }
       record.verdict = verdict;
       input_.count(source, verdict);
@@ -254,16 +237,8 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
   const bool recorded = write(record);
   // The journal acknowledges the poses that it has written.
   if (!recorded && event.kind == Kind::kPose) input_.acknowledge(source, record.verdict, record.pose.t_ns);
-  for (std::size_t i = batches; i < session_->backlog_batches(); ++i) stamp(event.pose.arrival_ns, now_ns);
-}
-
-void FrameLoop::stamp(std::int64_t arrival_ns, std::int64_t drain_ns) {
-  if (stamp_count_ == stamps_.size()) {
-    std::rotate(stamps_.begin(), stamps_.begin() + static_cast<std::ptrdiff_t>(first_stamp_), stamps_.end());
-    first_stamp_ = 0;
-    stamps_.resize(2 * stamps_.size());
-  }
-  stamps_[(first_stamp_ + stamp_count_++) % stamps_.size()] = {arrival_ns, drain_ns};
+  for (std::size_t i = batches; i < session_->backlog_batches(); ++i)
+    times_.push({event.pose.arrival_ns, now_ns});
 }
 
 void FrameLoop::start_deformation(std::int64_t now_ns) {
@@ -276,7 +251,7 @@ void FrameLoop::start_deformation(std::int64_t now_ns) {
   batches_before_step_ = session_->backlog_batches();
   session_->deform(record.positions);
   deforming_ = record.positions;
-  stamp(record.arrival_ns, now_ns);
+  times_.push({record.arrival_ns, now_ns});
   write(record);
 }
 
@@ -338,7 +313,7 @@ void FrameLoop::reset() {
     reset_wanted_.store(true, std::memory_order_relaxed);
     return;
   }
-  while (take_undo_request()) answer_undo(UndoEnd::kReset);
+  undos_.end_all(UndoEnd::kReset);
   cuts_to_note_.clear();
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
@@ -347,75 +322,12 @@ void FrameLoop::reset() {
 }
 
 void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
-  take_undone_ = std::move(take);
+  undos_.offer(std::move(take));
   undo_done_ = std::move(done);
 }
 
 bool FrameLoop::request_undo(std::optional<std::uint32_t> source, UndoAnswered answered) {
-  if (!take_undone_) return false;
-  return undo_requests_.push(
-      {source, std::move(answered), monotonic_ns() + options_.undo_patience_ns, input_.queued()});
-}
-
-bool FrameLoop::take_undo_request() {
-  if (undo_) return true;
-  UndoRequest next;
-  if (!undo_requests_.pop(next)) return false;
-  undo_ = std::move(next);
-  return true;
-}
-
-void FrameLoop::answer_undo(UndoEnd end) {
-  if (undo_->answered) undo_->answered(end);
-  undo_.reset();
-  undo_asked_ = false;
-}
-
-bool FrameLoop::in_stroke() const {
-  for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
-    if (session_->in_stroke(source)) return true;
-  return false;
-}
-
-bool FrameLoop::begun_since() const {
-  for (std::size_t source = 0; source < last_begun_.size(); ++source)
-    if (last_begun_[source] > undo_->asked[source]) return true;
-  return false;
-}
-
-bool FrameLoop::drained_before() const {
-  for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
-    if (input_.taken(source) < undo_->asked[source]) return false;
-  return true;
-}
-
-void FrameLoop::undo(std::int64_t now_ns) {
-  // Who asked meant an older stroke than this one, which would be the one that is removed.
-  if (begun_since()) {
-    answer_undo(UndoEnd::kBegun);
-    return;
-  }
-  const bool stroking = in_stroke();
-  if (now_ns > undo_->until_ns) {
-    answer_undo(stroking ? UndoEnd::kInStroke : UndoEnd::kBehind);
-    return;
-  }
-  if (stroking || session_->backlog_batches() > 0 || !drained_before()) return;
-  if (!undo_asked_ || undo_strokes_ != strokes_begun_) {
-    undo_asked_ = journal_->want_undo(++undo_request_);
-    undo_strokes_ = strokes_begun_;
-    return;
-  }
-  auto undone = take_undone_();
-  if (!undone || undone->request != undo_request_) return;  // an older one is from before the last stroke
-  if (!undone->session) {
-    answer_undo(UndoEnd::kNoStroke);
-  } else if (undo_->source && *undo_->source != undone->before.source) {
-    answer_undo(UndoEnd::kOtherBlade);  // it began while this waited
-  } else {
-    answer_undo(UndoEnd::kDone);
-    go_back(std::move(*undone));
-  }
+  return undos_.request(source, std::move(answered));
 }
 
 void FrameLoop::go_back(Undone undone) {
@@ -444,7 +356,7 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
   }
   if (positions_) positions_->pop_newest();  // drops those of the old mesh
   deforming_.reset();
-  stamp_count_ = 0;
+  times_.clear();
   batch_work_ns_ = delta_work_ns_ = 0;
   const LoopState before = std::exchange(state_, state);
   state_.frames = before.frames;
@@ -464,7 +376,7 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
     session_->set_blade(record.source,
                         record.blade);  // ends a stroke that was under way before the one that was undone
     for (std::size_t i = batches; i < session_->backlog_batches(); ++i)
-      stamp(record.arrival_ns, record.arrival_ns);
+      times_.push({record.arrival_ns, record.arrival_ns});
     write(record);
   }
 }
@@ -530,19 +442,16 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
 void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   const core::Delta& delta = out.delta;
   const bool is_whole = session_->committed_whole();
-  const Stamp stamp = stamps_[first_stamp_];
-  if (is_whole) {
-    first_stamp_ = (first_stamp_ + 1) % stamps_.size();
-    --stamp_count_;
-  }
-  out.arrival_ns = stamp.arrival_ns;
-  out.drain_ns = stamp.drain_ns;
+  const BatchTimes times = times_.oldest();
+  if (is_whole) times_.pop();
+  out.arrival_ns = times.arrival_ns;
+  out.drain_ns = times.drain_ns;
   out.cut_ns = now_ns;
 
   if (delta.stroke != 0) {
     stats_.batch_cut.record(delta_work_ns_);
-    stats_.pose_to_drain.record(stamp.drain_ns - stamp.arrival_ns);
-    stats_.pose_to_cut.record(now_ns - stamp.arrival_ns);
+    stats_.pose_to_drain.record(times.drain_ns - times.arrival_ns);
+    stats_.pose_to_cut.record(now_ns - times.arrival_ns);
     if (is_whole) {
       if (batches_before_step_ > 0) --batches_before_step_;
       bump(stats_.batches);

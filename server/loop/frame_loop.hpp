@@ -13,13 +13,13 @@
 #include "server/haptics/force_stage.hpp"
 #include "server/input/pose_sources.hpp"
 #include "server/input/positions_slot.hpp"
-#include "server/input/spsc_queue.hpp"
+#include "server/loop/batch_times.hpp"
 #include "server/loop/cost_model.hpp"
 #include "server/loop/delta_pool.hpp"
 #include "server/loop/frame_share.hpp"
 #include "server/loop/journal.hpp"
 #include "server/loop/loop_stats.hpp"
-#include "server/loop/undo_history.hpp"
+#include "server/loop/pending_undos.hpp"
 
 namespace incise::loop {
 
@@ -36,17 +36,6 @@ struct LoopOptions {
   std::int64_t longest_finish_ns = INT64_MAX;
   // How long an undo waits for the strokes that are under way to end.
   std::int64_t undo_patience_ns = 10'000'000'000;
-};
-
-// What became of an undo.
-enum class UndoEnd {
-  kDone,
-  kInStroke,    // a blade did not end its stroke in time
-  kBehind,      // the cut, or the checkpointer, did not catch up in time
-  kReset,       // the mesh was reset first
-  kBegun,       // a stroke began after it was asked for, and before it was done
-  kNoStroke,    // there was none to undo
-  kOtherBlade,  // the last stroke was not of the blade whose it had to be
 };
 
 // The real-time loop. A frame begins when poses arrive, and one period after the last one where none do. Each frame, in this order: drains the queued poses, checks and batches them, updates the
@@ -75,7 +64,7 @@ class FrameLoop {
 
   // Makes it possible to undo strokes; before the first frame, and only with a journal that has a checkpointer, which is asked for the
   // state before the last stroke. `take` gives what that has found, if there is something; `done` is as for resets. Both run on the loop's thread.
-  using TakeUndone = std::function<std::unique_ptr<Undone>()>;
+  using TakeUndone = PendingUndos::Take;
   using UndoDone = ResetDone;
   void offer_undo(TakeUndone take, UndoDone done);
   // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a `source` only if that stroke is that
@@ -83,7 +72,7 @@ class FrameLoop {
   // queued before this call: where another one begins before it is done, it is given up. Several that are asked for are done one
   // after the other. `answered`, which may be empty, is called once, on the loop's thread and before `done`; never where the loop ends first. False where
   // it was not offered, or too many wait. From one thread.
-  using UndoAnswered = std::function<void(UndoEnd)>;
+  using UndoAnswered = PendingUndos::Answered;
   bool request_undo(std::optional<std::uint32_t> source, UndoAnswered answered);
 
   // Makes forces, in each frame between drain and cut; before the first frame. `tissue` knows of all
@@ -108,11 +97,6 @@ class FrameLoop {
   const LoopStats& stats() const { return stats_; }
 
  private:
-  // What a waiting batch needs for its delta's times, oldest first: as CutSession's queue, in a ring that
-  // grows.
-  struct Stamp {
-    std::int64_t arrival_ns, drain_ns;
-  };
   void handle(std::uint32_t source, const input::InputEvent& event, std::int64_t now_ns);
   void drain(std::int64_t now_ns, std::int64_t until_ns);
   std::int64_t feel(std::int64_t now_ns, std::int64_t late_ns);
@@ -123,48 +107,23 @@ class FrameLoop {
   void account(std::int64_t deadline_ns, std::int64_t start_ns, std::int64_t drained_ns, std::int64_t felt_ns,
                std::int64_t cut_ns, std::int64_t end_ns);
   void start_deformation(std::int64_t now_ns);
-  void stamp(std::int64_t arrival_ns, std::int64_t drain_ns);
   // Whether the journal has it.
   bool write(const JournalRecord& record);
   void reset();
-  struct UndoRequest {
-    std::optional<std::uint32_t> source;
-    UndoAnswered answered;
-    std::int64_t until_ns = 0;
-    input::PoseSources::Marks asked{};  // what was queued when it was asked for
-  };
-  void undo(std::int64_t now_ns);
-  // Whether a stroke has begun with a pose that was queued after the one in undo_ was asked for.
-  bool begun_since() const;
-  // Whether all that was queued before it is drained.
-  bool drained_before() const;
-  // Whether there is one to be done: the oldest, in undo_.
-  bool take_undo_request();
-  // Of the one in undo_; then it is the next one's turn.
-  void answer_undo(UndoEnd end);
   void go_back(Undone undone);
   // What the session's body has been cut before. O(mesh) where it has been.
   void count_first_cuts();
   // Goes on with another session. `done` gives its id.
   void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
                const ResetDone& done);
-  bool in_stroke() const;
 
   core::CutSession* session_;
   std::unique_ptr<core::CutSession> own_session_;  // since the last reset
   Restart restart_;
   ResetDone reset_done_;
   std::atomic<bool> reset_wanted_{false};
-  input::SpscQueue<UndoRequest> undo_requests_;
-  std::optional<UndoRequest> undo_;  // the one at work
-  TakeUndone take_undone_;
+  PendingUndos undos_;
   UndoDone undo_done_;
-  std::uint64_t undo_request_ = 0,
-                undo_strokes_ = 0;   // the number of the last one; strokes begun when it was made
-  bool undo_asked_ = false;          // it was made, and is not answered
-  std::uint64_t strokes_begun_ = 0;  // whatever was undone
-  input::PoseSources::Marks
-      last_begun_{};  // counts each source's events up to the one that began its last stroke
   std::vector<core::HalfFace> cuts_to_note_;
   std::int64_t last_start_ns_ = 0;                                    // of the frame before
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
@@ -187,8 +146,7 @@ class FrameLoop {
   DeltaPool pool_;
   std::vector<std::shared_ptr<const PublishedDelta>> ready_;  // committed in this frame
   std::int64_t batch_work_ns_ = 0, delta_work_ns_ = 0;  // on the batch at work, so far; since its last part
-  std::vector<Stamp> stamps_;
-  std::size_t first_stamp_ = 0, stamp_count_ = 0;
+  BatchTimesQueue times_;                               // of all that session_ has in its queue
   LoopState state_;
   // Of the body that the session began with: a session that goes on, with the cuts of before.
   std::uint64_t first_cut_faces_ = 0;
