@@ -12,7 +12,6 @@
 #include "protocol/limits.hpp"
 #include "server/base/hex.hpp"
 #include "server/stream/mirror.hpp"
-#include "server/stream/pause.hpp"
 
 namespace incise::relay {
 namespace {
@@ -21,11 +20,7 @@ using protocol::View;
 
 constexpr std::chrono::milliseconds kGoodbyes{200};  // for those of operators to reach the origin
 constexpr std::size_t kMaxBlades = 64;               // more than any server has
-constexpr int kFetchTries = 5;
-constexpr std::chrono::seconds kFetchAgain{1};
-constexpr std::chrono::milliseconds kOriginAgain{100};
-constexpr int kOriginTries = 50;
-constexpr double kCatchUp_s = 4;  // less than clients wait for a Welcome
+constexpr double kCatchUp_s = 4;                     // less than clients wait for a Welcome
 
 // Whether a server made for one Welcome can go on with the other. Faces are left out: one that has resumed counts those of cuts.
 bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
@@ -38,17 +33,6 @@ bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
          a.blade_tip == b.blade_tip && a.engage_button == b.engage_button &&
          a.max_speed_m_s == b.max_speed_m_s && a.frame_rate_hz == b.frame_rate_hz && a.policy == b.policy &&
          a.fields == b.fields && surface(a) == surface(b);
-}
-
-// For what the origin's documents are.
-std::string documents_key(const protocol::Welcome& welcome) {
-  return welcome.mesh.content_hash + ' ' + (welcome.surface ? welcome.surface->content_hash : std::string());
-}
-
-// What "/look.json" says; "": there is none.
-std::string look_text(const stream::Documents& documents) {
-  const auto look = documents.find("/look.json");
-  return look == documents.end() ? std::string() : *look->second.body;
 }
 
 // Of the one that says so, to the server: 0 for a server. What is nested deep is passed over, since reading it takes as deep a stack.
@@ -98,7 +82,8 @@ Session::Session(std::string name, stream::StreamConfig config, const MakeUpstre
       config_(std::move(config)),
       work_(asio::make_work_guard(io_)),
       upstream_(make_upstream(io_)),
-      state_(protocol::kMaxVertices, protocol::kMaxTets, View::Volume, 0) {
+      state_(protocol::kMaxVertices, protocol::kMaxTets, View::Volume, 0),
+      documents_(name_, *upstream_) {
   config_.catch_up_s = kCatchUp_s;
   figures_.upstream = upstream_->name();
   figures_.trouble = "nothing has come from " + figures_.upstream + " yet";
@@ -325,7 +310,7 @@ std::optional<Origin> Session::origin() const {
 // ---- The server ----
 
 void Session::show() {
-  if (fetched_for_ != documents_key(welcome_)) {
+  if (!documents_.fetched_for(welcome_)) {
     shown_ = false;
     if (!std::exchange(fetching_, true)) asio::co_spawn(io_, fetch(), rethrow);
     return;
@@ -347,59 +332,26 @@ void Session::show() {
 }
 
 asio::awaitable<void> Session::fetch() {
-  const protocol::Welcome welcome = welcome_;
-  const bool surface_due = welcome.surface && !welcome.surface->path.empty();
-  surface_ = {};
-  look_ = {};
-  // A directory may have just been asked for the first time.
-  std::optional<Origin> origin = upstream_->origin();
-  for (int i = 0; !origin && i < kOriginTries; ++i) {
-    co_await stream::pause(kOriginAgain);
-    origin = upstream_->origin();
-  }
-  if (!origin)
-    spdlog::warn("{}: its server is not known; viewers get no texture coordinates or looks", name_);
-  for (int i = 1; origin && i <= kFetchTries; ++i) {
-    std::string why;
-    try {
-      if (surface_due && !surface_.origins) surface_ = co_await fetch_surface(*origin, *welcome.surface);
-      look_ = co_await fetch_look(*origin, {});
-    } catch (const std::exception& error) {
-      why = error.what();
-    }
-    if (why.empty()) break;
-    spdlog::warn("{}: how the body looks cannot be had ({}); {}", name_, why,
-                 i < kFetchTries ? "trying again" : "viewers get no texture coordinates or looks");
-    if (i < kFetchTries) co_await stream::pause(kFetchAgain);
-  }
+  co_await documents_.fetch(welcome_);
   fetching_ = false;
-  fetched_for_ = documents_key(welcome);
   if (state_.whole() && !state_.awaiting_snapshot()) show();
 }
 
 asio::awaitable<void> Session::check_look() {
-  const std::string text = look_text(look_);
-  try {
-    const std::optional<Origin> origin = upstream_->origin();
-    if (!origin) co_return;
-    stream::Documents found = co_await fetch_look(*origin, text);
-    if (fetching_ || look_text(found) == text) co_return;
-    look_ = std::move(found);
-    body_ = {};  // the server has the former look: another one is needed
-    if (state_.whole() && !state_.awaiting_snapshot()) show();
-  } catch (const std::exception& error) {
-    spdlog::warn("{}: how the body looks cannot be had ({}); viewers keep what they have", name_,
-                 error.what());
-  }
+  std::optional<stream::Documents> found = co_await documents_.fetch_other_look();
+  if (!found || fetching_) co_return;
+  documents_.set_look(std::move(*found));
+  body_ = {};  // the server has the former look: another one is needed
+  if (state_.whole() && !state_.awaiting_snapshot()) show();
 }
 
 std::shared_ptr<stream::InitialState> Session::initial_state() const {
   auto mirror = std::make_shared<stream::Mirror>();
-  mirror->reset(state_.volume(), welcome_.session, surface_.origins);
+  mirror->reset(state_.volume(), welcome_.session, documents_.origins());
   auto initial = std::make_shared<stream::InitialState>();
   initial->epoch = welcome_.session;
   initial->mirror = std::move(mirror);
-  initial->origins = surface_.origins;
+  initial->origins = documents_.origins();
   auto fields = std::make_shared<std::vector<core::Field>>();
   for (const protocol::Field& field : state_.fields().all()) fields->push_back(core_field(field));
   if (!fields->empty()) initial->fields = std::move(fields);
@@ -442,7 +394,7 @@ stream::ServerFacts Session::facts() const {
   facts.max_speed_m_s = welcome_.max_speed_m_s;
   facts.frame_rate_hz = welcome_.frame_rate_hz;
   facts.policy = welcome_.policy;
-  if (surface_.origins) facts.surface = welcome_.surface;
+  if (documents_.origins()) facts.surface = welcome_.surface;
   return facts;
 }
 
@@ -452,8 +404,7 @@ stream::Providers Session::providers() {
   providers.metrics_text = reports_.metrics_text;
   providers.sessions_json = reports_.sessions_json;
   providers.audit = reports_.audit;
-  providers.documents = surface_.documents;
-  providers.documents.insert(look_.begin(), look_.end());
+  providers.documents = documents_.all();
   providers.statistics = [this] {
     protocol::Stats stats = figures().origin;
     if (reports_.stats_json) stats.json = reports_.stats_json();

@@ -15,8 +15,8 @@
 #include <vector>
 
 #include "client/held_state.hpp"
-#include "server/relay/body_documents.hpp"
 #include "server/relay/operator_link.hpp"
+#include "server/relay/origin_documents.hpp"
 #include "server/relay/upstream.hpp"
 #include "server/stream/server.hpp"
 
@@ -126,13 +126,11 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
 
   // The session's thread's.
   client::HeldState state_;
-  protocol::Welcome welcome_;               // the newest
-  protocol::Welcome body_;                  // for which the server was made
-  bool shown_ = false;                      // the server follows the state
-  std::optional<std::string> fetched_for_;  // content hashes of the body and its surface
-  FetchedSurface surface_;
-  stream::Documents look_;
-  bool fetching_ = false;
+  protocol::Welcome welcome_;  // the newest
+  protocol::Welcome body_;     // for which the server was made
+  bool shown_ = false;         // the server follows the state
+  OriginDocuments documents_;
+  bool fetching_ = false;  // them
 
   std::atomic<std::uint64_t> servers_{0};  // made so far
 
