@@ -14,6 +14,7 @@ class CarriedFields {
  public:
   CarriedFields() = default;
   // `mesh` was made of `loaded`, whose fields these are, and nothing has changed it yet. O(mesh) where there are fields.
+  // Throws MeshError where one has not a row for each vertex or tetrahedron, or a name or number of components beyond field.hpp's limits.
   CarriedFields(std::span<const Field> fields, const MeshData& loaded, const TetMesh& mesh);
 
   // Each delta, in order. O(delta) for each field.
