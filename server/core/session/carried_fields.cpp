@@ -80,9 +80,9 @@ void CarriedFields::apply(const Delta& delta) {
   }
 }
 
-std::vector<Field> CarriedFields::exported(const TetMesh& mesh) const {
+std::vector<Field> exported_rows(std::span<const Field> fields, const TetMesh& mesh) {
   std::vector<Field> out;
-  if (fields_.empty()) return out;
+  if (fields.empty()) return out;
   std::vector<std::uint32_t> tets, vertices;
   std::vector<bool> used(mesh.vertex_slots(), false);
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
@@ -93,7 +93,7 @@ std::vector<Field> CarriedFields::exported(const TetMesh& mesh) const {
   for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
     if (used[v]) vertices.push_back(v);
   }
-  for (const Field& field : fields_)
+  for (const Field& field : fields)
     out.push_back(rows_of(field, field.on == Field::On::kVertices ? vertices : tets));
   return out;
 }
