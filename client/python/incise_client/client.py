@@ -494,7 +494,7 @@ class Client:
 
     def undo(self) -> None:
         """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
-        A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
+        Strokes from before the server's start stay. A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
         where one begins before it is done, nothing is undone."""
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
