@@ -125,7 +125,8 @@ class Client {
   bool engage(std::int64_t source_ns);
   // Ends the running stroke after the poses sent so far. False without a connection.
   bool end_stroke(std::int64_t source_ns);
-  // Simulators: where vertices are, computed for revision `positions.revision`. Returns the message's sequence. 0
+  // Simulators: where vertices are, computed for revision `positions.revision`. `ids` ascend, each once, and coordinates are finite and within
+  // 1e6 m: this is not checked here, and the server ends the connection where it is not so. Returns the message's sequence. 0
   // without a connection or while older ones still wait for the network: nothing is queued, send the next ones.
   std::uint64_t send_positions(const protocol::Positions& positions);
   // Simulators: their own model of the tissue at a blade, in answer to a BladeLoad. One that cannot be used comes back as an Error

@@ -41,7 +41,8 @@ const char* why_not(loop::UndoEnd end) {
       return "a stroke has begun since, so nothing was undone: ask again when no blade cuts, and begin the "
              "next stroke when it is done";
     case loop::UndoEnd::kNoStroke:
-      return "there is no stroke to undo";
+      return "there is no stroke to undo: only those since the server's start can be undone, as far back as "
+             "it keeps states";
     case loop::UndoEnd::kOtherBlade:
       return "the last stroke is that of another blade: its operator or an admin may undo it";
     case loop::UndoEnd::kDone:

@@ -19,6 +19,8 @@ bool has_control_character(std::string_view name);
 inline constexpr std::string_view kCutMask = "cut_mask";
 // The field data of a file in which MeshData::cut_memory is, byte by byte.
 inline constexpr std::string_view kCutMemory = "incise_cut_memory";
+// The vertex field in which write_cut_mesh() says where the material of a deformed body is at rest.
+inline constexpr std::string_view kRestPosition = "rest_position";
 // Whether write_cut_mesh() adds an array of this name, for each tetrahedron.
 bool is_own_array(std::string_view name);
 

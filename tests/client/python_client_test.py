@@ -3,6 +3,7 @@
 Run with client/python and the build's python directory on PYTHONPATH; INCISE_SOURCE_DIR names the source tree.
 """
 
+import contextlib
 import json
 import os
 import pathlib
@@ -311,7 +312,7 @@ class Session(unittest.TestCase):
 
         def run():
             peer, _ = listener.accept()
-            with peer:
+            with peer, contextlib.suppress(ConnectionError):  # a client may close before it has read all
                 (size,) = struct.unpack("<I", peer.recv(4, socket.MSG_WAITALL))
                 self.received.append(peer.recv(size, socket.MSG_WAITALL))
                 for i in range(0, len(stream), 7):  # in bits that end anywhere
@@ -436,6 +437,8 @@ class Session(unittest.TestCase):
                                          (np.ones((1, 3), complex), None, "complex128"), (np.ones((1, 3)), [-1], "ids: "),
                                          (np.ones((1, 3)), [2**32], "ids: "), (np.ones((1, 3)), [1.5], "ids: found .* float64"),
                                          (np.ones((1, 3)), [1, 2], r"accepted is \(1,\)"),
+                                         (np.ones((2, 3)), [2, 1], "ids: number 1 is 1 after 2; accepted are ascending ids"),
+                                         (np.ones((3, 3)), np.array([0, 5, 5], np.uint64), "ids: number 2 is 5 after 5"),
                                          (np.ma.masked_equal(np.eye(3), 1), None, "masked numbers")):
                 with self.subTest(text), self.assertRaisesRegex(ValueError, text):
                     client.send_positions(positions, ids=ids)
@@ -446,6 +449,59 @@ class Session(unittest.TestCase):
         self.assertEqual((others.Frame(), others.First(), others.Revision()), (2, 0, 0))
         self.assertEqual((others.F32Length(), others.F64Length()), (0, 6))
         self.assertEqual(list(others.IdsAsNumpy()), [3, 9])
+
+    def test_positions_of_vertices_that_the_body_does_not_have_are_not_sent(self):
+        stream = (VECTORS / "streams" / "volume.bin").read_bytes()
+        port = self.serve(stream[:-4 - len(list(split(stream))[-1])])  # without the Bye
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+            self.assertTrue(client.wait_for_revision(2))
+            n = len(client.replica.positions)
+            for options, text in (({"ids": [0, n]}, f"ids: vertex {n}; accepted are those below {n}"),
+                                  ({"first": n - 1}, f"first: vertex {n}; accepted are those below {n}"),
+                                  ({"first": -1}, "first: vertices -1 to 0; accepted are whole numbers of 32 bits"),
+                                  ({"ids": [0, n], "revision": 1}, f"ids: vertex {n}")):
+                with self.subTest(text), self.assertRaisesRegex(ValueError, text):
+                    client.send_positions(np.ones((2, 3)), **options)
+            client.send_positions(np.ones((2, 3)), ids=[0, n - 1])
+            client.send_positions(np.ones((2, 3)), first=n - 2)
+        self.thread.join()
+        self.assertEqual(len(self.sent(Body.Body.Positions, Positions.Positions)), 2)
+
+    def test_a_closed_client_says_so(self):
+        port = self.serve((VECTORS / "streams" / "volume.bin").read_bytes())
+        with incise_client.connect("127.0.0.1", port) as client:
+            client.close()
+            client.close()
+            for use in (client.poll, client.engage, client.end_stroke, client.undo, lambda: client.wait_for_revision(0),
+                        lambda: client.wait_for_report(1), lambda: client.send_poses([]), lambda: client.send_poses([incise_client.Pose(1, (0.0, 0.0, 0.0))]),
+                        lambda: client.send_positions(np.ones((1, 3)), revision=0), lambda: client.wait_for_positions_report(1),
+                        lambda: client.send_model(BladeLoad.BladeLoad(), (0, 0, 0), (0, 0, 1), np.eye(3))):
+                with self.assertRaisesRegex(incise_client.ConnectError, "this client is closed"):
+                    use()
+        self.thread.join()
+        self.assertEqual([Message.Message.GetRootAs(data, 0).BodyType() for data in self.received if data][-1], Body.Body.Bye)
+
+    def test_a_callback_may_close_the_client(self):
+        stream = (VECTORS / "streams" / "volume.bin").read_bytes()
+        for wait in (lambda client: client.wait_for_revision(1), lambda client: [client.poll(1.0) for _ in range(1000) if not client.replica.revision]):
+            closed_at = []
+
+            def close(client, delta):
+                closed_at.append(client.replica.revision)
+                client.close()
+
+            with incise_client.connect("127.0.0.1", self.serve(stream)) as client:
+                client.on_delta = close
+                wait(client)
+                self.assertEqual((closed_at, client.replica.revision), ([1], 1))
+                self.assertRaisesRegex(incise_client.ConnectError, "closed", client.poll)
+            self.thread.join()
+
+    def test_a_port_that_speaks_http_is_called_that(self):
+        port = self.serve(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        with self.assertRaisesRegex(incise_client.ConnectError, f"^127.0.0.1:{port}: the port speaks HTTP, .* use the other port"):
+            incise_client.connect("127.0.0.1", port)
+        self.thread.join()
 
     def test_numbers_that_are_none_are_not_sent(self):
         port = self.serve(self.messages("Welcome"))

@@ -12,6 +12,7 @@
 
 #include "client/client.hpp"
 #include "tests/e2e/served_session.hpp"
+#include "tests/support/run_program.hpp"
 
 namespace incise::e2e {
 namespace {
@@ -286,6 +287,19 @@ TEST(SimulatorTest, CutsInADeformedBodyAreTheSameForEverybody) {
   EXPECT_TRUE(again->read([](const protocol::Replica& m) { return m.deformed(); }));
   Process verify({"incise", "replay", session.capture(), "--verify"});
   EXPECT_EQ(verify.wait(), 0);
+  session.kill();
+
+  // A file has the deformed shape, and says where that was at rest.
+  const std::string mesh = session.file("deformed.vtu");
+  Process exporting({"incise", "export", session.capture(), "--out", mesh});
+  EXPECT_EQ(exporting.wait(), 0);
+  Process info({"incise", "info", mesh});
+  EXPECT_NE(info.rest().find("rest_position, on vertices, 3 float32"), std::string::npos);
+  const auto pair = tests::run_program(
+      "incise", {"export", session.capture(), "--out", session.file("deformed.node")}, session.file(""));
+  EXPECT_EQ(pair.exit_code, 0) << pair.err;
+  EXPECT_NE(pair.err.find("deformed.node: has the body as a simulation has deformed it"), std::string::npos)
+      << pair.err;
 }
 
 TEST(SimulatorTest, BadPositionsAreRefusedAndTheBodyStays) {

@@ -72,6 +72,10 @@ Held settled(const ServedSession& session, const client::Client& viewer) {
   return held(viewer);
 }
 
+constexpr const char* kNoStroke =
+    "Undo: there is no stroke to undo: only those since the server's start can be undone, as far back as it "
+    "keeps states";
+
 // Strokes are undone one after the other, cutting goes on, and a server that is killed at once resumes what was left, under
 // its epoch; also where the newest checkpoint is of what was undone.
 TEST(Recovery, WhatWasUndoneStaysUndone) {
@@ -85,7 +89,7 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
     std::vector<Held> before{held(*viewer)};
     {
       Hand hand(session, "blade");
-      EXPECT_EQ(hand.undo(*viewer), "Undo: there is no stroke to undo");
+      EXPECT_EQ(hand.undo(*viewer), kNoStroke);
       for (const double x : {0.3, 0.6, 0.8}) {
         hand.cut(x);
         before.push_back(settled(session, *viewer));
@@ -115,7 +119,7 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
       EXPECT_TRUE(wait_for([&] {
         hand.link->undo();
         const std::scoped_lock lock(hand.mutex);
-        return hand.refusal == "Undo: there is no stroke to undo";
+        return hand.refusal == kNoStroke;
       }));
       EXPECT_EQ(settled(session, *viewer), before[1]);
     }

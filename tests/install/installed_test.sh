@@ -30,6 +30,10 @@ if ! { cmake -G Ninja -S "$work/consumer" -B "$work/consumer/build" -DCMAKE_PREF
   die "the consumer cannot be built"
 fi
 
+# The example of client/CLIENTS.md, with the core alone.
+embedded="$("$work/consumer/build/embed" 2> "$work/embed.log")" || die "the embedded core failed: $(tail -n 3 "$work/embed.log")"
+[[ $embedded == "pieces: 2, 3 after the second cut, 1 after the undo" ]] || die "the embedded core printed '$embedded'"
+
 # Manual pages that man reads without a warning, a completion that completes.
 if command -v man > /dev/null; then
   for page in man1/incise.1 man8/incised.8 man8/incise-relay.8; do

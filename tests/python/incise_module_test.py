@@ -491,6 +491,31 @@ class Deltas(unittest.TestCase):
         delta, = session.deform([[0, 0, -1e-4]] + session.positions()[5], ids=[5])
         self.assertEqual(delta.moved.tolist(), [5])
 
+    def test_a_deformed_body_is_saved_with_its_rest_positions(self):
+        phantom = incise.Body.phantom("slab", 600)
+        body = incise.Body(phantom.points, phantom.tets, vertex_fields={"x": phantom.points[:, 0]})
+        session = incise.Session(body, blade=BLADE)
+        session.cut(THROUGH_SLOWLY)
+        self.assertEqual(sorted(session.current_body().vertex_fields), ["x"], "a body at rest needs no more")
+        session.deform(session.positions() * (1, 1.2, 1))
+        used = np.unique(session.tets()["vertices"])
+        now, rest = session.positions()[used], session.rest_positions()[used]
+        with tempfile.TemporaryDirectory() as folder:
+            loaded = [session.current_body()]
+            for name in ("deformed.vtu", "deformed.vtk"):
+                session.save(pathlib.Path(folder) / name)
+                loaded.append(incise.Body.load(pathlib.Path(folder) / name))
+        for found in loaded:
+            np.testing.assert_array_equal(found.points, now)
+            self.assertEqual(sorted(found.vertex_fields), ["rest_position", "x"])
+            np.testing.assert_array_equal(found.vertex_fields["rest_position"], rest.astype(np.float32))
+            np.testing.assert_allclose(found.vertex_fields["x"], rest[:, 0], atol=1e-6)
+            # What is carried on is where the material was in the first body.
+            later = incise.Session(found, blade=BLADE)
+            np.testing.assert_array_equal(later.rest_positions(), now)
+            later.deform(later.positions() * (1.1, 1, 1))
+            np.testing.assert_array_equal(later.current_body().vertex_fields["rest_position"], rest.astype(np.float32))
+
     def test_forces_of_the_contact_model(self):
         body = incise.Body.phantom("slab", 1_000)
         z = np.concatenate([np.linspace(0.13, 0.11, 100), np.linspace(0.11, 0.13, 100)])

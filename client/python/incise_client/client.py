@@ -24,6 +24,7 @@ from .replica import ApplyError, Replica
 MAX_MESSAGE_BYTES = 64 << 20
 MAX_POSES_PER_BATCH = 8192
 MAX_COORDINATE_M = 1_000_000
+CLOSED = "this client is closed: connect() makes another one"
 
 # The schema's struct PoseSample, byte for byte.
 POSE_DTYPE = np.dtype([("source_ns", "<i8"), ("position", "<f8", 3), ("orientation", "<f8", 4), ("buttons", "<u4"),
@@ -58,7 +59,7 @@ class Client:
     tip in the tool's frame, metres. ``fields`` names those to hold ("*": all), with view Volume and no box. ``resume`` is a client that was connected to the same server: its state is continued.
 
     Callbacks are attributes, None until you set them; set right after connect() they miss nothing. All are called within poll() and the waits, on the thread that calls these, with
-    the client first; they may send, but neither poll nor wait. What they raise comes out of poll(), after the message was dealt with.
+    the client first; they may send and close, but neither poll nor wait. What they raise comes out of poll(), after the message was dealt with.
 
     - ``on_delta(client, delta)``: the replica has taken a step, a wire.Delta (view Surface: wire.SurfaceDelta). It is at the new revision.
     - ``on_field(client, name)``: somebody has set the field of that name; ``vertex_fields`` or ``tet_fields`` has it.
@@ -68,8 +69,8 @@ class Client:
     - ``on_error(client, error)``: the server refused one message, or has news such as NotRecorded: a wire.Error, with ``Code()`` (a
       wire.ErrorCode), ``Text()`` (bytes) and ``InReplyTo()``, the number of the refused message or 0. ``error`` keeps the last one.
 
-    Errors: ConnectError where the server cannot be reached, refuses the client or has ended the connection, from the constructor,
-    poll(), the waits and the send functions. RequestError from a wait for a message that the server refused. ValueError, before anything
+    Errors: ConnectError where the server cannot be reached, refuses the client or has ended the connection, or after close(), from the
+    constructor, poll(), the waits and the send functions. RequestError from a wait for a message that the server refused. ValueError, before anything
     is sent, for numbers or shapes that no server takes.
     """
 
@@ -106,6 +107,7 @@ class Client:
         self._frame = 0
         self._frame_sequence = 0  # of the message with the positions of _frame
         self._input = bytearray()
+        self._closed = False
         self._snapshot: Optional[tuple[Any, list[Any]]] = None
         self._awaiting_snapshot = False
         self._holds_state = False  # of the session that Welcome names
@@ -123,12 +125,13 @@ class Client:
             self._send_hello(role, view, token, source_name, take_over, blade, max_rate_hz, box, session, load_rate_hz, fields)
             while self.welcome is None:
                 if time.monotonic() > end:
-                    raise ConnectError(f"{host}:{port}: no Welcome in time")
+                    raise ConnectError("no Welcome in time")
                 if not self._handle_next():
                     self._receive(0.1)
-        except ConnectError:
+        except ConnectError as error:
+            self._closed = True
             self._socket.close()
-            raise
+            raise ConnectError(f"{host}:{port}: {error}", error.code) from error
 
     def __enter__(self) -> "Client":
         return self
@@ -137,26 +140,35 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Says goodbye and closes."""
+        """Says goodbye and closes. A second time does nothing; what is held can still be read. All else raises ConnectError from here on."""
+        if self._closed:
+            return
         try:
             self._send(Body.Body.Bye, lambda b: _table(b, Bye, [("Reason", 1)]))
         except ConnectError:
             pass
+        self._closed = True
         self._socket.close()
+
+    def _demand_open(self) -> None:
+        if self._closed:
+            raise ConnectError(CLOSED)
 
     # ---- Receiving ----
 
     def poll(self, timeout_s: float = 0.0) -> int:
         """Handles what has arrived, waiting at most ``timeout_s`` for the first byte. Returns the number of messages."""
+        self._demand_open()
         handled = int(self._handle_next())  # one that came with Welcome
-        self._receive(0.0 if handled else timeout_s)
-        while self._handle_next():
+        if not self._closed:  # by a callback
+            self._receive(0.0 if handled else timeout_s)
+        while not self._closed and self._handle_next():
             handled += 1
         return handled
 
     def _receive(self, timeout_s: float) -> None:
-        self._socket.settimeout(max(timeout_s, 1e-6))
         try:
+            self._socket.settimeout(max(timeout_s, 1e-6))
             data = self._socket.recv(1 << 20)
         except (TimeoutError, tls.SSLWantReadError):
             return
@@ -171,8 +183,10 @@ class Client:
         if len(self._input) < 4:
             return False
         (size,) = struct.unpack_from("<I", self._input)
+        if self._input.startswith(b"HTTP"):
+            raise ConnectError("the port speaks HTTP, not the binary protocol: use the other port (listen.tcp_port, 7450 by default)")
         if not 16 <= size <= MAX_MESSAGE_BYTES:
-            raise ConnectError(f"a message of {size} bytes")
+            raise ConnectError(f"a message of {size} bytes; accepted are 16 to {MAX_MESSAGE_BYTES}")
         if len(self._input) < 4 + size:
             return False
         body = bytes(self._input[4:4 + size])
@@ -199,6 +213,7 @@ class Client:
         return self._holds_state
 
     def _wait(self, done: Callable[[], bool], timeout_s: float, sequence: int = 0) -> bool:
+        self._demand_open()
         end = time.monotonic() + timeout_s
         while not done():
             if sequence in self._refused:
@@ -337,6 +352,7 @@ class Client:
 
     def send_pose_array(self, poses: Any) -> int:
         """The same from an array of ``incise_client.POSE_DTYPE``: source_ns, position, orientation (w x y z), buttons, reserved (0)."""
+        self._demand_open()
         poses = np.asarray(poses, POSE_DTYPE)
         finite = np.isfinite(poses["position"]).all(axis=-1) & np.isfinite(poses["orientation"]).all(axis=-1)
         if not finite.all():
@@ -359,7 +375,8 @@ class Client:
         """For role Simulator: where vertices are now, (n, 3), metres, as float32 or float64. The vertices are ``ids`` ((n,), ascending),
         or ``first``, ``first + 1``, ... ``revision`` is that of the state they were computed with, by default the replica's.
         Returns the frame's number for wait_for_positions_report(); ``positions_report`` lists the vertices held back. Raises ValueError
-        for another shape, masked numbers, coordinates that are not finite or beyond 1,000 km, or ids that are no whole numbers of 32 bits;
+        for another shape, masked numbers, coordinates that are not finite or beyond 1,000 km, ids that are no whole numbers of 32 bits or do
+        not ascend (sort them, and the rows with them), or, where the whole body is held, vertices that it does not have;
         without ``revision`` also while no state is held: after connect(), and after a reset or an undo, wait_for_revision(0) waits for it.
         """
         if np.ma.is_masked(positions):
@@ -376,6 +393,17 @@ class Client:
             ids = np.asarray(ids)
             if ids.shape != (len(array),) or ids.dtype.kind not in "iu" or (ids.size and (ids.min() < 0 or ids.max() >= 2**32)):
                 raise ValueError(f"ids: found shape {ids.shape} of {ids.dtype}; accepted is ({len(array)},) of whole numbers of 32 bits")
+            back = np.flatnonzero(ids[1:] <= ids[:-1])
+            if len(back):
+                k = int(back[0]) + 1
+                raise ValueError(f"ids: number {k} is {ids[k]} after {ids[k - 1]}; accepted are ascending ids, each once")
+        last = int(ids[-1]) if ids is not None and len(ids) else first + len(array) - 1
+        # As many as the body has, where all of it is held; an older revision has no more.
+        count = len(self.replica.positions) if isinstance(self.replica, Replica) and self.snapshots_or_resumed else 0
+        if len(array) and last >= count > 0:
+            raise ValueError(f"{'first' if ids is None else 'ids'}: vertex {last}; accepted are those below {count}, which the body has")
+        if first < 0 or last >= 2**32:
+            raise ValueError(f"first: vertices {first} to {last}; accepted are whole numbers of 32 bits")
         if revision is None and not self.snapshots_or_resumed:
             raise ValueError("positions: no state of the body has come yet, as just after a connection, a reset or an undo; "
                              "wait_for_revision(0) waits for it")
@@ -466,7 +494,7 @@ class Client:
 
     def undo(self) -> None:
         """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
-        A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
+        Strokes from before the server's start stay. A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
         where one begins before it is done, nothing is undone."""
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
 
@@ -495,6 +523,7 @@ class Client:
         self._send(Body.Body.Hello, build)
 
     def _send(self, kind: int, build: Callable[[Any], int], array_bytes: int = 0) -> None:
+        self._demand_open()
         builder = flatbuffers.Builder(array_bytes + 1024)
         body = build(builder)
         self._sequence += 1
@@ -502,8 +531,8 @@ class Client:
                                             ("BodyType", kind), ("Body", body)])
         builder.Finish(message, file_identifier=b"INC1")
         data = bytes(builder.Output())
-        self._socket.settimeout(10)
         try:
+            self._socket.settimeout(10)
             self._socket.sendall(struct.pack("<I", len(data)) + data)
         except OSError as error:
             raise ConnectError(f"the connection has ended: {error}") from error

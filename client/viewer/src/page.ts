@@ -317,7 +317,7 @@ export class Page {
     button.title = this.undoable
       ? "Back to before the last stroke, for everybody (Z)"
       : this.recorded
-        ? "There is no stroke to undo"
+        ? "There is no stroke to undo (Z says why)"
         : "Nothing can be undone: this server keeps no recording";
   }
 

@@ -1,8 +1,10 @@
 #include "server/app/offline/cut_file.hpp"
 
+#include <algorithm>
 #include <bit>
 #include <cerrno>
 #include <fstream>
+#include <span>
 #include <system_error>
 
 #include "client/cli/usage.hpp"
@@ -159,6 +161,25 @@ bool keeps_materials(const fs::path& path) {
   return is_glb_file(path) || lowercase_ending(path) == ".obj";
 }
 
+std::vector<mesh_io::Field> saved_fields(const core::CutSession& session) {
+  using mesh_io::Field;
+  const core::TetMesh& mesh = session.mesh();
+  std::vector<Field> fields = session.fields().exported(mesh);
+  const bool has_it = std::ranges::any_of(fields, [](const Field& field) {
+    return field.on == Field::On::kVertices && field.name == mesh_io::kRestPosition;
+  });
+  if (!mesh.deformed() || has_it) return fields;
+  std::vector<float> rest;
+  rest.reserve(3 * std::size_t{mesh.vertex_slots()});
+  for (core::VertexId v = 0; v < mesh.vertex_slots(); ++v) {
+    const core::Vec3 p = mesh.rest_position(v);
+    for (const double x : {p.x, p.y, p.z}) rest.push_back(static_cast<float>(x));
+  }
+  const Field by_id{std::string(mesh_io::kRestPosition), Field::On::kVertices, 3, std::move(rest)};
+  fields.push_back(core::exported_rows(std::span(&by_id, 1), mesh).front());
+  return fields;
+}
+
 namespace {
 
 // `session`: whose mesh it is; null where it is none's.
@@ -222,7 +243,7 @@ void write_mesh_of(const fs::path& path, const core::TetMesh& mesh, const core::
     }
   }
   mesh_io::write_mesh(path, data.positions, data.tets, arrays,
-                      session != nullptr ? session->fields().exported(mesh) : std::vector<mesh_io::Field>{},
+                      session != nullptr ? saved_fields(*session) : std::vector<mesh_io::Field>{},
                       data.cut_memory);
 }
 

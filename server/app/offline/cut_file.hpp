@@ -44,9 +44,14 @@ bool keeps_fields(const std::filesystem::path& path);
 // Whether write_cut_mesh() writes materials to a file of this name.
 bool keeps_materials(const std::filesystem::path& path);
 
-// Writes a session's mesh, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
+// The fields of a session's body as its files have them: rows as export_data() has vertices and tetrahedra. Where the body is deformed, with
+// mesh_io::kRestPosition (3 floats, m) unless it has a vertex field of that name, as one that was saved deformed has: that is where the
+// material was before. O(mesh).
+std::vector<mesh_io::Field> saved_fields(const core::CutSession& session);
+
+// Writes a session's mesh in its present shape, ids renumbered in their order: .vtu and .vtk with, for each tetrahedron, its id (`tet_id`),
 // region, piece (core::piece_numbers()), which of its faces were cut (`cut_mask`, bit f: opposite to vertex
-// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume, and with the fields; .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
+// f) and how many (`cut_faces`), smallest dihedral angle (`min_dihedral_deg`) and volume, and with saved_fields(); .msh, .msh2, .mesh and TetGen .node/.ele with regions; or the
 // boundary as a surface (.stl .ply .off .obj .vtp), or with pieces, materials and textures (.glb). `from`: the surface that the body was filled from: then .vtu
 // and .vtk have the origin of each face (`origin_0` to `origin_3`; 4294967295: none), and .obj, .ply and .vtp its texture coordinates; may be null.
 // .glb and .obj (with a .mtl and its images beside it) show `regions`; null: as viewers do where nothing is configured. Throws MeshError.

@@ -145,7 +145,12 @@ int run_export(const ExportCommand& command) {
   }
   write_cut_mesh(command.out, session, opened.body.loaded.surface.get(), &regions);
   print_warnings(opened.motion.warnings);
-  if (keeps_fields(command.out)) print_warnings(opened.body.loaded.warnings);
+  if (keeps_fields(command.out)) {
+    print_warnings(opened.body.loaded.warnings);
+  } else if (session.mesh().deformed()) {
+    print_warnings({command.out.string() + ": has the body as a simulation has deformed it, not where it was "
+                                           "at rest; .vtu and .vtk have both"});
+  }
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},
                              {"revision", session.revision()},

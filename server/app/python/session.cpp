@@ -234,7 +234,7 @@ Body current_body(Session& session) {
   auto loaded = std::make_shared<mesh_io::LoadedMesh>();
   with_core(session, [&](const core::CutSession& core) {
     loaded->mesh = core.export_data();
-    loaded->fields = core.fields().exported(core.mesh());
+    loaded->fields = app::saved_fields(core);
     loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
   });
   return {session.body->name + " (cut)", std::move(loaded)};
@@ -273,7 +273,8 @@ Cuts the oldest batch that waits. None: there is none; more poses or end_stroke(
 
 Moves vertices, as a simulation does; the next cut is made there. positions: (n, 3) real numbers, metres, for every vertex id
 (n = len(session.positions())), or for `ids`: (n,) whole numbers, ascending. The mesh stays valid: vertices that would invert a
-tetrahedron go half the way or stay (Delta.held). Batches that wait are cut first; the last delta is the deformation.)");
+tetrahedron go half the way or stay (Delta.held). Batches that wait are cut first; the last delta is the deformation. save() and
+current_body() give the shape as deformed.)");
 }
 
 void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
@@ -322,9 +323,13 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
       .def("save", &save, py::arg("path"), R"(save(path)
 
 Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece (numbered as pieces()), cut faces,
-angles and more, and the fields; .glb has a node piece_N for each piece N.)")
+angles and more, and the fields; .glb has a node piece_N for each piece N. After deform() that is the deformed shape, which is at rest where
+the file is loaded; .vtu and .vtk then have the vertex field "rest_position" too, (n, 3) float32: rest_positions() of what is saved. A body
+that has a vertex field of that name keeps its own.)")
       .def("current_body", &current_body,
-           "current_body() -> Body: the mesh as it is now, renumbered without gaps in the order of ids.")
+           "current_body() -> Body: the mesh as it is now, renumbered without gaps in the order of ids. "
+           "After deform() it has the deformed "
+           "shape, at rest, and the vertex field \"rest_position\" as in what save() writes.")
       .def_property_readonly(
           "state_hash",
           [](Session& self) {

@@ -23,6 +23,11 @@ void check_tet(std::size_t t, const std::array<VertexId, 4>& v, std::size_t vert
   }
 }
 
+[[noreturn]] void refuse_position(std::size_t v, const Vec3& p) {
+  throw MeshError("vertex " + std::to_string(v) + " is at (" + std::to_string(p.x) + ", " +
+                  std::to_string(p.y) + ", " + std::to_string(p.z) + "); accepted are finite coordinates");
+}
+
 }  // namespace
 
 TetMesh::TetMesh(const MeshData& data) {
@@ -40,7 +45,11 @@ TetMesh::TetMesh(const MeshData& data) {
                     std::to_string(tet_count) + " tetrahedra");
   }
   reserve_room(vertices_, vertex_count);
-  for (const Vec3& p : data.positions) vertices_.push_back({p, kNone, 0});
+  for (const Vec3& p : data.positions) {
+    if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z))
+      refuse_position(vertices_.size(), p);
+    vertices_.push_back({p, kNone, 0});
+  }
   reserve_room(tets_, tet_count);
   grow_to(cut_masks_, tet_count);
   for (std::size_t t = 0; t < tet_count; ++t) {

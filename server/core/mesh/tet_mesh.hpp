@@ -78,8 +78,8 @@ struct MeshError : std::runtime_error {
 class TetMesh {
  public:
   // Builds adjacency; O(vertices + tets). A vertex whose star is not face-connected is split at once into copies
-  // (initial_vertex_copies() counts them). Throws MeshError on a bad index, a repeated vertex in a tetrahedron, or a
-  // face that more than two tetrahedra share.
+  // (initial_vertex_copies() counts them). Throws MeshError on a coordinate that is not finite, a bad index, a
+  // repeated vertex in a tetrahedron, a face that more than two tetrahedra share, or arrays that differ in length.
   explicit TetMesh(const MeshData& data);
   // A copy, of a mesh in which no step is under way, with room to grow. It reads nothing that queries write: several threads may copy
   // and query the same mesh, stars, rings and edges apart. O(mesh), a tenth of building it.

@@ -24,10 +24,33 @@ void archive_field(Archive& io, Field& field) {
   std::visit([&](auto& values) { io.list(values, 4, [&](auto& value) { io(value); }); }, field.values);
 }
 
+// Deltas read rows by id and add some, so each must be there from the beginning.
+void check_field(const Field& field, const MeshData& mesh) {
+  const bool on_vertices = field.on == Field::On::kVertices;
+  const std::string name = "the " + std::string(on_vertices ? "vertex" : "tetrahedron") + " field '" +
+                           field.name.substr(0, kMaxFieldName) + "'";
+  if (field.name.empty() || field.name.size() > kMaxFieldName) {
+    throw MeshError(name + " has a name of " + std::to_string(field.name.size()) +
+                    " bytes; accepted are 1 to " + std::to_string(kMaxFieldName));
+  }
+  if (field.components < 1 || field.components > kMaxFieldComponents) {
+    throw MeshError(name + " has " + std::to_string(field.components) + " components; accepted are 1 to " +
+                    std::to_string(kMaxFieldComponents));
+  }
+  const std::size_t rows = on_vertices ? mesh.positions.size() : mesh.tets.size();
+  const std::size_t found = std::visit([](const auto& values) { return values.size(); }, field.values);
+  if (found != rows * field.components) {
+    throw MeshError(name + " has " + std::to_string(found) + " values; accepted are " +
+                    std::to_string(rows * field.components) + ", " + std::to_string(field.components) +
+                    " for each " + (on_vertices ? "vertex" : "tetrahedron"));
+  }
+}
+
 }  // namespace
 
 CarriedFields::CarriedFields(std::span<const Field> fields, const MeshData& loaded, const TetMesh& mesh)
     : fields_(fields.begin(), fields.end()) {
+  for (const Field& field : fields_) check_field(field, loaded);
   if (fields_.empty() || mesh.initial_vertex_copies() == 0) return;
   // Vertices that joined parts which only touch there were copied: their rows, too.
   const auto n = static_cast<std::uint32_t>(loaded.positions.size());
@@ -57,9 +80,9 @@ void CarriedFields::apply(const Delta& delta) {
   }
 }
 
-std::vector<Field> CarriedFields::exported(const TetMesh& mesh) const {
+std::vector<Field> exported_rows(std::span<const Field> fields, const TetMesh& mesh) {
   std::vector<Field> out;
-  if (fields_.empty()) return out;
+  if (fields.empty()) return out;
   std::vector<std::uint32_t> tets, vertices;
   std::vector<bool> used(mesh.vertex_slots(), false);
   for (TetId t = 0; t < mesh.tet_slots(); ++t) {
@@ -70,7 +93,7 @@ std::vector<Field> CarriedFields::exported(const TetMesh& mesh) const {
   for (VertexId v = 0; v < mesh.vertex_slots(); ++v) {
     if (used[v]) vertices.push_back(v);
   }
-  for (const Field& field : fields_)
+  for (const Field& field : fields)
     out.push_back(rows_of(field, field.on == Field::On::kVertices ? vertices : tets));
   return out;
 }

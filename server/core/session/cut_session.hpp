@@ -30,7 +30,7 @@ namespace incise::core {
 class CutSession {
  public:
   // `fields`: of that mesh, one row for each vertex or tetrahedron. They are carried along, saved with the session, and change
-  // nothing in it.
+  // nothing in it. Throws MeshError where no mesh can be built of the data (TetMesh), or where a field is not of that mesh.
   CutSession(const MeshData& mesh, const CutConfig& config, std::span<const Field> fields = {});
   // The same, of the body's copy: O(mesh) as well, but it only copies.
   CutSession(const LoadedBody& body, const CutConfig& config);

@@ -20,7 +20,7 @@ namespace incise::core {
 // Thread: any, at the same time: nothing changes it. Its mesh must not be asked for stars, rings or edges, which use scratch memory.
 class LoadedBody {
  public:
-  // O(mesh). Throws MeshError as TetMesh does.
+  // O(mesh). Throws MeshError as CutSession does.
   explicit LoadedBody(const MeshData& data, std::span<const Field> fields = {})
       : LoadedBody(data, fields, ClustersLater{}) {
     form_clusters();

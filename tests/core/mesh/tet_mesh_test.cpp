@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <iterator>
+#include <limits>
 #include <set>
 
 #include "server/core/mesh/measure.hpp"
@@ -80,6 +81,11 @@ TEST(TetMeshBuild, ErrorsNameTheTetrahedronAndTheVertex) {
   data.positions.push_back({2, 2, 2});
   data.tets.push_back({5, 1, 3, 2});
   EXPECT_EQ(build_error(data), "tetrahedra 0, 1 and 2 share the face (1, 2, 3)");
+  data = testing::two_tets();
+  data.positions[3].y = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(build_error(data).starts_with("vertex 3 is at (")) << build_error(data);
+  data.positions[3].y = std::numeric_limits<double>::infinity();
+  EXPECT_TRUE(build_error(data).ends_with("accepted are finite coordinates")) << build_error(data);
   data = testing::two_tets();
   data.regions = {7};
   EXPECT_EQ(build_error(data), "regions given for 1 of 2 tetrahedra");

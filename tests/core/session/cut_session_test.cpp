@@ -49,6 +49,41 @@ std::vector<Delta> run_all(CutSession& session) {
   }
 }
 
+std::string build_error(const MeshData& mesh, const Field& field) {
+  try {
+    const CutSession session(mesh, config(), std::span(&field, 1));
+  } catch (const MeshError& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(CutSessionFields, ThoseOfAnotherMeshAreRefusedByName) {
+  const MeshData mesh = body();
+  const std::size_t points = mesh.positions.size(), tets = mesh.tets.size();
+  const auto floats = [](std::size_t n) { return std::vector<float>(n, 1.0f); };
+  const auto whole = [](std::size_t n) { return std::vector<std::int32_t>(n, 1); };
+  EXPECT_EQ(build_error(mesh, {"a", Field::On::kVertices, 3, floats(3 * points)}), "no error");
+  EXPECT_EQ(build_error(mesh, {"a", Field::On::kTets, 1, whole(tets)}), "no error");
+  EXPECT_EQ(
+      build_error(mesh, {"dose", Field::On::kVertices, 1, floats(5)}),
+      "the vertex field 'dose' has 5 values; accepted are " + std::to_string(points) + ", 1 for each vertex");
+  EXPECT_EQ(build_error(mesh, {"dose", Field::On::kVertices, 3, floats(3 * points + 1)}),
+            "the vertex field 'dose' has " + std::to_string(3 * points + 1) + " values; accepted are " +
+                std::to_string(3 * points) + ", 3 for each vertex");
+  EXPECT_EQ(build_error(mesh, {"label", Field::On::kTets, 1, whole(tets + 1)}),
+            "the tetrahedron field 'label' has " + std::to_string(tets + 1) + " values; accepted are " +
+                std::to_string(tets) + ", 1 for each tetrahedron");
+  for (const std::size_t components : {std::size_t{0}, kMaxFieldComponents + 1}) {
+    EXPECT_EQ(build_error(mesh, {"a", Field::On::kVertices, components, floats(points * components)}),
+              "the vertex field 'a' has " + std::to_string(components) + " components; accepted are 1 to 9");
+  }
+  EXPECT_EQ(build_error(mesh, {"", Field::On::kTets, 1, floats(tets)}),
+            "the tetrahedron field '' has a name of 0 bytes; accepted are 1 to 256");
+  const Field field{"dose", Field::On::kVertices, 1, floats(5)};
+  EXPECT_THROW(LoadedBody(mesh, std::span(&field, 1)), MeshError);
+}
+
 class CutSessionOf : public ::testing::TestWithParam<Policy> {};
 
 TEST_P(CutSessionOf, OneRevisionABatchAndTheDeltasSayAll) {
