@@ -158,7 +158,10 @@ void MotionRun::run(const Options& options, Progress& progress) {
   for (std::size_t i = 0; i < events.size(); ++i) {
     const MotionEvent& event = events[i];
     const bool deforms = event.kind == MotionEvent::Kind::kDeform;
-    if (deforms && !options.deformations) continue;
+    if (deforms && !options.deformations) {
+      ++left_out_;
+      continue;
+    }
     used[event.source] = used[event.source] || !deforms;
     handle(event, options);
     progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
@@ -218,6 +221,10 @@ std::vector<std::string> MotionRun::pose_warnings() const {
     all.push_back(name_ + ": " + counted(jumps(), "jump", "jumps") + " began a new stroke: faster than " +
                   "cut.speed_limit_m_s = " + short_number(config_.cut.speed_limit_m_s) +
                   " or after more than cut.gap_limit_s = " + short_number(config_.cut.gap_limit_s));
+  }
+  if (left_out_ > 0) {
+    all.push_back(name_ + ": the simulation's positions in the capture were left out (" +
+                  counted(left_out_, "step", "steps") + "): they do not move the body");
   }
   return all;
 }

@@ -66,11 +66,12 @@ class MotionRun {
   void run(const Options& options, Progress& progress);
 
   std::uint64_t poses_taken() const { return count(core::PoseVerdict::kAccepted) + jumps(); }
-  // Poses rejected, jumps, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut.
+  // Poses rejected, jumps, positions left out, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut. `body`: its
+  // size as loaded.
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
   // What the blade swept in all batches. After run().
   const core::SweptSurface& swept() const { return swept_; }
-  // Of these, poses rejected and jumps.
+  // Of these, poses rejected, jumps and positions left out.
   std::vector<std::string> pose_warnings() const;
   // That poses look like millimetres, or the mesh like those or centimetres; else empty. `nothing_met`: the blade met nothing.
   std::string units_hint(bool nothing_met, const Box& body) const;
@@ -92,9 +93,9 @@ class MotionRun {
   const double h_m_;  // before any cut
   core::Delta delta_;
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts_{};
-  std::uint64_t batches_ = 0;
-  bool engaged_ = false;  // some pose was
-  Box tool_, lines_;      // of the poses' positions; of the blade's lines in all batches
+  std::uint64_t batches_ = 0, left_out_ = 0;  // left_out_: a simulation's steps
+  bool engaged_ = false;                      // some pose was
+  Box tool_, lines_;                          // of the poses' positions; of the blade's lines in all batches
   core::SweptSurface swept_;
   bool crossed_an_edge_ = false;
 };
