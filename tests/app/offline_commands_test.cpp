@@ -321,6 +321,14 @@ TEST_F(Incise, InfoDescribesSurfacesOfVtk) {
   expect_error(run({"info", "tets.vtp"}), 1, {"type 'UnstructuredGrid'; PolyData is accepted"});
 }
 
+TEST_F(Incise, InfoTellsTheCornersOfABodyApartFarFromTheOrigin) {
+  core::MeshData far = tests::cube(2);
+  for (core::Vec3& p : far.positions) p = p + core::Vec3{1000, 0.5, -250000};
+  mesh_io::write_mesh(dir_ / "far.vtu", far);
+  const RunResult result = run({"info", "far.vtu"});
+  EXPECT_TRUE(says(result.out, "(1000, 0.5, -250000) to (1000.1, 0.6, -249999.9)")) << result.out;
+}
+
 TEST_F(Incise, InfoDescribesVolumeImages) {
   // 3 x 2 x 1 voxels of 0.5 x 1 x 2 mm.
   const std::string header =

@@ -10,6 +10,7 @@
 #include "server/app/offline/terminal.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/mesh_data.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
@@ -27,6 +28,7 @@ struct Box {
   std::string text() const;
 };
 Box box_of(const core::MeshData& mesh);
+Box box_of(const core::TetMesh& mesh);  // as it is now: cut and deformed
 
 // Sets the button that engages the blade in each pose of a motion without buttons, as `incise stream` does: otherwise
 // nothing would be cut.
@@ -83,7 +85,7 @@ class MotionRun {
     return verdicts_[static_cast<std::size_t>(verdict)];
   }
   std::uint64_t jumps() const { return count(core::PoseVerdict::kNewStroke); }
-  std::string why_nothing_was_cut(const Box& body) const;
+  std::string why_nothing_was_cut() const;
   bool met_the_body() const;
 
   core::CutSession& session_;
