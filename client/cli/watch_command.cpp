@@ -22,12 +22,26 @@ namespace {
 using protocol::View;
 using std::chrono::steady_clock;
 
-// Nearest-rank percentile; 0 of nothing. Sorts.
+// Nearest-rank percentile of at least one value. Sorts.
 double percentile(std::vector<double>& values, double p) {
-  if (values.empty()) return 0;
   std::sort(values.begin(), values.end());
   const auto rank = static_cast<std::size_t>(std::ceil(p / 100 * static_cast<double>(values.size())));
   return values[std::max<std::size_t>(rank, 1) - 1];
+}
+
+// Before the work whose result goes there, which may be hours. Throws std::runtime_error if `path` cannot become a file.
+void require_savable(const std::filesystem::path& path) {
+  if (path.empty()) return;
+  namespace fs = std::filesystem;
+  std::error_code error;
+  const std::string name = "--save " + path.string();
+  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
+  if (!fs::is_directory(parent, error)) {
+    throw std::runtime_error(name + ": the directory " + parent.string() +
+                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
+  }
+  if (!path.has_filename() || fs::is_directory(path, error))
+    throw std::runtime_error(name + ": is a directory; accepted is a file's name");
 }
 
 double area_of(const protocol::Vec3& a, const protocol::Vec3& b, const protocol::Vec3& c) {
@@ -83,6 +97,7 @@ class Watcher {
   explicit Watcher(const WatchCommand& command) : command_(command) {}
 
   int run() {
+    require_savable(command_.save);
     interrupted();
     Address where;
     Options options = command_.server.options(where);
@@ -303,7 +318,10 @@ class Watcher {
 
   void print_json(Figures& f) const {
     const auto percentiles = [](std::vector<double>& values) {
-      return nlohmann::ordered_json{{"p50", percentile(values, 50)}, {"p99", percentile(values, 99)}};
+      const auto of = [&](double p) {
+        return or_null(values.empty() ? std::nullopt : std::optional(percentile(values, p)));
+      };
+      return nlohmann::ordered_json{{"p50", of(50)}, {"p99", of(99)}};
     };
     nlohmann::ordered_json line{{"revision", f.revision},
                                 {"connected", client_->status() == Status::kConnected},

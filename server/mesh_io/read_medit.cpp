@@ -17,6 +17,11 @@ bool is_keyword(std::string_view field) {
   return !field.empty() && ((field[0] >= 'A' && field[0] <= 'Z') || (field[0] >= 'a' && field[0] <= 'z'));
 }
 
+// To the next section.
+void skip_numbers(TokenReader& in) {
+  while (!in.at_end() && !is_keyword(in.peek())) in.token("a number");
+}
+
 void read_tetrahedra(TokenReader& in, TetCollector& out) {
   const std::size_t count = in.count("the number of tetrahedra", 10);
   out.mesh().tets.reserve(count);
@@ -41,6 +46,8 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
     in.fail("a Medit file in ASCII starts with 'MeshVersionFormatted'");
   }
   in.integer("the version");
+  // Sections may come in any order, but only known vertices can be looked up.
+  std::vector<TokenReader> tets_before_vertices;
   while (!in.at_end()) {
     const std::string_view word = in.token("a keyword");
     if (word == "End") break;
@@ -56,7 +63,12 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
       }
       out.end_nodes();
     } else if (word == "Tetrahedra") {
-      read_tetrahedra(in, out);
+      if (out.node_count() > 0) {
+        read_tetrahedra(in, out);
+      } else {
+        tets_before_vertices.push_back(in);
+        skip_numbers(in);
+      }
     } else if (word == "Hexahedra" || word == "Prisms" || word == "Pyramids" ||
                word.starts_with("TetrahedraP")) {
       if (in.integer("the number of elements") > 0) {
@@ -64,11 +76,15 @@ core::MeshData parse_medit(std::string_view bytes, const std::string& file,
                 "; of elements of three dimensions only tetrahedra can be cut");
       }
     } else if (is_keyword(word)) {
-      while (!in.at_end() && !is_keyword(in.peek())) in.token("a number");
+      skip_numbers(in);
     } else {
       in.fail("a keyword such as 'Vertices' expected, found " + in_quotes(word) +
               ": the section before it has more than it declares");
     }
+  }
+  for (const TokenReader& section : tets_before_vertices) {
+    in = section;
+    read_tetrahedra(in, out);
   }
   if (std::any_of(references.values.begin(), references.values.end(), [](double r) { return r != 0; }))
     collected.add(Field::On::kVertices, std::move(references), out.node_count());

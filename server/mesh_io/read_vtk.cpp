@@ -303,11 +303,11 @@ class VtkReader {
       const std::size_t count = in_.count("the size of a table", 4);
       read_array("", 4, count, binary_ ? "unsigned_char" : "float");
     } else if (word == "color_scalars") {
-      in_.token("the name of an array");
+      leave_out(in_.token("the name of an array"), "it is one of COLOR_SCALARS, which are not carried");
       const std::size_t components = in_.count("the number of components", 1);
       read_array("", components, attributes_, binary_ ? "unsigned_char" : "float");
     } else if (word == "texture_coordinates") {
-      in_.token("the name of an array");
+      leave_out(in_.token("the name of an array"), "it is one of TEXTURE_COORDINATES, which are not carried");
       const std::size_t components = in_.count("the number of components", 1);
       read_array("", components, attributes_, read_type_name());
     } else {
@@ -343,6 +343,30 @@ class VtkReader {
     read_values(name, components, tuples, type);
   }
 
+  // An array of cells or points; what the file as a whole has is no field.
+  void leave_out(std::string_view name, const std::string& why) {
+    if (!fields_.wanted() || !(of_cells_ || of_points_)) return;
+    fields_.leave_out(of_cells_ ? Field::On::kTets : Field::On::kVertices, decoded(name), why);
+  }
+
+  // As vtkDataWriter::WriteArray() writes a vtkStringArray: encoded text, one a line, or packed: the two upper bits of the first byte say how
+  // many bytes the length has (3: one, 2: two, 1: four, 0: eight; big endian).
+  void skip_texts(std::size_t count) {
+    for (std::size_t i = 0; i < count; ++i) {
+      if (in_.remaining() == 0) in_.fail("the file ends inside an array of texts");
+      if (!binary_) {
+        in_.line();
+        continue;
+      }
+      const auto first = static_cast<unsigned char>(in_.take(1, "the length of a text")[0]);
+      std::uint64_t length = first & 0x3fu;
+      constexpr std::size_t kMore[] = {7, 3, 1, 0};
+      for (const char byte : in_.take(kMore[first >> 6], "the length of a text"))
+        length = length << 8 | static_cast<unsigned char>(byte);
+      in_.take(length, "a text");
+    }
+  }
+
   // The values, from the start of a line; kept if they can be regions.
   void read_values(const std::string& name, std::size_t components, std::size_t tuples,
                    const std::string& type_name) {
@@ -351,7 +375,12 @@ class VtkReader {
                " numbers: the file is too short");
     }
     const std::size_t count = components * tuples;
+    if (type_name == "string" || type_name == "utf8_string") {
+      leave_out(name, "it holds texts; numbers are accepted");
+      return skip_texts(count);
+    }
     if (type_name == "bit") {
+      leave_out(name, "it holds single bits; numbers of 8 bits and more are accepted");
       if (binary_) {
         in_.take((count + 7) / 8, "an array of bits");
       } else {

@@ -1,9 +1,12 @@
 #include <algorithm>
 #include <cmath>
+#include <set>
+#include <utility>
 
 #include "server/mesh_io/mesh_error.hpp"
 #include "server/mesh_io/tet_collector.hpp"
 #include "server/mesh_io/tet_files.hpp"
+#include "server/mesh_io/text_file.hpp"
 #include "server/mesh_io/vtk_xml.hpp"
 
 namespace incise::mesh_io {
@@ -24,6 +27,8 @@ class VtuReader {
     if (const VtkXmlArray* regions = region_array(piece))
       std::erase_if(cell_data, [regions](const VtkXmlArray& array) { return array.name == regions->name; });
     join(cell_data_, cell_data, pieces_);
+    note_others(Field::On::kVertices, piece.other_point_data);
+    note_others(Field::On::kTets, piece.other_cell_data);
     cells_ += piece.cells;
     ++pieces_;
   }
@@ -59,6 +64,16 @@ class VtuReader {
       if (known->array.components != array.components) continue;  // then it is not there in all pieces
       known->array.values.insert(known->array.values.end(), array.values.begin(), array.values.end());
       ++known->pieces;
+    }
+  }
+  // Once for all pieces.
+  void note_others(Field::On on, const std::vector<VtkXmlArray>& arrays) {
+    for (const VtkXmlArray& array : arrays) {
+      if (!others_.emplace(on, array.name).second) continue;
+      fields_.leave_out(
+          on, array.name,
+          (array.type == "String" ? "it holds texts" : "it is of type " + in_quotes(array.type)) +
+              "; numbers are accepted");
     }
   }
   void add_fields(Field::On on, std::vector<Joined>& all, std::size_t rows,
@@ -179,6 +194,7 @@ class VtuReader {
   std::vector<std::string>& warnings_;
   FieldCollector fields_;
   std::vector<Joined> point_data_, cell_data_;
+  std::set<std::pair<Field::On, std::string>> others_;  // arrays without numbers
   std::size_t pieces_ = 0, cells_ = 0;
   std::vector<std::uint32_t> tet_cells_;  // which cell of the file each tetrahedron is
 };

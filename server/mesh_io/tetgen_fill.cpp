@@ -209,16 +209,15 @@ std::string describe(const ChildResult& result) {
 
 MeshData run_tetgen(const ClosedSurface& closed, const std::string& file, const std::string& switches,
                     const FillOptions& options) {
-  const TemporaryDirectory directory;
-  const auto input = directory.path() / "surface", output = directory.path() / "tets";
-  write_whole_file(input, encode_input(closed));
+  const MemoryFile input(encode_input(closed)), output;
+  const int files[] = {input.descriptor(), output.descriptor()};
   const auto seconds = std::chrono::ceil<std::chrono::seconds>(options.time_limit).count();
   const std::string program = tetgen_program(options.tetgen_directory);
   const ChildResult result =
       run_child(program,
                 {"--switches", switches, "--memory-mb", std::to_string(options.memory_limit_mb), "--cpu-s",
-                 std::to_string(std::max<long>(seconds, 1)), input, output},
-                options.time_limit, options.progress);
+                 std::to_string(std::max<long>(seconds, 1)), input.path(), output.path()},
+                files, options.time_limit, options.progress);
   const std::string who = file + ": TetGen (switches " + switches + ") ";
   switch (result.end) {
     case ChildResult::End::kNotStarted:
@@ -241,8 +240,7 @@ MeshData run_tetgen(const ClosedSurface& closed, const std::string& file, const 
     throw MeshError(who + "failed with exit code " + std::to_string(result.code) + describe(result) +
                     ": remesh the surface or try other switches");
   }
-  std::optional<MeshData> mesh;
-  if (std::filesystem::exists(output)) mesh = decode_output(read_whole_file(output));
+  std::optional<MeshData> mesh = decode_output(output.bytes());
   if (!mesh)
     throw MeshError(who + "ended well but left no readable result: check the program '" + program + "'");
   if (mesh->tets.empty()) throw MeshError(who + "found no volume to fill: is the surface closed?");

@@ -4,6 +4,8 @@
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -67,7 +69,7 @@ void note_status(int status, ChildResult& result) {
 }  // namespace
 
 ChildResult run_child(const std::string& program, const std::vector<std::string>& arguments,
-                      std::chrono::milliseconds time_limit,
+                      std::span<const int> files, std::chrono::milliseconds time_limit,
                       const std::function<void(std::string_view, double)>& on_stage) {
   ChildResult result;
   int pipe_ends[2];
@@ -83,6 +85,8 @@ ChildResult run_child(const std::string& program, const std::vector<std::string>
   posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
   posix_spawn_file_actions_adddup2(&actions, pipe_ends[1], STDOUT_FILENO);
   posix_spawn_file_actions_adddup2(&actions, pipe_ends[1], STDERR_FILENO);
+  // Onto itself: it stays open in the child.
+  for (const int file : files) posix_spawn_file_actions_adddup2(&actions, file, file);
   // The server blocks signals in its threads. The child must not inherit that.
   posix_spawnattr_t attributes;
   posix_spawnattr_init(&attributes);
@@ -150,21 +154,54 @@ std::string tetgen_program(const std::filesystem::path& first) {
   return "incise-tetgen";
 }
 
-TemporaryDirectory::TemporaryDirectory() {
-  std::error_code error;
-  auto base = std::filesystem::temp_directory_path(error);
-  if (error) base = "/tmp";
-  std::string name = (base / "incise-fill-XXXXXX").string();
-  if (!mkdtemp(name.data())) {
-    throw MeshError(base.string() + ": no directory for temporary files can be made: " +
-                    std::strerror(errno) + "; name another with TMPDIR");
-  }
-  path_ = name;
+namespace {
+
+[[noreturn]] void fail_memory_file(const char* what) {
+  throw MeshError(std::string("a file in memory, for TetGen, cannot be ") + what + ": " +
+                  std::strerror(errno));
 }
 
-TemporaryDirectory::~TemporaryDirectory() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path_, ignored);
+}  // namespace
+
+MemoryFile::MemoryFile(std::string_view bytes) {
+  const int made = memfd_create("incise-fill", MFD_CLOEXEC);
+  if (made < 0) fail_memory_file("made");
+  // Not one of the standard descriptors, which the child has for others.
+  descriptor_ = fcntl(made, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
+  const int error = errno;
+  close(made);
+  errno = error;
+  if (descriptor_ < 0) fail_memory_file("made");
+  for (std::size_t at = 0; at < bytes.size();) {
+    const ssize_t count = write(descriptor_, bytes.data() + at, bytes.size() - at);
+    if (count < 0 && errno == EINTR) continue;
+    if (count <= 0) {
+      close(descriptor_);
+      fail_memory_file("written");
+    }
+    at += static_cast<std::size_t>(count);
+  }
+}
+
+MemoryFile::~MemoryFile() {
+  close(descriptor_);
+}
+
+std::string MemoryFile::path() const {
+  return "/proc/self/fd/" + std::to_string(descriptor_);
+}
+
+std::string MemoryFile::bytes() const {
+  struct stat status = {};
+  if (fstat(descriptor_, &status) != 0) fail_memory_file("read");
+  std::string bytes(static_cast<std::size_t>(status.st_size), '\0');
+  for (std::size_t at = 0; at < bytes.size();) {
+    const ssize_t count = pread(descriptor_, bytes.data() + at, bytes.size() - at, static_cast<off_t>(at));
+    if (count < 0 && errno == EINTR) continue;
+    if (count <= 0) fail_memory_file("read");
+    at += static_cast<std::size_t>(count);
+  }
+  return bytes;
 }
 
 }  // namespace incise::mesh_io

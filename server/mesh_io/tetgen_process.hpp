@@ -3,6 +3,7 @@
 #include <chrono>
 #include <filesystem>
 #include <functional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -18,25 +19,30 @@ struct ChildResult {
 };
 
 // Runs a program (looked up on the PATH if its name has no slash), reads what it writes, and kills it when
-// its time is over. `on_stage` is called for each line that ends in "..." and twice a second: stage, seconds.
+// its time is over. `files`: descriptors that it has as well, under the same numbers. `on_stage` is called for each line that ends in "..." and twice a second: stage, seconds.
 ChildResult run_child(const std::string& program, const std::vector<std::string>& arguments,
-                      std::chrono::milliseconds time_limit,
+                      std::span<const int> files, std::chrono::milliseconds time_limit,
                       const std::function<void(std::string_view, double)>& on_stage);
 
 // The incise-tetgen to start; see fill_surface.
 std::string tetgen_program(const std::filesystem::path& first = {});
 
-// A new directory that only this user can enter; removed at the end with its contents.
-class TemporaryDirectory {
+// A file in memory, without a name on any disk, to exchange with a child process. Nothing is left of it however both end, by a signal too: what is
+// filled may be a patient's organ.
+class MemoryFile {
  public:
-  TemporaryDirectory();  // throws MeshError
-  ~TemporaryDirectory();
-  TemporaryDirectory(const TemporaryDirectory&) = delete;
-  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
-  const std::filesystem::path& path() const { return path_; }
+  explicit MemoryFile(std::string_view bytes = {});  // throws MeshError
+  ~MemoryFile();
+  MemoryFile(const MemoryFile&) = delete;
+  MemoryFile& operator=(const MemoryFile&) = delete;
+  int descriptor() const { return descriptor_; }
+  // Names it in a process that has the descriptor.
+  std::string path() const;
+  // What was written there. Throws MeshError.
+  std::string bytes() const;
 
  private:
-  std::filesystem::path path_;
+  int descriptor_ = -1;
 };
 
 }  // namespace incise::mesh_io

@@ -342,6 +342,12 @@ class VtkXmlReader {
       pieces_.push_back(std::move(piece));
     } else if (tag.name == "DataArray" && parent == "FieldData") {
       if (tag.get("Name") == kCutMemory) field_data_.push_back(read_array(tag, true));
+    } else if (fields_ && !pieces_.empty() && is_other_array(tag)) {
+      VtkXmlArray array;
+      array.name = tag.get("Name");
+      array.type = tag.get("type");
+      if (parent == "CellData") pieces_.back().other_cell_data.push_back(std::move(array));
+      if (parent == "PointData") pieces_.back().other_point_data.push_back(std::move(array));
     } else if (tag.name == "DataArray" && !pieces_.empty()) {
       VtkXmlPiece& piece = pieces_.back();
       if (parent == "Points") piece.point_arrays.push_back(read_array(tag));
@@ -353,6 +359,11 @@ class VtkXmlReader {
       if (parent == "CellData" && wanted) piece.cell_data.push_back(read_array(tag, !region));
       if (parent == "PointData" && field) piece.point_data.push_back(read_array(tag, true));
     }
+  }
+
+  // VTK writes arrays of texts as <Array>.
+  static bool is_other_array(const Tag& tag) {
+    return tag.name == "Array" || (tag.name == "DataArray" && converter(tag.get("type")) == nullptr);
   }
 
   void read_file_tag(const Tag& tag) {

@@ -23,6 +23,8 @@ struct VtkXmlPiece {
   std::vector<VtkXmlArray> cell_arrays;   // of <Cells>: connectivity, offsets, types; none of poly data
   std::vector<VtkXmlArray> cell_data;     // those that may be the region; with fields, all
   std::vector<VtkXmlArray> point_data;    // with fields
+  // With fields: those of the last two that hold no numbers, but texts for example; without values.
+  std::vector<VtkXmlArray> other_cell_data, other_point_data;
 };
 
 struct VtkXmlContent {

@@ -64,6 +64,31 @@ class Incise : public ::testing::Test {
     }
     write("sweep.csv", csv);
   }
+  // A capture again, with a step of a simulation before its first pose that makes the body half as wide again.
+  void write_deformed(const std::string& capture, const std::string& mesh, const std::string& out) {
+    const RecordedMotion motion = read_recorded_motion(dir_ / capture);
+    CaptureJournal journal((dir_ / out).string(), *motion.header);
+    loop::JournalRecord record;
+    record.kind = loop::JournalRecord::Kind::kDeform;
+    auto step = std::make_shared<core::VertexPositions>();
+    step->positions = mesh_io::load_mesh(dir_ / mesh).mesh.positions;
+    for (core::Vec3& p : step->positions) p.x *= 1.5;
+    record.positions = step;
+    journal.write(record);
+    for (const MotionEvent& event : motion.events) {
+      record = {};
+      if (event.kind == MotionEvent::Kind::kEndStroke) record.kind = loop::JournalRecord::Kind::kEndStroke;
+      record.source = event.source;
+      record.arrival_ns = event.arrival_ns;
+      record.pose = event.pose;
+      journal.write(record);
+    }
+    journal.close();
+  }
+  // What a warning or an error has said.
+  static bool says(const std::string& text, const std::string& part) {
+    return text.find(part) != std::string::npos;
+  }
   static constexpr const char* kBlade = "0,0,0:0,0,-0.14";
 
   fs::path dir_;
@@ -294,6 +319,14 @@ TEST_F(Incise, InfoDescribesSurfacesOfVtk) {
   mesh_io::write_mesh(dir_ / "tets.vtu", tests::cube(2));
   fs::rename(dir_ / "tets.vtu", dir_ / "tets.vtp");
   expect_error(run({"info", "tets.vtp"}), 1, {"type 'UnstructuredGrid'; PolyData is accepted"});
+}
+
+TEST_F(Incise, InfoTellsTheCornersOfABodyApartFarFromTheOrigin) {
+  core::MeshData far = tests::cube(2);
+  for (core::Vec3& p : far.positions) p = p + core::Vec3{1000, 0.5, -250000};
+  mesh_io::write_mesh(dir_ / "far.vtu", far);
+  const RunResult result = run({"info", "far.vtu"});
+  EXPECT_TRUE(says(result.out, "(1000, 0.5, -250000) to (1000.1, 0.6, -249999.9)")) << result.out;
 }
 
 TEST_F(Incise, InfoDescribesVolumeImages) {
@@ -945,6 +978,67 @@ TEST_F(Incise, ConvertReplayAndExportAgree) {
   expect_error(run({"replay", "sweep.capture", "--mesh", "other"}), 1, {"another mesh", "--mesh"});
 }
 
+// A simulation's positions are of the mesh that they were recorded with, wherever that lies now.
+TEST_F(Incise, ASimulationsPositionsAreKeptInTheirOwnMeshAndElsewhereLeftOutWithAWarning) {
+  write_cube_and_sweep();
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})");
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--config", "c.json", "--out", "still.capture"})
+                .exit_code,
+            0);
+  write_deformed("still.capture", "cube.node", "moved.capture");
+  const RunResult exported = run({"export", "moved.capture", "--out", "moved.vtu", "--json"});
+  ASSERT_EQ(exported.exit_code, 0) << exported.err;
+  const json state = json::parse(exported.out)["state_hash"];
+  EXPECT_NE(state, json::parse(run({"replay", "still.capture", "--json"}).out)["state_hash"]);
+  fs::create_directory(dir_ / "elsewhere");
+  for (const char* end : {"cube.node", "cube.ele"}) fs::copy(dir_ / end, dir_ / "elsewhere");
+  for (const std::vector<std::string>& mesh : {std::vector<std::string>{}, {"--mesh", "elsewhere/cube"}}) {
+    std::vector<std::string> arguments{"convert", "moved.capture", "--out", "again.capture", "--json"};
+    arguments.insert(arguments.end(), mesh.begin(), mesh.end());
+    const RunResult made = run(arguments);
+    ASSERT_EQ(made.exit_code, 0) << made.err;
+    EXPECT_EQ(json::parse(made.out)["state_hash"], state);
+    EXPECT_EQ(json::parse(made.out)["warnings"], json::array());
+    EXPECT_EQ(json::parse(run({"replay", "again.capture", "--verify", "--json"}).out)["state_hash"], state);
+  }
+  mesh_io::write_mesh(dir_ / "other.node", tests::cube(5));
+  const std::string left_out =
+      "moved.capture: the simulation's positions in the capture were left out (1 step)";
+  for (const std::vector<std::string>& arguments :
+       {std::vector<std::string>{"convert", "moved.capture", "--mesh", "other", "--out", "x.capture"},
+        {"cut", "--mesh", "cube", "--poses", "moved.capture", "--out", "x.vtu"},
+        {"feel", "moved.capture", "--mesh", "cube"}}) {
+    const RunResult result = run(arguments);
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_TRUE(says(result.err, "warning: " + left_out)) << arguments[0] << ": " << result.err;
+  }
+}
+
+// Where the body is when nothing is met.
+TEST_F(Incise, ABladeThatMissesADeformedBodyIsToldWhereThatIs) {
+  write_cube_and_sweep(3.0);
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})");
+  const RunResult still =
+      run({"convert", "sweep.csv", "--mesh", "cube", "--config", "c.json", "--out", "still.capture"});
+  EXPECT_TRUE(says(still.err, "the mesh fills (0, 0, 0) to (0.1, 0.1, 0.1) (metres)")) << still.err;
+  write_deformed("still.capture", "cube.node", "moved.capture");
+  const RunResult moved = run({"convert", "moved.capture", "--out", "x.capture"});
+  EXPECT_TRUE(says(moved.err, "the mesh fills (0, 0, 0) to (0.15, 0.1, 0.1) (metres)")) << moved.err;
+}
+
+TEST_F(Incise, ABodyOneTetrahedronThickIsNotSaidToBeCutAlready) {
+  core::MeshData one;
+  one.positions = {{0, 0, 0}, {0.1, 0, 0}, {0, 0.1, 0}, {0, 0, 0.1}};
+  one.tets = {{0, 1, 2, 3}};
+  mesh_io::write_mesh(dir_ / "one.node", one);
+  write("pass.tum", "0 0.03 -0.02 0.12 0 0 0 1\n0.5 0.03 0.12 0.12 0 0 0 1\n");
+  const RunResult result =
+      run({"cut", "--mesh", "one", "--poses", "pass.tum", "--blade", kBlade, "--out", "x.vtu"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_TRUE(says(result.err, "or is where the body is only one tetrahedron thick, which is not parted"))
+      << result.err;
+}
+
 // Whatever ends it: the capture that was there stays, and nothing else does, but where it is killed outright.
 TEST_F(Incise, AnInterruptedConversionLeavesTheCaptureThatWasThere) {
   write_cube_and_sweep(0.37, 100'000);
@@ -1008,6 +1102,28 @@ TEST_F(Incise, ACaptureThatWasNotClosedIsAWarning) {
     EXPECT_NE(result.err.find("warning: open.capture: was not closed"), std::string::npos) << result.err;
     EXPECT_EQ(std::count(result.err.begin(), result.err.end(), '\n'), 1) << result.err;
   }
+  // So does whatever else reads it, and a capture that is made of it has an end mark.
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})");
+  for (const std::vector<std::string>& arguments :
+       {std::vector<std::string>{"export", "open.capture", "--out", "x.vtu"},
+        {"convert", "open.capture", "--out", "x.capture"},
+        {"cut", "--mesh", "cube", "--poses", "open.capture", "--config", "c.json", "--out", "x.vtu"},
+        {"feel", "open.capture", "--mesh", "cube", "--config", "c.json"}}) {
+    const RunResult text = run(arguments);
+    EXPECT_TRUE(says(text.err, "warning: open.capture: was not closed")) << arguments[0] << ": " << text.err;
+    EXPECT_EQ(says(text.out, "closed                 no"), arguments[0] == "convert") << text.out;
+    std::vector<std::string> with_json = arguments;
+    with_json.emplace_back("--json");
+    const json result = json::parse(run(with_json).out);
+    ASSERT_TRUE(result.contains("warnings")) << arguments[0];
+    EXPECT_TRUE(says(result["warnings"].dump(), "open.capture: was not closed")) << result;
+    if (arguments[0] == "convert") {
+      EXPECT_EQ(result["closed"], false);
+    }
+  }
+  const json closed = json::parse(run({"convert", "x.capture", "--out", "y.capture", "--json"}).out);
+  EXPECT_EQ(closed["closed"], true);
+  EXPECT_FALSE(says(closed["warnings"].dump(), "was not closed")) << closed;
 }
 
 TEST_F(Incise, ReplayNamesTheFirstBatchThatDiffers) {

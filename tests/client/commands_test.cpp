@@ -354,6 +354,7 @@ TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
   EXPECT_EQ(watched.status, 0) << watched.told;
   double p50 = 0, p99 = 0;
   for (const auto& line : watched.lines) {
+    if (line["pose_to_cut_ms"]["p50"].is_null()) continue;
     p50 = std::max(p50, line["pose_to_cut_ms"]["p50"].get<double>());
     p99 = std::max(p99, line["pose_to_cut_ms"]["p99"].get<double>());
   }
@@ -362,6 +363,49 @@ TEST(Watch, TimesAreInMillisecondsAndPercentilesOfWhatCame) {
   EXPECT_LT(p99, steps + 0.5);
   EXPECT_GT(p99, steps - 1.5);
   EXPECT_GT(p50, 1.5);
+}
+
+TEST(Watch, TimesOfNothingAreNull) {
+  const Watched watched([](const stream::Listener& listener) {
+    const auto peer = listener.accept();
+    if (!peer->receive_until<protocol::Hello>()) return;
+    play(*peer, Watched::recording().welcome);
+    play(*peer, Watched::recording().snapshot);
+    // Longer than until the first line.
+    std::this_thread::sleep_for(std::chrono::milliseconds(1500));
+    for (const auto& step : Watched::recording().steps)
+      peer->send(std::get<protocol::Delta>(step.message.body));
+    peer->receive_until<protocol::Bye>();
+  });
+  ASSERT_GE(watched.lines.size(), 2u) << watched.told;
+  for (const char* time : {"pose_to_cut_ms", "cut_to_here_ms", "pose_to_here_ms"}) {
+    for (const char* percentile : {"p50", "p99"})
+      EXPECT_TRUE(watched.lines[0][time][percentile].is_null()) << watched.lines[0];
+  }
+}
+
+// Not only at the end of hours.
+TEST(Watch, APlaceWhereNothingCanBeSavedIsRefusedAtOnce) {
+  const fs::path directory = fs::temp_directory_path() / ("incise_watch_save_" + std::to_string(::getpid()));
+  fs::create_directory(directory);
+  WatchCommand watch;
+  watch.server.address = "127.0.0.1:1";  // nobody listens there
+  const auto error_of = [&](const fs::path& save) {
+    watch.save = save;
+    try {
+      run_watch(watch);
+    } catch (const std::runtime_error& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  const std::string parent = (directory / "no").string();
+  EXPECT_EQ(error_of(directory / "no" / "w.bin"), "--save " + parent + "/w.bin: the directory " + parent +
+                                                      " does not exist; make it first (mkdir -p " + parent +
+                                                      ")");
+  EXPECT_EQ(error_of(directory),
+            "--save " + directory.string() + ": is a directory; accepted is a file's name");
+  fs::remove_all(directory);
 }
 
 // As where the server's clock is estimated a little too far behind.
@@ -382,6 +426,7 @@ TEST(Watch, NothingComesBeforeItWasCut) {
   EXPECT_EQ(watched.status, 0) << watched.told;
   double most_ms = 0;
   for (const auto& line : watched.lines) {
+    if (line["cut_to_here_ms"]["p50"].is_null()) continue;
     EXPECT_GE(line["cut_to_here_ms"]["p50"].get<double>(), 0);
     EXPECT_GE(line["pose_to_here_ms"]["p50"].get<double>(), 0);
     most_ms = std::max(most_ms, line["pose_to_here_ms"]["p99"].get<double>());

@@ -141,6 +141,49 @@ TEST(Fields, LegacyVtkFromTextAndOfTetrahedraAlone) {
   EXPECT_TRUE(warns(loaded, "'far' is left out: the whole number 4294967296 in it is beyond 32 bits"));
 }
 
+// What VTK writes of a vtkStringArray, a vtkBitArray and colours. Texts of the file as a whole are no field.
+TEST(Fields, ArraysOfLegacyVtkThatHoldNoNumbersAreLeftOut) {
+  const std::string mesh = kVtkMesh;
+  const auto points = mesh.find("POINTS");
+  const std::string text = mesh.substr(0, points) + "FIELD FieldData 1\nwho 1 2 string\nDr.%20A\n\n" +
+                           mesh.substr(points) +
+                           "POINT_DATA 5\nFIELD data 2\nthe%20label 1 5 string\nfirst one\n\nPOINT_DATA "
+                           "7\nb\n3\nheat 1 5 double\n1 2 3 4 5\n"
+                           "COLOR_SCALARS tint 1\n0 0.5 1 0 0\nCELL_DATA 3\nSCALARS on bit 1\n"
+                           "LOOKUP_TABLE default\n0 1 1\nSCALARS kind int 1\nLOOKUP_TABLE default\n7 8 9\n";
+  const LoadedMesh loaded = load_text("a.vtk", text);
+  EXPECT_EQ(loaded.mesh.tets.size(), 2u);
+  EXPECT_EQ(floats(loaded, On::kVertices, "heat"), (Floats{1, 2, 3, 4, 5}));
+  EXPECT_EQ(ints(loaded, On::kTets, "kind"), (Ints{8, 9}));
+  EXPECT_EQ(loaded.fields.size(), 2u);
+  EXPECT_EQ(loaded.warnings.size(), 3u);
+  EXPECT_TRUE(warns(loaded, "the vertex field 'the label' is left out: it holds texts"));
+  EXPECT_TRUE(warns(loaded, "the vertex field 'tint' is left out: it is one of COLOR_SCALARS"));
+  EXPECT_TRUE(warns(loaded, "the tetrahedron field 'on' is left out: it holds single bits"));
+  EXPECT_TRUE(load_text("a.vtk", text, {}).warnings.empty());
+  EXPECT_THROW(load_text("a.vtk", mesh + "POINT_DATA 5\nFIELD data 1\nlabel 1 5 string\na\n"), MeshError);
+}
+
+TEST(Fields, PackedTextsOfLegacyVtkAreLeftOut) {
+  const TestDirectory directory;
+  write_mesh(directory / "a.vtk", cube_mesh(1));
+  const std::string packed = read_whole_file(directory / "a.vtk");
+  const std::string texts = std::string(
+                                "\xc3"
+                                "abc") +
+                            std::string("\xc0") + std::string("\x80\x64", 2) + std::string(100, '\n') +
+                            std::string("\x40\0\0\x01z", 5) + std::string("\0\0\0\0\0\0\0\x02yz", 10);
+  const std::string head = packed + "\nPOINT_DATA 8\nFIELD data 2\nlabel 1 8 string\n";
+  const std::string rest = "\nheat 1 8 float\n" + std::string(32, '\0') + "\n";
+  const LoadedMesh loaded = load_text("a.vtk", head + texts + std::string(3, '\xc0') + rest);
+  EXPECT_EQ(floats(loaded, On::kVertices, "heat"), Floats(8, 0));
+  EXPECT_TRUE(warns(loaded, "the vertex field 'label' is left out: it holds texts"));
+  EXPECT_THROW(load_text("a.vtk", head + texts), MeshError);
+  EXPECT_THROW(load_text("a.vtk", head + std::string(8, '\x7f') + rest), MeshError)
+      << "a length beyond the file";
+  EXPECT_THROW(load_text("a.vtk", head + std::string("\x3f") + std::string(7, '\xff') + rest), MeshError);
+}
+
 constexpr const char* kMshMesh =
     "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n5\n10 0 0 0\n20 1 0 0\n30 0 1 0\n40 0 0 1\n50 1 1 "
     "1\n$EndNodes\n"
@@ -246,12 +289,15 @@ TEST(Fields, OfVtuThatCannotBeKept) {
       "a.vtu",
       vtu("<PointData><DataArray type=\"Float64\" Name=\"x\">1 nan 1e300 -inf</DataArray></PointData>"
           "<CellData><DataArray type=\"Int32\" Name=\"tet_id\">5</DataArray>"
-          "<DataArray type=\"String\" Name=\"text\">1</DataArray></CellData>"));
+          "<DataArray type=\"Bit\" Name=\"on\">1</DataArray>"
+          "<Array type=\"String\" Name=\"text\" format=\"ascii\">49 0</Array></CellData>"));
   const Floats& x = floats(kept, On::kVertices, "x");
   EXPECT_TRUE(std::isnan(x[1]) && x[2] > 1e38f && x[3] < -1e38f);
   EXPECT_EQ(kept.fields.size(), 1u) << "what Incise writes itself is no field";
-  ASSERT_EQ(kept.warnings.size(), 1u);
+  ASSERT_EQ(kept.warnings.size(), 3u);
   EXPECT_TRUE(warns(kept, "'tet_id' is left out"));
+  EXPECT_TRUE(warns(kept, "the tetrahedron field 'on' is left out: it is of type 'Bit'; numbers are"));
+  EXPECT_TRUE(warns(kept, "the tetrahedron field 'text' is left out: it holds texts; numbers are"));
 }
 
 }  // namespace

@@ -129,6 +129,17 @@ TEST(TetFiles, VegaNumbersFromZeroOrOne) {
   }
 }
 
+TEST(TetFiles, MeditSectionsComeInAnyOrder) {
+  std::vector<std::string> warnings;
+  const core::MeshData mesh = parse_medit(
+      "MeshVersionFormatted 2\nDimension 3\nTetrahedra 2\n1 2 3 4 7\n2 3 4 5 8\nVertices 5\n"
+      "0 0 0 0\n1 0 0 0\n0 1 0 0\n0 0 1 0\n1 1 1 0\nEnd\n",
+      "a.mesh", warnings, nullptr);
+  EXPECT_EQ(mesh.positions.size(), 5u);
+  EXPECT_EQ(mesh.tets, (std::vector<std::array<core::VertexId, 4>>{{0, 1, 2, 3}, {1, 2, 3, 4}}));
+  EXPECT_EQ(mesh.regions, (std::vector<std::int32_t>{7, 8}));
+}
+
 TEST(TetFiles, GmshNodesHaveGapsAndVolumesStandInForGroups) {
   const TestDirectory directory;
   const std::string nodes = "$NOD\n5\n9 0 0 0\n4 1 0 0\n70 0 1 0\n2 0 0 1\n5 1 1 1\n$ENDNOD\n";

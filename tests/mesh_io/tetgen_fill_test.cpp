@@ -204,6 +204,16 @@ TEST(TetgenFill, ChildThatNeverEnds) {
   EXPECT_SAYS(error_with_child("exec yes\n", milliseconds(300)), "was stopped after");
 }
 
+// A signal that ends this process, even SIGKILL, leaves nothing of the surface on the disk where nothing is.
+TEST(TetgenFill, NothingIsOnTheDiskMeanwhile) {
+  const TestDirectory temporary;
+  const ScopedVariable variable("TMPDIR", (temporary / "").string());
+  EXPECT_SAYS(
+      error_with_child("[ -s \"$7\" ] && echo \"$(ls -A \"$TMPDIR\" | grep -c incise-fill) on the disk, "
+                       "$(readlink \"$7\" \"$8\" | grep -c memfd) in memory\"\nexit 3\n"),
+      "failed with exit code 3, saying '0 on the disk, 2 in memory'");
+}
+
 TEST(TetgenFill, ChildThatLeavesNothing) {
   EXPECT_SAYS(error_with_child("exit 0\n"), "left no readable result");
   EXPECT_SAYS(error_with_child("for last; do :; done\necho rubbish > \"$last\"\n"),

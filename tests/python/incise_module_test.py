@@ -202,6 +202,24 @@ class SameAsAServer(Folder):
                 self.assertEqual(len(deltas), facts["batches"])
                 self.assertEqual(format(session.state_hash, "016x"), facts["state_hash"])
 
+    def test_what_a_capture_has_beyond_poses_is_warned_of(self):
+        capture = sorted(SOURCE.glob("tests/replay/c*.capture"))[0]
+        config = json.loads(run_incise("info", capture, "--json").stdout)["config"]
+        cut_off = self.folder / "open.capture"
+        data = capture.read_bytes()
+        end = len(data)
+        while not cut_off.exists() or json.loads(run_incise("info", cut_off, "--json").stdout)["warnings"]:
+            end -= 1  # until its last record, the end mark, is gone, and nothing is torn
+            cut_off.write_bytes(data[:end])
+        self.assertFalse([text for text in incise.Motion.load(capture).warnings if "closed" in text])
+        for warnings in (incise.Motion.load(cut_off).warnings, incise.cut(SOURCE / "tests/replay/body", cut_off).warnings,
+                         incise.Session(SOURCE / "tests/replay/body", config).cut(cut_off).warnings):
+            self.assertEqual(len([text for text in warnings if "open.capture: was not closed" in text]), 1, warnings)
+
+    def test_a_motion_without_poses_cuts_nothing(self):
+        session = incise.Session(incise.Body.phantom("slab", 600))
+        self.assertEqual(session.cut(incise.Motion(np.zeros((0, 8)))).warnings, ["nothing was cut: there is no pose in poses"])
+
     def test_buttons_engage_the_blade_as_configured(self):
         body, file, capture = self.folder / "slab.vtu", self.folder / "config.json", self.folder / "session.capture"
         incise.Body.phantom("slab", 1_000).save(body)

@@ -129,8 +129,6 @@ std::vector<std::string> FeelRun::warnings() const {
   }
   if (std::string hint = motion_run_.units_hint(!touched(), input_.body); !hint.empty())
     all.push_back(std::move(hint));
-  if (input_.motion.count(MotionEvent::Kind::kDeform) > 0)
-    all.push_back("the simulation's positions in the capture were left out: the body is as loaded");
   return all;
 }
 

@@ -34,6 +34,10 @@ Json point(const core::Vec3& p) {
   return Json::array({p.x, p.y, p.z});
 }
 
+core::Vec3 point_of(const Json& p) {
+  return {p[0].get<double>(), p[1].get<double>(), p[2].get<double>()};
+}
+
 Json corners(const Box& box) {
   return {{"min", point(box.low)}, {"max", point(box.high)}};
 }
@@ -360,14 +364,7 @@ void print(const Json& facts) {
     } else if (name == "config") {
       print_row(name, "shown with --json");
     } else if (value.is_object() && value.contains("min")) {
-      std::string line;
-      for (const char* end : {"min", "max"}) {
-        line += line.empty() ? "(" : " to (";
-        for (std::size_t i = 0; i < 3; ++i)
-          line += (i ? ", " : "") + short_number(value[end][i].get<double>());
-        line += ")";
-      }
-      print_row(name, line);
+      print_row(name, Box{point_of(value["min"]), point_of(value["max"])}.text());
     } else if (value.is_array() && !value.empty() && value[0].is_number_float()) {
       std::string line;
       for (const Json& number : value)

@@ -5,11 +5,13 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
+#include "server/app/offline/open_capture.hpp"
 
 namespace incise::app {
 
 CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& progress) {
   RecordedMotion motion = read_recorded_motion(files.motion, files.times);
+  warn_if_not_closed(motion, files.motion.string());
   Config config;
   if (!files.config.empty()) {
     config = load_config(files.config);

@@ -67,6 +67,15 @@ std::string raised(const char* key, double from, double to, const char* unit) {
   return std::string(key) + " from " + short_number(from) + " to " + short_number(to) + " " + unit;
 }
 
+// In enough digits to tell `low` from `high` on its axis, also far from the origin.
+std::string coordinate(double x, double low, double high) {
+  constexpr int kFewest = 4, kMost = 12;
+  const double share = (high - low) / std::max(std::abs(low), std::abs(high));
+  const int digits =
+      share > 0 ? std::clamp(3 + static_cast<int>(std::ceil(-std::log10(share))), kFewest, kMost) : kFewest;
+  return short_number(x, digits);
+}
+
 // What unit a mesh seems to be in whose size is so many times the tool's way, and what makes metres of it; empty: none.
 std::string scale_hint(double times, double body_size_m) {
   const bool centimetres = times > kMinCentimetres && times < kMaxCentimetres;
@@ -85,8 +94,9 @@ std::string scale_hint(double times, double body_size_m) {
 }  // namespace
 
 std::string Box::text() const {
-  const auto point = [](const core::Vec3& p) {
-    return "(" + short_number(p.x) + ", " + short_number(p.y) + ", " + short_number(p.z) + ")";
+  const auto point = [this](const core::Vec3& p) {
+    return "(" + coordinate(p.x, low.x, high.x) + ", " + coordinate(p.y, low.y, high.y) + ", " +
+           coordinate(p.z, low.z, high.z) + ")";
   };
   return point(low) + " to " + point(high);
 }
@@ -94,6 +104,15 @@ std::string Box::text() const {
 Box box_of(const core::MeshData& mesh) {
   Box box;
   for (const core::Vec3& p : mesh.positions) box.add(p);
+  return box;
+}
+
+Box box_of(const core::TetMesh& mesh) {
+  Box box;
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    for (const core::VertexId v : mesh.vertices(t)) box.add(mesh.position(v));
+  }
   return box;
 }
 
@@ -158,7 +177,10 @@ void MotionRun::run(const Options& options, Progress& progress) {
   for (std::size_t i = 0; i < events.size(); ++i) {
     const MotionEvent& event = events[i];
     const bool deforms = event.kind == MotionEvent::Kind::kDeform;
-    if (deforms && !options.deformations) continue;
+    if (deforms && !options.deformations) {
+      ++left_out_;
+      continue;
+    }
     used[event.source] = used[event.source] || !deforms;
     handle(event, options);
     progress.show(static_cast<double>(i) / static_cast<double>(events.size()));
@@ -219,17 +241,22 @@ std::vector<std::string> MotionRun::pose_warnings() const {
                   "cut.speed_limit_m_s = " + short_number(config_.cut.speed_limit_m_s) +
                   " or after more than cut.gap_limit_s = " + short_number(config_.cut.gap_limit_s));
   }
+  if (left_out_ > 0) {
+    all.push_back(name_ + ": the simulation's positions in the capture were left out (" +
+                  counted(left_out_, "step", "steps") + "): they do not move the body");
+  }
   return all;
 }
 
 std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box& body) const {
   std::vector<std::string> all = pose_warnings();
-  if (cut_faces == 0) all.push_back("nothing was cut: " + why_nothing_was_cut(body));
+  if (cut_faces == 0) all.push_back("nothing was cut: " + why_nothing_was_cut());
   if (const std::string hint = units_hint(cut_faces == 0, body); !hint.empty()) all.push_back(hint);
   return all;
 }
 
-std::string MotionRun::why_nothing_was_cut(const Box& body) const {
+std::string MotionRun::why_nothing_was_cut() const {
+  if (motion_.poses() == 0) return "there is no pose in " + name_;
   if (!engaged_) {
     return "no pose of " + name_ + " holds a button that engages the blade (cut.engage_buttons = " +
            std::to_string(config_.cut.engage_buttons) + "); \"cut\": {\"engage\": \"always\"} needs none";
@@ -245,9 +272,10 @@ std::string MotionRun::why_nothing_was_cut(const Box& body) const {
   if (batches_ == 0) return "the blade of " + name_ + " never moved";
   if (met_the_body()) {
     return "the blade of " + name_ +
-           " met the body, but what it swept is cut already, or is less than a tetrahedron deep";
+           " met the body, but what it swept is cut already, is less than a tetrahedron deep, or is where "
+           "the body is only one tetrahedron thick, which is not parted";
   }
-  return "the blade swept " + lines_.text() + ", the mesh fills " + body.text() +
+  return "the blade swept " + lines_.text() + ", the mesh fills " + box_of(session_.mesh()).text() +
          " (metres); check the blade, units and frames";
 }
 

@@ -10,6 +10,7 @@
 #include "server/app/offline/terminal.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/core/mesh/mesh_data.hpp"
+#include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
@@ -27,6 +28,7 @@ struct Box {
   std::string text() const;
 };
 Box box_of(const core::MeshData& mesh);
+Box box_of(const core::TetMesh& mesh);  // as it is now: cut and deformed
 
 // Sets the button that engages the blade in each pose of a motion without buttons, as `incise stream` does: otherwise
 // nothing would be cut.
@@ -66,11 +68,12 @@ class MotionRun {
   void run(const Options& options, Progress& progress);
 
   std::uint64_t poses_taken() const { return count(core::PoseVerdict::kAccepted) + jumps(); }
-  // Poses rejected, jumps, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut.
+  // Poses rejected, jumps, positions left out, poses that look like millimetres; and, if `cut_faces` is 0, why nothing was cut. `body`: its
+  // size as loaded.
   std::vector<std::string> warnings(std::uint32_t cut_faces, const Box& body) const;
   // What the blade swept in all batches. After run().
   const core::SweptSurface& swept() const { return swept_; }
-  // Of these, poses rejected and jumps.
+  // Of these, poses rejected, jumps and positions left out.
   std::vector<std::string> pose_warnings() const;
   // That poses look like millimetres, or the mesh like those or centimetres; else empty. `nothing_met`: the blade met nothing.
   std::string units_hint(bool nothing_met, const Box& body) const;
@@ -82,7 +85,7 @@ class MotionRun {
     return verdicts_[static_cast<std::size_t>(verdict)];
   }
   std::uint64_t jumps() const { return count(core::PoseVerdict::kNewStroke); }
-  std::string why_nothing_was_cut(const Box& body) const;
+  std::string why_nothing_was_cut() const;
   bool met_the_body() const;
 
   core::CutSession& session_;
@@ -92,9 +95,9 @@ class MotionRun {
   const double h_m_;  // before any cut
   core::Delta delta_;
   std::array<std::uint64_t, core::kPoseVerdicts> verdicts_{};
-  std::uint64_t batches_ = 0;
-  bool engaged_ = false;  // some pose was
-  Box tool_, lines_;      // of the poses' positions; of the blade's lines in all batches
+  std::uint64_t batches_ = 0, left_out_ = 0;  // left_out_: a simulation's steps
+  bool engaged_ = false;                      // some pose was
+  Box tool_, lines_;                          // of the poses' positions; of the blade's lines in all batches
   core::SweptSurface swept_;
   bool crossed_an_edge_ = false;
 };

@@ -133,7 +133,8 @@ void add_convert(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<ConvertCommand>();
   CLI::App* sub = app.add_subcommand("convert", "Turn a motion into a capture of cutting a mesh with it");
   sub->add_option("motion", command->motion, "The motion: TUM, CSV, or a capture")->required();
-  sub->add_option("--mesh", command->mesh, "The mesh; the configuration's if not given");
+  sub->add_option("--mesh", command->mesh,
+                  "The mesh; if not given, the configuration's, or that of the capture");
   sub->add_option("--config", command->config,
                   "A configuration; without one the blade is always engaged, 5 cm long below the tool");
   sub->add_option("--out", command->out, "Where to write the capture")->required();

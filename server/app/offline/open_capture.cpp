@@ -16,17 +16,20 @@ bool mesh_is_there(const std::filesystem::path& path) {
 
 }  // namespace
 
+void warn_if_not_closed(RecordedMotion& motion, const std::string& name) {
+  if (!motion.header || motion.closed || !motion.end_error.empty()) return;
+  motion.warnings.push_back(name +
+                            ": was not closed, since what recorded it was killed or records still; "
+                            "the session may have gone on after its end");
+}
+
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
                         IfDamaged if_damaged, bool fields) {
   Replayable opened;
   opened.motion = read_whole_capture(capture, if_damaged);
   const protocol::CaptureHeader& header = *opened.motion.header;
   opened.config = config_of(header, capture.string());
-  if (!opened.motion.closed && opened.motion.end_error.empty()) {
-    opened.motion.warnings.push_back(capture.string() +
-                                     ": was not closed, since what recorded it was killed or records still; "
-                                     "the session may have gone on after its end");
-  }
+  warn_if_not_closed(opened.motion, capture.string());
   if (!mesh.empty()) {
     opened.config.mesh.phantom.clear();
     opened.config.mesh.path = std::filesystem::absolute(mesh).string();

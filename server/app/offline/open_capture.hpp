@@ -15,6 +15,10 @@ struct Replayable {
   Body body;
 };
 
+// Adds a warning to a capture that ends well, but without its end mark. Of one that is torn or damaged the reader has warned. `name`:
+// the capture in messages.
+void warn_if_not_closed(RecordedMotion& motion, const std::string& name);
+
 // Reads a capture, and the mesh that it was recorded with: `mesh`, or where the capture says, or beside it. Throws std::runtime_error, also
 // where that is another mesh. `fields`: with the mesh's fields.
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,

@@ -144,18 +144,22 @@ int run_export(const ExportCommand& command) {
                              ", which is where " + command.capture.string() + " ends");
   }
   write_cut_mesh(command.out, session, opened.body.loaded.surface.get(), &regions);
-  print_warnings(opened.motion.warnings);
+  std::vector<std::string> warnings = opened.motion.warnings;
+  const std::vector<std::string>& of_fields = opened.body.loaded.warnings;
   if (keeps_fields(command.out)) {
-    print_warnings(opened.body.loaded.warnings);
+    warnings.insert(warnings.end(), of_fields.begin(), of_fields.end());
   } else if (session.mesh().deformed()) {
-    print_warnings({command.out.string() + ": has the body as a simulation has deformed it, not where it was "
-                                           "at rest; .vtu and .vtk have both"});
+    warnings.push_back(command.out.string() +
+                       ": has the body as a simulation has deformed it, not where it was at rest; .vtu and "
+                       ".vtk have both");
   }
+  print_warnings(warnings);
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},
                              {"revision", session.revision()},
                              {"tets", session.mesh().live_tets()},
-                             {"state_hash", hex(session.mesh().state_hash())}}
+                             {"state_hash", hex(session.mesh().state_hash())},
+                             {"warnings", warnings}}
                             .dump(2)
                             .c_str());
     return 0;
@@ -195,6 +199,7 @@ loop::JournalRecord record_of(const MotionEvent& event, const Config& config) {
 
 struct Conversion {
   std::vector<std::string> warnings;
+  std::optional<bool> closed;  // of a capture: whether it was
   std::size_t poses = 0;
   std::uint64_t batches = 0, state_hash = 0;
 };
@@ -244,6 +249,7 @@ void write_capture(const std::filesystem::path& out, const protocol::CaptureHead
 
 Conversion convert(const ConvertCommand& command, const Output& out, Progress& progress) {
   RecordedMotion motion = read_recorded_motion(command.motion, command.times, command.if_damaged);
+  warn_if_not_closed(motion, command.motion.string());
   Config config = convert_config(command, motion);
   if (!config.mesh.path.empty()) require_not_read(out, {config.resolve(config.mesh.path)});
   progress.stage("loading the mesh");
@@ -262,14 +268,17 @@ Conversion convert(const ConvertCommand& command, const Output& out, Progress& p
   header.config_json = compact(config);
   core::CutSession session(body.loaded.mesh, config.cut);
   MotionRun run(session, motion, config, command.motion.string());
+  // A simulation's positions name vertices of the mesh that they were recorded with.
+  const bool deformations = motion.header && motion.header->mesh_content_hash == header.mesh_content_hash;
   progress.stage("converting");
   try {
-    write_capture(command.out, header, config, run, command.mesh.empty(), progress);
+    write_capture(command.out, header, config, run, deformations, progress);
   } catch (const std::system_error& error) {
     throw std::runtime_error(command.out.string() + ": cannot be written: " + error.code().message());
   }
 
-  Conversion done{motion.warnings, motion.poses(), session.revision(), session.mesh().state_hash()};
+  Conversion done{motion.warnings, {}, motion.poses(), session.revision(), session.mesh().state_hash()};
+  if (motion.header) done.closed = motion.closed;
   for (std::string& warning : run.warnings(core::measure(session.mesh()).cut_faces, box))
     done.warnings.push_back(std::move(warning));
   if (!raised.empty()) {
@@ -293,15 +302,16 @@ int run_convert(const ConvertCommand& command) {
   }();
   print_warnings(done.warnings);
   if (command.json) {
-    std::printf("%s\n", Json{{"out", command.out.string()},
-                             {"poses", done.poses},
-                             {"batches", done.batches},
-                             {"state_hash", hex(done.state_hash)},
-                             {"warnings", done.warnings}}
-                            .dump(2)
-                            .c_str());
+    Json result{{"out", command.out.string()},
+                {"poses", done.poses},
+                {"batches", done.batches},
+                {"state_hash", hex(done.state_hash)}};
+    if (done.closed) result["closed"] = *done.closed;
+    result["warnings"] = done.warnings;
+    std::printf("%s\n", result.dump(2).c_str());
     return 0;
   }
+  if (done.closed == false) print_row("closed", "no: the session may have gone on after this");
   print_row("poses", std::to_string(done.poses));
   print_row("batches", std::to_string(done.batches));
   print_row("state hash", hex(done.state_hash));

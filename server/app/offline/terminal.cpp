@@ -71,9 +71,9 @@ void print_row(std::string_view name, const std::string& value) {
   std::printf("%-22.*s %s\n", static_cast<int>(name.size()), name.data(), value.c_str());
 }
 
-std::string short_number(double number) {
+std::string short_number(double number, int digits) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.4g", number);
+  std::snprintf(text, sizeof text, "%.*g", digits, number);
   return text;
 }
 

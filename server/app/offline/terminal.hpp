@@ -50,7 +50,7 @@ void print_warnings(const std::vector<std::string>& warnings);
 void print_row(std::string_view name, const std::string& value);
 
 // A number in few digits: "12.3", "0.00042".
-std::string short_number(double number);
+std::string short_number(double number, int digits = 4);
 // A duration in a suitable unit: "840 us", "13.8 ms", "2.1 s".
 std::string short_duration(double us);
 // "1 pose", "2 poses".

@@ -71,7 +71,8 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
                    recorder.commit(use.core(), delta);
                  }},
             progress);
-    cut.warnings = run.warnings(cut_faces, body);
+    cut.warnings = events.warnings;
+    for (std::string& warning : run.warnings(cut_faces, body)) cut.warnings.push_back(std::move(warning));
   }
   recorder.finish(cut);
   return cut;

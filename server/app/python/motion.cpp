@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "server/app/offline/open_capture.hpp"
 #include "server/app/python/arrays.hpp"
 #include "server/app/python/module.hpp"
 
@@ -125,8 +126,10 @@ Motion from_lines(const py::object& given, const py::object& given_t, const std:
 
 Motion load(const std::filesystem::path& path, bool strict) {
   const py::gil_scoped_release release;
-  return {path.string(), std::make_shared<const RecordedMotion>(app::read_recorded_motion(
-                             path, strict ? protocol::Times::kRefuse : protocol::Times::kSkip))};
+  auto motion = std::make_shared<RecordedMotion>(
+      app::read_recorded_motion(path, strict ? protocol::Times::kRefuse : protocol::Times::kSkip));
+  app::warn_if_not_closed(*motion, path.string());
+  return {path.string(), std::move(motion)};
 }
 
 template <class T, class Read>
