@@ -4,7 +4,7 @@
 
 namespace incise::net {
 
-std::runtime_error cannot_listen(const std::string& key, const std::string& address, int port,
+std::runtime_error cannot_listen(const std::string& key, const std::string& address, std::int64_t port,
                                  const boost::system::error_code& error) {
   std::string text =
       key + ": cannot listen on " + address + ":" + std::to_string(port) + ": " + error.message();

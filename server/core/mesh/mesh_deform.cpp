@@ -54,8 +54,7 @@ void TetMesh::deform(std::vector<VertexId>& moved, std::vector<Vec3>& positions,
 
 // The rest position of the material at a place in the star of v: with the same barycentric coordinates in the same
 // tetrahedron. Of a place a little outside, beyond the tetrahedron that it is least far out of.
-Vec3 TetMesh::rest_at(VertexId v, const Vec3& position) const {
-  star(v, star_scratch_);
+Vec3 TetMesh::material_at(VertexId v, const Vec3& position) const {
   Vec3 rest = rest_[v];
   double best = -INFINITY;
   for (const Corner corner : star_scratch_) {
@@ -79,6 +78,37 @@ Vec3 TetMesh::rest_at(VertexId v, const Vec3& position) const {
     if (least >= 0) break;
   }
   return rest;
+}
+
+// Where the vertex is at rest once it is at this position. What is linear in each tetrahedron, and another map in the next one, may turn a thin one inside
+// out: then it goes a part of that way.
+Vec3 TetMesh::rest_at(VertexId v, const Vec3& position) const {
+  constexpr double kParts[] = {1, 0.75, 0.5, 0.25};
+  star(v, star_scratch_);
+  const Vec3 material = material_at(v, position);
+  for (const double part : kParts) {
+    const Vec3 rest = lerp(rest_[v], material, part);
+    if (stays_valid_at_rest(v, position, rest)) return rest;
+  }
+  return rest_[v];
+}
+
+// Of the star in star_scratch_. What is flat where it is now says nothing: it is about to be taken out.
+bool TetMesh::stays_valid_at_rest(VertexId v, const Vec3& position, const Vec3& rest) const {
+  constexpr double kFlat = 1e-3;
+  return std::ranges::all_of(star_scratch_, [&](Corner corner) {
+    const TetId t = tet_of(corner);
+    Vec3 now[4], then[4];
+    for (std::size_t i = 0; i < 4; ++i) {
+      const VertexId w = tets_[t].vertices[i];
+      now[i] = w == v ? position : vertices_[w].position;
+      then[i] = w == v ? rest : rest_[w];
+    }
+    const double before = volume(t), after = signed_volume(now[0], now[1], now[2], now[3]);
+    if (after <= kFlat * before) return true;
+    return signed_volume(then[0], then[1], then[2], then[3]) * before >=
+           kLeastAtRest * rest_volume(tets_[t].vertices) * after;
+  });
 }
 
 }  // namespace incise::core

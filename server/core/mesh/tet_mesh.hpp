@@ -201,7 +201,8 @@ class TetMesh {
   // A tetrahedron that has both; kNone where the two are not joined by an edge. O(star of a).
   TetId find_edge(VertexId a, VertexId b) const;
 
-  // A vertex slides to another place of the body: it stands for the material that is there.
+  // A vertex slides to another place of the body: it stands for the material that is there. Once deformed, for what is between there and where it was, as far
+  // as no tetrahedron turns inside out at rest.
   void move_vertex(VertexId v, const Vec3& position);
   // Puts a vertex on the edge (a, b) of tetrahedron `from`, at a + t (b - a), and splits all tetrahedra around it in
   // two: the half at a keeps its id. Returns the vertex.
@@ -242,6 +243,12 @@ class TetMesh {
   // is in the body at rest. Until then that is its position.
   bool deformed() const { return !rest_.empty(); }
   const Vec3& rest_position(VertexId v) const { return deformed() ? rest_[v] : vertices_[v].position; }
+  // Of a tetrahedron with these vertices at rest, m^3.
+  double rest_volume(const std::array<VertexId, 4>& v) const {
+    return signed_volume(rest_position(v[0]), rest_position(v[1]), rest_position(v[2]), rest_position(v[3]));
+  }
+  // What an edit leaves a tetrahedron at least of the ratio of its volumes, at rest and where it is now.
+  static constexpr double kLeastAtRest = 0.1;
   // The state hash after the last commit.
   std::uint64_t state_hash() const { return log_.state_hash(); }
   // The same from scratch; O(mesh). For tests and load.
@@ -319,6 +326,8 @@ class TetMesh {
   bool may_part(const Noted::Star& star) const;
   void split_noted_stars();
   // mesh_deform.cpp
+  Vec3 material_at(VertexId v, const Vec3& position) const;
+  bool stays_valid_at_rest(VertexId v, const Vec3& position, const Vec3& rest) const;
   Vec3 rest_at(VertexId v, const Vec3& position) const;
   // tet_mesh.cpp
   void component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const;

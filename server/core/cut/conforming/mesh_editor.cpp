@@ -136,6 +136,7 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
 std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
                                            std::span<const std::array<VertexId, 4>> added) {
   cut_.work += cost::kReplace;
+  if (mesh_.deformed() && !keeps_rest(removed, added)) return {};
   if (!mesh_.replace(removed, added, new_tets_)) return {};
   cut_.workspace.grow(mesh_);
   for (TetId t : new_tets_) {
@@ -145,6 +146,21 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
   }
   ++cut_.counts.repairs;
   return new_tets_;
+}
+
+// Whether no tetrahedron would be inside out at rest, or next to it, in a body that is deformed now.
+bool MeshEditor::keeps_rest(std::span<const TetId> removed,
+                            std::span<const std::array<VertexId, 4>> added) const {
+  double now = 0, at_rest = 0;
+  for (TetId t : removed) {
+    now += mesh_.volume(t);
+    at_rest += mesh_.rest_volume(mesh_.vertices(t));
+  }
+  return std::ranges::all_of(added, [&](const std::array<VertexId, 4>& v) {
+    const double volume =
+        signed_volume(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
+    return mesh_.rest_volume(v) * now >= TetMesh::kLeastAtRest * volume * at_rest;
+  });
 }
 
 // Whether a film hangs together with the rest by tetrahedra that a snap would leave too flat to be kept.

@@ -87,6 +87,7 @@ class MeshEditor {
   void fail(VertexId v);
 
  private:
+  bool keeps_rest(std::span<const TetId> removed, std::span<const std::array<VertexId, 4>> added) const;
   // What verification found to be clear is looked at again only where it has changed since.
   void look_again(TetId t) { cut_.workspace.tets[t].pass = 0; }
   void enter(TetId t) {

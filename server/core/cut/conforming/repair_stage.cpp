@@ -238,6 +238,10 @@ bool RepairStage::try_collapse(const VertexStar& star, TetId t, VertexId v, Vert
     if (others[0] == w || others[1] == w || others[2] == w) continue;
     cut_.work += cost::kLook;
     if (worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)) > kGood) return false;
+    if (mesh_.deformed() &&
+        !(mesh_.rest_volume({w, others[0], others[1], others[2]}) >=
+          TetMesh::kLeastAtRest * mesh_.rest_volume(mesh_.vertices(star.corners()[i].tet))))
+      return false;
   }
   if (crosses_after(star, v, w)) return false;
   cut_.work += cost::kTryCollapse;
