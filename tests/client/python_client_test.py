@@ -468,7 +468,8 @@ class Session(unittest.TestCase):
         self.assertEqual(len(self.sent(Body.Body.Positions, Positions.Positions)), 2)
 
     def test_a_closed_client_says_so(self):
-        port = self.serve((VECTORS / "streams" / "volume.bin").read_bytes())
+        stream = (VECTORS / "streams" / "volume.bin").read_bytes()
+        port = self.serve(stream[:4 + len(next(split(stream)))])  # the Welcome alone: what is left unread would reset the connection, and the Bye with it
         with incise_client.connect("127.0.0.1", port) as client:
             client.close()
             client.close()
