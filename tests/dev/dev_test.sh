@@ -248,8 +248,9 @@ for motion_s in 60 0; do
 done
 MOTION_ENDS_SERVER=1 CLOSE_S=1 "$work/dev" demo > "$work/demo.out" 2>&1 &
 expect_named_end 0 'after the motion'
-# Without a motion it only waits.
+# Without a motion it only waits. Not the last demo's output: it would be taken for this one's.
 : > "$CALLS"
+: > "$work/demo.out"
 "$work/dev" demo --still > "$work/demo.out" 2>&1 &
 for ((tick = 0; tick < 200; tick++)); do
   if grep -q "http://127.0.0.1:$http_port/" "$work/demo.out"; then break; fi
