@@ -15,6 +15,7 @@
 #include <thread>
 
 #include "client/cli/commands.hpp"
+#include "client/cli/output_file.hpp"
 
 namespace incise::client {
 namespace {
@@ -27,21 +28,6 @@ double percentile(std::vector<double>& values, double p) {
   std::sort(values.begin(), values.end());
   const auto rank = static_cast<std::size_t>(std::ceil(p / 100 * static_cast<double>(values.size())));
   return values[std::max<std::size_t>(rank, 1) - 1];
-}
-
-// Before the work whose result goes there, which may be hours. Throws std::runtime_error if `path` cannot become a file.
-void require_savable(const std::filesystem::path& path) {
-  if (path.empty()) return;
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const std::string name = "--save " + path.string();
-  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
-  if (!fs::is_directory(parent, error)) {
-    throw std::runtime_error(name + ": the directory " + parent.string() +
-                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
-  }
-  if (!path.has_filename() || fs::is_directory(path, error))
-    throw std::runtime_error(name + ": is a directory; accepted is a file's name");
 }
 
 double area_of(const protocol::Vec3& a, const protocol::Vec3& b, const protocol::Vec3& c) {
@@ -97,7 +83,7 @@ class Watcher {
   explicit Watcher(const WatchCommand& command) : command_(command) {}
 
   int run() {
-    require_savable(command_.save);
+    if (!command_.save.empty()) require_can_be_file("--save", command_.save);
     interrupted();
     Address where;
     Options options = command_.server.options(where);

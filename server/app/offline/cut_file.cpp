@@ -7,6 +7,7 @@
 #include <span>
 #include <system_error>
 
+#include "client/cli/output_file.hpp"
 #include "client/cli/usage.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/core/geometry/quality.hpp"
@@ -70,17 +71,10 @@ void require_apart(const Output& out, const std::vector<fs::path>& files, const 
 
 // Throws if `path`, of this output, cannot become what it is to be.
 void require_writable(const Output& out, const fs::path& path) {
+  client::require_can_be_file(out.option, path);
   std::error_code error;
-  const std::string name = out.option + " " + path.string();
-  const fs::path parent = path.has_parent_path() ? path.parent_path() : ".";
-  if (!fs::is_directory(parent, error)) {
-    throw std::runtime_error(name + ": the directory " + parent.string() +
-                             " does not exist; make it first (mkdir -p " + parent.string() + ")");
-  }
-  if (!path.has_filename() || fs::is_directory(path, error))
-    throw std::runtime_error(name + ": is a directory; accepted is a file's name");
   if (out.kind != Output::Kind::kText && fs::exists(path, error) && !fs::is_regular_file(path, error)) {
-    throw std::runtime_error(name +
+    throw std::runtime_error(out.option + " " + path.string() +
                              ": is a device or a pipe; accepted is the name of a new file, or of a regular "
                              "one, which is replaced");
   }
