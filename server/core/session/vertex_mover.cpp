@@ -13,10 +13,12 @@
 namespace incise::core {
 namespace {
 
-// Six times the volume below which a tetrahedron is flat, in cubes of the local edge length. A regular one has 0.7.
+// Six times the volume below which a tetrahedron is flat, in cubes of the local edge length, or of its own longest edge if that is shorter. A regular one
+// has 0.7.
 constexpr double kThinnest = 1e-3;
-// A flat one that keeps this much of its volume gets no thinner: it turns with the body, and the rest is rounding.
-constexpr double kAsThick = 1 - 1e-6;
+// One that is flat already, as cuts leave some, may lose this part of its volume in a step: it is strained with the body around it, and all of that would be
+// held back with it.
+constexpr double kLoses = 0.5;
 // A tetrahedron that would be thick enough where edges are this many times the mean length is thick enough anywhere: then the
 // local length is not looked up.
 constexpr double kLocallyAtMost = 4;
@@ -304,12 +306,17 @@ void VertexMover::check_tet(const std::array<VertexId, 4>& v) {
   const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
   const double then = six_volumes(a, b, c, d);
   if (then >= surely_thick_) return;
-  // Thicker than before is good enough; the local length takes a walk around the vertex.
   const double now =
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-  if (then >= kAsThick * now && orient3d(a, b, c, d) > 0) return;
-  const double h = mesh_.local_h(v[0]);
-  if (then >= kThinnest * h * h * h) return;
+  const bool is_valid = orient3d(a, b, c, d) > 0;
+  if (then >= now && is_valid) return;
+  // Small ones beside cuts are not flat by being small. The local length takes a walk around the vertex.
+  const double longest_m =
+      std::sqrt(std::max({squared_length(b - a), squared_length(c - a), squared_length(d - a),
+                          squared_length(c - b), squared_length(d - b), squared_length(d - c)}));
+  const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
+  if (then >= flat && is_valid) return;
+  if (now < flat && then >= (1 - kLoses) * now && is_valid) return;
   for (const VertexId w : v) {
     if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == pass_.serial()) continue;
     gives_way_[w] = pass_.serial();

@@ -19,8 +19,8 @@ namespace incise::core {
 //   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
 //            present state), nor those at a blade: the cut under way relies on the places it has given them, so
 //            the tissue clings to the blade until it has passed.
-//   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, unless they were before and
-//            get no thinner). Their vertices go half the way, or stay if that is still too far; this repeats until no
+//   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, or of their longest edge's cube; what is flat already may
+//            lose half). Their vertices go half the way, or stay if that is still too far; this repeats until no
 //            tetrahedron is wrong. Each vertex is held back at most twice, so this ends.
 //   settle   the change of the state hash; then the boundary grid follows (GridFollower). Both are noted as vertices are taken, and
 //            corrected for those that give way.

@@ -178,6 +178,21 @@ TEST(VertexMover, TetrahedraNeverGetFlat) {
   }
 }
 
+// What is flat already is strained with the body around it, unless it loses more than half.
+TEST(VertexMover, WhatIsFlatHoldsNothingBack) {
+  const VertexId v = (4 * 9 + 4) * 9 + 4;
+  for (const double part : {0.8, 0.4}) {
+    MeshData mesh = testing::box(8, 8, 8, kCell);
+    mesh.positions[v].x += 0.9999 * kCell;
+    CutSession session(mesh, config());
+    const Delta delta = deform(session, all(session, [&](VertexId, const Vec3& p) {
+                                 return Vec3{part * p.x, p.y, p.z};
+                               }));
+    EXPECT_EQ(delta.deformation.held.empty(), part > 0.5) << part;
+    EXPECT_EQ(validate(session.mesh()), "");
+  }
+}
+
 // ---- Among cuts
 
 // A motion of the whole body that bends and sways it, up to a third of an edge a step.
