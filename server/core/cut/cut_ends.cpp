@@ -36,6 +36,7 @@ void remember_cut_ends(const TetMesh& mesh, SweptMemory& swept) {
                0,
                0,
                true,
+               0,
                {{{}, {1, 1}}}});
   }
 }

@@ -10,7 +10,7 @@ namespace {
 
 // A vertex this near to what was swept was put there.
 constexpr double kPut_h = 0.02;
-constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kVersion = 2;
 constexpr std::uint32_t kMostStrokes = 1U << 31;
 
 std::uint64_t fingerprint(const MeshData& mesh) {

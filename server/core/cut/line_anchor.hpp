@@ -17,10 +17,14 @@ struct LineAnchor {
   struct Point {
     float part = 0;
     std::array<VertexId, kVertices> near{kNone, kNone, kNone, kNone};  // the nearest first; fewer: kNone
+
+    friend bool operator==(const Point&, const Point&) = default;
   };
   std::array<Point, 2> points;
   // How far these vertices have gone apart since, over all steps, m.
   double strain_m = 0;
+
+  friend bool operator==(const LineAnchor&, const LineAnchor&) = default;
 
   bool is_set() const { return points[0].near[0] != kNone; }
   // Whether all of its vertices are among the first `vertices`.

@@ -32,6 +32,7 @@ class RigidMotion {
       from_middle_ += (1 / static_cast<double>(count_)) * from_[i];
       to_middle_ += (1 / static_cast<double>(count_)) * to_[i];
     }
+    turn_roughly();
     // Each time by the turn that is best while it is small.
     for (int i = 0; i < kTurns; ++i) turn();
   }
@@ -41,7 +42,50 @@ class RigidMotion {
   static constexpr int kTurns = 3;
   // Points in a line say nothing about a turn around that: then there is none.
   static constexpr double kStiff = 1e-6;
+  // Of how far they lie from their middle: farther from a line than this.
+  static constexpr double kInLine = 1e-3;
 
+  // By any angle: the turn that takes the farthest point's direction along, and then the one around it that takes along the plane of the point that is
+  // farthest beside it. A body that is laid on its other side in one step turns by more than steps of small turns find.
+  void turn_roughly() {
+    const auto from = [this](std::size_t i) { return from_[i] - from_middle_; };
+    const auto to = [this](std::size_t i) { return to_[i] - to_middle_; };
+    std::size_t far = 0;
+    for (std::size_t i = 1; i < count_; ++i) {
+      if (squared_length(from(i)) > squared_length(from(far))) far = i;
+    }
+    const double far_m = length(from(far));
+    if (far_m == 0 || squared_length(to(far)) == 0) return;
+    const Vec3 axis = normalized(to(far));
+    rotation_ = turn_between(normalized(from(far)), axis);
+    const auto beside = [&](const Vec3& p) { return p - dot(p, axis) * axis; };
+    const auto turned_beside = [&](std::size_t i) { return beside(rotate(rotation_, from(i))); };
+    std::size_t side = 0;
+    for (std::size_t i = 1; i < count_; ++i) {
+      if (squared_length(turned_beside(i)) > squared_length(turned_beside(side))) side = i;
+    }
+    const Vec3 before = turned_beside(side), after = beside(to(side));
+    if (std::min(length(before), length(after)) <= kInLine * far_m) return;
+    rotation_ = product(turn_between(normalized(before), normalized(after), axis), rotation_);
+  }
+  // The smallest turn from one direction to another; where they are opposite, around `axis`, or any.
+  static Quat turn_between(const Vec3& from, const Vec3& to, const Vec3& axis = {}) {
+    const Vec3 half = from + to;
+    if (squared_length(half) > kInLine * kInLine) {
+      const Vec3 amid = normalized(half), u = cross(from, amid);
+      return {dot(from, amid), u.x, u.y, u.z};
+    }
+    const Vec3 across =
+        squared_length(axis) > 0 ? axis : cross(from, std::abs(from.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
+    const Vec3 u = normalized(across);
+    return {0, u.x, u.y, u.z};
+  }
+  // b, and then a.
+  static Quat product(const Quat& a, const Quat& b) {
+    const Vec3 u{a.x, a.y, a.z}, v{b.x, b.y, b.z};
+    const Vec3 w = a.w * v + b.w * u + cross(u, v);
+    return {a.w * b.w - dot(u, v), w.x, w.y, w.z};
+  }
   void turn() {
     Vec3 columns[3] = {}, sum{};
     for (std::size_t i = 0; i < count_; ++i) {
@@ -61,10 +105,9 @@ class RigidMotion {
     const Vec3 half =
         (0.5 / det) * Vec3{dot(sum, cross(columns[1], columns[2])), dot(sum, cross(columns[2], columns[0])),
                            dot(sum, cross(columns[0], columns[1]))};
-    const Quat& q = rotation_;
-    const Vec3 u{q.x, q.y, q.z}, v = q.w * half + u + cross(half, u);
-    const double w = q.w - dot(half, u), length = std::sqrt(w * w + squared_length(v));
-    rotation_ = {w / length, v.x / length, v.y / length, v.z / length};
+    const Quat q = product({1, half.x, half.y, half.z}, rotation_);
+    const double length = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
+    rotation_ = {q.w / length, q.x / length, q.y / length, q.z / length};
   }
 
   std::array<Vec3, 2 * LineAnchor::kVertices> from_, to_;
@@ -163,8 +206,20 @@ void SweptFollower::note() {
 
 void SweptFollower::follow() {
   const Vec3* before = before_.data();
+  BladeLine last_line, last_moved;
+  LineAnchor last_anchor, last_moved_anchor;
   each_line([&](BladeLine& line, LineAnchor& anchor) {
-    move(line, anchor, before);
+    // Quads that follow each other share a line.
+    if (before == before_.data() || line != last_line || anchor != last_anchor) {
+      last_line = line;
+      last_anchor = anchor;
+      move(line, anchor, before);
+      last_moved = line;
+      last_moved_anchor = anchor;
+    } else {
+      line = last_moved;
+      anchor = last_moved_anchor;
+    }
     before += 2 * LineAnchor::kVertices;
   });
   // Where a cut gapes, what was swept is on neither of its sides.

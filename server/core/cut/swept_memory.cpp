@@ -3,29 +3,88 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <limits>
 
 #include "server/core/stroke/swept_triangle.hpp"
 
 namespace incise::core {
 
+namespace {
+
+// A quad goes on as far as this many chords, while it stays this near, in chords, to what was swept.
+constexpr double kMostChords = 5, kOffChords = 0.1;
+constexpr double kDoesNotGoOn_m = std::numeric_limits<double>::infinity();
+
+// How far a line that a blade came by is beside the quad from one line to another.
+double off_m(const BladeLine& line, const SweptMemory::Quad& quad) {
+  const auto to_triangles = [&](const Vec3& p) {
+    double least_m2 = std::numeric_limits<double>::infinity();
+    for (const auto& [a, b, c] : quad.triangles())
+      least_m2 = std::min(least_m2, squared_length(closest_point(p, a, b, c) - p));
+    return least_m2;
+  };
+  // Its ends lie beside the rims: the quad is no wider than what was swept, either.
+  return std::sqrt(std::max({squared_distance_to_segment(line.heel, quad.from.heel, quad.to.heel),
+                             squared_distance_to_segment(line.tip, quad.from.tip, quad.to.tip),
+                             to_triangles(lerp(line.heel, line.tip, 0.5))}));
+}
+
+}  // namespace
+
 void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
                       const Box& box) {
   for_each_chord(lines, chord_m, [&](const BladeLine& from, const BladeLine& to, double chord_travel_m) {
     Quad quad{from, to, stroke, travel_m, true};
-    for (End end : {kHeel, kTip}) {
-      const double way_m =
-          end == kTip ? distance(quad.from.tip, quad.to.tip) : distance(quad.from.heel, quad.to.heel);
-      Rim& rim = quad.rims[end];
-      rim.parts =
-          static_cast<std::uint8_t>(std::clamp(std::ceil(way_m / chord_m), 1.0, double{Rim::kMaxParts}));
-      for (std::uint32_t k = 0; k < rim.parts; ++k) {
-        const auto [a, b] = quad.part(end, k);
-        if (Box::around({a, b}).meets(box)) rim.free |= std::uint64_t{1} << k;
-      }
-    }
-    if (quad.box().meets(box)) add(quad);
     travel_m += chord_travel_m;
+    if (!quad.box().meets(box)) return;
+    const std::size_t before = newest_that_ends_at(from, stroke);
+    if (before != quads_.size() && go_on(quads_[before], to, chord_m)) {
+      list_rims(quads_[before], chord_m, box);
+      enclose(before / kBlock);
+      return;
+    }
+    list_rims(quad, chord_m, box);
+    add(quad);
   });
+}
+
+// Of the last ones the one that a stroke has swept up to this line; quads_.size(): none.
+std::size_t SweptMemory::newest_that_ends_at(const BladeLine& line, std::uint32_t stroke) const {
+  const std::size_t size = quads_.size();
+  for (std::size_t back = 1; back <= std::min(kBlock, size); ++back) {
+    const std::size_t i = (oldest_ + size - back) % size;
+    if (quads_[i].stroke == stroke && quads_[i].has_rims && quads_[i].to == line) return i;
+  }
+  return size;
+}
+
+// Whether a quad stands for what is swept from its last line to this one as well: then it goes on to there. By how far it is beside what was swept adds up over
+// all lines that it has gone over; on a circle that is twice as much as it is.
+bool SweptMemory::go_on(Quad& quad, const BladeLine& to, double chord_m) {
+  if (travel(quad.from, to) > kMostChords * chord_m) return false;
+  Quad longer = quad;
+  longer.to = to;
+  longer.off_m += off_m(quad.to, longer);
+  if (!(longer.off_m <= kOffChords * chord_m)) return false;
+  longer.anchors[1] = {};
+  quad = longer;
+  return true;
+}
+
+// All parts of its rims that are near the tissue, in this box, are free.
+void SweptMemory::list_rims(Quad& quad, double chord_m, const Box& box) {
+  for (End end : {kHeel, kTip}) {
+    const double way_m =
+        end == kTip ? distance(quad.from.tip, quad.to.tip) : distance(quad.from.heel, quad.to.heel);
+    Rim& rim = quad.rims[end];
+    rim.parts =
+        static_cast<std::uint8_t>(std::clamp(std::ceil(way_m / chord_m), 1.0, double{Rim::kMaxParts}));
+    rim.free = 0;
+    for (std::uint32_t k = 0; k < rim.parts; ++k) {
+      const auto [a, b] = quad.part(end, k);
+      if (Box::around({a, b}).meets(box)) rim.free |= std::uint64_t{1} << k;
+    }
+  }
 }
 
 void SweptMemory::add(const Quad& quad) {
@@ -99,6 +158,7 @@ std::uint32_t SweptMemory::stroke_at(const Vec3& p, double reach_m, std::size_t&
 
 void SweptMemory::take(std::size_t quad, End end, std::uint32_t part) {
   quads_[quad].rims[end].free &= ~(std::uint64_t{1} << part);
+  quads_[quad].off_m = kDoesNotGoOn_m;
 }
 
 void SweptMemory::archive(Archive& io) {
@@ -113,6 +173,8 @@ void SweptMemory::archive(Archive& io) {
     io(quad.stroke);
     io(quad.travel_m);
     io(quad.has_rims);
+    io(quad.off_m);
+    io.demand(quad.off_m >= 0, "a quad that is nearer to what was swept than at it");
     archive_anchors(io, quad.anchors);
     for (Rim& rim : quad.rims) {
       io(rim.parts);

@@ -16,7 +16,8 @@
 namespace incise::core {
 
 // The newest of what all blades have swept in a body, as quads between two lines, which go with the tissue as it moves (SweptFollower): what a later stroke parts may hang together where an
-// older one has been, and the surface of that one is gone. Some hundred h of a blade's way.
+// older one has been, and the surface of that one is gone. Some thousand h of a
+// blade's way where it is straight.
 class SweptMemory {
  public:
   // The way of the heel or the tip between two lines, in parts of equal length.
@@ -29,8 +30,9 @@ class SweptMemory {
   struct Quad {
     BladeLine from, to;
     std::uint32_t stroke = 0;
-    double travel_m = 0;        // of the blade in that stroke, before
-    bool has_rims = false;      // the heel's and the tip's ways; else it leads from a sweep to a wall
+    double travel_m = 0;    // of the blade in that stroke, before
+    bool has_rims = false;  // the heel's and the tip's ways; else it leads from a sweep to a wall
+    double off_m = 0;       // how far it may be beside what was swept; infinity: it does not go on any more
     std::array<Rim, 2> rims{};  // the heel's and the tip's
     std::array<LineAnchor, 2> anchors{};
 
@@ -79,7 +81,8 @@ class SweptMemory {
   // A part of a rim is taken up; it may be one that is not free.
   void take(std::size_t quad, End end, std::uint32_t part);
   // What a blade has swept from the first of these lines to the last in a box, that of the tissue, by chords no shorter than
-  // `chord_m`, but for the last one; the parts of rims are as long, or longer where there would be more than Rim::kMaxParts.
+  // `chord_m`, but for the last one; the parts of rims are as long, or longer where there would be more than Rim::kMaxParts. Where the way is straight, a
+  // quad goes on: short batches and long cuts would else soon fill the memory.
   void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
            const Box& box);
   void add(const Quad& quad);
@@ -114,7 +117,7 @@ class SweptMemory {
   void archive(Archive& io);
 
  private:
-  static constexpr std::size_t kMost = 2048, kBlock = 16;
+  static constexpr std::size_t kMost = 4096, kBlock = 16;
 
   struct Block {
     Box all;                       // around kBlock quads
@@ -122,6 +125,9 @@ class SweptMemory {
   };
 
   void enclose(std::size_t block);
+  std::size_t newest_that_ends_at(const BladeLine& line, std::uint32_t stroke) const;
+  static bool go_on(Quad& quad, const BladeLine& to, double chord_m);
+  static void list_rims(Quad& quad, double chord_m, const Box& box);
 
   std::vector<Quad> quads_;
   std::vector<Block> blocks_;

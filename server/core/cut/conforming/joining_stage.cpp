@@ -178,7 +178,7 @@ void JoiningStage::extend(const Vec3& a, const Vec3& b, const Vec3& direction, d
   if (by_m < kLeastJoin * beyond_m) return;
   const Vec3 by = by_m * direction;
   cut_.path.add_strip(a, b, b + by, a + by, true);
-  cut_.workspace.swept.add({{a, b}, {a + by, b + by}, cut_.stroke, cut_.path.travel_m(), false, {}});
+  cut_.workspace.swept.add({{a, b}, {a + by, b + by}, cut_.stroke, cut_.path.travel_m(), false});
 }
 
 // ------------------------------------------------------------------------------------------------ where sweeps end

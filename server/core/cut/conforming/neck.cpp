@@ -260,7 +260,7 @@ void Neck::block_swept() {
     const Vec3 away = normalized(motion - dot(motion, along) * along);
     list_walls(Box::around({line.heel, line.tip}));
     lead_on(line.heel, line.tip, away, cross(along, away),
-            {line, line, ends[i].stroke, ends[i].travel_m, true, {}});
+            {line, line, ends[i].stroke, ends[i].travel_m, true});
   }
 }
 
