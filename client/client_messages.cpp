@@ -41,7 +41,6 @@ void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
     last_report = {};
     current_status = Status::kConnected;
     error_text.clear();
-    if (reconnecting) ++counts.reconnects;
     started = true;
     changed.notify_all();
   }

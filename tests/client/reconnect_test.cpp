@@ -65,6 +65,24 @@ TEST(Reconnect, AnOperatorTakesItsBladeBackAndForgetsTheLastReport) {
   EXPECT_TRUE(hellos[1].take_over) << "the server may still count the blade as held";
 }
 
+// After a reset or an undo the server welcomes again, on the same connection.
+TEST(Reconnect, AWelcomeOnAConnectionThatGoesOnIsNone) {
+  const stream::Listener listener;
+  std::vector<protocol::Hello> hellos;
+  std::thread server([&] {
+    const auto peer = welcome(listener, hellos);
+    protocol::Welcome again;
+    again.session = 7;
+    peer->send(again);
+    peer->receive_until<protocol::Bye>();
+  });
+  auto client = Client::connect("127.0.0.1", listener.port(), operator_options());
+  EXPECT_TRUE(eventually([&] { return client->welcome().session == 7; }));
+  EXPECT_EQ(client->counters().reconnects, 0u);
+  client.reset();
+  server.join();
+}
+
 // The welcome and the connection's end come at once, before connect() looks: it has been connected, and will be again.
 TEST(Reconnect, AConnectionLostRightAfterTheWelcomeIsMadeAgain) {
   const stream::Listener listener;
