@@ -24,6 +24,7 @@ void PeerReplay::control(const protocol::ReplayControl& control, std::uint64_t s
 }
 
 void PeerReplay::open(const std::string& capture, std::uint64_t sequence) {
+  const bool was_open = player_ != nullptr;
   end();
   const std::uint64_t number = ++number_;
   player_ = context_.providers.library->open(capture, events(number, sequence));
@@ -32,6 +33,7 @@ void PeerReplay::open(const std::string& capture, std::uint64_t sequence) {
                    "there is no capture \"" + capture.substr(0, 256) +
                        "\", or too many are being replayed; GET /captures lists them",
                    sequence);
+  if (was_open) outbox_.send(make_frame(protocol::ReplayState{}));
 }
 
 // The player speaks on its own thread. Its events are handled on this one, unless it has been replaced or stopped by

@@ -216,6 +216,14 @@ TEST_F(CaptureLibraryTest, SaysWhyACaptureIsNotPlayed) {
   // It still serves whole captures, and the live mesh.
   ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
   follow(viewer, 0);
+  // One that is not played in its place ends it, and the viewer is told: the live mesh follows.
+  ask(viewer, ReplayAction::Open, 0, 1, "none.capture");
+  EXPECT_EQ(answer(viewer), ErrorCode::BadRequest);
+  const auto ended = viewer.peer.receive_until<protocol::ReplayState>();
+  ASSERT_TRUE(ended);
+  EXPECT_EQ(std::get<protocol::ReplayState>(ended->message.body).capture, "");
+  ask(viewer, ReplayAction::Open, 0, 1, "sweep.capture");
+  follow(viewer, 0);
 
   protocol::Hello operate = stream::hello(Role::Operator, View::Volume);
   Viewer operating(port(), operate);
