@@ -35,15 +35,27 @@ bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
          a.fields == b.fields && surface(a) == surface(b);
 }
 
-// Of the one that says so, to the server: 0 for a server. What is nested deep is passed over, since reading it takes as deep a stack.
-int hops_of(const std::string& stats) {
+constexpr std::size_t kMaxTrouble = 512;  // characters that are passed on
+const std::string kAt = "at ";            // begins what is passed on: the relay's address follows
+
+// What an upstream that is a relay says of itself.
+struct Above {
+  int hops = 0;  // from it to the server; 0 for a server
+  std::string trouble;
+};
+
+// What is nested deep is passed over, since reading it takes as deep a stack.
+Above above(const std::string& stats) {
   using Json = nlohmann::json;
   const auto shallow = [](int depth, Json::parse_event_t, Json&) { return depth < 3; };
   const Json json = Json::parse(stats, shallow, false);
-  if (!json.is_object() || !json.contains("relay") || !json["relay"].is_object()) return 0;
-  const Json hops = json["relay"].value("hops", Json());
-  if (!hops.is_number_integer()) return 0;
-  return static_cast<int>(std::clamp<std::int64_t>(hops.get<std::int64_t>(), 0, kMaxHops));
+  if (!json.is_object() || !json.contains("relay") || !json["relay"].is_object()) return {};
+  Above found;
+  const Json hops = json["relay"].value("hops", Json()), trouble = json["relay"].value("trouble", Json());
+  if (hops.is_number_integer())
+    found.hops = static_cast<int>(std::clamp<std::int64_t>(hops.get<std::int64_t>(), 0, kMaxHops));
+  if (trouble.is_string()) found.trouble = trouble.get<std::string>().substr(0, kMaxTrouble);
+  return found;
 }
 
 void rethrow(const std::exception_ptr& error) {
@@ -144,9 +156,14 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
 
 // The statistics of a relay say how far the server is from it.
 void Session::on(const protocol::Stats& stats) {
-  const int hops = hops_of(stats.json) + 1;
+  const Above upstream = above(stats.json);
+  const int hops = upstream.hops + 1;
   const bool cycle = hops > kMaxHops;
-  std::string text, before;
+  std::string text, beyond, before, beyond_before;
+  // The first relay that says so is named, however many are in between.
+  if (!cycle && !upstream.trouble.empty())
+    beyond = upstream.trouble.starts_with(kAt) ? upstream.trouble
+                                               : kAt + upstream_->name() + ": " + upstream.trouble;
   if (cycle) {
     text = "relays follow each other in a cycle, or are more than " + std::to_string(kMaxHops) +
            " in a row: give one of them a server as its upstream";
@@ -158,8 +175,13 @@ void Session::on(const protocol::Stats& stats) {
     figures_.round_trip_ms = 1e-6 * static_cast<double>(upstream_->round_trip().count());
     recording_ = stats.recording;
     before = std::exchange(cycle_, text);
-    if (!cycle && !before.empty() && figures_.trouble == before) figures_.trouble.clear();
+    beyond_before = std::exchange(beyond_, beyond);
+    if (!cycle && (figures_.trouble == before || figures_.trouble == beyond_before))
+      figures_.trouble = beyond;
   }
+  if (beyond != beyond_before && !beyond.empty()) spdlog::warn("{}: {}", name_, beyond);
+  if (beyond.empty() && !beyond_before.empty() && !cycle)
+    spdlog::info("{}: {} has no more trouble", name_, upstream_->name());
   if (cycle && before.empty()) spdlog::error("{}: {}: {}", name_, upstream_->name(), text);
   if (!cycle && !before.empty()) spdlog::info("{}: {} leads to a server again", name_, upstream_->name());
   if (cycle) upstream_->leave(text);
@@ -168,6 +190,7 @@ void Session::on(const protocol::Stats& stats) {
 void Session::on_lost(const std::string& why) {
   {
     const std::scoped_lock lock(mutex_);
+    beyond_.clear();
     if (why == cycle_) {  // logged when it was found
       figures_.connected = false;
       figures_.trouble = why;
@@ -296,7 +319,7 @@ void Session::refuse(const protocol::ApplyResult& result) {
 
 void Session::set_trouble(std::string trouble) {
   const std::scoped_lock lock(mutex_);
-  figures_.trouble = trouble.empty() ? cycle_ : std::move(trouble);
+  figures_.trouble = !trouble.empty() ? std::move(trouble) : !cycle_.empty() ? cycle_ : beyond_;
 }
 
 std::optional<Origin> Session::origin() const {

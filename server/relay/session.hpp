@@ -112,7 +112,7 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   asio::awaitable<void> fetch();
   // After a loss: an origin that was started with another configuration may look otherwise.
   asio::awaitable<void> check_look();
-  // "": none but that of a cycle.
+  // "": none but that of a cycle, or what the relay that is followed has.
   void set_trouble(std::string trouble);
   // Where operators and administrators are sent. Nothing in a cycle, which would send them round until no session is left.
   std::optional<Origin> origin() const;
@@ -137,7 +137,8 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
   mutable std::mutex mutex_;                // of all below
   std::shared_ptr<stream::Server> server_;  // changed by the session's thread
   Figures figures_;
-  std::string cycle_;  // the trouble of following a cycle; "": we do not
+  std::string cycle_;   // the trouble of following a cycle; "": we do not
+  std::string beyond_;  // what the relay has that is followed; "": none
   protocol::Recording recording_ = protocol::Recording::Off;
   std::vector<protocol::BladePose> blades_;
   std::vector<std::weak_ptr<OperatorLink>> links_;

@@ -144,13 +144,23 @@ TEST(RelayFaults, AnOriginThatIsAwayForAWhileIsWaitedFor) {
   Wire wire(session.tcp_port());
   RelayProcess relay(place(wire.port()), session.http_port());
   ASSERT_TRUE(relay.start()) << relay.log();
+  RelayProcess far(relay.place(), relay.http_port()), farther(far.place(), far.http_port());
+  ASSERT_TRUE(far.start()) << far.log();
+  farther.follow(far.place(), far.http_port());
+  ASSERT_TRUE(farther.start()) << farther.log();
   Witness viewer(relay.tcp_port());
   EXPECT_EQ(relay.health(), 200);
+  EXPECT_EQ(farther.health(), 200);
   PoseDriver driver(session, 1000, 0.3);
   ASSERT_TRUE(wait_for([&] { return viewer.client().revision() > 20; }));
   wire.cut(true);
   EXPECT_TRUE(wait_for([&] { return relay.health() == 503; }));
   EXPECT_NE(stream::http(relay.http_port(), "/healthz").find("no connection to"), std::string::npos);
+  // Relays behind it are connected, and nothing reaches them either.
+  EXPECT_TRUE(wait_for([&] { return farther.health() == 503; })) << farther.log();
+  EXPECT_NE(stream::http(farther.http_port(), "/healthz").find("at " + relay.place() + ": no connection to"),
+            std::string::npos)
+      << stream::http(farther.http_port(), "/healthz");
   const std::uint64_t then = viewer.client().revision();
   std::this_thread::sleep_for(std::chrono::seconds(3));
   EXPECT_EQ(viewer.client().revision(), then);
@@ -161,6 +171,7 @@ TEST(RelayFaults, AnOriginThatIsAwayForAWhileIsWaitedFor) {
   EXPECT_TRUE(late.client().wait_for_revision(then, 20));
   wire.cut(false);
   EXPECT_TRUE(wait_for([&] { return relay.health() == 200; })) << relay.log();
+  EXPECT_TRUE(wait_for([&] { return farther.health() == 200; })) << farther.log();
   ASSERT_TRUE(driver.settle());
   expect_all_there(session, {&viewer, &late});
   EXPECT_EQ(viewer.client().counters().snapshots, 1u) << "deltas lead on from where it was";
