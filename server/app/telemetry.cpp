@@ -222,13 +222,14 @@ std::string Telemetry::metrics() const {
   one("revision", "gauge", "Committed batches and deformations since the mesh was loaded.",
       static_cast<double>(state.revision));
   one("live_tets", "gauge", "Tetrahedra.", static_cast<double>(state.live_tets));
-  one("strokes_total", "counter", "Strokes begun.", static_cast<double>(state.strokes));
+  one("strokes_total", "counter", "Strokes begun, those that were undone as well.",
+      static_cast<double>(state.strokes));
   one("deformations_total", "counter", "Steps in which a simulation has moved vertices.",
       static_cast<double>(stats_.deformations.load(std::memory_order_relaxed)));
   one("vertices_held_total", "counter", "Vertices that could not move where a simulation wanted them.",
       static_cast<double>(stats_.vertices_held.load(std::memory_order_relaxed)));
-  one("cut_faces_total", "counter", "Faces opened.", static_cast<double>(state.cut_faces));
-  one("cut_area_square_metres_total", "counter", "Area of the faces opened, one side.", state.cut_area_m2);
+  one("cut_faces", "gauge", "Cut faces of the body, as they opened.", static_cast<double>(state.cut_faces));
+  one("cut_area_square_metres", "gauge", "Their area, one side.", state.cut_area_m2);
   one("sources", "gauge", "Pose sources that are open.", sources_.open_count());
   one("frames_total", "counter", "Frames of the loop.", static_cast<double>(state.frames));
   one("frames_skipped_total", "counter",

@@ -339,7 +339,6 @@ void FrameLoop::go_back(Undone undone) {
   record.revision = undone.before.revision;
   LoopState state;
   state.revision = undone.before.revision;
-  state.strokes = undone.before.strokes;
   state.cut_faces = first_cut_faces_ + undone.before.cut_faces;
   state.cut_area_m2 = first_cut_area_m2_ + undone.before.cut_area_m2;
   cuts_to_note_ = std::move(undone.cuts);
@@ -361,6 +360,7 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
   const LoopState before = std::exchange(state_, state);
   state_.frames = before.frames;
   state_.skipped_frames = before.skipped_frames;
+  state_.strokes = before.strokes;
   state_.forces_cut_short = before.forces_cut_short;
   state_.state_hash = session_->mesh().state_hash();
   state_.live_tets = session_->mesh().live_tets();

@@ -77,9 +77,9 @@ struct LoopState {
   std::uint64_t recovery_ns = 0;       // until they are done if nothing more comes, estimated
   std::uint64_t flags = 0;             // of the last frame: FrameFlag
   std::uint64_t cut_faces = 0;         // opened so far; a session that goes on begins with those of its body
-  std::uint64_t strokes = 0;           // of all sources, begun since the start
-  double cut_area_m2 = 0;              // of these, one side
-  double ns_per_unit = 0;              // the cost model's
+  std::uint64_t strokes = 0;  // of all sources, begun since the start, those that were undone as well
+  double cut_area_m2 = 0;     // of these, one side
+  double ns_per_unit = 0;     // the cost model's
   std::uint64_t forces_cut_short = 0;  // whose edge was not searched to its end
 };
 
