@@ -307,6 +307,7 @@ void RisingSamples::fail(std::size_t line, const std::string& what) const {
 
 void RisingSamples::add(PoseSample sample, std::size_t line) {
   const std::int64_t file_ns = sample.source_ns;
+  if (std::exchange(begins_clock_, false)) take_up_clock(file_ns, line);
   if (__builtin_add_overflow(file_ns, shift_ns_, &sample.source_ns))
     fail(line, "t_s is out of range after the clock's restart");
   if (!samples_.empty() && sample.source_ns <= samples_.back().source_ns) {
@@ -315,6 +316,17 @@ void RisingSamples::add(PoseSample sample, std::size_t line) {
   }
   skip_early();
   samples_.push_back(sample);
+}
+
+void RisingSamples::take_up_clock(std::int64_t file_ns, std::size_t line) {
+  skip_early();
+  const std::int64_t last_ns = samples_.back().source_ns;
+  shift_ns_ = 0;
+  std::int64_t then_ns = 0;
+  if (file_ns <= last_ns && (__builtin_add_overflow(last_ns, kRestart_ns, &then_ns) ||
+                             __builtin_sub_overflow(then_ns, file_ns, &shift_ns_)))
+    fail(line, "its times and those of the blade's holder before cannot be joined");
+  restarts_.push_back(samples_.size());
 }
 
 // A sample that is not later than the last one kept: the clock has restarted, or the sample is skipped.
@@ -342,7 +354,7 @@ bool RisingSamples::continues(std::int64_t file_ns) const {
 
 void RisingSamples::restart(PoseSample sample, std::int64_t file_ns) {
   const std::int64_t last_ns = samples_.back().source_ns;
-  if (restarts_.empty()) first_restart_ = early_->where;
+  if (clock_restarts_++ == 0) first_restart_ = early_->where;
   restarts_.push_back(samples_.size());
   early_->sample.source_ns = last_ns + kRestart_ns;
   sample.source_ns = early_->sample.source_ns + (file_ns - early_->file_ns);
@@ -370,7 +382,7 @@ std::string RisingSamples::warning() const {
   std::string text;
   if (not_rising_ > 0)
     text = skipped_warning(name_, not_rising_, samples_.size() + not_rising_, first_skipped_);
-  if (const std::size_t n = restarts_.size(); n > 0) {
+  if (const std::size_t n = clock_restarts_; n > 0) {
     text += (text.empty() ? name_ + ": " : "; ") + "the clock restarts " +
             (n == 1 ? "once (" : std::to_string(n) + " times (first ") + first_restart_ +
             "): what follows is kept as a new stroke, a second later";

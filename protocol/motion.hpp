@@ -35,8 +35,8 @@ struct Motion {
   bool has_orientation = false;     // else every orientation is the identity
   bool has_buttons = false;         // else no button is ever held
   std::size_t not_rising = 0;       // samples skipped because their time is not later than the one before
-  // Where the clock restarted: indices of samples that begin a new stroke. Their times, and all later ones, are shifted so
-  // that the motion continues after a pause of a second.
+  // Where the clock restarted, or a capture's blade had another holder: indices of samples that begin a new stroke. Their times, and all later ones, are
+  // shifted so that the motion continues after a pause of a second.
   std::vector<std::size_t> restarts;
   std::string warning;  // what was skipped or shifted, and where first; else empty
 };
@@ -52,6 +52,9 @@ class RisingSamples {
   RisingSamples(std::string name, Times times) : name_(std::move(name)), times_(times) {}
   // `line`: where in the file, for messages; 0 where it has no lines. Throws MotionError.
   void add(PoseSample sample, std::size_t line = 0);
+  // The next sample begins a new stroke, and its clock may have another origin. If it is not later than the last one, it and all after it come
+  // a second later.
+  void begin_clock() { begins_clock_ = !samples_.empty(); }
   std::size_t size() const { return samples_.size(); }
   // Once, after the last: moves the samples into `motion`, with where the clock restarted and the warning.
   void finish(Motion& motion);
@@ -67,6 +70,7 @@ class RisingSamples {
   void handle_earlier(const PoseSample& sample, std::int64_t file_ns, std::size_t line);
   bool continues(std::int64_t file_ns) const;
   void restart(PoseSample sample, std::int64_t file_ns);
+  void take_up_clock(std::int64_t file_ns, std::size_t line);
   void skip_early();
   std::string warning() const;
 
@@ -74,9 +78,10 @@ class RisingSamples {
   Times times_;
   std::vector<PoseSample> samples_;
   std::vector<std::size_t> restarts_;
-  std::size_t not_rising_ = 0;
+  std::size_t not_rising_ = 0, clock_restarts_ = 0;
   std::optional<Early> early_;
   std::int64_t shift_ns_ = 0;  // from the file's times to ours, after a restart
+  bool begins_clock_ = false;  // the next sample does
   std::string first_skipped_, first_restart_;
 };
 

@@ -69,6 +69,13 @@ void check_sources(const StreamCommand& command, std::optional<std::uint32_t> se
        "; --from-source N sends those of source N");
 }
 
+// Whether the blade of a source has another holder from here on, whose clock may have another origin.
+bool begins_clock(const protocol::CaptureRecord& record, std::optional<std::uint32_t> source) {
+  if (const auto* blade = std::get_if<protocol::BladeRecord>(&record)) return blade->source == source;
+  const auto* stroke = std::get_if<protocol::StrokeRecord>(&record);
+  return stroke != nullptr && stroke->source == source && stroke->action == protocol::StrokeAction::HandOver;
+}
+
 // The poses of one source of a capture: the one that was asked for, else the first that has some.
 protocol::Motion read_capture_poses(protocol::CaptureReader& capture, const StreamCommand& command) {
   protocol::RisingSamples samples(command.poses.string(), times_of(command));
@@ -78,6 +85,7 @@ protocol::Motion read_capture_poses(protocol::CaptureReader& capture, const Stre
   using Status = protocol::CaptureReader::Status;
   Status status = Status::Record;
   while ((status = capture.next(record)) == Status::Record) {
+    if (begins_clock(record, source)) samples.begin_clock();
     const auto* pose = std::get_if<protocol::PoseRecord>(&record);
     if (!pose) continue;
     ++sources[pose->source];

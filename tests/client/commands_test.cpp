@@ -291,6 +291,30 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
   EXPECT_THROW(run_stream(command), UsageError);
 }
 
+// Three operators take a blade one after the other, each with a clock from 0 and a stroke of less than a second.
+TEST_F(CommandsTest, StreamPlaysWhatEachHolderOfABladeDid) {
+  StreamCommand command = stream_of("three.capture", 0);
+  {
+    protocol::FileSink sink(command.poses.string(), true);
+    protocol::CaptureHeader header;
+    header.config_json = "{}";
+    protocol::CaptureWriter writer(sink, header);
+    for (int holder = 0; holder < 3; ++holder) {
+      writer.append(protocol::StrokeRecord{0, protocol::StrokeAction::HandOver, 0, 0});
+      for (const auto& pose : stream::sweep(0.03, 150, 1'000'000, 0.06))
+        writer.append(protocol::PoseRecord{0, pose, 0});
+    }
+    ASSERT_FALSE(writer.flush());
+  }
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  command.strict = true;
+  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(::testing::internal::GetCapturedStderr().find("warning"), std::string::npos);
+  const auto told = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  EXPECT_EQ(told["accepted"], 450);
+}
+
 TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
   WatchCommand watch;
   watch.server.address = address();
