@@ -48,7 +48,8 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   std::optional<Refusal> refusal = co_await check_token(hello);
   if (!refusal && !ticket_.take_place()) {
     refusal = Refusal{ErrorCode::TooManySessions,
-                      "there are " + std::to_string(context_.config.max_sessions) + " sessions already"};
+                      "there are " + std::to_string(context_.config.max_sessions) +
+                          " sessions already; one has to end first, or listen.max_sessions to be raised"};
   }
   if (!refusal && hello.load_rate_hz != 0 &&
       (hello.role != protocol::Role::Simulator ||
