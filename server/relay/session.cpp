@@ -38,6 +38,15 @@ bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
 constexpr std::size_t kMaxTrouble = 512;  // characters that are passed on
 const std::string kAt = "at ";            // begins what is passed on: the relay's address follows
 
+// What is passed on goes to logs and into JSON.
+std::string plain(std::string text) {
+  text.resize(std::min(text.size(), kMaxTrouble));
+  for (char& c : text) {
+    if (c < ' ' || c > '~' || c == '"' || c == '\\') c = '?';
+  }
+  return text;
+}
+
 // What an upstream that is a relay says of itself.
 struct Above {
   int hops = 0;  // from it to the server; 0 for a server
@@ -54,7 +63,7 @@ Above above(const std::string& stats) {
   const Json hops = json["relay"].value("hops", Json()), trouble = json["relay"].value("trouble", Json());
   if (hops.is_number_integer())
     found.hops = static_cast<int>(std::clamp<std::int64_t>(hops.get<std::int64_t>(), 0, kMaxHops));
-  if (trouble.is_string()) found.trouble = trouble.get<std::string>().substr(0, kMaxTrouble);
+  if (trouble.is_string()) found.trouble = plain(trouble.get<std::string>());
   return found;
 }
 

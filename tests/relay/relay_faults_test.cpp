@@ -6,6 +6,7 @@
 #include <csignal>
 #include <cstring>
 #include <fstream>
+#include <nlohmann/json.hpp>
 #include <thread>
 
 #include "protocol/coalesce.hpp"
@@ -315,6 +316,8 @@ TEST(RelayFaults, AMalformedUpstreamIsLeftAndComeBackTo) {
   nonsense.revision = 1'000'000;
   protocol::Stats deep;
   deep.json = std::string(500'000, '[') + std::string(500'000, ']');
+  protocol::Stats rude;
+  rude.json = R"({"relay": {"trouble": "\"}\n)" + std::string(511, 'x') + R"(\u00e9", "hops": 1}})";
   protocol::Welcome promise;
   promise.resumed = true;
   promise.session = 4711;
@@ -328,6 +331,7 @@ TEST(RelayFaults, AMalformedUpstreamIsLeftAndComeBackTo) {
       with(protocol::SnapshotEnd{5, 5, 5, 5}),
       with(protocol::FieldValues{7, 0, {}, {}, 3, true}),
       with(deep),
+      with(rude),
       with(protocol::Error{protocol::ErrorCode::Internal, "not my day", true, 0}),
       with(protocol::Bye{protocol::ByeReason::ServerStops, "the server stops"}),
   };
@@ -344,6 +348,8 @@ TEST(RelayFaults, AMalformedUpstreamIsLeftAndComeBackTo) {
     EXPECT_TRUE(wait_for([&] { return static_cast<double>(viewer.client().revision()) > origin; }))
         << relay.log();
     EXPECT_TRUE(relay.stat("/relay/connected")) << "its statistics can be had";
+    const std::string answer = stream::http(relay.http_port(), "/healthz");
+    EXPECT_TRUE(nlohmann::json::accept(answer.substr(answer.find('{')))) << answer;
     wire.meddle(nullptr);
   }
   ASSERT_TRUE(driver.settle());
