@@ -238,14 +238,21 @@ TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWas
   EXPECT_THROW(run_stream(command), protocol::MotionError);
 }
 
+// A capture of what `append` gives to its writer.
+template <class Append>
+void write_capture(const fs::path& path, Append append) {
+  protocol::FileSink sink(path.string(), true);
+  protocol::CaptureHeader header;
+  header.config_json = "{}";
+  protocol::CaptureWriter writer(sink, header);
+  append(writer);
+  ASSERT_FALSE(writer.flush());
+}
+
 // The same motion played twice in one session: the capture's clock goes back in between. The second source has a clock of its own.
 TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
   StreamCommand command = stream_of("two.capture", 0);
-  {
-    protocol::FileSink sink(command.poses.string(), true);
-    protocol::CaptureHeader header;
-    header.config_json = "{}";
-    protocol::CaptureWriter writer(sink, header);
+  write_capture(command.poses, [](protocol::CaptureWriter& writer) {
     const auto motion = stream::sweep(0.03, 2000, 1'000'000, 0.06);  // 2 s
     for (int round = 0; round < 2; ++round) {
       for (const auto& pose : motion) writer.append(protocol::PoseRecord{0, pose, 0});
@@ -255,8 +262,7 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
       pose.source_ns += 1'000'000 * i;
       writer.append(protocol::PoseRecord{2, pose, 0});
     }
-    ASSERT_FALSE(writer.flush());
-  }
+  });
   std::string told;
   const auto run = [&] {
     ::testing::internal::CaptureStdout();
@@ -294,18 +300,13 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
 // Three operators take a blade one after the other, each with a clock from 0 and a stroke of less than a second.
 TEST_F(CommandsTest, StreamPlaysWhatEachHolderOfABladeDid) {
   StreamCommand command = stream_of("three.capture", 0);
-  {
-    protocol::FileSink sink(command.poses.string(), true);
-    protocol::CaptureHeader header;
-    header.config_json = "{}";
-    protocol::CaptureWriter writer(sink, header);
+  write_capture(command.poses, [](protocol::CaptureWriter& writer) {
     for (int holder = 0; holder < 3; ++holder) {
       writer.append(protocol::StrokeRecord{0, protocol::StrokeAction::HandOver, 0, 0});
       for (const auto& pose : stream::sweep(0.03, 150, 1'000'000, 0.06))
         writer.append(protocol::PoseRecord{0, pose, 0});
     }
-    ASSERT_FALSE(writer.flush());
-  }
+  });
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
   command.strict = true;
@@ -484,19 +485,14 @@ TEST(Watch, AServerThatComesBackIsSaidToOnce) {
 
 TEST_F(CommandsTest, OfACaptureTheFirstSourceIsPlayed) {
   const fs::path capture = directory / "two.capture";
-  {
-    protocol::FileSink sink(capture.string(), true);
-    protocol::CaptureHeader header;
-    header.config_json = "{}";
-    protocol::CaptureWriter writer(sink, header);
+  write_capture(capture, [](protocol::CaptureWriter& writer) {
     for (std::uint32_t i = 0; i < 30; ++i) {
       protocol::PoseRecord record;
       record.source = i % 3 == 0 ? 4 : 5;
       record.pose.source_ns = (i + 1) * std::int64_t{1'000'000};
       writer.append(record);
     }
-    EXPECT_FALSE(writer.flush());
-  }
+  });
   StreamCommand command;
   command.poses = capture;
   command.server.address = address();
