@@ -208,6 +208,35 @@ void OperatorLink::send_waiting() {
   }
 }
 
+// ---- For the server here ----
+
+namespace {
+
+class LentBlade final : public stream::PoseInput {
+ public:
+  explicit LentBlade(std::shared_ptr<OperatorLink> link) : link_(std::move(link)) {}
+  ~LentBlade() override { link_->leave(); }
+  bool opening() const override { return link_->opening(); }
+  std::optional<stream::BladeEnd> ended() const override { return link_->ended(); }
+  std::uint32_t number() const override { return link_->number(); }
+  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t /*arrival_ns*/) override {
+    return link_->enqueue(poses);
+  }
+  bool end_stroke(std::int64_t /*arrival_ns*/) override { return link_->end_stroke(); }
+  stream::PoseTotals totals() const override { return link_->totals(); }
+  protocol::Vec3 heel() const override { return link_->heel(); }
+  protocol::Vec3 tip() const override { return link_->tip(); }
+
+ private:
+  const std::shared_ptr<OperatorLink> link_;
+};
+
+}  // namespace
+
+std::unique_ptr<stream::PoseInput> lend(std::shared_ptr<OperatorLink> link) {
+  return std::make_unique<LentBlade>(std::move(link));
+}
+
 // ---- Administrators ----
 
 namespace {

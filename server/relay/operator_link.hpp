@@ -82,6 +82,9 @@ class OperatorLink final : public std::enable_shared_from_this<OperatorLink>, pr
   std::int64_t last_source_ns_ = 0, round_trip_ns_ = 0;
 };
 
+// The same as the input of the server here: the blade is free again when that goes.
+std::unique_ptr<stream::PoseInput> lend(std::shared_ptr<OperatorLink> link);
+
 // One thing that an administrator asks of the origin: Reset or Undo, over a connection for this alone.
 //
 // Thread: the io_context's.

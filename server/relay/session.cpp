@@ -6,11 +6,11 @@
 #include <boost/asio/co_spawn.hpp>
 #include <boost/asio/post.hpp>
 #include <exception>
-#include <nlohmann/json.hpp>
 #include <utility>
 
 #include "protocol/limits.hpp"
 #include "server/base/hex.hpp"
+#include "server/relay/upstream_says.hpp"
 #include "server/stream/mirror.hpp"
 
 namespace incise::relay {
@@ -35,38 +35,6 @@ bool same_body(const protocol::Welcome& a, const protocol::Welcome& b) {
          a.fields == b.fields && surface(a) == surface(b);
 }
 
-constexpr std::size_t kMaxTrouble = 512;  // characters that are passed on
-const std::string kAt = "at ";            // begins what is passed on: the relay's address follows
-
-// What is passed on goes to logs and into JSON.
-std::string plain(std::string text) {
-  text.resize(std::min(text.size(), kMaxTrouble));
-  for (char& c : text) {
-    if (c < ' ' || c > '~' || c == '"' || c == '\\') c = '?';
-  }
-  return text;
-}
-
-// What an upstream that is a relay says of itself.
-struct Above {
-  int hops = 0;  // from it to the server; 0 for a server
-  std::string trouble;
-};
-
-// What is nested deep is passed over, since reading it takes as deep a stack.
-Above above(const std::string& stats) {
-  using Json = nlohmann::json;
-  const auto shallow = [](int depth, Json::parse_event_t, Json&) { return depth < 3; };
-  const Json json = Json::parse(stats, shallow, false);
-  if (!json.is_object() || !json.contains("relay") || !json["relay"].is_object()) return {};
-  Above found;
-  const Json hops = json["relay"].value("hops", Json()), trouble = json["relay"].value("trouble", Json());
-  if (hops.is_number_integer())
-    found.hops = static_cast<int>(std::clamp<std::int64_t>(hops.get<std::int64_t>(), 0, kMaxHops));
-  if (trouble.is_string()) found.trouble = plain(trouble.get<std::string>());
-  return found;
-}
-
 void rethrow(const std::exception_ptr& error) {
   if (error) std::rethrow_exception(error);
 }
@@ -75,26 +43,6 @@ core::Field core_field(const protocol::Field& field) {
   return {field.facts.name, static_cast<core::Field::On>(field.facts.on), field.facts.components,
           field.values};
 }
-
-// A blade at the origin.
-class LentBlade final : public stream::PoseInput {
- public:
-  explicit LentBlade(std::shared_ptr<OperatorLink> link) : link_(std::move(link)) {}
-  ~LentBlade() override { link_->leave(); }
-  bool opening() const override { return link_->opening(); }
-  std::optional<stream::BladeEnd> ended() const override { return link_->ended(); }
-  std::uint32_t number() const override { return link_->number(); }
-  std::size_t enqueue(std::span<const protocol::PoseSample> poses, std::int64_t /*arrival_ns*/) override {
-    return link_->enqueue(poses);
-  }
-  bool end_stroke(std::int64_t /*arrival_ns*/) override { return link_->end_stroke(); }
-  stream::PoseTotals totals() const override { return link_->totals(); }
-  protocol::Vec3 heel() const override { return link_->heel(); }
-  protocol::Vec3 tip() const override { return link_->tip(); }
-
- private:
-  const std::shared_ptr<OperatorLink> link_;
-};
 
 }  // namespace
 
@@ -165,14 +113,11 @@ void Session::on_message(const protocol::Message& message, std::int64_t ahead_ns
 
 // The statistics of a relay say how far the server is from it.
 void Session::on(const protocol::Stats& stats) {
-  const Above upstream = above(stats.json);
+  const UpstreamSays upstream = read_upstream(stats.json);
   const int hops = upstream.hops + 1;
   const bool cycle = hops > kMaxHops;
   std::string text, beyond, before, beyond_before;
-  // The first relay that says so is named, however many are in between.
-  if (!cycle && !upstream.trouble.empty())
-    beyond = upstream.trouble.starts_with(kAt) ? upstream.trouble
-                                               : kAt + upstream_->name() + ": " + upstream.trouble;
+  if (!cycle) beyond = trouble_at(upstream_->name(), upstream);
   if (cycle) {
     text = "relays follow each other in a cycle, or are more than " + std::to_string(kMaxHops) +
            " in a row: give one of them a server as its upstream";
@@ -478,7 +423,7 @@ std::unique_ptr<stream::PoseInput> Session::open_link(OperatorLink::Wanted wante
   const std::scoped_lock lock(mutex_);
   std::erase_if(links_, [](const auto& other) { return other.expired(); });
   links_.push_back(link);
-  return std::make_unique<LentBlade>(std::move(link));
+  return lend(std::move(link));
 }
 
 std::string Session::no_simulators() const {

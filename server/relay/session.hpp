@@ -22,9 +22,6 @@
 
 namespace incise::relay {
 
-// Relays in a row from the server. More is a cycle: each relay in it counts one more than the one before.
-inline constexpr int kMaxHops = 16;
-
 // What a relay's session has done, for reports.
 struct Figures {
   std::string upstream;  // its name

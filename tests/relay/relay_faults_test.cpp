@@ -11,6 +11,7 @@
 
 #include "protocol/coalesce.hpp"
 #include "server/relay/session.hpp"
+#include "server/relay/upstream_says.hpp"
 #include "tests/e2e/recovery.hpp"
 #include "tests/e2e/served_session.hpp"
 #include "tests/relay/relay_process.hpp"
