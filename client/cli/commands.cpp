@@ -115,8 +115,10 @@ Options ServerOptions::options(Address& where) const {
       throw std::runtime_error(token_file.string() +
                                ": cannot be opened: " + std::generic_category().message(errno));
     }
-    if (!std::getline(in, options.token))
-      throw std::runtime_error(token_file.string() + ": no token in its first line");
+    std::getline(in, options.token);
+    // A file that Windows has written ends its lines with another character.
+    options.token.erase(options.token.find_last_not_of(" \t\r") + 1);
+    if (options.token.empty()) throw std::runtime_error(token_file.string() + ": no token in its first line");
   } else if (const char* token = std::getenv("INCISE_TOKEN")) {
     options.token = token;
   }

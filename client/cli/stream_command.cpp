@@ -313,7 +313,7 @@ void reset_body(const Address& where, Options options) {
     const std::scoped_lock lock(mutex);
     refusal = error.text;
   };
-  const auto client = Client::connect(where.host, where.port, std::move(options), std::move(callbacks));
+  const auto client = connect(where, options, std::move(callbacks));
   const std::uint64_t before = client->welcome().session;
   client->reset();
   const auto began = steady_clock::now();

@@ -115,8 +115,8 @@ class Watcher {
     save();
     client_->close();
     if (gone_since_ && !interrupted()) {
-      std::fprintf(stderr, "incise: %s did not come back within %g s\n", command_.server.address.c_str(),
-                   command_.give_up_after_s);
+      std::fprintf(stderr, "incise: %s did not come back within %g s: %s\n", command_.server.address.c_str(),
+                   command_.give_up_after_s, client_->last_error().c_str());
       return 1;
     }
     if (command_.until_revision && !reached && !interrupted()) {
@@ -144,7 +144,13 @@ class Watcher {
                                     : " until it is interrupted";
       std::fprintf(stderr, "incise: %s is gone; trying to connect again%s\n", command_.server.address.c_str(),
                    until.c_str());
+      trouble_ = client_->last_error();
     }
+    // A server that is back may refuse us: for another token, say.
+    std::string trouble = client_->last_error();
+    if (!trouble.empty() && trouble != trouble_)
+      std::fprintf(stderr, "incise: not connected yet: %s\n", trouble.c_str());
+    trouble_ = std::move(trouble);
     return command_.give_up_after_s > 0 &&
            now - *gone_since_ >= std::chrono::duration<double>(command_.give_up_after_s);
   }
@@ -380,6 +386,7 @@ class Watcher {
   std::atomic<std::uint32_t> live_tets_{0};
   std::atomic<const Client*> connected_{nullptr};
   std::optional<steady_clock::time_point> gone_since_;  // without a connection
+  std::string trouble_;                                 // why, as far as it has been said
   steady_clock::time_point heard_ = steady_clock::now(), frame_ = heard_;
   std::uint64_t messages_ = 0, frames_ = 0, reconnects_ = 0;
   Counters before_;

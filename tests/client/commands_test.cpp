@@ -331,8 +331,24 @@ TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
   ::testing::internal::GetCapturedStdout();
   const std::string told = ::testing::internal::GetCapturedStderr();
   EXPECT_NE(told.find("is gone; trying to connect again for 0.3 s"), std::string::npos) << told;
-  EXPECT_NE(told.find("did not come back within 0.3 s"), std::string::npos) << told;
+  EXPECT_NE(told.find("did not come back within 0.3 s: "), std::string::npos) << told;
+  EXPECT_NE(told.find("Connection refused"), std::string::npos) << told;
   EXPECT_TRUE(fs::exists(directory / "last")) << "what was held is saved all the same";
+}
+
+TEST_F(CommandsTest, ATokenEndsWhereItsLineDoes) {
+  ServerOptions options;
+  options.address = address();
+  options.token_file = directory / "token";
+  Address where;
+  for (const char* line : {"a-token", "a-token\n", "a-token\r\n", "a-token \t\r\nmore"}) {
+    std::ofstream(options.token_file) << line;
+    EXPECT_EQ(options.options(where).token, "a-token");
+  }
+  for (const char* line : {"", "\n", "\r\na-token"}) {
+    std::ofstream(options.token_file) << line;
+    EXPECT_THROW(options.options(where), std::runtime_error);
+  }
 }
 
 // A watcher of a server that does what a test says, and the lines that it prints.
