@@ -124,12 +124,15 @@ void StrokeBuilder::end_stroke(BatchQueue& out) {
 }
 
 // A noisy way is cut as its chord, to where the blade was on the mean of its later half: steps that zigzag would make a
-// surface of creases far smaller than a tetrahedron.
+// surface of creases far smaller than a tetrahedron. One that leads farther away than noise does, and back, is a cut.
 void StrokeBuilder::smooth(bool ends_stroke) {
   const double chord_m = travel(buffer_.front().line, buffer_.back().line);
   if (chord_m > noise_span_m_) return;
   double way_m = 0;
-  for (std::size_t i = 0; i + 1 < buffer_.size(); ++i) way_m += travel(buffer_[i].line, buffer_[i + 1].line);
+  for (std::size_t i = 0; i + 1 < buffer_.size(); ++i) {
+    way_m += travel(buffer_[i].line, buffer_[i + 1].line);
+    if (travel(buffer_.front().line, buffer_[i].line) > noise_span_m_) return;
+  }
   if (way_m < kNoisyWay * chord_m) return;
   if (!ends_stroke) {
     const std::size_t first = buffer_.size() / 2;

@@ -296,6 +296,22 @@ TEST(StrokeBuilder, TremblingInPlaceIsBounded) {
   EXPECT_LE(lines, 2 * run.batches.size() + 1);
 }
 
+// Noise leads nowhere. What leads away and back is a cut, however much of it there is in a batch.
+TEST(StrokeBuilder, KeepsAWayThatLeadsBackToWhereItBegan) {
+  CutConfig c = config();
+  c.batch_h = 20;
+  Recorder run(c);
+  for (int i = 0; i <= 200; ++i) {
+    ASSERT_EQ(run.push(at(i, 0.001 * (i <= 100 ? i : 200 - i))), PoseVerdict::kAccepted);
+  }
+  run.end();
+  expect_well_formed(run.batches);
+  ASSERT_EQ(run.batches.size(), 1u);
+  double farthest_m = 0;
+  for (const BladeLine& line : run.batches[0].lines) farthest_m = std::max(farthest_m, line.heel.x);
+  EXPECT_DOUBLE_EQ(farthest_m, 0.1);
+}
+
 // Douglas and Peucker's promise: each blade line that was pushed lies within the tolerance of the batches'
 // lines, and within what counts as noise where they are near each other.
 TEST(StrokeBuilder, SimplificationStaysWithinTheTolerance) {
