@@ -38,6 +38,7 @@ void JoiningStage::begin(const Batch& batch) {
   free_.clear();
   next_ = next_end_ = next_quad_ = walls_end_ = 0;
   next_end_part_ = 0;
+  own_rims_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
   first_line_ = batch.lines.front();
@@ -261,13 +262,17 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
     cut_.work.add(looked_at, cost::kQuadsAUnit);
     if (next_quad_ == memory.quads().size()) return true;
     const SweptMemory::Quad quad = memory.quads()[next_quad_];  // a copy: what is led on is remembered, too
-    // Of a hand that is at it for long, this stroke's own would be more and more.
-    if (quad.stroke == cut_.stroke) continue;
+    // What this stroke has swept just now is part of its surface.
+    const bool is_own = quad.stroke == cut_.stroke;
+    const double after_m = cut_.path.travel_m() - quad.travel_m - travel(quad.from, quad.to);
+    if (is_own && (after_m < kOwnSweep_h * cut_.h || own_rims_ >= kMostOwnRims)) continue;
     for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
       for (std::uint64_t free = quad.rims[end].free; free != 0; free &= free - 1) {
         const auto part = static_cast<std::uint32_t>(std::countr_zero(free));
         cut_.work += cost::kLook;
-        if (take_up(quad, end, part)) memory.take(next_quad_, end, part);
+        // Of a hand that is at it for long, what this stroke itself runs before would be more and more.
+        if ((!is_own && take_up(quad, end, part)) || go_on_beyond(quad, end, part))
+          memory.take(next_quad_, end, part);
       }
     }
   }
@@ -287,6 +292,30 @@ bool JoiningStage::take_up(const SweptMemory::Quad& quad, SweptMemory::End end, 
   cut_.meets_cut = true;
   extend(a, b, direction, ahead_m);
   return true;
+}
+
+// Where what is swept now goes on beyond the way of a heel or a tip, as the next row of a cut deeper than the blade does, the last strip before that way is
+// part of it. Edges that passed beyond the older row when it was swept may pass through it since their ends have been moved, and no row would meet them.
+bool JoiningStage::go_on_beyond(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part) {
+  const auto [a, b] = quad.part(end, part);
+  const Vec3 amid = lerp(a, b, 0.5);
+  if (!is_in_reach(amid, amid)) return false;
+  own_rims_ += quad.stroke == cut_.stroke ? 1 : 0;
+  const Vec3 along = normalized((quad.from.tip - quad.from.heel) + (quad.to.tip - quad.to.heel));
+  const Vec3 beyond = end == SweptMemory::kTip ? along : -along;
+  const Vec3 back = -std::min(kRow_h * cut_.h, distance(quad.from.heel, quad.from.tip)) * beyond;
+  if (!covers(amid + kBeyondRow_h * cut_.h * beyond) || covers(amid + back)) return false;
+  cut_.path.add_strip(a + back, b + back, b, a, false);
+  return true;
+}
+
+// Whether p lies in what is swept now.
+bool JoiningStage::covers(const Vec3& p) const {
+  const double off_m = kCovered_h * cut_.h;
+  return std::ranges::any_of(swept_, [&](const Triangle& t) {
+    cut_.work += cost::kLook;
+    return squared_length(closest_point(p, t.a, t.b, t.c) - p) <= off_m * off_m;
+  });
 }
 
 // Whether what is swept now comes near the strip where the tissue still hangs together: large elements open only so far before a sweep's end.

@@ -70,6 +70,8 @@ class JoiningStage {
   void take_up(SweepEnd& end, std::uint32_t part);
   bool take_up_rims(WorkBudget& budget);
   bool take_up(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part);
+  bool go_on_beyond(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part);
+  bool covers(const Vec3& p) const;
   bool meets_gap(SweepEnd& end, std::uint32_t part);
   bool is_open(const Vec3& p);
   void gather_walls();
@@ -99,6 +101,7 @@ class JoiningStage {
   double farthest_m_ = 0;          // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::uint32_t next_end_part_ = 0;  // of that end
+  std::size_t own_rims_ = 0;         // parts of this stroke's own rims that were looked at
   std::size_t next_quad_ = 0;        // of what is remembered, whose rims are looked at
   std::vector<Wall> walls_;          // near the parts before walls_end_
   std::size_t walls_end_ = 0;

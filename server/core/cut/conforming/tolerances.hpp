@@ -90,6 +90,11 @@ inline constexpr double kAimOff_h = 0.1;
 inline constexpr double kStrip_h = 3, kStripStep_h = 0.2, kOpen_h = 0.1;
 // Strips narrower than this part of kJoinBeyond_h are not added.
 inline constexpr double kLeastJoin = 0.1;
+// A sweep goes on beyond the way of a heel or a tip where it covers, to within kCovered_h, what is kBeyondRow_h beyond that, and not what is kRow_h before
+// it. So wide a strip before that way is part of it then: somewhat more than a vertex may be moved.
+inline constexpr double kBeyondRow_h = 0.3, kRow_h = 1, kCovered_h = 0.1;
+// Of the stroke's own ways so many parts are looked at in a batch: a hand that is at it in place leaves thousands.
+inline constexpr std::size_t kMostOwnRims = 128;
 // A face that closes a gap between the end of a sweep and a wall ahead of it is no farther than this from what the blade has swept: as far as
 // that wall may be ahead, and kOne_h beside it.
 inline constexpr double kFarGap_h = kJoinReach_h + kOne_h;
