@@ -37,6 +37,10 @@ class ClosingStage {
   // True: done; false: the budget is spent, a part of the batch is full, or more is to do.
   bool advance(WorkBudget& budget);
 
+  // While faces are collected nothing but the budget makes it stop, and no part of a batch ends.
+  bool collects() const {
+    return phase_ != Phase::kJudge && phase_ != Phase::kLookFar && phase_ != Phase::kOpen;
+  }
   void archive(Archive& io);
 
  private:

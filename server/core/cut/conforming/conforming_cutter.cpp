@@ -113,7 +113,7 @@ ConformingCutter::Progress ConformingCutter::advance(WorkBudget& budget) {
         }
         verify_.fail_found();
         // In a body that moves, vertices that were put on the surface may be off it by now.
-        opening_.begin(!cut_.mesh.deformed() && refinements_ < tolerance::kMaxRefinements);
+        opening_.begin(cut_.may_add() && !cut_.mesh.deformed() && refinements_ < tolerance::kMaxRefinements);
         stage_ = Stage::kOpening;
         if (end_part()) return Progress::kPart;
         break;
@@ -133,7 +133,7 @@ ConformingCutter::Progress ConformingCutter::advance(WorkBudget& budget) {
         if (closing_.advance(budget)) {
           pinched_.begin();
           stage_ = Stage::kPinched;
-        } else if (end_part()) {
+        } else if (!closing_.collects() && end_part()) {
           return Progress::kPart;
         }
         break;

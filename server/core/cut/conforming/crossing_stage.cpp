@@ -156,8 +156,7 @@ void CrossingStage::make_do(const Crossing& crossing) {
     best_[i] = {};
     i = 1 - i;
   }
-  const bool may_split = cut_.config.prefer != Preference::kNoGrowth;
-  const double by_split = best_[i].worst <= kSnapFloor || !may_split
+  const double by_split = best_[i].worst <= kSnapFloor || !cut_.may_add()
                               ? kInverted
                               : cut_.worst_after_split(crossing.tet, a, b, crossing.at, floor);
   if (!exact && best_[i].worst > kSnapFloor && by_split > kSnapFloor && take_as_met(crossing)) return;

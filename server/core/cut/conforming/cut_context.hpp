@@ -117,6 +117,8 @@ struct CutContext {
   // What judging has cost, about, in the part of the batch that is under way. Counted by what depends on the mesh alone: `work` depends on what is
   // kept in memory, too, and a session that goes on from a checkpoint has to end its parts where the others do.
   mutable std::size_t part_judging = 0;
+  // Whether there may be more tetrahedra than before.
+  bool may_add() const { return config.prefer != Preference::kNoGrowth; }
   // Whether that part is worth a delta of its own. In fresh tissue batches do not take long.
   bool part_is_full() const {
     return meets_cut &&

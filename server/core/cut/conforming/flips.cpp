@@ -24,7 +24,8 @@ std::span<const TetId> Flips::remove_edge(TetId t, VertexId a, VertexId b) {
   mesh_.ring(t, a, b, tets_);
   const std::size_t n = tets_.size();
   cut_.work += static_cast<std::int64_t>(n);
-  if (n < 3 || n > kMaxRing || !order_ring(t, a, b)) return {};
+  const bool adds = 2 * (n - 2) > n;
+  if (n < 3 || n > kMaxRing || (adds && !cut_.may_add()) || !order_ring(t, a, b)) return {};
   cut_.work += static_cast<std::int64_t>(n * n * (n - 2) / 4);
   if (!triangulate(a, b)) return {};
   added_count_ = 0;
@@ -93,7 +94,7 @@ void Flips::fill(VertexId a, VertexId b, std::size_t i, std::size_t j) {
 // Two to three.
 std::span<const TetId> Flips::remove_face(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
-  if (o == kNone) return {};
+  if (o == kNone || !cut_.may_add()) return {};
   const auto face = mesh_.face_vertices(h);
   if (cut_.face_on_surface(h)) return {};
   const std::array<TetId, 2> two{tet_of(h), tet_of(o)};

@@ -14,7 +14,7 @@ void PinchedEdges::clear() {
 }
 
 void PinchedEdges::list(VertexId v) {
-  if (std::exchange(cut_.workspace.vertices[v].listed, true)) return;
+  if (!cut_.may_add() || std::exchange(cut_.workspace.vertices[v].listed, true)) return;
   vertices_.push_back({v, cut_.path.travel_m() + kFar_h * cut_.h});
 }
 

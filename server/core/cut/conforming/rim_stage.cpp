@@ -109,7 +109,7 @@ bool RimStage::handle(const Piercing& piercing) {
     return mesh_.at_boundary(v) && (piercing.rim == Rim::kWay || cut_.at_cut(v));
   };
   if (piercing.rim != Rim::kLine && std::ranges::any_of(piercing.face, is_at_wall)) return false;
-  return cut_.config.prefer != Preference::kNoGrowth && split_for(piercing);
+  return cut_.may_add() && split_for(piercing);
 }
 
 // Puts v on the rim near the place, if its star is not worse than `limit` there. `fair`: it has come upon a place where kSnapFloor is kept.
