@@ -37,15 +37,8 @@ const Body& body() {
   return loaded;
 }
 
-// All kinds except "helix": a face or two still holds about one in twenty of those together.
-std::vector<std::string_view> kinds() {
-  std::vector<std::string_view> out(std::begin(kMeetingKinds), std::end(kMeetingKinds));
-  std::erase(out, "helix");
-  return out;
-}
-
 class Meet : public testing::TestWithParam<std::string_view> {};
-INSTANTIATE_TEST_SUITE_P(Kinds, Meet, testing::ValuesIn(kinds()),
+INSTANTIATE_TEST_SUITE_P(Kinds, Meet, testing::ValuesIn(kMeetingKinds),
                          [](const auto& kind) { return std::string(kind.param); });
 
 TEST_P(Meet, LeavesThePartsThatGeometrySays) {
@@ -62,11 +55,19 @@ TEST_P(Meet, LeavesThePartsThatGeometrySays) {
 }
 
 // Where a batch takes long what is cut is seen before all is judged that may close, and where its parts end depends on the body and the motion alone.
-TEST(MeetingParts, ALongBatchComesInPartsWhateverTheBudget) {
-  const Meeting meeting = random_meeting(mesh(), body().h, "square", 11);
+class MeetingParts : public testing::TestWithParam<std::string_view> {};
+INSTANTIATE_TEST_SUITE_P(Kinds, MeetingParts, testing::ValuesIn(kMeetingKinds),
+                         [](const auto& kind) { return std::string(kind.param); });
+
+TEST_P(MeetingParts, AreTheSameWhateverTheBudget) {
+  static const core::MeshData cube = tests::cube(20);
+  static const double h = core::TetMesh(cube).mean_edge_length();
+  const Meeting meeting = random_meeting(cube, h, GetParam(), 11);
+  core::CutConfig config = meeting_config(meeting);
+  config.batch_h = 100;
   std::vector<std::uint64_t> expected;
   for (std::int64_t units : {INT64_MAX, std::int64_t{7}, std::int64_t{400}, std::int64_t{9000}}) {
-    core::CutSession session(mesh(), meeting_config(meeting));
+    core::CutSession session(cube, config);
     std::vector<std::uint64_t> hashes;
     core::Delta delta, before;
     int parts = 0;
@@ -98,7 +99,7 @@ TEST(MeetingParts, ALongBatchComesInPartsWhateverTheBudget) {
       work();
       EXPECT_TRUE(delta.stroke_ended);
     }
-    EXPECT_GE(parts, 2) << units;
+    if (GetParam() == "square") EXPECT_GE(parts, 2) << units;
     if (expected.empty()) expected = hashes;
     EXPECT_EQ(hashes, expected) << units;
   }
@@ -268,9 +269,43 @@ TEST_P(Meet, WhereASimulationLeavesTheBodyAsItIs) {
   }
 }
 
+// Between strokes the body is stretched and let go, or trembles for a while, as one does that a solver has not brought to rest: it is where it was.
+TEST_P(Meet, InABodyThatTremblesBetweenStrokes) {
+  const Vec3 middle = 0.5 * (body().low + body().high);
+  for (std::uint64_t seed = 1; seed <= 7; ++seed) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    core::CutSession session(mesh(), meeting_config(meeting));
+    Random random(seed);
+    for (const auto& stroke : meeting.strokes) {
+      cut(stroke, session);
+      for (int i = 0; i < 100; ++i) {
+        deform(session,
+               [&](const Vec3& p) { return p + random.uniform(0, 0.005) * body().h * random.direction(); });
+      }
+      deform(session, [&](const Vec3& p) { return Vec3{middle.x + 1.1 * (p.x - middle.x), p.y, p.z}; });
+      deform(session, [](const Vec3& p) { return p; });
+    }
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
+TEST_P(Meet, WithoutGrowthHasNoMoreTetrahedraThanBefore) {
+  for (std::uint64_t seed = 1; seed <= 7; ++seed) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    core::CutConfig config = meeting_config(meeting);
+    config.prefer = core::Preference::kNoGrowth;
+    core::CutSession session(mesh(), config);
+    cut(meeting, session);
+    EXPECT_LE(session.mesh().live_tets(), mesh().tets.size()) << meeting.name();
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.invalid.empty() && v.inverted == 0) << meeting.name() << ": " << to_string(v);
+  }
+}
+
 TEST_P(Meet, InABodyThatMovesAllTheTime) {
   // What a stroke has swept lately does not go with the tissue before it has opened: while the stroke lasts its rows come apart by up to an element.
-  if (GetParam() == "rows") GTEST_SKIP() << "one stroke goes on for too long";
+  if (GetParam() == "rows" || GetParam() == "helix") GTEST_SKIP() << "one stroke goes on for too long";
   for (const std::uint64_t seed : {31, 32, 33}) {
     const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
     core::CutSession session(mesh(), meeting_config(meeting));

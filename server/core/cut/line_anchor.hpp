@@ -12,18 +12,18 @@ namespace incise::core {
 // The tissue that a blade's line went through: two points of the line, as parts of it from heel to tip, and the vertices nearest to each. As the
 // body moves, these take the points along (SweptFollower).
 struct LineAnchor {
-  static constexpr std::size_t kVertices = 4;
+  static constexpr std::size_t kVertices = 4, kPairs = kVertices * (kVertices - 1) / 2;
 
   struct Point {
     float part = 0;
     std::array<VertexId, kVertices> near{kNone, kNone, kNone, kNone};  // the nearest first; fewer: kNone
+    // By how much each two of these have gone apart since, by what the body has moved alone, m; less than 0: come nearer.
+    std::array<float, kPairs> apart_m{};
 
     friend bool operator==(const Point&, const Point&) = default;
   };
   std::array<Point, 2> points;
-  // How far these vertices have gone apart since, over all steps, m.
-  double strain_m = 0;
-
+  bool is_torn = false;  // two vertices at a point have gone apart farther than tissue is stretched
   friend bool operator==(const LineAnchor&, const LineAnchor&) = default;
 
   bool is_set() const { return points[0].near[0] != kNone; }
@@ -37,11 +37,10 @@ struct LineAnchor {
     return true;
   }
   void archive(Archive& io) {
-    io(strain_m);
-    io.demand(strain_m >= 0, "an anchor with less strain than none");
     for (Point& point : points) {
       io(point.part);
       for (VertexId& v : point.near) io(v);
+      for (float& m : point.apart_m) io(m);
       io.demand(point.part >= 0 && point.part <= 1, "an anchor beside its line");
     }
   }

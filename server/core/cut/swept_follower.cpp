@@ -14,8 +14,9 @@ constexpr std::array kReach_h = {0.25, 1.0, 4.0};
 constexpr double kReachAll_h = 1e6;
 // Two points of a line that are nearer than this go together.
 constexpr double kApart = 1e-3;
-// Where the vertices near a line have gone apart by more than this, it is not known where what was swept there is.
-constexpr double kStrain_h = 0.1;
+// Where two vertices near a point of a line have gone apart by more than this, and by this part of how far apart they were, as the lips of a cut that
+// gapes do, it is not known where what was swept there is.
+constexpr double kApart_h = 0.25, kStretch = 0.5;
 // Of the tetrahedra that are looked at so many make a unit of work.
 constexpr std::int64_t kTetsAUnit = 4;
 
@@ -80,12 +81,6 @@ class RigidMotion {
     const Vec3 u = normalized(across);
     return {0, u.x, u.y, u.z};
   }
-  // b, and then a.
-  static Quat product(const Quat& a, const Quat& b) {
-    const Vec3 u{a.x, a.y, a.z}, v{b.x, b.y, b.z};
-    const Vec3 w = a.w * v + b.w * u + cross(u, v);
-    return {a.w * b.w - dot(u, v), w.x, w.y, w.z};
-  }
   void turn() {
     Vec3 columns[3] = {}, sum{};
     for (std::size_t i = 0; i < count_; ++i) {
@@ -105,9 +100,7 @@ class RigidMotion {
     const Vec3 half =
         (0.5 / det) * Vec3{dot(sum, cross(columns[1], columns[2])), dot(sum, cross(columns[2], columns[0])),
                            dot(sum, cross(columns[0], columns[1]))};
-    const Quat q = product({1, half.x, half.y, half.z}, rotation_);
-    const double length = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
-    rotation_ = {q.w / length, q.x / length, q.y / length, q.z / length};
+    rotation_ = product({1, half.x, half.y, half.z}, rotation_).normalized();
   }
 
   std::array<Vec3, 2 * LineAnchor::kVertices> from_, to_;
@@ -223,13 +216,9 @@ void SweptFollower::follow() {
     before += 2 * LineAnchor::kVertices;
   });
   // Where a cut gapes, what was swept is on neither of its sides.
-  const double most_m = kStrain_h * mesh_.mean_edge_length();
-  const auto is_lost = [most_m](const auto& anchors) {
-    return std::ranges::any_of(anchors,
-                               [most_m](const LineAnchor& anchor) { return anchor.strain_m > most_m; });
-  };
-  workspace_.swept.forget_if(is_lost);
-  workspace_.ends.forget_if(is_lost);
+  const auto is_torn = [](const auto& anchors) { return std::ranges::any_of(anchors, &LineAnchor::is_torn); };
+  workspace_.swept.forget_if(is_torn);
+  workspace_.ends.forget_if(is_torn);
   for (std::size_t i = 0; i < workspace_.ends.size(); ++i) workspace_.ends[i].enclose();
   for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks}) held->note_middles(mesh_);
 }
@@ -250,16 +239,15 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
   motion.fit();
   Vec3 ends[2];
   bool lost = false;
-  double apart2_m2 = 0;
   for (std::size_t i = 0; i < 2; ++i) {
-    const LineAnchor::Point& point = anchor.points[i];
+    LineAnchor::Point& point = anchor.points[i];
+    const Vec3* const was = before + i * LineAnchor::kVertices;
+    anchor.is_torn = note_strain(point, was) || anchor.is_torn;
     Vec3 deviation{};
     double count = 0;
     for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
       if (!is_there(point.near[k])) continue;
-      const Vec3 by = mesh_.position(point.near[k]) - motion(before[i * LineAnchor::kVertices + k]);
-      apart2_m2 = std::max(apart2_m2, squared_length(by));
-      deviation += by;
+      deviation += mesh_.position(point.near[k]) - motion(was[k]);
       ++count;
     }
     ends[i] = motion(lerp(line.heel, line.tip, static_cast<double>(point.part)));
@@ -268,18 +256,34 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
   }
   const double from = static_cast<double>(anchor.points[0].part),
                to = static_cast<double>(anchor.points[1].part);
-  anchor.strain_m += std::sqrt(apart2_m2);
   // Others are looked for the next time.
   if (lost) anchor.points = {};
   if (to - from < kApart || squared_length(ends[1] - ends[0]) == 0) {
     line = {motion(line.heel), motion(line.tip)};
     return;
   }
-  // It stays as long as it was.
-  const double length_m = distance(line.heel, line.tip), amid = 0.5 * (from + to);
-  const Vec3 along = normalized(ends[1] - ends[0]), middle = lerp(ends[0], ends[1], 0.5);
-  line.heel = middle - (amid * length_m) * along;
-  line.tip = middle + ((1 - amid) * length_m) * along;
+  // It is stretched as the tissue is.
+  const Vec3 whole = (1 / (to - from)) * (ends[1] - ends[0]);
+  line.heel = ends[0] - from * whole;
+  line.tip = ends[1] + (1 - to) * whole;
+}
+
+// Adds up how much each two vertices at a point have gone apart in this step: there and back is nothing. Whether they are farther apart now than tissue is
+// stretched, or nearer.
+bool SweptFollower::note_strain(LineAnchor::Point& point, const Vec3* before) const {
+  const double most_m = kApart_h * mesh_.mean_edge_length();
+  bool torn = false;
+  float* apart_m = point.apart_m.data();
+  for (std::size_t i = 0; i < LineAnchor::kVertices; ++i) {
+    for (std::size_t k = i + 1; k < LineAnchor::kVertices; ++k, ++apart_m) {
+      if (!is_there(point.near[i]) || !is_there(point.near[k])) continue;
+      const double now_m = distance(mesh_.position(point.near[i]), mesh_.position(point.near[k]));
+      *apart_m += static_cast<float>(now_m - distance(before[i], before[k]));
+      const double by_m = std::abs(double{*apart_m}), at_first_m = std::max(0.0, now_m - double{*apart_m});
+      torn = torn || !(by_m <= most_m + kStretch * at_first_m);
+    }
+  }
+  return torn;
 }
 
 }  // namespace incise::core

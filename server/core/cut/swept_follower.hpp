@@ -10,7 +10,7 @@
 namespace incise::core {
 
 // Takes what blades have swept along when a host simulation moves the body: later strokes then find it where the tissue is that it went through. Each line
-// goes as the vertices near two of its points do, and stays straight. What lies in the air goes with the tissue that is nearest. Where
+// goes as the vertices near two of its points do, is stretched with them, and stays straight. What lies in the air goes with the tissue that is nearest. Where
 // that has gone apart, as at a cut that gapes, it is forgotten.
 class SweptFollower {
  public:
@@ -39,6 +39,7 @@ class SweptFollower {
   void find_near(const Vec3& p, LineAnchor::Point& point, WorkBudget& budget);
   bool is_there(VertexId v) const { return v != kNone && mesh_.is_used(v); }
   void move(BladeLine& line, LineAnchor& anchor, const Vec3* before) const;
+  bool note_strain(LineAnchor::Point& point, const Vec3* before) const;
 
   const TetMesh& mesh_;
   CutWorkspace& workspace_;

@@ -5,8 +5,6 @@
 #include <cmath>
 #include <limits>
 
-#include "server/core/stroke/swept_triangle.hpp"
-
 namespace incise::core {
 
 namespace {
@@ -17,16 +15,10 @@ constexpr double kDoesNotGoOn_m = std::numeric_limits<double>::infinity();
 
 // How far a line that a blade came by is beside the quad from one line to another.
 double off_m(const BladeLine& line, const SweptMemory::Quad& quad) {
-  const auto to_triangles = [&](const Vec3& p) {
-    double least_m2 = std::numeric_limits<double>::infinity();
-    for (const auto& [a, b, c] : quad.triangles())
-      least_m2 = std::min(least_m2, squared_length(closest_point(p, a, b, c) - p));
-    return least_m2;
-  };
   // Its ends lie beside the rims: the quad is no wider than what was swept, either.
   return std::sqrt(std::max({squared_distance_to_segment(line.heel, quad.from.heel, quad.to.heel),
                              squared_distance_to_segment(line.tip, quad.from.tip, quad.to.tip),
-                             to_triangles(lerp(line.heel, line.tip, 0.5))}));
+                             quad.squared_distance(lerp(line.heel, line.tip, 0.5))}));
 }
 
 }  // namespace
@@ -147,9 +139,7 @@ bool SweptMemory::crosses(const Vec3& a, const Vec3& b, std::size_t& looked_at) 
 std::uint32_t SweptMemory::stroke_at(const Vec3& p, double reach_m, std::size_t& looked_at) const {
   std::uint32_t stroke = 0;
   any_in(Box::around({p}).widened(reach_m), looked_at, [&](const Quad& quad) {
-    const bool is_near = std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& t) {
-      return squared_length(closest_point(p, t[0], t[1], t[2]) - p) <= reach_m * reach_m;
-    });
+    const bool is_near = quad.squared_distance(p) <= reach_m * reach_m;
     if (is_near) stroke = quad.stroke;
     return is_near;
   });

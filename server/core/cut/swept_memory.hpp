@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -11,13 +12,13 @@
 #include "server/core/cut/line_anchor.hpp"
 #include "server/core/geometry/box.hpp"
 #include "server/core/stroke/blade.hpp"
+#include "server/core/stroke/swept_triangle.hpp"
 #include "server/core/util/archive.hpp"
 
 namespace incise::core {
 
-// The newest of what all blades have swept in a body, as quads between two lines, which go with the tissue as it moves (SweptFollower): what a later stroke parts may hang together where an
-// older one has been, and the surface of that one is gone. Some thousand h of a
-// blade's way where it is straight.
+// The newest of what all blades have swept in a body, as quads between two lines, which go with the tissue as it moves (SweptFollower): what a later
+// stroke parts may hang together where an older one has been, and the surface of that one is gone. Some thousand h of a blade's way where it is straight.
 class SweptMemory {
  public:
   // The way of the heel or the tip between two lines, in parts of equal length.
@@ -40,6 +41,12 @@ class SweptMemory {
     // As what a batch sweeps is cut.
     std::array<std::array<Vec3, 3>, 2> triangles() const {
       return {{{from.heel, from.tip, to.tip}, {from.heel, to.tip, to.heel}}};
+    }
+    double squared_distance(const Vec3& p) const {
+      double least_m2 = std::numeric_limits<double>::infinity();
+      for (const auto& [a, b, c] : triangles())
+        least_m2 = std::min(least_m2, squared_length(closest_point(p, a, b, c) - p));
+      return least_m2;
     }
     // Part k of a rim, from the one line to the other.
     std::array<Vec3, 2> part(End end, std::uint32_t k) const {

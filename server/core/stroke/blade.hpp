@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 #include "server/core/geometry/vec3.hpp"
@@ -11,6 +12,10 @@ namespace incise::core {
 struct Quat {
   double w = 1, x = 0, y = 0, z = 0;
 
+  Quat normalized() const {
+    const double length = std::sqrt(w * w + x * x + y * y + z * z);
+    return {w / length, x / length, y / length, z / length};
+  }
   friend bool operator==(const Quat&, const Quat&) = default;
 };
 
@@ -19,6 +24,13 @@ inline Vec3 rotate(const Quat& q, const Vec3& v) {
   const Vec3 u{q.x, q.y, q.z};
   const Vec3 t = 2.0 * cross(u, v);
   return v + q.w * t + cross(u, t);
+}
+
+// The rotation b, and then a.
+inline Quat product(const Quat& a, const Quat& b) {
+  const Vec3 u{a.x, a.y, a.z}, v{b.x, b.y, b.z};
+  const Vec3 w = a.w * v + b.w * u + cross(u, v);
+  return {a.w * b.w - dot(u, v), w.x, w.y, w.z};
 }
 
 // Where the tool was: world_from_tool at one moment of the source's own clock.

@@ -6,20 +6,11 @@
 namespace incise::input {
 namespace {
 
+using core::product;
 using core::Quat;
 using core::Vec3;
 
 constexpr double kFarthest = 1e6;  // metres, radians or deflections: a larger number is not part of a pose
-
-Quat product(const Quat& a, const Quat& b) {
-  return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z, a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
-          a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x, a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
-}
-
-Quat normalized(const Quat& q) {
-  const double n = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
-  return {q.w / n, q.x / n, q.y / n, q.z / n};
-}
 
 // The rotation by a rotation vector: its direction is the axis, its length the angle.
 Quat turn_by(const Vec3& v) {
@@ -222,7 +213,7 @@ void PoseDecoder::integrate(const ToolProfile& profile, Tool& tool, std::uint8_t
     const RateShape& shape = profile.rotation_rate;
     const Quat turn = turn_by(dt_s * Vec3{shape.speed(r[1]), shape.speed(r[2]), shape.speed(r[3])});
     tool.turn =
-        normalized(profile.rotation_in_tool_frame ? product(tool.turn, turn) : product(turn, tool.turn));
+        (profile.rotation_in_tool_frame ? product(tool.turn, turn) : product(turn, tool.turn)).normalized();
   }
 }
 
@@ -232,7 +223,7 @@ Quat PoseDecoder::rotation_of(const ToolProfile& profile, const Tool& tool) cons
     case ToolProfile::Rotation::kNone:
       break;
     case ToolProfile::Rotation::kQuaternion:
-      return near_unit(r) ? normalized({r[0], r[1], r[2], r[3]}) : Quat{};
+      return near_unit(r) ? Quat{r[0], r[1], r[2], r[3]}.normalized() : Quat{};
     case ToolProfile::Rotation::kEuler: {
       Quat q;
       for (const std::uint8_t axis : profile.euler_order) {

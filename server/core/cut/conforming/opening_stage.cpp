@@ -124,9 +124,7 @@ bool OpeningStage::is_alone(const Vec3& p) const {
   const bool has_other = cut_.workspace.swept.any_in(around, looked_at, [&](const SweptMemory::Quad& quad) {
     const double after_m = quad.travel_m - travel_m, before_m = -after_m - travel(quad.from, quad.to);
     if (quad.stroke == cut_.stroke && std::max(after_m, before_m) < kOwnSweep_h * cut_.h) return false;
-    return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& t) {
-      return squared_length(closest_point(p, t[0], t[1], t[2]) - p) < reach * reach;
-    });
+    return quad.squared_distance(p) < reach * reach;
   });
   cut_.work.add(looked_at, cost::kQuadsAUnit);
   return !has_other;
