@@ -137,6 +137,7 @@ class Watcher {
       gone_since_.reset();
       return false;
     }
+    std::string trouble = client_->last_error();
     if (!gone_since_) {
       gone_since_ = now;
       const std::string until = command_.give_up_after_s > 0
@@ -144,12 +145,10 @@ class Watcher {
                                     : " until it is interrupted";
       std::fprintf(stderr, "incise: %s is gone; trying to connect again%s\n", command_.server.address.c_str(),
                    until.c_str());
-      trouble_ = client_->last_error();
-    }
-    // A server that is back may refuse us: for another token, say.
-    std::string trouble = client_->last_error();
-    if (!trouble.empty() && trouble != trouble_)
+    } else if (!trouble.empty() && trouble != trouble_) {
+      // A server that is back may refuse us: for another token, say.
       std::fprintf(stderr, "incise: not connected yet: %s\n", trouble.c_str());
+    }
     trouble_ = std::move(trouble);
     return command_.give_up_after_s > 0 &&
            now - *gone_since_ >= std::chrono::duration<double>(command_.give_up_after_s);

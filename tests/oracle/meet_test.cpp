@@ -54,11 +54,11 @@ TEST_P(Meet, LeavesThePartsThatGeometrySays) {
   }
 }
 
-// Where a batch takes long what is cut is seen before all is judged that may close, and where its parts end depends on the body and the motion alone.
 class MeetingParts : public testing::TestWithParam<std::string_view> {};
 INSTANTIATE_TEST_SUITE_P(Kinds, MeetingParts, testing::ValuesIn(kMeetingKinds),
                          [](const auto& kind) { return std::string(kind.param); });
 
+// Where a batch takes long what is cut is seen before all is judged that may close, and where its parts end depends on the body and the motion alone.
 TEST_P(MeetingParts, AreTheSameWhateverTheBudget) {
   static const core::MeshData cube = tests::cube(20);
   static const double h = core::TetMesh(cube).mean_edge_length();

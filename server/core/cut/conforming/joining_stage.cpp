@@ -23,6 +23,17 @@ Vec3 direction_of(const BladeLine& from, const BladeLine& to) {
   return normalized(across);
 }
 
+// Along the blade, out of what a quad stands for: beyond the way of its heel, or of its tip.
+Vec3 beyond(const SweptMemory::Quad& quad, SweptMemory::End end) {
+  const Vec3 along = normalized((quad.from.tip - quad.from.heel) + (quad.to.tip - quad.to.heel));
+  return end == SweptMemory::kTip ? along : -along;
+}
+
+// From that way back into the quad, by no more than this.
+Vec3 back_into(const SweptMemory::Quad& quad, SweptMemory::End end, double by_m) {
+  return -std::min(by_m, distance(quad.from.heel, quad.from.tip)) * beyond(quad, end);
+}
+
 }  // namespace
 
 void JoiningStage::clear() {
@@ -262,7 +273,7 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
     cut_.work.add(looked_at, cost::kQuadsAUnit);
     if (next_quad_ == memory.quads().size()) return true;
     const SweptMemory::Quad quad = memory.quads()[next_quad_];  // a copy: what is led on is remembered, too
-    // What this stroke has swept just now is part of its surface.
+    // What this stroke has swept just now is part of its surface. Of a hand that is at it for long, its own would be more and more.
     const bool is_own = quad.stroke == cut_.stroke;
     const double after_m = cut_.path.travel_m() - quad.travel_m - travel(quad.from, quad.to);
     if (is_own && (after_m < kOwnSweep_h * cut_.h || own_rims_ >= kMostOwnRims)) continue;
@@ -270,7 +281,6 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
       for (std::uint64_t free = quad.rims[end].free; free != 0; free &= free - 1) {
         const auto part = static_cast<std::uint32_t>(std::countr_zero(free));
         cut_.work += cost::kLook;
-        // Of a hand that is at it for long, what this stroke itself runs before would be more and more.
         if ((!is_own && take_up(quad, end, part)) || go_on_beyond(quad, end, part))
           memory.take(next_quad_, end, part);
       }
@@ -282,12 +292,11 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
 // that way, for large elements open only so far before it.
 bool JoiningStage::take_up(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part) {
   const auto [a, b] = quad.part(end, part);
-  const Vec3 along = normalized((quad.from.tip - quad.from.heel) + (quad.to.tip - quad.to.heel));
-  const Vec3 direction = end == SweptMemory::kTip ? along : -along;
+  const Vec3 direction = beyond(quad, end);
   double ahead_m = kNoWall;
   for (const Vec3& p : {a, lerp(a, b, 0.5), b}) sweep_ahead(p, direction, ahead_m);
   if (ahead_m == kNoWall) return false;
-  const Vec3 back = -std::min(kStrip_h * cut_.h, distance(quad.from.heel, quad.from.tip)) * direction;
+  const Vec3 back = back_into(quad, end, kStrip_h * cut_.h);
   cut_.path.add_strip(a + back, b + back, b, a, false);
   cut_.meets_cut = true;
   extend(a, b, direction, ahead_m);
@@ -301,10 +310,8 @@ bool JoiningStage::go_on_beyond(const SweptMemory::Quad& quad, SweptMemory::End 
   const Vec3 amid = lerp(a, b, 0.5);
   if (!is_in_reach(amid, amid)) return false;
   own_rims_ += quad.stroke == cut_.stroke ? 1 : 0;
-  const Vec3 along = normalized((quad.from.tip - quad.from.heel) + (quad.to.tip - quad.to.heel));
-  const Vec3 beyond = end == SweptMemory::kTip ? along : -along;
-  const Vec3 back = -std::min(kRow_h * cut_.h, distance(quad.from.heel, quad.from.tip)) * beyond;
-  if (!covers(amid + kBeyondRow_h * cut_.h * beyond) || covers(amid + back)) return false;
+  const Vec3 back = back_into(quad, end, kRow_h * cut_.h);
+  if (!covers(amid + kBeyondRow_h * cut_.h * beyond(quad, end)) || covers(amid + back)) return false;
   cut_.path.add_strip(a + back, b + back, b, a, false);
   return true;
 }
