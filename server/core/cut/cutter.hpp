@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/stroke/rigid_motion.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
 #include "server/core/util/archive.hpp"
 #include "server/core/util/work_budget.hpp"
@@ -39,9 +40,11 @@ class Cutter {
   virtual Progress advance(WorkBudget& budget) = 0;
   // Of the batch begun last, or of its last part.
   virtual const CutCounts& counts() const = 0;
-  // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. They must
-  // not be moved until it is done.
+  // Between two batches: appends the vertices, some more than once, that what the stroke has pending relies on. Until it is done they
+  // may only be moved all together, and follow() has to say so.
   virtual void clinging(std::vector<VertexId>& /*out*/) const {}
+  // They have been moved, and what the stroke has swept goes along. The next batch's lines are where the tissue is now.
+  virtual void follow(const RigidMotion& /*motion*/) {}
   // The batch begun last, as far as the policy needs to know.
   virtual BatchNumber last() const { return {}; }
   // Between two batches: what later ones depend on.

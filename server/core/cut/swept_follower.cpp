@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "server/core/geometry/clip.hpp"
+#include "server/core/stroke/rigid_motion.hpp"
 
 namespace incise::core {
 namespace {
@@ -19,95 +20,6 @@ constexpr double kApart = 1e-3;
 constexpr double kApart_h = 0.25, kStretch = 0.5;
 // Of the tetrahedra that are looked at so many make a unit of work.
 constexpr std::int64_t kTetsAUnit = 4;
-
-// The rigid motion that takes some points to others best, by least squares.
-class RigidMotion {
- public:
-  void add(const Vec3& from, const Vec3& to) {
-    from_[count_] = from;
-    to_[count_++] = to;
-  }
-  std::size_t count() const { return count_; }
-  void fit() {
-    for (std::size_t i = 0; i < count_; ++i) {
-      from_middle_ += (1 / static_cast<double>(count_)) * from_[i];
-      to_middle_ += (1 / static_cast<double>(count_)) * to_[i];
-    }
-    turn_roughly();
-    // Each time by the turn that is best while it is small.
-    for (int i = 0; i < kTurns; ++i) turn();
-  }
-  Vec3 operator()(const Vec3& p) const { return to_middle_ + rotate(rotation_, p - from_middle_); }
-
- private:
-  static constexpr int kTurns = 3;
-  // Points in a line say nothing about a turn around that: then there is none.
-  static constexpr double kStiff = 1e-6;
-  // Of how far they lie from their middle: farther from a line than this.
-  static constexpr double kInLine = 1e-3;
-
-  // By any angle: the turn that takes the farthest point's direction along, and then the one around it that takes along the plane of the point that is
-  // farthest beside it. A body that is laid on its other side in one step turns by more than steps of small turns find.
-  void turn_roughly() {
-    const auto from = [this](std::size_t i) { return from_[i] - from_middle_; };
-    const auto to = [this](std::size_t i) { return to_[i] - to_middle_; };
-    std::size_t far = 0;
-    for (std::size_t i = 1; i < count_; ++i) {
-      if (squared_length(from(i)) > squared_length(from(far))) far = i;
-    }
-    const double far_m = length(from(far));
-    if (far_m == 0 || squared_length(to(far)) == 0) return;
-    const Vec3 axis = normalized(to(far));
-    rotation_ = turn_between(normalized(from(far)), axis);
-    const auto beside = [&](const Vec3& p) { return p - dot(p, axis) * axis; };
-    const auto turned_beside = [&](std::size_t i) { return beside(rotate(rotation_, from(i))); };
-    std::size_t side = 0;
-    for (std::size_t i = 1; i < count_; ++i) {
-      if (squared_length(turned_beside(i)) > squared_length(turned_beside(side))) side = i;
-    }
-    const Vec3 before = turned_beside(side), after = beside(to(side));
-    if (std::min(length(before), length(after)) <= kInLine * far_m) return;
-    rotation_ = product(turn_between(normalized(before), normalized(after), axis), rotation_);
-  }
-  // The smallest turn from one direction to another; where they are opposite, around `axis`, or any.
-  static Quat turn_between(const Vec3& from, const Vec3& to, const Vec3& axis = {}) {
-    const Vec3 half = from + to;
-    if (squared_length(half) > kInLine * kInLine) {
-      const Vec3 amid = normalized(half), u = cross(from, amid);
-      return {dot(from, amid), u.x, u.y, u.z};
-    }
-    const Vec3 across =
-        squared_length(axis) > 0 ? axis : cross(from, std::abs(from.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
-    const Vec3 u = normalized(across);
-    return {0, u.x, u.y, u.z};
-  }
-  void turn() {
-    Vec3 columns[3] = {}, sum{};
-    for (std::size_t i = 0; i < count_; ++i) {
-      const Vec3 r = rotate(rotation_, from_[i] - from_middle_);
-      const double l2 = squared_length(r);
-      columns[0] += Vec3{l2, 0, 0} - r.x * r;
-      columns[1] += Vec3{0, l2, 0} - r.y * r;
-      columns[2] += Vec3{0, 0, l2} - r.z * r;
-      sum += cross(r, to_[i] - to_middle_);
-    }
-    const double stiff = kStiff * (columns[0].x + columns[1].y + columns[2].z);
-    columns[0].x += stiff;
-    columns[1].y += stiff;
-    columns[2].z += stiff;
-    const double det = dot(columns[0], cross(columns[1], columns[2]));
-    if (!(det > 0)) return;
-    const Vec3 half =
-        (0.5 / det) * Vec3{dot(sum, cross(columns[1], columns[2])), dot(sum, cross(columns[2], columns[0])),
-                           dot(sum, cross(columns[0], columns[1]))};
-    rotation_ = product({1, half.x, half.y, half.z}, rotation_).normalized();
-  }
-
-  std::array<Vec3, 2 * LineAnchor::kVertices> from_, to_;
-  std::size_t count_ = 0;
-  Vec3 from_middle_{}, to_middle_{};
-  Quat rotation_;
-};
 
 }  // namespace
 
@@ -225,18 +137,21 @@ void SweptFollower::follow() {
 
 // A point goes as the vertices near both points would if they were rigid, and then by what those near it deviate from that, in the mean.
 void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before) const {
-  RigidMotion motion;
+  std::array<Vec3, 2 * LineAnchor::kVertices> from, to;
+  std::size_t known = 0;
   for (std::size_t i = 0; i < 2; ++i) {
     for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
       const VertexId v = anchor.points[i].near[k];
-      if (is_there(v)) motion.add(before[i * LineAnchor::kVertices + k], mesh_.position(v));
+      if (!is_there(v)) continue;
+      from[known] = before[i * LineAnchor::kVertices + k];
+      to[known++] = mesh_.position(v);
     }
   }
-  if (motion.count() == 0) {
+  if (known == 0) {
     anchor.points = {};
     return;
   }
-  motion.fit();
+  const RigidMotion motion = RigidMotion::fit({from.data(), known}, {to.data(), known});
   Vec3 ends[2];
   bool lost = false;
   for (std::size_t i = 0; i < 2; ++i) {
@@ -254,18 +169,18 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
     if (count > 0) ends[i] += (1 / count) * deviation;
     lost = lost || count == 0;
   }
-  const double from = static_cast<double>(anchor.points[0].part),
-               to = static_cast<double>(anchor.points[1].part);
+  const double first = static_cast<double>(anchor.points[0].part),
+               last = static_cast<double>(anchor.points[1].part);
   // Others are looked for the next time.
   if (lost) anchor.points = {};
-  if (to - from < kApart || squared_length(ends[1] - ends[0]) == 0) {
-    line = {motion(line.heel), motion(line.tip)};
+  if (last - first < kApart || squared_length(ends[1] - ends[0]) == 0) {
+    line = motion(line);
     return;
   }
   // It is stretched as the tissue is.
-  const Vec3 whole = (1 / (to - from)) * (ends[1] - ends[0]);
-  line.heel = ends[0] - from * whole;
-  line.tip = ends[1] + (1 - to) * whole;
+  const Vec3 whole = (1 / (last - first)) * (ends[1] - ends[0]);
+  line.heel = ends[0] - first * whole;
+  line.tip = ends[1] + (1 - last) * whole;
 }
 
 // Adds up how much each two vertices at a point have gone apart in this step: there and back is nothing. Whether they are farther apart now than tissue is

@@ -30,6 +30,10 @@ constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
 
+bool is_place(const Vec3& p) {
+  return squared_length(p) < kSurelyNear_m2 || (is_finite(p) && length(p) <= kFarthest_m);
+}
+
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
 }
@@ -54,7 +58,7 @@ void VertexMover::note_cut(const Delta& delta) {
   tets_.follow(delta);
 }
 
-void VertexMover::begin(const VertexPositions& positions, const std::vector<VertexId>& clinging,
+void VertexMover::begin(const VertexPositions& positions, std::span<const Clinging> clinging,
                         const std::vector<GaveWay>* known) {
   positions_ = &positions;
   phase_ = Phase::kGather;
@@ -62,10 +66,12 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   serial_ = workspace_.next_serial();
   const std::size_t vertices = mesh_.vertex_slots();
   wanted_.resize(vertices, 0);
-  clinging_.resize(vertices, 0);
   gives_way_.resize(vertices, 0);
   reach_.resize(vertices, kStays);
-  for (const VertexId v : clinging) clinging_[v] = serial_;
+  clinging_ = clinging;
+  next_clinging_ = 0;
+  clinging_gives_way_ = false;
+  clinging_gave_way_ = known != nullptr && !known->empty() && known->back().vertex == kNone;
   first_round_ = true;
   known_ = known;
   gave_way_.clear();
@@ -82,6 +88,11 @@ void VertexMover::begin(const VertexPositions& positions, const std::vector<Vert
   grid_.begin();
   const double h = kLocallyAtMost * mesh_.mean_edge_length();
   surely_thick_ = kThinnest * h * h * h;
+}
+
+void VertexMover::begin_again(const VertexPositions& positions, std::span<const Clinging> clinging) {
+  begin(positions, clinging);
+  clinging_gave_way_ = true;
 }
 
 bool VertexMover::advance(WorkBudget& budget) {
@@ -137,14 +148,49 @@ void VertexMover::gather(WorkBudget& budget) {
     phase_ = Phase::kTake;
 }
 
+bool VertexMover::is_known(const VertexPositions& positions, VertexId v) const {
+  return v < mesh_.vertex_slots() && mesh_.vertex_tet(v) != kNone && known_since_[v] <= positions.revision;
+}
+
+const Vec3* VertexMover::wanted_place(const VertexPositions& positions, VertexId v) const {
+  if (!is_known(positions, v)) return nullptr;
+  std::size_t at = 0;
+  if (positions.ids.empty()) {
+    if (v < positions.first) return nullptr;
+    at = v - positions.first;
+  } else {
+    const auto found = std::lower_bound(positions.ids.begin(), positions.ids.end(), v);
+    if (found == positions.ids.end() || *found != v) return nullptr;
+    at = static_cast<std::size_t>(found - positions.ids.begin());
+  }
+  return at < positions.positions.size() && is_place(positions.positions[at]) ? &positions.positions[at]
+                                                                              : nullptr;
+}
+
 bool VertexMover::may_move(VertexId v, const Vec3& to) {
   if (wanted(v) || (!moved_.empty() && v < moved_.back())) return false;
-  const Vec3& now = mesh_.position(v);
-  if (to.x == now.x && to.y == now.y && to.z == now.z) return false;
-  const bool is_place = squared_length(to) < kSurelyNear_m2 || (is_finite(to) && length(to) <= kFarthest_m);
-  if (clinging_[v] != serial_ && is_place) return true;
+  if (to == mesh_.position(v)) return false;
+  if (is_place(to)) return true;
   held_.push_back(v);
   return false;
+}
+
+void VertexMover::want(VertexId v, const Vec3& to) {
+  wanted_[v] = serial_;
+  reach_[v] = kFull;
+  target_.set(v, to);
+  moved_.push_back(v);
+  moved_positions_.push_back(to);
+}
+
+// The next one. `wanted`: where the simulation wants it, if it says so.
+void VertexMover::take_clinging(const Vec3* wanted) {
+  const auto [v, place] = clinging_[next_clinging_++];
+  if (wanted != nullptr && *wanted != mesh_.position(v) &&
+      !(squared_length(*wanted - place) <=
+        kSamePlace_h * kSamePlace_h * mesh_.mean_edge_length() * mesh_.mean_edge_length()))
+    held_.push_back(v);
+  if (place != mesh_.position(v) && is_place(place) && (moved_.empty() || moved_.back() < v)) want(v, place);
 }
 
 void VertexMover::take(WorkBudget& budget) {
@@ -160,22 +206,21 @@ void VertexMover::take(WorkBudget& budget) {
         const std::size_t before = moved_.size();
         for (std::size_t i = first; i < stop; ++i) {
           const VertexId v = positions_->id(i);
-          if (v >= mesh_.vertex_slots() || mesh_.vertex_tet(v) == kNone ||
-              known_since_[v] > positions_->revision) {
+          while (clings_before(v)) take_clinging(nullptr);
+          if (!is_known(*positions_, v)) {
             ++passed_over_;
-            continue;
+          } else if (next_clinging_ < clinging_.size() && clinging_[next_clinging_].vertex == v) {
+            take_clinging(&entries[i]);
+          } else if (may_move(v, entries[i])) {
+            want(v, entries[i]);
           }
-          const Vec3& p = entries[i];
-          if (!may_move(v, p)) continue;
-          wanted_[v] = serial_;
-          reach_[v] = kFull;
-          target_.set(v, p);
-          moved_.push_back(v);
-          moved_positions_.push_back(p);
         }
         note_moved(before);
       });
   if (!done) return;
+  const std::size_t before = moved_.size();
+  while (clings_before(kNone)) take_clinging(nullptr);
+  note_moved(before);
   // One pass over all tetrahedra is faster than visiting the stars of most vertices, which reach each tetrahedron four times.
   all_tets_ = moved_.size() > mesh_.tet_slots() / 16;
   pass_.begin();
@@ -340,11 +385,21 @@ void VertexMover::yield(WorkBudget& budget) {
 
 // All is known: where each vertex goes.
 void VertexMover::begin_settling() {
+  clinging_gives_way_ = std::ranges::any_of(
+      clinging_, [this](const Clinging& c) { return wanted(c.vertex) && reach_[c.vertex] != kFull; });
+  if (clinging_gives_way_) {
+    for (const VertexId v : moved_) target_.set(v, mesh_.position(v));
+    phase_ = Phase::kReady;
+    return;
+  }
   for (std::size_t i = held_at_blades_; i < held_.size(); ++i)
     gave_way_.push_back({held_[i], reach_[held_[i]] == kStays});
   std::sort(gave_way_.begin(), gave_way_.end(),
             [](const GaveWay& a, const GaveWay& b) { return a.vertex < b.vertex; });
+  if (clinging_gave_way_) gave_way_.push_back({kNone, true});
+  // What clings may be held already.
   std::sort(held_.begin(), held_.end());
+  held_.erase(std::unique(held_.begin(), held_.end()), held_.end());
   phase_ = Phase::kSettle;
 }
 
@@ -362,6 +417,7 @@ void VertexMover::settle(WorkBudget& budget) {
 // Corrects what was noted when the vertex was taken.
 void VertexMover::give_way(const GaveWay& gave) {
   const VertexId v = gave.vertex;
+  if (v == kNone) return;
   const auto at =
       static_cast<std::size_t>(std::lower_bound(moved_.begin(), moved_.end(), v) - moved_.begin());
   const auto change = [&](const Vec3& to) { return hash_of_move(std::span(&v, 1), std::span(&to, 1)); };

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/cut_workspace.hpp"
@@ -13,11 +14,17 @@
 
 namespace incise::core {
 
+// A vertex at a blade, and where it has to be after the step.
+struct Clinging {
+  VertexId vertex;
+  Vec3 place;
+};
+
 // Moves vertices to the positions that a host simulation has sent, all at once, after checking that the mesh stays valid:
 //
 //   gather   what cuts have made since the last step, or everything before the first one.
 //   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
-//            present state), nor those at a blade: the cut under way relies on the places it has given them, so
+//            present state). Those at a blade stay, or go all together: the cut under way relies on how they lie to each other, so
 //            the tissue clings to the blade until it has passed.
 //   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, or of their longest edge's cube; what is flat already may
 //            lose half). Their vertices go half the way, or stay if that is still too far; this repeats until no
@@ -28,15 +35,24 @@ namespace incise::core {
 // Nothing changes before commit(), and the budget is checked in between. The cost depends on the vertices that move only.
 class VertexMover {
  public:
+  // What clings to a blade is where the simulation wants it if it is so near to that, and does not follow by less.
+  static constexpr double kSamePlace_h = 5e-3;
+
   // Both must outlive this.
   VertexMover(TetMesh& mesh, CutWorkspace& workspace);
 
-  // `positions` must live until commit(). `clinging`: the vertices at blades, repetitions allowed. `known`: what gives way,
+  // `positions` must live until commit(), and `clinging`, the vertices at blades, ascending. `known`: what gives way,
   // from another session that was in the same state: if most vertices move, nothing is checked. It must live until commit().
-  void begin(const VertexPositions& positions, const std::vector<VertexId>& clinging,
+  void begin(const VertexPositions& positions, std::span<const Clinging> clinging,
              const std::vector<GaveWay>* known = nullptr);
+  // The same once more, where what clings has to stay.
+  void begin_again(const VertexPositions& positions, std::span<const Clinging> clinging);
+  // Where these positions want a vertex; null: they do not say so, or did not know where it is.
+  const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
   // Works until all is ready (true) or the budget is spent (false).
   bool advance(WorkBudget& budget);
+  // Ready, but what clings would not lie as it has to, since tetrahedra would invert. Then commit() must not follow, but begin_again().
+  bool clinging_gives_way() const { return clinging_gives_way_; }
   // Moves the vertices. Fills the mesh part of `delta`.
   void commit(Delta& delta);
 
@@ -60,6 +76,12 @@ class VertexMover {
   void gather(WorkBudget& budget);
   void take(WorkBudget& budget);
   bool may_move(VertexId v, const Vec3& to);
+  bool is_known(const VertexPositions& positions, VertexId v) const;
+  void want(VertexId v, const Vec3& to);
+  bool clings_before(VertexId v) const {
+    return next_clinging_ < clinging_.size() && clinging_[next_clinging_].vertex < v;
+  }
+  void take_clinging(const Vec3* wanted);
   void look(WorkBudget& budget);
   void look_around(VertexId v);
   void check(WorkBudget& budget);
@@ -88,11 +110,13 @@ class VertexMover {
   std::vector<std::uint64_t> known_since_;  // by vertex: the revision of the last cut that moved or made it
 
   const VertexPositions* positions_ = nullptr;
+  std::span<const Clinging> clinging_;                           // in this step
+  std::size_t next_clinging_ = 0;                                // that is to be taken
+  bool clinging_gives_way_ = false, clinging_gave_way_ = false;  // now, and before it was begun again
   Phase phase_ = Phase::kReady;
   std::size_t next_ = 0;
   std::uint32_t serial_ = 0;
   std::vector<std::uint32_t> wanted_;     // by vertex: the step that wants to move it
-  std::vector<std::uint32_t> clinging_;   // by vertex: the step in which it clings to a blade
   std::vector<std::uint32_t> gives_way_;  // by vertex: the pass that found that it goes too far
   TetPass pass_;                          // through tetrahedra: looks at each once
   std::vector<std::uint8_t> reach_;       // by vertex, while it is wanted

@@ -8,7 +8,8 @@
 
 namespace incise::core {
 
-// A vertex that a step did not take all the way, since a tetrahedron would have inverted: half the way, or it stays.
+// A vertex that a step did not take all the way, since a tetrahedron would have inverted: half the way, or it stays. kNone, behind all others: what clings to
+// blades did not go along with the body for that reason.
 struct GaveWay {
   VertexId vertex = kNone;
   bool stays = false;

@@ -77,7 +77,7 @@ StrokeBuilder::StrokeBuilder(std::uint32_t source, const CutConfig& config, doub
   buffer_.reserve(kMaxBuffered + 1);
 }
 
-PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out) {
+PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out, std::uint64_t step) {
   const Quat& q = pose.orientation;
   const double norm = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
   if (!is_finite(pose.position) || !std::isfinite(norm) || length(pose.position) > kFarthest_m) {
@@ -88,7 +88,7 @@ PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out) {
   pose.orientation = {q.w / norm, q.x / norm, q.y / norm, q.z / norm};
 
   const bool engaged = config_.always_engaged || (pose.buttons & config_.engage_buttons) != 0;
-  const TimedLine now{blade_line(config_.blade, pose), pose.t_ns};
+  const TimedLine now{blade_line(config_.blade, pose), pose.t_ns, step};
   PoseVerdict verdict = PoseVerdict::kAccepted;
   if (in_stroke_ && is_jump(config_, config_.blade, last_pose_, pose)) {
     end_stroke(out);
@@ -158,7 +158,11 @@ void StrokeBuilder::emit(BatchQueue& out, bool ends_stroke) {
   batch.from_t_ns = buffer_.front().t_ns;
   batch.to_t_ns = buffer_.back().t_ns;
   batch.lines.assign(1, buffer_.front().line);
-  for (std::size_t i = 1; i < kept_.size(); ++i) batch.lines.push_back(buffer_[kept_[i]].line);
+  batch.steps.assign(1, buffer_.front().step);
+  for (std::size_t i = 1; i < kept_.size(); ++i) {
+    batch.lines.push_back(buffer_[kept_[i]].line);
+    batch.steps.push_back(buffer_[kept_[i]].step);
+  }
   out.push(batch);
   buffer_.assign(1, TimedLine(buffer_.back()));
 }
@@ -213,10 +217,11 @@ void StrokeBuilder::archive(Archive& io) {
     io.demand(std::isfinite(*q), "a quaternion is not finite");
   }
   io(last_pose_.buttons);
-  io.list(buffer_, 56, [&](TimedLine& line) {
+  io.list(buffer_, 64, [&](TimedLine& line) {
     io(line.line.heel);
     io(line.line.tip);
     io(line.t_ns);
+    io(line.step);
   });
   io.demand(!in_stroke_ || !buffer_.empty(), "a stroke without a line");
   io.demand(buffer_.size() <= (1u << 20), "more lines than a stroke keeps");

@@ -40,6 +40,7 @@ struct Batch {
   std::uint32_t number = 0;                 // within the stroke, from 1
   bool ends_stroke = false;                 // flush: nothing more will come
   std::vector<BladeLine> lines;             // at least one; the first is the last one of the batch before
+  std::vector<std::uint64_t> steps;         // for each line: so many deformations went before it
   std::int64_t from_t_ns = 0, to_t_ns = 0;  // source times of the first and the last line
   std::shared_ptr<const VertexPositions> deformation;  // instead of a cut; stroke 0
 };
@@ -75,8 +76,9 @@ class StrokeBuilder {
   // h: mean edge length, m. `stroke_counter` is shared by all sources and must outlive this.
   StrokeBuilder(std::uint32_t source, const CutConfig& config, double h, std::uint32_t& stroke_counter);
 
-  // Takes a pose; batches that it completes are appended to `out`. O(1) amortised, O(buffer) when a batch completes.
-  PoseVerdict push(Pose pose, BatchQueue& out);
+  // Takes a pose; batches that it completes are appended to `out`. `step`: so many deformations went before it. O(1) amortised, O(buffer) when a
+  // batch completes.
+  PoseVerdict push(Pose pose, BatchQueue& out, std::uint64_t step = 0);
   // Ends the running stroke, if there is one: the source was let go, or has vanished.
   void end_stroke(BatchQueue& out);
 
@@ -92,6 +94,7 @@ class StrokeBuilder {
   struct TimedLine {
     BladeLine line;
     std::int64_t t_ns;
+    std::uint64_t step;
   };
   void begin_stroke(const TimedLine& line);
   void emit(BatchQueue& out, bool ends_stroke);

@@ -97,6 +97,11 @@ void SweptSurface::clear() {
   build();
 }
 
+void SweptSurface::move(const RigidMotion& motion) {
+  for (SweptTriangle& triangle : triangles_) triangle = moved(triangle, motion);
+  built_ = 0;
+}
+
 bool SweptSurface::is_over(const Vec3& p, double reach, double clear_m) const {
   return any_near(p, reach, [&](const SweptTriangle& s) { return s.is_under(p, reach, clear_m); });
 }

@@ -31,6 +31,8 @@ class SweptSurface {
   // Forgets all triangles of batches before `oldest`; returns by how much the others' indices become less. Call build() before the next query.
   std::size_t drop_before(std::uint32_t oldest);
   void clear();
+  // All of it goes along with the tissue. Call build() before the next query. O(triangles).
+  void move(const RigidMotion& motion);
 
   // One more than the last triangle's index.
   std::size_t size() const { return triangles_.size(); }

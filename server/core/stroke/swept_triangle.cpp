@@ -19,6 +19,19 @@ int side(const Vec3& p, const Vec3& q, const Vec3& a, const Vec3& b) {
   return orient3d(p, q, a, b) >= 0 ? 1 : -1;
 }
 
+// All that follows from the corners and the normal.
+void set_bounds(SweptTriangle& triangle) {
+  const auto& [a, b, c] = triangle.corners;
+  triangle.offset = dot(triangle.normal, a);
+  for (std::size_t k = 0; k < 3; ++k) {
+    triangle.inward[k] =
+        normalized(cross(triangle.normal, triangle.corners[(k + 1) % 3] - triangle.corners[k]));
+    triangle.inward_offset[k] = dot(triangle.inward[k], triangle.corners[k]);
+  }
+  triangle.low = {std::min({a.x, b.x, c.x}), std::min({a.y, b.y, c.y}), std::min({a.z, b.z, c.z})};
+  triangle.high = {std::max({a.x, b.x, c.x}), std::max({a.y, b.y, c.y}), std::max({a.z, b.z, c.z})};
+}
+
 }  // namespace
 
 bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTriangle& out) {
@@ -29,14 +42,17 @@ bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTrian
   if (!(area2 > 1e-12 * edges * edges)) return false;
   out.corners = {a, b, c};
   out.normal = (1.0 / std::sqrt(area2)) * n;
-  out.offset = dot(out.normal, a);
-  for (int k = 0; k < 3; ++k) {
-    out.inward[k] = normalized(cross(out.normal, out.corners[(k + 1) % 3] - out.corners[k]));
-    out.inward_offset[k] = dot(out.inward[k], out.corners[k]);
-  }
-  out.low = {std::min({a.x, b.x, c.x}), std::min({a.y, b.y, c.y}), std::min({a.z, b.z, c.z})};
-  out.high = {std::max({a.x, b.x, c.x}), std::max({a.y, b.y, c.y}), std::max({a.z, b.z, c.z})};
+  set_bounds(out);
   return true;
+}
+
+// Its corners go as those of its neighbours do, to the last bit.
+SweptTriangle moved(const SweptTriangle& triangle, const RigidMotion& motion) {
+  SweptTriangle made = triangle;
+  for (Vec3& corner : made.corners) corner = motion(corner);
+  made.normal = normalized(motion.turn(triangle.normal));
+  set_bounds(made);
+  return made;
 }
 
 bool crosses(const Vec3& p, const Vec3& q, const SweptTriangle& triangle) {

@@ -169,6 +169,12 @@ void ConformingCutter::clinging(std::vector<VertexId>& out) const {
   rim_.clinging(out);
 }
 
+void ConformingCutter::follow(const RigidMotion& motion) {
+  cut_.path.move(motion);
+  joining_.move(motion);
+  rim_.move(motion);
+}
+
 // After the last batch of a stroke all of it is left over and means nothing.
 void ConformingCutter::archive(Archive& io) {
   io(cut_.stroke);

@@ -381,6 +381,11 @@ bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahe
   return near;
 }
 
+void JoiningStage::move(const RigidMotion& motion) {
+  direction_ = motion.turn(direction_);
+  for (BladeLine& line : strip_) line = motion(line);
+}
+
 void JoiningStage::archive(Archive& io) {
   io(direction_);
   io(begins_);

@@ -22,6 +22,8 @@ class JoiningStage {
   // True: done; false: the budget is spent.
   bool advance(WorkBudget& budget);
 
+  // The sweep so far goes along with the tissue.
+  void move(const RigidMotion& motion);
   void archive(Archive& io);
 
  private:

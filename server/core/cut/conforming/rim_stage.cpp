@@ -162,6 +162,14 @@ void RimStage::clinging(std::vector<VertexId>& out) const {
   for (const Piercing& piercing : list_) out.insert(out.end(), piercing.face.begin(), piercing.face.end());
 }
 
+void RimStage::move(const RigidMotion& motion) {
+  for (Piercing& p : list_) {
+    p.point = motion(p.point);
+    p.from = motion(p.from);
+    p.to = motion(p.to);
+  }
+}
+
 void RimStage::archive(Archive& io) {
   io.list(list_, 90, [&](Piercing& p) {
     io(p.side);

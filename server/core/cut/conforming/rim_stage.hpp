@@ -28,6 +28,8 @@ class RimStage {
   bool advance(WorkBudget& budget);
 
   void clinging(std::vector<VertexId>& out) const;
+  // What is listed goes along with the tissue.
+  void move(const RigidMotion& motion);
   void archive(Archive& io);
 
  private:

@@ -102,6 +102,13 @@ void StrokePath::forget_before(double limit_m) {
   first_latest_ -= surface_.drop_before(swept_.front().batch);
 }
 
+void StrokePath::move(const RigidMotion& motion) {
+  surface_.move(motion);
+  for (WayLine& way : way_) way.line = motion(way.line);
+  for (BladeLine& line : retraced_) line = motion(line);
+  surface_.build();
+}
+
 // A blade that trembles in place, or goes back in its own cut, sweeps again what it has swept: where the surface covers all
 // between the two lines to within the tolerance, that is left out, or the surface would grow for as long as it goes on.
 // What comes upon the surface is swept until a line lies straight above or below that throughout: no slit is left between. What leads from one such line

@@ -41,6 +41,8 @@ class StrokePath {
   // Forgets what the blade swept before it had travelled `limit_m`.
   void forget_before(double limit_m);
   void build() { surface_.build(first_latest_); }
+  // What was swept goes along with the tissue, between two batches.
+  void move(const RigidMotion& motion);
   // After the stroke's end.
   void clear_surface() { surface_.clear(); }
 
