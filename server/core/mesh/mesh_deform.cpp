@@ -86,6 +86,9 @@ Vec3 TetMesh::rest_at(VertexId v, const Vec3& position) const {
   constexpr double kParts[] = {1, 0.75, 0.5, 0.25};
   star(v, star_scratch_);
   const Vec3 material = material_at(v, position);
+  // What lies beyond a tetrahedron that is next to flat may be anywhere.
+  constexpr double kFar_h = 100;
+  if (!(distance(material, rest_[v]) <= kFar_h * mean_edge_length())) return rest_[v];
   for (const double part : kParts) {
     const Vec3 rest = lerp(rest_[v], material, part);
     if (stays_valid_at_rest(v, position, rest)) return rest;
@@ -106,8 +109,12 @@ bool TetMesh::stays_valid_at_rest(VertexId v, const Vec3& position, const Vec3& 
     }
     const double before = volume(t), after = signed_volume(now[0], now[1], now[2], now[3]);
     if (after <= kFlat * before) return true;
-    return signed_volume(then[0], then[1], then[2], then[3]) * before >=
-           kLeastAtRest * rest_volume(tets_[t].vertices) * after;
+    if (!(signed_volume(then[0], then[1], then[2], then[3]) * before >=
+          kLeastAtRest * rest_volume(tets_[t].vertices) * after))
+      return false;
+    return is_fair_at_rest(core::worst_dihedral(then[0], then[1], then[2], then[3]),
+                           worst_dihedral_at_rest(tets_[t].vertices),
+                           core::worst_dihedral(now[0], now[1], now[2], now[3]));
   });
 }
 

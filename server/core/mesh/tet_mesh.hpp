@@ -247,8 +247,18 @@ class TetMesh {
   double rest_volume(const std::array<VertexId, 4>& v) const {
     return signed_volume(rest_position(v[0]), rest_position(v[1]), rest_position(v[2]), rest_position(v[3]));
   }
+  double worst_dihedral_at_rest(const std::array<VertexId, 4>& v) const {
+    return core::worst_dihedral(rest_position(v[0]), rest_position(v[1]), rest_position(v[2]),
+                                rest_position(v[3]));
+  }
   // What an edit leaves a tetrahedron at least of the ratio of its volumes, at rest and where it is now.
   static constexpr double kLeastAtRest = 0.1;
+  // Of its angles at rest: as many degrees, or what was there before, or half of what it has where it is now, which the repairs mend. The measures of
+  // worst_dihedral().
+  static constexpr double kWorstAtRest = dihedral_measure(0.9986295348);  // 3 degrees
+  static bool is_fair_at_rest(double at_rest, double before, double now) {
+    return at_rest <= std::max(kWorstAtRest, before) || 1 - at_rest >= 0.25 * (1 - now);
+  }
   // The state hash after the last commit.
   std::uint64_t state_hash() const { return log_.state_hash(); }
   // The same from scratch; O(mesh). For tests and load.

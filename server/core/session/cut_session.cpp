@@ -15,7 +15,8 @@
 namespace incise::core {
 namespace {
 
-// The tissue at a blade goes no farther than the blade by this factor: a hand that follows the body while it cuts against its way goes less far than that.
+// A blade that stands holds the tissue at it. What is at one that moves goes no farther in a step than this many times as far as the blade since the last one: a hand
+// that follows the body while it cuts against its way goes less far than that.
 constexpr double kFollows = 4;
 // So many steps are known that tissue at a blade has followed: when it stands, it may be as many before its last lines are cut.
 constexpr std::size_t kMostSteps = 256;
@@ -75,17 +76,17 @@ void CutSession::set_blade(std::uint32_t number, const Blade& blade) {
   CutConfig config = config_;
   config.blade = blade;
   std::unique_ptr<Cutter> cutter;
-  Following following;
+  std::vector<Followed> followed;
   if (sources_[number]) {
     cutter = std::move(sources_[number]->cutter);
-    following = std::move(sources_[number]->following);
+    followed = std::move(sources_[number]->followed);
   } else if (config_.policy == Policy::kCroll) {
     cutter = std::make_unique<CrollCutter>(mesh_);
   } else {
     cutter = std::make_unique<ConformingCutter>(mesh_, workspace_, config_);
   }
   sources_[number].reset(new Source{StrokeBuilder(number, config, mesh_.mean_edge_length(), stroke_counter_),
-                                    std::move(cutter), std::move(following)});
+                                    std::move(cutter), std::move(followed)});
 }
 
 PoseVerdict CutSession::push(std::uint32_t number, const Pose& pose) {
@@ -119,37 +120,44 @@ void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
   batch.lines.assign(1, {});
   batch.from_t_ns = batch.to_t_ns = positions->source_ns;
   batch.deformation = std::move(positions);
+  batch.ways_m.assign(kMaxSources, 0);
+  for (std::uint32_t number = 0; number < kMaxSources; ++number) {
+    if (sources_[number]) batch.ways_m[number] = sources_[number]->builder.take_way();
+  }
   queue_.push(batch);
   batch.deformation.reset();
   ++deformations_;
 }
 
-// A vertex at two blades goes with both, or none of it goes anywhere.
-void CutSession::find_clinging(const VertexPositions& positions, bool may_follow) {
+// What clings to the blades, and where it goes.
+void CutSession::find_clinging(bool may_follow) {
   clinging_.clear();
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
     follows_[number].reset();
-    if (sources_[number]) cling(number, positions, may_follow);
+    std::vector<VertexId>& vertices = at_blade_[number];
+    vertices.clear();
+    // Croll's cut relies on no place.
+    if (!sources_[number] || config_.policy == Policy::kCroll) continue;
+    sources_[number]->cutter->clinging(vertices);
+    std::ranges::sort(vertices);
+    const auto again = std::ranges::unique(vertices);
+    vertices.erase(again.begin(), again.end());
+  }
+  for (std::uint32_t number = 0; number < kMaxSources; ++number) {
+    if (sources_[number] && config_.policy != Policy::kCroll && !follows_[number])
+      cling(number, queue_.front().ways_m, may_follow);
   }
   std::ranges::sort(clinging_, {}, &Clinging::vertex);
-  const auto differ = [](const Clinging& a, const Clinging& b) {
-    return a.vertex == b.vertex && a.place != b.place;
-  };
-  if (may_follow && std::ranges::adjacent_find(clinging_, differ) != clinging_.end()) {
-    find_clinging(positions, false);
-    return;
-  }
   const auto again = std::ranges::unique(clinging_, {}, &Clinging::vertex);
   clinging_.erase(again.begin(), again.end());
 }
 
 // How some vertices go if the simulation has its way, as a rigid motion; by_m: how far in the mean.
-RigidMotion CutSession::wanted_motion(std::span<const VertexId> vertices, const VertexPositions& positions,
-                                      double& by_m) {
+RigidMotion CutSession::wanted_motion(std::span<const VertexId> vertices, double& by_m) {
   from_.clear();
   to_.clear();
   for (const VertexId v : vertices) {
-    const Vec3* const wanted = mover_.wanted_place(positions, v);
+    const Vec3* const wanted = mover_.wanted_place(*queue_.front().deformation, v);
     if (wanted == nullptr) continue;
     from_.push_back(mesh_.position(v));
     to_.push_back(*wanted);
@@ -160,68 +168,62 @@ RigidMotion CutSession::wanted_motion(std::span<const VertexId> vertices, const 
   return motion;
 }
 
-// What clings to a blade goes as the simulation wants it to, but for how it would change its shape. A blade at which nothing clings may just have come
-// upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
-void CutSession::cling(std::uint32_t number, const VertexPositions& positions, bool may_follow) {
-  at_blade_.clear();
-  sources_[number]->cutter->clinging(at_blade_);
-  std::ranges::sort(at_blade_);
-  const auto again = std::ranges::unique(at_blade_);
-  at_blade_.erase(again.begin(), again.end());
-  const bool clings = !at_blade_.empty();
+// What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but for how it would change its shape. A blade at which
+// nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
+void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow) {
+  std::vector<VertexId>& vertices = at_blade_[first];
+  const bool clings = !vertices.empty();
+  std::array<bool, kMaxSources> together{};
+  together[first] = true;
+  double most_m = kFollows * ways_m[first];
+  const auto shares = [&](VertexId v) { return std::ranges::binary_search(vertices, v); };
+  for (bool more = clings; more;) {
+    more = false;
+    for (std::uint32_t other = first + 1; other < kMaxSources; ++other) {
+      if (together[other] || std::ranges::none_of(at_blade_[other], shares)) continue;
+      together[other] = more = true;
+      most_m = std::min(most_m, kFollows * ways_m[other]);
+      vertices.insert(vertices.end(), at_blade_[other].begin(), at_blade_[other].end());
+      at_blade_[other].clear();
+      std::ranges::sort(vertices);
+    }
+  }
   if (!clings) {
     const std::size_t stride = 1 + mesh_.vertex_slots() / kSamples;
     for (std::size_t v = 0; v < mesh_.vertex_slots(); v += stride)
-      at_blade_.push_back(static_cast<VertexId>(v));
+      vertices.push_back(static_cast<VertexId>(v));
   }
   double way_m;
-  RigidMotion motion = wanted_motion(at_blade_, positions, way_m);
-  Following& following = sources_[number]->following;
-  const double by_m = !clings ? way_m : may_follow ? std::min(way_m, following.left_m) : 0;
+  RigidMotion motion = wanted_motion(vertices, way_m);
+  const double by_m = !clings ? way_m : may_follow ? std::min(way_m, most_m) : 0;
   const bool follows = by_m > VertexMover::kSamePlace_h * mesh_.mean_edge_length();
-  if (follows) {
-    if (by_m < way_m) motion = motion.part(by_m / way_m);
-    follows_[number] = {motion, clings ? by_m : 0};
+  if (!follows) motion = {};
+  if (by_m < way_m && follows) motion = motion.part(by_m / way_m);
+  for (std::uint32_t number = first; number < kMaxSources; ++number) {
+    if (together[number]) follows_[number] = motion;
   }
   if (!clings) return;
-  for (const VertexId v : at_blade_)
+  for (const VertexId v : vertices)
     clinging_.push_back({v, follows ? motion(mesh_.position(v)) : mesh_.position(v)});
 }
 
-void CutSession::Following::begin(const Batch& batch) {
-  batch_m = 0;
-  for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i)
-    batch_m += travel(batch.lines[i], batch.lines[i + 1]);
-  left_m += kFollows * batch_m;
-  std::erase_if(steps, [&](const Step& step) { return step.number <= batch.steps.back(); });
-  if (batch.ends_stroke) *this = {};
-}
-
-void CutSession::Following::go_along(std::uint64_t deformation, const Follows& follows) {
-  if (follows.by_m > 0) left_m = std::min(left_m - follows.by_m, batch_m);
-  if (steps.size() == kMostSteps) steps.erase(steps.begin());
-  steps.push_back({deformation, follows.motion});
-}
-
 // A batch as the blade has gone through the tissue, which has moved since the blade was at its lines.
-const Batch& CutSession::where_tissue_is(const Batch& batch, Following& following) {
-  const bool moved = !following.steps.empty();
-  if (moved) {
-    batch_ = batch;
-    for (std::size_t i = 0; i < batch_.lines.size(); ++i) {
-      for (const Following::Step& step : following.steps) {
-        if (step.number > batch_.steps[i]) batch_.lines[i] = step.motion(batch_.lines[i]);
-      }
+const Batch& CutSession::where_tissue_is(const Batch& batch, std::vector<Followed>& followed) {
+  if (followed.empty()) return batch;
+  batch_ = batch;
+  for (std::size_t i = 0; i < batch_.lines.size(); ++i) {
+    for (const Followed& step : followed) {
+      if (step.number > batch_.steps[i]) batch_.lines[i] = step.motion(batch_.lines[i]);
     }
   }
-  following.begin(batch);
-  return moved ? batch_ : batch;
+  if (batch.ends_stroke) followed.clear();
+  std::erase_if(followed, [&](const Followed& step) { return step.number <= batch.steps.back(); });
+  return batch_;
 }
 
 void CutSession::begin_moving(const std::vector<GaveWay>* known) {
-  const VertexPositions& positions = *queue_.front().deformation;
-  find_clinging(positions, known == nullptr || known->empty() || known->back().vertex != kNone);
-  mover_.begin(positions, clinging_, known);
+  find_clinging(known == nullptr || known->empty() || known->back().vertex != kNone);
+  mover_.begin(*queue_.front().deformation, clinging_, known);
 }
 
 CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& delta,
@@ -234,7 +236,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   if (!follower_.advance(budget)) return Progress::kSpent;
   if (!mover_.advance(budget)) return Progress::kSpent;
   if (mover_.clinging_gives_way()) {
-    find_clinging(*queue_.front().deformation, false);
+    find_clinging(false);
     mover_.begin_again(*queue_.front().deformation, clinging_);
     if (!mover_.advance(budget)) return Progress::kSpent;
   }
@@ -253,9 +255,11 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   follower_.follow();
   ++deformed_;
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
-    if (!follows_[number]) continue;
-    sources_[number]->cutter->follow(follows_[number]->motion);
-    sources_[number]->following.go_along(deformed_, *follows_[number]);
+    if (!follows_[number] || !follows_[number]->moves()) continue;
+    sources_[number]->cutter->follow(*follows_[number]);
+    std::vector<Followed>& followed = sources_[number]->followed;
+    if (followed.size() == kMostSteps) followed.erase(followed.begin());
+    followed.push_back({deformed_, *follows_[number]});
   }
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE
@@ -303,7 +307,7 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta,
   if (queue_.front().deformation) return advance_deformation(budget, delta, known);
   Cutter& cutter = *sources_[queue_.front().source]->cutter;
   if (stage_ == Stage::kWaiting) {
-    cutter.begin(where_tissue_is(queue_.front(), sources_[queue_.front().source]->following));
+    cutter.begin(where_tissue_is(queue_.front(), sources_[queue_.front().source]->followed));
     stage_ = Stage::kCutting;
   }
   if (stage_ == Stage::kCutting) {
@@ -413,15 +417,12 @@ void CutSession::archive_source(Archive& io, std::uint32_t number) {
   Cutter& cutter = *sources_[number]->cutter;
   builder.archive(io);
   cutter.archive(io);
-  Following& following = sources_[number]->following;
-  io(following.batch_m);
-  io(following.left_m);
-  io.demand(following.batch_m >= 0 && following.left_m >= 0, "a way below 0");
-  io.list(following.steps, 88, [&](Following::Step& step) {
+  std::vector<Followed>& followed = sources_[number]->followed;
+  io.list(followed, 88, [&](Followed& step) {
     io(step.number);
     step.motion.archive(io);
   });
-  io.demand(following.steps.size() <= kMostSteps, "more steps than are kept");
+  io.demand(followed.size() <= kMostSteps, "more steps than are kept");
   const BatchNumber made = builder.last_batch(), cut = cutter.last();
   io.demand(cut.stroke <= stroke_counter_, "a stroke that is not counted");
   io.demand(cut.stroke != made.stroke || cut.batch == made.batch, "batches that were not cut");

@@ -101,39 +101,26 @@ class CutSession {
   void archive(Archive& io);
 
  private:
-  // How it goes along in a step, and how far in the mean where it clings to the blade.
-  struct Follows {
+  // A step in which the tissue at a blade has gone along with the body.
+  struct Followed {
+    std::uint64_t number;  // of the deformation, from 1
     RigidMotion motion;
-    double by_m = 0;
-  };
-  // How the tissue at a blade has gone along with a simulation. A blade that stands holds it. While the blade moves, the tissue may go some times as far, and
-  // when the blade has come to stand, as far as that went in its last batch.
-  struct Following {
-    struct Step {
-      std::uint64_t number;  // of the deformation, from 1
-      RigidMotion motion;
-    };
-    double batch_m = 0, left_m = 0;  // the blade's way in the last batch, and what may be followed yet
-    std::vector<Step> steps;         // since the blade was at the first line of the next batch
-    void begin(const Batch& batch);
-    void go_along(std::uint64_t deformation, const Follows& follows);
   };
   struct Source {
     StrokeBuilder builder;
     std::unique_ptr<Cutter> cutter;
-    Following following;
+    std::vector<Followed> followed;  // since the blade was at the first line of the next batch
   };
   void recall(std::span<const std::byte> cut_memory);
   Source& source(std::uint32_t number);
   bool finish(WorkBudget& budget);
   bool measure(WorkBudget& budget);
   Progress advance_deformation(WorkBudget& budget, Delta& delta, const std::vector<GaveWay>* known);
-  const Batch& where_tissue_is(const Batch& batch, Following& following);
+  const Batch& where_tissue_is(const Batch& batch, std::vector<Followed>& followed);
   void begin_moving(const std::vector<GaveWay>* known);
-  void find_clinging(const VertexPositions& positions, bool may_follow);
-  RigidMotion wanted_motion(std::span<const VertexId> vertices, const VertexPositions& positions,
-                            double& by_m);
-  void cling(std::uint32_t source, const VertexPositions& positions, bool may_follow);
+  void find_clinging(bool may_follow);
+  void cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow);
+  RigidMotion wanted_motion(std::span<const VertexId> vertices, double& by_m);
   void take_committed();
   void describe(Delta& delta);
   void archive_source(Archive& io, std::uint32_t number);
@@ -165,11 +152,11 @@ class CutSession {
   Batch committed_;
   CutCounts committed_counts_;
   std::vector<std::uint32_t> star_;
-  std::vector<Clinging> clinging_;                           // of the deformation under way
-  std::array<std::optional<Follows>, kMaxSources> follows_;  // how the tissue at each blade goes in it
-  std::vector<VertexId> at_blade_;                           // scratch
-  std::vector<Vec3> from_, to_;                              // scratch
-  Batch deformation_, batch_;                                // scratch
+  std::vector<Clinging> clinging_;                               // of the deformation under way
+  std::array<std::optional<RigidMotion>, kMaxSources> follows_;  // how the tissue at each blade goes in it
+  std::array<std::vector<VertexId>, kMaxSources> at_blade_;      // scratch
+  std::vector<Vec3> from_, to_;                                  // scratch
+  Batch deformation_, batch_;                                    // scratch
 };
 
 }  // namespace incise::core

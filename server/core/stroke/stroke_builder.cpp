@@ -14,6 +14,8 @@ constexpr std::size_t kMaxBuffered = 512;
 constexpr double kNoiseSpan_h = 0.35, kNoise_h = 0.08;
 // So is a way this many times as long as its chord: a corner's is 1.4 times.
 constexpr double kNoisyWay = 1.5;
+// Of the blade's way so much is left at the next pose: one that has stood for a second has gone nowhere.
+constexpr double kFading = 0.98;
 
 double distance_to_segment(const Vec3& p, const Vec3& a, const Vec3& b) {
   const Vec3 u = b - a;
@@ -97,7 +99,9 @@ PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out, std::uint64_t step) 
   if (engaged && !in_stroke_) {
     begin_stroke(now);
   } else if (in_stroke_) {  // the motion up to the release still cuts
-    if (travel(buffer_.back().line, now.line) > 0) buffer_.push_back(now);
+    const double by_m = travel(buffer_.back().line, now.line);
+    way_m_ = kFading * way_m_ + by_m;
+    if (by_m > 0) buffer_.push_back(now);
     if (!engaged) {
       end_stroke(out);
     } else if (travel(buffer_.front().line, now.line) >= travel_m_ || buffer_.size() > kMaxBuffered) {
@@ -113,6 +117,7 @@ void StrokeBuilder::begin_stroke(const TimedLine& line) {
   in_stroke_ = true;
   stroke_ = ++stroke_counter_;
   batch_ = 0;
+  way_m_ = 0;
   buffer_.assign(1, line);
 }
 
@@ -217,6 +222,8 @@ void StrokeBuilder::archive(Archive& io) {
     io.demand(std::isfinite(*q), "a quaternion is not finite");
   }
   io(last_pose_.buttons);
+  io(way_m_);
+  io.demand(way_m_ >= 0, "a way below 0");
   io.list(buffer_, 64, [&](TimedLine& line) {
     io(line.line.heel);
     io(line.line.tip);

@@ -43,6 +43,7 @@ struct Batch {
   std::vector<std::uint64_t> steps;         // for each line: so many deformations went before it
   std::int64_t from_t_ns = 0, to_t_ns = 0;  // source times of the first and the last line
   std::shared_ptr<const VertexPositions> deformation;  // instead of a cut; stroke 0
+  std::vector<double> ways_m;  // of a deformation: how far each source's blade has gone since the last one
 };
 
 // Which batch: 0 and 0 for none.
@@ -85,6 +86,8 @@ class StrokeBuilder {
   bool in_stroke() const { return in_stroke_; }
   const Pose& last_pose() const { return last_pose_; }
   const Blade& blade() const { return config_.blade; }
+  // How far the blade has gone in its stroke since this was last asked, m; less where it has stood since.
+  double take_way() { return std::exchange(way_m_, 0); }
   // The batch made last.
   BatchNumber last_batch() const { return {stroke_, batch_}; }
 
@@ -111,7 +114,8 @@ class StrokeBuilder {
   bool in_stroke_ = false;
   Pose last_pose_;
   std::uint32_t stroke_ = 0, batch_ = 0;
-  std::vector<TimedLine> buffer_;    // the lines after the last batch; [0] is that batch's last line
+  std::vector<TimedLine> buffer_;  // the lines after the last batch; [0] is that batch's last line
+  double way_m_ = 0;
   std::vector<std::uint32_t> kept_;  // indices into buffer_ that the simplification keeps
   std::vector<std::pair<std::uint32_t, std::uint32_t>> spans_;  // its stack
   Batch made_;                                                  // scratch

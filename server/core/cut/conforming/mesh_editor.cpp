@@ -151,15 +151,19 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
 // Whether no tetrahedron would be inside out at rest, or next to it, in a body that is deformed now.
 bool MeshEditor::keeps_rest(std::span<const TetId> removed,
                             std::span<const std::array<VertexId, 4>> added) const {
-  double now = 0, at_rest = 0;
+  double now = 0, at_rest = 0, before = -1;
   for (TetId t : removed) {
+    before = std::max(before, mesh_.worst_dihedral_at_rest(mesh_.vertices(t)));
     now += mesh_.volume(t);
     at_rest += mesh_.rest_volume(mesh_.vertices(t));
   }
   return std::ranges::all_of(added, [&](const std::array<VertexId, 4>& v) {
-    const double volume =
-        signed_volume(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-    return mesh_.rest_volume(v) * now >= TetMesh::kLeastAtRest * volume * at_rest;
+    const Vec3 p[4] = {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]),
+                       mesh_.position(v[3])};
+    return mesh_.rest_volume(v) * now >=
+               TetMesh::kLeastAtRest * signed_volume(p[0], p[1], p[2], p[3]) * at_rest &&
+           TetMesh::is_fair_at_rest(mesh_.worst_dihedral_at_rest(v), before,
+                                    worst_dihedral(p[0], p[1], p[2], p[3]));
   });
 }
 

@@ -237,10 +237,14 @@ bool RepairStage::try_collapse(const VertexStar& star, TetId t, VertexId v, Vert
     const auto& others = star.corners()[i].others;
     if (others[0] == w || others[1] == w || others[2] == w) continue;
     cut_.work += cost::kLook;
-    if (worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2)) > kGood) return false;
-    if (mesh_.deformed() &&
-        !(mesh_.rest_volume({w, others[0], others[1], others[2]}) >=
-          TetMesh::kLeastAtRest * mesh_.rest_volume(mesh_.vertices(star.corners()[i].tet))))
+    const double now = worst_dihedral(target, star.point(i, 0), star.point(i, 1), star.point(i, 2));
+    if (now > kGood) return false;
+    if (!mesh_.deformed()) continue;
+    const std::array<VertexId, 4> after{w, others[0], others[1], others[2]};
+    const auto& before = mesh_.vertices(star.corners()[i].tet);
+    if (!(mesh_.rest_volume(after) >= TetMesh::kLeastAtRest * mesh_.rest_volume(before)) ||
+        !TetMesh::is_fair_at_rest(mesh_.worst_dihedral_at_rest(after), mesh_.worst_dihedral_at_rest(before),
+                                  now))
       return false;
   }
   if (crosses_after(star, v, w)) return false;
