@@ -140,16 +140,15 @@ void CutSession::find_clinging(bool may_follow) {
     if (!sources_[number] || config_.policy == Policy::kCroll) continue;
     sources_[number]->cutter->clinging(vertices);
     std::ranges::sort(vertices);
-    const auto again = std::ranges::unique(vertices);
-    vertices.erase(again.begin(), again.end());
+    vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
   }
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
     if (sources_[number] && config_.policy != Policy::kCroll && !follows_[number])
       cling(number, queue_.front().ways_m, may_follow);
   }
   std::ranges::sort(clinging_, {}, &Clinging::vertex);
-  const auto again = std::ranges::unique(clinging_, {}, &Clinging::vertex);
-  clinging_.erase(again.begin(), again.end());
+  const auto same = [](const Clinging& a, const Clinging& b) { return a.vertex == b.vertex; };
+  clinging_.erase(std::unique(clinging_.begin(), clinging_.end(), same), clinging_.end());
 }
 
 // How some vertices go if the simulation has its way, as a rigid motion; by_m: how far in the mean.
