@@ -253,8 +253,8 @@ class TetMesh {
   }
   // What an edit leaves a tetrahedron at least of the ratio of its volumes, at rest and where it is now.
   static constexpr double kLeastAtRest = 0.1;
-  // Of its angles at rest: as many degrees, or what was there before, or half of what it has where it is now, which the repairs mend. The measures of
-  // worst_dihedral().
+  // The smallest angle that an edit may leave at rest, unless the tetrahedra had a smaller one there before, or have one no larger than twice that where they
+  // are now: repairs see to those. As measures of worst_dihedral().
   static constexpr double kWorstAtRest = dihedral_measure(0.9986295348);  // 3 degrees
   static bool is_fair_at_rest(double at_rest, double before, double now) {
     return at_rest <= std::max(kWorstAtRest, before) || 1 - at_rest >= 0.25 * (1 - now);

@@ -132,19 +132,19 @@ void CutSession::deform(std::shared_ptr<const VertexPositions> positions) {
 // What clings to the blades, and where it goes.
 void CutSession::find_clinging(bool may_follow) {
   clinging_.clear();
+  // Croll's cut relies on no place.
+  if (config_.policy == Policy::kCroll) return;
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
     follows_[number].reset();
     std::vector<VertexId>& vertices = at_blade_[number];
     vertices.clear();
-    // Croll's cut relies on no place.
-    if (!sources_[number] || config_.policy == Policy::kCroll) continue;
+    if (!sources_[number]) continue;
     sources_[number]->cutter->clinging(vertices);
     std::ranges::sort(vertices);
     vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
   }
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
-    if (sources_[number] && config_.policy != Policy::kCroll && !follows_[number])
-      cling(number, queue_.front().ways_m, may_follow);
+    if (sources_[number] && !follows_[number]) cling(number, queue_.front().ways_m, may_follow);
   }
   std::ranges::sort(clinging_, {}, &Clinging::vertex);
   const auto same = [](const Clinging& a, const Clinging& b) { return a.vertex == b.vertex; };

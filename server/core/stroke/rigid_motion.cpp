@@ -115,7 +115,7 @@ void RigidMotion::archive(Archive& io) {
   io(to_middle_);
   for (double* q : {&rotation_.w, &rotation_.x, &rotation_.y, &rotation_.z}) {
     io(*q);
-    io.demand(std::abs(*q) <= 1.001, "a turn that is none");
+    io.demand(std::abs(*q) <= 1.001, "a rotation that is not one");
   }
 }
 
