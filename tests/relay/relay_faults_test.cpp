@@ -348,7 +348,10 @@ TEST(RelayFaults, AMalformedUpstreamIsLeftAndComeBackTo) {
     for (int look = 0; look < 10; ++look) {
       std::this_thread::sleep_for(milliseconds(10));
       const std::string answer = stream::http(relay.http_port(), "/healthz");
-      EXPECT_TRUE(nlohmann::json::accept(answer.substr(answer.find('{')))) << answer;
+      if (answer.empty()) continue;  // another body is another server: it is being replaced
+      const std::size_t json = answer.find('{');
+      ASSERT_NE(json, std::string::npos) << answer;
+      EXPECT_TRUE(nlohmann::json::accept(answer.substr(json))) << answer;
     }
     const double origin = session.stat("/revision").value_or(0);
     EXPECT_TRUE(wait_for([&] { return static_cast<double>(viewer.client().revision()) > origin; }))
