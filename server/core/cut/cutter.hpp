@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "server/core/mesh/tet_mesh.hpp"
-#include "server/core/stroke/rigid_motion.hpp"
+#include "server/core/stroke/affine_motion.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
 #include "server/core/util/archive.hpp"
 #include "server/core/util/work_budget.hpp"
@@ -44,7 +44,7 @@ class Cutter {
   // may only be moved all together, and follow() has to say so.
   virtual void clinging(std::vector<VertexId>& /*out*/) const {}
   // They have been moved, and what the stroke has swept goes along. The next batch's lines are where the tissue is now.
-  virtual void follow(const RigidMotion& /*motion*/) {}
+  virtual void follow(const AffineMotion& /*motion*/) {}
   // The batch begun last, as far as the policy needs to know.
   virtual BatchNumber last() const { return {}; }
   // Between two batches: what later ones depend on.

@@ -151,8 +151,8 @@ void CutSession::find_clinging(bool may_follow) {
   clinging_.erase(std::unique(clinging_.begin(), clinging_.end(), same), clinging_.end());
 }
 
-// How some vertices go if the simulation has its way, as a rigid motion; by_m: how far in the mean.
-RigidMotion CutSession::wanted_motion(std::span<const VertexId> vertices, double& by_m) {
+// How some vertices go if the simulation has its way, as one affine motion; by_m: how far in the mean.
+AffineMotion CutSession::wanted_motion(std::span<const VertexId> vertices, double& by_m) {
   from_.clear();
   to_.clear();
   for (const VertexId v : vertices) {
@@ -161,13 +161,13 @@ RigidMotion CutSession::wanted_motion(std::span<const VertexId> vertices, double
     from_.push_back(mesh_.position(v));
     to_.push_back(*wanted);
   }
-  const RigidMotion motion = RigidMotion::fit(from_, to_);
+  const AffineMotion motion = AffineMotion::fit(from_, to_);
   by_m = 0;
   for (const Vec3& p : from_) by_m += distance(motion(p), p) / static_cast<double>(from_.size());
   return motion;
 }
 
-// What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but for how it would change its shape. A blade at which
+// What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but what is straight in it stays so. A blade at which
 // nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
 void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow) {
   std::vector<VertexId>& vertices = at_blade_[first];
@@ -193,7 +193,7 @@ void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, b
       vertices.push_back(static_cast<VertexId>(v));
   }
   double way_m;
-  RigidMotion motion = wanted_motion(vertices, way_m);
+  AffineMotion motion = wanted_motion(vertices, way_m);
   const double by_m = !clings ? way_m : may_follow ? std::min(way_m, most_m) : 0;
   const bool follows = by_m > VertexMover::kSamePlace_h * mesh_.mean_edge_length();
   if (!follows) motion = {};
@@ -417,7 +417,7 @@ void CutSession::archive_source(Archive& io, std::uint32_t number) {
   builder.archive(io);
   cutter.archive(io);
   std::vector<Followed>& followed = sources_[number]->followed;
-  io.list(followed, 88, [&](Followed& step) {
+  io.list(followed, 160, [&](Followed& step) {
     io(step.number);
     step.motion.archive(io);
   });

@@ -16,7 +16,7 @@
 #include "server/core/session/loaded_body.hpp"
 #include "server/core/session/piece_tracker.hpp"
 #include "server/core/session/vertex_mover.hpp"
-#include "server/core/stroke/rigid_motion.hpp"
+#include "server/core/stroke/affine_motion.hpp"
 #include "server/core/stroke/stroke_builder.hpp"
 
 namespace incise::core {
@@ -104,7 +104,7 @@ class CutSession {
   // A step in which the tissue at a blade has gone along with the body.
   struct Followed {
     std::uint64_t number;  // of the deformation, from 1
-    RigidMotion motion;
+    AffineMotion motion;
   };
   struct Source {
     StrokeBuilder builder;
@@ -120,7 +120,7 @@ class CutSession {
   void begin_moving(const std::vector<GaveWay>* known);
   void find_clinging(bool may_follow);
   void cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow);
-  RigidMotion wanted_motion(std::span<const VertexId> vertices, double& by_m);
+  AffineMotion wanted_motion(std::span<const VertexId> vertices, double& by_m);
   void take_committed();
   void describe(Delta& delta);
   void archive_source(Archive& io, std::uint32_t number);
@@ -152,11 +152,11 @@ class CutSession {
   Batch committed_;
   CutCounts committed_counts_;
   std::vector<std::uint32_t> star_;
-  std::vector<Clinging> clinging_;                               // of the deformation under way
-  std::array<std::optional<RigidMotion>, kMaxSources> follows_;  // how the tissue at each blade goes in it
-  std::array<std::vector<VertexId>, kMaxSources> at_blade_;      // scratch
-  std::vector<Vec3> from_, to_;                                  // scratch
-  Batch deformation_, batch_;                                    // scratch
+  std::vector<Clinging> clinging_;                                // of the deformation under way
+  std::array<std::optional<AffineMotion>, kMaxSources> follows_;  // how the tissue at each blade goes in it
+  std::array<std::vector<VertexId>, kMaxSources> at_blade_;       // scratch
+  std::vector<Vec3> from_, to_;                                   // scratch
+  Batch deformation_, batch_;                                     // scratch
 };
 
 }  // namespace incise::core

@@ -24,6 +24,9 @@ constexpr double kLoses = 0.5;
 constexpr double kLocallyAtMost = 4;
 // Longer edges than this many mean lengths are left to exact arithmetic.
 constexpr double kLongest = 8;
+// The longest edge of a tetrahedron may be this many mean lengths, or this many times what it is at rest. A longer one is no tissue any more,
+// and the boundary grid would list it in each cell of its box.
+constexpr double kStretched = 16, kStretchedAtRest = 4;
 // Nothing that is nearer is too far, however the roots are rounded.
 constexpr double kSurelyNear_m2 = 0.99 * kFarthest_m * kFarthest_m;
 constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
@@ -36,6 +39,11 @@ bool is_place(const Vec3& p) {
 
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
+}
+
+double squared_longest_edge(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
+  return std::max({squared_length(b - a), squared_length(c - a), squared_length(d - a), squared_length(c - b),
+                   squared_length(d - b), squared_length(d - c)});
 }
 
 }  // namespace
@@ -348,25 +356,38 @@ void VertexMover::checked_round() {
 }
 
 void VertexMover::check_tet(const std::array<VertexId, 4>& v) {
-  const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
-  const double then = six_volumes(a, b, c, d);
-  if (then >= surely_thick_) return;
-  const double now =
-      six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-  const bool is_valid = orient3d(a, b, c, d) > 0;
-  if (then >= now && is_valid) return;
-  // Small ones beside cuts are not flat by being small. The local length takes a walk around the vertex.
-  const double longest_m =
-      std::sqrt(std::max({squared_length(b - a), squared_length(c - a), squared_length(d - a),
-                          squared_length(c - b), squared_length(d - b), squared_length(d - c)}));
-  const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
-  if (then >= flat && is_valid) return;
-  if (now < flat && then >= (1 - kLoses) * now && is_valid) return;
+  if (!stretches(v) && !flattens(v)) return;
   for (const VertexId w : v) {
     if (!wanted(w) || reach_[w] == kStays || gives_way_[w] == pass_.serial()) continue;
     gives_way_[w] = pass_.serial();
     too_far_.push_back(w);
   }
+}
+
+bool VertexMover::stretches(const std::array<VertexId, 4>& v) const {
+  const auto longest = [&](const auto& place) {
+    return squared_longest_edge(place(v[0]), place(v[1]), place(v[2]), place(v[3]));
+  };
+  const double then = longest([this](VertexId w) { return target_[w]; });
+  const double most_m = kStretched * mesh_.mean_edge_length();
+  return then > most_m * most_m && then > longest([this](VertexId w) { return mesh_.position(w); }) &&
+         then > kStretchedAtRest * kStretchedAtRest *
+                    longest([this](VertexId w) { return mesh_.rest_position(w); });
+}
+
+bool VertexMover::flattens(const std::array<VertexId, 4>& v) const {
+  const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
+  const double then = six_volumes(a, b, c, d);
+  if (then >= surely_thick_) return false;
+  const double now =
+      six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
+  const bool is_valid = orient3d(a, b, c, d) > 0;
+  if (then >= now && is_valid) return false;
+  // Small ones beside cuts are not flat by being small. The local length takes a walk around the vertex.
+  const double longest_m = std::sqrt(squared_longest_edge(a, b, c, d));
+  const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
+  if (then >= flat && is_valid) return false;
+  return !(now < flat && then >= (1 - kLoses) * now && is_valid);
 }
 
 void VertexMover::yield(WorkBudget& budget) {

@@ -26,9 +26,10 @@ struct Clinging {
 //   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
 //            present state). Those at a blade stay, or go all together: the cut under way relies on how they lie to each other, so
 //            the tissue clings to the blade until it has passed.
-//   check    tetrahedra that would invert or become flat (thinner than a thousandth of h^3, or of their longest edge's cube; what is flat already may
-//            lose half). Their vertices go half the way, or stay if that is still too far; this repeats until no
-//            tetrahedron is wrong. Each vertex is held back at most twice, so this ends.
+//   check    tetrahedra that would invert, become flat (thinner than a thousandth of h^3, or of their longest edge's cube; what is flat already may
+//            lose half) or be stretched (longer than 16 mean edge lengths, and than four times what they are at rest). Their vertices go half
+//            the way, or stay if that is still too far; this repeats until no tetrahedron is wrong. Each vertex is held back at most twice, so
+//            this ends.
 //   settle   the change of the state hash; then the boundary grid follows (GridFollower). Both are noted as vertices are taken, and
 //            corrected for those that give way.
 //
@@ -89,6 +90,8 @@ class VertexMover {
   void check_listed(WorkBudget& budget);
   void checked_round();
   void check_tet(const std::array<VertexId, 4>& v);
+  bool stretches(const std::array<VertexId, 4>& v) const;
+  bool flattens(const std::array<VertexId, 4>& v) const;
   void yield(WorkBudget& budget);
   void settle(WorkBudget& budget);
   void take_known();

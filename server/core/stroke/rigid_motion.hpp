@@ -20,6 +20,8 @@ class RigidMotion {
   BladeLine operator()(const BladeLine& line) const { return {(*this)(line.heel), (*this)(line.tip)}; }
   // Of a direction.
   Vec3 turn(const Vec3& direction) const { return rotate(rotation_, direction); }
+  // Where it takes the middle of the points that it was fitted to.
+  const Vec3& to_middle() const { return to_middle_; }
   // Whether it does anything.
   bool moves() const { return !(from_middle_ == to_middle_ && rotation_ == Quat()); }
   // This part of it, 0 to 1.

@@ -97,7 +97,7 @@ void SweptSurface::clear() {
   build();
 }
 
-void SweptSurface::move(const RigidMotion& motion) {
+void SweptSurface::move(const AffineMotion& motion) {
   for (SweptTriangle& triangle : triangles_) triangle = moved(triangle, motion);
   built_ = 0;
 }

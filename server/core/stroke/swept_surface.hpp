@@ -32,7 +32,7 @@ class SweptSurface {
   std::size_t drop_before(std::uint32_t oldest);
   void clear();
   // All of it goes along with the tissue. Call build() before the next query. O(triangles).
-  void move(const RigidMotion& motion);
+  void move(const AffineMotion& motion);
 
   // One more than the last triangle's index.
   std::size_t size() const { return triangles_.size(); }

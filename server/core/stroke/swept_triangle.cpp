@@ -47,10 +47,10 @@ bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTrian
 }
 
 // Its corners go as those of its neighbours do, to the last bit.
-SweptTriangle moved(const SweptTriangle& triangle, const RigidMotion& motion) {
+SweptTriangle moved(const SweptTriangle& triangle, const AffineMotion& motion) {
   SweptTriangle made = triangle;
   for (Vec3& corner : made.corners) corner = motion(corner);
-  made.normal = normalized(motion.turn(triangle.normal));
+  made.normal = motion.turn_normal(triangle.normal);
   set_bounds(made);
   return made;
 }

@@ -6,7 +6,7 @@
 #include <cstdint>
 
 #include "server/core/geometry/vec3.hpp"
-#include "server/core/stroke/rigid_motion.hpp"
+#include "server/core/stroke/affine_motion.hpp"
 
 namespace incise::core {
 
@@ -39,7 +39,7 @@ struct SweptTriangle {
 // itself): it has swept no area.
 bool make_swept_triangle(const Vec3& a, const Vec3& b, const Vec3& c, SweptTriangle& out);
 // Where a motion takes it.
-SweptTriangle moved(const SweptTriangle& triangle, const RigidMotion& motion);
+SweptTriangle moved(const SweptTriangle& triangle, const AffineMotion& motion);
 
 // Whether the segment p q crosses the triangle, decided exactly. A point in the plane counts as on the positive side
 // and a segment through an edge as on one fixed side of it, whichever of the triangles at that edge asks: so a

@@ -178,6 +178,75 @@ TEST(VertexMover, TetrahedraNeverGetFlat) {
   }
 }
 
+// The longest edge of all, m.
+double longest_edge(const TetMesh& mesh) {
+  double longest = 0;
+  for (TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t)) continue;
+    const auto& v = mesh.vertices(t);
+    for (int i = 1; i < 4; ++i)
+      for (int j = 0; j < i; ++j)
+        longest = std::max(longest, length(mesh.position(v[i]) - mesh.position(v[j])));
+  }
+  return longest;
+}
+
+// A solver that has diverged, or one of another place: the body jumps by metres. Alone it goes there; where some of it has to stay (it was
+// cut since, or a blade stands in it) the rest stays with it, and the grid does not fill with what would lie between.
+TEST(VertexMover, TetrahedraAreNotStretchedByMetres) {
+  for (const bool cut : {false, true}) {
+    for (const bool blade_stands : {false, true}) {
+      CutSession session(body(), config());
+      const auto jump = [&] {
+        return all(session, [](VertexId, const Vec3& p) { return p + Vec3{3, 2, 1}; });
+      };
+      auto positions = jump();
+      if (cut) {
+        for (int i = 0; i <= 50; ++i)
+          session.push(0, at(1 + 8 * i, {-0.02 + 0.06 * i / 50, 0.03, 0}, blade_stands || i < 50));
+        run_all(session);
+        if (blade_stands) {
+          for (int i = 51; i < 120; ++i) session.push(0, at(1 + 8 * i, {0.04, 0.03, 0}));
+          run_all(session);
+          positions = jump();
+        }
+      }
+      const std::size_t entries = session.boundary().entries();
+      const double before = longest_edge(session.mesh());
+      const Delta delta = deform(session, positions);
+      EXPECT_EQ(delta.deformation.held.empty(), !cut) << blade_stands;
+      EXPECT_LE(longest_edge(session.mesh()), std::max(before, 16 * session.mesh().mean_edge_length()));
+      EXPECT_LT(session.boundary().entries(), 2 * entries + 65536);
+      EXPECT_EQ(validate(session.mesh()), "");
+      session.end_stroke(0);
+      run_all(session);
+      // Known again, and free of the blade, it goes.
+      const Vec3 corner = session.mesh().position(0);
+      EXPECT_TRUE(deform(session, jump()).deformation.held.empty());
+      EXPECT_EQ(session.mesh().position(0), (corner + Vec3{3, 2, 1}));
+      EXPECT_EQ(validate(session.mesh()), "");
+    }
+  }
+}
+
+// One vertex that goes far away takes no tetrahedron with it beyond that, however long it goes on.
+TEST(VertexMover, ASpikeEndsWhereItsTetrahedraAreStretched) {
+  CutSession session(testing::box(8, 8, 8, kCell), config());
+  const VertexId corner = 0;
+  const double most = 16 * session.mesh().mean_edge_length();
+  for (int i = 1; i <= 60; ++i)
+    deform(session,
+           some(session.revision(), {corner}, {session.mesh().position(corner) - Vec3{kCell, kCell, kCell}}));
+  const double longest = longest_edge(session.mesh());
+  EXPECT_LE(longest, most);
+  EXPECT_GT(longest, 0.9 * most);
+  // And back.
+  const Delta back =
+      deform(session, some(session.revision(), {corner}, {session.mesh().rest_position(corner)}));
+  EXPECT_TRUE(back.deformation.held.empty());
+  EXPECT_EQ(session.mesh().position(corner), session.mesh().rest_position(corner));
+}
+
 // What is flat already is strained with the body around it, unless it loses more than half.
 TEST(VertexMover, WhatIsFlatHoldsNothingBack) {
   const VertexId v = (4 * 9 + 4) * 9 + 4;

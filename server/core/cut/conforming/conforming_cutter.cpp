@@ -169,7 +169,7 @@ void ConformingCutter::clinging(std::vector<VertexId>& out) const {
   rim_.clinging(out);
 }
 
-void ConformingCutter::follow(const RigidMotion& motion) {
+void ConformingCutter::follow(const AffineMotion& motion) {
   cut_.path.move(motion);
   joining_.move(motion);
   rim_.move(motion);

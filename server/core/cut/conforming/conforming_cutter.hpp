@@ -51,7 +51,7 @@ class ConformingCutter final : public Cutter {
   Progress advance(WorkBudget& budget) override;
   const CutCounts& counts() const override { return cut_.counts; }
   void clinging(std::vector<VertexId>& out) const override;
-  void follow(const RigidMotion& motion) override;
+  void follow(const AffineMotion& motion) override;
   void prefetch() override { active_.prefetch(); }
 
   BatchNumber last() const override { return {cut_.stroke, cut_.batch}; }

@@ -381,8 +381,8 @@ bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahe
   return near;
 }
 
-void JoiningStage::move(const RigidMotion& motion) {
-  direction_ = motion.turn(direction_);
+void JoiningStage::move(const AffineMotion& motion) {
+  if (squared_length(direction_) > 0) direction_ = motion.turn(direction_);
   for (BladeLine& line : strip_) line = motion(line);
 }
 

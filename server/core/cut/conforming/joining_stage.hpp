@@ -23,7 +23,7 @@ class JoiningStage {
   bool advance(WorkBudget& budget);
 
   // The sweep so far goes along with the tissue.
-  void move(const RigidMotion& motion);
+  void move(const AffineMotion& motion);
   void archive(Archive& io);
 
  private:

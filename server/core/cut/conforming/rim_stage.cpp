@@ -162,7 +162,7 @@ void RimStage::clinging(std::vector<VertexId>& out) const {
   for (const Piercing& piercing : list_) out.insert(out.end(), piercing.face.begin(), piercing.face.end());
 }
 
-void RimStage::move(const RigidMotion& motion) {
+void RimStage::move(const AffineMotion& motion) {
   for (Piercing& p : list_) {
     p.point = motion(p.point);
     p.from = motion(p.from);

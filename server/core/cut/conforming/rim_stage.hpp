@@ -29,7 +29,7 @@ class RimStage {
 
   void clinging(std::vector<VertexId>& out) const;
   // What is listed goes along with the tissue.
-  void move(const RigidMotion& motion);
+  void move(const AffineMotion& motion);
   void archive(Archive& io);
 
  private:

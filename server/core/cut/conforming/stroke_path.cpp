@@ -102,7 +102,7 @@ void StrokePath::forget_before(double limit_m) {
   first_latest_ -= surface_.drop_before(swept_.front().batch);
 }
 
-void StrokePath::move(const RigidMotion& motion) {
+void StrokePath::move(const AffineMotion& motion) {
   surface_.move(motion);
   for (WayLine& way : way_) way.line = motion(way.line);
   for (BladeLine& line : retraced_) line = motion(line);

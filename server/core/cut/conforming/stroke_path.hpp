@@ -42,7 +42,7 @@ class StrokePath {
   void forget_before(double limit_m);
   void build() { surface_.build(first_latest_); }
   // What was swept goes along with the tissue, between two batches.
-  void move(const RigidMotion& motion);
+  void move(const AffineMotion& motion);
   // After the stroke's end.
   void clear_surface() { surface_.clear(); }
 
