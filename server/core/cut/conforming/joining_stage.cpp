@@ -173,15 +173,26 @@ void JoiningStage::extend_rim(const Part& part) {
     for (const double at : {0.0, 0.5, 1.0}) {
       const double skin_m = ahead(at, Of::kSkin);
       if (skin_m == kNoWall) continue;
+      // A slanted boundary that is near is farther straight ahead.
+      if (skin_m > kOne_h * cut_.h && !skin_is_near(lerp(part.from, part.to, at))) return;
       if (first_at > 1) first_at = at, first_m = skin_m;
       last_at = at, last_m = skin_m;
       ahead_m = std::max(ahead_m, skin_m);
     }
     const double way_m = (last_at - first_at) * distance(part.from, part.to);
-    if (way_m <= 0 || ahead_m > kOne_h * cut_.h) return;
+    if (way_m <= 0) return;
     if (std::abs(last_m - first_m) > kRimSlope * way_m + kLeastAhead_h * cut_.h) return;
   }
   extend(part.from, part.to, part.direction, ahead_m);
+}
+
+bool JoiningStage::skin_is_near(const Vec3& p) const {
+  const double near_m = kOne_h * cut_.h;
+  cut_.work.add(walls_.size(), cost::kWallsAUnit);
+  return std::ranges::any_of(walls_, [&](const Wall& wall) {
+    const auto& [a, b, c] = wall.corners;
+    return !wall.is_cut && squared_length(closest_point(p, a, b, c) - p) <= near_m * near_m;
+  });
 }
 
 // Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.

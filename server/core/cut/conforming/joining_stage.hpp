@@ -80,6 +80,7 @@ class JoiningStage {
   enum class Of { kAll, kCuts, kSkin };
   double wall_ahead(const Vec3& p, const Vec3& direction, Of of = Of::kAll) const;
   void extend_rim(const Part& part);
+  bool skin_is_near(const Vec3& p) const;
   bool sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const;
   bool is_ahead(const Wall& wall, const Part& part) const;
   void close_last();
