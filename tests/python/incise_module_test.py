@@ -186,7 +186,8 @@ class SameAsTheCommand(Folder):
         body, poses = incise.Body.phantom("slab", 1000), [(0, 0, 0, 0), (1, 0, 0, 1)]
         blade = {"heel": [0, 0, 0], "tip": [0, 0, -120]}
         for cut in (lambda: incise.cut(body, poses, blade=((0, 0, 0), (0, 0, -120))),
-                    lambda: incise.Session(body, config={"blade": blade}).cut(poses)):
+                    lambda: incise.Session(body, config={"blade": blade}).cut(poses),
+                    lambda: incise.Session(body, config={"blade": blade}).push((0, 0, 0, 0, 0, 0, 0, 1))):
             with self.assertRaisesRegex(incise.Error, r"^the blade is 120 m long, the body .* m: this looks like millimetres"):
                 cut()
 

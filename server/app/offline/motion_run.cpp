@@ -148,17 +148,21 @@ std::string suit_limits(Config& config, const RecordedMotion& motion, double bod
   return text;
 }
 
+std::string blade_fault(const core::Blade& blade, double body_size_m) {
+  const double length_m = core::distance(blade.heel, blade.tip), most_m = kMostBladeLengths * body_size_m;
+  if (length_m <= most_m) return {};
+  return "is " + short_number(length_m) + " m long, the body " + short_number(body_size_m) + " m: " +
+         (length_m <= 1000 * most_m ? "this looks like millimetres; divide by 1000"
+                                    : "accepted is at most 100 times the body");
+}
+
 std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m) {
-  double longest_m = 0;
+  core::Blade longest{{}, {}};
   for (const MotionEvent& event : motion.events) {
     const core::Blade& blade = event.blade ? *event.blade : blade_of(config, event.source);
-    longest_m = std::max(longest_m, core::distance(blade.heel, blade.tip));
+    if (core::distance(blade.heel, blade.tip) > core::distance(longest.heel, longest.tip)) longest = blade;
   }
-  const double most_m = kMostBladeLengths * body_size_m;
-  if (longest_m <= most_m) return {};
-  return "is " + short_number(longest_m) + " m long, the body " + short_number(body_size_m) + " m: " +
-         (longest_m <= 1000 * most_m ? "this looks like millimetres; divide by 1000"
-                                     : "accepted is at most 100 times the body");
+  return blade_fault(longest, body_size_m);
 }
 
 void check_blade(const Config& config, const RecordedMotion& motion, double body_size_m) {

@@ -33,6 +33,7 @@ std::shared_ptr<Session> make_session(const py::object& body, const py::object& 
   session->body = body_from(body, session->config);
   const py::gil_scoped_release release;
   const core::MeshData& mesh = session->body->loaded->mesh;
+  session->blade_fault = app::blade_fault(session->config.cut.blade, app::box_of(mesh).diagonal());
   session->core =
       std::make_unique<core::CutSession>(mesh, session->config.cut, session->body->loaded->fields);
   if (forces) session->forces = std::make_unique<ForceTrace>(session->config, mesh);
@@ -60,6 +61,7 @@ std::string push(Session& session, const py::object& given, std::uint32_t button
   if (!(std::abs(d[0]) <= 9e9)) throw py::value_error("pose: t is beyond 9e9 s");
   const core::Pose pose{std::llround(d[0] * 1e9), {d[1], d[2], d[3]}, {d[7], d[4], d[5], d[6]}, buttons};
   const std::uint32_t number = checked_source(source);
+  if (!session.blade_fault.empty()) throw std::runtime_error("the blade " + session.blade_fault);
   return with_core(session, [&](core::CutSession& core) -> std::string {
     const core::PoseVerdict verdict = core.push(number, pose);
     if (session.forces)
