@@ -144,39 +144,43 @@ void CutSession::find_clinging(bool may_follow) {
     vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
   }
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
-    if (sources_[number] && !follows_[number]) cling(number, queue_.front().ways_m, may_follow);
+    if (!at_blade_[number].empty()) cling(number, queue_.front().ways_m, may_follow);
   }
   std::ranges::sort(clinging_, {}, &Clinging::vertex);
   const auto same = [](const Clinging& a, const Clinging& b) { return a.vertex == b.vertex; };
   clinging_.erase(std::unique(clinging_.begin(), clinging_.end(), same), clinging_.end());
 }
 
-// How some vertices go if the simulation has its way, as one affine motion; by_m: how far in the mean.
-AffineMotion CutSession::wanted_motion(std::span<const VertexId> vertices, double& by_m) {
-  from_.clear();
-  to_.clear();
-  for (const VertexId v : vertices) {
-    const Vec3* const wanted = mover_.wanted_place(*queue_.front().deformation, v);
-    if (wanted == nullptr) continue;
-    from_.push_back(mesh_.position(v));
-    to_.push_back(*wanted);
-  }
-  const AffineMotion motion = AffineMotion::fit(from_, to_);
-  by_m = 0;
-  for (const Vec3& p : from_) by_m += distance(motion(p), p) / static_cast<double>(from_.size());
-  return motion;
+// How far places go by a motion, in the mean.
+double CutSession::way_of(const AffineMotion& motion, std::span<const Vec3> places) {
+  double way_m = 0;
+  for (const Vec3& p : places) way_m += distance(motion(p), p) / static_cast<double>(places.size());
+  return way_m;
 }
 
-// What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but what is straight in it stays so. A blade at which
-// nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
+// How the body goes as a whole in the step that is about to be made, whatever the simulation wanted.
+AffineMotion CutSession::motion_of_body() {
+  from_.clear();
+  to_.clear();
+  const std::size_t stride = 1 + mesh_.vertex_slots() / kSamples;
+  for (std::size_t i = 0; i < mesh_.vertex_slots(); i += stride) {
+    const auto v = static_cast<VertexId>(i);
+    if (mesh_.vertex_tet(v) == kNone) continue;
+    from_.push_back(mesh_.position(v));
+    to_.push_back(mover_.place_after(v));
+  }
+  const AffineMotion motion = AffineMotion::fit(from_, to_);
+  return follows(way_of(motion, from_)) ? motion : AffineMotion();
+}
+
+// What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but what is straight in it stays so.
 void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow) {
   std::vector<VertexId>& vertices = at_blade_[first];
-  const bool clings = !vertices.empty();
   std::array<bool, kMaxSources> together{};
   together[first] = true;
   double most_m = kFollows * ways_m[first];
   const auto shares = [&](VertexId v) { return std::ranges::binary_search(vertices, v); };
-  for (bool more = clings; more;) {
+  for (bool more = true; more;) {
     more = false;
     for (std::uint32_t other = first + 1; other < kMaxSources; ++other) {
       if (together[other] || std::ranges::none_of(at_blade_[other], shares)) continue;
@@ -187,23 +191,26 @@ void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, b
       std::ranges::sort(vertices);
     }
   }
-  if (!clings) {
-    const std::size_t stride = 1 + mesh_.vertex_slots() / kSamples;
-    for (std::size_t v = 0; v < mesh_.vertex_slots(); v += stride)
-      vertices.push_back(static_cast<VertexId>(v));
+  from_.clear();
+  to_.clear();
+  for (const VertexId v : vertices) {
+    const Vec3* const wanted = mover_.wanted_place(*queue_.front().deformation, v);
+    if (wanted == nullptr) continue;
+    from_.push_back(mesh_.position(v));
+    to_.push_back(*wanted);
   }
-  double way_m;
-  AffineMotion motion = wanted_motion(vertices, way_m);
-  const double by_m = !clings ? way_m : may_follow ? std::min(way_m, most_m) : 0;
-  const bool follows = by_m > VertexMover::kSamePlace_h * mesh_.mean_edge_length();
-  if (!follows) motion = {};
-  if (by_m < way_m && follows) motion = motion.part(by_m / way_m);
+  AffineMotion motion = AffineMotion::fit(from_, to_);
+  const double way_m = way_of(motion, from_), by_m = may_follow ? std::min(way_m, most_m) : 0;
+  if (!follows(by_m)) {
+    motion = {};
+  } else if (by_m < way_m) {
+    motion = motion.part(by_m / way_m);
+  }
   for (std::uint32_t number = first; number < kMaxSources; ++number) {
     if (together[number]) follows_[number] = motion;
   }
-  if (!clings) return;
   for (const VertexId v : vertices)
-    clinging_.push_back({v, follows ? motion(mesh_.position(v)) : mesh_.position(v)});
+    clinging_.push_back({v, motion.moves() ? motion(mesh_.position(v)) : mesh_.position(v)});
 }
 
 // A batch as the blade has gone through the tissue, which has moved since the blade was at its lines.
@@ -250,15 +257,18 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   committed_counts_ = {};
   describe(delta);
   follower_.note();
+  // A blade at which nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
+  const AffineMotion as_a_whole = config_.policy == Policy::kCroll ? AffineMotion() : motion_of_body();
   mover_.commit(delta);
   follower_.follow();
   ++deformed_;
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
-    if (!follows_[number] || !follows_[number]->moves()) continue;
-    sources_[number]->cutter->follow(*follows_[number]);
+    const AffineMotion& motion = follows_[number] ? *follows_[number] : as_a_whole;
+    if (!sources_[number] || !motion.moves()) continue;
+    sources_[number]->cutter->follow(motion);
     std::vector<Followed>& followed = sources_[number]->followed;
     if (followed.size() == kMostSteps) followed.erase(followed.begin());
-    followed.push_back({deformed_, *follows_[number]});
+    followed.push_back({deformed_, motion});
   }
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE

@@ -16,8 +16,8 @@ namespace {
 // Six times the volume below which a tetrahedron is flat, in cubes of the local edge length, or of its own longest edge if that is shorter. A regular one
 // has 0.7.
 constexpr double kThinnest = 1e-3;
-// One that is flat already, as cuts leave some, may lose this part of its volume in a step: it is strained with the body around it, and all of that would be
-// held back with it.
+// One that is flat already, or at rest, as cuts leave some, may lose this part of its volume in a step, or of its thickness at rest: it is strained with the body around it,
+// and all of that would be held back with it.
 constexpr double kLoses = 0.5;
 // A tetrahedron that would be thick enough where edges are this many times the mean length is thick enough anywhere: then the
 // local length is not looked up.
@@ -387,7 +387,13 @@ bool VertexMover::flattens(const std::array<VertexId, 4>& v) const {
   const double longest_m = std::sqrt(squared_longest_edge(a, b, c, d));
   const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
   if (then >= flat && is_valid) return false;
-  return !(now < flat && then >= (1 - kLoses) * now && is_valid);
+  if (now < flat && then >= (1 - kLoses) * now && is_valid) return false;
+  // A solver has the shape at rest for sound, however flat it is.
+  const Vec3 &ra = mesh_.rest_position(v[0]), &rb = mesh_.rest_position(v[1]),
+             &rc = mesh_.rest_position(v[2]), &rd = mesh_.rest_position(v[3]);
+  const double at_rest = six_volumes(ra, rb, rc, rd), rest_m2 = squared_longest_edge(ra, rb, rc, rd);
+  return !(is_valid &&
+           then * rest_m2 * std::sqrt(rest_m2) >= (1 - kLoses) * at_rest * longest_m * longest_m * longest_m);
 }
 
 void VertexMover::yield(WorkBudget& budget) {

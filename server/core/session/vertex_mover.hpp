@@ -52,6 +52,8 @@ class VertexMover {
   const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
   // Works until all is ready (true) or the budget is spent (false).
   bool advance(WorkBudget& budget);
+  // Where a vertex lies once it commits; it must be ready.
+  const Vec3& place_after(VertexId v) const { return target_[v]; }
   // Ready, but what clings would not lie as it has to, since tetrahedra would invert. Then commit() must not follow, but begin_again().
   bool clinging_gives_way() const { return clinging_gives_way_; }
   // Moves the vertices. Fills the mesh part of `delta`.

@@ -262,6 +262,22 @@ TEST(VertexMover, WhatIsFlatHoldsNothingBack) {
   }
 }
 
+// At rest it is as flat as that, and thicker where the body is strained: it comes back with all the others.
+TEST(VertexMover, WhatIsFlatAtRestComesBackToRest) {
+  const VertexId v = (4 * 9 + 4) * 9 + 4;
+  MeshData mesh = testing::box(8, 8, 8, kCell);
+  mesh.positions[v].x += 0.9999 * kCell;
+  CutSession session(mesh, config());
+  const Vec3 there = session.mesh().position(v) - Vec3{0.5 * kCell, 0, 0};
+  EXPECT_TRUE(deform(session, some(0, {v}, {there})).deformation.held.empty());
+  EXPECT_EQ(session.mesh().position(v), there);
+  const Delta delta =
+      deform(session, all(session, [&](VertexId w, const Vec3&) { return session.mesh().rest_position(w); }));
+  EXPECT_TRUE(delta.deformation.held.empty());
+  EXPECT_EQ(session.mesh().position(v), mesh.positions[v]);
+  EXPECT_EQ(validate(session.mesh()), "");
+}
+
 // ---- Among cuts
 
 // A motion of the whole body that bends and sways it, up to a third of an edge a step.
@@ -295,7 +311,8 @@ std::vector<std::function<void(CutSession&)>> happenings(std::uint64_t seed) {
       calls.emplace_back([=](CutSession& session) {
         Random some_noise(noise);
         auto sent = all(session, [&](VertexId, const Vec3& p) {
-          return some_noise.below(9) == 0 ? p + some_noise.in_box({-d, -d, -d}, {d, d, d}) : p;
+          return p +
+                 (some_noise.below(9) == 0 ? some_noise.in_box({-d, -d, -d}, {d, d, d}) : Vec3{1e-5, 0, 0});
         });
         sent->revision = session.revision() - std::min<std::uint64_t>(session.revision(), i % 4);
         session.deform(sent);
@@ -480,6 +497,30 @@ TEST(VertexMover, TissueClingsToABladeThatStands) {
   session.end_stroke(0);
   run_all(session);
   EXPECT_TRUE(deform(session, all(session, drift)).deformation.held.empty());
+}
+
+// A blade that has left the body by so little that its last lines are not cut yet goes along with the body as that goes, not as the simulation wanted it to.
+TEST(VertexMover, AStepThatIsRefusedMovesNoBlade) {
+  for (const int last : {40, 45, 50}) {
+    std::uint32_t faces[2];
+    for (const bool refused : {false, true}) {
+      CutSession session(body(), config());
+      for (int i = 0; i <= 60; ++i) {
+        session.push(0, at(1 + 8 * i, {-0.02 + 0.12 * i / 50, 0.03, 0}));
+        run_all(session);
+        if (!refused || i != last) continue;
+        const Delta delta = deform(session, all(session, [](VertexId, const Vec3& p) {
+                                     return Vec3{p.x, 0.06 - p.y, p.z};
+                                   }));
+        EXPECT_GT(delta.deformation.held.size(), session.mesh().vertex_slots() / 2);
+      }
+      session.end_stroke(0);
+      run_all(session);
+      EXPECT_EQ(validate(session.mesh()), "");
+      faces[refused ? 1 : 0] = measure(session.mesh()).cut_faces;
+    }
+    EXPECT_EQ(faces[0], faces[1]) << last;
+  }
 }
 
 // While the blade cuts, what it is in goes along with a body that drifts, and is cut as at rest.
