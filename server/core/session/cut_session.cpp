@@ -173,6 +173,16 @@ AffineMotion CutSession::motion_of_body() {
   return follows(way_of(motion, from_)) ? motion : AffineMotion();
 }
 
+// A blade at which nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
+void CutSession::lead_free_blades() {
+  std::optional<AffineMotion> as_a_whole;
+  for (std::uint32_t number = 0; number < kMaxSources; ++number) {
+    if (!sources_[number] || follows_[number]) continue;
+    if (!as_a_whole) as_a_whole = motion_of_body();
+    follows_[number] = as_a_whole;
+  }
+}
+
 // What clings to a blade, and to others that have some of it at them, goes as the simulation wants it to, but what is straight in it stays so.
 void CutSession::cling(std::uint32_t first, const std::vector<double>& ways_m, bool may_follow) {
   std::vector<VertexId>& vertices = at_blade_[first];
@@ -257,18 +267,16 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
   committed_counts_ = {};
   describe(delta);
   follower_.note();
-  // A blade at which nothing clings may just have come upon the tissue by a way that is not cut yet: that goes along with the body as a whole.
-  const AffineMotion as_a_whole = config_.policy == Policy::kCroll ? AffineMotion() : motion_of_body();
+  if (config_.policy != Policy::kCroll) lead_free_blades();
   mover_.commit(delta);
   follower_.follow();
   ++deformed_;
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
-    const AffineMotion& motion = follows_[number] ? *follows_[number] : as_a_whole;
-    if (!sources_[number] || !motion.moves()) continue;
-    sources_[number]->cutter->follow(motion);
+    if (!follows_[number] || !follows_[number]->moves()) continue;
+    sources_[number]->cutter->follow(*follows_[number]);
     std::vector<Followed>& followed = sources_[number]->followed;
     if (followed.size() == kMostSteps) followed.erase(followed.begin());
-    followed.push_back({deformed_, motion});
+    followed.push_back({deformed_, *follows_[number]});
   }
   committed_.deformation.reset();
 #ifdef INCISE_VALIDATE

@@ -123,6 +123,7 @@ class CutSession {
   bool follows(double way_m) const { return way_m > VertexMover::kSamePlace_h * mesh_.mean_edge_length(); }
   static double way_of(const AffineMotion& motion, std::span<const Vec3> places);
   AffineMotion motion_of_body();
+  void lead_free_blades();
   void take_committed();
   void describe(Delta& delta);
   void archive_source(Archive& io, std::uint32_t number);
@@ -155,7 +156,7 @@ class CutSession {
   CutCounts committed_counts_;
   std::vector<std::uint32_t> star_;
   std::vector<Clinging> clinging_;                                // of the deformation under way
-  std::array<std::optional<AffineMotion>, kMaxSources> follows_;  // how what clings to each blade goes in it
+  std::array<std::optional<AffineMotion>, kMaxSources> follows_;  // how what is at each blade goes in it
   std::array<std::vector<VertexId>, kMaxSources> at_blade_;       // scratch
   std::vector<Vec3> from_, to_;                                   // scratch
   Batch deformation_, batch_;                                     // scratch

@@ -59,7 +59,7 @@ Vec3 AffineMotion::turn(const Vec3& direction) const {
 }
 
 Vec3 AffineMotion::turn_normal(const Vec3& normal) const {
-  // By the cofactors, in the rows of which the cross products of the matrix's rows stand.
+  // By the matrix of cofactors: its rows are the cross products of this one's rows.
   const Vec3 a = strain_[0] + Vec3{1, 0, 0}, b = strain_[1] + Vec3{0, 1, 0}, c = strain_[2] + Vec3{0, 0, 1};
   const Vec3 n = rigid_.turn(normal);
   return normalized(Vec3{dot(cross(b, c), n), dot(cross(c, a), n), dot(cross(a, b), n)});
@@ -76,7 +76,7 @@ void AffineMotion::archive(Archive& io) {
   rigid_.archive(io);
   for (Vec3& row : strain_) {
     io(row);
-    io.demand(squared_length(row) <= kMostStrain * kMostStrain, "a strain that is none");
+    io.demand(squared_length(row) <= kMostStrain * kMostStrain, "a strain larger than a step may have");
   }
 }
 

@@ -21,7 +21,7 @@ class AffineMotion {
 
   Vec3 operator()(const Vec3& p) const;
   BladeLine operator()(const BladeLine& line) const { return {(*this)(line.heel), (*this)(line.tip)}; }
-  // Of a direction, of length 1.
+  // Of a direction, of length 1; of none, none.
   Vec3 turn(const Vec3& direction) const;
   // Of the direction across a plane, of length 1.
   Vec3 turn_normal(const Vec3& normal) const;

@@ -393,7 +393,7 @@ bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahe
 }
 
 void JoiningStage::move(const AffineMotion& motion) {
-  if (squared_length(direction_) > 0) direction_ = motion.turn(direction_);
+  direction_ = motion.turn(direction_);
   for (BladeLine& line : strip_) line = motion(line);
 }
 
