@@ -146,8 +146,8 @@ void CutSession::find_clinging(bool may_follow) {
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
     if (!at_blade_[number].empty()) cling(number, queue_.front().ways_m, may_follow);
   }
-  std::ranges::sort(clinging_, {}, &Clinging::vertex);
-  const auto same = [](const Clinging& a, const Clinging& b) { return a.vertex == b.vertex; };
+  std::ranges::sort(clinging_, {}, &VertexPlace::vertex);
+  const auto same = [](const VertexPlace& a, const VertexPlace& b) { return a.vertex == b.vertex; };
   clinging_.erase(std::unique(clinging_.begin(), clinging_.end(), same), clinging_.end());
 }
 

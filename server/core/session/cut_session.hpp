@@ -155,7 +155,7 @@ class CutSession {
   Batch committed_;
   CutCounts committed_counts_;
   std::vector<std::uint32_t> star_;
-  std::vector<Clinging> clinging_;                                // of the deformation under way
+  std::vector<VertexPlace> clinging_;                             // of the deformation under way
   std::array<std::optional<AffineMotion>, kMaxSources> follows_;  // how what is at each blade goes in it
   std::array<std::vector<VertexId>, kMaxSources> at_blade_;       // scratch
   std::vector<Vec3> from_, to_;                                   // scratch

@@ -7,7 +7,6 @@
 
 #include "server/core/geometry/predicates.hpp"
 #include "server/core/session/in_chunks.hpp"
-#include "server/core/stroke/stroke_builder.hpp"
 #include "server/core/util/room.hpp"
 
 namespace incise::core {
@@ -27,15 +26,9 @@ constexpr double kLongest = 8;
 // The longest edge of a tetrahedron may be this many mean lengths, or this many times what it is at rest. A longer one is no tissue any more,
 // and the boundary grid would list it in each cell of its box.
 constexpr double kStretched = 16, kStretchedAtRest = 4;
-// Nothing that is nearer is too far, however the roots are rounded.
-constexpr double kSurelyNear_m2 = 0.99 * kFarthest_m * kFarthest_m;
 constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
-
-bool is_place(const Vec3& p) {
-  return squared_length(p) < kSurelyNear_m2 || (is_finite(p) && length(p) <= kFarthest_m);
-}
 
 double six_volumes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return dot(cross(b - a, c - a), d - a);
@@ -49,24 +42,25 @@ double squared_longest_edge(const Vec3& a, const Vec3& b, const Vec3& c, const V
 }  // namespace
 
 VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
-    : mesh_(mesh), workspace_(workspace), pass_(workspace), tets_(mesh), grid_(mesh, workspace) {
-  known_since_.reserve(mesh.vertex_slots() + mesh.vertex_slots() / 4 + 65536);
-  known_since_.resize(mesh.vertex_slots(), 0);
-}
+    : mesh_(mesh),
+      workspace_(workspace),
+      late_(mesh),
+      pass_(workspace),
+      tets_(mesh),
+      grid_(mesh, workspace) {}
 
 void VertexMover::note_cut(const Delta& delta) {
   for (const VertexId v : delta.moved) {
-    known_since_[v] = delta.revision;
     if (v >= target_.size()) continue;
     const Vec3 before = target_[v];
     vertices_hash_ ^= TetMesh::hash_at(std::span(&v, 1), std::span(&before, 1)) ^ mesh_.hash_of_vertex(v);
     target_.set(v, mesh_.position(v));
   }
-  known_since_.resize(mesh_.vertex_slots(), delta.revision);
+  late_.note_cut(delta);
   tets_.follow(delta);
 }
 
-void VertexMover::begin(const VertexPositions& positions, std::span<const Clinging> clinging,
+void VertexMover::begin(const VertexPositions& positions, std::span<const VertexPlace> clinging,
                         const std::vector<GaveWay>* known) {
   positions_ = &positions;
   phase_ = Phase::kGather;
@@ -77,7 +71,8 @@ void VertexMover::begin(const VertexPositions& positions, std::span<const Clingi
   gives_way_.resize(vertices, 0);
   reach_.resize(vertices, kStays);
   clinging_ = clinging;
-  next_clinging_ = 0;
+  next_clinging_ = next_late_ = 0;
+  next_given_ = 0;
   clinging_gives_way_ = false;
   clinging_gave_way_ = known != nullptr && !known->empty() && known->back().vertex == kNone;
   first_round_ = true;
@@ -94,11 +89,12 @@ void VertexMover::begin(const VertexPositions& positions, std::span<const Clingi
   hash_change_ = 0;
   moves_most_ = 2 * positions.positions.size() > vertices;
   grid_.begin();
+  late_.begin(positions, clinging);
   const double h = kLocallyAtMost * mesh_.mean_edge_length();
   surely_thick_ = kThinnest * h * h * h;
 }
 
-void VertexMover::begin_again(const VertexPositions& positions, std::span<const Clinging> clinging) {
+void VertexMover::begin_again(const VertexPositions& positions, std::span<const VertexPlace> clinging) {
   begin(positions, clinging);
   clinging_gave_way_ = true;
 }
@@ -109,6 +105,9 @@ bool VertexMover::advance(WorkBudget& budget) {
     switch (phase_) {
       case Phase::kGather:
         gather(budget);
+        break;
+      case Phase::kLead:
+        if (late_.advance(budget)) phase_ = Phase::kTake;
         break;
       case Phase::kTake:
         take(budget);
@@ -153,26 +152,7 @@ void VertexMover::gather(WorkBudget& budget) {
     vertices_hash_ ^= mesh_.hash_of_vertex(v);
   };
   if (in_chunks(next, mesh_.vertex_slots(), budget, kSmall, take_in) && tets_.catch_up(budget))
-    phase_ = Phase::kTake;
-}
-
-bool VertexMover::is_known(const VertexPositions& positions, VertexId v) const {
-  return v < mesh_.vertex_slots() && mesh_.vertex_tet(v) != kNone && known_since_[v] <= positions.revision;
-}
-
-const Vec3* VertexMover::wanted_place(const VertexPositions& positions, VertexId v) const {
-  if (!is_known(positions, v)) return nullptr;
-  std::size_t at = 0;
-  if (positions.ids.empty()) {
-    if (v < positions.first) return nullptr;
-    at = v - positions.first;
-  } else {
-    const auto found = std::lower_bound(positions.ids.begin(), positions.ids.end(), v);
-    if (found == positions.ids.end() || *found != v) return nullptr;
-    at = static_cast<std::size_t>(found - positions.ids.begin());
-  }
-  return at < positions.positions.size() && is_place(positions.positions[at]) ? &positions.positions[at]
-                                                                              : nullptr;
+    phase_ = Phase::kLead;
 }
 
 bool VertexMover::may_move(VertexId v, const Vec3& to) {
@@ -201,6 +181,26 @@ void VertexMover::take_clinging(const Vec3* wanted) {
   if (place != mesh_.position(v) && is_place(place) && (moved_.empty() || moved_.back() < v)) want(v, place);
 }
 
+// What goes to a place that no entry gives: what clings, and what the simulation does not know, before v.
+void VertexMover::take_before(VertexId v) {
+  while (next_given_ < v) {
+    const VertexId clings = next_clinging_ < clinging_.size() ? clinging_[next_clinging_].vertex : kNone;
+    const VertexId late = next_late_ < late_.places().size() ? late_.places()[next_late_].vertex : kNone;
+    next_given_ = std::min(clings, late);
+    if (next_given_ >= v) return;
+    if (clings < late) {
+      take_clinging(nullptr);
+    } else {
+      take_late();
+    }
+  }
+}
+
+void VertexMover::take_late() {
+  const auto [v, place] = late_.places()[next_late_++];
+  if (may_move(v, place)) want(v, place);
+}
+
 void VertexMover::take(WorkBudget& budget) {
   const auto& entries = positions_->positions;
   if (next_ == 0) {
@@ -214,8 +214,8 @@ void VertexMover::take(WorkBudget& budget) {
         const std::size_t before = moved_.size();
         for (std::size_t i = first; i < stop; ++i) {
           const VertexId v = positions_->id(i);
-          while (clings_before(v)) take_clinging(nullptr);
-          if (!is_known(*positions_, v)) {
+          if (next_given_ < v) take_before(v);
+          if (!late_.is_known(*positions_, v)) {
             ++passed_over_;
           } else if (next_clinging_ < clinging_.size() && clinging_[next_clinging_].vertex == v) {
             take_clinging(&entries[i]);
@@ -227,7 +227,7 @@ void VertexMover::take(WorkBudget& budget) {
       });
   if (!done) return;
   const std::size_t before = moved_.size();
-  while (clings_before(kNone)) take_clinging(nullptr);
+  take_before(kNone);
   note_moved(before);
   // One pass over all tetrahedra is faster than visiting the stars of most vertices, which reach each tetrahedron four times.
   all_tets_ = moved_.size() > mesh_.tet_slots() / 16;
@@ -413,7 +413,7 @@ void VertexMover::yield(WorkBudget& budget) {
 // All is known: where each vertex goes.
 void VertexMover::begin_settling() {
   clinging_gives_way_ = std::ranges::any_of(
-      clinging_, [this](const Clinging& c) { return wanted(c.vertex) && reach_[c.vertex] != kFull; });
+      clinging_, [this](const VertexPlace& c) { return wanted(c.vertex) && reach_[c.vertex] != kFull; });
   if (clinging_gives_way_) {
     for (const VertexId v : moved_) target_.set(v, mesh_.position(v));
     phase_ = Phase::kReady;
@@ -485,9 +485,7 @@ void VertexMover::commit(Delta& delta) {
 }
 
 void VertexMover::archive(Archive& io) {
-  io.list(known_since_, 8, [&](std::uint64_t& revision) { io(revision); });
-  io.demand(known_since_.size() == mesh_.vertex_slots(), "revisions and vertices differ in number");
-  if (io.reads() && !io.failed()) grow_to(known_since_, mesh_.vertex_slots());
+  late_.archive(io);
 }
 
 }  // namespace incise::core

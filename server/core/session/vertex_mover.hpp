@@ -8,23 +8,18 @@
 #include "server/core/cut/cutter.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
 #include "server/core/session/grid_follower.hpp"
+#include "server/core/session/late_vertices.hpp"
 #include "server/core/session/step_tets.hpp"
 #include "server/core/session/target_positions.hpp"
 #include "server/core/session/vertex_positions.hpp"
 
 namespace incise::core {
 
-// A vertex at a blade, and where it has to be after the step.
-struct Clinging {
-  VertexId vertex;
-  Vec3 place;
-};
-
 // Moves vertices to the positions that a host simulation has sent, all at once, after checking that the mesh stays valid:
 //
 //   gather   what cuts have made since the last step, or everything before the first one.
-//   take     which vertices move: not those that were cut or made since the simulation's revision (it does not know their
-//            present state). Those at a blade stay, or go all together: the cut under way relies on how they lie to each other, so
+//   lead     where those go that were cut or made since the simulation's revision: with what they hang on (LateVertices).
+//   take     which vertices move. Those at a blade stay, or go all together: the cut under way relies on how they lie to each other, so
 //            the tissue clings to the blade until it has passed.
 //   check    tetrahedra that would invert, become flat (thinner than a thousandth of h^3, or of their longest edge's cube; what is flat already may
 //            lose half) or be stretched (longer than 16 mean edge lengths, and than four times what they are at rest). Their vertices go half
@@ -44,12 +39,14 @@ class VertexMover {
 
   // `positions` must live until commit(), and `clinging`, the vertices at blades, ascending. `known`: what gives way,
   // from another session that was in the same state: if most vertices move, nothing is checked. It must live until commit().
-  void begin(const VertexPositions& positions, std::span<const Clinging> clinging,
+  void begin(const VertexPositions& positions, std::span<const VertexPlace> clinging,
              const std::vector<GaveWay>* known = nullptr);
   // The same once more, where what clings has to stay.
-  void begin_again(const VertexPositions& positions, std::span<const Clinging> clinging);
+  void begin_again(const VertexPositions& positions, std::span<const VertexPlace> clinging);
   // Where these positions want a vertex; null: they do not say so, or did not know where it is.
-  const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
+  const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const {
+    return late_.wanted_place(positions, v);
+  }
   // Works until all is ready (true) or the budget is spent (false).
   bool advance(WorkBudget& budget);
   // Where a vertex lies once it commits; it must be ready.
@@ -72,19 +69,29 @@ class VertexMover {
   std::uint64_t checked() const { return checked_; }
 
  private:
-  enum class Phase { kGather, kTake, kLook, kCheck, kYield, kSettle, kLeaveOut, kHash, kFollow, kReady };
+  enum class Phase {
+    kGather,
+    kLead,
+    kTake,
+    kLook,
+    kCheck,
+    kYield,
+    kSettle,
+    kLeaveOut,
+    kHash,
+    kFollow,
+    kReady
+  };
   // How much of its way a vertex goes.
   static constexpr std::uint8_t kStays = 0, kHalf = 1, kFull = 2;
 
   void gather(WorkBudget& budget);
   void take(WorkBudget& budget);
   bool may_move(VertexId v, const Vec3& to);
-  bool is_known(const VertexPositions& positions, VertexId v) const;
   void want(VertexId v, const Vec3& to);
-  bool clings_before(VertexId v) const {
-    return next_clinging_ < clinging_.size() && clinging_[next_clinging_].vertex < v;
-  }
+  void take_before(VertexId v);
   void take_clinging(const Vec3* wanted);
+  void take_late();
   void look(WorkBudget& budget);
   void look_around(VertexId v);
   void check(WorkBudget& budget);
@@ -112,11 +119,12 @@ class VertexMover {
 
   TetMesh& mesh_;
   CutWorkspace& workspace_;
-  std::vector<std::uint64_t> known_since_;  // by vertex: the revision of the last cut that moved or made it
+  LateVertices late_;
 
   const VertexPositions* positions_ = nullptr;
-  std::span<const Clinging> clinging_;                           // in this step
-  std::size_t next_clinging_ = 0;                                // that is to be taken
+  std::span<const VertexPlace> clinging_;                        // in this step
+  std::size_t next_clinging_ = 0, next_late_ = 0;                // that are to be taken
+  VertexId next_given_ = 0;                                      // no vertex before this is one of these
   bool clinging_gives_way_ = false, clinging_gave_way_ = false;  // now, and before it was begun again
   Phase phase_ = Phase::kReady;
   std::size_t next_ = 0;

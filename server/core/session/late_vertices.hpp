@@ -1,0 +1,77 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "server/core/mesh/tet_mesh.hpp"
+#include "server/core/session/vertex_positions.hpp"
+#include "server/core/stroke/stroke_builder.hpp"
+#include "server/core/util/archive.hpp"
+#include "server/core/util/work_budget.hpp"
+
+namespace incise::core {
+
+// Whether a vertex may lie there.
+inline bool is_place(const Vec3& p) {
+  // Nothing that is nearer is too far, however the roots are rounded.
+  constexpr double kSurelyNear_m2 = 0.99 * kFarthest_m * kFarthest_m;
+  return squared_length(p) < kSurelyNear_m2 || (is_finite(p) && length(p) <= kFarthest_m);
+}
+
+// A vertex, and where it has to be after the step.
+struct VertexPlace {
+  VertexId vertex;
+  Vec3 place;
+};
+
+// The vertices that cuts have moved or made since the revision that a step of a host simulation was computed for. The simulation does not know their
+// material, so what it says of them is not taken. They go along with what they hang on: by the affine map, from places at rest, that is nearest to where the other vertices of their
+// tetrahedra go; where few of these are known, those next to them count as well, and where none is, those that have been placed so far. What a step does not name stays, as it does
+// elsewhere.
+class LateVertices {
+ public:
+  // It must outlive this.
+  explicit LateVertices(const TetMesh& mesh);
+
+  // Records the vertices that a cut has moved or made in delta.revision.
+  void note_cut(const Delta& delta);
+  // Whether the simulation that sent these knew where v is.
+  bool is_known(const VertexPositions& positions, VertexId v) const;
+  // Where these positions want a vertex; null: they do not say so, or did not know where it is. Of several positions: O(log(positions)).
+  const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
+
+  // Finds where they go. Both must live until that is done; `clinging` is ascending, and of these vertices the places are given.
+  void begin(const VertexPositions& positions, std::span<const VertexPlace> clinging);
+  // Works until all is found (true) or the budget is spent (false). O(late vertices) and a look at each 64th vertex.
+  bool advance(WorkBudget& budget);
+  // Where those go that do not cling, ascending. What moves nowhere may be among them.
+  std::span<const VertexPlace> places() const { return places_; }
+
+  void archive(Archive& io);
+
+ private:
+  void find_in(std::size_t block);
+  void place(VertexId v);
+  void look_farther();
+  // Where a vertex goes; null: not known so far.
+  const Vec3* place_of(VertexId v) const;
+
+  const TetMesh& mesh_;
+  std::vector<std::uint64_t> known_since_;  // by vertex: the revision of the last cut that moved or made it
+  std::vector<std::uint64_t> latest_;       // of each 64 of these
+
+  const VertexPositions* positions_ = nullptr;
+  std::span<const VertexPlace> clinging_;
+  bool finds_ = false;                        // while they are looked for; they are placed then
+  std::size_t next_ = 0;                      // that is looked at, in this round
+  std::vector<VertexId> late_, later_;        // to be placed, in this round and in the next one
+  std::vector<VertexPlace> places_, placed_;  // before this round, and in it
+  std::vector<Corner> star_;
+  std::vector<VertexId> around_;
+  std::vector<Vec3> from_, to_;
+  bool moves_ = false;  // one of these
+};
+
+}  // namespace incise::core
