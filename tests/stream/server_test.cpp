@@ -260,8 +260,8 @@ TEST(Server, ASlowReaderIsCaughtUpAndHurtsNobody) {
   Viewer slow(test.server.tcp_port(), hello(Role::Viewer, View::Volume), 4096);
   ReadingViewer reading(test.server.tcp_port());
   ASSERT_TRUE(slow.follow(0));
-  // More than the kernel's buffers hold, while the slow one reads nothing.
-  for (int i = 0; i < 40; ++i) test.cut(2);
+  // Twice what the kernel's buffers hold, while the slow one reads nothing.
+  for (int i = 0; i < 50; ++i) test.cut(2);
   ASSERT_TRUE(eventually([&] { return reading.at(test.loop.revision()); }));
   const Viewer& other = reading.stop();
   ASSERT_TRUE(slow.follow(test.loop.revision()));
