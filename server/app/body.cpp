@@ -6,6 +6,7 @@
 #include <variant>
 
 #include "server/app/look.hpp"
+#include "server/app/offline/motion_run.hpp"
 #include "server/app/surface_asset.hpp"
 #include "server/input/hid/json_node.hpp"
 #include "server/mesh_io/field.hpp"
@@ -51,8 +52,28 @@ std::vector<std::string> check_body(const Config& config, const std::string& fil
         mesh_io::make_phantom_surface(*mesh_io::phantom_kind(config.mesh.phantom), mesh_io::kMinPhantomTets)
             .positions;
   }
+  check_cuttable(config, checked.mesh, file);
   check_look(config, checked.mesh, file, checked.warnings);
   return std::move(checked.warnings);
+}
+
+void check_cuttable(const Config& config, const core::MeshData& body, const std::string& file) {
+  const std::string in_file = file.empty() ? "" : file + ": ";
+  const Box box = box_of(body);
+  const double size_m = box.diagonal();
+  for (const core::Vec3& corner : {box.low, box.high}) {
+    if (size_m == 0 || core::length(corner) <= core::kFarthest_m) continue;
+    throw ConfigError(in_file + "mesh: reaches from " + box.text() + " m; no pose may be more than " +
+                      short_number(core::kFarthest_m / 1000) +
+                      " km from the origin: move it there, or set mesh.scale_to_metres");
+  }
+  const auto check = [&](const std::string& key, const core::Blade& blade) {
+    if (const std::string fault = blade_fault(blade, size_m); !fault.empty())
+      throw ConfigError(in_file + key + ": the blade " + fault);
+  };
+  check("blade", config.cut.blade);
+  for (std::size_t i = 0; i < config.sources.size(); ++i)
+    check("sources[" + std::to_string(i) + "]", config.sources[i].blade);
 }
 
 namespace {

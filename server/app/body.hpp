@@ -38,6 +38,10 @@ std::vector<core::Field> declared_fields(const Config& config, const std::string
 // what only filling shows. Throws ConfigError.
 std::vector<std::string> check_body(const Config& config, const std::string& file);
 
+// Whether blades can cut the body: it is not beyond where poses may be, and none of the configuration's is more than 100 times as long as it. Throws ConfigError;
+// `file`: as above.
+void check_cuttable(const Config& config, const core::MeshData& body, const std::string& file);
+
 // Throws ConfigError if neither mesh.path nor mesh.phantom is given, MeshError if the mesh cannot be read or made.
 // `fields`: with the file's fields, and those that the configuration declares.
 Body load_body(const Config& config, FillProgress progress = {}, bool fields = false);

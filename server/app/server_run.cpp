@@ -50,6 +50,7 @@ Body load_and_log(const Config& config) {
         if (seconds > 2 && last_stage != stage) spdlog::info("filling the mesh: {}", last_stage = stage);
       },
       true);
+  check_cuttable(config, body.loaded.mesh, "");
   for (const std::string& warning : body.loaded.warnings) spdlog::warn("{}", warning);
   return_freed_memory();
   return body;

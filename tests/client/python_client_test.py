@@ -350,6 +350,15 @@ class Session(unittest.TestCase):
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
 
+    def test_reset_and_undo_are_sent(self):
+        port = self.serve(self.messages("Welcome"))
+        with incise_client.connect("127.0.0.1", port, role=Role.Role.Admin) as client:
+            client.reset()
+            client.undo()
+        self.thread.join()
+        kinds = [Message.Message.GetRootAs(data, 0).BodyType() for data in self.received]
+        self.assertEqual([kind for kind in kinds if kind], [Body.Body.Hello, Body.Body.Reset, Body.Body.Undo, Body.Body.Bye])
+
     def test_after_an_undo_it_waits_for_the_state_of_the_new_session(self):
         volume = [struct.pack("<I", len(body)) + body for body in split((VECTORS / "streams" / "volume.bin").read_bytes())]
         kinds = [Message.Message.GetRootAs(data, 4).BodyType() for data in volume]
@@ -519,6 +528,11 @@ class Session(unittest.TestCase):
             load = BladeLoad.BladeLoad()
             with self.assertRaisesRegex(ValueError, "point, normal, .* accepted are finite numbers"):
                 client.send_model(load, (nan, 0, 0), (0, 0, 1), np.eye(3))
+            with self.assertRaisesRegex(ValueError, r"point, normal: found \(0, 0, 0\), \(0, 0\); accepted are three numbers each"):
+                client.send_model(load, (0, 0, 0), (0, 0), np.eye(3))
+            for bad in (0, -1, 1e12):
+                with self.assertRaisesRegex(ValueError, "valid_s: found .*; accepted is above 0 and up to 1"):
+                    client.send_model(load, (0, 0, 0), (0, 0, 1), np.eye(3), valid_s=bad)
         self.thread.join()
         kinds = [Message.Message.GetRootAs(data, 0).BodyType() for data in self.received]
         self.assertEqual([kind for kind in kinds if kind], [Body.Body.Hello, Body.Body.Bye])

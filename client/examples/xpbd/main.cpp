@@ -10,6 +10,7 @@
 #include <string>
 #include <thread>
 
+#include "client/cli/commands.hpp"
 #include "client/client.hpp"
 #include "client/examples/xpbd/stepper.hpp"
 
@@ -25,8 +26,7 @@ double seconds_since(steady_clock::time_point then) {
 }
 
 struct Settings {
-  std::string host = "127.0.0.1";
-  std::uint16_t port = 7450;
+  client::ServerOptions server{"127.0.0.1:7450", {}, {}};
   std::string token;
   double rate_hz = 60, seconds = 0;
   int substeps = 10;
@@ -166,14 +166,15 @@ void Simulation::step() {
 }
 
 void Simulation::run() {
-  client::Options options;
+  client::Address where;
+  client::Options options = settings_.server.options(where);
   options.role = protocol::Role::Simulator;
   options.client_name = "incise-xpbd";
-  options.token = settings_.token;
+  if (!settings_.token.empty()) options.token = settings_.token;
   options.load_rate_hz = kLoadRate_hz;
   options.background = false;
   options.reconnect = true;
-  client_ = client::Client::connect(settings_.host, settings_.port, options, callbacks());
+  client_ = client::connect(where, options, callbacks());
   load();  // what has come with the welcome
   while (!stop && (settings_.seconds == 0 || seconds_since(began_) < settings_.seconds)) {
     const double left_s = std::chrono::duration<double>(next_ - steady_clock::now()).count();
@@ -187,10 +188,14 @@ void Simulation::run() {
 
 int main(int argc, char** argv) {
   Settings settings;
-  std::string server = "127.0.0.1:7450";
   CLI::App app("incise-xpbd: a soft body that an incised cuts, which gives way and is under tension");
-  app.add_option("server", server, "HOST:PORT of incised (" + server + ")");
+  app.add_option("server", settings.server.address,
+                 "[tcp://|tls://|ws://|wss://]HOST[:PORT] of incised (" + settings.server.address + ")");
   app.add_option("--token", settings.token, "what opens the role simulator there");
+  app.add_option("--token-file", settings.server.token_file,
+                 "its first line is the token; without both, INCISE_TOKEN is");
+  app.add_option("--ca", settings.server.ca_file,
+                 "with TLS: whom to trust, instead of what this machine does");
   app.add_option("--rate", settings.rate_hz, "time steps a second (60)")->check(CLI::Range(1.0, 1000.0));
   app.add_option("--substeps", settings.substeps, "in each of them (10)")->check(CLI::Range(1, 100));
   app.add_option("--young", settings.material.young_pa, "stiffness, Pa (2000)")->check(CLI::Range(10.0, 1e7));
@@ -199,10 +204,6 @@ int main(int argc, char** argv) {
   app.add_option("--seconds", settings.seconds, "ends after so long; 0: with Ctrl-C")
       ->check(CLI::Range(0.0, 1e6));
   CLI11_PARSE(app, argc, argv);
-  const std::size_t colon = server.rfind(':');
-  settings.host = server.substr(0, colon);
-  if (colon != std::string::npos)
-    settings.port = static_cast<std::uint16_t>(std::stoul(server.substr(colon + 1)));
   std::signal(SIGINT, [](int) { stop = 1; });
   std::signal(SIGTERM, [](int) { stop = 1; });
   try {

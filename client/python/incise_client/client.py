@@ -14,7 +14,7 @@ import numpy as np
 
 from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta, Error, FieldOn, FieldValues, Force, Hello, Message, Ping, Pong,
                          PoseBatch, PoseReport, Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
-                         StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
+                         Reset, StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
 from .carry import carry, carry_tets
 from .errors import ConnectError, RequestError
@@ -434,6 +434,10 @@ class Client:
         if not np.isfinite([*point, *normal, *matrix3.flat, damping, resistance, valid_s]).all():
             raise ValueError(f"point, normal, stiffness, damping, resistance, valid_s: found {point}, {normal}, {matrix3.tolist()}, "
                              f"{damping}, {resistance}, {valid_s}; accepted are finite numbers")
+        if len(point) != 3 or len(normal) != 3:
+            raise ValueError(f"point, normal: found {point}, {normal}; accepted are three numbers each")
+        if not 0 < valid_s <= 1:
+            raise ValueError(f"valid_s: found {valid_s}; accepted is above 0 and up to 1")
         flat = matrix3.reshape(-1)
 
         def build(b: Any) -> int:
@@ -491,6 +495,10 @@ class Client:
     def end_stroke(self) -> None:
         """Ends the running stroke after the poses sent so far."""
         self._send(Body.Body.StrokeControl, lambda b: _table(b, StrokeControl, [("Action", StrokeAction.StrokeAction.End)]))
+
+    def reset(self) -> None:
+        """For role Admin: puts the body back as it was loaded, for everybody. A new snapshot comes when it is done; where it cannot be, `error` is set."""
+        self._send(Body.Body.Reset, lambda b: _table(b, Reset, []))
 
     def undo(self) -> None:
         """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.

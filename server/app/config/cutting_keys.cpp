@@ -104,13 +104,15 @@ ConfigKeys cut_keys() {
           "cut.engage_buttons", INCISE_FIELD(cut.engage_buttons), 1, 0xffffffff,
           "The buttons that engage the blade, as a sum: 1 for button 0, 2 for button 1, 4 for button 2, ..."),
       number("cut.batch_h", INCISE_FIELD(cut.batch_h), 0.05, 100,
-             "How far the blade travels before its cut is committed as one batch, in mean edge lengths; at "
-             "least 1 with the policy croll."),
+             "How far the blade travels before its cut is committed as one batch, in mean edge lengths. "
+             "With the policy croll less than 1 counts as 1."),
       number("cut.chord_tolerance_h", INCISE_FIELD(cut.chord_tolerance_h), 1e-4, 1,
              "How far the cut surface may deviate from the poses, in mean edge lengths. Where the blade "
              "moves less than a third of one, up to 0.08 counts as the device's noise."),
       number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e6,
-             "A faster motion is a jump: it ends the stroke and begins another, and does not cut."),
+             "A faster motion is a jump: it ends the stroke and begins another, and does not cut. Poses less "
+             "than 5 ms "
+             "apart may be as far from each other as in 5 ms."),
       number("cut.gap_limit_s", INCISE_FIELD(cut.gap_limit_s), 1e-3, 3600,
              "A longer gap between two poses also ends the stroke and begins another."),
   };
