@@ -12,7 +12,8 @@ namespace {
 
 // How far around a point vertices are looked for: the first one that has any.
 constexpr std::array kReach_h = {0.25, 1.0, 4.0};
-constexpr double kReachAll_h = 1e6;
+// Where there is none: so many of all vertices are looked at.
+constexpr std::size_t kFarSamples = 512;
 // Two points of a line that are nearer than this go together.
 constexpr double kApart = 1e-3;
 // Where two vertices near a point of a line have gone apart by more than this, and by this part of how far apart they were, as the lips of a cut that
@@ -20,6 +21,8 @@ constexpr double kApart = 1e-3;
 constexpr double kApart_h = 0.25, kStretch = 0.5;
 // Of the tetrahedra that are looked at so many make a unit of work.
 constexpr std::int64_t kTetsAUnit = 4;
+// What it costs to move a line, in units.
+constexpr std::int64_t kMove = 20;
 
 }  // namespace
 
@@ -28,6 +31,11 @@ template <class Visit>
 void SweptFollower::each_line(Visit visit) {
   workspace_.swept.each_line(visit);
   workspace_.ends.each_line(visit);
+}
+
+void SweptFollower::begin() {
+  next_ = 0;
+  moved_.clear();
 }
 
 bool SweptFollower::advance(WorkBudget& budget) {
@@ -69,82 +77,111 @@ void SweptFollower::set(LineAnchor& anchor, const BladeLine& line, WorkBudget& b
     find_near(lerp(line.heel, line.tip, static_cast<double>(point.part)), point, budget);
 }
 
-// The vertices of the boundary, cuts included: what was swept has left one.
 void SweptFollower::find_near(const Vec3& p, LineAnchor::Point& point, WorkBudget& budget) {
+  if (!look_near(p, budget)) look_anywhere(p, budget);
+  for (std::size_t i = 0; i < near_.size(); ++i) point.near[i] = near_[i].vertex;
+}
+
+// The nearest vertices of the boundary, cuts included: what was swept has left one. False: there is none.
+bool SweptFollower::look_near(const Vec3& p, WorkBudget& budget) {
   near_.clear();
   std::int64_t looked_at = 0;
-  const auto look = [&](double reach_m) {
+  for (const double reach_h : kReach_h) {
+    if (!near_.empty()) break;
+    const double reach_m = reach_h * mesh_.mean_edge_length();
     const Vec3 reach{reach_m, reach_m, reach_m};
     workspace_.grid.visit_box(p - reach, p + reach, [&](TetId t) {
       ++looked_at;
       if (!mesh_.alive(t)) return;
-      for (const VertexId v : mesh_.vertices(t)) {
-        const Near near{squared_length(mesh_.position(v) - p), v};
-        if (near_.size() == LineAnchor::kVertices && !(near < near_.back())) continue;
-        const auto place = std::lower_bound(near_.begin(), near_.end(), near);
-        if (place != near_.end() && place->vertex == v) continue;
-        near_.insert(place, near);
-        if (near_.size() > LineAnchor::kVertices) near_.pop_back();
-      }
+      for (const VertexId v : mesh_.vertices(t)) consider(v, p);
     });
-  };
-  for (const double reach_h : kReach_h) {
-    if (near_.empty()) look(reach_h * mesh_.mean_edge_length());
   }
-  if (near_.empty()) look(kReachAll_h * mesh_.mean_edge_length());
-  for (std::size_t i = 0; i < near_.size(); ++i) point.near[i] = near_[i].vertex;
   budget.charge(1 + looked_at / kTetsAUnit);
+  return !near_.empty();
 }
 
-// Where the vertices near each line are: kNear for each, those that are gone left out.
-void SweptFollower::note() {
-  before_.clear();
-  each_line([&](const BladeLine&, const LineAnchor& anchor) {
-    for (const LineAnchor::Point& point : anchor.points) {
-      for (const VertexId v : point.near) before_.push_back(is_there(v) ? mesh_.position(v) : Vec3{});
+// Far from the tissue some of that is as good as the nearest.
+void SweptFollower::look_anywhere(const Vec3& p, WorkBudget& budget) {
+  const std::size_t stride = 1 + mesh_.vertex_slots() / kFarSamples;
+  for (std::size_t v = 0; v < mesh_.vertex_slots(); v += stride) {
+    if (is_there(static_cast<VertexId>(v))) consider(static_cast<VertexId>(v), p);
+  }
+  budget.charge(static_cast<std::int64_t>(kFarSamples) / kTetsAUnit);
+}
+
+// Takes v among the nearest of those that were considered.
+void SweptFollower::consider(VertexId v, const Vec3& p) {
+  const Near near{squared_length(mesh_.position(v) - p), v};
+  if (near_.size() == LineAnchor::kVertices && !(near < near_.back())) return;
+  const auto place = std::lower_bound(near_.begin(), near_.end(), near);
+  if (place != near_.end() && place->vertex == v) return;
+  near_.insert(place, near);
+  if (near_.size() > LineAnchor::kVertices) near_.pop_back();
+}
+
+bool SweptFollower::work_out(std::span<const Vec3> places, WorkBudget& budget) {
+  std::size_t at = 0;
+  bool done = true;
+  const BladeLine* line_before = nullptr;
+  const LineAnchor* anchor_before = nullptr;
+  each_line([&](const BladeLine& line, const LineAnchor& anchor) {
+    if (at++ == moved_.size() && done) {
+      // Quads that follow each other share a line.
+      if (line_before != nullptr && *line_before == line && *anchor_before == anchor) {
+        moved_.push_back(Moved(moved_.back()));
+      } else if (budget.spent()) {
+        done = false;
+      } else {
+        moved_.push_back({line, anchor});
+        move(moved_.back().line, moved_.back().anchor, places);
+        budget.charge(kMove);
+      }
     }
+    line_before = &line;
+    anchor_before = &anchor;
   });
+  return done;
+}
+
+void SweptFollower::note() {
   const double same_m = HeldFaces::kSame_h * mesh_.mean_edge_length();
   for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks})
     held->leave_out_changed(mesh_, same_m);
 }
 
 void SweptFollower::follow() {
-  const Vec3* before = before_.data();
-  BladeLine last_line, last_moved;
-  LineAnchor last_anchor, last_moved_anchor;
+  bool any_torn = false;
+  const Moved* moved = moved_.data();
   each_line([&](BladeLine& line, LineAnchor& anchor) {
-    // Quads that follow each other share a line.
-    if (before == before_.data() || line != last_line || anchor != last_anchor) {
-      last_line = line;
-      last_anchor = anchor;
-      move(line, anchor, before);
-      last_moved = line;
-      last_moved_anchor = anchor;
-    } else {
-      line = last_moved;
-      anchor = last_moved_anchor;
-    }
-    before += 2 * LineAnchor::kVertices;
+    line = moved->line;
+    anchor = moved->anchor;
+    any_torn = any_torn || anchor.is_torn;
+    ++moved;
   });
   // Where a cut gapes, what was swept is on neither of its sides.
-  const auto is_torn = [](const auto& anchors) { return std::ranges::any_of(anchors, &LineAnchor::is_torn); };
-  workspace_.swept.forget_if(is_torn);
-  workspace_.ends.forget_if(is_torn);
+  if (any_torn) {
+    const auto is_torn = [](const auto& anchors) {
+      return std::ranges::any_of(anchors, &LineAnchor::is_torn);
+    };
+    workspace_.swept.forget_if(is_torn);
+    workspace_.ends.forget_if(is_torn);
+  } else {
+    workspace_.swept.enclose();
+  }
   for (std::size_t i = 0; i < workspace_.ends.size(); ++i) workspace_.ends[i].enclose();
   for (HeldFaces* held : {&workspace_.held, &workspace_.ribs, &workspace_.necks}) held->note_middles(mesh_);
 }
 
 // A point goes as the vertices near both points would if they were rigid, and then by what those near it deviate from that, in the mean.
-void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before) const {
+void SweptFollower::move(BladeLine& line, LineAnchor& anchor, std::span<const Vec3> places) const {
   std::array<Vec3, 2 * LineAnchor::kVertices> from, to;
   std::size_t known = 0;
   for (std::size_t i = 0; i < 2; ++i) {
     for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
       const VertexId v = anchor.points[i].near[k];
       if (!is_there(v)) continue;
-      from[known] = before[i * LineAnchor::kVertices + k];
-      to[known++] = mesh_.position(v);
+      from[known] = mesh_.position(v);
+      to[known++] = places[v];
     }
   }
   if (known == 0) {
@@ -156,13 +193,12 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
   bool lost = false;
   for (std::size_t i = 0; i < 2; ++i) {
     LineAnchor::Point& point = anchor.points[i];
-    const Vec3* const was = before + i * LineAnchor::kVertices;
-    anchor.is_torn = note_strain(point, was) || anchor.is_torn;
+    anchor.is_torn = note_strain(point, places) || anchor.is_torn;
     Vec3 deviation{};
     double count = 0;
-    for (std::size_t k = 0; k < LineAnchor::kVertices; ++k) {
-      if (!is_there(point.near[k])) continue;
-      deviation += mesh_.position(point.near[k]) - motion(was[k]);
+    for (const VertexId v : point.near) {
+      if (!is_there(v)) continue;
+      deviation += places[v] - motion(mesh_.position(v));
       ++count;
     }
     ends[i] = motion(lerp(line.heel, line.tip, static_cast<double>(point.part)));
@@ -185,15 +221,16 @@ void SweptFollower::move(BladeLine& line, LineAnchor& anchor, const Vec3* before
 
 // Adds up how much each two vertices at a point have gone apart in this step: there and back is nothing. Whether they are farther apart now than tissue is
 // stretched, or nearer.
-bool SweptFollower::note_strain(LineAnchor::Point& point, const Vec3* before) const {
+bool SweptFollower::note_strain(LineAnchor::Point& point, std::span<const Vec3> places) const {
   const double most_m = kApart_h * mesh_.mean_edge_length();
   bool torn = false;
   float* apart_m = point.apart_m.data();
   for (std::size_t i = 0; i < LineAnchor::kVertices; ++i) {
     for (std::size_t k = i + 1; k < LineAnchor::kVertices; ++k, ++apart_m) {
-      if (!is_there(point.near[i]) || !is_there(point.near[k])) continue;
-      const double now_m = distance(mesh_.position(point.near[i]), mesh_.position(point.near[k]));
-      *apart_m += static_cast<float>(now_m - distance(before[i], before[k]));
+      const VertexId a = point.near[i], b = point.near[k];
+      if (!is_there(a) || !is_there(b)) continue;
+      const double now_m = distance(places[a], places[b]);
+      *apart_m += static_cast<float>(now_m - distance(mesh_.position(a), mesh_.position(b)));
       const double by_m = std::abs(double{*apart_m}), at_first_m = std::max(0.0, now_m - double{*apart_m});
       torn = torn || !(by_m <= most_m + kStretch * at_first_m);
     }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/cut_workspace.hpp"
@@ -17,10 +18,12 @@ class SweptFollower {
   SweptFollower(const TetMesh& mesh, CutWorkspace& workspace) : mesh_(mesh), workspace_(workspace) {}
 
   // Looks for the vertices near lines that have none. Only what was swept since the last time costs something: some 10 us a line.
-  void begin() { next_ = 0; }
+  void begin();
   // True: done; false: the budget is spent.
   bool advance(WorkBudget& budget);
-  // Just before vertices move, and just after. Some 0.5 us a line.
+  // Then where lines go as vertices go to these places, by vertex. Some 1 us a line. True: done; false: the budget is spent.
+  bool work_out(std::span<const Vec3> places, WorkBudget& budget);
+  // Just before vertices move, and just after.
   void note();
   void follow();
 
@@ -33,18 +36,26 @@ class SweptFollower {
     }
   };
 
+  struct Moved {
+    BladeLine line;
+    LineAnchor anchor;
+  };
+
   template <class Visit>
   void each_line(Visit visit);
   void set(LineAnchor& anchor, const BladeLine& line, WorkBudget& budget);
   void find_near(const Vec3& p, LineAnchor::Point& point, WorkBudget& budget);
+  bool look_near(const Vec3& p, WorkBudget& budget);
+  void look_anywhere(const Vec3& p, WorkBudget& budget);
+  void consider(VertexId v, const Vec3& p);
   bool is_there(VertexId v) const { return v != kNone && mesh_.is_used(v); }
-  void move(BladeLine& line, LineAnchor& anchor, const Vec3* before) const;
-  bool note_strain(LineAnchor::Point& point, const Vec3* before) const;
+  void move(BladeLine& line, LineAnchor& anchor, std::span<const Vec3> places) const;
+  bool note_strain(LineAnchor::Point& point, std::span<const Vec3> places) const;
 
   const TetMesh& mesh_;
   CutWorkspace& workspace_;
-  std::size_t next_ = 0;      // quad or, behind these, end
-  std::vector<Vec3> before_;  // where the vertices near each line were
+  std::size_t next_ = 0;      // line that has to be looked at
+  std::vector<Moved> moved_;  // where the first lines go, so far
   std::vector<Near> near_;    // scratch
 };
 

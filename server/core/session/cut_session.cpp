@@ -256,6 +256,7 @@ CutSession::Progress CutSession::advance_deformation(WorkBudget& budget, Delta& 
     mover_.begin_again(*queue_.front().deformation, clinging_);
     if (!mover_.advance(budget)) return Progress::kSpent;
   }
+  if (!follower_.work_out(mover_.places_after(), budget)) return Progress::kSpent;
   // Moving them takes some 2 ns a vertex and cannot be interrupted: the caller may want to start it at a better time.
   if (!moves_next_ && budget.left < static_cast<std::int64_t>(mover_.moving())) {
     moves_next_ = true;

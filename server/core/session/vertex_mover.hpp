@@ -51,6 +51,7 @@ class VertexMover {
   bool advance(WorkBudget& budget);
   // Where a vertex lies once it commits; it must be ready.
   const Vec3& place_after(VertexId v) const { return target_[v]; }
+  std::span<const Vec3> places_after() const { return target_.by_vertex(); }
   // Ready, but what clings would not lie as it has to, since tetrahedra would invert. Then commit() must not follow, but begin_again().
   bool clinging_gives_way() const { return clinging_gives_way_; }
   // Moves the vertices. Fills the mesh part of `delta`.

@@ -511,6 +511,34 @@ TEST(VertexMover, TissueGoesAlongWhileABladeCuts) {
   }
 }
 
+// What was swept goes along in portions, however much it is.
+TEST(VertexMover, WhatWasSweptIsTakenAlongInPortions) {
+  std::uint64_t hash = 0;
+  for (const std::int64_t units : {INT64_MAX, std::int64_t{200}}) {
+    CutSession session(body(), config());
+    // Across the body and back, a little farther on each time, in the air as well.
+    for (int i = 0; i < 2000; ++i)
+      session.push(
+          0, at(1 + 8 * i, {0.04 + 0.06 * std::sin(0.2 * i), 0.02 + 1e-5 * i, 0.02 * std::cos(0.31 * i)},
+                i < 1999));
+    run_all(session);
+    deform(session, all(session, [](VertexId, const Vec3& p) { return p + Vec3{1e-4, 0, 0}; }));
+    // One vertex moves: nearly all of the work is for what was swept.
+    session.deform(some(session.revision(), {0}, {session.mesh().position(0) - Vec3{1e-4, 0, 0}}));
+    int portions = 0;
+    Delta delta;
+    for (CutSession::Progress progress = CutSession::Progress::kSpent;
+         progress == CutSession::Progress::kSpent; ++portions) {
+      WorkBudget budget{units};
+      progress = session.advance(budget, delta);
+    }
+    EXPECT_EQ(delta.moved.size(), 1u);
+    EXPECT_EQ(portions > 50, units == 200) << portions;
+    if (units == INT64_MAX) hash = session.mesh().state_hash();
+    EXPECT_EQ(session.mesh().state_hash(), hash);
+  }
+}
+
 // In a body that is deformed by one matrix all over, rest positions follow from places by its inverse, whatever a cut
 // has moved and made.
 TEST(VertexMover, RestPositionsAreThoseOfTheMaterial) {
