@@ -220,7 +220,9 @@ void Session::on(const protocol::SnapshotEnd& end) {
     const std::scoped_lock lock(mutex_);
     ++figures_.snapshots;
   }
+  const bool serves = server_ != nullptr;
   show();
+  if (serves) spdlog::info("{}: has the state again, at revision {}", name_, state_.revision());
 }
 
 void Session::on(const protocol::FieldValues& values) {

@@ -11,12 +11,17 @@ std::optional<Refusal> SimulatorPositions::offer(const protocol::Positions& posi
   const std::size_t count = (positions.f32.size() + positions.f64.size()) / 3;
   const std::uint64_t end = positions.ids.empty() ? std::uint64_t{positions.first} + count
                                                   : positions.ids.back() + std::uint64_t{1};
-  if (count == 0 || end > mirror.volume().vertex_count() || positions.revision > mirror.revision()) {
-    return Refusal{ErrorCode::BadRequest,
-                   "Positions of " + std::to_string(count) + " vertices below " + std::to_string(end) +
-                       " at revision " + std::to_string(positions.revision) +
-                       "; accepted are one or more below " + std::to_string(mirror.volume().vertex_count()) +
-                       ", at a revision up to " + std::to_string(mirror.revision())};
+  const auto refused = [](const std::string& why) {
+    return Refusal{ErrorCode::BadRequest, "Positions: " + why};
+  };
+  if (count == 0) return refused("of no vertex; accepted are one or more");
+  if (end > mirror.volume().vertex_count()) {
+    return refused("vertex " + std::to_string(end - 1) + " does not exist; the body has " +
+                   std::to_string(mirror.volume().vertex_count()) + " vertices, the first is 0");
+  }
+  if (positions.revision > mirror.revision()) {
+    return refused("computed for revision " + std::to_string(positions.revision) + "; the newest is " +
+                   std::to_string(mirror.revision()));
   }
   if (!input_) input_ = input.open_positions();
   if (!input_)
