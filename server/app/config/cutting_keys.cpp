@@ -111,8 +111,7 @@ ConfigKeys cut_keys() {
              "moves less than a third of one, up to 0.08 counts as the device's noise."),
       number("cut.speed_limit_m_s", INCISE_FIELD(cut.speed_limit_m_s), 1e-3, 1e6,
              "A faster motion is a jump: it ends the stroke and begins another, and does not cut. Poses less "
-             "than 5 ms "
-             "apart may be as far from each other as in 5 ms."),
+             "than 1 ms apart may be as far from each other as in 1 ms."),
       number("cut.gap_limit_s", INCISE_FIELD(cut.gap_limit_s), 1e-3, 3600,
              "A longer gap between two poses also ends the stroke and begins another."),
   };

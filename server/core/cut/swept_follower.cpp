@@ -26,11 +26,37 @@ constexpr std::int64_t kMove = 20;
 
 }  // namespace
 
-// Calls visit(line, anchor) for all lines that have one.
+// Calls visit(line) for all lines from number `next` on, until it says false (false; `next` is that line).
 template <class Visit>
-void SweptFollower::each_line(Visit visit) {
-  workspace_.swept.each_line(visit);
-  workspace_.ends.each_line(visit);
+bool SweptFollower::each_line(std::size_t& next, Visit visit) {
+  const std::span<SweptMemory::Quad> quads = workspace_.swept.quads_to_move();
+  for (; next < 2 * quads.size(); ++next) {
+    SweptMemory::Quad& quad = quads[next / 2];
+    Line line{&quad.from, &quad.anchors[0], nullptr, nullptr};
+    if (next % 2 == 1) {
+      line = {&quad.to, &quad.anchors[1], &quad.from, &quad.anchors[0]};
+    } else if (next > 0) {
+      // Quads that follow each other share a line.
+      line.line_before = &quads[next / 2 - 1].to;
+      line.anchor_before = &quads[next / 2 - 1].anchors[1];
+    }
+    if (!visit(line)) return false;
+  }
+  std::size_t first = 2 * quads.size();
+  for (std::size_t i = 0; i < workspace_.ends.size(); ++i) {
+    SweepEnd& end = workspace_.ends[i];
+    for (; next < first + end.line_count; ++next) {
+      const std::size_t k = next - first;
+      Line line{&end.lines[k], &end.anchors[k], nullptr, nullptr};
+      if (k > 0) {
+        line.line_before = &end.lines[k - 1];
+        line.anchor_before = &end.anchors[k - 1];
+      }
+      if (!visit(line)) return false;
+    }
+    first += end.line_count;
+  }
+  return true;
 }
 
 void SweptFollower::begin() {
@@ -39,30 +65,16 @@ void SweptFollower::begin() {
 }
 
 bool SweptFollower::advance(WorkBudget& budget) {
-  std::size_t at = 0;
-  bool done = true;
-  const BladeLine* line_before = nullptr;
-  const LineAnchor* anchor_before = nullptr;
-  each_line([&](const BladeLine& line, LineAnchor& anchor) {
-    // Quads that follow each other share a line.
-    if (at++ >= next_ && done) {
-      if (!anchor.is_set()) {
-        if (budget.spent()) {
-          done = false;
-          return;
-        }
-        if (line_before != nullptr && *line_before == line) {
-          anchor = *anchor_before;
-        } else {
-          set(anchor, line, budget);
-        }
-      }
-      next_ = at;
+  return each_line(next_, [&](const Line& line) {
+    if (line.anchor->is_set()) return true;
+    if (budget.spent()) return false;
+    if (line.goes_on_from_before()) {
+      *line.anchor = *line.anchor_before;
+    } else {
+      set(*line.anchor, *line.line, budget);
     }
-    line_before = &line;
-    anchor_before = &anchor;
+    return true;
   });
-  return done;
 }
 
 void SweptFollower::set(LineAnchor& anchor, const BladeLine& line, WorkBudget& budget) {
@@ -120,27 +132,18 @@ void SweptFollower::consider(VertexId v, const Vec3& p) {
 }
 
 bool SweptFollower::work_out(std::span<const Vec3> places, WorkBudget& budget) {
-  std::size_t at = 0;
-  bool done = true;
-  const BladeLine* line_before = nullptr;
-  const LineAnchor* anchor_before = nullptr;
-  each_line([&](const BladeLine& line, const LineAnchor& anchor) {
-    if (at++ == moved_.size() && done) {
-      // Quads that follow each other share a line.
-      if (line_before != nullptr && *line_before == line && *anchor_before == anchor) {
-        moved_.push_back(Moved(moved_.back()));
-      } else if (budget.spent()) {
-        done = false;
-      } else {
-        moved_.push_back({line, anchor});
-        move(moved_.back().line, moved_.back().anchor, places);
-        budget.charge(kMove);
-      }
+  std::size_t next = moved_.size();
+  return each_line(next, [&](const Line& line) {
+    if (line.goes_on_from_before() && *line.anchor_before == *line.anchor) {
+      moved_.push_back(Moved(moved_.back()));
+      return true;
     }
-    line_before = &line;
-    anchor_before = &anchor;
+    if (budget.spent()) return false;
+    moved_.push_back({*line.line, *line.anchor});
+    move(moved_.back().line, moved_.back().anchor, places);
+    budget.charge(kMove);
+    return true;
   });
-  return done;
 }
 
 void SweptFollower::note() {
@@ -151,12 +154,12 @@ void SweptFollower::note() {
 
 void SweptFollower::follow() {
   bool any_torn = false;
-  const Moved* moved = moved_.data();
-  each_line([&](BladeLine& line, LineAnchor& anchor) {
-    line = moved->line;
-    anchor = moved->anchor;
-    any_torn = any_torn || anchor.is_torn;
-    ++moved;
+  std::size_t next = 0;
+  each_line(next, [&](const Line& line) {
+    *line.line = moved_[next].line;
+    *line.anchor = moved_[next].anchor;
+    any_torn = any_torn || line.anchor->is_torn;
+    return true;
   });
   // Where a cut gapes, what was swept is on neither of its sides.
   if (any_torn) {

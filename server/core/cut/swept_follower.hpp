@@ -41,8 +41,17 @@ class SweptFollower {
     LineAnchor anchor;
   };
 
+  // A line, its anchor, and those of the one before, with which it may be one; null: none.
+  struct Line {
+    BladeLine* line;
+    LineAnchor* anchor;
+    const BladeLine* line_before;
+    const LineAnchor* anchor_before;
+    bool goes_on_from_before() const { return line_before != nullptr && *line_before == *line; }
+  };
+
   template <class Visit>
-  void each_line(Visit visit);
+  bool each_line(std::size_t& next, Visit visit);
   void set(LineAnchor& anchor, const BladeLine& line, WorkBudget& budget);
   void find_near(const Vec3& p, LineAnchor::Point& point, WorkBudget& budget);
   bool look_near(const Vec3& p, WorkBudget& budget);

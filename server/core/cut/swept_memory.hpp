@@ -63,6 +63,8 @@ class SweptMemory {
   }
 
   std::span<const Quad> quads() const { return quads_; }
+  // The same, for who moves their lines and anchors; then enclose() is due.
+  std::span<Quad> quads_to_move() { return quads_; }
   // The next quad, from this one on, that has a free rim and lies in a block whose free rims may meet the box; quads().size(): none. `looked_at`: increased by
   // the blocks that were looked at.
   std::size_t next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const;

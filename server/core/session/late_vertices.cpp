@@ -11,9 +11,13 @@ namespace {
 
 constexpr std::size_t kBlock = 64;  // vertices
 // Of so many others it is told well enough how a vertex goes; else their neighbours are asked, too.
-constexpr std::size_t kEnough = 8;
-// What elements cost, in quarters of a unit of work: a block, and a vertex whose motion is fitted.
-constexpr std::int64_t kLook = 1, kFit = 80;
+constexpr std::size_t kEnough = 6;
+// How far the body may be strained from what it is at rest; what seems to be more is an accident of a few points.
+constexpr double kMostFromRest = 4;
+// Where none is known: so many of all vertices are looked at.
+constexpr std::size_t kPartSamples = 512;
+// What a block costs, in quarters of a unit of work, what a motion does, in units, and how many vertices that are looked at make one.
+constexpr std::int64_t kBlockCost = 1, kPlaceCost = 20, kVerticesAUnit = 4;
 
 }  // namespace
 
@@ -58,30 +62,57 @@ const Vec3* LateVertices::wanted_place(const VertexPositions& positions, VertexI
 
 void LateVertices::begin(const VertexPositions& positions, std::span<const VertexPlace> clinging) {
   positions_ = &positions;
-  clinging_ = clinging;
-  finds_ = true;
+  clinging_ = clinging.size();
+  phase_ = Phase::kFind;
   next_ = 0;
   late_.clear();
-  later_.clear();
-  places_.clear();
+  front_.clear();
   placed_.clear();
+  places_.assign(clinging.begin(), clinging.end());
+  place_at_.resize(mesh_.vertex_slots(), 0);
+  asked_.resize(mesh_.vertex_slots(), 0);
+  note_places(0);
 }
 
 bool LateVertices::advance(WorkBudget& budget) {
-  if (finds_ && !in_chunks(next_, latest_.size(), budget, kLook, [this](std::size_t i) { find_in(i); }))
-    return false;
-  finds_ = false;
-  while (!late_.empty()) {
-    if (!in_chunks(next_, late_.size(), budget, kFit, [this](std::size_t i) { place(late_[i]); }))
-      return false;
-    // What hangs on nothing that is known stays.
-    if (placed_.empty()) break;
-    places_.insert(places_.end(), placed_.begin(), placed_.end());
-    std::ranges::sort(places_, {}, &VertexPlace::vertex);
-    placed_.clear();
-    std::swap(late_, later_);
-    later_.clear();
+  while (phase_ != Phase::kDone) {
+    if (budget.spent()) return false;
+    switch (phase_) {
+      case Phase::kFind:
+        if (!in_chunks(next_, latest_.size(), budget, kBlockCost, [this](std::size_t i) { find_in(i); }))
+          break;
+        front_ = late_;
+        phase_ = Phase::kPlace;
+        break;
+      case Phase::kPlace:
+        if (one_by_one(front_.size(), budget, [&](std::size_t i) { place(front_[i], budget); }))
+          begin_spreading();
+        break;
+      case Phase::kSpread:
+        if (one_by_one(placed_.size(), budget,
+                       [&](std::size_t i) { ask_around(placed_[i].vertex, budget); })) {
+          placed_.clear();
+          phase_ = Phase::kPlace;
+        }
+        break;
+      case Phase::kParts:
+        if (one_by_one(late_.size(), budget, [&](std::size_t i) { place_part(late_[i], budget); })) finish();
+        break;
+      case Phase::kDone:
+        break;
+    }
   }
+  return true;
+}
+
+template <class Work>
+bool LateVertices::one_by_one(std::size_t count, WorkBudget& budget, Work work) {
+  while (next_ < count) {
+    if (budget.spent()) return false;
+    budget.charge(1);
+    work(next_++);
+  }
+  next_ = 0;
   return true;
 }
 
@@ -90,24 +121,22 @@ void LateVertices::find_in(std::size_t block) {
   const std::size_t stop = std::min((block + 1) * kBlock, known_since_.size());
   for (std::size_t i = block * kBlock; i < stop; ++i) {
     const auto v = static_cast<VertexId>(i);
-    if (known_since_[v] <= positions_->revision || mesh_.vertex_tet(v) == kNone) continue;
-    if (!std::ranges::binary_search(clinging_, v, {}, &VertexPlace::vertex)) late_.push_back(v);
+    if (is_late(v) && mesh_.vertex_tet(v) != kNone && !has_place(v)) late_.push_back(v);
   }
 }
 
-void LateVertices::place(VertexId v) {
+// By what hangs on v and is known; where nothing is, v waits until something is.
+void LateVertices::place(VertexId v, WorkBudget& budget) {
   around_.assign(1, v);
-  from_.clear();
-  for (int ring = 0; ring < 2 && from_.size() < kEnough; ++ring) look_farther();
-  if (from_.empty()) {
-    later_.push_back(v);
-    return;
-  }
-  placed_.push_back({v, moves_ ? AffineMotion::fit(from_, to_)(mesh_.rest_position(v)) : mesh_.position(v)});
+  look_farther(budget);
+  if (from_.empty()) return;
+  if (from_.size() < kEnough) look_farther(budget);
+  placed_.push_back(
+      {v, moves_ ? AffineMotion::fit(from_, to_, kMostFromRest)(mesh_.rest_position(v)) : mesh_.position(v)});
 }
 
 // Takes in the neighbours of what is around, and how those go that are known: from their places at rest, so that no step leaves an error to the next one.
-void LateVertices::look_farther() {
+void LateVertices::look_farther(WorkBudget& budget) {
   const std::size_t inner = around_.size();
   for (std::size_t i = 0; i < inner; ++i) {
     mesh_.star(around_[i], star_);
@@ -116,28 +145,99 @@ void LateVertices::look_farther() {
       around_.insert(around_.end(), all.begin(), all.end());
     }
   }
+  budget.charge(kPlaceCost + static_cast<std::int64_t>(around_.size()) / kVerticesAUnit);
   std::sort(around_.begin(), around_.end());
   around_.erase(std::unique(around_.begin(), around_.end()), around_.end());
+  begin_fit();
+  for (const VertexId w : around_) add_to_fit(w);
+}
+
+void LateVertices::begin_fit() {
   from_.clear();
   to_.clear();
   moves_ = false;
-  for (const VertexId w : around_) {
-    const Vec3* const to = place_of(w);
-    if (to == nullptr) continue;
-    from_.push_back(mesh_.rest_position(w));
-    to_.push_back(*to);
-    moves_ = moves_ || *to != mesh_.position(w);
-  }
+}
+
+void LateVertices::add_to_fit(VertexId w) {
+  const Vec3* const to = place_of(w);
+  if (to == nullptr) return;
+  from_.push_back(mesh_.rest_position(w));
+  to_.push_back(*to);
+  moves_ = moves_ || *to != mesh_.position(w);
 }
 
 const Vec3* LateVertices::place_of(VertexId v) const {
-  for (const std::span<const VertexPlace> given : {clinging_, std::span<const VertexPlace>(places_)}) {
-    const auto found = std::ranges::lower_bound(given, v, {}, &VertexPlace::vertex);
-    if (found != given.end() && found->vertex == v) return &found->place;
-  }
+  if (has_place(v)) return &places_[place_at_[v]].place;
   if (!is_known(*positions_, v)) return nullptr;
   const Vec3* const wanted = wanted_place(*positions_, v);
   return wanted != nullptr ? wanted : &mesh_.position(v);
+}
+
+void LateVertices::note_places(std::size_t first) {
+  for (std::size_t i = first; i < places_.size(); ++i)
+    place_at_[places_[i].vertex] = static_cast<std::uint32_t>(i);
+}
+
+// What has been placed counts from now on; who waited for it is asked next.
+void LateVertices::begin_spreading() {
+  const std::size_t before = places_.size();
+  places_.insert(places_.end(), placed_.begin(), placed_.end());
+  note_places(before);
+  front_.clear();
+  ++level_;
+  phase_ = placed_.empty() ? Phase::kParts : Phase::kSpread;
+}
+
+void LateVertices::ask_around(VertexId v, WorkBudget& budget) {
+  mesh_.star(v, star_);
+  budget.charge(static_cast<std::int64_t>(star_.size()) / kVerticesAUnit);
+  for (const std::uint32_t corner : star_) {
+    for (const VertexId w : mesh_.vertices(tet_of(corner))) {
+      if (!is_late(w) || asked_[w] == level_ || has_place(w)) continue;
+      asked_[w] = level_;
+      front_.push_back(w);
+    }
+  }
+}
+
+// A part of the body in which nothing is known goes as one, with what is known near it.
+void LateVertices::place_part(VertexId v, WorkBudget& budget) {
+  if (has_place(v)) return;
+  const Vec3& middle = mesh_.rest_position(v);
+  const std::size_t stride = 1 + mesh_.vertex_slots() / kPartSamples;
+  near_.clear();
+  for (std::size_t i = 0; i < mesh_.vertex_slots(); i += stride) {
+    const auto w = static_cast<VertexId>(i);
+    if (!is_known(*positions_, w)) continue;
+    near_.push_back({squared_length(mesh_.rest_position(w) - middle), w});
+  }
+  const auto last = near_.begin() + static_cast<std::ptrdiff_t>(std::min(near_.size(), kEnough));
+  std::partial_sort(near_.begin(), last, near_.end());
+  begin_fit();
+  for (auto near = near_.begin(); near != last; ++near) add_to_fit(near->second);
+  const AffineMotion motion = AffineMotion::fit(from_, to_, kMostFromRest);
+  const std::size_t first = places_.size();
+  const auto take = [&](VertexId w) {
+    place_at_[w] = static_cast<std::uint32_t>(places_.size());
+    places_.push_back({w, moves_ ? motion(mesh_.rest_position(w)) : mesh_.position(w)});
+  };
+  take(v);
+  for (std::size_t i = first; i < places_.size(); ++i) {
+    mesh_.star(places_[i].vertex, star_);
+    for (const std::uint32_t corner : star_) {
+      for (const VertexId w : mesh_.vertices(tet_of(corner))) {
+        if (!has_place(w)) take(w);
+      }
+    }
+  }
+  budget.charge(static_cast<std::int64_t>(kPartSamples) / kVerticesAUnit +
+                kPlaceCost * static_cast<std::int64_t>(places_.size() - first));
+}
+
+void LateVertices::finish() {
+  std::ranges::sort(places_.begin() + static_cast<std::ptrdiff_t>(clinging_), places_.end(), {},
+                    &VertexPlace::vertex);
+  phase_ = Phase::kDone;
 }
 
 void LateVertices::archive(Archive& io) {

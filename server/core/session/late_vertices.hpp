@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "server/core/mesh/tet_mesh.hpp"
@@ -28,7 +29,8 @@ struct VertexPlace {
 
 // The vertices that cuts have moved or made since the revision that a step of a host simulation was computed for. The simulation does not know their
 // material, so what it says of them is not taken. They go along with what they hang on: by the affine map, from places at rest, that is nearest to where the other vertices of their
-// tetrahedra go; where few of these are known, those next to them count as well, and where none is, those that have been placed so far. What a step does not name stays, as it does
+// tetrahedra go; where few of these are known, those next to them count as well, and where none is, those that have been placed by then. A part in which
+// nothing is known goes as one, with what is nearest. What a step does not name stays, as it does
 // elsewhere.
 class LateVertices {
  public:
@@ -42,19 +44,35 @@ class LateVertices {
   // Where these positions want a vertex; null: they do not say so, or did not know where it is. Of several positions: O(log(positions)).
   const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
 
-  // Finds where they go. Both must live until that is done; `clinging` is ascending, and of these vertices the places are given.
+  // Finds where they go. `positions` must live until that is done; `clinging`: some vertices' places are given.
   void begin(const VertexPositions& positions, std::span<const VertexPlace> clinging);
-  // Works until all is found (true) or the budget is spent (false). O(late vertices) and a look at each 64th vertex.
+  // Works until all is found (true) or the budget is spent (false). O(late vertices), and a look at each 64th vertex.
   bool advance(WorkBudget& budget);
   // Where those go that do not cling, ascending. What moves nowhere may be among them.
-  std::span<const VertexPlace> places() const { return places_; }
+  std::span<const VertexPlace> places() const { return std::span(places_).subspan(clinging_); }
 
   void archive(Archive& io);
 
  private:
+  // Those that hang on something known first, then those that hang on these, and so on; at last the parts that hang on nothing known.
+  enum class Phase { kFind, kPlace, kSpread, kParts, kDone };
+
+  template <class Work>
+  bool one_by_one(std::size_t count, WorkBudget& budget, Work work);
   void find_in(std::size_t block);
-  void place(VertexId v);
-  void look_farther();
+  void place(VertexId v, WorkBudget& budget);
+  void look_farther(WorkBudget& budget);
+  void begin_fit();
+  void add_to_fit(VertexId w);
+  void begin_spreading();
+  void ask_around(VertexId v, WorkBudget& budget);
+  void place_part(VertexId v, WorkBudget& budget);
+  void finish();
+  void note_places(std::size_t first);
+  bool is_late(VertexId v) const { return known_since_[v] > positions_->revision; }
+  bool has_place(VertexId v) const {
+    return place_at_[v] < places_.size() && places_[place_at_[v]].vertex == v;
+  }
   // Where a vertex goes; null: not known so far.
   const Vec3* place_of(VertexId v) const;
 
@@ -63,15 +81,21 @@ class LateVertices {
   std::vector<std::uint64_t> latest_;       // of each 64 of these
 
   const VertexPositions* positions_ = nullptr;
-  std::span<const VertexPlace> clinging_;
-  bool finds_ = false;                        // while they are looked for; they are placed then
-  std::size_t next_ = 0;                      // that is looked at, in this round
-  std::vector<VertexId> late_, later_;        // to be placed, in this round and in the next one
-  std::vector<VertexPlace> places_, placed_;  // before this round, and in it
+  Phase phase_ = Phase::kDone;
+  std::size_t next_ = 0;                 // that is looked at, in this phase
+  std::vector<VertexId> late_;           // all but what clings
+  std::vector<VertexId> front_;          // of these: those that may be placed now
+  std::vector<VertexPlace> places_;      // what clings, and what has been placed
+  std::vector<VertexPlace> placed_;      // since the last spreading
+  std::size_t clinging_ = 0;             // of places_, the first
+  std::vector<std::uint32_t> place_at_;  // by vertex: where it is in places_, if it is
+  std::vector<std::uint32_t> asked_;     // by vertex: the spreading that took it to front_
+  std::uint32_t level_ = 0;              // which spreading, ever
   std::vector<Corner> star_;
   std::vector<VertexId> around_;
   std::vector<Vec3> from_, to_;
-  bool moves_ = false;  // one of these
+  bool moves_ = false;                             // one of these
+  std::vector<std::pair<double, VertexId>> near_;  // scratch: by squared distance
 };
 
 }  // namespace incise::core

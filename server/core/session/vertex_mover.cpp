@@ -41,9 +41,10 @@ double squared_longest_edge(const Vec3& a, const Vec3& b, const Vec3& c, const V
 
 }  // namespace
 
-VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace)
+VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace, bool stays_valid)
     : mesh_(mesh),
       workspace_(workspace),
+      stays_valid_(stays_valid),
       late_(mesh),
       pass_(workspace),
       tets_(mesh),
@@ -387,7 +388,7 @@ bool VertexMover::flattens(const std::array<VertexId, 4>& v) const {
   const double longest_m = std::sqrt(squared_longest_edge(a, b, c, d));
   const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
   if (then >= flat && is_valid) return false;
-  if (now < flat && then >= (1 - kLoses) * now && is_valid) return false;
+  if (now < flat && (!stays_valid_ || (then >= (1 - kLoses) * now && is_valid))) return false;
   // A solver has the shape at rest for sound, however flat it is.
   const Vec3 &ra = mesh_.rest_position(v[0]), &rb = mesh_.rest_position(v[1]),
              &rc = mesh_.rest_position(v[2]), &rd = mesh_.rest_position(v[3]);

@@ -34,8 +34,9 @@ class VertexMover {
   // What clings to a blade is where the simulation wants it if it is so near to that, and does not follow by less.
   static constexpr double kSamePlace_h = 5e-3;
 
-  // Both must outlive this.
-  VertexMover(TetMesh& mesh, CutWorkspace& workspace);
+  // Both must outlive this. `stays_valid`: every tetrahedron is right-handed; else those that are flat or inside out, as the policy `croll` leaves them, hold
+  // nothing back.
+  VertexMover(TetMesh& mesh, CutWorkspace& workspace, bool stays_valid);
 
   // `positions` must live until commit(), and `clinging`, the vertices at blades, ascending. `known`: what gives way,
   // from another session that was in the same state: if most vertices move, nothing is checked. It must live until commit().
@@ -120,6 +121,7 @@ class VertexMover {
 
   TetMesh& mesh_;
   CutWorkspace& workspace_;
+  const bool stays_valid_;
   LateVertices late_;
 
   const VertexPositions* positions_ = nullptr;

@@ -9,8 +9,6 @@ namespace {
 // Where points lie nearly in a line or a plane, what they say of a strain across that is noise: directions in which they reach less far than this part of all
 // count for less.
 constexpr double kStiffAcross = 1e-3;
-// More than this in one step is not what tissue does.
-constexpr double kMostStrain = 0.5;
 
 // The solution of a symmetric system of three.
 Vec3 solve(const std::array<Vec3, 3>& m, const Vec3& b) {
@@ -20,7 +18,7 @@ Vec3 solve(const std::array<Vec3, 3>& m, const Vec3& b) {
 
 }  // namespace
 
-AffineMotion AffineMotion::fit(std::span<const Vec3> from, std::span<const Vec3> to) {
+AffineMotion AffineMotion::fit(std::span<const Vec3> from, std::span<const Vec3> to, double most_strain) {
   AffineMotion made;
   made.rigid_ = RigidMotion::fit(from, to);
   const Vec3 middle = made.rigid_.to_middle();
@@ -44,7 +42,7 @@ AffineMotion AffineMotion::fit(std::span<const Vec3> from, std::span<const Vec3>
     made.strain_[row] = solve(spread, off[row]);
     most2 += squared_length(made.strain_[row]);
   }
-  if (!(most2 <= kMostStrain * kMostStrain)) made.strain_ = {};
+  if (!(most2 <= most_strain * most_strain)) made.strain_ = {};
   return made;
 }
 

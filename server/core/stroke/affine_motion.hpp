@@ -14,10 +14,15 @@ namespace incise::core {
 // A rigid motion, and then a strain: how a small part of a body goes that changes its shape. What is straight or flat stays so.
 class AffineMotion {
  public:
+  // More in one step is not what tissue does.
+  static constexpr double kMostStrain = 0.5;
+
   AffineMotion() = default;
   // The one that takes some points to others best, by least squares. As many of both; none: no motion. A strain across a line or a plane in which all
   // of them lie is none. O(points).
-  static AffineMotion fit(std::span<const Vec3> from, std::span<const Vec3> to);
+  // `most_strain`: one that is larger (Frobenius norm) is none.
+  static AffineMotion fit(std::span<const Vec3> from, std::span<const Vec3> to,
+                          double most_strain = kMostStrain);
 
   Vec3 operator()(const Vec3& p) const;
   BladeLine operator()(const BladeLine& line) const { return {(*this)(line.heel), (*this)(line.tip)}; }

@@ -14,7 +14,7 @@ inline std::uint64_t elapsed_ns(const Pose& from, const Pose& to) {
 }
 
 // Who was late and stamps poses when it sends them has the next ones a few microseconds apart: times are not taken for nearer than this.
-inline constexpr double kNearestTimes_s = 0.005;
+inline constexpr double kNearestTimes_s = 0.001;
 
 // Whether a blade jumped from one pose to a later one instead of moving: after too long a silence, or faster than it may move.
 // Strokes, forces and what interpolates poses must agree on that. NaN is a jump.

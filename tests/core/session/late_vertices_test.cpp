@@ -62,6 +62,51 @@ TEST(LateVertices, GoAlong) {
   }
 }
 
+// However far the body is strained from what it is at rest.
+TEST(LateVertices, GoAlongInABodyThatIsStretchedByHalf) {
+  CutSession session(body(), config());
+  for (int i = 0; i <= 50; ++i) session.push(0, at(1 + 8 * i, {-0.02 + 0.12 * i / 50, 0.03, 0}, i < 50));
+  run_all(session);
+  const auto goes = [](const Vec3& p) {
+    return Vec3{1.5 * p.x + 0.4 * p.y, 1.2 * p.y, 0.7 * p.z - 0.3 * p.x};
+  };
+  for (int step = 1; step <= 10; ++step) {
+    auto positions = all(session, [&](VertexId v, const Vec3&) {
+      const Vec3& rest = session.mesh().rest_position(v);
+      return lerp(rest, goes(rest), 0.1 * step);
+    });
+    positions->revision = 0;
+    EXPECT_TRUE(deform(session, positions).deformation.held.empty()) << step;
+  }
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v)
+    EXPECT_LT(distance(session.mesh().position(v), goes(session.mesh().rest_position(v))),
+              0.1 * testing::kCell)
+        << v;
+  EXPECT_EQ(validate(session.mesh()), "");
+}
+
+// A slice of the body between two cuts of which the simulation knows nothing.
+TEST(LateVertices, GoAlongWhereNothingOfAPartIsKnown) {
+  CutSession session(body(), config());
+  for (const double y : {0.028, 0.036}) {
+    const int first = y > 0.03 ? 100 : 0;
+    for (int i = 0; i <= 50; ++i)
+      session.push(0, at(1 + 8 * (first + i), {-0.02 + 0.12 * i / 50, y, 0}, i < 50));
+  }
+  run_all(session);
+  EXPECT_EQ(measure(session.mesh()).pieces, 3u);
+  std::vector<Vec3> places;
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v) places.push_back(session.mesh().position(v));
+  const auto goes = [](const Vec3& p) { return turned(p, 0.4, {0.05, 0.02, -0.01}); };
+  auto late = all(session, [&](VertexId, const Vec3& p) { return goes(p); });
+  late->revision = 0;
+  EXPECT_TRUE(deform(session, late).deformation.held.empty());
+  for (VertexId v = 0; v < session.mesh().vertex_slots(); ++v) {
+    if (session.mesh().vertex_tet(v) == kNone) continue;
+    EXPECT_LT(distance(session.mesh().position(v), goes(places[v])), 1e-10) << v;
+  }
+}
+
 // Of a step that names some vertices the others stay, those that were cut since as well, unless they hang on these.
 TEST(LateVertices, StayWhereNothingAroundThemMoves) {
   CutSession session(body(), config());

@@ -511,6 +511,23 @@ TEST(VertexMover, TissueGoesAlongWhileABladeCuts) {
   }
 }
 
+// The policy `croll` turns tetrahedra inside out: those hold nothing back.
+TEST(VertexMover, WhatIsInsideOutHoldsNothingBack) {
+  CutConfig croll = config();
+  croll.policy = Policy::kCroll;
+  CutSession session(body(), croll);
+  for (int i = 0; i <= 100; ++i)
+    session.push(0, at(1 + 8 * i, {-0.02 + 0.12 * i / 100, 0.02 + 0.02 * std::sin(0.1 * i), 0}, i < 100));
+  run_all(session);
+  EXPECT_NE(validate(session.mesh()), "");
+  for (int i = 0; i < 10; ++i) {
+    const Delta delta = deform(session, all(session, [](VertexId, const Vec3& p) {
+                                 return p + Vec3{1e-3, 5e-4, 0};
+                               }));
+    EXPECT_TRUE(delta.deformation.held.empty()) << i << ": " << delta.deformation.held.size();
+  }
+}
+
 // What was swept goes along in portions, however much it is.
 TEST(VertexMover, WhatWasSweptIsTakenAlongInPortions) {
   std::uint64_t hash = 0;
