@@ -32,9 +32,9 @@ bool SweptFollower::each_line(std::size_t& next, Visit visit) {
   const std::span<SweptMemory::Quad> quads = workspace_.swept.quads_to_move();
   for (; next < 2 * quads.size(); ++next) {
     SweptMemory::Quad& quad = quads[next / 2];
-    Line line{&quad.from, &quad.anchors[0], nullptr, nullptr};
+    Line line{&quad.from, &quad.anchors.front(), nullptr, nullptr};
     if (next % 2 == 1) {
-      line = {&quad.to, &quad.anchors[1], &quad.from, &quad.anchors[0]};
+      line = {&quad.to, &quad.anchors.back(), &quad.from, &quad.anchors.front()};
     } else if (next > 0) {
       // Quads that follow each other share a line.
       line.line_before = &quads[next / 2 - 1].to;
