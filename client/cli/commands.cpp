@@ -27,14 +27,14 @@ void on_signal(int) {
   g_interrupted = 1;
 }
 
+}  // namespace
+
 void add_server_options(CLI::App& command, ServerOptions& server) {
   command.add_option("--token-file", server.token_file,
                      "File whose first line is the access token; else $INCISE_TOKEN");
   command.add_option("--ca", server.ca_file,
                      "PEM file of the authority that signed the server's certificate");
 }
-
-}  // namespace
 
 bool interrupted() {
   static const bool installed = [] {

@@ -35,6 +35,9 @@ struct ServerOptions {
   Options options(Address& where) const;
 };
 
+// Adds the options for the token and the authority.
+void add_server_options(CLI::App& command, ServerOptions& server);
+
 struct StreamCommand {
   std::filesystem::path poses;
   ServerOptions server;

@@ -62,7 +62,7 @@ void check_cuttable(const Config& config, const core::MeshData& body, const std:
   const Box box = box_of(body);
   const double size_m = box.diagonal();
   for (const core::Vec3& corner : {box.low, box.high}) {
-    if (size_m == 0 || core::length(corner) <= core::kFarthest_m) continue;
+    if (core::length(corner) <= core::kFarthest_m) continue;
     throw ConfigError(in_file + "mesh: reaches from " + box.text() + " m; no pose may be more than " +
                       short_number(core::kFarthest_m / 1000) +
                       " km from the origin: move it there, or set mesh.scale_to_metres");

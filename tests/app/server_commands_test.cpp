@@ -124,27 +124,22 @@ TEST_F(Incised, CheckSaysGoodOrWhatIsNot) {
       << result.out;
   EXPECT_TRUE(result.out.ends_with("absent.json: good\n")) << result.out;
   EXPECT_NE(run({"--check", "none.json"}).err.find("mesh.path"), std::string::npos);
-  // A blade in millimetres, checked as it starts.
+  // A blade in millimetres, and a body where no blade goes: refused as it starts, too.
   write("long.json", R"({"mesh": {"phantom": "slab"}, "sources": [{"name": "a"},
       {"name": "b", "tip": [0, 0, -120]}]})");
-  for (const std::vector<std::string>& options :
-       {std::vector<std::string>{"--check", "long.json"}, {"--config", "long.json"}}) {
-    result = run(options);
-    EXPECT_EQ(result.exit_code, 1) << result.out;
-    EXPECT_NE(result.err.find("sources[1]: the blade is 120 m long, the body"), std::string::npos)
-        << result.err;
-    EXPECT_NE(result.err.find("this looks like millimetres; divide by 1000"), std::string::npos)
-        << result.err;
-  }
   write("far.node", "4 3 0 0\n0 20000 0 0\n1 20000.1 0 0\n2 20000 0.1 0\n3 20000 0 0.1\n");
   write("far.ele", "1 4 0\n0 0 1 2 3\n");
   write("far.json", R"({"mesh": {"path": "far.node"}})");
-  for (const std::vector<std::string>& options :
-       {std::vector<std::string>{"--check", "far.json"}, {"--config", "far.json"}}) {
-    result = run(options);
-    EXPECT_EQ(result.exit_code, 1) << result.out;
-    EXPECT_NE(result.err.find("no pose may be more than 10 km from the origin"), std::string::npos)
-        << result.err;
+  for (const auto& [file, fault] : {
+           std::pair{"long.json", "sources[1]: the blade is 120 m long, the body"},
+           std::pair{"long.json", "this looks like millimetres; divide by 1000"},
+           std::pair{"far.json", "no pose may be more than 10 km from the origin"},
+       }) {
+    for (const char* option : {"--check", "--config"}) {
+      result = run({option, file});
+      EXPECT_EQ(result.exit_code, 1) << result.out;
+      EXPECT_NE(result.err.find(fault), std::string::npos) << result.err;
+    }
   }
   EXPECT_EQ(run({"--config", "bad.json"}).exit_code, 1);
   EXPECT_EQ(run({"--config", "missing.json"}).exit_code, 1);

@@ -192,10 +192,7 @@ int main(int argc, char** argv) {
   app.add_option("server", settings.server.address,
                  "[tcp://|tls://|ws://|wss://]HOST[:PORT] of incised (" + settings.server.address + ")");
   app.add_option("--token", settings.token, "what opens the role simulator there");
-  app.add_option("--token-file", settings.server.token_file,
-                 "its first line is the token; without both, INCISE_TOKEN is");
-  app.add_option("--ca", settings.server.ca_file,
-                 "with TLS: whom to trust, instead of what this machine does");
+  client::add_server_options(app, settings.server);
   app.add_option("--rate", settings.rate_hz, "time steps a second (60)")->check(CLI::Range(1.0, 1000.0));
   app.add_option("--substeps", settings.substeps, "in each of them (10)")->check(CLI::Range(1, 100));
   app.add_option("--young", settings.material.young_pa, "stiffness, Pa (2000)")->check(CLI::Range(10.0, 1e7));

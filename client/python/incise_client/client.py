@@ -13,8 +13,8 @@ import flatbuffers
 import numpy as np
 
 from incise.wire import (BladeEdge, BladeLoad, BladeModel, Body, Box, Bye, Delta, Error, FieldOn, FieldValues, Force, Hello, Message, Ping, Pong,
-                         PoseBatch, PoseReport, Positions, PositionsReport, Recording, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
-                         Reset, StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
+                         PoseBatch, PoseReport, Positions, PositionsReport, Recording, Reset, Resync, Role, SnapshotBegin, SnapshotChunk, SnapshotEnd,
+                         StrokeAction, StrokeControl, SurfaceDelta, Undo, Vec3, View, Welcome)
 
 from .carry import carry, carry_tets
 from .errors import ConnectError, RequestError

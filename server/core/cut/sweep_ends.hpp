@@ -52,10 +52,10 @@ class SweepEnds {
   // parts are `part_m` long, or longer where there are too many.
   void add(std::uint32_t stroke, double travel_m, const BladeLine* lines, std::size_t count, double part_m,
            const Vec3& low, const Vec3& high);
-  // Calls visit(line, anchor) for all lines, which it may move; then enclose() of each end is due.
+  // Calls visit(line, anchor) for all lines.
   template <class Visit>
-  void each_line(Visit visit) {
-    for (SweepEnd& end : ends_) {
+  void each_line(Visit visit) const {
+    for (const SweepEnd& end : ends_) {
       for (std::size_t k = 0; k < end.line_count; ++k) visit(end.lines[k], end.anchors[k]);
     }
   }

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "server/core/geometry/clip.hpp"
+#include "server/core/mesh/vertex_samples.hpp"
 #include "server/core/stroke/rigid_motion.hpp"
 
 namespace incise::core {
@@ -38,7 +39,7 @@ bool SweptFollower::each_line(std::size_t& next, Visit visit) {
     } else if (next > 0) {
       // Quads that follow each other share a line.
       line.line_before = &quads[next / 2 - 1].to;
-      line.anchor_before = &quads[next / 2 - 1].anchors[1];
+      line.anchor_before = &quads[next / 2 - 1].anchors.back();
     }
     if (!visit(line)) return false;
   }
@@ -114,10 +115,7 @@ bool SweptFollower::look_near(const Vec3& p, WorkBudget& budget) {
 
 // Far from the tissue some of that is as good as the nearest.
 void SweptFollower::look_anywhere(const Vec3& p, WorkBudget& budget) {
-  const std::size_t stride = 1 + mesh_.vertex_slots() / kFarSamples;
-  for (std::size_t v = 0; v < mesh_.vertex_slots(); v += stride) {
-    if (is_there(static_cast<VertexId>(v))) consider(static_cast<VertexId>(v), p);
-  }
+  each_vertex_sample(mesh_, kFarSamples, [&](VertexId v) { consider(v, p); });
   budget.charge(static_cast<std::int64_t>(kFarSamples) / kTetsAUnit);
 }
 

@@ -95,10 +95,10 @@ class SweptMemory {
   void add(std::span<const BladeLine> lines, std::uint32_t stroke, double travel_m, double chord_m,
            const Box& box);
   void add(const Quad& quad);
-  // Calls visit(line, anchor) for both lines of each quad, which it may move; then enclose() is due.
+  // Calls visit(line, anchor) for both lines of each quad.
   template <class Visit>
-  void each_line(Visit visit) {
-    for (Quad& quad : quads_) {
+  void each_line(Visit visit) const {
+    for (const Quad& quad : quads_) {
       visit(quad.from, quad.anchors[0]);
       visit(quad.to, quad.anchors[1]);
     }

@@ -10,6 +10,7 @@
 #include "server/core/cut/cut_memory.hpp"
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/validate.hpp"
+#include "server/core/mesh/vertex_samples.hpp"
 #include "server/core/session/session_state.hpp"
 
 namespace incise::core {
@@ -162,13 +163,10 @@ double CutSession::way_of(const AffineMotion& motion, std::span<const Vec3> plac
 AffineMotion CutSession::motion_of_body() {
   from_.clear();
   to_.clear();
-  const std::size_t stride = 1 + mesh_.vertex_slots() / kSamples;
-  for (std::size_t i = 0; i < mesh_.vertex_slots(); i += stride) {
-    const auto v = static_cast<VertexId>(i);
-    if (mesh_.vertex_tet(v) == kNone) continue;
+  each_vertex_sample(mesh_, kSamples, [this](VertexId v) {
     from_.push_back(mesh_.position(v));
     to_.push_back(mover_.place_after(v));
-  }
+  });
   const AffineMotion motion = AffineMotion::fit(from_, to_);
   return follows(way_of(motion, from_)) ? motion : AffineMotion();
 }

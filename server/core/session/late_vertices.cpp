@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "server/core/mesh/vertex_samples.hpp"
 #include "server/core/session/in_chunks.hpp"
 #include "server/core/stroke/affine_motion.hpp"
 #include "server/core/util/room.hpp"
@@ -204,13 +205,10 @@ void LateVertices::ask_around(VertexId v, WorkBudget& budget) {
 void LateVertices::place_part(VertexId v, WorkBudget& budget) {
   if (has_place(v)) return;
   const Vec3& middle = mesh_.rest_position(v);
-  const std::size_t stride = 1 + mesh_.vertex_slots() / kPartSamples;
   near_.clear();
-  for (std::size_t i = 0; i < mesh_.vertex_slots(); i += stride) {
-    const auto w = static_cast<VertexId>(i);
-    if (!is_known(*positions_, w)) continue;
-    near_.push_back({squared_length(mesh_.rest_position(w) - middle), w});
-  }
+  each_vertex_sample(mesh_, kPartSamples, [&](VertexId w) {
+    if (is_known(*positions_, w)) near_.push_back({squared_length(mesh_.rest_position(w) - middle), w});
+  });
   const auto last = near_.begin() + static_cast<std::ptrdiff_t>(std::min(near_.size(), kEnough));
   std::partial_sort(near_.begin(), last, near_.end());
   begin_fit();

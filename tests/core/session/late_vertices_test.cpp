@@ -85,7 +85,7 @@ TEST(LateVertices, GoAlongInABodyThatIsStretchedByHalf) {
   EXPECT_EQ(validate(session.mesh()), "");
 }
 
-// A slice of the body between two cuts of which the simulation knows nothing.
+// A slice between two cuts that the simulation has not heard of.
 TEST(LateVertices, GoAlongWhereNothingOfAPartIsKnown) {
   CutSession session(body(), config());
   for (const double y : {0.028, 0.036}) {
