@@ -187,6 +187,7 @@ bool TetMesh::edges_are_around(TetId t, VertexId v, const LinkMarks& marks) cons
 void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
   ring(from, v, w, ring_scratch_);
   star(v, star_scratch_);
+  const VertexId healed = apex_of_both_sides(v, w);
   for (TetId t : ring_scratch_) {
     const int at_v = local_index(t, v), at_w = local_index(t, w);
     const HalfFace beyond_v = tets_[t].opposite[at_v];  // across the face that has w
@@ -218,6 +219,33 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
   }
   vertices_[v].tet = kNone;
   at_boundary_[w] |= std::exchange(at_boundary_[v], std::uint8_t{0});
+  if (healed == kNone) return;
+  for (const VertexId x : {w, healed}) at_boundary_[x] = has_boundary_face(x) ? 1 : 0;
+}
+
+// The third vertex of a face that alone was opened between v and w, with both of its sides at the boundary: a collapse closes it. Of
+// the ring of the edge.
+VertexId TetMesh::apex_of_both_sides(VertexId v, VertexId w) const {
+  if (!at_boundary(v) || !at_boundary(w)) return kNone;
+  VertexId first = kNone;
+  for (const TetId t : ring_scratch_) {
+    for (int f = 0; f < 4; ++f) {
+      const VertexId off = tets_[t].vertices[f];
+      if (off == v || off == w || tets_[t].opposite[f] != kNone) continue;
+      for (const VertexId x : face_vertices(half_face(t, f))) {
+        if (x == v || x == w) continue;
+        if (x == first) return x;
+        if (first == kNone) first = x;
+      }
+    }
+  }
+  return kNone;
+}
+
+bool TetMesh::has_boundary_face(VertexId v) const {
+  star(v, star_scratch_);
+  return std::ranges::any_of(
+      star_scratch_, [this](Corner c) { return (boundary_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
 }
 
 // Whether an edge of tetrahedron `from` has tetrahedra all around it.

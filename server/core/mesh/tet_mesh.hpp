@@ -328,6 +328,8 @@ class TetMesh {
   void kill_tet(TetId t);
   void mark_link_of(VertexId w, const LinkMarks& marks) const;
   bool edges_are_around(TetId t, VertexId v, const LinkMarks& marks) const;
+  VertexId apex_of_both_sides(VertexId v, VertexId w) const;
+  bool has_boundary_face(VertexId v) const;
   bool is_inside(TetId from, VertexId a, VertexId b) const;
   unsigned edges_inside(HalfFace h) const;
   void begin_noting(std::size_t max_stars);

@@ -741,6 +741,27 @@ TEST(TetMeshCollapse, KeepsCutFaces) {
   EXPECT_EQ(measure(mesh).pieces, 2u);
 }
 
+// A single face that has been opened, amid the tissue, is closed again, and its vertices lie inside again.
+TEST(TetMeshCollapse, ClosesASingleOpenFace) {
+  const TetMesh box(testing::box(4, 4, 4));
+  int closed = 0;
+  for (TetId t = 0; t < box.tet_slots(); ++t) {
+    for (int f = 0; f < 4; ++f) {
+      const HalfFace h = half_face(t, f);
+      const auto v = box.face_vertices(h);
+      if (std::ranges::any_of(v, [&](VertexId x) { return box.at_boundary(x); })) continue;
+      TetMesh mesh = box;
+      mesh.open_faces(std::array{h});
+      ASSERT_TRUE(mesh.at_boundary(v[0]) && mesh.at_boundary(v[1]) && mesh.at_boundary(v[2]));
+      if (!mesh.may_collapse(t, v[0], v[1])) continue;
+      mesh.collapse(t, v[0], v[1]);
+      EXPECT_EQ(validate(mesh, false), "");
+      ++closed;
+    }
+  }
+  EXPECT_GT(closed, 50);
+}
+
 // None is lost but those that have both vertices.
 TEST(TetMeshCollapse, KeepsEveryOtherCutFace) {
   TetMesh uncollapsed(testing::box(4, 4, 4));
