@@ -11,6 +11,8 @@ namespace {
 
 // A quad goes on as far as this many chords, while it stays this near, in chords, to what was swept.
 constexpr double kMostChords = 5, kOffChords = 0.1;
+// Of a coordinate: more than the rounding of a sum of three products of it.
+constexpr double kRounded = 1e-14;
 constexpr double kDoesNotGoOn_m = std::numeric_limits<double>::infinity();
 
 // How far a line that a blade came by is beside the quad from one line to another.
@@ -95,7 +97,8 @@ void SweptMemory::enclose(std::size_t number) {
   Block& block = blocks_[number];
   block.all = quads_[number * kBlock].box();
   block.free_rims.reset();
-  for (std::size_t i = number * kBlock; i < std::min(quads_.size(), (number + 1) * kBlock); ++i) {
+  const std::size_t stop = std::min(quads_.size(), (number + 1) * kBlock);
+  for (std::size_t i = number * kBlock; i < stop; ++i) {
     block.all.add(quads_[i].box());
     for (End end : {kHeel, kTip}) {
       for (std::uint64_t free = quads_[i].rims[end].free; free != 0; free &= free - 1) {
@@ -105,6 +108,34 @@ void SweptMemory::enclose(std::size_t number) {
       }
     }
   }
+  block.slabs = slabs_of(std::span(quads_).subspan(number * kBlock, stop - number * kBlock), block.all);
+}
+
+std::array<SweptMemory::Slab, 2> SweptMemory::slabs_of(std::span<const Quad> quads, const Box& around) {
+  Vec3 sum{};
+  for (const Quad& quad : quads) {
+    const Vec3 normal = cross(quad.to.tip - quad.from.heel, quad.to.heel - quad.from.tip);
+    // A blade that goes back and forth turns it over.
+    sum += dot(normal, sum) < 0 ? -normal : normal;
+  }
+  const Vec3 first = quads.front().from.tip - quads.front().from.heel;
+  std::array<Slab, 2> slabs;
+  if (squared_length(sum) > 0) slabs[0].axis = normalized(sum);
+  const Vec3 motion = cross(slabs[0].axis, first);
+  if (squared_length(motion) > 0) slabs[1].axis = normalized(motion);
+  const double rounded_m = kRounded * (length(around.low) + length(around.high));
+  for (Slab& slab : slabs) {
+    slab.low = std::numeric_limits<double>::infinity();
+    slab.high = -slab.low;
+    for (const Quad& quad : quads) {
+      for (const Vec3& p : {quad.from.heel, quad.from.tip, quad.to.heel, quad.to.tip}) {
+        const double at = dot(slab.axis, p);
+        slab.low = std::min(slab.low, at - rounded_m);
+        slab.high = std::max(slab.high, at + rounded_m);
+      }
+    }
+  }
+  return slabs;
 }
 
 std::size_t SweptMemory::next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const {

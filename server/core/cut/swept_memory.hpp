@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -74,7 +75,7 @@ class SweptMemory {
   bool any_in(const Box& box, std::size_t& looked_at, Visit visit) const {
     looked_at += blocks_.size();
     for (std::size_t block = 0; block < blocks_.size(); ++block) {
-      if (!blocks_[block].all.meets(box)) continue;
+      if (!blocks_[block].meets(box)) continue;
       const std::size_t end = std::min(quads_.size(), (block + 1) * kBlock);
       looked_at += end - block * kBlock;
       for (std::size_t i = block * kBlock; i < end; ++i) {
@@ -128,12 +129,29 @@ class SweptMemory {
  private:
   static constexpr std::size_t kMost = 4096, kBlock = 16;
 
+  // Planes around kBlock quads: across their mean normal, and across their motion. A blade is long and lies along no axis, and boxes alone let
+  // through most of what it has swept.
+  struct Slab {
+    Vec3 axis{};  // none: it lets everything through
+    double low = 0, high = 0;
+
+    bool meets(const Box& box) const {
+      const Vec3 middle = 0.5 * (box.low + box.high), half = 0.5 * (box.high - box.low);
+      const double at = dot(axis, middle);
+      const double reach = std::abs(axis.x) * half.x + std::abs(axis.y) * half.y + std::abs(axis.z) * half.z;
+      return at - reach <= high && at + reach >= low;
+    }
+  };
   struct Block {
     Box all;                       // around kBlock quads
+    std::array<Slab, 2> slabs;     // around them
     std::optional<Box> free_rims;  // around their free rims
+
+    bool meets(const Box& box) const { return all.meets(box) && slabs[0].meets(box) && slabs[1].meets(box); }
   };
 
   void enclose(std::size_t block);
+  static std::array<Slab, 2> slabs_of(std::span<const Quad> quads, const Box& around);
   std::size_t newest_that_ends_at(const BladeLine& line, std::uint32_t stroke) const;
   static bool go_on(Quad& quad, const BladeLine& to, double chord_m);
   static void list_rims(Quad& quad, double chord_m, const Box& box);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
 #include <vector>
 
 #include "server/core/stroke/swept_triangle.hpp"
@@ -156,6 +157,51 @@ TEST(SweptMemory, FindsFreeRimsAmongManyAndAfterOldOnesAreForgotten) {
   EXPECT_EQ(strokes_near(5900), std::vector<std::uint32_t>{5901});
   EXPECT_EQ(strokes_near(2000), std::vector<std::uint32_t>{2001});
   EXPECT_TRUE(strokes_near(1900).empty()) << "forgotten";
+}
+
+// A long blade that lies along no axis, and goes around: boxes around its way let nearly all of it through.
+TEST(SweptMemory, FindsWhatALongSlantedBladeSweptWithoutLookingAtAllOfIt) {
+  const Vec3 along = normalized(Vec3{1, 1.2, 0.8}), side = normalized(cross(along, Vec3{0, 0, 1}));
+  const Vec3 up = cross(along, side);
+  std::vector<BladeLine> lines;
+  for (int i = 0; i <= 1500; ++i) {
+    const double angle = 0.02 * i, radius = 0.1 + 0.0002 * i;
+    const Vec3 at = radius * (std::cos(angle) * side + std::sin(angle) * up) + 0.0001 * i * along;
+    lines.push_back({at - 2 * along, at + 2 * along});
+  }
+  SweptMemory memory;
+  memory.add(lines, 1, 0, 0.001, {{-3, -3, -3}, {3, 3, 3}});
+  ASSERT_GT(memory.quads().size(), 1000u);
+
+  std::mt19937_64 random(5);
+  const auto anywhere = [&] { return static_cast<double>(random() >> 11) * 0x1p-53 - 0.5; };
+  const auto side_of = [](const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& p) {
+    return dot(cross(b - a, c - a), p - a) > 0;
+  };
+  std::size_t looked_at = 0, crossed = 0, near = 0;
+  constexpr std::size_t kSegments = 1000;
+  for (std::size_t n = 0; n < kSegments; ++n) {
+    const Vec3 a{anywhere(), anywhere(), anywhere()};
+    const Vec3 b = a + 0.05 * Vec3{anywhere(), anywhere(), anywhere()};
+    bool crosses = false, is_near = false;
+    for (const SweptMemory::Quad& quad : memory.quads()) {
+      for (const auto& [p, q, r] : quad.triangles()) {
+        const bool inside =
+            side_of(a, b, p, q) == side_of(a, b, q, r) && side_of(a, b, q, r) == side_of(a, b, r, p);
+        crosses = crosses || (inside && side_of(p, q, r, a) != side_of(p, q, r, b));
+      }
+      is_near = is_near || quad.squared_distance(a) <= 0.005 * 0.005;
+    }
+    EXPECT_EQ(memory.crosses(a, b, looked_at), crosses) << "segment " << n;
+    std::size_t others = 0;
+    EXPECT_EQ(memory.stroke_at(a, 0.005, others) != 0, is_near) << "point " << n;
+    crossed += crosses ? 1 : 0;
+    near += is_near ? 1 : 0;
+  }
+  EXPECT_GT(crossed, 50u);
+  EXPECT_GT(near, 50u);
+  // Sixteen quads are a block. All blocks, and a tenth of the quads.
+  EXPECT_LT(looked_at, kSegments * (memory.quads().size() / 16 + 1 + memory.quads().size() / 10));
 }
 
 TEST(SweptMemory, ComesBackAsItWasSaved) {

@@ -29,16 +29,10 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
   return cut.surface().is_within(mesh.barycentre(t), reach);
 }
 
-bool may_be_film(const CutContext& cut, TetId t) {
-  const TetMesh& mesh = cut.mesh;
-  return std::ranges::all_of(mesh.vertices(t), [&](VertexId v) {
-    if (mesh.at_boundary(v) || cut.on_surface(v)) return true;
-    cut.work += cost::kSurfaceQuery;
-    return cut.surface().is_within(mesh.position(v), kOne_h * cut.h);
-  });
-}
-
 namespace {
+
+// In a tetrahedron, to say how much of it is deep.
+constexpr int kFewPoints = 4, kManyPoints = 11;
 
 // Whether a point is that near to a cut face of its tetrahedron.
 bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
@@ -77,30 +71,60 @@ bool Films::is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts) {
   return cuts == Cuts::kAll && (is_near_cut_beside(mesh_, t, p, reach) || faces_.is_within(p, reach));
 }
 
-// By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
-// quarters alone.
 bool Films::is_deep(std::span<const TetId> tets, double least_h3, Cuts cuts) {
   const double least_m3 = least_h3 * cut_.h * cut_.h * cut_.h;
-  const auto is_off = [&](TetId t, const Vec3& p) { return !is_near_cut(t, p, kDeep_h * cut_.h, cuts); };
   double sum_m3 = 0;
   for (TetId t : tets) {
-    const auto& v = mesh_.vertices(t);
-    const Vec3 middle = mesh_.barycentre(t);
     const double volume_m3 = mesh_.volume(t);
-    int deep = 0, points = 4;
-    for (VertexId w : v) deep += is_off(t, lerp(middle, mesh_.position(w), 0.5));
-    if (cuts == Cuts::kAll && volume_m3 > least_m3 / 4) {
-      for (const auto& edge : kEdgeVertices) {
-        const Vec3 there = lerp(mesh_.position(v[edge[0]]), mesh_.position(v[edge[1]]), 0.5);
-        deep += is_off(t, lerp(middle, there, 0.5));
-      }
-      deep += is_off(t, middle);
-      points = 11;
-    }
-    sum_m3 += volume_m3 * deep / points;
+    const bool finely = cuts == Cuts::kAll && volume_m3 > least_m3 / 4;
+    sum_m3 += volume_m3 * count_deep(t, cuts, finely) / (finely ? kManyPoints : kFewPoints);
     if (sum_m3 >= least_m3) return true;
   }
   return false;
+}
+
+// By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
+// quarters alone.
+int Films::count_deep(TetId t, Cuts cuts, bool finely) {
+  std::uint8_t& deep = known(t).deep[cuts == Cuts::kThisStroke ? 0 : finely ? 2 : 1];
+  // A part of a batch ends by what is asked, not by what it takes.
+  if (deep != Known::kUnknown) {
+    cut_.part_judging += (finely ? kManyPoints : kFewPoints) * cost::kPartFilmPoint;
+    return deep;
+  }
+  const auto is_off = [&](const Vec3& p) { return is_near_cut(t, p, kDeep_h * cut_.h, cuts) ? 0 : 1; };
+  const auto& v = mesh_.vertices(t);
+  const Vec3 middle = mesh_.barycentre(t);
+  int count = 0;
+  for (VertexId w : v) count += is_off(lerp(middle, mesh_.position(w), 0.5));
+  if (finely) {
+    for (const auto& edge : kEdgeVertices) {
+      const Vec3 there = lerp(mesh_.position(v[edge[0]]), mesh_.position(v[edge[1]]), 0.5);
+      count += is_off(lerp(middle, there, 0.5));
+    }
+    count += is_off(middle);
+  }
+  deep = static_cast<std::uint8_t>(count);
+  return count;
+}
+
+bool Films::may_be_film(TetId t) {
+  std::uint8_t& known = this->known(t).may_be_film;
+  if (known == Known::kUnknown) {
+    known = std::ranges::all_of(mesh_.vertices(t), [&](VertexId v) {
+      if (mesh_.at_boundary(v) || cut_.on_surface(v)) return true;
+      cut_.work += cost::kSurfaceQuery;
+      return cut_.surface().is_within(mesh_.position(v), kOne_h * cut_.h);
+    });
+  }
+  return known != 0;
+}
+
+Films::Known& Films::known(TetId t) {
+  Known& known = known_[t % kKnown];
+  cut_.work += cost::kLook;
+  if (known.serial != serial_ || known.tet != t) known = {.serial = serial_, .tet = t};
+  return known;
 }
 
 bool Films::is_film(const Extent& extent, std::span<const TetId> tets) {

@@ -1,8 +1,11 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <span>
+#include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/cut_faces.hpp"
@@ -14,10 +17,6 @@ Vec3 reference_point(const CutContext& cut, TetId t);
 
 // Whether the middle of a tetrahedron is within `reach` of the surface, or of an older cut that it lies at.
 bool is_shallow(const CutContext& cut, TetId t, double reach);
-
-// Whether it may be part of a film: none of it is inside the tissue, but for what is so near to the surface that it is one with it. Hands leave
-// films of many small tetrahedra.
-bool may_be_film(const CutContext& cut, TetId t);
 
 // Whether `count` tetrahedra may be a film or a part of one, when `inner` of them reach into the tissue.
 inline bool may_be_film(std::size_t inner, std::size_t count) {
@@ -59,10 +58,17 @@ struct Extent {
 // Tells films from parts of the tissue, among tetrahedra that hang together.
 class Films {
  public:
-  explicit Films(const CutContext& cut) : cut_(cut), mesh_(cut.mesh), faces_(cut) {}
+  explicit Films(const CutContext& cut) : cut_(cut), mesh_(cut.mesh), faces_(cut), known_(kKnown) {}
 
-  // To be called when the mesh has changed.
-  void begin() { faces_.begin(); }
+  // To be called when the mesh has changed, or the surface.
+  void begin() {
+    faces_.begin();
+    ++serial_;
+  }
+
+  // Whether a tetrahedron may be part of a film: none of it is inside the tissue, but for what is so near to the surface that it is one with it. Hands leave
+  // films of many small tetrahedra.
+  bool may_be_film(TetId t);
 
   // Whether `least_h3` of them is farther than kDeep_h from the cuts.
   enum class Cuts { kThisStroke, kAll };
@@ -70,11 +76,27 @@ class Films {
   bool is_film(const Extent& extent, std::span<const TetId> tets);
 
  private:
+  // What has been found out of a tetrahedron: where hands wander it is looked at some twenty times, as part of another film each time.
+  struct Known {
+    static constexpr std::uint8_t kUnknown = 0xff;
+    std::uint64_t serial = 0;
+    TetId tet = kNone;
+    std::uint8_t may_be_film = kUnknown;
+    // How many of its points are farther than kDeep_h from this stroke's cuts, and from all of them; of few points and of many.
+    std::array<std::uint8_t, 3> deep{kUnknown, kUnknown, kUnknown};
+  };
+  // Each has its place; one that another takes is found out again.
+  static constexpr std::size_t kKnown = 2048;
+
+  Known& known(TetId t);
+  int count_deep(TetId t, Cuts cuts, bool finely);
   bool is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts);
 
   const CutContext& cut_;
   const TetMesh& mesh_;
   CutFaces faces_;
+  std::uint64_t serial_ = 1;
+  std::vector<Known> known_;
 };
 
 }  // namespace incise::core

@@ -31,7 +31,7 @@ bool Islands::is_island(TetId first) {
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const TetId t = members_[i];
     thin = thin && is_thin(t);
-    inner += may_be_film(cut_, t) ? 0 : 1;
+    inner += films_.may_be_film(t) ? 0 : 1;
     extent.volume_m3 += mesh_.volume(t);
     cut_.work += cost::kIslandMember;
     for (int f = 0; f < 4; ++f) {

@@ -257,6 +257,7 @@ bool MeshEditor::hangs_together_around(TetId t, std::span<const TetId> flat) {
 
 // Whether what n hangs together with is a film without some tetrahedra. Nearly always n reaches into the tissue, which is seen at once.
 bool MeshEditor::is_film_without(std::span<const TetId> flat, TetId n) {
+  films_.begin();
   film_.assign(1, n);
   film_pass_.begin();
   for (TetId t : flat) film_pass_.add(t);
@@ -265,7 +266,7 @@ bool MeshEditor::is_film_without(std::span<const TetId> flat, TetId n) {
   std::size_t inner = 0;
   for (std::size_t i = 0; i < film_.size(); ++i) {
     cut_.work += cost::kLook;
-    inner += may_be_film(cut_, film_[i]) ? 0 : 1;
+    inner += films_.may_be_film(film_[i]) ? 0 : 1;
     extent.volume_m3 += mesh_.volume(film_[i]);
     for (int f = 0; f < 4; ++f) {
       const HalfFace h = half_face(film_[i], f), o = mesh_.opposite(h);
@@ -278,7 +279,6 @@ bool MeshEditor::is_film_without(std::span<const TetId> flat, TetId n) {
     if (film_.size() > kMaxSheetIsland || (i >= kMaxRaggedIsland && !may_be_film(inner, i + 1))) return false;
   }
   if (!may_be_film(inner, film_.size())) return false;
-  films_.begin();
   if (!films_.is_film(extent, film_)) return false;
   return film_.size() > kMaxRaggedIsland || !is_crumb(film_);
 }

@@ -75,7 +75,7 @@ Extent Parts::extent() const {
 
 // Whether what it has followed, as far as its i-th tetrahedron, may still turn out to be a film.
 bool Parts::grows_as_film(std::size_t i) {
-  for (; counted_ <= i; ++counted_) inner_ += may_be_film(cut_, queue_[counted_]) ? 0 : 1;
+  for (; counted_ <= i; ++counted_) inner_ += films_.may_be_film(queue_[counted_]) ? 0 : 1;
   return queue_.size() <= kMaxSheetIsland && may_be_film(inner_, counted_);
 }
 
